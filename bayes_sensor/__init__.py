@@ -1,0 +1,46 @@
+"""bayes_sensor: step-response parameters of a gas sensor with error bars that can be believed.
+
+Names are loaded when first used, so that ``import bayes_sensor`` stays fast.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+__version__ = "0.1.0"
+
+_PUBLIC = {
+    "Campaign": "campaign",
+    "CampaignError": "campaign",
+    "Experiment": "campaign",
+    "SideInformation": "campaign",
+    "read_campaign": "readers",
+    "check_campaign": "check",
+    "Cascade": "model",
+    "Layout": "model",
+    "cascade_response": "model",
+    "euler_response": "model",
+    "predict": "model",
+    "Noise": "noise",
+    "Prior": "likelihood",
+    "Problem": "likelihood",
+    "log_likelihood": "likelihood",
+    "log_prior": "likelihood",
+    "simulate": "likelihood",
+    "compress": "compression",
+}
+
+__all__ = ["__version__", *sorted(_PUBLIC)]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'bayes_sensor' has no attribute '{name}'")
+    value = getattr(import_module(f"bayes_sensor.{_PUBLIC[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,234 @@
+"""Experiments and campaigns: what was measured, with units settled.
+
+Everything here is in seconds, volts (or the campaign's ``signal_unit``) and mL/s.
+Files are read in :mod:`bayes_sensor.readers`; this room only holds and checks the records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+class CampaignError(ValueError):
+    """Input that cannot be used.  The message says where, what was expected, what came, the fix."""
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One step experiment on a uniform time grid.
+
+    Raises
+    ------
+    CampaignError
+        If the arrays disagree in length, a flow is not positive, the interval is not positive,
+        a used sample is not finite or no sample is used.
+    """
+
+    name: str
+    t: FloatArray
+    """(n_t,) s, uniform: ``t[i] = t[0] + i * interval``."""
+    y: FloatArray | None
+    """(n_t,) V, or None for a design (an experiment that is planned but not measured)."""
+    carrier_flow: float
+    """mL/s"""
+    test_gas_flow: float
+    """mL/s"""
+    interval: float
+    """s, sampling interval"""
+    commanded_on: float | None = None
+    """s, when the valve was told to open, or None when unknown"""
+    commanded_off: float | None = None
+    """s, when the valve was told to shut; None when no step down was recorded"""
+    mask: BoolArray | None = None
+    """(n_t,) True where the sample is used; None means all"""
+    drive: FloatArray | None = None
+    """(n_t,) the valve's recorded drive signal, or None"""
+    source: str = ""
+    """the file the samples came from, for messages"""
+    sha256: str = ""
+    """hash of that file, for the record"""
+
+    def __post_init__(self) -> None:
+        where = f"experiment '{self.name}'" + (f" ({self.source})" if self.source else "")
+        n_t = len(self.t)
+        if n_t < 2:
+            raise CampaignError(f"{where}: expected at least 2 samples, got {n_t}; record longer")
+        if not self.interval > 0:
+            raise CampaignError(
+                f"{where}: expected a positive sampling interval, got {self.interval} s"
+            )
+        for label, flow, least in (
+            ("carrier_flow", self.carrier_flow, 0.0),
+            ("test_gas_flow", self.test_gas_flow, 0.0),
+        ):
+            if not np.isfinite(flow) or flow <= least:
+                raise CampaignError(
+                    f"{where}: {label} must be a positive flow, but is {flow * 0.06:g} L/min; "
+                    "give the flow that was set"
+                )
+        if self.mask is None:
+            object.__setattr__(self, "mask", np.ones(n_t, dtype=bool))
+        for label, array in (("y", self.y), ("mask", self.mask), ("drive", self.drive)):
+            if array is not None and array.shape != (n_t,):
+                raise CampaignError(
+                    f"{where}: {label} has shape {array.shape}, expected ({n_t},) like t"
+                )
+        if not self.used.any():
+            raise CampaignError(f"{where}: no sample is left to use; widen keep or drop the mask")
+        if self.y is not None and not np.isfinite(self.y[self.used]).all():
+            raise CampaignError(
+                f"{where}: a sample that is used is not finite; mask it or repair the file"
+            )
+
+    @property
+    def used(self) -> BoolArray:
+        """(n_t,) True where the sample is used."""
+        assert self.mask is not None  # set in __post_init__
+        return self.mask
+
+    @property
+    def total_flow(self) -> float:
+        """Q = Q_N2 + Q_CO2 (paper eq. 1), mL/s."""
+        return self.carrier_flow + self.test_gas_flow
+
+    @property
+    def concentration(self) -> float:
+        """Test-gas fraction Q_CO2 / Q, between 0 and 1."""
+        return self.test_gas_flow / self.total_flow
+
+    @property
+    def has_fall(self) -> bool:
+        """Whether a step down was recorded, so that ``tf`` exists."""
+        return self.commanded_off is not None
+
+    @property
+    def n_samples(self) -> int:
+        """How many samples are used."""
+        return int(self.used.sum())
+
+    @property
+    def values(self) -> FloatArray:
+        """(n_t,) V, the measurement; raises CampaignError for a design."""
+        if self.y is None:
+            raise CampaignError(
+                f"experiment '{self.name}': this is a design without data; "
+                "expected a measured (or simulated) experiment"
+            )
+        return self.y
+
+    @cached_property
+    def runs(self) -> NDArray[np.int64]:
+        """(n_runs, 2) start and end (exclusive) index of each stretch of consecutive used samples."""
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], self.used, [False])).astype(int)))
+        return edges.reshape(-1, 2).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class SideInformation:
+    """A parameter measured elsewhere, used as a normal prior: mean and sd in the internal unit."""
+
+    mean: float
+    sd: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.mean) and self.sd > 0):
+            raise CampaignError(
+                f"side information must be finite with a positive spread, got {self.mean} +- {self.sd}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """Step experiments on one rig with one sensor.
+
+    Raises
+    ------
+    CampaignError
+        If there is no experiment or two share a name.
+    """
+
+    title: str
+    experiments: tuple[Experiment, ...]
+    side_information: Mapping[str, SideInformation] = field(default_factory=dict)
+    """keyed by flat parameter name, e.g. ``V_mL``"""
+    signal_unit: str = "V"
+    warnings: tuple[str, ...] = ()
+    """what the reader noticed, in sentences"""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "experiments", tuple(self.experiments))
+        if not self.experiments:
+            raise CampaignError(f"{self.source or 'campaign'}: expected at least one experiment")
+        names = self.names_of_experiments
+        for name in names:
+            if names.count(name) > 1:
+                raise CampaignError(
+                    f"{self.source or 'campaign'}: two experiments are called '{name}'; rename one"
+                )
+
+    def __iter__(self) -> Iterator[Experiment]:
+        return iter(self.experiments)
+
+    def __len__(self) -> int:
+        return len(self.experiments)
+
+    def __getitem__(self, name: str) -> Experiment:
+        for experiment in self.experiments:
+            if experiment.name == name:
+                return experiment
+        raise KeyError(f"no experiment '{name}'; there are {', '.join(self.names_of_experiments)}")
+
+    @property
+    def names_of_experiments(self) -> list[str]:
+        """Names in the campaign's order."""
+        return [experiment.name for experiment in self.experiments]
+
+    @property
+    def n_samples(self) -> int:
+        """Used samples in all experiments."""
+        return sum(experiment.n_samples for experiment in self.experiments)
+
+    @property
+    def is_design(self) -> bool:
+        """Whether any experiment has no data yet."""
+        return any(experiment.y is None for experiment in self.experiments)
+
+    @cached_property
+    def reference_interval(self) -> float:
+        """s, the most common sampling interval (the smaller one at a tie); phi refers to it."""
+        intervals = [round(experiment.interval, 12) for experiment in self.experiments]
+        return min(set(intervals), key=lambda h: (-intervals.count(h), h))
+
+    @cached_property
+    def reference_concentration(self) -> float:
+        """c_ref, the highest test-gas fraction in the campaign."""
+        return max(experiment.concentration for experiment in self.experiments)
+
+    @property
+    def same_flow(self) -> bool:
+        """Whether all experiments share one total flow: then tau_v and V cannot be told apart."""
+        flows = np.array([experiment.total_flow for experiment in self.experiments])
+        return bool(np.ptp(flows) <= 1e-6 * flows.max())
+
+    def without(self, name: str) -> Campaign:
+        """The campaign with one experiment left out."""
+        self[name]
+        left = tuple(e for e in self.experiments if e.name != name)
+        return replace(self, experiments=left)
+
+    def with_data(self, values: Mapping[str, FloatArray]) -> Campaign:
+        """The campaign with the measurement of each named experiment replaced."""
+        replaced = tuple(
+            replace(e, y=np.asarray(values[e.name], dtype=float)) if e.name in values else e
+            for e in self.experiments
+        )
+        return replace(self, experiments=replaced)

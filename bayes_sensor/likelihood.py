@@ -1,0 +1,458 @@
+"""The exact Gaussian log-likelihood of a campaign, the priors, and simulated campaigns.
+
+With r = (y - m)/s, AR(1) coefficient phi over one sample and phi_i over the step to sample i
+(phi^(m + 1) across m missing samples), a stationary first sample gives::
+
+    log L = -1/2 sum_i [log 2 pi + log s_i^2]
+            -1/2 r_1^2 - 1/2 sum_(i>1) [(r_i - phi_i r_(i-1))^2 / (1 - phi_i^2) + log(1 - phi_i^2)]
+
+(Brockwell and Davis, Time Series: Theory and Methods, 1991, eq. 8.7.4 for the AR(1) case.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import exp, log, pi, sqrt
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.model import (
+    Cascade,
+    Layout,
+    Theta,
+    cascade_response,
+    divided_exponential,
+    local_parameters,
+    time_constants,
+)
+from bayes_sensor.noise import Noise, lag_coefficient, scale_squared, simulate_noise
+
+# --------------------------------------------------------------------------- priors
+
+
+@dataclass(frozen=True)
+class Prior:
+    """One parameter's prior law: ``kind`` with its two numbers.
+
+    ``half_normal`` (scale), ``log_normal`` (median, sd of the logarithm), ``normal`` (mean, sd),
+    ``uniform`` (low, high), ``log_uniform`` (low, high), ``flat`` (improper).
+    """
+
+    kind: str
+    a: float = 0.0
+    b: float = 1.0
+
+    def log_density(self, value: float) -> float:
+        """Natural log of the density at ``value``; -inf outside the support; 0 for ``flat``."""
+        if self.kind == "flat":
+            return 0.0
+        if self.kind == "half_normal":
+            if value < 0:
+                return -np.inf
+            return 0.5 * log(2.0 / pi) - log(self.a) - 0.5 * (value / self.a) ** 2
+        if self.kind == "log_normal":
+            if value <= 0:
+                return -np.inf
+            u = log(value / self.a) / self.b
+            return -0.5 * log(2 * pi) - log(self.b * value) - 0.5 * u * u
+        if self.kind == "normal":
+            u = (value - self.a) / self.b
+            return -0.5 * log(2 * pi) - log(self.b) - 0.5 * u * u
+        if not self.a <= value <= self.b:
+            return -np.inf
+        if self.kind == "uniform":
+            return -log(self.b - self.a)
+        return -log(value * log(self.b / self.a))
+
+    @cached_property
+    def law(self) -> Any:
+        """The same law as a frozen ``scipy.stats`` distribution; None for ``flat``."""
+        from scipy import stats
+
+        return {
+            "flat": lambda: None,
+            "half_normal": lambda: stats.halfnorm(scale=self.a),
+            "log_normal": lambda: stats.lognorm(s=self.b, scale=self.a),
+            "normal": lambda: stats.norm(self.a, self.b),
+            "uniform": lambda: stats.uniform(self.a, self.b - self.a),
+            "log_uniform": lambda: stats.loguniform(self.a, self.b),
+        }[self.kind]()
+
+    def __str__(self) -> str:
+        numbers = {"flat": "", "half_normal": f"({self.a:g})"}
+        return self.kind.replace("_", "-") + numbers.get(self.kind, f"({self.a:g}, {self.b:g})")
+
+
+# Scale of the half-normal prior on tau at the published rig, and the time its fastest experiment
+# (9 L/min) takes from 10 to 90 %; another rig's scale follows in proportion.
+TAU_PRIOR_SCALE = 0.200
+PUBLISHED_TIMES = (0.0481, 0.8577, 0.05823 / 0.15)
+
+
+def _rise_time(t: FloatArray, x: FloatArray) -> float:
+    low, high = np.searchsorted(np.maximum.accumulate(x), [0.1, 0.9])
+    return float(t[min(high, len(t) - 1)] - t[min(low, len(t) - 1)])
+
+
+def published_rise_time() -> float:
+    """s, 10 to 90 % of the published model at 9 L/min."""
+    t = np.linspace(0.0, 20.0, 20001)
+    return _rise_time(t, cascade_response(t, PUBLISHED_TIMES, 0.0))
+
+
+def fastest_rise(campaign: Campaign) -> float:
+    """s, the shortest 10 to 90 % time among the measured steps.
+
+    Each record is averaged in blocks so that noise hides neither end; the median of the last tenth
+    of the stretch between the commanded times is the plateau.  Steps smaller than six times their
+    noise are left out; without any usable step the published rig's time is returned.
+    """
+    times = []
+    for e in campaign:
+        if e.y is None:
+            continue
+        rise = _measured_rise(e)
+        if rise is not None:
+            times.append(rise)
+    return min(times) if times else published_rise_time()
+
+
+def _measured_rise(e: Experiment) -> float | None:
+    used = e.used
+    on = e.commanded_on if e.commanded_on is not None else e.t[0]
+    off = e.commanded_off if e.commanded_off is not None else e.t[-1]
+    t, y = e.t[used], e.values[used]
+    before = y[t < on]
+    during = (t >= on) & (t < off)
+    if len(before) < 20 or during.sum() < 100:
+        return None
+    y0 = float(np.median(before))
+    plateau = y[during][-max(10, during.sum() // 10) :]
+    step = float(np.median(plateau)) - y0
+    noise = float(np.std(np.diff(y[during]))) / sqrt(2.0)
+    if abs(step) < 6.0 * max(noise, np.std(before)):
+        return None
+    # averages over a two-hundredth of the stretch: short against any rise that fills a tenth of it
+    n_bin = max(1, during.sum() // 600)
+    n = during.sum() // n_bin * n_bin
+    x = (y[during][:n].reshape(-1, n_bin).mean(axis=1) - y0) / step
+    tb = t[during][:n].reshape(-1, n_bin).mean(axis=1)
+    return max(_rise_time(tb, x), n_bin * e.interval)
+
+
+def default_priors(campaign: Campaign, layout: Layout) -> dict[str, Prior]:
+    """Weakly informative priors for every parameter of a campaign, by flat name.
+
+    * ``tau``: half-normal, 200 ms at the published rig and in proportion to the fastest rise seen
+      elsewhere (rounded to one digit, so that noise does not move it).  The information is on
+      tau^2, so this choice matters near zero; see the prior table in the report.
+    * ``tau_v``: log-normal around a third of the fastest rise, sd 1.5 in the logarithm; and
+      tau <= tau_v, because the cascade is unchanged when the two swap: the sensor is taken to be
+      the faster one.
+    * ``V``: log-normal around the volume that flow would fill in a third of the rise, sd 1.5.
+    * ``t0``, ``tf``: uniform from the commanded time to 20 rise times later (not before the
+      command); without commanded times uniform over the record.
+    * ``y0``, ``beta``: flat (the data hold them to a thousandth; flat makes the marginal exact).
+    * ``phi``: uniform on (-1, 1), or (0, 1) when sampling intervals differ.
+    * ``sigma0``, ``sigma1``: half-normal, ten times the campaign's sample-to-sample scatter.
+
+    Side information replaces the law of the parameter it names by a normal one.
+    """
+    rise = fastest_rise(campaign)
+    scale = TAU_PRIOR_SCALE * rise / published_rise_time()
+    scale = float(f"{scale:.0e}")
+    flow = float(np.median([e.total_flow for e in campaign]))
+    scatter = max([1e-9, *(_scatter(e) for e in campaign if e.y is not None)])
+    same_interval = all(
+        abs(e.interval - campaign.reference_interval) < 1e-9 * e.interval for e in campaign
+    )
+    priors: dict[str, Prior] = {
+        "tau_s": Prior("half_normal", scale),
+        "tau_v_s": Prior("log_normal", rise / 3.0, 1.5),
+        "V_mL": Prior("log_normal", flow * rise / 3.0, 1.5),
+    }
+    for e in campaign:
+        priors[f"y0_V[{e.name}]"] = Prior("flat")
+        priors[f"beta_V[{e.name}]"] = Prior("flat")
+        for kind, commanded in (("t0_s", e.commanded_on), ("tf_s", e.commanded_off)):
+            if kind == "tf_s" and not e.has_fall:
+                continue
+            low = commanded if commanded is not None else float(e.t[0])
+            high = min(low + 20.0 * rise, float(e.t[-1]))
+            if commanded is None or high <= low:
+                high = float(e.t[-1])
+            priors[f"{kind}[{e.name}]"] = Prior("uniform", low, high)
+    for name in layout.noise_names:
+        kind = name.split("[")[0]
+        if kind == "phi":
+            priors[name] = Prior("uniform", -1.0 if same_interval else 0.0, 1.0)
+        else:
+            priors[name] = Prior("half_normal", 10.0 * scatter)
+    for name, info in campaign.side_information.items():
+        if name in priors:
+            priors[name] = Prior("normal", info.mean, info.sd)
+    return priors
+
+
+def _scatter(e: Experiment) -> float:
+    y = e.values[e.used]
+    return float(np.std(y[: max(10, len(y) // 10)])) + float(np.std(np.diff(y)))
+
+
+# --------------------------------------------------------------------------- the problem
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A campaign with the model, the noise law and the priors that explain it.
+
+    Effects return a changed Problem: another ``model`` (with ``extra`` parameters), another
+    ``noise``, further ``priors``; nothing else needs to know.
+    """
+
+    campaign: Campaign
+    model: Cascade = field(default_factory=Cascade)
+    noise: Noise = field(default_factory=Noise)
+    given_priors: Mapping[str, Prior] = field(default_factory=dict)
+    """priors that replace the default ones, by flat name"""
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Order of the flat vector."""
+        return Layout.of(self.campaign, self.noise.per_experiment, self.model.extra)
+
+    @cached_property
+    def priors(self) -> dict[str, Prior]:
+        """Every parameter's prior, by flat name."""
+        return {**default_priors(self.campaign, self.layout), **self.given_priors}
+
+    @cached_property
+    def fixed(self) -> dict[str, float]:
+        """Flat names that the noise law pins, with their values."""
+        pinned = self.noise.fixed
+        return {
+            name: pinned[name.split("[")[0]]
+            for name in self.layout.noise_names
+            if name.split("[")[0] in pinned
+        }
+
+    def steps(self, experiment: Experiment) -> float:
+        """The experiment's sampling interval in reference intervals."""
+        return experiment.interval / self.campaign.reference_interval
+
+
+def as_problem(campaign: Campaign | Problem) -> Problem:
+    """A Problem with the default model and noise where a campaign is given."""
+    return campaign if isinstance(campaign, Problem) else Problem(campaign)
+
+
+def log_prior(campaign: Campaign | Problem, theta: Theta) -> float:
+    """Natural log of the prior density at ``theta``; -inf outside the support (tau > tau_v too)."""
+    problem = as_problem(campaign)
+    vector = problem.layout.flat(theta)
+    if vector[0] > vector[1]:
+        return -np.inf
+    total = 0.0
+    for name, value in zip(problem.layout.names, vector, strict=True):
+        if name not in problem.fixed:
+            total += problem.priors[name].log_density(float(value))
+    return total
+
+
+# --------------------------------------------------------------------------- the full pass
+
+
+@njit(cache=True)
+def _fill_cascade(first, h, rates, edge, sign, x):  # pragma: no cover - compiled
+    # Adds sign * x3(t - edge) to x.  Inside blocks of 64 samples x3 = 1 - row(i) . v with v the
+    # distance of the three stages from 1 at the block's start; v itself is propagated by the exact
+    # lower-triangular exponential, so that coinciding time constants need no special case.
+    n = len(x)
+    start = int(np.ceil((edge - first) / h - 1e-9))
+    if start < 0:
+        start = 0
+    if start >= n:
+        return
+    s = max(first + start * h - edge, 0.0)
+    a1, a2, a3 = rates[0], rates[1], rates[2]
+    block = 64
+    rows = np.empty((block + 1, 3))
+    pair = np.empty(2)
+    step = np.empty((3, 3))
+    for i in range(block + 1):
+        u = i * h
+        pair[0] = a2
+        pair[1] = a3
+        rows[i, 2] = exp(-a3 * u)
+        rows[i, 1] = -a3 * divided_exponential(pair, u)
+        rows[i, 0] = a2 * a3 * divided_exponential(rates, u)
+    u = block * h
+    pair[0] = a1
+    pair[1] = a2
+    step[0, 0] = exp(-a1 * u)
+    step[1, 0] = -a2 * divided_exponential(pair, u)
+    step[1, 1] = exp(-a2 * u)
+    step[2, :] = rows[block]
+    # distances from 1 at the first sample: survival functions of 1, 2 and 3 stages
+    v1 = exp(-a1 * s)
+    v2 = exp(-a2 * s) - a2 * divided_exponential(pair, s)
+    pair[0] = a2
+    pair[1] = a3
+    v3 = (
+        exp(-a3 * s)
+        - a3 * divided_exponential(pair, s)
+        + a2 * a3 * divided_exponential(rates, s)
+    )
+    i = start
+    while i < n:
+        m = min(block, n - i)
+        if v1 + v2 + v3 < 1e-17:
+            for k in range(i, n):
+                x[k] += sign
+            return
+        for k in range(m):
+            x[i + k] += sign * (1.0 - (rows[k, 0] * v1 + rows[k, 1] * v2 + rows[k, 2] * v3))
+        w3 = step[2, 0] * v1 + step[2, 1] * v2 + step[2, 2] * v3
+        w2 = step[1, 0] * v1 + step[1, 1] * v2
+        v1 *= step[0, 0]
+        v2 = w2
+        v3 = w3
+        i += m
+
+
+def grid_response(
+    experiment: Experiment, taus: FloatArray, t0: float, tf: float | None
+) -> FloatArray:
+    """x3 (n_t,) on the experiment's own grid: :func:`cascade_response`, by recurrence, fast."""
+    x = np.zeros(len(experiment.t))
+    rates = np.sort(1.0 / taus)
+    _fill_cascade(experiment.t[0], experiment.interval, rates, t0, 1.0, x)
+    if tf is not None:
+        _fill_cascade(experiment.t[0], experiment.interval, rates, tf, -1.0, x)
+    return x
+
+
+@njit(cache=True, error_model="numpy")
+def _log_density(y, m, s2, runs, phi, phi_reference, steps):  # pragma: no cover - compiled
+    # runs (n_runs, 2); phi over one sample; across a gap phi_reference ** (steps * distance)
+    total = 0.0
+    n = 0
+    last = 0.0
+    last_index = 0
+    innovation = 1.0 - phi * phi
+    log_innovation = log(innovation)
+    for run in range(len(runs)):
+        a, b = runs[run, 0], runs[run, 1]
+        n += b - a
+        z = (y[a] - m[a]) / sqrt(s2[a])
+        if run == 0:
+            total += z * z
+        else:
+            distance = a - last_index
+            across = phi**distance if phi_reference < 0 else phi_reference ** (steps * distance)
+            rest = 1.0 - across * across
+            e = z - across * last
+            total += e * e / rest + log(rest)
+        product = s2[a]
+        squares = 0.0
+        for i in range(a + 1, b):
+            z_next = (y[i] - m[i]) / sqrt(s2[i])
+            e = z_next - phi * z
+            squares += e * e
+            z = z_next
+            product *= s2[i]
+            # products leave the range of doubles long after 8 factors of any sensible variance
+            if (i - a) & 7 == 0:
+                total += log(product)
+                product = 1.0
+        total += log(product) + squares / innovation + (b - a - 1) * log_innovation
+        last = z
+        last_index = b - 1
+    return -0.5 * (total + n * log(2.0 * pi))
+
+
+def experiment_log_likelihood(
+    problem: Problem, vector: FloatArray, k: int, y: FloatArray | None = None
+) -> float:
+    """Log density of experiment number ``k`` at the flat vector; -inf outside the noise's range."""
+    layout = problem.layout
+    e = problem.campaign.experiments[k]
+    phi_reference, sigma0, sigma1 = (float(v) for v in vector[layout.noise[k]])
+    if np.isnan(sigma0):
+        raise CampaignError("theta lacks sigma0_V; a likelihood needs the noise's size in volts")
+    steps = problem.steps(e)
+    phi = lag_coefficient(phi_reference, steps)
+    if not (abs(phi) < 1.0 and abs(phi_reference) < 1.0 and sigma0 > 0.0 and sigma1 >= 0.0):
+        return -np.inf
+    if not (vector[:3] > 0).all():
+        return -np.inf
+    mean, s2 = mean_and_variance(problem, vector, k)
+    return float(
+        _log_density(e.values if y is None else y, mean, s2, e.runs, phi, phi_reference, steps)
+    )
+
+
+def mean_and_variance(
+    problem: Problem, vector: FloatArray, k: int
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (n_t,) V and noise variance (n_t,) V^2 of experiment number ``k`` on its grid."""
+    layout, model = problem.layout, problem.model
+    e = problem.campaign.experiments[k]
+    _, sigma0, sigma1 = vector[layout.noise[k]]
+    weight = problem.noise.weight(problem.campaign, e)
+    if type(model) is Cascade and model.method == "exact":
+        y0, beta, t0, tf = local_parameters(vector, layout, e.name)
+        taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
+        x = grid_response(e, taus, t0, tf)
+        return y0 + beta * x, scale_squared(x, sigma0, sigma1, weight)
+    x = model.response(e.t, vector, layout, e)
+    return model.mean(e.t, vector, layout, e), scale_squared(x, sigma0, sigma1, weight)
+
+
+def log_likelihood(
+    campaign: Campaign | Problem, theta: Theta, compressed: bool = False
+) -> float:
+    """Exact Gaussian log-likelihood of all samples at ``theta``; -inf outside its range.
+
+    ``compressed=True`` evaluates the same on a mesh built around ``theta``
+    (:mod:`bayes_sensor.compression`): the fast form, for many evaluations.
+
+    Raises CampaignError for a malformed ``theta`` or a design without data.
+    """
+    problem = as_problem(campaign)
+    vector = problem.layout.flat(theta)
+    if compressed:
+        from bayes_sensor.compression import compress
+
+        return compress(problem, vector).log_likelihood(vector)
+    return sum(experiment_log_likelihood(problem, vector, k) for k in range(len(problem.campaign)))
+
+
+# --------------------------------------------------------------------------- simulation
+
+
+def simulate(campaign: Campaign | Problem, theta: Theta, seed: int = 1) -> Campaign:
+    """A campaign of the same design with data drawn from the model at ``theta``.
+
+    Noise is that of the problem's noise law with theta's phi, sigma0, sigma1 (absent: white,
+    constant; sigma0 absent: no noise).  One seed gives one campaign; every experiment has its own
+    stream, so that leaving one out does not change the others.
+    """
+    problem = as_problem(campaign)
+    layout = problem.layout
+    vector = layout.flat(theta)
+    vector = np.where(np.isnan(vector), 0.0, vector)
+    streams = np.random.SeedSequence(seed).spawn(len(problem.campaign))
+    values = {}
+    for k, (e, stream) in enumerate(zip(problem.campaign, streams, strict=True)):
+        mean, s2 = mean_and_variance(problem, vector, k)
+        phi = lag_coefficient(float(vector[layout.noise[k, 0]]), problem.steps(e))
+        rng = np.random.default_rng(stream)
+        values[e.name] = mean + simulate_noise(np.sqrt(s2), phi, rng)
+    return replace(problem.campaign.with_data(values), warnings=())
+

@@ -1,0 +1,420 @@
+"""The coupled sensor-and-rig model: valve, manifold and sensor in cascade (paper eqs. 5-12).
+
+::
+
+    x1' = (u - x1)/tau_v      valve            u = H(t - t0) - H(t - tf)
+    x2' = (Q/V)(x1 - x2)      manifold
+    x3' = (x2 - x3)/tau       sensor           y = y0 + beta*x3
+
+Inference uses the exact response.  With decay rates ``a`` it is a divided difference of
+``exp(-a s)`` and needs no case distinction when time constants coincide (see
+:func:`divided_exponential`).  Forward Euler is kept as the paper's method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import exp
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+
+Theta = Mapping[str, Any] | Sequence[float] | FloatArray
+"""Parameters as the nested mapping of ``fit.json`` or as the flat array of :class:`Layout`."""
+
+SHARED = ("tau_s", "tau_v_s", "V_mL")
+NOISE = ("phi", "sigma0_V", "sigma1_V")
+
+
+# --------------------------------------------------------------------------- parameters
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each parameter stands in the flat vector theta.
+
+    Order: ``tau_s``, ``tau_v_s``, ``V_mL``; per experiment ``y0_V``, ``beta_V``, ``t0_s`` and,
+    where a step down was recorded, ``tf_s``; then the noise parameters; then ``extra``
+    (parameters that effects bring along).
+
+    >>> Layout(("a",), (False,)).names
+    ['tau_s', 'tau_v_s', 'V_mL', 'y0_V[a]', 'beta_V[a]', 't0_s[a]', 'phi', 'sigma0_V', 'sigma1_V']
+    """
+
+    experiments: tuple[str, ...]
+    has_fall: tuple[bool, ...]
+    noise_per_experiment: bool = False
+    extra: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        campaign: Campaign,
+        noise_per_experiment: bool = False,
+        extra: Iterable[str] = (),
+    ) -> Layout:
+        """The layout of a campaign's parameters."""
+        return cls(
+            tuple(campaign.names_of_experiments),
+            tuple(e.has_fall for e in campaign),
+            noise_per_experiment,
+            tuple(extra),
+        )
+
+    @cached_property
+    def mean_names(self) -> list[str]:
+        """Names of the parameters of the cascade's mean, in order."""
+        names = list(SHARED)
+        for name, fall in zip(self.experiments, self.has_fall, strict=True):
+            kinds = ("y0_V", "beta_V", "t0_s", "tf_s") if fall else ("y0_V", "beta_V", "t0_s")
+            names += [f"{kind}[{name}]" for kind in kinds]
+        return names
+
+    @cached_property
+    def noise_names(self) -> list[str]:
+        """Names of the noise parameters, in order."""
+        if not self.noise_per_experiment:
+            return list(NOISE)
+        return [f"{kind}[{name}]" for name in self.experiments for kind in NOISE]
+
+    @cached_property
+    def names(self) -> list[str]:
+        """All names, in the order of the flat vector."""
+        return self.mean_names + self.noise_names + list(self.extra)
+
+    @cached_property
+    def n_mean(self) -> int:
+        """How many parameters the cascade's mean has."""
+        return len(self.mean_names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def index(self, name: str) -> int:
+        """Position of a parameter; raises KeyError naming the known ones."""
+        try:
+            return self._positions[name]
+        except KeyError:
+            raise KeyError(f"no parameter '{name}'; there are {', '.join(self.names)}") from None
+
+    @cached_property
+    def _positions(self) -> dict[str, int]:
+        return {name: i for i, name in enumerate(self.names)}
+
+    @cached_property
+    def local(self) -> np.ndarray:
+        """(n_experiments, 4) positions of y0, beta, t0, tf; -1 where there is no tf."""
+        rows = []
+        start = len(SHARED)
+        for fall in self.has_fall:
+            rows.append([start, start + 1, start + 2, start + 3 if fall else -1])
+            start += 4 if fall else 3
+        return np.array(rows, dtype=np.int64)
+
+    @cached_property
+    def noise(self) -> np.ndarray:
+        """(n_experiments, 3) positions of phi, sigma0, sigma1."""
+        base = self.n_mean + np.arange(3)
+        n = len(self.experiments)
+        step = 3 if self.noise_per_experiment else 0
+        return base[None, :] + step * np.arange(n)[:, None]
+
+    def flat(self, theta: Theta) -> FloatArray:
+        """The flat vector (n,) of a mapping or of a vector with or without its noise part.
+
+        A vector without noise parameters, or a mapping without them, gets phi 0, sigma1 0 and
+        sigma0 nan, so that a mean can be computed but a likelihood cannot.
+
+        Raises
+        ------
+        CampaignError
+            If the length is wrong or the mapping lacks a parameter.
+        """
+        if isinstance(theta, Mapping):
+            return self._flat_of_mapping(theta)
+        vector = np.asarray(theta, dtype=float)
+        if vector.shape == (len(self),):
+            return vector
+        if vector.shape == (self.n_mean,) and not self.extra:
+            return np.concatenate([vector, self._no_noise()])
+        raise CampaignError(
+            f"theta has shape {vector.shape}; expected ({len(self)},) in the order "
+            f"{', '.join(self.names[:5])}, .. or ({self.n_mean},) without noise parameters"
+        )
+
+    def _no_noise(self) -> FloatArray:
+        return np.tile([0.0, np.nan, 0.0], len(self.noise_names) // 3)
+
+    def _flat_of_mapping(self, theta: Mapping[str, Any]) -> FloatArray:
+        vector = np.concatenate(
+            [np.full(self.n_mean, np.nan), self._no_noise(), np.full(len(self.extra), np.nan)]
+        )
+        found = dict(theta)
+        nested = found.pop("experiments", {})
+        for name, values in nested.items():
+            found.update({f"{kind}[{name}]": value for kind, value in values.items()})
+        for name, position in self._positions.items():
+            # a shared noise value also serves a layout with noise per experiment
+            value = found.get(name, found.get(name.split("[")[0]) if name[:3] in _NOISE3 else None)
+            if value is not None:
+                vector[position] = float(value)
+        missing = [n for n in self.mean_names + list(self.extra) if np.isnan(vector[self.index(n)])]
+        if missing:
+            raise CampaignError(
+                f"theta lacks {', '.join(missing[:4])}{' ..' if len(missing) > 4 else ''}; "
+                "expected the keys of fit.json's parameters"
+            )
+        return vector
+
+    def nested(self, theta: Theta, noise: bool = True) -> dict[str, Any]:
+        """The mapping of ``fit.json`` for a flat vector."""
+        vector = self.flat(theta)
+        result: dict[str, Any] = {name: float(vector[i]) for i, name in enumerate(SHARED)}
+        result["experiments"] = {name: {} for name in self.experiments}
+        for name in self.names[len(SHARED) :]:
+            kind, bracket, rest = name.partition("[")
+            is_noise = kind in NOISE
+            if is_noise and (not noise or np.isnan(vector[self.index(name)])):
+                continue
+            if bracket and rest[:-1] in result["experiments"]:
+                result["experiments"][rest[:-1]][kind] = float(vector[self.index(name)])
+            else:
+                result[name] = float(vector[self.index(name)])
+        return result
+
+
+_NOISE3 = {name[:3] for name in NOISE}
+
+
+# --------------------------------------------------------------------------- closed form
+
+
+@njit(cache=True)
+def divided_exponential(a: FloatArray, s: float) -> float:  # pragma: no cover - compiled
+    """Divided difference f[a_1, .., a_n] of f(a) = exp(-a s) over sorted rates ``a`` (n,), s >= 0.
+
+    Recursion where the rates are spread over more than 1/s; otherwise the series
+    exp(-m s) (-s)^(n-1) sum_k h_k(a - m) (-s)^k / (n - 1 + k)! with h_k the complete homogeneous
+    symmetric polynomials, which has no cancellation when rates coincide.  (McCurdy, Ng and
+    Parlett, Math. Comp. 43, 1984, discuss why both are needed.)
+    """
+    n = len(a)
+    if n == 1:
+        return exp(-a[0] * s)
+    spread = a[n - 1] - a[0]
+    if spread * s > 1.0:
+        return (divided_exponential(a[1:], s) - divided_exponential(a[: n - 1], s)) / spread
+    middle = 0.0
+    for i in range(n):
+        middle += a[i] / n
+    h = np.zeros(24)  # |a - m| s <= 1: 24 terms reach rounding
+    h[0] = 1.0
+    for i in range(n):
+        delta = a[i] - middle
+        for k in range(1, 24):
+            h[k] += delta * h[k - 1]
+    factor = exp(-middle * s)
+    for k in range(1, n):
+        factor *= -s / k
+    total = 0.0
+    for k in range(24):
+        total += h[k] * factor
+        factor *= -s / (n + k)
+    return total
+
+
+@njit(cache=True)
+def step_response(s: float, rates: FloatArray) -> float:  # pragma: no cover - compiled
+    """x_n(s) of a cascade of n first-order lags (sorted ``rates``, 1/s) to a unit step at s = 0."""
+    if s <= 0.0:
+        return 0.0
+    n = len(rates)
+    nodes = np.zeros(n + 1)
+    nodes[1:] = rates
+    value = divided_exponential(nodes, s)
+    for i in range(n):
+        value *= -rates[i]
+    return value
+
+
+@njit(cache=True)
+def impulse_response(s: float, rates: FloatArray) -> float:  # pragma: no cover - compiled
+    """dx_n/ds, 1/s, of the same cascade."""
+    if s <= 0.0:
+        return 0.0
+    value = divided_exponential(rates, s) * rates[0]
+    for i in range(1, len(rates)):
+        value *= -rates[i]
+    return value
+
+
+@njit(cache=True)
+def _cascade(t, rates, t0, tf, out):  # pragma: no cover - compiled
+    for i in range(len(t)):
+        out[i] = step_response(t[i] - t0, rates)
+        if t[i] > tf:
+            out[i] -= step_response(t[i] - tf, rates)
+
+
+@njit(cache=True)
+def _cascade_sensitivities(t, taus, t0, tf, out):  # pragma: no cover - compiled
+    # columns: tau_v, manifold, tau, t0, tf.  d/dtau_j of H = prod 1/(1 + tau p) is -p/(1 + tau_j p) H
+    rates = np.sort(1.0 / taus)
+    nodes = np.empty((3, 4))
+    for j in range(3):
+        nodes[j, :3] = rates
+        nodes[j, 3] = 1.0 / taus[j]
+        nodes[j] = np.sort(nodes[j])
+    for i in range(len(t)):
+        for j in range(3):
+            out[i, j] = -impulse_response(t[i] - t0, nodes[j])
+            if t[i] > tf:
+                out[i, j] += impulse_response(t[i] - tf, nodes[j])
+        out[i, 3] = -impulse_response(t[i] - t0, rates)
+        out[i, 4] = impulse_response(t[i] - tf, rates)
+
+
+def time_constants(tau: float, tau_v: float, V: float, total_flow: float) -> FloatArray:
+    """(3,) s: valve, manifold V/Q, sensor.  Raises CampaignError unless all are positive."""
+    taus = np.array([tau_v, V / total_flow, tau], dtype=float)
+    if not (np.isfinite(taus).all() and (taus > 0).all()):
+        raise CampaignError(
+            f"time constants must be positive, but tau_v, V/Q, tau are {taus.tolist()} s"
+        )
+    return taus
+
+
+def cascade_response(
+    t: FloatArray, taus: Sequence[float] | FloatArray, t0: float, tf: float | None = None
+) -> FloatArray:
+    """x3 (n_t,) at times ``t`` (n_t,) s for time constants ``taus`` (3,) s in any order (paper eq. 12).
+
+    Exact, continuous in ``t0`` and ``tf``, zero before ``t0``; ``tf`` None: the step stays up.
+
+    >>> cascade_response(np.array([0.0, 50.0]), [0.8577, 0.388, 0.0481], 1.0).round(6).tolist()
+    [0.0, 1.0]
+    """
+    t = np.ascontiguousarray(t, dtype=float)
+    out = np.empty_like(t)
+    rates = np.sort(1.0 / np.asarray(taus, dtype=float))
+    _cascade(t.ravel(), rates, float(t0), np.inf if tf is None else float(tf), out.ravel())
+    return out
+
+
+def cascade_sensitivities(
+    t: FloatArray, taus: Sequence[float] | FloatArray, t0: float, tf: float | None = None
+) -> FloatArray:
+    """(n_t, 5) derivatives of x3 by the three time constants (in their order), t0 and tf."""
+    t = np.ascontiguousarray(t, dtype=float)
+    out = np.zeros((len(t), 5))
+    taus = np.asarray(taus, dtype=float)
+    _cascade_sensitivities(t, taus, float(t0), np.inf if tf is None else float(tf), out)
+    return out
+
+
+@njit(cache=True)
+def _euler(t, h, taus, t0, tf, out):  # pragma: no cover - compiled
+    x1 = x2 = x3 = 0.0
+    for i in range(len(t)):
+        out[i] = x3
+        u = 1.0 if (t[i] >= t0 and t[i] < tf) else 0.0
+        d1 = (u - x1) / taus[0]
+        d2 = (x1 - x2) / taus[1]
+        d3 = (x2 - x3) / taus[2]
+        x1 += h * d1
+        x2 += h * d2
+        x3 += h * d3
+
+
+def euler_response(
+    t: FloatArray,
+    interval: float,
+    taus: Sequence[float] | FloatArray,
+    t0: float,
+    tf: float | None = None,
+) -> FloatArray:
+    """x3 (n_t,) by forward Euler at the sampling interval from a zero state (paper Sec. III-B).
+
+    Piecewise constant in t0 and tf: they act through a sample index.
+    """
+    t = np.ascontiguousarray(t, dtype=float)
+    out = np.empty_like(t)
+    taus = np.asarray(taus, dtype=float)
+    _euler(t, float(interval), taus, float(t0), np.inf if tf is None else float(tf), out)
+    return out
+
+
+# --------------------------------------------------------------------------- the model
+
+
+@dataclass(frozen=True)
+class Cascade:
+    """The paper's model: parameters and the response at any time.
+
+    Effects (gap/effects) return objects of the same shape: ``extra`` names of added parameters,
+    ``response`` (the test-gas concentration the sensor sees, 0..1) and ``mean`` (V), all taking
+    the flat vector of ``layout(campaign)``.
+    """
+
+    method: str = field(default="exact")
+    """``exact`` (closed form) or ``euler`` (the paper's forward Euler; uniform ``t`` only)"""
+    extra: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.method not in ("exact", "euler"):
+            raise CampaignError(f"method must be 'exact' or 'euler', but is '{self.method}'")
+
+    def response(self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment):
+        """x3 (n_t,), between 0 and 1."""
+        _, _, t0, tf = local_parameters(theta, layout, experiment.name)
+        taus = time_constants(theta[0], theta[1], theta[2], experiment.total_flow)
+        if self.method == "euler":
+            return euler_response(t, experiment.interval, taus, t0, tf)
+        return cascade_response(t, taus, t0, tf)
+
+    def mean(self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment):
+        """y0 + beta x3 (n_t,), V (paper eq. 11)."""
+        y0, beta, _, _ = local_parameters(theta, layout, experiment.name)
+        return y0 + beta * self.response(t, theta, layout, experiment)
+
+    def jacobian(self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment):
+        """(n_t, n_mean) derivatives of the mean by every parameter of the mean; exact method."""
+        y0, beta, t0, tf = local_parameters(theta, layout, experiment.name)
+        taus = time_constants(theta[0], theta[1], theta[2], experiment.total_flow)
+        x = cascade_response(t, taus, t0, tf)
+        dx = cascade_sensitivities(t, taus, t0, tf)
+        jacobian = np.zeros((len(t), layout.n_mean))
+        jacobian[:, 0] = beta * dx[:, 2]
+        jacobian[:, 1] = beta * dx[:, 0]
+        jacobian[:, 2] = beta * dx[:, 1] / experiment.total_flow
+        i_y0, i_beta, i_t0, i_tf = layout.local[layout.experiments.index(experiment.name)]
+        jacobian[:, i_y0] = 1.0
+        jacobian[:, i_beta] = x
+        jacobian[:, i_t0] = beta * dx[:, 3]
+        if i_tf >= 0:
+            jacobian[:, i_tf] = beta * dx[:, 4]
+        return jacobian
+
+
+def local_parameters(
+    theta: FloatArray, layout: Layout, name: str
+) -> tuple[float, float, float, float | None]:
+    """y0, beta, t0, tf (None where no step down exists) of one experiment."""
+    i_y0, i_beta, i_t0, i_tf = layout.local[layout.experiments.index(name)]
+    tf = float(theta[i_tf]) if i_tf >= 0 else None
+    return float(theta[i_y0]), float(theta[i_beta]), float(theta[i_t0]), tf
+
+
+def predict(
+    campaign: Campaign, theta: Theta, model: Cascade | None = None
+) -> dict[str, FloatArray]:
+    """The model's mean (n_t,) V of every experiment, by name."""
+    model = model or Cascade()
+    layout = Layout.of(campaign, extra=model.extra)
+    vector = layout.flat(theta)
+    return {e.name: model.mean(e.t, vector, layout, e) for e in campaign}

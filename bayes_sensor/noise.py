@@ -1,0 +1,93 @@
+"""Noise of the measurement: iid, or AR(1) with a variance that grows with concentration.
+
+::
+
+    y_i = m_i + s_i z_i        z: stationary AR(1), unit variance, coefficient phi
+    s_i^2 = sigma0^2 + sigma1^2 (c_k/c_ref) max(x3(t_i), 0)
+
+``phi`` refers to the campaign's most common sampling interval; an experiment sampled every ``dt``
+uses phi^(dt/reference), and across m missing samples the coefficient is phi^(m + 1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+
+VARIANCES = ("concentration", "signal", "constant")
+AUTOCORRELATIONS = ("ar1", "white")
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Which noise law, as options; its parameters are phi, sigma0_V, sigma1_V.
+
+    ``variance``: ``concentration`` (x3 weighted by the experiment's concentration over the highest
+    of the campaign), ``signal`` (x3 alone) or ``constant``.  ``autocorrelation``: ``ar1`` or
+    ``white``.  ``per_experiment``: own noise parameters for every experiment.
+
+    >>> Noise("constant", "white").fixed
+    {'phi': 0.0, 'sigma1_V': 0.0}
+    """
+
+    variance: str = "concentration"
+    autocorrelation: str = "ar1"
+    per_experiment: bool = False
+
+    def __post_init__(self) -> None:
+        for label, value, known in (
+            ("variance", self.variance, VARIANCES),
+            ("autocorrelation", self.autocorrelation, AUTOCORRELATIONS),
+        ):
+            if value not in known:
+                raise CampaignError(f"noise {label} must be one of {known}, but is '{value}'")
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Noise parameters that this law pins, with their values."""
+        pinned = {}
+        if self.autocorrelation == "white":
+            pinned["phi"] = 0.0
+        if self.variance == "constant":
+            pinned["sigma1_V"] = 0.0
+        return pinned
+
+    def weight(self, campaign: Campaign, experiment: Experiment) -> float:
+        """Factor of sigma1^2 x3 in the variance of this experiment."""
+        if self.variance == "constant":
+            return 0.0
+        if self.variance == "signal":
+            return 1.0
+        return experiment.concentration / campaign.reference_concentration
+
+
+def scale_squared(x3: FloatArray, sigma0: float, sigma1: float, weight: float) -> FloatArray:
+    """s^2 (n_t,), V^2, at normalised concentrations ``x3`` (n_t,)."""
+    return sigma0**2 + sigma1**2 * weight * np.maximum(x3, 0.0)
+
+
+def lag_coefficient(phi: float, steps: float) -> float:
+    """phi^steps: the correlation over ``steps`` reference intervals; nan where it is not real.
+
+    >>> lag_coefficient(0.81, 0.5)
+    0.9
+    """
+    whole = round(steps)
+    if abs(steps - whole) < 1e-9 * max(1.0, steps):
+        return float(phi**whole)
+    return float(phi**steps) if phi >= 0 else float("nan")
+
+
+def simulate_noise(
+    scale: FloatArray, phi: float, rng: np.random.Generator, burn_in: int = 0
+) -> FloatArray:
+    """(n_t,) V: s_i z_i with z a stationary AR(1) of unit variance and lag-one coefficient phi."""
+    from scipy.signal import lfilter
+
+    e = rng.standard_normal(len(scale) + burn_in)
+    e[1:] *= np.sqrt(1.0 - phi**2)
+    z = lfilter([1.0], [1.0, -phi], e)
+    return scale * z[burn_in:]
