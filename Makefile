@@ -1,0 +1,94 @@
+# Every target sets up what it needs: Python 3.11 or newer and make are enough.
+#   make demo                      analyse the bundled campaign
+#   make test PYTHON=python3.12    with another interpreter (make clean-venv first, or VENV=.venv-312)
+
+PYTHON ?= python3
+VENV ?= .venv
+JOBS ?= 2
+EXTRAS ?= test
+PYTEST_ARGS ?=
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+# One thread a process: the suite, the chains and the studies run in parallel by processes.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# The exact versions that are tested together: one list for 3.11, one for everything newer.
+CONSTRAINTS := "constraints-$$($(BIN)/python -c \
+  'import sys; print("3.11" if sys.version_info < (3, 12) else "3.12")').txt"
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test lint format bench study paper docs data clean clean-venv
+
+help:
+	@echo "make install   $(VENV) with the package and everything the tests need"
+	@echo "make demo      analyse the bundled campaign, report in build/demo"
+	@echo "make test      the test suite (PYTEST_ARGS=... is handed on)"
+	@echo "make lint      formatter and linter in check mode, types"
+	@echo "make format    let the formatter and the linter mend what they can"
+	@echo "make bench     speed of likelihood and posterior"
+	@echo "make study     the long studies behind the paper (JOBS=$(JOBS) processes)"
+	@echo "make paper     the manuscript as PDF, from the studies' outputs"
+	@echo "make docs      the documentation pages"
+	@echo "make data      rebuild data/reference bit for bit"
+	@echo "make clean     remove build results and caches (clean-venv: the environment)"
+
+install: $(STAMP)
+
+$(STAMP): pyproject.toml $(wildcard constraints-*.txt)
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "bayes_sensor needs Python 3.11 or newer, but '$(PYTHON)' is older or does not run;" \
+	       "name another: make install PYTHON=python3.12" >&2; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
+	  echo "'$(PYTHON) -m venv' failed; on Debian and Ubuntu install the package python3-venv" >&2; \
+	  exit 1; }
+	@echo "installing bayes_sensor and what its tests need into $(VENV) (a minute or two)"
+	@$(PIP_INSTALL) -c $(CONSTRAINTS) -e '.[$(EXTRAS)]' || { \
+	  $(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 14))' || exit 1; \
+	  echo "no tested versions for this new Python; using the ranges in pyproject.toml" >&2; \
+	  $(PIP_INSTALL) -e '.[$(EXTRAS)]'; }
+	@touch $@
+
+demo: $(STAMP)
+	$(ONE_THREAD) $(BIN)/bayes-sensor analyze data/reference/campaign.toml --out build/demo
+	@echo "report: $(CURDIR)/build/demo/report.html"
+
+test: $(STAMP)
+	@if $(BIN)/python -c 'import xdist' 2>/dev/null; then parallel="-n $(JOBS)"; else parallel=; fi; \
+	set -x; $(ONE_THREAD) $(BIN)/python -m pytest $$parallel $(PYTEST_ARGS)
+
+lint: $(STAMP)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+format: $(STAMP)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(STAMP) paper/studies/benchmark.py
+	$(ONE_THREAD) $(BIN)/python paper/studies/benchmark.py
+
+study: $(STAMP) paper/studies/run_all.py
+	$(ONE_THREAD) $(BIN)/python paper/studies/run_all.py --jobs $(JOBS)
+
+paper: $(STAMP) paper/build.py
+	$(ONE_THREAD) $(BIN)/python paper/build.py
+
+data: $(STAMP) data/make_reference.py
+	$(ONE_THREAD) $(BIN)/python data/make_reference.py
+
+docs: $(STAMP) docs/conf.py
+	@$(PIP_INSTALL) -c $(CONSTRAINTS) -e '.[docs]'
+	$(BIN)/python -m sphinx -W --keep-going -b html docs build/docs
+	@echo "pages: $(CURDIR)/build/docs/index.html"
+
+# What a target above runs and this checkout does not hold: say so, and fail.
+paper/studies/benchmark.py paper/studies/run_all.py paper/build.py data/make_reference.py docs/conf.py:
+	@echo "$@ is not in this checkout, so there is nothing to build from it" >&2; exit 1
+
+clean:
+	rm -rf build dist htmlcov .coverage .coverage.* .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find bayes_sensor tests data paper -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+
+clean-venv:
+	rm -rf $(VENV)
