@@ -1,0 +1,14 @@
+"""Settings that every test shares; the environment must be set before numpy is first imported."""
+
+import os
+
+from hypothesis import settings
+
+os.environ.setdefault("MPLBACKEND", "Agg")
+# The suite is parallel by processes: threads inside each would only fight over the cores.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+# The same examples in every run; no deadline, because the first call of a function compiles it.
+settings.register_profile("bayes_sensor", derandomize=True, deadline=None)
+settings.load_profile("bayes_sensor")
