@@ -15,6 +15,7 @@ from bayes_sensor.readers.sampling import (
     MOST_JITTER,
     NOTED_JITTER,
     Grid,
+    grid_times,
     uniform_grid,
 )
 from bayes_sensor.readers.saturation import clipped_samples
@@ -65,7 +66,7 @@ def design(entry: Entry, label: str) -> Experiment:
             f"{where}: duration over interval gives {n:.4g} samples; expected 2 to {MAX_SAMPLES}: "
             "change one of them"
         )
-    t = np.arange(round(n)) * entry.interval
+    t = grid_times(0.0, entry.interval, round(n))
     used = np.ones(len(t), dtype=bool)
     if entry.keep is not None:
         inside = _kept(entry.keep, t, entry.interval, where)
@@ -108,7 +109,7 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
             f"{grid.interval:.6g} s; the samples were taken as uniform"
         )
     n = int(grid.index[-1]) + 1
-    t = grid.start + np.arange(n) * grid.interval
+    t = grid_times(grid.start, grid.interval, n)
     scale, unit = _unit(entry, file, recording)
     present = np.zeros(n, dtype=bool)
     present[grid.index] = True

@@ -61,7 +61,7 @@ def commanded_times(
             "commanded_off instead of drive, or keep only the step"
         )
     middle = (low + high) / 2
-    times = [float(t[_crossing(smooth, int(i), middle)]) for i in starts[1:]]
+    times = [round(float(t[_crossing(smooth, int(i), middle)]), 9) for i in starts[1:]]
     if len(times) > 2:
         listed = ", ".join(f"{time:.6g} s" for time in times[:6])
         more = ", ..." if len(times) > 6 else ""

@@ -24,12 +24,11 @@ from bayes_sensor.readers.recording import (
     find_column,
     is_time,
     list_names,
-    missing_extra,
     parser_errors,
     scale_time,
     split_name,
 )
-from bayes_sensor.readers.sampling import simplest_near
+from bayes_sensor.readers.sampling import grid_times, simplest_near
 
 _NUMERIC = frozenset(
     "double single int8 uint8 int16 uint16 int32 uint32 int64 uint64 logical".split()
@@ -47,20 +46,13 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
     CampaignError
         If the file cannot be read, a variable is missing or lengths disagree.
     """
-    try:
-        import pymatreader
-    except ImportError:
-        raise missing_extra(file, ".mat", "matlab") from None
-    is_hdf5 = _HDF5_MAGIC in file.content[:4096]
-    if is_hdf5:
-        try:
-            import h5py
-        except ImportError:
-            raise missing_extra(file, "MATLAB v7.3 (.mat)", "matlab") from None
-        _check_hdf5(file, h5py)
+    import pymatreader  # slow to import
+
+    if _HDF5_MAGIC in file.content[:4096]:
+        _check_hdf5(file)
     else:
         _check_version5(file)
-    with parser_errors(file, _WHAT, zlib.error), warnings.catch_warnings():
+    with parser_errors(file, _WHAT), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         listing = [
             (str(name), tuple(int(n) for n in shape), str(kind))
@@ -89,7 +81,7 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
     signal, drive = _choose(file, columns, vectors, time, sizes, selection)
     wanted = [vectors[i] for i in (time, signal, drive) if i is not None]
     wanted += [name for name in _CLOCK if has_clock and sizes.get(name) == 1]
-    with parser_errors(file, _WHAT, zlib.error), warnings.catch_warnings():
+    with parser_errors(file, _WHAT), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         content: dict[str, Any] = pymatreader.read_mat(file.path, variable_names=wanted)
     y = _vector(file, content, vectors[signal])
@@ -99,7 +91,7 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
         t = scale_time(file, columns[time], _vector(file, content, vectors[time]))
     else:
         start, interval = _clock(file, content, len(y))
-        t = start + np.arange(len(y)) * interval
+        t = grid_times(start, interval, len(y))
     for name, values in (("drive", d), ("time", t)):
         if values is not None and len(values) != len(y):
             raise file.error(
@@ -228,7 +220,7 @@ def _check_version5(file: DataFile) -> None:
         if kind == 15:
             packed = zlib.decompressobj()
             size, chunk = 0, raw[at : at + length]
-            with parser_errors(file, _WHAT, zlib.error):
+            with parser_errors(file, _WHAT):
                 while chunk and not packed.eof:
                     size += len(packed.decompress(chunk, 1 << 22))
                     chunk = packed.unconsumed_tail
@@ -246,8 +238,10 @@ def _truncated(file: DataFile) -> CampaignError:
     )
 
 
-def _check_hdf5(file: DataFile, h5py: Any) -> None:
+def _check_hdf5(file: DataFile) -> None:
     """Raise CampaignError if a variable of a version 7.3 file lives in another file."""
+    import h5py
+
     with parser_errors(file, _WHAT), h5py.File(file.path, "r") as content:
         for name in content:
             link = content.get(name, getlink=True)

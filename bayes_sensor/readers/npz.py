@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import warnings
 import zipfile
-import zlib
 
 import numpy as np
 
@@ -35,7 +34,7 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
         If the archive is damaged, holds pickled objects or lacks an array.
     """
     with (
-        parser_errors(file, _WHAT, zipfile.BadZipFile, zlib.error),
+        parser_errors(file, _WHAT, zipfile.BadZipFile),
         zipfile.ZipFile(io.BytesIO(file.content)) as archive,
     ):
         members = [

@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 import hashlib
 import re
+import struct
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,6 +29,12 @@ _SUFFIX_UNITS = frozenset(
     "s sec ms us µs μs ns min h V mV uV µV μV kV ppm ppb ohm kohm Mohm Ω kΩ "
     "mW uW µW μW nW pW mA uA µA μA nA pA percent Pa kPa hPa mbar dB dBm".split()
 )
+
+_DAMAGE: tuple[type[Exception], ...] = (
+    OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError,
+    ArithmeticError, NotImplementedError, RuntimeError, AssertionError, SyntaxError,
+    MemoryError, BufferError, SystemError, struct.error, zlib.error,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -90,19 +98,14 @@ class Column:
 def parser_errors(file: DataFile, what: str, *kinds: type[Exception]) -> Iterator[None]:
     """Turn a third-party parser's exceptions into one message about the file.
 
-    ``kinds`` are the exceptions the parser is known to raise; the ones below are what all of
-    them were seen to raise on damaged files.
+    ``kinds`` are exceptions of the parser's own; the rest is what parsers of binary files are
+    known to raise on damaged ones.
     """
-    damage = (
-        OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError,
-        ArithmeticError, NotImplementedError, RuntimeError, AssertionError, SyntaxError,
-        UnicodeError, MemoryError, BufferError,
-    )  # fmt: skip
     try:
         yield
     except CampaignError:
         raise
-    except (*damage, *kinds) as error:
+    except _DAMAGE + kinds as error:
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise file.error(
             f"expected {what}, but it cannot be read as one ({reason}); it may be damaged, "

@@ -120,7 +120,8 @@ def _line(index: NDArray[np.int64], t: FloatArray) -> tuple[float, float]:
     """Slope and intercept of the least-squares line."""
     x = index.astype(np.float64)
     x_mean, t_mean = x.mean(), t.mean()
-    slope = float(np.dot(x - x_mean, t - t_mean) / np.dot(x - x_mean, x - x_mean))
+    # sums rather than dot products: exact enough, and no thread pool is woken for them
+    slope = float(((x - x_mean) * (t - t_mean)).sum() / ((x - x_mean) ** 2).sum())
     return slope, float(t_mean - slope * x_mean)
 
 
@@ -133,15 +134,6 @@ def _resolution(t: FloatArray) -> float:
     return float(np.spacing(np.float32(np.abs(t).max())))
 
 
-def cover(index: NDArray[np.int64], n: int) -> NDArray[np.bool_]:
-    """(n,) True where the grid has a written sample."""
-    present = np.zeros(n, dtype=bool)
-    present[index] = True
-    return present
-
-
-def spread(values: FloatArray, index: NDArray[np.int64], n: int) -> FloatArray:
-    """(n,) the values on the grid, joined by straight lines where samples are missing."""
-    if len(index) == n:
-        return values
-    return np.interp(np.arange(n), index, values)
+def grid_times(start: float, interval: float, n: int) -> FloatArray:
+    """(n,) s, ``start + i * interval``."""
+    return start + np.arange(n, dtype=np.float64) * np.float64(interval)

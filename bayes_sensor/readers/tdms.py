@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import struct
 import warnings
 from typing import Any
 
@@ -25,7 +24,7 @@ from bayes_sensor.readers.recording import (
     scale_time,
     split_name,
 )
-from bayes_sensor.readers.sampling import simplest_near
+from bayes_sensor.readers.sampling import grid_times, simplest_near
 
 _WHAT = "a TDMS file (.tdms)"
 
@@ -45,7 +44,7 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
     except ImportError:
         raise missing_extra(file, ".tdms", "tdms") from None
     with (
-        parser_errors(file, _WHAT, struct.error),
+        parser_errors(file, _WHAT),
         warnings.catch_warnings(),
         TdmsFile.open(io.BytesIO(file.content)) as content,
     ):
@@ -90,7 +89,7 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
                     "there is no channel named time; export it as a waveform"
                 )
             interval = simplest_near(interval, max(1e-9 * interval, 0.01 * interval / len(y)))
-            t = simplest_near(start, 1e-3 * interval) + np.arange(len(y)) * interval
+            t = grid_times(simplest_near(start, 1e-3 * interval), interval, len(y))
     for name, values in (("drive", d), ("time", t)):
         if values is not None and len(values) != len(y):
             raise file.error(
