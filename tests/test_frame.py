@@ -196,7 +196,7 @@ MACHINE_TRACES = {
         r"|--(?:extra-)?index-url[ =]|--find-links[ =]|(?:artifactory|devpi|nexus)[\w.-]*[:/]\d*/"
     ),
     "absolute path": re.compile(
-        r"(?<![\w.~-])/(?:work|root|home|Users|var/folders)/\w|/tmp/ipykernel_|\b[A-Z]:\\+Users\b"
+        r"(?<![\w.~-])/(?:work|root|home|Users|var/folders)/\w|/tmp/[i]pykernel_|\b[A-Z]:\\+Users\b"
     ),
 }
 
