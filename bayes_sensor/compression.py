@@ -42,14 +42,15 @@ K = 8
 """nodes per block"""
 # Interpolation tolerance for a decaying exponential of unit amplitude, and how much narrower than
 # its own mesh products such as x^2/s^2 want it; both set by the measured error of the likelihood.
-TOLERANCE = 1e-8
-NARROWER = 0.45
+TOLERANCE = 1e-7
+NARROWER = 1.0
 # Widest block, in slowest time constants, in which a switch time may fall.
-WINDOW_BLOCK = 0.02
+WINDOW_BLOCK = 0.03
 COINCIDENT = 1e-3
 """relative distance of time constants below which partial fractions give way to the stable form"""
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 _CHEBYSHEV = 0.5 - 0.5 * np.cos((2 * np.arange(K) + 1) * pi / (2 * K))
+_OFFSETS = np.stack([np.arange(K) + 0.5, _CHEBYSHEV])  # in samples, and in block widths
 
 
 class Arrays(NamedTuple):
@@ -189,7 +190,7 @@ def _stable_edge(
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1):  # pragma: no cover
     # A = sum r_i^2, B = sum r_i r_(i-1), change of sum log s^2, over the blocks' samples
-    A = B = change = largest = 0.0
+    A = B = change = tail = 0.0
     for b in range(first, last):
         for q in range(K):
             d = y0 + beta * x[b, q] - reference[b, 0, q]
@@ -197,13 +198,18 @@ def _sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1):  # pra
             s2 = v0 + v1 * x[b, q]
             s2l = v0 + v1 * xl[b, q]
             n, m1, m2 = moments[b, 0, q], moments[b, 1, q], moments[b, 2, q]
-            A += (moments[b, 3, q] - 2.0 * d * m1 + d * d * n) / s2
-            B += (moments[b, 4, q] - d * m2 - dl * m1 + d * dl * n) / sqrt(s2 * s2l)
-            z = (s2 - s2r[b, q]) / (s2 + s2r[b, q])
+            both = s2 * s2l
+            around = s2 + s2r[b, q]
+            inverse = 1.0 / (both * around)  # one division serves 1/s^2, 1/(s s_lag) and z
+            A += (moments[b, 3, q] - 2.0 * d * m1 + d * d * n) * (inverse * around * s2l)
+            B += (moments[b, 4, q] - d * m2 - dl * m1 + d * dl * n) * (
+                inverse * around * sqrt(both)
+            )
+            z = (s2 - s2r[b, q]) * (inverse * both)
             z2 = z * z
-            largest = max(largest, z2)
+            tail += n * z2 * z2 * z2 * z2 * z2
             change += n * 2.0 * z * (1.0 + z2 * (1 / 3 + z2 * (0.2 + z2 * (1 / 7 + z2 / 9))))
-    if largest > 0.01:  # the series above has lost 1e-11; take logarithms
+    if tail > 1e-7:  # what the series leaves out would show; take logarithms
         change = 0.0
         for b in range(first, last):
             for q in range(K):
@@ -216,7 +222,7 @@ def _gram_sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1, A,
     # The same for the basis (residual at y0, beta; 1; x): symmetric A (3, 3) and B (3, 3)
     ee = e1 = ex = oo = ox = xx = 0.0
     bee = be1 = bex = boo = box = bxx = 0.0
-    change = largest = 0.0
+    change = tail = 0.0
     for b in range(first, last):  # pragma: no cover - compiled
         for q in range(K):
             u, ul = x[b, q], xl[b, q]
@@ -225,8 +231,11 @@ def _gram_sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1, A,
             s2 = v0 + v1 * u
             s2l = v0 + v1 * ul
             n, m1, m2 = moments[b, 0, q], moments[b, 1, q], moments[b, 2, q]
-            w = 1.0 / s2
-            p = 1.0 / sqrt(s2 * s2l)
+            both = s2 * s2l
+            around = s2 + s2r[b, q]
+            inverse = 1.0 / (both * around)
+            w = inverse * around * s2l
+            p = inverse * around * sqrt(both)
             r, rl = m1 - d * n, m2 - dl * n
             ee += (moments[b, 3, q] - 2.0 * d * m1 + d * d * n) * w
             e1 += r * w
@@ -240,11 +249,11 @@ def _gram_sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1, A,
             boo += n * p
             box += 0.5 * n * (u + ul) * p
             bxx += n * u * ul * p
-            z = (s2 - s2r[b, q]) / (s2 + s2r[b, q])
+            z = (s2 - s2r[b, q]) * (inverse * both)
             z2 = z * z
-            largest = max(largest, z2)
+            tail += n * z2 * z2 * z2 * z2 * z2
             change += n * 2.0 * z * (1.0 + z2 * (1 / 3 + z2 * (0.2 + z2 * (1 / 7 + z2 / 9))))
-    if largest > 0.01:
+    if tail > 1e-7:
         change = 0.0
         for b in range(first, last):
             for q in range(K):
@@ -256,15 +265,27 @@ def _gram_sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1, A,
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _gradient_sums(
-    first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1, phi, gx, gxl, out
-):  # pragma: no cover - compiled
-    # Besides A, B and the log term: gx, gxl (n_blocks, K), the derivative of log L by x at each
-    # node and one sample before; out: derivatives by y0, beta, v0 and v1 over the blocks
-    A = B = change = largest = 0.0
+    first, last, base, kind, h, t0, tf, lag_on, moments, reference, s2r, x, xl, E_on, E_off,
+    y0, beta, v0, v1, phi, out,
+):  # fmt: skip  # pragma: no cover - compiled
+    # Besides A, B and the log term: out (16,) with the derivatives of log L by y0, beta, v0, v1
+    # and, for each edge, G_j = sum of E_j g and H_j = sum of s E_j g, g the derivative by x3.
+    # Nothing is stored inside the loop, so that it runs several nodes at a time.
+    A = B = change = tail = 0.0
     g_y0 = g_beta = g_v0 = g_v1 = 0.0
+    P0 = P1 = P2 = R0 = R1 = R2 = 0.0
+    N0 = N1 = N2 = S0 = S1 = S2 = 0.0
     a = -0.5 * (1.0 + phi * phi) / (1.0 - phi * phi)
     c = phi / (1.0 - phi * phi)
+    l0, l1, l2 = lag_on[0], lag_on[1], lag_on[2]
     for b in range(first, last):
+        k = kind[b]
+        width = 8.0 * 2.0**k * h
+        unit = h if k == 0 else width
+        row = min(k, 1)
+        start, start_off = base[b] - t0, base[b] - tf
+        on_mixed = -width < start < h
+        off_mixed = -width < start_off < h
         for q in range(K):
             u, ul = x[b, q], xl[b, q]
             d = y0 + beta * u - reference[b, 0, q]
@@ -272,18 +293,21 @@ def _gradient_sums(
             s2 = v0 + v1 * u
             s2l = v0 + v1 * ul
             n, m1, m2 = moments[b, 0, q], moments[b, 1, q], moments[b, 2, q]
-            w = 1.0 / s2
-            p = 1.0 / sqrt(s2 * s2l)
-            wl = p * p * s2
+            both = s2 * s2l
+            around = s2 + s2r[b, q]
+            inverse = 1.0 / (both * around)
+            w = inverse * around * s2l
+            wl = inverse * around * s2
+            p = inverse * around * sqrt(both)
             r = d * n - m1
             rl = dl * n - m2
             a_node = (moments[b, 3, q] - 2.0 * d * m1 + d * d * n) * w
             b_node = (moments[b, 4, q] - d * m2 - dl * m1 + d * dl * n) * p
             A += a_node
             B += b_node
-            z = (s2 - s2r[b, q]) / (s2 + s2r[b, q])
+            z = (s2 - s2r[b, q]) * (inverse * both)
             z2 = z * z
-            largest = max(largest, z2)
+            tail += n * z2 * z2 * z2 * z2 * z2
             change += n * 2.0 * z * (1.0 + z2 * (1 / 3 + z2 * (0.2 + z2 * (1 / 7 + z2 / 9))))
             g_m = 2.0 * a * w * r + c * p * rl
             g_ml = c * p * r
@@ -293,53 +317,40 @@ def _gradient_sums(
             g_beta += g_m * u + g_ml * ul
             g_v0 += g_s + g_sl
             g_v1 += g_s * u + g_sl * ul
-            gx[b, q] = beta * g_m + v1 * g_s
-            gxl[b, q] = beta * g_ml + v1 * g_sl
-    if largest > 0.01:
+            g = beta * g_m + v1 * g_s
+            gl = beta * g_ml + v1 * g_sl
+            s = start + unit * _OFFSETS[row, q]
+            sl = s - h
+            # one sample before a node just after the step, the step had not come yet
+            gl_on = gl
+            if on_mixed:
+                gl_on = gl if sl > 0.0 else 0.0
+            P0 += E_on[b, 0, q] * (g + l0 * gl_on)
+            P1 += E_on[b, 1, q] * (g + l1 * gl_on)
+            P2 += E_on[b, 2, q] * (g + l2 * gl_on)
+            R0 += E_on[b, 0, q] * (s * g + l0 * sl * gl_on)
+            R1 += E_on[b, 1, q] * (s * g + l1 * sl * gl_on)
+            R2 += E_on[b, 2, q] * (s * g + l2 * sl * gl_on)
+            s = start_off + unit * _OFFSETS[row, q]
+            sl = s - h
+            gl_off = gl
+            if off_mixed:
+                gl_off = gl if sl > 0.0 else 0.0
+            N0 += E_off[b, 0, q] * (g + l0 * gl_off)
+            N1 += E_off[b, 1, q] * (g + l1 * gl_off)
+            N2 += E_off[b, 2, q] * (g + l2 * gl_off)
+            S0 += E_off[b, 0, q] * (s * g + l0 * sl * gl_off)
+            S1 += E_off[b, 1, q] * (s * g + l1 * sl * gl_off)
+            S2 += E_off[b, 2, q] * (s * g + l2 * sl * gl_off)
+    if tail > 1e-7:
         change = 0.0
         for b in range(first, last):
             for q in range(K):
                 change += moments[b, 0, q] * log((v0 + v1 * x[b, q]) / s2r[b, q])
     out[0], out[1], out[2], out[3] = g_y0, g_beta, g_v0, g_v1
+    out[4], out[5], out[6], out[7], out[8], out[9] = P0, P1, P2, R0, R1, R2
+    out[10], out[11], out[12], out[13], out[14], out[15] = N0, N1, N2, S0, S1, S2
     return A, B, change
-
-
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _chain(first, last, base, kind, h, taus, edge, gx, gxl, E, G, H):  # pragma: no cover - compiled
-    # G_j = sum of E_j g, H_j = sum of s E_j g over the nodes after this edge
-    l0, l1, l2 = exp(h / taus[0]), exp(h / taus[1]), exp(h / taus[2])
-    G[:] = 0.0
-    H[:] = 0.0
-    G0 = G1 = G2 = H0 = H1 = H2 = 0.0
-    for b in range(first, last):
-        k = kind[b]
-        width = 8.0 * 2.0**k * h
-        if (
-            base[b] + width <= edge
-            or E[b, 0, 0] + E[b, 1, 0] + E[b, 2, 0] == 0.0
-            and (base[b] - edge > h)
-        ):
-            continue
-        mixed = base[b] - edge < h
-        for q in range(K):
-            s = base[b] - edge + ((q + 0.5) * h if k == 0 else width * _CHEBYSHEV[q])
-            g = gx[b, q]
-            gl = gxl[b, q]
-            if mixed and s <= h:
-                gl = 0.0
-            f0 = E[b, 0, q]
-            f1 = E[b, 1, q]
-            f2 = E[b, 2, q]
-            sg = s * g
-            sgl = (s - h) * gl
-            G0 += f0 * (g + l0 * gl)
-            G1 += f1 * (g + l1 * gl)
-            G2 += f2 * (g + l2 * gl)
-            H0 += f0 * (sg + l0 * sgl)
-            H1 += f1 * (sg + l1 * sgl)
-            H2 += f2 * (sg + l2 * sgl)
-    G[0], G[1], G[2] = G0, G1, G2
-    H[0], H[1], H[2] = H0, H1, H2
 
 
 @njit(cache=True, error_model="numpy")
@@ -409,17 +420,16 @@ def _responses(k, mesh, taus, t0, tf, h, c, x, xl, E_on, E_off, table, stride): 
 
 @njit(cache=True, error_model="numpy")
 def _edge_responses(k, mesh, taus, t0, tf, xe):  # pragma: no cover - compiled
-    rates = np.sort(1.0 / taus)
-    slowest = 1.0 / rates[0]
+    slowest = max(taus[0], taus[1], taus[2])
     for run in range(mesh.runs[k], mesh.runs[k + 1]):
         for side in range(2):
             value = 0.0
             for edge, sign in ((t0, 1.0), (tf, -1.0)):
                 s = mesh.edge_t[run, side] - edge
-                if s > 60.0 * slowest:
+                if s > 45.0 * slowest:
                     value += sign
                 elif s > 0.0:
-                    value += sign * step_response(s, rates)
+                    value += sign * step_response(s, np.sort(1.0 / taus))
             xe[run, side] = value
 
 
@@ -451,7 +461,8 @@ def _edge_log(k, mesh, s2e):  # pragma: no cover - compiled
 
 
 @njit(cache=True, error_model="numpy")
-def _value(theta, mesh, x, xl, E_on, E_off):  # pragma: no cover - compiled
+def _value(theta, mesh, x, xl, E_on, E_off, each):  # pragma: no cover - compiled
+    # each (n_exp,): filled with every experiment's part
     taus, c = np.empty(3), np.empty(3)
     table, stride = np.empty((mesh.n_kinds, 3, K)), np.empty((mesh.n_kinds, 3))
     xe = np.empty((len(mesh.distance), 2))
@@ -479,14 +490,15 @@ def _value(theta, mesh, x, xl, E_on, E_off):  # pragma: no cover - compiled
             x, xl, y0, beta, v0, v1,
         )  # fmt: skip
         log_s2 = mesh.log_s2[k] + change + _edge_log(k, mesh, s2e)
-        total += _combine(k, mesh, phi, phi_reference, A, B, re, log_s2)
+        each[k] = _combine(k, mesh, phi, phi_reference, A, B, re, log_s2)
+        total += each[k]
     return total
 
 
 @njit(cache=True, error_model="numpy")
-def _value_and_gradient(theta, mesh, x, xl, E_on, E_off, gx, gxl, gradient):  # pragma: no cover
+def _value_and_gradient(theta, mesh, x, xl, E_on, E_off, gradient):  # pragma: no cover
     taus, c = np.empty(3), np.empty(3)
-    G, H, sums = np.empty(3), np.empty(3), np.empty(4)
+    sums, lags = np.empty(16), np.empty(3)
     table, stride = np.empty((mesh.n_kinds, 3, K)), np.empty((mesh.n_kinds, 3))
     xe = np.empty((len(mesh.distance), 2))
     re = np.empty((len(mesh.distance), 2))
@@ -504,6 +516,8 @@ def _value_and_gradient(theta, mesh, x, xl, E_on, E_off, gx, gxl, gradient):  # 
         phi = _per_sample(phi_reference, steps)
         y0, beta = theta[i_y0], theta[i_beta]
         v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * weight
+        if i_tf < 0:
+            E_off[first:last] = 0.0
         if not _responses(k, mesh, taus, t0, tf, h, c, x, xl, E_on, E_off, table, stride):
             return np.nan  # nearly equal time constants: the caller takes the stable route
         _edge_responses(k, mesh, taus, t0, tf, xe)
@@ -513,9 +527,12 @@ def _value_and_gradient(theta, mesh, x, xl, E_on, E_off, gx, gxl, gradient):  # 
                 re[run, side] = (mesh.edge_y[run, side] - y0 - beta * xe[run, side]) / sqrt(
                     s2e[run, side]
                 )
+        for j in range(3):
+            lags[j] = exp(h / taus[j])
         A, B, change = _gradient_sums(
-            first, last, mesh.moments, mesh.reference, mesh.reference_s2,
-            x, xl, y0, beta, v0, v1, phi, gx, gxl, sums,
+            first, last, mesh.base, mesh.kind, h, t0, tf if i_tf >= 0 else 1e300, lags,
+            mesh.moments, mesh.reference, mesh.reference_s2, x, xl, E_on, E_off,
+            y0, beta, v0, v1, phi, sums,
         )  # fmt: skip
         log_s2 = mesh.log_s2[k] + change + _edge_log(k, mesh, s2e)
         total += _combine(k, mesh, phi, phi_reference, A, B, re, log_s2)
@@ -587,14 +604,17 @@ def _value_and_gradient(theta, mesh, x, xl, E_on, E_off, gx, gxl, gradient):  # 
         for edge, sign, i_edge in ((t0, 1.0, i_t0), (tf, -1.0, i_tf)):
             if edge == np.inf:
                 continue
-            E = E_on if sign > 0 else E_off
-            _chain(first, last, mesh.base, mesh.kind, h, taus, edge, gx, gxl, E, G, H)
+            G, H = (sums[4:7], sums[7:10]) if sign > 0 else (sums[10:13], sums[13:16])
             for j in range(3):
                 d_tau = -c[j] * H[j] / taus[j] ** 2
                 for m in range(3):
                     d_tau -= _d_coefficient(c, taus, m, j) * G[m]
                 _add_tau(gradient, theta, mesh, k, j, sign * d_tau)
                 gradient[i_edge] -= sign * c[j] * G[j] / taus[j]
+        if theta[0] < mesh.setting[k, 4]:
+            gradient[0] += gradient[i_t0]
+            if i_tf >= 0:
+                gradient[0] += gradient[i_tf]
     return total
 
 
@@ -628,7 +648,7 @@ def _add_tau(gradient, theta, mesh, k, j, value):  # pragma: no cover - compiled
         gradient[2] += value / mesh.setting[k, 1]
     elif theta[0] >= mesh.setting[k, 4]:
         gradient[0] += value
-    # a sensor faster than that acts as a pure delay, see _constants; the caller adds that part
+    # a sensor faster than that acts as a pure delay, see _constants: the caller adds that part
 
 
 @njit(cache=True, error_model="numpy")
@@ -703,6 +723,22 @@ def _marginal(theta, mesh, x, xl, E_on, E_off, best, factor):  # pragma: no cove
         factor[k, 0], factor[k, 1], factor[k, 2] = l11, l21, l22
         total += -0.5 * (logs + Q[0, 0] - u1 * u1 - u2 * u2) - log(l11) - log(l22) + log(2.0 * pi)
     return total
+
+
+@njit(cache=True, error_model="numpy")
+def _values(thetas, mesh, x, xl, E_on, E_off, each, inside):  # pragma: no cover - compiled
+    for i in range(len(thetas)):
+        inside[i] = _inside(thetas[i], mesh.low, mesh.high)
+        if inside[i]:
+            _value(thetas[i], mesh, x, xl, E_on, E_off, each[i])
+
+
+@njit(cache=True, error_model="numpy")
+def _marginals(thetas, mesh, x, xl, E_on, E_off, values, best, factor, inside):  # pragma: no cover
+    for i in range(len(thetas)):
+        inside[i] = _inside(thetas[i], mesh.low, mesh.high)
+        if inside[i]:
+            values[i] = _marginal(thetas[i], mesh, x, xl, E_on, E_off, best[i], factor[i])
 
 
 @njit(cache=True, error_model="numpy")
@@ -966,7 +1002,8 @@ class Compressed:
         self.arrays = build(problem, vector, region)
         self.n_full_passes = 0
         shape = (len(self.arrays.base), K)
-        self._x, self._xl, self._gx, self._gxl = (np.zeros(shape) for _ in range(4))
+        self._x, self._xl = np.zeros(shape), np.zeros(shape)
+        self._each = np.zeros(len(problem.campaign))
         self._E_on, self._E_off = (np.zeros((shape[0], 3, K)) for _ in range(2))
         self._cascade = type(problem.model) is Cascade and problem.model.method == "exact"
 
@@ -994,7 +1031,7 @@ class Compressed:
         vector = self._vector(theta)
         if not self._fast(vector):
             return self._outside(vector)
-        return _value(vector, self.arrays, self._x, self._xl, self._E_on, self._E_off)
+        return _value(vector, self.arrays, self._x, self._xl, self._E_on, self._E_off, self._each)
 
     def _outside(self, vector: FloatArray) -> float:
         if not self._cascade and self._inside_mean(vector):
@@ -1026,8 +1063,7 @@ class Compressed:
         value = np.nan
         if self._fast(vector):
             value = _value_and_gradient(
-                vector, self.arrays, self._x, self._xl, self._E_on, self._E_off,
-                self._gx, self._gxl, gradient,
+                vector, self.arrays, self._x, self._xl, self._E_on, self._E_off, gradient
             )  # fmt: skip
         if np.isnan(value):
             return self.log_likelihood(vector), self._numerical_gradient(vector)
@@ -1068,6 +1104,37 @@ class Compressed:
             vector, self.arrays, self._x, self._xl, self._E_on, self._E_off, best, factor
         )
         return value, best, factor
+
+    def log_likelihoods(self, thetas: FloatArray) -> FloatArray:
+        """(n, n_experiments) log-likelihood of every experiment at each row of ``thetas``."""
+        thetas = np.ascontiguousarray(thetas, dtype=float)
+        each = np.zeros((len(thetas), len(self.problem.campaign)))
+        inside = np.zeros(len(thetas), dtype=bool)
+        if self._cascade:
+            _values(thetas, self.arrays, self._x, self._xl, self._E_on, self._E_off, each, inside)
+        for i in np.flatnonzero(~inside):
+            self.n_full_passes += 1
+            for k in range(each.shape[1]):
+                each[i, k] = experiment_log_likelihood(self.problem, thetas[i], k)
+        return each
+
+    def marginals(self, thetas: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """:meth:`marginal` for every row of ``thetas`` (n, n_theta): (n,), (n, n_exp, 2), (n, n_exp, 3)."""
+        local = self.problem.layout.local
+        thetas = np.array(thetas, dtype=float)
+        thetas[:, local[:, :2]] = self.reference[local[:, :2]]
+        n_exp = len(self.problem.campaign)
+        values = np.zeros(len(thetas))
+        best, factor = np.zeros((len(thetas), n_exp, 2)), np.ones((len(thetas), n_exp, 3))
+        inside = np.zeros(len(thetas), dtype=bool)
+        if self._cascade:
+            _marginals(
+                thetas, self.arrays, self._x, self._xl, self._E_on, self._E_off,
+                values, best, factor, inside,
+            )  # fmt: skip
+        for i in np.flatnonzero(~inside):
+            values[i], best[i], factor[i] = self._marginal_outside(thetas[i])
+        return values, best, factor
 
     def _marginal_outside(self, vector: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         # log L is quadratic in (y0, beta) of each experiment: six values of the full pass fix it

@@ -47,27 +47,28 @@ class Prior:
     a: float = 0.0
     b: float = 1.0
 
-    def log_density(self, value: float) -> float:
-        """Natural log of the density at ``value``; -inf outside the support; 0 for ``flat``."""
+    def log_density(self, value: FloatArray | float) -> FloatArray:
+        """Natural log of the density at ``value`` (any shape); -inf outside the support; 0 for ``flat``."""
+        x = np.asarray(value, dtype=float)
+        positive = np.maximum(x, 1e-300)
         if self.kind == "flat":
-            return 0.0
-        if self.kind == "half_normal":
-            if value < 0:
-                return -np.inf
-            return 0.5 * log(2.0 / pi) - log(self.a) - 0.5 * (value / self.a) ** 2
-        if self.kind == "log_normal":
-            if value <= 0:
-                return -np.inf
-            u = log(value / self.a) / self.b
-            return -0.5 * log(2 * pi) - log(self.b * value) - 0.5 * u * u
+            return np.zeros_like(x)
         if self.kind == "normal":
-            u = (value - self.a) / self.b
-            return -0.5 * log(2 * pi) - log(self.b) - 0.5 * u * u
-        if not self.a <= value <= self.b:
-            return -np.inf
-        if self.kind == "uniform":
-            return -log(self.b - self.a)
-        return -log(value * log(self.b / self.a))
+            return -0.5 * log(2 * pi) - log(self.b) - 0.5 * ((x - self.a) / self.b) ** 2
+        if self.kind == "half_normal":
+            inside = x >= 0
+            density = 0.5 * log(2 / pi) - log(self.a) - 0.5 * (x / self.a) ** 2
+        elif self.kind == "log_normal":
+            inside = x > 0
+            u = np.log(positive / self.a) / self.b
+            density = -0.5 * log(2 * pi) - np.log(self.b * positive) - 0.5 * u * u
+        else:
+            inside = (x >= self.a) & (x <= self.b)
+            if self.kind == "uniform":
+                density = np.full_like(x, -log(self.b - self.a))
+            else:
+                density = -np.log(positive * log(self.b / self.a))
+        return np.where(inside, density, -np.inf)
 
     @cached_property
     def law(self) -> Any:
@@ -251,17 +252,24 @@ def as_problem(campaign: Campaign | Problem) -> Problem:
     return campaign if isinstance(campaign, Problem) else Problem(campaign)
 
 
+def log_priors(problem: Problem, thetas: FloatArray) -> FloatArray:
+    """(n,) natural log of the prior density at each row of ``thetas`` (n, n_theta).
+
+    Flat laws count as 0, pinned parameters are left out; -inf outside the support, tau > tau_v
+    included.
+    """
+    thetas = np.atleast_2d(thetas)
+    total = np.where(thetas[:, 0] > thetas[:, 1], -np.inf, 0.0)
+    for i, name in enumerate(problem.layout.names):
+        if name not in problem.fixed:
+            total = total + problem.priors[name].log_density(thetas[:, i])
+    return total
+
+
 def log_prior(campaign: Campaign | Problem, theta: Theta) -> float:
     """Natural log of the prior density at ``theta``; -inf outside the support (tau > tau_v too)."""
     problem = as_problem(campaign)
-    vector = problem.layout.flat(theta)
-    if vector[0] > vector[1]:
-        return -np.inf
-    total = 0.0
-    for name, value in zip(problem.layout.names, vector, strict=True):
-        if name not in problem.fixed:
-            total += problem.priors[name].log_density(float(value))
-    return total
+    return float(log_priors(problem, problem.layout.flat(theta))[0])
 
 
 # --------------------------------------------------------------------------- the full pass
@@ -303,11 +311,7 @@ def _fill_cascade(first, h, rates, edge, sign, x):  # pragma: no cover - compile
     v2 = exp(-a2 * s) - a2 * divided_exponential(pair, s)
     pair[0] = a2
     pair[1] = a3
-    v3 = (
-        exp(-a3 * s)
-        - a3 * divided_exponential(pair, s)
-        + a2 * a3 * divided_exponential(rates, s)
-    )
+    v3 = exp(-a3 * s) - a3 * divided_exponential(pair, s) + a2 * a3 * divided_exponential(rates, s)
     i = start
     while i < n:
         m = min(block, n - i)
@@ -414,9 +418,7 @@ def mean_and_variance(
     return model.mean(e.t, vector, layout, e), scale_squared(x, sigma0, sigma1, weight)
 
 
-def log_likelihood(
-    campaign: Campaign | Problem, theta: Theta, compressed: bool = False
-) -> float:
+def log_likelihood(campaign: Campaign | Problem, theta: Theta, compressed: bool = False) -> float:
     """Exact Gaussian log-likelihood of all samples at ``theta``; -inf outside its range.
 
     ``compressed=True`` evaluates the same on a mesh built around ``theta``
@@ -455,4 +457,3 @@ def simulate(campaign: Campaign | Problem, theta: Theta, seed: int = 1) -> Campa
         rng = np.random.default_rng(stream)
         values[e.name] = mean + simulate_noise(np.sqrt(s2), phi, rng)
     return replace(problem.campaign.with_data(values), warnings=())
-

@@ -1,0 +1,386 @@
+"""Coordinates in which the posterior is almost Gaussian, and the Gaussian that matches it there.
+
+The data hold tau through tau^2 and trade it against the switch times, so in
+psi = (tau^2, tau_v, V, y0, beta, t0 + tau, tf + tau, atanh phi, log sigma0, sigma1^2) the
+log-likelihood is nearly quadratic.  The Gaussian is expanded at a positive tau, may have a negative
+mean of tau^2, and is re-expanded once; tau (and sigma1 likewise) is drawn from the Gaussian in its
+square cut at zero, the rest conditionally.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import log, pi, sqrt
+
+import numpy as np
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compression import Compressed, Region, compress
+from bayes_sensor.likelihood import Problem, log_priors
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """The map between theta and psi for one problem; pinned parameters are left out of psi."""
+
+    problem: Problem
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Positions in theta of the parameters that vary."""
+        layout = self.problem.layout
+        return np.array([i for i, n in enumerate(layout.names) if n not in self.problem.fixed])
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Flat names of the varying parameters, in psi's order."""
+        return [self.problem.layout.names[i] for i in self.free]
+
+    @cached_property
+    def _kinds(self) -> list[str]:
+        return [name.split("[")[0] for name in self.names]
+
+    def _where(self, *kinds: str) -> np.ndarray:
+        return np.array([i for i, kind in enumerate(self._kinds) if kind in kinds], dtype=int)
+
+    @cached_property
+    def squared(self) -> np.ndarray:
+        """Positions in psi that hold a square: of tau, of each sigma1."""
+        return self._where("tau_s", "sigma1_V")
+
+    @cached_property
+    def switches(self) -> np.ndarray:
+        """Positions in psi of t0 + tau and tf + tau."""
+        return self._where("t0_s", "tf_s")
+
+    @cached_property
+    def linear(self) -> np.ndarray:
+        """(n_experiments, 2) positions in psi of y0 and beta."""
+        y0, beta = self._where("y0_V"), self._where("beta_V")
+        return np.stack([y0, beta], axis=1)
+
+    def psi(self, thetas: FloatArray) -> FloatArray:
+        """(.., n_psi) coordinates of ``thetas`` (.., n_theta)."""
+        psi = np.array(thetas, dtype=float)[..., self.free]
+        tau = psi[..., :1].copy()
+        psi[..., self.switches] += tau
+        psi[..., self.squared] **= 2
+        phi, sigma0 = self._where("phi"), self._where("sigma0_V")
+        psi[..., phi] = np.arctanh(psi[..., phi])
+        psi[..., sigma0] = np.log(psi[..., sigma0])
+        return psi
+
+    def theta(self, psis: FloatArray) -> FloatArray:
+        """(.., n_theta) parameters; negative squares count as zero."""
+        values = np.array(psis, dtype=float)
+        values[..., self.squared] = np.sqrt(np.maximum(values[..., self.squared], 0.0))
+        values[..., self.switches] -= values[..., :1]
+        phi, sigma0 = self._where("phi"), self._where("sigma0_V")
+        # 1 - 1e-12: tanh rounds to 1 far out, where the density is zero anyway
+        values[..., phi] = np.clip(np.tanh(values[..., phi]), -1 + 1e-12, 1 - 1e-12)
+        values[..., sigma0] = np.exp(np.minimum(values[..., sigma0], 300.0))
+        theta = np.zeros((*values.shape[:-1], len(self.problem.layout)))
+        for name, value in self.problem.fixed.items():
+            theta[..., self.problem.layout.index(name)] = value
+        theta[..., self.free] = values
+        return theta
+
+    def log_jacobian(self, thetas: FloatArray, roots: bool = False) -> FloatArray:
+        """log |d theta / d psi| (..,).  ``roots``: of the coordinates with tau and sigma1 unsquared."""
+        values = np.asarray(thetas)[..., self.free]
+        phi, sigma0 = self._where("phi"), self._where("sigma0_V")
+        with np.errstate(divide="ignore"):
+            total = np.log(1.0 - values[..., phi] ** 2).sum(axis=-1)
+            total = total + np.log(values[..., sigma0]).sum(axis=-1)
+            if not roots:
+                total = total - np.log(2.0 * values[..., self.squared]).sum(axis=-1)
+        return total
+
+    def slopes(self, theta: FloatArray) -> FloatArray:
+        """(n_psi, n_psi) derivatives of the varying theta by psi at one theta (n_theta,)."""
+        values = theta[self.free]
+        diagonal = np.ones(len(values))
+        diagonal[self.squared] = 0.5 / np.maximum(values[self.squared], 1e-12)
+        diagonal[self._where("phi")] = 1.0 - values[self._where("phi")] ** 2
+        diagonal[self._where("sigma0_V")] = values[self._where("sigma0_V")]
+        slopes = np.diag(diagonal)
+        slopes[self.switches, 0] = -diagonal[0]
+        return slopes
+
+
+def draw_root(
+    mean: FloatArray, sd: FloatArray, rng: np.random.Generator, n_grid: int = 512
+) -> tuple[FloatArray, FloatArray]:
+    """Draw x > 0 (n,) with density proportional to exp(-(x^2 - mean)^2 / (2 sd^2)).
+
+    Returns the draws and the log of their normalised (piecewise-linear) density, which is exact for
+    the draws made, so that an independence sampler may rely on it.
+
+    >>> x, log_q = draw_root(np.zeros(2), np.ones(2), np.random.default_rng(1))
+    >>> bool((x > 0).all())
+    True
+    """
+    mean, sd = np.atleast_1d(mean).astype(float), np.atleast_1d(sd).astype(float)
+    top = np.sqrt(np.maximum(mean, 0.0) + 8.5 * sd)
+    # below the mode of a far-off positive mean nothing is drawn either
+    bottom = np.sqrt(np.maximum(mean - 8.5 * sd, 0.0))
+    u = np.linspace(0.0, 1.0, n_grid)
+    x = bottom[:, None] + (top - bottom)[:, None] * u
+    exponent = -0.5 * ((x**2 - mean[:, None]) / sd[:, None]) ** 2
+    exponent -= exponent.max(axis=1, keepdims=True)
+    # a floor keeps the proposal's tails heavier than any target's, so that weights stay bounded
+    density = np.exp(exponent) + 1e-6
+    width = (top - bottom) / (n_grid - 1)
+    mass = np.zeros_like(density)
+    mass[:, 1:] = np.cumsum(0.5 * (density[:, 1:] + density[:, :-1]), axis=1) * width[:, None]
+    target = rng.random(len(mean)) * mass[:, -1]
+    cell = np.clip((mass <= target[:, None]).sum(axis=1) - 1, 0, n_grid - 2)
+    rows = np.arange(len(mean))
+    left, right = density[rows, cell], density[rows, cell + 1]
+    slope = (right - left) / width
+    rest = target - mass[rows, cell]
+    # solve left d + slope d^2 / 2 = rest without cancellation
+    d = 2.0 * rest / (left + np.sqrt(np.maximum(left**2 + 2.0 * slope * rest, 0.0)))
+    drawn = x[rows, cell] + d
+    log_q = np.log(left + slope * d) - np.log(mass[:, -1])
+    return drawn, log_q
+
+
+@dataclass(frozen=True)
+class Laplace:
+    """A Gaussian in psi: mean (n_psi,), covariance (n_psi, n_psi) in ``coordinates``."""
+
+    coordinates: Coordinates
+    mean: FloatArray
+    cov: FloatArray
+    theta: FloatArray
+    """(n_theta,) where it was expanded: the maximum, or nearly so with tau held above zero"""
+    log_posterior: float
+    """log likelihood + log prior there"""
+    converged: bool
+
+    @cached_property
+    def order(self) -> np.ndarray:
+        """Positions of psi with the squares first, as drawn."""
+        squared = self.coordinates.squared
+        rest = [i for i in range(len(self.mean)) if i not in set(squared)]
+        return np.concatenate([squared, np.array(rest, dtype=int)])
+
+    @cached_property
+    def _factor(self) -> FloatArray:
+        return np.linalg.cholesky(self.cov[np.ix_(self.order, self.order)])
+
+    def draw(
+        self, n: int, rng: np.random.Generator, inflate: float = 1.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """``n`` draws of theta (n, n_theta) and the log density (n,) they were drawn from.
+
+        The density is that of (tau, sigma1, rest of psi): squares are replaced by their roots.
+        """
+        order, n_psi = self.order, len(self.mean)
+        L = self._factor * sqrt(inflate)
+        z = np.empty((n, n_psi))
+        psi = np.empty((n, n_psi))
+        log_q = np.zeros(n)
+        for j in range(n_psi):
+            if j < len(self.coordinates.squared):
+                centre = self.mean[order[j]] + z[:, :j] @ L[j, :j]
+                root, log_root = draw_root(centre, np.full(n, L[j, j]), rng)
+                log_q += log_root
+                z[:, j] = (root**2 - centre) / L[j, j]
+            else:
+                z[:, j:] = rng.standard_normal((n, n_psi - j))
+                log_q += -0.5 * (z[:, j:] ** 2).sum(axis=1)
+                log_q -= 0.5 * (n_psi - j) * log(2 * pi) + np.log(np.diag(L)[j:]).sum()
+                break
+        psi[:, order] = self.mean[order] + z @ L.T
+        return self.coordinates.theta(psi), log_q
+
+
+def log_posteriors(
+    compressed: Compressed, coordinates: Coordinates, thetas: FloatArray, roots: bool = False
+) -> FloatArray:
+    """(n,) log posterior density in psi (or in psi with roots) up to a constant."""
+    problem = coordinates.problem
+    total = log_priors(problem, thetas) + coordinates.log_jacobian(thetas, roots)
+    good = np.isfinite(total)
+    if good.any():
+        total[good] += compressed.log_likelihoods(thetas[good]).sum(axis=1)
+    return np.where(np.isnan(total), -np.inf, total)
+
+
+def approximate(
+    problem: Problem, start: FloatArray, compressed: Compressed | None = None
+) -> tuple[Laplace, Compressed]:
+    """Expand the log posterior in psi about its maximum; also the mesh that covers it.
+
+    Newton steps with the expected information from ``start`` (n_theta,), then the Hessian from
+    differences of the analytic gradient.  tau is kept above a fraction of the spread of tau^2, so
+    that the expansion never divides by a vanishing derivative.
+    """
+    coordinates = Coordinates(problem)
+    compressed = compressed or compress(problem, start)
+    theta = np.array(compressed.reference if np.isnan(start).any() else start, dtype=float)
+    free = coordinates.free
+    theta[0] = max(theta[0], 0.02 * theta[1])
+    layout = problem.layout
+    for row in layout.noise:
+        theta[row[2]] = max(theta[row[2]], 0.05 * theta[row[1]])
+        theta[row[0]] = np.clip(theta[row[0]], -0.99, 0.9999)
+    for name, value in problem.fixed.items():
+        theta[layout.index(name)] = value
+
+    def objective(psi):
+        candidate = coordinates.theta(psi)
+        prior = log_priors(problem, candidate[None])[0]
+        # flat measure in theta: maxima do not depend on the coordinates
+        return prior + compressed.log_likelihood(candidate) if np.isfinite(prior) else -np.inf
+
+    def gradient(psi):
+        candidate = coordinates.theta(psi)
+        _, g = compressed.value_and_gradient(candidate)
+        g = g + _prior_gradient(problem, candidate)
+        return coordinates.slopes(candidate).T @ g[free]
+
+    psi = coordinates.psi(theta)
+    value = objective(psi)
+    converged = False
+    floor = psi.copy()
+    info = _information(compressed, coordinates, psi)
+    for iteration in range(30):
+        g = gradient(psi)
+        step = np.linalg.solve(info, g)
+        expected = float(g @ step)
+        if expected < 1e-6:
+            converged = True
+            break
+        scale = 1.0
+        for _ in range(30):
+            trial = psi + scale * step
+            for i in coordinates.squared:
+                floor[i] = 0.05 / sqrt(info[i, i])  # a twentieth of the conditional spread
+                trial[i] = max(trial[i], min(psi[i], floor[i]))
+            trial_value = objective(trial)
+            if trial_value > value - 1e-9:
+                break
+            scale *= 0.5
+        else:
+            break
+        gained = trial_value - value
+        psi, value = trial, trial_value
+        if gained < 1e-7 * max(1.0, expected) or gained < 1e-6:
+            converged = True
+            break
+        if iteration % 3 == 2 and not compressed._fast(coordinates.theta(psi)):
+            compressed = compress(problem, coordinates.theta(psi))
+        info = _information(compressed, coordinates, psi)
+    theta = coordinates.theta(psi)
+    compressed = compress(problem, theta)
+    mean, cov = _expand(compressed, coordinates, psi, gradient)
+    if mean[0] < 0.25 * sqrt(cov[0, 0]):
+        # re-expand where the bulk of the truncated Gaussian lies, not at the edge
+        middle = psi.copy()
+        middle[0] = max(mean[0], 0.0) + 0.5 * sqrt(cov[0, 0])
+        shift = cov[1:, 0] / cov[0, 0] * (middle[0] - mean[0])
+        middle[1:] = mean[1:] + shift
+        if np.isfinite(objective(middle)):
+            mean, cov = _expand(compressed, coordinates, middle, gradient)
+    laplace = Laplace(coordinates, mean, cov, theta, float(value), converged)
+    compressed = compress(problem, theta, covering_region(compressed, laplace))
+    return laplace, compressed
+
+
+def covering_region(compressed: Compressed, laplace: Laplace, n: int = 400) -> Region:
+    """A mesh region that holds the Gaussian's draws with half as much again to spare."""
+    thetas, _ = laplace.draw(n, np.random.default_rng(0), inflate=1.5)
+    low, high = compressed.region.low.copy(), compressed.region.high.copy()
+    layout = laplace.coordinates.problem.layout
+    switches = layout.local[:, 2:].ravel()
+    for i in [1, 2, *switches[switches >= 0]]:
+        a, b = thetas[:, i].min(), thetas[:, i].max()
+        low[i], high[i] = a - 0.4 * (b - a), b + 0.4 * (b - a)
+    low[0], high[0] = 0.0, 1.4 * thetas[:, 0].max()
+    for i in (1, 2):
+        low[i] = max(low[i], 0.2 * laplace.theta[i])
+    return Region(low, high)
+
+
+def _information(compressed: Compressed, coordinates: Coordinates, psi: FloatArray) -> FloatArray:
+    theta = coordinates.theta(psi)
+    free = coordinates.free
+    info = compressed.information(theta)[np.ix_(free, free)]
+    info = info + np.diag(_prior_curvature(coordinates.problem, theta)[free])
+    slopes = coordinates.slopes(theta)
+    return _positive(slopes.T @ info @ slopes)
+
+
+def _positive(matrix: FloatArray) -> FloatArray:
+    """The symmetric matrix with eigenvalues of its scaled form lifted to at least 1e-8."""
+    matrix = 0.5 * (matrix + matrix.T)
+    diagonal = np.diag(matrix).copy()
+    diagonal = np.where(diagonal > 0, diagonal, max(diagonal.max(), 1.0) * 1e-12)
+    scale = np.sqrt(diagonal)
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    values = np.maximum(values, 1e-8)
+    return (vectors * values) @ vectors.T * np.outer(scale, scale)
+
+
+def _expand(compressed, coordinates, psi, gradient):
+    """Mean and covariance of the Gaussian matched to gradient and Hessian at psi."""
+    info = _information(compressed, coordinates, psi)
+    step = 0.3 / np.sqrt(np.diag(info))  # conditional spreads: wide enough to average rounding
+    for i in coordinates.squared:
+        step[i] = min(step[i], 0.5 * psi[i])
+    n = len(psi)
+    hessian = np.empty((n, n))
+    for i in range(n):
+        up, down = psi.copy(), psi.copy()
+        up[i] += step[i]
+        down[i] -= step[i]
+        hessian[i] = -(gradient(up) - gradient(down)) / (2.0 * step[i])
+    hessian = 0.5 * (hessian + hessian.T)
+    scale = np.sqrt(np.diag(info))
+    smallest = np.linalg.eigvalsh(hessian / np.outer(scale, scale)).min()
+    # the observed Hessian is the better Gaussian; far from the maximum it may not be positive
+    precision = hessian if smallest > 1e-4 and np.isfinite(smallest) else info
+    cov = np.linalg.inv(precision)
+    return psi + cov @ gradient(psi), 0.5 * (cov + cov.T)
+
+
+def _prior_gradient(problem: Problem, theta: FloatArray) -> FloatArray:
+    return _prior_derivatives(problem, theta)[0]
+
+
+def _prior_curvature(problem: Problem, theta: FloatArray) -> FloatArray:
+    return _prior_derivatives(problem, theta)[1]
+
+
+def _prior_derivatives(problem: Problem, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """First derivative of the log prior and minus the second where that is positive, (n,) each."""
+    first, second = np.zeros(len(theta)), np.zeros(len(theta))
+    for i, name in enumerate(problem.layout.names):
+        if name in problem.fixed:
+            continue
+        prior = problem.priors[name]
+        if prior.kind == "half_normal":
+            first[i], second[i] = -theta[i] / prior.a**2, 1.0 / prior.a**2
+        elif prior.kind == "normal":
+            first[i], second[i] = (prior.a - theta[i]) / prior.b**2, 1.0 / prior.b**2
+        elif prior.kind == "log_normal":
+            u = log(theta[i] / prior.a) / prior.b**2
+            first[i] = -(1.0 + u) / theta[i]
+            second[i] = max(1.0 / prior.b**2 - 1.0 - u, 0.0) / theta[i] ** 2
+        elif prior.kind == "log_uniform":
+            first[i] = -1.0 / theta[i]
+    return first, second
+
+
+def names_of_psi(names: Sequence[str]) -> list[str]:
+    """What each coordinate is, for figures and tables: ``tau_s^2``, ``t0_s[1] + tau_s``, .."""
+    labels = {
+        "tau_s": "{}^2", "sigma1_V": "{}^2", "t0_s": "{} + tau_s", "tf_s": "{} + tau_s",
+        "phi": "atanh {}", "sigma0_V": "log {}",
+    }  # fmt: skip
+    return [labels.get(name.split("[")[0], "{}").format(name) for name in names]
