@@ -1,10 +1,16 @@
 """Samples that were clipped at a rail of the recorder.
 
-A clipped stretch is a long run of one and the same extreme value in a signal that is noisy
-everywhere else.  A quiet or noise-free signal stands still too, and a coarse converter repeats
-its codes; neither is clipping.  So a run counts only where the unclipped samples near that level
-have noise of at least 3/4 of the smallest step between values: then the next sample differs
-half of the time or more, and a long run cannot be chance.
+A clipped stretch is a long run of one and the same extreme value.  A quiet or noise-free signal
+stands still too, and a coarse converter repeats its codes; neither is clipping.  So a run counts
+on one of two grounds:
+
+- noise: the unclipped samples near that level have noise of at least 3/4 of the smallest step
+  between values.  Then the next sample differs half of the time or more, and a long run cannot
+  be chance.
+- a kink: the signal runs into the level at nearly full speed and stands still at once.  A cascade
+  of lags closes the second half of the remaining way logarithmically, in
+  ``tau * log(d / resolution)``, the first half in ``tau * log(2)``; a clipped one takes about as
+  long for both.
 """
 
 from __future__ import annotations
@@ -20,6 +26,8 @@ FEWEST = 30
 """samples needed to judge the noise"""
 CHANCE = 1e-6
 """largest probability that a record without clipping is flagged"""
+ABRUPT = 0.4
+"""of the time a lag needs for the second half of its approach: less is a kink"""
 WINDOW = 101
 """samples over which clipped samples make their neighbours suspect"""
 CROWDED = 0.1
@@ -52,42 +60,58 @@ def _is_rail(values: FloatArray, rail: float) -> bool:
     if not high > low:
         return False
     held = values == rail
-    longest = _longest_run(held)
+    starts, ends = _runs(held)
+    longest = int((ends - starts).max())
     if longest < 4:
         return False
     distance = np.abs(values - rail) / (high - low)
-    near = (distance > 0) & (distance <= NEAR)
-    noise, n = _noise(values, near)
-    if n < FEWEST:
-        # too steep to judge next to the rail; but noise grows with concentration, so the
-        # baseline's noise (where the record starts) stands for the other rail at least
-        if abs(values[0] - rail) < 0.5 * (high - low):
-            return False
-        noise, n = _noise(values, (distance >= 1 - NEAR) & (distance > 0))
-        if n < FEWEST:
-            return False
     least = _least_step(values)
+    return _too_quiet(values, distance, longest, least) or _runs_into(
+        distance, held, least / (high - low)
+    )
+
+
+def _too_quiet(values: FloatArray, distance: FloatArray, longest: int, least: float) -> bool:
+    """Whether the noise next to the rail rules out a run of this length."""
+    noise = _noise(values, (distance > 0) & (distance <= NEAR))
+    if distance[0] >= 0.5:
+        # noise does not shrink with concentration, so the baseline's (where the record starts)
+        # stands for the other rail, where the signal may be too steep to judge
+        noise = max(noise, _noise(values, distance >= 1 - NEAR))
     if noise < 0.75 * least:
         return False
     same = min(0.5, least / (2.0 * noise))
-    return longest >= max(4.0, np.log(CHANCE / len(values)) / np.log(same))
+    return longest >= max(4.0, float(np.log(CHANCE / len(distance)) / np.log(same)))
 
 
-def _noise(values: FloatArray, chosen: BoolArray) -> tuple[float, int]:
-    """Spread of the fast noise from second differences, and how many of them there were.
+def _runs_into(distance: FloatArray, held: BoolArray, resolution: float) -> bool:
+    """Whether the signal stops at the rail in a kink; distances are in parts of the range."""
+    starts, ends = _runs(held)
+    for start, end in zip(starts[ends - starts >= 100], ends[ends - starts >= 100], strict=True):
+        far = np.flatnonzero(distance[:start] > NEAR)
+        if not len(far):
+            continue
+        half = int(np.flatnonzero(distance[:start] > NEAR / 2)[-1])
+        first, second = half - int(far[-1]), int(start) - half
+        lag = np.log(NEAR / 2 / resolution) / np.log(2.0)
+        if first >= 10 and end - start >= 3 * (first + second) and second < ABRUPT * lag * first:
+            return True
+    return False
 
-    Only differences inside the chosen samples count.  A smooth ramp or a staircase has none;
-    the quarter nearest zero is looked at as well, so that a few jumps do not make noise.
+
+def _noise(values: FloatArray, chosen: BoolArray) -> float:
+    """Spread of the fast noise among the chosen samples, from second differences.
+
+    It is 0 where there are too few to tell, or where the signal hardly ever turns back, as on a
+    smooth ramp or a staircase.
     """
     inside = chosen[2:] & chosen[1:-1] & chosen[:-2]
     bend = np.diff(values, 2)[inside]
     if len(bend) < FEWEST:
-        return 0.0, len(bend)
+        return 0.0
     steps = np.diff(values)
     turns = (steps[1:] * steps[:-1] < 0)[inside]
-    if turns.mean() < 0.1:
-        return 0.0, len(bend)
-    return float(1.4826 * np.median(np.abs(bend)) / np.sqrt(6.0)), len(bend)
+    return float(1.4826 * np.median(np.abs(bend)) / np.sqrt(6.0)) if turns.mean() >= 0.1 else 0.0
 
 
 def _least_step(values: FloatArray) -> float:
@@ -100,6 +124,7 @@ def _least_step(values: FloatArray) -> float:
     return float(steps[steps > 1e-3 * np.median(steps)].min())
 
 
-def _longest_run(held: NDArray[np.bool_]) -> int:
+def _runs(held: BoolArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Start and end (exclusive) of each run."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], held, [False])).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
+    return edges[::2], edges[1::2]

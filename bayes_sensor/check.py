@@ -1,0 +1,141 @@
+"""What was understood of a campaign, before anything is fitted: one row per experiment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign, Experiment, FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+BLOCKS = 10
+"""stretches into which baseline and plateau are cut, to tell noise from drift"""
+SEEN = 4.0
+"""standard errors above which a step counts as seen"""
+
+
+@dataclass(frozen=True)
+class Level:
+    """A stretch of nearly constant signal; NaN where there are too few samples."""
+
+    median: float
+    noise: float
+    """robust standard deviation about a straight line per block"""
+    error: float
+    """standard error of the median, from the scatter between blocks"""
+
+
+def check_campaign(campaign: Campaign) -> pd.DataFrame:
+    """What was understood, as a table with one row per experiment.
+
+    Columns: ``experiment``, ``samples`` (on the grid), ``used``, ``interval_s``, ``duration_s``,
+    ``carrier_flow_L_min``, ``test_gas_flow_L_min``, ``total_flow_L_min``,
+    ``concentration_percent``, ``commanded_on_s``, ``commanded_off_s``, ``baseline_V`` (median
+    before the command, or of the first twentieth where no command is known), ``step_V`` (median
+    of the second half of the plateau less the baseline), ``noise_V`` (robust standard deviation
+    of the baseline without drift), ``plateau_noise_V``, ``source`` and ``warnings``.  Columns in
+    ``_V`` are in the campaign's ``signal_unit``; what is unknown is NaN.
+    """
+    import pandas as pd  # slow to import
+
+    remarks = campaign_remarks(campaign)
+    rows = []
+    for experiment in campaign:
+        baseline, plateau = levels(experiment)
+        mine = [text for text in remarks if text.startswith(f"experiment '{experiment.name}'")]
+        rows.append(
+            {
+                "experiment": experiment.name,
+                "samples": len(experiment.t),
+                "used": experiment.n_samples,
+                "interval_s": experiment.interval,
+                "duration_s": round(len(experiment.t) * experiment.interval, 9),
+                "carrier_flow_L_min": experiment.carrier_flow * 0.06,
+                "test_gas_flow_L_min": experiment.test_gas_flow * 0.06,
+                "total_flow_L_min": experiment.total_flow * 0.06,
+                "concentration_percent": 100 * experiment.concentration,
+                "commanded_on_s": _or_nan(experiment.commanded_on),
+                "commanded_off_s": _or_nan(experiment.commanded_off),
+                "baseline_V": baseline.median,
+                "step_V": plateau.median - baseline.median,
+                "noise_V": baseline.noise,
+                "plateau_noise_V": plateau.noise,
+                "source": experiment.source,
+                "warnings": "; ".join(mine),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
+    """The reader's warnings and what the numbers of the table suggest, in sentences."""
+    remarks = list(campaign.warnings)
+    for experiment in campaign:
+        if experiment.y is None:
+            continue
+        where = f"experiment '{experiment.name}'"
+        if experiment.source:
+            where += f" ({experiment.source})"
+        if experiment.commanded_on is None:
+            remarks.append(
+                f"{where}: the commanded time is unknown; delays cannot be computed, give "
+                "commanded_on or drive"
+            )
+            continue
+        baseline, plateau = levels(experiment)
+        step = plateau.median - baseline.median
+        if np.isnan(baseline.median):
+            remarks.append(f"{where}: no baseline is recorded before the command")
+        elif np.isnan(plateau.median):
+            remarks.append(f"{where}: no plateau is recorded after the command")
+        elif abs(step) <= SEEN * np.hypot(baseline.error, plateau.error):
+            remarks.append(
+                f"{where}: no step is seen (it is {step:.3g} {campaign.signal_unit}, with a "
+                f"standard error of {np.hypot(baseline.error, plateau.error):.2g})"
+            )
+    if len(campaign) > 1 and campaign.same_flow:
+        remarks.append(
+            "all experiments have the same total flow, so valve and manifold (tau_v and V) "
+            "cannot be told apart"
+        )
+    return tuple(remarks)
+
+
+def levels(experiment: Experiment) -> tuple[Level, Level]:
+    """Baseline and plateau of an experiment."""
+    if experiment.y is None:
+        return _level(np.empty(0)), _level(np.empty(0))
+    t, used = experiment.t, experiment.used
+    on, off = experiment.commanded_on, experiment.commanded_off
+    if on is None:
+        first = max(len(t) // 20, 2)
+        return _level(experiment.y[:first][used[:first]]), _level(np.empty(0))
+    end = off if off is not None else float(t[-1]) + experiment.interval
+    before = used & (t < on)
+    late = used & (t >= (on + end) / 2) & (t < end)
+    return _level(experiment.y[before]), _level(experiment.y[late])
+
+
+def _level(y: FloatArray) -> Level:
+    """Median, noise and standard error of a stretch."""
+    if len(y) < 2:
+        return Level(float("nan"), float("nan"), float("nan"))
+    blocks = [block for block in np.array_split(y, BLOCKS) if len(block) >= 5]
+    if len(blocks) < 2:
+        spread = 1.4826 * float(np.median(np.abs(y - np.median(y))))
+        return Level(float(np.median(y)), spread, spread / np.sqrt(len(y)))
+    residuals = []
+    for block in blocks:
+        x = np.arange(len(block)) - (len(block) - 1) / 2
+        residuals.append(block - block.mean() - x * ((x * block).sum() / (x * x).sum()))
+    noise = 1.4826 * float(np.median(np.abs(np.concatenate(residuals))))
+    means = np.array([block.mean() for block in blocks])
+    return Level(float(np.median(y)), noise, float(means.std(ddof=1) / np.sqrt(len(means))))
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else value
