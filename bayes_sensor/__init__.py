@@ -25,10 +25,17 @@ _PUBLIC = {
     "Noise": "noise",
     "Prior": "likelihood",
     "Problem": "likelihood",
-    "log_likelihood": "likelihood",
+    "log_likelihood": "compression",
     "log_prior": "likelihood",
     "simulate": "likelihood",
     "compress": "compression",
+    "Fit": "fit",
+    "fit_least_squares": "fit",
+    "Posterior": "posterior",
+    "Settings": "posterior",
+    "sample_posterior": "posterior",
+    "diagnose_residuals": "residuals",
+    "regress_delays": "delays",
 }
 
 __all__ = ["__version__", *sorted(_PUBLIC)]

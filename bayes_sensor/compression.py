@@ -27,6 +27,7 @@ from bayes_sensor.likelihood import (
     experiment_log_likelihood,
     mean_and_variance,
 )
+from bayes_sensor.likelihood import log_likelihood as full_log_likelihood
 
 from bayes_sensor.model import (
     Cascade,
@@ -1407,3 +1408,17 @@ def _with_rough_noise(problem: Problem, vector: FloatArray) -> FloatArray:
             if vector[row[0]] == 0.0 and problem.noise.autocorrelation == "ar1":
                 vector[row[0]] = float(np.clip(lags / max(squares, 1e-300), 0.0, 0.99))
     return vector
+
+
+def log_likelihood(campaign: Campaign | Problem, theta: Theta, compressed: bool = False) -> float:
+    """Exact Gaussian log-likelihood of all samples at ``theta``; -inf outside its range.
+
+    ``compressed=True`` evaluates the same on a mesh built around ``theta``; for many evaluations
+    keep the object that :func:`compress` returns instead.
+
+    Raises CampaignError for a malformed ``theta`` or a design without data.
+    """
+    if compressed:
+        mesh = compress(campaign, theta)
+        return mesh.log_likelihood(mesh.problem.layout.flat(theta))
+    return full_log_likelihood(campaign, theta)

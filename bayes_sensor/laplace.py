@@ -88,7 +88,7 @@ class Coordinates:
         return theta
 
     def log_jacobian(self, thetas: FloatArray, roots: bool = False) -> FloatArray:
-        """log |d theta / d psi| (..,).  ``roots``: of the coordinates with tau and sigma1 unsquared."""
+        """log |d theta / d psi| (..,).  ``roots``: with tau and sigma1 themselves, not squared."""
         values = np.asarray(thetas)[..., self.free]
         phi, sigma0 = self._where("phi"), self._where("sigma0_V")
         with np.errstate(divide="ignore"):
@@ -241,7 +241,7 @@ def approximate(
     def gradient(psi):
         candidate = coordinates.theta(psi)
         _, g = compressed.value_and_gradient(candidate)
-        g = g + _prior_gradient(problem, candidate)
+        g = g + prior_gradient(problem, candidate)
         return coordinates.slopes(candidate).T @ g[free]
 
     psi = coordinates.psi(theta)
@@ -349,7 +349,7 @@ def _expand(compressed, coordinates, psi, gradient):
     return psi + cov @ gradient(psi), 0.5 * (cov + cov.T)
 
 
-def _prior_gradient(problem: Problem, theta: FloatArray) -> FloatArray:
+def prior_gradient(problem: Problem, theta: FloatArray) -> FloatArray:
     return _prior_derivatives(problem, theta)[0]
 
 

@@ -48,7 +48,7 @@ class Prior:
     b: float = 1.0
 
     def log_density(self, value: FloatArray | float) -> FloatArray:
-        """Natural log of the density at ``value`` (any shape); -inf outside the support; 0 for ``flat``."""
+        """Natural log of the density at ``value`` (any shape); -inf outside; 0 for ``flat``."""
         x = np.asarray(value, dtype=float)
         positive = np.maximum(x, 1e-300)
         if self.kind == "flat":
@@ -418,20 +418,13 @@ def mean_and_variance(
     return model.mean(e.t, vector, layout, e), scale_squared(x, sigma0, sigma1, weight)
 
 
-def log_likelihood(campaign: Campaign | Problem, theta: Theta, compressed: bool = False) -> float:
+def log_likelihood(campaign: Campaign | Problem, theta: Theta) -> float:
     """Exact Gaussian log-likelihood of all samples at ``theta``; -inf outside its range.
-
-    ``compressed=True`` evaluates the same on a mesh built around ``theta``
-    (:mod:`bayes_sensor.compression`): the fast form, for many evaluations.
 
     Raises CampaignError for a malformed ``theta`` or a design without data.
     """
     problem = as_problem(campaign)
     vector = problem.layout.flat(theta)
-    if compressed:
-        from bayes_sensor.compression import compress
-
-        return compress(problem, vector).log_likelihood(vector)
     return sum(experiment_log_likelihood(problem, vector, k) for k in range(len(problem.campaign)))
 
 

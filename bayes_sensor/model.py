@@ -292,7 +292,7 @@ def time_constants(tau: float, tau_v: float, V: float, total_flow: float) -> Flo
 def cascade_response(
     t: FloatArray, taus: Sequence[float] | FloatArray, t0: float, tf: float | None = None
 ) -> FloatArray:
-    """x3 (n_t,) at times ``t`` (n_t,) s for time constants ``taus`` (3,) s in any order (paper eq. 12).
+    """x3 (n_t,) at times ``t`` (n_t,) s for time constants ``taus`` (3,) s, any order (eq. 12).
 
     Exact, continuous in ``t0`` and ``tf``, zero before ``t0``; ``tf`` None: the step stays up.
 
@@ -384,7 +384,7 @@ class Cascade:
 
     def jacobian(self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment):
         """(n_t, n_mean) derivatives of the mean by every parameter of the mean; exact method."""
-        y0, beta, t0, tf = local_parameters(theta, layout, experiment.name)
+        _, beta, t0, tf = local_parameters(theta, layout, experiment.name)
         taus = time_constants(theta[0], theta[1], theta[2], experiment.total_flow)
         x = cascade_response(t, taus, t0, tf)
         dx = cascade_sensitivities(t, taus, t0, tf)

@@ -28,6 +28,7 @@ ROOMS = (
     "likelihood",
     "compression",
     "laplace",
+    "inference_data",
     "fit",
     "diffusion",
     "readout",
