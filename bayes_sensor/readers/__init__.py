@@ -80,7 +80,7 @@ def read_campaign(path: str | os.PathLike[str]) -> Campaign:
     ... duration = "120 s"
     ... ''')
     >>> campaign = read_campaign(folder / "plan.toml")
-    >>> campaign.is_design, campaign["1"].total_flow, len(campaign["1"].t)
+    >>> campaign.is_design, round(campaign["1"].total_flow, 9), len(campaign["1"].t)
     (True, 75.0, 120000)
     """
     path = Path(path)

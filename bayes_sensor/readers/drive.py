@@ -10,6 +10,8 @@ from bayes_sensor.campaign import CampaignError, FloatArray
 
 SHORTEST = 3
 """samples; a drive level held for less is a glitch"""
+MOST_BETWEEN = 0.3
+"""of the samples that may lie in the middle third between the levels"""
 
 
 def commanded_times(
@@ -41,6 +43,13 @@ def commanded_times(
         raise error(
             f"the drive shows no edge (it stays between {low:.4g} and {high:.4g}); expected it to "
             "rise when the valve opens: choose another channel, or give commanded_on instead"
+        )
+    between = (smooth > low + (high - low) / 3) & (smooth < low + (high - low) * 2 / 3)
+    if between.mean() > MOST_BETWEEN:
+        raise error(
+            f"the drive shows no edge between two levels ({between.mean():.0%} of its samples lie "
+            f"in the middle between {low:.4g} and {high:.4g}); choose another channel, or give "
+            "commanded_on instead"
         )
     state = np.full(len(smooth), -1)
     state[smooth > low + (high - low) * 2 / 3] = 1

@@ -2,14 +2,16 @@
 
 A PicoScope export has ``A``, ``B``, ... with ``Tstart``, ``Tinterval`` and ``Length``; any other
 file needs vectors and a time vector ``t`` or ``time``.  Only the vectors that are needed are read,
-never structures, cells or objects.
+never structures, cells or objects.  Versions 4 and 5 are read by SciPy, 7.3 by pymatreader.
 """
 
 from __future__ import annotations
 
+import io
 import warnings
 import zlib
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,6 +37,8 @@ _NUMERIC = frozenset(
 )
 _CLOCK = ("Tstart", "Tinterval", "Length")
 _WHAT = "a MATLAB file (.mat)"
+_MOST_BYTES = 8 * MAX_SAMPLES
+"""that the compressed variables of a file may unpack to"""
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
@@ -46,32 +50,20 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
     CampaignError
         If the file cannot be read, a variable is missing or lengths disagree.
     """
-    import pymatreader  # slow to import
-
-    if _HDF5_MAGIC in file.content[:4096]:
-        _check_hdf5(file)
-    else:
-        _check_version5(file)
-    with parser_errors(file, _WHAT), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        listing = [
-            (str(name), tuple(int(n) for n in shape), str(kind))
-            for name, shape, kind in pymatreader.whosmat(file.path)
-        ]
-    check_counts(file, len(listing))
-    sizes = {name: int(np.prod(shape)) for name, shape, kind in listing if kind in _NUMERIC}
-    if any(size > MAX_SAMPLES for size in sizes.values()):
-        check_counts(file, 0, max(sizes.values()))
+    variables = _list_variables(file)
+    check_counts(file, len(variables))
+    sizes = {v.name: int(np.prod(v.shape, dtype=object)) for v in variables if v.numeric}
+    check_counts(file, 0, max(sizes.values(), default=0))
     vectors = [
-        name
-        for name, shape, kind in listing
-        if kind in _NUMERIC and sum(n != 1 for n in shape) == 1 and max(shape) > 1
+        v.name
+        for v in variables
+        if v.numeric and sum(n != 1 for n in v.shape) == 1 and max(v.shape) > 1
     ]
     columns = [split_name(name) for name in vectors]
     time = next((i for i, column in enumerate(columns) if is_time(column)), None)
     has_clock = sizes.get("Tinterval") == 1
     if time is None and not has_clock:
-        names = [name for name, _, _ in listing]
+        names = [v.name for v in variables]
         raise file.error(
             "expected a time vector 't' or PicoScope's 'Tinterval', but it has "
             f"{list_names(names) if names else 'no variables'}; save time as well"
@@ -79,11 +71,9 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
     if has_clock:
         time = None
     signal, drive = _choose(file, columns, vectors, time, sizes, selection)
-    wanted = [vectors[i] for i in (time, signal, drive) if i is not None]
-    wanted += [name for name in _CLOCK if has_clock and sizes.get(name) == 1]
-    with parser_errors(file, _WHAT), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        content: dict[str, Any] = pymatreader.read_mat(file.path, variable_names=wanted)
+    wanted = {vectors[i] for i in (time, signal, drive) if i is not None}
+    wanted |= {name for name in _CLOCK if has_clock and sizes.get(name) == 1}
+    content = _read_variables(file, [v for v in variables if v.name in wanted])
     y = _vector(file, content, vectors[signal])
     d = None if drive is None else _vector(file, content, vectors[drive])
     interval = None
@@ -192,64 +182,187 @@ def _clock(file: DataFile, content: dict[str, Any], n: int) -> tuple[float, floa
     return simplest_near(start, 1e-3 * interval), interval
 
 
-# --------------------------------------------------------------------------- hostile files
+# --------------------------------------------------------------------------- variables
 
 
-def _check_version5(file: DataFile) -> None:
-    """Raise CampaignError on a truncated file or one that unpacks to far more than it should.
+@dataclass(frozen=True)
+class Variable:
+    """A variable's entry in the file."""
 
-    Walks the top-level elements of a version 5 file (Mathworks, "MAT-File Format", 2-3 ff.):
-    a tag of two 32-bit numbers, type and length, then that many bytes; type 15 is compressed.
-    """
+    name: str
+    shape: tuple[int, ...]
+    numeric: bool
+    element: bytes = b""
+    """version 5: the checked element itself"""
+
+
+def _list_variables(file: DataFile) -> list[Variable]:
+    """What is in the file, without reading more than has to be."""
     raw = file.content
-    if len(raw) < 128 or raw[126:128] not in (b"IM", b"MI"):
-        return  # version 4 or no MATLAB file at all: the reader will tell
-    order = "little" if raw[126:128] == b"IM" else "big"
-    most = 8 * MAX_SAMPLES
-    at = 128
-    while at < len(raw):
-        if not raw[at : at + 8].strip(b"\0"):
-            break  # padding
-        if at + 8 > len(raw):
-            raise _truncated(file)
-        kind = int.from_bytes(raw[at : at + 4], order)  # type: ignore[arg-type]
-        length = int.from_bytes(raw[at + 4 : at + 8], order)  # type: ignore[arg-type]
-        at += 8
-        if at + length > len(raw):
-            raise _truncated(file)
-        if kind == 15:
-            packed = zlib.decompressobj()
-            size, chunk = 0, raw[at : at + length]
-            with parser_errors(file, _WHAT):
-                while chunk and not packed.eof:
-                    size += len(packed.decompress(chunk, 1 << 22))
-                    chunk = packed.unconsumed_tail
-                    if size > most:
-                        raise file.error(
-                            f"a variable unpacks to more than {most >> 20} MB; "
-                            "expected one experiment: save only time, signal and drive"
-                        )
-        at += length
+    if _HDF5_MAGIC in raw[:4096]:
+        return _list_hdf5(file)
+    if len(raw) >= 128 and raw[126:128] in (b"IM", b"MI") and raw[124:126] in (b"\0\1", b"\1\0"):
+        return _list_version5(file)
+    if not raw[:4].count(0):
+        raise file.error(
+            f"expected {_WHAT}, but it does not begin like one; it may be damaged or of another "
+            "format: export it again"
+        )
+    with parser_errors(file, _WHAT):  # version 4
+        listing = _scipy_io().whosmat(io.BytesIO(raw))
+        return [Variable(name, shape, kind in _NUMERIC) for name, shape, kind in listing]
 
 
-def _truncated(file: DataFile) -> CampaignError:
-    return file.error(
-        "the MATLAB file ends in the middle of a variable, so it is truncated; export it again"
-    )
+def _read_variables(file: DataFile, variables: list[Variable]) -> dict[str, Any]:
+    """The variables as arrays without axes of length 1."""
+    raw = file.content
+    names = [v.name for v in variables]
+    with parser_errors(file, _WHAT), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if _HDF5_MAGIC in raw[:4096]:
+            import pymatreader  # slow to import
+
+            return dict(pymatreader.read_mat(file.path, variable_names=names))
+        if any(v.element for v in variables):
+            raw = raw[:128] + b"".join(v.element for v in variables)
+        return dict(_scipy_io().loadmat(io.BytesIO(raw), squeeze_me=True, variable_names=names))
 
 
-def _check_hdf5(file: DataFile) -> None:
-    """Raise CampaignError if a variable of a version 7.3 file lives in another file."""
-    import h5py
+def _scipy_io() -> Any:
+    """The module scipy.io, which is slow to import."""
+    import scipy.io
 
+    return scipy.io
+
+
+def _list_hdf5(file: DataFile) -> list[Variable]:
+    """The variables of a version 7.3 file; refuses those that live in another file."""
+    import h5py  # slow to import
+
+    variables = []
     with parser_errors(file, _WHAT), h5py.File(file.path, "r") as content:
         for name in content:
             link = content.get(name, getlink=True)
-            item = None if isinstance(link, h5py.ExternalLink) else content.get(name)
+            item = content.get(name) if isinstance(link, h5py.HardLink) else None
             if item is None or (
                 isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)
             ):
                 raise file.error(
-                    f"variable '{name}' points into another file, which is refused; "
+                    f"variable '{name}' points into another file or place, which is refused; "
                     "save the samples themselves"
                 )
+            if isinstance(item, h5py.Dataset):
+                numeric = item.dtype.kind in "biuf" and "MATLAB_empty" not in item.attrs
+                variables.append(Variable(str(name), tuple(item.shape), numeric))
+    return variables
+
+
+# --------------------------------------------------------------------------- version 5
+#
+# SciPy's compiled reader follows the lengths and type codes in the file without checking them
+# all, and a damaged file can crash the interpreter.  So every element is checked here before any
+# is handed on.  Layout: MathWorks, "MAT-File Format".
+
+_TYPE_SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
+"""bytes of one number, by the code of a numeric data type"""
+_MATRIX, _COMPRESSED = 14, 15
+_NUMERIC_CLASSES = range(6, 16)
+_COMPLEX = 0x0800
+
+
+def _list_version5(file: DataFile) -> list[Variable]:
+    """The variables of a version 5 file, those with numbers checked to the last byte."""
+    raw = file.content
+    order: Literal["little", "big"] = "little" if raw[126:128] == b"IM" else "big"
+    variables = []
+    at, unpacked = 128, 0
+    while raw[at : at + 8].strip(b"\0"):
+        kind, length = _tag(raw, at, order)
+        if at + 8 + length > len(raw) or len(raw) < at + 8:
+            raise file.error(
+                "the MATLAB file ends in the middle of a variable, so it is truncated; "
+                "export it again"
+            )
+        element = raw[at : at + 8 + length]
+        at += 8 + length
+        if kind == _COMPRESSED:
+            element = _unpack(file, element[8:], _MOST_BYTES - unpacked)
+            unpacked += len(element)
+            kind, length = _tag(element, 0, order)
+            if len(element) < 8 + length:
+                raise _damaged(file)
+        if kind == _MATRIX:
+            variable = _variable(file, element[: 8 + length], order)
+            if variable is not None:
+                variables.append(variable)
+    return variables
+
+
+def _variable(file: DataFile, element: bytes, order: Literal["little", "big"]) -> Variable | None:
+    """The variable in a matrix element; None for objects, which have another layout."""
+    parts: list[tuple[int, bytes]] = []
+    at = 8
+    while len(parts) < 5 and at < len(element):
+        kind, length = _tag(element, at, order)
+        if kind >> 16:  # a small element: up to four bytes inside the tag
+            kind, length, start, at = kind & 0xFFFF, kind >> 16, at + 4, at + 8
+            if length > 4:
+                raise _damaged(file)
+        else:
+            start = at + 8
+            at = start + -(-length // 8) * 8
+        if start + length > len(element):
+            raise _damaged(file)
+        parts.append((kind, element[start : start + length]))
+    if not parts or parts[0][0] != 6 or len(parts[0][1]) != 8:
+        raise _damaged(file)
+    flags = int.from_bytes(parts[0][1][:4], order)
+    kind_of_array = flags & 0xFF
+    if kind_of_array > 15:
+        return None
+    if len(parts) < 3 or parts[1][0] != 5 or parts[2][0] != 1 or not 8 <= len(parts[1][1]) <= 128:
+        raise _damaged(file)
+    sizes = np.frombuffer(
+        parts[1][1][: len(parts[1][1]) // 4 * 4], "<i4" if order == "little" else ">i4"
+    )
+    shape = tuple(int(n) for n in sizes)
+    name = parts[2][1].decode("latin-1")
+    if min(shape) < 0 or not name.isprintable():
+        raise _damaged(file)
+    if kind_of_array not in _NUMERIC_CLASSES:
+        return Variable(name, shape, False)
+    count = int(np.prod(shape, dtype=object))
+    data = parts[3:]
+    if len(data) != (2 if flags & _COMPLEX else 1) or any(
+        kind not in _TYPE_SIZES or len(values) != count * _TYPE_SIZES[kind] for kind, values in data
+    ):
+        raise _damaged(file)
+    return Variable(name, shape, True, element)
+
+
+def _tag(raw: bytes, at: int, order: Literal["little", "big"]) -> tuple[int, int]:
+    return int.from_bytes(raw[at : at + 4], order), int.from_bytes(raw[at + 4 : at + 8], order)
+
+
+def _unpack(file: DataFile, packed: bytes, most: int) -> bytes:
+    """The inflated bytes, at most that many."""
+    inflate = zlib.decompressobj()
+    try:
+        element = inflate.decompress(packed, most + 1)
+    except zlib.error as error:
+        raise _damaged(file, f" ({error})") from None
+    if len(element) > most:
+        raise file.error(
+            f"its variables unpack to more than {_MOST_BYTES >> 20} MB; expected one experiment: "
+            "save only time, signal and drive"
+        )
+    if not inflate.eof:
+        raise _damaged(file, " (it ends too early)")
+    return element
+
+
+def _damaged(file: DataFile, reason: str = "") -> CampaignError:
+    return file.error(
+        f"expected {_WHAT}, but a variable in it cannot be read{reason}; it is damaged: "
+        "export it again"
+    )

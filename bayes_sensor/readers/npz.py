@@ -34,7 +34,7 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
         If the archive is damaged, holds pickled objects or lacks an array.
     """
     with (
-        parser_errors(file, _WHAT, zipfile.BadZipFile),
+        parser_errors(file, _WHAT),
         zipfile.ZipFile(io.BytesIO(file.content)) as archive,
     ):
         members = [

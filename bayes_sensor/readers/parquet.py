@@ -34,7 +34,7 @@ def read_parquet(file: DataFile, selection: Selection) -> Recording:
     except ImportError:
         raise missing_extra(file, ".parquet", "parquet") from None
     with (
-        parser_errors(file, _WHAT, pa.ArrowException),
+        parser_errors(file, _WHAT),
         pq.ParquetFile(pa.BufferReader(file.content)) as table,
     ):
         schema = table.schema_arrow

@@ -110,7 +110,7 @@ def read_quantity(value: object, kind: Kind, key: str) -> float:
     """
     text = _text_of(value, kind, key)
     match = _QUANTITY.fullmatch(text)
-    if match is None:
+    if match is None or match[2].startswith(","):
         raise CampaignError(
             f"{key}: expected {kind.name} such as \"{kind.example}\", but got '{_shorten(text)}'; "
             f"write a number (with a decimal point) and a unit"
@@ -186,14 +186,14 @@ def _scaled(number: str, unit: str, kind: Kind, key: str, text: str) -> float:
             f'is not one; write for example {key} = "{kind.example}"'
         )
     value = float(number) * factor
-    # a decimal number such as "12 ms" must become the float 0.012, not 0.012000000000000002
-    rounded = float(f"{value:.14g}")
-    if not isfinite(rounded):
+    if not isfinite(value):
         raise CampaignError(
             f"{key}: expected {kind.name} such as \"{kind.example}\", but '{_shorten(text)}' is "
             "not a finite number; write the value that was set"
         )
-    return rounded
+    # a decimal number such as "12 ms" must become the float 0.012, not 0.012000000000000002
+    short = float(f"{value:.12g}")
+    return short if abs(short - value) <= 1e-15 * abs(value) else value
 
 
 def _normal_form(text: str) -> str:

@@ -28,10 +28,10 @@ CHANCE = 1e-6
 """largest probability that a record without clipping is flagged"""
 ABRUPT = 0.4
 """of the time a lag needs for the second half of its approach: less is a kink"""
-WINDOW = 101
-"""samples over which clipped samples make their neighbours suspect"""
+WINDOW = 50
+"""samples before and after a sample in which clipped ones make it suspect"""
 CROWDED = 0.1
-"""part of the window that is clipped, above which the rest of it is left out too"""
+"""part of either window that is clipped, above which a sample between them is left out too"""
 
 
 def clipped_samples(y: FloatArray, used: BoolArray) -> BoolArray:
@@ -49,9 +49,13 @@ def clipped_samples(y: FloatArray, used: BoolArray) -> BoolArray:
                 at_rail[index[values == rail]] = True
     if not at_rail.any():
         return at_rail
-    window = min(WINDOW, len(y))
-    share = np.convolve(at_rail.astype(float), np.ones(window) / window, mode="same")
-    return (at_rail | (share > CROWDED)) & used
+    # noise dips below the rail where the plateau is clipped: what is left there is not fair
+    counts = np.concatenate(([0], np.cumsum(at_rail)))
+    i = np.arange(len(y))
+    before = counts[i] - counts[np.maximum(i - WINDOW, 0)]
+    after = counts[np.minimum(i + 1 + WINDOW, len(y))] - counts[i + 1]
+    crowded = np.minimum(before, after) > CROWDED * WINDOW
+    return (at_rail | crowded) & used
 
 
 def _is_rail(values: FloatArray, rail: float) -> bool:

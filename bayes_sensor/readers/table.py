@@ -54,6 +54,8 @@ class Layout:
     """byte at which the data rows start"""
     body_row: int
     """row number, from 1, of the first data row"""
+    n_cells: int
+    """cells of the first data row"""
 
 
 def read_table(file: DataFile, selection: Selection) -> Recording:
@@ -97,10 +99,10 @@ def _as_utf8(file: DataFile) -> bytes:
     elif raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raw = _transcode(file, raw, "utf-16")
     elif b"\0" in raw[:4096]:
-        even, odd = raw[0:4096:2].count(0), raw[1:4096:2].count(0)
-        if odd > 4 * (even + 1):
+        even, odd, half = raw[0:4096:2].count(0), raw[1:4096:2].count(0), len(raw[:4096]) // 2
+        if odd > half // 2 > 4 * even:
             raw = _transcode(file, raw, "utf-16-le")
-        elif even > 4 * (odd + 1):
+        elif even > half // 2 > 4 * odd:
             raw = _transcode(file, raw, "utf-16-be")
         else:
             raise file.error(
@@ -116,7 +118,9 @@ def _as_utf8(file: DataFile) -> bytes:
     if b"\xe2\x88\x9e" in raw:
         raw = raw.replace(b"\xe2\x88\x9e", b"inf")
     if not raw.strip():
-        raise file.error("expected a table with a header and numbers, but the file is empty")
+        raise file.error(
+            "expected a table with a header and numbers, but the file is empty; export it again"
+        )
     return raw
 
 
@@ -244,7 +248,7 @@ def _find_layout(file: DataFile, text: bytes) -> Layout:
                 continue
             units = []
         columns = _name_columns(file, header, header_row, cells, units or [], row, separator)
-        return Layout(separator, decimal, columns, start, row)
+        return Layout(separator, decimal, columns, start, row, len(cells))
     raise file.error(
         "expected rows of numbers after the header, but there are none; export the samples as well"
     )
@@ -336,9 +340,10 @@ def _parse_body(file: DataFile, text: bytes, layout: Layout, use: list[int]) -> 
             sep=separator,
             decimal=layout.decimal,
             header=None,
-            usecols=use,
+            names=list(range(layout.n_cells)),
             index_col=False,
-            dtype=np.float64,
+            # no usecols: with it, cells beyond the last column are dropped in silence
+            dtype={i: np.float64 if i in use else object for i in range(layout.n_cells)},
             na_values=_NA_VALUES,
             keep_default_na=False,
             skipinitialspace=True,
@@ -347,8 +352,6 @@ def _parse_body(file: DataFile, text: bytes, layout: Layout, use: list[int]) -> 
         )
     except (ValueError, OverflowError) as error:  # pandas' ParserError is a ValueError
         raise _blame(file, text, layout, use, str(error)) from None
-    if len(frame.columns) != len(use):
-        raise _blame(file, text, layout, use, "columns are missing")
     return [frame[i].to_numpy(dtype=np.float64) for i in use]
 
 
@@ -357,7 +360,6 @@ def _blame(
 ) -> CampaignError:
     """The error that names the row and column pandas stumbled over."""
     columns = layout.columns
-    first_length = None
     for row, (_, raw) in enumerate(_lines(text, layout.body), layout.body_row):
         line = _decode(raw)
         if not line.strip():
@@ -370,10 +372,9 @@ def _blame(
                     f"row {row}, column '{columns[i].name.strip()[:60]}': expected a number "
                     f"(decimal {mark}), but got '{cells[i][:60]}'; repair or remove that row"
                 )
-        first_length = first_length if first_length is not None else len(cells)
-        if len(cells) > first_length:
+        if len(cells) > layout.n_cells:
             return file.error(
-                f"row {row}: expected {first_length} cells separated by "
+                f"row {row}: expected {layout.n_cells} cells separated by "
                 f"{_SEPARATOR_NAMES[layout.separator]} as above, but got {len(cells)}; "
                 "repair or remove that row"
             )
