@@ -4,6 +4,7 @@ import io
 import os
 import pickle
 import re
+import sys
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -250,6 +251,37 @@ def test_tdms(clock: str, tmp_path: Path) -> None:
         campaign(tmp_path, file="a.tdms", signal='"nothing"')
 
 
+@pytest.mark.parametrize(("suffix", "module"), [("parquet", "pyarrow"), ("tdms", "nptdms")])
+def test_missing_package_names_the_extra(
+    suffix: str, module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(CampaignError, match=rf"pip install 'bayes-sensor\[{suffix}\]'"):
+        campaign(tmp_path, b"data", file=f"a.{suffix}")
+
+
+def test_incomplete_tdms_is_refused(tmp_path: Path) -> None:
+    tdms = pytest.importorskip("nptdms")
+    path = tmp_path / "a.tdms"
+    with tdms.TdmsWriter(path) as writer:
+        writer.write_segment([tdms.ChannelObject("g", "y", Y, {"wf_increment": INTERVAL})])
+    path.write_bytes(path.read_bytes()[:-1000])
+    with pytest.raises(CampaignError, match="incomplete or damaged"):
+        campaign(tmp_path, file="a.tdms")
+
+
+def test_link_to_a_file_of_another_name(tmp_path: Path) -> None:
+    (tmp_path / "blob").write_text(rows())
+    (tmp_path / "a.csv").symlink_to("blob")
+    assert_is_the_step(campaign(tmp_path), 1e-6)
+
+
+def test_masked_samples_are_finite_too(tmp_path: Path) -> None:
+    data = with_values(i5=1e300, i6=np.inf, i7=np.nan)
+    (e,) = campaign(tmp_path, data, mask='[["0.05 s", "0.07 s"]]')
+    assert (~e.used).sum() == 3 and np.abs(e.values).max() < 3
+
+
 def test_signal_units_are_kept_or_settled(tmp_path: Path) -> None:
     found = campaign(tmp_path, rows(T, Y * 1e3, header="t,y\n"), signal_unit='"ppm"')
     assert found.signal_unit == "ppm"
@@ -367,7 +399,12 @@ MISTAKES: dict[str, tuple[str, str]] = {
     "keep of one": (entry(keep='["9 s"]'), "expected two times"),
     "keep outside": (entry(keep='["100 s", "200 s"]'), "record runs from 0 s to 9.99 s"),
     "mask flat": (entry(mask='["1 s", "2 s"]'), "expected a list of pairs"),
-    "mask bare": (entry(mask="[[1, 2]]"), "mask: .* bare number"),
+    "mask bare": (
+        entry(mask="[[1, 2]]"),
+        r'mask: .* bare number 1; write for example mask = \[\["6.3 s"',
+    ),
+    "key with a line end": ('"a\\nb" = 1\n' + entry(), "unknown key 'a\ufffdb'"),
+    "name with a bell": (entry(name="a\\u0007b", carrier_flow=None), "experiment 'a\ufffdb'"),
     "mask all": (entry(mask='[["0 s", "10 s"]]'), "the mask leaves no sample"),
     "off before on": (entry(commanded_off='"1 s"'), "is not after commanded_on"),
     "off without on": (entry(commanded_on=None), "without commanded_on"),
@@ -920,6 +957,27 @@ def survives(folder: Path, data: bytes, file: str) -> None:
     except CampaignError as error:
         message = str(error)
     assert file in message and "\n" not in message
+
+
+@given(
+    st.lists(st.floats(-1e9, 1e9), min_size=20, max_size=60),
+    st.sampled_from([(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ",")]),
+    st.sampled_from(["\n", "\r\n", "\r"]),
+    st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1"]),
+    st.sampled_from(["t,y", "time_s,sensor V", "Time (s),U [V]", "Time,Channel A\n(s),(V)\n"]),
+)
+@FUZZ
+def test_any_numbers_in_any_dialect_come_back(
+    tmp_path: Path, values: list[float], marks: tuple[str, str], end: str, code: str, header: str
+) -> None:
+    separator, decimal = marks
+    lines = [header.replace(",", separator)]
+    for i, value in enumerate(values):
+        lines.append(f"{i * INTERVAL:.3f}{separator}{value!r}".replace(".", decimal))
+    data = "\n".join(lines).replace("\n", end).encode(code)
+    (e,) = campaign(tmp_path, data, commanded_on=None, commanded_off=None)
+    np.testing.assert_allclose(e.values, values, rtol=1e-14)
+    assert e.interval == INTERVAL
 
 
 @given(st.one_of(TABLE_TEXT.map(str.encode), st.binary(max_size=300)))

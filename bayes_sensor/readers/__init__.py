@@ -11,8 +11,10 @@ import stat
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
+
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.readers.assembly import assemble, design
+from bayes_sensor.readers.assembly import assemble, design, settled_unit
 from bayes_sensor.readers.campaign_file import (
     LARGEST,
     Entry,
@@ -43,6 +45,7 @@ FORMATS: Mapping[str, Reader] = {
 """suffix to reader"""
 LARGEST_FILE = 256 << 20
 """bytes of a data file"""
+_LONGEST_MESSAGE = 2000
 
 __all__ = ["FORMATS", "read_campaign"]
 
@@ -83,44 +86,51 @@ def read_campaign(path: str | os.PathLike[str]) -> Campaign:
     >>> campaign.is_design, round(campaign["1"].total_flow, 9), len(campaign["1"].t)
     (True, 75.0, 120000)
     """
-    path = Path(path)
+    try:
+        return _read(Path(path))
+    except CampaignError as error:
+        # names and cells from the files may hold line ends or terminal codes
+        raise CampaignError(_one_line(str(error))) from None
+
+
+def _read(path: Path) -> Campaign:
     label = path.name or str(path)
     content = _read_bytes(path, label, LARGEST, "a campaign file in TOML")
     sheet = read_sheet(read_toml(content, label), label)
     side_information = read_side_information(sheet.side_information, label)
     entries = [read_entry(table, i, label) for i, table in enumerate(sheet.experiment, 1)]
     _check_entries(entries, label)
-    if entries[0].file is None:
-        units = {entry.signal_unit for entry in entries} - {None}
-        return Campaign(
-            title=sheet.title,
-            experiments=tuple(design(entry, label) for entry in entries),
-            side_information=side_information,
-            signal_unit=_one_unit([(e.name, e.signal_unit or "V") for e in entries], label)
-            if units
-            else "V",
-            source=str(path),
-        )
-    folder = path.parent
     experiments: list[Experiment] = []
-    units_found: list[tuple[str, str]] = []
+    units: list[tuple[str, str]] = []
     warnings: list[str] = []
     for entry in entries:
-        file = _open(entry, folder, sheet.allow_outside)
-        selection = Selection(entry.signal, entry.drive)
-        recording = FORMATS[file.path.suffix.casefold()](file, selection)
-        done = assemble(entry, file, recording)
+        if entry.file is None:
+            experiments.append(design(entry, label))
+            units.append((entry.name, settled_unit(entry.signal_unit or "V")))
+            continue
+        file = _open(entry, path.parent, sheet.allow_outside)
+        reader = FORMATS[Path(entry.file).suffix.casefold()]
+        # damaged files hold numbers that overflow; what is not finite is told or masked
+        with np.errstate(over="ignore", invalid="ignore"):
+            recording = reader(file, Selection(entry.signal, entry.drive))
+            done = assemble(entry, file, recording)
         experiments.append(done.experiment)
-        units_found.append((entry.name, done.unit))
+        units.append((entry.name, done.unit))
         warnings += done.warnings
     return Campaign(
         title=sheet.title,
         experiments=tuple(experiments),
         side_information=side_information,
-        signal_unit=_one_unit(units_found, label),
-        warnings=tuple(warnings),
+        signal_unit=_one_unit(units, label),
+        warnings=tuple(_one_line(text) for text in warnings),
         source=str(path),
     )
+
+
+def _one_line(text: str) -> str:
+    """The text without control characters, and no longer than a message should be."""
+    shown = "".join(c if c.isprintable() else "\ufffd" for c in text)
+    return shown if len(shown) <= _LONGEST_MESSAGE else shown[: _LONGEST_MESSAGE - 3] + "..."
 
 
 def _check_entries(entries: list[Entry], label: str) -> None:

@@ -31,7 +31,7 @@ MOST_CLIPPED = 0.8
 DISAGREEMENT = 0.05
 """s between commanded time and drive edge that is worth a warning"""
 _LARGEST_VALUE = 1e12
-_LONG_RECORD = 6 * 3600.0  # s
+_LONG_RECORD = 2 * 3600.0  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,8 @@ def design(entry: Entry, label: str) -> Experiment:
                 f"{where}: the key {key} is missing; a measured experiment needs file, a design "
                 f"needs interval and duration: add {key} = {example}"
             )
-    for key in ("signal", "drive", "signal_unit"):
-        if getattr(entry, key) is not None and key != "signal_unit":
+    for key in ("signal", "drive"):
+        if getattr(entry, key) is not None:
             raise CampaignError(
                 f"{where}: {key} belongs to a measured experiment, but there is no file; "
                 f"add file or remove {key}"
@@ -144,9 +144,9 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
         used &= ~clipped
     if not used.any():
         raise file.error("no sample is left to use; widen keep or drop the mask")
-    finite = np.isfinite(y)
-    if not finite.all():
-        y = np.interp(t, t[finite], y[finite])
+    unusable = ~used & ~(np.abs(y) <= _LARGEST_VALUE)
+    if unusable.any():  # never looked at, but figures and sums want finite numbers
+        y = np.where(unusable, np.interp(t, t[used], y[used]), y)
     _look_for_mistakes(where, t, y, used, unit, drive, notes)
     experiment = Experiment(
         name=entry.name,
@@ -191,10 +191,15 @@ def _unit(entry: Entry, file: DataFile, recording: Recording) -> tuple[float, st
                 f"signal_unit is '{wanted}', but the file gives '{stated}' for "
                 f"'{recording.signal}', which is another quantity; correct one of them"
             )
-        to_volts = conversion_factor(wanted, "V")
-        return (factor, wanted) if to_volts is None else (factor * to_volts, "V")
+        if settled_unit(wanted) != "V":
+            return factor, wanted
     to_volts = conversion_factor(stated, "V")
     return (1.0, stated) if to_volts is None else (to_volts, "V")
+
+
+def settled_unit(unit: str) -> str:
+    """The unit samples are kept in: V for every voltage, any other as it stands."""
+    return unit if conversion_factor(unit, "V") is None else "V"
 
 
 # --------------------------------------------------------------------------- time ranges

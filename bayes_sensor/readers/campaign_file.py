@@ -98,7 +98,11 @@ def _range(value: object, info: ValidationInfo) -> tuple[float, float]:
             f"{key}: expected two times, start and end, but got {_shorten(value)}; "
             f"write for example {_EXAMPLES[key]}"
         )
-    start, end = _time(value[0], info), _time(value[1], info)
+    try:
+        start, end = _time(value[0], info), _time(value[1], info)
+    except CampaignError as error:
+        problem = str(error).split("; write ")[0]
+        raise CampaignError(f"{problem}; write for example {_EXAMPLES[key]}") from None
     if not start < end:
         raise CampaignError(
             f"{key}: expected the start before the end, but got {_shorten(value)}; swap them"

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import logging
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -45,6 +48,7 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
         raise missing_extra(file, ".tdms", "tdms") from None
     with (
         parser_errors(file, _WHAT),
+        _complaints_are_errors(file),
         warnings.catch_warnings(),
         TdmsFile.open(io.BytesIO(file.content)) as content,
     ):
@@ -106,6 +110,33 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
         unit=columns[signal].unit,
         interval=interval,
     )
+
+
+@contextmanager
+def _complaints_are_errors(file: DataFile) -> Iterator[None]:
+    """Raise CampaignError for what npTDMS only logs: incomplete segments, which it cuts short."""
+    complaints: list[str] = []
+
+    def note(record: logging.LogRecord) -> bool:
+        complaints.append(" ".join(record.getMessage().split())[:160])
+        return False
+
+    loggers = [
+        logging.getLogger(name)
+        for name in list(logging.root.manager.loggerDict)
+        if name.startswith("nptdms.")
+    ]
+    for logger in loggers:
+        logger.addFilter(note)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeFilter(note)
+    if complaints:
+        raise file.error(
+            f"expected {_WHAT}, but it is incomplete or damaged ({complaints[0]}); export it again"
+        )
 
 
 def _name(channels: list[Any]) -> tuple[Column, ...]:
