@@ -99,7 +99,10 @@ class Fit:
             "cost_V2": self.cost,
             "phi_interval_s": self.phi_interval,
             "signal_unit": self.signal_unit,
-            "bounds": {name: list(pair) for name, pair in self.bounds.items()},
+            "bounds": {
+                name: [value if np.isfinite(value) else None for value in pair]
+                for name, pair in self.bounds.items()
+            },
             "swarms": self.swarms,
             "euler": self.euler,
             "differential_evolution": self.de,
@@ -268,7 +271,10 @@ def _initial_bounds(
             bounds[f"tf_s[{e.name}]"] = (look.off, max(look.end_by, look.off + 2.0 * e.interval))
     for name in layout.extra:
         law = problem.priors[name].law if name in problem.priors else None
-        bounds[name] = (-inf, inf) if law is None else tuple(map(float, law.ppf([1e-4, 1 - 1e-4])))
+        bounds[name] = (
+            (-inf, inf) if law is None else (float(law.ppf(1e-4)), float(law.ppf(1 - 1e-4)))
+        )
+    bounds = {name: (float(low), float(high)) for name, (low, high) in bounds.items()}
     for name, pair in (given or {}).items():
         if name not in bounds:
             raise CampaignError(
@@ -289,14 +295,26 @@ class _Points(NamedTuple):
 
     first: NDArray[np.int64]  # (n_exp + 1,)
     t: FloatArray
-    count: FloatArray
+    weight: FloatArray  # how many samples the point stands for
     y: FloatArray
 
 
 def _joined(parts: list[tuple[FloatArray, FloatArray, FloatArray]]) -> _Points:
-    first = np.concatenate([[0], np.cumsum([len(part[0]) for part in parts])])
+    first = np.concatenate([[0], np.cumsum([len(part[0]) for part in parts])]).astype(np.int64)
     t, count, y = (np.concatenate([part[i] for part in parts]) for i in range(3))
     return _Points(first, t, count, y)
+
+
+def _scatter(campaign: Campaign, points: _Points) -> float:
+    """Sum of squares inside the averages, which no mean can explain, V^2."""
+    total = 0.0
+    for k, e in enumerate(campaign):
+        part = slice(points.first[k], points.first[k + 1])
+        y = e.values[e.used]
+        origin = float(y.mean())
+        within = np.sum((y - origin) ** 2) - points.weight[part] @ (points.y[part] - origin) ** 2
+        total += max(float(within), 0.0)
+    return total
 
 
 def _averages(campaign: Campaign, looks: list[_Look], per_rise: int, most: int) -> _Points:
@@ -326,7 +344,7 @@ def _averages(campaign: Campaign, looks: list[_Look], per_rise: int, most: int) 
 
 
 @njit(cache=True, error_model="numpy")
-def _sorted_apart(taus):  # pragma: no cover - compiled
+def _sorted_apart(taus: FloatArray) -> None:  # pragma: no cover - compiled
     # ascending, at least a thousandth apart so that partial fractions keep ten digits
     taus.sort()
     for j in range(1, 3):
@@ -335,7 +353,7 @@ def _sorted_apart(taus):  # pragma: no cover - compiled
 
 
 @njit(cache=True, error_model="numpy")
-def _step(s, taus, c):  # pragma: no cover - compiled
+def _step(s: float, taus: FloatArray, c: FloatArray) -> float:  # pragma: no cover - compiled
     if s <= 0.0:
         return 0.0
     if s > 30.0 * taus[2]:
@@ -349,7 +367,9 @@ def _step(s, taus, c):  # pragma: no cover - compiled
 
 
 @njit(cache=True, error_model="numpy")
-def _profile(z, where, first, t, count, y, flow, linear):  # pragma: no cover - compiled
+def _profile(
+    z: Any, where: Any, first: Any, t: Any, count: Any, y: Any, flow: Any, linear: Any
+) -> float:  # pragma: no cover - compiled
     # Sum of squares at z = (log tau, log tau_v, log V, switch times) with the best y0 and beta,
     # which are left in linear (n_exp, 2).
     taus, c = np.empty(3), np.empty(3)
@@ -388,7 +408,9 @@ def _profile(z, where, first, t, count, y, flow, linear):  # pragma: no cover - 
 
 
 @njit(cache=True, error_model="numpy")
-def _profiles(Z, where, first, t, count, y, flow, linear):  # pragma: no cover - compiled
+def _profiles(
+    Z: Any, where: Any, first: Any, t: Any, count: Any, y: Any, flow: Any, linear: Any
+) -> FloatArray:  # pragma: no cover - compiled
     costs = np.empty(len(Z))
     for i in range(len(Z)):
         costs[i] = _profile(Z[i], where, first, t, count, y, flow, linear)
@@ -396,7 +418,9 @@ def _profiles(Z, where, first, t, count, y, flow, linear):  # pragma: no cover -
 
 
 @njit(cache=True, error_model="numpy")
-def _euler_step(s, h, taus, c):  # pragma: no cover - compiled
+def _euler_step(
+    s: float, h: float, taus: FloatArray, c: FloatArray
+) -> float:  # pragma: no cover - compiled
     # Forward Euler's response n = s/h samples after the switch is 1 - sum c_j (1 - h/tau_j)^n with
     # the c_j of the continuous cascade; n is let real, so that switch times can be refined.
     if s <= 0.0:
@@ -408,7 +432,9 @@ def _euler_step(s, h, taus, c):  # pragma: no cover - compiled
 
 
 @njit(cache=True, error_model="numpy")
-def _euler_relaxed(t, h, given, t0, tf, out):  # pragma: no cover - compiled
+def _euler_relaxed(
+    t: Any, h: float, given: Any, t0: float, tf: float, out: Any
+) -> None:  # pragma: no cover - compiled
     taus, c = np.sort(given), np.empty(3)
     _sorted_apart(taus)
     for j in range(3):
@@ -520,11 +546,11 @@ class _Squares:
         for k in range(len(self.points.first) - 1):
             part = slice(self.points.first[k], self.points.first[k + 1])
             mean, J, columns = self._block(theta, k)
-            weight = np.sqrt(self.points.count[part])
+            weight = np.sqrt(self.points.weight[part])
             block = np.empty((len(mean), J.shape[1] + 1))
             block[:, :-1] = J * weight[:, None]
             block[:, -1] = (mean - self.points.y[part]) * weight
-            R = np.linalg.qr(block, mode="r")
+            R: Any = np.linalg.qr(block, mode="r")
             wide = np.zeros((len(R), len(p)))
             wide[:, columns] = R[:, :-1]
             rows.append(wide)
@@ -581,7 +607,6 @@ def _refine(
     straight = type(problem.model) is Cascade and bool(free[0])
     squares = _Squares(problem, points, straight)
     box_low, box_high = squares.coordinates(low), squares.coordinates(high)
-    # t0 + tau reaches from the least sum to the largest
     result = _trust_region(
         squares, np.clip(theta, low, high), box_low, box_high, free, max_evaluations, tolerance
     )
@@ -700,9 +725,7 @@ def _estimate_noise(
     for e, (r, x) in zip(campaign, residuals):
         variable = problem.noise.weight(campaign, e) * np.maximum(x, 0.0)
         used = e.used
-        spreads.append(
-            _Spread(r[used] ** 2, variable[used], r, variable, used, problem.steps(e))
-        )
+        spreads.append(_Spread(r[used] ** 2, variable[used], r, variable, used, problem.steps(e)))
     values: dict[str, float] = {}
     groups = [[k] for k in range(len(spreads))] if layout.noise_per_experiment else None
     for group in groups or [list(range(len(spreads)))]:
@@ -778,17 +801,29 @@ def _lag_one(spreads: list[_Spread], v0: float, v1: float) -> float:
 
 
 def _local_noise(z: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
-    """Variance and lag-one coefficient of the fast part of residuals ``z``.
+    """Variance and lag-one coefficient of the fast part of residuals ``z`` (n_t,).
 
     An AR(1)'s autocovariance differences give both: g0 - g1 = v (1 - phi), g1 - g2 =
-    v phi (1 - phi).  Anything slow, such as a mean that misses the trace, drops out of them.
+    v phi (1 - phi).  Anything slow, such as a mean that misses the trace, drops out of them; their
+    medians over sections of the record drop spikes as well.
     """
-    one = used[1:] & used[:-1]
-    two = used[2:] & used[1:-1] & used[:-2]
-    if two.sum() < 10:
+    n_sections = int(np.clip(len(z) // 200, 1, 40))
+    size = len(z) // n_sections
+    halves = []
+    for start in range(0, n_sections * size, size):
+        part, keep = z[start : start + size], used[start : start + size]
+        one = keep[1:] & keep[:-1]
+        two = keep[2:] & keep[:-2]
+        if two.sum() >= 10:
+            halves.append(
+                (
+                    0.5 * np.mean((part[1:] - part[:-1])[one] ** 2),
+                    0.5 * np.mean((part[2:] - part[:-2])[two] ** 2),
+                )
+            )
+    if not halves:
         return float(np.mean(z[used] ** 2)), 0.0
-    half1 = 0.5 * float(np.mean((z[1:] - z[:-1])[one] ** 2))
-    half2 = 0.5 * float(np.mean((z[2:] - z[:-2])[two] ** 2))
+    half1, half2 = (float(v) for v in np.median(halves, axis=0))
     if half1 <= 0.0:
         return 0.0, 0.0
     phi = min(max((half2 - half1) / half1, -0.99), 0.999)
@@ -820,6 +855,11 @@ def _lack_of_fit(
     # variance of a mean of m AR(1) values (e.g. Priestley 1981, eq. 5.3.5)
     m = count[full].astype(float)
     expected = variance / m * ((1 + phi) / (1 - phi) - 2 * phi * (1 - phi**m) / m / (1 - phi) ** 2)
+    if phi > 0.95:
+        # smooth noise: its correlation cannot be read off neighbours; the blocks' usual scatter can
+        expected = np.full(len(means), (1.4826 * float(np.median(np.abs(means)))) ** 2)
+        if expected[0] <= 0.0:
+            return 0.0, 0.0
     ratio = means**2 / expected
     total = float(ratio.mean())
     level = 1e-3 / n_experiments
@@ -846,11 +886,15 @@ def _warn(
             "smallest is given as tau, the largest as tau_v)."
         )
     rises = [look.rise for look in looks if look.rise is not None]
-    usual = float(np.median(rises)) if rises else 0.1 * float(np.median([e.t[-1] for e in campaign]))
+    usual = (
+        float(np.median(rises)) if rises else 0.1 * float(np.median([e.t[-1] for e in campaign]))
+    )
     for k, e in enumerate(campaign):
         r, x = residuals[k]
         _, sigma0, sigma1 = vector[layout.noise[k]]
-        scale = np.sqrt(sigma0**2 + sigma1**2 * problem.noise.weight(campaign, e) * np.maximum(x, 0))
+        scale = np.sqrt(
+            sigma0**2 + sigma1**2 * problem.noise.weight(campaign, e) * np.maximum(x, 0)
+        )
         beta = abs(vector[layout.local[k, 1]])
         error = _step_error(e, r, x)
         if beta < 3.0 * error:
@@ -861,27 +905,30 @@ def _warn(
             continue
         miss, share = _lack_of_fit(e, r, scale, looks[k].rise or usual, len(campaign))
         if share > 0.0 and miss > 0.005 * beta:
+            percent = 100.0 * miss / beta
+            digits = 0 if percent >= 10.0 else 1
             warnings.append(
                 f"Experiment '{e.name}': the model does not describe the trace everywhere; it "
-                f"misses by up to {miss:.2g} {unit} ({100 * miss / beta:.2g} % of the step), more "
+                f"misses by up to {miss:.2g} {unit} ({percent:.{digits}f} % of the step), more "
                 "than the noise explains."
             )
     return warnings
 
 
 def _step_error(e: Experiment, r: FloatArray, x: FloatArray) -> float:
-    """Standard error of the step size, V: low against high x3, allowing for lag-one correlation."""
-    used = e.used
-    z = r[used]
-    square = float(z @ z)
-    if square == 0.0:
-        return 0.0
-    phi = min(max(float(z[1:] @ z[:-1]) / square, 0.0), 0.9999)
-    high = max(int((x[used] > 0.5).sum()), 1)
-    low = max(len(z) - high, 1)
-    # no more correlated than the shorter stretch is long
-    factor = min((1 + phi) / (1 - phi), float(min(low, high)))
-    return sqrt(square / len(z) * factor * (1.0 / high + 1.0 / low))
+    """Standard error of the step size, V: low against high x3, from the scatter of block means.
+
+    Forty block means carry slow noise; their median deviation leaves out the few blocks in which
+    the model misses the trace.
+    """
+    z = r[e.used]
+    size = max(len(z) // 40, 1)
+    n = len(z) // size
+    means = z[: n * size].reshape(n, size).mean(axis=1)
+    high = x[e.used][: n * size].reshape(n, size).mean(axis=1) > 0.5
+    spread = 1.4826 * float(np.median(np.abs(means - np.median(means))))
+    n_high = max(int(high.sum()), 1)
+    return spread * sqrt(1.0 / n_high + 1.0 / max(n - n_high, 1))
 
 
 # --------------------------------------------------------------------------- the fit
@@ -1049,7 +1096,7 @@ def _search(
     tell(0.5, "refinement")
 
     def refine(start: FloatArray) -> _Refined:
-        found = _refine(problem, medium, start, low, high, max_evaluations=40, tolerance=1e-8)
+        found = _refine(problem, medium, start, low, high, max_evaluations=40, tolerance=1e-7)
         count.n += found.n_evaluations
         return found
 
@@ -1063,18 +1110,18 @@ def _search(
         other = refine(start)
         if other.cost < best.cost:
             best = other
-    # scatter inside the averages belongs to the sum of squares that sets the scale
     noise = _mean_square(problem, best.theta)
     tell(0.7, "mesh")
     theta, success = _finish(problem, best.theta, low, high, rise, noise, count)
     theta = _swap(campaign, theta, high)
+    inside, inside_coarse = _scatter(campaign, medium), _scatter(campaign, coarse)
     each = []
     for i in range(swarms):
         shared = _swap(campaign, refined[i].theta, high)[:3]
         each.append(
             {
-                "cost_V2": raw[i],
-                "refined_cost_V2": refined[i].cost,
+                "cost_V2": raw[i] + inside_coarse,
+                "refined_cost_V2": refined[i].cost + inside,
                 **dict(zip(layout.names[:3], map(float, shared))),
             }
         )
@@ -1084,8 +1131,8 @@ def _search(
     if de:
         other = refined[swarms]
         check = {
-            "cost_V2": float(result.fun),
-            "refined_cost_V2": other.cost,
+            "cost_V2": float(result.fun) + inside_coarse,
+            "refined_cost_V2": other.cost + inside,
             "agrees": bool(other.cost < best.cost + max(noise, 1e-6 * best.cost)),
             "n_evaluations": int(result.nfev),
             **dict(zip(layout.names[:3], map(float, _swap(campaign, other.theta, high)[:3]))),
@@ -1192,6 +1239,8 @@ def _finish(
         if bound.cost <= found.cost + 1e-4 * noise:
             theta, success = bound.theta, bound.success
             theta[0] = low[0]
+    # rounding of the square root
+    theta[0] = low[0] if abs(theta[0] - low[0]) < 1e-9 * low[0] else theta[0]
     return theta, success
 
 

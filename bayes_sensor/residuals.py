@@ -1,0 +1,389 @@
+"""What the residuals of a fit look like: correlation in time, spread against concentration.
+
+The classical bounds take residuals as white and of one size.  Here both are tested: the sample
+autocorrelation beside that of the fitted AR(1), Ljung-Box and Durbin-Watson before and after
+whitening, the spread in bins of concentration with a Breusch-Pagan test, and whether AR(1) says
+enough about the slow part, which is what widens intervals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any, Protocol
+
+import numpy as np
+from scipy import fft
+from statsmodels.stats.diagnostic import het_breuschpagan
+from statsmodels.stats.stattools import durbin_watson
+from statsmodels.tsa.stattools import q_stat
+
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.likelihood import Problem, as_problem, grid_response, mean_and_variance
+from bayes_sensor.model import Cascade, local_parameters, time_constants
+from bayes_sensor.noise import lag_coefficient
+
+HISTOGRAM_BIN = 0.05
+"""V, the paper's Fig. 6"""
+LAGS = (1, 2, 3, 5, 10, 20, 50, 100)
+"""lags of the portmanteau test, in samples"""
+
+
+class Fitted(Protocol):
+    """What is needed of a fit."""
+
+    theta_hat: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Diagnostics of a fit's residuals r = y - m, pooled over the experiments in their order."""
+
+    acf: dict[str, list[float]]
+    """``lag_s``, ``value``, and ``ar1``, the fitted AR(1)'s curve; thinned at long lags"""
+    white_band: float
+    """half-width of the 95 % band that white residuals would keep within"""
+    ljung_box: dict[str, Any]
+    """``lags`` (samples), and ``before``, ``after`` whitening: ``statistic``, ``p_value``"""
+    durbin_watson: dict[str, float]
+    """``before`` and ``after`` whitening; 2 when neighbours are uncorrelated"""
+    ar1: dict[str, float]
+    """phi, sigma0_V, sigma1_V and the interval phi refers to"""
+    variance_vs_concentration: dict[str, Any]
+    """bins of x3 times the test-gas fraction, their sd and count, the law's sd, the test"""
+    histogram: dict[str, Any]
+    """``edges_V``, ``count``, ``bin_V``, ``note``"""
+    experiments: dict[str, dict[str, float]]
+    """per experiment: n, rms_V, lag_one, baseline_sd_V, plateau_sd_V"""
+    spectrum: dict[str, float]
+    """slow part of the residuals' spectrum over that of the fitted AR(1)"""
+    adequate: bool
+    """whether AR(1) describes the residuals' correlation"""
+    verdict: str
+    """the same as a sentence with its numbers"""
+    signal_unit: str = "V"
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``residuals.json``."""
+        return {
+            "acf": self.acf,
+            "ljung_box": self.ljung_box,
+            "ar1": self.ar1,
+            "variance_vs_concentration": self.variance_vs_concentration,
+            "durbin_watson": self.durbin_watson,
+            "white_band": self.white_band,
+            "histogram": self.histogram,
+            "experiments": self.experiments,
+            "spectrum": self.spectrum,
+            "adequate": self.adequate,
+            "verdict": self.verdict,
+            "signal_unit": self.signal_unit,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Series:
+    """One experiment's used samples."""
+
+    r: FloatArray  # (n,) V
+    z: FloatArray  # (n,) r / s
+    e: FloatArray  # (n,) whitened
+    x: FloatArray  # (n,) x3
+    s: FloatArray  # (n,) V
+    concentration: float
+
+
+def autocorrelation(r: FloatArray, n_lags: int) -> FloatArray:
+    """(n_lags + 1,) sample autocorrelation of a series about its mean, by FFT.
+
+    ``sum_i (r_i - mean)(r_(i+k) - mean) / sum_i (r_i - mean)^2``, the biased form, as plotted in
+    the paper's Fig. 8.  Zero for a constant series beyond lag 0.
+
+    >>> autocorrelation(np.array([1.0, -1.0, 1.0, -1.0]), 2).tolist()
+    [1.0, -0.75, 0.5]
+    """
+    d = r - r.mean()
+    n_lags = min(n_lags, len(d) - 1)
+    power = fft.rfft(d, fft.next_fast_len(len(d) + n_lags, real=True))
+    sums = fft.irfft(power.real**2 + power.imag**2, fft.next_fast_len(len(d) + n_lags, real=True))
+    if sums[0] <= 0.0:
+        return np.r_[1.0, np.zeros(n_lags)]
+    return sums[: n_lags + 1] / sums[0]
+
+
+def whiten(z: FloatArray, index: np.ndarray, phi: float) -> FloatArray:
+    """(n,) innovations of an AR(1) ``z`` (n,), scaled to unit variance.
+
+    ``index`` (n,) are sample numbers: across m missing samples the coefficient is phi^(m + 1).
+
+    >>> whiten(np.array([1.0, 0.5]), np.array([0, 1]), 0.5).tolist()
+    [1.0, 0.0]
+    """
+    distance = np.diff(index).astype(float)
+    rho = np.sign(phi) ** distance * np.abs(phi) ** distance
+    e = z.copy()
+    e[1:] = (z[1:] - rho * z[:-1]) / np.sqrt(1.0 - rho**2)
+    return e
+
+
+def diagnose_residuals(
+    campaign: Campaign | Problem, fit: Fitted, max_lag: float | None = None
+) -> Residuals:
+    """Diagnostics of the residuals at ``fit.theta_hat``.
+
+    ``max_lag`` (s) is how far the autocorrelation is shown; default a twentieth of the longest
+    record.  Series of experiments are joined in the campaign's order, as in the paper; with
+    different sampling intervals lags count samples of the most common one.
+
+    Raises CampaignError for a design without data.
+    """
+    problem = as_problem(campaign)
+    campaign = problem.campaign
+    vector = problem.layout.flat(fit.theta_hat)
+    series = [_series(problem, vector, k) for k in range(len(campaign))]
+    h = campaign.reference_interval
+    r = np.concatenate([s.r for s in series])
+    z = np.concatenate([s.z for s in series])
+    white = np.concatenate([s.e for s in series])
+    longest = max(float(e.t[-1] - e.t[0]) for e in campaign)
+    n_lags = int(min((max_lag or longest / 20.0) / h, len(r) // 4))
+    n_lags = max(n_lags, 1)
+    correlation = autocorrelation(r, n_lags)
+    whitened = autocorrelation(white, max(LAGS))
+    noise = {name: float(vector[problem.layout.index(name)]) for name in problem.layout.noise_names}
+    phi = float(np.mean(vector[problem.layout.noise[:, 0]]))
+    kept = _thinned(n_lags)
+    ratio, expected_sd = _slow_part(problem, vector, series)
+    lag = _long_lag(correlation, phi)
+    adequate, verdict = _verdict(ratio, expected_sd, correlation, phi, lag, h, whitened, len(r))
+    return Residuals(
+        acf={
+            "lag_s": [float(v) for v in kept * h],
+            "value": [float(v) for v in correlation[kept]],
+            "ar1": [float(v) for v in np.sign(phi) ** kept * np.abs(phi) ** kept],
+        },
+        white_band=1.96 / sqrt(len(r)),
+        ljung_box=_ljung_box(z, white),
+        durbin_watson={"before": _durbin_watson(z), "after": _durbin_watson(white)},
+        ar1={**noise, "phi": phi, "phi_interval_s": h, **_shared(problem, vector)},
+        variance_vs_concentration=_variance(problem, vector, series),
+        histogram=_histogram(r),
+        experiments={e.name: _own_noise(s) for e, s in zip(campaign, series)},
+        spectrum={"slow_to_ar1": ratio, "expected_sd": expected_sd},
+        adequate=adequate,
+        verdict=verdict,
+        signal_unit=campaign.signal_unit,
+    )
+
+
+def _shared(problem: Problem, vector: FloatArray) -> dict[str, float]:
+    _, sigma0, sigma1 = (np.sqrt(np.mean(column**2)) for column in vector[problem.layout.noise].T)
+    return {"sigma0_V": float(sigma0), "sigma1_V": float(sigma1)}
+
+
+def _series(problem: Problem, vector: FloatArray, k: int) -> _Series:
+    e = problem.campaign.experiments[k]
+    mean, s2 = mean_and_variance(problem, vector, k)
+    used = np.flatnonzero(e.used)
+    r = e.values[used] - mean[used]
+    s = np.sqrt(s2[used])
+    phi = lag_coefficient(float(vector[problem.layout.noise[k, 0]]), problem.steps(e))
+    if type(problem.model) is Cascade and problem.model.method == "exact":
+        _, _, t0, tf = local_parameters(vector, problem.layout, e.name)
+        x = grid_response(e, time_constants(vector[0], vector[1], vector[2], e.total_flow), t0, tf)
+    else:
+        x = problem.model.response(e.t, vector, problem.layout, e)
+    z = r / s
+    return _Series(r, z, whiten(z, used, phi), x[used], s, e.concentration)
+
+
+def _thinned(n_lags: int) -> np.ndarray:
+    """Lags 0 .. n_lags: all up to 200, then about 300 in even ratio."""
+    if n_lags <= 500:
+        return np.arange(n_lags + 1)
+    far = np.unique(np.round(np.geomspace(201, n_lags, 300)).astype(int))
+    return np.concatenate([np.arange(201), far])
+
+
+def _ljung_box(z: FloatArray, white: FloatArray) -> dict[str, Any]:
+    lags = [lag for lag in LAGS if lag < len(z) // 4] or [1]
+    table: dict[str, Any] = {"lags": lags}
+    for label, series in (("before", z), ("after", white)):
+        tested = _portmanteau(series, lags)
+        table[label] = {"statistic": tested[0], "p_value": tested[1]}
+    return table
+
+
+def _portmanteau(series: FloatArray, lags: list[int]) -> tuple[list[float], list[float]]:
+    if np.ptp(series) == 0.0:
+        return [0.0] * len(lags), [1.0] * len(lags)
+    # acorr_ljungbox would correlate directly, in n^2 operations
+    statistic, p_value = q_stat(autocorrelation(series, max(lags))[1:], len(series))
+    chosen = np.array(lags) - 1
+    return [float(v) for v in statistic[chosen]], [float(v) for v in p_value[chosen]]
+
+
+def _durbin_watson(series: FloatArray) -> float:
+    return float(durbin_watson(series)) if np.any(series) else 2.0
+
+
+def _variance(problem: Problem, vector: FloatArray, series: list[_Series]) -> dict[str, Any]:
+    """Spread of r in ten bins of concentration, against the fitted law."""
+    c = np.concatenate([s.concentration * np.clip(s.x, 0.0, 1.0) for s in series])
+    r = np.concatenate([s.r for s in series])
+    law = np.concatenate([s.s for s in series])
+    edges = np.linspace(0.0, problem.campaign.reference_concentration, 11)
+    edges = np.insert(edges, 1, 0.02 * edges[-1])  # a narrow first bin: pure carrier gas
+    place = np.clip(np.searchsorted(edges, c, side="right") - 1, 0, len(edges) - 2)
+    count = np.bincount(place, minlength=len(edges) - 1)
+    squares = np.bincount(place, weights=r**2, minlength=len(edges) - 1)
+    squares_law = np.bincount(place, weights=law**2, minlength=len(edges) - 1)
+    filled = count > 0
+    sd, sd_law = np.zeros(len(count)), np.zeros(len(count))
+    sd[filled] = np.sqrt(squares[filled] / count[filled])
+    sd_law[filled] = np.sqrt(squares_law[filled] / count[filled])
+    return {
+        "concentration_low": [float(v) for v in edges[:-1]],
+        "concentration_high": [float(v) for v in edges[1:]],
+        "sd_V": [float(v) if ok else None for v, ok in zip(sd, filled)],
+        "law_sd_V": [float(v) if ok else None for v, ok in zip(sd_law, filled)],
+        "count": [int(v) for v in count],
+        "breusch_pagan": _breusch_pagan(series),
+    }
+
+
+def _breusch_pagan(series: list[_Series]) -> dict[str, Any]:
+    """Koenker's form of the test of r^2 against concentration, on samples far enough apart.
+
+    The test takes observations as independent, so only every m-th sample enters, m being where
+    the correlation has died away (at least one in twenty thousand is kept).
+    """
+    lag = 1
+    for s in series:
+        acf = autocorrelation(s.z, min(2000, len(s.z) // 10 + 1))
+        small = np.flatnonzero(np.abs(acf) < 0.05)
+        lag = max(lag, int(small[0]) if len(small) else len(acf))
+    r = np.concatenate([s.r[::lag] for s in series])
+    c = np.concatenate([s.concentration * s.x[::lag] for s in series])
+    if len(r) < 20 or np.ptp(c) == 0.0 or not np.any(r):
+        return {"statistic": None, "p_value": None, "every": lag, "n": len(r)}
+    statistic, p_value, _, _ = het_breuschpagan(r, np.column_stack([np.ones_like(c), c]))
+    return {
+        "statistic": float(statistic),
+        "p_value": float(p_value),
+        "every": lag,
+        "n": len(r),
+    }
+
+
+def _histogram(r: FloatArray) -> dict[str, Any]:
+    """Counts in 0.05 V bins, or in a width that suits a signal of another size."""
+    spread = float(np.std(r))
+    width, note = HISTOGRAM_BIN, f"bins of {HISTOGRAM_BIN:g} as in the paper"
+    if spread > 0.0 and not spread / 8.0 < HISTOGRAM_BIN < 2.0 * spread:
+        width = float(f"{spread / 1.3:.0e}")
+        note = (
+            f"bins of {width:g}: the paper's {HISTOGRAM_BIN:g} does not suit a spread of "
+            f"{spread:.3g}"
+        )
+    low, high = float(r.min()), float(r.max())
+    # a spike must not make a million bins; what lies beyond is counted in the outermost ones
+    low, high = max(low, -100.0 * width), min(high, 100.0 * width)
+    first, last = int(np.floor(low / width)), int(np.floor(high / width)) + 1
+    edges = width * np.arange(first, last + 1)
+    count, _ = np.histogram(np.clip(r, edges[0], np.nextafter(edges[-1], -np.inf)), edges)
+    return {
+        "bin_V": width,
+        "edges_V": [float(v) for v in edges],
+        "count": [int(v) for v in count],
+        "note": note,
+    }
+
+
+def _own_noise(s: _Series) -> dict[str, Any]:
+    square = float(s.r @ s.r)
+    low, high = s.r[s.x < 0.02], s.r[s.x > 0.9]
+    return {
+        "n": len(s.r),
+        "rms_V": sqrt(square / len(s.r)),
+        "mean_V": float(s.r.mean()),
+        "lag_one": float(s.r[1:] @ s.r[:-1]) / square if square > 0.0 else 0.0,
+        "baseline_sd_V": float(np.sqrt(np.mean(low**2))) if len(low) else None,
+        "plateau_sd_V": float(np.sqrt(np.mean(high**2))) if len(high) else None,
+    }
+
+
+def _slow_part(problem: Problem, vector: FloatArray, series: list[_Series]) -> tuple[float, float]:
+    """(ratio, sd): slow power of z over what the fitted AR(1) puts there, and its chance spread.
+
+    The whitened series of an adequate AR(1) has a flat spectrum of height 1: the ratio is the mean
+    of its periodogram below a tenth of the frequency at which the AR(1)'s own spectrum bends, at
+    least twenty ordinates per experiment.
+    """
+    total, n = 0.0, 0
+    for k, s in enumerate(series):
+        phi = lag_coefficient(float(vector[problem.layout.noise[k, 0]]), 1.0)
+        m = len(s.e)
+        power = np.abs(fft.rfft(s.e)) ** 2 / m
+        bend = (1.0 - abs(phi)) / (2.0 * np.pi)  # cycles per sample
+        last = int(np.clip(0.1 * bend * m, 20, max(m // 4, 1)))
+        chosen = power[1 : last + 1]
+        total += float(chosen.sum())
+        n += len(chosen)
+    return total / max(n, 1), 1.0 / sqrt(max(n, 1))
+
+
+def _long_lag(correlation: FloatArray, phi: float) -> int:
+    """First lag at which the AR(1)'s correlation has fallen below 0.01."""
+    if abs(phi) < 0.01:
+        return 1
+    lag = int(np.ceil(np.log(0.01) / np.log(min(abs(phi), 0.999999))))
+    return min(lag, len(correlation) - 1)
+
+
+def _verdict(
+    ratio: float,
+    expected_sd: float,
+    correlation: FloatArray,
+    phi: float,
+    lag: int,
+    h: float,
+    whitened: FloatArray,
+    n: int,
+) -> tuple[bool, str]:
+    # a third more slow power widens intervals by a sixth: what is smaller does not matter
+    slow = abs(ratio - 1.0) > max(4.0 * expected_sd, 0.33)
+    # sd of a sample autocorrelation of AR(1) data at long lags (Bartlett)
+    sd = sqrt((1.0 + phi**2) / max(1.0 - phi**2, 1e-9) / n)
+    excess = abs(float(correlation[lag]) - phi**lag)
+    far = excess > max(5.0 * sd, 0.05)
+    short = float(np.max(np.abs(whitened[1:6]))) if len(whitened) > 5 else 0.0
+    near = short > max(5.0 / sqrt(n), 0.05)
+    if not (slow or far or near):
+        return True, (
+            f"AR(1) with phi = {phi:.3g} at {h * 1e3:g} ms describes the residuals: whitened, "
+            f"their slow part is {ratio:.2f} times that of white noise and no correlation at short "
+            f"lags exceeds {max(short, 0.005):.2g}."
+        )
+    reasons = []
+    if slow:
+        word = "more" if ratio > 1.0 else "less"
+        reasons.append(
+            f"they hold {ratio:.3g} times the slow power it allows ({word} than it says)"
+        )
+    if far:
+        reasons.append(
+            f"their correlation at {lag * h * 1e3:.3g} ms is {correlation[lag]:.2f}, not "
+            f"{phi**lag:.2f}"
+        )
+    if near:
+        reasons.append(f"correlation up to {short:.2f} is left after whitening")
+    ending = (
+        "intervals that rest on AR(1) are then too narrow."
+        if ratio > 1.0
+        else "intervals that rest on AR(1) are then not exact."
+    )
+    return False, (
+        f"AR(1) with phi = {phi:.3g} at {h * 1e3:g} ms does not describe the residuals: "
+        f"{'; '.join(reasons)}; {ending}"
+    )

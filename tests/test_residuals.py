@@ -1,0 +1,202 @@
+"""Residual diagnostics against statsmodels and against noise whose law is known."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from statsmodels.stats.diagnostic import acorr_ljungbox, het_breuschpagan
+from statsmodels.tsa.stattools import acf
+
+from bayes_sensor.campaign import Campaign, Experiment
+from bayes_sensor.likelihood import Problem, simulate
+from bayes_sensor.noise import simulate_noise
+from bayes_sensor.residuals import (
+    HISTOGRAM_BIN,
+    _histogram,
+    _portmanteau,
+    autocorrelation,
+    diagnose_residuals,
+    whiten,
+)
+
+EXPERIMENTS = {
+    "a": {"y0_V": 0.2, "beta_V": 1.5, "t0_s": 3.0, "tf_s": 11.0},
+    "b": {"y0_V": 0.25, "beta_V": 1.8, "t0_s": 3.2, "tf_s": 11.3},
+}
+MEAN = {"tau_s": 0.05, "tau_v_s": 0.8, "V_mL": 58.0, "experiments": EXPERIMENTS}
+
+
+@dataclass(frozen=True)
+class Known:
+    """A fit that ended at the truth."""
+
+    theta_hat: np.ndarray
+
+
+def plan(interval=0.002, duration=20.0, mask=None):
+    t = interval * np.arange(round(duration / interval))
+    return Campaign(
+        "two",
+        (
+            Experiment("a", t, None, 60.0, 10.0, interval, 2.5, 10.5, mask),
+            Experiment("b", t, None, 100.0, 25.0, interval, 2.5, 10.5, mask),
+        ),
+    )
+
+
+def diagnosed(phi=0.8, sigma0=0.045, sigma1=0.05, seed=1, scale=1.0, change=None, mask=None):
+    theta = {**MEAN, "phi": phi, "sigma0_V": scale * sigma0, "sigma1_V": scale * sigma1}
+    campaign = simulate(plan(mask=mask), theta, seed=seed)
+    if change is not None:
+        campaign = campaign.with_data({e.name: e.values + change(e.t) for e in campaign})
+    return diagnose_residuals(campaign, Known(Problem(campaign).layout.flat(theta)))
+
+
+@pytest.fixture(scope="module")
+def adequate():
+    return diagnosed()
+
+
+def test_autocorrelation_is_that_of_statsmodels():
+    r = np.random.default_rng(1).standard_normal(1001).cumsum()
+    assert autocorrelation(r, 50) == pytest.approx(acf(r, nlags=50, fft=False), abs=1e-12)
+
+
+def test_autocorrelation_of_a_constant_and_of_few_samples():
+    assert autocorrelation(np.full(10, 3.0), 3).tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert len(autocorrelation(np.array([1.0, 2.0, 4.0]), 50)) == 3
+
+
+def test_portmanteau_is_that_of_statsmodels():
+    r = np.random.default_rng(2).standard_normal(400)
+    expected = acorr_ljungbox(r, lags=[1, 5, 20])
+    statistic, p_value = _portmanteau(r, [1, 5, 20])
+    assert statistic == pytest.approx(expected["lb_stat"].to_numpy(), rel=1e-10)
+    assert p_value == pytest.approx(expected["lb_pvalue"].to_numpy(), rel=1e-8)
+
+
+@pytest.mark.parametrize("phi", [-0.4, 0.0, 0.9])
+def test_whitening_undoes_ar1_across_gaps(phi):
+    rng = np.random.default_rng(4)
+    z = simulate_noise(np.ones(60_000), phi, rng)
+    index = np.flatnonzero(rng.random(60_000) > 0.2)
+    e = whiten(z[index], index, phi)
+    # 48 000 samples: sd of a correlation is 0.0046
+    assert np.abs(autocorrelation(e, 20)[1:]).max() < 0.02
+    assert np.std(e) == pytest.approx(1.0, abs=0.02)
+
+
+def test_ar1_noise_is_found_adequate(adequate):
+    assert adequate.adequate and "describes the residuals" in adequate.verdict
+    lag, value, curve = (np.array(adequate.acf[key]) for key in ("lag_s", "value", "ar1"))
+    assert lag[:3] == pytest.approx([0.0, 0.002, 0.004]) and value[0] == 1.0
+    assert curve[1] == pytest.approx(0.8)
+    # long-lag sd of the sample autocorrelation near 0.015
+    assert np.abs(value - curve)[:100].max() < 0.06
+    assert max(adequate.ljung_box["before"]["p_value"]) < 1e-10
+    assert min(adequate.ljung_box["after"]["p_value"]) > 1e-3
+    # 2 (1 - phi) before, 2 after
+    assert adequate.durbin_watson["before"] == pytest.approx(0.4, abs=0.03)
+    assert adequate.durbin_watson["after"] == pytest.approx(2.0, abs=0.05)
+    assert adequate.spectrum["slow_to_ar1"] == pytest.approx(
+        1.0, abs=4 * adequate.spectrum["expected_sd"]
+    )
+
+
+def test_slow_noise_on_top_is_found_inadequate():
+    found = diagnosed(change=lambda t: 0.06 * np.sin(2 * np.pi * t / 6.0))
+    assert not found.adequate and "too narrow" in found.verdict
+    assert found.spectrum["slow_to_ar1"] > 1.5
+
+
+def test_ripple_left_after_whitening_is_found():
+    found = diagnosed(phi=0.3, change=lambda t: 0.1 * np.sin(2 * np.pi * 50.0 * t))
+    assert not found.adequate and "left after whitening" in found.verdict
+
+
+def test_white_noise_passes_before_and_after():
+    found = diagnosed(phi=0.0, sigma1=0.0)
+    assert found.adequate
+    assert min(found.ljung_box["before"]["p_value"]) > 1e-3
+    assert found.durbin_watson["before"] == pytest.approx(2.0, abs=0.05)
+
+
+def test_spread_grows_with_concentration_where_it_does(adequate):
+    table = adequate.variance_vs_concentration
+    filled = [i for i, n in enumerate(table["count"]) if n > 1000]
+    assert len(filled) >= 2 and sum(table["count"]) == 20_000
+    for i in filled:
+        # about 1000/9 independent squares at least: 10 %, and twice that allowed
+        assert table["sd_V"][i] == pytest.approx(table["law_sd_V"][i], rel=0.2)
+    assert table["sd_V"][filled[-1]] > 1.2 * table["sd_V"][filled[0]]
+    assert table["breusch_pagan"]["p_value"] < 1e-6
+    constant = diagnosed(sigma1=0.0).variance_vs_concentration["breusch_pagan"]
+    assert constant["p_value"] > 1e-3
+    assert constant["every"] > 1 and constant["n"] > 500
+
+
+def test_breusch_pagan_keeps_its_level_on_correlated_noise():
+    p_values = [
+        diagnosed(sigma1=0.0, seed=seed).variance_vs_concentration["breusch_pagan"]["p_value"]
+        for seed in range(30)
+    ]
+    # at level 0.1 three of thirty are expected; without thinning more than ten would be below
+    assert sum(p < 0.1 for p in p_values) <= 8
+    rng = np.random.default_rng(0)
+    r = simulate_noise(np.ones(20_000), 0.8, rng)
+    x = np.repeat([0.0, 1.0], 10_000)
+    assert 0.0 <= het_breuschpagan(r, np.column_stack([np.ones_like(x), x]))[1] <= 1.0
+
+
+def test_histogram_has_the_papers_bins(adequate):
+    histogram = adequate.histogram
+    edges = np.array(histogram["edges_V"])
+    assert histogram["bin_V"] == HISTOGRAM_BIN
+    assert np.diff(edges) == pytest.approx(0.05)
+    assert edges / 0.05 == pytest.approx(np.round(edges / 0.05), abs=1e-9)
+    assert sum(histogram["count"]) == 20_000
+
+
+def test_histogram_adapts_and_says_so():
+    r = 1e-3 * np.random.default_rng(0).standard_normal(5000)
+    r[7] = 50.0  # a spike must not make fifty thousand bins
+    histogram = _histogram(np.delete(r, 7))
+    assert 5 < len(histogram["count"]) < 20 and "does not suit" in histogram["note"]
+    histogram = _histogram(r)
+    assert len(histogram["count"]) <= 202 and sum(histogram["count"]) == 5000
+    assert sum(_histogram(np.zeros(5))["count"]) == 5
+
+
+def test_noise_of_each_experiment(adequate):
+    own = adequate.experiments
+    assert set(own) == {"a", "b"}
+    assert own["a"]["baseline_sd_V"] == pytest.approx(0.045, rel=0.15)
+    # b has the highest concentration: sqrt(0.045^2 + 0.05^2)
+    assert own["b"]["plateau_sd_V"] == pytest.approx(0.0673, rel=0.15)
+    assert own["a"]["lag_one"] == pytest.approx(0.8, abs=0.03)
+
+
+def test_masked_samples_are_left_out():
+    mask = np.ones(10_000, dtype=bool)
+    mask[2000:2600] = False
+    mask[::700] = False
+    found = diagnosed(mask=mask, change=lambda t: np.where(mask, 0.0, np.nan))
+    assert found.experiments["a"]["n"] == int(mask.sum())
+    assert found.adequate
+
+
+def test_json_follows_the_contract(adequate):
+    result = json.loads(json.dumps(adequate.to_json(), allow_nan=False))
+    assert {"acf", "ljung_box", "ar1", "variance_vs_concentration"} <= set(result)
+    assert set(result["acf"]) >= {"lag_s", "value"}
+    assert len(result["acf"]["lag_s"]) == len(result["acf"]["value"]) == len(result["acf"]["ar1"])
+    assert result["ar1"]["phi"] == 0.8 and result["ar1"]["sigma0_V"] == 0.045
+    assert result["ar1"]["sigma1_V"] == pytest.approx(0.05)
+
+
+def test_residuals_of_zero_do_not_break_anything():
+    theta = {**MEAN, "phi": 0.0, "sigma0_V": 0.01, "sigma1_V": 0.0}
+    clean = simulate(plan(), {**MEAN, "phi": 0.0, "sigma0_V": 0.0, "sigma1_V": 0.0})
+    found = diagnose_residuals(clean, Known(Problem(clean).layout.flat(theta)))
+    json.dumps(found.to_json(), allow_nan=False)
