@@ -1112,8 +1112,8 @@ def _search(
             best = other
     noise = _mean_square(problem, best.theta)
     tell(0.7, "mesh")
-    theta, success = _finish(problem, best.theta, low, high, rise, noise, count)
-    theta = _swap(campaign, theta, high)
+    start = _swap(campaign, best.theta, high)
+    theta, success = _finish(problem, start, low, high, rise, noise, count)
     inside, inside_coarse = _scatter(campaign, medium), _scatter(campaign, coarse)
     each = []
     for i in range(swarms):
@@ -1221,7 +1221,7 @@ def _finish(
         points = _mesh(problem, theta, near_low, near_high)
         found = _refine(problem, points, theta, low, high)
         count.n += found.n_evaluations
-        theta, success = found.theta, found.success
+        theta, success = _swap(problem.campaign, found.theta, high), found.success
         watched = [0, 1, 2, *layout.local[:, 2:][layout.local[:, 2:] >= 0]]
         inside = (theta[watched] >= near_low[watched]) & (theta[watched] <= near_high[watched])
         if inside.all():
