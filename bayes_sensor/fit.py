@@ -1335,6 +1335,8 @@ def _compare_euler(
         "cost_V2": squares,
         "difference": {name: float(d) for name, d in zip(names, found - theta)},
         "converged": bool(success),
+        # forward Euler needs tau above its step; the exact fit's bound is lower
+        "tau_at_bound": bool(found[0] < 1.051 * max(e.interval for e in problem.campaign)),
     }
 
 
