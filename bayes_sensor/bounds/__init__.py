@@ -1,0 +1,16 @@
+"""Bounds on the parameters by every method, side by side: see :func:`compare_bounds`."""
+
+from bayes_sensor.bounds.compare import METHODS, compare_bounds
+from bayes_sensor.bounds.cramer_rao import CramerRao, cramer_rao, step_study
+from bayes_sensor.bounds.records import LEVELS, Bound, Bounds
+
+__all__ = [
+    "LEVELS",
+    "METHODS",
+    "Bound",
+    "Bounds",
+    "CramerRao",
+    "compare_bounds",
+    "cramer_rao",
+    "step_study",
+]

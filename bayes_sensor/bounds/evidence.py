@@ -1,0 +1,113 @@
+"""What all bound methods share: the fit, the two likelihoods and their maxima, made once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.bounds.surface import (
+    Maximum,
+    Surface,
+    coloured_surface,
+    region_of,
+    white_surface,
+)
+from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.fit import Fit
+from bayes_sensor.likelihood import Problem
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A problem, its least-squares fit and, perhaps, posterior; the rest is made when asked for."""
+
+    problem: Problem
+    fit: Fit
+    posterior: Any = None
+    seed: int = 1
+    n_resamples: int = 400
+    progress: Progress = field(default=lambda fraction, text: None)
+
+    def __post_init__(self) -> None:
+        expected = self.problem.layout.names
+        if list(self.fit.names) != expected:
+            raise CampaignError(
+                f"the fit has {len(self.fit.names)} parameters ({', '.join(self.fit.names[:3])}, "
+                f"..), the campaign needs {len(expected)}; fit this campaign with this model first"
+            )
+
+    @cached_property
+    def theta(self) -> FloatArray:
+        """(n_theta,) the fit's estimates, noise included."""
+        return np.array(self.fit.theta_hat, dtype=float)
+
+    @cached_property
+    def _coloured(self) -> tuple[Surface, Maximum]:
+        return coloured_surface(self.problem, self.theta)
+
+    @property
+    def coloured(self) -> Surface:
+        """The likelihood under the problem's own noise."""
+        return self._coloured[0]
+
+    @property
+    def coloured_maximum(self) -> Maximum:
+        """Its maximum."""
+        return self._coloured[1]
+
+    @cached_property
+    def coloured_theta(self) -> FloatArray:
+        """(n_theta,) maximum under the problem's noise; tau 0 where it is on the floor."""
+        theta = self.coloured.coordinates.theta(self.coloured_maximum.psi)
+        if self.coloured_at_bound:
+            i = self.problem.layout.local[:, 2:].ravel()
+            theta[i[i >= 0]] += theta[0]
+            theta[0] = 0.0
+        return theta
+
+    @cached_property
+    def coloured_at_bound(self) -> bool:
+        """Whether the maximum under the problem's noise has tau^2 on its floor."""
+        return bool(self.coloured_maximum.psi[0] <= 1.001 * self.coloured.floor[0])
+
+    @cached_property
+    def _white(self) -> tuple[Surface, Maximum]:
+        region = region_of(self.problem, self.coloured)
+        return white_surface(self.problem, self.theta, self.fit.rms, region)
+
+    @property
+    def white(self) -> Surface:
+        """Least squares as a likelihood."""
+        return self._white[0]
+
+    @cached_property
+    def psi_white(self) -> FloatArray:
+        """(n_psi,) of the fit, with tau^2 not below the floor."""
+        theta = self.theta.copy()
+        for row in self.problem.layout.noise:
+            theta[row] = 0.0, self.fit.rms, 0.0
+        return self.white.psi(theta)
+
+    @property
+    def mean_names(self) -> list[str]:
+        """Flat names of all parameters but the noise's."""
+        return self.white.mean_names
+
+    @cached_property
+    def estimate(self) -> FloatArray:
+        """(n,) the fit's estimates of ``mean_names``."""
+        return self.theta[[self.problem.layout.index(name) for name in self.mean_names]]
+
+    @cached_property
+    def at_bound(self) -> bool:
+        """Whether least squares has tau at its lower bound."""
+        return bool(
+            ("tau_s" in self.fit.at_bound and self.theta[0] < 0.1 * self.theta[1])
+            or self.theta[0] ** 2 <= 1.001 * self.white.floor[0]
+        )

@@ -1,0 +1,170 @@
+"""From a Gaussian in psi = (tau^2, .., t0 + tau, tf + tau) to intervals of the parameters.
+
+The data hold tau through tau^2 and trade it against the switch times, so the covariance of an
+estimator is taken in psi, where it stays finite as tau goes to zero: tau^2 +- z sd is mapped back
+and cut at zero, and t0 and tf follow as the quantiles of (t0 + tau) - sqrt(tau^2).  Far from zero
+this is the familiar estimate +- z sd, which the textbook bound states instead when tau is above
+three of its standard deviations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy import special, stats
+
+from bayes_sensor.bounds.records import LEVELS, Bound
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compression import Compressed
+from bayes_sensor.laplace import Coordinates
+
+FAR = 3.0
+"""tau in standard deviations above which estimate +- z sd is stated"""
+SINGULAR = 1e-12
+"""smallest eigenvalue of scaled information that counts as information"""
+
+
+def normal_factor(level: float) -> float:
+    """z with P(|Z| < z) = level for a standard normal.
+
+    >>> round(normal_factor(0.95), 3)
+    1.96
+    """
+    return float(stats.norm.ppf(0.5 + 0.5 * level))
+
+
+def invert(information: FloatArray) -> tuple[FloatArray, np.ndarray]:
+    """Inverse of an information matrix (n, n), and (n,) whether each parameter is identified.
+
+    Parameters that no data speak about, alone or in a combination, get infinite variance; the
+    others keep the variance they have whatever those are.
+    """
+    diagonal = np.diag(information)
+    informed = diagonal > 0
+    cov = np.zeros_like(information)
+    cov[np.diag_indices(len(cov))] = np.inf
+    some = np.flatnonzero(informed)
+    if not len(some):
+        return cov, informed
+    scale = 1.0 / np.sqrt(diagonal[some])
+    values, vectors = np.linalg.eigh(information[np.ix_(some, some)] * np.outer(scale, scale))
+    lost = values < SINGULAR
+    kept = (vectors[:, ~lost] / values[~lost]) @ vectors[:, ~lost].T
+    cov[np.ix_(some, some)] = kept * np.outer(scale, scale)
+    if lost.any():
+        # a direction without information spoils every parameter that takes part in it
+        spoiled = some[(np.abs(vectors[:, lost]) > 1e-4).any(axis=1)]
+        informed[spoiled] = False
+        cov[spoiled, spoiled] = np.inf
+    return cov, informed
+
+
+def least_tau(compressed: Compressed) -> float:
+    """s, the smallest tau at which derivatives by tau^2 are taken on this mesh.
+
+    Below it the sensor is a pure delay to rounding, and the derivative by tau^2 keeps its limit.
+    """
+    theta = compressed.reference
+    flow = max(e.total_flow for e in compressed.problem.campaign)
+    fastest = min(theta[1], theta[2] / flow)
+    return float(max(1e-3 * fastest, 2.0 * compressed.arrays.setting[:, 4].max()))
+
+
+def mean_positions(coordinates: Coordinates) -> np.ndarray:
+    """Positions in psi of everything but the noise parameters."""
+    noise = set(coordinates.problem.layout.noise_names)
+    return np.array([i for i, name in enumerate(coordinates.names) if name not in noise])
+
+
+def gaussian_bound(
+    method: str,
+    assumes: str,
+    reference: str,
+    names: list[str],
+    estimate: FloatArray,
+    cov_psi: FloatArray,
+    at_bound: bool = False,
+    factor: Callable[[float], float] = normal_factor,
+    identified: np.ndarray | None = None,
+    status: str = "",
+    details: dict[str, Any] | None = None,
+    plain: bool = False,
+) -> Bound:
+    """Intervals for a Gaussian estimator with covariance ``cov_psi`` (n, n) of psi.
+
+    ``names`` (n) flat names of the mean's parameters, ``estimate`` (n,) theta; ``at_bound``: tau's
+    estimate sits at its lower bound, so that tau gets an upper limit and no sd; ``plain``: state
+    estimate +- z sd for tau and the switch times where tau is far from zero.
+    """
+    n = len(names)
+    kinds = [name.split("[")[0] for name in names]
+    identified = np.ones(n, dtype=bool) if identified is None else identified
+    sentences = [status] if status else []
+    tau, q = float(estimate[0]), float(estimate[0]) ** 2
+    sd_q = float(np.sqrt(cov_psi[0, 0]))
+    switches = [i for i, kind in enumerate(kinds) if kind in ("t0_s", "tf_s")]
+    sd = np.sqrt(np.diag(cov_psi))
+    low, high = np.full((n, len(LEVELS)), np.nan), np.full((n, len(LEVELS)), np.nan)
+    z = np.array([factor(level) for level in LEVELS.values()])
+    sd_tau = np.nan if at_bound or sd_q > 2.0 * tau**2 else sd_q / (2.0 * tau)
+    far = plain and bool(tau > FAR * sd_tau)  # False for nan
+    slope = 0.0 if np.isnan(sd_tau) else 1.0 / (2.0 * tau)
+    if np.isnan(sd_tau):
+        sd[[0, *switches]] = np.nan
+    else:
+        sd[0] = sd_tau
+        for i in switches:
+            variance = cov_psi[i, i] - 2.0 * slope * cov_psi[0, i] + slope**2 * cov_psi[0, 0]
+            sd[i] = np.sqrt(max(variance, 0.0))
+    low[:], high[:] = estimate[:, None] - z * sd[:, None], estimate[:, None] + z * sd[:, None]
+    if not far and identified[0]:
+        low[0], high[0] = np.sqrt(np.maximum(q - z * sd_q, 0.0)), np.sqrt(q + z * sd_q)
+        for i in switches:
+            low[i], high[i] = _switch_quantiles(
+                estimate[i] + tau, q, sd_q, cov_psi[i, i], cov_psi[0, i], z
+            )
+        if np.isnan(sd_tau):
+            where = "at its lower bound" if at_bound else "within a spread of zero"
+            sentences.append(
+                f"tau's estimate is {where}: its interval is an upper limit, taken in tau^2"
+            )
+        elif plain:
+            sentences.append("tau is within three spreads of zero: intervals taken in tau^2")
+    lost = ~identified
+    if lost.any():
+        sd[lost], low[lost], high[lost] = np.nan, np.nan, np.nan
+        missing = [name for name, gone in zip(names, lost) if gone]
+        sentences.append(f"the data do not identify {', '.join(missing)}")
+    low, high = np.where(np.isfinite(low), low, np.nan), np.where(np.isfinite(high), high, np.nan)
+    sd = np.where(np.isfinite(sd), sd, np.nan)
+    for i, kind in enumerate(kinds):
+        if kind in ("tau_s", "tau_v_s", "V_mL"):
+            low[i] = np.maximum(low[i], 0.0)
+    return Bound(
+        method, assumes, reference, list(names), np.array(estimate, dtype=float), sd, low, high,
+        "; ".join(sentences) or "ok", details or {},
+    )  # fmt: skip
+
+
+def _switch_quantiles(
+    centre: float, q: float, sd_q: float, variance: float, covariance: float, z: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Quantiles at +-z of A - sqrt(max(X, 0)) for a Gaussian pair X (mean q), A (mean centre)."""
+    u = np.linspace(-7.0, 7.0, 701)
+    weight = np.exp(-0.5 * u**2)
+    weight /= weight.sum()
+    root = np.sqrt(np.maximum(q + sd_q * u, 0.0))
+    slope = covariance / sd_q
+    rest = np.sqrt(max(variance - slope**2, 1e-6 * variance))
+    middle = centre + slope * u - root
+    target = special.ndtr(np.concatenate([-z, z]))
+    a = np.full(len(target), middle.min() - 9.0 * rest)
+    b = np.full(len(target), middle.max() + 9.0 * rest)
+    for _ in range(50):
+        x = 0.5 * (a + b)
+        below = special.ndtr((x[:, None] - middle) / rest) @ weight < target
+        a, b = np.where(below, x, a), np.where(below, b, x)
+    x = 0.5 * (a + b)
+    return x[: len(z)], x[len(z) :]

@@ -1,0 +1,113 @@
+"""Jackknife over experiments: what changes when one run is left out.
+
+It sees run-to-run variation that no noise model within a run can see.  Shared parameters only.
+Variance (n - 1)/n sum (psi_(-k) - mean)^2 with Student's t on n - 1 degrees of freedom (Tukey, Ann.
+Math. Stat. 29, 614, 1958; Efron and Tibshirani, An Introduction to the Bootstrap, 1993, eq. 11.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import nan
+
+import numpy as np
+from scipy import stats
+
+from bayes_sensor.bounds.evidence import Evidence
+from bayes_sensor.bounds.gaussian import gaussian_bound
+from bayes_sensor.bounds.records import LEVELS, Bound
+from bayes_sensor.bounds.surface import Surface, maximise
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compression import Compressed, Region, compress
+
+REFERENCE = "Tukey (1958); Efron and Tibshirani (1993), ch. 11"
+SHARED = ("tau_s", "tau_v_s", "V_mL")
+
+
+def _parts(surface: Surface, theta: FloatArray) -> list[tuple[Compressed, np.ndarray]]:
+    """Every experiment compressed alone, with the positions of its parameters in theta."""
+    problem, region = surface.problem, surface.compressed.region
+    parts = []
+    for e in problem.campaign:
+        alone = replace(problem, campaign=replace(problem.campaign, experiments=(e,)))
+        index = np.array([problem.layout.index(name) for name in alone.layout.names])
+        box = Region(region.low[index], region.high[index])
+        parts.append((compress(alone, theta[index], box), index))
+    return parts
+
+
+def leave_one_out(surface: Surface, psi: FloatArray) -> tuple[FloatArray, bool]:
+    """(n_experiments, n_psi) least squares without each experiment, as if tau^2 could be negative;
+    entries of the experiment left out are not fitted.  Also whether all refits settled."""
+    problem, coordinates = surface.problem, surface.coordinates
+    theta = coordinates.theta(psi)
+    parts = _parts(surface, theta)
+    informations = []
+    slopes = coordinates.slopes(theta)
+    for compressed, index in parts:
+        full = np.zeros((len(theta), len(theta)))
+        full[np.ix_(index, index)] = compressed.information(theta[index])
+        part = full[np.ix_(coordinates.free, coordinates.free)]
+        informations.append(slopes.T @ part @ slopes)
+    found = np.empty((len(parts), len(psi)))
+    settled = True
+    for left_out, e in enumerate(problem.campaign):
+        kept = [i for i in range(len(parts)) if i != left_out]
+        matrix = np.sum([informations[i] for i in kept], axis=0)
+        active = np.array([i for i in surface.mean if f"[{e.name}]" not in coordinates.names[i]])
+
+        def objective(at: FloatArray, kept: list[int] = kept) -> tuple[float, FloatArray]:
+            vector = coordinates.theta(at)
+            value, gradient = 0.0, np.zeros(len(vector))
+            for i in kept:
+                compressed, index = parts[i]
+                part_value, part_gradient = compressed.value_and_gradient(vector[index])
+                value += part_value
+                gradient[index] += part_gradient
+            return value, coordinates.slopes(vector).T @ gradient[coordinates.free]
+
+        def curvature(at: FloatArray, matrix: FloatArray = matrix) -> FloatArray:
+            return matrix
+
+        maximum = maximise(objective, curvature, psi, active, surface.floor, tolerance=1e-6)
+        settled &= maximum.converged
+        found[left_out] = maximum.free
+    return found, settled
+
+
+def jackknife_experiments(evidence: Evidence) -> Bound:
+    """Leave one experiment out; tau, tau_v and V."""
+    surface = evidence.white
+    names = surface.mean_names
+    n = len(evidence.problem.campaign)
+    assumes = "least squares; experiments are exchangeable repeats, whatever the noise within them"
+    if n < 3:
+        empty = np.full((len(names), len(LEVELS)), nan)
+        return Bound(
+            "jackknife_experiments", assumes, REFERENCE, names, evidence.estimate, empty[:, 0],
+            empty, empty, f"needs at least 3 experiments, there are {n}",
+        )  # fmt: skip
+    found, settled = leave_one_out(surface, evidence.psi_white)
+    shared = [i for i, name in enumerate(names) if name in SHARED]
+    values = found[:, surface.mean[shared]]
+    deviation = values - values.mean(axis=0)
+    cov = (n - 1) / n * deviation.T @ deviation
+    short = gaussian_bound(
+        "jackknife_experiments",
+        assumes,
+        REFERENCE,
+        [names[i] for i in shared],
+        evidence.estimate[shared],
+        cov,
+        evidence.at_bound,
+        lambda level: float(stats.t.ppf(0.5 + 0.5 * level, n - 1)),
+        status="" if settled else "a refit without one experiment did not settle",
+        details={"n_experiments": n},
+    )
+    sd = np.full(len(names), nan)
+    low, high = np.full((len(names), len(LEVELS)), nan), np.full((len(names), len(LEVELS)), nan)
+    sd[shared], low[shared], high[shared] = short.sd, short.low, short.high
+    return Bound(
+        short.method, assumes, REFERENCE, names, evidence.estimate, sd, low, high, short.status,
+        short.details,
+    )  # fmt: skip

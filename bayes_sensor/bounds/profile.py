@@ -1,0 +1,224 @@
+"""Profile likelihood under the campaign's own noise: asymmetric intervals that respect tau > 0.
+
+The interval at a level holds the values v with 2 (max log L - max over the rest at v) below that
+quantile of chi-squared with one degree of freedom (Venzon and Moolgavkar, Appl. Statist. 37, 1988;
+Pawitan, In All Likelihood, 2001, ch. 3).  Where even tau = 0 is not excluded the interval starts at
+zero; the chi-squared quantile is then conservative (Self and Liang, J. Amer. Statist. Assoc. 82,
+1987).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, nan, sqrt
+
+import numpy as np
+
+from bayes_sensor.bounds.evidence import Evidence
+from bayes_sensor.bounds.gaussian import normal_factor
+from bayes_sensor.bounds.records import LEVELS, Bound
+from bayes_sensor.bounds.surface import Maximum, Surface, maximise
+from bayes_sensor.campaign import FloatArray
+
+REFERENCE = "Venzon and Moolgavkar (1988); Self and Liang (1987)"
+CLOSE = 2e-3
+"""how well sqrt(2 (drop in log L)) meets its target"""
+
+
+@dataclass(frozen=True, eq=False)
+class Profiler:
+    """Profiles of one likelihood about its maximum."""
+
+    surface: Surface
+    maximum: Maximum
+    information: FloatArray
+    """(n_psi, n_psi) at the maximum"""
+    cov: FloatArray
+    """its inverse"""
+
+    @classmethod
+    def of(cls, surface: Surface, maximum: Maximum) -> Profiler:
+        """Of a surface and its maximum."""
+        from bayes_sensor.bounds.gaussian import invert
+
+        information = surface.information(maximum.psi)
+        cov = invert(information)[0]
+        return cls(surface, maximum, information, np.where(np.isfinite(cov), cov, 0.0))
+
+    def best(self, i: int, value: float) -> Maximum:
+        """Maximum over everything else with psi's parameter ``i`` held at ``value``.
+
+        ``value`` is tau^2 for tau, and t0 or tf themselves (not t0 + tau) for the switch times:
+        those are reached by exchanging tau for t0, with (t0 + tau) following.
+        """
+        psi, cov, surface = self.maximum.psi, self.cov, self.surface
+        rest = np.array([j for j in range(len(psi)) if j != i])
+        if i in surface.coordinates.switches:
+            return self._best_switch(i, value, rest)
+        start = psi.copy()
+        start += cov[:, i] / cov[i, i] * (value - psi[i])
+        start[i] = value
+        return maximise(
+            surface.guarded, lambda _: self.information, self._inside(start), rest, surface.floor,
+            tolerance=1e-5,
+        )  # fmt: skip
+
+    def _inside(self, start: FloatArray) -> FloatArray:
+        return np.maximum(start, self.surface.floor)
+
+    def _best_switch(self, i: int, value: float, rest: np.ndarray) -> Maximum:
+        # phi = psi, but tau in the place of tau^2 and the switch time itself in that of t0 + tau
+        psi, surface = self.maximum.psi, self.surface
+        floor = surface.floor.copy()
+        floor[0] = sqrt(floor[0])
+        tau = max(psi[i] - value, floor[0])
+
+        def to_psi(phi: FloatArray) -> FloatArray:
+            point = phi.copy()
+            point[0] = phi[0] ** 2
+            point[i] = phi[i] + phi[0]
+            return point
+
+        def objective(phi: FloatArray) -> tuple[float, FloatArray]:
+            found, g = surface.guarded(to_psi(phi))
+            g = g.copy()
+            g[0] = 2.0 * phi[0] * g[0] + g[i]
+            return found, g
+
+        def curvature(phi: FloatArray) -> FloatArray:
+            T = np.eye(len(phi))
+            T[0, 0], T[i, 0] = 2.0 * phi[0], 1.0
+            return T.T @ self.information @ T
+
+        start = psi + self.cov[:, 0] / self.cov[0, 0] * (tau**2 - psi[0])
+        start[0], start[i] = tau, value
+        return maximise(
+            objective, curvature, np.maximum(start, floor), rest, floor, tolerance=1e-5
+        )  # fmt: skip
+
+    def drop(self, i: int, value: float) -> float:
+        """sqrt(2 (max log L - profile)) at ``value``; infinite outside the mesh."""
+        fall = 2.0 * (self.maximum.value - self.best(i, value).value)
+        return sqrt(max(fall, 0.0)) if np.isfinite(fall) else inf
+
+    def ends(
+        self, i: int, centre: float, guesses: list[float], targets: list[float]
+    ) -> list[float]:
+        """Where :meth:`drop` reaches each target (rising), on the side of ``guesses``; nan where it
+        cannot be found."""
+        known = [(centre, 0.0)]
+        found = []
+        for guess, target in zip(guesses, targets):
+            end = nan
+            for _ in range(25):
+                value = self._next(known, guess, target)
+                if value is None:
+                    break
+                drop = self.drop(i, value)
+                known.append((value, drop))
+                known.sort(key=lambda pair: abs(pair[0] - centre))
+                if abs(drop - target) < CLOSE:
+                    end = value
+                    break
+            found.append(end)
+        return found
+
+    @staticmethod
+    def _next(known: list[tuple[float, float]], guess: float, target: float) -> float | None:
+        centre = known[0][0]
+        below = max((p for p in known if p[1] < target), key=lambda p: abs(p[0] - centre))
+        beyond = [
+            p for p in known if p[1] >= target and abs(p[0] - centre) > abs(below[0] - centre)
+        ]
+        if not beyond:
+            if below[0] == centre:
+                return guess
+            stretch = min(max(1.02 * target / max(below[1], 1e-9), 1.05), 3.0)
+            return float(centre + stretch * (below[0] - centre))
+        above = min(beyond, key=lambda p: abs(p[0] - centre))
+        if abs(above[0] - below[0]) < 1e-12 * max(abs(above[0]), 1e-12):
+            return None
+        share = 0.5 if not np.isfinite(above[1]) else (target - below[1]) / (above[1] - below[1])
+        return float(below[0] + min(max(share, 0.02), 0.98) * (above[0] - below[0]))
+
+
+def profile(evidence: Evidence) -> Bound:
+    """Likelihood-ratio intervals of every parameter of the mean."""
+    from bayes_sensor.bounds.classical import crlb_ar1
+
+    surface, maximum = evidence.coloured, evidence.coloured_maximum
+    profiler = Profiler.of(surface, maximum)
+    rough = crlb_ar1(evidence)
+    names = surface.mean_names
+    targets = [normal_factor(level) for level in LEVELS.values()]
+    low, high = np.full((len(names), 3), nan), np.full((len(names), 3), nan)
+    theta = evidence.coloured_theta
+    estimate = theta[[evidence.problem.layout.index(name) for name in names]]
+    at_zero = False
+    for row, name in enumerate(names):
+        i = int(surface.mean[row])
+        if not np.isfinite(rough.high[row, 0]):
+            continue
+        if name == "tau_s":
+            low[row], high[row] = _tau_ends(profiler, rough, targets)
+            at_zero = bool(low[row, 1] == 0.0)
+        else:
+            centre = float(estimate[row])
+            low[row] = profiler.ends(i, centre, rough.low[row].tolist(), targets)
+            high[row] = profiler.ends(i, centre, rough.high[row].tolist(), targets)
+        evidence.progress((row + 1) / len(names), "profile likelihood")
+    sentences = []
+    if at_zero:
+        sentences.append("the data do not exclude tau = 0: its interval is an upper limit")
+    lost = [n for n, a, b in zip(names, low, high) if not np.isfinite([a, b]).all()]
+    if lost:
+        sentences.append(f"no end found for {', '.join(lost)}")
+    if not maximum.converged:
+        sentences.append("the maximum under coloured noise was not reached to full accuracy")
+    return Bound(
+        "profile",
+        f"{noise_words(evidence)}, every other parameter at its best",
+        REFERENCE,
+        names,
+        estimate,
+        np.full(len(names), nan),
+        low,
+        high,
+        "; ".join(sentences) or "ok",
+    )
+
+
+def noise_words(evidence: Evidence) -> str:
+    """The problem's noise law in words."""
+    noise = evidence.problem.noise
+    law = "AR(1) noise" if noise.autocorrelation == "ar1" else "white noise"
+    scale = {
+        "concentration": "with concentration-dependent scale",
+        "signal": "with signal-dependent scale",
+        "constant": "of constant scale",
+    }[noise.variance]
+    return f"{law} {scale}"
+
+
+def _tau_ends(
+    profiler: Profiler, rough: Bound, targets: list[float]
+) -> tuple[list[float], list[float]]:
+    centre = float(profiler.maximum.psi[0])
+    floor = float(profiler.surface.floor[0])
+    guesses = [max(value**2, 1.5 * floor) for value in rough.high[0]]
+    up = profiler.ends(0, centre, guesses, targets)
+    high = [sqrt(value) for value in up]
+    to_floor = profiler.drop(0, floor)
+    low = []
+    inside = [j for j, target in enumerate(targets) if target < to_floor]
+    guesses = [max(float(rough.low[0, j]) ** 2, floor) for j in inside]
+    guesses = [g if g < centre else 0.5 * (centre + floor) for g in guesses]
+    found = profiler.ends(0, centre, guesses, [targets[j] for j in inside])
+    low = [sqrt(max(value, 0.0)) for value in found] + [0.0] * (len(targets) - len(inside))
+    return low, high
+
+
+def profile_curve(profiler: Profiler, taus: FloatArray) -> FloatArray:
+    """(n,) drop in log-likelihood (max log L - profile) at each tau (n,) s."""
+    squares = np.maximum(np.asarray(taus, dtype=float) ** 2, profiler.surface.floor[0])
+    return np.array([0.5 * profiler.drop(0, float(q)) ** 2 for q in squares])
