@@ -259,7 +259,7 @@ def resample_and_refit(
         counts.append(np.minimum(8 * 2 ** mesh.kind[part], ends - start))
         means.append(mean_and_variance(problem, vector, k)[0])
         residuals.append(np.zeros(len(e.t)))
-    matrix = surface.information(evidence.psi_white)
+    matrix = surface.information(evidence.psi_expansion)
     rng = np.random.default_rng(np.random.SeedSequence([evidence.seed, 71]))
     bounded = np.empty((n_resamples, len(matrix)))
     free = np.empty_like(bounded)

@@ -16,7 +16,7 @@ PAPER = "the paper, eqs. 16-18; Kay (1993), eq. 3.33"
 def crlb_iid(evidence: Evidence) -> Bound:
     """Converged Cramer-Rao bound under iid noise of the fit's RMS."""
     surface = evidence.white
-    information = surface.information(evidence.psi_white)
+    information = surface.information(surface.expansion(evidence.psi_white))
     cov, identified = invert(information[np.ix_(surface.mean, surface.mean)])
     return gaussian_bound(
         "crlb_iid",
@@ -85,7 +85,7 @@ def crlb_ar1(evidence: Evidence) -> Bound:
     """
     surface = evidence.coloured
     psi = evidence.coloured_maximum.psi
-    cov, identified = invert(surface.information(psi))
+    cov, identified = invert(surface.information(surface.expansion(psi)))
     names = surface.mean_names
     theta = evidence.coloured_theta
     noise = {

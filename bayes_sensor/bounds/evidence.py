@@ -94,6 +94,15 @@ class Evidence:
             theta[row] = 0.0, self.fit.rms, 0.0
         return self.white.psi(theta)
 
+    @cached_property
+    def psi_expansion(self) -> FloatArray:
+        """(n_psi,) of the fit, tau^2 raised to its coloured spread: where derivatives exist."""
+        point = self.coloured_maximum.psi.copy()
+        point[0] = self.psi_white[0]
+        psi = self.psi_white.copy()
+        psi[0] = self.coloured.expansion(point)[0]
+        return psi
+
     @property
     def mean_names(self) -> list[str]:
         """Flat names of all parameters but the noise's."""

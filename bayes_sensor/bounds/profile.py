@@ -32,7 +32,7 @@ class Profiler:
     surface: Surface
     maximum: Maximum
     information: FloatArray
-    """(n_psi, n_psi) at the maximum"""
+    """(n_psi, n_psi) near the maximum"""
     cov: FloatArray
     """its inverse"""
 
@@ -41,7 +41,7 @@ class Profiler:
         """Of a surface and its maximum."""
         from bayes_sensor.bounds.gaussian import invert
 
-        information = surface.information(maximum.psi)
+        information = surface.information(surface.expansion(maximum.psi))
         cov = invert(information)[0]
         return cls(surface, maximum, information, np.where(np.isfinite(cov), cov, 0.0))
 

@@ -72,10 +72,13 @@ def ar1_middle(scaled: FloatArray, phi: float) -> FloatArray:
 def sandwich_covariance(
     surface: Surface,
     psi: FloatArray,
+    fitted: FloatArray,
     coloured: Problem | None = None,
     noise: FloatArray | None = None,
 ) -> tuple[FloatArray, np.ndarray, dict[str, float]]:
     """Covariance (n, n) of least squares in psi's mean part, (n,) identified, bandwidths.
+
+    Sensitivities are taken at ``psi`` (n_psi,), residuals at the theta ``fitted`` (n_theta,).
 
     Without ``coloured``: Newey-West.  With it: the AR(1) form, for that problem's noise law at the
     noise parameters of ``noise`` (n_theta,).  One experiment at a time, seven columns each: the
@@ -93,7 +96,7 @@ def sandwich_covariance(
         local = np.array([positions[problem.layout.names[i]] for i in index])
         J = J @ slopes[np.ix_(local, local)]
         if coloured is None:
-            mean, _ = mean_and_variance(problem, theta, k)
+            mean, _ = mean_and_variance(problem, fitted, k)
             r = np.where(e.used, e.values - mean, 0.0)
             scores = J * r[:, None]
             bandwidths[e.name] = andrews_bandwidth(scores)
@@ -113,16 +116,19 @@ def sandwich_covariance(
 
 def sandwich(evidence: Evidence, parametric: bool = False) -> Bound:
     """Least squares with the sandwich covariance; ``parametric``: its AR(1) form."""
-    surface, psi = evidence.white, evidence.psi_white
+    surface, psi = evidence.white, evidence.psi_expansion
+    fitted = surface.coordinates.theta(evidence.psi_white)
     if parametric:
-        cov, identified, _ = sandwich_covariance(surface, psi, evidence.problem, evidence.theta)
+        cov, identified, _ = sandwich_covariance(
+            surface, psi, fitted, evidence.problem, evidence.theta
+        )
         assumes = (
             "least squares under AR(1) noise with concentration-dependent scale, whose fitted "
             "parameters stand in the covariance"
         )
         details: dict[str, object] = {}
     else:
-        cov, identified, bandwidths = sandwich_covariance(surface, psi)
+        cov, identified, bandwidths = sandwich_covariance(surface, psi, fitted)
         assumes = (
             "least squares; noise stationary in its correlations over short lags but otherwise "
             "unspecified, experiments independent"

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from bayes_sensor.bounds.gaussian import least_tau, mean_positions
+from bayes_sensor.bounds.gaussian import invert, least_tau, mean_positions
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compression import Compressed, Region, compress
+from bayes_sensor.compression import Compressed, Region, compress, default_region
 from bayes_sensor.laplace import Coordinates
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.noise import Noise
@@ -153,6 +153,22 @@ class Surface:
             return -np.inf, np.zeros(len(psi))
         return self.objective(psi)
 
+    def expansion(self, psi: FloatArray) -> FloatArray:
+        """psi with tau^2 raised to its own spread: where a Gaussian is matched near tau = 0.
+
+        The information on tau^2 falls as tau grows; taken at zero it would promise upper limits
+        that the likelihood does not keep.
+        """
+        point = psi.copy()
+        for _ in range(3):
+            variance = invert(self.information(point))[0][0, 0]
+            if not np.isfinite(variance) or psi[0] >= np.sqrt(variance):
+                break
+            # never beyond what the mesh covers
+            top = 0.5 * self.compressed.region.high[0] ** 2
+            point[0] = max(psi[0], min(float(np.sqrt(variance)), top))
+        return point
+
     def information(self, psi: FloatArray) -> FloatArray:
         """Expected information (n_psi, n_psi)."""
         theta = self.coordinates.theta(np.maximum(psi, self.floor))
@@ -170,7 +186,7 @@ def coloured_surface(problem: Problem, theta: FloatArray) -> tuple[Surface, Maxi
     for row in layout.noise:
         if "phi" not in {name.split("[")[0] for name in problem.fixed}:
             vector[row[0]] = np.clip(vector[row[0]], -0.995, 0.9995)
-    surface = Surface(compress(problem, vector))
+    surface = Surface(compress(problem, vector, _roomy(problem, vector)))
     for _ in range(4):
         maximum = _climb(surface, vector)
         vector = surface.coordinates.theta(maximum.psi)
@@ -178,10 +194,26 @@ def coloured_surface(problem: Problem, theta: FloatArray) -> tuple[Surface, Maxi
         spread = 1.0 / np.sqrt(np.maximum(np.diag(surface.information(maximum.psi)), 1e-300))
         # conditional spreads: the mesh reaches seven marginal ones, so this is near its centre
         near = bool((moved <= 3.0 * spread).all())
-        surface = Surface(compress(problem, vector))
+        surface = Surface(compress(problem, vector, _roomy(problem, vector)))
         if near:
             break
     return surface, _climb(surface, vector)
+
+
+def _roomy(problem: Problem, vector: FloatArray) -> Region:
+    """The default region half as wide again: the information on tau^2 falls as tau grows, so that
+    likelihoods have longer tails upwards than it tells at a small tau."""
+    region = default_region(problem, vector)
+    low, high = region.low.copy(), region.high.copy()
+    switches = problem.layout.local[:, 2:].ravel()
+    switches = switches[switches >= 0]
+    more = 0.5 * high[0]
+    high[0] += more
+    low[switches] -= more
+    for i in (1, 2):
+        low[i] = max(low[i] - 0.5 * (vector[i] - low[i]), 0.1 * vector[i])
+        high[i] += 0.5 * (high[i] - vector[i])
+    return Region(low, high)
 
 
 def _climb(surface: Surface, theta: FloatArray) -> Maximum:
