@@ -1,12 +1,13 @@
 """The one place that knows how ArviZ 0.23 (Python 3.11) and ArviZ 1.x differ.
 
-Groups go in as xarray Datasets; out comes an ``InferenceData`` or, in ArviZ 1.x, a ``DataTree`` with
-the same groups and names.
+Groups go in as xarray Datasets; out comes an ``InferenceData`` or, in ArviZ 1.x, a ``DataTree``
+with the same groups and names.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,12 @@ from bayes_sensor.campaign import FloatArray
 ENGINE = "h5netcdf"
 
 
-def _modern() -> bool:
-    import arviz
+def _arviz() -> Any:
+    return import_module("arviz")  # slow to import: only where it is used
 
-    return int(arviz.__version__.split(".")[0]) >= 1
+
+def _modern() -> bool:
+    return int(_arviz().__version__.split(".")[0]) >= 1
 
 
 def assemble(groups: Mapping[str, Any], attributes: Mapping[str, Any]) -> Any:
@@ -31,9 +34,7 @@ def assemble(groups: Mapping[str, Any], attributes: Mapping[str, Any]) -> Any:
         tree = xarray.DataTree.from_dict({f"/{name}": data for name, data in groups.items()})
         tree.attrs.update(attributes)
         return tree
-    import arviz
-
-    return arviz.InferenceData(attrs=dict(attributes), **groups)
+    return _arviz().InferenceData(attrs=dict(attributes), **groups)
 
 
 def save(data: Any, path: Path) -> None:
@@ -43,14 +44,12 @@ def save(data: Any, path: Path) -> None:
 
 def load(path: Path) -> Any:
     """Read what :func:`save` wrote, into memory; the file is closed again."""
-    import arviz
-
     if _modern():
         import xarray
 
         with xarray.open_datatree(str(path), engine=ENGINE) as tree:
             return tree.load()
-    data = arviz.from_netcdf(str(path), engine=ENGINE)
+    data = _arviz().from_netcdf(str(path), engine=ENGINE)
     for group in data.groups():
         data[group].load()
     data.close()
@@ -63,9 +62,9 @@ def diagnostics(chains: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]
     Vehtari et al., Bayesian Analysis 16, 667 (2021), as implemented by ArviZ.  A parameter that
     does not vary has R-hat nan and ESS nan.
     """
-    import arviz
     import xarray
 
+    arviz = _arviz()
     data = xarray.Dataset({"theta": (("chain", "draw", "parameter"), chains)})
     with np.errstate(divide="ignore", invalid="ignore"):
         r_hat = arviz.rhat(data)["theta"].values
@@ -86,9 +85,6 @@ def pareto_k(log_weights: FloatArray) -> float:
     if np.ptp(log_weights) < 1e-12:
         return float("-inf")
     if _modern():
-        from arviz_stats.base import array_stats
-
+        array_stats = import_module("arviz_stats.base").array_stats
         return float(array_stats.psislw(log_weights)[1])
-    import arviz
-
-    return float(arviz.psislw(log_weights)[1])
+    return float(_arviz().psislw(log_weights)[1])

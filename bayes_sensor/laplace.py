@@ -9,7 +9,7 @@ square cut at zero, the rest conditionally.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import log, pi, sqrt
@@ -18,7 +18,7 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compression import Compressed, Region, compress
-from bayes_sensor.likelihood import Problem, log_priors
+from bayes_sensor.likelihood import Problem, log_prior_derivatives, log_priors
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,16 @@ class Coordinates:
         return self._where("t0_s", "tf_s")
 
     @cached_property
+    def phi(self) -> np.ndarray:
+        """Positions in psi of atanh phi."""
+        return self._where("phi")
+
+    @cached_property
+    def sigma0(self) -> np.ndarray:
+        """Positions in psi of log sigma0."""
+        return self._where("sigma0_V")
+
+    @cached_property
     def linear(self) -> np.ndarray:
         """(n_experiments, 2) positions in psi of y0 and beta."""
         y0, beta = self._where("y0_V"), self._where("beta_V")
@@ -67,7 +77,7 @@ class Coordinates:
         tau = psi[..., :1].copy()
         psi[..., self.switches] += tau
         psi[..., self.squared] **= 2
-        phi, sigma0 = self._where("phi"), self._where("sigma0_V")
+        phi, sigma0 = self.phi, self.sigma0
         psi[..., phi] = np.arctanh(psi[..., phi])
         psi[..., sigma0] = np.log(psi[..., sigma0])
         return psi
@@ -77,7 +87,7 @@ class Coordinates:
         values = np.array(psis, dtype=float)
         values[..., self.squared] = np.sqrt(np.maximum(values[..., self.squared], 0.0))
         values[..., self.switches] -= values[..., :1]
-        phi, sigma0 = self._where("phi"), self._where("sigma0_V")
+        phi, sigma0 = self.phi, self.sigma0
         # 1 - 1e-12: tanh rounds to 1 far out, where the density is zero anyway
         values[..., phi] = np.clip(np.tanh(values[..., phi]), -1 + 1e-12, 1 - 1e-12)
         values[..., sigma0] = np.exp(np.minimum(values[..., sigma0], 300.0))
@@ -90,7 +100,7 @@ class Coordinates:
     def log_jacobian(self, thetas: FloatArray, roots: bool = False) -> FloatArray:
         """log |d theta / d psi| (..,).  ``roots``: with tau and sigma1 themselves, not squared."""
         values = np.asarray(thetas)[..., self.free]
-        phi, sigma0 = self._where("phi"), self._where("sigma0_V")
+        phi, sigma0 = self.phi, self.sigma0
         with np.errstate(divide="ignore"):
             total = np.log(1.0 - values[..., phi] ** 2).sum(axis=-1)
             total = total + np.log(values[..., sigma0]).sum(axis=-1)
@@ -103,8 +113,8 @@ class Coordinates:
         values = theta[self.free]
         diagonal = np.ones(len(values))
         diagonal[self.squared] = 0.5 / np.maximum(values[self.squared], 1e-12)
-        diagonal[self._where("phi")] = 1.0 - values[self._where("phi")] ** 2
-        diagonal[self._where("sigma0_V")] = values[self._where("sigma0_V")]
+        diagonal[self.phi] = 1.0 - values[self.phi] ** 2
+        diagonal[self.sigma0] = values[self.sigma0]
         slopes = np.diag(diagonal)
         slopes[self.switches, 0] = -diagonal[0]
         return slopes
@@ -221,10 +231,11 @@ def approximate(
     that the expansion never divides by a vanishing derivative.
     """
     coordinates = Coordinates(problem)
-    compressed = compressed or compress(problem, start)
-    theta = np.array(compressed.reference if np.isnan(start).any() else start, dtype=float)
+    mesh = compressed or compress(problem, start)
+    theta = np.array(mesh.reference if np.isnan(start).any() else start, dtype=float)
     free = coordinates.free
     theta[0] = max(theta[0], 0.02 * theta[1])
+    theta = _into_support(problem, theta)
     layout = problem.layout
     for row in layout.noise:
         theta[row[2]] = max(theta[row[2]], 0.05 * theta[row[1]])
@@ -232,15 +243,15 @@ def approximate(
     for name, value in problem.fixed.items():
         theta[layout.index(name)] = value
 
-    def objective(psi):
+    def objective(psi: FloatArray) -> float:
         candidate = coordinates.theta(psi)
         prior = log_priors(problem, candidate[None])[0]
         # flat measure in theta: maxima do not depend on the coordinates
-        return prior + compressed.log_likelihood(candidate) if np.isfinite(prior) else -np.inf
+        return prior + mesh.log_likelihood(candidate) if np.isfinite(prior) else -np.inf
 
-    def gradient(psi):
+    def gradient(psi: FloatArray) -> FloatArray:
         candidate = coordinates.theta(psi)
-        _, g = compressed.value_and_gradient(candidate)
+        _, g = mesh.value_and_gradient(candidate)
         g = g + prior_gradient(problem, candidate)
         return coordinates.slopes(candidate).T @ g[free]
 
@@ -248,8 +259,8 @@ def approximate(
     value = objective(psi)
     converged = False
     floor = psi.copy()
-    info = _information(compressed, coordinates, psi)
-    for iteration in range(30):
+    info = _information(mesh, coordinates, psi)
+    for _ in range(30):
         g = gradient(psi)
         step = np.linalg.solve(info, g)
         expected = float(g @ step)
@@ -262,6 +273,7 @@ def approximate(
             for i in coordinates.squared:
                 floor[i] = 0.05 / sqrt(info[i, i])  # a twentieth of the conditional spread
                 trial[i] = max(trial[i], min(psi[i], floor[i]))
+            trial = coordinates.psi(_into_support(problem, coordinates.theta(trial)))
             trial_value = objective(trial)
             if trial_value > value - 1e-9:
                 break
@@ -273,12 +285,12 @@ def approximate(
         if gained < 1e-7 * max(1.0, expected) or gained < 1e-6:
             converged = True
             break
-        if iteration % 3 == 2 and not compressed._fast(coordinates.theta(psi)):
-            compressed = compress(problem, coordinates.theta(psi))
-        info = _information(compressed, coordinates, psi)
+        if not mesh.covers(coordinates.theta(psi)):
+            mesh = compress(problem, coordinates.theta(psi))
+        info = _information(mesh, coordinates, psi)
     theta = coordinates.theta(psi)
-    compressed = compress(problem, theta)
-    mean, cov = _expand(compressed, coordinates, psi, gradient)
+    mesh = compress(problem, theta)
+    mean, cov = _expand(mesh, coordinates, psi, gradient)
     if mean[0] < 0.25 * sqrt(cov[0, 0]):
         # re-expand where the bulk of the truncated Gaussian lies, not at the edge
         middle = psi.copy()
@@ -286,10 +298,22 @@ def approximate(
         shift = cov[1:, 0] / cov[0, 0] * (middle[0] - mean[0])
         middle[1:] = mean[1:] + shift
         if np.isfinite(objective(middle)):
-            mean, cov = _expand(compressed, coordinates, middle, gradient)
+            mean, cov = _expand(mesh, coordinates, middle, gradient)
     laplace = Laplace(coordinates, mean, cov, theta, float(value), converged)
-    compressed = compress(problem, theta, covering_region(compressed, laplace))
-    return laplace, compressed
+    mesh = compress(problem, theta, covering_region(mesh, laplace))
+    return laplace, mesh
+
+
+def _into_support(problem: Problem, theta: FloatArray) -> FloatArray:
+    """``theta`` moved just inside the uniform priors and below tau = tau_v where it is not."""
+    theta = theta.copy()
+    for i, name in enumerate(problem.layout.names):
+        prior = problem.priors[name]
+        if name not in problem.fixed and prior.kind in ("uniform", "log_uniform"):
+            margin = 1e-6 * (prior.b - prior.a)
+            theta[i] = np.clip(theta[i], prior.a + margin, prior.b - margin)
+    theta[0] = min(theta[0], 0.999 * theta[1])
+    return theta
 
 
 def covering_region(compressed: Compressed, laplace: Laplace, n: int = 400) -> Region:
@@ -327,12 +351,21 @@ def _positive(matrix: FloatArray) -> FloatArray:
     return (vectors * values) @ vectors.T * np.outer(scale, scale)
 
 
-def _expand(compressed, coordinates, psi, gradient):
+def _expand(
+    compressed: Compressed,
+    coordinates: Coordinates,
+    psi: FloatArray,
+    gradient: Callable[[FloatArray], FloatArray],
+) -> tuple[FloatArray, FloatArray]:
     """Mean and covariance of the Gaussian matched to gradient and Hessian at psi."""
     info = _information(compressed, coordinates, psi)
     step = 0.3 / np.sqrt(np.diag(info))  # conditional spreads: wide enough to average rounding
     for i in coordinates.squared:
         step[i] = min(step[i], 0.5 * psi[i])
+    region = compressed.region
+    width = np.minimum(region.high - region.low, 1e300)[coordinates.free]
+    for i in coordinates.switches:  # stay on the mesh where the data hardly hold a switch time
+        step[i] = min(step[i], 0.2 * width[i])
     n = len(psi)
     hessian = np.empty((n, n))
     for i in range(n):
@@ -350,31 +383,12 @@ def _expand(compressed, coordinates, psi, gradient):
 
 
 def prior_gradient(problem: Problem, theta: FloatArray) -> FloatArray:
-    return _prior_derivatives(problem, theta)[0]
+    """(n_theta,) derivatives of the log prior."""
+    return log_prior_derivatives(problem, theta)[0]
 
 
 def _prior_curvature(problem: Problem, theta: FloatArray) -> FloatArray:
-    return _prior_derivatives(problem, theta)[1]
-
-
-def _prior_derivatives(problem: Problem, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """First derivative of the log prior and minus the second where that is positive, (n,) each."""
-    first, second = np.zeros(len(theta)), np.zeros(len(theta))
-    for i, name in enumerate(problem.layout.names):
-        if name in problem.fixed:
-            continue
-        prior = problem.priors[name]
-        if prior.kind == "half_normal":
-            first[i], second[i] = -theta[i] / prior.a**2, 1.0 / prior.a**2
-        elif prior.kind == "normal":
-            first[i], second[i] = (prior.a - theta[i]) / prior.b**2, 1.0 / prior.b**2
-        elif prior.kind == "log_normal":
-            u = log(theta[i] / prior.a) / prior.b**2
-            first[i] = -(1.0 + u) / theta[i]
-            second[i] = max(1.0 / prior.b**2 - 1.0 - u, 0.0) / theta[i] ** 2
-        elif prior.kind == "log_uniform":
-            first[i] = -1.0 / theta[i]
-    return first, second
+    return log_prior_derivatives(problem, theta)[1]
 
 
 def names_of_psi(names: Sequence[str]) -> list[str]:

@@ -11,7 +11,7 @@ With r = (y - m)/s, AR(1) coefficient phi over one sample and phi_i over the ste
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import exp, log, pi, sqrt
@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.model import (
@@ -75,19 +76,22 @@ class Prior:
         """The same law as a frozen ``scipy.stats`` distribution; None for ``flat``."""
         from scipy import stats
 
-        return {
+        laws: dict[str, Callable[[], Any]] = {
             "flat": lambda: None,
             "half_normal": lambda: stats.halfnorm(scale=self.a),
             "log_normal": lambda: stats.lognorm(s=self.b, scale=self.a),
             "normal": lambda: stats.norm(self.a, self.b),
             "uniform": lambda: stats.uniform(self.a, self.b - self.a),
             "log_uniform": lambda: stats.loguniform(self.a, self.b),
-        }[self.kind]()
+        }
+        return laws[self.kind]()
 
     def __str__(self) -> str:
         numbers = {"flat": "", "half_normal": f"({self.a:g})"}
         return self.kind.replace("_", "-") + numbers.get(self.kind, f"({self.a:g}, {self.b:g})")
 
+
+KINDS = ("flat", "normal", "half_normal", "log_normal", "uniform", "log_uniform")
 
 # Scale of the half-normal prior on tau at the published rig, and the time its fastest experiment
 # (9 L/min) takes from 10 to 90 %; another rig's scale follows in proportion.
@@ -95,55 +99,61 @@ TAU_PRIOR_SCALE = 0.200
 PUBLISHED_TIMES = (0.0481, 0.8577, 0.05823 / 0.15)
 
 
-def _rise_time(t: FloatArray, x: FloatArray) -> float:
-    low, high = np.searchsorted(np.maximum.accumulate(x), [0.1, 0.9])
-    return float(t[min(high, len(t) - 1)] - t[min(low, len(t) - 1)])
+def _rise_time(t: FloatArray, x: FloatArray) -> float | None:
+    """10 to 90 % time of the last lasting rise through one half; earlier spikes do not count."""
+    below = np.flatnonzero(x < 0.5)
+    if len(below) == 0 or below[-1] + 1 >= len(x):
+        return None
+    half = below[-1] + 1
+    low = np.flatnonzero(x[:half] < 0.1)
+    high = np.flatnonzero(x[half:] > 0.9)
+    if len(low) == 0 or len(high) == 0:
+        return None
+    return float(t[half + high[0]] - t[low[-1]])
 
 
 def published_rise_time() -> float:
     """s, 10 to 90 % of the published model at 9 L/min."""
     t = np.linspace(0.0, 20.0, 20001)
-    return _rise_time(t, cascade_response(t, PUBLISHED_TIMES, 0.0))
+    rise = _rise_time(t, cascade_response(t, PUBLISHED_TIMES, 0.0))
+    assert rise is not None  # the published response rises
+    return rise
 
 
 def fastest_rise(campaign: Campaign) -> float:
     """s, the shortest 10 to 90 % time among the measured steps.
 
-    Each record is averaged in blocks so that noise hides neither end; the median of the last tenth
-    of the stretch between the commanded times is the plateau.  Steps smaller than six times their
-    noise are left out; without any usable step the published rig's time is returned.
+    Each record is averaged in blocks so that noise hides neither end.  Steps smaller than a tenth
+    of the largest, or than twenty times the scatter of these averages, are left out; without any
+    usable step the published rig's time is returned.
     """
-    times = []
-    for e in campaign:
-        if e.y is None:
-            continue
-        rise = _measured_rise(e)
-        if rise is not None:
-            times.append(rise)
+    seen = [found for e in campaign if e.y is not None and (found := _measured_rise(e))]
+    largest = max((step for step, _ in seen), default=0.0)
+    times = [rise for step, rise in seen if step >= 0.1 * largest]
     return min(times) if times else published_rise_time()
 
 
-def _measured_rise(e: Experiment) -> float | None:
-    used = e.used
+def _measured_rise(e: Experiment) -> tuple[float, float] | None:
+    """Size of the step (V) and its 10 to 90 % time (s), or None where it cannot be seen."""
     on = e.commanded_on if e.commanded_on is not None else e.t[0]
     off = e.commanded_off if e.commanded_off is not None else e.t[-1]
-    t, y = e.t[used], e.values[used]
-    before = y[t < on]
-    during = (t >= on) & (t < off)
-    if len(before) < 20 or during.sum() < 100:
+    t, y = e.t[e.used], e.values[e.used]
+    first, last = np.searchsorted(t, [on, off])
+    if last - first < 100:
         return None
-    y0 = float(np.median(before))
-    plateau = y[during][-max(10, during.sum() // 10) :]
-    step = float(np.median(plateau)) - y0
-    noise = float(np.std(np.diff(y[during]))) / sqrt(2.0)
-    if abs(step) < 6.0 * max(noise, np.std(before)):
+    # averages over a six-hundredth of the stretch: short against any rise that fills a tenth of it
+    n_bin = max(1, (last - first) // 600)
+    n = (last - first) // n_bin * n_bin
+    means = y[first : first + n].reshape(-1, n_bin).mean(axis=1)
+    times = t[first : first + n].reshape(-1, n_bin).mean(axis=1)
+    tenth = max(5, len(means) // 10)
+    low = float(np.median(means[:3] if first < 20 else y[:first]))
+    high = float(np.median(means[-tenth:]))
+    scatter = float(np.std(np.diff(means[-tenth:]))) / sqrt(2.0)
+    if abs(high - low) < 20.0 * scatter or high == low:
         return None
-    # averages over a two-hundredth of the stretch: short against any rise that fills a tenth of it
-    n_bin = max(1, during.sum() // 600)
-    n = during.sum() // n_bin * n_bin
-    x = (y[during][:n].reshape(-1, n_bin).mean(axis=1) - y0) / step
-    tb = t[during][:n].reshape(-1, n_bin).mean(axis=1)
-    return max(_rise_time(tb, x), n_bin * e.interval)
+    rise = _rise_time(times, (means - low) / (high - low))
+    return None if rise is None else (abs(high - low), max(rise, n_bin * e.interval))
 
 
 def default_priors(campaign: Campaign, layout: Layout) -> dict[str, Prior]:
@@ -156,8 +166,8 @@ def default_priors(campaign: Campaign, layout: Layout) -> dict[str, Prior]:
       tau <= tau_v, because the cascade is unchanged when the two swap: the sensor is taken to be
       the faster one.
     * ``V``: log-normal around the volume that flow would fill in a third of the rise, sd 1.5.
-    * ``t0``, ``tf``: uniform from the commanded time to 20 rise times later (not before the
-      command); without commanded times uniform over the record.
+    * ``t0``, ``tf``: uniform from the commanded time (nothing happens before the command) to the
+      next command or the record's end; without commanded times uniform over the record.
     * ``y0``, ``beta``: flat (the data hold them to a thousandth; flat makes the marginal exact).
     * ``phi``: uniform on (-1, 1), or (0, 1) when sampling intervals differ.
     * ``sigma0``, ``sigma1``: half-normal, ten times the campaign's sample-to-sample scatter.
@@ -180,14 +190,11 @@ def default_priors(campaign: Campaign, layout: Layout) -> dict[str, Prior]:
     for e in campaign:
         priors[f"y0_V[{e.name}]"] = Prior("flat")
         priors[f"beta_V[{e.name}]"] = Prior("flat")
-        for kind, commanded in (("t0_s", e.commanded_on), ("tf_s", e.commanded_off)):
-            if kind == "tf_s" and not e.has_fall:
-                continue
-            low = commanded if commanded is not None else float(e.t[0])
-            high = min(low + 20.0 * rise, float(e.t[-1]))
-            if commanded is None or high <= low:
-                high = float(e.t[-1])
-            priors[f"{kind}[{e.name}]"] = Prior("uniform", low, high)
+        start, end = float(e.t[0]), float(e.t[-1])
+        on = start if e.commanded_on is None else e.commanded_on
+        priors[f"t0_s[{e.name}]"] = Prior("uniform", on, e.commanded_off or end)
+        if e.has_fall:
+            priors[f"tf_s[{e.name}]"] = Prior("uniform", e.commanded_off or start, end)
     for name in layout.noise_names:
         kind = name.split("[")[0]
         if kind == "phi":
@@ -242,6 +249,17 @@ class Problem:
             if name.split("[")[0] in pinned
         }
 
+    @cached_property
+    def prior_table(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """Place of each law in ``KINDS`` (n_theta,), its numbers (n_theta, 2); pinned: flat."""
+        table = np.zeros((len(self.layout), 2))
+        kinds = np.full(len(self.layout), KINDS.index("flat"))
+        for i, name in enumerate(self.layout.names):
+            if name not in self.fixed:
+                prior = self.priors[name]
+                kinds[i], table[i] = KINDS.index(prior.kind), (prior.a, prior.b)
+        return kinds, table
+
     def steps(self, experiment: Experiment) -> float:
         """The experiment's sampling interval in reference intervals."""
         return experiment.interval / self.campaign.reference_interval
@@ -258,12 +276,69 @@ def log_priors(problem: Problem, thetas: FloatArray) -> FloatArray:
     Flat laws count as 0, pinned parameters are left out; -inf outside the support, tau > tau_v
     included.
     """
-    thetas = np.atleast_2d(thetas)
-    total = np.where(thetas[:, 0] > thetas[:, 1], -np.inf, 0.0)
-    for i, name in enumerate(problem.layout.names):
-        if name not in problem.fixed:
-            total = total + problem.priors[name].log_density(thetas[:, i])
+    thetas = np.ascontiguousarray(np.atleast_2d(thetas), dtype=float)
+    total = np.empty(len(thetas))
+    _sum_log_priors(thetas, *problem.prior_table, total)
     return total
+
+
+@njit(cache=True, error_model="numpy")
+def _sum_log_priors(
+    thetas: FloatArray, kinds: NDArray[np.int64], table: FloatArray, total: FloatArray
+) -> None:  # pragma: no cover - compiled
+    # Prior.log_density for every parameter, in the order of KINDS; -inf where tau > tau_v
+    for n in range(len(thetas)):
+        total[n] = -np.inf if thetas[n, 0] > thetas[n, 1] else 0.0
+        for i in range(len(kinds)):
+            x, a, b = thetas[n, i], table[i, 0], table[i, 1]
+            if kinds[i] == 0:
+                continue
+            elif kinds[i] == 1:
+                value = -0.5 * log(2 * pi) - log(b) - 0.5 * ((x - a) / b) ** 2
+            elif kinds[i] == 2:
+                value = 0.5 * log(2 / pi) - log(a) - 0.5 * (x / a) ** 2 if x >= 0.0 else -np.inf
+            elif kinds[i] == 3:
+                value = -np.inf
+                if x > 0.0:
+                    value = -0.5 * log(2 * pi) - log(b * x) - 0.5 * (log(x / a) / b) ** 2
+            elif not a <= x <= b:
+                value = -np.inf
+            elif kinds[i] == 4:
+                value = -log(b - a)
+            else:
+                value = -log(x * log(b / a))
+            total[n] += value
+
+
+def log_prior_derivatives(problem: Problem, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """First derivative of the log prior and minus the second where that is positive, (n,) each."""
+    first, second = np.zeros(len(theta)), np.zeros(len(theta))
+    _prior_derivatives(theta, *problem.prior_table, first, second)
+    return first, second
+
+
+@njit(cache=True, error_model="numpy")
+def _prior_derivatives(
+    theta: FloatArray,
+    kinds: NDArray[np.int64],
+    table: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+) -> None:  # pragma: no cover - compiled
+    for i in range(len(kinds)):
+        x, a, b = theta[i], table[i, 0], table[i, 1]
+        if kinds[i] == 1:
+            second[i] = 1.0 / b**2
+            first[i] = (a - x) * second[i]
+        elif kinds[i] == 2:
+            second[i] = 1.0 / a**2
+            first[i] = -x * second[i]
+        elif kinds[i] == 3:
+            u = log(x / a) / b**2
+            first[i] = -(1.0 + u) / x
+            second[i] = max(1.0 / b**2 - 1.0 - u, 0.0) / x**2
+        elif kinds[i] == 5:
+            first[i] = -1.0 / x
 
 
 def log_prior(campaign: Campaign | Problem, theta: Theta) -> float:
@@ -276,7 +351,9 @@ def log_prior(campaign: Campaign | Problem, theta: Theta) -> float:
 
 
 @njit(cache=True)
-def _fill_cascade(first, h, rates, edge, sign, x):  # pragma: no cover - compiled
+def _fill_cascade(
+    first: float, h: float, rates: FloatArray, edge: float, sign: float, x: FloatArray
+) -> None:  # pragma: no cover - compiled
     # Adds sign * x3(t - edge) to x.  Inside blocks of 64 samples x3 = 1 - row(i) . v with v the
     # distance of the three stages from 1 at the block's start; v itself is propagated by the exact
     # lower-triangular exponential, so that coinciding time constants need no special case.
@@ -342,7 +419,15 @@ def grid_response(
 
 
 @njit(cache=True, error_model="numpy")
-def _log_density(y, m, s2, runs, phi, phi_reference, steps):  # pragma: no cover - compiled
+def _log_density(
+    y: FloatArray,
+    m: FloatArray,
+    s2: FloatArray,
+    runs: NDArray[np.int64],
+    phi: float,
+    phi_reference: float,
+    steps: float,
+) -> float:  # pragma: no cover - compiled
     # runs (n_runs, 2); phi over one sample; across a gap phi_reference ** (steps * distance)
     total = 0.0
     n = 0

@@ -254,7 +254,9 @@ def impulse_response(s: float, rates: FloatArray) -> float:  # pragma: no cover 
 
 
 @njit(cache=True)
-def _cascade(t, rates, t0, tf, out):  # pragma: no cover - compiled
+def _cascade(
+    t: FloatArray, rates: FloatArray, t0: float, tf: float, out: FloatArray
+) -> None:  # pragma: no cover - compiled
     for i in range(len(t)):
         out[i] = step_response(t[i] - t0, rates)
         if t[i] > tf:
@@ -262,8 +264,11 @@ def _cascade(t, rates, t0, tf, out):  # pragma: no cover - compiled
 
 
 @njit(cache=True)
-def _cascade_sensitivities(t, taus, t0, tf, out):  # pragma: no cover - compiled
-    # columns: tau_v, manifold, tau, t0, tf.  d/dtau_j of H = prod 1/(1 + tau p) is -p/(1 + tau_j p) H
+def _cascade_sensitivities(
+    t: FloatArray, taus: FloatArray, t0: float, tf: float, out: FloatArray
+) -> None:  # pragma: no cover - compiled
+    # columns: tau_v, manifold, tau, t0, tf.
+    # d/dtau_j of H = prod 1/(1 + tau p) is -p/(1 + tau_j p) H
     rates = np.sort(1.0 / taus)
     nodes = np.empty((3, 4))
     for j in range(3):
@@ -318,7 +323,9 @@ def cascade_sensitivities(
 
 
 @njit(cache=True)
-def _euler(t, h, taus, t0, tf, out):  # pragma: no cover - compiled
+def _euler(
+    t: FloatArray, h: float, taus: FloatArray, t0: float, tf: float, out: FloatArray
+) -> None:  # pragma: no cover - compiled
     x1 = x2 = x3 = 0.0
     for i in range(len(t)):
         out[i] = x3
@@ -369,7 +376,9 @@ class Cascade:
         if self.method not in ("exact", "euler"):
             raise CampaignError(f"method must be 'exact' or 'euler', but is '{self.method}'")
 
-    def response(self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment):
+    def response(
+        self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment
+    ) -> FloatArray:
         """x3 (n_t,), between 0 and 1."""
         _, _, t0, tf = local_parameters(theta, layout, experiment.name)
         taus = time_constants(theta[0], theta[1], theta[2], experiment.total_flow)
@@ -377,12 +386,16 @@ class Cascade:
             return euler_response(t, experiment.interval, taus, t0, tf)
         return cascade_response(t, taus, t0, tf)
 
-    def mean(self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment):
+    def mean(
+        self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment
+    ) -> FloatArray:
         """y0 + beta x3 (n_t,), V (paper eq. 11)."""
         y0, beta, _, _ = local_parameters(theta, layout, experiment.name)
         return y0 + beta * self.response(t, theta, layout, experiment)
 
-    def jacobian(self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment):
+    def jacobian(
+        self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment
+    ) -> FloatArray:
         """(n_t, n_mean) derivatives of the mean by every parameter of the mean; exact method."""
         _, beta, t0, tf = local_parameters(theta, layout, experiment.name)
         taus = time_constants(theta[0], theta[1], theta[2], experiment.total_flow)

@@ -27,7 +27,7 @@ import numpy as np
 
 from bayes_sensor import inference_data as idata
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
-from bayes_sensor.compression import Compressed
+from bayes_sensor.compression import Compressed, Region
 from bayes_sensor.laplace import (
     Coordinates,
     Laplace,
@@ -36,7 +36,7 @@ from bayes_sensor.laplace import (
     prior_gradient,
 )
 from bayes_sensor.likelihood import Prior, Problem, as_problem, log_priors
-from bayes_sensor.model import Layout
+from bayes_sensor.model import Cascade, Layout
 from bayes_sensor.noise import scale_squared
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ SAMPLERS = ("emcee", "independence", "hmc")
 R_HAT_LIMIT = 1.01
 ESS_LIMIT = 400.0
 K_HAT_LIMIT = 0.5
+SETTLING = 10
+"""ensemble steps between looks at the mesh during burn-in"""
 QUANTILES = (0.5, 2.5, 16.0, 50.0, 84.0, 97.5, 99.5)
 
 Progress = Callable[[float, str], None]
@@ -443,7 +445,14 @@ def _enough(problem: Problem, chains: FloatArray, target: float) -> bool:
 # --------------------------------------------------------------------------- independence
 
 
-def _independence(problem, laplace, compressed, settings, streams, report) -> _Run:
+def _independence(
+    problem: Problem,
+    laplace: Laplace,
+    compressed: Compressed,
+    settings: Settings,
+    streams: np.random.SeedSequence,
+    report: Progress,
+) -> _Run:
     rngs = [np.random.default_rng(s) for s in streams.spawn(settings.n_chains)]
     chains = [np.empty((0, len(problem.layout))) for _ in rngs]
     states: list[Any] = [None] * len(rngs)
@@ -457,6 +466,12 @@ def _independence(problem, laplace, compressed, settings, streams, report) -> _R
             log_w = log_posteriors(compressed, laplace.coordinates, thetas, roots=True) - log_q
             weights.append(log_w)
             if states[j] is None:
+                if not np.isfinite(log_w).any():
+                    reason = (
+                        "independence Metropolis was given up: no draw of the Laplace "
+                        "approximation lies inside the priors"
+                    )
+                    return _Run("independence", np.empty((0, 0, 0)), False, reason, 0.0, None)
                 start = int(np.argmax(np.isfinite(log_w)))
                 states[j] = (thetas[start], log_w[start])
                 thetas, log_w = np.delete(thetas, start, axis=0), np.delete(log_w, start)
@@ -504,6 +519,7 @@ class _Whitened:
         self.coordinates, self.compressed = laplace.coordinates, compressed
         thetas, _ = laplace.draw(2000, np.random.default_rng(12345))
         roots = self._roots(thetas)
+        self.pinned = self.coordinates.theta(np.zeros(roots.shape[1]))
         self.centre = roots.mean(axis=0)
         self.factor = np.linalg.cholesky(
             np.cov(roots.T) + 1e-12 * np.diag(roots.var(axis=0) + 1e-300)
@@ -523,31 +539,41 @@ class _Whitened:
         return self.coordinates.theta(psi)
 
     def value_and_gradient(self, q: FloatArray) -> tuple[float, FloatArray]:
+        """Log density (up to a constant) and its gradient (n,) at one point q (n,)."""
         coordinates = self.coordinates
+        squared, phi, sigma0 = coordinates.squared, coordinates.phi, coordinates.sigma0
         roots = self.centre + self.factor @ q
-        psi = roots.copy()
-        psi[coordinates.squared] **= 2
-        theta = coordinates.theta(psi)
+        # the same as coordinates.theta, in fewer steps: this is the innermost loop
+        values = roots.copy()
+        values[squared] = np.abs(values[squared])
+        values[coordinates.switches] -= values[0]
+        values[phi] = np.tanh(values[phi])
+        values[sigma0] = np.exp(np.minimum(values[sigma0], 300.0))
+        theta = self.pinned.copy()
+        theta[coordinates.free] = values
         prior = log_priors(coordinates.problem, theta[None])[0]
         if not np.isfinite(prior):
             return -np.inf, np.zeros_like(q)
         value, gradient = self.compressed.value_and_gradient(theta)
-        value += prior + float(coordinates.log_jacobian(theta, roots=True))
-        g = (
-            coordinates.slopes(theta).T
-            @ (gradient + prior_gradient(coordinates.problem, theta))[coordinates.free]
-        )
-        # slopes are by the square: d(square)/d(root) = 2 root
-        g[coordinates.squared] *= 2.0 * roots[coordinates.squared]
-        for i, name in enumerate(coordinates.names):
-            if name.startswith("phi"):
-                g[i] -= 2.0 * theta[coordinates.free[i]]
-            elif name.startswith("sigma0_V"):
-                g[i] += 1.0
+        slope = 1.0 - values[phi] ** 2
+        value += prior + float(np.log(slope).sum() + np.log(values[sigma0]).sum())
+        g = (gradient + prior_gradient(coordinates.problem, theta))[coordinates.free]
+        # t0 = root - tau, and tau = |root|: its derivative is a sign
+        g[0] -= g[coordinates.switches].sum()
+        g[squared] *= np.sign(roots[squared])
+        g[phi] = g[phi] * slope - 2.0 * values[phi]
+        g[sigma0] = g[sigma0] * values[sigma0] + 1.0
         return float(value), self.factor.T @ g
 
 
-def _hmc(problem, laplace, compressed, settings, streams, report) -> _Run:
+def _hmc(
+    problem: Problem,
+    laplace: Laplace,
+    compressed: Compressed,
+    settings: Settings,
+    streams: np.random.SeedSequence,
+    report: Progress,
+) -> _Run:
     target = _Whitened(laplace, compressed)
     rngs = [np.random.default_rng(s) for s in streams.spawn(settings.n_chains)]
     states, sizes = [], []
@@ -565,7 +591,8 @@ def _hmc(problem, laplace, compressed, settings, streams, report) -> _Run:
             state, probability = _leapfrog(target, state, np.exp(log_size), rng)
             gap += (0.85 - probability - gap) / (i + 10)
             log_size = shrink - np.sqrt(i) / 0.05 * gap
-            log_size = min(max(log_size, -8.0), 0.5)
+            # longer steps than that only leave the mesh and are rejected
+            log_size = min(max(log_size, -8.0), -0.4)
             weight = i**-0.75
             average = weight * log_size + (1 - weight) * average
         states.append(state)
@@ -588,30 +615,37 @@ def _hmc(problem, laplace, compressed, settings, streams, report) -> _Run:
         done = _enough(problem, stacked, settings.target_ess)
         if done or len(chains[0]) >= settings.max_draws // 2:
             reason = (
-                f"Hamiltonian Monte Carlo with the analytic gradient in whitened coordinates: mean "
-                f"acceptance {accepted / tried:.2f}, {settings.n_chains} independent chains compared"
+                "Hamiltonian Monte Carlo with the analytic gradient in whitened coordinates: "
+                f"mean acceptance {accepted / tried:.2f}, "
+                f"{settings.n_chains} independent chains compared"
             )
             if not done:
                 reason += "; it did not reach its target and was given up"
             return _Run("hmc", stacked, done, reason, accepted / tried)
 
 
-def _leapfrog(target, state, size, rng):
+_State = tuple[FloatArray, float, FloatArray]  # position, log density, its gradient
+
+
+def _leapfrog(
+    target: _Whitened, state: _State, size: float, rng: np.random.Generator
+) -> tuple[_State, float]:
     q, value, g = state
     p = rng.standard_normal(len(q))
-    # jittered so that no trajectory returns to where it began
-    steps = int(rng.integers(4, 9))
+    # a quarter turn makes draws from a Gaussian independent; jittered against resonances
     size = size * rng.uniform(0.8, 1.2)
-    start = value - 0.5 * p @ p
+    steps = max(1, round(0.5 * np.pi * rng.uniform(0.8, 1.2) / size))
+    steps = min(steps, 64)
+    start = value - 0.5 * float(p @ p)
     new_q, new_g, new_value = q, g, value
     p = p + 0.5 * size * new_g
     for i in range(steps):
         new_q = new_q + size * p
         new_value, new_g = target.value_and_gradient(new_q)
-        if not np.isfinite(new_value):
+        if not new_value > value - 1000.0:  # diverged, or left the support
             return state, 0.0
         p = p + (size if i < steps - 1 else 0.5 * size) * new_g
-    log_ratio = new_value - 0.5 * p @ p - start
+    log_ratio = new_value - 0.5 * float(p @ p) - start
     probability = float(np.exp(min(0.0, log_ratio)))
     if rng.random() < probability:
         return (new_q, new_value, new_g), probability
@@ -656,6 +690,24 @@ class _Marginal:
         total[good] = values
         return np.where(np.isnan(total), -np.inf, total)
 
+    def cover(self, points: FloatArray) -> None:
+        """Widen the mesh where walkers have left it, so that they stay off the full pass."""
+        thetas = self.thetas(points)[:, : self.coordinates.problem.layout.n_mean]
+        n_mean = thetas.shape[1]
+        region = self.compressed.region
+        low, high = region.low.copy(), region.high.copy()
+        least, most = thetas.min(axis=0), thetas.max(axis=0)
+        if (least >= low[:n_mean]).all() and (most <= high[:n_mean]).all():
+            return
+        room = most - least
+        low[:n_mean] = np.minimum(low[:n_mean], least - room)
+        high[:n_mean] = np.maximum(high[:n_mean], most + room)
+        low[0] = 0.0
+        low[1:3] = np.maximum(low[1:3], 0.5 * least[1:3])
+        self.compressed = Compressed(
+            self.coordinates.problem, self.compressed.reference, Region(low, high)
+        )
+
     def redraw(self, thetas: FloatArray, rng: np.random.Generator) -> FloatArray:
         """``thetas`` with y0 and beta drawn from their exact conditional law."""
         if not self.marginalise:
@@ -691,10 +743,20 @@ def _ensemble(target: _Marginal, state: Any, n_steps: int) -> tuple[FloatArray, 
 
 
 def _emcee(
-    problem, laplace, compressed, settings, seed, jobs, folder, resume, digest, report
+    problem: Problem,
+    laplace: Laplace,
+    compressed: Compressed,
+    settings: Settings,
+    seed: int,
+    jobs: int,
+    folder: Path | None,
+    resume: bool,
+    digest: str,
+    report: Progress,
 ) -> _Run:
     names = problem.layout.names
-    flat = all(
+    # exact only for flat priors and a mean y0 + beta x
+    flat = type(problem.model).mean is Cascade.mean and all(
         problem.priors[name].kind == "flat" for name in names if name[:4] in ("y0_V", "beta")
     )
     target = _Marginal(problem, compressed, marginalise=flat)
@@ -702,29 +764,37 @@ def _emcee(
     n_walkers = max(settings.n_walkers, 2 * n_dim + 2)
     store = _Checkpoint(folder, digest, resume)
     states, chains, acceptance = [], [], []
+    begins = []
     for j in range(settings.n_chains):
-        saved = store.read(j)
-        if saved is None:
-            rng = np.random.default_rng(np.random.SeedSequence([seed, j]))
-            points = _start(target, laplace, n_walkers, rng)
-            random_state = np.random.RandomState(rng.integers(2**32)).get_state()
-            saved = ([], (points, None, random_state), [])
-        chains.append(saved[0])
-        states.append(saved[1])
-        acceptance.append(saved[2])
+        rng = np.random.default_rng(np.random.SeedSequence([seed, j]))
+        points = _start(target, laplace, n_walkers, rng)
+        begins.append((points, None, np.random.RandomState(rng.integers(2**32)).get_state()))
+    target.cover(np.concatenate([begin[0] for begin in begins]))
+    for j in range(settings.n_chains):
+        chunks, state, rates = store.read(j) or ([], begins[j], [])
+        chains.append(chunks)
+        states.append(state)
+        acceptance.append(rates)
+    # a resumed run sees the meshes that the uninterrupted one saw
+    n_covered = min(len(chain) for chain in chains)
+    for i in range(n_covered):
+        target.cover(np.concatenate([chain[i][-1] for chain in chains]))
     while True:
-        done = [sum(len(c) for c in chain) for chain in chains]
-        next_stop = (min(done) // settings.chunk + 1) * settings.chunk
-        todo = [j for j in range(settings.n_chains) if done[j] < next_stop]
+        # short chunks at first: the mesh follows the walkers while they settle
+        chunk = min(len(chain) for chain in chains)
+        n_settling = settings.burn_in // SETTLING
+        n_steps = SETTLING if chunk < n_settling else settings.chunk
+        todo = [j for j in range(settings.n_chains) if len(chains[j]) == chunk]
         for j, (chain, state, rate) in zip(
-            todo,
-            _advance(target, [states[j] for j in todo], settings.chunk, jobs),
-            strict=True,
+            todo, _advance(target, [states[j] for j in todo], n_steps, jobs), strict=True
         ):
             chains[j].append(chain)
             states[j] = state
             acceptance[j].append(rate)
             store.write(j, len(chains[j]) - 1, chain, state, rate)
+        for i in range(n_covered, len(chains[0])):
+            target.cover(np.concatenate([chain[i][-1] for chain in chains]))
+        n_covered = len(chains[0])
         steps = sum(len(c) for c in chains[0])
         report(min(0.95, steps / settings.max_steps), f"emcee, {steps} steps")
         if steps < settings.burn_in + 2 * settings.chunk:
@@ -751,24 +821,31 @@ def _emcee(
             return _Run("emcee", drawn, True, reason, rate)
 
 
-def _advance(target, states, n_steps, jobs):
+def _advance(
+    target: _Marginal, states: list[Any], n_steps: int, jobs: int
+) -> list[tuple[FloatArray, Any, float]]:
     if jobs in (0, 1) or len(states) == 1:
         return [_ensemble(target, state, n_steps) for state in states]
     from joblib import Parallel, delayed
 
-    return Parallel(n_jobs=jobs)(delayed(_ensemble)(target, state, n_steps) for state in states)
+    return list(
+        Parallel(n_jobs=jobs)(delayed(_ensemble)(target, state, n_steps) for state in states)
+    )
 
 
 def _start(target: _Marginal, laplace: Laplace, n: int, rng: np.random.Generator) -> FloatArray:
-    """(n, n_dim) walkers of finite density from the Laplace approximation."""
+    """(n, n_dim) walkers of finite density: draws of the Laplace approximation where the priors
+    allow them, else draws pulled towards its maximum, which always is allowed."""
     found = np.empty((0, len(target.kept)))
-    inflate = 1.0
+    centre = target.points(laplace.theta[None])
+    shrink = 1.0
     for _ in range(60):
-        points = target.points(laplace.draw(2 * n, rng, inflate)[0])
+        drawn = target.points(laplace.draw(2 * n, rng)[0])
+        points = centre + shrink * (drawn - (laplace.mean[target.kept] if shrink < 1 else centre))
         found = np.concatenate([found, points[np.isfinite(target(points))]])
         if len(found) >= n:
             return found[:n]
-        inflate *= 0.8  # the approximation reaches past the priors: start closer to its centre
+        shrink *= 0.8
     raise CampaignError(
         "no starting point with a positive posterior density was found; "
         "the priors (side information, commanded times) contradict the data"

@@ -1,0 +1,737 @@
+"""Compiled sums over the mesh: values, gradients and marginals of the log-likelihood.
+
+Everything here works on :class:`Arrays` and plain arrays of scratch space, sized by the caller.
+"""
+
+# mypy: allow-untyped-defs, allow-untyped-calls
+# The kernels are typed by numba when they are compiled; annotations would not be read.
+
+from __future__ import annotations
+
+from math import exp, log, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from bayes_sensor.model import step_response
+
+K = 8
+"""nodes per block"""
+COINCIDENT = 1e-3
+"""relative distance of time constants below which partial fractions give way to the stable form"""
+_FAST = {"reassoc", "contract", "arcp", "nsz"}
+CHEBYSHEV = 0.5 - 0.5 * np.cos((2 * np.arange(K) + 1) * pi / (2 * K))
+_OFFSETS = np.stack([np.arange(K) + 0.5, CHEBYSHEV])  # in samples, and in block widths
+
+
+class Arrays(NamedTuple):
+    """The mesh of a whole campaign; blocks, edge samples and runs of all experiments in a row."""
+
+    local: np.ndarray  # (n_exp, 4) positions of y0, beta, t0, tf in theta
+    noise: np.ndarray  # (n_exp, 3) positions of phi, sigma0, sigma1
+    blocks: np.ndarray  # (n_exp + 1,) first block of each experiment
+    runs: np.ndarray  # (n_exp + 1,) first run of each experiment
+    setting: np.ndarray  # (n_exp, 4) interval, total flow, variance weight, interval/reference
+    n_samples: np.ndarray  # (n_exp,)
+    base: np.ndarray  # (n_blocks,) s, half a sample before the block's first sample
+    kind: np.ndarray  # (n_blocks,) 0: pointwise; k: 8 2^k samples
+    follows: np.ndarray  # (n_blocks,) whether the block starts where the previous one ends
+    moments: np.ndarray  # (n_blocks, 5, K) of 1, d, d_lag, d^2, d d_lag
+    reference: np.ndarray  # (n_blocks, 2, K) reference mean at the node and one sample before
+    reference_s2: np.ndarray  # (n_blocks, K)
+    log_s2: np.ndarray  # (n_exp,) sum of the reference log s^2 over the blocks' samples
+    edge_t: np.ndarray  # (n_runs, 2) s, first and last sample of each run
+    edge_y: np.ndarray  # (n_runs, 2)
+    distance: np.ndarray  # (n_runs,) samples since the previous run's last sample
+    pairs: np.ndarray  # (n_exp,) pairs of neighbouring samples
+    low: np.ndarray  # (n_theta,) region of the mesh
+    high: np.ndarray  # (n_theta,)
+    n_kinds: int
+
+
+@njit(cache=True, error_model="numpy")
+def _partial_fractions(taus, c):  # pragma: no cover - compiled
+    # c_j with x3 = 1 - sum c_j exp(-s/tau_j); False when two time constants nearly coincide
+    for j in range(3):
+        c[j] = taus[j] * taus[j]
+        for k in range(3):
+            if k != j:
+                gap = taus[j] - taus[k]
+                if abs(gap) < COINCIDENT * taus[j]:
+                    return False
+                c[j] /= gap
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _tables(h, taus, n_kinds, table, stride):  # pragma: no cover - compiled
+    # table[kind, j, q] = exp(-offset_q/tau_j); stride[kind, j] = exp(-width/tau_j).  Doubling the
+    # block squares both, so only the smallest blocks need exponentials.
+    for j in range(3):
+        unit = exp(-h / taus[j])
+        half = sqrt(unit)
+        for q in range(K):
+            table[0, j, q] = half
+            half *= unit
+        stride[0, j] = unit**8
+        if n_kinds > 1:
+            for q in range(K):
+                table[1, j, q] = exp(-16.0 * h * CHEBYSHEV[q] / taus[j])
+            stride[1, j] = stride[0, j] ** 2
+        for kind in range(2, n_kinds):
+            stride[kind, j] = stride[kind - 1, j] ** 2
+            if stride[kind, j] < 1e-150:
+                stride[kind, j] = 0.0
+            for q in range(K):
+                value = table[kind - 1, j, q] ** 2
+                table[kind, j, q] = value if value > 1e-150 else 0.0
+    # values below 1e-150 count as zero: denormal numbers would slow the sums down
+
+
+@njit(cache=True, error_model="numpy")
+def _node_time(base, kind, h, q):  # pragma: no cover - compiled
+    if kind == 0:
+        return base + (q + 0.5) * h
+    return base + 8.0 * 2.0**kind * h * CHEBYSHEV[q]
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _add_edge(
+    first, last, base, kind, follows, h, taus, c, edge, sign, table, stride, x, xl, E
+):  # pragma: no cover - compiled
+    # Adds sign * x3(t - edge) at the nodes to x and at one sample before them to xl, and keeps the
+    # three exponentials in E (n_blocks, 3, K), zero where the step has not come yet.
+    l0, l1, l2 = exp(h / taus[0]) * c[0], exp(h / taus[1]) * c[1], exp(h / taus[2]) * c[2]
+    e0 = e1 = e2 = 0.0
+    active = False
+    for b in range(first, last):
+        k = kind[b]
+        width = 8.0 * 2.0**k * h
+        if base[b] + width <= edge:
+            E[b, :, :] = 0.0
+            continue
+        s = base[b] - edge
+        if active and follows[b]:
+            step = kind[b - 1]
+            e0 *= stride[step, 0]
+            e1 *= stride[step, 1]
+            e2 *= stride[step, 2]
+        else:
+            e0, e1, e2 = exp(-s / taus[0]), exp(-s / taus[1]), exp(-s / taus[2])
+            active = True
+        if e0 < 1e-150:
+            e0 = 0.0
+        if e1 < 1e-150:
+            e1 = 0.0
+        if e2 < 1e-150:
+            e2 = 0.0
+        if s < h:
+            for q in range(K):
+                u = _node_time(base[b], k, h, q) - edge
+                f0, f1, f2 = e0 * table[k, 0, q], e1 * table[k, 1, q], e2 * table[k, 2, q]
+                if u <= 0.0:
+                    f0 = f1 = f2 = 0.0
+                else:
+                    x[b, q] += sign * (1.0 - (c[0] * f0 + c[1] * f1 + c[2] * f2))
+                    if u > h:
+                        xl[b, q] += sign * (1.0 - (l0 * f0 + l1 * f1 + l2 * f2))
+                E[b, 0, q], E[b, 1, q], E[b, 2, q] = f0, f1, f2
+        else:
+            for q in range(K):
+                f0, f1, f2 = e0 * table[k, 0, q], e1 * table[k, 1, q], e2 * table[k, 2, q]
+                x[b, q] += sign * (1.0 - (c[0] * f0 + c[1] * f1 + c[2] * f2))
+                xl[b, q] += sign * (1.0 - (l0 * f0 + l1 * f1 + l2 * f2))
+                E[b, 0, q], E[b, 1, q], E[b, 2, q] = f0, f1, f2
+
+
+@njit(cache=True, error_model="numpy")
+def _stable_edge(
+    first, last, base, kind, h, rates, edge, sign, x, xl
+):  # pragma: no cover - compiled
+    for b in range(first, last):
+        for q in range(K):
+            u = _node_time(base[b], kind[b], h, q) - edge
+            x[b, q] += sign * step_response(u, rates)
+            xl[b, q] += sign * step_response(u - h, rates)
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1):  # pragma: no cover
+    # A = sum r_i^2, B = sum r_i r_(i-1), change of sum log s^2, over the blocks' samples
+    A = B = change = tail = 0.0
+    for b in range(first, last):
+        for q in range(K):
+            d = y0 + beta * x[b, q] - reference[b, 0, q]
+            dl = y0 + beta * xl[b, q] - reference[b, 1, q]
+            s2 = v0 + v1 * x[b, q]
+            s2l = v0 + v1 * xl[b, q]
+            n, m1, m2 = moments[b, 0, q], moments[b, 1, q], moments[b, 2, q]
+            both = s2 * s2l
+            around = s2 + s2r[b, q]
+            inverse = 1.0 / (both * around)  # one division serves 1/s^2, 1/(s s_lag) and z
+            A += (moments[b, 3, q] - 2.0 * d * m1 + d * d * n) * (inverse * around * s2l)
+            B += (moments[b, 4, q] - d * m2 - dl * m1 + d * dl * n) * (
+                inverse * around * sqrt(both)
+            )
+            z = (s2 - s2r[b, q]) * (inverse * both)
+            z2 = z * z
+            tail += n * z2 * z2 * z2 * z2 * z2
+            change += n * 2.0 * z * (1.0 + z2 * (1 / 3 + z2 * (0.2 + z2 * (1 / 7 + z2 / 9))))
+    if tail > 1e-7:  # what the series leaves out would show; take logarithms
+        change = 0.0
+        for b in range(first, last):
+            for q in range(K):
+                change += moments[b, 0, q] * log((v0 + v1 * x[b, q]) / s2r[b, q])
+    return A, B, change
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _gram_sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1, A, B):
+    # The same for the basis (residual at y0, beta; 1; x): symmetric A (3, 3) and B (3, 3)
+    ee = e1 = ex = oo = ox = xx = 0.0
+    bee = be1 = bex = boo = box = bxx = 0.0
+    change = tail = 0.0
+    for b in range(first, last):  # pragma: no cover - compiled
+        for q in range(K):
+            u, ul = x[b, q], xl[b, q]
+            d = y0 + beta * u - reference[b, 0, q]
+            dl = y0 + beta * ul - reference[b, 1, q]
+            s2 = v0 + v1 * u
+            s2l = v0 + v1 * ul
+            n, m1, m2 = moments[b, 0, q], moments[b, 1, q], moments[b, 2, q]
+            both = s2 * s2l
+            around = s2 + s2r[b, q]
+            inverse = 1.0 / (both * around)
+            w = inverse * around * s2l
+            p = inverse * around * sqrt(both)
+            r, rl = m1 - d * n, m2 - dl * n
+            ee += (moments[b, 3, q] - 2.0 * d * m1 + d * d * n) * w
+            e1 += r * w
+            ex += r * u * w
+            oo += n * w
+            ox += n * u * w
+            xx += n * u * u * w
+            bee += (moments[b, 4, q] - d * m2 - dl * m1 + d * dl * n) * p
+            be1 += 0.5 * (r + rl) * p
+            bex += 0.5 * (r * ul + rl * u) * p
+            boo += n * p
+            box += 0.5 * n * (u + ul) * p
+            bxx += n * u * ul * p
+            z = (s2 - s2r[b, q]) * (inverse * both)
+            z2 = z * z
+            tail += n * z2 * z2 * z2 * z2 * z2
+            change += n * 2.0 * z * (1.0 + z2 * (1 / 3 + z2 * (0.2 + z2 * (1 / 7 + z2 / 9))))
+    if tail > 1e-7:
+        change = 0.0
+        for b in range(first, last):
+            for q in range(K):
+                change += moments[b, 0, q] * log((v0 + v1 * x[b, q]) / s2r[b, q])
+    A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2] = ee, e1, ex, oo, ox, xx
+    B[0, 0], B[0, 1], B[0, 2], B[1, 1], B[1, 2], B[2, 2] = bee, be1, bex, boo, box, bxx
+    return change
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _gradient_sums(
+    first, last, base, kind, h, t0, tf, lag_on, moments, reference, s2r, x, xl, E_on, E_off,
+    y0, beta, v0, v1, phi, out,
+):  # fmt: skip  # pragma: no cover - compiled
+    # Besides A, B and the log term: out (16,) with the derivatives of log L by y0, beta, v0, v1
+    # and, for each edge, G_j = sum of E_j g and H_j = sum of s E_j g, g the derivative by x3.
+    # Nothing is stored inside the loop, so that it runs several nodes at a time.
+    A = B = change = tail = 0.0
+    g_y0 = g_beta = g_v0 = g_v1 = 0.0
+    P0 = P1 = P2 = R0 = R1 = R2 = 0.0
+    N0 = N1 = N2 = S0 = S1 = S2 = 0.0
+    a = -0.5 * (1.0 + phi * phi) / (1.0 - phi * phi)
+    c = phi / (1.0 - phi * phi)
+    l0, l1, l2 = lag_on[0], lag_on[1], lag_on[2]
+    for b in range(first, last):
+        k = kind[b]
+        width = 8.0 * 2.0**k * h
+        unit = h if k == 0 else width
+        row = min(k, 1)
+        start, start_off = base[b] - t0, base[b] - tf
+        on_mixed = -width < start < h
+        off_mixed = -width < start_off < h
+        for q in range(K):
+            u, ul = x[b, q], xl[b, q]
+            d = y0 + beta * u - reference[b, 0, q]
+            dl = y0 + beta * ul - reference[b, 1, q]
+            s2 = v0 + v1 * u
+            s2l = v0 + v1 * ul
+            n, m1, m2 = moments[b, 0, q], moments[b, 1, q], moments[b, 2, q]
+            both = s2 * s2l
+            around = s2 + s2r[b, q]
+            inverse = 1.0 / (both * around)
+            w = inverse * around * s2l
+            wl = inverse * around * s2
+            p = inverse * around * sqrt(both)
+            r = d * n - m1
+            rl = dl * n - m2
+            a_node = (moments[b, 3, q] - 2.0 * d * m1 + d * d * n) * w
+            b_node = (moments[b, 4, q] - d * m2 - dl * m1 + d * dl * n) * p
+            A += a_node
+            B += b_node
+            z = (s2 - s2r[b, q]) * (inverse * both)
+            z2 = z * z
+            tail += n * z2 * z2 * z2 * z2 * z2
+            change += n * 2.0 * z * (1.0 + z2 * (1 / 3 + z2 * (0.2 + z2 * (1 / 7 + z2 / 9))))
+            g_m = 2.0 * a * w * r + c * p * rl
+            g_ml = c * p * r
+            g_s = (-a * a_node - 0.5 * c * b_node - 0.5 * n) * w
+            g_sl = -0.5 * c * b_node * wl
+            g_y0 += g_m + g_ml
+            g_beta += g_m * u + g_ml * ul
+            g_v0 += g_s + g_sl
+            g_v1 += g_s * u + g_sl * ul
+            g = beta * g_m + v1 * g_s
+            gl = beta * g_ml + v1 * g_sl
+            s = start + unit * _OFFSETS[row, q]
+            sl = s - h
+            # one sample before a node just after the step, the step had not come yet
+            gl_on = gl
+            if on_mixed:
+                gl_on = gl if sl > 0.0 else 0.0
+            P0 += E_on[b, 0, q] * (g + l0 * gl_on)
+            P1 += E_on[b, 1, q] * (g + l1 * gl_on)
+            P2 += E_on[b, 2, q] * (g + l2 * gl_on)
+            R0 += E_on[b, 0, q] * (s * g + l0 * sl * gl_on)
+            R1 += E_on[b, 1, q] * (s * g + l1 * sl * gl_on)
+            R2 += E_on[b, 2, q] * (s * g + l2 * sl * gl_on)
+            s = start_off + unit * _OFFSETS[row, q]
+            sl = s - h
+            gl_off = gl
+            if off_mixed:
+                gl_off = gl if sl > 0.0 else 0.0
+            N0 += E_off[b, 0, q] * (g + l0 * gl_off)
+            N1 += E_off[b, 1, q] * (g + l1 * gl_off)
+            N2 += E_off[b, 2, q] * (g + l2 * gl_off)
+            S0 += E_off[b, 0, q] * (s * g + l0 * sl * gl_off)
+            S1 += E_off[b, 1, q] * (s * g + l1 * sl * gl_off)
+            S2 += E_off[b, 2, q] * (s * g + l2 * sl * gl_off)
+    if tail > 1e-7:
+        change = 0.0
+        for b in range(first, last):
+            for q in range(K):
+                change += moments[b, 0, q] * log((v0 + v1 * x[b, q]) / s2r[b, q])
+    out[0], out[1], out[2], out[3] = g_y0, g_beta, g_v0, g_v1
+    out[4], out[5], out[6], out[7], out[8], out[9] = P0, P1, P2, R0, R1, R2
+    out[10], out[11], out[12], out[13], out[14], out[15] = N0, N1, N2, S0, S1, S2
+    return A, B, change
+
+
+@njit(cache=True, error_model="numpy")
+def inside_box(theta, low, high):  # pragma: no cover - compiled
+    for i in range(len(theta)):
+        if not (low[i] <= theta[i] <= high[i]):
+            return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _across(phi, phi_reference, steps, distance):  # pragma: no cover - compiled
+    return phi**distance if phi_reference < 0 else phi_reference ** (steps * distance)
+
+
+@njit(cache=True, error_model="numpy")
+def _per_sample(phi_reference, steps):  # pragma: no cover - compiled
+    whole = np.rint(steps)
+    if abs(steps - whole) < 1e-9 * max(1.0, steps):
+        return phi_reference ** int(whole)
+    return phi_reference**steps
+
+
+@njit(cache=True, error_model="numpy")
+def _constants(theta, k, mesh, taus):  # pragma: no cover - compiled
+    # Time constants of experiment k (valve, manifold, sensor) and its two switch times.  A sensor
+    # far faster than a block is replaced by a slower one with the same delay: exp(h/tau) would
+    # overflow, and the response differs by a second-order term below 1e-9 of the step.
+    h = mesh.setting[k, 0]
+    taus[0] = theta[1]
+    taus[1] = theta[2] / mesh.setting[k, 1]
+    taus[2] = theta[0]
+    t0 = theta[mesh.local[k, 2]]
+    tf = theta[mesh.local[k, 3]] if mesh.local[k, 3] >= 0 else np.inf
+    least = mesh.setting[k, 4]
+    if taus[2] < least:
+        t0 += taus[2] - least
+        tf += taus[2] - least
+        taus[2] = least
+    return h, t0, tf
+
+
+@njit(cache=True, error_model="numpy")
+def _responses(k, mesh, taus, t0, tf, h, c, x, xl, E_on, E_off, table, stride):  # pragma: no cover
+    # x3 at the nodes and one sample before; False when the stable (slow) form was used
+    first, last = mesh.blocks[k], mesh.blocks[k + 1]
+    x[first:last] = 0.0
+    xl[first:last] = 0.0
+    if _partial_fractions(taus, c):
+        _tables(h, taus, mesh.n_kinds, table, stride)
+        _add_edge(
+            first, last, mesh.base, mesh.kind, mesh.follows, h, taus, c, t0, 1.0, table, stride,
+            x, xl, E_on,
+        )  # fmt: skip
+        if tf < np.inf:
+            _add_edge(
+                first, last, mesh.base, mesh.kind, mesh.follows, h, taus, c, tf, -1.0, table,
+                stride, x, xl, E_off,
+            )  # fmt: skip
+        return True
+    rates = np.sort(1.0 / taus)
+    _stable_edge(first, last, mesh.base, mesh.kind, h, rates, t0, 1.0, x, xl)
+    if tf < np.inf:
+        _stable_edge(first, last, mesh.base, mesh.kind, h, rates, tf, -1.0, x, xl)
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _edge_responses(k, mesh, taus, t0, tf, xe):  # pragma: no cover - compiled
+    slowest = max(taus[0], taus[1], taus[2])
+    for run in range(mesh.runs[k], mesh.runs[k + 1]):
+        for side in range(2):
+            value = 0.0
+            for edge, sign in ((t0, 1.0), (tf, -1.0)):
+                s = mesh.edge_t[run, side] - edge
+                if s > 45.0 * slowest:
+                    value += sign
+                elif s > 0.0:
+                    value += sign * step_response(s, np.sort(1.0 / taus))
+            xe[run, side] = value
+
+
+@njit(cache=True, error_model="numpy")
+def _combine(k, mesh, phi, phi_reference, A, B, re, log_s2):  # pragma: no cover - compiled
+    # log L of one experiment from block sums and standardised residuals of the edge samples
+    rest = 1.0 - phi * phi
+    squares = (1.0 + phi * phi) * A - 2.0 * phi * B
+    total = mesh.pairs[k] * log(rest) + log_s2 + mesh.n_samples[k] * log(2.0 * pi)
+    for run in range(mesh.runs[k], mesh.runs[k + 1]):
+        a, b = re[run, 0], re[run, 1]
+        squares += phi * phi * (a * a - b * b)
+        if run == mesh.runs[k]:
+            total += a * a
+        else:
+            across = _across(phi, phi_reference, mesh.setting[k, 3], mesh.distance[run])
+            e = a - across * re[run - 1, 1]
+            total += e * e / (1.0 - across * across) + log(1.0 - across * across)
+    return -0.5 * (total + squares / rest)
+
+
+@njit(cache=True, error_model="numpy")
+def _edge_log(k, mesh, s2e):  # pragma: no cover - compiled
+    # log s^2 of the first sample of every run; the last one is in the blocks
+    total = 0.0
+    for run in range(mesh.runs[k], mesh.runs[k + 1]):
+        total += log(s2e[run, 0])
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def value(theta, mesh, x, xl, E_on, E_off, each):  # pragma: no cover - compiled
+    # each (n_exp,): filled with every experiment's part
+    taus, c = np.empty(3), np.empty(3)
+    table, stride = np.empty((mesh.n_kinds, 3, K)), np.empty((mesh.n_kinds, 3))
+    xe = np.empty((len(mesh.distance), 2))
+    re = np.empty((len(mesh.distance), 2))
+    s2e = np.empty((len(mesh.distance), 2))
+    total = 0.0
+    for k in range(len(mesh.local)):
+        h, t0, tf = _constants(theta, k, mesh, taus)
+        phi_reference, sigma0, sigma1 = (
+            theta[mesh.noise[k, 0]], theta[mesh.noise[k, 1]], theta[mesh.noise[k, 2]]
+        )  # fmt: skip
+        phi = _per_sample(phi_reference, mesh.setting[k, 3])
+        if not abs(phi) < 1.0:  # a negative phi has no root for a shorter interval
+            each[:] = -np.inf
+            return -np.inf
+        y0, beta = theta[mesh.local[k, 0]], theta[mesh.local[k, 1]]
+        v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * mesh.setting[k, 2]
+        _responses(k, mesh, taus, t0, tf, h, c, x, xl, E_on, E_off, table, stride)
+        _edge_responses(k, mesh, taus, t0, tf, xe)
+        for run in range(mesh.runs[k], mesh.runs[k + 1]):
+            for side in range(2):
+                s2e[run, side] = v0 + v1 * xe[run, side]
+                re[run, side] = (mesh.edge_y[run, side] - y0 - beta * xe[run, side]) / sqrt(
+                    s2e[run, side]
+                )
+        A, B, change = _sums(
+            mesh.blocks[k], mesh.blocks[k + 1], mesh.moments, mesh.reference, mesh.reference_s2,
+            x, xl, y0, beta, v0, v1,
+        )  # fmt: skip
+        log_s2 = mesh.log_s2[k] + change + _edge_log(k, mesh, s2e)
+        each[k] = _combine(k, mesh, phi, phi_reference, A, B, re, log_s2)
+        total += each[k]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def value_and_gradient(theta, mesh, x, xl, E_on, E_off, gradient):  # pragma: no cover
+    taus, c = np.empty(3), np.empty(3)
+    sums, lags = np.empty(16), np.empty(3)
+    table, stride = np.empty((mesh.n_kinds, 3, K)), np.empty((mesh.n_kinds, 3))
+    xe = np.empty((len(mesh.distance), 2))
+    re = np.empty((len(mesh.distance), 2))
+    s2e = np.empty((len(mesh.distance), 2))
+    gre = np.empty((len(mesh.distance), 2))
+    gradient[:] = 0.0
+    total = 0.0
+    for k in range(len(mesh.local)):
+        first, last = mesh.blocks[k], mesh.blocks[k + 1]
+        i_y0, i_beta, i_t0, i_tf = mesh.local[k]
+        i_phi, i_s0, i_s1 = mesh.noise[k]
+        h, t0, tf = _constants(theta, k, mesh, taus)
+        phi_reference, sigma0, sigma1 = theta[i_phi], theta[i_s0], theta[i_s1]
+        steps, weight = mesh.setting[k, 3], mesh.setting[k, 2]
+        phi = _per_sample(phi_reference, steps)
+        y0, beta = theta[i_y0], theta[i_beta]
+        v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * weight
+        if i_tf < 0:
+            E_off[first:last] = 0.0
+        if not _responses(k, mesh, taus, t0, tf, h, c, x, xl, E_on, E_off, table, stride):
+            return np.nan  # nearly equal time constants: the caller takes the stable route
+        _edge_responses(k, mesh, taus, t0, tf, xe)
+        for run in range(mesh.runs[k], mesh.runs[k + 1]):
+            for side in range(2):
+                s2e[run, side] = v0 + v1 * xe[run, side]
+                re[run, side] = (mesh.edge_y[run, side] - y0 - beta * xe[run, side]) / sqrt(
+                    s2e[run, side]
+                )
+        for j in range(3):
+            lags[j] = exp(h / taus[j])
+        A, B, change = _gradient_sums(
+            first, last, mesh.base, mesh.kind, h, t0, tf if i_tf >= 0 else 1e300, lags,
+            mesh.moments, mesh.reference, mesh.reference_s2, x, xl, E_on, E_off,
+            y0, beta, v0, v1, phi, sums,
+        )  # fmt: skip
+        log_s2 = mesh.log_s2[k] + change + _edge_log(k, mesh, s2e)
+        total += _combine(k, mesh, phi, phi_reference, A, B, re, log_s2)
+
+        # phi: of the block sums, then of the pairs across gaps
+        rest = 1.0 - phi * phi
+        squares = (1.0 + phi * phi) * A - 2.0 * phi * B
+        d_squares = 2.0 * phi * A - 2.0 * B
+        g_across = 0.0
+        for run in range(mesh.runs[k], mesh.runs[k + 1]):
+            a, b = re[run, 0], re[run, 1]
+            squares += phi * phi * (a * a - b * b)
+            d_squares += 2.0 * phi * (a * a - b * b)
+            gre[run, 0] = -phi * phi * a / rest
+            gre[run, 1] = phi * phi * b / rest
+            if run == mesh.runs[k]:
+                gre[run, 0] -= a
+            else:
+                distance = mesh.distance[run]
+                across = _across(phi, phi_reference, steps, distance)
+                left = 1.0 - across * across
+                e = a - across * re[run - 1, 1]
+                gre[run, 0] -= e / left
+                gre[run - 1, 1] += across * e / left
+                d_log = e * re[run - 1, 1] / left - across * e * e / left**2 + across / left
+                slope = distance * phi ** (distance - 1) if phi_reference < 0 else 0.0
+                if phi_reference > 0:
+                    slope = steps * distance * across / phi_reference
+                    g_across += d_log * slope
+                elif phi_reference < 0:
+                    g_across += d_log * slope * _phi_slope(phi, phi_reference, steps)
+        g_phi = -0.5 * (d_squares / rest + 2.0 * phi * squares / rest**2)
+        g_phi += mesh.pairs[k] * phi / rest
+        gradient[i_phi] += g_phi * _phi_slope(phi, phi_reference, steps) + g_across
+
+        # edge samples: residual r = (y - m)/s
+        g_v0, g_v1 = sums[2], sums[3]
+        g_y0, g_beta = sums[0], sums[1]
+        rates = np.sort(1.0 / taus)
+        slowest = 1.0 / rates[0]
+        for run in range(mesh.runs[k], mesh.runs[k + 1]):
+            for side in range(2):
+                g_m = -gre[run, side] / sqrt(s2e[run, side])
+                g_s2 = -0.5 * gre[run, side] * re[run, side] / s2e[run, side]
+                if side == 0:
+                    g_s2 -= 0.5 / s2e[run, side]
+                g_y0 += g_m
+                g_beta += g_m * xe[run, side]
+                g_v0 += g_s2
+                g_v1 += g_s2 * xe[run, side]
+                g_x = beta * g_m + v1 * g_s2
+                for edge, sign, i_edge in ((t0, 1.0, i_t0), (tf, -1.0, i_tf)):
+                    s = mesh.edge_t[run, side] - edge
+                    if 0.0 < s < 60.0 * slowest:
+                        slope_edge = 0.0
+                        for j in range(3):
+                            f = exp(-s / taus[j])
+                            slope_edge -= c[j] * f / taus[j]
+                            d_tau = -c[j] * f * s / taus[j] ** 2
+                            for m in range(3):
+                                d_tau -= _d_coefficient(c, taus, m, j) * exp(-s / taus[m])
+                            _add_tau(gradient, theta, mesh, k, j, sign * g_x * d_tau)
+                        gradient[i_edge] += sign * g_x * slope_edge
+        gradient[i_y0] += g_y0
+        gradient[i_beta] += g_beta
+        gradient[i_s0] += 2.0 * sigma0 * g_v0
+        gradient[i_s1] += 2.0 * sigma1 * weight * g_v1
+
+        for edge, sign, i_edge in ((t0, 1.0, i_t0), (tf, -1.0, i_tf)):
+            if edge == np.inf:
+                continue
+            G, H = (sums[4:7], sums[7:10]) if sign > 0 else (sums[10:13], sums[13:16])
+            for j in range(3):
+                d_tau = -c[j] * H[j] / taus[j] ** 2
+                for m in range(3):
+                    d_tau -= _d_coefficient(c, taus, m, j) * G[m]
+                _add_tau(gradient, theta, mesh, k, j, sign * d_tau)
+                gradient[i_edge] -= sign * c[j] * G[j] / taus[j]
+        if theta[0] < mesh.setting[k, 4]:
+            gradient[0] += gradient[i_t0]
+            if i_tf >= 0:
+                gradient[0] += gradient[i_tf]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _phi_slope(phi, phi_reference, steps):  # pragma: no cover - compiled
+    # derivative of phi_reference ** steps
+    if steps == 1.0:
+        return 1.0
+    if phi_reference == 0.0:
+        return 0.0
+    return steps * phi / phi_reference
+
+
+@njit(cache=True, error_model="numpy")
+def _d_coefficient(c, taus, m, j):  # pragma: no cover - compiled
+    # derivative of c_m by tau_j
+    if m != j:
+        return c[m] / (taus[m] - taus[j])
+    value = 2.0 / taus[j]
+    for n in range(3):
+        if n != j:
+            value -= 1.0 / (taus[j] - taus[n])
+    return c[j] * value
+
+
+@njit(cache=True, error_model="numpy")
+def _add_tau(gradient, theta, mesh, k, j, value):  # pragma: no cover - compiled
+    if j == 0:
+        gradient[1] += value
+    elif j == 1:
+        gradient[2] += value / mesh.setting[k, 1]
+    elif theta[0] >= mesh.setting[k, 4]:
+        gradient[0] += value
+    # a sensor faster than that acts as a pure delay, see _constants: the caller adds that part
+
+
+@njit(cache=True, error_model="numpy")
+def marginal(theta, mesh, x, xl, E_on, E_off, best, factor):  # pragma: no cover - compiled
+    # log L with every y0, beta integrated out under flat priors; best (n_exp, 2) their conditional
+    # means, factor (n_exp, 3) the conditional precision's Cholesky factor (l11, l21, l22)
+    taus, c = np.empty(3), np.empty(3)
+    table, stride = np.empty((mesh.n_kinds, 3, K)), np.empty((mesh.n_kinds, 3))
+    xe = np.empty((len(mesh.distance), 2))
+    s2e = np.empty((len(mesh.distance), 2))
+    basis = np.empty((len(mesh.distance), 2, 3))
+    A, B, Q = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    total = 0.0
+    for k in range(len(mesh.local)):
+        first, last = mesh.blocks[k], mesh.blocks[k + 1]
+        h, t0, tf = _constants(theta, k, mesh, taus)
+        phi_reference, sigma0, sigma1 = (
+            theta[mesh.noise[k, 0]], theta[mesh.noise[k, 1]], theta[mesh.noise[k, 2]]
+        )  # fmt: skip
+        phi = _per_sample(phi_reference, mesh.setting[k, 3])
+        if not abs(phi) < 1.0:
+            return -np.inf
+        rest = 1.0 - phi * phi
+        # any y0, beta serves as origin: the mesh's own reference keeps the numbers small
+        y0, beta = mesh.setting[k, 5], mesh.setting[k, 6]
+        v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * mesh.setting[k, 2]
+        _responses(k, mesh, taus, t0, tf, h, c, x, xl, E_on, E_off, table, stride)
+        _edge_responses(k, mesh, taus, t0, tf, xe)
+        change = _gram_sums(
+            first, last, mesh.moments, mesh.reference, mesh.reference_s2,
+            x, xl, y0, beta, v0, v1, A, B,
+        )  # fmt: skip
+        logs = mesh.log_s2[k] + change + mesh.n_samples[k] * log(2.0 * pi)
+        logs += mesh.pairs[k] * log(rest)
+        for i in range(3):
+            for j in range(i, 3):
+                Q[i, j] = ((1.0 + phi * phi) * A[i, j] - 2.0 * phi * B[i, j]) / rest
+        for run in range(mesh.runs[k], mesh.runs[k + 1]):
+            for side in range(2):
+                s2e[run, side] = v0 + v1 * xe[run, side]
+                w = 1.0 / sqrt(s2e[run, side])
+                basis[run, side, 0] = (mesh.edge_y[run, side] - y0 - beta * xe[run, side]) * w
+                basis[run, side, 1] = w
+                basis[run, side, 2] = xe[run, side] * w
+            logs += log(s2e[run, 0])
+            across = 0.0
+            if run > mesh.runs[k]:
+                across = _across(phi, phi_reference, mesh.setting[k, 3], mesh.distance[run])
+                logs += log(1.0 - across * across)
+            for i in range(3):
+                a = basis[run, 0, i]
+                for j in range(i, 3):
+                    Q[i, j] += (
+                        phi
+                        * phi
+                        / rest
+                        * (a * basis[run, 0, j] - basis[run, 1, i] * basis[run, 1, j])
+                    )
+                    if run == mesh.runs[k]:
+                        Q[i, j] += a * basis[run, 0, j]
+                    else:
+                        u = a - across * basis[run - 1, 1, i]
+                        v = basis[run, 0, j] - across * basis[run - 1, 1, j]
+                        Q[i, j] += u * v / (1.0 - across * across)
+        l11 = sqrt(Q[1, 1])
+        l21 = Q[1, 2] / l11
+        l22 = sqrt(Q[2, 2] - l21 * l21)
+        u1 = Q[0, 1] / l11
+        u2 = (Q[0, 2] - l21 * u1) / l22
+        best[k, 1] = u2 / l22
+        best[k, 0] = (u1 - l21 * best[k, 1]) / l11
+        best[k, 0] += y0
+        best[k, 1] += beta
+        factor[k, 0], factor[k, 1], factor[k, 2] = l11, l21, l22
+        total += -0.5 * (logs + Q[0, 0] - u1 * u1 - u2 * u2) - log(l11) - log(l22) + log(2.0 * pi)
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def values(thetas, mesh, x, xl, E_on, E_off, each, inside):  # pragma: no cover - compiled
+    for i in range(len(thetas)):
+        inside[i] = inside_box(thetas[i], mesh.low, mesh.high)
+        if inside[i]:
+            value(thetas[i], mesh, x, xl, E_on, E_off, each[i])
+
+
+@njit(cache=True, error_model="numpy")
+def marginals(thetas, mesh, x, xl, E_on, E_off, values, best, factor, inside):  # pragma: no cover
+    for i in range(len(thetas)):
+        inside[i] = inside_box(thetas[i], mesh.low, mesh.high)
+        if inside[i]:
+            values[i] = marginal(thetas[i], mesh, x, xl, E_on, E_off, best[i], factor[i])
+
+
+@njit(cache=True, error_model="numpy")
+def general(k, mesh, phi, phi_reference, m, ml, s2, s2l, me, s2e):  # pragma: no cover - compiled
+    # log L of experiment k for any smooth mean and variance given at the nodes and edge samples
+    first = mesh.blocks[k]
+    A = B = log_s2 = 0.0
+    for b in range(len(m)):
+        for q in range(K):
+            d = m[b, q] - mesh.reference[first + b, 0, q]
+            dl = ml[b, q] - mesh.reference[first + b, 1, q]
+            n, m1, m2, m3, m4 = mesh.moments[first + b, :, q]
+            A += (m3 - 2.0 * d * m1 + d * d * n) / s2[b, q]
+            B += (m4 - d * m2 - dl * m1 + d * dl * n) / sqrt(s2[b, q] * s2l[b, q])
+            log_s2 += n * log(s2[b, q])
+    re = np.empty((len(mesh.distance), 2))
+    for run in range(mesh.runs[k], mesh.runs[k + 1]):
+        for side in range(2):
+            i = run - mesh.runs[k]
+            re[run, side] = (mesh.edge_y[run, side] - me[i, side]) / sqrt(s2e[i, side])
+        log_s2 += log(s2e[run - mesh.runs[k], 0])
+    return _combine(k, mesh, phi, phi_reference, A, B, re, log_s2)

@@ -1,0 +1,232 @@
+"""Building the mesh of a campaign: where blocks begin, how wide they are, what they store."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from bayes_sensor.campaign import Experiment, FloatArray
+from bayes_sensor.compression.kernels import CHEBYSHEV, Arrays, K
+from bayes_sensor.likelihood import Problem, mean_and_variance
+from bayes_sensor.noise import scale_squared
+
+# Interpolation tolerance for a decaying exponential of unit amplitude, and how much narrower than
+# its own mesh products such as x^2/s^2 want it; both set by the measured error of the likelihood.
+TOLERANCE = 1e-7
+NARROWER = 1.0
+# Widest block, in slowest time constants, in which a switch time may fall.
+WINDOW_BLOCK = 0.03
+
+
+def _lagrange(points: FloatArray) -> FloatArray:
+    """(n, K) values of the Lagrange polynomials of the Chebyshev nodes on [0, 1] at ``points``."""
+    weights = (-1.0) ** np.arange(K) * np.sin((2 * np.arange(K) + 1) * pi / (2 * K))
+    distance = points[:, None] - CHEBYSHEV
+    hit = np.abs(distance) < 1e-14
+    distance[hit] = 1.0
+    terms = weights / distance
+    values = terms / terms.sum(axis=1, keepdims=True)
+    rows = hit.any(axis=1)
+    values[rows] = hit[rows]
+    return values
+
+
+@dataclass(frozen=True)
+class Region:
+    """Box of the flat vector for which a mesh is built; (n_theta,) each."""
+
+    low: FloatArray
+    high: FloatArray
+
+
+def _blocks_of_run(
+    first: int,
+    last: int,
+    e: Experiment,
+    windows: list[tuple[float, float]],
+    width_after: Callable[[float], float],
+    narrow: float,
+) -> list[tuple[int, int, int]]:
+    """(start, samples, kind) of the blocks covering samples first .. last - 1 of one run."""
+    h, t_first = e.interval, e.t[0]
+    blocks = []
+    i = first
+    longest = max(8.0, (last - first) / 6.0)
+    while i < last:
+        t = t_first + i * h
+        allowed = longest * h
+        for low, high in windows:
+            if t >= high:
+                allowed = min(allowed, max(narrow, width_after(t - high)))
+            elif t >= low:
+                allowed = min(allowed, narrow)
+        kind = 0
+        # a block may reach up to a window, or into it only when narrow
+        while True:
+            n = 16 * 2**kind
+            end = t + n * h
+            if n > last - i or n * h > allowed:
+                break
+            if n * h > narrow and any(low < end and t < high for low, high in windows):
+                break
+            kind += 1
+        n = 8 * 2**kind
+        blocks.append((i, min(n, last - i), kind))
+        i += n
+    return blocks
+
+
+def _width_after(taus: FloatArray) -> Callable[[float], float]:
+    """Block width (s) at a time s after the last possible switch, for time constants (n, 3)."""
+    coefficients = []
+    for row in taus:
+        for j in range(3):
+            others = [row[j] - row[m] for m in range(3) if m != j]
+            c = row[j] ** 2 / max(abs(others[0] * others[1]), (0.05 * row[j]) ** 2)
+            coefficients.append((row[j], c))
+    tau, c = np.array(coefficients).T
+    factorial = float(np.prod(np.arange(1, K + 1)))
+
+    def width(s: float) -> float:
+        with np.errstate(over="ignore"):
+            growth = np.exp(np.minimum(s / tau, 600.0))
+        return float(
+            NARROWER * np.min(4.0 * tau * (TOLERANCE * factorial * growth / (2.0 * c)) ** (1.0 / K))
+        )
+
+    return width
+
+
+def build(problem: Problem, vector: FloatArray, region: Region, data: bool = True) -> Arrays:
+    """The mesh of a campaign (or design) around ``vector`` for all theta inside ``region``.
+
+    ``data=False`` leaves the data out (counts only), as does a design.
+    """
+    layout, campaign = problem.layout, problem.campaign
+    low, high = region.low, region.high
+    blocks, runs = [0], [0]
+    setting = np.zeros((len(campaign), 7))
+    base: list[float] = []
+    kinds: list[int] = []
+    follows: list[bool] = []
+    moments, reference, reference_s2 = [], [], []
+    log_s2, edge_t, edge_y, distance, pairs = [], [], [], [], []
+    cache: dict[int, FloatArray] = {}
+    for k, e in enumerate(campaign):
+        h = e.interval
+        i_y0, i_beta, i_t0, i_tf = layout.local[k]
+        width_after, narrow = _widths(vector, region, e)
+        # a sensor faster than this is replaced by a delay: no exponential may overflow
+        least = max(16.0 * h, narrow) / 300.0
+        windows = [(low[i] - least - h, high[i] + h) for i in (i_t0, i_tf) if i >= 0]
+        setting[k] = (
+            h,
+            e.total_flow,
+            problem.noise.weight(campaign, e),
+            problem.steps(e),
+            least,
+            vector[i_y0],
+            vector[i_beta],
+        )
+        with_data = data and e.y is not None
+        if with_data:
+            mean, _ = mean_and_variance(problem, vector, k)
+            d = e.values - mean
+        previous = -1
+        n_pairs = 0
+        first_block = len(base)
+        for a, b in e.runs:
+            edge_t.append((e.t[a], e.t[b - 1]))
+            edge_y.append((e.values[a], e.values[b - 1]) if with_data else (0.0, 0.0))
+            distance.append(a - previous)
+            previous = b - 1
+            n_pairs += b - a - 1
+            run_start = len(base)
+            for start, n, kind in _blocks_of_run(a + 1, b, e, windows, width_after, narrow):
+                if kind == 0:
+                    L = np.eye(n, K)
+                else:
+                    if n not in cache:
+                        cache[n] = _lagrange((np.arange(n) + 0.5) / n)
+                    L = cache[n]
+                stack = np.zeros((5, n))
+                stack[0] = 1.0
+                if with_data:
+                    stack[1], stack[2] = d[start : start + n], d[start - 1 : start + n - 1]
+                    stack[3], stack[4] = stack[1] ** 2, stack[1] * stack[2]
+                moments.append(stack @ L)
+                follows.append(len(base) > run_start)
+                base.append(e.t[0] + (start - 0.5) * h)
+                kinds.append(kind)
+        times = node_times(np.array(base[first_block:]), np.array(kinds[first_block:]), h)
+        node_mean, node_s2 = at_times(problem, vector, e, k, times)
+        lag_mean, _ = at_times(problem, vector, e, k, times - h)
+        reference.append(np.stack([node_mean, lag_mean], axis=1))
+        reference_s2.append(node_s2)
+        counts = np.array([m[0] for m in moments[first_block:]]).reshape(-1, K)
+        log_s2.append(float((counts * np.log(node_s2)).sum()))
+        pairs.append(n_pairs)
+        blocks.append(len(base))
+        runs.append(len(distance))
+    return Arrays(
+        local=layout.local,
+        noise=layout.noise,
+        blocks=np.array(blocks),
+        runs=np.array(runs),
+        setting=setting,
+        n_samples=np.array([e.n_samples for e in campaign], dtype=float),
+        base=np.array(base, dtype=float),
+        kind=np.array(kinds, dtype=np.int64),
+        follows=np.array(follows, dtype=bool),
+        moments=np.array(moments, dtype=float).reshape(-1, 5, K),
+        reference=np.concatenate(reference),
+        reference_s2=np.concatenate(reference_s2),
+        log_s2=np.array(log_s2),
+        edge_t=np.array(edge_t, dtype=float),
+        edge_y=np.array(edge_y, dtype=float),
+        distance=np.array(distance, dtype=float),
+        pairs=np.array(pairs, dtype=float),
+        low=np.ascontiguousarray(low, dtype=float),
+        high=np.ascontiguousarray(high, dtype=float),
+        n_kinds=max([0, *kinds]) + 1,
+    )
+
+
+def _widths(
+    vector: FloatArray, region: Region, e: Experiment
+) -> tuple[Callable[[float], float], float]:
+    """Block width after a switch as a function of time, and the width where a switch may fall."""
+    low, high = region.low, region.high
+    candidates = np.array(
+        [
+            (tau_v, V / e.total_flow, tau)
+            for tau in np.geomspace(max(low[0], 1e-3 * high[0]), high[0], 5)
+            for tau_v in (low[1], high[1])
+            for V in (low[2], high[2])
+        ]
+    )
+    slowest = max(vector[0], vector[1], vector[2] / e.total_flow)
+    return _width_after(candidates), WINDOW_BLOCK * slowest
+
+
+def node_times(base: FloatArray, kind: np.ndarray, h: float) -> FloatArray:
+    """(n_blocks, K) s."""
+    pointwise = (np.arange(K) + 0.5) * h
+    spread = 8.0 * 2.0 ** kind[:, None] * h * CHEBYSHEV
+    return base[:, None] + np.where(kind[:, None] == 0, pointwise, spread)
+
+
+def at_times(
+    problem: Problem, vector: FloatArray, e: Experiment, k: int, times: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mean and variance of one experiment at any times, in the shape of ``times``."""
+    layout, model = problem.layout, problem.model
+    _, sigma0, sigma1 = vector[layout.noise[k]]
+    flat = np.ascontiguousarray(times).ravel()
+    x = model.response(flat, vector, layout, e)
+    mean = model.mean(flat, vector, layout, e)
+    s2 = scale_squared(x, sigma0, sigma1, problem.noise.weight(problem.campaign, e))
+    return mean.reshape(times.shape), s2.reshape(times.shape)

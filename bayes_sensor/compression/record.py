@@ -1,0 +1,522 @@
+"""The compressed campaign as an object, and the region of theta for which its mesh is built."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log, pi, sqrt
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.compression import kernels
+from bayes_sensor.compression.kernels import K
+from bayes_sensor.compression.mesh import Region, at_times, build, node_times
+from bayes_sensor.likelihood import (
+    Problem,
+    as_problem,
+    experiment_log_likelihood,
+    mean_and_variance,
+)
+from bayes_sensor.likelihood import log_likelihood as full_log_likelihood
+from bayes_sensor.model import (
+    Cascade,
+    Theta,
+    cascade_response,
+    cascade_sensitivities,
+    local_parameters,
+)
+from bayes_sensor.noise import lag_coefficient, scale_squared
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Weighted points that stand for the samples of one experiment.
+
+    For a mean m that is smooth between switches, ``sum_i (y_i - m(t_i))^2`` is a constant plus
+    ``sum count (y - m(t))^2``, and ``sum_i f(t_i)`` is ``sum count f(t)``.
+    """
+
+    t: FloatArray
+    """(n,) s"""
+    count: FloatArray
+    """(n,) how many samples the point stands for"""
+    y: FloatArray
+    """(n,) V, their weighted mean; the reference mean for a design"""
+
+
+def _is_cascade(problem: Problem) -> bool:
+    """Whether the compiled closed form may stand for the problem's model."""
+    return type(problem.model) is Cascade and problem.model.method == "exact"
+
+
+class Compressed:
+    """A campaign's data reduced to a mesh; evaluates likelihoods in microseconds.
+
+    Made by :func:`compress`.  ``region`` is the box of theta for which the mesh was built: outside
+    it, :meth:`log_likelihood` and the others use the exact full pass (slow, never wrong);
+    ``n_full_passes`` counts how often that happened.  One object is not to be shared by threads.
+    """
+
+    def __init__(self, problem: Problem, vector: FloatArray, region: Region) -> None:
+        self.problem = problem
+        self.reference = vector
+        self.region = region
+        self.arrays = build(problem, vector, region)
+        self.n_full_passes = 0
+        shape = (len(self.arrays.base), K)
+        self._x, self._xl = np.zeros(shape), np.zeros(shape)
+        self._each = np.zeros(len(problem.campaign))
+        self._E_on, self._E_off = (np.zeros((shape[0], 3, K)) for _ in range(2))
+        self._cascade = _is_cascade(problem)
+
+    @property
+    def n_nodes(self) -> int:
+        """Nodes of all experiments together."""
+        return len(self.arrays.base) * K
+
+    def covers(self, theta: FloatArray) -> bool:
+        """Whether the mesh was built for this flat vector (n_theta,)."""
+        return bool(kernels.inside_box(theta, self.arrays.low, self.arrays.high))
+
+    def _vector(self, theta: Theta) -> FloatArray:
+        vector = theta if isinstance(theta, np.ndarray) else self.problem.layout.flat(theta)
+        if vector.shape != self.arrays.low.shape:
+            vector = self.problem.layout.flat(vector)
+        return np.ascontiguousarray(vector, dtype=float)
+
+    def _full(self, theta: FloatArray) -> float:
+        self.n_full_passes += 1
+        n_exp = len(self.problem.campaign)
+        return sum(experiment_log_likelihood(self.problem, theta, k) for k in range(n_exp))
+
+    def log_likelihood(self, theta: Theta) -> float:
+        """The exact log-likelihood to within the mesh's error (see :meth:`error`)."""
+        vector = self._vector(theta)
+        if not self.covers(vector):
+            return self._full(vector)
+        if not self._cascade:
+            return float(sum(self._general(vector, k) for k in range(len(self._each))))
+        return float(
+            kernels.value(
+                vector, self.arrays, self._x, self._xl, self._E_on, self._E_off, self._each
+            )
+        )
+
+    def _general(self, vector: FloatArray, k: int) -> float:
+        # experiment number k under any model, inside the region
+        problem, mesh = self.problem, self.arrays
+        e = problem.campaign.experiments[k]
+        phi_reference, sigma0, sigma1 = (float(v) for v in vector[problem.layout.noise[k]])
+        phi = lag_coefficient(phi_reference, problem.steps(e))
+        if not (abs(phi) < 1.0 and sigma0 > 0.0 and sigma1 >= 0.0 and (vector[:3] > 0).all()):
+            return -np.inf
+        times = self.node_times(k)
+        m, s2 = at_times(problem, vector, e, k, times)
+        ml, s2l = at_times(problem, vector, e, k, times - e.interval)
+        me, s2e = at_times(problem, vector, e, k, mesh.edge_t[mesh.runs[k] : mesh.runs[k + 1]])
+        return float(kernels.general(k, mesh, phi, phi_reference, m, ml, s2, s2l, me, s2e))
+
+    def value_and_gradient(self, theta: Theta) -> tuple[float, FloatArray]:
+        """Log-likelihood and its gradient (n_theta,) by the flat vector."""
+        vector = self._vector(theta)
+        gradient = np.empty(len(vector))
+        value = np.nan
+        if self._cascade and self.covers(vector):
+            value = kernels.value_and_gradient(
+                vector, self.arrays, self._x, self._xl, self._E_on, self._E_off, gradient
+            )  # fmt: skip
+        if np.isnan(value):
+            return self.log_likelihood(vector), self._numerical_gradient(vector)
+        return value, gradient
+
+    def gradient(self, theta: Theta) -> FloatArray:
+        """Gradient (n_theta,) of the log-likelihood."""
+        return self.value_and_gradient(theta)[1]
+
+    def _numerical_gradient(self, vector: FloatArray) -> FloatArray:
+        # outside the mesh, or where partial fractions would cancel: central differences with the
+        # step that balances rounding against curvature; neighbours inside and outside the mesh
+        # must not be mixed, and a parameter of one experiment moves only its part
+        layout, n_exp = self.problem.layout, len(self.problem.campaign)
+        covered = self.covers(vector)
+        owner = {int(i): k for k in range(n_exp) for i in layout.local[k] if i >= 0}
+        if layout.noise_per_experiment:
+            owner |= {int(i): k for k in range(n_exp) for i in layout.noise[k]}
+
+        def at(trial: FloatArray, i: int) -> float:
+            if covered and self.covers(trial):
+                return self.log_likelihood(trial)
+            experiments = [owner[i]] if i in owner else range(n_exp)
+            return sum(experiment_log_likelihood(self.problem, trial, k) for k in experiments)
+
+        gradient = np.empty(len(vector))
+        for i in range(len(vector)):
+            step = 1e-5 * max(abs(vector[i]), 1e-3)
+            up, down = vector.copy(), vector.copy()
+            up[i] += step
+            down[i] -= step
+            if covered and not (self.covers(up) and self.covers(down)):
+                up[i] = min(up[i], self.arrays.high[i])
+                down[i] = max(down[i], self.arrays.low[i])
+            gradient[i] = (at(up, i) - at(down, i)) / (up[i] - down[i])
+        return gradient
+
+    def marginal(self, theta: Theta) -> tuple[float, FloatArray, FloatArray]:
+        """Log-likelihood with every y0 and beta integrated out under flat priors.
+
+        Returns (value, best, factor): ``best`` (n_experiments, 2) the conditional means of y0 and
+        beta, ``factor`` (n_experiments, 3) the Cholesky factor (l11, l21, l22) of their
+        conditional precision.  ``theta``'s own y0 and beta are not used.  Exact for models whose
+        mean is ``y0 + beta x`` with ``x`` free of both.
+        """
+        vector = self._vector(theta)
+        n_exp = len(self.problem.campaign)
+        vector = vector.copy()
+        vector[self.problem.layout.local[:, :2]] = self.reference[self.problem.layout.local[:, :2]]
+        if not (self._cascade and self.covers(vector)):
+            return self._marginal_by_values(vector)
+        best, factor = np.empty((n_exp, 2)), np.empty((n_exp, 3))
+        value = kernels.marginal(
+            vector, self.arrays, self._x, self._xl, self._E_on, self._E_off, best, factor
+        )
+        return value, best, factor
+
+    def log_likelihoods(self, thetas: FloatArray) -> FloatArray:
+        """(n, n_experiments) log-likelihood of every experiment at each row of ``thetas``."""
+        thetas = np.ascontiguousarray(thetas, dtype=float)
+        each = np.zeros((len(thetas), len(self.problem.campaign)))
+        inside = np.zeros(len(thetas), dtype=bool)
+        if self._cascade:
+            kernels.values(
+                thetas, self.arrays, self._x, self._xl, self._E_on, self._E_off, each, inside
+            )
+        for i in np.flatnonzero(~inside):
+            each[i] = self._one_by_one(thetas[i])
+        return each
+
+    def _one_by_one(self, vector: FloatArray) -> list[float]:
+        # every experiment's part where the compiled cascade does not apply
+        experiments = range(len(self.problem.campaign))
+        if not self._cascade and self.covers(vector):
+            return [self._general(vector, k) for k in experiments]
+        self.n_full_passes += 1
+        return [experiment_log_likelihood(self.problem, vector, k) for k in experiments]
+
+    def marginals(self, thetas: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """:meth:`marginal` at every row of ``thetas`` (n, n_theta); a leading axis n is added."""
+        local = self.problem.layout.local
+        thetas = np.array(thetas, dtype=float)
+        thetas[:, local[:, :2]] = self.reference[local[:, :2]]
+        n_exp = len(self.problem.campaign)
+        values = np.zeros(len(thetas))
+        best, factor = np.zeros((len(thetas), n_exp, 2)), np.ones((len(thetas), n_exp, 3))
+        inside = np.zeros(len(thetas), dtype=bool)
+        if self._cascade:
+            kernels.marginals(
+                thetas, self.arrays, self._x, self._xl, self._E_on, self._E_off,
+                values, best, factor, inside,
+            )  # fmt: skip
+        for i in np.flatnonzero(~inside):
+            values[i], best[i], factor[i] = self._marginal_by_values(thetas[i])
+        return values, best, factor
+
+    def _marginal_by_values(self, vector: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        # log L is quadratic in (y0, beta) of each experiment: six values fix it
+        problem = self.problem
+        local = problem.layout.local
+        n_exp = len(problem.campaign)
+        best, factor = np.zeros((n_exp, 2)), np.ones((n_exp, 3))
+        total = 0.0
+        inside = not self._cascade and self.covers(vector)
+        self.n_full_passes += not inside
+        for k in range(n_exp):
+            origin = vector[local[k, :2]]
+            unit = max(abs(origin[1]), 1e-3)
+
+            def at(
+                u: float, w: float, k: int = k, origin: FloatArray = origin, unit: float = unit
+            ) -> float:
+                trial = vector.copy()
+                trial[local[k, :2]] = origin + unit * np.array([u, w])
+                if inside:
+                    return self._general(trial, k)
+                return experiment_log_likelihood(problem, trial, k)
+
+            f00 = at(0.0, 0.0)
+            if not np.isfinite(f00):
+                return -np.inf, best, factor
+            fp0, fm0, f0p, f0m, fpp = at(1, 0), at(-1, 0), at(0, 1), at(0, -1), at(1, 1)
+            g = np.array([fp0 - fm0, f0p - f0m]) / 2.0
+            hxx, hyy = 2 * f00 - fp0 - fm0, 2 * f00 - f0p - f0m
+            hxy = fp0 + f0p - fpp - f00
+            precision = np.array([[hxx, hxy], [hxy, hyy]])
+            if not (hxx > 0 and np.linalg.det(precision) > 0):
+                return -np.inf, best, factor
+            move = np.linalg.solve(precision, g)
+            best[k] = origin + unit * move
+            lower = np.linalg.cholesky(precision / unit**2)
+            factor[k] = (lower[0, 0], lower[1, 0], lower[1, 1])
+            total += f00 + 0.5 * float(g @ move) - log(lower[0, 0] * lower[1, 1]) + log(2.0 * pi)
+        return total, best, factor
+
+    def node_times(self, k: int) -> FloatArray:
+        """(n_blocks, K) s, the nodes of experiment number ``k``."""
+        mesh = self.arrays
+        part = slice(mesh.blocks[k], mesh.blocks[k + 1])
+        return node_times(mesh.base[part], mesh.kind[part], mesh.setting[k, 0])
+
+    def nodes(self, k: int) -> Nodes:
+        """The weighted points of experiment number ``k``; points of weight 0 are left out."""
+        mesh = self.arrays
+        part = slice(mesh.blocks[k], mesh.blocks[k + 1])
+        count = mesh.moments[part, 0].ravel()
+        keep = count > 1e-9
+        mean = mesh.reference[part, 0].ravel()[keep]
+        mean = mean + mesh.moments[part, 1].ravel()[keep] / count[keep]
+        runs = slice(mesh.runs[k], mesh.runs[k + 1])
+        first = mesh.edge_y[runs, 0]
+        if self.problem.campaign.experiments[k].y is None:
+            e = self.problem.campaign.experiments[k]
+            first, _ = at_times(self.problem, self.reference, e, k, mesh.edge_t[runs, 0])
+        return Nodes(
+            np.concatenate([mesh.edge_t[runs, 0], self.node_times(k).ravel()[keep]]),
+            np.concatenate([np.ones(len(first)), count[keep]]),
+            np.concatenate([first, mean]),
+        )
+
+    def error(self, thetas: FloatArray) -> float:
+        """Largest |compressed - full pass| of log L over the rows of ``thetas`` (n, n_theta)."""
+        worst = 0.0
+        passes = self.n_full_passes
+        for row in np.atleast_2d(thetas):
+            row = np.ascontiguousarray(row, dtype=float)
+            full, fast = self._full(row), self.log_likelihood(row)
+            if np.isfinite(full) or np.isfinite(fast):
+                worst = max(worst, abs(full - fast))
+        self.n_full_passes = passes
+        return worst
+
+    def information(self, theta: Theta) -> FloatArray:
+        """Expected Fisher information (n_theta, n_theta) of the flat vector.
+
+        Slepian-Bangs formula for a Gaussian with mean and covariance both depending on theta
+        (Kay, Fundamentals of Statistical Signal Processing I, 1993, eq. 3.31):
+        I_ab = m_a' C^-1 m_b + 1/2 tr(C^-1 C_a C^-1 C_b), with C = S R S, R of an AR(1).  The trace
+        is taken within stretches of consecutive samples; the few pairs across gaps are left out
+        of it.
+        """
+        vector = self._vector(theta)
+        problem, mesh = self.problem, self.arrays
+        layout = problem.layout
+        total = np.zeros((len(vector), len(vector)))
+        for k, e in enumerate(problem.campaign):
+            phi_reference, sigma0, sigma1 = (float(v) for v in vector[layout.noise[k]])
+            steps = problem.steps(e)
+            phi = lag_coefficient(phi_reference, steps)
+            rest = 1.0 - phi**2
+            weight = problem.noise.weight(problem.campaign, e)
+            times = self.node_times(k)
+            count = mesh.moments[mesh.blocks[k] : mesh.blocks[k + 1], 0].ravel()
+            J, u, _ = self._scaled(vector, k, times.ravel(), sigma0, sigma1, weight)
+            Jl, ul, _ = self._scaled(vector, k, times.ravel() - e.interval, sigma0, sigma1, weight)
+            cross = (J * count[:, None]).T @ Jl
+            info = ((1 + phi**2) * (J * count[:, None]).T @ J - phi * (cross + cross.T)) / rest
+            runs = slice(mesh.runs[k], mesh.runs[k + 1])
+            f, uf, _ = self._scaled(vector, k, mesh.edge_t[runs, 0], sigma0, sigma1, weight)
+            last, ulast, _ = self._scaled(vector, k, mesh.edge_t[runs, 1], sigma0, sigma1, weight)
+            info += phi**2 / rest * (f.T @ f - last.T @ last)
+            info += np.outer(f[0], f[0])
+            for i in range(1, len(f)):
+                distance = mesh.distance[mesh.runs[k] + i]
+                across = lag_coefficient(phi_reference, steps * distance)
+                gap = f[i] - across * last[i - 1]
+                info += np.outer(gap, gap) / (1.0 - across**2)
+            # covariance: u = d log s by the parameters
+            cross = (u * count[:, None]).T @ ul
+            info += (1.0 + (1 + phi**2) / rest) * (u * count[:, None]).T @ u
+            info -= phi**2 / rest * (cross + cross.T)
+            info += (1.0 + 1.0 / rest) * uf.T @ uf
+            slope = 1.0
+            if steps != 1.0:
+                slope = steps * phi / phi_reference if phi_reference != 0 else 0.0
+            i_phi = layout.noise[k, 0]
+            info[i_phi, i_phi] += mesh.pairs[k] * (1 + phi**2) / rest**2 * slope**2
+            mixed = -2.0 * phi / rest * slope * (u.T @ count)
+            mixed -= phi / rest * slope * (uf.sum(axis=0) - ulast.sum(axis=0))
+            info[i_phi] += mixed
+            info[:, i_phi] += mixed
+            total += info
+        return total
+
+    def _scaled(
+        self,
+        vector: FloatArray,
+        k: int,
+        t: FloatArray,
+        sigma0: float,
+        sigma1: float,
+        weight: float,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Derivatives of the mean over s (n_t, n), of log s (n_t, n), and s (n_t,) at times t."""
+        problem = self.problem
+        layout = problem.layout
+        e = problem.campaign.experiments[k]
+        if not self._cascade:
+            return self._scaled_numerically(vector, k, t)
+        _, beta, t0, tf = local_parameters(vector, layout, e.name)
+        taus = np.array([vector[1], vector[2] / e.total_flow, vector[0]])
+        x = cascade_response(t, taus, t0, tf)
+        dx = cascade_sensitivities(t, taus, t0, tf)
+        i_y0, i_beta, i_t0, i_tf = layout.local[k]
+        slope = np.zeros((len(t), len(vector)))
+        slope[:, 0], slope[:, 1], slope[:, 2] = dx[:, 2], dx[:, 0], dx[:, 1] / e.total_flow
+        slope[:, i_t0] = dx[:, 3]
+        if i_tf >= 0:
+            slope[:, i_tf] = dx[:, 4]
+        s2 = scale_squared(x, sigma0, sigma1, weight)
+        s = np.sqrt(s2)
+        J = beta * slope
+        J[:, i_y0] = 1.0
+        J[:, i_beta] = x
+        u = 0.5 * sigma1**2 * weight * slope / s2[:, None]
+        u[:, layout.noise[k, 1]] = sigma0 / s2
+        u[:, layout.noise[k, 2]] = sigma1 * weight * x / s2
+        return J / s[:, None], u, s
+
+    def _scaled_numerically(
+        self, vector: FloatArray, k: int, t: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        problem = self.problem
+        e = problem.campaign.experiments[k]
+        _, s2 = at_times(problem, vector, e, k, t)
+        J, u = np.zeros((len(t), len(vector))), np.zeros((len(t), len(vector)))
+        for i in range(len(vector)):
+            step = 1e-6 * max(abs(vector[i]), 1e-3)
+            up, down = vector.copy(), vector.copy()
+            up[i] += step
+            down[i] -= step
+            m_up, s2_up = at_times(problem, up, e, k, t)
+            m_down, s2_down = at_times(problem, down, e, k, t)
+            J[:, i] = (m_up - m_down) / (2 * step)
+            u[:, i] = (np.log(s2_up) - np.log(s2_down)) / (4 * step)
+        s = np.sqrt(s2)
+        return J / s[:, None], u, s
+
+
+def default_region(problem: Problem, vector: FloatArray, spread: float = 7.0) -> Region:
+    """The box that holds the posterior around ``vector`` to ``spread`` standard deviations.
+
+    Spreads come from the expected information in the coordinates (tau^2, t0 + tau, tf + tau),
+    in which the likelihood is close to Gaussian; t0 and tf may in addition move by all that tau
+    can.  Directions about which the data say nothing are capped.
+    """
+    layout = problem.layout
+    low, high = np.full(len(vector), -np.inf), np.full(len(vector), np.inf)
+    slowest = {
+        e.name: max(vector[0], vector[1], vector[2] / e.total_flow) for e in problem.campaign
+    }
+    low[:3], high[:3] = 0.5 * vector[:3], 2.0 * vector[:3]
+    for k, e in enumerate(problem.campaign):
+        for i in layout.local[k, 2:]:
+            if i >= 0:
+                width = 0.05 * slowest[e.name]
+                low[i], high[i] = vector[i] - width, vector[i] + width
+    rough = Compressed.__new__(Compressed)
+    rough.problem, rough.reference = problem, vector
+    rough.region = Region(low, high)
+    rough.arrays = build(problem, vector, rough.region, data=False)
+    rough._cascade = _is_cascade(problem)
+    variances = _psi_variances(problem, vector, rough.information(vector))
+    tau = vector[0]
+    fastest = min(slowest.values())
+    sd_square = min(sqrt(variances[0]), fastest**2)
+    tau_high = min(sqrt(tau**2 + spread * sd_square), max(2.0 * tau, 3.0 * fastest))
+    low[0], high[0] = 0.0, tau_high
+    for i in (1, 2):
+        sd = min(spread * sqrt(variances[i]), 4.0 * vector[i])
+        low[i], high[i] = max(vector[i] - sd, 0.2 * vector[i]), vector[i] + sd
+    for k, e in enumerate(problem.campaign):
+        for i in layout.local[k, 2:]:
+            if i >= 0:
+                sd = min(spread * sqrt(variances[i]), 3.0 * slowest[e.name])
+                low[i] = vector[i] + tau - tau_high - sd
+                high[i] = vector[i] + tau + sd
+    for row in layout.noise:
+        low[row[0]], high[row[0]] = -1.0 + 1e-9, 1.0 - 1e-9
+        low[row[1]], low[row[2]] = 1e-12, 0.0
+    return Region(low, high)
+
+
+def _psi_variances(problem: Problem, vector: FloatArray, information: FloatArray) -> FloatArray:
+    """Variances of (tau^2, .., t0 + tau, tf + tau, ..) from the information on theta."""
+    layout = problem.layout
+    tau = max(vector[0], 1e-3 * max(vector[1], 1e-12))
+    transform = np.eye(len(vector))  # d theta / d psi
+    transform[0, 0] = 0.5 / tau
+    for i in layout.local[:, 2:].ravel():
+        if i >= 0:
+            transform[i, 0] = -0.5 / tau
+    info = transform.T @ information @ transform
+    free = np.flatnonzero(np.diag(info) > 0)
+    scale = 1.0 / np.sqrt(np.diag(info)[free])
+    scaled = info[np.ix_(free, free)] * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(scaled)
+    values = np.maximum(values, 1e-12)
+    variances = np.full(len(vector), np.inf)
+    variances[free] = ((vectors**2) / values).sum(axis=1) * scale**2
+    return variances
+
+
+def compress(
+    campaign: Campaign | Problem, theta: Theta, region: Region | None = None
+) -> Compressed:
+    """Reduce a campaign's data to a mesh around ``theta`` for fast likelihoods.
+
+    ``theta`` should be near the maximum; without noise parameters the residuals' scatter and
+    lag-one correlation stand in.  ``region`` (default: :func:`default_region`) is where the mesh
+    is valid; outside, the full pass answers.  A design gives a mesh without data, good for
+    ``information`` and ``nodes``.
+
+    Raises CampaignError for a malformed theta.
+    """
+    problem = as_problem(campaign)
+    vector = problem.layout.flat(theta).copy()
+    if np.isnan(vector).any():
+        vector = _with_rough_noise(problem, vector)
+    return Compressed(problem, vector, region or default_region(problem, vector))
+
+
+def _with_rough_noise(problem: Problem, vector: FloatArray) -> FloatArray:
+    vector = vector.copy()
+    layout = problem.layout
+    squares, lags, n = 0.0, 0.0, 0
+    for k, e in enumerate(problem.campaign):
+        if e.y is None:
+            raise CampaignError(
+                f"experiment '{e.name}' is a design: theta needs phi, sigma0_V and sigma1_V"
+            )
+        zeroed = np.where(np.isnan(vector), 1.0, vector)
+        r = (e.values - mean_and_variance(problem, zeroed, k)[0])[e.used]
+        squares += float(r @ r)
+        lags += float(r[1:] @ r[:-1])
+        n += len(r)
+    for row in layout.noise:
+        if np.isnan(vector[row[1]]):
+            vector[row[1]] = sqrt(max(squares / n, 1e-300))
+            if vector[row[0]] == 0.0 and problem.noise.autocorrelation == "ar1":
+                vector[row[0]] = float(np.clip(lags / max(squares, 1e-300), 0.0, 0.99))
+    return vector
+
+
+def log_likelihood(campaign: Campaign | Problem, theta: Theta, compressed: bool = False) -> float:
+    """Exact Gaussian log-likelihood of all samples at ``theta``; -inf outside its range.
+
+    ``compressed=True`` evaluates the same on a mesh built around ``theta``; for many evaluations
+    keep the object that :func:`compress` returns instead.
+
+    Raises CampaignError for a malformed ``theta`` or a design without data.
+    """
+    if compressed:
+        mesh = compress(campaign, theta)
+        return mesh.log_likelihood(mesh.problem.layout.flat(theta))
+    return full_log_likelihood(campaign, theta)
