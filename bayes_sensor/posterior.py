@@ -66,7 +66,7 @@ class Settings:
     """ensemble steps between checkpoints and convergence checks"""
     burn_in: int = 100
     """ensemble steps dropped at the start (walkers start from the Laplace approximation)"""
-    max_steps: int = 4000
+    max_steps: int = 3000
     """ensemble steps at which to give up"""
     thin: int = 5
     n_draws: int = 1000
@@ -702,6 +702,16 @@ class _Marginal:
         room = most - least
         low[:n_mean] = np.minimum(low[:n_mean], least - room)
         high[:n_mean] = np.maximum(high[:n_mean], most + room)
+        layout = self.coordinates.problem.layout
+        for i in layout.local[:, 2:].ravel():
+            prior = self.coordinates.problem.priors[layout.names[i]] if i >= 0 else None
+            # a switch time that the data hardly hold goes wherever its prior lets it
+            if (
+                prior
+                and prior.kind == "uniform"
+                and most[i] - least[i] > 0.05 * (prior.b - prior.a)
+            ):
+                low[i], high[i] = prior.a - 1e-9, prior.b + 1e-9
         low[0] = 0.0
         low[1:3] = np.maximum(low[1:3], 0.5 * least[1:3])
         self.compressed = Compressed(
