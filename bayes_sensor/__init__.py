@@ -36,7 +36,20 @@ _PUBLIC = {
     "sample_posterior": "posterior",
     "diagnose_residuals": "residuals",
     "regress_delays": "delays",
+    "compare_bounds": "bounds",
+    "cramer_rao": "bounds",
+    "explain_tau": "bounds",
+    "step_study": "bounds",
+    "Coating": "diffusion",
+    "infer_d_zif8": "diffusion",
+    "solve_diffusion": "diffusion",
+    "Readout": "readout",
+    "Ring": "readout",
+    "response_times": "readout",
 }
+
+# names that would say too little outside their room
+_RENAMED = {"solve_diffusion": "solve"}
 
 __all__ = ["__version__", *sorted(_PUBLIC)]
 
@@ -44,7 +57,7 @@ __all__ = ["__version__", *sorted(_PUBLIC)]
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'bayes_sensor' has no attribute '{name}'")
-    value = getattr(import_module(f"bayes_sensor.{_PUBLIC[name]}"), name)
+    value = getattr(import_module(f"bayes_sensor.{_PUBLIC[name]}"), _RENAMED.get(name, name))
     globals()[name] = value
     return value
 
