@@ -33,6 +33,7 @@ ROOMS = (
     "diffusion",
     "readout",
     "posterior",
+    "predictive",
     "residuals",
     "bounds",
     "delays",

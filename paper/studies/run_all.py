@@ -1,0 +1,45 @@
+"""Every study behind the paper: ``python paper/studies/run_all.py --jobs N``.
+
+Unfinished studies go on where they stopped (chunks in build/studies); the numbers depend neither
+on --jobs nor on --scheduler (the address of a Dask scheduler, ``tcp://host:port``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import study_coverage
+import study_predictive
+import study_sbc
+
+STUDIES = {
+    "predictive": study_predictive.run,
+    "sbc": study_sbc.run,
+    "coverage": study_coverage.run,
+}
+ROOT = Path(__file__).resolve().parent.parent.parent
+
+
+def main() -> None:
+    """Parse, run, tell."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--jobs", type=int, default=1, help="processes on this machine")
+    parser.add_argument("--scheduler", help="address of a Dask scheduler, tcp://host:port")
+    parser.add_argument("--only", choices=STUDIES, action="append", help="run only this study")
+    arguments = parser.parse_args()
+    folder = ROOT / "build" / "studies"
+    (ROOT / "paper" / "tables").mkdir(parents=True, exist_ok=True)
+    for name in arguments.only or STUDIES:
+        begin = time.perf_counter()
+
+        def tell(done: int, n: int, name: str = name, begin: float = begin) -> None:
+            print(f"{name}: {done} of {n}, {time.perf_counter() - begin:.0f} s", flush=True)
+
+        STUDIES[name](folder, arguments.jobs, arguments.scheduler, tell)
+        print(f"{name}: done in {time.perf_counter() - begin:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

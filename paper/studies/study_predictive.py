@@ -1,0 +1,75 @@
+"""Posterior predictive checks of the bundled campaign: the right noise law and two wrong ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from drawing import ACCENT, INK, PAPER, SHADE, TABLES, plt, save
+
+from bayes_sensor.likelihood import Problem
+from bayes_sensor.noise import Noise
+from bayes_sensor.posterior import sample_posterior
+from bayes_sensor.predictive import PredictiveCheck, check_predictive
+from bayes_sensor.readers import read_campaign
+
+LAWS = {
+    "AR(1), variance grows": Noise("concentration", "ar1"),
+    "white, variance grows": Noise("concentration", "white"),
+    "AR(1), constant variance": Noise("constant", "ar1"),
+}
+"""the first is the law that the bundled campaign was simulated with"""
+
+
+def run(
+    folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
+) -> None:
+    """Compute, then write predictive.csv and the figure."""
+    campaign = read_campaign(PAPER.parent / "data" / "reference" / "campaign.toml")
+    checks = {}
+    for i, (law, noise) in enumerate(LAWS.items()):
+        progress(i, len(LAWS))
+        posterior = sample_posterior(Problem(campaign, noise=noise), sampler="independence")
+        checks[law] = check_predictive(posterior)
+    rows = [
+        {"noise": law, "check": check, "p_value": p, "failed": int(check in record.failed)}
+        for law, record in checks.items()
+        for check, p in record.p_values.items()
+    ]
+    pd.DataFrame(rows).to_csv(TABLES / "predictive.csv", index=False, float_format="%.3g")
+    draw(checks)
+
+
+def draw(checks: dict[str, PredictiveCheck]) -> None:
+    """Observed statistics on the band of replicates, one row a noise law."""
+    figure, axes = plt.subplots(len(checks), 4, figsize=(7.2, 5.0), layout="constrained")
+    for row, (law, check) in zip(axes, checks.items()):
+        records = (check.autocorrelation, check.variance, check.spectrum)
+        for axis, record in zip(row, records):
+            axis.fill_between(record.x, record.low, record.high, color=SHADE, lw=0)
+            axis.plot(record.x, record.middle, color="0.5", lw=0.7)
+            axis.plot(record.x, record.observed, "o", color=ACCENT)
+            axis.set_title(f"p = {record.p_value:.2g}", pad=2)
+        row[0].set_xscale("log")
+        row[0].set_ylabel(f"{law}\n\nautocorrelation")
+        row[1].set_ylabel("variance (V$^2$)")
+        row[1].ticklabel_format(axis="y", style="sci", scilimits=(0, 0))
+        row[2].set_xscale("log")
+        row[2].set_yscale("log")
+        row[2].set_ylabel("spectrum (1/sample)")
+        pit = check.pit
+        edges = np.linspace(0, 1, len(pit.counts) + 1)
+        expected = pit.n / len(pit.counts)
+        spread = 1.96 / np.sqrt(expected)
+        row[3].axhspan(1 - spread, 1 + spread, color=SHADE, lw=0)
+        row[3].stairs(pit.counts / expected, edges, color=INK)
+        row[3].set_ylim(0.65, 1.25)
+        row[3].set_ylabel("density of PIT")
+        row[3].set_title(f"p = {pit.p_uniform:.2g}; {pit.p_independent:.2g}", pad=2)
+    for axis, text in zip(
+        axes[-1], ("lag (samples)", "concentration", "frequency (Hz)", "one-step-ahead PIT")
+    ):
+        axis.set_xlabel(text)
+    save(figure, "predictive")
