@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from bayes_sensor.bounds.evidence import Evidence
 from bayes_sensor.bounds.gaussian import gaussian_bound, normal_factor
 from bayes_sensor.bounds.records import LEVELS, Bound
-from bayes_sensor.bounds.surface import Curvature, Surface, maximise
+from bayes_sensor.bounds.surface import Surface, curvature_along_tau, maximise
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compression import K, compress
 from bayes_sensor.likelihood import Problem, mean_and_variance
@@ -216,21 +216,6 @@ def _series(problem: Problem, vector: FloatArray, k: int, whitened: bool) -> _Se
     return _Series(e, scale, phi, across, optimal_block_length(e))
 
 
-def _refreshed(surface: Surface, matrix: FloatArray) -> Curvature:
-    """The same matrix at every step, but a new one after each ten steps that did not suffice."""
-    n_made = 0
-    current = matrix
-
-    def curvature(at: FloatArray) -> FloatArray:
-        nonlocal n_made, current
-        n_made += 1
-        if n_made % 10 == 0:
-            current = surface.information(at)
-        return current
-
-    return curvature
-
-
 def resample_and_refit(
     evidence: Evidence, n_resamples: int, whitened: bool = True
 ) -> tuple[FloatArray, FloatArray, dict[str, object]]:
@@ -259,9 +244,9 @@ def resample_and_refit(
         counts.append(np.minimum(8 * 2 ** mesh.kind[part], ends - start))
         means.append(mean_and_variance(problem, vector, k)[0])
         residuals.append(np.zeros(len(e.t)))
-    matrix = surface.information(evidence.psi_expansion)
+    curvature = curvature_along_tau(surface, evidence.psi_white)
     rng = np.random.default_rng(np.random.SeedSequence([evidence.seed, 71]))
-    bounded = np.empty((n_resamples, len(matrix)))
+    bounded = np.empty((n_resamples, len(evidence.psi_white)))
     free = np.empty_like(bounded)
     n_failed = 0
     for sample in range(n_resamples):
@@ -278,7 +263,7 @@ def resample_and_refit(
             edges = np.stack([e.runs[:, 0], e.runs[:, 1] - 1], axis=1)
             mesh.edge_y[runs] = (means[k] + r)[edges]
         found = maximise(
-            surface.guarded, _refreshed(surface, matrix), evidence.psi_white, surface.mean,
+            surface.guarded, curvature, evidence.psi_white, surface.mean,
             surface.floor, tolerance=1e-5,
         )  # fmt: skip
         n_failed += not found.converged

@@ -15,9 +15,9 @@ from math import inf, nan, sqrt
 import numpy as np
 
 from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import normal_factor
+from bayes_sensor.bounds.gaussian import invert, normal_factor
 from bayes_sensor.bounds.records import LEVELS, Bound
-from bayes_sensor.bounds.surface import Maximum, Surface, maximise
+from bayes_sensor.bounds.surface import Curvature, Maximum, Surface, curvature_along_tau, maximise
 from bayes_sensor.campaign import FloatArray
 
 REFERENCE = "Venzon and Moolgavkar (1988); Self and Liang (1987)"
@@ -31,19 +31,18 @@ class Profiler:
 
     surface: Surface
     maximum: Maximum
-    information: FloatArray
-    """(n_psi, n_psi) near the maximum"""
+    curvature: Curvature
+    """expected information (n_psi, n_psi) at any psi"""
     cov: FloatArray
-    """its inverse"""
+    """(n_psi, n_psi) inverse of the information near the maximum"""
 
     @classmethod
     def of(cls, surface: Surface, maximum: Maximum) -> Profiler:
         """Of a surface and its maximum."""
-        from bayes_sensor.bounds.gaussian import invert
-
         information = surface.information(surface.expansion(maximum.psi))
         cov = invert(information)[0]
-        return cls(surface, maximum, information, np.where(np.isfinite(cov), cov, 0.0))
+        curvature = curvature_along_tau(surface, maximum.psi)
+        return cls(surface, maximum, curvature, np.where(np.isfinite(cov), cov, 0.0))
 
     def best(self, i: int, value: float) -> Maximum:
         """Maximum over everything else with psi's parameter ``i`` held at ``value``.
@@ -59,7 +58,7 @@ class Profiler:
         start += cov[:, i] / cov[i, i] * (value - psi[i])
         start[i] = value
         return maximise(
-            surface.guarded, lambda _: self.information, self._inside(start), rest, surface.floor,
+            surface.guarded, self.curvature, self._inside(start), rest, surface.floor,
             tolerance=1e-5,
         )  # fmt: skip
 
@@ -88,7 +87,7 @@ class Profiler:
         def curvature(phi: FloatArray) -> FloatArray:
             T = np.eye(len(phi))
             T[0, 0], T[i, 0] = 2.0 * phi[0], 1.0
-            return T.T @ self.information @ T
+            return T.T @ self.curvature(to_psi(phi)) @ T
 
         start = psi + self.cov[:, 0] / self.cov[0, 0] * (tau**2 - psi[0])
         start[0], start[i] = tau, value

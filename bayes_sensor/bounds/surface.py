@@ -40,17 +40,21 @@ def maximise(
     floor: FloatArray,
     n_iterations: int = 60,
     tolerance: float = 1e-7,
+    settled: float = 3e-4,
 ) -> Maximum:
     """Maximum over the ``active`` coordinates by Newton steps, none below ``floor`` (n,).
 
     ``curvature`` gives minus the expected Hessian (n, n) at a point; ``tolerance`` is the gain in
     the objective still to be had at which it stops.  Projected Newton (Bertsekas, SIAM J. Control
-    Optim. 20, 1982): coordinates on their floor that the gradient pushes down stay there.
+    Optim. 20, 1982): coordinates on their floor that the gradient pushes down stay there.  It also
+    stops after two steps in a row that gained less than ``settled``: near tau = 0 the likelihood of
+    a sampled record is finely jagged in tau^2, because samples pass the kink at the switch.
     """
     psi = np.maximum(start, floor)
     value, gradient = objective(psi)
     converged = False
     matrix = curvature(psi)
+    last_gain = np.inf
     for _ in range(n_iterations):
         held = (psi <= floor * (1 + 1e-9)) & (gradient <= 0) & np.isfinite(floor)
         moving = active[~held[active]]
@@ -79,9 +83,10 @@ def maximise(
             break
         gained = trial_value - value
         psi, value, gradient = trial, trial_value, trial_gradient
-        if abs(gained) < 0.1 * tolerance:
+        if abs(gained) < 0.1 * tolerance or max(gained, last_gain) < settled:
             converged = True
             break
+        last_gain = gained
         matrix = curvature(psi)
     free = psi.copy()
     free[active] += _solve(matrix[np.ix_(active, active)], gradient[active])
@@ -198,6 +203,29 @@ def coloured_surface(problem: Problem, theta: FloatArray) -> tuple[Surface, Maxi
         if near:
             break
     return surface, _climb(surface, vector)
+
+
+def curvature_along_tau(surface: Surface, psi: FloatArray, n: int = 9) -> Curvature:
+    """Expected information as a function of tau alone, interpolated between ``n`` values of tau.
+
+    tau is what the information depends on most; the rest stays at ``psi`` (n_psi,), with t0 + tau.
+    """
+    least, most = float(np.sqrt(surface.floor[0])), float(surface.compressed.region.high[0])
+    taus = least + (most - least) * np.linspace(0.0, 1.0, n) ** 1.5
+    matrices = []
+    for tau in taus:
+        point = psi.copy()
+        point[0] = tau**2
+        matrices.append(surface.information(point))
+
+    def curvature(at: FloatArray) -> FloatArray:
+        tau = float(np.sqrt(max(at[0], surface.floor[0])))
+        j = int(np.clip(np.searchsorted(taus, tau) - 1, 0, n - 2))
+        share = min(max((tau - taus[j]) / (taus[j + 1] - taus[j]), 0.0), 1.0)
+        mixed: FloatArray = (1.0 - share) * matrices[j] + share * matrices[j + 1]
+        return mixed
+
+    return curvature
 
 
 def _roomy(problem: Problem, vector: FloatArray) -> Region:
