@@ -773,7 +773,9 @@ def _emcee(
     n_dim = len(target.kept)
     n_walkers = max(settings.n_walkers, 2 * n_dim + 2)
     store = _Checkpoint(folder, digest, resume)
-    states, chains, acceptance = [], [], []
+    states: list[Any] = []
+    chains: list[list[FloatArray]] = []
+    acceptance: list[list[float]] = []
     begins = []
     for j in range(settings.n_chains):
         rng = np.random.default_rng(np.random.SeedSequence([seed, j]))
@@ -813,7 +815,7 @@ def _emcee(
         # walkers end to end: each walker's own autocorrelation is what ESS must see
         stacked = np.stack([c.transpose(1, 0, 2).reshape(-1, n_dim) for c in thinned])
         thetas = target.thetas(stacked.reshape(-1, n_dim))
-        full = steps >= settings.max_steps
+        full = steps >= settings.max_steps or _hopeless(stacked, steps, settings)
         quick = stacked[:, :, : min(n_dim, 3)]
         r_hat, bulk, _ = idata.diagnostics(quick)
         if not full and not (np.all(r_hat < R_HAT_LIMIT) and np.all(bulk > settings.target_ess)):
@@ -829,6 +831,17 @@ def _emcee(
                 "convergence judged between ensembles"
             )
             return _Run("emcee", drawn, True, reason, rate)
+
+
+def _hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
+    """Whether all steps allowed would leave the effective sample size below half of what is asked.
+
+    Looked at every 500 steps; it saves an hour where the answer is "not converged" anyway.
+    """
+    if steps < 500 or (steps - settings.burn_in) % 500 != 0:
+        return False
+    _, bulk, _ = idata.diagnostics(stacked)
+    return bool(np.nanmin(bulk) * settings.max_steps / steps < 0.5 * ESS_LIMIT)
 
 
 def _advance(
