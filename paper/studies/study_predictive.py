@@ -42,20 +42,25 @@ def run(
     draw(checks)
 
 
+def p_text(p: float) -> str:
+    """A p-value as a title shows it."""
+    return "p < 0.001" if p < 1e-3 else f"p = {p:.2g}"
+
+
 def draw(checks: dict[str, PredictiveCheck]) -> None:
     """Observed statistics on the band of replicates, one row a noise law."""
     figure, axes = plt.subplots(len(checks), 4, figsize=(7.2, 5.0), layout="constrained")
     for row, (law, check) in zip(axes, checks.items()):
         records = (check.autocorrelation, check.variance, check.spectrum)
-        for axis, record in zip(row, records):
-            axis.fill_between(record.x, record.low, record.high, color=SHADE, lw=0)
-            axis.plot(record.x, record.middle, color="0.5", lw=0.7)
-            axis.plot(record.x, record.observed, "o", color=ACCENT)
-            axis.set_title(f"p = {record.p_value:.2g}", pad=2)
+        for axis, record, unit in zip(row, records, (1.0, 1e-3, 1.0)):
+            low, high = record.low / unit, record.high / unit
+            axis.fill_between(record.x, low, high, color=SHADE, lw=0)
+            axis.plot(record.x, record.middle / unit, color="0.5", lw=0.7)
+            axis.plot(record.x, record.observed / unit, "o", color=ACCENT)
+            axis.set_title(p_text(record.p_value), pad=2)
         row[0].set_xscale("log")
         row[0].set_ylabel(f"{law}\n\nautocorrelation")
-        row[1].set_ylabel("variance (V$^2$)")
-        row[1].ticklabel_format(axis="y", style="sci", scilimits=(0, 0))
+        row[1].set_ylabel("variance ($10^{-3}$ V$^2$)")
         row[2].set_xscale("log")
         row[2].set_yscale("log")
         row[2].set_ylabel("spectrum (1/sample)")
@@ -67,7 +72,8 @@ def draw(checks: dict[str, PredictiveCheck]) -> None:
         row[3].stairs(pit.counts / expected, edges, color=INK)
         row[3].set_ylim(0.65, 1.25)
         row[3].set_ylabel("density of PIT")
-        row[3].set_title(f"p = {pit.p_uniform:.2g}; {pit.p_independent:.2g}", pad=2)
+        title = f"{p_text(pit.p_uniform)}; lag 1: {p_text(pit.p_independent)}"
+        row[3].set_title(title, pad=2)
     for axis, text in zip(
         axes[-1], ("lag (samples)", "concentration", "frequency (Hz)", "one-step-ahead PIT")
     ):
