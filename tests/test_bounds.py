@@ -13,8 +13,11 @@ from bayes_sensor.bounds import (
     LEVELS,
     METHODS,
     Bound,
+    Profiler,
     compare_bounds,
     cramer_rao,
+    explain_tau,
+    profile_curve,
     step_study,
 )
 from bayes_sensor.bounds.bootstrap import (
@@ -26,6 +29,7 @@ from bayes_sensor.bounds.bootstrap import (
 )
 from bayes_sensor.bounds.evidence import Evidence
 from bayes_sensor.bounds.gaussian import _switch_quantiles, gaussian_bound, invert
+from bayes_sensor.bounds.hardness import multiple_correlation
 from bayes_sensor.bounds.jackknife import leave_one_out
 from bayes_sensor.bounds.sandwich import andrews_bandwidth, ar1_middle, newey_west
 from bayes_sensor.bounds.sensitivities import local_jacobian
@@ -664,3 +668,58 @@ def test_at_the_bound_the_switch_times_have_one_sided_room(at_bound):
         # a slower sensor may be traded for an earlier switch, never for a later one
         assert below > 1.2 * above > 0.0, method
         assert np.isnan(bound.sd[i]), method
+
+
+# --------------------------------------------------------------------------- what makes tau hard
+
+
+def test_multiple_correlation_is_that_of_a_regression():
+    rng = np.random.default_rng(1)
+    X = rng.standard_normal((500, 3))
+    X[:, 0] += X[:, 1] - 0.5 * X[:, 2]
+    fitted = X[:, 1:] @ np.linalg.lstsq(X[:, 1:], X[:, 0], rcond=None)[0]
+    share = fitted @ fitted / (X[:, 0] @ X[:, 0])
+    assert multiple_correlation(X.T @ X, 0, [1, 2]) == pytest.approx(np.sqrt(share))
+    assert multiple_correlation(X.T @ X, 0, []) == 0.0
+
+
+def test_tau_is_hard_at_the_published_design():
+    told = explain_tau(published_design(), published_theta())
+    assert 3 * told.known["nothing"] == pytest.approx(0.03274, abs=5e-6)
+    assert 3 * told.known["t0, tf"] == pytest.approx(0.00316, abs=5e-6)
+    assert told.known["nothing"] / told.known["V"] < 1.01
+    assert told.collinearity["switches"] > 0.99 > told.collinearity["others"]
+    assert (np.diff(told.eigenvalues) >= 0).all() and told.eigenvalues[0] < 0.01
+    assert next(iter(told.weakest)) == "tau_s"
+    assert sum(v**2 for v in told.weakest.values()) == pytest.approx(1.0)
+    # sd(tau) = sd(tau^2)/(2 tau), and sd(tau^2) hardly depends on tau where sd(tau) explodes
+    assert told.sd_square == pytest.approx(2 * 0.0481 * told.known["nothing"], rel=1e-6)
+    first, last = told.by_tau.iloc[0], told.by_tau.iloc[-1]
+    assert first.sd_square_s2 / last.sd_square_s2 > 0.4
+    assert first.sd_tau_s / last.sd_tau_s > 50
+    text = " ".join(told.sentences)
+    assert "switch times known, the bound on tau would be 1.1 ms in place of 11 ms" in text
+    json.dumps(told.to_json(), allow_nan=False)
+
+
+def test_tau_of_zero_can_be_explained():
+    design = small_design(2, fall=False)
+    theta = small_theta(design, tau=0.0)
+    told = explain_tau(design, theta)
+    assert np.isfinite(told.sd_square) and told.sd_square > 0
+    assert any("upper limit" in sentence for sentence in told.sentences)
+    assert "tf" not in told.known and told.known["t0"] < 0.2 * told.known["nothing"]
+
+
+def test_the_profile_of_data_follows_the_square_and_not_the_gaussian(at_bound):
+    told = explain_tau(at_bound.campaign, at_bound.fit.theta_hat, n_curve=9)
+    curve = told.curve
+    assert curve["drop"].iloc[0] < 0.2
+    assert (np.diff(curve["drop"]) > -1e-3).all()
+    end = curve.iloc[-1]
+    assert 0.3 < end["drop"] / end["square"] < 2.0
+    evidence = Evidence(Problem(at_bound.campaign), at_bound.fit)
+    profiler = Profiler.of(evidence.coloured, evidence.coloured_maximum)
+    limit = at_bound.bounds["profile"].interval("tau_s")[1]
+    drop = profile_curve(profiler, np.array([limit]))[0]
+    assert drop == pytest.approx(0.5 * 1.959964**2, abs=0.02)

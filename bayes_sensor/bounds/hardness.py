@@ -1,0 +1,274 @@
+"""What makes tau hard to measure, in numbers and in plain sentences.
+
+A first-order lag and a later switch time move the response in nearly the same way:
+exp(-p t0)/(1 + tau p) = exp(-p (t0 + tau)) (1 + tau^2 p^2/2 - ..).  The data fix t0 + tau; tau
+itself is left to the square, so that what they know about it grows in proportion to tau and
+vanishes with it.  (Scaled information, eigenvectors, multiple correlation: Belsley, Kuh and
+Welsch, Regression Diagnostics, 1980, ch. 3.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayes_sensor.bounds.cramer_rao import PUBLISHED_SIGMA, CramerRao, cramer_rao
+from bayes_sensor.bounds.gaussian import normal_factor
+from bayes_sensor.bounds.profile import Profiler, profile_curve
+from bayes_sensor.bounds.surface import coloured_surface
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.likelihood import Problem, as_problem
+from bayes_sensor.model import Layout, Theta
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+KNOWN: dict[str, tuple[str, ...]] = {
+    "nothing": (),
+    "t0": ("t0_s",),
+    "tf": ("tf_s",),
+    "t0, tf": ("t0_s", "tf_s"),
+    "V": ("V_mL",),
+    "tau_v": ("tau_v_s",),
+    "V, tau_v": ("V_mL", "tau_v_s"),
+    "t0, tf, V, tau_v": ("t0_s", "tf_s", "V_mL", "tau_v_s"),
+}
+"""which parameters are taken as known, by what to call it"""
+
+
+@dataclass(frozen=True, eq=False)
+class TauExplained:
+    """Why tau is known only so well."""
+
+    names: list[str]
+    """flat names of the mean's parameters"""
+    eigenvalues: FloatArray
+    """(n,) of the information scaled to unit diagonal, rising; 1 each would mean no collinearity"""
+    weakest: dict[str, float]
+    """unit vector (in scaled parameters) about which the data know least"""
+    condition: float
+    """ratio of the largest to the smallest singular value of the scaled sensitivities"""
+    correlation: dict[str, float]
+    """correlation of tau's estimate with that of each other parameter"""
+    collinearity: dict[str, float]
+    """multiple correlation of tau's sensitivity with those of the switch times alone
+    (``switches``), of all parameters but them (``others``) and of everything (``all``)"""
+    known: dict[str, float]
+    """s, the bound (sd) on tau when the named parameters are known"""
+    tau: float
+    """s"""
+    sd_square: float
+    """s^2, sd of tau^2"""
+    by_tau: pd.DataFrame
+    """bound against the true tau: ``tau_s``, ``sd_tau_s``, ``sd_square_s2``"""
+    curve: pd.DataFrame
+    """profile of the log-likelihood: ``tau_s``, ``drop`` below the maximum, ``gaussian`` the drop
+    that estimate +- sd would claim, ``square`` the one a Gaussian in tau^2 gives"""
+    sentences: list[str]
+    """plain words"""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, units in the keys."""
+        return {
+            "eigenvalues": self.eigenvalues.tolist(),
+            "condition": self.condition,
+            "weakest": self.weakest,
+            "correlation_with_tau": self.correlation,
+            "collinearity": self.collinearity,
+            "sd_tau_if_known_s": self.known,
+            "tau_s": self.tau,
+            "sd_tau_square_s2": self.sd_square,
+            "by_tau": self.by_tau.to_dict("list"),
+            "profile": self.curve.to_dict("list"),
+            "sentences": self.sentences,
+        }
+
+
+def multiple_correlation(information: FloatArray, i: int, others: list[int]) -> float:
+    """R of sensitivity ``i`` on the sensitivities ``others``, from information (n, n).
+
+    R^2 = 1 - 1/(I_ii [I^-1]_ii): the share of tau's effect that the others can imitate.
+
+    >>> round(multiple_correlation(np.array([[1.0, 0.6], [0.6, 1.0]]), 0, [1]), 6)
+    0.6
+    """
+    if not others:
+        return 0.0
+    scale = 1.0 / np.sqrt(np.diag(information))
+    scaled = information * np.outer(scale, scale)
+    cross = scaled[i, others]
+    explained = float(cross @ np.linalg.solve(scaled[np.ix_(others, others)], cross))
+    return float(np.sqrt(min(max(explained, 0.0), 1.0)))
+
+
+def square_coordinates(layout: Layout, tau: float) -> FloatArray:
+    """(n_mean, n_mean) derivatives of theta by (tau^2, .., t0 + tau, tf + tau)."""
+    slopes = np.eye(layout.n_mean)
+    slopes[0, 0] = 0.5 / tau
+    for i in layout.local[:, 2:].ravel():
+        if i >= 0:
+            slopes[i, 0] = -0.5 / tau
+    return slopes
+
+
+def sd_of_square(bound: CramerRao, layout: Layout, tau: float) -> float:
+    """sd of tau^2 (s^2); stays finite as tau goes to zero."""
+    slopes = square_coordinates(layout, tau)
+    information = slopes.T @ bound.information @ slopes
+    scale = 1.0 / np.sqrt(np.diag(information))
+    inverse = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-13, hermitian=True)
+    return float(np.sqrt(inverse[0, 0]) * scale[0])
+
+
+def explain_tau(
+    campaign: Campaign | Problem,
+    theta: Theta,
+    sigma: float = PUBLISHED_SIGMA,
+    n_curve: int = 41,
+) -> TauExplained:
+    """Eigen-analysis, collinearity, bounds under extra knowledge and the profile of tau.
+
+    Under the noise parameters of ``theta`` where it has them, otherwise under iid noise ``sigma``
+    (V).  A design is enough; its profile is then the expected one, in tau^2.
+    """
+    import pandas as pd
+
+    problem = as_problem(campaign)
+    layout = problem.layout
+    vector = layout.flat(theta).copy()
+    coloured = bool(np.isfinite(vector[layout.noise]).all())
+    noise = "ar1" if coloured else "iid"
+    tau = float(vector[0])
+    # at a vanishing tau nothing about tau itself is finite; look where tau is a thousandth of tau_v
+    at = vector.copy()
+    at[0] = max(tau, 1e-3 * vector[1])
+    bound = cramer_rao(problem, at, sigma, noise=noise)
+    n = layout.n_mean
+    diagonal = np.diag(bound.information)
+    scale = 1.0 / np.sqrt(diagonal)
+    values, vectors = np.linalg.eigh(bound.information * np.outer(scale, scale))
+    direction = vectors[:, 0] * np.sign(vectors[0, 0] or 1.0)
+    strongest = np.argsort(-np.abs(direction))
+    weakest = {bound.names[i]: float(direction[i]) for i in strongest}
+    correlation = {
+        bound.names[i]: float(bound.cov[0, i] / np.sqrt(bound.cov[0, 0] * bound.cov[i, i]))
+        for i in range(1, n)
+    }
+    switches = [int(i) for i in layout.local[:, 2:].ravel() if i >= 0]
+    rest = [i for i in range(1, n) if i not in switches]
+    collinearity = {
+        "switches": multiple_correlation(bound.information, 0, switches),
+        "others": multiple_correlation(bound.information, 0, rest),
+        "all": multiple_correlation(bound.information, 0, list(range(1, n))),
+    }
+    known = {}
+    kinds = {name.split("[")[0] for name in bound.names}
+    for label, fixed in KNOWN.items():
+        if set(fixed) <= kinds:
+            known[label] = cramer_rao(problem, at, sigma, noise=noise, fixed=fixed)["tau_s"]
+    sd_square = sd_of_square(bound, layout, float(at[0]))
+    by_tau = pd.DataFrame(
+        [_at_tau(problem, at, float(t), sigma, noise) for t in _taus(at, sd_square)]
+    )
+    curve = _curve(problem, vector, tau, sd_square, coloured, n_curve)
+    return TauExplained(
+        bound.names, values, weakest, float(np.sqrt(values[-1] / max(values[0], 1e-300))),
+        correlation, collinearity, known, tau, sd_square, by_tau, curve,
+        _sentences(tau, sd_square, known, collinearity, weakest, noise),
+    )  # fmt: skip
+
+
+def _taus(at: FloatArray, sd_square: float) -> FloatArray:
+    low = 1e-3 * at[1]
+    return np.geomspace(low, max(3.0 * at[0], 2.0 * sd_square**0.5, 10.0 * low), 12)
+
+
+def _at_tau(
+    problem: Problem, at: FloatArray, tau: float, sigma: float, noise: str
+) -> dict[str, float]:
+    vector = at.copy()
+    vector[0] = tau
+    bound = cramer_rao(problem, vector, sigma, noise=noise)
+    return {
+        "tau_s": tau,
+        "sd_tau_s": bound["tau_s"],
+        "sd_square_s2": sd_of_square(bound, problem.layout, tau),
+    }
+
+
+def _curve(
+    problem: Problem, vector: FloatArray, tau: float, sd_square: float, coloured: bool, n: int
+) -> pd.DataFrame:
+    import pandas as pd
+
+    centre = tau**2
+    if coloured and not problem.campaign.is_design:
+        surface, maximum = coloured_surface(problem, vector)
+        centre = float(maximum.psi[0])
+        profiler = Profiler.of(surface, maximum)
+        sd_square = float(np.sqrt(profiler.cov[0, 0]))
+        taus = np.linspace(0.0, np.sqrt(max(centre, 0.0) + 3.5 * sd_square), n)
+        drop = profile_curve(profiler, taus)
+    else:
+        taus = np.linspace(0.0, np.sqrt(centre + 3.5 * sd_square), n)
+        drop = 0.5 * ((taus**2 - centre) / sd_square) ** 2
+    best = float(np.sqrt(centre))
+    sd_tau = sd_square / (2.0 * best) if best > 0 else np.inf
+    table = pd.DataFrame(
+        {
+            "tau_s": taus,
+            "drop": drop,
+            "gaussian": 0.5 * ((taus - best) / sd_tau) ** 2,
+            "square": 0.5 * ((taus**2 - centre) / sd_square) ** 2,
+        }
+    )
+    return table[np.isfinite(table["drop"])].reset_index(drop=True)
+
+
+def _sentences(
+    tau: float,
+    sd_square: float,
+    known: dict[str, float],
+    collinearity: dict[str, float],
+    weakest: dict[str, float],
+    noise: str,
+) -> list[str]:
+    ms = 1e3
+    law = "coloured noise" if noise == "ar1" else "iid noise"
+    z = normal_factor(0.95)
+    low, high = np.sqrt(max(tau**2 - z * sd_square, 0.0)), np.sqrt(tau**2 + z * sd_square)
+    switches = collinearity["switches"]
+    partners = [name for name in weakest if name != "tau_s"][:4]
+    said = [
+        f"{100 * switches**2:.1f} % of what tau does to the signal can be imitated by moving the "
+        f"switch times alone, {100 * collinearity['all'] ** 2:.2f} % by moving everything else: a "
+        "slower sensor and a later valve look almost the same.",
+        f"The direction about which the data know least mixes tau with {', '.join(partners)}.",
+        f"Under {law} tau^2 is known to +-{sd_square * 1e6:.3g} ms^2 (one standard deviation), "
+        f"against tau^2 = {tau**2 * 1e6:.3g} ms^2: {tau**2 / sd_square:.2g} standard deviations "
+        "from zero.",
+    ]
+    if low > 0:
+        said.append(f"At 95 % that is tau between {low * ms:.1f} and {high * ms:.1f} ms.")
+    else:
+        said.append(f"At 95 % that is an upper limit: tau below {high * ms:.1f} ms.")
+    free = known["nothing"]
+    if "t0, tf" in known:
+        best = known["t0, tf"]
+        said.append(
+            f"Were the switch times known, the bound on tau would be {best * ms:.2g} ms in place "
+            f"of {free * ms:.2g} ms, {free / best:.1f} times better."
+        )
+    elif "t0" in known:
+        best = known["t0"]
+        said.append(
+            f"Were the start times known, the bound on tau would be {best * ms:.2g} ms in place of "
+            f"{free * ms:.2g} ms, {free / best:.1f} times better."
+        )
+    said.append(
+        f"Knowing V would give {known['V'] * ms:.2g} ms, "
+        f"knowing tau_v {known['tau_v'] * ms:.2g} ms."
+    )
+    return said
