@@ -1,0 +1,307 @@
+"""The command line: parse, call, print.
+
+``main`` turns every foreseeable failure into one line on stderr and an exit code: 0 done, 2 bad
+input or usage, 3 finished but not converged, 130 interrupted.  Numerical rooms are imported only
+by the command that needs them, so that ``--help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from bayes_sensor import __version__
+
+DONE, BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 0, 2, 3, 130
+
+app = typer.Typer(
+    name="bayes-sensor",
+    help="Response times of gas sensors from step experiments, with intervals that hold.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+CampaignFile = Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="The campaign's file.")]
+Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the results go.")]
+Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Same seed, same numbers.")]
+Jobs = Annotated[int, typer.Option(min=1, max=256, help="Processes; numbers do not depend on it.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
+Config = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="OVERRIDES.toml", help="Settings that differ from default."),
+]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Go on with what an interrupted run left in DIR.")
+]
+Sampler = Annotated[
+    str | None, typer.Option(help="emcee (default), independence or hmc.", show_default=False)
+]
+Walkers = Annotated[int | None, typer.Option(min=2, help="Walkers of each ensemble (emcee).")]
+Steps = Annotated[int | None, typer.Option(min=1, help="Most steps of each ensemble (emcee).")]
+Chains = Annotated[int | None, typer.Option(min=2, help="Independent runs.")]
+
+
+def _given(**values: Any) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _run(command: str, campaign: Path, out: Path, **options: Any) -> None:
+    from bayes_sensor.cli.steps import run
+
+    raise typer.Exit(run(command, campaign, out, **options))
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"bayes-sensor {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Version and exit."),
+    ] = False,
+) -> None:
+    """Response times of gas sensors from step experiments, with intervals that hold."""
+
+
+@app.command()
+def analyze(
+    campaign: CampaignFile,
+    out: Out,
+    seed: Seed = 1,
+    jobs: Jobs = 1,
+    quiet: Quiet = False,
+    config: Config = None,
+    resume: Resume = False,
+    sampler: Sampler = None,
+    walkers: Walkers = None,
+    steps: Steps = None,
+    chains: Chains = None,
+) -> None:
+    """Fit, posterior, bounds, delays, then report.html and figures/."""
+    _run("analyze", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config, resume=resume,
+         posterior=_given(sampler=sampler, n_walkers=walkers, max_steps=steps, n_chains=chains),
+         )  # fmt: skip
+
+
+@app.command()
+def fit(
+    campaign: CampaignFile,
+    out: Out,
+    seed: Seed = 1,
+    jobs: Jobs = 1,
+    quiet: Quiet = False,
+    config: Config = None,
+) -> None:
+    """Particle swarm and refinement, residual diagnostics."""
+    _run("fit", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config)
+
+
+@app.command()
+def posterior(
+    campaign: CampaignFile,
+    out: Out,
+    seed: Seed = 1,
+    jobs: Jobs = 1,
+    quiet: Quiet = False,
+    config: Config = None,
+    resume: Resume = False,
+    sampler: Sampler = None,
+    walkers: Walkers = None,
+    steps: Steps = None,
+    chains: Chains = None,
+) -> None:
+    """MCMC; interrupted runs continue with --resume."""
+    _run("posterior", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config,
+         resume=resume,
+         posterior=_given(sampler=sampler, n_walkers=walkers, max_steps=steps, n_chains=chains),
+         )  # fmt: skip
+
+
+@app.command()
+def bounds(
+    campaign: CampaignFile,
+    out: Out,
+    seed: Seed = 1,
+    jobs: Jobs = 1,
+    quiet: Quiet = False,
+    config: Config = None,
+    resume: Resume = False,
+    sampler: Sampler = None,
+) -> None:
+    """Every bound method side by side."""
+    _run("bounds", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config, resume=resume,
+         posterior=_given(sampler=sampler))  # fmt: skip
+
+
+@app.command()
+def delays(
+    campaign: CampaignFile,
+    out: Out,
+    seed: Seed = 1,
+    jobs: Jobs = 1,
+    quiet: Quiet = False,
+    config: Config = None,
+) -> None:
+    """Regressions of start and end delay on 1/Q."""
+    _run("delays", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config)
+
+
+@app.command()
+def check(campaign: CampaignFile, quiet: Quiet = False) -> None:
+    """Load and validate only, print what was understood."""
+    from bayes_sensor.cli.steps import print_check
+
+    print_check(campaign, quiet)
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A results folder.")],
+    quiet: Quiet = False,
+) -> None:
+    """Rebuild the report from the saved results."""
+    from bayes_sensor.cli.steps import rebuild_report
+
+    rebuild_report(folder, quiet)
+
+
+@app.command()
+def simulate(
+    out: Out,
+    campaign: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[CAMPAIGN.toml]",
+            help="Design and, where it has data, truth (its own fit); default: seven experiments "
+            "of the published rig.",
+            show_default=False,
+        ),
+    ] = None,
+    seed: Seed = 1,
+    quiet: Quiet = False,
+    design: Annotated[
+        Path | None, typer.Option(metavar="DESIGN.toml", help="A campaign file without data.")
+    ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="THETA.json", help="Parameters as in fit.json or truth.json."),
+    ] = None,
+    tau: Annotated[str | None, typer.Option(help='True tau, such as "20 ms".')] = None,
+    tau_v: Annotated[str | None, typer.Option(help='True tau_v, such as "850 ms".')] = None,
+    volume: Annotated[str | None, typer.Option("--V", help='True V, such as "58 mL".')] = None,
+    phi: Annotated[float | None, typer.Option(help="AR(1) coefficient at the interval.")] = None,
+    sigma0: Annotated[str | None, typer.Option(help='Noise, such as "45 mV".')] = None,
+    sigma1: Annotated[
+        str | None, typer.Option(help='Extra noise at the highest concentration, "70 mV".')
+    ] = None,
+    duration: Annotated[
+        str | None,
+        typer.Option(help='Length of each record, "60 s"; commanded times move in proportion.'),
+    ] = None,
+    interval: Annotated[str | None, typer.Option(help='Sampling interval, "1 ms".')] = None,
+    experiments: Annotated[
+        str | None, typer.Option(help='Only these experiments of the design: "1,4,7".')
+    ] = None,
+    file_format: Annotated[
+        str, typer.Option("--format", help="csv, picoscope-csv, mat or npz.")
+    ] = "csv",
+) -> None:
+    """A campaign with known truth: data files, campaign.toml and truth.json."""
+    from bayes_sensor.cli.simulation import simulate_campaign
+
+    simulate_campaign(
+        out, campaign=campaign, seed=seed, quiet=quiet, design=design, truth=truth, phi=phi,
+        quantities=_given(tau=tau, tau_v=tau_v, V=volume, sigma0=sigma0, sigma1=sigma1,
+                          duration=duration, interval=interval),
+        only=experiments, file_format=file_format,
+    )  # fmt: skip
+
+
+@app.command()
+def diffusion(
+    out: Out,
+    quiet: Quiet = False,
+    outer_radius: Annotated[str | None, typer.Option(help='"17.4 um"')] = None,
+    d_zif8: Annotated[str | None, typer.Option("--d-zif8", help='"1.71e-10 m^2/s"')] = None,
+    d_pdms: Annotated[str | None, typer.Option("--d-pdms", help='"4.2e-9 m^2/s"')] = None,
+    thickness_zif8: Annotated[str | None, typer.Option("--thickness-zif8", help='"1.5 um"')] = None,
+    thickness_pdms: Annotated[str | None, typer.Option("--thickness-pdms", help='"7.0 um"')] = None,
+    ring_radius: Annotated[str | None, typer.Option(help='"10 um"')] = None,
+    probe_height: Annotated[str | None, typer.Option(help='"220 nm"')] = None,
+    tolerance: Annotated[float, typer.Option(help="Relative, of the response times.")] = 5e-4,
+) -> None:
+    """Finite-element response of the coating."""
+    from bayes_sensor.cli.steps import solve_diffusion
+
+    quantities = _given(
+        outer_radius=outer_radius, d_zif8=d_zif8, d_pdms=d_pdms, thickness_zif8=thickness_zif8,
+        thickness_pdms=thickness_pdms, ring_radius=ring_radius, probe_height=probe_height,
+    )  # fmt: skip
+    raise typer.Exit(solve_diffusion(out, quantities, tolerance, quiet))
+
+
+def _advice(arguments: list[str]) -> str:
+    """What to type after an interruption."""
+    resumable = {"analyze", "posterior", "bounds"}
+    if arguments and arguments[0] in resumable:
+        more = [] if "--resume" in arguments else ["--resume"]
+        import shlex
+
+        return f"continue with: {shlex.join(['bayes-sensor', *arguments, *more])}"
+    return "earlier results are as they were; run the same command again"
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The entry point ``bayes-sensor``; ends the process with the exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    sys.exit(_guarded(arguments))
+
+
+def _guarded(arguments: list[str]) -> int:
+    usage_error: Any = typer.BadParameter.__bases__[0]
+    from bayes_sensor.campaign import CampaignError
+
+    try:
+        code = app(args=arguments, prog_name="bayes-sensor", standalone_mode=False)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else DONE
+    except usage_error as error:
+        context = getattr(error, "ctx", None)
+        path = context.command_path if context is not None else "bayes-sensor"
+        message = " ".join(error.format_message().split())
+        if not message:  # no command: the help was asked for
+            typer.echo(context.get_help() if context is not None else "")
+            return BAD_INPUT
+        return _complain(f"{message.rstrip('.')}; see {path} --help")
+    except CampaignError as error:
+        return _complain(str(error))
+    except (typer.Abort, KeyboardInterrupt):
+        _complain(f"interrupted; {_advice(arguments)}", kind="stopped")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # whoever read our output has left; nothing more to say, and not at shutdown either
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except OSError as error:  # disk full, no permission: everything else is a mistake of ours
+        where = f"{error.filename}: " if error.filename else ""
+        return _complain(
+            f"{where}the results cannot be written ({error.strerror or error}); check the free "
+            "space and the permissions of --out"
+        )
+
+
+def _complain(message: str, kind: str = "error") -> int:
+    line = " ".join(message.split())
+    print(f"{kind}: {line}", file=sys.stderr)
+    return BAD_INPUT

@@ -1,0 +1,5 @@
+"""Run as ``python -m bayes_sensor.cli``."""
+
+from bayes_sensor.cli import main
+
+main()

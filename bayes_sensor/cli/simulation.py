@@ -1,0 +1,235 @@
+"""Campaigns with known truth, written as if they had been recorded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment
+from bayes_sensor.cli.steps import progress_bar, say
+from bayes_sensor.likelihood import simulate
+from bayes_sensor.model import Layout
+from bayes_sensor.readers import read_campaign
+from bayes_sensor.readers.quantities import TIME, VOLUME, Kind, read_quantity
+from bayes_sensor.results import Results, now, read_json, run_record, sha256
+from bayes_sensor.writers import FORMATS, write_campaign
+
+START_DELAY, END_DELAY = (0.1340, 0.1125e3), (0.0161, 0.0745e3)
+"""s and mL: the published delay lines, for a design without switch times of its own"""
+DEFAULTS = {
+    "tau_s": 0.0481, "tau_v_s": 0.8577, "V_mL": 58.23, "phi": 0.8, "sigma0_V": 0.045,
+    "sigma1_V": 0.0724,
+}  # fmt: skip
+"""the published rig"""
+
+
+def published_design() -> tuple[Campaign, dict[str, Any]]:
+    """The paper's seven experiments as a design, and their published parameters."""
+    source = resources.files("bayes_sensor") / "templates" / "seven_experiments.toml"
+    with resources.as_file(source) as path:
+        design = replace(read_campaign(path), source="")
+    truth = resources.files("bayes_sensor") / "templates" / "seven_experiments.json"
+    with resources.as_file(truth) as path:
+        return design, read_json(path)
+
+
+def default_truth(design: Campaign) -> dict[str, Any]:
+    """Parameters for a design that comes with none: the published rig's, delays on its lines."""
+    experiments = {}
+    for e in design:
+        on = e.commanded_on if e.commanded_on is not None else float(e.t[0] + 0.2 * np.ptp(e.t))
+        own = {
+            "y0_V": 0.2,
+            "beta_V": 2.0,
+            "t0_s": on + START_DELAY[0] + START_DELAY[1] / e.total_flow,
+        }
+        if e.commanded_off is not None:
+            own["tf_s"] = e.commanded_off + END_DELAY[0] + END_DELAY[1] / e.total_flow
+        experiments[e.name] = own
+    return {**DEFAULTS, "experiments": experiments}
+
+
+def resized(
+    campaign: Campaign, truth: dict[str, Any], duration: float | None, interval: float | None
+) -> tuple[Campaign, dict[str, Any]]:
+    """The design on another grid; commanded times keep their place in the record, delays stay."""
+    if duration is None and interval is None:
+        return campaign, truth
+    experiments, own = [], {}
+    for e in campaign:
+        h = interval or e.interval
+        old = len(e.t) * e.interval
+        length = duration or old
+        n = round(length / h)
+        commanded: dict[str, float | None] = {}
+        if n < 2:
+            raise CampaignError(
+                f"experiment '{e.name}': {length:g} s at {h:g} s are {n} samples; expected at "
+                "least 2: give a longer --duration or a shorter --interval"
+            )
+        if n > 50_000_000:
+            raise CampaignError(
+                f"experiment '{e.name}': {length:g} s at {h:g} s are {n} samples; expected at "
+                "most 50 million: give a shorter --duration or a longer --interval"
+            )
+        start = float(e.t[0])
+        scale = length / old
+        values = dict(truth["experiments"][e.name])
+        for name, key in (("commanded_on", "t0_s"), ("commanded_off", "tf_s")):
+            given = getattr(e, name)
+            commanded[name] = None if given is None else start + (given - start) * scale
+            if values.get(key) is not None:
+                origin = given if given is not None else values[key]
+                moved = start + (origin - start) * scale
+                values[key] = moved + (values[key] - origin)
+        grid = start + h * np.arange(n, dtype=float)
+        experiments.append(
+            Experiment(
+                e.name, grid, None, e.carrier_flow, e.test_gas_flow, h,
+                commanded["commanded_on"], commanded["commanded_off"],
+            )
+        )  # fmt: skip
+        own[e.name] = values
+    return replace(campaign, experiments=tuple(experiments)), {**truth, "experiments": own}
+
+
+def _chosen(campaign: Campaign, only: str | None) -> Campaign:
+    if only is None:
+        return campaign
+    names = [name.strip() for name in only.split(",") if name.strip()]
+    for name in names:
+        if name not in campaign.names_of_experiments:
+            raise CampaignError(
+                f"--experiments: no experiment '{name}'; expected some of "
+                f"{', '.join(campaign.names_of_experiments)}: correct the list"
+            )
+    if not names:
+        raise CampaignError('--experiments: expected names such as "1,4,7", but got none')
+    return replace(campaign, experiments=tuple(e for e in campaign if e.name in names))
+
+
+def _empty(campaign: Campaign) -> Campaign:
+    """The design of a campaign: the same without data."""
+    experiments = tuple(
+        replace(e, y=None, mask=None, drive=None, source="", sha256="") for e in campaign
+    )
+    return replace(campaign, experiments=experiments, warnings=())
+
+
+def _read_truth(path: Path, design: Campaign) -> dict[str, Any]:
+    content = read_json(path)
+    if isinstance(content, dict) and isinstance(content.get("parameters"), dict):
+        content = content["parameters"]
+    if not isinstance(content, dict) or "tau_s" not in content:
+        raise CampaignError(
+            f"{path.name}: expected parameters as in fit.json or truth.json (tau_s, tau_v_s, V_mL, "
+            "experiments, ..), but tau_s is not there; give such a file"
+        )
+    truth = {**content, "experiments": dict(content.get("experiments", {}))}
+    for name in design.names_of_experiments:
+        if name not in truth["experiments"]:
+            raise CampaignError(
+                f"{path.name}: it holds no parameters of experiment '{name}'; add them under "
+                '"experiments", or choose experiments with --experiments'
+            )
+    return truth
+
+
+def simulate_campaign(
+    out: Path,
+    *,
+    campaign: Path | None,
+    seed: int,
+    quiet: bool,
+    design: Path | None,
+    truth: Path | None,
+    phi: float | None,
+    quantities: Mapping[str, str],
+    only: str | None,
+    file_format: str,
+) -> None:
+    """Write data files, campaign.toml and truth.json into ``out``."""
+    started, begin = now(), time.perf_counter()
+    if file_format not in FORMATS:
+        raise CampaignError(
+            f"--format: expected one of {', '.join(FORMATS)}, but got '{file_format}'; choose one"
+        )
+    if campaign is not None and design is not None:
+        raise CampaignError("both CAMPAIGN.toml and --design are given; expected one: drop one")
+    if phi is not None and not -1.0 < phi < 1.0:
+        raise CampaignError(f"--phi: expected a number between -1 and 1, but got {phi}; try 0.8")
+    source = campaign or design
+    given: dict[str, Any] | None = None
+    if source is None:
+        plan, given = published_design()
+        plan = _chosen(plan, only)
+    else:
+        plan = _chosen(read_campaign(source), only)
+    unit = plan.signal_unit
+    kinds = {
+        "tau": Kind("a time", "s", "20 ms"), "tau_v": Kind("a time", "s", "850 ms"), "V": VOLUME,
+        "sigma0": Kind("a signal", unit, f"0.045 {unit}"),
+        "sigma1": Kind("a signal", unit, f"0.07 {unit}"),
+        "duration": Kind(TIME.name, "s", "60 s"), "interval": Kind(TIME.name, "s", "1 ms"),
+    }  # fmt: skip
+    values = {k: read_quantity(text, kinds[k], f"--{k}") for k, text in quantities.items()}
+    for name, value in values.items():
+        if value < 0 or (value == 0 and not name.startswith("sigma")):
+            raise CampaignError(
+                f"--{name}: expected a positive value, but got '{quantities[name]}'"
+            )
+    if truth is not None:
+        given = _read_truth(truth, plan)
+    elif given is None and not plan.is_design:
+        from bayes_sensor.fit import fit_least_squares
+
+        with progress_bar("fit", quiet) as tell:
+            given = fit_least_squares(plan, seed=seed, euler=False, progress=tell).parameters
+    plan = _empty(plan)
+    theta = given or default_truth(plan)
+    theta["experiments"] = {n: theta["experiments"][n] for n in plan.names_of_experiments}
+    plan, theta = resized(plan, theta, values.get("duration"), values.get("interval"))
+    flat = {"tau": "tau_s", "tau_v": "tau_v_s", "V": "V_mL", "sigma0": "sigma0_V",
+            "sigma1": "sigma1_V"}  # fmt: skip
+    theta.update({flat[k]: v for k, v in values.items() if k in flat})
+    if phi is not None:
+        theta["phi"] = phi
+    for name in ("phi", "sigma0_V", "sigma1_V"):
+        theta.setdefault(name, DEFAULTS[name] if name == "sigma0_V" else 0.0)
+    theta = Layout.of(plan).nested(theta)
+    results = Results(out)
+    with results.locked(), progress_bar("simulate", quiet) as tell:
+        tell(0.2, "noise")
+        recorded = simulate(plan, theta, seed=seed)
+        recorded = replace(recorded, title=f"simulated: {plan.title}" if source else plan.title)
+        with results.writing() as stage:
+            tell(0.4, "writing")
+            write_campaign(recorded, stage.inside, formats=file_format)
+            stage.json("truth.json", theta)
+            stage.json(
+                "run.json",
+                run_record(
+                    results.json("run.json"),
+                    "simulate",
+                    basis="",
+                    seed=seed,
+                    settings={**quantities, "phi": theta["phi"], "format": file_format},
+                    campaign="" if source is None else str(source),
+                    files={} if source is None else {source.name: sha256(source)},
+                    started=started,
+                    seconds={"simulate": time.perf_counter() - begin},
+                    exit_code=0,
+                    warnings=[],
+                ),
+            )
+    say(
+        f"{len(recorded)} experiments with tau = {1e3 * theta['tau_s']:g} ms, seed {seed}",
+        quiet,
+    )
+    say(f"campaign: {results.path('campaign.toml')}", quiet)

@@ -1,0 +1,569 @@
+"""What the commands do, in order: read, fit, residuals, posterior, bounds, delays, report."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.results import (
+    Results,
+    Stage,
+    campaign_record,
+    digest,
+    make_traces,
+    now,
+    run_record,
+    save_traces,
+    sha256,
+)
+
+Progress = Callable[[float, str], None]
+CHECKPOINT = "checkpoint"
+STEPS: dict[str, tuple[str, ...]] = {
+    "analyze": ("fit", "residuals", "posterior", "bounds", "delays", "report"),
+    "fit": ("fit", "residuals"),
+    "posterior": ("fit", "posterior"),
+    "bounds": ("fit", "posterior", "bounds"),
+    "delays": ("fit", "delays"),
+}
+SAVES: dict[str, tuple[str, ...]] = {
+    "analyze": ("fit", "residuals", "posterior", "bounds", "delays", "report"),
+    "fit": ("fit", "residuals"),
+    "posterior": ("posterior",),
+    "bounds": ("bounds",),
+    "delays": ("delays",),
+}
+
+
+@contextmanager
+def progress_bar(label: str, quiet: bool) -> Iterator[Progress]:
+    """A bar on stderr; nothing where that is not a terminal."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda fraction, text: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    bar = Progress(
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        TextColumn("{task.fields[word]}"),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    with bar:
+        task = bar.add_task(label, total=1.0, word="")
+        yield lambda fraction, text: bar.update(task, completed=fraction, word=escape(text[:40]))
+
+
+def say(text: str, quiet: bool) -> None:
+    """A line on stdout unless quiet."""
+    if not quiet:
+        print(text, flush=True)
+
+
+# --------------------------------------------------------------------------- reading
+
+
+def load(path: Path) -> tuple[Campaign, Any, tuple[str, ...]]:
+    """Campaign, table of what was understood, and remarks."""
+    from bayes_sensor.check import campaign_remarks, check_campaign
+    from bayes_sensor.readers import read_campaign
+
+    campaign = read_campaign(path)
+    return campaign, check_campaign(campaign), campaign_remarks(campaign)
+
+
+def print_check(path: Path, quiet: bool) -> None:
+    """Print what was understood of a campaign."""
+    campaign, table, remarks = load(path)
+    if quiet:
+        return
+    kind = "a design without data" if campaign.is_design else f"{campaign.n_samples} samples in use"
+    print(f"{campaign.title}: {len(campaign)} experiments, {kind}")
+    unit = campaign.signal_unit
+    columns = [
+        ("experiment", "experiment", "{}"),
+        ("samples", "samples", "{}"),
+        ("used", "used", "{}"),
+        ("interval", "interval_s", "{:.4g} s"),
+        ("Q (L/min)", "total_flow_L_min", "{:.4g}"),
+        ("test gas (%)", "concentration_percent", "{:.3g}"),
+        ("on (s)", "commanded_on_s", "{:.4f}"),
+        ("off (s)", "commanded_off_s", "{:.4f}"),
+        (f"baseline ({unit})", "baseline_V", "{:.4g}"),
+        (f"step ({unit})", "step_V", "{:.4g}"),
+        (f"noise ({unit})", "noise_V", "{:.3g}"),
+    ]
+    rows = [[title for title, _, _ in columns]]
+    for row in table.to_dict(orient="records"):
+        rows.append([_cell(row[key], pattern) for _, key, pattern in columns])
+    widths = [max(len(row[i]) for row in rows) for i in range(len(columns))]
+    for row in rows:
+        cells = [
+            text.ljust(w) if i == 0 else text.rjust(w)
+            for i, (text, w) in enumerate(zip(row, widths, strict=True))
+        ]
+        print("  ".join(cells).rstrip())
+    for name, info in campaign.side_information.items():
+        print(f"known beforehand: {name} = {info.mean:g} +- {info.sd:g}")
+    for remark in remarks:
+        print(f"remark: {remark}")
+
+
+def _cell(value: Any, pattern: str) -> str:
+    if isinstance(value, float) and np.isnan(value):
+        return "-"
+    return pattern.format(value)
+
+
+# --------------------------------------------------------------------------- the pipeline
+
+
+@dataclass(eq=False)
+class Job:
+    """One run of a command."""
+
+    command: str
+    problem: Any
+    overrides: Any
+    label: str
+    seed: int
+    jobs: int
+    quiet: bool
+    resume: bool
+    results: Results
+    basis: str
+    seconds: dict[str, float] = field(default_factory=dict)
+    fit: Any = None
+    residuals: Any = None
+    posterior: Any = None
+    bounds: Any = None
+    delays: Any = None
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[Progress]:
+        """A progress bar, and the time taken."""
+        start = time.perf_counter()
+        with progress_bar(name, self.quiet) as tell:
+            yield tell
+        self.seconds[name] = time.perf_counter() - start
+
+    @property
+    def checkpoint(self) -> Path:
+        """Where unfinished ensembles are kept."""
+        return self.results.path(CHECKPOINT)
+
+
+def _do_fit(job: Job) -> None:
+    from bayes_sensor.cli.settings import fit_bounds
+    from bayes_sensor.fit import fit_least_squares
+
+    asked = job.overrides.fit
+    with job.timed("fit") as tell:
+        job.fit = fit_least_squares(
+            job.problem,
+            seed=job.seed,
+            swarms=asked.swarms,
+            particles=asked.particles,
+            bounds=fit_bounds(job.problem, job.overrides, job.label),
+            euler=asked.euler and "fit" in SAVES[job.command],
+            de=asked.differential_evolution,
+            progress=tell,
+        )
+
+
+def _do_residuals(job: Job) -> None:
+    from bayes_sensor.residuals import diagnose_residuals
+
+    with job.timed("residuals"):
+        job.residuals = diagnose_residuals(job.problem, job.fit)
+
+
+def _do_posterior(job: Job) -> None:
+    from bayes_sensor.posterior import sample_posterior
+
+    methods = job.overrides.bounds.methods
+    if job.command == "bounds" and methods is not None and "posterior" not in methods:
+        return
+    with job.timed("posterior") as tell:
+        job.posterior = sample_posterior(
+            job.problem,
+            job.fit,
+            seed=job.seed,
+            sampler=job.overrides.posterior.sampler,
+            settings=job.overrides.sampler_settings(),
+            jobs=job.jobs,
+            checkpoint=job.checkpoint,
+            resume=job.resume,
+            progress=tell,
+        )
+
+
+def _do_bounds(job: Job) -> None:
+    from bayes_sensor.bounds import compare_bounds
+
+    asked = job.overrides.bounds
+    with job.timed("bounds") as tell:
+        compared = compare_bounds(
+            job.problem,
+            job.fit,
+            job.posterior,
+            methods=asked.methods,
+            seed=job.seed,
+            progress=tell,
+            n_resamples=asked.resamples,
+        )
+        record = compared.to_json()
+        record["naive"] = naive_bounds(job)
+        record["step_study"] = _study(job) if asked.step_study else None
+    job.bounds = (compared, record)
+
+
+def reference_theta(job: Job) -> Any:
+    """Where the classical bounds are compared: the posterior's medians, else the fit."""
+    vector = np.array(job.fit.theta_hat, dtype=float)
+    if job.posterior is not None:
+        vector = np.median(job.posterior.draws, axis=0)
+    return vector
+
+
+def naive_bounds(job: Job) -> dict[str, Any]:
+    """One standard deviation of tau, tau_v, V by the classical bounds at one common point.
+
+    The bounds of ``methods`` are taken where each method has its estimate, which may be tau = 0;
+    these are taken at the posterior's median, so that they can be compared.
+    """
+    from bayes_sensor.bounds import cramer_rao
+
+    vector, sigma = reference_theta(job), float(job.fit.rms)
+    found: dict[str, Any] = {
+        "at": {name: float(vector[i]) for i, name in enumerate(job.fit.names[:3])},
+        "sigma_V": sigma,
+    }
+    for method, options in (
+        ("crlb_iid", {}),
+        ("crlb_iid_one_percent_step", {"step": 0.01}),
+        ("crlb_ar1", {"noise": "ar1"}),
+    ):
+        try:
+            bound = cramer_rao(job.problem, vector, sigma, **options)
+            found[method] = {
+                n: float(s) if np.isfinite(s) else None
+                for n, s in zip(bound.names[:3], bound.sd[:3], strict=True)
+            }
+        except CampaignError:  # forward Euler is unstable for a tau below half a sample
+            found[method] = None
+    return found
+
+
+def _study(job: Job) -> list[dict[str, Any]] | None:
+    from bayes_sensor.bounds import step_study
+
+    try:
+        table = step_study(job.problem, reference_theta(job), float(job.fit.rms))
+    except CampaignError:
+        return None
+    rows: list[dict[str, Any]] = table.to_dict(orient="records")
+    return rows
+
+
+def _do_delays(job: Job) -> None:
+    from bayes_sensor.delays import regress_delays
+
+    with job.timed("delays"):
+        job.delays = regress_delays(job.problem, job.fit, job.posterior or _saved_posterior(job))
+
+
+class SavedSpreads:
+    """Posterior standard deviations read back from ``posterior.json``."""
+
+    def __init__(self, parameters: Mapping[str, Any]) -> None:
+        self.parameters = parameters
+
+    def sd(self, name: str) -> float:
+        """Posterior standard deviation of a flat name."""
+        return float(self.parameters[name]["sd"])
+
+
+def _saved_posterior(job: Job) -> SavedSpreads | None:
+    """The posterior in the results folder, where it rests on the same data and settings."""
+    run = job.results.json("run.json")
+    saved = job.results.json("posterior.json")
+    if run is None or saved is None:
+        return None
+    entries = [run["commands"].get(name) for name in ("posterior", "analyze")]
+    if not any(e and e["basis_sha256"] == job.basis and e["converged"] for e in entries):
+        return None
+    return SavedSpreads(saved["parameters"])
+
+
+_DO: dict[str, Callable[[Job], None]] = {
+    "fit": _do_fit,
+    "residuals": _do_residuals,
+    "posterior": _do_posterior,
+    "bounds": _do_bounds,
+    "delays": _do_delays,
+}
+
+
+def _put(job: Job, stage: Stage) -> None:
+    """Write what this command saves."""
+    saves = SAVES[job.command]
+    if "fit" in saves:
+        stage.json("fit.json", job.fit.to_json())
+        save_traces(stage.path("traces.npz"), make_traces(job.problem, job.fit))
+    if "residuals" in saves:
+        stage.json("residuals.json", job.residuals.to_json())
+    if "posterior" in saves:
+        record = job.posterior.to_json()
+        record.pop("seconds", None)  # times are in run.json: the same run gives the same file
+        stage.json("posterior.json", record)
+        job.posterior.save(stage.path("posterior.nc"))
+    if "bounds" in saves:
+        compared, record = job.bounds
+        stage.json("bounds.json", record)
+        compared.to_csv(stage.path("bounds.csv"))
+    if "delays" in saves:
+        stage.json("delays.json", job.delays.to_json())
+
+
+def run(
+    command: str,
+    campaign_path: Path,
+    out: Path,
+    *,
+    seed: int,
+    jobs: int,
+    quiet: bool,
+    config: Path | None,
+    resume: bool = False,
+    posterior: Mapping[str, Any] | None = None,
+) -> int:
+    """Run a command and write its results; the exit code."""
+    from bayes_sensor.cli.settings import fit_bounds, make_problem, read_overrides
+
+    started = now()
+    label = config.name if config is not None else "--config"
+    # everything that can be wrong with the input is found before anything is written
+    overrides = read_overrides(config, posterior)
+    _check_methods(overrides.bounds.methods, label)
+    begin = time.perf_counter()
+    campaign, table, remarks = load(campaign_path)
+    read_seconds = time.perf_counter() - begin
+    if campaign.is_design:
+        raise CampaignError(
+            f"{campaign_path.name}: this is a design without data, but {command} needs measured "
+            "experiments; give every experiment a file, or run simulate first"
+        )
+    problem = make_problem(campaign, overrides, label)
+    fit_bounds(problem, overrides, label)
+    record = campaign_record(campaign, remarks, table)
+    basis = digest(record, {"noise": overrides.noise.model_dump(), "priors": overrides.priors})
+    files = _files(campaign_path, campaign, config)
+    results = Results(out)
+    with results.locked():
+        job = Job(
+            command, problem, overrides, label, seed, jobs, quiet, resume, results, basis,
+            {"read": read_seconds},
+        )  # fmt: skip
+        for name in STEPS[command]:
+            if name in _DO:
+                _DO[name](job)
+        code = _exit_code(job)
+        with results.writing() as stage:
+            stage.json("campaign.json", record)
+            _put(job, stage)
+            stage.json(
+                "run.json",
+                run_record(
+                    results.json("run.json"),
+                    command,
+                    basis=basis,
+                    seed=seed,
+                    settings=overrides.record(),
+                    campaign=str(campaign_path),
+                    files=files,
+                    started=started,
+                    seconds=job.seconds,
+                    exit_code=code,
+                    warnings=_warnings(job, remarks),
+                ),
+            )
+            if "report" in SAVES[command]:
+                with job.timed("report") as tell:
+                    _write_report(stage.inside, stage, tell)
+        if code == 0 and job.posterior is not None:
+            import shutil
+
+            shutil.rmtree(job.checkpoint, ignore_errors=True)
+    _summary(job, remarks, code)
+    return code
+
+
+def _check_methods(methods: Sequence[str] | None, label: str) -> None:
+    if methods is None:
+        return
+    import difflib
+
+    from bayes_sensor.bounds import METHODS
+
+    for name in methods:
+        if name not in METHODS:
+            close = difflib.get_close_matches(name, list(METHODS), n=1)
+            hint = f'write "{close[0]}"' if close else f"known are {', '.join(METHODS)}"
+            raise CampaignError(f"{label}: [bounds] methods: unknown method '{name[:80]}'; {hint}")
+
+
+def _files(path: Path, campaign: Campaign, config: Path | None) -> dict[str, str]:
+    files = {path.name: sha256(path)}
+    files.update({Path(e.source).name: e.sha256 for e in campaign if e.source})
+    if config is not None:
+        files[config.name] = sha256(config)
+    return files
+
+
+def _exit_code(job: Job) -> int:
+    bad = not job.fit.converged
+    bad = bad or (job.posterior is not None and not job.posterior.converged)
+    return 3 if bad else 0
+
+
+def _warnings(job: Job, remarks: Sequence[str]) -> list[str]:
+    found = list(remarks) + list(job.fit.warnings)
+    if job.posterior is not None:
+        found += list(job.posterior.warnings)
+    return list(dict.fromkeys(found))
+
+
+def _write_report(source: Path, stage: Stage, tell: Progress) -> None:
+    from bayes_sensor.report import build_report
+
+    folder = stage.path("figures")
+    folder.mkdir()
+    stage.text("report.html", build_report(source, folder, tell))
+
+
+def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
+    """The last lines: result, warnings, what was not reached, where it is."""
+    from bayes_sensor.report import headline, number
+
+    command, quiet = job.command, job.quiet
+    if command in ("analyze", "posterior", "bounds"):
+        bounds = None if job.bounds is None else job.bounds[1]
+        record = None if job.posterior is None else job.posterior.to_json()
+        found = headline(record, bounds, job.overrides.record())
+        if found is not None:
+            say(str(found), quiet)
+            if found.is_limit and found.limit:
+                say(f"zero is not excluded: tau < {found.limit} (95 %)", quiet)
+    if command == "fit":
+        p, unit = job.fit.parameters, job.fit.signal_unit
+        say(
+            f"tau = {number(1e3 * p['tau_s'])} ms, tau_v = {number(1e3 * p['tau_v_s'])} ms, "
+            f"V = {number(p['V_mL'])} mL; RMS residual {number(job.fit.rms)} {unit} "
+            "(intervals: bounds or posterior)",
+            quiet,
+        )
+    if command == "delays":
+        for side in ("start", "end"):
+            line = getattr(job.delays, side)
+            if line is not None and line.slope is not None:
+                out = f", without {', '.join(line.outliers)}" if line.outliers else ""
+                say(
+                    f"{side} delay = {number(line.intercept)} s + {number(line.slope)} L / Q, "
+                    f"R2 = {line.r2:.4f}, n = {line.n}{out}",
+                    quiet,
+                )
+            elif line is not None:
+                say(f"{side}: {line.status}", quiet)
+    for warning in _warnings(job, remarks):
+        say(f"warning: {warning}", quiet)
+    if code == 3:
+        status = job.fit.status if not job.fit.converged else job.posterior.status
+        hint = "" if not job.fit.converged else "; more --steps with --resume may help"
+        print(f"not converged: {status}{hint}; the results are marked so", file=sys.stderr)
+    say(f"{'report' if command == 'analyze' else 'results'}: {_place(job)}", quiet)
+
+
+def _place(job: Job) -> Path:
+    name = "report.html" if job.command == "analyze" else ""
+    return job.results.path(name) if name else job.results.folder
+
+
+# --------------------------------------------------------------------------- other commands
+
+
+def rebuild_report(folder: Path, quiet: bool) -> None:
+    """Write report.html and figures/ again from what is saved."""
+    from bayes_sensor.report import read_results
+
+    read_results(folder)
+    results = Results(folder)
+    with results.locked(), results.writing() as stage, progress_bar("report", quiet) as tell:
+        _write_report(folder, stage, tell)
+    say(f"report: {results.path('report.html')}", quiet)
+
+
+def solve_diffusion(out: Path, quantities: Mapping[str, str], tolerance: float, quiet: bool) -> int:
+    """Solve the coating and write diffusion.json with its figure; the exit code."""
+    from bayes_sensor import figures
+    from bayes_sensor.diffusion import Coating, solve
+
+    started, begin = now(), time.perf_counter()
+    try:
+        coating = Coating().with_quantities(**quantities)
+        if not 1e-7 < tolerance < 0.1:
+            raise ValueError(
+                f"--tolerance: expected between 1e-7 and 0.1, got {tolerance}; try 5e-4"
+            )
+    except ValueError as error:
+        raise CampaignError(str(error)) from None
+    results = Results(out)
+    with results.locked():
+        with progress_bar("diffusion", quiet) as tell:
+            tell(0.1, "finite elements")
+            response = solve(coating, tolerance)
+        record = response.to_json()
+        code = 3 if record.get("status") else 0
+        with results.writing() as stage:
+            stage.json("diffusion.json", record)
+            figure = figures.diffusion(record)
+            stage.text("diffusion.svg", figures.svg(figure))
+            stage.path("diffusion.png").write_bytes(figures.png(figure))
+            stage.json(
+                "run.json",
+                run_record(
+                    results.json("run.json"),
+                    "diffusion",
+                    basis="",
+                    seed=0,
+                    settings={**quantities, "tolerance": tolerance},
+                    campaign="",
+                    files={},
+                    started=started,
+                    seconds={"diffusion": time.perf_counter() - begin},
+                    exit_code=code,
+                    warnings=[record["status"]] if record.get("status") else [],
+                ),
+            )
+    say(
+        f"63.2 % after {record['tau63_ms']:.3g} ms, 90 % after {record['t90_ms']:.3g} ms, "
+        f"nearest single lag {record['tau_fit_ms']:.3g} ms",
+        quiet,
+    )
+    if code == 3:
+        print(f"not converged: {record['status']}", file=sys.stderr)
+    say(f"results: {out}{os.sep}diffusion.json", quiet)
+    return code
