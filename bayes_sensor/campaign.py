@@ -126,7 +126,7 @@ class Experiment:
 
     @cached_property
     def runs(self) -> NDArray[np.int64]:
-        """(n_runs, 2) start and end (exclusive) index of each stretch of consecutive used samples."""
+        """(n_runs, 2) start and end (exclusive) index of each stretch of used samples."""
         edges = np.flatnonzero(np.diff(np.concatenate(([False], self.used, [False])).astype(int)))
         return edges.reshape(-1, 2).astype(np.int64)
 
@@ -141,7 +141,8 @@ class SideInformation:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mean) and self.sd > 0):
             raise CampaignError(
-                f"side information must be finite with a positive spread, got {self.mean} +- {self.sd}"
+                "side information must be finite with a positive spread, "
+                f"got {self.mean} +- {self.sd}"
             )
 
 

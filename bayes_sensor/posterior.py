@@ -69,7 +69,7 @@ class Settings:
     max_steps: int = 3000
     """ensemble steps at which to give up"""
     thin: int = 5
-    n_draws: int = 1000
+    n_draws: int = 400
     """draws of each chain of the independence sampler and hmc"""
     max_draws: int = 16000
     target_ess: float = 1000.0
@@ -391,7 +391,8 @@ def sample_posterior(
         )
         reasons.append(run.reason)
     assert run is not None  # one of the three has run
-    chains, r_hat, bulk, tail = run.chains, *_diagnose(problem, run.chains)
+    chains = run.chains
+    r_hat, bulk, tail = run.diagnosis or _diagnose(problem, chains)
     n_chain, n_draw, n_theta = chains.shape
     each = compressed.log_likelihoods(chains.reshape(-1, n_theta))
     few = chains.reshape(-1, n_theta)[:: max(1, n_chain * n_draw // 6)][:6]
@@ -422,6 +423,7 @@ class _Run:
     reason: str
     acceptance: float
     k_hat: float | None = None
+    diagnosis: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
 
 def _diagnose(problem: Problem, chains: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -432,14 +434,15 @@ def _diagnose(problem: Problem, chains: FloatArray) -> tuple[FloatArray, FloatAr
     return out[0], out[1], out[2]
 
 
-def _enough(problem: Problem, chains: FloatArray, target: float) -> bool:
-    r_hat, bulk, tail = _diagnose(problem, chains)
+def _enough(
+    problem: Problem, chains: FloatArray, target: float
+) -> tuple[bool, tuple[FloatArray, FloatArray, FloatArray]]:
+    """Whether the chains agree and are long enough; also their diagnostics."""
+    found = _diagnose(problem, chains)
     free = Coordinates(problem).free
-    return bool(
-        np.all(r_hat[free] < R_HAT_LIMIT)
-        and np.all(bulk[free] >= target)
-        and np.all(tail[free] >= ESS_LIMIT)
-    )
+    r_hat, bulk, tail = (values[free] for values in found)
+    done = np.all(r_hat < R_HAT_LIMIT) and np.all(bulk >= target) and np.all(tail >= ESS_LIMIT)
+    return bool(done), found
 
 
 # --------------------------------------------------------------------------- independence
@@ -496,13 +499,14 @@ def _independence(
                 f"(limit {K_HAT_LIMIT}), acceptance {acceptance:.2f}"
             )
             return _Run("independence", stacked, False, reason, acceptance, k_hat)
-        if _enough(problem, stacked, settings.target_ess) or len(chains[0]) >= settings.max_draws:
+        done, found = _enough(problem, stacked, settings.target_ess)
+        if done or len(chains[0]) >= settings.max_draws:
             reason = (
                 f"independence Metropolis from the Laplace approximation: acceptance "
                 f"{acceptance:.2f}, Pareto k-hat {k_hat:.2f} (trusted below {K_HAT_LIMIT}), "
                 f"{settings.n_chains} independent chains compared"
             )
-            return _Run("independence", stacked, True, reason, acceptance, k_hat)
+            return _Run("independence", stacked, True, reason, acceptance, k_hat, found)
 
 
 # --------------------------------------------------------------------------- hmc
@@ -612,7 +616,7 @@ def _hmc(
             chains[j] = np.concatenate([chains[j], out])
             report(min(0.95, (len(chains[0]) + j * block / len(rngs)) / settings.max_draws), "HMC")
         stacked = target.theta(np.stack(chains))
-        done = _enough(problem, stacked, settings.target_ess)
+        done, found = _enough(problem, stacked, settings.target_ess)
         if done or len(chains[0]) >= settings.max_draws // 2:
             reason = (
                 "Hamiltonian Monte Carlo with the analytic gradient in whitened coordinates: "
@@ -621,7 +625,7 @@ def _hmc(
             )
             if not done:
                 reason += "; it did not reach its target and was given up"
-            return _Run("hmc", stacked, done, reason, accepted / tried)
+            return _Run("hmc", stacked, done, reason, accepted / tried, None, found)
 
 
 _State = tuple[FloatArray, float, FloatArray]  # position, log density, its gradient
@@ -822,7 +826,8 @@ def _emcee(
             continue
         rng = np.random.default_rng(np.random.SeedSequence([seed, 10**6, steps]))
         drawn = target.redraw(thetas, rng).reshape(*stacked.shape[:2], -1)
-        if full or _enough(problem, drawn, settings.target_ess):
+        done, found = _enough(problem, drawn, settings.target_ess)
+        if full or done:
             rate = float(np.mean([np.mean(a) for a in acceptance]))
             how = "y0 and beta integrated out exactly and redrawn" if flat else "all parameters"
             reason = (
@@ -830,7 +835,7 @@ def _emcee(
                 f"{steps} steps ({settings.burn_in} dropped), {how}; acceptance {rate:.2f}; "
                 "convergence judged between ensembles"
             )
-            return _Run("emcee", drawn, True, reason, rate)
+            return _Run("emcee", drawn, True, reason, rate, None, found)
 
 
 def _hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
