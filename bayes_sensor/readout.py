@@ -24,6 +24,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -32,6 +33,9 @@ from scipy.optimize import brentq, nnls
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.model import impulse_response, step_response
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SHAPES = ("lorentzian", "all-pass")
 
@@ -650,3 +654,63 @@ def response_times(taus: Sequence[FloatArray | float] | FloatArray) -> ResponseT
     out = np.empty((3, rates.shape[0]))
     _times_to_levels(np.array([0.1, 1 - math.exp(-1), 0.9]), rates, out)
     return ResponseTimes(*out.reshape(3, *lags.shape[1:]))
+
+
+def response_time_table(
+    tau: FloatArray,
+    tau_v: FloatArray,
+    volume: FloatArray,
+    flows: Sequence[float] | FloatArray,
+    level: float = 0.95,
+) -> pd.DataFrame:
+    """Response times of the sensor alone and of the whole chain at each flow, with intervals.
+
+    One row for the sensor alone and one per total flow (rising); the chain is the valve, the
+    chamber of time constant V/Q and the sensor.  t10, t63, t90 and rise (10 to 90 %) in s, each
+    as its posterior median and equal-tailed interval of the given level (``_lo``, ``_hi``).  The
+    chain is linear, so the fall takes as long as the rise at the same flow.
+
+    Parameters
+    ----------
+    tau, tau_v
+        (n,) s, posterior draws of the sensor's and the valve's time constant.
+    volume
+        (n,) mL, draws of the chamber's volume, from the same draws.
+    flows
+        total flows, mL/s (1 L/min is 16.67 mL/s); each is listed once.
+
+    >>> table = response_time_table([0.0481] * 2, [0.8577] * 2, [58.23] * 2, [75.0, 150.0])
+    >>> table[["system", "t63_s", "t90_s"]].round(3).values.tolist()
+    [['sensor', 0.048, 0.111], ['chain', 1.802, 3.228], ['chain', 1.36, 2.529]]
+    """
+    import pandas as pd
+
+    draws = [np.asarray(x, dtype=float) for x in (tau, tau_v, volume)]
+    if draws[0].ndim != 1 or len(draws[0]) < 2 or any(x.shape != draws[0].shape for x in draws):
+        raise ValueError(
+            "response_time_table: expected as many draws (two or more) of tau, tau_v and volume, "
+            f"got shapes {', '.join(str(x.shape) for x in draws)}"
+        )
+    rates = np.unique(np.asarray(flows, dtype=float))
+    if rates.size == 0 or not (np.isfinite(rates).all() and rates[0] > 0):
+        raise ValueError("response_time_table: flows must be positive numbers in mL/s")
+    if not 0 < level < 1:
+        raise ValueError(f"response_time_table: level must lie between 0 and 1, got {level}")
+    sensor, valve, chamber = draws
+    systems: list[tuple[str, float | None, ResponseTimes]] = [
+        ("sensor", None, response_times([sensor]))
+    ]
+    for flow in rates:
+        systems.append(
+            ("chain", float(flow) * 0.06, response_times([valve, chamber / flow, sensor]))
+        )
+    rows = []
+    for system, litres, times in systems:
+        row: dict[str, str | float | None] = {"system": system, "total_flow_L_per_min": litres}
+        for name in ("t10", "t63", "t90", "rise"):
+            low, middle, high = np.quantile(
+                getattr(times, name), [(1 - level) / 2, 0.5, (1 + level) / 2]
+            )
+            row |= {f"{name}_s": middle, f"{name}_lo_s": low, f"{name}_hi_s": high}
+        rows.append(row)
+    return pd.DataFrame(rows)

@@ -42,10 +42,11 @@ ROOMS = (
     "gap",
     "results",
     "figures",
+    "figures_coating",
     "report",
     "cli",
 )
-DRAWING_ROOMS = ("figures", "report")
+DRAWING_ROOMS = ("figures", "figures_coating", "report")
 
 MAKE_TARGETS = ("install", "demo", "test", "lint", "bench", "study", "paper", "docs", "data")
 

@@ -24,6 +24,7 @@ from bayes_sensor.readout import (
     noise_budget,
     noise_scales,
     nonlinearity,
+    response_time_table,
     response_times,
 )
 
@@ -349,3 +350,29 @@ def test_a_lag_of_zero_passes_everything_on():
     assert float(response_times([0.3, 0.0]).t90) == pytest.approx(
         float(response_times([0.3]).t90), rel=1e-8
     )
+
+
+def test_table_of_response_times():
+    rng = np.random.default_rng(3)
+    tau, tau_v = rng.uniform(0.01, 0.1, 400), rng.normal(0.86, 0.01, 400)
+    volume = rng.normal(58.2, 0.5, 400)
+    table = response_time_table(tau, tau_v, volume, [150.0, 75.0, 75.0], level=0.9)
+    assert table["system"].tolist() == ["sensor", "chain", "chain"]
+    assert table["total_flow_L_per_min"].tolist()[1:] == pytest.approx([4.5, 9.0])
+    assert math.isnan(table["total_flow_L_per_min"][0])
+    low, middle, high = np.quantile(math.log(10) * tau, [0.05, 0.5, 0.95])
+    alone = table.loc[0, ["t90_lo_s", "t90_s", "t90_hi_s"]].tolist()
+    assert alone == pytest.approx([low, middle, high], rel=1e-9)
+    slow = response_times([tau_v, volume / 75.0, tau])
+    assert table.loc[1, "rise_s"] == pytest.approx(np.median(slow.rise))
+    assert table.loc[1, "t63_s"] > table.loc[2, "t63_s"]
+
+
+def test_table_of_response_times_says_what_is_wrong():
+    draws = np.full(3, 0.5)
+    with pytest.raises(ValueError, match="as many draws"):
+        response_time_table(draws, draws[:2], draws, [75.0])
+    with pytest.raises(ValueError, match="positive numbers in mL/s"):
+        response_time_table(draws, draws, draws, [0.0])
+    with pytest.raises(ValueError, match="level must lie"):
+        response_time_table(draws, draws, draws, [75.0], level=95.0)
