@@ -10,6 +10,7 @@ import argparse
 import time
 from pathlib import Path
 
+import study_coating
 import study_coverage
 import study_predictive
 import study_sbc
@@ -18,6 +19,7 @@ STUDIES = {
     "predictive": study_predictive.run,
     "sbc": study_sbc.run,
     "coverage": study_coverage.run,
+    "coating": study_coating.run,
 }
 ROOT = Path(__file__).resolve().parent.parent.parent
 
