@@ -85,6 +85,8 @@ def pareto_k(log_weights: FloatArray) -> float:
     if np.ptp(log_weights) < 1e-12:
         return float("-inf")
     if _modern():
+        # its psislw takes the negative of what ArviZ 0.23's takes; this one asks for the draws
         array_stats = import_module("arviz_stats.base").array_stats
-        return float(array_stats.psislw(log_weights)[1])
+        weights = np.exp(log_weights - log_weights.max())
+        return float(array_stats.pareto_khat(weights[None], r_eff=1.0, tail="right"))
     return float(_arviz().psislw(log_weights)[1])

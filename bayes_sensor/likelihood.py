@@ -521,7 +521,7 @@ def simulate(campaign: Campaign | Problem, theta: Theta, seed: int = 1) -> Campa
 
     Noise is that of the problem's noise law with theta's phi, sigma0, sigma1 (absent: white,
     constant; sigma0 absent: no noise).  One seed gives one campaign; every experiment has its own
-    stream, so that leaving one out does not change the others.
+    stream by its place, so that leaving out the last one does not change the others.
     """
     problem = as_problem(campaign)
     layout = problem.layout

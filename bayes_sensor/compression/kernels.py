@@ -81,12 +81,13 @@ def _tables(h, taus, n_kinds, table, stride):  # pragma: no cover - compiled
             stride[1, j] = stride[0, j] ** 2
         for kind in range(2, n_kinds):
             stride[kind, j] = stride[kind - 1, j] ** 2
-            if stride[kind, j] < 1e-150:
+            if stride[kind, j] < 1e-290:
                 stride[kind, j] = 0.0
             for q in range(K):
                 value = table[kind - 1, j, q] ** 2
-                table[kind, j, q] = value if value > 1e-150 else 0.0
-    # values below 1e-150 count as zero: denormal numbers would slow the sums down
+                table[kind, j, q] = value if value > 1e-290 else 0.0
+    # values below 1e-290 count as zero: denormal numbers would slow the sums down, while e^600 of
+    # a step inside a block (see least in mesh.py) still meets its inverse here
 
 
 @njit(cache=True, error_model="numpy")

@@ -120,7 +120,7 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
         i_y0, i_beta, i_t0, i_tf = layout.local[k]
         width_after, narrow = _widths(vector, region, e)
         # a sensor faster than this is replaced by a delay: no exponential may overflow
-        least = max(16.0 * h, narrow) / 300.0
+        least = max(16.0 * h, narrow) / 600.0
         windows = [(low[i] - least - h, high[i] + h) for i in (i_t0, i_tf) if i >= 0]
         setting[k] = (
             h,
