@@ -1,0 +1,370 @@
+"""Three samplers against each other and against quadrature; resuming, records, honesty."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from campaigns import small_design, small_problem, small_theta
+
+import bayes_sensor.posterior as sampling
+from bayes_sensor.campaign import CampaignError, SideInformation
+from bayes_sensor.laplace import approximate, log_posteriors
+from bayes_sensor.likelihood import Prior, Problem, log_likelihood, simulate
+from bayes_sensor.model import cascade_response
+from bayes_sensor.noise import Noise
+from bayes_sensor.posterior import Posterior, Settings, sample_posterior
+
+SAMPLERS = ("emcee", "independence", "hmc")
+QUICK = Settings(max_steps=2000, target_ess=500.0, n_draws=600)
+
+
+@cache
+def drawn(sampler: str, phi: float) -> Posterior:
+    """One run on the same small campaign, shared by the tests below."""
+    problem, theta = small_problem(phi, sigma=0.01, n=2, interval=1e-3, fall=[True, False])
+    return sample_posterior(problem, theta, seed=3, sampler=sampler, settings=QUICK)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.9])
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_every_sampler_converges_and_says_how(sampler: str, phi: float) -> None:
+    posterior = drawn(sampler, phi)
+    assert posterior.converged and posterior.sampler == sampler
+    assert posterior.status.startswith("converged") and not posterior.warnings
+    assert posterior.mesh_error < 1e-3
+    assert len(posterior.reasons) == 1 and posterior.reasons[0].lower()[:5] in (
+        "emcee", "indep", "hamil"
+    )  # fmt: skip
+    # the truth lies where it should: 13 parameters, none beyond 4.5 sd
+    theta = posterior.layout.flat(small_theta(posterior.problem.campaign, phi, 0.01, 0.01))
+    z = (posterior.draws.mean(axis=0) - theta) / posterior.draws.std(axis=0)
+    assert np.abs(z).max() < 4.5 and np.abs(z).max() > 0.1
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.9])
+@pytest.mark.parametrize(
+    "pair", [("emcee", "hmc"), ("independence", "hmc"), ("emcee", "independence")]
+)
+def test_the_samplers_agree_on_every_marginal(pair: tuple[str, str], phi: float) -> None:
+    a, b = (drawn(sampler, phi) for sampler in pair)
+    ess = [np.minimum(p.ess_bulk, p.ess_tail) for p in (a, b)]
+    sds = [p.draws.std(axis=0) for p in (a, b)]
+    error = np.hypot(sds[0] / np.sqrt(ess[0]), sds[1] / np.sqrt(ess[1]))
+    z = (a.draws.mean(axis=0) - b.draws.mean(axis=0)) / error
+    assert np.abs(z).max() < 4.5
+    # the spread: relative error of a standard deviation is about sqrt(.5/ESS) for near-Gaussian
+    # laws, and up to twice that for tau's
+    spread = np.log(sds[0] / sds[1]) / (2 * np.hypot(np.sqrt(0.5 / ess[0]), np.sqrt(0.5 / ess[1])))
+    assert np.abs(spread).max() < 4.5
+    # each tail holds its share of the other's draws: binomial with the effective sizes
+    for level in (0.025, 0.16, 0.84, 0.975):
+        share = (a.draws < np.quantile(b.draws, level, axis=0)).mean(axis=0)
+        sd = np.sqrt(level * (1 - level) * (1 / ess[0] + 1 / ess[1]))
+        assert (np.abs(share - level) / sd).max() < 4.5
+    # negative control: another campaign's posterior does not agree
+    other = drawn(pair[0], 0.9 - phi)
+    assert np.abs((a.draws.mean(axis=0) - other.draws.mean(axis=0)) / error).max() > 4.5
+
+
+@cache
+def two_parameters() -> tuple[Problem, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A problem with tau and t0 alone left free, and their posterior on a grid.
+
+    y0 and beta integrate out in closed form under white noise; priors hold everything else.
+    """
+    base, theta = small_problem(
+        n=1, interval=0.02, fall=False, noise=Noise("constant", "white"), tau=0.06
+    )
+    names = base.layout.names
+    held = {
+        name: Prior("normal", theta[names.index(name)], 1e-5 * theta[names.index(name)])
+        for name in ("tau_v_s", "V_mL", "sigma0_V")
+    }
+    problem = replace(base, given_priors={**held, "tau_s": Prior("half_normal", 0.1)})
+    e = problem.campaign.experiments[0]
+    assert e.total_flow == pytest.approx(14.0 / 0.2)
+    tau, t0 = np.linspace(1e-4, 0.2, 101), np.linspace(1.9, 2.12, 121)
+    log_p = np.empty((len(tau), len(t0)))
+    for i, a in enumerate(tau):
+        for j, b in enumerate(t0):
+            basis = np.stack([np.ones(len(e.t)), cascade_response(e.t, [0.3, 0.2, a], b)])
+            gram, right = basis @ basis.T, basis @ e.values
+            explained = right @ np.linalg.solve(gram, right)
+            log_p[i, j] = 0.5 * explained / 0.02**2 - 0.5 * np.linalg.slogdet(gram)[1]
+            log_p[i, j] -= 0.5 * (a / 0.1) ** 2
+    p = np.exp(log_p - log_p.max())
+    assert p[:, 0].max() < 1e-6 and p[:, -1].max() < 1e-6 and p[-1].max() < 1e-6
+    return problem, theta, tau, t0, p
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_two_parameters_against_quadrature(sampler: str) -> None:
+    problem, theta, tau, t0, p = two_parameters()
+    posterior = sample_posterior(problem, theta, seed=1, sampler=sampler, settings=QUICK)
+    assert posterior.sampler == sampler
+    for name, grid, weight in (("tau_s", tau, p.sum(axis=1)), ("t0_s[a]", t0, p.sum(axis=0))):
+        cdf = np.concatenate([[0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
+        cdf /= cdf[-1]
+        ess = posterior.ess_bulk[problem.layout.index(name)]
+        for level in (0.025, 0.16, 0.5, 0.84, 0.975):
+            share = (posterior.of(name) < np.interp(level, cdf, grid)).mean()
+            assert share == pytest.approx(level, abs=4.5 * np.sqrt(level * (1 - level) / ess))
+
+
+# --- resuming and repeating
+
+
+SHORT = Settings(
+    n_chains=2, n_walkers=32, chunk=20, burn_in=20, max_steps=120, thin=2, target_ess=1e9
+)
+
+
+class Interruption(Exception):
+    """Stands for the user's Ctrl-C."""
+
+
+@pytest.mark.parametrize("after", [1, 3, 5])
+def test_a_resumed_run_is_the_uninterrupted_one(tmp_path, after: int) -> None:
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
+    whole = sample_posterior(problem, theta, seed=5, settings=SHORT)
+    calls = []
+
+    def stop(fraction: float, text: str) -> None:
+        calls.append(text)
+        if len(calls) > after:
+            raise Interruption
+
+    with pytest.raises(Interruption):
+        sample_posterior(problem, theta, seed=5, settings=SHORT, checkpoint=tmp_path, progress=stop)
+    saved = sorted(path.name for path in tmp_path.glob("ensemble-*.npz"))
+    assert saved and not list(tmp_path.glob(".*"))
+    resumed = sample_posterior(
+        problem, theta, seed=5, settings=SHORT, checkpoint=tmp_path, resume=True
+    )
+    np.testing.assert_array_equal(resumed.chains, whole.chains)
+    np.testing.assert_array_equal(resumed.log_likelihood, whole.log_likelihood)
+
+
+def test_a_half_written_chunk_of_one_ensemble_is_made_up_for(tmp_path) -> None:
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
+    whole = sample_posterior(problem, theta, seed=5, settings=SHORT, checkpoint=tmp_path)
+    # as if killed between the two ensembles of the last chunk
+    sorted(tmp_path.glob("ensemble-1-*.npz"))[-1].unlink()
+    resumed = sample_posterior(
+        problem, theta, seed=5, settings=SHORT, checkpoint=tmp_path, resume=True
+    )
+    np.testing.assert_array_equal(resumed.chains, whole.chains)
+
+
+def test_what_belongs_to_another_run_is_not_continued(tmp_path) -> None:
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
+    sample_posterior(problem, theta, seed=5, settings=SHORT, checkpoint=tmp_path)
+    other = sample_posterior(
+        problem, theta, seed=6, settings=SHORT, checkpoint=tmp_path, resume=True
+    )
+    alone = sample_posterior(problem, theta, seed=6, settings=SHORT)
+    np.testing.assert_array_equal(other.chains, alone.chains)
+
+
+def test_the_numbers_do_not_depend_on_jobs() -> None:
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
+    short = replace(SHORT, max_steps=60)
+    one, two = (
+        sample_posterior(problem, theta, seed=5, settings=short, jobs=jobs) for jobs in (1, 2)
+    )
+    np.testing.assert_array_equal(one.chains, two.chains)
+
+
+@pytest.mark.parametrize("sampler", ["independence", "hmc"])
+def test_seeds_decide(sampler: str) -> None:
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
+    few = Settings(n_draws=400, max_draws=4000, target_ess=50.0)
+    runs = [
+        sample_posterior(problem, theta, seed=s, sampler=sampler, settings=few) for s in (1, 1, 2)
+    ]
+    np.testing.assert_array_equal(runs[0].chains, runs[1].chains)
+    assert (
+        runs[0].chains.shape != runs[2].chains.shape
+        or (runs[0].chains[0, 0] != runs[2].chains[0, 0]).any()
+    )
+
+
+# --- gates and honesty
+
+
+def test_a_run_that_is_too_short_says_so() -> None:
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
+    posterior = sample_posterior(problem, theta, settings=replace(SHORT, max_steps=60))
+    assert not posterior.converged
+    assert posterior.status.startswith("NOT converged") and posterior.status in posterior.warnings
+    record = posterior.to_json()
+    assert record["converged"] is False and "NOT converged" in record["status"]
+
+
+def test_the_k_hat_gate_hands_over_to_hmc(monkeypatch) -> None:
+    monkeypatch.setattr(sampling, "K_HAT_LIMIT", -np.inf)
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
+    posterior = sample_posterior(problem, theta, sampler="independence", settings=QUICK)
+    assert posterior.sampler == "hmc" and posterior.converged
+    assert "given up: Pareto k-hat" in posterior.reasons[0]
+    assert posterior.reasons[1].startswith("Hamiltonian")
+
+
+def test_hmc_that_falls_short_hands_over_to_emcee() -> None:
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
+    few = replace(SHORT, n_draws=40, max_draws=80)
+    posterior = sample_posterior(problem, theta, sampler="hmc", settings=few)
+    assert posterior.sampler == "emcee" and "was given up" in posterior.reasons[0]
+
+
+def test_the_whitened_density_and_gradient_are_those_of_psi() -> None:
+    problem, theta = small_problem(0.5, n=2, interval=0.02, fall=[True, False])
+    laplace, mesh = approximate(problem, theta)
+    target = sampling._Whitened(laplace, mesh)
+    rng = np.random.default_rng(1)
+    thetas, _ = laplace.draw(5, rng)
+    q = target.q(thetas)
+    np.testing.assert_allclose(target.theta(q), thetas, rtol=1e-9)
+    expected = log_posteriors(mesh, laplace.coordinates, thetas, roots=True)
+    values = np.array([target.value_and_gradient(row)[0] for row in q])
+    np.testing.assert_allclose(values, expected, rtol=1e-10)
+    for row in q:
+        _, gradient = target.value_and_gradient(row)
+        for i in range(len(row)):
+            step = np.zeros(len(row))
+            step[i] = 1e-4
+            difference = (
+                target.value_and_gradient(row + step)[0] - target.value_and_gradient(row - step)[0]
+            ) / 2e-4
+            assert gradient[i] == pytest.approx(difference, abs=2e-3)
+    # a root's sign does not matter to the density: tau = |root|
+    mirrored = target.centre + q[0] @ target.factor.T
+    mirrored[laplace.coordinates.squared] *= -1
+    back = np.linalg.solve(target.factor, mirrored - target.centre)
+    assert target.value_and_gradient(back)[0] == pytest.approx(values[0], rel=1e-12)
+
+
+def test_side_information_is_respected() -> None:
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
+    campaign = replace(problem.campaign, side_information={"V_mL": SideInformation(14.2, 0.01)})
+    posterior = sample_posterior(campaign, theta, sampler="independence", settings=QUICK)
+    assert posterior.mean("V_mL") == pytest.approx(14.2, abs=0.02)
+    assert posterior.sd("V_mL") == pytest.approx(0.01, rel=0.15)
+    assert posterior.to_json()["priors"]["V_mL"] == "normal(14.2, 0.01)"
+    plain = sample_posterior(problem, theta, sampler="independence", settings=QUICK)
+    assert plain.sd("V_mL") > 5 * posterior.sd("V_mL")
+
+
+def test_equal_flows_are_warned_of() -> None:
+    design = small_design(n=2, interval=0.02)
+    same = [replace(e, carrier_flow=60.0, test_gas_flow=10.0) for e in design]
+    design = replace(design, experiments=tuple(same))
+    theta = small_theta(design)
+    posterior = sample_posterior(
+        simulate(design, theta), theta, sampler="hmc", settings=replace(SHORT, max_draws=400)
+    )
+    assert any("tau_v and V cannot be told apart" in text for text in posterior.warnings)
+    problem, theta = small_problem(n=2, interval=0.02)
+    assert not problem.campaign.same_flow
+
+
+def test_switch_times_stay_behind_their_commands() -> None:
+    # commanded 2 ms before the truth: the prior cuts the posterior there
+    problem, theta = small_problem(0.9, n=1, interval=0.02, fall=False)
+    e = replace(problem.campaign.experiments[0], commanded_on=2.0)
+    posterior = sample_posterior(
+        replace(problem.campaign, experiments=(e,)), theta, sampler="emcee", settings=QUICK
+    )
+    assert posterior.of("t0_s[a]").min() >= 2.0
+    assert posterior.of("t0_s[a]").min() < 2.003
+
+
+def test_a_design_an_unknown_sampler_and_small_settings_are_refused() -> None:
+    problem, theta = small_problem(n=1)
+    with pytest.raises(CampaignError, match="sampler must be one of emcee, independence, hmc"):
+        sample_posterior(problem, theta, sampler="nuts")
+    with pytest.raises(CampaignError, match="a design has no data"):
+        sample_posterior(small_design(n=1), theta)
+    with pytest.raises(CampaignError, match="sampler setting n_chains is too small: 1"):
+        Settings(n_chains=1)
+
+
+# --- the record
+
+
+def test_the_record_has_the_contracts_keys() -> None:
+    posterior = drawn("independence", 0.9)
+    record = json.loads(json.dumps(posterior.to_json(), allow_nan=False))
+    assert set(record["parameters"]) == {
+        "tau_s", "tau_v_s", "V_mL", "phi", "sigma0_V", "sigma1_V",
+        "y0_V[a]", "beta_V[a]", "t0_s[a]", "tf_s[a]", "y0_V[b]", "beta_V[b]", "t0_s[b]",
+    }  # fmt: skip
+    row = record["parameters"]["tau_s"]
+    levels = ["q0.5", "q2.5", "q16", "q50", "q84", "q97.5", "q99.5"]
+    assert set(row) == {"mean", "sd", *levels, "ess_bulk", "ess_tail", "r_hat"}
+    assert [row[q] for q in levels] == sorted(row[q] for q in levels)
+    assert row["q50"] == pytest.approx(np.median(posterior.of("tau_s")))
+    assert record["n_draws"] == len(posterior.draws) and record["converged"] is True
+    assert record["phi_interval_s"] == 0.001 and record["signal_unit"] == "V"
+    assert list(posterior.summary().index) == posterior.names
+
+
+def test_pinned_parameters_are_null() -> None:
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02, noise=Noise("constant", "white"))
+    posterior = sample_posterior(problem, theta, sampler="independence", settings=QUICK)
+    assert posterior.converged
+    record = posterior.to_json()
+    assert record["parameters"]["phi"] is None and record["parameters"]["sigma1_V"] is None
+    assert (posterior.of("phi") == 0).all()
+    json.dumps(record, allow_nan=False)
+
+
+def test_log_likelihood_per_experiment_is_kept() -> None:
+    posterior = drawn("hmc", 0.9)
+    row = posterior.draws[7]
+    assert posterior.log_likelihood.reshape(-1, 2)[7].sum() == pytest.approx(
+        log_likelihood(posterior.problem, row), abs=1e-3
+    )
+
+
+def test_tau_under_other_priors() -> None:
+    posterior = drawn("independence", 0.9)
+    table = posterior.tau_under_priors().set_index("prior")
+    own = table.loc["half_normal"]
+    # the prior in use: no reweighting
+    assert own["n_effective"] == pytest.approx(len(posterior.draws))
+    np.testing.assert_allclose(
+        [own["lo95_s"], own["hi95_s"], own["upper99_s"]],
+        posterior.quantiles("tau_s", [0.025, 0.975, 0.99]),
+        rtol=0.01,
+    )
+    # a half-normal law pulls tau down against a flat one
+    assert table.loc["flat", "upper95_s"] > own["upper95_s"]
+    # the log-uniform law: the same draws weighted by hand
+    tau = posterior.of("tau_s")
+    scale = posterior.problem.priors["tau_s"].a
+    weight = np.exp(0.5 * (tau / scale) ** 2) / np.maximum(tau, scale / 100)
+    order = np.argsort(tau)
+    cdf = np.cumsum(weight[order]) / weight.sum()
+    upper = tau[order][np.searchsorted(cdf, 0.95)]
+    assert table.loc["log_uniform_floored", "upper95_s"] == pytest.approx(upper, rel=0.01)
+    width = table["hi95_s"] - table["lo95_s"]
+    assert (table["hdi_hi95_s"] - table["hdi_lo95_s"] <= width + 1e-12).all()
+
+
+def test_only_a_mean_linear_in_y0_and_beta_is_marginalised() -> None:
+    from bayes_sensor.model import Cascade
+
+    class Saturating(Cascade):
+        def mean(self, t, theta, layout, experiment):
+            return np.tanh(super().mean(t, theta, layout, experiment))
+
+    problem, theta = small_problem(n=1, interval=0.05, fall=False)
+    problem = Problem(problem.campaign, model=Saturating())
+    campaign = simulate(problem, theta)
+    posterior = sample_posterior(
+        replace(problem, campaign=campaign), theta, settings=replace(SHORT, max_steps=40)
+    )
+    assert "all parameters" in posterior.reasons[0]
