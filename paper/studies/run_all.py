@@ -13,9 +13,11 @@ from pathlib import Path
 import study_coating
 import study_coverage
 import study_predictive
+import study_published_bounds
 import study_sbc
 
 STUDIES = {
+    "published-bounds": study_published_bounds.run,
     "predictive": study_predictive.run,
     "sbc": study_sbc.run,
     "coverage": study_coverage.run,
