@@ -28,10 +28,11 @@ from bayes_sensor.likelihood import Problem
 from bayes_sensor.posterior import SAMPLERS, Settings
 from bayes_sensor.readers import read_campaign
 
-N, SEED = 300, 47
+SEED = 47
 REFERENCE = PAPER.parent / "data" / "reference"
-CASES = ((0.5, 0.0481), (0.9, 0.0481), (0.9, 0.020), (0.9, 0.005))
-"""phi and tau (s); the first two give the table of every parameter, the last three that of tau"""
+CASES = ((0.5, 0.0481, 300), (0.9, 0.0481, 300), (0.9, 0.020, 120), (0.9, 0.005, 300))
+"""phi, tau (s) and how many campaigns, all with the same streams of random numbers; the first two
+give the table of every parameter, the last three that of tau"""
 
 
 def design() -> Campaign:
@@ -57,11 +58,11 @@ def run(
     problem = Problem(design())
     names = problem.layout.names
     every, taus, samplers = [], [], []
-    for phi, tau in CASES:
+    for phi, tau, n in CASES:
         task = study(problem, phi, tau)
         place = folder / f"coverage-{phi:g}-{1e3 * tau:g}ms"
         results = run_chunks(
-            task, N, place, task.key, jobs, chunk=10, scheduler=scheduler, progress=progress
+            task, n, place, task.key, jobs, chunk=10, scheduler=scheduler, progress=progress
         )
         if tau == CASES[0][1]:
             table = coverage_table(names, task.theta, results)
@@ -75,6 +76,7 @@ def run(
             {
                 "phi": phi,
                 "tau_ms": 1e3 * tau,
+                "n": n,
                 **{s: int((results["sampler"] == i).sum()) for i, s in enumerate(SAMPLERS)},
                 "not_converged": int((results["converged"] == 0).sum()),
                 "largest_k_hat": np.nanmax(results["k_hat"]),
@@ -117,7 +119,8 @@ def draw_parameters(table: pd.DataFrame) -> None:
     axes[0].set_yticks(range(len(names)), [label(name) for name in names])
     axes[0].tick_params(axis="y", labelsize=6)
     axes[0].invert_yaxis()
-    axes[0].legend(loc="upper left")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
     save(figure, "coverage_posterior")
 
 
