@@ -103,10 +103,25 @@ def _figure(height: float, width: float = WIDTH) -> Figure:
     return Figure(figsize=(width, height))
 
 
+def _settle(figure: Figure) -> None:
+    """Lay out once and round the places of the axes.
+
+    The layout's solver is exact to rounding only, which would otherwise show in the bytes.
+    """
+    if figure.get_layout_engine() is None:
+        return
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    for axes in figure.axes:
+        left, bottom, width, height = (round(float(v), 5) for v in axes.get_position().bounds)
+        axes.set_position((left, bottom, width, height))
+
+
 def svg(figure: Figure) -> str:
     """The figure as the text of an SVG element, without date or XML header."""
     stream = io.StringIO()
     with style():
+        _settle(figure)
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     text = stream.getvalue()
     return text[text.index("<svg") :]
@@ -116,6 +131,7 @@ def png(figure: Figure, dpi: int = 160) -> bytes:
     """The figure as a PNG on white."""
     stream = io.BytesIO()
     with style():
+        _settle(figure)
         figure.savefig(
             stream, format="png", dpi=dpi, facecolor="white", metadata={"Software": None}
         )
@@ -126,6 +142,7 @@ def pdf(figure: Figure) -> bytes:
     """The figure as a PDF page, without a date."""
     stream = io.BytesIO()
     with style():
+        _settle(figure)
         figure.savefig(stream, format="pdf", facecolor="white", metadata={"CreationDate": None})
     return stream.getvalue()
 
@@ -399,7 +416,8 @@ def delays(record: Mapping[str, Any], concentration: Mapping[str, float]) -> Fig
                 axes.plot(
                     [], [], marker, ms=6, mfc=BLUE, mec=INK, mew=0.6, label=f"{level:g} % test gas"
                 )
-            axes.legend(loc="best", fontsize=7)
+            if line["band"] or not many:
+                axes.legend(loc="best", fontsize=7)
             axes.margins(0.08)
             axes.set_xlabel("1/Q (s/L)")
             axes.set_ylabel(f"{side} delay (s)")
@@ -438,9 +456,8 @@ def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
     draws = values.reshape(-1, values.shape[-1])
     draws = draws[:: max(1, len(draws) // 20000)]
     n = len(words)
-    with style():
-        figure = Figure(figsize=(1.2 * n + 0.4, 1.2 * n + 0.4), layout=None)
-        figure.set_layout_engine("none")
+    with style(), mpl.rc_context({"figure.constrained_layout.use": False}):
+        figure = Figure(figsize=(1.2 * n + 0.4, 1.2 * n + 0.4))
         corner_plot.corner(
             draws,
             fig=figure,
@@ -529,6 +546,8 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
         figure = _figure(0.32 * len(methods) + 1.0)
         row = figure.subplots(1, 3, sharey=True)
         for axes, (name, (symbol, unit, factor)) in zip(row, SHARED_LABELS.items(), strict=True):
+            rows = [bounds["methods"][m]["parameters"].get(name) or {} for m in methods]
+            low, high = _visible(rows, factor)
             for i, method in enumerate(methods):
                 entry = bounds["methods"][method]["parameters"].get(name)
                 if not entry:
@@ -540,28 +559,48 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
                 colour = _method_colour(method)
                 marker = {"posterior": "D"}.get(method, "o")
                 for lo, hi, width in (("lo95", "hi95", 1.4), ("lo68", "hi68", 4.2)):
-                    if entry[lo] is not None and entry[hi] is not None:
-                        axes.plot(
-                            [factor * entry[lo], factor * entry[hi]], [i, i], color=colour,
-                            lw=width, solid_capstyle="butt",
-                        )  # fmt: skip
-                    elif entry[hi] is not None:
-                        axes.plot(factor * entry[hi], i, "<", color=colour, ms=4)
-                if entry["estimate"] is not None:
+                    a, b = (
+                        end if entry[key] is None else factor * entry[key]
+                        for key, end in ((lo, -np.inf), (hi, np.inf))
+                    )  # fmt: skip
+                    shown = [float(np.clip(v, low, high)) for v in (a, b)]
+                    axes.plot(shown, [i, i], color=colour, lw=width, solid_capstyle="butt")
+                    for end, edge, arrow in ((a < low, low, "<"), (b > high, high, ">")):
+                        if end:  # goes on outside the picture
+                            axes.plot(edge, i, arrow, color=colour, ms=5, clip_on=False)
+                if entry["estimate"] is not None and low <= factor * entry["estimate"] <= high:
                     axes.plot(
                         factor * entry["estimate"], i, marker, color="white", mec=colour, ms=4.5,
                         mew=1.2,
                     )  # fmt: skip
             if truth and name in truth:
                 axes.axvline(factor * truth[name], color=GREEN, ls="--", lw=1)
+            axes.set_xlim(low, high)
             axes.set_xlabel(f"{symbol} ({unit})")
             axes.grid(axis="y", visible=False)
             axes.xaxis.set_major_locator(MaxNLocator(4))
         row[0].set_yticks(range(len(methods)), [METHOD_LABELS.get(m, m) for m in methods])
         row[0].set_ylim(len(methods) - 0.4, -0.6)
         if row[0].get_xlim()[0] < 0:
-            row[0].axvline(0.0, color=MIDDLE, lw=0.8)
+            row[0].axvline(0.0, color=MIDDLE, lw=0.8)  # tau cannot be negative
     return figure
+
+
+def _visible(rows: Sequence[Mapping[str, Any]], factor: float) -> tuple[float, float]:
+    """The range shown: every 95 % interval, but none so wide that the others vanish."""
+    ends = [
+        (factor * row["lo95"], factor * row["hi95"])
+        for row in rows
+        if row and row["lo95"] is not None and row["hi95"] is not None
+    ]
+    if not ends:
+        return 0.0, 1.0
+    widths = sorted(b - a for a, b in ends)
+    most = 4.0 * max(widths[len(widths) // 2], 1e-12)
+    kept = [pair for pair in ends if pair[1] - pair[0] <= most] or ends
+    low, high = min(a for a, _ in kept), max(b for _, b in kept)
+    margin = 0.05 * (high - low) or 1.0
+    return low - margin, high + margin
 
 
 def _method_colour(method: str) -> str:

@@ -22,6 +22,7 @@ from importlib import metadata
 from math import isfinite
 from pathlib import Path
 from typing import IO, Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -276,10 +277,10 @@ def save_traces(path: str | os.PathLike[str], traces: Sequence[Trace]) -> None:
 def load_traces(path: str | os.PathLike[str]) -> list[Trace]:
     """What :func:`save_traces` wrote."""
     try:
-        with np.load(Path(path), allow_pickle=False) as archive:
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             content = {name: archive[name] for name in archive.files}
         facts = json.loads(content["facts"].tobytes().decode("utf-8"))
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise CampaignError(
             f"{path}: expected saved traces, but they cannot be read ({error}); "
             "run the command that made them again"

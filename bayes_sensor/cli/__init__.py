@@ -275,18 +275,26 @@ def _guarded(arguments: list[str]) -> int:
     try:
         code = app(args=arguments, prog_name="bayes-sensor", standalone_mode=False)
         sys.stdout.flush()
+        if code == INTERRUPTED:  # how newer typer hands on Ctrl-C
+            raise KeyboardInterrupt
         return code if isinstance(code, int) else DONE
     except usage_error as error:
         context = getattr(error, "ctx", None)
         path = context.command_path if context is not None else "bayes-sensor"
-        message = " ".join(error.format_message().split())
-        if not message:  # no command: the help was asked for
-            typer.echo(context.get_help() if context is not None else "")
+        if not arguments:
+            print(error.format_message(), file=sys.stderr)  # the help
             return BAD_INPUT
+        message = " ".join(error.format_message().split())
         return _complain(f"{message.rstrip('.')}; see {path} --help")
     except CampaignError as error:
         return _complain(str(error))
     except (typer.Abort, KeyboardInterrupt):
+        _complain(f"interrupted; {_advice(arguments)}", kind="stopped")
+        return INTERRUPTED
+    except SystemError as error:
+        # Ctrl-C inside compiled code can come out as the SystemError that it caused
+        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            raise
         _complain(f"interrupted; {_advice(arguments)}", kind="stopped")
         return INTERRUPTED
     except BrokenPipeError:

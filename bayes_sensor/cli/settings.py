@@ -81,7 +81,7 @@ def _sampler_keys() -> dict[str, Any]:
     """The sampler's name and its own settings, as keys with their types and defaults."""
     keys: dict[str, Any] = {"sampler": (Literal["emcee", "independence", "hmc"], "emcee")}
     for f in fields(Settings):
-        least = 0 if f.name == "burn_in" else 1
+        least = {"burn_in": 0, "n_chains": 2}.get(f.name, 1)
         keys[f.name] = (type(f.default), Field(default=f.default, ge=least))
     return keys
 

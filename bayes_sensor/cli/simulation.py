@@ -141,6 +141,14 @@ def _read_truth(path: Path, design: Campaign) -> dict[str, Any]:
     return truth
 
 
+def read_option(text: str, kind: Kind, option: str) -> float:
+    """The number of a quantity given as an option; the message shows how to write it."""
+    try:
+        return read_quantity(text, kind, option)
+    except CampaignError as error:
+        raise CampaignError(str(error).replace(f"{option} = ", f"{option} ")) from None
+
+
 def simulate_campaign(
     out: Path,
     *,
@@ -178,7 +186,7 @@ def simulate_campaign(
         "sigma1": Kind("a signal", unit, f"0.07 {unit}"),
         "duration": Kind(TIME.name, "s", "60 s"), "interval": Kind(TIME.name, "s", "1 ms"),
     }  # fmt: skip
-    values = {k: read_quantity(text, kinds[k], f"--{k}") for k, text in quantities.items()}
+    values = {k: read_option(text, kinds[k], f"--{k}") for k, text in quantities.items()}
     for name, value in values.items():
         if value < 0 or (value == 0 and not name.startswith("sigma")):
             raise CampaignError(

@@ -489,10 +489,13 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
             elif line is not None:
                 say(f"{side}: {line.status}", quiet)
     for warning in _warnings(job, remarks):
+        if warning.startswith("NOT converged"):  # said below, on stderr
+            continue
         say(f"warning: {warning}", quiet)
     if code == 3:
         status = job.fit.status if not job.fit.converged else job.posterior.status
         hint = "" if not job.fit.converged else "; more --steps with --resume may help"
+        status = status.removeprefix("NOT converged: ")
         print(f"not converged: {status}{hint}; the results are marked so", file=sys.stderr)
     say(f"{'report' if command == 'analyze' else 'results'}: {_place(job)}", quiet)
 
@@ -523,7 +526,14 @@ def solve_diffusion(out: Path, quantities: Mapping[str, str], tolerance: float, 
 
     started, begin = now(), time.perf_counter()
     try:
-        coating = Coating().with_quantities(**quantities)
+        coating = Coating()
+        for name, text in quantities.items():
+            option = "--" + name.replace("_", "-")
+            try:
+                coating = coating.with_quantities(**{name: text})
+            except CampaignError as error:
+                message = str(error).replace(f"{name} = ", f"{option} ").replace(name, option)
+                raise CampaignError(message) from None
         if not 1e-7 < tolerance < 0.1:
             raise ValueError(
                 f"--tolerance: expected between 1e-7 and 0.1, got {tolerance}; try 5e-4"

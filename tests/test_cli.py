@@ -1,0 +1,350 @@
+"""The command line: exit codes, one message per mistake, nothing half-written, same numbers."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayes_sensor
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.cli import _guarded
+from bayes_sensor.cli.settings import make_problem, read_overrides, read_prior
+from bayes_sensor.readers import read_campaign
+
+ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
+
+
+def run(*arguments: str | Path) -> int:
+    """The exit code of a command, in this process."""
+    return _guarded([str(a) for a in arguments])
+
+
+def start(*arguments: str | Path) -> subprocess.Popen[str]:
+    """A command in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "bayes_sensor.cli", *map(str, arguments)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small simulated campaign's file."""
+    folder = tmp_path_factory.mktemp("campaign")
+    options = ["--experiments", "1,4,6", "--duration", "15 s", "--interval", "10 ms"]
+    noise = ["--tau", "150 ms", "--sigma0", "5 mV", "--sigma1", "3 mV"]
+    assert run("simulate", "--out", folder, *options, *noise, "--quiet") == 0
+    return folder / "campaign.toml"
+
+
+# --- start
+
+
+def test_version_and_help_answer_quickly() -> None:
+    best = np.inf
+    for _ in range(3):
+        before = time.perf_counter()
+        with start("--help") as process:
+            text, _ = process.communicate()
+        best = min(best, time.perf_counter() - before)
+        assert process.returncode == 0
+        for command in ("analyze", "fit", "posterior", "bounds", "delays", "simulate", "report",
+                        "check", "diffusion"):  # fmt: skip
+            assert re.search(rf"^  {command} ", text, re.MULTILINE)
+    assert best < 3.0  # a second on an idle machine, where it takes .4 s
+
+
+def test_numerics_are_not_loaded_for_the_help() -> None:
+    code = (
+        "import sys; from bayes_sensor.cli import _guarded; _guarded(['--help'])\n"
+        "heavy = {'numpy', 'scipy', 'numba', 'pandas', 'matplotlib', 'arviz', 'pydantic'}\n"
+        "loaded = heavy & set(sys.modules)\n"
+        "sys.exit(f'loaded: {loaded}' if loaded - {'numpy'} else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"bayes-sensor {bayes_sensor.__version__}\n"
+
+
+# --- mistakes: exit 2, one line on stderr, nothing written
+
+
+def refused(capsys: pytest.CaptureFixture[str], out: Path, *arguments: str | Path) -> str:
+    """The one line that a refused command says."""
+    assert run(*arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("error: ") and said.err.count("\n") == 1
+    assert "Traceback" not in said.err
+    assert not out.exists()
+    return said.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["fit"], r"Missing argument 'CAMPAIGN.toml'.*fit --help"),
+        (["fit", "c.toml"], r"Missing option '--out'"),
+        (["fit", "c.toml", "--out", "OUT", "--sede", "1"], r"No such option.*--seed"),
+        (["fit", "c.toml", "--out", "OUT", "--seed", "x"], r"--seed.*valid int"),
+        (["fit", "c.toml", "--out", "OUT", "--jobs", "0"], r"--jobs"),
+        (["frobnicate"], r"No such command 'frobnicate'"),
+        (["fit", "none.toml", "--out", "OUT"], r"none\.toml: there is no such file"),
+        (["simulate", "--out", "OUT", "--tau", "20"], r"--tau: expected a time with its unit"),
+        (["simulate", "--out", "OUT", "--tau", "20 mL"], r"--tau: expected a time, but '20 mL'"),
+        (["simulate", "--out", "OUT", "--tau=-20 ms"], r"--tau: expected a positive value"),
+        (["simulate", "--out", "OUT", "--phi", "1.5"], r"--phi: expected a number between"),
+        (["simulate", "--out", "OUT", "--experiments", "1,9"], r"no experiment '9'"),
+        (["simulate", "--out", "OUT", "--format", "xls"], r"--format: expected one of csv"),
+        (["simulate", "--out", "OUT", "--interval", "1 year"], r"samples"),
+        (["diffusion", "--out", "OUT", "--outer-radius", "9"], r"--outer-radius.*with its unit"),
+        (["diffusion", "--out", "OUT", "--tolerance", "5"], r"--tolerance"),
+        (["report", "OUT"], r"there is no such folder"),
+    ],
+)
+def test_bad_usage_is_one_message(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "OUT"
+    assert re.search(message, refused(capsys, out, *arguments))
+
+
+def test_no_command_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run() == 2
+    assert "Usage: bayes-sensor" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[noise\n", r"over\.toml: expected TOML"),
+        ("[noise]\nvarience = 'signal'", r"\[noise\] unknown key 'varience'.*\"variance\""),
+        ("[nose]\n", r"over\.toml: unknown key 'nose'.*\"noise\""),
+        ("[noise]\nvariance = 'loud'", r"variance: expected 'concentration'.*'loud'"),
+        ("[fit]\nswarms = 0", r"swarms.*but got 0"),
+        ("[fit]\nswarms = '3'", r"swarms.*but got '3'"),
+        ("[fit]\nbounds = {tau = ['1 s', '1 ms']}", r"bounds tau: expected low < high"),
+        ("[fit]\nbounds = {tau = ['1', '2']}", r"bounds tau: expected a time with its unit"),
+        ("[priors]\ntua = 'flat'", r"unknown parameter 'tua'.*\"tau\""),
+        ("[priors]\ntau = 'half-normal(200)'", r"tau: expected a time with its unit"),
+        ("[priors]\ntau = 'gamma(1, 2)'", r"tau: expected a prior such as"),
+        ("[priors]\ntau = 'normal(1 s)'", r"normal takes 2 numbers, but got 1"),
+        ("[priors]\ntau = 'uniform(2 s, 1 s)'", r"expected low < high"),
+        ("[priors]\n't0[9]' = 'flat'", r"unknown parameter 't0\[9\]'"),
+        ("[posterior]\nsampler = 'gibbs'", r"sampler: expected 'emcee'"),
+        ("[posterior]\nn_chains = 1", r"n_chains"),
+        ("[bounds]\nmethods = ['crlb']", r"unknown method 'crlb'"),
+    ],
+)
+def test_bad_settings_are_one_message(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
+) -> None:
+    config = tmp_path / "over.toml"
+    config.write_text(text)
+    out = tmp_path / "out"
+    said = refused(capsys, out, "fit", campaign, "--out", out, "--config", config)
+    assert re.search(message, said), said
+
+
+def test_bad_campaign_is_one_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text('[[experiment]]\nname = "1"\nfile = "no.csv"\ncarrier_flow = 4\n')
+    out = tmp_path / "out"
+    assert "carrier_flow" in refused(capsys, out, "analyze", path, "--out", out)
+    path.write_text(
+        '[[experiment]]\nname = "1"\ncarrier_flow = "4 L/min"\ntest_gas_flow = "1 L/min"\n'
+        'commanded_on = "1 s"\ninterval = "1 ms"\nduration = "5 s"\n'
+    )
+    assert "design without data" in refused(capsys, out, "fit", path, "--out", out)
+
+
+def test_out_that_is_a_file_is_refused(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "file"
+    out.write_text("keep me")
+    assert run("fit", campaign, "--out", out) == 2
+    assert "cannot be written" in capsys.readouterr().err
+    assert out.read_text() == "keep me"
+
+
+# --- settings
+
+
+def test_priors_and_noise_reach_the_problem(campaign: Path, tmp_path: Path) -> None:
+    config = tmp_path / "over.toml"
+    config.write_text(
+        "[noise]\nvariance = 'signal'\n[priors]\n"
+        "tau = 'log-uniform(1 ms, 1 s)'\nV = 'normal(60 mL, 2000 mm^3)'\n"
+        "'t0[4]' = 'uniform(3 s, 5 s)'\nt0 = 'uniform(1 s, 9 s)'\nsigma0 = 'half-normal(50 mV)'\n"
+        "phi = 'uniform(0, 1)'\n"
+    )
+    overrides = read_overrides(config, {"max_steps": 50})
+    problem = make_problem(read_campaign(campaign), overrides, "over.toml")
+    assert problem.noise.variance == "signal"
+    priors = {name: str(problem.priors[name]) for name in problem.layout.names}
+    assert priors["tau_s"] == "log-uniform(0.001, 1)"
+    assert priors["V_mL"] == "normal(60, 2)"
+    assert priors["t0_s[4]"] == "uniform(3, 5)" and priors["t0_s[1]"] == "uniform(1, 9)"
+    assert priors["sigma0_V"] == "half-normal(0.05)" and priors["phi"] == "uniform(0, 1)"
+    assert overrides.sampler_settings().max_steps == 50
+
+
+@pytest.mark.parametrize("text", ["", "flat(1 s)", "half-normal", "half-normal(-1 s)", "normal(,)"])
+def test_a_prior_that_makes_no_sense_is_refused(text: str) -> None:
+    with pytest.raises(CampaignError, match=r"tau: "):
+        read_prior(text, "tau_s", "V", "tau")
+
+
+# --- commands
+
+
+def test_simulate_writes_what_can_be_read_again(campaign: Path) -> None:
+    truth = json.loads((campaign.parent / "truth.json").read_text())
+    assert truth["tau_s"] == 0.15 and truth["sigma0_V"] == 0.005
+    assert set(truth["experiments"]) == {"1", "4", "6"}
+    read = read_campaign(campaign)
+    assert read.names_of_experiments == ["1", "4", "6"]
+    for e in read:
+        assert len(e.t) == 1500 and e.interval == pytest.approx(0.01)
+        own = truth["experiments"][e.name]
+        assert e.commanded_on is not None and e.commanded_on < own["t0_s"] < own["tf_s"] < 15.0
+        # noise of 5 to 6 mV around the model: before the step the signal is y0
+        assert np.mean(e.values[:200]) == pytest.approx(own["y0_V"], abs=0.003)
+
+
+def test_simulate_takes_design_truth_and_seed(campaign: Path, tmp_path: Path) -> None:
+    truth = campaign.parent / "truth.json"
+    for name, seed in (("a", "5"), ("b", "5"), ("c", "6")):
+        options = ["--truth", truth, "--seed", seed, "--format", "npz", "--quiet"]
+        assert run("simulate", "--design", campaign, "--out", tmp_path / name, *options) == 0
+    a, b, c = (read_campaign(tmp_path / n / "campaign.toml")["4"].values for n in "abc")
+    np.testing.assert_array_equal(a, b)
+    assert np.abs(a - c).max() > 0.001
+
+
+def test_check_prints_what_was_understood(
+    campaign: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("check", campaign) == 0
+    text = capsys.readouterr().out
+    assert "3 experiments, 4500 samples in use" in text
+    row = next(line for line in text.splitlines() if line.startswith("4 "))
+    assert "0.01 s" in row and " 9 " in row and " 11.1 " in row
+    assert run("check", campaign, "--quiet") == 0
+    assert capsys.readouterr().out == ""
+
+
+def numbers(folder: Path) -> dict[str, Any]:
+    return {p.name: p.read_bytes() for p in folder.iterdir() if p.name != "run.json"}
+
+
+def test_fit_is_replaced_as_a_whole_and_repeats_itself(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
+) -> None:
+    out = tmp_path / "out"
+    assert run("fit", campaign, "--out", out, "--seed", "3") == 0
+    said = capsys.readouterr()
+    assert "RMS residual" in said.out and said.err == ""
+    fit = json.loads((out / "fit.json").read_text())
+    assert {"rms_V", "n_samples", "parameters", "at_bound", "converged", "warnings"} <= set(fit)
+    assert fit["parameters"]["tau_s"] == pytest.approx(0.15, abs=0.05)
+    first = numbers(out)
+    assert set(first) == {"fit.json", "residuals.json", "campaign.json", "traces.npz"}
+    record = json.loads((out / "run.json").read_text())["commands"]["fit"]
+    assert record["seed"] == 3 and record["exit_code"] == 0
+    assert set(record["files_sha256"]) == {"campaign.toml", "exp1.csv", "exp4.csv", "exp6.csv"}
+    # a failure while the results are written leaves the old ones alone
+    import bayes_sensor.residuals
+
+    def broken(*arguments: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(bayes_sensor.residuals.Residuals, "to_json", broken)
+        assert run("fit", campaign, "--out", out, "--seed", "4") == 2
+    assert "No space left" in capsys.readouterr().err
+    assert numbers(out) == first
+    assert run("fit", campaign, "--out", out, "--seed", "3", "--jobs", "2", "--quiet") == 0
+    assert capsys.readouterr().out == ""
+    assert numbers(out) == first
+
+
+def test_delays_are_saved(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert run("delays", campaign, "--out", out) == 0
+    assert "a line needs at least 4" in capsys.readouterr().out
+    assert set(json.loads((out / "delays.json").read_text())) == {"start", "end"}
+
+
+def test_bounds_without_the_posterior(campaign: Path, tmp_path: Path) -> None:
+    config = tmp_path / "over.toml"
+    config.write_text("[bounds]\nmethods = ['crlb_iid', 'crlb_ar1']\nstep_study = false\n")
+    out = tmp_path / "out"
+    assert run("bounds", campaign, "--out", out, "--config", config, "--quiet") == 0
+    bounds = json.loads((out / "bounds.json").read_text())
+    assert set(bounds["methods"]) == {"crlb_iid", "crlb_ar1"}
+    assert bounds["naive"]["crlb_iid"]["tau_s"] > 0
+    header = (out / "bounds.csv").read_text().splitlines()[0]
+    assert header.startswith("parameter,method,estimate,sd,lo68,hi68")
+
+
+def test_a_posterior_that_does_not_converge_says_so(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    options = ["--walkers", "32", "--steps", "110", "--chains", "2", "--sampler", "emcee"]
+    assert run("posterior", campaign, "--out", out, *options) == 3
+    said = capsys.readouterr()
+    assert said.err.startswith("not converged: ") and said.err.count("\n") == 1
+    posterior = json.loads((out / "posterior.json").read_text())
+    assert posterior["converged"] is False and posterior["parameters"]["tau_s"]["r_hat"] > 0
+    assert (out / "posterior.nc").is_file()
+    assert json.loads((out / "run.json").read_text())["commands"]["posterior"]["exit_code"] == 3
+
+
+def test_diffusion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert run("diffusion", "--out", out, "--d-zif8", "2.6e-11 m^2/s", "--tolerance", "0.01") == 0
+    record = json.loads((out / "diffusion.json").read_text())
+    assert record["tau63_ms"] == pytest.approx(48.9, rel=0.03)  # the paper: comparable to 48 ms
+    assert "63.2 % after" in capsys.readouterr().out
+    assert (out / "diffusion.svg").read_text().startswith("<svg")
+
+
+def test_an_interruption_is_one_line_and_tells_how_to_go_on(campaign: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = start("posterior", campaign, "--out", out, "--sampler", "emcee", "--steps", "1000000")
+    with process:
+        deadline = time.monotonic() + 60
+        while not (out / ".lock").exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    if process.returncode == 0:
+        pytest.skip("the posterior was done before it could be interrupted")
+    assert process.returncode == 130, err
+    lines = [line for line in err.splitlines() if line]
+    assert len(lines) == 1 and lines[0].startswith("stopped: interrupted; continue with: ")
+    assert lines[0].endswith("--resume") and str(out) in lines[0]
+    assert not (out / "posterior.json").exists() and not list(out.glob(".stage-*"))
