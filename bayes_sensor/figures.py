@@ -29,7 +29,8 @@ BLUE = "#0072b2"
 ORANGE = "#d55e00"
 GREEN = "#009e73"
 REGIONS = ("#dbe8f2", "#a9cae2", "#6fa6cd")
-COLOURS = (INK, PALE, MIDDLE, DATA, MODEL, BLUE, ORANGE, GREEN, *REGIONS)
+GROUND = "#ffffff"
+COLOURS = (GROUND, INK, PALE, MIDDLE, DATA, MODEL, BLUE, ORANGE, GREEN, *REGIONS)
 """every colour in use; the page gives each its counterpart on a dark ground"""
 WIDTH = 7.2
 """inches"""
@@ -291,7 +292,7 @@ def histogram(residuals: Mapping[str, Any], rms: float) -> Figure:
 
 
 def autocorrelation(residuals: Mapping[str, Any], traces: Sequence[Trace] = ()) -> Figure:
-    """Autocorrelation of the residuals with the AR(1) curve; inset: residuals (paper Fig. 8)."""
+    """Autocorrelation of the residuals with the AR(1) curve, and the residuals (paper Fig. 8)."""
     acf = residuals["acf"]
     lag, value = np.asarray(acf["lag_s"]), np.asarray(acf["value"])
     curve, band = np.asarray(acf["ar1"]), residuals["white_band"]
@@ -300,8 +301,10 @@ def autocorrelation(residuals: Mapping[str, Any], traces: Sequence[Trace] = ()) 
     near = lag[min(settled[0] if len(settled) else len(lag) - 1, len(lag) - 1)]
     near = float(min(max(4 * near, 30 * h), lag[-1]))
     with style():
-        figure = _figure(3.4)
-        left, right = figure.subplots(1, 2, width_ratios=[1, 1.25])
+        figure = _figure(5.0 if traces else 3.2)
+        names = [["left", "right"], ["below", "below"]] if traces else [["left", "right"]]
+        panels = figure.subplot_mosaic(names, height_ratios=[1.7, 1] if traces else None)
+        left, right = panels["left"], panels["right"]
         left.axhspan(-band, band, color=PALE, lw=0, label="95 % band, white")
         left.plot(lag, value, "o", color=BLUE, ms=2.6, label="residuals")
         left.plot(lag, curve, color=MODEL, ls="--", label=f"AR(1), φ = {phi:.3f}")
@@ -318,18 +321,18 @@ def autocorrelation(residuals: Mapping[str, Any], traces: Sequence[Trace] = ()) 
         right.set_xlabel("lag (s), logarithmic")
         right.set_title("all lags")
         if traces:
-            _residual_inset(right, traces)
+            _joined_residuals(panels["below"], traces)
     return figure
 
 
-def _residual_inset(axes: Axes, traces: Sequence[Trace]) -> None:
-    inset = axes.inset_axes((0.36, 0.42, 0.64, 0.56))
+def _joined_residuals(axes: Axes, traces: Sequence[Trace]) -> None:
+    """The residuals of all experiments in a row, shades alternating (the paper's inset)."""
     unit, factor = _volts(traces[0].signal_unit, 3 * max(trace.rms for trace in traces))
     start = 0.0
     for k, trace in enumerate(traces):
         piece = trace.whole
         t = start + piece.t - piece.t[0]
-        inset.fill_between(
+        axes.fill_between(
             t,
             factor * piece.residual_low,
             factor * piece.residual_high,
@@ -337,11 +340,10 @@ def _residual_inset(axes: Axes, traces: Sequence[Trace]) -> None:
             lw=0.3,
         )
         start = float(t[-1])
-    inset.set_xlim(0.0, start)
-    inset.tick_params(labelsize=6.5)
-    inset.set_xlabel("experiments joined (s)", fontsize=7)
-    inset.set_ylabel(f"residual ({unit})", fontsize=7)
-    inset.grid(False)
+    axes.set_xlim(0.0, start)
+    axes.set_xlabel("time, experiments joined (s)")
+    axes.set_ylabel(f"residual ({unit})")
+    axes.set_title("residuals")
 
 
 def spread(residuals: Mapping[str, Any]) -> Figure:
@@ -570,7 +572,7 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
                             axes.plot(edge, i, arrow, color=colour, ms=5, clip_on=False)
                 if entry["estimate"] is not None and low <= factor * entry["estimate"] <= high:
                     axes.plot(
-                        factor * entry["estimate"], i, marker, color="white", mec=colour, ms=4.5,
+                        factor * entry["estimate"], i, marker, color=GROUND, mec=colour, ms=4.5,
                         mew=1.2,
                     )  # fmt: skip
             if truth and name in truth:

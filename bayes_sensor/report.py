@@ -825,7 +825,8 @@ def _noise(saved: Saved, pictures: _Pictures) -> Section | None:
             "autocorrelation",
             figures.autocorrelation(residuals, saved.traces),
             "Autocorrelation of the residuals of all experiments in a row, with the curve of the "
-            "fitted AR(1); the inset shows the residuals themselves.",
+            "fitted AR(1); below, the residuals themselves, shades alternating from experiment to "
+            "experiment.",
         ),
         pictures.add(
             "spread",

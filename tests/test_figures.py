@@ -93,7 +93,7 @@ MAKERS = {
     "histogram": (lambda: figures.histogram(residuals(), 0.05), ("samples per bin",)),
     "autocorrelation": (
         lambda: figures.autocorrelation(residuals(), [trace(), trace("2")]),
-        ("lag (s)", "autocorrelation", "AR(1), φ = 0.790", "experiments joined (s)"),
+        ("lag (s)", "autocorrelation", "AR(1), φ = 0.790", "time, experiments joined (s)"),
     ),
     "spread": (lambda: figures.spread(residuals()), ("standard deviation (mV)",)),
     "delays": (
