@@ -443,9 +443,10 @@ def _computed(
     import joblib
 
     if scheduler is not None:
-        from distributed import Client
+        from importlib import import_module
 
-        stack.enter_context(Client(scheduler))
+        client: Any = import_module("distributed").Client  # untyped, and an extra
+        stack.enter_context(client(scheduler))
         stack.enter_context(joblib.parallel_config(backend="dask"))
         parallel = joblib.Parallel(return_as="generator_unordered")
     else:

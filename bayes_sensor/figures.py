@@ -302,9 +302,9 @@ def autocorrelation(residuals: Mapping[str, Any], traces: Sequence[Trace] = ()) 
     near = float(min(max(4 * near, 30 * h), lag[-1]))
     with style():
         figure = _figure(5.0 if traces else 3.2)
-        names = [["left", "right"], ["below", "below"]] if traces else [["left", "right"]]
-        panels = figure.subplot_mosaic(names, height_ratios=[1.7, 1] if traces else None)
-        left, right = panels["left"], panels["right"]
+        ratios = [1.7, 1] if traces else None
+        panels = figure.subplot_mosaic("ab;cc" if traces else "ab", height_ratios=ratios)
+        left, right = panels["a"], panels["b"]
         left.axhspan(-band, band, color=PALE, lw=0, label="95 % band, white")
         left.plot(lag, value, "o", color=BLUE, ms=2.6, label="residuals")
         left.plot(lag, curve, color=MODEL, ls="--", label=f"AR(1), φ = {phi:.3f}")
@@ -321,7 +321,7 @@ def autocorrelation(residuals: Mapping[str, Any], traces: Sequence[Trace] = ()) 
         right.set_xlabel("lag (s), logarithmic")
         right.set_title("all lags")
         if traces:
-            _joined_residuals(panels["below"], traces)
+            _joined_residuals(panels["c"], traces)
     return figure
 
 
