@@ -367,7 +367,7 @@ def spread(residuals: Mapping[str, Any]) -> Figure:
         axes.set_ylim(0.0, 1.15 * factor * float(np.nanmax(np.fmax(sd, law))))
         axes.set_xlabel("test-gas concentration in the model (%)")
         axes.set_ylabel(f"standard deviation ({shown})")
-        axes.legend(loc="lower right")
+        axes.legend(loc="best")
     return figure
 
 
@@ -381,8 +381,9 @@ def delays(record: Mapping[str, Any], concentration: Mapping[str, float]) -> Fig
     """
     sides = [(k, record[k]) for k in ("start", "end") if record.get(k) and record[k]["points"]]
     levels = sorted({round(100 * c, 1) for c in concentration.values()})
+    crowded = 4 < len(levels) <= len(MARKERS)
     with style():
-        figure = _figure(3.3, WIDTH if len(sides) > 1 else 4.4)
+        figure = _figure(3.3, WIDTH if len(sides) > 1 or crowded else 4.4)
         row = figure.subplots(1, max(len(sides), 1), squeeze=False)[0]
         for axes, (side, line) in zip(row, sides, strict=False):
             if line["band"]:
@@ -418,11 +419,14 @@ def delays(record: Mapping[str, Any], concentration: Mapping[str, float]) -> Fig
                 axes.plot(
                     [], [], marker, ms=6, mfc=BLUE, mec=INK, mew=0.6, label=f"{level:g} % test gas"
                 )
-            if line["band"] or not many:
+            if (line["band"] or not many) and not crowded:
                 axes.legend(loc="best", fontsize=7)
             axes.margins(0.08)
             axes.set_xlabel("1/Q (s/L)")
             axes.set_ylabel(f"{side} delay (s)")
+            if crowded and axes is row[0]:
+                handles, labels = axes.get_legend_handles_labels()
+                figure.legend(handles, labels, loc="outside right upper")
             r2 = "" if line["r2"] is None else f", R² = {line['r2']:.3f}"
             axes.set_title(f"{side} of the step{r2}")
     return figure

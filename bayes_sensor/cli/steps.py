@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ from bayes_sensor.results import (
 
 Progress = Callable[[float, str], None]
 CHECKPOINT = "checkpoint"
+MOST_WARNINGS = 6
+"""lines of warnings in a terminal"""
 STEPS: dict[str, tuple[str, ...]] = {
     "analyze": ("fit", "residuals", "posterior", "bounds", "delays", "report"),
     "fit": ("fit", "residuals"),
@@ -54,17 +57,38 @@ def progress_bar(label: str, quiet: bool) -> Iterator[Progress]:
     from rich.markup import escape
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+    # a descriptor of its own: the bar goes on while everything else is muted
+    screen = os.fdopen(os.dup(2), "w", encoding=sys.stderr.encoding)
     bar = Progress(
         TextColumn("{task.description:<12}"),
         BarColumn(),
         TextColumn("{task.fields[word]}"),
         TimeElapsedColumn(),
-        console=Console(stderr=True),
+        console=Console(file=screen),
         transient=True,
     )
-    with bar:
+    with screen, bar:
         task = bar.add_task(label, total=1.0, word="")
         yield lambda fraction, text: bar.update(task, completed=fraction, word=escape(text[:40]))
+
+
+@contextmanager
+def muted() -> Iterator[None]:
+    """Silence of this process and of those it starts; what is raised still is.
+
+    emcee prints the arguments of whatever call was stopped, also by Ctrl-C, in every process.
+    """
+    sink = io.StringIO()
+    sys.stderr.flush()
+    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        with redirect_stdout(sink), redirect_stderr(sink):
+            yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)
 
 
 def say(text: str, quiet: bool) -> None:
@@ -197,7 +221,7 @@ def _do_posterior(job: Job) -> None:
     methods = job.overrides.bounds.methods
     if job.command == "bounds" and methods is not None and "posterior" not in methods:
         return
-    with job.timed("posterior") as tell:
+    with job.timed("posterior") as tell, muted():
         job.posterior = sample_posterior(
             job.problem,
             job.fit,
@@ -488,10 +512,13 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
                 )
             elif line is not None:
                 say(f"{side}: {line.status}", quiet)
-    for warning in _warnings(job, remarks):
-        if warning.startswith("NOT converged"):  # said below, on stderr
-            continue
+    # non-convergence is said below, on stderr
+    warnings = [w for w in _warnings(job, remarks) if not w.startswith("NOT converged")]
+    for warning in warnings[:MOST_WARNINGS]:
         say(f"warning: {warning}", quiet)
+    if len(warnings) > MOST_WARNINGS:
+        place = "the report" if command == "analyze" else "run.json"
+        say(f"warning: {len(warnings) - MOST_WARNINGS} more in {place}", quiet)
     if code == 3:
         status = job.fit.status if not job.fit.converged else job.posterior.status
         hint = "" if not job.fit.converged else "; more --steps with --resume may help"
