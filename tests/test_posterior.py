@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from campaigns import small_design, small_problem, small_theta
 
-import bayes_sensor.posterior as sampling
+import bayes_sensor.posterior.independence as independence
 from bayes_sensor.campaign import CampaignError, SideInformation
 from bayes_sensor.laplace import approximate, log_posteriors
 from bayes_sensor.likelihood import Prior, Problem, log_likelihood, simulate
 from bayes_sensor.model import cascade_response
 from bayes_sensor.noise import Noise
 from bayes_sensor.posterior import Posterior, Settings, sample_posterior
+from bayes_sensor.posterior.hmc import Whitened
 
 SAMPLERS = ("emcee", "independence", "hmc")
 QUICK = Settings(max_steps=2000, target_ess=500.0, n_draws=600)
@@ -204,7 +205,7 @@ def test_a_run_that_is_too_short_says_so() -> None:
 
 
 def test_the_k_hat_gate_hands_over_to_hmc(monkeypatch) -> None:
-    monkeypatch.setattr(sampling, "K_HAT_LIMIT", -np.inf)
+    monkeypatch.setattr(independence, "K_HAT_LIMIT", -np.inf)
     problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
     posterior = sample_posterior(problem, theta, sampler="independence", settings=QUICK)
     assert posterior.sampler == "hmc" and posterior.converged
@@ -222,7 +223,7 @@ def test_hmc_that_falls_short_hands_over_to_emcee() -> None:
 def test_the_whitened_density_and_gradient_are_those_of_psi() -> None:
     problem, theta = small_problem(0.5, n=2, interval=0.02, fall=[True, False])
     laplace, mesh = approximate(problem, theta)
-    target = sampling._Whitened(laplace, mesh)
+    target = Whitened(laplace, mesh)
     rng = np.random.default_rng(1)
     thetas, _ = laplace.draw(5, rng)
     q = target.q(thetas)

@@ -1,0 +1,83 @@
+"""Unfinished ensembles on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.likelihood import Problem
+from bayes_sensor.posterior.settings import Settings
+
+
+class Checkpoint:
+    """Chunks of ensembles on disk, each written whole or not at all."""
+
+    def __init__(self, folder: Path | None, digest: str, resume: bool) -> None:
+        self.folder, self.digest = folder, digest
+        if folder is None:
+            return
+        folder.mkdir(parents=True, exist_ok=True)
+        marker = folder / "run.json"
+        known = json.loads(marker.read_text()) if marker.exists() else None
+        if not resume or known != {"digest": digest}:
+            for old in folder.glob("ensemble-*.npz"):
+                old.unlink()
+            replace_file(marker, json.dumps({"digest": digest}).encode())
+
+    def _path(self, j: int, i: int) -> Path:
+        assert self.folder is not None  # only reached with a folder
+        return self.folder / f"ensemble-{j}-{i:05d}.npz"
+
+    def read(self, j: int) -> Any:
+        """(chunks, state, acceptances) of ensemble ``j``, or None where nothing is saved."""
+        if self.folder is None:
+            return None
+        chunks: list[FloatArray] = []
+        rates: list[float] = []
+        state = None
+        while self._path(j, len(chunks)).exists():
+            with np.load(self._path(j, len(chunks)), allow_pickle=False) as saved:
+                chunks.append(saved["chain"])
+                rates.append(float(saved["acceptance"]))
+                random = ("MT19937", saved["keys"], int(saved["position"]),
+                          int(saved["has_gauss"]), float(saved["gauss"]))  # fmt: skip
+                state = (saved["coords"], saved["log_prob"], random)
+        return None if state is None else (chunks, state, rates)
+
+    def write(self, j: int, i: int, chain: FloatArray, state: Any, rate: float) -> None:
+        """Save chunk ``i`` of ensemble ``j`` with the state it ended in."""
+        if self.folder is None:
+            return
+        import io
+
+        coords, log_prob, random = state
+        buffer = io.BytesIO()
+        np.savez(
+            buffer, chain=chain, coords=coords, log_prob=log_prob, acceptance=rate,
+            keys=random[1], position=random[2], has_gauss=random[3], gauss=random[4],
+        )  # fmt: skip
+        replace_file(self._path(j, i), buffer.getvalue())
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_bytes(content)
+    os.replace(temporary, path)
+
+
+def digest(problem: Problem, start: FloatArray, settings: Settings, seed: int) -> str:
+    """Identifies a run: data, model, priors, start, settings and seed."""
+    hasher = hashlib.sha256()
+    for e in problem.campaign:
+        hasher.update(np.ascontiguousarray(e.values[e.used]).tobytes())
+        hasher.update(repr((e.name, e.interval, e.total_flow, e.concentration)).encode())
+    hasher.update(np.ascontiguousarray(start).tobytes())
+    hasher.update(repr((problem.noise, problem.model, sorted(problem.priors.items()))).encode())
+    hasher.update(repr((settings, seed)).encode())
+    return hasher.hexdigest()

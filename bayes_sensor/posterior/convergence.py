@@ -1,0 +1,48 @@
+"""Whether chains agree and are long enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_sensor import inference_data as idata
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.laplace import Coordinates
+from bayes_sensor.likelihood import Problem
+
+R_HAT_LIMIT = 1.01
+ESS_LIMIT = 400.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one sampler made, and whether it stands."""
+
+    sampler: str
+    chains: FloatArray
+    good: bool
+    reason: str
+    acceptance: float
+    k_hat: float | None = None
+    diagnosis: tuple[FloatArray, FloatArray, FloatArray] | None = None
+
+
+def diagnose(problem: Problem, chains: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rank R-hat, bulk and tail ESS (n_theta,) of chains; nan for what does not vary."""
+    free = Coordinates(problem).free
+    out = [np.full(chains.shape[-1], np.nan) for _ in range(3)]
+    for target, values in zip(out, idata.diagnostics(chains[:, :, free]), strict=True):
+        target[free] = values
+    return out[0], out[1], out[2]
+
+
+def enough(
+    problem: Problem, chains: FloatArray, target: float
+) -> tuple[bool, tuple[FloatArray, FloatArray, FloatArray]]:
+    """Whether the chains agree and are long enough; also their diagnostics."""
+    found = diagnose(problem, chains)
+    free = Coordinates(problem).free
+    r_hat, bulk, tail = (values[free] for values in found)
+    done = np.all(r_hat < R_HAT_LIMIT) and np.all(bulk >= target) and np.all(tail >= ESS_LIMIT)
+    return bool(done), found

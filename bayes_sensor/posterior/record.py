@@ -1,0 +1,225 @@
+"""The posterior as a record: draws, diagnostics, summaries, posterior.json."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayes_sensor import inference_data as idata
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.laplace import Coordinates
+from bayes_sensor.likelihood import Prior, Problem
+from bayes_sensor.model import Layout
+from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT
+from bayes_sensor.posterior.settings import Settings
+from bayes_sensor.posterior.summaries import highest_density, weighted_quantiles
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+QUANTILES = (0.5, 2.5, 16.0, 50.0, 84.0, 97.5, 99.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Draws of theta and what is needed to trust them."""
+
+    problem: Problem
+    chains: FloatArray
+    """(n_chain, n_draw, n_theta); for emcee a chain is an ensemble, its walkers end to end"""
+    log_likelihood: FloatArray
+    """(n_chain, n_draw, n_experiment)"""
+    sampler: str
+    """which sampler made the draws"""
+    reasons: tuple[str, ...]
+    """sentences: which sampler was used and why it can be trusted"""
+    mesh_error: float
+    """largest difference of log L between mesh and full pass over a few draws"""
+    r_hat: FloatArray
+    ess_bulk: FloatArray
+    ess_tail: FloatArray
+    settings: Settings = field(default_factory=Settings)
+    seed: int = 1
+    seconds: float = 0.0
+    k_hat: float | None = None
+    acceptance: float | None = None
+
+    @property
+    def layout(self) -> Layout:
+        """Order of the flat vector."""
+        return self.problem.layout
+
+    @property
+    def names(self) -> list[str]:
+        """Flat names, in the order of the last axis of ``chains``."""
+        return self.layout.names
+
+    @cached_property
+    def draws(self) -> FloatArray:
+        """(n, n_theta), all chains together."""
+        return self.chains.reshape(-1, self.chains.shape[-1])
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Positions of the parameters that vary."""
+        return Coordinates(self.problem).free
+
+    def of(self, name: str) -> FloatArray:
+        """(n,) draws of one parameter."""
+        return self.draws[:, self.layout.index(name)]
+
+    def mean(self, name: str) -> float:
+        """Posterior mean."""
+        return float(self.of(name).mean())
+
+    def sd(self, name: str) -> float:
+        """Posterior standard deviation."""
+        return float(self.of(name).std(ddof=1))
+
+    def quantiles(self, name: str, probabilities: Any) -> FloatArray:
+        """Posterior quantiles at ``probabilities`` between 0 and 1."""
+        return np.quantile(self.of(name), probabilities)
+
+    @property
+    def converged(self) -> bool:
+        """R-hat below 1.01 and bulk and tail ESS of at least 400 for every parameter."""
+        r_hat, bulk, tail = (a[self.free] for a in (self.r_hat, self.ess_bulk, self.ess_tail))
+        return bool(
+            np.all(r_hat < R_HAT_LIMIT) and np.all(bulk >= ESS_LIMIT) and np.all(tail >= ESS_LIMIT)
+        )
+
+    @property
+    def status(self) -> str:
+        """One sentence: converged, or what falls short."""
+        free = self.free
+        worst = free[int(np.nanargmax(self.r_hat[free]))]
+        least = free[int(np.nanargmin(np.minimum(self.ess_bulk, self.ess_tail)[free]))]
+        ess = min(self.ess_bulk[least], self.ess_tail[least])
+        numbers = (
+            f"largest R-hat {self.r_hat[worst]:.4f} ({self.names[worst]}), "
+            f"smallest effective sample size {ess:.0f} ({self.names[least]})"
+        )
+        return ("converged: " if self.converged else "NOT converged: ") + numbers
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences a reader must see."""
+        found = [] if self.converged else [self.status]
+        if self.problem.campaign.same_flow:
+            found.append(
+                "all flows are equal: tau_v and V cannot be told apart by these data, "
+                "their intervals come from the priors"
+            )
+        if self.mesh_error > 1e-3:
+            found.append(f"the mesh is off by {self.mesh_error:.1e} in log L, more than 1e-3")
+        return tuple(found)
+
+    def summary(self) -> pd.DataFrame:
+        """Mean, sd, percentiles and diagnostics of every varying parameter, one row each."""
+        import pandas as pd
+
+        rows = {name: self._row(i) for i, name in enumerate(self.names) if i in set(self.free)}
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+    def _row(self, i: int) -> dict[str, float]:
+        draws = self.draws[:, i]
+        row = {"mean": float(draws.mean()), "sd": float(draws.std(ddof=1))}
+        for percent, value in zip(QUANTILES, np.percentile(draws, QUANTILES), strict=True):
+            row[f"q{percent:g}"] = float(value)
+        row["ess_bulk"] = float(self.ess_bulk[i])
+        row["ess_tail"] = float(self.ess_tail[i])
+        row["r_hat"] = float(self.r_hat[i])
+        return row
+
+    def to_json(self) -> dict[str, Any]:
+        """The contents of ``posterior.json``; parameters that the noise law pins are null."""
+        parameters: dict[str, Any] = {}
+        for i, name in enumerate(self.names):
+            parameters[name] = self._row(i) if i in set(self.free) else None
+        return {
+            "parameters": parameters,
+            "n_draws": len(self.draws),
+            "converged": self.converged,
+            "status": self.status,
+            "sampler": self.sampler,
+            "reasons": list(self.reasons),
+            "warnings": list(self.warnings),
+            "k_hat": self.k_hat if self.k_hat is not None and np.isfinite(self.k_hat) else None,
+            "acceptance": self.acceptance,
+            "log_likelihood_error": self.mesh_error,
+            "seed": self.seed,
+            "seconds": self.seconds,
+            "priors": {n: str(self.problem.priors[n]) for n in self.names if n in self._varying},
+            "phi_interval_s": self.problem.campaign.reference_interval,
+            "signal_unit": self.problem.campaign.signal_unit,
+            "tau_under_priors": self.tau_under_priors().to_dict(orient="records"),
+        }
+
+    @cached_property
+    def _varying(self) -> set[str]:
+        return {self.names[i] for i in self.free}
+
+    def tau_under_priors(self) -> pd.DataFrame:
+        """Intervals and upper limits of tau (s) under other priors, by reweighting the draws.
+
+        Rows: flat, half-normal, log-uniform with a floor (a hundredth of the half-normal's scale).
+        Columns: equal-tailed 95 % interval, highest-density 95 % interval, one-sided 95 and 99 %
+        upper limits, and the effective number of draws that the reweighting leaves.
+        """
+        import pandas as pd
+
+        current = self.problem.priors["tau_s"]
+        scale = current.a if current.kind == "half_normal" else 0.2
+        tau = self.of("tau_s")
+        top = max(float(tau.max()), scale)
+        laws = {
+            "flat": Prior("flat"),
+            "half_normal": Prior("half_normal", scale),
+            "log_uniform_floored": Prior("log_uniform", scale / 100.0, 10.0 * top),
+        }
+        rows = []
+        for label, law in laws.items():
+            # below the floor the log-uniform law is flat, so that it stays proper at zero
+            value = law.log_density(np.maximum(tau, law.a) if law.kind == "log_uniform" else tau)
+            log_w = value - current.log_density(tau)
+            w = np.exp(log_w - log_w.max())
+            w /= w.sum()
+            lo, hi, up95, up99 = weighted_quantiles(tau, w, [0.025, 0.975, 0.95, 0.99])
+            hdi_lo, hdi_hi = highest_density(tau, w, 0.95)
+            rows.append(
+                {
+                    "prior": label,
+                    "law": str(law),
+                    "lo95_s": lo,
+                    "hi95_s": hi,
+                    "hdi_lo95_s": hdi_lo,
+                    "hdi_hi95_s": hdi_hi,
+                    "upper95_s": up95,
+                    "upper99_s": up99,
+                    "n_effective": float(1.0 / np.sum(w**2)),
+                }
+            )
+        return pd.DataFrame(rows)
+
+    @cached_property
+    def inference_data(self) -> Any:
+        """ArviZ InferenceData (a DataTree in ArviZ 1.x): posterior, log_likelihood,
+        posterior_predictive (a summary on a coarse grid), observed_data, constant_data."""
+        from bayes_sensor.posterior.saving import to_inference_data
+
+        return to_inference_data(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write ``posterior.nc``, under a temporary name first."""
+        path = Path(path)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            idata.save(self.inference_data, temporary)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)

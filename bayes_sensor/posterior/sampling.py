@@ -1,0 +1,110 @@
+"""The call that draws from a posterior: which sampler runs, and what replaces it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.laplace import approximate
+from bayes_sensor.likelihood import Problem, as_problem
+from bayes_sensor.posterior.checkpoints import digest
+from bayes_sensor.posterior.convergence import diagnose
+from bayes_sensor.posterior.ensembles import run_emcee
+from bayes_sensor.posterior.hmc import run_hmc
+from bayes_sensor.posterior.independence import run_independence
+from bayes_sensor.posterior.record import Posterior
+from bayes_sensor.posterior.settings import SAMPLERS, Progress, Settings
+
+
+def sample_posterior(
+    campaign: Campaign | Problem,
+    fit: Any = None,
+    seed: int = 1,
+    sampler: str = "emcee",
+    settings: Settings | None = None,
+    jobs: int = 1,
+    checkpoint: str | Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> Posterior:
+    """Draw from the posterior of every parameter of a campaign.
+
+    Parameters
+    ----------
+    fit
+        where to start: a Fit (its ``theta_hat``), or anything that ``theta`` may be; None fits
+        first.
+    sampler
+        ``emcee`` (default), ``independence`` or ``hmc``; see the module's text.
+    jobs
+        processes for emcee's ensembles; the numbers do not depend on it.
+    checkpoint, resume
+        folder for emcee's unfinished ensembles; with ``resume`` a matching run goes on from there
+        and gives the chain that an uninterrupted run would have given.
+
+    Returns a :class:`Posterior`; ``converged`` and ``status`` say whether to trust it.
+
+    Raises CampaignError for a design, an unknown sampler or a malformed start.
+    """
+    started = perf_counter()
+    problem = as_problem(campaign)
+    settings = settings or Settings()
+    if sampler not in SAMPLERS:
+        raise CampaignError(f"sampler must be one of {', '.join(SAMPLERS)}, but is '{sampler}'")
+    if problem.campaign.is_design:
+        raise CampaignError("a design has no data to condition on; simulate or measure it first")
+    report = progress or (lambda fraction, text: None)
+    if fit is None:
+        from bayes_sensor.fit import fit_least_squares
+
+        fit = fit_least_squares(problem, seed=seed)
+    start = problem.layout.flat(getattr(fit, "theta_hat", fit))
+    report(0.0, "Laplace approximation")
+    laplace, compressed = approximate(problem, start)
+    streams = np.random.SeedSequence(seed)
+    reasons: list[str] = []
+    run = None
+    if sampler == "independence":
+        run = run_independence(problem, laplace, compressed, settings, streams, report)
+        reasons.append(run.reason)
+        if not run.good:
+            sampler = "hmc"
+    if sampler == "hmc":
+        run = run_hmc(problem, laplace, compressed, settings, streams, report)
+        reasons.append(run.reason)
+        if not run.good:
+            sampler = "emcee"
+    if sampler == "emcee":
+        folder = None if checkpoint is None else Path(checkpoint)
+        identity = digest(problem, start, settings, seed)
+        run = run_emcee(
+            problem, laplace, compressed, settings, seed, jobs, folder, resume, identity, report
+        )
+        reasons.append(run.reason)
+    assert run is not None  # one of the three has run
+    chains = run.chains
+    r_hat, bulk, tail = run.diagnosis or diagnose(problem, chains)
+    n_chain, n_draw, n_theta = chains.shape
+    each = compressed.log_likelihoods(chains.reshape(-1, n_theta))
+    few = chains.reshape(-1, n_theta)[:: max(1, n_chain * n_draw // 6)][:6]
+    report(1.0, "done")
+    return Posterior(
+        problem=problem,
+        chains=chains,
+        log_likelihood=each.reshape(n_chain, n_draw, -1),
+        sampler=run.sampler,
+        reasons=tuple(reasons),
+        mesh_error=compressed.error(few),
+        r_hat=r_hat,
+        ess_bulk=bulk,
+        ess_tail=tail,
+        settings=settings,
+        seed=seed,
+        seconds=perf_counter() - started,
+        k_hat=run.k_hat,
+        acceptance=run.acceptance,
+    )
