@@ -42,11 +42,10 @@ ROOMS = (
     "gap",
     "results",
     "figures",
-    "figures_coating",
     "report",
     "cli",
 )
-DRAWING_ROOMS = ("figures", "figures_coating", "report")
+DRAWING_ROOMS = ("figures", "report")
 
 MAKE_TARGETS = ("install", "demo", "test", "lint", "bench", "study", "paper", "docs", "data")
 

@@ -33,7 +33,7 @@ from bayes_sensor.diffusion import (
     outer_radius_table,
     solve,
 )
-from bayes_sensor.figures_coating import diffusion_figure, spectra_figure
+from bayes_sensor.figures import diffusion_figure, spectra_figure
 from bayes_sensor.likelihood import Problem, simulate
 from bayes_sensor.posterior import Settings, sample_posterior
 from bayes_sensor.readers import read_campaign

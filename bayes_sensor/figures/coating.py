@@ -1,13 +1,13 @@
 """Figures of the coating and the readout: diffusion to the ring (paper Fig. 9), spectra (Fig. 3).
 
-In the style of :mod:`bayes_sensor.figures`; lines differ by dash and marker, maps by lightness.
+Lines differ by dash and marker, maps by lightness.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,8 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diffusion import LEVEL_63, Response
-from bayes_sensor.figures import (
+from bayes_sensor.figures.style import (
     BLUE,
     GREEN,
     INK,
@@ -28,9 +27,13 @@ from bayes_sensor.figures import (
     PALE,
     REGIONS,
     WIDTH,
+    new_figure,
     style,
 )
-from bayes_sensor.readout import Readout, linear_range
+
+if TYPE_CHECKING:  # both compile or load much that other figures do without
+    from bayes_sensor.diffusion import Response
+    from bayes_sensor.readout import Readout
 
 _DASHES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (3, 1.5)), (0, (6, 1.5, 1, 1.5)), (0, (1, 1.2)))
 _LEVELS = np.linspace(0.0, 1.0, 11)
@@ -99,6 +102,8 @@ def _cross_section(axes: Axes, response: Response, concentration: FloatArray) ->
 
 def _curves(axes: Axes, response: Response, other: Response | None) -> None:
     """Response at the probe against time; 63.2 % and the time to it."""
+    from bayes_sensor.diffusion import LEVEL_63
+
     both = [response] if other is None else [response, other]
     end = 1.35 * max(each.t90 for each in both)
     t = np.linspace(0.0, end, 600)
@@ -133,6 +138,36 @@ def _curves(axes: Axes, response: Response, other: Response | None) -> None:
     axes.set(xlim=(0.0, 1e3 * end), ylim=(0.0, 103.0))
     axes.set(xlabel="time after the step (ms)", ylabel="CO₂ at the probe (%)")
     axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.33))
+
+
+def diffusion(record: Mapping[str, Any]) -> Figure:
+    """Response of the coating at the probe (paper Fig. 9b) with the times to 63.2 and 90 %.
+
+    ``record``: the content of ``diffusion.json``.
+    """
+    t, x = np.asarray(record["probe"]["t_ms"]), np.asarray(record["probe"]["response"])
+    end = 1.6 * record["t90_ms"]
+    lag = record["tau_fit_ms"]
+    with style():
+        figure = new_figure(3.0, 5.2)
+        axes = figure.subplots()
+        axes.plot(t, 100 * x, color=BLUE, label="finite elements")
+        s = np.linspace(0.0, end, 300)
+        axes.plot(
+            s, 100 * (1 - np.exp(-s / lag)), color=MODEL, ls="--",
+            label=f"nearest single lag, {lag:.3g} ms",
+        )  # fmt: skip
+        for level, key in ((63.2, "tau63_ms"), (90.0, "t90_ms")):
+            axes.plot([record[key]], [level], "o", color=INK, ms=4)
+            axes.annotate(
+                f"{level:g} % after {record[key]:.3g} ms", (record[key], level),
+                xytext=(6, -10), textcoords="offset points", fontsize=8,
+            )  # fmt: skip
+        axes.set_xlim(0, end)
+        axes.set_xlabel("time (ms)")
+        axes.set_ylabel("concentration at the probe (%)")
+        axes.legend(loc="lower right")
+    return figure
 
 
 # --------------------------------------------------------------------------- Fig. 3
@@ -208,6 +243,8 @@ def _spectra(axes: Axes, readout: Readout, levels: FloatArray) -> None:
 
 
 def _transfer(axes: Axes, readout: Readout, levels: FloatArray, wanted: float) -> None:
+    from bayes_sensor.readout import linear_range
+
     try:
         linear = linear_range(readout, wanted)
     except ValueError:

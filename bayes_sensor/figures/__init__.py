@@ -1,0 +1,72 @@
+"""Records in, Figure out: every figure of the report and the paper, in one style.
+
+One file per subject; everything that a caller needs is here under its own name.
+"""
+
+from bayes_sensor.figures.coating import diffusion, diffusion_figure, spectra_figure
+from bayes_sensor.figures.draws import corner, main_parameters, traces_and_ranks
+from bayes_sensor.figures.methods import intervals, step_study
+from bayes_sensor.figures.noise import autocorrelation, histogram, spread
+from bayes_sensor.figures.overlays import overlay, rms_bars
+from bayes_sensor.figures.style import (
+    BLUE,
+    COLOURS,
+    DATA,
+    GREEN,
+    GROUND,
+    INK,
+    MARKERS,
+    METHOD_LABELS,
+    MIDDLE,
+    MODEL,
+    ORANGE,
+    PALE,
+    REGIONS,
+    SHARED_LABELS,
+    STYLE,
+    WIDTH,
+    parameter_words,
+    pdf,
+    png,
+    style,
+    svg,
+)
+from bayes_sensor.figures.switching import delays
+
+__all__ = [
+    "BLUE",
+    "COLOURS",
+    "DATA",
+    "GREEN",
+    "GROUND",
+    "INK",
+    "MARKERS",
+    "METHOD_LABELS",
+    "MIDDLE",
+    "MODEL",
+    "ORANGE",
+    "PALE",
+    "REGIONS",
+    "SHARED_LABELS",
+    "STYLE",
+    "WIDTH",
+    "autocorrelation",
+    "corner",
+    "delays",
+    "diffusion",
+    "diffusion_figure",
+    "histogram",
+    "intervals",
+    "main_parameters",
+    "overlay",
+    "parameter_words",
+    "pdf",
+    "png",
+    "rms_bars",
+    "spectra_figure",
+    "spread",
+    "step_study",
+    "style",
+    "svg",
+    "traces_and_ranks",
+]

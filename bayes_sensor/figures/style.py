@@ -1,0 +1,182 @@
+"""One style for every figure, and the figure as SVG, PNG or PDF.
+
+Colours are from Okabe and Ito's palette, chosen so that lines also differ in grey; what matters is
+also told apart by line style or marker.  Figures are made without pyplot's global state, and the
+same records give the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+INK = "#1b1b1b"
+PALE = "#d4d4d4"
+MIDDLE = "#7a7a7a"
+DATA = "#8fb4d3"
+MODEL = "#a01c1c"
+BLUE = "#0072b2"
+ORANGE = "#d55e00"
+GREEN = "#009e73"
+REGIONS = ("#dbe8f2", "#a9cae2", "#6fa6cd")
+GROUND = "#ffffff"
+COLOURS = (GROUND, INK, PALE, MIDDLE, DATA, MODEL, BLUE, ORANGE, GREEN, *REGIONS)
+"""every colour in use; the page gives each its counterpart on a dark ground"""
+WIDTH = 7.2
+"""inches"""
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+
+STYLE: dict[str, Any] = {
+    "axes.axisbelow": True,
+    "axes.edgecolor": MIDDLE,
+    "axes.facecolor": "none",
+    "axes.formatter.useoffset": False,
+    "axes.grid": True,
+    "axes.labelcolor": INK,
+    "axes.labelsize": 9,
+    "axes.linewidth": 0.7,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlecolor": INK,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "figure.constrained_layout.use": True,
+    "figure.facecolor": "none",
+    "font.family": ["sans-serif"],
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9,
+    "grid.color": PALE,
+    "grid.linewidth": 0.5,
+    "legend.edgecolor": PALE,
+    "legend.facecolor": "none",
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "lines.linewidth": 1.4,
+    "savefig.facecolor": "none",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "bayes_sensor",
+    "text.color": INK,
+    "text.parse_math": False,  # a name may hold dollar signs
+    "xtick.color": MIDDLE,
+    "xtick.labelcolor": INK,
+    "xtick.labelsize": 8,
+    "ytick.color": MIDDLE,
+    "ytick.labelcolor": INK,
+    "ytick.labelsize": 8,
+}
+
+METHOD_LABELS = {
+    "crlb_iid": "Cramér-Rao, iid noise",
+    "crlb_iid_one_percent_step": "the same, 1 % steps (published)",
+    "crlb_ar1": "Cramér-Rao, AR(1) noise",
+    "sandwich": "sandwich",
+    "sandwich_ar1": "sandwich, AR(1) noise",
+    "block_bootstrap": "block bootstrap",
+    "jackknife_experiments": "jackknife, experiments",
+    "profile": "profile likelihood",
+    "posterior": "posterior",
+}
+SHARED_LABELS = {
+    "tau_s": ("sensor τ", "ms", 1e3),
+    "tau_v_s": ("valve τᵥ", "ms", 1e3),
+    "V_mL": ("volume V", "mL", 1.0),
+}
+"""flat name to words, unit shown and the factor to it"""
+
+
+def style() -> Any:
+    """The context in which every figure is made and saved."""
+    return mpl.rc_context(STYLE)  # type: ignore[arg-type]  # keys are checked when set
+
+
+def new_figure(height: float, width: float = WIDTH) -> Figure:
+    return Figure(figsize=(width, height))
+
+
+def settle(figure: Figure) -> None:
+    """Lay out once and round the places of the axes.
+
+    The layout's solver is exact to rounding only, which would otherwise show in the bytes.
+    """
+    if figure.get_layout_engine() is None:
+        return
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    for axes in figure.axes:
+        left, bottom, width, height = (round(float(v), 5) for v in axes.get_position().bounds)
+        axes.set_position((left, bottom, width, height))
+
+
+def svg(figure: Figure) -> str:
+    """The figure as the text of an SVG element, without date or XML header."""
+    stream = io.StringIO()
+    with style():
+        settle(figure)
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    text = stream.getvalue()
+    return text[text.index("<svg") :]
+
+
+def png(figure: Figure, dpi: int = 160) -> bytes:
+    """The figure as a PNG on white."""
+    stream = io.BytesIO()
+    with style():
+        settle(figure)
+        figure.savefig(
+            stream, format="png", dpi=dpi, facecolor="white", metadata={"Software": None}
+        )
+    return stream.getvalue()
+
+
+def pdf(figure: Figure) -> bytes:
+    """The figure as a PDF page, without a date."""
+    stream = io.BytesIO()
+    with style():
+        settle(figure)
+        figure.savefig(stream, format="pdf", facecolor="white", metadata={"CreationDate": None})
+    return stream.getvalue()
+
+
+def logarithmic(axes: Axes, which: str) -> None:
+    """A logarithmic axis with plain numbers (10 rather than a power in mathematical type)."""
+    axes.set(**{f"{which}scale": "log"})
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    low, high = axis.get_view_interval()
+    if high < 30 * low:
+        axis.set_major_locator(LogLocator(subs=(1, 2, 3, 5, 7) if high < 5 * low else (1, 2, 5)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def volts(unit: str, size: float) -> tuple[str, float]:
+    """Unit and factor that make values near ``size`` readable."""
+    return ("mV", 1e3) if unit == "V" and size < 0.5 else (unit, 1.0)
+
+
+def parameter_words(name: str, unit: str = "V") -> tuple[str, str, float]:
+    """Symbol, unit shown and factor to it, of a flat parameter name.
+
+    >>> parameter_words("t0_s[4]")
+    ('t₀[4]', 's', 1.0)
+    """
+    if name in SHARED_LABELS:
+        return SHARED_LABELS[name]
+    kind, bracket, rest = name.partition("[")
+    symbols = {
+        "phi": "φ", "sigma0_V": "σ₀", "sigma1_V": "σ₁",
+        "y0_V": "y₀", "beta_V": "β", "t0_s": "t₀", "tf_s": "t_f",
+    }  # fmt: skip
+    shown, factor = ("", 1.0) if kind == "phi" else ("s", 1.0) if kind.endswith("_s") else (unit, 1)
+    if kind.startswith("sigma") and unit == "V":
+        shown, factor = "mV", 1e3
+    return symbols.get(kind, kind) + bracket + rest, shown, factor
+
+
+def axis_label(words: tuple[str, str, float]) -> str:
+    return f"{words[0]} ({words[1]})" if words[1] else words[0]
