@@ -8,19 +8,12 @@ import pytest
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.compression import compress
-from bayes_sensor.fit import (
-    _averages,
-    _euler_relaxed,
-    _initial_bounds,
-    _local_noise,
-    _look,
-    _mesh,
-    _profiles,
-    _split,
-    _Squares,
-    fit_least_squares,
-    particle_swarm,
-)
+from bayes_sensor.fit import fit_least_squares, particle_swarm
+from bayes_sensor.fit.diagnostics import local_noise
+from bayes_sensor.fit.euler import euler_relaxed
+from bayes_sensor.fit.looks import first_look, initial_bounds, split
+from bayes_sensor.fit.points import averages, profiles
+from bayes_sensor.fit.refinement import Squares, mesh_points
 from bayes_sensor.likelihood import Prior, Problem, simulate
 from bayes_sensor.model import Cascade, cascade_response, euler_response, predict
 from bayes_sensor.noise import Noise, simulate_noise
@@ -122,12 +115,12 @@ def test_swarm_without_time_says_it_has_not_settled():
 
 def test_split_finds_a_step():
     y = np.r_[np.zeros(37), np.ones(63)] + 0.1 * np.random.default_rng(1).standard_normal(100)
-    assert _split(y) == 37
+    assert split(y) == 37
 
 
 def test_bounds_come_from_the_record_and_hold_the_truth(measured):
-    looks = [_look(e) for e in measured]
-    bounds = _initial_bounds(Problem(measured), looks, None)
+    looks = [first_look(e) for e in measured]
+    bounds = initial_bounds(Problem(measured), looks, None)
     true = Problem(measured).layout.flat(truth(measured))
     for name, value in zip(Problem(measured).layout.mean_names, true):
         low, high = bounds[name]
@@ -138,13 +131,13 @@ def test_bounds_come_from_the_record_and_hold_the_truth(measured):
 
 def test_profile_solves_y0_and_beta_exactly(measured):
     # closed form: weighted straight-line regression of y on x3
-    looks = [_look(e) for e in measured]
-    points = _averages(measured, looks, 12, 40)
+    looks = [first_look(e) for e in measured]
+    points = averages(measured, looks, 12, 40)
     flow = np.array([e.total_flow for e in measured])
     where = np.arange(14).reshape(7, 2) + 3
     z = np.r_[np.log([0.2, 0.7, 61.0]), np.tile([2.9, 11.3], 7)]
     linear = np.empty((7, 2))
-    cost = _profiles(z[None], where, *points, flow, linear)[0]
+    cost = profiles(z[None], where, *points, flow, linear)[0]
     expected = 0.0
     for k in range(7):
         part = slice(points.first[k], points.first[k + 1])
@@ -162,7 +155,7 @@ def test_relaxed_euler_is_euler_on_the_grid():
     t = h * np.arange(1500)
     x = np.empty_like(t)
     # switches between samples act at the next one, with n whole from there
-    _euler_relaxed(t, h, np.array([0.8, 0.4, 0.05]), t[200], t[900], x)
+    euler_relaxed(t, h, np.array([0.8, 0.4, 0.05]), t[200], t[900], x)
     assert np.abs(x - euler_response(t, h, [0.8, 0.4, 0.05], t[200], t[900])).max() < 1e-12
 
 
@@ -170,8 +163,8 @@ def test_relaxed_euler_is_euler_on_the_grid():
 @pytest.mark.parametrize("straight", [True, False])
 def test_jacobian_against_differences(measured, method, straight):
     problem = Problem(measured, model=Cascade(method))
-    points = _averages(measured, [_look(e) for e in measured], 40, 150)
-    squares = _Squares(problem, points, straight)
+    points = averages(measured, [first_look(e) for e in measured], 40, 150)
+    squares = Squares(problem, points, straight)
     theta = problem.layout.flat(truth(measured))[: problem.layout.n_mean]
     theta = theta * 1.003
     p = squares.coordinates(theta)
@@ -191,8 +184,8 @@ def test_jacobian_against_differences(measured, method, straight):
 
 def test_reduced_rows_keep_the_normal_equations(measured):
     problem = Problem(measured)
-    points = _averages(measured, [_look(e) for e in measured], 40, 150)
-    squares = _Squares(problem, points, straight=False)
+    points = averages(measured, [first_look(e) for e in measured], 40, 150)
+    squares = Squares(problem, points, straight=False)
     theta = problem.layout.flat(truth(measured))[: problem.layout.n_mean] * 1.01
     r, J = squares.evaluate(theta)
     assert len(r) == 7 * 8 < len(points.t)
@@ -221,8 +214,8 @@ def test_mesh_gives_the_sum_over_all_samples(measured):
     n = problem.layout.n_mean
     theta = problem.layout.flat(truth(measured))[:n]
     box = np.full(n, 0.05)
-    points = _mesh(problem, theta, np.maximum(theta - box, 0.01), theta + box)
-    squares = _Squares(problem, points)
+    points = mesh_points(problem, theta, np.maximum(theta - box, 0.01), theta + box)
+    squares = Squares(problem, points)
     rng = np.random.default_rng(5)
     base = squares.cost(theta) - full_cost(measured, theta)
     for _ in range(5):
@@ -237,7 +230,7 @@ def test_local_noise_ignores_what_is_slow():
     z = simulate_noise(np.full(n, 0.3), 0.7, rng)
     slow = 2.0 * np.sin(np.arange(n) / 3000.0)
     slow[12_000:12_050] += 30.0
-    variance, phi = _local_noise(z + slow, np.ones(n, dtype=bool))
+    variance, phi = local_noise(z + slow, np.ones(n, dtype=bool))
     # 40 sections of 1000 samples: a few per cent
     assert phi == pytest.approx(0.7, abs=0.03)
     assert variance == pytest.approx(0.09, rel=0.1)

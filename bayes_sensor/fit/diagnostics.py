@@ -1,0 +1,189 @@
+"""What a fit must warn about: bounds reached, steps unseen, traces not described."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from bayes_sensor.campaign import Experiment, FloatArray
+from bayes_sensor.fit.looks import Look
+from bayes_sensor.likelihood import Problem
+from bayes_sensor.model import Layout
+
+
+def local_noise(z: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
+    """Variance and lag-one coefficient of the fast part of residuals ``z`` (n_t,).
+
+    An AR(1)'s autocovariance differences give both: g0 - g1 = v (1 - phi), g1 - g2 =
+    v phi (1 - phi).  Anything slow, such as a mean that misses the trace, drops out of them; their
+    medians over sections of the record drop spikes as well.
+    """
+    n_sections = int(np.clip(len(z) // 200, 1, 40))
+    size = len(z) // n_sections
+    halves = []
+    for start in range(0, n_sections * size, size):
+        part, keep = z[start : start + size], used[start : start + size]
+        one = keep[1:] & keep[:-1]
+        two = keep[2:] & keep[:-2]
+        if two.sum() >= 10:
+            halves.append(
+                (
+                    0.5 * np.mean((part[1:] - part[:-1])[one] ** 2),
+                    0.5 * np.mean((part[2:] - part[:-2])[two] ** 2),
+                )
+            )
+    if not halves:
+        return float(np.mean(z[used] ** 2)), 0.0
+    half1, half2 = (float(v) for v in np.median(halves, axis=0))
+    if half1 <= 0.0:
+        return 0.0, 0.0
+    phi = min(max((half2 - half1) / half1, -0.99), 0.999)
+    return half1 / (1.0 - phi), phi
+
+
+def _lack_of_fit(
+    e: Experiment, r: FloatArray, scale: FloatArray, rise: float, n_experiments: int
+) -> tuple[float, float]:
+    """(largest, share): worst miss of the mean in V, and how far the misses exceed the noise.
+
+    Means of r/s over stretches of a quarter of the rise are compared with what noise of the
+    residuals' own fast part would leave in them.  ``share`` is the ratio of their mean square to
+    that, or 0 where chance explains it (level 1e-3 over all experiments, and a factor 1.5 granted
+    because AR(1) noise is an approximation itself).
+    """
+    size = max(int(rise / 4.0 / e.interval), 8)
+    n = len(r) // size
+    if n < 8:
+        size = max(len(r) // 8, 1)
+        n = len(r) // size
+    z = np.where(e.used, r / scale, 0.0)
+    variance, phi = local_noise(z, e.used)
+    count = e.used[: n * size].reshape(n, size).sum(axis=1)
+    full = count >= 0.5 * size
+    if full.sum() < 8 or variance <= 0.0:
+        return 0.0, 0.0
+    means = z[: n * size].reshape(n, size).sum(axis=1)[full] / count[full]
+    # variance of a mean of m AR(1) values (e.g. Priestley 1981, eq. 5.3.5)
+    m = count[full].astype(float)
+    expected = variance / m * ((1 + phi) / (1 - phi) - 2 * phi * (1 - phi**m) / m / (1 - phi) ** 2)
+    if phi > 0.95:
+        # smooth noise: its correlation cannot be read off neighbours; the blocks' usual scatter can
+        expected = np.full(len(means), (1.4826 * float(np.median(np.abs(means)))) ** 2)
+        if expected[0] <= 0.0:
+            return 0.0, 0.0
+    ratio = means**2 / expected
+    total = float(ratio.mean())
+    level = 1e-3 / n_experiments
+    worst = stats.chi2.isf(level / len(ratio), 1)
+    if total > 1.5 * stats.chi2.isf(level, len(ratio)) / len(ratio) or ratio.max() > 1.5 * worst:
+        volts = means * np.sqrt(np.mean(scale[e.used] ** 2))
+        return float(np.abs(volts).max()), max(total, float(ratio.max()) / worst)
+    return 0.0, 0.0
+
+
+def warn(
+    problem: Problem,
+    vector: FloatArray,
+    residuals: list[tuple[FloatArray, FloatArray]],
+    looks: list[Look],
+    unit: str,
+) -> list[str]:
+    campaign, layout = problem.campaign, problem.layout
+    warnings = []
+    if campaign.same_flow:
+        warnings.append(
+            "All experiments share one total flow: the valve's tau_v and the manifold's V/Q enter "
+            "alike and cannot be told apart; only the set of time constants is determined (the "
+            "smallest is given as tau, the largest as tau_v)."
+        )
+    rises = [look.rise for look in looks if look.rise is not None]
+    usual = (
+        float(np.median(rises)) if rises else 0.1 * float(np.median([e.t[-1] for e in campaign]))
+    )
+    for k, e in enumerate(campaign):
+        r, x = residuals[k]
+        _, sigma0, sigma1 = vector[layout.noise[k]]
+        scale = np.sqrt(
+            sigma0**2 + sigma1**2 * problem.noise.weight(campaign, e) * np.maximum(x, 0)
+        )
+        beta = abs(vector[layout.local[k, 1]])
+        error = _step_error(e, r, x)
+        if beta < 3.0 * error:
+            warnings.append(
+                f"Experiment '{e.name}': the step ({beta:.2g} {unit}) is not visible above its own "
+                f"error ({error:.2g} {unit}); its switch times mean little."
+            )
+            continue
+        miss, share = _lack_of_fit(e, r, scale, looks[k].rise or usual, len(campaign))
+        if share > 0.0 and miss > 0.005 * beta:
+            percent = 100.0 * miss / beta
+            digits = 0 if percent >= 10.0 else 1
+            warnings.append(
+                f"Experiment '{e.name}': the model does not describe the trace everywhere; it "
+                f"misses by up to {miss:.2g} {unit} ({percent:.{digits}f} % of the step), more "
+                "than the noise explains."
+            )
+    return warnings
+
+
+def _step_error(e: Experiment, r: FloatArray, x: FloatArray) -> float:
+    """Standard error of the step size, V: low against high x3, from the scatter of block means.
+
+    Forty block means carry slow noise; their median deviation leaves out the few blocks in which
+    the model misses the trace.
+    """
+    z = r[e.used]
+    size = max(len(z) // 40, 1)
+    n = len(z) // size
+    means = z[: n * size].reshape(n, size).mean(axis=1)
+    high = x[e.used][: n * size].reshape(n, size).mean(axis=1) > 0.5
+    spread = 1.4826 * float(np.median(np.abs(means - np.median(means))))
+    n_high = max(int(high.sum()), 1)
+    return spread * sqrt(1.0 / n_high + 1.0 / max(n - n_high, 1))
+
+
+def at_bounds(
+    layout: Layout, vector: FloatArray, box: Mapping[str, tuple[float, float]]
+) -> list[str]:
+    names = []
+    for name, (low, high) in box.items():
+        value = float(vector[layout.index(name)])
+        width = min(high - low, 1e3 * max(abs(value), 1e-9))
+        near = 1e-6 * width
+        if value - low <= near or high - value <= near:
+            names.append(name)
+    return names
+
+
+def bound_warnings(
+    at_bound: list[str],
+    box: Mapping[str, tuple[float, float]],
+    vector: FloatArray,
+    layout: Layout,
+    unit: str,
+) -> list[str]:
+    sentences = []
+    for name in at_bound:
+        low, high = box[name]
+        lower = vector[layout.index(name)] - low < high - vector[layout.index(name)]
+        if name == "tau_s" and lower:
+            sentences.append(
+                f"tau is at its lower bound ({low * 1e3:.3g} ms): the data give an upper limit "
+                "only; see the posterior's one-sided limits."
+            )
+        elif name.startswith("t0_s") and lower:
+            sentences.append(
+                f"{name} is at its lower bound ({low:.6g} s, the commanded time or the start of "
+                "the record): the response seems to begin no later than the command."
+            )
+        else:
+            side = "lower" if lower else "upper"
+            sentences.append(
+                f"{name} is at its {side} bound ({low if lower else high:.6g}); widen the bounds "
+                "or distrust it."
+            )
+    return sentences

@@ -1,0 +1,361 @@
+"""The call that fits a campaign: swarms, starts along the valley, refinement on the mesh."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from scipy import optimize
+
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.fit.diagnostics import at_bounds, bound_warnings, warn
+from bayes_sensor.fit.looks import Look, first_look, initial_bounds
+from bayes_sensor.fit.noise import all_residuals, estimate_noise, mean_square
+from bayes_sensor.fit.points import averages, scatter
+from bayes_sensor.fit.record import Fit, Progress
+from bayes_sensor.fit.refinement import Refined, around, mesh_points, refine, with_noise
+from bayes_sensor.fit.starts import guess, limits, swarm_problem
+from bayes_sensor.fit.swarm import particle_swarm
+from bayes_sensor.likelihood import Problem, as_problem, mean_and_variance
+from bayes_sensor.model import Cascade
+
+# Starts along the valley, as fractions of the rise time (10, 60, 200, 500 ms at the published rig).
+TAU_STARTS = (0.005, 0.03, 0.1, 0.25)
+
+
+@dataclass
+class Count:
+    """Evaluations so far, for the record."""
+
+    n: int = field(default=0)
+
+
+def fit_least_squares(
+    campaign: Campaign | Problem,
+    seed: int = 1,
+    swarms: int = 3,
+    particles: int = 40,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    euler: bool = True,
+    de: bool = False,
+    progress: Progress | None = None,
+) -> Fit:
+    """The parameters that minimise the summed squared error over all used samples.
+
+    ``swarms`` independent particle swarms of ``particles`` each, then refinement; the same seed
+    gives the same fit.  ``bounds`` (flat name to low, high) replaces search bounds, which
+    otherwise come from the records and the commanded times (``Fit.bounds``).  ``euler`` repeats the
+    fit with forward Euler, ``de`` cross-checks the swarm by scipy's differential evolution.
+    ``progress`` is called with a fraction and a word.
+
+    A problem with a model other than the cascade is fitted from the cascade's own fit and the
+    middle of the extra parameters' priors, by refinement alone.
+
+    Raises
+    ------
+    CampaignError
+        For a design without data, or bounds that make no sense.
+    """
+    begin = time.perf_counter()
+    problem = as_problem(campaign)
+    for e in problem.campaign:
+        e.values  # noqa: B018 - raises CampaignError for a design
+    tell = progress or (lambda fraction, word: None)
+    looks = [first_look(e) for e in problem.campaign]
+    box = initial_bounds(problem, looks, bounds)
+    count = Count()
+    exact = replace(problem, model=Cascade())
+    plain = type(problem.model) is Cascade
+    theta, success, record, check = _search(
+        exact, looks, box, seed, swarms, particles, de, tell, count
+    )
+    if not plain:
+        theta, success = _fit_general(problem, theta, box, count)
+    elif problem.model.method == "euler":
+        theta, success = _fit_euler(problem, theta, box, looks, count)
+    vector = with_noise(problem.layout, theta)
+    residuals, squares = all_residuals(problem, vector)
+    tell(0.8, "noise")
+    n = problem.campaign.n_samples
+    cost = sum(squares)
+    rms = sqrt(cost / n)
+    for name, value in estimate_noise(problem, residuals, rms).items():
+        vector[problem.layout.index(name)] = value
+    unit = problem.campaign.signal_unit
+    warnings = warn(problem, vector, residuals, looks, unit)
+    at_bound = at_bounds(problem.layout, vector, box)
+    warnings += bound_warnings(at_bound, box, vector, problem.layout, unit)
+    if not record["agree"]:
+        warnings.append(
+            "Independent particle swarms ended in different places after refinement; "
+            "the best is given."
+        )
+    comparison = None
+    if euler and plain and problem.model.method == "exact":
+        tell(0.85, "Euler")
+        comparison = _compare_euler(problem, theta, box, looks, rms, count)
+    tell(1.0, "done")
+    status = "Converged." if success else "The refinement stopped before it converged."
+    if success and at_bound:
+        status = f"Converged, with {', '.join(at_bound)} at a search bound."
+    return Fit(
+        names=list(problem.layout.names),
+        theta_hat=vector,
+        parameters=problem.layout.nested(vector),
+        rms=rms,
+        rms_per_experiment={
+            e.name: sqrt(s / e.n_samples) for e, s in zip(problem.campaign, squares)
+        },
+        n_samples=n,
+        cost=cost,
+        at_bound=at_bound,
+        bounds=box,
+        converged=success,
+        status=status,
+        warnings=warnings,
+        swarms=record,
+        euler=comparison,
+        de=check,
+        n_evaluations=count.n,
+        seconds=time.perf_counter() - begin,
+        signal_unit=unit,
+        phi_interval=problem.campaign.reference_interval,
+        seed=seed,
+    )
+
+
+def _swap(campaign: Campaign, theta: FloatArray, high: FloatArray) -> FloatArray:
+    """The same cascade with tau <= tau_v (and, at equal flows, tau the smallest of the three)."""
+    theta = theta.copy()
+    if campaign.same_flow:
+        flow = campaign.experiments[0].total_flow
+        taus = np.sort([theta[0], theta[1], theta[2] / flow])
+        if taus[2] <= high[1] and taus[1] * flow <= high[2]:
+            theta[0], theta[1], theta[2] = taus[0], taus[2], taus[1] * flow
+    if theta[0] > theta[1]:
+        theta[0], theta[1] = theta[1], theta[0]
+    return theta
+
+
+def _search(
+    problem: Problem,
+    looks: list[Look],
+    box: Mapping[str, tuple[float, float]],
+    seed: int,
+    swarms: int,
+    particles: int,
+    de: bool,
+    tell: Progress,
+    count: Count,
+) -> tuple[FloatArray, bool, dict[str, Any], dict[str, Any] | None]:
+    """The exact cascade's least squares: swarms, starts along the valley, mesh."""
+    campaign = problem.campaign
+    problem = Problem(campaign, noise=problem.noise)
+    layout = problem.layout
+    low, high = limits(layout, box)
+    coarse = averages(campaign, looks, 12, 40)
+    medium = averages(campaign, looks, 40, 150)
+    cost, z_low, z_high, to_theta = swarm_problem(problem, coarse, low, high)
+    rises = [look.rise for look in looks if look.rise is not None]
+    rise = float(np.median(rises)) if rises else 0.3 * float(high[0])
+    starts, raw = [], []
+    for i, stream in enumerate(np.random.SeedSequence(seed).spawn(swarms)):
+        tell(0.1 + 0.4 * i / swarms, "swarm")
+        found = particle_swarm(cost, z_low, z_high, np.random.default_rng(stream), particles)
+        count.n += found.n_evaluations
+        raw.append(found.cost)
+        starts.append(to_theta(found.best))
+    if de:
+        result = optimize.differential_evolution(
+            lambda z: cost(np.atleast_2d(z.T)) if z.ndim == 2 else float(cost(z[None])[0]),
+            list(zip(z_low, z_high)), rng=np.random.default_rng(seed), vectorized=True,
+            updating="deferred", polish=False, maxiter=400, popsize=8, tol=1e-6,
+        )  # fmt: skip
+        count.n += result.nfev
+        starts.append(to_theta(result.x))
+    starts.append(guess(problem, looks, coarse, rise, low, high))
+    tell(0.5, "refinement")
+
+    def refined_from(start: FloatArray) -> Refined:
+        found = refine(problem, medium, start, low, high, max_evaluations=40, tolerance=1e-7)
+        count.n += found.n_evaluations
+        return found
+
+    refined = [refined_from(start) for start in starts]
+    best = min(refined, key=lambda found: found.cost)
+    for fraction in TAU_STARTS:
+        start = best.theta.copy()
+        edges = layout.local[:, 2:][layout.local[:, 2:] >= 0]
+        start[0] = min(fraction * rise, 0.9 * high[0])
+        start[edges] += best.theta[0] - start[0]
+        other = refined_from(start)
+        if other.cost < best.cost:
+            best = other
+    noise = mean_square(problem, best.theta)
+    tell(0.7, "mesh")
+    start = _swap(campaign, best.theta, high)
+    theta, success = _finish(problem, start, low, high, rise, noise, count)
+    inside, inside_coarse = scatter(campaign, medium), scatter(campaign, coarse)
+    each = []
+    for i in range(swarms):
+        shared = _swap(campaign, refined[i].theta, high)[:3]
+        each.append(
+            {
+                "cost_V2": raw[i] + inside_coarse,
+                "refined_cost_V2": refined[i].cost + inside,
+                **dict(zip(layout.names[:3], map(float, shared))),
+            }
+        )
+    # two ends count as one when their difference is small against the noise of one sample
+    agree = all(found.cost < best.cost + max(noise, 1e-6 * best.cost) for found in refined[:swarms])
+    check = None
+    if de:
+        other = refined[swarms]
+        check = {
+            "cost_V2": float(result.fun) + inside_coarse,
+            "refined_cost_V2": other.cost + inside,
+            "agrees": bool(other.cost < best.cost + max(noise, 1e-6 * best.cost)),
+            "n_evaluations": int(result.nfev),
+            **dict(zip(layout.names[:3], map(float, _swap(campaign, other.theta, high)[:3]))),
+        }
+    return theta, success, {"agree": agree, "swarms": each}, check
+
+
+def _finish(
+    problem: Problem,
+    theta: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    rise: float,
+    noise: float,
+    count: Count,
+) -> tuple[FloatArray, bool]:
+    """Refinement on the exact mesh, re-meshed when the answer leaves the mesh's box."""
+    layout = problem.layout
+    success = False
+    for _ in range(4):
+        near_low, near_high = around(layout, problem.campaign, theta, rise)
+        points = mesh_points(problem, theta, near_low, near_high)
+        found = refine(problem, points, theta, low, high)
+        count.n += found.n_evaluations
+        theta, success = _swap(problem.campaign, found.theta, high), found.success
+        watched = [0, 1, 2, *layout.local[:, 2:][layout.local[:, 2:] >= 0]]
+        inside = (theta[watched] >= near_low[watched]) & (theta[watched] <= near_high[watched])
+        if inside.all():
+            break
+    # trf stays inside its box, so an estimate that belongs on the bound stops short of it
+    if theta[0] > low[0] and theta[0] < 0.03 * rise:
+        held = theta.copy()
+        edges = layout.local[:, 2:][layout.local[:, 2:] >= 0]
+        held[edges] += held[0] - low[0]
+        held[0] = low[0]
+        free = np.ones(len(theta), dtype=bool)
+        free[0] = False
+        bound = refine(problem, points, np.clip(held, low, high), low, high, free)
+        count.n += bound.n_evaluations
+        if bound.cost <= found.cost + 1e-4 * noise:
+            theta, success = bound.theta, bound.success
+            theta[0] = low[0]
+    # rounding of the square root
+    theta[0] = low[0] if abs(theta[0] - low[0]) < 1e-9 * low[0] else theta[0]
+    return theta, success
+
+
+def _fit_general(
+    problem: Problem, theta: FloatArray, box: Mapping[str, tuple[float, float]], count: Count
+) -> tuple[FloatArray, bool]:
+    """Refinement of any model from the cascade's fit, with difference quotients."""
+    layout = problem.layout
+    low, high = limits(layout, box)
+    middle = []
+    for name in layout.extra:
+        law = problem.priors[name].law if name in problem.priors else None
+        middle.append(0.0 if law is None else float(law.median()))
+    rise = max(theta[1], theta[2] / max(e.total_flow for e in problem.campaign)) * 2.2
+    near_low, near_high = around(layout, problem.campaign, theta, rise)
+    points = mesh_points(problem, theta, near_low, near_high)
+    found = refine(problem, points, np.concatenate([theta, middle]), low, high)
+    count.n += found.n_evaluations
+    return found.theta, found.success
+
+
+def _fit_euler(
+    problem: Problem,
+    theta: FloatArray,
+    box: Mapping[str, tuple[float, float]],
+    looks: list[Look],
+    count: Count,
+) -> tuple[FloatArray, bool]:
+    """The fit by forward Euler, from the exact one.
+
+    First with the response continued between samples, so that t0 and tf can be refined; then with
+    both set to the nearest sample, where the method has its switches, and the rest refined again.
+    """
+    campaign = problem.campaign
+    layout = problem.layout
+    problem = replace(problem, model=Cascade("euler"))
+    low, high = limits(layout, box)
+    # the method needs every time constant longer than its step
+    interval = max(e.interval for e in campaign)
+    flow = max(e.total_flow for e in campaign)
+    least = 1.05 * interval * np.array([1.0, 1.0, flow])
+    low[:3] = np.maximum(low[:3], least)
+    high[:3] = np.maximum(high[:3], 2.0 * low[:3])
+    rises = [look.rise for look in looks if look.rise is not None]
+    rise = float(np.median(rises)) if rises else 0.3 * float(high[0])
+    near_low, near_high = around(layout, campaign, theta, rise)
+    points = mesh_points(problem, theta, near_low, near_high)
+    start = np.clip(theta, low, high)
+    found = refine(problem, points, start, low, high, max_evaluations=40)
+    snapped = found.theta.copy()
+    free = np.ones(len(snapped), dtype=bool)
+    for k, e in enumerate(campaign):
+        for i in layout.local[k, 2:]:
+            if i >= 0:
+                index = round((snapped[i] - e.t[0]) / e.interval)
+                snapped[i] = e.t[min(max(index, 0), len(e.t) - 1)]
+                free[i] = False
+    edges = ~free
+    low[edges] = np.minimum(low[edges], snapped[edges] - interval)
+    high[edges] = np.maximum(high[edges], snapped[edges] + interval)
+    # tau and the switch times trade off: with those on the grid tau keeps what is left
+    final = refine(problem, points, snapped, low, high, free, max_evaluations=40)
+    count.n += found.n_evaluations + final.n_evaluations
+    result = final.theta
+    result[edges] = snapped[edges]
+    if result[0] > result[1]:
+        result[0], result[1] = result[1], result[0]
+    return result, final.success
+
+
+def _compare_euler(
+    problem: Problem,
+    theta: FloatArray,
+    box: Mapping[str, tuple[float, float]],
+    looks: list[Look],
+    rms: float,
+    count: Count,
+) -> dict[str, Any]:
+    other = replace(problem, model=Cascade("euler"))
+    found, success = _fit_euler(other, theta, box, looks, count)
+    vector = with_noise(problem.layout, found)
+    squares = 0.0
+    for k, e in enumerate(problem.campaign):
+        r = (e.values - mean_and_variance(other, vector, k)[0])[e.used]
+        squares += float(r @ r)
+    names = problem.layout.mean_names
+    own = sqrt(squares / problem.campaign.n_samples)
+    return {
+        "parameters": problem.layout.nested(vector, noise=False),
+        "rms_V": own,
+        "rms_difference_V": own - rms,
+        "cost_V2": squares,
+        "difference": {name: float(d) for name, d in zip(names, found - theta)},
+        "converged": bool(success),
+        # forward Euler needs tau above its step; the exact fit's bound is lower
+        "tau_at_bound": bool(found[0] < 1.051 * max(e.interval for e in problem.campaign)),
+    }

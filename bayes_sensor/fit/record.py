@@ -1,0 +1,78 @@
+"""The record of a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.campaign import FloatArray
+
+Progress = Callable[[float, str], None]
+"""called with the fraction done and a word"""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A least-squares fit of a campaign."""
+
+    names: list[str]
+    """flat parameter names"""
+    theta_hat: FloatArray
+    """(n_theta,) in the order of ``names``, noise parameters estimated from the residuals"""
+    parameters: dict[str, Any]
+    """the same as the nested mapping of ``fit.json``"""
+    rms: float
+    """V, of the residuals of all used samples"""
+    rms_per_experiment: dict[str, float]
+    """V"""
+    n_samples: int
+    cost: float
+    """V^2, the sum of squares"""
+    at_bound: list[str]
+    """flat names of estimates that sit on a search bound"""
+    bounds: dict[str, tuple[float, float]]
+    """search bounds by flat name"""
+    converged: bool
+    status: str
+    """one sentence"""
+    warnings: list[str]
+    swarms: dict[str, Any]
+    """``agree`` and, per swarm, its cost before and after refinement and its shared parameters"""
+    euler: dict[str, Any] | None
+    """the same fit by forward Euler: parameters, rms_V, cost and differences (Euler - exact)"""
+    de: dict[str, Any] | None
+    """the differential-evolution cross-check, or None when it was not asked for"""
+    n_evaluations: int
+    seconds: float
+    signal_unit: str = "V"
+    phi_interval: float = 0.0
+    """s, the sampling interval that phi refers to"""
+    seed: int = 1
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``fit.json``."""
+        return {
+            "rms_V": self.rms,
+            "n_samples": self.n_samples,
+            "parameters": self.parameters,
+            "at_bound": list(self.at_bound),
+            "converged": self.converged,
+            "warnings": list(self.warnings),
+            "status": self.status,
+            "rms_per_experiment_V": dict(self.rms_per_experiment),
+            "cost_V2": self.cost,
+            "phi_interval_s": self.phi_interval,
+            "signal_unit": self.signal_unit,
+            "bounds": {
+                name: [value if np.isfinite(value) else None for value in pair]
+                for name, pair in self.bounds.items()
+            },
+            "swarms": self.swarms,
+            "euler": self.euler,
+            "differential_evolution": self.de,
+            "n_evaluations": self.n_evaluations,
+            "seed": self.seed,
+        }

@@ -1,0 +1,240 @@
+"""Trust-region refinement on weighted points, in the coordinates where the valley is straight."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from bayes_sensor.campaign import Campaign, Experiment, FloatArray
+from bayes_sensor.compression import Region, compress
+from bayes_sensor.fit.euler import euler_sensitivities
+from bayes_sensor.fit.points import Points, joined
+from bayes_sensor.likelihood import Problem
+from bayes_sensor.model import (
+    Cascade,
+    Layout,
+    cascade_response,
+    cascade_sensitivities,
+    time_constants,
+)
+
+
+class Squares:
+    """Residuals and Jacobian on points in the coordinates of the refinement.
+
+    Coordinates: tau^2, tau_v, V, per experiment y0, beta, t0 + tau, tf + tau, then extra
+    parameters; ``straight=False``: theta itself.  Each experiment's block [J r] is replaced by the
+    triangular factor of its QR decomposition: same norm, same J'J and J'r, a few rows in place of
+    hundreds.
+    """
+
+    def __init__(self, problem: Problem, points: Points, straight: bool = True) -> None:
+        self.problem, self.points, self.straight = problem, points, straight
+        self.layout: Layout = problem.layout
+        self.edges = self.layout.local[:, 2:][self.layout.local[:, 2:] >= 0]
+        self.n_evaluations = 0
+        self._at: bytes = b""
+        self._last: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty((0, 0)))
+        model = problem.model
+        self.kind = "general" if type(model) is not Cascade else model.method
+
+    def coordinates(self, theta: FloatArray) -> FloatArray:
+        """From (tau, .., t0, tf, ..) to the refinement's coordinates."""
+        p = np.array(theta, dtype=float)
+        if self.straight:
+            p[self.edges] += p[0]
+            p[0] = p[0] ** 2
+        return p
+
+    def theta(self, p: FloatArray) -> FloatArray:
+        """Back to (tau, .., t0, tf, ..)."""
+        theta = np.array(p, dtype=float)
+        if self.straight:
+            theta[0] = sqrt(max(theta[0], 0.0))
+            theta[self.edges] -= theta[0]
+        return theta
+
+    def _block(self, theta: FloatArray, k: int) -> tuple[FloatArray, FloatArray, list[int]]:
+        # mean, its derivatives by the columns it depends on, and which those are
+        e = self.problem.campaign.experiments[k]
+        part = slice(self.points.first[k], self.points.first[k + 1])
+        t = self.points.t[part]
+        i_y0, i_beta, i_t0, i_tf = (int(i) for i in self.layout.local[k])
+        if self.kind == "general":
+            return self._block_general(theta, k, e, t)
+        y0, beta, t0 = theta[i_y0], theta[i_beta], theta[i_t0]
+        tf = float(theta[i_tf]) if i_tf >= 0 else None
+        taus = time_constants(theta[0], theta[1], theta[2], e.total_flow)
+        if self.kind == "exact":
+            x = cascade_response(t, taus, t0, tf)
+            dx = cascade_sensitivities(t, taus, t0, tf)
+        else:
+            x, dx = euler_sensitivities(t, e.interval, taus, t0, tf)
+        columns = [0, 1, 2, i_y0, i_beta, i_t0]
+        J = np.empty((len(t), 6 if i_tf < 0 else 7))
+        J[:, 0] = beta * dx[:, 2]
+        J[:, 1] = beta * dx[:, 0]
+        J[:, 2] = beta * dx[:, 1] / e.total_flow
+        J[:, 3] = 1.0
+        J[:, 4] = x
+        J[:, 5] = beta * dx[:, 3]
+        if i_tf >= 0:
+            columns.append(i_tf)
+            J[:, 6] = beta * dx[:, 4]
+        if self.straight:
+            J[:, 0] = (J[:, 0] - J[:, 5:].sum(axis=1)) / (2.0 * theta[0])
+        return y0 + beta * x, J, columns
+
+    def _block_general(
+        self, theta: FloatArray, k: int, e: Experiment, t: FloatArray
+    ) -> tuple[FloatArray, FloatArray, list[int]]:
+        layout, model = self.layout, self.problem.model
+        full = with_noise(layout, theta)
+        n_mean = layout.n_mean
+        columns = [0, 1, 2, *(int(i) for i in layout.local[k] if i >= 0)]
+        columns += list(range(n_mean, n_mean + len(layout.extra)))
+        mean = model.mean(t, full, layout, e)
+        J = np.empty((len(t), len(columns)))
+        for j, column in enumerate(columns):
+            i = column if column < n_mean else column - n_mean + len(layout) - len(layout.extra)
+            step = 1e-7 * max(abs(full[i]), 1e-2)
+            moved = full.copy()
+            moved[i] += step
+            J[:, j] = (model.mean(t, moved, layout, e) - mean) / step
+        return mean, J, columns
+
+    def evaluate(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Reduced residuals (n_rows,) and Jacobian (n_rows, n) at coordinates ``p`` (n,)."""
+        key = p.tobytes()
+        if key == self._at:
+            return self._last
+        self.n_evaluations += 1
+        theta = self.theta(p)
+        rows, values = [], []
+        for k in range(len(self.points.first) - 1):
+            part = slice(self.points.first[k], self.points.first[k + 1])
+            mean, J, columns = self._block(theta, k)
+            weight = np.sqrt(self.points.weight[part])
+            block = np.empty((len(mean), J.shape[1] + 1))
+            block[:, :-1] = J * weight[:, None]
+            block[:, -1] = (mean - self.points.y[part]) * weight
+            R: Any = np.linalg.qr(block, mode="r")
+            wide = np.zeros((len(R), len(p)))
+            wide[:, columns] = R[:, :-1]
+            rows.append(wide)
+            values.append(R[:, -1])
+        self._last = np.concatenate(values), np.concatenate(rows)
+        self._at = key
+        return self._last
+
+    def cost(self, theta: FloatArray) -> float:
+        """Sum of squares on the points (without the scatter inside them)."""
+        return float(np.sum(self.evaluate(self.coordinates(theta))[0] ** 2))
+
+
+def with_noise(layout: Layout, theta: FloatArray) -> FloatArray:
+    """The flat vector with placeholder noise parameters, from mean and extra parameters."""
+    noise = np.tile([0.0, 1.0, 0.0], len(layout.noise_names) // 3)
+    return np.concatenate([theta[: layout.n_mean], noise, theta[layout.n_mean :]])
+
+
+class Refined(NamedTuple):
+    theta: FloatArray
+    cost: float
+    success: bool
+    n_evaluations: int
+
+
+def refine(
+    problem: Problem,
+    points: Points,
+    theta: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    free: NDArray[np.bool_] | None = None,
+    max_evaluations: int = 60,
+    tolerance: float = 1e-10,
+) -> Refined:
+    """Trust-region refinement (scipy's ``trf``) inside the box; ``free`` False: held fixed."""
+    free = np.ones(len(theta), dtype=bool) if free is None else free
+    straight = type(problem.model) is Cascade and bool(free[0])
+    squares = Squares(problem, points, straight)
+    box_low, box_high = squares.coordinates(low), squares.coordinates(high)
+    result = _trust_region(
+        squares, np.clip(theta, low, high), box_low, box_high, free, max_evaluations, tolerance
+    )
+    edges = squares.edges
+    if straight and (
+        (result.theta[edges] < low[edges]).any() or (result.theta[edges] > high[edges]).any()
+    ):
+        # a switch time left its own bounds: those are a box only in theta itself
+        squares = Squares(problem, points, straight=False)
+        again = _trust_region(
+            squares, np.clip(result.theta, low, high), low, high, free, max_evaluations, tolerance
+        )
+        return again._replace(n_evaluations=again.n_evaluations + result.n_evaluations)
+    return result
+
+
+def _trust_region(
+    squares: Squares,
+    theta: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    free: NDArray[np.bool_],
+    max_evaluations: int,
+    tolerance: float,
+) -> Refined:
+    start = squares.coordinates(theta)
+    # trf wants an interior start
+    inner = 1e-9 * np.where(np.isfinite(high - low), high - low, 1.0)
+    start = np.clip(start, low + inner, high - inner)
+    p = start.copy()
+
+    def residuals(values: FloatArray) -> FloatArray:
+        p[free] = values
+        return squares.evaluate(p)[0]
+
+    def jacobian(values: FloatArray) -> FloatArray:
+        p[free] = values
+        return squares.evaluate(p)[1][:, free]
+
+    result = optimize.least_squares(
+        residuals, start[free], jacobian, (low[free], high[free]), method="trf", x_scale="jac",
+        ftol=tolerance, xtol=tolerance, gtol=1e-14, max_nfev=max_evaluations,
+    )  # fmt: skip
+    p[free] = result.x
+    return Refined(
+        squares.theta(p), float(2.0 * result.cost), result.status > 0, squares.n_evaluations
+    )
+
+
+def mesh_points(problem: Problem, theta: FloatArray, low: FloatArray, high: FloatArray) -> Points:
+    """The compressed mesh around ``theta`` as points."""
+    plain = Problem(problem.campaign, noise=problem.noise)
+    layout = plain.layout
+    vector = layout.flat(theta[: layout.n_mean])
+    vector[layout.noise[:, 1]] = 1.0  # sums of squares do not depend on it
+    box_low, box_high = vector - 1.0, vector + 1.0
+    box_low[: layout.n_mean], box_high[: layout.n_mean] = low, high
+    compressed = compress(plain, vector, Region(box_low, box_high))
+    nodes = [compressed.nodes(k) for k in range(len(plain.campaign))]
+    return joined([(n.t, n.count, n.y) for n in nodes])
+
+
+def around(
+    layout: Layout, campaign: Campaign, theta: FloatArray, rise: float
+) -> tuple[FloatArray, FloatArray]:
+    """A box (n_mean,) about an estimate in which its refinement should stay."""
+    n = layout.n_mean
+    low, high = theta[:n] - 1.0, theta[:n] + 1.0
+    low[:3], high[:3] = 0.5 * theta[:3], 2.0 * theta[:3]
+    low[0], high[0] = 0.0, max(2.0 * theta[0], 0.05 * rise)
+    edges = layout.local[:, 2:][layout.local[:, 2:] >= 0]
+    low[edges] = theta[edges] - max(theta[0], 0.05 * rise)
+    high[edges] = theta[edges] + max(theta[0], 0.05 * rise)
+    return low, high
