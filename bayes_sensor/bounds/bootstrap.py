@@ -249,6 +249,9 @@ def resample_and_refit(
     bounded = np.empty((n_resamples, len(evidence.psi_white)))
     free = np.empty_like(bounded)
     n_failed = 0
+    # in units of the resamples' own spread, which correlation makes wider than iid noise would
+    phi = float(np.abs(evidence.theta[noise[:, 0]]).max())
+    unit = (1.0 + phi) / (1.0 - phi)
     for sample in range(n_resamples):
         for k, e in enumerate(problem.campaign):
             own = series[k]
@@ -264,7 +267,7 @@ def resample_and_refit(
             mesh.edge_y[runs] = (means[k] + r)[edges]
         found = maximise(
             surface.guarded, curvature, evidence.psi_white, surface.mean,
-            surface.floor, tolerance=1e-5,
+            *surface.box, tolerance=1e-5 * unit, settled=3e-4 * unit,
         )  # fmt: skip
         n_failed += not found.converged
         bounded[sample], free[sample] = found.psi, found.free

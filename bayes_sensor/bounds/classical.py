@@ -101,6 +101,11 @@ def crlb_ar1(evidence: Evidence) -> Bound:
         cov[np.ix_(surface.mean, surface.mean)],
         evidence.coloured_at_bound,
         identified=identified[surface.mean],
+        status=(
+            ""
+            if evidence.coloured_maximum.converged
+            else "the maximum under this noise was not found; taken at the best point"
+        ),
         details={"noise": noise},
     )
 

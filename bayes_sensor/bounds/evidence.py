@@ -78,7 +78,7 @@ class Evidence:
 
     @cached_property
     def _white(self) -> tuple[Surface, Maximum]:
-        region = region_of(self.problem, self.coloured)
+        region = region_of(self.problem, self.coloured, self.theta)
         return white_surface(self.problem, self.theta, self.fit.rms, region)
 
     @property

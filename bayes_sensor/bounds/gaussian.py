@@ -22,7 +22,7 @@ from bayes_sensor.laplace import Coordinates
 
 FAR = 3.0
 """tau in standard deviations above which estimate +- z sd is stated"""
-SINGULAR = 1e-12
+SINGULAR = 1e-10
 """smallest eigenvalue of scaled information that counts as information"""
 
 
@@ -157,7 +157,7 @@ def _switch_quantiles(
     weight /= weight.sum()
     root = np.sqrt(np.maximum(q + sd_q * u, 0.0))
     slope = covariance / sd_q
-    rest = np.sqrt(max(variance - slope**2, 1e-6 * variance))
+    rest = np.sqrt(max(variance - slope**2, 1e-6 * variance, 1e-300))
     middle = centre + slope * u - root
     target = special.ndtr(np.concatenate([-z, z]))
     a = np.full(len(target), middle.min() - 9.0 * rest)

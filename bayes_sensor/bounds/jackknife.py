@@ -69,7 +69,7 @@ def leave_one_out(surface: Surface, psi: FloatArray) -> tuple[FloatArray, bool]:
         def curvature(at: FloatArray, matrix: FloatArray = matrix) -> FloatArray:
             return matrix
 
-        maximum = maximise(objective, curvature, psi, active, surface.floor, tolerance=1e-6)
+        maximum = maximise(objective, curvature, psi, active, *surface.box, 30, 1e-6)
         settled &= maximum.converged
         found[left_out] = maximum.free
     return found, settled
@@ -104,6 +104,10 @@ def jackknife_experiments(evidence: Evidence) -> Bound:
         status="" if settled else "a refit without one experiment did not settle",
         details={"n_experiments": n},
     )
+    if not settled:  # a spread of unfinished fits would say nothing
+        short = replace(
+            short, sd=short.sd * nan, low=short.low * nan, high=short.high * nan,
+        )  # fmt: skip
     sd = np.full(len(names), nan)
     low, high = np.full((len(names), len(LEVELS)), nan), np.full((len(names), len(LEVELS)), nan)
     sd[shared], low[shared], high[shared] = short.sd, short.low, short.high

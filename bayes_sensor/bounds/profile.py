@@ -58,18 +58,21 @@ class Profiler:
         start += cov[:, i] / cov[i, i] * (value - psi[i])
         start[i] = value
         return maximise(
-            surface.guarded, self.curvature, self._inside(start), rest, surface.floor,
+            surface.guarded, self.curvature, start, rest, *self._box(i), n_iterations=25,
             tolerance=1e-5,
         )  # fmt: skip
 
-    def _inside(self, start: FloatArray) -> FloatArray:
-        return np.maximum(start, self.surface.floor)
+    def _box(self, i: int) -> tuple[FloatArray, FloatArray]:
+        # what is held may stand anywhere
+        low, high = (bound.copy() for bound in self.surface.box)
+        low[i], high[i] = -inf, inf
+        return low, high
 
     def _best_switch(self, i: int, value: float, rest: np.ndarray) -> Maximum:
         # phi = psi, but tau in the place of tau^2 and the switch time itself in that of t0 + tau
         psi, surface = self.maximum.psi, self.surface
-        floor = surface.floor.copy()
-        floor[0] = sqrt(floor[0])
+        floor, ceiling = self._box(i)
+        floor[0], ceiling[0] = sqrt(floor[0]), sqrt(ceiling[0])
         tau = max(psi[i] - value, floor[0])
 
         def to_psi(phi: FloatArray) -> FloatArray:
@@ -92,8 +95,8 @@ class Profiler:
         start = psi + self.cov[:, 0] / self.cov[0, 0] * (tau**2 - psi[0])
         start[0], start[i] = tau, value
         return maximise(
-            objective, curvature, np.maximum(start, floor), rest, floor, tolerance=1e-5
-        )  # fmt: skip
+            objective, curvature, start, rest, floor, ceiling, n_iterations=25, tolerance=1e-5
+        )
 
     def drop(self, i: int, value: float) -> float:
         """sqrt(2 (max log L - profile)) at ``value``; infinite outside the mesh."""
@@ -109,7 +112,7 @@ class Profiler:
         found = []
         for guess, target in zip(guesses, targets):
             end = nan
-            for _ in range(25):
+            for _ in range(14):
                 value = self._next(known, guess, target)
                 if value is None:
                     break
@@ -146,6 +149,8 @@ def profile(evidence: Evidence) -> Bound:
     from bayes_sensor.bounds.classical import crlb_ar1
 
     surface, maximum = evidence.coloured, evidence.coloured_maximum
+    if not maximum.converged:
+        return _no_profile(evidence)
     profiler = Profiler.of(surface, maximum)
     rough = crlb_ar1(evidence)
     names = surface.mean_names
@@ -156,15 +161,17 @@ def profile(evidence: Evidence) -> Bound:
     at_zero = False
     for row, name in enumerate(names):
         i = int(surface.mean[row])
-        if not np.isfinite(rough.high[row, 0]):
-            continue
+        centre = float(estimate[row])
+        below, above = rough.low[row], rough.high[row]
+        if not np.isfinite([below, above]).all():  # not identified to first order
+            width = 0.02 * max(abs(centre), 1e-3) * np.array(targets)
+            below, above = np.maximum(centre - width, 0.5 * centre), centre + width
         if name == "tau_s":
-            low[row], high[row] = _tau_ends(profiler, rough, targets)
+            low[row], high[row] = _tau_ends(profiler, below, above, targets)
             at_zero = bool(low[row, 1] == 0.0)
         else:
-            centre = float(estimate[row])
-            low[row] = profiler.ends(i, centre, rough.low[row].tolist(), targets)
-            high[row] = profiler.ends(i, centre, rough.high[row].tolist(), targets)
+            low[row] = profiler.ends(i, centre, below.tolist(), targets)
+            high[row] = profiler.ends(i, centre, above.tolist(), targets)
         evidence.progress((row + 1) / len(names), "profile likelihood")
     sentences = []
     if at_zero:
@@ -172,8 +179,6 @@ def profile(evidence: Evidence) -> Bound:
     lost = [n for n, a, b in zip(names, low, high) if not np.isfinite([a, b]).all()]
     if lost:
         sentences.append(f"no end found for {', '.join(lost)}")
-    if not maximum.converged:
-        sentences.append("the maximum under coloured noise was not reached to full accuracy")
     return Bound(
         "profile",
         f"{noise_words(evidence)}, every other parameter at its best",
@@ -185,6 +190,18 @@ def profile(evidence: Evidence) -> Bound:
         high,
         "; ".join(sentences) or "ok",
     )
+
+
+def _no_profile(evidence: Evidence) -> Bound:
+    names = evidence.coloured.mean_names
+    theta = evidence.coloured_theta
+    estimate = theta[[evidence.problem.layout.index(name) for name in names]]
+    empty = np.full((len(names), len(LEVELS)), nan)
+    return Bound(
+        "profile", f"{noise_words(evidence)}, every other parameter at its best", REFERENCE, names,
+        estimate, empty[:, 0], empty, empty,
+        "the maximum under this noise was not found; no profile about it",
+    )  # fmt: skip
 
 
 def noise_words(evidence: Evidence) -> str:
@@ -200,17 +217,17 @@ def noise_words(evidence: Evidence) -> str:
 
 
 def _tau_ends(
-    profiler: Profiler, rough: Bound, targets: list[float]
+    profiler: Profiler, below: FloatArray, above: FloatArray, targets: list[float]
 ) -> tuple[list[float], list[float]]:
     centre = float(profiler.maximum.psi[0])
     floor = float(profiler.surface.floor[0])
-    guesses = [max(value**2, 1.5 * floor) for value in rough.high[0]]
+    guesses = [max(value**2, 1.5 * floor) for value in above]
     up = profiler.ends(0, centre, guesses, targets)
     high = [sqrt(value) for value in up]
     to_floor = profiler.drop(0, floor)
     low = []
     inside = [j for j, target in enumerate(targets) if target < to_floor]
-    guesses = [max(float(rough.low[0, j]) ** 2, floor) for j in inside]
+    guesses = [max(float(below[j]) ** 2, floor) for j in inside]
     guesses = [g if g < centre else 0.5 * (centre + floor) for g in guesses]
     found = profiler.ends(0, centre, guesses, [targets[j] for j in inside])
     low = [sqrt(max(value, 0.0)) for value in found] + [0.0] * (len(targets) - len(inside))

@@ -27,8 +27,8 @@ class Maximum:
     """(n,)"""
     value: float
     free: FloatArray
-    """(n,) the same with one more Newton step that may cross the floor: an estimate of psi as if
-    tau^2 could be negative"""
+    """(n,) the same, or where it is on the floor one more Newton step that may cross it: an
+    estimate of psi as if tau^2 could be negative"""
     converged: bool
 
 
@@ -38,69 +38,129 @@ def maximise(
     start: FloatArray,
     active: np.ndarray,
     floor: FloatArray,
+    ceiling: FloatArray | None = None,
     n_iterations: int = 60,
     tolerance: float = 1e-7,
     settled: float = 3e-4,
 ) -> Maximum:
-    """Maximum over the ``active`` coordinates by Newton steps, none below ``floor`` (n,).
+    """Maximum over the ``active`` coordinates by Newton steps between ``floor`` and
+    ``ceiling`` (n,).
 
     ``curvature`` gives minus the expected Hessian (n, n) at a point; ``tolerance`` is the gain in
     the objective still to be had at which it stops.  Projected Newton (Bertsekas, SIAM J. Control
-    Optim. 20, 1982): coordinates on their floor that the gradient pushes down stay there.  It also
-    stops after two steps in a row that gained less than ``settled``: near tau = 0 the likelihood of
-    a sampled record is finely jagged in tau^2, because samples pass the kink at the switch.
+    Optim. 20, 1982): coordinates on their floor that the gradient pushes down stay there; steps
+    that lose are damped (Levenberg and Marquardt), and the curvature is corrected as it goes
+    (BFGS).  It also stops after two steps in a row that gained less than ``settled``: near tau = 0
+    the likelihood of a sampled record is finely jagged in tau^2, because samples pass the kink at
+    the switch.
     """
-    psi = np.maximum(start, floor)
+    ceiling = np.full(len(floor), np.inf) if ceiling is None else ceiling
+    psi = np.clip(start, floor, ceiling)
     value, gradient = objective(psi)
+    if not np.isfinite(value):
+        return Maximum(psi, value, psi.copy(), False)
     converged = False
-    matrix = curvature(psi)
-    last_gain = np.inf
+    base = matrix = curvature(psi)
+    last_gain, damping = np.inf, 0.0
     for _ in range(n_iterations):
-        held = (psi <= floor * (1 + 1e-9)) & (gradient <= 0) & np.isfinite(floor)
-        moving = active[~held[active]]
-        step = np.zeros(len(psi))
-        step[moving] = _solve(matrix[np.ix_(moving, moving)], gradient[moving])
-        below = moving[psi[moving] + step[moving] < floor[moving]]
-        if len(below):
-            # go to the floor and let the others answer to that displacement
-            step[:] = 0.0
-            step[below] = floor[below] - psi[below]
-            rest = np.setdiff1d(moving, below)
-            push = gradient[rest] - matrix[np.ix_(rest, below)] @ step[below]
-            step[rest] = _solve(matrix[np.ix_(rest, rest)], push)
-        expected = float(gradient @ step)
-        if not len(below) and expected < 2.0 * tolerance:
-            converged = True
-            break
-        scale = 1.0
-        for _ in range(25):
-            trial = np.maximum(psi + scale * step, floor)
+        for _ in range(12):
+            step, clipped = _step(matrix, gradient, psi, (floor, ceiling), active, damping)
+            expected = float(gradient @ step)
+            if damping == 0.0 and not clipped and expected < 2.0 * tolerance:
+                converged = True
+                break
+            trial = np.clip(psi + step, floor, ceiling)
             trial_value, trial_gradient = objective(trial)
             if trial_value >= value - 1e-11 * abs(value):
                 break
-            scale *= 0.5
+            damping = max(10.0 * damping, 1e-3)
         else:
             break
-        gained = trial_value - value
-        psi, value, gradient = trial, trial_value, trial_gradient
-        if abs(gained) < 0.1 * tolerance or max(gained, last_gain) < settled:
-            converged = True
+        if converged:
             break
-        last_gain = gained
-        matrix = curvature(psi)
+        gained = trial_value - value
+        taken, turned = trial - psi, gradient - trial_gradient
+        psi, value, gradient = trial, trial_value, trial_gradient
+        if damping == 0.0:
+            if abs(gained) < 0.1 * tolerance or max(gained, last_gain) < settled:
+                converged = True
+                break
+            last_gain = gained
+        damping = 0.0 if damping <= 1e-3 else 0.1 * damping
+        here = curvature(psi)
+        matrix, base = _learnt(matrix + (here - base), here, taken, turned, active), here
     free = psi.copy()
-    free[active] += _solve(matrix[np.ix_(active, active)], gradient[active])
+    if np.isfinite(floor[0]) and psi[0] <= floor[0] * (1 + 1e-9):
+        free[active] += _solve(matrix[np.ix_(active, active)], gradient[active])
     return Maximum(psi, float(value), free, converged)
 
 
-def _solve(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+def _learnt(
+    matrix: FloatArray, base: FloatArray, taken: FloatArray, turned: FloatArray, active: np.ndarray
+) -> FloatArray:
+    """BFGS update: where the model fits badly the expected curvature is not the true one."""
+    s, y = taken[active], turned[active]
+    block = matrix[np.ix_(active, active)]
+    pull = block @ s
+    along, bent = float(s @ pull), float(s @ y)
+    if not (along > 0 and bent > 0.05 * along):
+        return base
+    block = block - np.outer(pull, pull) / along + np.outer(y, y) / bent
+    diagonal = np.diag(block)
+    if not (np.isfinite(block).all() and (diagonal > 1e-6 * np.diag(base)[active]).all()):
+        return base
+    scale = 1.0 / np.sqrt(diagonal)
+    if np.linalg.eigvalsh(block * np.outer(scale, scale))[0] < 1e-9:
+        return base
+    result = matrix.copy()
+    result[np.ix_(active, active)] = block
+    return result
+
+
+def _step(
+    matrix: FloatArray,
+    gradient: FloatArray,
+    psi: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    active: np.ndarray,
+    damping: float,
+) -> tuple[FloatArray, bool]:
+    """Newton step (n,) that keeps inside the box, and whether it had to be cut there."""
+    floor, ceiling = box
+    margin = 1e-9 * np.abs(psi)
+    held = (psi <= floor + margin) & (gradient <= 0) | (psi >= ceiling - margin) & (gradient >= 0)
+    moving = active[~held[active]]
+    step = np.zeros(len(psi))
+    step[moving] = _solve(matrix[np.ix_(moving, moving)], gradient[moving], damping)
+    reached = np.clip(psi + step, floor, ceiling)
+    cut = moving[reached[moving] != (psi + step)[moving]]
+    if len(cut):
+        # go to the wall and let the others answer to that displacement
+        step[:] = 0.0
+        step[cut] = reached[cut] - psi[cut]
+        rest = np.setdiff1d(moving, cut)
+        push = gradient[rest] - matrix[np.ix_(rest, cut)] @ step[cut]
+        step[rest] = _solve(matrix[np.ix_(rest, rest)], push, damping)
+    return step, bool(len(cut))
+
+
+def _solve(matrix: FloatArray, vector: FloatArray, damping: float = 0.0) -> FloatArray:
     if not len(vector):
         return vector
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled = matrix * np.outer(scale, scale)
     # a ridge far below any information that counts, so that unidentified directions stay put
-    scaled[np.diag_indices(len(scaled))] += 1e-12
+    scaled[np.diag_indices(len(scaled))] += 1e-7 + damping
     return scale * np.linalg.solve(scaled, scale * vector)
+
+
+APART = 1.1e-3
+"""relative distance of time constants that leaves the mesh its analytic gradient, with room"""
+
+
+def _gap(tau: float, others: FloatArray | list[float]) -> float:
+    near = np.asarray(others, dtype=float)
+    return float(np.min(np.abs(near - tau) / np.maximum(near, tau)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +199,22 @@ class Surface:
             floor[i] = (least_tau(self.compressed) if name == "tau_s" else 0.02 * sigma0) ** 2
         return floor
 
+    @cached_property
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest psi (n_psi,) each that the mesh covers."""
+        region, coordinates = self.compressed.region, self.coordinates
+        low, high = self.floor.copy(), np.full(len(self.floor), np.inf)
+        high[0] = region.high[0] ** 2
+        for i in (1, 2):
+            low[i], high[i] = region.low[i], region.high[i]
+        for i in coordinates.switches:
+            j = coordinates.free[i]
+            # t0 must stay inside whatever tau is
+            low[i], high[i] = region.low[j] + region.high[0], region.high[j]
+            if low[i] >= high[i]:
+                low[i], high[i] = -np.inf, np.inf
+        return low, high
+
     def psi(self, theta: FloatArray) -> FloatArray:
         """Coordinates of theta, raised to the floor (t0 + tau stays)."""
         return np.maximum(self.coordinates.psi(theta), self.floor)
@@ -146,9 +222,45 @@ class Surface:
     def objective(self, psi: FloatArray) -> tuple[float, FloatArray]:
         """Log-likelihood and its gradient by psi."""
         theta = self.coordinates.theta(psi)
-        value, gradient = self.compressed.value_and_gradient(theta)
+        aside = self._aside(theta)
+        if aside is None:
+            value, gradient = self.compressed.value_and_gradient(theta)
+        else:
+            # from neighbours on both sides; the error is of fourth order in the value
+            up, g_up = self.compressed.value_and_gradient(theta + aside)
+            down, g_down = self.compressed.value_and_gradient(theta - aside)
+            value = 0.5 * (up + down) - 0.25 * float((g_up - g_down) @ aside)
+            gradient = 0.5 * (g_up + g_down)
         slopes = self.coordinates.slopes(theta)
         return value, slopes.T @ gradient[self.coordinates.free]
+
+    @cached_property
+    def _flows(self) -> FloatArray:
+        return np.unique([e.total_flow for e in self.problem.campaign])
+
+    def _aside(self, theta: FloatArray) -> FloatArray | None:
+        """How far tau_v or tau must move, up and down, where time constants coincide; else None.
+
+        There the mesh has no analytic gradient.
+        """
+        manifold = theta[2] / self._flows
+        if _gap(theta[1], manifold) > APART and _gap(theta[0], [theta[1], *manifold]) > APART:
+            return None
+        aside = np.zeros(len(theta))
+        for i in (1, 0):
+            for j in range(40):
+                move = 1.2 * APART * j * theta[i]
+                others = list(manifold)
+                if i == 0:
+                    others += [theta[1] + aside[1], theta[1] - aside[1]]
+                if min(_gap(theta[i] + move, others), _gap(theta[i] - move, others)) > APART:
+                    aside[i] = move
+                    break
+        region = self.compressed.region
+        for side in (theta + aside, theta - aside):
+            if not ((side >= region.low) & (side <= region.high)).all():
+                return None
+        return aside
 
     def guarded(self, psi: FloatArray) -> tuple[float, FloatArray]:
         """:meth:`objective`, but minus infinity outside the mesh instead of a slow full pass."""
@@ -191,17 +303,23 @@ def coloured_surface(problem: Problem, theta: FloatArray) -> tuple[Surface, Maxi
     for row in layout.noise:
         if "phi" not in {name.split("[")[0] for name in problem.fixed}:
             vector[row[0]] = np.clip(vector[row[0]], -0.995, 0.9995)
-    surface = Surface(compress(problem, vector, _roomy(problem, vector)))
-    for _ in range(4):
-        maximum = _climb(surface, vector)
+    # a badly fitting model moves far from where it started: then with more and more room
+    for attempt in range(6):
+        room = 1.5 if attempt < 2 else 4.0
+        surface = Surface(compress(problem, vector, _roomy(problem, vector, room)))
+        maximum = _climb(surface, vector, 15)
         vector = surface.coordinates.theta(maximum.psi)
         moved = np.abs(maximum.psi - surface.psi(surface.compressed.reference))
         spread = 1.0 / np.sqrt(np.maximum(np.diag(surface.information(maximum.psi)), 1e-300))
         # conditional spreads: the mesh reaches seven marginal ones, so this is near its centre
-        near = bool((moved <= 3.0 * spread).all())
-        surface = Surface(compress(problem, vector, _roomy(problem, vector)))
-        if near:
+        if maximum.converged and (moved <= 3.0 * spread).all():
             break
+    if vector[0] > vector[1]:
+        # the cascade is unchanged when the two swap; the sensor is taken to be the faster one
+        vector[[0, 1]] = vector[[1, 0]]
+        attempt += 1
+    if attempt > 0:
+        surface = Surface(compress(problem, vector, _roomy(problem, vector)))
     return surface, _climb(surface, vector)
 
 
@@ -228,23 +346,24 @@ def curvature_along_tau(surface: Surface, psi: FloatArray, n: int = 9) -> Curvat
     return curvature
 
 
-def _roomy(problem: Problem, vector: FloatArray) -> Region:
-    """The default region half as wide again: the information on tau^2 falls as tau grows, so that
-    likelihoods have longer tails upwards than it tells at a small tau."""
+def _roomy(problem: Problem, vector: FloatArray, room: float = 1.5) -> Region:
+    """The default region ``room`` times as wide: the information on tau^2 falls as tau grows, so
+    that likelihoods have longer tails upwards than it tells at a small tau."""
     region = default_region(problem, vector)
     low, high = region.low.copy(), region.high.copy()
     switches = problem.layout.local[:, 2:].ravel()
     switches = switches[switches >= 0]
-    more = 0.5 * high[0]
-    high[0] += more
-    low[switches] -= more
+    wider = room - 1.0
+    low[switches] -= wider * high[0]
+    high[switches] += (wider - 0.5) * (high[switches] - vector[switches])
+    high[0] += wider * high[0]
     for i in (1, 2):
-        low[i] = max(low[i] - 0.5 * (vector[i] - low[i]), 0.1 * vector[i])
-        high[i] += 0.5 * (high[i] - vector[i])
+        low[i] = max(low[i] - wider * (vector[i] - low[i]), 0.1 * vector[i])
+        high[i] += wider * (high[i] - vector[i])
     return Region(low, high)
 
 
-def _climb(surface: Surface, theta: FloatArray) -> Maximum:
+def _climb(surface: Surface, theta: FloatArray, n_iterations: int = 40) -> Maximum:
     psi = surface.psi(theta)
     n_made = 0
     matrix = surface.information(psi)
@@ -252,11 +371,12 @@ def _climb(surface: Surface, theta: FloatArray) -> Maximum:
     def curvature(at: FloatArray) -> FloatArray:
         nonlocal n_made, matrix
         n_made += 1
-        if n_made <= 3 or n_made % 5 == 0:
+        if n_made <= 8 or n_made % 4 == 0:
             matrix = surface.information(at)
         return matrix
 
-    return maximise(surface.objective, curvature, psi, np.arange(len(psi)), surface.floor)
+    every = np.arange(len(psi))
+    return maximise(surface.guarded, curvature, psi, every, *surface.box, n_iterations)
 
 
 def white_problem(problem: Problem) -> Problem:
@@ -277,13 +397,25 @@ def white_surface(
     surface = Surface(compress(white, vector, region))
     psi = surface.psi(vector)
     matrix = surface.information(psi)
-    maximum = maximise(surface.objective, lambda _: matrix, psi, surface.mean, surface.floor)
+    maximum = maximise(surface.guarded, lambda _: matrix, psi, surface.mean, *surface.box)
     return surface, maximum
 
 
-def region_of(problem: Problem, surface: Surface) -> Region:
-    """The mesh region of ``surface`` with every noise level allowed."""
-    low, high = surface.compressed.region.low.copy(), surface.compressed.region.high.copy()
+def region_of(problem: Problem, surface: Surface, theta: FloatArray) -> Region:
+    """A region that holds that of ``surface``, as much about ``theta``, and every noise level."""
+    region, about = surface.compressed.region, surface.compressed.reference
+    # the same widths about theta; psi's t0 + tau and tf + tau are what stays put
+    shift = theta - about
+    shift[0] = max(shift[0], 0.0)
+    low = np.minimum(region.low, np.maximum(region.low + shift, 0.1 * np.minimum(theta, about)))
+    switches = problem.layout.local[:, 2:].ravel()
+    switches = switches[switches >= 0]
+    low[switches] = np.minimum(region.low[switches], region.low[switches] + shift[switches])
+    high = np.maximum(region.high, region.high + shift)
+    free = np.ones(len(low), dtype=bool)
+    free[[0, 1, 2, *switches]] = False
+    low[free], high[free] = -np.inf, np.inf
+    low[0] = 0.0
     for row in problem.layout.noise:
         low[row], high[row] = (-1.0 + 1e-9, 1e-12, 0.0), (1.0 - 1e-9, np.inf, np.inf)
     return Region(low, high)
