@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import exp
+from math import exp, expm1
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,8 @@ Theta = Mapping[str, Any] | Sequence[float] | FloatArray
 
 SHARED = ("tau_s", "tau_v_s", "V_mL")
 NOISE = ("phi", "sigma0_V", "sigma1_V")
+SETTLED = 60.0
+"""slowest time constants after which a step is over: e^-60 times 60^2 is below rounding"""
 
 
 # --------------------------------------------------------------------------- parameters
@@ -195,6 +197,62 @@ _NOISE3 = {name[:3] for name in NOISE}
 
 
 @njit(cache=True)
+def _series(
+    a: FloatArray, i: int, n: int, s: float, h: FloatArray
+) -> float:  # pragma: no cover - compiled
+    # divided difference over a[i : i + n] where its spread times s is at most 1; h: scratch (24,)
+    spread = (a[i + n - 1] - a[i]) * s
+    # the terms fall like spread^k / k!: so many reach rounding
+    terms = 24 if spread > 0.3 else (14 if spread > 0.01 else 7)
+    middle = 0.0
+    for j in range(i, i + n):
+        middle += a[j] / n
+    h[0] = 1.0
+    for k in range(1, terms):
+        h[k] = 0.0
+    for j in range(i, i + n):
+        delta = a[j] - middle
+        for k in range(1, terms):
+            h[k] += delta * h[k - 1]
+    factor = exp(-middle * s)
+    for k in range(1, n):
+        factor *= -s / k
+    total = 0.0
+    for k in range(terms):
+        total += h[k] * factor
+        factor *= -s / (n + k)
+    return total
+
+
+@njit(cache=True)
+def _divided(
+    a: FloatArray, s: float, table: FloatArray, h: FloatArray
+) -> float:  # pragma: no cover - compiled
+    # divided_exponential with its scratch: table (n,), h (24,)
+    n = len(a)
+    if n > 1 and (a[n - 1] - a[0]) * s <= 1.0:
+        return _series(a, 0, n, s, h)
+    for i in range(n):
+        table[i] = exp(-a[i] * s)
+    for i in range(n - 1):
+        gap = a[i + 1] - a[i]
+        if gap * s > 0.5:
+            table[i] = (table[i + 1] - table[i]) / gap
+        elif gap > 0.0:
+            table[i] *= expm1(-gap * s) / gap
+        else:
+            table[i] *= -s
+    for k in range(2, n):
+        for i in range(n - k):
+            spread = a[i + k] - a[i]
+            if spread * s > 1.0:
+                table[i] = (table[i + 1] - table[i]) / spread
+            else:
+                table[i] = _series(a, i, k + 1, s, h)
+    return table[0]
+
+
+@njit(cache=True)
 def divided_exponential(a: FloatArray, s: float) -> float:  # pragma: no cover - compiled
     """Divided difference f[a_1, .., a_n] of f(a) = exp(-a s) over sorted rates ``a`` (n,), s >= 0.
 
@@ -203,29 +261,7 @@ def divided_exponential(a: FloatArray, s: float) -> float:  # pragma: no cover -
     symmetric polynomials, which has no cancellation when rates coincide.  (McCurdy, Ng and
     Parlett, Math. Comp. 43, 1984, discuss why both are needed.)
     """
-    n = len(a)
-    if n == 1:
-        return exp(-a[0] * s)
-    spread = a[n - 1] - a[0]
-    if spread * s > 1.0:
-        return (divided_exponential(a[1:], s) - divided_exponential(a[: n - 1], s)) / spread
-    middle = 0.0
-    for i in range(n):
-        middle += a[i] / n
-    h = np.zeros(24)  # |a - m| s <= 1: 24 terms reach rounding
-    h[0] = 1.0
-    for i in range(n):
-        delta = a[i] - middle
-        for k in range(1, 24):
-            h[k] += delta * h[k - 1]
-    factor = exp(-middle * s)
-    for k in range(1, n):
-        factor *= -s / k
-    total = 0.0
-    for k in range(24):
-        total += h[k] * factor
-        factor *= -s / (n + k)
-    return total
+    return _divided(a, s, np.empty(len(a)), np.empty(24))
 
 
 @njit(cache=True)
@@ -257,10 +293,16 @@ def impulse_response(s: float, rates: FloatArray) -> float:  # pragma: no cover 
 def _cascade(
     t: FloatArray, rates: FloatArray, t0: float, tf: float, out: FloatArray
 ) -> None:  # pragma: no cover - compiled
+    nodes, table, h = np.zeros(4), np.empty(4), np.empty(24)
+    nodes[1:] = rates
+    scale = -rates[0] * rates[1] * rates[2]
+    over = SETTLED / rates[0]
     for i in range(len(t)):
-        out[i] = step_response(t[i] - t0, rates)
+        out[i] = 0.0
+        if t[i] > t0:
+            out[i] = 1.0 if t[i] > t0 + over else scale * _divided(nodes, t[i] - t0, table, h)
         if t[i] > tf:
-            out[i] -= step_response(t[i] - tf, rates)
+            out[i] -= 1.0 if t[i] > tf + over else scale * _divided(nodes, t[i] - tf, table, h)
 
 
 @njit(cache=True)
@@ -268,20 +310,25 @@ def _cascade_sensitivities(
     t: FloatArray, taus: FloatArray, t0: float, tf: float, out: FloatArray
 ) -> None:  # pragma: no cover - compiled
     # columns: tau_v, manifold, tau, t0, tf.
-    # d/dtau_j of H = prod 1/(1 + tau p) is -p/(1 + tau_j p) H
+    # d/dtau_j of H = prod 1/(1 + tau p) is -p/(1 + tau_j p) H: an impulse response with that lag
+    # twice
     rates = np.sort(1.0 / taus)
+    table, h = np.empty(4), np.empty(24)
     nodes = np.empty((3, 4))
     for j in range(3):
         nodes[j, :3] = rates
         nodes[j, 3] = 1.0 / taus[j]
         nodes[j] = np.sort(nodes[j])
+    product = rates[0] * rates[1] * rates[2]
+    over = SETTLED / rates[0]
     for i in range(len(t)):
-        for j in range(3):
-            out[i, j] = -impulse_response(t[i] - t0, nodes[j])
-            if t[i] > tf:
-                out[i, j] += impulse_response(t[i] - tf, nodes[j])
-        out[i, 3] = -impulse_response(t[i] - t0, rates)
-        out[i, 4] = impulse_response(t[i] - tf, rates)
+        for edge, sign, column in ((t0, -1.0, 3), (tf, 1.0, 4)):
+            s = t[i] - edge
+            if 0.0 < s < over:
+                for j in range(3):
+                    value = _divided(nodes[j], s, table, h)
+                    out[i, j] -= sign * product / taus[j] * value
+                out[i, column] = sign * product * _divided(rates, s, table, h)
 
 
 def time_constants(tau: float, tau_v: float, V: float, total_flow: float) -> FloatArray:
