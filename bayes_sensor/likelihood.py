@@ -86,6 +86,13 @@ class Prior:
         }
         return laws[self.kind]()
 
+    @property
+    def support(self) -> tuple[float, float]:
+        """Lowest and highest value allowed."""
+        if self.kind in ("flat", "normal"):
+            return -np.inf, np.inf
+        return (0.0, np.inf) if self.kind in ("half_normal", "log_normal") else (self.a, self.b)
+
     def __str__(self) -> str:
         numbers = {"flat": "", "half_normal": f"({self.a:g})"}
         return self.kind.replace("_", "-") + numbers.get(self.kind, f"({self.a:g}, {self.b:g})")
@@ -221,6 +228,17 @@ class Problem:
 
     Effects return a changed Problem: another ``model`` (with ``extra`` parameters), another
     ``noise``, further ``priors``; nothing else needs to know.
+
+    A model is any object with ``extra`` (names of its own parameters, units included),
+    ``response(t, theta, layout, experiment)`` and ``mean(..)`` (n_t,), smooth in ``t`` between the
+    switch times.  It may further have
+
+    * ``mean_and_response(t, theta, layout, experiment)``, both at the price of one,
+    * ``affine``: True where the mean is linear in y0 and beta and the response free of them
+      (taken for granted where the mean is the cascade's),
+    * ``kinks(low, high, layout, experiment)``: stretches (start, end) in s, for theta between
+      ``low`` and ``high`` (n_theta,), in which the mean or the response may jump or bend other
+      than at t0 and tf.
     """
 
     campaign: Campaign
@@ -251,7 +269,16 @@ class Problem:
 
     @cached_property
     def prior_table(self) -> tuple[NDArray[np.int64], FloatArray]:
-        """Place of each law in ``KINDS`` (n_theta,), its numbers (n_theta, 2); pinned: flat."""
+        """Place of each law in ``KINDS`` (n_theta,), its numbers (n_theta, 2); pinned: flat.
+
+        Raises CampaignError where a parameter of the model has no prior.
+        """
+        missing = [name for name in self.layout.extra if name not in self.priors]
+        if missing:
+            raise CampaignError(
+                f"the model's parameter '{missing[0]}' has no prior; give one in "
+                f"Problem.given_priors, such as {{'{missing[0]}': Prior('normal', 0.0, 1.0)}}"
+            )
         table = np.zeros((len(self.layout), 2))
         kinds = np.full(len(self.layout), KINDS.index("flat"))
         for i, name in enumerate(self.layout.names):
@@ -486,6 +513,28 @@ def experiment_log_likelihood(
     )
 
 
+def mean_and_response(
+    problem: Problem, vector: FloatArray, e: Experiment, t: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (n_t,) V and response (n_t,) of any model at any times ``t`` (n_t,) s."""
+    layout, model = problem.layout, problem.model
+    together = getattr(model, "mean_and_response", None)
+    if together is not None:
+        mean, x = together(t, vector, layout, e)
+        return mean, x
+    x = model.response(t, vector, layout, e)
+    if is_affine(problem) and type(model).mean is Cascade.mean:
+        y0, beta, _, _ = local_parameters(vector, layout, e.name)
+        return y0 + beta * x, x
+    return model.mean(t, vector, layout, e), x
+
+
+def is_affine(problem: Problem) -> bool:
+    """Whether the mean is linear in every y0 and beta, and the response free of them."""
+    model = problem.model
+    return bool(getattr(model, "affine", type(model).mean is Cascade.mean))
+
+
 def mean_and_variance(
     problem: Problem, vector: FloatArray, k: int
 ) -> tuple[FloatArray, FloatArray]:
@@ -499,8 +548,8 @@ def mean_and_variance(
         taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
         x = grid_response(e, taus, t0, tf)
         return y0 + beta * x, scale_squared(x, sigma0, sigma1, weight)
-    x = model.response(e.t, vector, layout, e)
-    return model.mean(e.t, vector, layout, e), scale_squared(x, sigma0, sigma1, weight)
+    mean, x = mean_and_response(problem, vector, e, e.t)
+    return mean, scale_squared(x, sigma0, sigma1, weight)
 
 
 def log_likelihood(campaign: Campaign | Problem, theta: Theta) -> float:

@@ -469,6 +469,41 @@ def value(theta, mesh, x, xl, E_on, E_off, each):  # pragma: no cover - compiled
 
 
 @njit(cache=True, error_model="numpy")
+def _slopes_of_edges(k, mesh, phi, phi_reference, A, B, re, gre):  # pragma: no cover - compiled
+    # Derivative of log L by phi_reference, of the block sums and of the pairs across gaps; gre:
+    # filled with the derivatives by the standardised residuals re of the edge samples
+    steps = mesh.setting[k, 3]
+    rest = 1.0 - phi * phi
+    squares = (1.0 + phi * phi) * A - 2.0 * phi * B
+    d_squares = 2.0 * phi * A - 2.0 * B
+    g_across = 0.0
+    for run in range(mesh.runs[k], mesh.runs[k + 1]):
+        a, b = re[run, 0], re[run, 1]
+        squares += phi * phi * (a * a - b * b)
+        d_squares += 2.0 * phi * (a * a - b * b)
+        gre[run, 0] = -phi * phi * a / rest
+        gre[run, 1] = phi * phi * b / rest
+        if run == mesh.runs[k]:
+            gre[run, 0] -= a
+        else:
+            distance = mesh.distance[run]
+            across = _across(phi, phi_reference, steps, distance)
+            left = 1.0 - across * across
+            e = a - across * re[run - 1, 1]
+            gre[run, 0] -= e / left
+            gre[run - 1, 1] += across * e / left
+            d_log = e * re[run - 1, 1] / left - across * e * e / left**2 + across / left
+            if phi_reference > 0:
+                g_across += d_log * steps * distance * across / phi_reference
+            elif phi_reference < 0:
+                slope = distance * phi ** (distance - 1)
+                g_across += d_log * slope * _phi_slope(phi, phi_reference, steps)
+    g_phi = -0.5 * (d_squares / rest + 2.0 * phi * squares / rest**2)
+    g_phi += mesh.pairs[k] * phi / rest
+    return g_phi * _phi_slope(phi, phi_reference, steps) + g_across
+
+
+@njit(cache=True, error_model="numpy")
 def value_and_gradient(theta, mesh, x, xl, E_on, E_off, gradient):  # pragma: no cover
     taus, c = np.empty(3), np.empty(3)
     sums, lags = np.empty(16), np.empty(3)
@@ -510,36 +545,7 @@ def value_and_gradient(theta, mesh, x, xl, E_on, E_off, gradient):  # pragma: no
         log_s2 = mesh.log_s2[k] + change + _edge_log(k, mesh, s2e)
         total += _combine(k, mesh, phi, phi_reference, A, B, re, log_s2)
 
-        # phi: of the block sums, then of the pairs across gaps
-        rest = 1.0 - phi * phi
-        squares = (1.0 + phi * phi) * A - 2.0 * phi * B
-        d_squares = 2.0 * phi * A - 2.0 * B
-        g_across = 0.0
-        for run in range(mesh.runs[k], mesh.runs[k + 1]):
-            a, b = re[run, 0], re[run, 1]
-            squares += phi * phi * (a * a - b * b)
-            d_squares += 2.0 * phi * (a * a - b * b)
-            gre[run, 0] = -phi * phi * a / rest
-            gre[run, 1] = phi * phi * b / rest
-            if run == mesh.runs[k]:
-                gre[run, 0] -= a
-            else:
-                distance = mesh.distance[run]
-                across = _across(phi, phi_reference, steps, distance)
-                left = 1.0 - across * across
-                e = a - across * re[run - 1, 1]
-                gre[run, 0] -= e / left
-                gre[run - 1, 1] += across * e / left
-                d_log = e * re[run - 1, 1] / left - across * e * e / left**2 + across / left
-                slope = distance * phi ** (distance - 1) if phi_reference < 0 else 0.0
-                if phi_reference > 0:
-                    slope = steps * distance * across / phi_reference
-                    g_across += d_log * slope
-                elif phi_reference < 0:
-                    g_across += d_log * slope * _phi_slope(phi, phi_reference, steps)
-        g_phi = -0.5 * (d_squares / rest + 2.0 * phi * squares / rest**2)
-        g_phi += mesh.pairs[k] * phi / rest
-        gradient[i_phi] += g_phi * _phi_slope(phi, phi_reference, steps) + g_across
+        gradient[i_phi] += _slopes_of_edges(k, mesh, phi, phi_reference, A, B, re, gre)
 
         # edge samples: residual r = (y - m)/s
         g_v0, g_v1 = sums[2], sums[3]
@@ -717,7 +723,7 @@ def marginals(thetas, mesh, x, xl, E_on, E_off, values, best, factor, inside):  
 
 
 @njit(cache=True, error_model="numpy")
-def general(k, mesh, phi, phi_reference, m, ml, s2, s2l, me, s2e):  # pragma: no cover - compiled
+def general(k, mesh, phi, phi_reference, m, ml, me, s2, s2l, s2e):  # pragma: no cover - compiled
     # log L of experiment k for any smooth mean and variance given at the nodes and edge samples
     first = mesh.blocks[k]
     A = B = log_s2 = 0.0
@@ -736,3 +742,48 @@ def general(k, mesh, phi, phi_reference, m, ml, s2, s2l, me, s2e):  # pragma: no
             re[run, side] = (mesh.edge_y[run, side] - me[i, side]) / sqrt(s2e[i, side])
         log_s2 += log(s2e[run - mesh.runs[k], 0])
     return _combine(k, mesh, phi, phi_reference, A, B, re, log_s2)
+
+
+@njit(cache=True, error_model="numpy")
+def general_gradient(
+    k, mesh, phi, phi_reference, m, ml, me, s2, s2l, s2e, g_m, g_ml, g_me, g_s2, g_s2l, g_s2e
+):  # pragma: no cover - compiled
+    # The same with the derivatives by every mean and variance, in the shapes of those; also the
+    # derivative by phi_reference
+    first = mesh.blocks[k]
+    A = B = log_s2 = 0.0
+    by_A = -0.5 * (1.0 + phi * phi) / (1.0 - phi * phi)
+    by_B = phi / (1.0 - phi * phi)
+    for b in range(len(m)):
+        for q in range(K):
+            d = m[b, q] - mesh.reference[first + b, 0, q]
+            dl = ml[b, q] - mesh.reference[first + b, 1, q]
+            n, m1, m2, m3, m4 = mesh.moments[first + b, :, q]
+            w, wl = 1.0 / s2[b, q], 1.0 / s2l[b, q]
+            p = sqrt(w * wl)
+            a_node = (m3 - 2.0 * d * m1 + d * d * n) * w
+            b_node = (m4 - d * m2 - dl * m1 + d * dl * n) * p
+            A += a_node
+            B += b_node
+            log_s2 += n * log(s2[b, q])
+            g_m[b, q] = 2.0 * by_A * (d * n - m1) * w + by_B * (dl * n - m2) * p
+            g_ml[b, q] = by_B * (d * n - m1) * p
+            g_s2[b, q] = -(by_A * a_node + 0.5 * by_B * b_node + 0.5 * n) * w
+            g_s2l[b, q] = -0.5 * by_B * b_node * wl
+    re, gre = np.empty((len(mesh.distance), 2)), np.empty((len(mesh.distance), 2))
+    start = mesh.runs[k]
+    for run in range(start, mesh.runs[k + 1]):
+        for side in range(2):
+            i = run - start
+            re[run, side] = (mesh.edge_y[run, side] - me[i, side]) / sqrt(s2e[i, side])
+        log_s2 += log(s2e[run - start, 0])
+    value = _combine(k, mesh, phi, phi_reference, A, B, re, log_s2)
+    g_phi = _slopes_of_edges(k, mesh, phi, phi_reference, A, B, re, gre)
+    for run in range(start, mesh.runs[k + 1]):
+        for side in range(2):
+            i = run - start
+            g_me[i, side] = -gre[run, side] / sqrt(s2e[i, side])
+            g_s2e[i, side] = -0.5 * gre[run, side] * re[run, side] / s2e[i, side]
+            if side == 0:
+                g_s2e[i, side] -= 0.5 / s2e[i, side]
+    return value, g_phi

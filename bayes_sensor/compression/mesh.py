@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import pi
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from bayes_sensor.campaign import Experiment, FloatArray
 from bayes_sensor.compression.kernels import CHEBYSHEV, Arrays, K
-from bayes_sensor.likelihood import Problem, mean_and_variance
+from bayes_sensor.likelihood import Problem, mean_and_response, mean_and_variance
 from bayes_sensor.noise import scale_squared
 
 # Interpolation tolerance for a decaying exponential of unit amplitude, and how much narrower than
@@ -40,6 +40,8 @@ class Region:
 
     low: FloatArray
     high: FloatArray
+    fineness: float = 1.0
+    """how many times narrower than usual the blocks are"""
 
 
 def _blocks_of_run(
@@ -49,12 +51,14 @@ def _blocks_of_run(
     windows: list[tuple[float, float]],
     width_after: Callable[[float], float],
     narrow: float,
+    kinks: Sequence[tuple[float, float]],
+    fineness: float,
 ) -> list[tuple[int, int, int]]:
     """(start, samples, kind) of the blocks covering samples first .. last - 1 of one run."""
     h, t_first = e.interval, e.t[0]
     blocks = []
     i = first
-    longest = max(8.0, (last - first) / 6.0)
+    longest = max(8.0, (last - first) / 6.0 / fineness)
     while i < last:
         t = t_first + i * h
         allowed = longest * h
@@ -72,6 +76,8 @@ def _blocks_of_run(
                 break
             if n * h > narrow and any(low < end and t < high for low, high in windows):
                 break
+            if any(low < end and t < high for low, high in kinks):
+                break
             kind += 1
         n = 8 * 2**kind
         blocks.append((i, min(n, last - i), kind))
@@ -79,8 +85,11 @@ def _blocks_of_run(
     return blocks
 
 
-def _width_after(taus: FloatArray) -> Callable[[float], float]:
-    """Block width (s) at a time s after the last possible switch, for time constants (n, 3)."""
+def _width_after(taus: FloatArray, amplitude: float, fineness: float) -> Callable[[float], float]:
+    """Block width (s) at a time s after the last possible switch, for time constants (n, 3).
+
+    ``amplitude``: of the exponentials as the weights 1/s^2 see them.
+    """
     coefficients = []
     for row in taus:
         for j in range(3):
@@ -93,9 +102,8 @@ def _width_after(taus: FloatArray) -> Callable[[float], float]:
     def width(s: float) -> float:
         with np.errstate(over="ignore"):
             growth = np.exp(np.minimum(s / tau, 600.0))
-        return float(
-            NARROWER * np.min(4.0 * tau * (TOLERANCE * factorial * growth / (2.0 * c)) ** (1.0 / K))
-        )
+        reach = (TOLERANCE * factorial * growth / (2.0 * c * amplitude)) ** (1.0 / K)
+        return float(NARROWER / fineness * np.min(4.0 * tau * reach))
 
     return width
 
@@ -118,7 +126,8 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
     for k, e in enumerate(campaign):
         h = e.interval
         i_y0, i_beta, i_t0, i_tf = layout.local[k]
-        width_after, narrow = _widths(vector, region, e)
+        width_after, narrow = _widths(problem, vector, region, k)
+        kinks = _kinks(problem, region, e)
         # a sensor faster than this is replaced by a delay: no exponential may overflow
         least = max(16.0 * h, narrow) / 600.0
         windows = [(low[i] - least - h, high[i] + h) for i in (i_t0, i_tf) if i >= 0]
@@ -145,7 +154,9 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
             previous = b - 1
             n_pairs += b - a - 1
             run_start = len(base)
-            for start, n, kind in _blocks_of_run(a + 1, b, e, windows, width_after, narrow):
+            for start, n, kind in _blocks_of_run(
+                a + 1, b, e, windows, width_after, narrow, kinks, region.fineness
+            ):
                 if kind == 0:
                     L = np.eye(n, K)
                 else:
@@ -195,11 +206,25 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
     )
 
 
+def _kinks(problem: Problem, region: Region, e: Experiment) -> list[tuple[float, float]]:
+    """Stretches (s) that the model wants sample by sample."""
+    asked = getattr(problem.model, "kinks", None)
+    if asked is None:
+        return []
+    found = asked(region.low, region.high, problem.layout, e)
+    return [(float(start) - e.interval, float(end) + e.interval) for start, end in found]
+
+
 def _widths(
-    vector: FloatArray, region: Region, e: Experiment
+    problem: Problem, vector: FloatArray, region: Region, k: int
 ) -> tuple[Callable[[float], float], float]:
     """Block width after a switch as a function of time, and the width where a switch may fall."""
     low, high = region.low, region.high
+    e = problem.campaign.experiments[k]
+    _, sigma0, sigma1 = vector[problem.layout.noise[k]]
+    # where the variance grows by this factor, 1/s^2 still changes when x3 has all but decayed
+    growth = 1.0 + problem.noise.weight(problem.campaign, e) * (sigma1 / sigma0) ** 2
+    growth = float(min(growth, 1e8)) if np.isfinite(growth) else 1.0
     candidates = np.array(
         [
             (tau_v, V / e.total_flow, tau)
@@ -209,7 +234,9 @@ def _widths(
         ]
     )
     slowest = max(vector[0], vector[1], vector[2] / e.total_flow)
-    return _width_after(candidates), WINDOW_BLOCK * slowest
+    # x3 starts like the cube of time: s^2 doubles within growth^(-1/3) of the response's own time
+    narrow = WINDOW_BLOCK * slowest * (1.0 + growth / 30.0) ** (-1.0 / 3.0)
+    return _width_after(candidates, growth, region.fineness), narrow / region.fineness
 
 
 def node_times(base: FloatArray, kind: np.ndarray, h: float) -> FloatArray:
@@ -223,10 +250,7 @@ def at_times(
     problem: Problem, vector: FloatArray, e: Experiment, k: int, times: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and variance of one experiment at any times, in the shape of ``times``."""
-    layout, model = problem.layout, problem.model
-    _, sigma0, sigma1 = vector[layout.noise[k]]
-    flat = np.ascontiguousarray(times).ravel()
-    x = model.response(flat, vector, layout, e)
-    mean = model.mean(flat, vector, layout, e)
+    _, sigma0, sigma1 = vector[problem.layout.noise[k]]
+    mean, x = mean_and_response(problem, vector, e, np.ascontiguousarray(times).ravel())
     s2 = scale_squared(x, sigma0, sigma1, problem.noise.weight(problem.campaign, e))
     return mean.reshape(times.shape), s2.reshape(times.shape)

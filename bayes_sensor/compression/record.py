@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import log, pi, sqrt
 
@@ -12,9 +13,12 @@ from bayes_sensor.compression import kernels
 from bayes_sensor.compression.kernels import K
 from bayes_sensor.compression.mesh import Region, at_times, build, node_times
 from bayes_sensor.likelihood import (
+    Prior,
     Problem,
     as_problem,
     experiment_log_likelihood,
+    is_affine,
+    mean_and_response,
     mean_and_variance,
 )
 from bayes_sensor.likelihood import log_likelihood as full_log_likelihood
@@ -68,6 +72,7 @@ class Compressed:
         self._each = np.zeros(len(problem.campaign))
         self._E_on, self._E_off = (np.zeros((shape[0], 3, K)) for _ in range(2))
         self._cascade = _is_cascade(problem)
+        self._known_times: dict[int, FloatArray] = {}
 
     @property
     def n_nodes(self) -> int:
@@ -102,63 +107,142 @@ class Compressed:
             )
         )
 
+    def _times(self, k: int) -> FloatArray:
+        """(n_t,) s: nodes of experiment number ``k``, one sample before them, edge samples."""
+        if k not in self._known_times:
+            mesh, nodes = self.arrays, self.node_times(k).ravel()
+            edges = mesh.edge_t[mesh.runs[k] : mesh.runs[k + 1]].ravel()
+            self._known_times[k] = np.concatenate([nodes, nodes - mesh.setting[k, 0], edges])
+        return self._known_times[k]
+
+    def _split(self, values: FloatArray, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Values at :meth:`_times` as (n_blocks, K) at nodes and before them, (n_runs, 2)."""
+        n = (self.arrays.blocks[k + 1] - self.arrays.blocks[k]) * K
+        nodes, before, edges = values[:n], values[n : 2 * n], values[2 * n :]
+        return nodes.reshape(-1, K), before.reshape(-1, K), edges.reshape(-1, 2)
+
+    def _noise(self, vector: FloatArray, k: int) -> tuple[float, float, float, float] | None:
+        """phi over one sample, phi, sigma0, sigma1 of an experiment; None outside their range."""
+        problem = self.problem
+        phi_reference, sigma0, sigma1 = (float(v) for v in vector[problem.layout.noise[k]])
+        phi = lag_coefficient(phi_reference, problem.steps(problem.campaign.experiments[k]))
+        if not (abs(phi) < 1.0 and sigma0 > 0.0 and sigma1 >= 0.0 and (vector[:3] > 0).all()):
+            return None
+        return phi, phi_reference, sigma0, sigma1
+
+    def _density(
+        self, k: int, noise: tuple[float, float, float, float], mean: FloatArray, x: FloatArray
+    ) -> float:
+        """Log-likelihood of an experiment with ``mean`` and response ``x`` at :meth:`_times`."""
+        phi, phi_reference, sigma0, sigma1 = noise
+        s2 = scale_squared(x, sigma0, sigma1, self.arrays.setting[k, 2])
+        parts = [*self._split(mean, k), *self._split(s2, k)]
+        return float(kernels.general(k, self.arrays, phi, phi_reference, *parts))
+
     def _general(self, vector: FloatArray, k: int) -> float:
         # experiment number k under any model, inside the region
-        problem, mesh = self.problem, self.arrays
-        e = problem.campaign.experiments[k]
-        phi_reference, sigma0, sigma1 = (float(v) for v in vector[problem.layout.noise[k]])
-        phi = lag_coefficient(phi_reference, problem.steps(e))
-        if not (abs(phi) < 1.0 and sigma0 > 0.0 and sigma1 >= 0.0 and (vector[:3] > 0).all()):
+        noise = self._noise(vector, k)
+        if noise is None:
             return -np.inf
-        times = self.node_times(k)
-        m, s2 = at_times(problem, vector, e, k, times)
-        ml, s2l = at_times(problem, vector, e, k, times - e.interval)
-        me, s2e = at_times(problem, vector, e, k, mesh.edge_t[mesh.runs[k] : mesh.runs[k + 1]])
-        return float(kernels.general(k, mesh, phi, phi_reference, m, ml, s2, s2l, me, s2e))
+        e = self.problem.campaign.experiments[k]
+        return self._density(k, noise, *mean_and_response(self.problem, vector, e, self._times(k)))
+
+    def _general_gradient(self, vector: FloatArray, k: int, gradient: FloatArray) -> float:
+        """Log-likelihood of experiment ``k`` under any model; its gradient is added."""
+        noise = self._noise(vector, k)
+        if noise is None:
+            return -np.inf
+        phi, phi_reference, sigma0, sigma1 = noise
+        e = self.problem.campaign.experiments[k]
+        mean, x, index, d_mean, d_x = self._derivatives(vector, k, self._times(k))
+        weight = self.problem.noise.weight(self.problem.campaign, e)
+        s2 = scale_squared(x, sigma0, sigma1, weight)
+        g_mean, g_s2 = np.empty_like(mean), np.empty_like(mean)
+        parts = [*self._split(mean, k), *self._split(s2, k)]
+        slopes = [*self._split(g_mean, k), *self._split(g_s2, k)]
+        value, g_phi = kernels.general_gradient(k, self.arrays, phi, phi_reference, *parts, *slopes)
+        positive = np.maximum(x, 0.0)
+        i_phi, i_sigma0, i_sigma1 = self.problem.layout.noise[k]
+        gradient[index] += d_mean @ g_mean
+        gradient[index] += sigma1**2 * weight * (d_x @ np.where(x > 0.0, g_s2, 0.0))
+        gradient[i_phi] += g_phi
+        gradient[i_sigma0] += 2.0 * sigma0 * g_s2.sum()
+        gradient[i_sigma1] += 2.0 * sigma1 * weight * float(g_s2 @ positive)
+        return float(value)
+
+    def _derivatives(
+        self, vector: FloatArray, k: int, t: FloatArray
+    ) -> tuple[FloatArray, FloatArray, np.ndarray, FloatArray, FloatArray]:
+        """Mean and response (n_t,) of any model, and their derivatives by central differences.
+
+        Returns mean, response, positions in theta (m,) and the derivatives (m, n_t) of both.
+        """
+        problem, layout = self.problem, self.problem.layout
+        e = problem.campaign.experiments[k]
+        mean, x = mean_and_response(problem, vector, e, t)
+        i_y0, i_beta, *switches = (int(i) for i in layout.local[k])
+        slowest = max(vector[0], vector[1], vector[2] / e.total_flow)
+        moves = {i: (1e-3 * vector[i], 1e-12, np.inf) for i in range(3)}
+        moves |= {i: (1e-3 * slowest, -np.inf, np.inf) for i in switches if i >= 0}
+        for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
+            if name.endswith("]") and not name.endswith(f"[{e.name}]"):
+                continue  # another experiment's own parameter
+            moves[i] = _extra_step(problem.priors.get(name), float(vector[i]))
+        plain = is_affine(problem) and type(problem.model).mean is Cascade.mean
+        if not plain:
+            unit = 1.0 if is_affine(problem) else 1e-3
+            size = unit * max(abs(vector[i_beta]), 1e-3)
+            moves |= {i: (size, -np.inf, np.inf) for i in (i_y0, i_beta)}
+        index = np.array([*moves, *([i_y0, i_beta] if plain else [])])
+        d_mean, d_x = np.zeros((len(index), len(t))), np.zeros((len(index), len(t)))
+        for row, (i, (step, low, high)) in enumerate(moves.items()):
+            up, down = vector.copy(), vector.copy()
+            up[i], down[i] = min(vector[i] + step, high), max(vector[i] - step, low)
+            m_up, x_up = mean_and_response(problem, up, e, t)
+            m_down, x_down = mean_and_response(problem, down, e, t)
+            d_mean[row] = (m_up - m_down) / (up[i] - down[i])
+            d_x[row] = (x_up - x_down) / (up[i] - down[i])
+        if plain:
+            d_mean[-2], d_mean[-1] = 1.0, x
+        return mean, x, index, d_mean, d_x
 
     def value_and_gradient(self, theta: Theta) -> tuple[float, FloatArray]:
         """Log-likelihood and its gradient (n_theta,) by the flat vector."""
         vector = self._vector(theta)
-        gradient = np.empty(len(vector))
-        value = np.nan
-        if self._cascade and self.covers(vector):
+        if not self.covers(vector):
+            return self._full(vector), self._full_gradient(vector)
+        gradient = np.zeros(len(vector))
+        if self._cascade:
             value = kernels.value_and_gradient(
                 vector, self.arrays, self._x, self._xl, self._E_on, self._E_off, gradient
-            )  # fmt: skip
-        if np.isnan(value):
-            return self.log_likelihood(vector), self._numerical_gradient(vector)
-        return value, gradient
+            )
+            if not np.isnan(value):
+                return value, gradient
+            gradient[:] = 0.0  # time constants so close that its partial fractions cancel
+        experiments = range(len(self._each))
+        return sum(self._general_gradient(vector, k, gradient) for k in experiments), gradient
 
     def gradient(self, theta: Theta) -> FloatArray:
         """Gradient (n_theta,) of the log-likelihood."""
         return self.value_and_gradient(theta)[1]
 
-    def _numerical_gradient(self, vector: FloatArray) -> FloatArray:
-        # outside the mesh, or where partial fractions would cancel: central differences with the
-        # step that balances rounding against curvature; neighbours inside and outside the mesh
-        # must not be mixed, and a parameter of one experiment moves only its part
+    def _full_gradient(self, vector: FloatArray) -> FloatArray:
+        # central differences of the full pass, with the step that balances rounding against
+        # curvature; a parameter of one experiment moves only its part
         layout, n_exp = self.problem.layout, len(self.problem.campaign)
-        covered = self.covers(vector)
         owner = {int(i): k for k in range(n_exp) for i in layout.local[k] if i >= 0}
         if layout.noise_per_experiment:
             owner |= {int(i): k for k in range(n_exp) for i in layout.noise[k]}
-
-        def at(trial: FloatArray, i: int) -> float:
-            if covered and self.covers(trial):
-                return self.log_likelihood(trial)
-            experiments = [owner[i]] if i in owner else range(n_exp)
-            return sum(experiment_log_likelihood(self.problem, trial, k) for k in experiments)
-
-        gradient = np.empty(len(vector))
+        gradient = np.zeros(len(vector))
         for i in range(len(vector)):
             step = 1e-5 * max(abs(vector[i]), 1e-3)
             up, down = vector.copy(), vector.copy()
             up[i] += step
             down[i] -= step
-            if covered and not (self.covers(up) and self.covers(down)):
-                up[i] = min(up[i], self.arrays.high[i])
-                down[i] = max(down[i], self.arrays.low[i])
-            gradient[i] = (at(up, i) - at(down, i)) / (up[i] - down[i])
+            for k in [owner[i]] if i in owner else range(n_exp):
+                difference = experiment_log_likelihood(self.problem, up, k)
+                difference -= experiment_log_likelihood(self.problem, down, k)
+                gradient[i] += difference / (up[i] - down[i])
         return gradient
 
     def marginal(self, theta: Theta) -> tuple[float, FloatArray, FloatArray]:
@@ -232,16 +316,7 @@ class Compressed:
         for k in range(n_exp):
             origin = vector[local[k, :2]]
             unit = max(abs(origin[1]), 1e-3)
-
-            def at(
-                u: float, w: float, k: int = k, origin: FloatArray = origin, unit: float = unit
-            ) -> float:
-                trial = vector.copy()
-                trial[local[k, :2]] = origin + unit * np.array([u, w])
-                if inside:
-                    return self._general(trial, k)
-                return experiment_log_likelihood(problem, trial, k)
-
+            at = self._along(vector, k, unit, inside)
             f00 = at(0.0, 0.0)
             if not np.isfinite(f00):
                 return -np.inf, best, factor
@@ -258,6 +333,32 @@ class Compressed:
             factor[k] = (lower[0, 0], lower[1, 0], lower[1, 1])
             total += f00 + 0.5 * float(g @ move) - log(lower[0, 0] * lower[1, 1]) + log(2.0 * pi)
         return total, best, factor
+
+    def _along(
+        self, vector: FloatArray, k: int, unit: float, inside: bool
+    ) -> Callable[[float, float], float]:
+        """Log-likelihood of experiment ``k`` as a function of moves of y0 and beta in ``unit``."""
+        problem = self.problem
+        i_y0, i_beta = problem.layout.local[k, :2]
+
+        def moved(u: float, w: float) -> FloatArray:
+            trial = vector.copy()
+            trial[i_y0] += u * unit
+            trial[i_beta] += w * unit
+            return trial
+
+        if not inside:
+            return lambda u, w: experiment_log_likelihood(problem, moved(u, w), k)
+        noise = self._noise(vector, k)
+        if noise is None:
+            return lambda u, w: -np.inf
+        if not is_affine(problem):
+            return lambda u, w: self._general(moved(u, w), k)
+        e, t, known = problem.campaign.experiments[k], self._times(k), noise
+        mean, x = mean_and_response(problem, vector, e, t)
+        by_y0 = mean_and_response(problem, moved(1.0, 0.0), e, t)[0] - mean
+        by_beta = mean_and_response(problem, moved(0.0, 1.0), e, t)[0] - mean
+        return lambda u, w: self._density(k, known, mean + u * by_y0 + w * by_beta, x)
 
     def node_times(self, k: int) -> FloatArray:
         """(n_blocks, K) s, the nodes of experiment number ``k``."""
@@ -386,21 +487,28 @@ class Compressed:
     def _scaled_numerically(
         self, vector: FloatArray, k: int, t: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        problem = self.problem
-        e = problem.campaign.experiments[k]
-        _, s2 = at_times(problem, vector, e, k, t)
+        layout = self.problem.layout
+        e = self.problem.campaign.experiments[k]
+        _, sigma0, sigma1 = vector[layout.noise[k]]
+        weight = self.problem.noise.weight(self.problem.campaign, e)
+        _, x, index, d_mean, d_x = self._derivatives(vector, k, t)
+        positive = np.maximum(x, 0.0)
+        s2 = scale_squared(x, sigma0, sigma1, weight)
         J, u = np.zeros((len(t), len(vector))), np.zeros((len(t), len(vector)))
-        for i in range(len(vector)):
-            step = 1e-6 * max(abs(vector[i]), 1e-3)
-            up, down = vector.copy(), vector.copy()
-            up[i] += step
-            down[i] -= step
-            m_up, s2_up = at_times(problem, up, e, k, t)
-            m_down, s2_down = at_times(problem, down, e, k, t)
-            J[:, i] = (m_up - m_down) / (2 * step)
-            u[:, i] = (np.log(s2_up) - np.log(s2_down)) / (4 * step)
+        J[:, index] = d_mean.T
+        u[:, index] = 0.5 * sigma1**2 * weight * (d_x * (x > 0.0) / s2).T
+        u[:, layout.noise[k, 1]] = sigma0 / s2
+        u[:, layout.noise[k, 2]] = sigma1 * weight * positive / s2
         s = np.sqrt(s2)
         return J / s[:, None], u, s
+
+
+def _extra_step(prior: Prior | None, value: float) -> tuple[float, float, float]:
+    """Step of a difference quotient in a model's own parameter, and where that parameter ends."""
+    if prior is None or prior.law is None:
+        return 1e-3 * max(abs(value), 1e-2), -np.inf, np.inf
+    low, high = prior.law.ppf([0.16, 0.84])
+    return 5e-4 * float(high - low), *prior.support
 
 
 def default_region(problem: Problem, vector: FloatArray, spread: float = 7.0) -> Region:
@@ -425,7 +533,7 @@ def default_region(problem: Problem, vector: FloatArray, spread: float = 7.0) ->
     rough.problem, rough.reference = problem, vector
     rough.region = Region(low, high)
     rough.arrays = build(problem, vector, rough.region, data=False)
-    rough._cascade = _is_cascade(problem)
+    rough._cascade, rough._known_times = _is_cascade(problem), {}
     variances = _psi_variances(problem, vector, rough.information(vector))
     tau = vector[0]
     fastest = min(slowest.values())
@@ -444,6 +552,11 @@ def default_region(problem: Problem, vector: FloatArray, spread: float = 7.0) ->
     for row in layout.noise:
         low[row[0]], high[row[0]] = -1.0 + 1e-9, 1.0 - 1e-9
         low[row[1]], low[row[2]] = 1e-12, 0.0
+    for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
+        prior = problem.priors.get(name)
+        if prior is not None and prior.law is not None:
+            low[i], high[i] = prior.law.ppf(1e-7), prior.law.ppf(1.0 - 1e-7)
+            low[i], high[i] = min(low[i], vector[i]), max(high[i], vector[i])
     return Region(low, high)
 
 
@@ -477,9 +590,14 @@ def compress(
     is valid; outside, the full pass answers.  A design gives a mesh without data, good for
     ``information`` and ``nodes``.
 
-    Raises CampaignError for a malformed theta.
+    Raises CampaignError for a malformed theta, or for forward Euler.
     """
     problem = as_problem(campaign)
+    if type(problem.model) is Cascade and problem.model.method == "euler":
+        raise CampaignError(
+            "forward Euler has its switches on samples and cannot be compressed; "
+            "use the exact response, Cascade()"
+        )
     vector = problem.layout.flat(theta).copy()
     if np.isnan(vector).any():
         vector = _with_rough_noise(problem, vector)
