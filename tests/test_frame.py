@@ -20,6 +20,7 @@ PACKAGE = ROOT / "bayes_sensor"
 ROOMS = (
     "campaign",
     "readers",
+    "reality",
     "writers",
     "drive",
     "check",
@@ -41,6 +42,7 @@ ROOMS = (
     "calibration",
     "gap",
     "results",
+    "blind_check",
     "figures",
     "report",
     "cli",

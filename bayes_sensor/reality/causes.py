@@ -1,0 +1,617 @@
+"""What can go wrong on the simulated rig: one entry a cause, each turned on by one strength.
+
+A cause turns the knobs of every experiment.  What it has to choose besides its strength (signs,
+times, variants) it draws from a generator that depends on the case's seed and the cause's name
+only, so that the same case with another strength differs in the strength alone.
+
+``listed_as`` holds the names in the catalogue of effects that are a right answer, most fitting
+first; it is empty for a cause outside the catalogue.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.reality.records import Case
+from bayes_sensor.reality.rig import Course, Knobs
+
+Rig = dict[str, Knobs]
+Apply = Callable[[Rig, float, np.random.Generator, Case], None]
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One thing that can go wrong."""
+
+    name: str
+    listed_as: tuple[str, ...]
+    family: str
+    """what it resembles: causes of one family are hard to tell apart"""
+    unit: str
+    """of the strength"""
+    highest: float
+    """the largest strength that is still plausible in a laboratory"""
+    turn: Apply
+    per_experiment: bool = False
+    """whether its size differs from experiment to experiment"""
+    fast: bool = False
+    """whether it oscillates faster than the response moves"""
+    noise: bool = False
+    """whether it changes the noise and leaves the mean alone"""
+    reserve: bool = False
+    """kept out of every run but the last"""
+
+    @property
+    def listed(self) -> bool:
+        """Whether the catalogue has a name for it."""
+        return bool(self.listed_as)
+
+    def generator(self, case: Case) -> np.random.Generator:
+        """Where its own choices come from."""
+        return np.random.default_rng([case.seed, zlib.crc32(self.name.encode())])
+
+    def apply(self, rig: Rig, strength: float, case: Case) -> None:
+        """Turn the knobs of ``rig``; nothing happens at strength 0."""
+        if strength != 0.0:
+            self.turn(rig, float(strength), self.generator(case), case)
+
+
+CAUSES: dict[str, Cause] = {}
+
+
+def cause(
+    listed_as: tuple[str, ...], family: str, unit: str, highest: float, **flags: bool
+) -> Callable[[Apply], Apply]:
+    """Register the decorated function under its own name."""
+
+    def register(turn: Apply) -> Apply:
+        name = turn.__name__
+        CAUSES[name] = Cause(name, listed_as, family, unit, highest, turn, **flags)
+        return turn
+
+    return register
+
+
+def _sign(rng: np.random.Generator) -> float:
+    return 1.0 if rng.random() < 0.5 else -1.0
+
+
+def _between(rng: np.random.Generator, low: float, high: float) -> float:
+    """Uniform in the logarithm."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _mean_step(case: Case) -> float:
+    """V, the campaign's mean step."""
+    return float(np.mean([abs(step.beta) for step in case.steps]))
+
+
+# --------------------------------------------------------------------------- valve
+
+
+@cause(("flow_switching",), "fall", "share of the test gas", 1.0)
+def flow_follows_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas stops when its valve shuts, gradually as the valve does; so does its flow."""
+    mixing = rng.random() < 0.5
+    for knobs in rig.values():
+        knobs.following, knobs.mixing = s, mixing
+
+
+@cause(("valve_asymmetry",), "fall", "relative", 0.6)
+def closing_spring(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A spring that weakens as it relaxes shuts the valve more slowly (or faster) than it opens."""
+    sign = 1.0 if rng.random() < 0.7 else -1.0
+    for knobs in rig.values():
+        knobs.closing = sign * s
+
+
+@cause(("valve_second_order",), "delay", "s", 0.2)
+def coil_current(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The coil's current rises with L/R, and its square draws the valve."""
+    for knobs in rig.values():
+        knobs.coil_time = s
+
+
+@cause(("two_rate_valve",), "tail", "share", 0.25)
+def seat_creep(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The last part of the valve's opening creeps, with a spread of times."""
+    slow = _between(rng, 2.0, 8.0)
+    for knobs in rig.values():
+        knobs.slow_opening, knobs.slow_opening_time = s, slow
+
+
+@cause(("finite_stroke",), "delay", "s", 0.8)
+def plunger_stroke(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The plunger accelerates evenly from stop to stop."""
+    for knobs in rig.values():
+        knobs.stroke_time = s
+
+
+@cause((), "valve", "share of the stroke", 0.4)
+def sticking_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The valve sticks and slips: it moves in jumps."""
+    for knobs in rig.values():
+        knobs.stick_band = s * _between(rng, 0.7, 1.4)
+
+
+@cause((), "valve", "s", 0.6, reserve=True)
+def bouncing_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The valve springs back once, at either end."""
+    after = rng.uniform(0.1, 0.8)
+    for knobs in rig.values():
+        knobs.bounces = [(after, s)]
+
+
+# --------------------------------------------------------------------------- flows
+
+
+@cause(("flow_settling",), "tail", "relative", 0.6)
+def controller_settling(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The mass flow controllers settle, over- or underdamped, after the pressure jumps."""
+    time = _between(rng, 0.4, 3.0)
+    omega = rng.choice([0.0, 1.0]) * rng.uniform(0.5, 2.0) / time
+    sign, both = _sign(rng), rng.random() < 0.5
+    for step in case.steps:
+
+        def settle(t: FloatArray, t0: float = step.t0, tf: float = step.tf) -> FloatArray:
+            on, off = np.maximum(t - t0, 0.0), np.maximum(t - tf, 0.0)
+            bump = np.where(t >= t0, np.exp(-on / time) * np.cos(omega * on), 0.0)
+            if both:
+                bump -= np.where(t >= tf, np.exp(-off / time) * np.cos(omega * off), 0.0)
+            return 1.0 + 0.8 * sign * s * bump
+
+        rig[step.name].test_gas.append(settle)
+        if both:
+            rig[step.name].carrier.append(settle)
+
+
+@cause(("flow_error",), "flow", "relative", 0.15, per_experiment=True)
+def controller_offsets(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Flows differ from their set points: an offset of the controller and one a setting."""
+    low = min(step.total_flow for step in case.steps)
+    offset = 0.5 * rng.standard_normal() * low  # the same mL/s everywhere: more at small flows
+    for step in case.steps:
+        own = offset / step.total_flow + rng.standard_normal()
+        rig[step.name].flow_factor *= float(np.exp(s * np.clip(own, -2.5, 2.5)))
+
+
+@cause((), "plateau", "share lost", 0.4)
+def emptying_bottle(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The bottle's pressure falls while test gas flows; its flow gives way ever faster."""
+    begin = rng.uniform(0.0, 0.7)
+    order = rng.uniform(1.5, 4.0)
+    for step in case.steps:
+        length = step.tf - step.t0
+
+        def flow(t: FloatArray, t0: float = step.t0, length: float = length) -> FloatArray:
+            used = np.clip(((t - t0) / length - begin) / (1.0 - begin), 0.0, 1.0)
+            return 1.0 - s * used**order
+
+        rig[step.name].test_gas.append(flow)
+
+
+@cause((), "ripple", "relative", 0.3, fast=True)
+def neighbours_pump(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A pump on the same exhaust modulates the test-gas flow, stroke by stroke."""
+    frequency = _between(rng, 0.25, 2.5)
+    for step in case.steps:
+        phase = rng.uniform(0.0, 2.0 * pi)
+
+        def flow(t: FloatArray, phase: float = phase) -> FloatArray:
+            angle = 2.0 * pi * frequency * t + phase
+            return 1.0 + s * (np.sin(angle) + 0.4 * np.sin(2.0 * angle + 1.0))
+
+        rig[step.name].test_gas.append(flow)
+        rig[step.name].marks += list(np.arange(0.0, step.duration, 0.04 / frequency)[1:])
+
+
+# --------------------------------------------------------------------------- manifold
+
+
+@cause(("dead_volume",), "tail", "share of V", 0.35)
+def wall_pockets(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Two pockets of the manifold trade gas with the stream, faster at larger flow."""
+    time = _between(rng, 0.8, 4.0)
+    power = rng.choice([0.0, 0.5, 1.0])
+    typical = float(np.median([step.total_flow for step in case.steps]))
+    fractions = (0.7 * s, 0.3 * s)
+    for step in case.steps:
+        quicker = (step.total_flow / typical) ** power
+        rates = tuple(
+            f * case.V / (time * k) * quicker for f, k in zip(fractions, (0.8, 2.2), strict=True)
+        )
+        rig[step.name].pocket_fractions = fractions
+        rig[step.name].pocket_exchange = rates
+
+
+@cause(("axial_dispersion",), "mixing", "share", 0.7)
+def back_mixing(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The manifold is a row of cells that mix imperfectly: flow forward, less flow back."""
+    n_cells = int(rng.integers(3, 7))
+    for knobs in rig.values():
+        knobs.back_flow, knobs.n_cells = (1.0 - s) / s, n_cells
+
+
+@cause(("carry_over",), "start", "share of the step", 0.25, per_experiment=True)
+def residue(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Gas from the experiment before still leaves the walls when the next one starts."""
+    times = (_between(rng, 1.5, 6.0), _between(rng, 8.0, 30.0))
+    for before, step in zip(case.steps[:-1], case.steps[1:], strict=True):
+        ratio = before.concentration / step.concentration
+        rig[step.name].left_over = s * ratio * rng.uniform(0.6, 1.4)
+        rig[step.name].left_over_times = times
+
+
+@cause((), "tail", "share", 0.3)
+def late_bypass(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Part of the gas takes a detour and comes late."""
+    volume = rng.uniform(0.5, 4.0) * case.V
+    typical = float(np.median([step.total_flow for step in case.steps]))
+    shared = rng.random() < 0.5  # a detour of fixed time, or of fixed volume
+    for step in case.steps:
+        rig[step.name].bypass = s
+        rig[step.name].bypass_delay = volume / (typical if shared else step.total_flow)
+
+
+# --------------------------------------------------------------------------- sensor
+
+
+@cause(("sensor_diffusion",), "delay", "share of tau", 1.0)
+def layered_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Part of the sensor's delay is diffusion through a film of two layers."""
+    for knobs in rig.values():
+        knobs.film_share = s
+
+
+@cause(("sorption_asymmetry",), "fall", "K c", 3.0)
+def site_kinetics(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Langmuir kinetics read on a calibrated scale: sites fill faster than they empty."""
+    for knobs in rig.values():
+        knobs.langmuir = s
+
+
+@cause(("sorption_asymmetry",), "fall", "log of the rates", 2.0)
+def swelling_film(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The coating swells: the more it has taken up, the faster it takes up and gives off."""
+    sign = _sign(rng)
+    for knobs in rig.values():
+        knobs.swelling = sign * s
+
+
+@cause(("optical_nonlinearity", "sorption_asymmetry"), "fall", "K c", 1.0)
+def saturating_sites(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Langmuir kinetics seen as they are: the isotherm's bend shows in the voltage, too."""
+    for knobs in rig.values():
+        knobs.langmuir, knobs.curved = s, True
+
+
+@cause(("slow_sorption",), "tail", "share", 0.2)
+def slow_sites(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Some sites fill and empty slowly, with a spread of times and a bent isotherm."""
+    time = _between(rng, 3.0, 15.0)
+    for knobs in rig.values():
+        knobs.slow_sites, knobs.slow_sites_time = s, time
+
+
+@cause((), "ageing", "relative, an experiment", 0.4, per_experiment=True)
+def ageing_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The sensor slows down from experiment to experiment."""
+    sign = 1.0 if rng.random() < 0.8 else -1.0
+    for k, knobs in enumerate(rig.values()):
+        knobs.tau_factor = float(np.exp(sign * np.log1p(s) * k))
+
+
+@cause((), "fall", "share", 0.3, reserve=True)
+def sensor_hysteresis(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Uptake and release do not follow one line: part of the response has backlash."""
+    for knobs in rig.values():
+        knobs.backlash = s
+
+
+@cause((), "plateau", "share lost", 0.3)
+def condensation(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Water condenses on the ring while test gas flows, blocks it in part, and dries off later."""
+    onset, speed = rng.uniform(0.15, 0.7), rng.uniform(0.03, 0.12)
+    drying = _between(rng, 2.0, 12.0)
+    for step in case.steps:
+        length = step.tf - step.t0
+        size = s * rng.uniform(0.6, 1.4)
+
+        def blocked(
+            t: FloatArray,
+            t0: float = step.t0,
+            tf: float = step.tf,
+            length: float = length,
+            size: float = size,
+        ) -> FloatArray:
+            grown = 1.0 / (1.0 + np.exp(-((np.minimum(t, tf) - t0) / length - onset) / speed))
+            return -size * grown * np.exp(-np.maximum(t - tf, 0.0) / drying)
+
+        rig[step.name].concentration_gain.append(blocked)
+
+
+# --------------------------------------------------------------------------- readout
+
+
+@cause(("optical_nonlinearity",), "fall", "half-widths", 0.9)
+def lorentzian_flank(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The dip moves past the laser: the whole Lorentzian, not its tangent, is read."""
+    detuning = rng.choice([rng.uniform(-1.4, -0.9), rng.uniform(-0.45, -0.2)])
+    for knobs in rig.values():
+        knobs.shift, knobs.detuning = s, float(detuning)
+
+
+def _times(size: float, shape: Course) -> Course:
+    """``size`` times ``shape``."""
+    return lambda t: size * shape(t)
+
+
+def _soft_step(at: float, width: float) -> Course:
+    """0 before, 1 after ``at`` (s)."""
+    return lambda t: np.asarray(0.5 * (1.0 + np.tanh((t - at) / width)))
+
+
+def _interpolated(times: FloatArray, values: FloatArray) -> Course:
+    return lambda t: np.asarray(np.interp(t, times, values), dtype=float)
+
+
+def _window(begin: float, end: float) -> Course:
+    """1 between ``begin`` and ``end`` (s), else 0."""
+    return lambda t: ((t >= begin) & (t < end)).astype(float)
+
+
+def _thermal(rng: np.random.Generator, duration: float) -> Course:
+    """A drift of unit size: warming up, or half a swing of the room's temperature."""
+    if rng.random() < 0.6:
+        time = rng.uniform(0.3, 2.0) * duration
+        return lambda t: (
+            (1.0 - np.exp(-np.maximum(t, 0.0) / time)) / (1.0 - np.exp(-duration / time))
+        )
+    period, phase = rng.uniform(1.2, 3.0) * duration, rng.uniform(0.0, 2.0 * pi)
+    return lambda t: np.sin(2.0 * pi * t / period + phase) - np.sin(phase)
+
+
+@cause(("baseline_drift",), "drift", "share of the step", 0.1, per_experiment=True)
+def thermal_drift(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The resonance drifts with the room's temperature."""
+    size, shared = s * _mean_step(case), rng.standard_normal()
+    for step in case.steps:
+        own = size * float(0.7 * shared + rng.standard_normal())
+        shape = _thermal(rng, step.duration)
+        rig[step.name].offset.append(_times(own, shape))
+
+
+@cause(("baseline_step",), "drift", "share of the step", 0.1, per_experiment=True)
+def knocked_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The alignment moves once and stays: at the end of the pulse, or at a time of its own."""
+    size, after_pulse = s * _mean_step(case), rng.random() < 0.6
+    width, sign = _between(rng, 0.05, 1.0), _sign(rng)
+    when = rng.uniform(0.1, 0.9)
+    for step in case.steps:
+        own = sign * size * rng.uniform(0.5, 1.5)
+        at = step.tf + 2.0 * width if after_pulse else when * step.duration
+        rig[step.name].offset.append(_times(own, _soft_step(at, width)))
+        rig[step.name].marks.append(float(at))
+
+
+@cause(("gain_drift",), "drift", "relative", 0.1, per_experiment=True)
+def fading_laser(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The optical power, and with it the whole voltage, fades or recovers."""
+    shared = rng.standard_normal()
+    for step in case.steps:
+        own = s * float(0.8 * shared + 0.6 * rng.standard_normal())
+        shape = _thermal(rng, step.duration)
+        rig[step.name].gain.append(_times(own, shape))
+
+
+@cause((), "drift", "half-widths", 0.08, per_experiment=True)
+def wandering_laser(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The wavelength walks at random; how much voltage that makes depends on the flank."""
+    for step in case.steps:
+        times = np.arange(0.0, step.duration + 1.0, 0.5)
+        walk = np.cumsum(rng.standard_normal(len(times))) * np.sqrt(0.5 / step.duration)
+        rig[step.name].wander.append(_interpolated(times, s * walk))
+
+
+@cause((), "drift", "relative", 0.1, per_experiment=True, reserve=True)
+def mode_hop(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The laser hops to another mode and back: its power differs for a while."""
+    for step in case.steps:
+        if rng.random() < 0.3:
+            continue
+        begin = rng.uniform(step.t0, step.tf - 3.0)
+        lasts = _between(rng, 1.0, 10.0)
+        size = s * _sign(rng)
+        rig[step.name].gain.append(_times(size, _window(begin, begin + lasts)))
+        rig[step.name].marks += [begin, begin + lasts]
+
+
+@cause((), "tail", "share of the step", 0.15)
+def gas_cooling(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Expanding gas cools the ring after every switch; the dip moves and comes back."""
+    fast, slow = _between(rng, 0.4, 1.5), _between(rng, 2.5, 8.0)
+    sign, same = _sign(rng), rng.choice([1.0, -1.0])
+    largest = max(step.test_gas_flow for step in case.steps)
+    for step in case.steps:
+        size = sign * s * abs(step.beta) * step.test_gas_flow / largest
+
+        def swing(
+            t: FloatArray, t0: float = step.t0, tf: float = step.tf, size: float = size
+        ) -> FloatArray:
+            total = np.zeros_like(t)
+            for at, weight in ((t0, 1.0), (tf, same)):
+                since = np.maximum(t - at, 0.0)
+                total += weight * (np.exp(-since / slow) - np.exp(-since / fast))
+            return size * total
+
+        rig[step.name].offset.append(swing)
+
+
+@cause((), "spike", "share of the step", 0.2, reserve=True)
+def pressure_spike(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A pressure wave runs ahead of the gas and presses on the ring before it arrives."""
+    width, lead = _between(rng, 0.05, 0.4), rng.uniform(0.1, 0.5)
+    sign = _sign(rng)
+    for step in case.steps:
+        size = sign * s * abs(step.beta)
+
+        def spike(
+            t: FloatArray, t0: float = step.t0, tf: float = step.tf, size: float = size
+        ) -> FloatArray:
+            first = np.exp(-0.5 * ((t - t0 + lead) / width) ** 2)
+            return size * (first - 0.7 * np.exp(-0.5 * ((t - tf + lead) / width) ** 2))
+
+        rig[step.name].offset.append(spike)
+        rig[step.name].marks += [step.t0 - lead - 3.0 * width, step.tf - lead - 3.0 * width]
+
+
+@cause((), "spike", "share of the step", 0.3, per_experiment=True, reserve=True)
+def passing_bubble(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Droplets pass the ring now and then: the signal dips and recovers."""
+    for step in case.steps:
+        for _ in range(int(rng.integers(1, 4))):
+            at, lasts = rng.uniform(0.05, 0.95) * step.duration, _between(rng, 0.3, 3.0)
+            size = -s * abs(step.beta) * rng.uniform(0.4, 1.0)
+
+            def dip_of(
+                t: FloatArray, at: float = at, lasts: float = lasts, size: float = size
+            ) -> FloatArray:
+                since = np.maximum(t - at, 0.0) / lasts
+                return size * since * np.exp(1.0 - since)
+
+            rig[step.name].offset.append(dip_of)
+            rig[step.name].marks.append(at)
+
+
+# --------------------------------------------------------------------------- electronics
+
+
+@cause(("mains_pickup",), "line", "share of the step", 0.05, fast=True)
+def mains_hum(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The mains and its third harmonic, with a frequency that is never quite 50 or 60 Hz."""
+    frequency = rng.choice([50.0, 60.0]) + 0.03 * rng.standard_normal()
+    third, size = rng.uniform(0.0, 0.5), s * _mean_step(case)
+    for step in case.steps:
+        phases = rng.uniform(0.0, 2.0 * pi, 2)
+
+        def hum(t: FloatArray, phases: FloatArray = phases) -> FloatArray:
+            angle = 2.0 * pi * frequency * t
+            return size * (np.sin(angle + phases[0]) + third * np.sin(3.0 * angle + phases[1]))
+
+        rig[step.name].offset.append(hum)
+
+
+@cause((), "line", "share of the step", 0.2, fast=True, reserve=True)
+def ringing_bench(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The click of the valve sets the optical bench ringing."""
+    frequency, damping = _between(rng, 4.0, 18.0), _between(rng, 0.3, 2.0)
+    lead, size = rng.uniform(0.05, 0.3), s * _mean_step(case)
+    for step in case.steps:
+
+        def ring(t: FloatArray, t0: float = step.t0, tf: float = step.tf) -> FloatArray:
+            total = np.zeros_like(t)
+            for at in (t0 - lead, tf - lead):
+                since = t - at
+                live = since > 0
+                total[live] += np.exp(-since[live] / damping) * np.sin(
+                    2.0 * pi * frequency * since[live]
+                )
+            return size * total
+
+        rig[step.name].offset.append(ring)
+
+
+@cause((), "drive", "share of the step", 0.1)
+def drive_crosstalk(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The valve's drive leaks into the signal: a step at the command and a spike at its edges."""
+    spike, time = rng.uniform(0.0, 2.0), _between(rng, 0.02, 0.2)
+    size = _sign(rng) * s * _mean_step(case)
+    for step in case.steps:
+        on, off = step.commanded_on, step.commanded_off
+
+        def leak(t: FloatArray, on: float = on, off: float = off) -> FloatArray:
+            high = ((t >= on) & (t < off)).astype(float)
+            up = np.where(t >= on, np.exp(-np.maximum(t - on, 0.0) / time), 0.0)
+            down = np.where(t >= off, np.exp(-np.maximum(t - off, 0.0) / time), 0.0)
+            return size * (high + spike * (up - down))
+
+        rig[step.name].offset.append(leak)
+        rig[step.name].marks += [on, off]
+
+
+@cause(("daq_filter",), "delay", "s", 0.08)
+def anti_alias_filter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A four-pole filter before the converter."""
+    for knobs in rig.values():
+        knobs.filter_time = s
+
+
+@cause((), "clock", "relative", 0.08, per_experiment=True)
+def running_off_clock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The recorder's clock runs at another rate each time and changes it on the way."""
+    for step in case.steps:
+        rate, bend = rng.standard_normal(), rng.standard_normal()
+        rate, bend = np.clip([rate, bend], -2.0, 2.0)
+
+        def clock(
+            t: FloatArray, rate: float = rate, bend: float = bend, length: float = step.duration
+        ) -> FloatArray:
+            return t + s * (rate * t + bend * t * (t / length - 1.0))
+
+        rig[step.name].clock = clock
+
+
+@cause((), "clock", "s", 1.0, per_experiment=True)
+def lost_samples(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The recorder loses a block of samples while the signal moves, and does not say so."""
+    reach = 1.5 * (case.tau_v + case.V / float(np.mean([p.total_flow for p in case.steps])))
+    for step in case.steps:
+        gaps = []
+        for switch in (step.t0, step.tf):
+            if rng.random() < 0.6:
+                gaps.append((switch + rng.uniform(0.1, 1.0) * reach, s * rng.uniform(0.4, 1.0)))
+
+        def clock(t: FloatArray, gaps: tuple[tuple[float, float], ...] = tuple(gaps)) -> FloatArray:
+            true = t.copy()
+            for at, lasts in gaps:
+                true += lasts * (true >= at)
+            return true
+
+        rig[step.name].clock = clock
+        rig[step.name].marks += [edge for at, lasts in gaps for edge in (at, at + lasts)]
+
+
+# --------------------------------------------------------------------------- noise
+
+
+def _noise_only(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Nothing to turn on the rig: the noise or the converter changes."""
+
+
+def tail_mixture(case: Case) -> tuple[float, float]:
+    """(share of wild innovations, how many times as large they are) of a case."""
+    strength = case.strengths.get("wild_samples", 0.0)
+    if strength == 0.0:
+        return 0.0, 1.0
+    share = CAUSES["wild_samples"].generator(case).uniform(0.003, 0.03)
+    return float(share), 1.0 + strength
+
+
+def converter_step(case: Case) -> float:
+    """V, the recorder's step, coarse where the range is set too wide."""
+    strength = case.strengths.get("coarse_range", 0.0)
+    return max(case.lsb, strength * case.noise.sigma0)
+
+
+CAUSES["wild_samples"] = Cause(
+    "wild_samples", ("heavy_tails",), "noise", "times sigma beyond 1", 8.0, _noise_only, noise=True
+)
+CAUSES["coarse_range"] = Cause(
+    "coarse_range", ("quantisation",), "noise", "sigma0 a step", 3.0, _noise_only, noise=True
+)

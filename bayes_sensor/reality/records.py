@@ -1,0 +1,148 @@
+"""What a simulated campaign is made of: the rig, its step experiments, its noise, its faults.
+
+Seconds, volts and mL/s throughout.  All records turn into plain JSON and back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from bayes_sensor.campaign import CampaignError
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step experiment: how it is set up and what really happens."""
+
+    name: str
+    carrier_flow: float
+    """mL/s"""
+    test_gas_flow: float
+    """mL/s"""
+    interval: float
+    """s"""
+    duration: float
+    """s"""
+    commanded_on: float
+    commanded_off: float
+    t0: float
+    """s, when the gas really begins to switch on"""
+    tf: float
+    """s, when it begins to switch off"""
+    y0: float
+    """V"""
+    beta: float
+    """V, plateau above baseline"""
+
+    @property
+    def total_flow(self) -> float:
+        """mL/s, as set."""
+        return self.carrier_flow + self.test_gas_flow
+
+    @property
+    def concentration(self) -> float:
+        """Test-gas fraction, as set."""
+        return self.test_gas_flow / self.total_flow
+
+    @property
+    def n_samples(self) -> int:
+        """How many samples are recorded."""
+        return round(self.duration / self.interval)
+
+
+@dataclass(frozen=True)
+class Component:
+    """One part of the noise: its share of the variance and its correlation.
+
+    ``time`` 0 is white; otherwise the autocorrelation is ``exp(-lag/time) cos(2 pi frequency lag)``
+    (an Ornstein-Uhlenbeck process, a damped oscillation where ``frequency`` is not 0, or with
+    ``telegraph`` a process of two levels that has the same autocorrelation).  With ``smooth`` the
+    part is white noise through a critically damped two-pole filter:
+    ``exp(-lag/time) (1 + lag/time)``.
+    """
+
+    share: float
+    time: float = 0.0
+    """s"""
+    frequency: float = 0.0
+    """Hz"""
+    shape: str = "gauss"
+    """``gauss``, ``telegraph`` or ``smooth``"""
+
+
+@dataclass(frozen=True)
+class NoiseLaw:
+    """Noise ``s_i z_i`` with z the sum of ``components`` and s^2 = sigma0^2 + sigma1^2 (c/c_max) x.
+
+    x is the sensor's normalised response; the shares of the components add up to 1.
+    """
+
+    name: str
+    sigma0: float
+    """V"""
+    sigma1: float = 0.0
+    """V, extra at the highest concentration of the campaign"""
+    components: tuple[Component, ...] = (Component(1.0),)
+
+    @property
+    def is_ar1(self) -> bool:
+        """Whether one Ornstein-Uhlenbeck or white component makes all of it."""
+        first = self.components[0]
+        return len(self.components) == 1 and first.frequency == 0.0 and first.shape == "gauss"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A campaign to be simulated.
+
+    ``strengths`` turns causes on by name (see ``CAUSES``); what is not named is off.  ``seed``
+    decides everything random: noise, and the shapes that a cause draws for itself.
+    """
+
+    seed: int
+    tau: float
+    """s, sensor"""
+    tau_v: float
+    """s, valve"""
+    V: float
+    """mL, manifold"""
+    steps: tuple[Step, ...]
+    noise: NoiseLaw
+    strengths: Mapping[str, float] = field(default_factory=dict)
+    lsb: float = 0.0
+    """V, step of the recorder; 0 records doubles"""
+    title: str = "simulated rig"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "steps", tuple(self.steps))
+        object.__setattr__(self, "strengths", dict(self.strengths))
+        if not self.steps or min(self.tau, self.tau_v, self.V) <= 0:
+            raise CampaignError(
+                "case: expected at least one experiment and positive tau, tau_v and V, got "
+                f"{len(self.steps)} experiments, {self.tau} s, {self.tau_v} s, {self.V} mL"
+            )
+
+    @property
+    def highest_concentration(self) -> float:
+        """The highest test-gas fraction among the experiments."""
+        return max(step.concentration for step in self.steps)
+
+    def relative_concentration(self, step: Step) -> float:
+        """The experiment's test-gas fraction over the campaign's highest."""
+        return step.concentration / self.highest_concentration
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Case:
+        """The record that :meth:`to_json` wrote."""
+        values = dict(content)
+        law = dict(values["noise"])
+        law["components"] = tuple(Component(**part) for part in law["components"])
+        values["noise"] = NoiseLaw(**law)
+        values["steps"] = tuple(Step(**step) for step in values["steps"])
+        return cls(**values)

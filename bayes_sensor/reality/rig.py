@@ -1,0 +1,289 @@
+"""One experiment on the simulated rig, from the valve's command to the voltage.
+
+Command -> coil and stroke of the valve -> flows -> manifold -> sensor -> ring resonance ->
+receiver and filter -> recorder's clock.  Each knob left alone is an ideal part, and all of them
+together give the cascade of three first-order lags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.reality import stages
+from bayes_sensor.reality.records import Case, Step
+
+Course = Callable[[FloatArray], FloatArray]
+"""something that changes with time: (n,) s to (n,)"""
+
+
+@dataclass
+class Knobs:
+    """How one experiment's rig departs from ideal; the causes turn these."""
+
+    # valve
+    coil_time: float = 0.0
+    """s, rise of the coil's current, whose square draws the valve"""
+    stroke_time: float = 0.0
+    """s, from stop to stop at constant acceleration"""
+    closing: float = 0.0
+    stick_band: float = 0.0
+    slow_opening: float = 0.0
+    """share of the opening that follows slowly"""
+    slow_opening_time: float = 3.0
+    bounces: list[tuple[float, float]] = field(default_factory=list)
+    """(s after the switch, s it lasts): the valve springs back"""
+    # flows
+    following: float = 0.0
+    """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
+    mixing: bool = False
+    """whether the inlet's concentration follows from the two flows while the valve moves"""
+    carrier: list[Course] = field(default_factory=list)
+    """factors of the carrier flow"""
+    test_gas: list[Course] = field(default_factory=list)
+    """factors of the test-gas flow"""
+    flow_factor: float = 1.0
+    """true over set flow, both gases"""
+    # manifold
+    pocket_fractions: tuple[float, ...] = ()
+    pocket_exchange: tuple[float, ...] = ()
+    """mL/s"""
+    back_flow: float | None = None
+    """of ``n_cells`` cells; None: one stirred volume"""
+    n_cells: int = 4
+    left_over: float = 0.0
+    """concentration in the manifold at the start, in units of this experiment's"""
+    left_over_times: tuple[float, float] = (4.0, 20.0)
+    bypass: float = 0.0
+    bypass_delay: float = 1.0
+    # sensor
+    tau_factor: float = 1.0
+    film_share: float = 0.0
+    """share of the mean delay tau that is diffusion"""
+    langmuir: float = 0.0
+    """K times the highest concentration"""
+    curved: bool = False
+    """whether the isotherm's bend shows in the signal, too"""
+    swelling: float = 0.0
+    slow_sites: float = 0.0
+    slow_sites_time: float = 10.0
+    backlash: float = 0.0
+    # readout
+    shift: float = 0.0
+    """resonance shift at the highest concentration in half-widths; 0: straight readout"""
+    detuning: float = -0.8
+    wander: list[Course] = field(default_factory=list)
+    """half-widths by which the laser strays"""
+    gain: list[Course] = field(default_factory=list)
+    """relative changes of the optical power"""
+    concentration_gain: list[Course] = field(default_factory=list)
+    """relative changes of the response alone"""
+    offset: list[Course] = field(default_factory=list)
+    """V, added"""
+    # receiver and recorder
+    filter_time: float = 0.0
+    """s, total delay of a four-pole anti-alias filter"""
+    clock: Course | None = None
+    """true time of what the recorder calls ``t``"""
+    marks: list[float] = field(default_factory=list)
+    """s, true times at which something else jumps"""
+
+
+def on_the_clock(knobs: Knobs, true: float, step: Step) -> float:
+    """s, what the recorder calls the true time ``true``."""
+    if knobs.clock is None:
+        return true
+    t = np.linspace(0.0, step.duration, 20001)
+    return float(np.interp(true, knobs.clock(t), t))
+
+
+def nodes(step: Step, times: FloatArray, marks: list[float], quick: float) -> FloatArray:
+    """(n,) s: the times asked for, every switch, and steps that are short after each switch.
+
+    ``quick`` (s) is the fastest of the slow parts; steps stay below a hundredth of it while the
+    response moves and grow in proportion to the time since the switch later.
+    """
+    first = min(float(times[0]), step.t0, *marks) - 1.0
+    first = min(first, 0.0)
+    last = float(times[-1])
+    events = sorted({step.t0, step.tf, *marks})
+    pieces = [times, np.array([first, *events])]
+    for i, event in enumerate(events):
+        end = events[i + 1] if i + 1 < len(events) else last
+        s, offsets = 0.0, []
+        while event + s < end:
+            offsets.append(s)
+            h = min(1e-4 + 0.02 * s, 0.01 * quick)
+            s += max(h, 0.004 * (s - 25.0 * quick))
+        pieces.append(event + np.array(offsets))
+    grid = np.unique(np.concatenate(pieces))
+    grid = grid[grid <= last]
+    # times that differ by rounding only would make intervals of no length
+    keep = np.concatenate([[True], np.diff(grid) > 1e-9])
+    return grid[keep]
+
+
+def voltage(
+    case: Case, step: Step, knobs: Knobs, times: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Signal (n,) V and normalised response (n,) at recorder times ``times`` (n,) s, no noise."""
+    true = times if knobs.clock is None else knobs.clock(times)
+    marks = list(knobs.marks)
+    for switch in (step.t0, step.tf):
+        marks += [switch + after for after, _ in knobs.bounces]
+        marks += [switch + after + lasts for after, lasts in knobs.bounces]
+        if knobs.stroke_time > 0:
+            marks.append(switch + knobs.stroke_time)
+        if knobs.bypass > 0:
+            marks.append(switch + knobs.bypass_delay)
+    quick = min(case.tau_v, case.V / step.total_flow)
+    t = nodes(step, true, marks, quick)
+    opening = _opening(case, step, knobs, t)
+    inlet, flow = _flows(step, knobs, t, opening)
+    gas = _manifold(case, knobs, t, inlet, flow)
+    response = _sensor(case, step, knobs, t, gas)
+    y = _readout(case, step, knobs, t, response)
+    if knobs.filter_time > 0:
+        for _ in range(4):
+            pole = np.full(len(t) - 1, 0.25 * knobs.filter_time)
+            y = stages.lag(t, y, pole, float(y[0]))
+    return np.interp(true, t, y), np.interp(true, t, response)
+
+
+def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
+    middle = 0.5 * (t[1:] + t[:-1])
+    up = (middle > step.t0) & (middle < step.tf)
+    for after, lasts in knobs.bounces:
+        up &= ~((middle > step.t0 + after) & (middle < step.t0 + after + lasts))
+        up |= (middle > step.tf + after) & (middle < step.tf + after + lasts)
+    first = last = up.astype(float)
+    if knobs.stroke_time > 0:
+        z = _stroke(t, step, knobs.stroke_time)
+        first, last = z[:-1], z[1:]
+    if knobs.coil_time > 0:
+        # the current obeys the same first-order law as an ideal valve
+        force = stages.valve(t, first, last, knobs.coil_time, 0.0) ** 2
+        first, last = force[:-1], force[1:]
+    x = stages.valve(t, first, last, case.tau_v, knobs.closing)
+    if knobs.slow_opening > 0:
+        slow = np.zeros_like(x)
+        for factor in (0.6, 1.6):
+            slow += 0.5 * stages.valve(t, first, last, factor * knobs.slow_opening_time, 0.0)
+        x = (1.0 - knobs.slow_opening) * x + knobs.slow_opening * slow
+    if knobs.stick_band > 0:
+        x = stages.stick_slip(x, knobs.stick_band)
+    return x
+
+
+def _stroke(t: FloatArray, step: Step, lasts: float) -> FloatArray:
+    """(n,) position of the plunger: constant acceleration from one stop to the other."""
+    up = np.clip((t - step.t0) / lasts, 0.0, 1.0) ** 2
+    return up - np.clip((t - step.tf) / lasts, 0.0, 1.0) ** 2
+
+
+def _flows(
+    step: Step, knobs: Knobs, t: FloatArray, opening: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Inlet concentration over the set one, and total flow (mL/s), (n,) each."""
+    carrier = np.full(len(t), step.carrier_flow)
+    full = np.full(len(t), step.test_gas_flow)
+    for factor in knobs.carrier:
+        carrier = carrier * factor(t)
+    for factor in knobs.test_gas:
+        full = full * factor(t)
+    # what does not pass the valve's branch while it is shut is made up by as much carrier gas
+    test = full * opening
+    made_up = (1.0 - knobs.following) * (step.test_gas_flow * (1.0 - opening))
+    if knobs.mixing:
+        inlet = test / (carrier + test + made_up) / step.concentration
+    else:
+        share = full / (carrier + full)
+        inlet = opening * share / step.concentration
+    flow = carrier + test + made_up
+    return inlet, flow * knobs.flow_factor
+
+
+def _manifold(
+    case: Case, knobs: Knobs, t: FloatArray, inlet: FloatArray, flow: FloatArray
+) -> FloatArray:
+    if knobs.pocket_fractions:
+        gas = stages.pockets(
+            t, inlet, flow, case.V, np.array(knobs.pocket_fractions),
+            np.array(knobs.pocket_exchange), 0.0,
+        )  # fmt: skip
+    elif knobs.back_flow is not None:
+        gas = stages.cells(t, inlet, flow, case.V, knobs.n_cells, knobs.back_flow)
+    else:
+        gas = stages.lag(t, inlet, case.V / (0.5 * (flow[1:] + flow[:-1])), 0.0)
+    if knobs.bypass > 0:
+        late = np.interp(t - knobs.bypass_delay, t, gas, left=0.0)
+        gas = (1.0 - knobs.bypass) * gas + knobs.bypass * late
+    if knobs.left_over != 0:
+        short, long = knobs.left_over_times
+        since = np.maximum(t - max(float(t[0]), 0.0), 0.0)
+        gas = gas + knobs.left_over * (0.6 * np.exp(-since / short) + 0.4 * np.exp(-since / long))
+    return gas
+
+
+def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray) -> FloatArray:
+    tau = case.tau * knobs.tau_factor
+    relative = case.relative_concentration(step)
+    if knobs.film_share > 0:
+        times, weights = stages.layered_film(tau * knobs.film_share)
+        gas = stages.modal(t, gas, times, weights)
+        tau *= 1.0 - knobs.film_share
+    if tau <= 0:
+        x = gas
+    elif knobs.langmuir > 0:
+        K = knobs.langmuir
+        filled = stages.langmuir(t, relative * gas, tau, K, 0.0)
+        if knobs.curved:
+            x = filled * (1.0 + K * relative) / relative
+        else:  # a reading that was calibrated against concentration
+            x = filled / (1.0 - K * filled) / relative
+    elif knobs.swelling != 0:
+        x = stages.langmuir(t, gas, tau, 0.0, knobs.swelling)
+    else:
+        x = stages.lag(t, gas, np.full(len(t) - 1, tau), float(gas[0]))
+    if knobs.slow_sites > 0:
+        slow = np.zeros_like(x)
+        for factor in (0.5, 1.8):
+            K = 0.3
+            site = stages.langmuir(t, relative * gas, factor * knobs.slow_sites_time, K, 0.0)
+            slow += 0.5 * site * (1.0 + K * relative) / relative
+        x = (1.0 - knobs.slow_sites) * x + knobs.slow_sites * slow
+    if knobs.backlash > 0:
+        x = x + knobs.backlash * (stages.play(x, 0.25) - x)
+    return x
+
+
+def dip(z: FloatArray | float) -> Any:
+    """Depth of the Lorentzian dip at a detuning of ``z`` half-widths, 1 at its centre."""
+    return 1.0 / (1.0 + np.square(z))
+
+
+def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray) -> FloatArray:
+    relative = case.relative_concentration(step)
+    for course in knobs.concentration_gain:
+        x = x * (1.0 + course(t))
+    if knobs.shift > 0:
+        rest, full = dip(knobs.detuning), dip(knobs.detuning + knobs.shift * relative)
+        signal = (dip(knobs.detuning + knobs.shift * relative * x) - rest) / (full - rest)
+    else:
+        signal = x
+    if knobs.wander:
+        stray = np.sum([course(t) for course in knobs.wander], axis=0)
+        reach = 0.3 * relative  # half-widths that the test gas shifts the line
+        rest, full = dip(knobs.detuning), dip(knobs.detuning + reach)
+        at = knobs.detuning + reach * x
+        signal = signal + (dip(at + stray) - dip(at)) / (full - rest)
+    y = step.y0 + step.beta * signal
+    for course in knobs.gain:
+        y = y * (1.0 + course(t))
+    for course in knobs.offset:
+        y = y + course(t)
+    return y

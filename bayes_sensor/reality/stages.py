@@ -1,0 +1,246 @@
+"""Stages of the rig, each stepped through time: input at the nodes in, state at the nodes out.
+
+``t`` (n,) s are increasing nodes, unevenly spaced, with a node at every jump of an input.  Between
+nodes an input runs in a straight line and a linear stage follows it exactly (exponential
+integrator, Hochbruck and Ostermann, Acta Numerica 19, 2010); coupled or bent stages take classical
+Runge-Kutta steps inside, as many as stability wants.
+"""
+
+from __future__ import annotations
+
+from math import ceil, exp
+
+import numpy as np
+from numba import njit
+
+from bayes_sensor.campaign import FloatArray
+
+
+@njit(cache=True, error_model="numpy")
+def lag(
+    t: FloatArray, u: FloatArray, tau: FloatArray, start: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state of x' = (u - x)/tau from ``start``; ``tau`` (n - 1,) s holds between nodes."""
+    n = len(t)
+    x = np.empty(n)
+    x[0] = start
+    old_h, old_tau, e = -1.0, -1.0, 0.0
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        if abs(h - old_h) > 1e-13 or tau[i] != old_tau:
+            e = exp(-h / tau[i])
+            old_h, old_tau = h, tau[i]
+        slope = (u[i + 1] - u[i]) / h
+        x[i + 1] = u[i + 1] - tau[i] * slope + (x[i] - u[i] + tau[i] * slope) * e
+    return x
+
+
+@njit(cache=True, error_model="numpy")
+def valve(
+    t: FloatArray, first: FloatArray, last: FloatArray, tau_v: float, closing: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) opening x1 of a valve drawn towards a target that may jump at nodes.
+
+    ``first``, ``last`` (n - 1,): the target at both ends of each interval.  While it closes, its
+    time constant is tau_v (1 + closing (0.6 + 0.8 x1)): the spring pushes the less, the further it
+    has come.
+    """
+    n = len(t)
+    x = np.zeros(n)
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        slope = (last[i] - first[i]) / h
+        middle = x[i]
+        for _ in range(2):  # predictor, corrector of the state that sets the rate
+            tau = tau_v
+            if closing != 0.0 and 0.5 * (first[i] + last[i]) < middle:
+                tau = tau_v * max(0.05, 1.0 + closing * (0.6 + 0.8 * middle))
+            end = last[i] - tau * slope + (x[i] - first[i] + tau * slope) * exp(-h / tau)
+            middle = 0.5 * (x[i] + end)
+        x[i + 1] = end
+    return x
+
+
+@njit(cache=True)
+def stick_slip(x: FloatArray, band: float) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``x`` followed by a part that sticks until it is ``band`` behind, then slips onto it.
+
+    The band shrinks near the ends of the stroke, where the stop holds the part in place.
+    """
+    out = np.empty(len(x))
+    place = x[0]
+    for i in range(len(x)):
+        if abs(x[i] - place) > band * (0.02 + 4.0 * x[i] * (1.0 - x[i])):
+            place = x[i]
+        out[i] = place
+    return out
+
+
+@njit(cache=True)
+def play(x: FloatArray, width: float) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``x`` through a backlash of half-width ``width``."""
+    out = np.empty(len(x))
+    place = x[0]
+    for i in range(len(x)):
+        place = max(x[i] - width, min(x[i] + width, place))
+        out[i] = place
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def pockets(
+    t: FloatArray,
+    u: FloatArray,
+    flow: FloatArray,
+    V: float,
+    fractions: FloatArray,
+    exchange: FloatArray,
+    start: float,
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) concentration of a manifold whose volume V (mL) partly lies in pockets.
+
+    V (1 - sum f) x' = flow (u - x) + sum_j e_j (p_j - x),   f_j V p_j' = e_j (x - p_j)
+
+    ``fractions`` (m,) of V, ``exchange`` (m,) mL/s, ``flow`` (n,) mL/s.
+    """
+    n, m = len(t), len(fractions)
+    main = V * (1.0 - fractions.sum())
+    fastest = (flow.max() + exchange.sum()) / main
+    for j in range(m):
+        fastest = max(fastest, exchange[j] / (fractions[j] * V))
+    x = np.empty(n)
+    state = np.full(m + 1, start)
+    k = np.zeros((4, m + 1))
+    trial = np.empty(m + 1)
+    x[0] = start
+    share = (0.0, 0.5, 0.5, 1.0)
+    for i in range(n - 1):
+        steps = max(1, ceil((t[i + 1] - t[i]) * fastest / 0.2))
+        h = (t[i + 1] - t[i]) / steps
+        for step in range(steps):
+            for stage in range(4):
+                at = (step + share[stage]) / steps
+                inlet = u[i] + at * (u[i + 1] - u[i])
+                q = flow[i] + at * (flow[i + 1] - flow[i])
+                for j in range(m + 1):
+                    before = k[stage - 1, j] if stage > 0 else 0.0
+                    trial[j] = state[j] + share[stage] * h * before
+                k[stage, 0] = q * (inlet - trial[0]) / main
+                for j in range(m):
+                    gap = exchange[j] * (trial[j + 1] - trial[0])
+                    k[stage, 0] += gap / main
+                    k[stage, j + 1] = -gap / (fractions[j] * V)
+            for j in range(m + 1):
+                state[j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
+        x[i + 1] = state[0]
+    return x
+
+
+@njit(cache=True, error_model="numpy")
+def cells(
+    t: FloatArray, u: FloatArray, flow: FloatArray, V: float, n_cells: int, back: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) outlet of ``n_cells`` equal cells in a row with back flow ``back`` times the flow.
+
+    Flow (1 + back) runs forward between cells, ``back`` backward; back -> infinity is one
+    well-stirred volume V (mL), back = 0 tanks in series.
+    """
+    n = len(t)
+    fastest = n_cells * flow.max() / V * (1.0 + 2.0 * back)
+    x = np.zeros(n)
+    state = np.zeros(n_cells)
+    k = np.zeros((4, n_cells))
+    trial = np.empty(n_cells)
+    share = (0.0, 0.5, 0.5, 1.0)
+    for i in range(n - 1):
+        steps = max(1, ceil((t[i + 1] - t[i]) * fastest / 1.0))
+        h = (t[i + 1] - t[i]) / steps
+        for step in range(steps):
+            for stage in range(4):
+                at = (step + share[stage]) / steps
+                inlet = u[i] + at * (u[i + 1] - u[i])
+                rate = (flow[i] + at * (flow[i + 1] - flow[i])) * n_cells / V
+                for j in range(n_cells):
+                    before = k[stage - 1, j] if stage > 0 else 0.0
+                    trial[j] = state[j] + share[stage] * h * before
+                for j in range(n_cells):
+                    if j == 0:
+                        change = inlet - trial[0]
+                    else:
+                        change = (1.0 + back) * (trial[j - 1] - trial[j])
+                    if j < n_cells - 1:
+                        change += back * (trial[j + 1] - trial[j])
+                    k[stage, j] = rate * change
+            for j in range(n_cells):
+                state[j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
+        x[i + 1] = state[n_cells - 1]
+    return x
+
+
+@njit(cache=True, error_model="numpy")
+def langmuir(
+    t: FloatArray, g: FloatArray, tau: float, K: float, bend: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) coverage over K of sites that fill as r' = [g (1 - K r) - r] exp(bend (r - 1/2))/tau.
+
+    ``g`` (n,) is the gas concentration in units in which K is Langmuir's constant (J. Am. Chem.
+    Soc. 40, 1361, 1918); K = 0 and bend = 0 is a first-order lag.  ``bend`` lets the rate grow
+    with coverage (a film that swells).
+    """
+    n = len(t)
+    r = np.empty(n)
+    r[0] = g[0] / (1.0 + K * g[0])
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        middle = r[i]
+        centre = 0.5 * (g[i] + g[i + 1])
+        fill = 1.0 + K * centre
+        a = g[i] / (1.0 + K * g[i])
+        b = g[i + 1] / (1.0 + K * g[i + 1])
+        slope = (b - a) / h
+        end = r[i]
+        for _ in range(2):
+            local = tau / fill
+            if bend != 0.0:
+                local *= exp(-bend * (middle - 0.5))
+            end = b - local * slope + (r[i] - a + local * slope) * exp(-h / local)
+            middle = 0.5 * (r[i] + end)
+        r[i + 1] = end
+    return r
+
+
+def layered_film(mean_time: float, n_cells: int = 18) -> tuple[FloatArray, FloatArray]:
+    """Time constants (n,) s and weights (n,) of a two-layer film, seen near its bottom.
+
+    Finite volumes across a permeable cover (four fifths of the height, 25 times the diffusivity)
+    on a dense layer, gas at the top, none through the bottom.  The space is gridded, time is left
+    to the modes of the grid.  Diffusivities are scaled so that the mean delay is ``mean_time``.
+    """
+    width = 1.0 / n_cells
+    dense = round(0.2 * n_cells)
+    diffusivity = np.where(np.arange(n_cells) < dense, 1.0 / 25.0, 1.0)
+    # between cell centres resistances add; the top face lies half a cell away from its centre
+    between = 1.0 / (0.5 * width / diffusivity[:-1] + 0.5 * width / diffusivity[1:])
+    top = diffusivity[-1] / (0.5 * width)
+    matrix = np.zeros((n_cells, n_cells))
+    for j, conductance in enumerate(between):
+        matrix[j, j] += conductance / width
+        matrix[j + 1, j + 1] += conductance / width
+        matrix[j, j + 1] -= conductance / width
+        matrix[j + 1, j] -= conductance / width
+    matrix[-1, -1] += top / width
+    rates, modes = np.linalg.eigh(matrix)
+    probe = 0
+    inflow = np.zeros(n_cells)
+    inflow[-1] = top / width
+    weights = modes[probe] * (modes.T @ inflow) / rates
+    times = 1.0 / rates
+    return times * mean_time / float(weights @ times), weights
+
+
+def modal(t: FloatArray, u: FloatArray, times: FloatArray, weights: FloatArray) -> FloatArray:
+    """(n,) weighted sum of first-order lags from rest at ``u[0]``."""
+    out = np.zeros(len(t))
+    for tau, weight in zip(times, weights, strict=True):
+        out += weight * lag(t, u, np.full(len(t) - 1, tau), float(u[0]))
+    return out

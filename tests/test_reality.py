@@ -1,0 +1,372 @@
+"""The independent reality against closed forms, an ODE solver and its own promises."""
+
+from __future__ import annotations
+
+import ast
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import bayes_sensor.reality as reality
+from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.reality import (
+    CAUSES,
+    OPEN_LAWS,
+    RESERVE_LAWS,
+    Case,
+    acting_places,
+    autocorrelation,
+    clean_signals,
+    draw_case,
+    draw_law,
+    make_campaign,
+    phase_edges,
+    sample_times,
+    without_causes,
+)
+from bayes_sensor.reality.noise import draw_noise
+from bayes_sensor.reality.rig import Knobs, dip, voltage
+from bayes_sensor.reality.stages import layered_film, modal
+
+CONTRACT_NAMES = (
+    "flow_switching valve_asymmetry valve_second_order two_rate_valve finite_stroke dead_volume "
+    "axial_dispersion flow_settling flow_error sensor_diffusion sorption_asymmetry slow_sorption "
+    "optical_nonlinearity baseline_drift baseline_step gain_drift carry_over mains_pickup "
+    "daq_filter heavy_tails quantisation"
+).split()
+MEAN_CAUSES = [name for name, cause in CAUSES.items() if not cause.noise]
+
+
+def case(**strengths: float) -> Case:
+    """A small rig, the same for every call."""
+    return replace(draw_case(11, size="small"), strengths=strengths)
+
+
+def solved(rig: Case, right_side, n_states: int, k: int = 0) -> tuple[FloatArray, FloatArray]:
+    """Times and states of an ODE that scipy solves piece by piece between the switches."""
+    step = rig.steps[k]
+    t = sample_times(step)
+    states = np.zeros((len(t), n_states))
+    y = np.zeros(n_states)
+    edges = [0.0, step.t0, step.tf, step.duration]
+    for low, high, u in zip(edges[:-1], edges[1:], (0.0, 1.0, 0.0), strict=True):
+        inside = (t >= low) & (t < high)
+        result = solve_ivp(
+            lambda s, x, u=u: right_side(u, x), (low, high), y, method="DOP853", rtol=1e-10,
+            atol=1e-12, dense_output=True, max_step=0.05,
+        )  # fmt: skip
+        states[inside] = result.sol(t[inside]).T
+        y = result.y[:, -1]
+    return t, states
+
+
+# --------------------------------------------------------------------------- independence
+
+
+def test_reality_imports_nothing_but_the_campaign_and_numerics() -> None:
+    allowed = {"bayes_sensor.campaign", "bayes_sensor.reality", "numpy", "scipy", "numba"}
+    files = sorted(Path(reality.__file__).parent.glob("*.py"))
+    assert len(files) >= 5
+    seen = set()
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                assert node.level == 0, f"{file.name}:{node.lineno}: relative import"
+                names = [node.module or ""]
+            for name in names:
+                parts = name.split(".")
+                root = ".".join(parts[:2]) if parts[0] == "bayes_sensor" else parts[0]
+                seen.add(root)
+                assert root in allowed or root in sys.stdlib_module_names, (
+                    f"{file.name}:{node.lineno}: {name}"
+                )
+    assert "bayes_sensor.campaign" in seen  # the walk did look at imports
+
+
+def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no_name() -> None:
+    listed = {name for cause in CAUSES.values() for name in cause.listed_as}
+    assert listed == set(CONTRACT_NAMES)
+    unlisted = [cause for cause in CAUSES.values() if not cause.listed]
+    assert len(unlisted) >= 10
+    assert len([cause for cause in unlisted if not cause.reserve]) >= 8
+    assert [cause.name for cause in unlisted if cause.reserve]
+    assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
+    assert all(cause.turn.__doc__ for cause in CAUSES.values())
+
+
+# --------------------------------------------------------------------------- nothing wrong
+
+
+@pytest.mark.parametrize("size", ["paper", "varied", "small"])
+def test_with_nothing_wrong_it_is_the_cascade(size: str) -> None:
+    rig = draw_case(4, size=size)
+    step = rig.steps[1]
+    taus = rig.tau_v, rig.V / step.total_flow, rig.tau
+
+    def cascade(u: float, x: FloatArray) -> list[float]:
+        return [(u - x[0]) / taus[0], (x[0] - x[1]) / taus[1], (x[1] - x[2]) / taus[2]]
+
+    _, states = solved(rig, cascade, 3, k=1)
+    y = clean_signals(rig)[step.name]
+    # the stated tolerance is 1e-4; straight lines between nodes leave a few 1e-6
+    assert np.abs((y - step.y0) / step.beta - states[:, 2]).max() < 1e-5
+
+
+def test_nodes_may_be_few() -> None:
+    # the oracle asks for a few hundred times only: same values as on the full grid
+    rig = case(flow_follows_valve=1.0, slow_sites=0.1, lorentzian_flank=0.5)
+    full = clean_signals(rig)
+    for step in rig.steps:
+        t = sample_times(step)
+        few = t[:: len(t) // 211]
+        y = clean_signals(rig, {s.name: few if s is step else t for s in rig.steps})[step.name]
+        assert np.abs(y - np.interp(few, t, full[step.name])).max() < 2e-5 * step.beta
+
+
+# --------------------------------------------------------------------------- causes
+
+
+@pytest.mark.parametrize("name", MEAN_CAUSES)
+def test_a_cause_vanishes_with_its_strength_and_shows_without(name: str) -> None:
+    rig, highest = case(), CAUSES[name].highest
+    ideal = clean_signals(rig)
+    off = clean_signals(replace(rig, strengths={name: 0.0}))
+    weak = clean_signals(replace(rig, strengths={name: 1e-3 * highest}))
+    strong = clean_signals(replace(rig, strengths={name: highest}))
+    assert all(np.array_equal(off[k], ideal[k]) for k in ideal)
+    assert all(np.isfinite(strong[k]).all() for k in ideal)
+
+    def rms(other: dict[str, FloatArray]) -> float:
+        return float(np.sqrt(np.mean([np.mean((other[k] - ideal[k]) ** 2) for k in ideal])))
+
+    assert rms(strong) > 1e-4  # V
+    # clocks and jumps of time move a steep signal: their effect grows like the root at worst
+    assert rms(weak) < 0.1 * rms(strong)
+
+
+@pytest.mark.parametrize("name", [name for name, cause in CAUSES.items() if cause.noise])
+def test_a_noise_cause_leaves_the_mean_alone(name: str) -> None:
+    rig = case(**{name: CAUSES[name].highest})
+    ideal = without_causes(rig)
+    for k, y in clean_signals(rig).items():
+        assert np.array_equal(y, clean_signals(ideal)[k])
+        assert not np.array_equal(make_campaign(rig)[k].y, make_campaign(ideal)[k].y)
+
+
+def test_a_cause_draws_its_shape_from_the_seed_and_not_from_its_strength() -> None:
+    # twice the strength of a drift that is linear in it is twice the drift
+    rig = case()
+    ideal = clean_signals(rig)
+    one = clean_signals(replace(rig, strengths={"thermal_drift": 0.02}))
+    two = clean_signals(replace(rig, strengths={"thermal_drift": 0.04}))
+    for k in ideal:
+        assert np.allclose(two[k] - ideal[k], 2.0 * (one[k] - ideal[k]), atol=1e-12)
+    other = clean_signals(replace(rig, seed=12, strengths={"thermal_drift": 0.02}))
+    assert not np.allclose(other["1"], one["1"])
+
+
+def test_unknown_causes_are_refused() -> None:
+    with pytest.raises(CampaignError, match="no cause 'gremlin'; there are flow_follows_valve"):
+        make_campaign(case(gremlin=1.0))
+
+
+def test_flow_that_follows_the_valve_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    share = 0.7
+
+    def rig_with_flow(u: float, x: FloatArray) -> list[float]:
+        made_up = (1.0 - share) * step.test_gas_flow * (1.0 - x[0])
+        flow = step.carrier_flow + step.test_gas_flow * x[0] + made_up
+        inlet = step.test_gas_flow * x[0] / flow / step.concentration
+        return [(u - x[0]) / rig.tau_v, flow / rig.V * (inlet - x[1]), (x[1] - x[2]) / rig.tau]
+
+    t, states = solved(rig, rig_with_flow, 3)
+    _, x = voltage(rig, step, Knobs(following=share, mixing=True), t)
+    assert np.abs(x - states[:, 2]).max() < 2e-5
+
+
+def test_pockets_back_mixing_and_site_kinetics_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    q, V, relative = step.total_flow, rig.V, rig.relative_concentration(step)
+    f, e = np.array([0.15, 0.05]), np.array([3.0, 0.6])
+
+    def with_pockets(u: float, x: FloatArray) -> list[float]:
+        main = V * (1.0 - f.sum())
+        into = e @ (x[2:4] - x[1])
+        pocket = e * (x[1] - x[2:4]) / (f * V)
+        gas = (q * (x[0] - x[1]) + into) / main
+        return [(u - x[0]) / rig.tau_v, gas, *pocket, (x[1] - x[4]) / rig.tau]
+
+    t, states = solved(rig, with_pockets, 5)
+    knobs = Knobs(pocket_fractions=tuple(f), pocket_exchange=tuple(e))
+    assert np.abs(voltage(rig, step, knobs, t)[1] - states[:, 4]).max() < 2e-5
+
+    def with_cells(u: float, x: FloatArray) -> list[float]:
+        rate, back = 3 * q / V, 1.5
+        c = x[1:4]
+        flows = [
+            x[0] - c[0] + back * (c[1] - c[0]),
+            (1 + back) * (c[0] - c[1]) + back * (c[2] - c[1]),
+            (1 + back) * (c[1] - c[2]),
+        ]
+        return [(u - x[0]) / rig.tau_v, *(rate * np.array(flows)), (c[2] - x[4]) / rig.tau]
+
+    t, states = solved(rig, with_cells, 5)
+    assert (
+        np.abs(voltage(rig, step, Knobs(back_flow=1.5, n_cells=3), t)[1] - states[:, 4]).max()
+        < 2e-5
+    )
+
+    def with_sites(u: float, x: FloatArray) -> list[float]:
+        K, g = 2.0, relative * x[1]
+        sites = (g * (1.0 - K * x[2]) - x[2]) / rig.tau
+        return [(u - x[0]) / rig.tau_v, q / V * (x[0] - x[1]), sites]
+
+    t, states = solved(rig, with_sites, 3)
+    seen = states[:, 2] / (1.0 - 2.0 * states[:, 2]) / relative
+    assert np.abs(voltage(rig, step, Knobs(langmuir=2.0), t)[1] - seen).max() < 5e-5
+    bent = states[:, 2] * (1.0 + 2.0 * relative) / relative
+    assert np.abs(voltage(rig, step, Knobs(langmuir=2.0, curved=True), t)[1] - bent).max() < 5e-5
+
+
+def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
+    times, weights = layered_film(0.05)
+    assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
+    assert weights @ times == pytest.approx(0.05)
+    t = np.concatenate([[-1e-6], np.linspace(0.0, 1.0, 4001)])
+    x = modal(t, (t >= 0).astype(float), times, weights)
+    assert np.all(np.diff(x) > -1e-10)  # rounding of the modes' sum
+    # a film holds back at first: far less than the lag's 1 - exp(-0.1) after a tenth of its mean
+    assert np.interp(0.005, t, x) < 0.3 * (1.0 - np.exp(-0.1))
+
+
+def test_the_whole_lorentzian_is_read() -> None:
+    rig = case()
+    step = rig.steps[0]
+    t = sample_times(step)
+    straight, x = voltage(rig, step, Knobs(), t)
+    y, _ = voltage(rig, step, Knobs(shift=0.6, detuning=-1.0), t)
+    z = -1.0 + 0.6 * rig.relative_concentration(step) * x
+    scaled = (1 / (1 + z**2) - 0.5) / (1 / (1 + z.max() ** 2) - 0.5)
+    assert dip(-1.0) == 0.5
+    # the plateau is reached to exp(-tens of time constants) only
+    assert np.abs((y - step.y0) / step.beta - scaled).max() < 1e-5
+    assert np.abs(y - straight).max() > 0.02 * step.beta
+
+
+# --------------------------------------------------------------------------- noise
+
+
+@pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
+def test_noise_has_the_stated_autocorrelation(name: str) -> None:
+    rng = np.random.default_rng(5)
+    law = draw_law(name, rng, 0.05)
+    assert law.sigma0**2 + law.sigma1**2 == pytest.approx(0.05**2)
+    assert sum(part.share for part in law.components) == pytest.approx(1.0)
+    n, interval, stretches = 4000, 2e-3, 150
+    stated = autocorrelation(law, n, interval)
+    z = np.array([draw_noise(law, n, interval, rng) for _ in range(stretches)])
+    for lag in (0, 1, 3, 10, 40, 200, 1000):
+        each = (z[:, : n - lag] * z[:, lag:]).mean(axis=1)
+        error = each.std(ddof=1) / np.sqrt(stretches)
+        # five standard errors of the mean over stretches: 56 comparisons, none should fail
+        assert abs(each.mean() - stated[lag]) < 5.0 * error + 1e-4
+
+
+def test_wild_samples_keep_the_variance_and_fatten_the_tails() -> None:
+    rig = case(wild_samples=4.0)
+    rng = np.random.default_rng(2)
+    plain = draw_noise(rig.noise, 200_000, 0.01, rng)
+    wild = draw_noise(rig.noise, 200_000, 0.01, rng, (0.01, 5.0))
+    assert wild.std() == pytest.approx(plain.std(), rel=0.05)
+    assert np.mean(np.abs(wild) > 5.0) > 1e-3
+    assert np.mean(np.abs(plain) > 5.0) < 1e-4
+
+
+def test_noise_grows_with_concentration() -> None:
+    rig = replace(draw_case(3, size="small"), tau_v=0.1, lsb=0.0)
+    rig = replace(rig, noise=replace(rig.noise, sigma0=0.01, sigma1=0.03))
+    campaign, ideal = make_campaign(rig), clean_signals(rig)
+    for step in rig.steps:
+        edges = phase_edges(rig, step)
+        t = sample_times(step)
+        residual = campaign[step.name].values - ideal[step.name]
+        expected = {"baseline": 0.01, "plateau": 0.0}
+        grown = 0.03**2 * rig.relative_concentration(step)
+        expected["plateau"] = np.sqrt(0.01**2 + grown)
+        for phase, sd in expected.items():
+            part = residual[(t > edges[phase][0] + 1) & (t < edges[phase][1])]
+            # several hundred samples, correlated over a few at most
+            assert part.std() == pytest.approx(sd, rel=0.2)
+
+
+# --------------------------------------------------------------------------- campaigns
+
+
+def test_a_case_makes_the_same_campaign_again_and_survives_json() -> None:
+    rig = case(wall_pockets=0.1, mains_hum=0.02)
+    again = Case.from_json(rig.to_json())
+    assert again == rig
+    one, two = make_campaign(rig), make_campaign(again)
+    for a, b in zip(one, two, strict=True):
+        assert np.array_equal(a.values, b.values)
+        assert np.allclose(a.values / rig.lsb, np.rint(a.values / rig.lsb), atol=1e-6)
+    other = make_campaign(replace(rig, seed=rig.seed + 1))
+    assert not np.array_equal(other["1"].values, one["1"].values)
+
+
+def test_switches_follow_commands_even_on_a_bad_clock() -> None:
+    for name in ("running_off_clock", "lost_samples"):
+        rig = draw_case(21, {name: CAUSES[name].highest}, size="small")
+        seen = reality.as_recorded(rig)
+        for e, step in zip(make_campaign(rig), seen.steps, strict=True):
+            assert e.commanded_on is not None and e.commanded_off is not None
+            assert e.commanded_on < step.t0 < e.commanded_off < step.tf < step.duration
+
+
+@pytest.mark.parametrize(
+    ("name", "phases", "least"),
+    [
+        ("flow_follows_valve", {"rise", "fall"}, 0.95),
+        ("closing_spring", {"fall"}, 0.9),
+        ("emptying_bottle", {"plateau", "fall"}, 0.95),
+        ("plunger_stroke", {"rise", "fall"}, 0.95),
+        ("residue", {"baseline", "onset", "rise", "plateau"}, 0.9),
+    ],
+)
+def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:
+    shares = acting_places(case(**{name: 0.5 * CAUSES[name].highest}))
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert sum(v for (_, phase), v in shares.items() if phase in phases) > least
+
+
+def test_parameters_are_drawn_afresh() -> None:
+    some = [draw_case(seed, size="varied") for seed in range(12)]
+    assert len({len(rig.steps) for rig in some}) > 2
+    assert len({rig.steps[0].interval for rig in some}) > 1
+    assert np.std(np.log([rig.tau for rig in some])) > 0.2
+    for rig in some:
+        assert rig.tau < rig.tau_v
+        flows = [step.total_flow for step in rig.steps]
+        assert max(flows) > 1.6 * min(flows)
+    with pytest.raises(CampaignError, match="expected one of paper, varied, small"):
+        draw_case(1, size="huge")
+
+
+def test_seven_minutes_of_experiments_at_a_millisecond_take_less_than_two_seconds() -> None:
+    rig = draw_case(2, {"flow_follows_valve": 1.0, "slow_sites": 0.1, "layered_coating": 1.0})
+    make_campaign(case(flow_follows_valve=1.0, slow_sites=0.1, layered_coating=1.0))  # compile
+    begin = time.process_time()
+    campaign = make_campaign(rig)
+    assert time.process_time() - begin < 2.0
+    assert campaign.n_samples == 840_000
