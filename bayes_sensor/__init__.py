@@ -46,6 +46,8 @@ _PUBLIC = {
     "Readout": "readout",
     "Ring": "readout",
     "response_times": "readout",
+    "response_time_table": "readout",
+    "check_predictive": "predictive",
 }
 
 # names that would say too little outside their room

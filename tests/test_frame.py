@@ -42,6 +42,7 @@ ROOMS = (
     "calibration",
     "gap",
     "results",
+    "samples",
     "blind_check",
     "figures",
     "report",

@@ -169,11 +169,12 @@ def check(campaign: CampaignFile, quiet: Quiet = False) -> None:
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A results folder.")],
     quiet: Quiet = False,
+    form: Annotated[str, typer.Option("--format", help="html, pdf or md.")] = "html",
 ) -> None:
     """Rebuild the report from the saved results."""
     from bayes_sensor.cli.steps import rebuild_report
 
-    rebuild_report(folder, quiet)
+    rebuild_report(folder, quiet, form)
 
 
 @app.command()

@@ -32,9 +32,9 @@ CHECKPOINT = "checkpoint"
 MOST_WARNINGS = 6
 """lines of warnings in a terminal"""
 STEPS: dict[str, tuple[str, ...]] = {
-    "analyze": ("fit", "residuals", "posterior", "bounds", "delays", "report"),
+    "analyze": ("fit", "residuals", "posterior", "predictive", "bounds", "delays", "report"),
     "fit": ("fit", "residuals"),
-    "posterior": ("fit", "posterior"),
+    "posterior": ("fit", "posterior", "predictive"),
     "bounds": ("fit", "posterior", "bounds"),
     "delays": ("fit", "delays"),
 }
@@ -173,6 +173,7 @@ class Job:
     fit: Any = None
     residuals: Any = None
     posterior: Any = None
+    predictive: Any = None
     bounds: Any = None
     delays: Any = None
 
@@ -233,6 +234,25 @@ def _do_posterior(job: Job) -> None:
             resume=job.resume,
             progress=tell,
         )
+
+
+def _do_predictive(job: Job) -> None:
+    from bayes_sensor.predictive import check_predictive
+
+    with job.timed("predictive"):
+        job.predictive = check_predictive(job.posterior, seed=job.seed)
+
+
+def _coating(job: Job) -> dict[str, Any]:
+    """Response times of sensor and chain, and the diffusivity of ZIF-8 that tau implies."""
+    from bayes_sensor.diffusion import infer_d_zif8
+    from bayes_sensor.readout import response_time_table
+
+    tau, tau_v, volume = (job.posterior.of(name) for name in ("tau_s", "tau_v_s", "V_mL"))
+    flows = [e.total_flow for e in job.problem.campaign]
+    table = response_time_table(tau, tau_v, volume, flows)
+    found = infer_d_zif8(tau, seed=job.seed)
+    return {"response_times": table.to_dict("records"), "d_zif8": found.to_json()}
 
 
 def _do_bounds(job: Job) -> None:
@@ -337,6 +357,7 @@ _DO: dict[str, Callable[[Job], None]] = {
     "fit": _do_fit,
     "residuals": _do_residuals,
     "posterior": _do_posterior,
+    "predictive": _do_predictive,
     "bounds": _do_bounds,
     "delays": _do_delays,
 }
@@ -344,10 +365,13 @@ _DO: dict[str, Callable[[Job], None]] = {
 
 def _put(job: Job, stage: Stage) -> None:
     """Write what this command saves."""
+    from bayes_sensor.samples import make_samples, save_samples
+
     saves = SAVES[job.command]
     if "fit" in saves:
         stage.json("fit.json", job.fit.to_json())
         save_traces(stage.path("traces.npz"), make_traces(job.problem, job.fit))
+        save_samples(stage.path("samples.npz"), make_samples(job.problem, job.fit))
     if "residuals" in saves:
         stage.json("residuals.json", job.residuals.to_json())
     if "posterior" in saves:
@@ -355,6 +379,8 @@ def _put(job: Job, stage: Stage) -> None:
         record.pop("seconds", None)  # times are in run.json: the same run gives the same file
         stage.json("posterior.json", record)
         job.posterior.save(stage.path("posterior.nc"))
+        stage.json("predictive.json", job.predictive.to_json())
+        stage.json("coating.json", _coating(job))
     if "bounds" in saves:
         compared, record = job.bounds
         stage.json("bounds.json", record)
@@ -471,12 +497,10 @@ def _warnings(job: Job, remarks: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def _write_report(source: Path, stage: Stage, tell: Progress) -> None:
-    from bayes_sensor.report import build_report
+def _write_report(source: Path, stage: Stage, tell: Progress, form: str = "html") -> None:
+    from bayes_sensor.report import write_report
 
-    folder = stage.path("figures")
-    folder.mkdir()
-    stage.text("report.html", build_report(source, folder, tell))
+    write_report(source, stage.inside, form, tell)
 
 
 def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
@@ -535,15 +559,19 @@ def _place(job: Job) -> Path:
 # --------------------------------------------------------------------------- other commands
 
 
-def rebuild_report(folder: Path, quiet: bool) -> None:
-    """Write report.html and figures/ again from what is saved."""
-    from bayes_sensor.report import read_results
+def rebuild_report(folder: Path, quiet: bool, form: str = "html") -> None:
+    """Write the report and figures/ again from what is saved."""
+    from bayes_sensor.report import FORMATS, read_results
 
+    if form not in FORMATS:
+        raise CampaignError(
+            f"--format {form[:40]}: there is no such format; expected one of {', '.join(FORMATS)}"
+        )
     read_results(folder)
     results = Results(folder)
     with results.locked(), results.writing() as stage, progress_bar("report", quiet) as tell:
-        _write_report(folder, stage, tell)
-    say(f"report: {results.path('report.html')}", quiet)
+        _write_report(folder, stage, tell, form)
+    say(f"report: {results.path(FORMATS[form])}", quiet)
 
 
 def solve_diffusion(out: Path, quantities: Mapping[str, str], tolerance: float, quiet: bool) -> int:

@@ -3,10 +3,17 @@
 One file per subject; everything that a caller needs is here under its own name.
 """
 
-from bayes_sensor.figures.coating import diffusion, diffusion_figure, spectra_figure
+from bayes_sensor.figures.coating import (
+    diffusion,
+    diffusion_figure,
+    diffusivity,
+    response_times,
+    spectra_figure,
+)
 from bayes_sensor.figures.draws import corner, main_parameters, traces_and_ranks
-from bayes_sensor.figures.methods import intervals, step_study
-from bayes_sensor.figures.noise import autocorrelation, histogram, spread
+from bayes_sensor.figures.gap import gap_budget, gap_hidden, gap_map, gap_ranking
+from bayes_sensor.figures.methods import intervals, priors_on_tau, step_study
+from bayes_sensor.figures.noise import autocorrelation, histogram, predictive, spread
 from bayes_sensor.figures.overlays import overlay, rms_bars
 from bayes_sensor.figures.style import (
     BLUE,
@@ -55,6 +62,11 @@ __all__ = [
     "delays",
     "diffusion",
     "diffusion_figure",
+    "diffusivity",
+    "gap_budget",
+    "gap_hidden",
+    "gap_map",
+    "gap_ranking",
     "histogram",
     "intervals",
     "main_parameters",
@@ -62,6 +74,9 @@ __all__ = [
     "parameter_words",
     "pdf",
     "png",
+    "predictive",
+    "priors_on_tau",
+    "response_times",
     "rms_bars",
     "spectra_figure",
     "spread",

@@ -139,3 +139,39 @@ def step_study(
         handles, names = row[0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=5)
     return figure
+
+
+def priors_on_tau(rows: Sequence[Mapping[str, Any]], words: Mapping[str, str]) -> Figure:
+    """tau under several priors: intervals and one-sided upper limits.
+
+    ``rows``: ``tau_under_priors`` of ``posterior.json``; ``words`` by the name of the prior.
+    """
+    with style():
+        figure = new_figure(0.42 * len(rows) + 1.1)
+        axes = figure.subplots()
+        for i, row in enumerate(rows):
+            first = i == 0
+            for lo, hi, width, label in (
+                ("lo95_s", "hi95_s", 1.4, "95 %, equal tails"),
+                ("hdi_lo95_s", "hdi_hi95_s", 4.2, "densest 95 %"),
+            ):
+                axes.plot(
+                    [1e3 * row[lo], 1e3 * row[hi]], [i, i], color=BLUE if width > 2 else INK,
+                    lw=width, solid_capstyle="butt", label=label if first else None,
+                    zorder=3 if width < 2 else 2,
+                )  # fmt: skip
+            for key, marker, label in (
+                ("upper95_s", "v", "95 % upper limit"),
+                ("upper99_s", "s", "99 % upper limit"),
+            ):
+                axes.plot(
+                    1e3 * row[key], i, marker, color=ORANGE, mec=INK, mew=0.5, ms=5.5,
+                    label=label if first else None, zorder=4, ls="none",
+                )  # fmt: skip
+        axes.set_yticks(range(len(rows)), [words.get(r["prior"], r["prior"]) for r in rows])
+        axes.set_ylim(len(rows) - 0.5, -0.5)
+        axes.set_xlim(0.0, 1.08 * 1e3 * max(row["upper99_s"] for row in rows))
+        axes.set_xlabel("sensor τ (ms)")
+        axes.grid(axis="y", visible=False)
+        figure.legend(loc="outside upper right", ncols=4)
+    return figure

@@ -128,3 +128,60 @@ def spread(residuals: Mapping[str, Any]) -> Figure:
         axes.set_ylabel(f"standard deviation ({shown})")
         axes.legend(loc="best")
     return figure
+
+
+def predictive(record: Mapping[str, Any], unit: str = "V") -> Figure:
+    """Replicated data against the data: autocorrelation, spread, spectrum, one-step forecasts.
+
+    ``record``: the content of ``predictive.json``.  Bands hold 95 % of the replicates.
+    """
+    spread_sd = np.sqrt(np.asarray(record["variance"]["observed"]))
+    small, factor = volts(unit, float(spread_sd.max()))
+    with style():
+        figure = new_figure(4.6)
+        panels = figure.subplots(2, 2)
+        labels = (
+            ("autocorrelation", "lag (samples)", "autocorrelation", lambda v: v, 1.0),
+            ("variance", "test-gas concentration (%)", f"standard deviation ({small})",
+             lambda v: factor * np.sqrt(v), 100.0),
+            ("spectrum", "frequency (Hz)", "power of standardised residuals", lambda v: v, 1.0),
+        )  # fmt: skip
+        for axes, (name, x_label, y_label, turn, scale) in zip(
+            panels.ravel(), labels, strict=False
+        ):
+            part = record[name]
+            x = scale * np.asarray(part["x"])
+            low, middle, high, seen = (
+                turn(np.asarray(part[key])) for key in ("low", "middle", "high", "observed")
+            )
+            axes.fill_between(x, low, high, color=PALE, lw=0, label="95 % of replicates")
+            axes.plot(x, middle, color=MODEL, ls="--", lw=1.0, label="their mean")
+            axes.plot(x, seen, "o", color=BLUE, ms=3.6, label="data")
+            if name != "variance":
+                logarithmic(axes, "x")
+            if name == "spectrum":
+                logarithmic(axes, "y")
+            axes.set_xlabel(x_label)
+            axes.set_ylabel(y_label)
+            axes.set_title(f"{name.replace('variance', 'spread')}, p {_p(part['p_value'])}")
+        panels[0, 0].legend(loc="best")
+        _pit(panels[1, 1], record["pit"])
+    return figure
+
+
+def _p(value: float) -> str:
+    return "< 0.001" if value < 0.001 else f"= {value:.2g}"
+
+
+def _pit(axes: Axes, pit: Mapping[str, Any]) -> None:
+    """Histogram of the one-step-ahead probabilities; flat when the forecasts are right."""
+    counts = np.asarray(pit["counts"], dtype=float)
+    density = counts / counts.mean()
+    half = 1.96 / np.sqrt(counts.mean())
+    axes.axhspan(1 - half, 1 + half, color=PALE, lw=0, label="95 % band")
+    axes.stairs(density, np.linspace(0, 1, len(counts) + 1), color=BLUE, lw=1.2, label="data")
+    reach = max(0.05, 1.4 * float(np.abs(density - 1).max()), 1.6 * half)
+    axes.set_ylim(1 - reach, 1 + reach)
+    axes.set_xlabel("probability that the forecast was lower")
+    axes.set_ylabel("density")
+    axes.set_title(f"next-sample forecasts, p {_p(pit['p_uniform'])}")

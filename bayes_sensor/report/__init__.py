@@ -1,0 +1,90 @@
+"""The report: saved results in; one HTML page, a PDF or Markdown out.
+
+Everything is read back from a results directory, so the report can be rebuilt without the data,
+and every text that came from a file or a user is escaped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from bayes_sensor.report import html, markdown, typeset
+from bayes_sensor.report.headline import Headline, alerts, headline
+from bayes_sensor.report.parts import Picture, Pictures, Section, Table
+from bayes_sensor.report.saved import Saved, read_results
+from bayes_sensor.report.sections import make_sections
+from bayes_sensor.report.words import list_words, number, p_words, with_spread
+
+__all__ = [
+    "FORMATS",
+    "Headline",
+    "Picture",
+    "Saved",
+    "Section",
+    "Table",
+    "alerts",
+    "build_report",
+    "headline",
+    "list_words",
+    "number",
+    "p_words",
+    "read_results",
+    "with_spread",
+    "write_report",
+]
+
+FORMATS = {"html": "report.html", "pdf": "report.pdf", "md": "report.md"}
+"""file by format"""
+FIGURES = "figures"
+
+Progress = Callable[[float, str], None]
+
+
+def build_report(
+    folder: str | Path,
+    figure_folder: str | Path | None = None,
+    progress: Progress | None = None,
+) -> str:
+    """The HTML page of a results directory, as text.
+
+    ``figure_folder``: where to put every figure as SVG and PNG as well.
+
+    Raises CampaignError if ``folder`` is not a results directory.
+    """
+    saved, sections = _read(folder, figure_folder, progress)
+    return html.page(saved, sections)
+
+
+def write_report(
+    source: str | Path, target: str | Path, form: str = "html", progress: Progress | None = None
+) -> Path:
+    """Write the report of ``source`` into the folder ``target``, with its figures; the file.
+
+    ``form``: ``html``, ``pdf`` or ``md``.
+    """
+    place = Path(target) / FORMATS[form]
+    figure_folder = Path(target) / FIGURES
+    figure_folder.mkdir(exist_ok=True)
+    saved, sections = _read(source, figure_folder, progress)
+    if form == "html":
+        place.write_text(html.page(saved, sections), encoding="utf-8", newline="\n")
+    elif form == "md":
+        text = markdown.document(saved, sections, FIGURES)
+        place.write_text(text, encoding="utf-8", newline="\n")
+    else:
+        place.write_bytes(typeset.document(saved, sections))
+    return place
+
+
+def _read(
+    folder: str | Path, figure_folder: str | Path | None, progress: Progress | None
+) -> tuple[Saved, list[Section]]:
+    saved = read_results(folder)
+    pictures = Pictures(
+        None if figure_folder is None else Path(figure_folder),
+        progress or (lambda fraction, text: None),
+        total=len(saved.traces or []) + 20,
+        most_vectors=html.MOST_VECTORS,
+    )
+    return saved, make_sections(saved, pictures)

@@ -1,0 +1,139 @@
+"""What stands at the top: tau in one sentence, and what failed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from bayes_sensor import figures
+from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.words import list_words, ms, number, sentence, with_spread
+
+
+@dataclass(frozen=True)
+class Headline:
+    """tau in one sentence and the naive bound beside it, in ms."""
+
+    tau: str
+    """``24.3 ms, 95 % interval [1.1, 60.5] ms (posterior, AR(1) noise)``"""
+    naive: str
+    """``± 46 ms``, or empty"""
+    is_limit: bool
+    """whether tau is only bounded from above"""
+    limit: str = ""
+
+    def __str__(self) -> str:
+        text = f"tau = {self.tau}"
+        return f"{text}; {self.naive}" if self.naive else text
+
+
+def headline(
+    posterior: Mapping[str, Any] | None, bounds: Mapping[str, Any] | None, settings: Any = None
+) -> Headline | None:
+    """The one sentence that the work is about; None where nothing was estimated."""
+    naive = _naive_words(bounds)
+    if posterior is not None:
+        row = posterior["parameters"]["tau_s"]
+        lo, mid, hi = (1e3 * row[key] for key in ("q2.5", "q50", "q97.5"))
+        autocorrelation = ((settings or {}).get("noise") or {}).get("autocorrelation", "ar1")
+        noise = "AR(1) noise" if autocorrelation == "ar1" else "white noise"
+        if not posterior.get("converged", True):
+            noise += "; NOT CONVERGED, do not quote"
+        text = (
+            f"{with_spread(mid, hi - lo)} ms, 95 % interval [{with_spread(lo, hi - lo)}, "
+            f"{with_spread(hi, hi - lo)}] ms (posterior, {noise})"
+        )
+        half_normal = next(
+            (r for r in posterior.get("tau_under_priors", []) if r["prior"] == "half_normal"), None
+        )
+        is_limit = lo < 0.15 * mid
+        limit = ""
+        if is_limit and half_normal:
+            limit = f"{with_spread(1e3 * half_normal['upper95_s'], hi - lo)} ms"
+        return Headline(text, naive, is_limit, limit)
+    if bounds is not None:
+        method = next(
+            (m for m in ("profile", "sandwich", "crlb_ar1") if m in bounds["methods"]), None
+        )
+        if method and bounds["methods"][method]["parameters"].get("tau_s"):
+            row = bounds["methods"][method]["parameters"]["tau_s"]
+            lo, mid, hi = (ms(row[key]) for key in ("lo95", "estimate", "hi95"))
+            text = f"{number(mid)} ms, 95 % interval [{number(lo)}, {number(hi)}] ms ({method})"
+            return Headline(text, naive, lo is not None and lo <= 0)
+    return None
+
+
+def _naive_words(bounds: Mapping[str, Any] | None) -> str:
+    """What the iid bound alone would have said about tau, at 95 %."""
+    if bounds is None:
+        return ""
+    naive = bounds.get("naive") or {}
+    right, published = naive.get("crlb_iid"), naive.get("crlb_iid_one_percent_step")
+    parts = []
+    if right and right.get("tau_s"):
+        parts.append(
+            "the iid Cramer-Rao bound alone would have said "
+            f"± {number(1.96e3 * right['tau_s'], 2)} ms"
+        )
+    if published and published.get("tau_s"):
+        said = f"± {number(1.96e3 * published['tau_s'], 2)} ms"
+        parts.append(
+            f"(with the published 1 % steps {said})"
+            if parts
+            else f"the iid Cramer-Rao bound with the published 1 % steps would have said {said}"
+        )
+    return " ".join(parts)
+
+
+def alerts(saved: Saved) -> list[tuple[str, str]]:
+    """(kind, sentence) for the top of the page: ``bad`` for what failed, else ``note``."""
+    found: list[tuple[str, str]] = []
+    if saved.fit is not None and not saved.fit["converged"]:
+        found.append(("bad", f"The least-squares fit did not converge. {saved.fit['status']}"))
+    if saved.posterior is not None and not saved.posterior["converged"]:
+        found.append(
+            (
+                "bad",
+                "The posterior did not converge, so its intervals must not be quoted "
+                f"({saved.posterior['status']}). Continue it with --resume and more steps.",
+            )
+        )
+    n = len(saved.campaign["experiments"])
+    missed = saved.missed
+    if missed > n / 2:
+        found.append(
+            (
+                "bad",
+                f"The model misses {missed} of {n} traces by more than their noise explains. The "
+                "intervals below take the model as right; what it leaves out is in none of them.",
+            )
+        )
+    bases = {name: entry["basis_sha256"] for name, entry in saved.run["commands"].items()}
+    newest = bases.get(saved.run["last"])
+    stale = [name for name, basis in bases.items() if newest and basis != newest]
+    if stale:
+        found.append(
+            (
+                "bad",
+                f"The results of {list_words(stale)} rest on other data or settings than those of "
+                f"{saved.run['last']}; run them again before comparing.",
+            )
+        )
+    notes = list(saved.campaign.get("remarks", []))
+    for part in (saved.fit, saved.posterior):
+        notes += part.get("warnings", []) if part else []
+    if saved.bounds:
+        for method, entry in saved.bounds["methods"].items():
+            status = entry.get("status", "ok")
+            if method == "crlb_iid_one_percent_step":  # its caveats stand in the table of methods
+                continue
+            if status != "ok" and "lower bound" not in status and "upper limit" not in status:
+                label = figures.METHOD_LABELS.get(method, method)
+                notes.append(f"{label}: {status}")
+    seen: set[str] = set()
+    for note in notes:
+        if note not in seen and not any(note == text for _, text in found):
+            seen.add(note)
+            found.append(("note", sentence(note)))
+    return found

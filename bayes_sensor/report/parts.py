@@ -1,0 +1,175 @@
+"""The parts of a report, before any format: sections of text, tables and pictures.
+
+A text may point to a table or a picture: ``see("methods")`` stands for its number, which every
+format turns into a link.  Texts hold no markup otherwise, so nothing in them can be taken for it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bayes_sensor import figures
+from bayes_sensor.report.words import number
+
+_OPEN, _CLOSE = "\ue000", "\ue001"
+
+
+def see(*keys: str) -> str:
+    """Numbers of tables or pictures in brackets, to be put behind what rests on them."""
+    return " (" + ", ".join(f"{_OPEN}{key}{_CLOSE}" for key in keys) + ")"
+
+
+def pieces(text: str, numbers: dict[str, str]) -> Iterator[tuple[str, str]]:
+    """(text, key) of each stretch of a text; the key is empty unless it points somewhere.
+
+    >>> list(pieces("so" + see("methods") + ".", {"methods": "Table 2"}))
+    [('so (', ''), ('Table 2', 'methods'), (').', '')]
+
+    What points to a part that this report leaves out is left out with its brackets.
+    """
+    text = re.sub(
+        f" \\((?:(?:, )?{_OPEN}[^{_CLOSE}]*{_CLOSE})+\\)",
+        lambda m: see(*known) if (known := [k for k in _keys(m[0]) if k in numbers]) else "",
+        text,
+    )
+    for i, part in enumerate(re.split(f"{_OPEN}([^{_CLOSE}]*){_CLOSE}", text)):
+        if i % 2 and part in numbers:
+            yield numbers[part], part
+        elif part:
+            yield part, ""
+
+
+def _keys(text: str) -> list[str]:
+    return re.findall(f"{_OPEN}([^{_CLOSE}]*){_CLOSE}", text)
+
+
+@dataclass
+class Table:
+    """A table that can be sorted and copied."""
+
+    key: str
+    caption: str
+    columns: list[str]
+    rows: list[list[Any]]
+    """texts, or numbers, which are rounded when shown and copied in full"""
+    digits: int = 4
+    marked: list[int] = field(default_factory=list)
+    """rows to emphasise"""
+
+    @property
+    def numeric(self) -> list[bool]:
+        """Which columns hold numbers."""
+        return [
+            any(isinstance(v, int | float) and not isinstance(v, bool) for v in column)
+            for column in zip(*self.rows, strict=True)
+        ] or [False] * len(self.columns)
+
+    def cells(self, row: Sequence[Any]) -> list[dict[str, Any]]:
+        """What to show and what to sort by, for one row."""
+        made = []
+        for value in row:
+            if isinstance(value, bool) or value is None or isinstance(value, str):
+                shown = {True: "yes", False: "no", None: "–"}.get(value, value)  # type: ignore[arg-type]
+                made.append({"text": shown, "full": "" if value is None else shown, "num": False})
+            else:
+                shown = f"{value:d}" if isinstance(value, int) else number(value, self.digits)
+                if isinstance(value, float) and abs(float(shown) - value) <= 1e-9 * abs(value):
+                    shown = f"{value:.{self.digits + 2}g}"
+                made.append({"text": shown, "full": repr(value), "num": True})
+        return made
+
+
+@dataclass
+class Picture:
+    """A figure with its caption."""
+
+    key: str
+    caption: str
+    drawing: str
+    """SVG element as saved"""
+    pixels: bytes | None = None
+    """PNG, where the vector drawing is too large for the page"""
+    overlay: int | None = None
+    """number of the trace that it shows, from 0, where it can be zoomed"""
+
+
+Part = Table | Picture
+
+
+@dataclass
+class Section:
+    """One question and its answer."""
+
+    key: str
+    title: str
+    answer: str
+    """one or two sentences that answer the question"""
+    paragraphs: list[str] = field(default_factory=list)
+    content: list[Part] = field(default_factory=list)
+
+
+def numbering(sections: Sequence[Section]) -> dict[str, str]:
+    """``Table 3`` or ``Figure 2`` by key, in the order of the report."""
+    numbers: dict[str, str] = {}
+    counts = {"Table": 0, "Figure": 0}
+    for section in sections:
+        for part in section.content:
+            kind = "Table" if isinstance(part, Table) else "Figure"
+            if part.key in numbers:
+                raise ValueError(f"two parts of the report are called '{part.key}'")
+            counts[kind] += 1
+            numbers[part.key] = f"{kind} {counts[kind]}"
+    return numbers
+
+
+class Pictures:
+    """Makes figures and saves them beside the report."""
+
+    def __init__(
+        self,
+        folder: Path | None = None,
+        progress: Callable[[float, str], None] = lambda fraction, text: None,
+        total: int = 1,
+        most_vectors: int | None = None,
+    ) -> None:
+        self.folder = folder
+        self.progress = progress
+        self.total = total
+        self.most_vectors = most_vectors
+        """bytes of overlays as vectors; beyond, they are pixels"""
+        self.done = 0
+        self.overlay_bytes = 0
+
+    def add(self, key: str, figure: Any, caption: str, overlay: int | None = None) -> Picture:
+        """The picture of a figure."""
+        drawing = figures.svg(figure)
+        self.done += 1
+        self.progress(min(0.99, self.done / max(self.total, 1)), f"figure {key}")
+        if self.folder is not None:
+            (self.folder / f"{key}.svg").write_text(drawing, encoding="utf-8")
+            (self.folder / f"{key}.png").write_bytes(figures.png(figure))
+        pixels = None
+        if overlay is not None and self.most_vectors is not None:
+            self.overlay_bytes += len(compact(drawing))
+            if self.overlay_bytes > self.most_vectors:
+                pixels = figures.png(figure, 80)
+        return Picture(key, caption, drawing, pixels, overlay)
+
+
+def compact(drawing: str) -> str:
+    """An SVG with coordinates to a tenth of a point and without metadata.
+
+    >>> compact('<path d="M 1.25 2.449&#10;L 3 4.06"/>')
+    '<path d="M 1.2 2.4 L 3 4.1"/>'
+    """
+    drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
+
+    def shorter(match: re.Match[str]) -> str:
+        text = re.sub(r"\s+|&#10;", " ", match[0])
+        return re.sub(r"\d+\.\d\d+", lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), text)
+
+    return re.sub(r'\bd="[^"]*"', shorter, drawing)

@@ -1,0 +1,118 @@
+"""What a results directory holds, read back for the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.results import Results, Trace, load_traces
+from bayes_sensor.samples import Samples, load_samples
+
+
+@dataclass
+class Saved:
+    """The content of a results directory; what was not computed is None."""
+
+    campaign: dict[str, Any]
+    run: dict[str, Any]
+    fit: dict[str, Any] | None = None
+    residuals: dict[str, Any] | None = None
+    posterior: dict[str, Any] | None = None
+    predictive: dict[str, Any] | None = None
+    bounds: dict[str, Any] | None = None
+    delays: dict[str, Any] | None = None
+    gap: dict[str, Any] | None = None
+    coating: dict[str, Any] | None = None
+    what_if: dict[str, Any] | None = None
+    traces: list[Trace] | None = None
+    samples: list[Samples] | None = None
+    chains: tuple[list[str], Any] | None = None
+
+    @property
+    def unit(self) -> str:
+        """The signal's unit."""
+        return str(self.campaign.get("signal_unit", "V"))
+
+    @property
+    def small_unit(self) -> tuple[str, float]:
+        """Unit for residuals and the factor to it."""
+        return ("mV", 1e3) if self.unit == "V" else (self.unit, 1.0)
+
+    @property
+    def name(self) -> str:
+        """The campaign's title."""
+        return str(self.campaign.get("title", "campaign"))
+
+    @property
+    def concentration(self) -> dict[str, float]:
+        """Test-gas fraction by experiment."""
+        return {
+            e["experiment"]: e["concentration_percent"] / 100 for e in self.campaign["experiments"]
+        }
+
+    @property
+    def last(self) -> dict[str, Any]:
+        """The record of the newest run."""
+        return dict(self.run["commands"][self.run["last"]])
+
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """The settings that the posterior rests on."""
+        commands = self.run["commands"]
+        for name in ("posterior", "analyze", self.run["last"]):
+            if name in commands:
+                return commands[name].get("settings") or {}
+        return {}
+
+    @property
+    def missed(self) -> int:
+        """How many traces the model does not describe."""
+        warnings = self.fit["warnings"] if self.fit else []
+        return sum("does not describe the trace" in w for w in warnings)
+
+
+def read_results(folder: str | Path) -> Saved:
+    """What a results directory holds.
+
+    Raises
+    ------
+    CampaignError
+        If it is not a results directory, or a file in it cannot be read.
+    """
+    results = Results(folder)
+    if not results.folder.is_dir():
+        raise CampaignError(
+            f"{folder}: there is no such folder; expected a results folder: "
+            "run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
+        )
+    if not results.has("campaign.json") or not results.has("run.json"):
+        raise CampaignError(
+            f"{folder}: expected a results folder with campaign.json and run.json; "
+            "run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
+        )
+    parts = ("fit", "residuals", "posterior", "predictive", "bounds", "delays", "gap", "coating",
+             "what_if")  # fmt: skip
+    found = {name: results.json(f"{name}.json") for name in parts}
+    return Saved(
+        campaign=results.json("campaign.json"),
+        run=results.json("run.json"),
+        traces=load_traces(results.path("traces.npz")) if results.has("traces.npz") else None,
+        samples=load_samples(results.path("samples.npz")) if results.has("samples.npz") else None,
+        chains=_chains(results.path("posterior.nc")) if results.has("posterior.nc") else None,
+        **found,
+    )
+
+
+def _chains(path: Path) -> tuple[list[str], Any]:
+    from bayes_sensor.posterior import load_chains
+
+    try:
+        return load_chains(path)
+    except (OSError, KeyError, ValueError) as error:
+        raise CampaignError(
+            f"{path}: expected the draws of a posterior, but they cannot be read ({error}); "
+            "run bayes-sensor posterior again"
+        ) from None

@@ -1,0 +1,35 @@
+"""The report's questions, one file each, in the order in which they are answered."""
+
+from __future__ import annotations
+
+from bayes_sensor.report.parts import Pictures, Section
+from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.sections.coating import coating
+from bayes_sensor.report.sections.computed import computed
+from bayes_sensor.report.sections.delays import switching
+from bayes_sensor.report.sections.fit import fitted
+from bayes_sensor.report.sections.gap import gap
+from bayes_sensor.report.sections.hardness import hardness
+from bayes_sensor.report.sections.measured import measured
+from bayes_sensor.report.sections.next import measure_next
+from bayes_sensor.report.sections.noise import noise
+from bayes_sensor.report.sections.tau import time_constant
+
+SECTIONS = (
+    measured,
+    fitted,
+    time_constant,
+    noise,
+    hardness,
+    gap,
+    switching,
+    coating,
+    measure_next,
+    computed,
+)
+
+
+def make_sections(saved: Saved, pictures: Pictures) -> list[Section]:
+    """Every section for which there are results."""
+    made = (section(saved, pictures) for section in SECTIONS)
+    return [section for section in made if section is not None]

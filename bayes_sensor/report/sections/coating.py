@@ -1,0 +1,137 @@
+"""Response times users of gas sensors expect, and what tau says about the coating."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bayes_sensor import figures
+from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
+from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.words import number, with_spread
+
+
+def coating(saved: Saved, pictures: Pictures) -> Section | None:
+    """t10, t63, t90 of sensor and chain; the diffusivity that tau implies."""
+    record = saved.coating
+    if record is None:
+        return None
+    rows = record["response_times"]
+    sensor = next(row for row in rows if row["system"] == "sensor")
+    chain = [row for row in rows if row["system"] == "chain"]
+    fast, slow = chain[-1], chain[0]
+    answer = (
+        f"The sensor alone reaches 90 % within {_time(sensor, 't90', 1e3)} ms; the whole chain of "
+        f"valve, manifold and sensor takes {_time(slow, 't90', 1.0)} s at "
+        f"{slow['total_flow_L_per_min']:.3g} L/min"
+    )
+    if fast is not slow:
+        answer += f" and {_time(fast, 't90', 1.0)} s at {fast['total_flow_L_per_min']:.3g} L/min"
+    answer += f" (median and 95 % interval){see('response-times')}."
+    paragraphs = [
+        "The chain is linear, so a fall takes as long as the rise at the same flow. Should the "
+        "flow drop when the valve shuts, or the sensor release more slowly than it takes up, the "
+        "section on the gap says so."
+    ]
+    content: list[Part] = [
+        pictures.add(
+            "response-times-figure",
+            figures.response_times(rows),
+            "Times to 10, 63 and 90 % of the step: the sensor alone, and the whole chain at each "
+            "flow, with 95 % intervals.",
+        ),
+        _times_table(rows),
+    ]
+    found = record.get("d_zif8")
+    if found is not None:
+        paragraphs += _inverse(found)
+        content += [
+            pictures.add(
+                "d-zif8",
+                figures.diffusivity(found),
+                "Diffusivity of ZIF-8 that explains τ: 68 % (thick) and 95 % (thin) interval, "
+                "with the literature value and the one to which the paper lowers it.",
+            ),
+            _diffusivity_table(found),
+        ]
+    return Section("coating", "Response times and the coating", answer, paragraphs, content)
+
+
+def _time(row: dict[str, Any], name: str, factor: float) -> str:
+    low, middle, high = (factor * row[f"{name}{end}_s"] for end in ("_lo", "", "_hi"))
+    spread = high - low
+    return (
+        f"{with_spread(middle, spread)} [{with_spread(low, spread)}, {with_spread(high, spread)}]"
+    )
+
+
+def _times_table(rows: list[dict[str, Any]]) -> Table:
+    made = []
+    for row in rows:
+        flow = row["total_flow_L_per_min"]
+        for way in ("rise", "fall"):
+            values = [
+                1e3 * row[f"{name}{end}_s"]
+                for name in ("t10", "t63", "t90")
+                for end in ("", "_lo", "_hi")
+            ]
+            label = "sensor alone" if row["system"] == "sensor" else "whole chain"
+            made.append([label, flow, way, *values])
+    columns = ["system", "flow (L/min)", "step"]
+    for name in ("t10", "t63", "t90"):
+        columns += [f"{name} (ms)", f"{name} 2.5 %", f"{name} 97.5 %"]
+    return Table(
+        "response-times",
+        "Times to 10, 63.2 and 90 % of a step, as posterior medians with 95 % intervals (ms). The "
+        "fall is that of the linear model, which holds the flow constant.",
+        columns,
+        made,
+    )
+
+
+def _inverse(found: dict[str, Any]) -> list[str]:
+    d = found["d_zif8_m2_per_s"]
+    upper = "no upper limit" if d["hi95"] is None else f"{d['hi95']:.2g} m²/s"
+    inside = (
+        d["lo95"] is not None
+        and d["lo95"] <= found["d_literature_m2_per_s"]
+        and (d["hi95"] is None or found["d_literature_m2_per_s"] <= d["hi95"])
+    )
+    p = max(found["tail_probability"], found["tail_resolution"])
+    literature = found["tau_literature_ms"]
+    said = (
+        f"For the coating of the paper (ZIF-8 under PDMS on the ring), τ implies a diffusivity of "
+        f"ZIF-8 between {number(d['lo95'], 2)} m²/s and {upper} (95 %). The literature value, "
+        f"{found['d_literature_m2_per_s']:.3g} m²/s, would give "
+        f"{number(literature['median'], 3)} ms and lies {'inside' if inside else 'outside'}: "
+        f"{'it explains these data' if inside else 'it does not explain these data'} (two-sided "
+        f"tail probability {p:.2g}){see('diffusivity')}."
+    )
+    return [
+        said,
+        "This applies to a sensor with that coating only; thicknesses, the diffusivity of PDMS "
+        "and the outer radius are uncertain by the tolerances in the table.",
+    ]
+
+
+def _diffusivity_table(found: dict[str, Any]) -> Table:
+    d, ratio, literature = found["d_zif8_m2_per_s"], found["ratio"], found["tau_literature_ms"]
+    rows: list[list[Any]] = [
+        ["diffusivity of ZIF-8 (m²/s)", d["median"], d["lo95"], d["hi95"]],
+        ["the same, literature (m²/s)", found["d_literature_m2_per_s"], None, None],
+        ["response time at the literature value (ms)", literature["median"], literature["lo95"],
+         literature["hi95"]],
+        ["τ over that", ratio["median"], ratio["lo95"], ratio["hi95"]],
+        ["two-sided tail probability of the literature value", found["tail_probability"], None,
+         None],
+    ]  # fmt: skip
+    rows += [
+        [f"relative tolerance of {name.replace('_', ' ')}", value, None, None]
+        for name, value in found["tolerances"].items()
+    ]
+    return Table(
+        "diffusivity",
+        "What τ says about the coating of the paper; an empty end is no limit.",
+        ["quantity", "value", "95 % low", "95 % high"],
+        rows,
+        digits=3,
+    )

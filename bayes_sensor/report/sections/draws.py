@@ -1,0 +1,36 @@
+"""The table of posterior summaries, which two sections show."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bayes_sensor import figures
+from bayes_sensor.report.parts import Table
+from bayes_sensor.report.saved import Saved
+
+
+def posterior_table(saved: Saved, shared: bool) -> Table:
+    """Posterior summaries of the shared, or of each experiment's own parameters."""
+    assert saved.posterior is not None
+    keys = ("mean", "sd", "q2.5", "q16", "q50", "q84", "q97.5")
+    rows: list[list[Any]] = []
+    for name, row in saved.posterior["parameters"].items():
+        is_local = name.partition("[")[0] in ("y0_V", "beta_V", "t0_s", "tf_s")
+        if row is None or is_local == shared:
+            continue
+        symbol, unit, factor = figures.parameter_words(name, saved.unit)
+        values = [factor * row[key] for key in keys]
+        if not shared:
+            values = values[:2] + [values[2], values[4], values[6]]
+        rows.append([symbol, unit, *values, row["ess_bulk"], row["ess_tail"], row["r_hat"]])
+    percent = ["2.5 %", "16 %", "50 %", "84 %", "97.5 %"] if shared else ["2.5 %", "50 %", "97.5 %"]
+    return Table(
+        "posterior-shared" if shared else "posterior-experiments",
+        "Posterior of the shared parameters: mean, standard deviation, percentiles, effective "
+        "sample sizes and R-hat."
+        if shared
+        else "Posterior of each experiment's own parameters.",
+        ["parameter", "unit", "mean", "sd", *percent, "ESS bulk", "ESS tail", "R-hat"],
+        rows,
+        digits=5,
+    )

@@ -1,0 +1,72 @@
+"""What was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bayes_sensor import figures
+from bayes_sensor.report.parts import Pictures, Section, Table, see
+from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.words import list_words
+
+
+def measured(saved: Saved, pictures: Pictures) -> Section:
+    """The experiments, as they were understood."""
+    campaign = saved.campaign
+    rows = campaign["experiments"]
+    intervals = sorted({e["interval_s"] for e in rows})
+    n_fall = sum(e["commanded_off_s"] is not None for e in rows)
+    answer = (
+        f"{len(rows)} step experiment{'s' * (len(rows) != 1)} with "
+        f"{campaign['n_samples']} samples in use, one every "
+        f"{list_words([f'{1e3 * h:g} ms' for h in intervals])}; total flow "
+        f"{_span(rows, 'total_flow_L_min')} L/min, test gas "
+        f"{_span(rows, 'concentration_percent')} %{see('experiments')}."
+    )
+    paragraphs = []
+    if n_fall == 0:
+        paragraphs.append(
+            "Only the step up was recorded: there is no end of the step, so no end time is "
+            "estimated."
+        )
+    elif n_fall < len(rows):
+        paragraphs.append(f"{n_fall} of {len(rows)} experiments also recorded the step down.")
+    if campaign.get("same_flow") and len(rows) > 1:
+        paragraphs.append(
+            "All experiments share one total flow. The valve's time constant τᵥ and the volume V "
+            "then act alike and cannot be separated by these data."
+        )
+    for name, info in campaign.get("side_information", {}).items():
+        symbol, unit, factor = figures.parameter_words(name, saved.unit)
+        paragraphs.append(
+            f"Known beforehand and used as a prior: {symbol} = {factor * info['mean']:g} ± "
+            f"{factor * info['sd']:g} {unit}."
+        )
+    unit = saved.unit
+    columns = [
+        "experiment", "samples used", "interval (ms)", "length (s)", "flow (L/min)",
+        "test gas (%)", "on (s)", "off (s)", f"baseline ({unit})", f"step ({unit})",
+        f"noise ({unit})", "file",
+    ]  # fmt: skip
+    table = Table(
+        "experiments",
+        "The experiments as they were understood. On and off are the commanded times; noise is "
+        "that of the baseline.",
+        columns,
+        [
+            [
+                e["experiment"], e["used"], 1e3 * e["interval_s"], e["duration_s"],
+                e["total_flow_L_min"], e["concentration_percent"], e["commanded_on_s"],
+                e["commanded_off_s"], e["baseline_V"], e["step_V"], e["noise_V"], e["file"],
+            ]
+            for e in rows
+        ],
+    )  # fmt: skip
+    return Section("measured", "What was measured", answer, paragraphs, [table])
+
+
+def _span(rows: Sequence[Mapping[str, Any]], key: str) -> str:
+    values = [row[key] for row in rows]
+    low, high = f"{min(values):.3g}", f"{max(values):.3g}"
+    return low if low == high else f"{low} to {high}"

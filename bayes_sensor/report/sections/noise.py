@@ -1,0 +1,138 @@
+"""Whether the noise model is adequate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bayes_sensor import figures
+from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
+from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.words import p_equals, p_words, sentence
+
+
+def noise(saved: Saved, pictures: Pictures) -> Section | None:
+    """Residuals against the noise law, and data replicated from the posterior."""
+    residuals = saved.residuals
+    if residuals is None:
+        return None
+    answer = ("Yes. " if residuals["adequate"] else "Not fully. ") + sentence(residuals["verdict"])
+    test = residuals["variance_vs_concentration"]["breusch_pagan"]
+    before, after = (residuals["durbin_watson"][k] for k in ("before", "after"))
+    if saved.predictive is not None:
+        answer += " " + sentence(saved.predictive["status"]).removesuffix(".")
+        answer += see("predictive-table") + "."
+    paragraphs = [
+        f"Residuals that follow each other closely carry less information than their number "
+        f"suggests. The Durbin-Watson statistic, 2 for independent noise, is {before:.2f} before "
+        f"and {after:.2f} after the AR(1) part is taken out"
+        f"{see('ljung-box')}.",
+    ]
+    if test.get("p_value") is not None:
+        verb = "does" if test["p_value"] < 0.05 else "does not clearly"
+        paragraphs.append(
+            f"The spread {verb} grow with concentration (Breusch-Pagan test on {test['n']} samples "
+            f"far enough apart to be independent, p {p_equals(test['p_value'])}){see('spread')}."
+        )
+    content: list[Part] = [
+        pictures.add(
+            "autocorrelation",
+            figures.autocorrelation(residuals, saved.traces or []),
+            "Autocorrelation of the residuals of all experiments in a row, with the curve of the "
+            "fitted AR(1); below, the residuals themselves, shades alternating from experiment to "
+            "experiment.",
+        ),
+        pictures.add(
+            "spread",
+            figures.spread(residuals),
+            "Standard deviation of the residuals in bins of concentration, with the fitted law.",
+        ),
+        pictures.add(
+            "histogram",
+            figures.histogram(residuals, saved.fit["rms_V"] if saved.fit else _rms(residuals)),
+            f"Distribution of the residuals ({residuals['histogram']['note']}).",
+        ),
+    ]
+    content += _predictive(saved, pictures)
+    lb = residuals["ljung_box"]
+    content.append(
+        Table(
+            "ljung-box",
+            "Ljung-Box test for correlation up to a lag, before and after whitening by the AR(1). "
+            "With many samples a small p-value also comes from correlations too small to matter.",
+            ["lag (samples)", "Q before", "p before", "Q after", "p after"],
+            [
+                [lag, b, pb, a, pa]
+                for lag, b, pb, a, pa in zip(
+                    lb["lags"],
+                    lb["before"]["statistic"],
+                    lb["before"]["p_value"],
+                    lb["after"]["statistic"],
+                    lb["after"]["p_value"],
+                    strict=True,
+                )
+            ],
+        )
+    )
+    unit = saved.unit
+    content.append(
+        Table(
+            "noise-experiments",
+            "Residuals of each experiment.",
+            [
+                "experiment", f"RMS ({unit})", "lag-one correlation",
+                f"sd, baseline ({unit})", f"sd, plateau ({unit})",
+            ],
+            [
+                [
+                    name, e["rms_V"],  e["lag_one"], e["baseline_sd_V"],
+                    e["plateau_sd_V"],
+                ]
+                for name, e in residuals["experiments"].items()
+            ],
+        )
+    )  # fmt: skip
+    return Section("noise", "Is the noise model adequate", answer, paragraphs, content)
+
+
+CHECKS = {
+    "autocorrelation": "autocorrelation at eight lags",
+    "variance": "variance against concentration",
+    "spectrum": "spectrum of the residuals",
+    "pit_uniform": "forecasts of the next sample: right spread (PIT uniform)",
+    "pit_independent": "forecasts of the next sample: nothing left over (PIT independent)",
+}
+
+
+def _predictive(saved: Saved, pictures: Pictures) -> list[Part]:
+    """Data replicated from the posterior beside the data."""
+    record = saved.predictive
+    if record is None:
+        return []
+    rows = [
+        [CHECKS.get(name, name), p_words(p), "fails" if name in record["failed"] else "passes"]
+        for name, p in record["p_values"].items()
+    ]
+    return [
+        pictures.add(
+            "predictive",
+            figures.predictive(record, saved.unit),
+            f"Would data drawn from the posterior look like the data? Bands: 95 % of "
+            f"{record['n_draws']} replicates; points: the data. Last: how the samples fall "
+            "within the forecast made from their past; a right model gives a flat histogram.",
+        ),
+        Table(
+            "predictive-table",
+            "Posterior predictive checks: probability of a difference at least as large, were the "
+            "model right. A check fails where that is below 1 % after allowing for their number "
+            "(Holm).",
+            ["check", "p-value", "verdict"],
+            rows,
+        ),
+    ]
+
+
+def _rms(residuals: Mapping[str, Any]) -> float:
+    rows = residuals["experiments"].values()
+    n = sum(e["n"] for e in rows)
+    return float((sum(e["n"] * e["rms_V"] ** 2 for e in rows) / n) ** 0.5)

@@ -1,0 +1,74 @@
+"""Numbers, p-values and lists as the report writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import floor, log10
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with ``digits`` significant digits, never in powers of ten unless it must be.
+
+    >>> number(0.0481234), number(None), number(1234567.0), number(0.0)
+    ('0.0481', '–', '1234567', '0')
+    """
+    if value is None:
+        return "–"
+    if value == 0:
+        return "0"
+    exponent = floor(log10(abs(value)))
+    if exponent < -4 or exponent > 9:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{max(0, digits - 1 - exponent)}f}"
+
+
+def with_spread(value: float | None, spread: float | None) -> str:
+    """A number rounded to two digits of its spread.
+
+    >>> with_spread(58.1747, 0.5337)
+    '58.17'
+    """
+    if value is None:
+        return "–"
+    if not spread:
+        return number(value, 4)
+    decimals = max(0, 1 - floor(log10(spread)))
+    return f"{value:.{min(decimals, 9)}f}"
+
+
+def p_words(p: float | None) -> str:
+    """A p-value in words that do not pretend.
+
+    >>> p_words(1e-30), p_words(0.0312)
+    ('below 0.001', '0.031')
+    """
+    if p is None:
+        return "–"
+    return "below 0.001" if p < 0.001 else f"{p:.2g}"
+
+
+def p_equals(p: float) -> str:
+    words = p_words(p)
+    return words if words.startswith("below") else f"= {words}"
+
+
+def list_words(items: Sequence[str], most: int = 6) -> str:
+    """Items joined as in a sentence.
+
+    >>> list_words(["a", "b", "c"])
+    'a, b and c'
+    """
+    items = list(items)
+    if len(items) > most:
+        items = [*items[: most - 1], f"{len(items) - most + 1} more"]
+    return " and ".join(filter(None, [", ".join(items[:-1]), *items[-1:]]))
+
+
+def sentence(text: str) -> str:
+    text = text.strip()
+    text = text[:1].upper() + text[1:]
+    return text if text.endswith((".", "!", "?")) else text + "."
+
+
+def ms(value: float | None) -> float | None:
+    return None if value is None else 1e3 * value
