@@ -202,19 +202,19 @@ class RankStudy:
     @property
     def key(self) -> str:
         """Everything that the numbers depend on."""
-        return _key("ranks", self.problem, self.sampler, self.settings, self.n_ranks,
-                    self.seed, self.start)  # fmt: skip
+        return study_key("ranks", self.problem, self.sampler, self.settings, self.n_ranks,
+                         self.seed, self.start)  # fmt: skip
 
     def __call__(self, i: int) -> dict[str, Any]:
         """``theta``, ``ranks`` (-1: the sampler raised) and what the sampler said."""
         prior, data, sampling = np.random.SeedSequence([self.seed, i]).spawn(3)
         theta = draw_prior(self.problem, np.random.default_rng(prior))
-        campaign = simulate(self.problem, theta, seed=_number(data))
+        campaign = simulate(self.problem, theta, seed=seed_of(data))
         problem = replace(self.problem, campaign=campaign)
         start = theta if self.start == "truth" else None
         try:
             posterior = sample_posterior(
-                problem, start, _number(sampling), self.sampler, self.settings
+                problem, start, seed_of(sampling), self.sampler, self.settings
             )
             ranks = ranks_of(theta, posterior.draws, self.n_ranks)
         except (CampaignError, np.linalg.LinAlgError):
@@ -238,8 +238,8 @@ class CoverageStudy:
     @property
     def key(self) -> str:
         """Everything that the numbers depend on."""
-        return _key("coverage", self.problem, self.theta.tolist(), self.sampler, self.settings,
-                    self.levels, self.seed, self.start)  # fmt: skip
+        return study_key("coverage", self.problem, self.theta.tolist(), self.sampler, self.settings,
+                         self.levels, self.seed, self.start)  # fmt: skip
 
     def __call__(self, i: int) -> dict[str, Any]:
         """Equal-tailed limits ``low`` and ``high`` (n_levels, n_theta), mean, sd, and ``tau``.
@@ -247,10 +247,10 @@ class CoverageStudy:
         ``tau`` (3, 7): the rows and columns of :meth:`Posterior.tau_under_priors`.
         """
         data, sampling = np.random.SeedSequence([self.seed, i]).spawn(2)
-        campaign = simulate(self.problem, self.theta, seed=_number(data))
+        campaign = simulate(self.problem, self.theta, seed=seed_of(data))
         problem = replace(self.problem, campaign=campaign)
         start = self.theta if self.start == "truth" else None
-        posterior = sample_posterior(problem, start, _number(sampling), self.sampler, self.settings)
+        posterior = sample_posterior(problem, start, seed_of(sampling), self.sampler, self.settings)
         tails = np.array([0.5 * (1.0 - level) for level in self.levels])
         # Weibull's plotting position: the mass beyond the limit is right on average over draws
         low, high = (
@@ -266,7 +266,8 @@ class CoverageStudy:
         }
 
 
-def _number(stream: np.random.SeedSequence) -> int:
+def seed_of(stream: np.random.SeedSequence) -> int:
+    """A whole number that stands for the stream."""
     return int(stream.generate_state(1)[0])
 
 
@@ -287,8 +288,8 @@ _SILENT = {
 }  # fmt: skip
 
 
-def _key(*parts: Any) -> str:
-    """A digest of a study's settings and design."""
+def study_key(*parts: Any) -> str:
+    """A digest of a study's settings and design: of everything that its numbers depend on."""
     from bayes_sensor import __version__
 
     hasher = hashlib.sha256(__version__.encode())
@@ -306,8 +307,10 @@ def _key(*parts: Any) -> str:
 # --------------------------------------------------------------------------- coverage
 
 
-def binomial_interval(k: int, n: int, level: float = 0.95) -> tuple[float, float]:
+def binomial_interval(k: float, n: float, level: float = 0.95) -> tuple[float, float]:
     """Clopper and Pearson's interval of a proportion after ``k`` of ``n`` (Biometrika 26, 1934).
+
+    Neither need be whole: n may be an effective number.
 
     >>> [round(v, 4) for v in binomial_interval(0, 10)]
     [0.0, 0.3085]

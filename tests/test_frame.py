@@ -40,6 +40,7 @@ ROOMS = (
     "delays",
     "design",
     "calibration",
+    "coverage",
     "gap",
     "results",
     "samples",

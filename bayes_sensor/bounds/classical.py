@@ -117,8 +117,9 @@ def posterior_intervals(evidence: Evidence) -> Bound:
     index = [list(evidence.posterior.names).index(name) for name in names]
     draws = draws[:, index]
     tails = [0.5 - 0.5 * level for level in LEVELS.values()]
-    low = np.quantile(draws, tails, axis=0).T
-    high = np.quantile(draws, [1.0 - tail for tail in tails], axis=0).T
+    # Weibull's plotting position: the mass beyond an end is right on average over the draws
+    low = np.quantile(draws, tails, axis=0, method="weibull").T
+    high = np.quantile(draws, [1.0 - tail for tail in tails], axis=0, method="weibull").T
     return Bound(
         "posterior",
         f"{noise_words(evidence)} and the priors",

@@ -9,7 +9,7 @@ zero; the chi-squared quantile is then conservative (Self and Liang, J. Amer. St
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, nan, sqrt
 
 import numpy as np
@@ -44,18 +44,18 @@ class Profiler:
         curvature = curvature_along_tau(surface, maximum.psi)
         return cls(surface, maximum, curvature, np.where(np.isfinite(cov), cov, 0.0))
 
-    def best(self, i: int, value: float) -> Maximum:
+    def best(self, i: int, value: float, near: FloatArray | None = None) -> Maximum:
         """Maximum over everything else with psi's parameter ``i`` held at ``value``.
 
         ``value`` is tau^2 for tau, and t0 or tf themselves (not t0 + tau) for the switch times:
-        those are reached by exchanging tau for t0, with (t0 + tau) following.
+        those are reached by exchanging tau for t0, with (t0 + tau) following.  Started where a
+        Gaussian has it, or from ``near`` (n_psi,), the maximum at another value.
         """
         psi, cov, surface = self.maximum.psi, self.cov, self.surface
         rest = np.array([j for j in range(len(psi)) if j != i])
         if i in surface.coordinates.switches:
-            return self._best_switch(i, value, rest)
-        start = psi.copy()
-        start += cov[:, i] / cov[i, i] * (value - psi[i])
+            return self._best_switch(i, value, rest, near)
+        start = psi + cov[:, i] / cov[i, i] * (value - psi[i]) if near is None else near.copy()
         start[i] = value
         return maximise(
             surface.guarded, self.curvature, start, rest, *self._box(i), n_iterations=25,
@@ -68,7 +68,9 @@ class Profiler:
         low[i], high[i] = -inf, inf
         return low, high
 
-    def _best_switch(self, i: int, value: float, rest: np.ndarray) -> Maximum:
+    def _best_switch(
+        self, i: int, value: float, rest: np.ndarray, near: FloatArray | None
+    ) -> Maximum:
         # phi = psi, but tau in the place of tau^2 and the switch time itself in that of t0 + tau
         psi, surface = self.maximum.psi, self.surface
         floor, ceiling = self._box(i)
@@ -92,56 +94,100 @@ class Profiler:
             T[0, 0], T[i, 0] = 2.0 * phi[0], 1.0
             return T.T @ self.curvature(to_psi(phi)) @ T
 
-        start = psi + self.cov[:, 0] / self.cov[0, 0] * (tau**2 - psi[0])
-        start[0], start[i] = tau, value
-        return maximise(
+        if near is None:
+            start = psi + self.cov[:, 0] / self.cov[0, 0] * (tau**2 - psi[0])
+            start[0] = tau
+        else:
+            start = near.copy()
+            start[0] = sqrt(max(near[0], floor[0] ** 2))
+        start[i] = value
+        found = maximise(
             objective, curvature, start, rest, floor, ceiling, n_iterations=25, tolerance=1e-5
         )
+        return replace(found, psi=to_psi(found.psi))
+
+    def at(self, i: int, value: float, near: FloatArray | None = None) -> Point:
+        """The profile at ``value``, see :meth:`best`."""
+        best = self.best(i, value, near)
+        fall = 2.0 * (self.maximum.value - best.value)
+        drop = sqrt(max(fall, 0.0)) if np.isfinite(fall) else inf
+        return Point(value, drop, best.psi)
 
     def drop(self, i: int, value: float) -> float:
         """sqrt(2 (max log L - profile)) at ``value``; infinite outside the mesh."""
-        fall = 2.0 * (self.maximum.value - self.best(i, value).value)
-        return sqrt(max(fall, 0.0)) if np.isfinite(fall) else inf
+        return self.at(i, value).drop
 
     def ends(
         self, i: int, centre: float, guesses: list[float], targets: list[float]
     ) -> list[float]:
         """Where :meth:`drop` reaches each target (rising), on the side of ``guesses``; nan where it
-        cannot be found."""
-        known = [(centre, 0.0)]
+        cannot be found.
+
+        The likelihood may have two maxima over the rest (tau at zero and above): where the profile
+        seems to jump, each is followed from its neighbour and the higher one counts.
+        """
+        known = [Point(centre, 0.0, self.maximum.psi)]
         found = []
         for guess, target in zip(guesses, targets):
             end = nan
-            for _ in range(14):
-                value = self._next(known, guess, target)
+            for attempt in range(20):
+                below, above = _bracket(known, target)
+                if above is not None and attempt >= 4:
+                    again = self.at(i, above.value, below.psi)
+                    if again.drop < above.drop - CLOSE:
+                        known[known.index(above)] = again
+                        below, above = _bracket(known, target)
+                value = _next(centre, below, above, guess, target)
                 if value is None:
                     break
-                drop = self.drop(i, value)
-                known.append((value, drop))
-                known.sort(key=lambda pair: abs(pair[0] - centre))
-                if abs(drop - target) < CLOSE:
+                point = self.at(i, value)
+                if attempt >= 4:
+                    point = min(point, self.at(i, value, below.psi), key=lambda p: p.drop)
+                known.append(point)
+                known.sort(key=lambda p: abs(p.value - centre))
+                if abs(point.drop - target) < CLOSE:
                     end = value
                     break
             found.append(end)
         return found
 
-    @staticmethod
-    def _next(known: list[tuple[float, float]], guess: float, target: float) -> float | None:
-        centre = known[0][0]
-        below = max((p for p in known if p[1] < target), key=lambda p: abs(p[0] - centre))
-        beyond = [
-            p for p in known if p[1] >= target and abs(p[0] - centre) > abs(below[0] - centre)
-        ]
-        if not beyond:
-            if below[0] == centre:
-                return guess
-            stretch = min(max(1.02 * target / max(below[1], 1e-9), 1.05), 3.0)
-            return float(centre + stretch * (below[0] - centre))
-        above = min(beyond, key=lambda p: abs(p[0] - centre))
-        if abs(above[0] - below[0]) < 1e-12 * max(abs(above[0]), 1e-12):
-            return None
-        share = 0.5 if not np.isfinite(above[1]) else (target - below[1]) / (above[1] - below[1])
-        return float(below[0] + min(max(share, 0.02), 0.98) * (above[0] - below[0]))
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """One value of a profiled parameter."""
+
+    value: float
+    drop: float
+    """sqrt(2 (max log L - profile))"""
+    psi: FloatArray
+    """(n_psi,) where the rest is best"""
+
+
+def _bracket(known: list[Point], target: float) -> tuple[Point, Point | None]:
+    """The farthest point whose drop is below the target, and the nearest beyond it above it."""
+    centre = known[0].value
+    below = max((p for p in known if p.drop < target), key=lambda p: abs(p.value - centre))
+    beyond = [
+        p for p in known if p.drop >= target and abs(p.value - centre) > abs(below.value - centre)
+    ]
+    return below, min(beyond, key=lambda p: abs(p.value - centre), default=None)
+
+
+def _next(
+    centre: float, below: Point, above: Point | None, guess: float, target: float
+) -> float | None:
+    """Where to look next; None where the bracket has closed."""
+    if above is None:
+        if below.value == centre:
+            return guess
+        stretch = min(max(1.02 * target / max(below.drop, 1e-9), 1.05), 3.0)
+        return float(centre + stretch * (below.value - centre))
+    if abs(above.value - below.value) < 1e-12 * max(abs(above.value), 1e-12):
+        return None
+    share = (
+        0.5 if not np.isfinite(above.drop) else (target - below.drop) / (above.drop - below.drop)
+    )
+    return float(below.value + min(max(share, 0.02), 0.98) * (above.value - below.value))
 
 
 def profile(evidence: Evidence) -> Bound:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg.lapack import dposv, dpotrf
 
 from bayes_sensor.bounds.gaussian import invert, least_tau, mean_positions
 from bayes_sensor.campaign import FloatArray
@@ -105,12 +106,14 @@ def _learnt(
     along, bent = float(s @ pull), float(s @ y)
     if not (along > 0 and bent > 0.05 * along):
         return base
-    block = block - np.outer(pull, pull) / along + np.outer(y, y) / bent
-    diagonal = np.diag(block)
-    if not (np.isfinite(block).all() and (diagonal > 1e-6 * np.diag(base)[active]).all()):
+    block += y[:, None] * (y / bent) - pull[:, None] * (pull / along)
+    diagonal = block.diagonal()
+    if not (diagonal > 1e-6 * base.diagonal()[active]).all():
         return base
     scale = 1.0 / np.sqrt(diagonal)
-    if np.linalg.eigvalsh(block * np.outer(scale, scale))[0] < 1e-9:
+    scaled = block * scale[:, None] * scale
+    scaled.flat[:: len(scaled) + 1] -= 1e-9
+    if dpotrf(scaled)[1]:  # not positive definite, or not finite
         return base
     result = matrix.copy()
     result[np.ix_(active, active)] = block
@@ -147,20 +150,22 @@ def _step(
 def _solve(matrix: FloatArray, vector: FloatArray, damping: float = 0.0) -> FloatArray:
     if not len(vector):
         return vector
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = matrix * np.outer(scale, scale)
+    scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), 1e-300))
+    scaled = matrix * scale[:, None] * scale
     # a ridge far below any information that counts, so that unidentified directions stay put
-    scaled[np.diag_indices(len(scaled))] += 1e-7 + damping
-    return scale * np.linalg.solve(scaled, scale * vector)
+    scaled.flat[:: len(scaled) + 1] += 1e-7 + damping
+    _, found, failed = dposv(scaled, scale * vector)
+    if failed:  # not positive definite to rounding
+        found = np.linalg.solve(scaled, scale * vector)
+    return scale * found
 
 
 APART = 1.1e-3
 """relative distance of time constants that leaves the mesh its analytic gradient, with room"""
 
 
-def _gap(tau: float, others: FloatArray | list[float]) -> float:
-    near = np.asarray(others, dtype=float)
-    return float(np.min(np.abs(near - tau) / np.maximum(near, tau)))
+def _gap(tau: float, others: list[float]) -> float:
+    return min(abs(other - tau) / max(other, tau) for other in others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +226,9 @@ class Surface:
 
     def objective(self, psi: FloatArray) -> tuple[float, FloatArray]:
         """Log-likelihood and its gradient by psi."""
-        theta = self.coordinates.theta(psi)
+        return self._at(self.coordinates.theta(psi))
+
+    def _at(self, theta: FloatArray) -> tuple[float, FloatArray]:
         aside = self._aside(theta)
         if aside is None:
             value, gradient = self.compressed.value_and_gradient(theta)
@@ -231,20 +238,32 @@ class Surface:
             down, g_down = self.compressed.value_and_gradient(theta - aside)
             value = 0.5 * (up + down) - 0.25 * float((g_up - g_down) @ aside)
             gradient = 0.5 * (g_up + g_down)
-        slopes = self.coordinates.slopes(theta)
-        return value, slopes.T @ gradient[self.coordinates.free]
+        return value, self._by_psi(theta, gradient)
+
+    def _by_psi(self, theta: FloatArray, gradient: FloatArray) -> FloatArray:
+        """The gradient by psi of one by theta: the transposed slopes without their matrix."""
+        coordinates = self.coordinates
+        values, result = theta[coordinates.free], gradient[coordinates.free]
+        tau_slope = 0.5 / max(values[0], 1e-12)
+        pulled = result[coordinates.switches].sum()
+        result[coordinates.squared] *= 0.5 / np.maximum(values[coordinates.squared], 1e-12)
+        result[coordinates.phi] *= 1.0 - values[coordinates.phi] ** 2
+        result[coordinates.sigma0] *= values[coordinates.sigma0]
+        result[0] -= tau_slope * pulled
+        return result
 
     @cached_property
-    def _flows(self) -> FloatArray:
-        return np.unique([e.total_flow for e in self.problem.campaign])
+    def _flows(self) -> list[float]:
+        return sorted({e.total_flow for e in self.problem.campaign})
 
     def _aside(self, theta: FloatArray) -> FloatArray | None:
         """How far tau_v or tau must move, up and down, where time constants coincide; else None.
 
         There the mesh has no analytic gradient.
         """
-        manifold = theta[2] / self._flows
-        if _gap(theta[1], manifold) > APART and _gap(theta[0], [theta[1], *manifold]) > APART:
+        tau, tau_v, volume = theta[:3].tolist()
+        manifold = [volume / flow for flow in self._flows]
+        if _gap(tau_v, manifold) > APART and _gap(tau, [tau_v, *manifold]) > APART:
             return None
         aside = np.zeros(len(theta))
         for i in (1, 0):
@@ -256,19 +275,15 @@ class Surface:
                 if min(_gap(theta[i] + move, others), _gap(theta[i] - move, others)) > APART:
                     aside[i] = move
                     break
-        region = self.compressed.region
-        for side in (theta + aside, theta - aside):
-            if not ((side >= region.low) & (side <= region.high)).all():
-                return None
-        return aside
+        covered = self.compressed.covers(theta + aside) and self.compressed.covers(theta - aside)
+        return aside if covered else None
 
     def guarded(self, psi: FloatArray) -> tuple[float, FloatArray]:
         """:meth:`objective`, but minus infinity outside the mesh instead of a slow full pass."""
         theta = self.coordinates.theta(psi)
-        region = self.compressed.region
-        if not ((theta >= region.low) & (theta <= region.high)).all():
+        if not self.compressed.covers(theta):
             return -np.inf, np.zeros(len(psi))
-        return self.objective(psi)
+        return self._at(theta)
 
     def expansion(self, psi: FloatArray) -> FloatArray:
         """psi with tau^2 raised to its own spread: where a Gaussian is matched near tau = 0.
@@ -286,12 +301,20 @@ class Surface:
             point[0] = max(psi[0], min(float(np.sqrt(variance)), top))
         return point
 
+    @cached_property
+    def _informations(self) -> dict[bytes, FloatArray]:
+        return {}
+
     def information(self, psi: FloatArray) -> FloatArray:
-        """Expected information (n_psi, n_psi)."""
+        """Expected information (n_psi, n_psi); methods ask for it at the same places."""
         theta = self.coordinates.theta(np.maximum(psi, self.floor))
-        free = self.coordinates.free
-        slopes = self.coordinates.slopes(theta)
-        return slopes.T @ self.compressed.information(theta)[np.ix_(free, free)] @ slopes
+        key = theta.tobytes()
+        if key not in self._informations:
+            free = self.coordinates.free
+            slopes = self.coordinates.slopes(theta)
+            by_theta = self.compressed.information(theta)[np.ix_(free, free)]
+            self._informations[key] = slopes.T @ by_theta @ slopes
+        return self._informations[key].copy()
 
 
 def coloured_surface(problem: Problem, theta: FloatArray) -> tuple[Surface, Maximum]:
