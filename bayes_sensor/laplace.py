@@ -15,6 +15,7 @@ from functools import cached_property
 from math import log, pi, sqrt
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compression import Compressed, Region, compress
@@ -66,6 +67,36 @@ class Coordinates:
         return self._where("sigma0_V")
 
     @cached_property
+    def logs(self) -> np.ndarray:
+        """Positions in psi of the logarithms of a model's own parameters with such a prior."""
+        return np.array(
+            [
+                i
+                for i, name in enumerate(self.names)
+                if name in self.problem.layout.extra
+                and self.problem.priors[name].kind in ("log_normal", "log_uniform")
+            ],
+            dtype=int,
+        )
+
+    @cached_property
+    def limits(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest psi (n_psi,) of a model's own parameters; others are unlimited."""
+        low, high = np.full(len(self.names), -np.inf), np.full(len(self.names), np.inf)
+        for i, name in enumerate(self.names):
+            if name in self.problem.layout.extra:
+                low[i], high[i] = self.problem.priors[name].support
+        with np.errstate(divide="ignore"):
+            low[self.logs], high[self.logs] = np.log(low[self.logs]), np.log(high[self.logs])
+        return low, high
+
+    @cached_property
+    def limited(self) -> np.ndarray:
+        """Positions in psi that have a limit."""
+        low, high = self.limits
+        return np.flatnonzero(np.isfinite(low) | np.isfinite(high))
+
+    @cached_property
     def linear(self) -> np.ndarray:
         """(n_experiments, 2) positions in psi of y0 and beta."""
         y0, beta = self._where("y0_V"), self._where("beta_V")
@@ -80,6 +111,7 @@ class Coordinates:
         phi, sigma0 = self.phi, self.sigma0
         psi[..., phi] = np.arctanh(psi[..., phi])
         psi[..., sigma0] = np.log(psi[..., sigma0])
+        psi[..., self.logs] = np.log(psi[..., self.logs])
         return psi
 
     def theta(self, psis: FloatArray) -> FloatArray:
@@ -91,6 +123,7 @@ class Coordinates:
         # 1 - 1e-12: tanh rounds to 1 far out, where the density is zero anyway
         values[..., phi] = np.clip(np.tanh(values[..., phi]), -1 + 1e-12, 1 - 1e-12)
         values[..., sigma0] = np.exp(np.minimum(values[..., sigma0], 300.0))
+        values[..., self.logs] = np.exp(np.minimum(values[..., self.logs], 300.0))
         theta = np.zeros((*values.shape[:-1], len(self.problem.layout)))
         for name, value in self.problem.fixed.items():
             theta[..., self.problem.layout.index(name)] = value
@@ -104,6 +137,7 @@ class Coordinates:
         with np.errstate(divide="ignore"):
             total = np.log(1.0 - values[..., phi] ** 2).sum(axis=-1)
             total = total + np.log(values[..., sigma0]).sum(axis=-1)
+            total = total + np.log(values[..., self.logs]).sum(axis=-1)
             if not roots:
                 total = total - np.log(2.0 * values[..., self.squared]).sum(axis=-1)
         return total
@@ -115,6 +149,7 @@ class Coordinates:
         diagonal[self.squared] = 0.5 / np.maximum(values[self.squared], 1e-12)
         diagonal[self.phi] = 1.0 - values[self.phi] ** 2
         diagonal[self.sigma0] = values[self.sigma0]
+        diagonal[self.logs] = values[self.logs]
         slopes = np.diag(diagonal)
         slopes[self.switches, 0] = -diagonal[0]
         return slopes
@@ -158,6 +193,27 @@ def draw_root(
     return drawn, log_q
 
 
+def draw_between(
+    mean: FloatArray, sd: float, low: float, high: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Draws (n,) of normal laws with ``mean`` (n,) and ``sd``, cut to [low, high].
+
+    Also the log of their density (n,).
+    """
+    a, b = (low - mean) / sd, (high - mean) / sd
+    # the left tail keeps its digits: mirror where the interval lies right of the mean
+    mirrored = a + b > 0.0
+    left, right = np.where(mirrored, -b, a), np.where(mirrored, -a, b)
+    left = np.minimum(left, np.maximum(right, -36.0) - 1e-6)
+    right = np.maximum(right, -36.0)
+    below, above = ndtr(left), ndtr(right)
+    z = ndtri(below + (above - below) * rng.random(len(mean)))
+    z = np.clip(z, left, right)
+    log_q = -0.5 * z**2 - 0.5 * log(2 * pi) - log(sd) - np.log(above - below)
+    drawn = mean + sd * np.where(mirrored, -z, z)
+    return np.clip(drawn, low, high), log_q
+
+
 @dataclass(frozen=True)
 class Laplace:
     """A Gaussian in psi: mean (n_psi,), covariance (n_psi, n_psi) in ``coordinates``."""
@@ -173,10 +229,10 @@ class Laplace:
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Positions of psi with the squares first, as drawn."""
-        squared = self.coordinates.squared
-        rest = [i for i in range(len(self.mean)) if i not in set(squared)]
-        return np.concatenate([squared, np.array(rest, dtype=int)])
+        """Positions of psi as drawn: the squares, what has limits, the rest."""
+        first = np.concatenate([self.coordinates.squared, self.coordinates.limited])
+        rest = [i for i in range(len(self.mean)) if i not in set(first)]
+        return np.concatenate([first, np.array(rest, dtype=int)])
 
     @cached_property
     def _factor(self) -> FloatArray:
@@ -194,8 +250,15 @@ class Laplace:
         z = np.empty((n, n_psi))
         psi = np.empty((n, n_psi))
         log_q = np.zeros(n)
+        n_squared, (low, high) = len(self.coordinates.squared), self.coordinates.limits
+        n_limited = len(self.coordinates.limited)
         for j in range(n_psi):
-            if j < len(self.coordinates.squared):
+            if n_squared <= j < n_squared + n_limited:
+                centre, i = self.mean[order[j]] + z[:, :j] @ L[j, :j], order[j]
+                value, log_cut = draw_between(centre, L[j, j], low[i], high[i], rng)
+                log_q += log_cut
+                z[:, j] = (value - centre) / L[j, j]
+            elif j < n_squared:
                 centre = self.mean[order[j]] + z[:, :j] @ L[j, :j]
                 root, log_root = draw_root(centre, np.full(n, L[j, j]), rng)
                 log_q += log_root
@@ -260,9 +323,15 @@ def approximate(
     converged = False
     floor = psi.copy()
     info = _information(mesh, coordinates, psi)
+    low, high = coordinates.limits
     for _ in range(30):
         g = gradient(psi)
-        step = np.linalg.solve(info, g)
+        # what sits at its limit and wants beyond stays there
+        near = 1e-5 / np.sqrt(np.diag(info))
+        held = ((psi <= low + near) & (g < 0.0)) | ((psi >= high - near) & (g > 0.0))
+        step = np.zeros(len(psi))
+        move = np.flatnonzero(~held)
+        step[move] = np.linalg.solve(info[np.ix_(move, move)], g[move])
         expected = float(g @ step)
         if expected < 1e-6:
             converged = True
@@ -305,13 +374,17 @@ def approximate(
 
 
 def _into_support(problem: Problem, theta: FloatArray) -> FloatArray:
-    """``theta`` moved just inside the uniform priors and below tau = tau_v where it is not."""
+    """``theta`` moved just inside its priors and below tau = tau_v where it is not."""
     theta = theta.copy()
     for i, name in enumerate(problem.layout.names):
         prior = problem.priors[name]
-        if name not in problem.fixed and prior.kind in ("uniform", "log_uniform"):
+        if name in problem.fixed:
+            continue
+        if prior.kind in ("uniform", "log_uniform"):
             margin = 1e-6 * (prior.b - prior.a)
             theta[i] = np.clip(theta[i], prior.a + margin, prior.b - margin)
+        elif name in problem.layout.extra and prior.kind in ("half_normal", "log_normal"):
+            theta[i] = max(theta[i], 1e-6 * prior.a)
     theta[0] = min(theta[0], 0.999 * theta[1])
     return theta
 
@@ -322,13 +395,17 @@ def covering_region(compressed: Compressed, laplace: Laplace, n: int = 400) -> R
     low, high = compressed.region.low.copy(), compressed.region.high.copy()
     layout = laplace.coordinates.problem.layout
     switches = layout.local[:, 2:].ravel()
-    for i in [1, 2, *switches[switches >= 0]]:
+    extra = range(len(layout) - len(layout.extra), len(layout))
+    for i in [1, 2, *switches[switches >= 0], *extra]:
         a, b = thetas[:, i].min(), thetas[:, i].max()
         low[i], high[i] = a - 0.4 * (b - a), b + 0.4 * (b - a)
     low[0], high[0] = 0.0, 1.4 * thetas[:, 0].max()
     for i in (1, 2):
         low[i] = max(low[i], 0.2 * laplace.theta[i])
-    return Region(low, high)
+    for i in extra:
+        support = laplace.coordinates.problem.priors[layout.names[i]].support
+        low[i], high[i] = max(low[i], support[0]), min(high[i], support[1])
+    return Region(low, high, compressed.region.fineness)
 
 
 def _information(compressed: Compressed, coordinates: Coordinates, psi: FloatArray) -> FloatArray:
@@ -368,11 +445,12 @@ def _expand(
         step[i] = min(step[i], 0.2 * width[i])
     n = len(psi)
     hessian = np.empty((n, n))
+    low, high = coordinates.limits
     for i in range(n):
         up, down = psi.copy(), psi.copy()
-        up[i] += step[i]
-        down[i] -= step[i]
-        hessian[i] = -(gradient(up) - gradient(down)) / (2.0 * step[i])
+        up[i] = min(psi[i] + step[i], high[i])
+        down[i] = max(psi[i] - step[i], low[i])
+        hessian[i] = -(gradient(up) - gradient(down)) / (up[i] - down[i])
     hessian = 0.5 * (hessian + hessian.T)
     scale = np.sqrt(np.diag(info))
     smallest = np.linalg.eigvalsh(hessian / np.outer(scale, scale)).min()

@@ -86,6 +86,14 @@ class Prior:
         }
         return laws[self.kind]()
 
+    @cached_property
+    def width(self) -> float:
+        """Half the distance between its 16th and 84th percentile; nan for ``flat``."""
+        if self.law is None:
+            return float("nan")
+        low, high = self.law.ppf([0.16, 0.84])
+        return 0.5 * float(high - low)
+
     @property
     def support(self) -> tuple[float, float]:
         """Lowest and highest value allowed."""

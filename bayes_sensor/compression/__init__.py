@@ -11,6 +11,7 @@ and with them the pairs across gaps.
 Outside the region for which the mesh was built the exact full pass answers instead.
 """
 
+from bayes_sensor.compression.derivatives import mean_derivatives
 from bayes_sensor.compression.kernels import Arrays, K
 from bayes_sensor.compression.mesh import Region, build
 from bayes_sensor.compression.record import (
@@ -31,4 +32,5 @@ __all__ = [
     "compress",
     "default_region",
     "log_likelihood",
+    "mean_derivatives",
 ]

@@ -10,10 +10,10 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.compression import kernels
+from bayes_sensor.compression.derivatives import mean_derivatives
 from bayes_sensor.compression.kernels import K
 from bayes_sensor.compression.mesh import Region, at_times, build, node_times
 from bayes_sensor.likelihood import (
-    Prior,
     Problem,
     as_problem,
     experiment_log_likelihood,
@@ -154,7 +154,7 @@ class Compressed:
             return -np.inf
         phi, phi_reference, sigma0, sigma1 = noise
         e = self.problem.campaign.experiments[k]
-        mean, x, index, d_mean, d_x = self._derivatives(vector, k, self._times(k))
+        mean, x, index, d_mean, d_x = mean_derivatives(self.problem, vector, k, self._times(k))
         weight = self.problem.noise.weight(self.problem.campaign, e)
         s2 = scale_squared(x, sigma0, sigma1, weight)
         g_mean, g_s2 = np.empty_like(mean), np.empty_like(mean)
@@ -169,42 +169,6 @@ class Compressed:
         gradient[i_sigma0] += 2.0 * sigma0 * g_s2.sum()
         gradient[i_sigma1] += 2.0 * sigma1 * weight * float(g_s2 @ positive)
         return float(value)
-
-    def _derivatives(
-        self, vector: FloatArray, k: int, t: FloatArray
-    ) -> tuple[FloatArray, FloatArray, np.ndarray, FloatArray, FloatArray]:
-        """Mean and response (n_t,) of any model, and their derivatives by central differences.
-
-        Returns mean, response, positions in theta (m,) and the derivatives (m, n_t) of both.
-        """
-        problem, layout = self.problem, self.problem.layout
-        e = problem.campaign.experiments[k]
-        mean, x = mean_and_response(problem, vector, e, t)
-        i_y0, i_beta, *switches = (int(i) for i in layout.local[k])
-        slowest = max(vector[0], vector[1], vector[2] / e.total_flow)
-        moves = {i: (1e-3 * vector[i], 1e-12, np.inf) for i in range(3)}
-        moves |= {i: (1e-3 * slowest, -np.inf, np.inf) for i in switches if i >= 0}
-        for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
-            if name.endswith("]") and not name.endswith(f"[{e.name}]"):
-                continue  # another experiment's own parameter
-            moves[i] = _extra_step(problem.priors.get(name), float(vector[i]))
-        plain = is_affine(problem) and type(problem.model).mean is Cascade.mean
-        if not plain:
-            unit = 1.0 if is_affine(problem) else 1e-3
-            size = unit * max(abs(vector[i_beta]), 1e-3)
-            moves |= {i: (size, -np.inf, np.inf) for i in (i_y0, i_beta)}
-        index = np.array([*moves, *([i_y0, i_beta] if plain else [])])
-        d_mean, d_x = np.zeros((len(index), len(t))), np.zeros((len(index), len(t)))
-        for row, (i, (step, low, high)) in enumerate(moves.items()):
-            up, down = vector.copy(), vector.copy()
-            up[i], down[i] = min(vector[i] + step, high), max(vector[i] - step, low)
-            m_up, x_up = mean_and_response(problem, up, e, t)
-            m_down, x_down = mean_and_response(problem, down, e, t)
-            d_mean[row] = (m_up - m_down) / (up[i] - down[i])
-            d_x[row] = (x_up - x_down) / (up[i] - down[i])
-        if plain:
-            d_mean[-2], d_mean[-1] = 1.0, x
-        return mean, x, index, d_mean, d_x
 
     def value_and_gradient(self, theta: Theta) -> tuple[float, FloatArray]:
         """Log-likelihood and its gradient (n_theta,) by the flat vector."""
@@ -491,7 +455,7 @@ class Compressed:
         e = self.problem.campaign.experiments[k]
         _, sigma0, sigma1 = vector[layout.noise[k]]
         weight = self.problem.noise.weight(self.problem.campaign, e)
-        _, x, index, d_mean, d_x = self._derivatives(vector, k, t)
+        _, x, index, d_mean, d_x = mean_derivatives(self.problem, vector, k, t)
         positive = np.maximum(x, 0.0)
         s2 = scale_squared(x, sigma0, sigma1, weight)
         J, u = np.zeros((len(t), len(vector))), np.zeros((len(t), len(vector)))
@@ -501,14 +465,6 @@ class Compressed:
         u[:, layout.noise[k, 2]] = sigma1 * weight * positive / s2
         s = np.sqrt(s2)
         return J / s[:, None], u, s
-
-
-def _extra_step(prior: Prior | None, value: float) -> tuple[float, float, float]:
-    """Step of a difference quotient in a model's own parameter, and where that parameter ends."""
-    if prior is None or prior.law is None:
-        return 1e-3 * max(abs(value), 1e-2), -np.inf, np.inf
-    low, high = prior.law.ppf([0.16, 0.84])
-    return 5e-4 * float(high - low), *prior.support
 
 
 def default_region(problem: Problem, vector: FloatArray, spread: float = 7.0) -> Region:

@@ -13,8 +13,8 @@ the posterior, not this fit.  The sensor is taken to be the faster lag, tau <= t
 cascade is unchanged when the two swap.
 """
 
-from bayes_sensor.fit.least_squares import fit_least_squares
+from bayes_sensor.fit.least_squares import fit_least_squares, refit
 from bayes_sensor.fit.record import Fit, Progress
 from bayes_sensor.fit.swarm import Swarm, particle_swarm
 
-__all__ = ["Fit", "Progress", "Swarm", "fit_least_squares", "particle_swarm"]
+__all__ = ["Fit", "Progress", "Swarm", "fit_least_squares", "particle_swarm", "refit"]

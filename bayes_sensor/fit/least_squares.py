@@ -74,7 +74,7 @@ def fit_least_squares(
         exact, looks, box, seed, swarms, particles, de, tell, count
     )
     if not plain:
-        theta, success = _fit_general(problem, theta, box, count)
+        theta, success = refit(problem, theta, box, count)
     elif problem.model.method == "euler":
         theta, success = _fit_euler(problem, theta, box, looks, count)
     vector = with_noise(problem.layout, theta)
@@ -265,22 +265,61 @@ def _finish(
     return theta, success
 
 
-def _fit_general(
-    problem: Problem, theta: FloatArray, box: Mapping[str, tuple[float, float]], count: Count
+def refit(
+    problem: Problem,
+    theta: FloatArray,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    count: Count | None = None,
 ) -> tuple[FloatArray, bool]:
-    """Refinement of any model from the cascade's fit, with difference quotients."""
-    layout = problem.layout
+    """Mean and extra parameters of any model from the cascade's fit, and whether that converged.
+
+    ``theta`` (n_mean, ..): the cascade's fit; what follows its mean's parameters is not used.
+    Starts at the middle of the extra parameters' priors and, one at a time, towards both of their
+    ends; the best is refined on the mesh, which follows it.  ``box``: search bounds by flat name.
+    """
+    layout, count = problem.layout, count or Count()
+    if box is None:
+        box = initial_bounds(problem, [first_look(e) for e in problem.campaign], None)
     low, high = limits(layout, box)
-    middle = []
-    for name in layout.extra:
+    theta = np.clip(theta[: layout.n_mean], low[: layout.n_mean], high[: layout.n_mean])
+    rise = max(theta[1], theta[2] / max(e.total_flow for e in problem.campaign)) * 2.2
+    middle, ends = _extra_starts(problem)
+    starts = [np.concatenate([theta, middle])]
+    for i, values in enumerate(ends):
+        for value in values:
+            start = starts[0].copy()
+            start[layout.n_mean + i] = value
+            starts.append(start)
+    near_low, near_high = around(layout, problem.campaign, theta, rise)
+    points = mesh_points(problem, starts[0], near_low, near_high)
+    found = [
+        refine(problem, points, start, low, high, max_evaluations=15, tolerance=1e-5)
+        for start in starts
+    ]
+    best = min(found, key=lambda each: each.cost)
+    count.n += sum(each.n_evaluations for each in found)
+    watched = [0, 1, 2, *layout.local[:, 2:][layout.local[:, 2:] >= 0]]
+    for _ in range(4):
+        # the cascade is not assumed to be unchanged when tau and tau_v swap: an effect may tell
+        # the two apart
+        near_low, near_high = around(layout, problem.campaign, best.theta, rise)
+        points = mesh_points(problem, best.theta, near_low, near_high)
+        best = refine(problem, points, best.theta, low, high)
+        count.n += best.n_evaluations
+        at = best.theta[watched]
+        if (at >= near_low[watched]).all() and (at <= near_high[watched]).all():
+            break
+    return best.theta, best.success
+
+
+def _extra_starts(problem: Problem) -> tuple[FloatArray, list[list[float]]]:
+    """Middle of every extra parameter's prior, and values towards both of its ends."""
+    middle, ends = [], []
+    for name in problem.layout.extra:
         law = problem.priors[name].law if name in problem.priors else None
         middle.append(0.0 if law is None else float(law.median()))
-    rise = max(theta[1], theta[2] / max(e.total_flow for e in problem.campaign)) * 2.2
-    near_low, near_high = around(layout, problem.campaign, theta, rise)
-    points = mesh_points(problem, theta, near_low, near_high)
-    found = refine(problem, points, np.concatenate([theta, middle]), low, high)
-    count.n += found.n_evaluations
-    return found.theta, found.success
+        ends.append([] if law is None else [float(law.ppf(0.1)), float(law.ppf(0.9))])
+    return np.array(middle), ends
 
 
 def _fit_euler(

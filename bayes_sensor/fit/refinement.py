@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from bayes_sensor.campaign import Campaign, Experiment, FloatArray
-from bayes_sensor.compression import Region, compress
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.compression import Region, compress, mean_derivatives
 from bayes_sensor.fit.euler import euler_sensitivities
 from bayes_sensor.fit.points import Points, joined
 from bayes_sensor.likelihood import Problem
@@ -65,7 +65,7 @@ class Squares:
         t = self.points.t[part]
         i_y0, i_beta, i_t0, i_tf = (int(i) for i in self.layout.local[k])
         if self.kind == "general":
-            return self._block_general(theta, k, e, t)
+            return self._block_general(theta, k, t)
         y0, beta, t0 = theta[i_y0], theta[i_beta], theta[i_t0]
         tf = float(theta[i_tf]) if i_tf >= 0 else None
         taus = time_constants(theta[0], theta[1], theta[2], e.total_flow)
@@ -90,22 +90,17 @@ class Squares:
         return y0 + beta * x, J, columns
 
     def _block_general(
-        self, theta: FloatArray, k: int, e: Experiment, t: FloatArray
+        self, theta: FloatArray, k: int, t: FloatArray
     ) -> tuple[FloatArray, FloatArray, list[int]]:
-        layout, model = self.layout, self.problem.model
+        layout = self.layout
         full = with_noise(layout, theta)
-        n_mean = layout.n_mean
-        columns = [0, 1, 2, *(int(i) for i in layout.local[k] if i >= 0)]
-        columns += list(range(n_mean, n_mean + len(layout.extra)))
-        mean = model.mean(t, full, layout, e)
-        J = np.empty((len(t), len(columns)))
-        for j, column in enumerate(columns):
-            i = column if column < n_mean else column - n_mean + len(layout) - len(layout.extra)
-            step = 1e-7 * max(abs(full[i]), 1e-2)
-            moved = full.copy()
-            moved[i] += step
-            J[:, j] = (model.mean(t, moved, layout, e) - mean) / step
-        return mean, J, columns
+        mean, _, index, slopes, _ = mean_derivatives(self.problem, full, k, t)
+        n_noise = len(layout.noise_names)
+        columns = [int(i) if i < layout.n_mean else int(i) - n_noise for i in index]
+        if self.straight:
+            switches = [row for row, i in enumerate(columns) if i in self.edges]
+            slopes[0] = (slopes[0] - slopes[switches].sum(axis=0)) / (2.0 * theta[0])
+        return mean, slopes.T, columns
 
     def evaluate(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Reduced residuals (n_rows,) and Jacobian (n_rows, n) at coordinates ``p`` (n,)."""
@@ -161,7 +156,7 @@ def refine(
 ) -> Refined:
     """Trust-region refinement (scipy's ``trf``) inside the box; ``free`` False: held fixed."""
     free = np.ones(len(theta), dtype=bool) if free is None else free
-    straight = type(problem.model) is Cascade and bool(free[0])
+    straight = bool(free[0])
     squares = Squares(problem, points, straight)
     box_low, box_high = squares.coordinates(low), squares.coordinates(high)
     result = _trust_region(
@@ -214,15 +209,22 @@ def _trust_region(
 
 
 def mesh_points(problem: Problem, theta: FloatArray, low: FloatArray, high: FloatArray) -> Points:
-    """The compressed mesh around ``theta`` as points."""
-    plain = Problem(problem.campaign, noise=problem.noise)
-    layout = plain.layout
-    vector = layout.flat(theta[: layout.n_mean])
-    vector[layout.noise[:, 1]] = 1.0  # sums of squares do not depend on it
+    """The compressed mesh around ``theta`` (mean and extra parameters) as points.
+
+    ``low`` and ``high`` (n_mean,): where the mean's parameters may go; extra ones go anywhere.
+    """
+    if type(problem.model) is Cascade:
+        problem = Problem(problem.campaign, noise=problem.noise)
+    layout = problem.layout
+    vector = with_noise(layout, theta)  # sums of squares do not depend on the noise
     box_low, box_high = vector - 1.0, vector + 1.0
     box_low[: layout.n_mean], box_high[: layout.n_mean] = low, high
-    compressed = compress(plain, vector, Region(box_low, box_high))
-    nodes = [compressed.nodes(k) for k in range(len(plain.campaign))]
+    for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
+        prior = problem.priors.get(name)
+        if prior is not None and prior.law is not None:
+            box_low[i], box_high[i] = prior.law.ppf([1e-4, 1.0 - 1e-4])
+    compressed = compress(problem, vector, Region(box_low, box_high))
+    nodes = [compressed.nodes(k) for k in range(len(problem.campaign))]
     return joined([(n.t, n.count, n.y) for n in nodes])
 
 

@@ -11,8 +11,7 @@ from bayes_sensor import inference_data as idata
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.compression import Compressed, Region
 from bayes_sensor.laplace import Coordinates, Laplace
-from bayes_sensor.likelihood import Problem, log_priors
-from bayes_sensor.model import Cascade
+from bayes_sensor.likelihood import Problem, is_affine, log_priors
 from bayes_sensor.posterior.checkpoints import Checkpoint
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, Run, enough
 from bayes_sensor.posterior.settings import Progress, Settings
@@ -58,17 +57,21 @@ class Marginal:
 
     def cover(self, points: FloatArray) -> None:
         """Widen the mesh where walkers have left it, so that they stay off the full pass."""
-        thetas = self.thetas(points)[:, : self.coordinates.problem.layout.n_mean]
-        n_mean = thetas.shape[1]
+        layout = self.coordinates.problem.layout
+        thetas = self.thetas(points)
         region = self.compressed.region
         low, high = region.low.copy(), region.high.copy()
         least, most = thetas.min(axis=0), thetas.max(axis=0)
-        if (least >= low[:n_mean]).all() and (most <= high[:n_mean]).all():
+        if (least >= low).all() and (most <= high).all():
             return
+        moved = np.ones(len(low), dtype=bool)
+        moved[layout.noise] = False  # its region holds all that exists
         room = most - least
-        low[:n_mean] = np.minimum(low[:n_mean], least - room)
-        high[:n_mean] = np.maximum(high[:n_mean], most + room)
-        layout = self.coordinates.problem.layout
+        low[moved] = np.minimum(low, least - room)[moved]
+        high[moved] = np.maximum(high, most + room)[moved]
+        for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
+            support = self.coordinates.problem.priors[name].support
+            low[i], high[i] = max(low[i], support[0]), min(high[i], support[1])
         for i in layout.local[:, 2:].ravel():
             prior = self.coordinates.problem.priors[layout.names[i]] if i >= 0 else None
             # a switch time that the data hardly hold goes wherever its prior lets it
@@ -81,7 +84,9 @@ class Marginal:
         low[0] = 0.0
         low[1:3] = np.maximum(low[1:3], 0.5 * least[1:3])
         self.compressed = Compressed(
-            self.coordinates.problem, self.compressed.reference, Region(low, high)
+            self.coordinates.problem,
+            self.compressed.reference,
+            Region(low, high, region.fineness),
         )
 
     def redraw(self, thetas: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -133,7 +138,7 @@ def run_emcee(
     """Independent ensembles of emcee, checkpointed in ``folder``."""
     names = problem.layout.names
     # exact only for flat priors and a mean y0 + beta x
-    flat = type(problem.model).mean is Cascade.mean and all(
+    flat = is_affine(problem) and all(
         problem.priors[name].kind == "flat" for name in names if name[:4] in ("y0_V", "beta")
     )
     target = Marginal(problem, compressed, marginalise=flat)

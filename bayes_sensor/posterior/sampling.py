@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.laplace import approximate
 from bayes_sensor.likelihood import Problem, as_problem
 from bayes_sensor.posterior.checkpoints import digest
@@ -30,6 +32,7 @@ def sample_posterior(
     checkpoint: str | Path | None = None,
     resume: bool = False,
     progress: Progress | None = None,
+    with_effect: Iterable[Any] = (),
 ) -> Posterior:
     """Draw from the posterior of every parameter of a campaign.
 
@@ -37,7 +40,8 @@ def sample_posterior(
     ----------
     fit
         where to start: a Fit (its ``theta_hat``), or anything that ``theta`` may be; None fits
-        first.
+        first.  A fit of the cascade also serves a model with further parameters: these are
+        fitted from there.
     sampler
         ``emcee`` (default), ``independence`` or ``hmc``; see the module's text.
     jobs
@@ -45,6 +49,8 @@ def sample_posterior(
     checkpoint, resume
         folder for emcee's unfinished ensembles; with ``resume`` a matching run goes on from there
         and gives the chain that an uninterrupted run would have given.
+    with_effect
+        objects whose ``apply(problem)`` returns a changed Problem, applied in this order.
 
     Returns a :class:`Posterior`; ``converged`` and ``status`` say whether to trust it.
 
@@ -52,6 +58,8 @@ def sample_posterior(
     """
     started = perf_counter()
     problem = as_problem(campaign)
+    for effect in with_effect:
+        problem = effect.apply(problem)
     settings = settings or Settings()
     if sampler not in SAMPLERS:
         raise CampaignError(f"sampler must be one of {', '.join(SAMPLERS)}, but is '{sampler}'")
@@ -62,7 +70,7 @@ def sample_posterior(
         from bayes_sensor.fit import fit_least_squares
 
         fit = fit_least_squares(problem, seed=seed)
-    start = problem.layout.flat(getattr(fit, "theta_hat", fit))
+    start = _start(problem, getattr(fit, "theta_hat", fit))
     report(0.0, "Laplace approximation")
     laplace, compressed = approximate(problem, start)
     streams = np.random.SeedSequence(seed)
@@ -108,3 +116,23 @@ def sample_posterior(
         k_hat=run.k_hat,
         acceptance=run.acceptance,
     )
+
+
+def _start(problem: Problem, given: Any) -> FloatArray:
+    """The flat vector to start from; a model's own parameters are fitted where it lacks them."""
+    layout = problem.layout
+    bare = replace(layout, extra=())
+    if isinstance(given, Mapping):
+        lacks = any(name not in given for name in layout.extra if not name.endswith("]"))
+    else:
+        lacks = np.shape(given) != (len(layout),)
+    if not layout.extra or not lacks:
+        return layout.flat(given)
+    from bayes_sensor.fit import refit
+
+    theta = bare.flat(given)
+    vector = np.concatenate([theta, np.zeros(len(layout.extra))])
+    found, _ = refit(problem, theta)
+    vector[: layout.n_mean] = found[: layout.n_mean]
+    vector[len(bare) :] = found[layout.n_mean :]
+    return vector

@@ -17,6 +17,9 @@ VARIABLES = {
     "tau": "tau_s", "tau_v": "tau_v_s", "V": "V_mL", "phi": "phi", "sigma0": "sigma0_V",
     "sigma1": "sigma1_V", "y0": "y0_V", "beta": "beta_V", "t0": "t0_s", "tf": "tf_s",
 }  # fmt: skip
+UNITS = {
+    "s": "s", "ms": "ms", "V": "V", "V2": "V^2", "mL": "mL", "Hz": "Hz", "K": "K", "s2": "s^2",
+}  # fmt: skip
 
 
 def to_inference_data(posterior: Posterior) -> Any:
@@ -33,7 +36,9 @@ def to_inference_data(posterior: Posterior) -> Any:
         "chain": np.arange(n_chain), "draw": np.arange(n_draw), "experiment": names,
     }  # fmt: skip
     variables: dict[str, Any] = {}
-    for variable, flat in VARIABLES.items():
+    own = dict.fromkeys(name.split("[")[0] for name in layout.extra)
+    flat_names = VARIABLES | {kind: kind for kind in own}
+    for variable, flat in flat_names.items():
         if flat in layout.names:
             variables[variable] = (("chain", "draw"), chains[:, :, layout.index(flat)])
             continue
@@ -45,12 +50,9 @@ def to_inference_data(posterior: Posterior) -> Any:
         ]
         if any(f"{flat}[{name}]" in layout.names for name in names):
             variables[variable] = (("chain", "draw", "experiment"), np.stack(columns, axis=-1))
-    for name in layout.extra:
-        variables[name] = (("chain", "draw"), chains[:, :, layout.index(name)])
-    units = {"tau": "s", "tau_v": "s", "V": "mL", "t0": "s", "tf": "s", "phi": "1"}
     group = xarray.Dataset(variables, coords=coordinates)
     for variable in variables:
-        group[variable].attrs["units"] = units.get(variable, campaign.signal_unit)
+        group[variable].attrs["units"] = _unit(flat_names[variable], campaign.signal_unit)
     predictive, observed = _predictive(posterior)
     attributes = {
         "created_by": f"bayes_sensor {__version__}",
@@ -77,6 +79,22 @@ def to_inference_data(posterior: Posterior) -> Any:
         },
         attributes,
     )
+
+
+def _unit(name: str, signal_unit: str) -> str:
+    """The unit at the end of a flat name.
+
+    >>> [_unit(name, "V") for name in ("tau_s", "drift_V_per_s", "closing_ratio")]
+    ['s', 'V/s', '1']
+    """
+    words = name.split("_")[1:]
+    if not words or words[-1] not in UNITS:
+        return "1"
+    below = UNITS[words[-1]].replace("V", signal_unit)
+    if len(words) > 1 and words[-2] == "per":
+        above = UNITS.get(words[-3], "1") if len(words) > 2 else "1"
+        return f"{above.replace('V', signal_unit)}/{below}"
+    return below
 
 
 def _predictive(posterior: Posterior, n_times: int = 240, n_draws: int = 120) -> tuple[Any, Any]:
@@ -122,7 +140,8 @@ def load_chains(path: str | Path) -> tuple[list[str], FloatArray]:
     """Flat names and chains (n_chain, n_draw, n_theta) of a saved ``posterior.nc``."""
     data = idata.load(Path(path))["posterior"]
     names, columns = [], []
-    for kind, flat in VARIABLES.items():
+    own = [str(kind) for kind in data.data_vars if kind not in VARIABLES]
+    for kind, flat in (VARIABLES | {kind: kind for kind in own}).items():
         if kind not in data:
             continue
         variable = data[kind]
