@@ -232,7 +232,8 @@ def diffusivity(record: Mapping[str, Any]) -> Figure:
             (LOWERED_D_ZIF8, ":", "lowered by the paper"),
         ):
             axes.axvline(value, color=MODEL, lw=1.2, ls=dash, label=f"{words}, {value:.3g} m²/s")
-        axes.set(xscale="log", xlim=(low, high), ylim=(-1, 1))
+        axes.set(xlim=(low, high), ylim=(-1, 1))
+        logarithmic(axes, "x")
         axes.set_yticks([0], ["from τ"])
         axes.set_xlabel("diffusivity of ZIF-8 (m²/s)")
         axes.grid(axis="y", visible=False)

@@ -76,7 +76,7 @@ def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
         for axes in figure.axes:
             axes.grid(False)
             axes.tick_params(labelsize=6.5)
-        figure.subplots_adjust(left=0.11, bottom=0.11, right=0.99, top=0.98)
+        figure.subplots_adjust(left=0.11, bottom=0.11, right=0.97, top=0.98)
     return figure
 
 

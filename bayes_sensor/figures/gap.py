@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from bayes_sensor.figures.style import (
@@ -32,7 +32,7 @@ from bayes_sensor.figures.style import (
 PHASES = ("baseline", "onset", "rise", "plateau", "fall", "tail")
 VISIBLE = 3.0
 """detectability below which an effect leaves no trace that this campaign could show"""
-_SHADES = LinearSegmentedColormap.from_list("excess", [GROUND, *REGIONS, BLUE])
+_SHADES = ListedColormap([GROUND, *REGIONS, BLUE])
 
 
 def effect_words(name: str) -> str:
@@ -116,20 +116,17 @@ def gap_map(where: Sequence[Mapping[str, Any]], unit: str = "V") -> Figure:
     with style():
         figure = new_figure(max(2.2, 0.9 + (0.16 if many else 0.3) * len(experiments)), 6.2)
         axes = figure.subplots()
+        levels = np.linspace(0.0, factor * top or 1.0, _SHADES.N + 1)
         image = axes.pcolormesh(
-            factor * excess,
-            cmap=_SHADES,
-            vmin=0.0,
-            vmax=factor * top or 1.0,
-            edgecolors=PALE,
-            lw=0.6,
-        )
+            factor * excess, cmap=_SHADES, norm=BoundaryNorm(levels, _SHADES.N),
+            edgecolors=PALE, lw=0.6,
+        )  # fmt: skip
         for i in range(size[0]):
             for j in range(size[1]):
                 if p_value[i, j] < 0.05:
                     axes.add_patch(_frame(j, i))
                 if share[i, j] >= 0.01 and not many:
-                    dark = excess[i, j] > 0.7 * top
+                    dark = factor * excess[i, j] > levels[-2]
                     axes.annotate(
                         f"{100 * share[i, j]:.0f} %", (j + 0.5, i + 0.5), ha="center", va="center",
                         fontsize=7.5, color=GROUND if dark else INK,
@@ -142,7 +139,8 @@ def gap_map(where: Sequence[Mapping[str, Any]], unit: str = "V") -> Figure:
         axes.set_ylabel("experiment")
         axes.set_xlabel("phase of the step")
         axes.grid(False)
-        bar = figure.colorbar(image, ax=axes, pad=0.02, aspect=14)
+        bar = figure.colorbar(image, ax=axes, pad=0.02, aspect=14, ticks=levels)
+        bar.set_ticklabels([f"{level:.2g}" for level in levels])
         bar.set_label(f"excess RMS ({shown})")
         bar.outline.set_visible(False)
     return figure

@@ -151,14 +151,14 @@ def priors_on_tau(rows: Sequence[Mapping[str, Any]], words: Mapping[str, str]) -
         axes = figure.subplots()
         for i, row in enumerate(rows):
             first = i == 0
-            for lo, hi, width, label in (
-                ("lo95_s", "hi95_s", 1.4, "95 %, equal tails"),
-                ("hdi_lo95_s", "hdi_hi95_s", 4.2, "densest 95 %"),
+            for lo, hi, width, lift, label in (
+                ("lo95_s", "hi95_s", 1.6, -0.13, "95 %, equal tails"),
+                ("hdi_lo95_s", "hdi_hi95_s", 4.2, 0.13, "densest 95 %"),
             ):
                 axes.plot(
-                    [1e3 * row[lo], 1e3 * row[hi]], [i, i], color=BLUE if width > 2 else INK,
-                    lw=width, solid_capstyle="butt", label=label if first else None,
-                    zorder=3 if width < 2 else 2,
+                    [1e3 * row[lo], 1e3 * row[hi]], [i + lift] * 2, lw=width,
+                    color=BLUE if width > 2 else INK, solid_capstyle="butt",
+                    label=label if first else None,
                 )  # fmt: skip
             for key, marker, label in (
                 ("upper95_s", "v", "95 % upper limit"),

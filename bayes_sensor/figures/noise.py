@@ -130,29 +130,28 @@ def spread(residuals: Mapping[str, Any]) -> Figure:
     return figure
 
 
+_CURVES = ("low", "middle", "high", "observed")
+
+
 def predictive(record: Mapping[str, Any], unit: str = "V") -> Figure:
     """Replicated data against the data: autocorrelation, spread, spectrum, one-step forecasts.
 
     ``record``: the content of ``predictive.json``.  Bands hold 95 % of the replicates.
     """
-    spread_sd = np.sqrt(np.asarray(record["variance"]["observed"]))
-    small, factor = volts(unit, float(spread_sd.max()))
+    small, factor = volts(unit, float(np.sqrt(np.max(record["variance"]["observed"]))))
     with style():
         figure = new_figure(4.6)
         panels = figure.subplots(2, 2)
-        labels = (
-            ("autocorrelation", "lag (samples)", "autocorrelation", lambda v: v, 1.0),
-            ("variance", "test-gas concentration (%)", f"standard deviation ({small})",
-             lambda v: factor * np.sqrt(v), 100.0),
-            ("spectrum", "frequency (Hz)", "power of standardised residuals", lambda v: v, 1.0),
-        )  # fmt: skip
-        for axes, (name, x_label, y_label, turn, scale) in zip(
-            panels.ravel(), labels, strict=False
-        ):
-            part = record[name]
-            x = scale * np.asarray(part["x"])
+        words = {
+            "autocorrelation": ("lag (samples)", "autocorrelation"),
+            "variance": ("test-gas concentration (%)", f"standard deviation ({small})"),
+            "spectrum": ("frequency (Hz)", "power of scaled residuals"),
+        }
+        for axes, (name, (x_label, y_label)) in zip(panels.ravel(), words.items(), strict=False):
+            part = {key: np.asarray(record[name][key]) for key in ("x", *_CURVES)}
+            x = (100.0 if name == "variance" else 1.0) * part["x"]
             low, middle, high, seen = (
-                turn(np.asarray(part[key])) for key in ("low", "middle", "high", "observed")
+                factor * np.sqrt(part[key]) if name == "variance" else part[key] for key in _CURVES
             )
             axes.fill_between(x, low, high, color=PALE, lw=0, label="95 % of replicates")
             axes.plot(x, middle, color=MODEL, ls="--", lw=1.0, label="their mean")
@@ -163,7 +162,7 @@ def predictive(record: Mapping[str, Any], unit: str = "V") -> Figure:
                 logarithmic(axes, "y")
             axes.set_xlabel(x_label)
             axes.set_ylabel(y_label)
-            axes.set_title(f"{name.replace('variance', 'spread')}, p {_p(part['p_value'])}")
+            axes.set_title(f"{name.replace('variance', 'spread')}, p {_p(record[name]['p_value'])}")
         panels[0, 0].legend(loc="best")
         _pit(panels[1, 1], record["pit"])
     return figure
@@ -178,8 +177,8 @@ def _pit(axes: Axes, pit: Mapping[str, Any]) -> None:
     counts = np.asarray(pit["counts"], dtype=float)
     density = counts / counts.mean()
     half = 1.96 / np.sqrt(counts.mean())
-    axes.axhspan(1 - half, 1 + half, color=PALE, lw=0, label="95 % band")
-    axes.stairs(density, np.linspace(0, 1, len(counts) + 1), color=BLUE, lw=1.2, label="data")
+    axes.axhspan(1 - half, 1 + half, color=PALE, lw=0)
+    axes.stairs(density, np.linspace(0, 1, len(counts) + 1), color=BLUE, lw=1.2, baseline=None)
     reach = max(0.05, 1.4 * float(np.abs(density - 1).max()), 1.6 * half)
     axes.set_ylim(1 - reach, 1 + reach)
     axes.set_xlabel("probability that the forecast was lower")

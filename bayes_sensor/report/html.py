@@ -42,7 +42,7 @@ def inline_svg(text: str, key: str, label: str) -> str:
     text = re.sub(r'(url\(|href=")#', rf"\1#{key}-", text)
     for colour in figures.COLOURS:
         text = re.sub(
-            rf"(fill|stroke|color): {colour}", rf"\1: var(--f-{colour[1:]}, {colour})", text
+            rf'((?:fill|stroke|color)(?:: |="))({colour})', rf"\1var(--f-{colour[1:]}, \2)", text
         )
     text = re.sub(r'<svg\b([^>]*?) width="[^"]*"', r"<svg\1", text, count=1)
     text = re.sub(r'<svg\b([^>]*?) height="[^"]*"', r"<svg\1", text, count=1)

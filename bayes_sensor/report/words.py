@@ -22,6 +22,19 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{value:.{max(0, digits - 1 - exponent)}f}"
 
 
+def powers(value: float | None, digits: int = 3) -> str:
+    """A number as a power of ten.
+
+    >>> powers(1.71e-10), powers(None)
+    ('1.71 × 10⁻¹⁰', '–')
+    """
+    if value is None:
+        return "–"
+    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    raised = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"{mantissa} × 10{raised}"
+
+
 def with_spread(value: float | None, spread: float | None) -> str:
     """A number rounded to two digits of its spread.
 

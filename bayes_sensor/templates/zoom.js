@@ -190,7 +190,7 @@
       function up(v) { return top + height - (v - low) / (high - low) * height; }
       paint.fillStyle = paint.strokeStyle = colour("f-1b1b1b");
       paint.textAlign = "right"; paint.textBaseline = "middle";
-      ticks(low * unit, high * unit, height / 45).forEach(function (tick) {
+      ticks(low * unit, high * unit, Math.max(height / 36, 3)).forEach(function (tick) {
         var y = up(tick[0] / unit);
         paint.fillText(tick[1], LEFT - 6, y);
         paint.strokeStyle = colour("f-d4d4d4"); paint.lineWidth = 0.6;
@@ -217,7 +217,7 @@
           from = to;
         }
       } else {
-        paint.lineWidth = 1.2;
+        paint.lineWidth = 1.2; paint.strokeStyle = paint.fillStyle = colour("f-0072b2");
         paint.beginPath();
         a = Math.max(0, a - 1); b = Math.min(n, b + 1);
         for (var i = a; i < b; i += 1) {
@@ -251,7 +251,7 @@
       paint.setTransform(scale, 0, 0, scale, 0, 0);
       paint.clearRect(0, 0, width, height);
       paint.font = "12px system-ui, sans-serif";
-      var inner = height - TOP - BOTTOM - GAP, upper = Math.round(0.66 * inner), lower = inner - upper;
+      var inner = height - TOP - BOTTOM - GAP, upper = Math.round(0.6 * inner), lower = inner - upper;
       paint.textAlign = "center"; paint.textBaseline = "top";
       ticks(view[0], view[1], (width - LEFT - RIGHT) / 90).forEach(function (tick) {
         var x = place(tick[0], width);
@@ -353,7 +353,11 @@
         acts[event.key]();
       }
     });
-    box.appendChild(bar); box.appendChild(canvas); box.appendChild(words);
+    var legend = document.createElement("p");
+    legend.className = "readout";
+    legend.textContent = "Blue: measured; red: model; long dashes: fitted switch; dots: commanded; "
+      + "below: residual with ± 2 s of the noise law. Wheel or + and − zoom, drag or arrows move.";
+    [bar, canvas, words, legend].forEach(function (part) { box.appendChild(part); });
     figure.insertBefore(box, figure.querySelector(".drawing"));
     var watch = window.ResizeObserver ? new ResizeObserver(draw) : null, dark = matchMedia("(prefers-color-scheme: dark)");
     if (watch) { watch.observe(canvas); }

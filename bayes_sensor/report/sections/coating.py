@@ -7,7 +7,7 @@ from typing import Any
 from bayes_sensor import figures
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import number, with_spread
+from bayes_sensor.report.words import number, powers, with_spread
 
 
 def coating(saved: Saved, pictures: Pictures) -> Section | None:
@@ -67,30 +67,29 @@ def _time(row: dict[str, Any], name: str, factor: float) -> str:
 def _times_table(rows: list[dict[str, Any]]) -> Table:
     made = []
     for row in rows:
-        flow = row["total_flow_L_per_min"]
-        for way in ("rise", "fall"):
-            values = [
-                1e3 * row[f"{name}{end}_s"]
-                for name in ("t10", "t63", "t90")
-                for end in ("", "_lo", "_hi")
-            ]
-            label = "sensor alone" if row["system"] == "sensor" else "whole chain"
-            made.append([label, flow, way, *values])
-    columns = ["system", "flow (L/min)", "step"]
-    for name in ("t10", "t63", "t90"):
-        columns += [f"{name} (ms)", f"{name} 2.5 %", f"{name} 97.5 %"]
+        values = [
+            1e3 * row[f"{name}{end}_s"]
+            for name in ("t10", "t63", "t90", "rise")
+            for end in ("", "_lo", "_hi")
+        ]
+        label = "sensor" if row["system"] == "sensor" else "chain"
+        made.append([label, row["total_flow_L_per_min"], *values])
+    columns = ["system", "flow (L/min)"]
+    for name in ("t10", "t63", "t90", "t90 − t10"):
+        columns += [f"{name} (ms)", "2.5 %", "97.5 %"]
     return Table(
         "response-times",
-        "Times to 10, 63.2 and 90 % of a step, as posterior medians with 95 % intervals (ms). The "
-        "fall is that of the linear model, which holds the flow constant.",
+        "Times to 10, 63.2 and 90 % of a step, and from 10 to 90 %, rising or falling: posterior "
+        "medians with 95 % intervals (ms).",
         columns,
         made,
+        digits=3,
     )
 
 
 def _inverse(found: dict[str, Any]) -> list[str]:
     d = found["d_zif8_m2_per_s"]
-    upper = "no upper limit" if d["hi95"] is None else f"{d['hi95']:.2g} m²/s"
+    upper = "no upper limit" if d["hi95"] is None else f"{powers(d['hi95'], 2)} m²/s"
     inside = (
         d["lo95"] is not None
         and d["lo95"] <= found["d_literature_m2_per_s"]
@@ -100,8 +99,8 @@ def _inverse(found: dict[str, Any]) -> list[str]:
     literature = found["tau_literature_ms"]
     said = (
         f"For the coating of the paper (ZIF-8 under PDMS on the ring), τ implies a diffusivity of "
-        f"ZIF-8 between {number(d['lo95'], 2)} m²/s and {upper} (95 %). The literature value, "
-        f"{found['d_literature_m2_per_s']:.3g} m²/s, would give "
+        f"ZIF-8 between {powers(d['lo95'], 2)} m²/s and {upper} (95 %). The literature value, "
+        f"{powers(found['d_literature_m2_per_s'])} m²/s, would give "
         f"{number(literature['median'], 3)} ms and lies {'inside' if inside else 'outside'}: "
         f"{'it explains these data' if inside else 'it does not explain these data'} (two-sided "
         f"tail probability {p:.2g}){see('diffusivity')}."

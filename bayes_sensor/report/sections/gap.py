@@ -144,11 +144,12 @@ def _budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table
 
 
 def _where_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
-    rows = sorted(record["where"], key=lambda row: -(row["share"] or 0.0))
-    left_out = len(rows) - MOST_CELLS
+    found = [r for r in record["where"] if (r["share"] or 0.0) > 0 or (r["p_value"] or 1.0) < 0.05]
+    rows = sorted(found, key=lambda row: -(row["share"] or 0.0))[:MOST_CELLS]
     caption = "Where the excess lies, the largest share first."
+    left_out = len(record["where"]) - len(rows)
     if left_out > 0:
-        caption += f" The {left_out} cells of least share are in gap.json only."
+        caption += f" {left_out} more cells, with less or nothing above the floor, are in gap.json."
     return Table(
         "where",
         caption,
@@ -159,7 +160,7 @@ def _where_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
                 None if row["excess_rms_V"] is None else factor * row["excess_rms_V"],
                 row["share"], row["p_value"],
             ]
-            for row in rows[:MOST_CELLS]
+            for row in rows
         ],
         digits=3,
     )  # fmt: skip

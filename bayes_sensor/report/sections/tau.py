@@ -16,7 +16,7 @@ PUBLISHED_3SD = {"tau_s": 0.0056049, "tau_v_s": 0.0086029, "V_mL": 0.6817}
 """the paper's Table III"""
 PRIOR_WORDS = {
     "flat": "flat",
-    "half_normal": "half-normal (default)",
+    "half_normal": "half-normal, the default",
     "log_uniform_floored": "log-uniform, flat below its floor",
 }
 
