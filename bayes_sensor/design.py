@@ -106,13 +106,11 @@ def truth_of(problem: Problem, vector: FloatArray) -> Truth:
     return Truth(tau, tau_v, V, phi, sigma0, sigma1, law, problem.campaign.reference_interval)
 
 
-def information_of(
-    setting: Setting, truth: Truth, tau: float, trigger: float | None = None
-) -> FloatArray:
-    """(7, 7) information of one experiment on :data:`COMMON`, its y0, beta, t0, tf eliminated.
+def record_information(setting: Setting, truth: Truth, tau: float) -> FloatArray:
+    """What one experiment's record tells: (n, n) information on (tau^2, tau, tau_v, V, y0, beta,
+    t0 + tau, tf + tau, phi, sigma0, sigma1), sensitivities taken at ``tau`` (s, positive).
 
-    ``tau`` (s, positive): where sensitivities are taken.  ``trigger``: sd (s) with which the switch
-    times are known beforehand.
+    Rows of tau itself are zero: see :func:`information_of`.
     """
     e = setting.experiment
     alone = Campaign("one", (e,))
@@ -128,27 +126,49 @@ def information_of(
         [tau, truth.tau_v, truth.V, *local, phi, truth.sigma0, stretch * truth.sigma1]
     )
     information = expected_information(problem, vector)
-    n_local = len(local)
     n = len(vector)
     # theta by (tau^2, tau_v, V, y0, beta, t0 + tau, tf + tau, noise), and a column for tau itself
     slopes = np.eye(n)
     slopes[0, 0] = 0.5 / tau
-    slopes[5 : 3 + n_local, 0] = -0.5 / tau
+    slopes[5 : 3 + len(local), 0] = -0.5 / tau
     slopes[-3, -3] = steps * phi / truth.phi if truth.phi != 0 else float(steps == 1.0)
     slopes[-1, -1] = stretch
-    square = slopes.T @ information @ slopes
     full = np.zeros((n + 1, n + 1))
     place = np.array([0, *range(2, n + 1)])
-    full[np.ix_(place, place)] = square
+    full[np.ix_(place, place)] = slopes.T @ information @ slopes
+    return full
+
+
+Known = dict[tuple[Setting, Truth, float], FloatArray]
+"""informations of records that were computed before"""
+
+
+def information_of(
+    setting: Setting,
+    truth: Truth,
+    tau: float,
+    trigger: float | None = None,
+    known: Known | None = None,
+) -> FloatArray:
+    """(7, 7) information of one experiment on :data:`COMMON`, its y0, beta, t0, tf eliminated.
+
+    ``tau`` (s, positive): where sensitivities are taken.  ``trigger``: sd (s) with which the switch
+    times are known beforehand.
+    """
+    known = {} if known is None else known
+    key = (setting, truth, tau)
+    if key not in known:
+        known[key] = record_information(setting, truth, tau)
+    full = known[key].copy()
+    n = len(full)
     if trigger is not None:
         precision = 1.0 / max(trigger, EXACT) ** 2
-        for i in range(6, 4 + n_local):  # t0 + tau - tau is normal about the triggered time
+        for i in range(6, n - 3):  # t0 + tau - tau is normal about the triggered time
             full[i, i] += precision
             full[1, 1] += precision
             full[1, i] -= precision
             full[i, 1] -= precision
-    keep = [0, 1, 2, 3, n - 2, n - 1, n]
-    return _eliminate(full, keep)
+    return _eliminate(full, [0, 1, 2, 3, n - 3, n - 2, n - 1])
 
 
 def _eliminate(information: FloatArray, keep: Sequence[int]) -> FloatArray:
@@ -186,7 +206,7 @@ def predict_tau(
         d = np.stack([taus**2 - q, taus - tau])
         log_density = -0.5 * np.einsum("in,ij,jn->n", d, M, d)
         if prior is not None:
-            log_density += [prior.log_density(float(t)) for t in taus]
+            log_density += prior.log_density(taus)
         inside = np.flatnonzero(log_density > log_density.max() - 30.0)
         width = taus[1] - taus[0]
         bottom, top = max(taus[inside[0]] - width, 0.0), taus[inside[-1]] + width
@@ -204,6 +224,7 @@ def predict(
     trigger: float | None = None,
     V_sd: float | None = None,
     repeats: float = 1.0,
+    known: Known | None = None,
 ) -> Prediction:
     """Interval of tau to expect from these experiments, each done ``repeats`` times.
 
@@ -213,7 +234,7 @@ def predict(
     fastest = min(truth.tau_v, min(truth.V / s.experiment.total_flow for s in settings))
     tau = max(truth.tau, 2e-3 * fastest)
     for _ in range(2):
-        common = sum_information(settings, truth, tau, trigger) * repeats
+        common = sum_information(settings, truth, tau, trigger, known) * repeats
         prediction = predict_tau(common, truth.tau, prior, V_sd)
         raised = min(float(np.sqrt(prediction.sd_square)), prediction.high68, 0.5 * fastest)
         if raised <= 1.02 * tau:
@@ -223,10 +244,14 @@ def predict(
 
 
 def sum_information(
-    settings: Sequence[Setting], truth: Truth, tau: float, trigger: float | None = None
+    settings: Sequence[Setting],
+    truth: Truth,
+    tau: float,
+    trigger: float | None = None,
+    known: Known | None = None,
 ) -> FloatArray:
     """(7, 7) information of independent experiments on :data:`COMMON`."""
-    parts = [information_of(setting, truth, tau, trigger) for setting in settings]
+    parts = [information_of(setting, truth, tau, trigger, known) for setting in settings]
     total: FloatArray = np.sum(parts, axis=0)
     return total
 
@@ -253,6 +278,7 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
     settings, truth = settings_of(problem, vector), truth_of(problem, vector)
     prior = prior or problem.priors["tau_s"]
     rows: list[dict[str, Any]] = []
+    known: Known = {}
 
     def add(change: str, kind: str, value: float, unit: str, prediction: Prediction) -> None:
         before = rows[0]["half_width95_s"] if rows else prediction.half_width95
@@ -272,14 +298,14 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
             }
         )
 
-    add("as it is", "none", 0.0, "", predict(settings, truth, prior))
+    add("as it is", "none", 0.0, "", predict(settings, truth, prior, known=known))
     for ms in (20.0, 10.0, 5.0, 2.0, 1.0):
-        found = predict(settings, truth, prior, trigger=1e-3 * ms)
+        found = predict(settings, truth, prior, trigger=1e-3 * ms, known=known)
         add(f"a trigger that times the valve to +-{ms:g} ms", "trigger", ms, "ms", found)
     for mL in (2.0, 1.0, 0.5, 0.1):
-        found = predict(settings, truth, prior, V_sd=mL)
+        found = predict(settings, truth, prior, V_sd=mL, known=known)
         add(f"V measured to +-{mL:g} mL", "volume", mL, "mL", found)
-    found = predict(settings, truth, prior, trigger=2e-3, V_sd=0.5)
+    found = predict(settings, truth, prior, trigger=2e-3, V_sd=0.5, known=known)
     add("a trigger to +-2 ms and V to +-0.5 mL", "trigger and volume", 2.0, "ms", found)
     for factor in (2.0, 4.0, 10.0):
         fast = replace(truth, tau_v=truth.tau_v / factor)
@@ -290,7 +316,7 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
         stronger = [_with_flow(setting, factor) for setting in settings]
         add(f"{factor:g} times the flow", "flow", factor, "x", predict(stronger, truth, prior))
     for factor in (2.0, 4.0, 10.0):
-        found = predict(settings, truth, prior, repeats=factor)
+        found = predict(settings, truth, prior, repeats=factor, known=known)
         add(f"{factor:g} times the experiments", "repeats", factor, "x", found)
     for factor in (2, 10):
         denser = [_with_rate(setting, factor) for setting in settings]

@@ -99,10 +99,11 @@ def cramer_rao(
             raise CampaignError("cramer_rao: a finite step needs noise='iid' and a step not zero")
         J2 = _finite(problem, vector, float(step), method or "euler", difference)
         information = J2 / sigma**2
-    return _bound(layout, information, fixed)
+    return bound_of(layout, information, fixed)
 
 
-def _bound(layout: Layout, information: FloatArray, fixed: Sequence[str]) -> CramerRao:
+def bound_of(layout: Layout, information: FloatArray, fixed: Sequence[str]) -> CramerRao:
+    """The bound from information (n_mean, n_mean), with the parameters ``fixed`` known."""
     names = layout.mean_names
     unknown = set(fixed) - set(names) - {name.split("[")[0] for name in names}
     if unknown:

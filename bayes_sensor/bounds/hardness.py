@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_sensor.bounds.cramer_rao import PUBLISHED_SIGMA, CramerRao, cramer_rao
+from bayes_sensor.bounds.cramer_rao import PUBLISHED_SIGMA, CramerRao, bound_of, cramer_rao
 from bayes_sensor.bounds.gaussian import normal_factor
 from bayes_sensor.bounds.profile import Profiler, profile_curve
 from bayes_sensor.bounds.surface import coloured_surface
@@ -167,7 +167,7 @@ def explain_tau(
     kinds = {name.split("[")[0] for name in bound.names}
     for label, fixed in KNOWN.items():
         if set(fixed) <= kinds:
-            known[label] = cramer_rao(problem, at, sigma, noise=noise, fixed=fixed)["tau_s"]
+            known[label] = bound_of(layout, bound.information, fixed)["tau_s"]
     sd_square = sd_of_square(bound, layout, float(at[0]))
     by_tau = pd.DataFrame(
         [_at_tau(problem, at, float(t), sigma, noise) for t in _taus(at, sd_square)]

@@ -90,9 +90,11 @@ class Profiler:
             return found, g
 
         def curvature(phi: FloatArray) -> FloatArray:
-            T = np.eye(len(phi))
-            T[0, 0], T[i, 0] = 2.0 * phi[0], 1.0
-            return T.T @ self.curvature(to_psi(phi)) @ T
+            matrix = self.curvature(to_psi(phi))
+            # T'MT with T the identity but T_00 = 2 tau and T_i0 = 1
+            matrix[0] = 2.0 * phi[0] * matrix[0] + matrix[i]
+            matrix[:, 0] = 2.0 * phi[0] * matrix[:, 0] + matrix[:, i]
+            return matrix
 
         if near is None:
             start = psi + self.cov[:, 0] / self.cov[0, 0] * (tau**2 - psi[0])

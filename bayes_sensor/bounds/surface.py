@@ -5,11 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import sqrt
 
 import numpy as np
-from scipy.linalg.lapack import dposv, dpotrf
 
 from bayes_sensor.bounds.gaussian import invert, least_tau, mean_positions
+from bayes_sensor.bounds.newton import (
+    gradient_by_psi,
+    learnt,
+    mixed,
+    projected_step,
+    solve,
+    theta_of,
+)
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compression import Compressed, Region, compress, default_region
 from bayes_sensor.laplace import Coordinates
@@ -65,7 +73,7 @@ def maximise(
     last_gain, damping = np.inf, 0.0
     for _ in range(n_iterations):
         for _ in range(12):
-            step, clipped = _step(matrix, gradient, psi, (floor, ceiling), active, damping)
+            step, clipped = projected_step(matrix, gradient, psi, floor, ceiling, active, damping)
             expected = float(gradient @ step)
             if damping == 0.0 and not clipped and expected < 2.0 * tolerance:
                 converged = True
@@ -89,75 +97,11 @@ def maximise(
             last_gain = gained
         damping = 0.0 if damping <= 1e-3 else 0.1 * damping
         here = curvature(psi)
-        matrix, base = _learnt(matrix + (here - base), here, taken, turned, active), here
+        matrix, base = learnt(matrix + (here - base), here, taken, turned, active), here
     free = psi.copy()
     if np.isfinite(floor[0]) and psi[0] <= floor[0] * (1 + 1e-9):
-        free[active] += _solve(matrix[np.ix_(active, active)], gradient[active])
+        free[active] += solve(matrix, gradient[active], active, 0.0)
     return Maximum(psi, float(value), free, converged)
-
-
-def _learnt(
-    matrix: FloatArray, base: FloatArray, taken: FloatArray, turned: FloatArray, active: np.ndarray
-) -> FloatArray:
-    """BFGS update: where the model fits badly the expected curvature is not the true one."""
-    s, y = taken[active], turned[active]
-    block = matrix[np.ix_(active, active)]
-    pull = block @ s
-    along, bent = float(s @ pull), float(s @ y)
-    if not (along > 0 and bent > 0.05 * along):
-        return base
-    block += y[:, None] * (y / bent) - pull[:, None] * (pull / along)
-    diagonal = block.diagonal()
-    if not (diagonal > 1e-6 * base.diagonal()[active]).all():
-        return base
-    scale = 1.0 / np.sqrt(diagonal)
-    scaled = block * scale[:, None] * scale
-    scaled.flat[:: len(scaled) + 1] -= 1e-9
-    if dpotrf(scaled)[1]:  # not positive definite, or not finite
-        return base
-    result = matrix.copy()
-    result[np.ix_(active, active)] = block
-    return result
-
-
-def _step(
-    matrix: FloatArray,
-    gradient: FloatArray,
-    psi: FloatArray,
-    box: tuple[FloatArray, FloatArray],
-    active: np.ndarray,
-    damping: float,
-) -> tuple[FloatArray, bool]:
-    """Newton step (n,) that keeps inside the box, and whether it had to be cut there."""
-    floor, ceiling = box
-    margin = 1e-9 * np.abs(psi)
-    held = (psi <= floor + margin) & (gradient <= 0) | (psi >= ceiling - margin) & (gradient >= 0)
-    moving = active[~held[active]]
-    step = np.zeros(len(psi))
-    step[moving] = _solve(matrix[np.ix_(moving, moving)], gradient[moving], damping)
-    reached = np.clip(psi + step, floor, ceiling)
-    cut = moving[reached[moving] != (psi + step)[moving]]
-    if len(cut):
-        # go to the wall and let the others answer to that displacement
-        step[:] = 0.0
-        step[cut] = reached[cut] - psi[cut]
-        rest = np.setdiff1d(moving, cut)
-        push = gradient[rest] - matrix[np.ix_(rest, cut)] @ step[cut]
-        step[rest] = _solve(matrix[np.ix_(rest, rest)], push, damping)
-    return step, bool(len(cut))
-
-
-def _solve(matrix: FloatArray, vector: FloatArray, damping: float = 0.0) -> FloatArray:
-    if not len(vector):
-        return vector
-    scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), 1e-300))
-    scaled = matrix * scale[:, None] * scale
-    # a ridge far below any information that counts, so that unidentified directions stay put
-    scaled.flat[:: len(scaled) + 1] += 1e-7 + damping
-    _, found, failed = dposv(scaled, scale * vector)
-    if failed:  # not positive definite to rounding
-        found = np.linalg.solve(scaled, scale * vector)
-    return scale * found
 
 
 APART = 1.1e-3
@@ -226,7 +170,7 @@ class Surface:
 
     def objective(self, psi: FloatArray) -> tuple[float, FloatArray]:
         """Log-likelihood and its gradient by psi."""
-        return self._at(self.coordinates.theta(psi))
+        return self._at(theta_of(psi, *self._places))
 
     def _at(self, theta: FloatArray) -> tuple[float, FloatArray]:
         aside = self._aside(theta)
@@ -238,19 +182,13 @@ class Surface:
             down, g_down = self.compressed.value_and_gradient(theta - aside)
             value = 0.5 * (up + down) - 0.25 * float((g_up - g_down) @ aside)
             gradient = 0.5 * (g_up + g_down)
-        return value, self._by_psi(theta, gradient)
+        return value, gradient_by_psi(theta, gradient, *self._places[1:])
 
-    def _by_psi(self, theta: FloatArray, gradient: FloatArray) -> FloatArray:
-        """The gradient by psi of one by theta: the transposed slopes without their matrix."""
-        coordinates = self.coordinates
-        values, result = theta[coordinates.free], gradient[coordinates.free]
-        tau_slope = 0.5 / max(values[0], 1e-12)
-        pulled = result[coordinates.switches].sum()
-        result[coordinates.squared] *= 0.5 / np.maximum(values[coordinates.squared], 1e-12)
-        result[coordinates.phi] *= 1.0 - values[coordinates.phi] ** 2
-        result[coordinates.sigma0] *= values[coordinates.sigma0]
-        result[0] -= tau_slope * pulled
-        return result
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, ...]:
+        """What :func:`theta_of` needs beside psi."""
+        c = self.coordinates
+        return c.theta(np.zeros(len(c.names))), c.free, c.squared, c.switches, c.phi, c.sigma0
 
     @cached_property
     def _flows(self) -> list[float]:
@@ -280,7 +218,7 @@ class Surface:
 
     def guarded(self, psi: FloatArray) -> tuple[float, FloatArray]:
         """:meth:`objective`, but minus infinity outside the mesh instead of a slow full pass."""
-        theta = self.coordinates.theta(psi)
+        theta = theta_of(psi, *self._places)
         if not self.compressed.covers(theta):
             return -np.inf, np.zeros(len(psi))
         return self._at(theta)
@@ -346,25 +284,20 @@ def coloured_surface(problem: Problem, theta: FloatArray) -> tuple[Surface, Maxi
     return surface, _climb(surface, vector)
 
 
-def curvature_along_tau(surface: Surface, psi: FloatArray, n: int = 9) -> Curvature:
+def curvature_along_tau(surface: Surface, psi: FloatArray, n: int = 6) -> Curvature:
     """Expected information as a function of tau alone, interpolated between ``n`` values of tau.
 
     tau is what the information depends on most; the rest stays at ``psi`` (n_psi,), with t0 + tau.
     """
     least, most = float(np.sqrt(surface.floor[0])), float(surface.compressed.region.high[0])
     taus = least + (most - least) * np.linspace(0.0, 1.0, n) ** 1.5
-    matrices = []
-    for tau in taus:
-        point = psi.copy()
-        point[0] = tau**2
-        matrices.append(surface.information(point))
+    points = np.tile(psi, (n, 1))
+    points[:, 0] = taus**2
+    matrices = np.stack([surface.information(point) for point in points])
 
     def curvature(at: FloatArray) -> FloatArray:
-        tau = float(np.sqrt(max(at[0], surface.floor[0])))
-        j = int(np.clip(np.searchsorted(taus, tau) - 1, 0, n - 2))
-        share = min(max((tau - taus[j]) / (taus[j + 1] - taus[j]), 0.0), 1.0)
-        mixed: FloatArray = (1.0 - share) * matrices[j] + share * matrices[j + 1]
-        return mixed
+        matrix: FloatArray = mixed(sqrt(max(at[0], 0.0)), taus, matrices)
+        return matrix
 
     return curvature
 
