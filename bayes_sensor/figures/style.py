@@ -164,6 +164,8 @@ def parameter_words(name: str, unit: str = "V") -> tuple[str, str, float]:
 
     >>> parameter_words("t0_s[4]")
     ('t₀[4]', 's', 1.0)
+    >>> parameter_words("drift_V_per_s")
+    ('drift', 'V/s', 1.0)
     """
     if name in SHARED_LABELS:
         return SHARED_LABELS[name]
@@ -172,6 +174,14 @@ def parameter_words(name: str, unit: str = "V") -> tuple[str, str, float]:
         "phi": "φ", "sigma0_V": "σ₀", "sigma1_V": "σ₁",
         "y0_V": "y₀", "beta_V": "β", "t0_s": "t₀", "tf_s": "t_f",
     }  # fmt: skip
+    if kind not in symbols:  # a parameter of an effect
+        from bayes_sensor.posterior.saving import UNITS, unit_of
+
+        own = unit_of(kind, unit)
+        words = kind.split("_")
+        while own != "1" and (words[-1] in UNITS or words[-1] == "per") and len(words) > 1:
+            words.pop()
+        return " ".join(words) + bracket + rest, "" if own == "1" else own, 1.0
     shown, factor = ("", 1.0) if kind == "phi" else ("s", 1.0) if kind.endswith("_s") else (unit, 1)
     if kind.startswith("sigma") and unit == "V":
         shown, factor = "mV", 1e3

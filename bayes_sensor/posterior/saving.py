@@ -52,7 +52,7 @@ def to_inference_data(posterior: Posterior) -> Any:
             variables[variable] = (("chain", "draw", "experiment"), np.stack(columns, axis=-1))
     group = xarray.Dataset(variables, coords=coordinates)
     for variable in variables:
-        group[variable].attrs["units"] = _unit(flat_names[variable], campaign.signal_unit)
+        group[variable].attrs["units"] = unit_of(flat_names[variable], campaign.signal_unit)
     predictive, observed = _predictive(posterior)
     attributes = {
         "created_by": f"bayes_sensor {__version__}",
@@ -81,10 +81,10 @@ def to_inference_data(posterior: Posterior) -> Any:
     )
 
 
-def _unit(name: str, signal_unit: str) -> str:
+def unit_of(name: str, signal_unit: str) -> str:
     """The unit at the end of a flat name.
 
-    >>> [_unit(name, "V") for name in ("tau_s", "drift_V_per_s", "closing_ratio")]
+    >>> [unit_of(name, "V") for name in ("tau_s", "drift_V_per_s", "closing_ratio")]
     ['s', 'V/s', '1']
     """
     words = name.split("_")[1:]

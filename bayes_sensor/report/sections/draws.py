@@ -15,7 +15,7 @@ def posterior_table(saved: Saved, shared: bool) -> Table:
     keys = ("mean", "sd", "q2.5", "q16", "q50", "q84", "q97.5")
     rows: list[list[Any]] = []
     for name, row in saved.posterior["parameters"].items():
-        is_local = name.partition("[")[0] in ("y0_V", "beta_V", "t0_s", "tf_s")
+        is_local = "[" in name
         if row is None or is_local == shared:
             continue
         symbol, unit, factor = figures.parameter_words(name, saved.unit)
