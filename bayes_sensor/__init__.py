@@ -39,6 +39,8 @@ _PUBLIC = {
     "compare_bounds": "bounds",
     "cramer_rao": "bounds",
     "explain_tau": "bounds",
+    "design_experiments": "design",
+    "what_if": "design",
     "step_study": "bounds",
     "Coating": "diffusion",
     "infer_d_zif8": "diffusion",

@@ -100,9 +100,10 @@ def simulate_setting(design: Campaign, theta: FloatArray, setting: Setting, seed
     streams = np.random.SeedSequence(seed).spawn(len(design))
     for e, stream in zip(design, streams, strict=True):
         y0, beta, t0, tf = local_parameters(theta, layout, e.name)
-        x = grid_response(e, time_constants(*theta[:3], e.total_flow), t0, None)
+        tau, tau_v, V = (float(v) for v in theta[:3])
+        x = grid_response(e, time_constants(tau, tau_v, V, e.total_flow), t0, None)
         if tf is not None:
-            slower = time_constants(theta[0], setting.closing * theta[1], theta[2], e.total_flow)
+            slower = time_constants(tau, setting.closing * tau_v, V, e.total_flow)
             x -= grid_response(e, slower, tf, None)
         weight = problem.noise.weight(design, e)
         scale = np.sqrt(scale_squared(x, setting.sigma0, setting.sigma1, weight))

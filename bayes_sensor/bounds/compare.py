@@ -85,4 +85,4 @@ def compare_bounds(
         bounds[name] = method(evidence)
         seconds[name] = time.perf_counter() - start
         done += 1
-    return Bounds(bounds, problem.campaign.signal_unit, seconds)
+    return Bounds(bounds, problem.campaign.signal_unit, seconds, evidence.likelihood)

@@ -52,6 +52,12 @@ class Evidence:
         return coloured_surface(self.problem, self.theta)
 
     @property
+    def likelihood(self) -> tuple[Surface, Maximum] | None:
+        """That under the problem's own noise with its maximum; None where nothing asked for it."""
+        found: tuple[Surface, Maximum] | None = self.__dict__.get("_coloured")
+        return found
+
+    @property
     def coloured(self) -> Surface:
         """The likelihood under the problem's own noise."""
         return self._coloured[0]

@@ -9,7 +9,7 @@ Welsch, Regression Diagnostics, 1980, ch. 3.)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,8 @@ import numpy as np
 from bayes_sensor.bounds.cramer_rao import PUBLISHED_SIGMA, CramerRao, bound_of, cramer_rao
 from bayes_sensor.bounds.gaussian import normal_factor
 from bayes_sensor.bounds.profile import Profiler, profile_curve
-from bayes_sensor.bounds.surface import coloured_surface
+from bayes_sensor.bounds.records import plain
+from bayes_sensor.bounds.surface import Maximum, Surface, coloured_surface
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.likelihood import Problem, as_problem
 from bayes_sensor.model import Layout, Theta
@@ -68,22 +69,33 @@ class TauExplained:
     that estimate +- sd would claim, ``square`` the one a Gaussian in tau^2 gives"""
     sentences: list[str]
     """plain words"""
+    noise: str = "ar1"
+    """``ar1`` (the campaign's own law) or ``iid``"""
+    status: str = "ok"
+    """a sentence where something could not be had"""
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers, units in the keys."""
-        return {
-            "eigenvalues": self.eigenvalues.tolist(),
-            "condition": self.condition,
-            "weakest": self.weakest,
-            "correlation_with_tau": self.correlation,
-            "collinearity": self.collinearity,
-            "sd_tau_if_known_s": self.known,
-            "tau_s": self.tau,
-            "sd_tau_square_s2": self.sd_square,
-            "by_tau": self.by_tau.to_dict("list"),
-            "profile": self.curve.to_dict("list"),
-            "sentences": self.sentences,
-        }
+        """The content of ``what_makes_tau_hard`` in ``bounds.json``: numbers, units in the keys;
+        null where a bound is infinite."""
+        record: dict[str, Any] = plain(
+            {
+                "tau_s": self.tau,
+                "noise": self.noise,
+                "names": self.names,
+                "eigenvalues": self.eigenvalues,
+                "condition": self.condition,
+                "weakest": self.weakest,
+                "correlation_with_tau": self.correlation,
+                "collinearity": self.collinearity,
+                "sd_tau_if_known_s": self.known,
+                "sd_tau_square_s2": self.sd_square,
+                "by_tau": self.by_tau.to_dict("list"),
+                "profile": self.curve.to_dict("list"),
+                "sentences": self.sentences,
+                "status": self.status,
+            }
+        )
+        return record
 
 
 def multiple_correlation(information: FloatArray, i: int, others: list[int]) -> float:
@@ -127,16 +139,21 @@ def explain_tau(
     theta: Theta,
     sigma: float = PUBLISHED_SIGMA,
     n_curve: int = 41,
+    likelihood: tuple[Surface, Maximum] | None = None,
 ) -> TauExplained:
     """Eigen-analysis, collinearity, bounds under extra knowledge and the profile of tau.
 
     Under the noise parameters of ``theta`` where it has them, otherwise under iid noise ``sigma``
-    (V).  A design is enough; its profile is then the expected one, in tau^2.
+    (V).  A design is enough; its profile is then the expected one, in tau^2.  ``likelihood``: that
+    of the data with its maximum, where it is at hand (``Bounds.likelihood``).
     """
     import pandas as pd
 
     problem = as_problem(campaign)
     layout = problem.layout
+    # information needs no data
+    bare = tuple(replace(e, y=None, drive=None) for e in problem.campaign)
+    design = replace(problem, campaign=replace(problem.campaign, experiments=bare))
     vector = layout.flat(theta).copy()
     coloured = bool(np.isfinite(vector[layout.noise]).all())
     noise = "ar1" if coloured else "iid"
@@ -144,7 +161,7 @@ def explain_tau(
     # at a vanishing tau nothing about tau itself is finite; look where tau is a thousandth of tau_v
     at = vector.copy()
     at[0] = max(tau, 1e-3 * vector[1])
-    bound = cramer_rao(problem, at, sigma, noise=noise)
+    bound = cramer_rao(design, at, sigma, noise=noise)
     n = layout.n_mean
     diagonal = np.diag(bound.information)
     scale = 1.0 / np.sqrt(diagonal)
@@ -170,13 +187,19 @@ def explain_tau(
             known[label] = bound_of(layout, bound.information, fixed)["tau_s"]
     sd_square = sd_of_square(bound, layout, float(at[0]))
     by_tau = pd.DataFrame(
-        [_at_tau(problem, at, float(t), sigma, noise) for t in _taus(at, sd_square)]
+        [_at_tau(design, at, float(t), sigma, noise) for t in _taus(at, sd_square)]
     )
-    curve = _curve(problem, vector, tau, sd_square, coloured, n_curve)
+    if coloured and not problem.campaign.is_design and likelihood is None:
+        likelihood = coloured_surface(problem, vector)
+    status = "ok"
+    if likelihood is not None and not likelihood[1].converged:
+        status = "the likelihood's maximum was not found: the profile is the one to be expected"
+        likelihood = None
+    curve = _curve(likelihood, tau, sd_square, n_curve)
     return TauExplained(
         bound.names, values, weakest, float(np.sqrt(values[-1] / max(values[0], 1e-300))),
         correlation, collinearity, known, tau, sd_square, by_tau, curve,
-        _sentences(tau, sd_square, known, collinearity, weakest, noise),
+        _sentences(tau, sd_square, known, collinearity, weakest, noise), noise, status,
     )  # fmt: skip
 
 
@@ -199,16 +222,17 @@ def _at_tau(
 
 
 def _curve(
-    problem: Problem, vector: FloatArray, tau: float, sd_square: float, coloured: bool, n: int
+    likelihood: tuple[Surface, Maximum] | None, tau: float, sd_square: float, n: int
 ) -> pd.DataFrame:
     import pandas as pd
 
     centre = tau**2
-    if coloured and not problem.campaign.is_design:
-        surface, maximum = coloured_surface(problem, vector)
+    if likelihood is not None:
+        surface, maximum = likelihood
         centre = float(maximum.psi[0])
         profiler = Profiler.of(surface, maximum)
-        sd_square = float(np.sqrt(profiler.cov[0, 0]))
+        if profiler.cov[0, 0] > 0.0:  # zero stands for "not identified"
+            sd_square = float(np.sqrt(profiler.cov[0, 0]))
         taus = np.linspace(0.0, np.sqrt(max(centre, 0.0) + 3.5 * sd_square), n)
         drop = profile_curve(profiler, taus)
     else:
@@ -235,40 +259,48 @@ def _sentences(
     weakest: dict[str, float],
     noise: str,
 ) -> list[str]:
-    ms = 1e3
     law = "coloured noise" if noise == "ar1" else "iid noise"
-    z = normal_factor(0.95)
-    low, high = np.sqrt(max(tau**2 - z * sd_square, 0.0)), np.sqrt(tau**2 + z * sd_square)
     switches = collinearity["switches"]
     partners = [name for name in weakest if name != "tau_s"][:4]
+    alike = ": a slower sensor and a later valve look almost the same" if switches > 0.95 else ""
     said = [
         f"{100 * switches**2:.1f} % of what tau does to the signal can be imitated by moving the "
-        f"switch times alone, {100 * collinearity['all'] ** 2:.2f} % by moving everything else: a "
-        "slower sensor and a later valve look almost the same.",
+        f"switch times alone, {100 * collinearity['all'] ** 2:.2f} % by moving everything else"
+        f"{alike}.",
         f"The direction about which the data know least mixes tau with {', '.join(partners)}.",
+    ]
+    free = known["nothing"]
+    if not np.isfinite(free):
+        said.append("To first order these experiments do not identify tau at all.")
+    else:
+        said += _square_sentences(tau, sd_square, law)
+    for label, words in (("t0, tf", "switch times"), ("t0", "start times")):
+        if label in known:
+            gain = f", {free / known[label]:.1f} times better" if np.isfinite(free) else ""
+            said.append(
+                f"Were the {words} known, the bound on tau would be {_bound_words(known[label])} "
+                f"in place of {_bound_words(free)}{gain}."
+            )
+            break
+    said.append(
+        f"Knowing V would give {_bound_words(known['V'])}, "
+        f"knowing tau_v {_bound_words(known['tau_v'])}."
+    )
+    return said
+
+
+def _square_sentences(tau: float, sd_square: float, law: str) -> list[str]:
+    z = normal_factor(0.95)
+    low, high = np.sqrt(max(tau**2 - z * sd_square, 0.0)), np.sqrt(tau**2 + z * sd_square)
+    return [
         f"Under {law} tau^2 is known to +-{sd_square * 1e6:.3g} ms^2 (one standard deviation), "
         f"against tau^2 = {tau**2 * 1e6:.3g} ms^2: {tau**2 / sd_square:.2g} standard deviations "
         "from zero.",
+        f"At 95 % that is tau between {1e3 * low:.1f} and {1e3 * high:.1f} ms."
+        if low > 0
+        else f"At 95 % that is an upper limit: tau below {1e3 * high:.1f} ms.",
     ]
-    if low > 0:
-        said.append(f"At 95 % that is tau between {low * ms:.1f} and {high * ms:.1f} ms.")
-    else:
-        said.append(f"At 95 % that is an upper limit: tau below {high * ms:.1f} ms.")
-    free = known["nothing"]
-    if "t0, tf" in known:
-        best = known["t0, tf"]
-        said.append(
-            f"Were the switch times known, the bound on tau would be {best * ms:.2g} ms in place "
-            f"of {free * ms:.2g} ms, {free / best:.1f} times better."
-        )
-    elif "t0" in known:
-        best = known["t0"]
-        said.append(
-            f"Were the start times known, the bound on tau would be {best * ms:.2g} ms in place of "
-            f"{free * ms:.2g} ms, {free / best:.1f} times better."
-        )
-    said.append(
-        f"Knowing V would give {known['V'] * ms:.2g} ms, "
-        f"knowing tau_v {known['tau_v'] * ms:.2g} ms."
-    )
-    return said
+
+
+def _bound_words(sd: float) -> str:
+    return f"{1e3 * sd:.2g} ms" if np.isfinite(sd) else "no finite one"

@@ -14,6 +14,8 @@ from bayes_sensor.campaign import FloatArray
 if TYPE_CHECKING:
     import pandas as pd
 
+    from bayes_sensor.bounds.surface import Maximum, Surface
+
 LEVELS: dict[str, float] = {"68": 0.68, "95": 0.95, "997": 0.997}
 """confidence levels by the suffix of their JSON keys"""
 COLUMNS = ("estimate", "sd", "lo68", "hi68", "lo95", "hi95", "lo997", "hi997")
@@ -93,17 +95,17 @@ class Bound:
             "assumes": self.assumes,
             "reference": self.reference,
             "status": self.status,
-            "details": _plain(dict(self.details)),
+            "details": plain(dict(self.details)),
             "parameters": parameters,
         }
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Numbers, lists and mappings that JSON knows; nan and infinity become None."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
+        return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(entry) for entry in value]
+        return [plain(entry) for entry in value]
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     if isinstance(value, (int, np.integer)):
@@ -121,6 +123,8 @@ class Bounds:
     signal_unit: str = "V"
     seconds: Mapping[str, float] = field(default_factory=dict)
     """how long each method took"""
+    likelihood: tuple[Surface, Maximum] | None = None
+    """the likelihood under the campaign's own noise with its maximum, where a method needed it"""
 
     def __getitem__(self, method: str) -> Bound:
         try:

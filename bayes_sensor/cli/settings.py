@@ -29,6 +29,7 @@
     methods = ["crlb_iid", "profile", "posterior"]
     resamples = 400
     step_study = true
+    explain = true                     # what makes tau hard, and what would help
 """
 
 from __future__ import annotations
@@ -95,6 +96,7 @@ class BoundsPart(Part):
     methods: list[str] | None = None
     resamples: int = Field(default=400, ge=20, le=100_000)
     step_study: bool = True
+    explain: bool = True
 
 
 class Overrides(Part):

@@ -272,6 +272,11 @@ def _do_bounds(job: Job) -> None:
         record = compared.to_json()
         record["naive"] = naive_bounds(job)
         record["step_study"] = _study(job) if asked.step_study else None
+        record["what_makes_tau_hard"] = record["what_would_help"] = None
+        if asked.explain:
+            tell(0.95, "what makes tau hard")
+            record["what_makes_tau_hard"] = _hardness(job, compared)
+            record["what_would_help"] = _help(job)
     job.bounds = (compared, record)
 
 
@@ -320,6 +325,21 @@ def _study(job: Job) -> list[dict[str, Any]] | None:
     except CampaignError:
         return None
     rows: list[dict[str, Any]] = table.to_dict(orient="records")
+    return rows
+
+
+def _hardness(job: Job, compared: Any) -> dict[str, Any]:
+    from bayes_sensor.bounds import explain_tau
+
+    told = explain_tau(job.problem, reference_theta(job), likelihood=compared.likelihood)
+    record: dict[str, Any] = told.to_json()
+    return record
+
+
+def _help(job: Job) -> list[dict[str, Any]]:
+    from bayes_sensor.design import what_if
+
+    rows: list[dict[str, Any]] = what_if(job.problem, reference_theta(job)).to_dict("records")
     return rows
 
 
