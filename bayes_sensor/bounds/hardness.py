@@ -66,7 +66,8 @@ class TauExplained:
     """bound against the true tau: ``tau_s``, ``sd_tau_s``, ``sd_square_s2``"""
     curve: pd.DataFrame
     """profile of the log-likelihood: ``tau_s``, ``drop`` below the maximum, ``gaussian`` the drop
-    that estimate +- sd would claim, ``square`` the one a Gaussian in tau^2 gives"""
+    that estimate +- sd would claim (nan where sd exceeds the range), ``square`` the one a Gaussian
+    in tau^2 gives"""
     sentences: list[str]
     """plain words"""
     noise: str = "ar1"
@@ -240,6 +241,8 @@ def _curve(
         drop = 0.5 * ((taus**2 - centre) / sd_square) ** 2
     best = float(np.sqrt(centre))
     sd_tau = sd_square / (2.0 * best) if best > 0 else np.inf
+    if sd_tau > taus[-1]:
+        sd_tau = np.nan  # wider than the range of tau: nobody would state it
     table = pd.DataFrame(
         {
             "tau_s": taus,

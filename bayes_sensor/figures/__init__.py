@@ -12,6 +12,7 @@ from bayes_sensor.figures.coating import (
 )
 from bayes_sensor.figures.draws import corner, main_parameters, traces_and_ranks
 from bayes_sensor.figures.gap import gap_budget, gap_hidden, gap_map, gap_ranking
+from bayes_sensor.figures.hardness import tau_hard, what_would_help
 from bayes_sensor.figures.methods import intervals, priors_on_tau, step_study
 from bayes_sensor.figures.noise import autocorrelation, histogram, predictive, spread
 from bayes_sensor.figures.overlays import overlay, rms_bars
@@ -39,6 +40,7 @@ from bayes_sensor.figures.style import (
     svg,
 )
 from bayes_sensor.figures.switching import delays
+from bayes_sensor.figures.tau import coverage, tau_hard, what_would_help
 
 __all__ = [
     "BLUE",
@@ -59,6 +61,7 @@ __all__ = [
     "WIDTH",
     "autocorrelation",
     "corner",
+    "coverage",
     "delays",
     "diffusion",
     "diffusion_figure",
@@ -83,5 +86,7 @@ __all__ = [
     "step_study",
     "style",
     "svg",
+    "tau_hard",
     "traces_and_ranks",
+    "what_would_help",
 ]
