@@ -242,8 +242,8 @@ class Problem:
     switch times.  It may further have
 
     * ``mean_and_response(t, theta, layout, experiment)``, both at the price of one,
-    * ``affine``: True where the mean is linear in y0 and beta and the response free of them
-      (taken for granted where the mean is the cascade's),
+    * ``affine``: True where the mean is y0 + beta times something plus something, both of them
+      and the response free of y0 and beta (taken for granted where the mean is the cascade's),
     * ``kinks(low, high, layout, experiment)``: stretches (start, end) in s, for theta between
       ``low`` and ``high`` (n_theta,), in which the mean or the response may jump or bend other
       than at t0 and tf.
@@ -531,14 +531,20 @@ def mean_and_response(
         mean, x = together(t, vector, layout, e)
         return mean, x
     x = model.response(t, vector, layout, e)
-    if is_affine(problem) and type(model).mean is Cascade.mean:
+    if has_plain_mean(problem):
         y0, beta, _, _ = local_parameters(vector, layout, e.name)
         return y0 + beta * x, x
     return model.mean(t, vector, layout, e), x
 
 
+def has_plain_mean(problem: Problem) -> bool:
+    """Whether the mean is y0 + beta x with x the model's response."""
+    model = problem.model
+    return type(model).mean is Cascade.mean and not hasattr(model, "mean_and_response")
+
+
 def is_affine(problem: Problem) -> bool:
-    """Whether the mean is linear in every y0 and beta, and the response free of them."""
+    """Whether the mean is y0 + beta a(t) + b(t) with a, b and the response free of both."""
     model = problem.model
     return bool(getattr(model, "affine", type(model).mean is Cascade.mean))
 

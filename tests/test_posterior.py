@@ -1,7 +1,7 @@
 """Three samplers against each other and against quadrature; resuming, records, honesty."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -12,9 +12,9 @@ import bayes_sensor.posterior.independence as independence
 from bayes_sensor.campaign import CampaignError, SideInformation
 from bayes_sensor.laplace import approximate, log_posteriors
 from bayes_sensor.likelihood import Prior, Problem, log_likelihood, simulate
-from bayes_sensor.model import cascade_response
+from bayes_sensor.model import Cascade, cascade_response, local_parameters, time_constants
 from bayes_sensor.noise import Noise
-from bayes_sensor.posterior import Posterior, Settings, sample_posterior
+from bayes_sensor.posterior import Posterior, Settings, load_chains, sample_posterior
 from bayes_sensor.posterior.hmc import Whitened
 
 SAMPLERS = ("emcee", "independence", "hmc")
@@ -356,8 +356,6 @@ def test_tau_under_other_priors() -> None:
 
 
 def test_only_a_mean_linear_in_y0_and_beta_is_marginalised() -> None:
-    from bayes_sensor.model import Cascade
-
     class Saturating(Cascade):
         def mean(self, t, theta, layout, experiment):
             return np.tanh(super().mean(t, theta, layout, experiment))
@@ -369,3 +367,166 @@ def test_only_a_mean_linear_in_y0_and_beta_is_marginalised() -> None:
         replace(problem, campaign=campaign), theta, settings=replace(SHORT, max_steps=40)
     )
     assert "all parameters" in posterior.reasons[0]
+
+
+# --- a model with parameters of its own
+
+
+@dataclass(frozen=True)
+class Closing(Cascade):
+    """A valve that shuts with tau_v (1 + closing_ratio), as an effect would bring it."""
+
+    extra: tuple[str, ...] = ("closing_ratio",)
+
+    def response(self, t, theta, layout, experiment):
+        _, _, t0, tf = local_parameters(theta, layout, experiment.name)
+        taus = time_constants(theta[0], theta[1], theta[2], experiment.total_flow)
+        x = cascade_response(t, taus, t0)
+        if tf is not None:
+            taus[0] *= 1.0 + theta[layout.index("closing_ratio")]
+            x = x - cascade_response(t, taus, tf)
+        return x
+
+
+@dataclass(frozen=True)
+class Drifting(Cascade):
+    """A baseline with its own slope in every experiment; the mean is still linear in y0, beta."""
+
+    extra: tuple[str, ...] = ("drift_V_per_s[a]", "drift_V_per_s[b]")
+    affine: bool = True
+
+    def mean_and_response(self, t, theta, layout, experiment):
+        slope = theta[layout.index(f"drift_V_per_s[{experiment.name}]")]
+        x = self.response(t, theta, layout, experiment)
+        y0, beta, _, _ = local_parameters(theta, layout, experiment.name)
+        return y0 + beta * x + slope * (t - 6.0), x
+
+
+EFFECTS = {
+    "closing": (Closing(), {"closing_ratio": Prior("normal", 0.0, 0.3)}, {"closing_ratio": 0.2}),
+    "drifting": (
+        Drifting(),
+        {f"drift_V_per_s[{e}]": Prior("normal", 0.0, 0.01) for e in "ab"},
+        {"drift_V_per_s[a]": 0.004, "drift_V_per_s[b]": -0.002},
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What a catalogue hands to the sampler."""
+
+    model: Cascade
+    priors: dict[str, Prior]
+
+    def apply(self, problem: Problem) -> Problem:
+        return replace(problem, model=self.model, given_priors=self.priors)
+
+
+@cache
+def with_effect(name: str, sampler: str) -> tuple[Posterior, np.ndarray]:
+    model, priors, truth = EFFECTS[name]
+    plan = small_design(n=2, interval=5e-3)
+    effect = Effect(model, priors)
+    theta = {**small_theta(plan, 0.5, 0.01, 0.01), **truth}
+    problem = effect.apply(Problem(plan))
+    campaign = simulate(problem, theta, seed=4)
+    # from the cascade's parameters: those of the effect are fitted
+    start = Problem(campaign).layout.flat(theta)
+    posterior = sample_posterior(
+        campaign, start, seed=2, sampler=sampler, settings=QUICK, with_effect=[effect]
+    )
+    return posterior, problem.layout.flat(theta)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_a_models_own_parameters_are_sampled(name: str) -> None:
+    posterior, truth = with_effect(name, "independence")
+    assert posterior.sampler == "independence" and posterior.converged
+    assert posterior.mesh_error < 1e-3
+    z = (posterior.draws.mean(axis=0) - truth) / posterior.draws.std(axis=0)
+    assert np.abs(z).max() < 4.5
+    for own in EFFECTS[name][2]:
+        # negative control: the effect is really there, and the data hold it
+        assert abs(posterior.mean(own)) > 4.5 * posterior.sd(own)
+    record = json.loads(json.dumps(posterior.to_json(), allow_nan=False))
+    assert set(EFFECTS[name][2]) < set(record["parameters"])
+    assert record["priors"].keys() > EFFECTS[name][2].keys()
+
+
+def test_emcee_integrates_y0_and_beta_out_of_an_affine_mean_too() -> None:
+    a, _ = with_effect("drifting", "independence")
+    few = Settings(n_chains=2, n_walkers=26, chunk=40, burn_in=40, max_steps=160, thin=2)
+    start = a.draws.mean(axis=0)
+    b = sample_posterior(a.problem, start, seed=2, sampler="emcee", settings=few)
+    assert b.sampler == "emcee" and "integrated out exactly" in b.reasons[0]
+    # too short to converge; its effective sample size says how far to trust it
+    ess = [np.minimum(p.ess_bulk, p.ess_tail) for p in (a, b)]
+    assert ess[1].min() > 40
+    error = np.hypot(a.draws.std(axis=0) / np.sqrt(ess[0]), b.draws.std(axis=0) / np.sqrt(ess[1]))
+    assert np.abs((a.draws.mean(axis=0) - b.draws.mean(axis=0)) / error).max() < 4.5
+    spread = np.log(a.draws.std(axis=0) / b.draws.std(axis=0))
+    assert np.abs(spread / np.sqrt(0.5 / ess[0] + 0.5 / ess[1])).max() < 4.5
+
+
+def test_own_parameters_are_saved_and_read_back(tmp_path) -> None:
+    posterior, _ = with_effect("drifting", "independence")
+    group = posterior.inference_data["posterior"]
+    assert group["drift_V_per_s"].dims == ("chain", "draw", "experiment")
+    assert group["drift_V_per_s"].attrs["units"] == "V/s"
+    posterior.save(tmp_path / "posterior.nc")
+    names, chains = load_chains(tmp_path / "posterior.nc")
+    np.testing.assert_array_equal(
+        chains[:, :, names.index("drift_V_per_s[b]")].ravel(), posterior.of("drift_V_per_s[b]")
+    )
+
+
+def closing(ratio: float, prior: Prior) -> Posterior:
+    plan = small_design(n=2, interval=5e-3)
+    problem = Problem(plan, model=Closing(), given_priors={"closing_ratio": prior})
+    theta = {**small_theta(plan, 0.5, 0.01, 0.01), "closing_ratio": ratio}
+    problem = replace(problem, campaign=simulate(problem, theta, seed=1))
+    start = problem.layout.flat(theta)
+    posterior = sample_posterior(problem, start, seed=1, sampler="independence", settings=QUICK)
+    assert posterior.sampler == "independence" and posterior.converged
+    return posterior
+
+
+@pytest.mark.parametrize(
+    ("ratio", "prior"),
+    [
+        # truth and maximum sit at the prior's end, where draws are cut
+        (0.0, Prior("half_normal", 0.3)),
+        (0.0, Prior("uniform", 0.0, 0.5)),
+        (0.3, Prior("log_normal", 0.3, 0.05)),
+        (0.3, Prior("log_uniform", 0.305, 2.0)),
+    ],
+    ids=str,
+)
+def test_bounded_priors_against_reweighted_draws_of_an_unbounded_one(
+    ratio: float, prior: Prior
+) -> None:
+    bounded, free = closing(ratio, prior), closing(ratio, Prior("normal", 0.0, 0.3))
+    x = free.of("closing_ratio")
+    log_w = prior.log_density(x) - free.problem.priors["closing_ratio"].log_density(x)
+    w = np.exp(log_w - log_w.max())
+    # negative control: the prior matters
+    assert w.min() < 0.9
+    i = bounded.problem.layout.index("closing_ratio")
+    n_free = min(free.ess_bulk[i], w.sum() ** 2 / (w**2).sum())
+    for name in ("closing_ratio", "tau_v_s"):
+        z = free.of(name)
+        mean = (w * z).sum() / w.sum()
+        sd = np.sqrt((w * (z - mean) ** 2).sum() / w.sum())
+        error = sd * np.sqrt(1 / n_free + 1 / bounded.ess_bulk[i])
+        assert bounded.mean(name) == pytest.approx(mean, abs=4.5 * error)
+        assert bounded.sd(name) == pytest.approx(sd, rel=4.5 * error / sd)
+    low, high = prior.support
+    assert low <= bounded.of("closing_ratio").min() and bounded.of("closing_ratio").max() <= high
+
+
+def test_a_parameter_without_a_prior_is_named() -> None:
+    problem, theta = small_problem(n=1)
+    problem = replace(problem, model=Closing())
+    with pytest.raises(CampaignError, match="'closing_ratio' has no prior"):
+        sample_posterior(problem, np.append(theta, 0.1), sampler="independence")

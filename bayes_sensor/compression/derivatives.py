@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.likelihood import Prior, Problem, is_affine, mean_and_response
-from bayes_sensor.model import Cascade
+from bayes_sensor.likelihood import (
+    Prior,
+    Problem,
+    has_plain_mean,
+    is_affine,
+    mean_and_response,
+)
 
 
 def mean_derivatives(
@@ -30,10 +35,9 @@ def mean_derivatives(
         if name.endswith("]") and not name.endswith(f"[{e.name}]"):
             continue  # another experiment's own parameter
         moves[i] = _extra_step(problem.priors.get(name), float(vector[i]))
-    plain = is_affine(problem) and type(problem.model).mean is Cascade.mean
+    plain = has_plain_mean(problem)
     if not plain:
-        unit = 1.0 if is_affine(problem) else 1e-3
-        size = unit * max(abs(vector[i_beta]), 1e-3)
+        size = (1.0 if is_affine(problem) else 1e-3) * max(abs(vector[i_beta]), 1e-3)
         moves |= {i: (size, -np.inf, np.inf) for i in (i_y0, i_beta)}
     index = np.array([*moves, *([i_y0, i_beta] if plain else [])])
     d_mean, d_x = np.zeros((len(index), len(t))), np.zeros((len(index), len(t)))

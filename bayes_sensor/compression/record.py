@@ -17,6 +17,7 @@ from bayes_sensor.likelihood import (
     Problem,
     as_problem,
     experiment_log_likelihood,
+    has_plain_mean,
     is_affine,
     mean_and_response,
     mean_and_variance,
@@ -320,9 +321,10 @@ class Compressed:
             return lambda u, w: self._general(moved(u, w), k)
         e, t, known = problem.campaign.experiments[k], self._times(k), noise
         mean, x = mean_and_response(problem, vector, e, t)
-        by_y0 = mean_and_response(problem, moved(1.0, 0.0), e, t)[0] - mean
-        by_beta = mean_and_response(problem, moved(0.0, 1.0), e, t)[0] - mean
-        return lambda u, w: self._density(k, known, mean + u * by_y0 + w * by_beta, x)
+        slope = unit * x
+        if not has_plain_mean(problem):
+            slope = mean_and_response(problem, moved(0.0, 1.0), e, t)[0] - mean
+        return lambda u, w: self._density(k, known, mean + (u * unit + w * slope), x)
 
     def node_times(self, k: int) -> FloatArray:
         """(n_blocks, K) s, the nodes of experiment number ``k``."""

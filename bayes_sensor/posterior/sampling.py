@@ -70,6 +70,7 @@ def sample_posterior(
         from bayes_sensor.fit import fit_least_squares
 
         fit = fit_least_squares(problem, seed=seed)
+    problem.prior_table  # noqa: B018 - raises CampaignError where a parameter has no prior
     start = _start(problem, getattr(fit, "theta_hat", fit))
     report(0.0, "Laplace approximation")
     laplace, compressed = approximate(problem, start)
