@@ -50,6 +50,9 @@ _PUBLIC = {
     "response_times": "readout",
     "response_time_table": "readout",
     "check_predictive": "predictive",
+    "diagnose_gap": "gap",
+    "Gap": "gap",
+    "own_effect": "gap",
 }
 
 # names that would say too little outside their room

@@ -1,0 +1,17 @@
+"""The sim-to-real gap: where the model misses, which effect causes it, how far it shrinks."""
+
+from bayes_sensor.gap.diagnosis import Gap, diagnose_gap
+from bayes_sensor.gap.effect import Effect, Form, RigView, Setting, Strength, own_effect
+from bayes_sensor.gap.effects import CATALOGUE
+
+__all__ = [
+    "CATALOGUE",
+    "Effect",
+    "Form",
+    "Gap",
+    "RigView",
+    "Setting",
+    "Strength",
+    "diagnose_gap",
+    "own_effect",
+]

@@ -1,0 +1,717 @@
+"""The diagnosis of the sim-to-real gap: where, which, how far, and what may hide."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import exp
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.gap.effect import Effect
+from bayes_sensor.gap.effects import CATALOGUE
+from bayes_sensor.gap.full_rate import FullRate, test_full_rate
+from bayes_sensor.gap.hidden import Hidden, what_may_hide
+from bayes_sensor.gap.how_far import Closure, best_discrepancy, closure, held_out
+from bayes_sensor.gap.refit import Refit
+from bayes_sensor.gap.separate import Separation, confusable, what_would_separate
+from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
+from bayes_sensor.gap.verdict import Standing, Verdict, judge, leftover, standing
+from bayes_sensor.gap.where import Map, locate
+from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
+from bayes_sensor.model import Layout, Theta
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from bayes_sensor.fit import Fit
+
+BOOTSTRAP = 60
+"""simulated campaigns behind the calibrated p-values and the interval of the closed fraction"""
+MOST_ROUNDS = 3
+"""effects added one after the other before the search ends"""
+LIKELY = 0.02
+"""probability from which an effect's look-alikes are listed"""
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Shrink:
+    """How far the gap shrinks with the best explanation."""
+
+    closure: Closure
+    held_out_fraction_closed: float | None
+    tau_before_s: float
+    tau_after_s: float
+    """averaged over the explanations that hold 95 % of the probability"""
+    tau_after_low_s: float
+    tau_after_high_s: float
+    explanation: str
+    rival: str | None
+    """the best explanation outside the family"""
+    rival_fraction_closed: float | None
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of gap.json."""
+        c = self.closure
+        return {
+            "before_excess_rms_V": c.before_V,
+            "after_excess_rms_V": c.after_V,
+            "fraction_closed": c.fraction,
+            "fraction_closed_lo": c.low,
+            "fraction_closed_hi": c.high,
+            "held_out_fraction_closed": self.held_out_fraction_closed,
+            "tau_before_s": self.tau_before_s,
+            "tau_after_s": self.tau_after_s,
+            "tau_after_lo_s": self.tau_after_low_s,
+            "tau_after_hi_s": self.tau_after_high_s,
+            "withheld": c.withheld,
+            "d_before": c.d_before,
+            "d_after": c.d_after,
+            "explanation": self.explanation,
+            "rival": self.rival,
+            "rival_fraction_closed": self.rival_fraction_closed,
+        }
+
+
+@dataclass(frozen=True)
+class HiddenEffects:
+    """What this campaign could not have seen."""
+
+    effects: tuple[Hidden, ...]
+    tau_envelope_s: tuple[float, float]
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """One row per effect: d, shift of tau, tau with it in place."""
+        import pandas as pd
+
+        return pd.DataFrame([vars(e) for e in self.effects])
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of the search: what was added, what is left after it."""
+
+    added: tuple[str, ...]
+    probability: float
+    d_left: float
+    p_left: float
+    unlisted_left: float
+    """probability that something unlisted is left"""
+
+
+@dataclass(frozen=True, eq=False)
+class Gap:
+    """The result of :func:`diagnose_gap`."""
+
+    verdict: Verdict
+    budget: dict[str, Any]
+    map: Map
+    shrink: Shrink
+    hidden: HiddenEffects
+    rounds: tuple[Round, ...]
+    separations: tuple[Separation, ...]
+    full_rate: tuple[FullRate, ...]
+    weighing: Weighing
+    standing: Standing
+    rows: tuple[dict[str, Any], ...]
+    signal_unit: str = "V"
+    notes: tuple[str, ...] = ()
+    """what could not be told, in sentences"""
+
+    @cached_property
+    def where(self) -> pd.DataFrame:
+        """Experiment x phase: excess, share and p-value."""
+        import pandas as pd
+
+        return pd.DataFrame([vars(c) for c in self.map.cells])
+
+    @cached_property
+    def which(self) -> pd.DataFrame:
+        """Every explanation with its probability, most probable first."""
+        import pandas as pd
+
+        return pd.DataFrame(list(self.rows))
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of gap.json; further keys: `where_scales`, `rounds`, `separate`, ..."""
+        v = self.verdict
+        record = {
+            "budget": self.budget,
+            "where": [_plain(vars(c), "scale", "scale_s") for c in self.map.cells],
+            "where_scales": [vars(c) for c in self.map.scales],
+            "where_left_out_d": self.map.left_out,
+            "which": list(self.rows),
+            "verdict": {
+                "kind": v.kind,
+                "effects": list(v.effects),
+                "family": v.family,
+                "probability": v.probability,
+                "sentence": v.sentence,
+            },
+            "families": self.standing.families,
+            "shrink": self.shrink.to_json(),
+            "hidden": {
+                "effects": [vars(h) for h in self.hidden.effects],
+                "tau_envelope_s": list(self.hidden.tau_envelope_s),
+            },
+            "rounds": [{**vars(r), "added": list(r.added)} for r in self.rounds],
+            "separate": [vars(s) for s in self.separations],
+            "full_rate": [
+                {
+                    "name": f.name,
+                    "log_bayes_factor": f.log_bayes_factor,
+                    "probability": f.probability,
+                    "strength": f.strength,
+                    "d": f.d,
+                }
+                for f in self.full_rate
+            ],
+            "residuals": [
+                {
+                    "experiment": name,
+                    "since_switch_s": since.tolist(),
+                    "whitened": whitened.tolist(),
+                    "residual_V": volts.tolist(),
+                    "phase": phase.tolist(),
+                }
+                for name, since, whitened, volts, phase in self.map.residuals
+            ],
+            "signal_unit": self.signal_unit,
+            "notes": list(self.notes),
+        }
+        return _finite(record)
+
+
+def _plain(mapping: Mapping[str, Any], *without: str) -> dict[str, Any]:
+    return {k: v for k, v in mapping.items() if k not in without}
+
+
+def _finite(value: Any) -> Any:
+    """The record without NaN, infinities and numpy's own types."""
+    if isinstance(value, Mapping):
+        return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value
+
+
+def diagnose_gap(
+    campaign: Campaign,
+    fit: Fit | None = None,
+    *,
+    seed: int = 1,
+    without: Iterable[str] = (),
+    effects: Mapping[str, Effect] | Iterable[Effect] | None = None,
+    nominal: Theta | None = None,
+    bootstrap: int = BOOTSTRAP,
+    hidden: bool = True,
+    separate: bool = True,
+    progress: Progress | None = None,
+) -> Gap:
+    """Where the model misses the measurement, which effect causes it, how far that closes it.
+
+    Parameters
+    ----------
+    campaign
+        A measured campaign.
+    fit
+        Its least-squares fit; made here where none is given.
+    without
+        Names of effects to take out of the catalogue.
+    effects
+        Further effects of one's own (:func:`bayes_sensor.gap.own_effect`), or a mapping that
+        replaces the catalogue.
+    nominal
+        Parameters of the simulation before calibration, for the budget.
+    bootstrap
+        Simulated and refitted campaigns; 0: linearised p-values and intervals.
+    hidden, separate
+        Whether to work out what may hide, and what would tell look-alikes apart.
+
+    Raises
+    ------
+    CampaignError
+        For a design without data, unknown names in ``without``, or records without any quiet
+        stretch to take the noise from.
+    """
+    tell = progress or (lambda _share, _text: None)
+    if campaign.is_design:
+        raise CampaignError(
+            "gap: this is a design without data; expected a measured campaign: give every "
+            "experiment a file, or simulate it first"
+        )
+    catalogue = _catalogue(effects, without)
+    if fit is None:
+        from bayes_sensor.fit import fit_least_squares
+
+        fit = fit_least_squares(campaign, seed=seed, euler=False)
+    theta = Layout.of(campaign).flat(fit.theta_hat)
+    tell(0.02, "noise floor")
+    prepared = prepare(campaign, theta)
+    sketch = prepared.sketch
+    base = fit_base(sketch)
+    full_rate = [
+        f for f in test_full_rate(campaign, prepared.stretches, prepared.raw)
+        if f.name in catalogue or f.name == "line"
+    ]  # fmt: skip
+    tell(0.08, "where")
+    located = locate(sketch, base, seed, bootstrap)
+    weighing = weigh(sketch, base, catalogue, lambda s, t: tell(0.15 + 0.4 * s, t))
+    stand = standing(weighing, full_rate, catalogue)
+    kind, named, family, probability = judge(weighing, stand, catalogue)
+    best = _best(weighing, kind, named, catalogue)
+    tell(0.6, "what is left")
+    rounds, _last = _escalate(weighing, best, kind, named, probability, catalogue, seed)
+    tell(0.7, "how far")
+    window = best_discrepancy(base, weighing.discrepancies)
+    shrink = _shrink(weighing, best, kind, window, catalogue, seed, bootstrap)
+    tell(0.85, "what may hide")
+    rest = (
+        what_may_hide(sketch, best.refit if kind == "effect" else base, catalogue)
+        if hidden
+        else (
+            [],
+            (
+                exp(best.log_tau - 1.96 * best.sd_log_tau),
+                exp(best.log_tau + 1.96 * best.sd_log_tau),
+            ),
+        )
+    )
+    tell(0.93, "look-alikes")
+    rows, separations = _rows(weighing, stand, full_rate, catalogue, window, separate, kind, named)
+    notes = _notes(campaign, sketch.floor.spikes)
+    sentence = _sentence(kind, named, family, probability, best, located, catalogue, separations,
+                         shrink, full_rate, rest[1], campaign.signal_unit)  # fmt: skip
+    tell(1.0, "done")
+    return Gap(
+        verdict=Verdict(kind, named, family, float(min(max(probability, 0.0), 1.0)), sentence),
+        budget=_budget(campaign, prepared, base, located, nominal),
+        map=located,
+        shrink=shrink,
+        hidden=HiddenEffects(tuple(rest[0]), rest[1]),
+        rounds=tuple(rounds),
+        separations=tuple(separations),
+        full_rate=tuple(full_rate),
+        weighing=weighing,
+        standing=stand,
+        rows=tuple(rows),
+        signal_unit=campaign.signal_unit,
+        notes=tuple(notes),
+    )
+
+
+def _catalogue(
+    effects: Mapping[str, Effect] | Iterable[Effect] | None, without: Iterable[str]
+) -> dict[str, Effect]:
+    if isinstance(effects, Mapping):
+        catalogue = dict(effects)
+    else:
+        catalogue = dict(CATALOGUE)
+        for effect in effects or ():
+            if effect.name in catalogue:
+                raise CampaignError(
+                    f"gap: an effect '{effect.name}' is already in the catalogue; give your own "
+                    "another name, or replace the catalogue by a mapping"
+                )
+            catalogue[effect.name] = effect
+    without = [without] if isinstance(without, str) else list(without)
+    for name in without:
+        if name not in catalogue:
+            import difflib
+
+            close = difflib.get_close_matches(name, catalogue, n=1)
+            hint = f"did you mean '{close[0]}'?" if close else f"known are {', '.join(catalogue)}"
+            raise CampaignError(f"gap: no effect '{name}' in the catalogue; {hint}")
+        del catalogue[name]
+    return catalogue
+
+
+# --------------------------------------------------------------------------- explanation
+
+
+def _best(
+    weighing: Weighing, kind: str, named: Sequence[str], catalogue: Mapping[str, Effect]
+) -> Hypothesis:
+    """The explanation that the verdict stands for; for unlisted the best effect, if any."""
+    on_mean = {n for n in named if catalogue[n].on_mean}
+    complete = [h for h in weighing.hypotheses if not h.incomplete]
+    if kind == "effect":
+        fitting = [h for h in complete if set(h.effects) == on_mean]
+        if not fitting:
+            fitting = [h for h in complete if on_mean <= set(h.effects)]
+        return max(fitting, key=lambda h: h.log_weight)
+    if kind == "family":
+        fitting = [h for h in complete if len(h.effects) == 1 and h.effects[0] in named]
+        return max(fitting, key=lambda h: h.log_weight)
+    if kind == "none":
+        return next(h for h in complete if not h.effects)
+    return max((h for h in complete), key=lambda h: h.log_weight)
+
+
+def _escalate(
+    weighing: Weighing,
+    best: Hypothesis,
+    kind: str,
+    named: Sequence[str],
+    probability: float,
+    catalogue: Mapping[str, Effect],
+    seed: int,
+) -> tuple[list[Round], Hypothesis]:
+    """Add what was named and look again, until nothing is left or the rest is unlisted."""
+    rounds: list[Round] = []
+    if kind != "effect" or not best.effects:
+        return rounds, best
+    sketch = weighing.sketch
+    added, p = best.effects, probability
+    while True:
+        left = locate(sketch, best.refit, seed)
+        used = {catalogue[n].family for part in best.refit.plan.parts for n in [part.effect.name]}
+        others = {n: e for n, e in catalogue.items() if e.family not in used}
+        again = weigh(sketch, best.refit, others, pairs=False)
+        stand = standing(again, [], others)
+        rounds.append(Round(tuple(added), float(p), left.d, left.p_value, stand.unlisted))
+        name = max(stand.effects, key=lambda n: stand.effects[n]) if stand.effects else None
+        if (
+            name is None
+            or stand.effects[name] < 0.9
+            or len(rounds) >= MOST_ROUNDS
+            or left.p_value > 0.05
+        ):
+            return rounds, best
+        best = again.find(name)
+        added, p = (name,), stand.effects[name]
+
+
+def _shrink(
+    weighing: Weighing,
+    best: Hypothesis,
+    kind: str,
+    window: Any,
+    catalogue: Mapping[str, Effect],
+    seed: int,
+    bootstrap: int,
+) -> Shrink:
+    base = weighing.base
+    closed = closure(base, best.refit, window, seed, bootstrap if kind == "effect" else 0)
+    out = None
+    if best.effects and not closed.withheld:
+        out = held_out(base, best.refit, window)
+    families = {catalogue[n].family for n in best.effects}
+    rivals = [
+        h
+        for h in weighing.hypotheses
+        if len(h.effects) == 1
+        and not h.incomplete
+        and catalogue[h.effects[0]].family not in families
+    ]
+    rival = max(rivals, key=lambda h: h.log_weight) if rivals and best.effects else None
+    none = next(h for h in weighing.hypotheses if h.key == "none")
+    tau, low, high = _averaged_tau(weighing)
+    return Shrink(
+        closure=closed,
+        held_out_fraction_closed=out,
+        tau_before_s=exp(none.log_tau),
+        tau_after_s=tau,
+        tau_after_low_s=low,
+        tau_after_high_s=high,
+        explanation=best.key,
+        rival=rival.key if rival else None,
+        rival_fraction_closed=closure(base, rival.refit, window).fraction if rival else None,
+    )
+
+
+def _averaged_tau(weighing: Weighing) -> tuple[float, float, float]:
+    """Median and 95 % interval of tau over the explanations that hold 95 % of the probability."""
+    p = weighing.probabilities
+    order = np.argsort(-p)
+    count = int(np.searchsorted(np.cumsum(p[order]), 0.95)) + 1
+    kept = order[:count]
+    weight = p[kept] / p[kept].sum()
+    chosen = [weighing.hypotheses[i] for i in kept]
+    from scipy.special import ndtr
+
+    grid = np.linspace(
+        min(h.log_tau - 4 * h.sd_log_tau for h in chosen),
+        max(h.log_tau + 4 * h.sd_log_tau for h in chosen),
+        4001,
+    )
+    total = sum(
+        w * ndtr((grid - h.log_tau) / h.sd_log_tau) for w, h in zip(weight, chosen, strict=True)
+    )
+    low, mid, high = (float(np.exp(np.interp(q, total, grid))) for q in (0.025, 0.5, 0.975))
+    return mid, low, high
+
+
+# --------------------------------------------------------------------------- the table
+
+
+def _rows(
+    weighing: Weighing,
+    stand: Standing,
+    full_rate: Sequence[FullRate],
+    catalogue: Mapping[str, Effect],
+    window: Any,
+    separate: bool,
+    kind: str,
+    named: Sequence[str],
+) -> tuple[list[dict[str, Any]], list[Separation]]:
+    base = weighing.base
+    sketch = weighing.sketch
+    by_name = {f.name: f for f in full_rate}
+    none = next(h for h in weighing.hypotheses if h.key == "none")
+    made, separations = [], []
+    total = sum(stand.rows.values())
+    ranked = sorted(stand.effects, key=lambda n: -stand.effects[n])
+    looked = [n for n in ranked if catalogue[n].on_mean and stand.effects[n] > LIKELY][:3]
+    for key, p in sorted(stand.rows.items(), key=lambda item: -item[1]):
+        names = () if key in ("none", "unlisted") else tuple(key.split("+"))
+        families = {catalogue[n].family for n in names}
+        row: dict[str, Any] = {
+            "effect": key,
+            "family": families.pop() if len(families) == 1 else None,
+            "probability": p / total,
+            "d": None,
+            "strength": {},
+            "tau_s": None,
+            "fraction_closed": None,
+            "confusable_with": [],
+            "rss_V2": None,
+            "bic": None,
+            "log_evidence_ratio": None,
+            "misfit_left_sd": None,
+        }
+        if key == "none":
+            row.update(_measures(none, none, base, window), d=0.0)
+        elif names:
+            _fill(row, names, weighing, none, by_name, catalogue, window)
+            if separate and len(names) == 1 and names[0] in looked:
+                h = weighing.find(names[0])
+                row["confusable_with"] = [
+                    n for n, _ in confusable(sketch, h.refit, names[0], catalogue)
+                ]
+        made.append(row)
+    if separate and kind in ("family", "effect") and named:
+        first = next((n for n in named if catalogue[n].on_mean), None)
+        if first is not None and first in looked:
+            alike = next(r["confusable_with"] for r in made if r["effect"] == first)
+            h = weighing.find(first)
+            separations = [
+                what_would_separate(sketch, h.refit, first, rival, catalogue) for rival in alike[:3]
+            ]
+    return made, separations
+
+
+def _fill(
+    row: dict[str, Any],
+    names: Sequence[str],
+    weighing: Weighing,
+    none: Hypothesis,
+    by_name: Mapping[str, FullRate],
+    catalogue: Mapping[str, Effect],
+    window: Any,
+) -> None:
+    on_mean = [n for n in names if catalogue[n].on_mean]
+    strength: dict[str, Any] = {}
+    if on_mean:
+        h = weighing.find(*on_mean)
+        row.update(_measures(h, none, weighing.base, window))
+        strength.update(h.refit.strength())
+    for n in names:
+        if n in by_name:
+            strength.update(by_name[n].strength)
+            if not on_mean:
+                row["d"] = by_name[n].d
+                row["log_evidence_ratio"] = by_name[n].log_bayes_factor
+                row["tau_s"] = exp(none.log_tau)
+    row["strength"] = strength
+
+
+def _measures(h: Hypothesis, none: Hypothesis, base: Refit, window: Any) -> dict[str, Any]:
+    sketch = base.plan.sketch
+    n = sketch.n_bins
+    volts = [
+        sketch.floor.cholesky[k] @ h.refit.residual[rows] for k, rows in enumerate(sketch.rows)
+    ]
+    rss = float(sum(np.sum(b.count * v**2) for b, v in zip(sketch.bins, volts, strict=True)))
+    return {
+        "d": float(np.sqrt(max(none.refit.misfit - h.refit.misfit, 0.0))),
+        "tau_s": exp(h.log_tau),
+        "fraction_closed": closure(base, h.refit, window).fraction if h.effects else None,
+        "rss_V2": rss,
+        "bic": float(n * np.log(max(rss, 1e-300) / n) + h.refit.plan.size * np.log(n)),
+        "log_evidence_ratio": h.log_z - none.log_z,
+        "misfit_left_sd": leftover(h),
+    }
+
+
+# --------------------------------------------------------------------------- budget
+
+
+def _budget(
+    campaign: Campaign, prepared: Prepared, base: Refit, located: Map, nominal: Theta | None
+) -> dict[str, Any]:
+    used = [r[e.used] for r, e in zip(prepared.residuals, campaign, strict=True)]
+    calibrated = float(np.sqrt(np.mean(np.concatenate([u**2 for u in used]))))
+    floor = [float(np.mean(s.samples**2) - np.mean(s.samples) ** 2) for s in prepared.stretches]
+    weights = [len(s.samples) for s in prepared.stretches]
+    before = None
+    if nominal is not None:
+        residuals = full_rate_residuals(campaign, Layout.of(campaign).flat(nominal))
+        squares = [r[e.used] ** 2 for r, e in zip(residuals, campaign, strict=True)]
+        before = float(np.sqrt(np.mean(np.concatenate(squares))))
+    return {
+        "nominal_rms_V": before,
+        "calibrated_rms_V": calibrated,
+        "noise_floor_rms_V": float(np.sqrt(np.average(floor, weights=weights))),
+        "excess_rms_V": located.excess_rms,
+        "excess_d": located.d,
+        "p_value": located.p_value,
+        "ar1_whiteness_p": ar1_whiteness(used),
+        "spikes_replaced": prepared.sketch.floor.spikes,
+        "tau_s": base.tau,
+    }
+
+
+def ar1_whiteness(residuals: Sequence[FloatArray], lags: int = 20) -> float:
+    """Ljung-Box p-value of the innovations of an AR(1) fitted to every record (for comparison)."""
+    from scipy.stats import chi2
+
+    statistic, dof = 0.0, 0
+    for r in residuals:
+        if len(r) < 5 * lags or not np.any(r):
+            continue
+        x = r - r.mean()
+        phi = float(x[1:] @ x[:-1]) / float(x @ x)
+        e = x[1:] - phi * x[:-1]
+        n = len(e)
+        rho = np.array([float(e[k:] @ e[:-k]) for k in range(1, lags + 1)]) / float(e @ e)
+        statistic += n * (n + 2.0) * float(np.sum(rho**2 / (n - np.arange(1, lags + 1))))
+        dof += lags - 1
+    return float(chi2.sf(statistic, dof)) if dof else 1.0
+
+
+# --------------------------------------------------------------------------- words
+
+
+def _notes(campaign: Campaign, spikes: int) -> list[str]:
+    notes = []
+    if not any(e.has_fall for e in campaign):
+        notes.append(
+            "No step down was recorded: effects that differ between rise and fall cannot be seen."
+        )
+    if len(campaign) == 1:
+        notes.append(
+            "One experiment: nothing can be held out, and effects that depend on the flow look "
+            "like those that do not."
+        )
+    elif campaign.same_flow:
+        notes.append(
+            "All experiments share one total flow: valve and manifold cannot be told apart."
+        )
+    if any(e.commanded_on is None for e in campaign):
+        notes.append(
+            "Not every experiment has a commanded time: misfits locked to the command, not to the "
+            "response, are not looked for."
+        )
+    if spikes:
+        notes.append(f"{spikes} samples beyond 6.5 standard deviations were taken for spikes.")
+    notes.append(
+        "The sensor is taken to be faster than the valve: a cascade cannot tell them apart."
+    )
+    return notes
+
+
+def _strength_words(strength: Mapping[str, Any], units: Mapping[str, str]) -> str:
+    parts = []
+    for name, value in strength.items():
+        label = name.replace("_", " ")
+        unit = units.get(name, "")
+        unit = "" if unit in ("1", "") else f" {unit}"
+        if isinstance(value, Mapping):
+            low, high = min(value.values()), max(value.values())
+            parts.append(f"{label} {low:.3g} to {high:.3g}{unit}")
+        else:
+            parts.append(f"{label} {value:.3g}{unit}")
+    return ", ".join(parts)
+
+
+def _units(sketch: Any, effect: Effect) -> dict[str, str]:
+    setting = sketch.setting(0, 0.0, None)
+    found = {s.name: s.unit for form in effect.forms for s in form.strengths(setting)}
+    return {**found, "mains_V": "V", "mains_Hz": "Hz", "adc_step": "V", "tail_dof": "1"}
+
+
+def _sentence(
+    kind: str,
+    named: Sequence[str],
+    family: str | None,
+    probability: float,
+    best: Hypothesis,
+    located: Map,
+    catalogue: Mapping[str, Effect],
+    separations: Sequence[Separation],
+    shrink: Shrink,
+    full_rate: Sequence[FullRate],
+    envelope: tuple[float, float],
+    unit: str,
+) -> str:
+    phases: dict[str, float] = {}
+    for c in located.cells:
+        phases[c.phase] = phases.get(c.phase, 0.0) + c.share
+    worst = max(phases, key=lambda p: phases[p]) if any(phases.values()) else None
+    place = f", mostly in the {worst}" if worst else ""
+    if kind == "none":
+        low, high = (1e3 * t for t in envelope)
+        return (
+            "Nothing is missing beyond the noise floor. Effects that this campaign cannot see may "
+            f"still hide: with them tau could lie anywhere from {low:.3g} to {high:.3g} ms."
+        )
+    if kind == "unlisted":
+        line = next((f for f in full_rate if f.name == "line" and f.probability > 0.5), None)
+        if line is not None:
+            s = line.strength
+            return (
+                f"There is a line of unlisted origin at {s['line_Hz']:.4g} Hz with an amplitude of "
+                f"{1e3 * s['line_V']:.3g} m{unit}."
+            )
+        return (
+            f"The model misses the measurement{place}, and no effect of the catalogue explains "
+            "it well: the cause is not listed."
+        )
+    if kind == "family":
+        helps = next((s for s in separations if s.addition), None)
+        advice = (
+            f" To tell {helps.effect} from {helps.rival}: {helps.addition}."
+            if helps
+            else f" What would show it: {catalogue[named[0]].reveal}."
+        )
+        return (
+            f"One of {', '.join(named)} explains the gap{place}; this campaign does not tell "
+            f"them apart.{advice}"
+        )
+    words = []
+    sketch = best.refit.plan.sketch
+    by_name = {f.name: f for f in full_rate}
+    fitted = best.refit.strength()
+    for n in named:
+        units = _units(sketch, catalogue[n])
+        own = (
+            {k: v for k, v in fitted.items() if k in units} if catalogue[n].on_mean
+            else by_name[n].strength
+        )  # fmt: skip
+        words.append(catalogue[n].sentence.replace("{strength}", _strength_words(own, units)))
+    if shrink.closure.fraction is not None and any(catalogue[n].on_mean for n in named):
+        words.append(f"It closes {shrink.closure.fraction:.0%} of the gap.")
+    return " ".join(words)

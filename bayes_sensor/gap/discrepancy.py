@@ -1,0 +1,227 @@
+"""Something else: a smooth Gaussian-process discrepancy as an explicit competitor.
+
+Residual tests cannot say "none of the listed causes"; a rival that explains any smooth,
+event-locked misfit can (Kennedy and O'Hagan 2001; Brynjarsdottir and O'Hagan 2014).  Three
+Matern-3/2 parts:
+
+- *response*: in the logarithm of the time since a switch reached the sensor, scaled by beta;
+- *drift*: in linear time, in volts;
+- *switching*: in the logarithm of the time since the command, in volts.
+
+Each is a common function of all experiments, one that follows the flow, and a small own one.
+Kernels are factored once per campaign; evidences then need only small matrices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.gap.refit import Refit, Sketch
+
+OWN = 0.1
+"""standard deviation of an experiment's own part beside the common one"""
+FLOW_TREND = 0.5
+"""of the part that follows the logarithm of the flow, for one standard deviation of it"""
+NEGLIGIBLE = 1e-3
+"""variance in units of the noise below which a direction of the discrepancy is dropped"""
+
+RESPONSE_LENGTHS = (0.3, 1.0, 2.5)
+RESPONSE_SHARES = (0.001, 0.003, 0.01, 0.03, 0.1)
+DRIFT_SECONDS = 8.0
+VOLT_SHARES = (0.0005, 0.0015, 0.005, 0.015)
+"""of the median step height: 1 to 30 mV for a 2 V step"""
+
+
+@dataclass(frozen=True, eq=False)
+class Discrepancy:
+    """One configuration of the process, in whitened bins."""
+
+    name: str
+    weight: float
+    """prior weight among the configurations"""
+    basis: FloatArray
+    """(n_bins in all, rank) orthonormal directions"""
+    variance: FloatArray
+    """(rank,) along them, in units of the noise"""
+
+    def log_determinant(self) -> float:
+        """ln |I + K|."""
+        return float(np.sum(np.log1p(self.variance)))
+
+    def precision_times(self, values: FloatArray) -> FloatArray:
+        """(I + K)^-1 times values (n, m)."""
+        inner = self.basis.T @ values
+        shrink = self.variance / (1.0 + self.variance)
+        return values - self.basis @ (
+            shrink[:, None] * inner if values.ndim > 1 else shrink * inner
+        )
+
+    def realised(self, residual: FloatArray) -> FloatArray:
+        """Posterior mean (n,) of the discrepancy, whitened, given a whitened residual."""
+        return self.basis @ (self.variance / (1.0 + self.variance) * (self.basis.T @ residual))
+
+
+def matern32(distance: FloatArray, length: float) -> FloatArray:
+    """Matern-3/2 correlation, (1 + r) exp(-r) with r = sqrt(3) |d|/length."""
+    r = sqrt(3.0) * np.abs(distance) / length
+    return (1.0 + r) * np.exp(-r)
+
+
+def _features(position: list[FloatArray], length: float, resolution: float) -> list[FloatArray]:
+    # low-rank factor of the kernel: eigenvectors on a common grid, interpolated to the bins
+    everywhere = np.concatenate(position)
+    low, high = float(np.min(everywhere)), float(np.max(everywhere))
+    n = max(int(np.ceil((high - low) / (resolution * length))) + 1, 2)
+    grid = np.linspace(low, high, n)
+    values, vectors = np.linalg.eigh(matern32(np.subtract.outer(grid, grid), length))
+    keep = values > 1e-4 * values[-1]
+    factor = vectors[:, keep] * np.sqrt(values[keep])
+    found = []
+    for at in position:
+        place = np.clip((at - low) / (high - low) * (n - 1), 0, n - 1) if high > low else 0.0 * at
+        left = np.minimum(place.astype(int), n - 2)
+        part = place - left
+        found.append(factor[left] * (1.0 - part)[:, None] + factor[left + 1] * part[:, None])
+    return found
+
+
+def _spread_over_experiments(
+    features: list[FloatArray], scale: list[FloatArray], flow: FloatArray
+) -> FloatArray:
+    """(n_bins in all, m): common, flow-following and own copies of the features."""
+    n = sum(len(f) for f in features)
+    rank = features[0].shape[1]
+    n_e = len(features)
+    one = n_e == 1
+    made = np.zeros((n, rank * (1 if one else 2 + n_e)))
+    row = 0
+    for k, (f, s) in enumerate(zip(features, scale, strict=True)):
+        rows = slice(row, row + len(f))
+        scaled = f * s[:, None]
+        made[rows, :rank] = scaled
+        if not one:
+            made[rows, rank : 2 * rank] = FLOW_TREND * flow[k] * scaled
+            made[rows, (2 + k) * rank : (3 + k) * rank] = OWN * scaled
+        row += len(f)
+    return made
+
+
+def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
+    """All configurations for a campaign, around the fit without effects."""
+    flows = np.log([e.total_flow for e in sketch.campaign])
+    spread = float(np.std(flows))
+    flow = (flows - flows.mean()) / spread if spread > 1e-6 else np.zeros(len(flows))
+    beta = [abs(float(base.x[base.plan.local[k] + 1])) for k in range(len(sketch.campaign))]
+    response = _response_parts(sketch, beta, flow)
+    drift = _part(
+        sketch,
+        [b.centre - float(b.experiment.t[0]) for b in sketch.bins],
+        [np.full(len(b.first), sketch.signal_scale) for b in sketch.bins],
+        flow, DRIFT_SECONDS, own=1.0,
+    )  # fmt: skip
+    made = []
+    for length, factor in response.items():
+        for share in RESPONSE_SHARES:
+            weight = 0.45 / (len(response) * len(RESPONSE_SHARES))
+            made.append(_configure(f"response {length:g} {share:g}", weight, factor * share))
+    for share in VOLT_SHARES:
+        weight = 0.2 / len(VOLT_SHARES)
+        made.append(_configure(f"drift {share:g}", weight, drift * share))
+    commanded = _switching_part(sketch, flow)
+    if commanded is not None:
+        for share in VOLT_SHARES:
+            weight = 0.15 / len(VOLT_SHARES)
+            made.append(_configure(f"switching {share:g}", weight, commanded * share))
+    for share, volts in ((0.003, 0.0015), (0.01, 0.0015), (0.01, 0.005), (0.03, 0.005)):
+        joined = np.hstack([response[1.0] * share, drift * volts])
+        made.append(_configure(f"response {share:g} and drift {volts:g}", 0.05, joined))
+    return made
+
+
+def _response_parts(sketch: Sketch, beta: list[float], flow: FloatArray) -> dict[float, FloatArray]:
+    found = {}
+    for length in RESPONSE_LENGTHS:
+        blocks = []
+        for falling in (False, True):
+            if falling and not any(b.falling.any() for b in sketch.bins):
+                continue
+
+            def amplitude(k: int, falling: bool = falling) -> FloatArray:
+                b = sketch.bins[k]
+                return np.where((b.falling == falling) & (b.since > 0.0), beta[k], 0.0)
+
+            blocks.append(
+                _part(
+                    sketch,
+                    [_log_time(b.since, sketch.time_scale) for b in sketch.bins],
+                    [amplitude(k) for k in range(len(sketch.bins))],
+                    flow, length,
+                )
+            )  # fmt: skip
+        found[length] = np.hstack(blocks)
+    return found
+
+
+def _log_time(since: FloatArray, scale: float) -> FloatArray:
+    return np.log(np.maximum(since, 0.0) / scale + 0.06)
+
+
+def _switching_part(sketch: Sketch, flow: FloatArray) -> FloatArray | None:
+    blocks = []
+    for command, falling in (("commanded_on", False), ("commanded_off", True)):
+        times = [getattr(b.experiment, command) for b in sketch.bins]
+        if any(t is None for t in times):
+            continue
+        since = [b.centre - t for b, t in zip(sketch.bins, times, strict=True)]
+        until = [(b.experiment.commanded_off if not falling else None) for b in sketch.bins]
+        volts = [
+            np.where(
+                (s > 0.0) & (b.centre < (np.inf if u is None else u)), sketch.signal_scale, 0.0
+            )
+            for s, b, u in zip(since, sketch.bins, until, strict=True)
+        ]
+        blocks.append(
+            _part(sketch, [_log_time(s, sketch.time_scale) for s in since], volts, flow, 1.0)
+        )
+    return np.hstack(blocks) if blocks else None
+
+
+def _part(
+    sketch: Sketch,
+    position: list[FloatArray],
+    scale: list[FloatArray],
+    flow: FloatArray,
+    length: float,
+    own: float = OWN,
+) -> FloatArray:
+    features = _features(position, length, 0.35)
+    spread = _spread_over_experiments(features, scale, flow)
+    if own != OWN and len(features) > 1:
+        spread[:, 2 * features[0].shape[1] :] *= own / OWN
+    for k, rows in enumerate(sketch.rows):
+        spread[rows] = sketch.inverse_factors[k] @ spread[rows]
+    return spread
+
+
+def _configure(name: str, weight: float, factor: FloatArray) -> Discrepancy:
+    # K = F F'; its eigenvectors from the smaller of the two Gram matrices
+    factor = factor[:, np.any(factor != 0.0, axis=0)]
+    if factor.shape[1] == 0:
+        return Discrepancy(name, weight, np.zeros((len(factor), 0)), np.zeros(0))
+    if factor.shape[0] < factor.shape[1]:
+        values, basis = np.linalg.eigh(factor @ factor.T)
+        keep = values > NEGLIGIBLE
+        return Discrepancy(name, weight, basis[:, keep], values[keep])
+    values, vectors = np.linalg.eigh(factor.T @ factor)
+    keep = values > NEGLIGIBLE
+    return Discrepancy(
+        name, weight, factor @ vectors[:, keep] / np.sqrt(values[keep]), values[keep]
+    )
+
+
+Progress = Callable[[float, str], None]

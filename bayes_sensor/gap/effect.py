@@ -1,0 +1,225 @@
+"""What an effect is: a cause of misfit with its parameters, and how it changes the rig.
+
+An effect is one file in :mod:`bayes_sensor.gap.effects`, or one function of a user's own
+(:func:`own_effect`).  It has one or several *forms* - a drift may be common to all experiments or
+different in each - and every form declares its strengths with their prior spread.  A form either
+changes settings of the rig (:data:`bayes_sensor.gap.rig.SETTINGS`) or computes the mean itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from math import exp, log
+
+import numpy as np
+
+from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
+from bayes_sensor.gap.rig import SETTINGS
+
+KINDS = ("normal", "log_normal")
+
+
+@dataclass(frozen=True)
+class Strength:
+    """One parameter of an effect: its unit and how large it plausibly is.
+
+    ``normal``: centre + sd q; ``log_normal``: centre exp(sd q); q is the standard coordinate in
+    which fits and evidences are computed.
+
+    >>> Strength("closing_ratio", "1", "log_normal", 1.0, 0.25).value(0.0)
+    1.0
+    """
+
+    name: str
+    unit: str
+    kind: str
+    centre: float
+    sd: float
+    per_experiment: bool = False
+    limits: tuple[float, float] = (-np.inf, np.inf)
+    """values outside are moved to the nearer limit"""
+    scaled: bool = False
+    """an amplitude whose plausible size is itself uncertain: its evidence is averaged over
+    spreads a third, one and three times as wide"""
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise CampaignError(
+                f"strength {self.name}: kind must be one of {', '.join(KINDS)}, not '{self.kind}'"
+            )
+        if not self.sd > 0 or (self.kind == "log_normal" and not self.centre > 0):
+            raise CampaignError(
+                f"strength {self.name}: expected a positive spread"
+                + (" and a positive centre" if self.kind == "log_normal" else "")
+                + f", got {self.centre:g} and {self.sd:g}"
+            )
+
+    def value(self, q: float) -> float:
+        """The strength at standard coordinate ``q``."""
+        low, high = self.limits
+        raw = (
+            self.centre + self.sd * q
+            if self.kind == "normal"
+            else (self.centre * exp(min(max(self.sd * q, -60.0), 60.0)))
+        )
+        return min(max(raw, low), high)
+
+    def coordinate(self, value: float) -> float:
+        """The standard coordinate of a strength, held within +-8.
+
+        Raises CampaignError for a value that a log-normal strength cannot take.
+        """
+        if self.kind == "normal":
+            q = (value - self.centre) / self.sd
+        elif value > 0:
+            q = log(value / self.centre) / self.sd
+        else:
+            raise CampaignError(
+                f"{self.name}: expected a positive value in {self.unit}, got {value:g}"
+            )
+        return min(max(q, -8.0), 8.0)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a form may know of an experiment and its campaign when it sets the rig."""
+
+    experiment: Experiment
+    t0: float
+    """s, when the response begins"""
+    tf: float
+    """s, when it begins to fall; the end of the record where no fall was recorded"""
+    time_scale: float
+    """s, of the slower of valve and manifold, from the fit without effects"""
+    reference_flow: float
+    """mL/s, median of the campaign's total flows"""
+    signal_scale: float
+    """V, median step height of the campaign"""
+    duration: float
+    """s, median record length"""
+
+
+Settings = Callable[[Mapping[str, float], Setting], Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class Form:
+    """One way in which an effect may act."""
+
+    strengths: Callable[[Setting], tuple[Strength, ...]]
+    """the strengths, their priors scaled to the campaign (a ``Setting`` of any experiment)"""
+    settings: Settings
+    """strengths of one experiment -> settings of the rig"""
+    name: str = ""
+    weight: float = 1.0
+    """prior weight among the forms of the effect"""
+    starts: tuple[Mapping[str, float], ...] = ({},)
+    """strengths (in units of the time scale for times ending in ``*``) from which fits begin"""
+    mean: Callable[[FloatArray, Mapping[str, float], RigView], FloatArray] | None = None
+    """a user's own mean; it may call the rig's"""
+
+
+class RigView:
+    """The rig of one experiment as a user's own effect sees it."""
+
+    def __init__(
+        self,
+        setting: Setting,
+        y0: float,
+        beta: float,
+        mean: Callable[[FloatArray, Mapping[str, float]], FloatArray],
+        response: Callable[[FloatArray, Mapping[str, float]], FloatArray],
+    ) -> None:
+        self.setting, self.y0, self.beta = setting, y0, beta
+        self.experiment = setting.experiment
+        self.t0, self.tf = setting.t0, setting.tf
+        self._mean, self._response = mean, response
+
+    def mean(self, t: FloatArray, **settings: float) -> FloatArray:
+        """V (n_t,), the mean of the rig with these settings changed."""
+        return self._mean(t, settings)
+
+    def response(self, t: FloatArray, **settings: float) -> FloatArray:
+        """x3 (n_t,), 0 to 1, of the rig with these settings changed."""
+        return self._response(t, settings)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A cause of misfit that the diagnosis can name."""
+
+    name: str
+    family: str
+    """effects of one family leave nearly the same residual"""
+    sentence: str
+    """the verdict in plain words; may hold ``{strength}``"""
+    forms: tuple[Form, ...]
+    plausible: Mapping[str, float]
+    """strengths of a rig with this fault, for simulation and for what may hide"""
+    reference: str
+    reveal: str
+    """the measurement that shows it"""
+    on_mean: bool = True
+    """whether it changes the mean; otherwise it acts on the noise and has its own test"""
+    null: Mapping[str, float] = field(default_factory=dict)
+    """strengths at which nothing is left of it"""
+
+    def __post_init__(self) -> None:
+        if self.on_mean and not self.forms:
+            raise CampaignError(f"effect {self.name}: expected at least one form")
+
+
+def check_settings(effect: str, settings: Mapping[str, float]) -> None:
+    """Raise CampaignError where an effect names a setting that the rig does not have."""
+    for name in settings:
+        if name not in SETTINGS:
+            import difflib
+
+            close = difflib.get_close_matches(name, SETTINGS, n=1)
+            hint = f"did you mean '{close[0]}'?" if close else f"known are {', '.join(SETTINGS)}"
+            raise CampaignError(f"effect {effect}: the rig has no setting '{name}'; {hint}")
+
+
+def own_effect(
+    name: str,
+    strengths: Iterable[Strength],
+    mean: Callable[[FloatArray, Mapping[str, float], RigView], FloatArray],
+    *,
+    plausible: Mapping[str, float],
+    family: str | None = None,
+    sentence: str | None = None,
+    starts: Iterable[Mapping[str, float]] = ({},),
+    reference: str = "user's own",
+) -> Effect:
+    """An effect from one function ``mean(t, strength, rig) -> V``.
+
+    ``t`` (n_t,) s is sorted; ``strength`` maps the names of ``strengths`` to values; ``rig``
+    (:class:`RigView`) gives ``mean``, ``response``, ``y0``, ``beta``, ``t0``, ``tf`` and the
+    ``experiment``.  The function must be smooth in the strengths and take any sorted times.
+
+    >>> leak = own_effect(
+    ...     "leak", [Strength("leak_V", "V", "normal", 0.0, 0.02)],
+    ...     lambda t, s, rig: rig.mean(t) + s["leak_V"] * (t > rig.t0), plausible={"leak_V": 0.02},
+    ... )
+    >>> leak.family
+    'leak'
+    """
+    fixed = tuple(strengths)
+    if not fixed:
+        raise CampaignError(f"effect {name}: expected at least one strength")
+    form = Form(
+        strengths=lambda _: fixed,
+        settings=lambda _values, _setting: {},
+        starts=tuple(starts),
+        mean=mean,
+    )
+    return Effect(
+        name=name,
+        family=family or name,
+        sentence=sentence or f"The effect '{name}' explains what the model misses.",
+        forms=(form,),
+        plausible=plausible,
+        reference=reference,
+        reveal="an experiment in which this effect is switched off",
+    )

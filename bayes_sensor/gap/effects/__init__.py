@@ -1,0 +1,19 @@
+"""The catalogue: every cause of misfit that the diagnosis knows, one file each."""
+
+from importlib import import_module
+from types import MappingProxyType
+
+from bayes_sensor.gap.effect import Effect
+
+NAMES = (
+    "flow_switching", "valve_asymmetry", "valve_second_order", "two_rate_valve", "finite_stroke",
+    "dead_volume", "axial_dispersion", "flow_settling", "flow_error", "sensor_diffusion",
+    "sorption_asymmetry", "slow_sorption", "optical_nonlinearity", "baseline_drift",
+    "baseline_step", "gain_drift", "carry_over", "mains_pickup", "daq_filter", "heavy_tails",
+    "quantisation",
+)  # fmt: skip
+
+CATALOGUE: MappingProxyType[str, Effect] = MappingProxyType(
+    {name: import_module(f"bayes_sensor.gap.effects.{name}").EFFECT for name in NAMES}
+)
+"""name -> effect, in the order in which they are tried"""

@@ -1,0 +1,29 @@
+"""The baseline drifts: a straight line in time is added to the signal.
+
+Laser power, temperature or fibre coupling; the same slope in every record where the rig warms up
+alike, a slope of its own in each where it wanders.
+"""
+
+from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
+
+
+def _drift(s: Setting, own: bool) -> tuple[Strength, ...]:
+    return (
+        Strength("drift", "V/s", "normal", 0.0, 0.01 * s.signal_scale / s.duration,
+                 per_experiment=own, scaled=True),
+    )  # fmt: skip
+
+
+EFFECT = Effect(
+    name="baseline_drift",
+    family="baseline",
+    sentence="The baseline drifts during the records: {strength}.",
+    forms=(
+        Form(lambda s: _drift(s, False), lambda v, s: {"drift": v["drift"]}, name="common"),
+        Form(lambda s: _drift(s, True), lambda v, s: {"drift": v["drift"]}, name="own"),
+    ),
+    plausible={"drift": 1e-4},
+    null={"drift": 0.0},
+    reference="drift of laser power and temperature",
+    reveal="a record of the carrier gas alone, as long as an experiment",
+)

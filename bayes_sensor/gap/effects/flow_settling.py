@@ -1,0 +1,34 @@
+"""The mass-flow controller takes time to settle after the valve opens.
+
+The controller sees its line open, overshoots or lags, and settles with a time constant of its
+own: the inlet's concentration is ``x1 (1 - a exp(-s/T))``, s after opening.  Nothing flows
+through it once the valve is shut, so that the fall is not affected.
+"""
+
+from bayes_sensor.gap.effect import Effect, Form, Strength
+
+EFFECT = Effect(
+    name="flow_settling",
+    family="slow exchange",
+    sentence="The flow controller needs time to settle after the valve has opened: {strength}.",
+    forms=(
+        Form(
+            lambda s: (
+                Strength("settling_share", "1", "normal", 0.0, 0.2, limits=(-3.0, 1.0), scaled=True),
+                Strength("settling_time", "s", "log_normal", 1.5 * s.time_scale, 1.0,
+                         limits=(0.02 * s.time_scale, 60.0 * s.time_scale)),
+            ),
+            lambda v, s: dict(v),
+            starts=(
+                {"settling_share": 0.1, "settling_time*": 0.6},
+                {"settling_share": 0.05, "settling_time*": 4.0},
+                {"settling_share": -0.1, "settling_time*": 0.6},
+                {"settling_share": -0.05, "settling_time*": 4.0},
+            ),
+        ),
+    ),
+    plausible={"settling_share": 0.3, "settling_time": 0.5},
+    null={"settling_share": 0.0},
+    reference="step response of thermal mass-flow controllers",
+    reveal="the controller's own flow reading, recorded with the signal",
+)  # fmt: skip

@@ -1,0 +1,33 @@
+"""The total flow falls to the carrier's alone as the valve shuts.
+
+Where the valve sits in the test gas's line, shutting it takes that flow away: the manifold fills
+at Q = Q_N2 + Q_CO2 and empties at Q_N2.  With the valve's state x1 the flow is
+Q_N2 + Q_CO2 x1 and what enters is Q_CO2 x1, so that ``V x2' = Q x1 - (Q_N2 + Q_CO2 x1) x2``.  At
+full strength there is no free parameter; a fraction between 0 (a by-pass keeps the flow) and 1
+nests it.  Source: the paper's drawing of the rig (solenoid upstream of the controller).
+"""
+
+from bayes_sensor.gap.effect import Effect, Form, Strength
+
+EFFECT = Effect(
+    name="flow_switching",
+    family="asymmetry",
+    sentence=(
+        "The fall is slower than the rise by the ratio the carrier flow predicts: the total flow "
+        "drops when the test gas's valve shuts."
+    ),
+    forms=(
+        Form(lambda s: (), lambda v, s: {"flow_switching": 1.0}, name="full", weight=0.65),
+        Form(
+            lambda s: (Strength("flow_switching", "1", "normal", 0.6, 0.4, limits=(0.0, 1.3)),),
+            lambda v, s: {"flow_switching": v["flow_switching"]},
+            name="partial",
+            weight=0.35,
+            starts=({"flow_switching": 0.6},),
+        ),
+    ),
+    plausible={"flow_switching": 1.0},
+    null={"flow_switching": 0.0},
+    reference="conservation of volume in the manifold; the paper, Fig. 4",
+    reveal="a flow meter behind the manifold while the valve shuts",
+)

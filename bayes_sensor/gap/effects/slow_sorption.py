@@ -1,0 +1,30 @@
+"""A second, slow sorption mode: part of the sensor's response follows late.
+
+Two kinds of sites, or a slow second layer; seen from outside it is one response with the slow
+part of a valve (``two_rate_valve``), and no step experiment separates the two.
+"""
+
+from bayes_sensor.gap.effect import Effect, Form, Strength
+
+EFFECT = Effect(
+    name="slow_sorption",
+    family="slow exchange",
+    sentence="Part of the sensor's response follows slowly: {strength}.",
+    forms=(
+        Form(
+            lambda s: (
+                Strength("slow_site_share", "1", "log_normal", 0.03, 1.0, limits=(1e-6, 0.9)),
+                Strength("slow_site_time", "s", "log_normal", 10.0 * s.time_scale, 0.8),
+            ),
+            lambda v, s: dict(v),
+            starts=(
+                {"slow_site_share": 0.03, "slow_site_time*": 5.0},
+                {"slow_site_share": 0.03, "slow_site_time*": 18.0},
+            ),
+        ),
+    ),
+    plausible={"slow_site_share": 0.03, "slow_site_time": 10.0},
+    null={"slow_site_share": 0.0},
+    reference="two-site sorption",
+    reveal="the sensor exposed behind another valve, or the valve with another sensor",
+)

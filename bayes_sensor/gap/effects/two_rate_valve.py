@@ -1,0 +1,30 @@
+"""Part of the valve's opening follows slowly.
+
+A seat that swells or a membrane that creeps lets most of the gas through at once and the rest
+with a second, longer time constant; the same shares shut.
+"""
+
+from bayes_sensor.gap.effect import Effect, Form, Strength
+
+EFFECT = Effect(
+    name="two_rate_valve",
+    family="slow exchange",
+    sentence="Part of the valve's opening follows slowly: {strength}.",
+    forms=(
+        Form(
+            lambda s: (
+                Strength("slow_valve_share", "1", "log_normal", 0.05, 1.0, limits=(1e-6, 0.9)),
+                Strength("slow_valve_time", "s", "log_normal", 5.0 * s.time_scale, 0.8),
+            ),
+            lambda v, s: dict(v),
+            starts=(
+                {"slow_valve_share": 0.03, "slow_valve_time*": 3.0},
+                {"slow_valve_share": 0.03, "slow_valve_time*": 12.0},
+            ),
+        ),
+    ),
+    plausible={"slow_valve_share": 0.05, "slow_valve_time": 5.0},
+    null={"slow_valve_share": 0.0},
+    reference="creep of elastomer seats",
+    reveal="a flow meter behind the valve, or the sensor exposed without the valve",
+)

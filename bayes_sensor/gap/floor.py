@@ -1,0 +1,330 @@
+"""The noise floor, estimated without the model, and what it means for means over bins.
+
+Quiet stretches - baseline, plateau, tail - are detrended and their spectra averaged in bands,
+separately for the carrier gas alone and for the plateaus.  The covariance of bin means follows
+from these spectra, not from an AR(1) law: a little slow noise under fast noise makes an AR(1)
+floor far too low where an effect would show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.signal import windows
+
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.gap.bins import ExperimentBins
+
+SPIKE = 6.5
+"""robust standard deviations beyond which a sample is taken for a glitch"""
+SHRINK = 20.0
+"""degrees of freedom of the neighbouring band, or of the common shape, in a band's estimate"""
+DOF = 60.0
+"""degrees of freedom of the floor's level: evidences use a t law with so many"""
+LEVELS = ("carrier", "plateau")
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A quiet part of one record."""
+
+    experiment: int
+    level: int
+    """0 carrier gas alone, 1 plateau"""
+    samples: FloatArray
+    """(n,) V, residual of the fit, spikes replaced"""
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """Spectral densities of the noise per experiment and level, and the bins' covariance."""
+
+    edges: FloatArray
+    """(n_bands + 1,) Hz"""
+    density: FloatArray
+    """(n_experiments, 2, n_bands) V^2/Hz, one-sided, at carrier and plateau"""
+    dof: FloatArray
+    """(n_bands,) degrees of freedom of each band"""
+    cholesky: tuple[FloatArray, ...]
+    """(n_bins, n_bins) V, lower factor of each experiment's covariance of bin means"""
+    spikes: int
+    """samples replaced"""
+
+    def whiten(self, k: int, values: FloatArray) -> FloatArray:
+        """Bin values (n_bins,) or (n_bins, m) of experiment ``k`` in standard deviations."""
+        return solve_triangular(self.cholesky[k], values, lower=True, check_finite=False)
+
+    def deviation(self, k: int) -> FloatArray:
+        """(n_bins,) V, standard deviation of each bin mean of experiment ``k``."""
+        return np.sqrt(np.sum(self.cholesky[k] ** 2, axis=1))
+
+    def rms(self) -> float:
+        """V, of the noise itself, averaged over experiments and levels."""
+        width = np.diff(self.edges)
+        return float(np.sqrt(np.mean(self.density @ width)))
+
+
+def clean(residual: FloatArray, used: NDArray[np.bool_]) -> tuple[FloatArray, int]:
+    """The residual with unused samples and spikes set to the local median, and how many spikes."""
+    out = np.where(used, residual, 0.0)
+    values = out[used]
+    if len(values) < 8:
+        return out, 0
+    centre = np.median(values)
+    # differences see spikes even where the model misses the trace
+    step = np.diff(values)
+    spread = 1.4826 * np.median(np.abs(step)) / np.sqrt(2.0)
+    scale = 1.4826 * np.median(np.abs(values - centre))
+    if scale <= 0.0 or spread <= 0.0:
+        return out, 0
+    width = 5
+    padded = np.pad(out, width, mode="edge")
+    local = (
+        np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * width + 1)[::1], axis=1)
+        if len(out) <= 20000
+        else _running_median(out, width)
+    )
+    away = np.abs(out - local) > SPIKE * max(spread, scale)
+    return np.where(away & used, local, out), int(np.sum(away & used))
+
+
+def _running_median(values: FloatArray, width: int) -> FloatArray:
+    from scipy.ndimage import median_filter
+
+    return median_filter(values, size=2 * width + 1, mode="nearest")
+
+
+def quiet_stretches(
+    campaign: Campaign,
+    residuals: Sequence[FloatArray],
+    bins: Sequence[ExperimentBins],
+    settle: Sequence[float],
+) -> list[Stretch]:
+    """The quiet parts of all records; ``settle`` s after a switch are left out."""
+    found = []
+    for k, (e, r, b) in enumerate(zip(campaign, residuals, bins, strict=True)):
+        on = float(e.t[b.first[b.phase >= 1].min()]) if np.any(b.phase >= 1) else float(e.t[-1])
+        fall = b.phase >= 4
+        off = float(e.t[b.first[fall].min()]) if np.any(fall) else float(e.t[-1]) + e.interval
+        spans = [(float(e.t[0]), on, 0), (on + settle[k], off, 1)]
+        if np.any(fall):
+            spans.append((off + settle[k], float(e.t[-1]) + e.interval, 0))
+        for low, high, level in spans:
+            a, z = np.searchsorted(e.t, (low, high))
+            for run_a, run_b in e.runs:
+                i, j = max(a, run_a), min(z, run_b)
+                if (j - i) >= 64:
+                    found.append(Stretch(k, level, np.asarray(r[i:j], dtype=float)))
+    return found
+
+
+def detrended(samples: FloatArray, degree: int = 2) -> FloatArray:
+    """The samples (n,) minus their least-squares polynomial."""
+    x = np.linspace(-1.0, 1.0, len(samples))
+    basis = np.polynomial.legendre.legvander(x, degree)
+    # Legendre polynomials are nearly orthogonal on a grid: the normal equations are harmless
+    coefficients = np.linalg.solve(basis.T @ basis, basis.T @ samples)
+    return samples - basis @ coefficients
+
+
+def band_edges(campaign: Campaign, stretches: Sequence[Stretch]) -> FloatArray:
+    """Octave bands from what the longest stretch resolves to half the sampling rate, Hz."""
+    longest = max(len(s.samples) * campaign.experiments[s.experiment].interval for s in stretches)
+    top = 0.5 / min(e.interval for e in campaign)
+    low = 3.0 / longest
+    n = max(int(np.ceil(np.log2(top / low))), 1)
+    return top / 2.0 ** np.arange(n, -1, -1)
+
+
+def estimate_floor(
+    campaign: Campaign,
+    residuals: Sequence[FloatArray],
+    bins: Sequence[ExperimentBins],
+    settle: Sequence[float],
+    level_of_bins: Sequence[FloatArray],
+    spikes: int = 0,
+) -> Floor:
+    """The floor of a campaign from the residuals (n_t,) V of its fit.
+
+    ``level_of_bins``: the normalised concentration (n_bins,) in 0..1 of every bin.
+
+    Raises
+    ------
+    CampaignError
+        If no stretch of any record is quiet and long enough.
+    """
+    stretches = quiet_stretches(campaign, residuals, bins, settle)
+    if not stretches:
+        raise CampaignError(
+            "gap: no stretch of 64 samples lies outside the switching, so that the noise floor "
+            "cannot be estimated; expected a baseline or a plateau: record longer"
+        )
+    edges = band_edges(campaign, stretches)
+    n_e, n_b = len(campaign), len(edges) - 1
+    power = np.zeros((n_e, 2, n_b))
+    count = np.zeros((n_e, 2, n_b))
+    for s in stretches:
+        h = campaign.experiments[s.experiment].interval
+        f, p = _periodogram(s.samples, h)
+        keep = f >= 1.6 / (len(s.samples) * h)
+        band = np.searchsorted(edges, f[keep], side="right") - 1
+        inside = (band >= 0) & (band < n_b)
+        np.add.at(power[s.experiment, s.level], band[inside], p[keep][inside])
+        np.add.at(count[s.experiment, s.level], band[inside], 1.0)
+    density, dof = _shrunk(power, count, edges)
+    factors = tuple(
+        _bin_cholesky(e, b, edges, density[k], level)
+        for k, (e, b, level) in enumerate(zip(campaign, bins, level_of_bins, strict=True))
+    )
+    return Floor(edges, density, dof, factors, spikes)
+
+
+def _periodogram(samples: FloatArray, interval: float) -> tuple[FloatArray, FloatArray]:
+    n = len(samples)
+    taper = windows.tukey(n, 0.2)
+    spectrum = np.fft.rfft(detrended(samples) * taper)
+    power = 2.0 * interval * np.abs(spectrum) ** 2 / np.sum(taper**2)
+    return np.fft.rfftfreq(n, interval)[1:], power[1:]
+
+
+def _shrunk(
+    power: FloatArray, count: FloatArray, edges: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Densities (n_e, 2, n_b): a level per experiment, a spectral shape per level.
+
+    The shape of a level is pooled over experiments; where a band holds few ordinates it leans on
+    the common shape of both levels, and below a few hertz on the band above it.
+    """
+    n_e, _, n_b = power.shape
+    width = np.diff(edges)
+    # scale of each experiment and level: broad-band, where ordinates abound
+    seen = count.sum(axis=2)
+    mean = np.divide(power, count, out=np.zeros_like(power), where=count > 0)
+    pooled = power.sum(axis=(0, 1)) / np.maximum(count.sum(axis=(0, 1)), 1.0)
+    pooled = _filled(pooled, count.sum(axis=(0, 1)) > 0)
+    scale = np.ones((n_e, 2))
+    for k in range(n_e):
+        for level in range(2):
+            if seen[k, level] > 0:
+                have = count[k, level] > 0
+                scale[k, level] = np.sum((mean[k, level] * width)[have]) / np.sum(
+                    (pooled * width)[have]
+                )
+    for level in range(2):  # a level that a record lacks: as in the others
+        have = seen[:, level] > 0
+        if not have.any():
+            scale[:, level] = scale[:, 1 - level]
+        elif not have.all():
+            scale[~have, level] = np.mean(scale[have, level])
+    scale = np.maximum(scale, 1e-12)
+    relative = power / scale[:, :, None]
+    n_all = count.sum(axis=(0, 1))
+    common = _filled(relative.sum(axis=(0, 1)) / np.maximum(n_all, 1.0), n_all > 0)
+    common = _lean_down(common, n_all, edges)
+    shapes = np.empty((2, n_b))
+    for level in range(2):
+        n_l = count[:, level].sum(axis=0)
+        own = relative[:, level].sum(axis=0) / np.maximum(n_l, 1.0)
+        shapes[level] = (n_l * own + SHRINK * common) / (n_l + SHRINK)
+    density = np.maximum(scale[:, :, None] * shapes[None], 1e-300)
+    return density, np.maximum(n_all, 1.0) * 2.0
+
+
+def _filled(values: FloatArray, have: NDArray[np.bool_]) -> FloatArray:
+    index = np.arange(len(values))
+    return np.interp(index, index[have], values[have]) if have.any() else np.ones_like(values)
+
+
+def _lean_down(common: FloatArray, count: FloatArray, edges: FloatArray) -> FloatArray:
+    out = common.copy()
+    for b in range(len(out) - 2, -1, -1):
+        if edges[b + 1] <= 8.0:
+            out[b] = (count[b] * common[b] + SHRINK * out[b + 1]) / (count[b] + SHRINK)
+    return out
+
+
+def _bin_cholesky(
+    e: Experiment, bins: ExperimentBins, edges: FloatArray, density: FloatArray, level: FloatArray
+) -> FloatArray:
+    """Lower factor (n_bins, n_bins) of the covariance of bin means of one experiment."""
+    # lags are needed on a grid that is fine beside the shortest bin only
+    shortest = float(np.min(bins.count)) * e.interval
+    step = e.interval * max(1, int(shortest / (12.0 * e.interval)))
+    length = len(e.t) * e.interval
+    n = 1 << int(np.ceil(np.log2(2.2 * length / step)))
+    f = np.fft.rfftfreq(n, step)
+    low = _density_at(f, edges, density[0])
+    high = _density_at(f, edges, density[1])
+    half = 0.5 * e.interval
+    a, b = e.t[bins.first] - half, e.t[bins.last - 1] + half
+    width = b - a
+    differences = [np.subtract.outer(p, q) for p, q in ((b, a), (a, b), (b, b), (a, a))]
+    index = [np.rint(np.abs(d) / step).astype(np.int64) for d in differences]
+    norm = np.outer(width, width)
+
+    def covariance(spectrum: FloatArray) -> FloatArray:
+        # second integral of the autocovariance: differences of it are covariances of means
+        gamma = np.fft.irfft(spectrum, n) / (2.0 * step)
+        gamma = gamma[: n // 2]
+        first = np.concatenate([[0.0], np.cumsum(0.5 * (gamma[1:] + gamma[:-1]))]) * step
+        second = np.concatenate([[0.0], np.cumsum(0.5 * (first[1:] + first[:-1]))]) * step
+        made = second[index[0]] + second[index[1]] - second[index[2]] - second[index[3]]
+        return made / norm
+
+    level = np.clip(level, 0.0, 1.0)
+    ratio = max(
+        float(np.sum(density[1] * np.diff(edges)) / np.sum(density[0] * np.diff(edges))), 1e-6
+    )
+    if abs(ratio - 1.0) < 1e-6:
+        w = level
+    else:
+        w = (np.sqrt(1.0 - level + level * ratio) - 1.0) / (np.sqrt(ratio) - 1.0)
+    total = (
+        np.outer(1.0 - w, 1.0 - w) * covariance(low)
+        + np.outer(w, w) * covariance(high)
+        + (np.outer(1.0 - w, w) + np.outer(w, 1.0 - w)) * covariance(np.sqrt(low * high))
+    )
+    # white beyond the grid of lags: what single samples keep of it
+    total = 0.5 * (total + total.T)
+    floor = np.maximum(np.diag(total), 0.0)
+    white = _white_variance(e, edges, density, w) / bins.count
+    total[np.diag_indices_from(total)] = np.maximum(floor, white) * (1.0 + 1e-9)
+    for ridge in (0.0, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2):
+        try:
+            return np.linalg.cholesky(total + ridge * np.diag(np.diag(total)))
+        except np.linalg.LinAlgError:
+            continue
+    return np.diag(np.sqrt(np.diag(total)))
+
+
+def _white_variance(
+    e: Experiment, edges: FloatArray, density: FloatArray, w: FloatArray
+) -> FloatArray:
+    # variance of one sample if its spectrum were flat at the level of the highest band: a bin of
+    # n samples cannot do better than this over n
+    top = 0.5 / e.interval
+    band = min(max(int(np.searchsorted(edges, top)) - 2, 0), density.shape[1] - 1)
+    root = (1.0 - w) * np.sqrt(density[0, band]) + w * np.sqrt(density[1, band])
+    return 0.5 * root**2 * top
+
+
+def _density_at(f: FloatArray, edges: FloatArray, density: FloatArray) -> FloatArray:
+    """One-sided density (n_f,) V^2/Hz, in log frequency between the bands' centres.
+
+    Below the first band it grows as 1/f as far as the first band exceeds those at .5-4 Hz, by at
+    most a factor of nine.
+    """
+    centre = np.sqrt(edges[:-1] * edges[1:])
+    logs = np.log(np.maximum(f, 1e-12))
+    made = np.exp(np.interp(logs, np.log(centre), np.log(density)))
+    low = f < edges[0]
+    if low.any():
+        mid = (centre > 0.5) & (centre < 4.0)
+        above = float(density[0] - np.mean(density[mid])) if mid.any() else 0.0
+        grow = np.minimum(edges[0] / np.maximum(f[low], 1e-9) - 1.0, 8.0)
+        made[low] = density[0] + max(above, 0.0) * grow
+    return made

@@ -1,0 +1,182 @@
+"""What may hide: effects that this campaign cannot see, and what they do to tau.
+
+Fast effects are absorbed by the switch times and tau, leave almost no residual and may double
+tau.  For each effect at plausible strength: its detectability after the refit, the shift of the
+refitted tau, and tau refitted with the effect in place; the envelope is the union over everything
+that could not have been seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import exp, log
+
+import numpy as np
+
+from bayes_sensor.gap.effect import Effect, Form, Strength
+from bayes_sensor.gap.evidence import Linearised
+from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, refit
+from bayes_sensor.gap.sketch import base_starts
+
+UNSEEN = 3.0
+"""detectability below which an effect counts as hidden"""
+PUBLISHED_SCALES = {"s": 0.8577, "V": 1.88, "duration": 120.0}
+"""time constant, step height and record length that the catalogue's plausible strengths are for"""
+CONTRADICTED = 9.0
+"""rise of the misfit from which the data contradict an effect at this strength"""
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One effect at plausible strength."""
+
+    effect: str
+    strength: dict[str, float]
+    d: float
+    """detectability after the refit of the model without it"""
+    tau_shift_s: float
+    """refitted minus true tau when the model ignores it"""
+    tau_with_it_s: float
+    """tau refitted to the measurement with the effect held at this strength"""
+    tau_low_s: float
+    tau_high_s: float
+    """its 95 % interval"""
+    contradicted: bool
+    """whether the measurement speaks against the effect at this strength"""
+
+
+def plausible(effect: Effect, sketch: Sketch) -> dict[str, float]:
+    """Plausible strengths on this rig: times scaled with its time constants, volts with its step.
+
+    The strength of a drift is the change over a record.
+    """
+    time = sketch.time_scale / PUBLISHED_SCALES["s"]
+    volt = sketch.signal_scale / PUBLISHED_SCALES["V"]
+    duration = sketch.duration / PUBLISHED_SCALES["duration"]
+    scale = {
+        "s": time, "V": volt, "1/V": 1.0 / volt, "V/s": volt / duration, "1/s": 1.0 / duration,
+    }  # fmt: skip
+    units = {}
+    setting = sketch.setting(0, 0.0, None)
+    for form in effect.forms:
+        units.update({s.name: s.unit for s in form.strengths(setting)})
+    return {
+        name: value * scale.get(units.get(name, "1"), 1.0)
+        for name, value in effect.plausible.items()
+    }
+
+
+def form_for(effect: Effect, sketch: Sketch, given: Mapping[str, float]) -> Form:
+    """The form that takes the given strengths; the first where several do."""
+    setting = sketch.setting(0, 0.0, None)
+    for form in effect.forms:
+        names = {s.name for s in form.strengths(setting)}
+        if names and names <= set(given):
+            return form
+    return effect.forms[0]
+
+
+def _all_strengths(effect: Effect, sketch: Sketch) -> list[Strength]:
+    setting = sketch.setting(0, 0.0, None)
+    return [s for form in effect.forms for s in form.strengths(setting)]
+
+
+def what_may_hide(
+    sketch: Sketch, base: Refit, catalogue: Mapping[str, Effect]
+) -> tuple[list[Hidden], tuple[float, float]]:
+    """Every effect on the mean at plausible strength, and the envelope of tau, s.
+
+    ``base``: the explanation that was accepted, with or without effects.
+    """
+    found = []
+    line = Linearised(base).evidence(None)
+    low = line.log_tau - 1.96 * line.sd_log_tau
+    high = line.log_tau + 1.96 * line.sd_log_tau
+    already = {part.effect.family for part in base.plan.parts}
+    for name, effect in catalogue.items():
+        if not effect.on_mean or effect.family in already:
+            continue
+        made = one_hidden(sketch, base, name, effect, plausible(effect, sketch))
+        found.append(made)
+        if made.d < UNSEEN and not made.contradicted:
+            low = min(low, log(max(made.tau_low_s, 1e-12)))
+            high = max(high, log(max(made.tau_high_s, 1e-12)))
+    return found, (exp(low), exp(high))
+
+
+def one_hidden(
+    sketch: Sketch, base: Refit, name: str, effect: Effect, given: Mapping[str, float]
+) -> Hidden:
+    """An effect at one strength: detectability, shift of tau, tau with the effect in place."""
+    form = form_for(effect, sketch, given)
+    own = {s.name for s in _all_strengths(effect, sketch) if s.per_experiment}
+    part = Part(effect, form)
+    held = Plan(sketch, (*base.plan.parts, part), {**base.plan.held, **given})
+    x = held.start(base.x, {}) if not base.plan.parts else _joined(held, base)
+    data = []
+    for k in range(len(sketch.bins)):
+        plan = held
+        if own:  # strengths of each experiment's own: alternating signs around the null
+            plan = Plan(sketch, held.parts, {**held.held, **_alternating(effect, given, own, k)})
+        data.append(plan.binned(x, k))
+    blind = min(
+        (
+            refit(base.plan, start, data=data, most_steps=20)
+            for start in ([base.x] if base.plan.parts else base_starts(sketch, base.x)[:3])
+        ),
+        key=lambda r: r.objective,
+    )
+    exact = [base.plan.binned(base.x, k) for k in range(len(sketch.bins))]
+    none = refit(base.plan, base.x, data=exact, most_steps=10)
+    excess = blind.misfit - none.misfit
+    if own:
+        with_it = base
+    else:
+        with_it = min(
+            (refit(held, start, most_steps=25) for start in _starts(held, x, sketch)),
+            key=lambda r: r.objective,
+        )
+    line = Linearised(with_it).evidence(None)
+    return Hidden(
+        effect=name,
+        strength=dict(given),
+        d=float(np.sqrt(max(excess, 0.0))),
+        tau_shift_s=blind.tau - none.tau,
+        tau_with_it_s=exp(line.log_tau),
+        tau_low_s=exp(line.log_tau - 1.96 * line.sd_log_tau),
+        tau_high_s=exp(line.log_tau + 1.96 * line.sd_log_tau),
+        contradicted=bool(with_it.misfit - base.misfit > CONTRADICTED),
+    )
+
+
+def _joined(plan: Plan, base: Refit) -> np.ndarray:
+    from bayes_sensor.gap.which import joined_start
+
+    return joined_start(plan, base)
+
+
+def _starts(plan: Plan, x: np.ndarray, sketch: Sketch) -> list[np.ndarray]:
+    found = [x]
+    for factor in (0.3, 3.0):
+        other = x.copy()
+        tau = exp(x[1] - 0.3 - x[0])
+        moved = min(tau * factor, 0.7 * exp(x[1]))
+        other[0] = max(x[1] - 0.3 - log(moved), 0.0)
+        for k, e in enumerate(sketch.campaign):
+            other[plan.local[k] + 2] -= moved - tau
+            if e.has_fall:
+                other[plan.local[k] + 3] -= moved - tau
+        found.append(other)
+    return found
+
+
+def _alternating(
+    effect: Effect, given: Mapping[str, float], own: set[str], k: int
+) -> dict[str, float]:
+    made = {}
+    for name in own & set(given):
+        null = effect.null.get(name, 0.0)
+        sign = 1.0 if k % 2 == 0 else -1.0
+        made[name] = null * (given[name] / null) ** sign if null > 0 else null + sign * given[name]
+    return made

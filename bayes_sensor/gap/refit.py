@@ -1,0 +1,557 @@
+"""Refits of the binned campaign under a hypothesis: the model, with none, one or more effects.
+
+Levenberg-Marquardt in coordinates with standard priors, on whitened bin means.  The cascade is
+unchanged when tau and tau_v swap places, so the sensor is taken to be the faster one:
+``ln tau <= ln tau_v - .3``.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from math import exp, inf, log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.gap.bins import ExperimentBins
+from bayes_sensor.gap.effect import Effect, Form, RigView, Setting, Strength, check_settings
+from bayes_sensor.gap.floor import Floor
+from bayes_sensor.gap.rig import (
+    BETA,
+    CONCENTRATION,
+    FIRST,
+    INDEX,
+    MIDDLE,
+    NEUTRAL,
+    START,
+    T0,
+    TAU,
+    TAU_M,
+    TAU_V,
+    TF,
+    Y0,
+    rig_mean,
+    rig_response,
+)
+
+FASTER = 0.3
+"""the sensor's time constant is below the valve's by at least this in the logarithm"""
+SHARED = 3
+"""coordinates shared by all experiments: ln tau_v - ln tau - FASTER, ln tau_v, ln V"""
+NUISANCE_SD = {"tau": 1.0, "tau_v": 0.7, "V": 0.3}
+"""sd of the logarithms around plausible values"""
+TAU_OVER_TAU_V = 0.07
+"""plausible ratio of the sensor's to the valve's time constant"""
+
+
+@lru_cache(maxsize=1)
+def coating_modes() -> tuple[FloatArray, FloatArray]:
+    """Shares (6,) and time constants (6,) over the time to 63.2 % of the published coating."""
+    from bayes_sensor.diffusion import Coating, reduced
+
+    modes = reduced(Coating()).with_tau63(1.0)
+    return np.array(modes.amplitude), 1.0 / np.array(modes.rate)
+
+
+@dataclass(frozen=True, eq=False)
+class Sketch:
+    """A campaign in bins, with its noise floor and the priors of the nuisance parameters."""
+
+    campaign: Campaign
+    bins: tuple[ExperimentBins, ...]
+    data: tuple[FloatArray, ...]
+    """(n_bins,) V, mean of each bin"""
+    floor: Floor
+    base: FloatArray
+    """coordinates of the fit without effects"""
+    centre: FloatArray
+    """(3,) prior means of ln tau, ln tau_v, ln V"""
+    sd: FloatArray
+    """(3,) their prior sds"""
+    time_scale: float
+    """s, of the slower of valve and manifold"""
+    signal_scale: float
+    """V, median step height"""
+    reference_flow: float
+    """mL/s, median total flow"""
+    duration: float
+    """s, median length of a record"""
+
+    @cached_property
+    def inverse_factors(self) -> tuple[FloatArray, ...]:
+        """Inverses of the floor's Cholesky factors."""
+        return tuple(np.linalg.inv(c) for c in self.floor.cholesky)
+
+    @cached_property
+    def n_bins(self) -> int:
+        """Bins in all experiments."""
+        return sum(len(d) for d in self.data)
+
+    @cached_property
+    def rows(self) -> list[slice]:
+        """Where each experiment's bins stand in a vector over all."""
+        ends = np.cumsum([0] + [len(d) for d in self.data])
+        return [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+    def setting(self, k: int, t0: float, tf: float | None) -> Setting:
+        """What effects may know of experiment ``k``."""
+        e = self.campaign.experiments[k]
+        return Setting(
+            experiment=e,
+            t0=t0,
+            tf=float(e.t[-1]) if tf is None else tf,
+            time_scale=self.time_scale,
+            reference_flow=self.reference_flow,
+            signal_scale=self.signal_scale,
+            duration=self.duration,
+        )
+
+    def restricted(self, keep: Sequence[NDArray[np.bool_]]) -> Sketch:
+        """The sketch with only some bins (n_bins,) of every experiment.
+
+        An experiment without any is left out, with its coordinates.
+        """
+        stay = [k for k, mask in enumerate(keep) if np.any(mask)]
+        factors = []
+        for k in stay:
+            covariance = self.floor.cholesky[k] @ self.floor.cholesky[k].T
+            factors.append(np.linalg.cholesky(covariance[np.ix_(keep[k], keep[k])]))
+        experiments = tuple(self.campaign.experiments[k] for k in stay)
+        return replace(
+            self,
+            campaign=replace(self.campaign, experiments=experiments),
+            bins=tuple(self.bins[k].restricted(keep[k]) for k in stay),
+            data=tuple(self.data[k][keep[k]] for k in stay),
+            floor=replace(self.floor, cholesky=tuple(factors), density=self.floor.density[stay]),
+            base=self.local_coordinates(self.base, stay),
+        )
+
+    def local_coordinates(self, x: FloatArray, stay: Sequence[int], own: int = 0) -> FloatArray:
+        """Coordinates ``x`` without those of the experiments that do not stay.
+
+        ``own``: strengths that every experiment has for itself.
+        """
+        sizes = [(4 if e.has_fall else 3) + own for e in self.campaign]
+        first = len(x) - sum(sizes)
+        at = first + np.cumsum([0, *sizes])
+        return np.concatenate([x[:first], *(x[at[k] : at[k] + sizes[k]] for k in stay)])
+
+
+@dataclass(frozen=True)
+class Part:
+    """An effect in one of its forms."""
+
+    effect: Effect
+    form: Form
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The coordinates of a hypothesis.
+
+    Order: the three shared ones; the shared strengths; then per experiment y0, beta, t0, tf
+    (where there is a fall) and its own strengths.
+    """
+
+    sketch: Sketch
+    parts: tuple[Part, ...] = ()
+    held: Mapping[str, float] = field(default_factory=dict)
+    """strengths (by name) that are not fitted but held at a value"""
+
+    @cached_property
+    def strengths(self) -> list[list[Strength]]:
+        """Per part, its strengths scaled to the campaign."""
+        t0, tf = float(self.sketch.campaign.experiments[0].t[0]), None
+        setting = self.sketch.setting(0, t0, tf)
+        return [list(part.form.strengths(setting)) for part in self.parts]
+
+    @cached_property
+    def shared(self) -> list[Strength]:
+        """Strengths that all experiments share and that are fitted."""
+        return [
+            s for part in self.strengths for s in part
+            if not s.per_experiment and s.name not in self.held
+        ]  # fmt: skip
+
+    @cached_property
+    def own(self) -> list[Strength]:
+        """Strengths that every experiment has for itself and that are fitted."""
+        return [
+            s for part in self.strengths for s in part
+            if s.per_experiment and s.name not in self.held
+        ]  # fmt: skip
+
+    @cached_property
+    def local(self) -> list[int]:
+        """First coordinate of each experiment."""
+        at = SHARED + len(self.shared)
+        found = []
+        for e in self.sketch.campaign:
+            found.append(at)
+            at += (4 if e.has_fall else 3) + len(self.own)
+        return [*found, at]
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return self.local[-1]
+
+    @cached_property
+    def prior(self) -> tuple[FloatArray, FloatArray]:
+        """Means and precisions (n,) of the coordinates; precision 0 where flat.
+
+        The first coordinate's prior is that of ln tau given ln tau_v and enters through
+        :meth:`prior_terms`.
+        """
+        mean, precision = np.zeros(self.size), np.zeros(self.size)
+        mean[1:3] = self.sketch.centre[1:]
+        precision[1:3] = 1.0 / self.sketch.sd[1:] ** 2
+        precision[SHARED : SHARED + len(self.shared)] = 1.0
+        n = len(self.own)
+        if n:
+            for k in range(len(self.sketch.campaign)):
+                precision[self.local[k + 1] - n : self.local[k + 1]] = 1.0
+        return mean, precision
+
+    def prior_matrix(self, widths: FloatArray | None = None) -> FloatArray:
+        """(n, n) precision of the prior; ``widths`` (n,) scale the strengths' spreads."""
+        _, precision = self.prior
+        matrix = np.diag(precision if widths is None else precision / widths**2)
+        tau = 1.0 / self.sketch.sd[0] ** 2
+        # ln tau = x1 - FASTER - x0
+        matrix[0, 0] += tau
+        matrix[1, 1] += tau
+        matrix[0, 1] -= tau
+        matrix[1, 0] -= tau
+        return matrix
+
+    @cached_property
+    def prior_centre(self) -> FloatArray:
+        """(n,) where the prior is highest."""
+        mean, _ = self.prior
+        centre = mean.copy()
+        centre[0] = centre[1] - FASTER - self.sketch.centre[0]
+        return centre
+
+    @cached_property
+    def n_prior(self) -> int:
+        """Coordinates with a proper prior."""
+        return int(np.sum(self.prior[1] > 0)) + 1
+
+    def values(self, x: FloatArray, k: int) -> list[dict[str, float]]:
+        """Per part, the strengths of experiment ``k``."""
+        found = []
+        i, j = SHARED, self.local[k + 1] - len(self.own)
+        for part in self.strengths:
+            made = {}
+            for s in part:
+                if s.name in self.held:
+                    made[s.name] = self.held[s.name]
+                elif s.per_experiment:
+                    made[s.name] = s.value(float(x[j]))
+                    j += 1
+                else:
+                    made[s.name] = s.value(float(x[i]))
+                    i += 1
+            found.append(made)
+        return found
+
+    def start(self, base: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
+        """Coordinates from the base fit's, strengths at ``chosen`` or at their centres.
+
+        Strengths whose name ends in ``*`` in ``chosen`` are in units of the time scale.
+        """
+        x = np.zeros(self.size)
+        x[:SHARED] = base[:SHARED]
+        at = SHARED
+        n = len(self.own)
+        given = {
+            name.rstrip("*"): value * (self.sketch.time_scale if name.endswith("*") else 1.0)
+            for name, value in chosen.items()
+        }
+
+        def begin(s: Strength) -> float:
+            return s.coordinate(given[s.name]) if s.name in given else 0.0
+
+        for i, s in enumerate(self.shared):
+            x[SHARED + i] = begin(s)
+        for k, e in enumerate(self.sketch.campaign):
+            m = 4 if e.has_fall else 3
+            x[self.local[k] : self.local[k] + m] = base[at : at + m]
+            at += m
+            for i, s in enumerate(self.own):
+                x[self.local[k + 1] - n + i] = begin(s)
+        return x
+
+    def mean(self, x: FloatArray, k: int, times: FloatArray | None = None) -> FloatArray:
+        """V (n_times,), the mean of experiment ``k`` at sorted ``times`` (default: the bins')."""
+        p, own = self.rig(x, k)
+        at = self.sketch.bins[k].times if times is None else times
+        shares, ratios = coating_modes() if p[FIRST + INDEX["coating"]] != 0.0 else _NO_MODES
+        if own is None:
+            return np.asarray(rig_mean(at, p, shares, ratios))
+        form, values, setting = own
+
+        def changed(settings: Mapping[str, float]) -> FloatArray:
+            check_settings("user's own", settings)
+            q = p.copy()
+            for name, value in settings.items():
+                q[FIRST + INDEX[name]] = value
+            return q
+
+        view = RigView(
+            setting, float(p[Y0]), float(p[BETA]),
+            lambda t, s: np.asarray(rig_mean(t, changed(s), *coating_modes())),
+            lambda t, s: np.asarray(rig_response(t, changed(s), *coating_modes())),
+        )  # fmt: skip
+        assert form.mean is not None
+        return np.asarray(form.mean(at, values, view), dtype=float)
+
+    def rig(
+        self, x: FloatArray, k: int
+    ) -> tuple[FloatArray, tuple[Form, Mapping[str, float], Setting] | None]:
+        """The kernel's parameters for experiment ``k``, and a user's own mean if there is one."""
+        e = self.sketch.campaign.experiments[k]
+        at = self.local[k]
+        p = np.empty(FIRST + len(NEUTRAL))
+        p[FIRST:] = NEUTRAL
+        tau_v = exp(min(x[1], 40.0))
+        p[TAU] = exp(max(x[1] - FASTER - x[0], -60.0))
+        p[TAU_V] = tau_v
+        p[TAU_M] = exp(min(x[2], 60.0)) / e.total_flow
+        p[Y0], p[BETA], p[T0] = x[at], x[at + 1], x[at + 2]
+        p[TF] = x[at + 3] if e.has_fall else 1e30
+        p[CONCENTRATION] = e.concentration
+        p[START] = e.t[0] - 0.5 * e.interval
+        p[MIDDLE] = 0.5 * (e.t[0] + e.t[-1])
+        own = None
+        if self.parts:
+            tf = float(p[TF]) if e.has_fall else None
+            setting = self.sketch.setting(k, float(p[T0]), tf)
+            for part, values in zip(self.parts, self.values(x, k), strict=True):
+                for name, value in part.form.settings(values, setting).items():
+                    p[FIRST + INDEX[name]] = value
+                if part.form.mean is not None:
+                    own = (part.form, values, setting)
+        return p, own
+
+    def binned(self, x: FloatArray, k: int) -> FloatArray:
+        """V (n_bins,), mean of each bin of experiment ``k``."""
+        return self.sketch.bins[k].reduce(self.mean(x, k))
+
+    def columns(self, k: int) -> NDArray[np.int64]:
+        """Coordinates that experiment ``k`` depends on."""
+        return np.concatenate(
+            [np.arange(SHARED + len(self.shared)), np.arange(self.local[k], self.local[k + 1])]
+        )
+
+    @cached_property
+    def steps(self) -> FloatArray:
+        """(n,) steps of the derivatives."""
+        steps = np.full(self.size, 0.02)
+        steps[0] = 0.01
+        steps[1:SHARED] = 1e-3
+        for k, e in enumerate(self.sketch.campaign):
+            at = self.local[k]
+            steps[at : at + 2] = 1e-3 * self.sketch.signal_scale
+            steps[at + 2 : at + (4 if e.has_fall else 3)] = 1e-3 * self.sketch.time_scale
+        return steps
+
+    def jacobian(self, x: FloatArray, k: int, here: FloatArray) -> FloatArray:
+        """(n_bins, n_columns) whitened derivatives of experiment ``k``'s bin means."""
+        columns = self.columns(k)
+        made = np.empty((len(here), len(columns)))
+        y0 = self.local[k]
+        for i, c in enumerate(columns):
+            if c == y0:
+                made[:, i] = 1.0
+                continue
+            h = self.steps[c]
+            moved = x.copy()
+            moved[c] += h
+            made[:, i] = (self.binned(moved, k) - here) / h
+        return self.sketch.inverse_factors[k] @ made
+
+
+_NO_MODES = (np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """The optimum of one hypothesis, with its linearisation."""
+
+    plan: Plan
+    x: FloatArray
+    residual: FloatArray
+    """(n_bins in all,) whitened"""
+    jacobians: tuple[FloatArray, ...]
+    """whitened derivatives of each experiment by its columns"""
+    objective: float
+    """residual'residual + prior"""
+    converged: bool
+
+    @property
+    def misfit(self) -> float:
+        """Q, squared whitened residual."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """(n_bins in all, n) dense."""
+        made = np.zeros((len(self.residual), self.plan.size))
+        for k, (rows, j) in enumerate(zip(self.plan.sketch.rows, self.jacobians, strict=True)):
+            made[rows, self.plan.columns(k)] = j
+        return made
+
+    @property
+    def tau(self) -> float:
+        """s"""
+        return exp(max(self.x[1] - FASTER - self.x[0], -60.0))
+
+    @property
+    def tau_v(self) -> float:
+        """s"""
+        return exp(self.x[1])
+
+    @property
+    def V(self) -> float:
+        """mL"""
+        return exp(self.x[2])
+
+    def strength(self) -> dict[str, float | dict[str, float]]:
+        """The fitted strengths by name; per-experiment ones as a mapping."""
+        made: dict[str, float | dict[str, float]] = {}
+        campaign = self.plan.sketch.campaign
+        for part, strengths in enumerate(self.plan.strengths):
+            for s in strengths:
+                if s.per_experiment:
+                    made[s.name] = {
+                        e.name: self.plan.values(self.x, k)[part][s.name]
+                        for k, e in enumerate(campaign)
+                    }
+                else:
+                    made[s.name] = self.plan.values(self.x, 0)[part][s.name]
+            if not strengths:  # a form at full strength
+                effect = self.plan.parts[part].effect
+                made.update(effect.plausible)
+        return made
+
+
+def _penalty(plan: Plan, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    matrix = plan.prior_matrix()
+    away = x - plan.prior_centre
+    return float(away @ matrix @ away), matrix @ away, matrix
+
+
+def refit(
+    plan: Plan,
+    start: FloatArray,
+    data: Sequence[FloatArray] | None = None,
+    most_steps: int = 30,
+    tolerance: float = 0.02,
+    free: NDArray[np.bool_] | None = None,
+) -> Refit:
+    """Levenberg-Marquardt from ``start`` (n,) until the objective falls by < ``tolerance``.
+
+    ``data``: bin means (n_bins,) V of each experiment in place of the measured ones.  ``free``
+    (n,): coordinates that may move.  The first coordinate stays at or above 0.
+    """
+    sketch = plan.sketch
+    measured = sketch.data if data is None else data
+    n_e = len(measured)
+    x = np.array(start, dtype=float)
+    x[0] = max(x[0], 0.0)
+
+    def evaluate(at: FloatArray) -> tuple[list[FloatArray], FloatArray, float]:
+        means = [plan.binned(at, k) for k in range(n_e)]
+        residual = np.concatenate(
+            [
+                sketch.inverse_factors[k] @ (y - m)
+                for k, (y, m) in enumerate(zip(measured, means, strict=True))
+            ]
+        )
+        total = float(residual @ residual) + _penalty(plan, at)[0]
+        return means, residual, total if np.isfinite(total) else inf
+
+    means, residual, objective = evaluate(x)
+    damping, converged = 1e-3, False
+    jacobians: tuple[FloatArray, ...] = ()
+    for _ in range(most_steps):
+        jacobians = tuple(plan.jacobian(x, k, means[k]) for k in range(n_e))
+        normal, gradient = np.zeros((plan.size, plan.size)), np.zeros(plan.size)
+        for k, j in enumerate(jacobians):
+            columns = plan.columns(k)
+            normal[np.ix_(columns, columns)] += j.T @ j
+            gradient[columns] += j.T @ residual[sketch.rows[k]]
+        _, slope, matrix = _penalty(plan, x)
+        gradient -= slope
+        normal += matrix
+        movable = np.ones(plan.size, dtype=bool) if free is None else free.copy()
+        if x[0] <= 0.0 and gradient[0] < 0.0:
+            movable[0] = False
+        index = np.flatnonzero(movable)
+        diagonal = np.diag(normal)[index]
+        accepted = False
+        for _ in range(8):
+            damped = normal[np.ix_(index, index)] + damping * np.diag(diagonal + 1e-12)
+            try:
+                step = np.linalg.solve(damped, gradient[index])
+            except np.linalg.LinAlgError:
+                damping = max(damping, 1e-6) * 10.0
+                continue
+            trial = x.copy()
+            trial[index] += _limited(step, index, plan)
+            trial[0] = max(trial[0], 0.0)
+            t_means, t_residual, t_objective = evaluate(trial)
+            if t_objective < objective:
+                accepted = True
+                break
+            damping = max(damping, 1e-6) * 8.0
+        if not accepted:
+            converged = True
+            break
+        gained = objective - t_objective
+        x, means, residual, objective = trial, t_means, t_residual, t_objective
+        damping = max(damping * 0.2, 1e-9)
+        if gained < tolerance:
+            converged = True
+            jacobians = tuple(plan.jacobian(x, k, means[k]) for k in range(n_e))
+            break
+    return Refit(plan, x, residual, jacobians, objective, converged)
+
+
+def _limited(step: FloatArray, index: NDArray[np.int64], plan: Plan) -> FloatArray:
+    # shared logarithms and strengths by at most 1, switch times by a time scale
+    most = np.full(plan.size, 1.5)
+    most[:SHARED] = (2.0, 0.7, 0.7)
+    for k, e in enumerate(plan.sketch.campaign):
+        at = plan.local[k]
+        most[at : at + 2] = 10.0 * plan.sketch.signal_scale
+        most[at + 2 : at + (4 if e.has_fall else 3)] = plan.sketch.time_scale
+    return np.clip(step, -most[index], most[index])
+
+
+def base_starts(sketch: Sketch, base: FloatArray) -> list[FloatArray]:
+    """Starts of the fit without effects: tau moved over two decades, t0 and tf moved back.
+
+    A lag of tau delays the response by tau, so that what tau gains the switch times lose.
+    """
+    found = [base.copy()]
+    tau_v = exp(base[1])
+    tau = exp(base[1] - FASTER - base[0])
+    for ratio in (0.012, 0.07, 0.23, 0.58):
+        other = base.copy()
+        moved = min(ratio, exp(-FASTER) * 0.999) * tau_v
+        other[0] = base[1] - FASTER - log(moved)
+        plan = Plan(sketch)
+        for k, e in enumerate(sketch.campaign):
+            at = plan.local[k] + 2
+            other[at] -= moved - tau
+            if e.has_fall:
+                other[at + 1] -= moved - tau
+        found.append(other)
+    return found

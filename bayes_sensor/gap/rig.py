@@ -1,0 +1,409 @@
+"""A rig with every imperfection of the catalogue: one kernel, from the valve to the voltage.
+
+The published model is a cascade of three first-order lags.  Real rigs depart from it stage by
+stage, so the stages are computed one after the other on a time grid that starts at each switch
+and grows geometrically::
+
+    command -> valve x1 -> manifold x2 -> sensor x3 -> low-pass -> readout y
+
+Every lag is advanced exactly for an input that is quadratic within a cell, so that time constants
+far below the grid's steps are no trouble.  With the neutral settings the response is the closed
+form of :mod:`bayes_sensor.model` (a test compares them).  An effect only says which settings it
+changes; effects on different settings can therefore act together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import cos, exp, sin, sqrt
+
+import numpy as np
+from numba import njit
+
+from bayes_sensor.campaign import FloatArray
+
+SETTINGS: dict[str, tuple[float, str]] = {
+    "closing_ratio": (1.0, "valve time constant when shutting over that when opening"),
+    "inertia": (0.0, "kappa in kappa tau_v^2 x'' + tau_v x' + x = u"),
+    "stroke": (0.0, "s, time in which the valve's command ramps from shut to open"),
+    "slow_valve_share": (0.0, "share of the valve's opening that follows slowly"),
+    "slow_valve_time": (1.0, "s, time constant of that share"),
+    "settling_share": (0.0, "inlet concentration is low by this share right after opening"),
+    "settling_time": (1.0, "s, in which that deficit decays"),
+    "flow_switching": (0.0, "share of the test-gas flow that stops when the valve shuts"),
+    "flow_factor": (1.0, "true total flow over the set one"),
+    "pocket_share": (0.0, "volume of a stagnant pocket over V"),
+    "pocket_time": (1.0, "s, exchange time of the pocket"),
+    "tank_share": (0.0, "share of V that forms a second tank in series"),
+    "release_ratio": (1.0, "sensor time constant of release over that of uptake"),
+    "slow_site_share": (0.0, "share of the sensor's response that follows slowly"),
+    "slow_site_time": (1.0, "s, time constant of that share"),
+    "coating": (0.0, "0 single lag .. 1 diffusion through the layered coating"),
+    "filter": (0.0, "s, time constant of a low-pass before the converter"),
+    "curvature": (0.0, "1/V, k in v + k v^2 with v = beta x3"),
+    "drift": (0.0, "V/s, slope of the baseline"),
+    "drift_curve": (0.0, "V/s^2, bend of the baseline"),
+    "step": (0.0, "V, step of the baseline"),
+    "step_time": (0.0, "s, when it happens"),
+    "gain_drift": (0.0, "1/s, relative change of beta with time"),
+    "carry_over": (0.0, "share of beta still in the manifold when the record starts"),
+    "carry_time": (0.0, "s, in which it leaves; 0: the manifold's own V/Q"),
+}
+"""name -> (neutral value, what it is)"""
+
+INDEX = {name: i for i, name in enumerate(SETTINGS)}
+NEUTRAL = np.array([value for value, _ in SETTINGS.values()])
+
+# the first entries of the kernel's parameter vector, before the settings
+TAU, TAU_V, TAU_M, Y0, BETA, T0, TF, CONCENTRATION, START, MIDDLE = range(10)
+FIRST = 10
+
+(
+    CLOSING, INERTIA, STROKE, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME, SWITCHING, FLOW,
+    POCKET, POCKET_TIME, TANK, RELEASE, SLOW_S, SLOW_S_TIME, COATING, FILTER, CURVATURE,
+    DRIFT, DRIFT_CURVE, STEP, STEP_TIME, GAIN, CARRY, CARRY_TIME,
+) = range(FIRST, FIRST + len(SETTINGS))  # fmt: skip
+
+CELLS_PER_TIME_CONSTANT = 14.0
+GROWTH = 1.06
+"""each cell is this much longer than the one before"""
+
+
+def settings_vector(settings: Mapping[str, float]) -> FloatArray:
+    """(n_settings,) the neutral settings with those given replaced.  Raises KeyError."""
+    vector = NEUTRAL.copy()
+    for name, value in settings.items():
+        vector[INDEX[name]] = value
+    return vector
+
+
+# --------------------------------------------------------------------------- the valve
+
+
+@njit(cache=True)
+def _opening(s: float, tau: float, inertia: float, stroke: float) -> float:  # pragma: no cover
+    # step response of the valve, s after the command
+    if s <= 0.0:
+        return 0.0
+    if stroke > 0.0:  # mean of the lag's response over a command that ramps up
+        late = max(s - stroke, 0.0)
+        here = s - tau * (1.0 - exp(-s / tau))
+        return (here - (late - tau * (1.0 - exp(-late / tau)))) / stroke
+    if inertia > 1e-9:
+        gap = 1.0 - 4.0 * inertia
+        if gap > 1e-6:
+            slow = 0.5 * tau * (1.0 + sqrt(gap))
+            fast = inertia * tau * tau / slow
+            return 1.0 - (slow * exp(-s / slow) - fast * exp(-s / fast)) / (slow - fast)
+        rate = 0.5 / (inertia * tau)
+        if gap < -1e-6:
+            omega = rate * sqrt(-gap)
+            return 1.0 - exp(-rate * s) * (cos(omega * s) + rate / omega * sin(omega * s))
+        return 1.0 - exp(-rate * s) * (1.0 + rate * s)
+    return 1.0 - exp(-s / tau)
+
+
+@njit(cache=True)
+def _valve(t: float, p: FloatArray) -> float:  # pragma: no cover
+    # x1 at time t
+    since = t - p[T0]
+    if since <= 0.0:
+        return 0.0
+    tau, share = p[TAU_V], p[SLOW_V]
+    after = t - p[TF]
+    if p[CLOSING] == 1.0 or after <= 0.0:  # linear: opening minus shutting
+        x = _opening(since, tau, p[INERTIA], p[STROKE])
+        if after > 0.0:
+            x -= _opening(after, tau, p[INERTIA], p[STROKE])
+        if share != 0.0:
+            slow = 1.0 - exp(-since / p[SLOW_V_TIME])
+            if after > 0.0:
+                slow -= 1.0 - exp(-after / p[SLOW_V_TIME])
+            x += share * (slow - x)
+    else:
+        x = _opening(p[TF] - p[T0], tau, p[INERTIA], p[STROKE])
+        x *= 1.0 - _opening(after, tau * p[CLOSING], p[INERTIA], p[STROKE])
+        if share != 0.0:
+            slow = exp(-after / p[SLOW_V_TIME]) - exp(-since / p[SLOW_V_TIME])
+            x += share * (slow - x)
+    if p[SETTLING] != 0.0:
+        x *= 1.0 - p[SETTLING] * exp(-since / p[SETTLING_TIME])
+    return x
+
+
+# --------------------------------------------------------------------------- lags
+
+
+@njit(cache=True, inline="always")
+def _weights(r: float) -> tuple[float, float, float, float]:  # pragma: no cover
+    # decay and weights of an input's start, middle and end over a step of r time constants
+    decay = exp(-r)
+    if r < 1e-3:
+        m1 = r * (0.5 - r / 6.0 * (1.0 - 0.25 * r))
+        m2 = r * (1.0 / 3.0 - r / 12.0 * (1.0 - 0.2 * r))
+    else:
+        m1 = 1.0 - (1.0 - decay) / r
+        m2 = 1.0 - 2.0 * m1 / r
+    # input a + (4m - 3a - b) q + (2a - 4m + 2b) q^2
+    return decay, 1.0 - decay - 3.0 * m1 + 2.0 * m2, 4.0 * (m1 - m2), 2.0 * m2 - m1
+
+
+@njit(cache=True, inline="always")
+def _advance(x: float, r: float, a: float, m: float, b: float) -> float:  # pragma: no cover
+    # a lag's state after r time constants under an input that passes a, m, b
+    decay, wa, wm, wb = _weights(r)
+    return decay * x + wa * a + wm * m + wb * b
+
+
+@njit(cache=True)
+def _grid(start: float, end: float, first: float) -> FloatArray:  # pragma: no cover
+    n = 1
+    step, s = first, 0.0
+    while s < end - start:
+        s += step
+        step *= GROWTH
+        n += 1
+    grid = np.empty(n)
+    grid[0] = start
+    step = first
+    for i in range(1, n):
+        grid[i] = grid[i - 1] + step
+        step *= GROWTH
+    grid[n - 1] = end
+    if n > 2 and grid[n - 1] - grid[n - 2] < 0.3 * (grid[n - 2] - grid[n - 3]):
+        grid[n - 2] = 0.5 * (grid[n - 1] + grid[n - 3])  # no sliver before the next switch
+    return grid
+
+
+@njit(cache=True)
+def _manifold(
+    t: FloatArray, x1: FloatArray, x1_mid: FloatArray, p: FloatArray
+) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    # x2 (n,) and its middles (n - 1,) on the grid
+    n = len(t)
+    x2 = np.zeros(n)
+    slope_a = np.zeros(n)  # dx2/dt at the start and the end of cells (it may jump at a switch)
+    slope_b = np.zeros(n)
+    rate0 = p[FLOW] / (p[TAU_M] * (1.0 - p[TANK]))
+    lost = p[SWITCHING] * p[CONCENTRATION]
+    share, exchange = p[POCKET], 0.0
+    if share > 0.0:
+        exchange = 1.0 / p[POCKET_TIME]
+    pocket = 0.0
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        # the flow through the manifold follows the valve; what enters is Q x1 either way
+        ra = rate0 * (1.0 - lost + lost * x1[i])
+        rm = rate0 * (1.0 - lost + lost * x1_mid[i])
+        rb = rate0 * (1.0 - lost + lost * x1[i + 1])
+        a, m, b = rate0 * x1[i] / ra, rate0 * x1_mid[i] / rm, rate0 * x1[i + 1] / rb
+        rate = (ra + 4.0 * rm + rb) / 6.0
+        if share <= 0.0:
+            x2[i + 1] = _advance(x2[i], rate * h, a, m, b)
+            slope_a[i] = ra * (a - x2[i])
+            slope_b[i] = rb * (b - x2[i + 1])
+        else:
+            # x2' = rate (g - x2) + k (pocket - x2), pocket' = (x2 - pocket)/T, k = share/T:
+            # two decaying modes, both driven by g
+            k = share * exchange
+            trace = rate + k + exchange
+            root = sqrt(trace * trace - 4.0 * rate * exchange)
+            fast, slow = 0.5 * (trace + root), 2.0 * rate * exchange / (trace + root)
+            # left eigenvectors (1, v): v = k/(lambda - exchange) of x2, pocket
+            vf = -k / (fast - exchange)
+            vs = -k / (slow - exchange)
+            zf = x2[i] + vf * pocket
+            zs = x2[i] + vs * pocket
+            zf = _advance(zf, fast * h, rate / fast * a, rate / fast * m, rate / fast * b)
+            zs = _advance(zs, slow * h, rate / slow * a, rate / slow * m, rate / slow * b)
+            slope_a[i] = ra * (a - x2[i]) + k * (pocket - x2[i])
+            pocket = (zf - zs) / (vf - vs)
+            x2[i + 1] = zf - vf * pocket
+            slope_b[i] = rb * (b - x2[i + 1]) + k * (pocket - x2[i + 1])
+    mid = _middles(t, x2, slope_a, slope_b)
+    if p[TANK] > 0.0:
+        return _lag(t, x2, mid, p[TAU_M] * p[TANK] / p[FLOW])
+    return x2, mid
+
+
+@njit(cache=True)
+def _middles(
+    t: FloatArray, x: FloatArray, slope_a: FloatArray, slope_b: FloatArray
+) -> FloatArray:  # pragma: no cover
+    # values at the middles of the cells, by the cubic through values and slopes; the slopes are
+    # limited where a lag is much faster than the cell
+    mid = np.empty(len(t) - 1)
+    for i in range(len(t) - 1):
+        h = t[i + 1] - t[i]
+        step = x[i + 1] - x[i]
+        bend = 0.125 * h * (slope_a[i] - slope_b[i])
+        limit = 0.5 * abs(step)
+        mid[i] = 0.5 * (x[i] + x[i + 1]) + min(max(bend, -limit), limit)
+    return mid
+
+
+@njit(cache=True)
+def _lag(
+    t: FloatArray, x: FloatArray, mid: FloatArray, tau: float
+) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    n = len(t)
+    out = np.zeros(n)
+    slope_a, slope_b = np.zeros(n), np.zeros(n)
+    for i in range(n - 1):
+        out[i + 1] = _advance(out[i], (t[i + 1] - t[i]) / tau, x[i], mid[i], x[i + 1])
+        slope_a[i] = (x[i] - out[i]) / tau
+        slope_b[i] = (x[i + 1] - out[i + 1]) / tau
+    return out, _middles(t, out, slope_a, slope_b)
+
+
+# --------------------------------------------------------------------------- from gas to volts
+
+
+@njit(cache=True)
+def _response(
+    times: FloatArray,
+    p: FloatArray,
+    mode_share: FloatArray,
+    mode_ratio: FloatArray,
+    out: FloatArray,
+) -> None:  # pragma: no cover
+    # x3 at sorted times
+    t0, tf = p[T0], p[TF]
+    last = times[-1]
+    out[:] = 0.0
+    if last <= t0:
+        return
+    first = min(p[TAU_V], p[TAU_M] / p[FLOW])
+    if p[CLOSING] < 1.0:
+        first = min(first, p[CLOSING] * p[TAU_V])
+    if p[INERTIA] > 0.0:
+        first = min(first, 2.0 * p[TAU_V] * sqrt(p[INERTIA]) + 0.2 * p[TAU_V])
+    if p[STROKE] > 0.0:
+        first = min(first, 2.0 * p[STROKE] + 0.2 * p[TAU_V])
+    if p[TANK] > 0.0:
+        first = min(first, 2.0 * p[TAU_M] * p[TANK] + 0.3 * first)
+    if p[SETTLING] != 0.0:
+        first = min(first, 2.0 * p[SETTLING_TIME])
+    first /= CELLS_PER_TIME_CONSTANT
+    if last > tf:
+        rise = _grid(t0, tf, first)
+        fall = _grid(tf, last, first)
+        t = np.empty(len(rise) + len(fall) - 1)
+        t[: len(rise)] = rise
+        t[len(rise) :] = fall[1:]
+    else:
+        t = _grid(t0, last, first)
+    n = len(t)
+    x1 = np.empty(n)
+    x1_mid = np.empty(n - 1)
+    for i in range(n):
+        x1[i] = _valve(t[i], p)
+        if i < n - 1:
+            x1_mid[i] = _valve(0.5 * (t[i] + t[i + 1]), p)
+    x2, x2_mid = _manifold(t, x1, x1_mid, p)
+
+    # the sensor's parallel modes: the single lag or the coating's, and slow sites
+    n_modes = len(mode_share)
+    share = np.zeros(n_modes + 2)
+    tau = np.ones(n_modes + 2)
+    share[0] = (1.0 - p[COATING]) * (1.0 - p[SLOW_S])
+    tau[0] = p[TAU]
+    used = 1
+    if p[COATING] != 0.0:
+        for j in range(n_modes):
+            share[used] = p[COATING] * (1.0 - p[SLOW_S]) * mode_share[j]
+            tau[used] = p[TAU] * mode_ratio[j]
+            used += 1
+    if p[SLOW_S] != 0.0:
+        share[used] = p[SLOW_S]
+        tau[used] = p[SLOW_S_TIME]
+        used += 1
+    state = np.zeros(used)
+    low_pass = p[FILTER]
+    filtered = 0.0
+    k = 0
+    while k < len(times) and times[k] <= t0:
+        k += 1
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        a, m, b = x2[i], x2_mid[i], x2[i + 1]
+        before, middle, after = 0.0, 0.0, 0.0
+        slower = 1.0
+        if p[RELEASE] != 1.0 and m < state[0]:
+            slower = p[RELEASE]
+        inside = k
+        while inside < len(times) and (times[inside] <= t[i + 1] or i == n - 2):
+            inside += 1
+        for j in range(used):
+            lag = tau[j] * slower
+            if low_pass > 0.0:
+                half_m = 0.375 * a + 0.75 * m - 0.125 * b
+                before += share[j] * state[j]
+                middle += share[j] * _advance(state[j], 0.5 * h / lag, a, half_m, m)
+            else:
+                for q in range(k, inside):
+                    part = (times[q] - t[i]) / h
+                    pb = _quadratic(part, a, m, b)
+                    pm = _quadratic(0.5 * part, a, m, b)
+                    out[q] += share[j] * _advance(state[j], part * h / lag, a, pm, pb)
+            state[j] = _advance(state[j], h / lag, a, m, b)
+            after += share[j] * state[j]
+        if low_pass > 0.0:
+            for q in range(k, inside):
+                part = (times[q] - t[i]) / h
+                pb = _quadratic(part, before, middle, after)
+                pm = _quadratic(0.5 * part, before, middle, after)
+                out[q] = _advance(filtered, part * h / low_pass, before, pm, pb)
+            filtered = _advance(filtered, h / low_pass, before, middle, after)
+        k = inside
+
+
+@njit(cache=True, inline="always")
+def _quadratic(q: float, a: float, m: float, b: float) -> float:  # pragma: no cover
+    return a + q * ((4.0 * m - 3.0 * a - b) + q * (2.0 * a - 4.0 * m + 2.0 * b))
+
+
+@njit(cache=True)
+def rig_response(
+    times: FloatArray, p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
+) -> FloatArray:  # pragma: no cover
+    """x3 (n_t,), the concentration that the readout sees, at sorted ``times`` (n_t,) s."""
+    out = np.empty(len(times))
+    _response(times, p, mode_share, mode_ratio, out)
+    if p[CARRY] != 0.0:
+        _add_carried(times, p, out)
+    return out
+
+
+@njit(cache=True)
+def _add_carried(times: FloatArray, p: FloatArray, out: FloatArray) -> None:  # pragma: no cover
+    # gas left from before: it leaves with the manifold's time constant and lags in the sensor,
+    # which was in equilibrium with it when the record began
+    slow = p[CARRY_TIME]
+    if slow <= 0.0:
+        slow = p[TAU_M] / p[FLOW]
+    fast = p[TAU]
+    if abs(slow - fast) < 1e-6 * slow:
+        fast = slow * (1.0 - 1e-6)
+    for i in range(len(times)):
+        s = times[i] - p[START]
+        if s >= 0.0:
+            out[i] += p[CARRY] * (slow * exp(-s / slow) - fast * exp(-s / fast)) / (slow - fast)
+
+
+@njit(cache=True)
+def rig_mean(
+    times: FloatArray, p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
+) -> FloatArray:  # pragma: no cover
+    """The mean voltage (n_t,) at sorted ``times`` (n_t,) s."""
+    x = rig_response(times, p, mode_share, mode_ratio)
+    for i in range(len(times)):
+        v = p[BETA] * x[i]
+        v *= 1.0 + p[CURVATURE] * v
+        since = times[i] - p[MIDDLE]
+        v *= 1.0 + p[GAIN] * since
+        v += p[Y0] + since * (p[DRIFT] + since * p[DRIFT_CURVE])
+        if p[STEP] != 0.0 and times[i] >= p[STEP_TIME]:
+            v += p[STEP]
+        x[i] = v
+    return x

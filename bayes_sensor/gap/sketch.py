@@ -1,0 +1,157 @@
+"""From a campaign and its fit to the sketch: bins, noise floor, priors, the refitted base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.gap.bins import make_bins
+from bayes_sensor.gap.floor import Stretch, clean, estimate_floor, quiet_stretches
+from bayes_sensor.gap.refit import (
+    FASTER,
+    NUISANCE_SD,
+    TAU_OVER_TAU_V,
+    Plan,
+    Refit,
+    Sketch,
+    base_starts,
+    refit,
+)
+from bayes_sensor.likelihood import grid_response
+from bayes_sensor.model import Layout, cascade_response
+
+
+def full_rate_residuals(campaign: Campaign, theta: FloatArray) -> list[FloatArray]:
+    """(n_t,) V per experiment: measurement minus the cascade at ``theta``."""
+    layout = Layout.of(campaign)
+    found = []
+    for k, e in enumerate(campaign):
+        i_y0, i_beta, i_t0, i_tf = layout.local[k]
+        taus = np.array([theta[1], theta[2] / e.total_flow, theta[0]])
+        tf = float(theta[i_tf]) if i_tf >= 0 else None
+        x = grid_response(e, taus, float(theta[i_t0]), tf)
+        found.append(np.where(e.used, e.values - theta[i_y0] - theta[i_beta] * x, 0.0))
+    return found
+
+
+def coordinates(campaign: Campaign, theta: FloatArray) -> FloatArray:
+    """Coordinates of the fit without effects at a flat ``theta``.
+
+    The faster of the two lags that do not depend on the flow is taken for the sensor.
+    """
+    layout = Layout.of(campaign)
+    tau, tau_v = sorted((float(theta[0]), float(theta[1])))
+    tau = max(tau, 1e-4 * tau_v)
+    x = np.array(theta[: layout.n_mean], dtype=float)
+    x[1] = log(tau_v)
+    x[0] = max(x[1] - FASTER - log(tau), 0.0)
+    x[2] = log(theta[2])
+    return x
+
+
+def flat_theta(campaign: Campaign, x: FloatArray) -> FloatArray:
+    """The flat ``theta`` of the mean at coordinates of the fit without effects."""
+    theta = np.array(x, dtype=float)
+    theta[0] = np.exp(x[1] - FASTER - x[0])
+    theta[1], theta[2] = np.exp(x[1]), np.exp(x[2])
+    return theta
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A campaign's sketch with what was needed to make it."""
+
+    sketch: Sketch
+    residuals: tuple[FloatArray, ...]
+    """(n_t,) V of each experiment, measurement minus the fit, spikes replaced"""
+    stretches: tuple[Stretch, ...]
+    """quiet parts, spikes replaced"""
+    raw: tuple[Stretch, ...]
+    """the same as measured"""
+
+
+def prepare(campaign: Campaign, theta: FloatArray) -> Prepared:
+    """Bins, floor and priors of a measured campaign around a fit (flat ``theta``).
+
+    Raises CampaignError where no record has a quiet stretch.
+    """
+    layout = Layout.of(campaign)
+    x = coordinates(campaign, theta)
+    flat = flat_theta(campaign, x)
+    raw = full_rate_residuals(campaign, flat)
+    cleaned, spikes = [], 0
+    for e, r in zip(campaign, raw, strict=True):
+        values, n = clean(r, e.used)
+        cleaned.append(values)
+        spikes += n
+    taus = [np.array([flat[1], flat[2] / e.total_flow, flat[0]]) for e in campaign]
+    scale = float(max(flat[1], np.median([t[1] for t in taus])))
+    switches = []
+    for k in range(len(campaign)):
+        _, _, i_t0, i_tf = layout.local[k]
+        switches.append((float(flat[i_t0]), float(flat[i_tf]) if i_tf >= 0 else None))
+    bins = make_bins(campaign, switches, taus, scale)
+    # bin means of the cleaned measurement: the model at every sample plus the cleaned residual
+    data, levels = [], []
+    for k, (e, b, r, full) in enumerate(zip(campaign, bins, cleaned, raw, strict=True)):
+        data.append(b.average(np.where(e.used, e.values - full + r, 0.0)))
+        t0, tf = switches[k]
+        levels.append(b.reduce(cascade_response(b.times, taus[k], t0, tf)))
+    settle = [settling_time(t) for t in taus]
+    floor = estimate_floor(campaign, cleaned, bins, settle, levels, spikes)
+    steps = [abs(float(flat[layout.local[k][1]])) for k in range(len(campaign))]
+    sketch = Sketch(
+        campaign=campaign,
+        bins=tuple(bins),
+        data=tuple(data),
+        floor=floor,
+        base=x,
+        centre=_plausible(campaign, flat),
+        sd=_spread(campaign),
+        time_scale=scale,
+        signal_scale=float(np.median(steps)) or 1.0,
+        reference_flow=float(np.median([e.total_flow for e in campaign])),
+        duration=float(np.median([len(e.t) * e.interval for e in campaign])),
+    )
+    return Prepared(
+        sketch,
+        tuple(cleaned),
+        tuple(quiet_stretches(campaign, cleaned, bins, settle)),
+        tuple(quiet_stretches(campaign, raw, bins, settle)),
+    )
+
+
+def settling_time(taus: FloatArray) -> float:
+    """s after a switch until the cascade is within .3 % of its end."""
+    grid = np.linspace(0.0, 20.0 * float(np.sum(taus)), 2000)
+    away = np.abs(1.0 - cascade_response(grid, taus, 0.0)) > 3e-3
+    return float(grid[np.flatnonzero(away)[-1]])
+
+
+def _plausible(campaign: Campaign, theta: FloatArray) -> FloatArray:
+    centre = np.array([log(TAU_OVER_TAU_V * theta[1]), log(theta[1]), log(theta[2])])
+    given = campaign.side_information
+    for i, name in enumerate(("tau_s", "tau_v_s", "V_mL")):
+        if name in given and given[name].mean > 0:
+            centre[i] = log(given[name].mean)
+    return centre
+
+
+def _spread(campaign: Campaign) -> FloatArray:
+    sd = np.array(list(NUISANCE_SD.values()))
+    for i, name in enumerate(("tau_s", "tau_v_s", "V_mL")):
+        if name in campaign.side_information and campaign.side_information[name].mean > 0:
+            known = campaign.side_information[name]
+            sd[i] = max(known.sd / known.mean, 1e-4)
+    return sd
+
+
+def fit_base(sketch: Sketch) -> Refit:
+    """The model without effects: the best of several starts."""
+    plan = Plan(sketch)
+    rough = [refit(plan, x, most_steps=12, tolerance=0.5) for x in base_starts(sketch, sketch.base)]
+    best = min(rough, key=lambda r: r.objective)
+    return refit(plan, best.x)

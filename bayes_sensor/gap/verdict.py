@@ -1,0 +1,142 @@
+"""From probabilities to a verdict: none, an effect, a family, or something unlisted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_sensor.gap.effect import Effect
+from bayes_sensor.gap.full_rate import FullRate
+from bayes_sensor.gap.which import Hypothesis, Weighing
+
+NAMED = 0.9
+"""probability from which an effect or a family is named"""
+QUIET = 0.3
+"""probability of none from which nothing is named"""
+GATE = 4.0
+"""standard deviations of misfit left under a named effect from which it is unlisted after all"""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What explains the gap."""
+
+    kind: str
+    """``none``, ``effect``, ``family`` or ``unlisted``"""
+    effects: tuple[str, ...]
+    """the one or two named; the members of a family (at most five)"""
+    family: str | None
+    probability: float
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Probabilities that the verdict rests on, effects of the noise included."""
+
+    rows: dict[str, float]
+    """``none``, ``unlisted``, effects, ``a+b``: sums to 1"""
+    effects: dict[str, float]
+    """summed over every complete explanation that contains the effect"""
+    families: dict[str, float]
+    none: float
+    unlisted: float
+
+
+def standing(
+    weighing: Weighing, full_rate: Sequence[FullRate], catalogue: Mapping[str, Effect]
+) -> Standing:
+    """Join what explains the mean with what the samples say; the two are independent."""
+    rows: dict[str, float] = {"none": 0.0, "unlisted": 0.0}
+    rows.update({name: 0.0 for name in catalogue})
+    on_noise = {f.name: f.probability for f in full_rate if f.name in catalogue or f.name == "line"}
+    quiet = float(np.prod([1.0 - p for p in on_noise.values()]))
+    line = on_noise.pop("line", 0.0)
+    likely = max(on_noise, key=lambda n: on_noise[n]) if on_noise else ""
+    for h, p in zip(weighing.hypotheses, weighing.probabilities, strict=True):
+        if h.incomplete:
+            rows["unlisted"] += float(p)
+            continue
+        rows["unlisted"] += float(p) * line
+        rest = float(p) * (1.0 - line)
+        silent = quiet / max(1.0 - line, 1e-300)
+        name = "+".join(h.effects) or "none"
+        rows[name] = rows.get(name, 0.0) + rest * silent
+        # some effect of the noise is there: the likeliest stands for it
+        loud = rest * (1.0 - silent)
+        if likely and loud > 0.0:
+            share = {n: q / (1.0 - q + 1e-300) for n, q in on_noise.items()}
+            total = sum(share.values())
+            for n, s in share.items():
+                joint = n if not h.effects else "+".join([*h.effects, n])
+                if len(h.effects) > 1:
+                    joint = name  # three at once: the two of the mean are reported
+                rows[joint] = rows.get(joint, 0.0) + loud * s / total
+    effects = dict.fromkeys(catalogue, 0.0)
+    families: dict[str, float] = {}
+    for name, p in rows.items():
+        if name in ("none", "unlisted"):
+            continue
+        members = name.split("+")
+        for n in members:
+            effects[n] += p
+        for f in {catalogue[n].family for n in members}:
+            families[f] = families.get(f, 0.0) + p
+    # an effect of the noise is there or not, whatever explains the mean
+    for n, p in on_noise.items():
+        effects[n] = max(effects[n], p)
+        families[catalogue[n].family] = max(families.get(catalogue[n].family, 0.0), p)
+    return Standing(rows, effects, families, rows["none"], rows["unlisted"])
+
+
+def leftover(h: Hypothesis) -> float:
+    """Standard deviations of misfit that an explanation leaves."""
+    n = h.refit.plan.sketch.n_bins
+    return float((h.refit.misfit - (n - h.refit.plan.size)) / np.sqrt(2.0 * n))
+
+
+def judge(
+    weighing: Weighing, stand: Standing, catalogue: Mapping[str, Effect]
+) -> tuple[str, tuple[str, ...], str | None, float]:
+    """kind, effects, family, probability."""
+    complete = [
+        (p, h)
+        for p, h in zip(weighing.probabilities, weighing.hypotheses, strict=True)
+        if h.effects and not h.incomplete
+    ]
+    gate = leftover(max(complete, key=lambda x: x[0])[1]) if complete else 0.0
+    named = sorted(
+        (n for n, p in stand.effects.items() if p > NAMED), key=lambda n: -stand.effects[n]
+    )
+    on_mean = [n for n in named if catalogue[n].on_mean]
+    on_noise = [n for n in named if not catalogue[n].on_mean]
+    if stand.unlisted > 0.5 or (on_mean and gate >= GATE):
+        if on_noise and stand.unlisted <= 0.5 and not on_mean:
+            return _effect(on_noise, stand, catalogue)
+        return "unlisted", (), None, max(stand.unlisted, 0.5 if on_mean else 0.0)
+    if named:
+        # an effect of the noise is named alone only where nothing more is likely in the mean
+        return _effect([*on_mean, *on_noise], stand, catalogue)
+    if stand.none > QUIET:
+        return "none", (), None, stand.none
+    family = max(stand.families, key=lambda f: stand.families[f]) if stand.families else None
+    if family is not None and stand.families[family] > max(0.5, stand.unlisted):
+        members = sorted(
+            (n for n in catalogue if catalogue[n].family == family),
+            key=lambda n: -stand.effects[n],
+        )
+        return "family", tuple(members[:5]), family, stand.families[family]
+    if stand.none >= stand.unlisted:
+        return "none", (), None, stand.none
+    return "unlisted", (), None, stand.unlisted
+
+
+def _effect(
+    named: Sequence[str], stand: Standing, catalogue: Mapping[str, Effect]
+) -> tuple[str, tuple[str, ...], str | None, float]:
+    chosen = tuple(named[:2])
+    families = {catalogue[n].family for n in chosen}
+    family = families.pop() if len(families) == 1 else None
+    return "effect", chosen, family, min(stand.effects[n] for n in chosen)

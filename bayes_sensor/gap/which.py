@@ -1,0 +1,281 @@
+"""Which effect: the evidence of none, every effect, something else, and both together.
+
+Priors go over families first, then members, so that look-alikes do not gain by their number.  A
+smooth discrepancy stands for "something else"; an effect with a discrepancy beside it says that
+the effect does not explain all.  Pairs are tried across families only: within one, two members
+are nearly the same effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+from scipy.special import logsumexp
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.gap.discrepancy import Discrepancy, make_discrepancies
+from bayes_sensor.gap.effect import Effect
+from bayes_sensor.gap.evidence import Evidence, Linearised
+from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, refit
+
+PRIOR_NONE = 0.5
+PRIOR_UNLISTED = 0.15
+INCOMPLETE = 0.15
+"""prior share of an effect's probability for "it is there, and something else with it" """
+NEAR = 14.0
+"""log evidences this far below the best are not looked at more closely"""
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A cause, or several, with or without a discrepancy beside them."""
+
+    effects: tuple[str, ...]
+    incomplete: bool
+    """whether a discrepancy is part of it; alone it is "something else" """
+    log_prior: float
+    log_z: float
+    refit: Refit
+    """in the best of the forms"""
+    log_tau: float
+    sd_log_tau: float
+
+    @property
+    def log_weight(self) -> float:
+        """ln of prior times evidence."""
+        return self.log_prior + self.log_z
+
+    @property
+    def key(self) -> str:
+        """``none``, ``unlisted``, ``a``, ``a+b``; with a discrepancy ``a, unlisted``."""
+        name = "+".join(self.effects)
+        if self.incomplete:
+            return f"{name}, unlisted" if name else "unlisted"
+        return name or "none"
+
+
+@dataclass(frozen=True, eq=False)
+class Weighing:
+    """All hypotheses with their probabilities."""
+
+    sketch: Sketch
+    base: Refit
+    hypotheses: tuple[Hypothesis, ...]
+    catalogue: Mapping[str, Effect]
+    discrepancies: tuple[Discrepancy, ...] = field(repr=False)
+
+    @property
+    def probabilities(self) -> FloatArray:
+        """(n_hypotheses,) summing to 1."""
+        logs = np.array([h.log_weight for h in self.hypotheses])
+        return np.exp(logs - logsumexp(logs))
+
+    def find(self, *effects: str) -> Hypothesis:
+        """The hypothesis of exactly these effects and nothing else.  Raises KeyError."""
+        for h in self.hypotheses:
+            if h.effects == effects and not h.incomplete:
+                return h
+        raise KeyError("+".join(effects))
+
+
+def family_priors(catalogue: Mapping[str, Effect]) -> dict[str, float]:
+    """ln prior of every effect on the mean: families first, then members."""
+    members: dict[str, list[str]] = {}
+    for name, effect in catalogue.items():
+        if effect.on_mean:
+            members.setdefault(effect.family, []).append(name)
+    rest = 1.0 - PRIOR_NONE - PRIOR_UNLISTED
+    return {
+        name: float(np.log(rest / len(members) / len(names)))
+        for names in members.values()
+        for name in names
+    }
+
+
+def fit_effect(
+    sketch: Sketch,
+    base: Refit,
+    parts: Sequence[Part],
+    starts: Sequence[Mapping[str, float]],
+    most_steps: int = 30,
+) -> Refit:
+    """The best refit of the base's parts and further ones, over the starts of the last part."""
+    plan = Plan(sketch, (*base.plan.parts, *parts))
+    begun = joined_start(plan, base)
+    found = [refit(plan, with_start(plan, begun, start), most_steps=most_steps) for start in starts]
+    return min(found, key=lambda r: r.objective)
+
+
+def _average(
+    fits: Sequence[tuple[Refit, float]], discrepancies: Sequence[Discrepancy] | None
+) -> tuple[float, Refit, float, float]:
+    """ln evidence averaged over forms (and discrepancies), the best form, ln tau and its sd."""
+    logs, weights, found, owners = [], [], [], []
+    for fitted, weight in fits:
+        line = Linearised(fitted)
+        for d in [None] if discrepancies is None else discrepancies:
+            made: Evidence = line.evidence(d)
+            logs.append(made.log_z)
+            weights.append(weight * (1.0 if d is None else d.weight))
+            found.append(made)
+            owners.append(fitted)
+    total = np.array(logs) + np.log(np.array(weights))
+    mass = logsumexp(total)
+    p = np.exp(total - mass)
+    mean = float(np.sum(p * [f.log_tau for f in found]))
+    square = float(np.sum(p * [f.sd_log_tau**2 + (f.log_tau - mean) ** 2 for f in found]))
+    return float(mass), owners[int(np.argmax(total))], mean, float(np.sqrt(square))
+
+
+def weigh(
+    sketch: Sketch,
+    base: Refit,
+    catalogue: Mapping[str, Effect],
+    progress: Progress | None = None,
+    pairs: bool = True,
+) -> Weighing:
+    """Probabilities of every hypothesis for one campaign."""
+    tell = progress or (lambda _share, _text: None)
+    discrepancies = make_discrepancies(sketch, base)
+    total = sum(d.weight for d in discrepancies)
+    shares = [Discrepancy(d.name, d.weight / total, d.basis, d.variance) for d in discrepancies]
+    priors = family_priors(catalogue)
+    hypotheses: list[Hypothesis] = []
+
+    def add(
+        effects: tuple[str, ...],
+        log_prior: float,
+        fits: Sequence[tuple[Refit, float]],
+        ds: Sequence[Discrepancy] | None = None,
+    ) -> Hypothesis:
+        log_z, best, log_tau, sd = _average(fits, ds)
+        made = Hypothesis(effects, ds is not None, log_prior, log_z, best, log_tau, sd)
+        hypotheses.append(made)
+        return made
+
+    add((), float(np.log(PRIOR_NONE)), [(base, 1.0)])
+    alone = add((), float(np.log(PRIOR_UNLISTED)), [(base, 1.0)], shares)
+    fits: dict[str, list[tuple[Refit, float]]] = {}
+    on_mean = {n: e for n, e in catalogue.items() if e.on_mean}
+    for i, (name, effect) in enumerate(on_mean.items()):
+        tell(0.1 + 0.5 * i / len(on_mean), name)
+        weight = sum(form.weight for form in effect.forms)
+        fits[name] = [
+            (fit_effect(sketch, base, [Part(effect, form)], form.starts), form.weight / weight)
+            for form in effect.forms
+        ]
+        log_prior = priors[name] + np.log1p(-INCOMPLETE)
+        add((name,), float(log_prior), fits[name])
+    singles = {h.effects[0]: h for h in hypotheses if len(h.effects) == 1}
+    best = max([h.log_z for h in singles.values()], default=-np.inf)
+    near = [n for n, h in singles.items() if h.log_z > max(best, alone.log_z) - NEAR]
+    some = _promising(base, shares)
+    for i, name in enumerate(near):
+        tell(0.6 + 0.15 * i / len(near), f"{name} and something else")
+        log_prior = float(priors[name] + np.log(INCOMPLETE))
+        add((name,), log_prior, _leading(fits[name]), some)
+    if pairs:
+        _add_pairs(sketch, base, on_mean, fits, singles, hypotheses, priors, add, tell)
+    tell(1.0, "weighed")
+    return Weighing(sketch, base, tuple(hypotheses), catalogue, tuple(shares))
+
+
+def _leading(fits: Sequence[tuple[Refit, float]]) -> list[tuple[Refit, float]]:
+    # forms whose optimum is far worse than the best one's add nothing
+    least = min(f.objective for f, _ in fits)
+    return [(f, w) for f, w in fits if f.objective < least + 2.0 * NEAR]
+
+
+def _promising(base: Refit, discrepancies: Sequence[Discrepancy]) -> list[Discrepancy]:
+    # discrepancies that are not hopeless; their weights stay what they were
+    line = Linearised(base)
+    logs = np.array([line.evidence(d).log_z for d in discrepancies])
+    order = np.argsort(-logs)
+    small = [i for i, d in enumerate(discrepancies) if d.name.split()[-1] in ("0.001", "0.0005")]
+    keep = sorted({*order[:8].tolist(), *small})
+    return [discrepancies[i] for i in keep]
+
+
+def _add_pairs(
+    sketch: Sketch,
+    base: Refit,
+    on_mean: Mapping[str, Effect],
+    fits: Mapping[str, list[tuple[Refit, float]]],
+    singles: Mapping[str, Hypothesis],
+    hypotheses: list[Hypothesis],
+    priors: Mapping[str, float],
+    add: Callable[..., Hypothesis],
+    tell: Progress,
+) -> None:
+    none = next(h for h in hypotheses if h.key == "none")
+    ranked = sorted(singles.values(), key=lambda h: -h.log_weight)
+    leading: list[str] = []
+    families: set[str] = set()
+    for h in ranked:  # the best member of the three best families
+        family = on_mean[h.effects[0]].family
+        if h.log_weight > none.log_weight and family not in families and len(leading) < 3:
+            leading.append(h.effects[0])
+            families.add(family)
+    if not leading or not _something_left(hypotheses):
+        return
+    done: set[frozenset[str]] = set()
+    tried = [(a, b) for a in leading for b in on_mean if on_mean[a].family != on_mean[b].family]
+    for i, (a, b) in enumerate(tried):
+        if frozenset((a, b)) in done:
+            continue
+        done.add(frozenset((a, b)))
+        tell(0.75 + 0.25 * i / len(tried), f"{a} with {b}")
+        made = []
+        first = max(_leading(fits[a]), key=lambda f: -f[0].objective)[0]
+        for form in on_mean[b].forms:
+            part = Part(on_mean[b], form)
+            made.append((fit_effect(sketch, first, [part], form.starts[:3], 15), form.weight))
+        weight = sum(w for _, w in made)
+        log_prior = priors[a] + priors[b] - np.log(PRIOR_NONE)
+        names = tuple(sorted((a, b), key=list(on_mean).index))
+        add(names, float(log_prior), [(f, w / weight) for f, w in made])
+
+
+def _something_left(hypotheses: Sequence[Hypothesis]) -> bool:
+    """Whether the best explanations by one effect leave something for another."""
+    logs = np.array([h.log_weight for h in hypotheses])
+    p = np.exp(logs - logsumexp(logs))
+    left = sum(q for q, h in zip(p, hypotheses, strict=True) if h.incomplete)
+    best = max((h for h in hypotheses if h.effects), key=lambda h: h.log_weight)
+    n = best.refit.plan.sketch.n_bins
+    excess = (best.refit.misfit - (n - best.refit.plan.size)) / np.sqrt(2.0 * n)
+    return bool(left > 0.02 or excess > 2.5)
+
+
+def joined_start(plan: Plan, fitted: Refit) -> FloatArray:
+    """Coordinates of a plan with one more part, from a refit without it."""
+    x = plan.start(fitted.x, {})  # the shared ones; the local ones follow another layout
+    old = fitted.plan
+    n_shared, n_own = len(old.shared), len(old.own)
+    x[3 : 3 + n_shared] = fitted.x[3 : 3 + n_shared]
+    for k, e in enumerate(plan.sketch.campaign):
+        m = 4 if e.has_fall else 3
+        here, there = plan.local[k], old.local[k]
+        x[here : here + m + n_own] = fitted.x[there : there + m + n_own]
+    return x
+
+
+def with_start(plan: Plan, x: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
+    """``x`` with the last part's strengths at chosen values."""
+    base = plan.start(np.zeros(plan.size), chosen)
+    made = x.copy()
+    last = {s.name for s in plan.strengths[-1]}
+    for i, s in enumerate(plan.shared):
+        if s.name in last:
+            made[3 + i] = base[3 + i]
+    n = len(plan.own)
+    for k, (i, s) in product(range(len(plan.sketch.campaign)), enumerate(plan.own)):
+        if s.name in last:
+            at = plan.local[k + 1] - n + i
+            made[at] = base[at]
+    return made
