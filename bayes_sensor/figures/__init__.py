@@ -12,7 +12,6 @@ from bayes_sensor.figures.coating import (
 )
 from bayes_sensor.figures.draws import corner, main_parameters, traces_and_ranks
 from bayes_sensor.figures.gap import gap_budget, gap_hidden, gap_map, gap_ranking
-from bayes_sensor.figures.hardness import tau_hard, what_would_help
 from bayes_sensor.figures.methods import intervals, priors_on_tau, step_study
 from bayes_sensor.figures.noise import autocorrelation, histogram, predictive, spread
 from bayes_sensor.figures.overlays import overlay, rms_bars

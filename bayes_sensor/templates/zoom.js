@@ -143,9 +143,11 @@
       view = [a, a + span];
       if (!pending) {
         pending = true;
-        requestAnimationFrame(function () { pending = false; draw(); });
+        requestAnimationFrame(redraw);
+        setTimeout(redraw, 100); // where nothing is shown, frames never come
       }
     }
+    function redraw() { if (pending) { pending = false; draw(); } }
     function zoom(factor, at) {
       at = at === undefined ? (view[0] + view[1]) / 2 : at;
       set(at - (at - view[0]) * factor, at + (view[1] - at) * factor);
