@@ -194,7 +194,7 @@ def test_flow_that_follows_the_valve_against_an_ode_solver() -> None:
     assert np.abs(x - states[:, 2]).max() < 2e-5
 
 
-def test_pockets_back_mixing_and_site_kinetics_against_an_ode_solver() -> None:
+def test_pockets_back_mixing_mass_gates_and_site_kinetics_against_an_ode_solver() -> None:
     rig = case()
     step = rig.steps[0]
     q, V, relative = step.total_flow, rig.V, rig.relative_concentration(step)
@@ -226,6 +226,21 @@ def test_pockets_back_mixing_and_site_kinetics_against_an_ode_solver() -> None:
         np.abs(voltage(rig, step, Knobs(back_flow=1.5, n_cells=3), t)[1] - states[:, 4]).max()
         < 2e-5
     )
+
+    def with_mass(u: float, x: FloatArray) -> list[float]:
+        drag = x[1] * (1.0 + 0.25 * 0.2 * abs(x[1]))
+        speed = (u - x[0] - drag) / (0.2 * rig.tau_v)
+        return [x[1] / rig.tau_v, speed, q / V * (x[0] - x[2]), (x[2] - x[3]) / rig.tau]
+
+    t, states = solved(rig, with_mass, 4)
+    assert np.abs(voltage(rig, step, Knobs(inertia=0.2), t)[1] - states[:, 3]).max() < 2e-5
+
+    def with_gates(u: float, x: FloatArray) -> list[float]:
+        rate = np.exp(0.8 * np.tanh((x[1] - x[2]) / 0.05)) / rig.tau
+        return [(u - x[0]) / rig.tau_v, q / V * (x[0] - x[1]), rate * (x[1] - x[2])]
+
+    t, states = solved(rig, with_gates, 3)
+    assert np.abs(voltage(rig, step, Knobs(gate=0.8), t)[1] - states[:, 2]).max() < 5e-5
 
     def with_sites(u: float, x: FloatArray) -> list[float]:
         K, g = 2.0, relative * x[1]

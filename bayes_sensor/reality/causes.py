@@ -38,6 +38,8 @@ class Cause:
     highest: float
     """the largest strength that is still plausible in a laboratory"""
     turn: Apply
+    near: tuple[str, ...] = ()
+    """names that would not be wrong, although the catalogue's form does not cover the cause"""
     per_experiment: bool = False
     """whether its size differs from experiment to experiment"""
     fast: bool = False
@@ -66,13 +68,18 @@ CAUSES: dict[str, Cause] = {}
 
 
 def cause(
-    listed_as: tuple[str, ...], family: str, unit: str, highest: float, **flags: bool
+    listed_as: tuple[str, ...],
+    family: str,
+    unit: str,
+    highest: float,
+    near: tuple[str, ...] = (),
+    **flags: bool,
 ) -> Callable[[Apply], Apply]:
     """Register the decorated function under its own name."""
 
     def register(turn: Apply) -> Apply:
         name = turn.__name__
-        CAUSES[name] = Cause(name, listed_as, family, unit, highest, turn, **flags)
+        CAUSES[name] = Cause(name, listed_as, family, unit, highest, turn, near, **flags)
         return turn
 
     return register
@@ -111,11 +118,11 @@ def closing_spring(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.closing = sign * s
 
 
-@cause(("valve_second_order",), "delay", "s", 0.2)
-def coil_current(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
-    """The coil's current rises with L/R, and its square draws the valve."""
+@cause(("valve_second_order",), "delay", "tau_v squared", 0.6)
+def heavy_plunger(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The plunger and the gas it pushes have mass, and their drag grows with speed."""
     for knobs in rig.values():
-        knobs.coil_time = s
+        knobs.inertia = s
 
 
 @cause(("two_rate_valve",), "tail", "share", 0.25)
@@ -153,22 +160,18 @@ def bouncing_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
 
 @cause(("flow_settling",), "tail", "relative", 0.6)
 def controller_settling(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
-    """The mass flow controllers settle, over- or underdamped, after the pressure jumps."""
+    """The test gas's controller settles after its line opens; the flow is off meanwhile."""
     time = _between(rng, 0.4, 3.0)
-    omega = rng.choice([0.0, 1.0]) * rng.uniform(0.5, 2.0) / time
-    sign, both = _sign(rng), rng.random() < 0.5
+    omega = rng.uniform(0.0, 0.7) / time
+    sign = _sign(rng)
     for step in case.steps:
 
-        def settle(t: FloatArray, t0: float = step.t0, tf: float = step.tf) -> FloatArray:
-            on, off = np.maximum(t - t0, 0.0), np.maximum(t - tf, 0.0)
-            bump = np.where(t >= t0, np.exp(-on / time) * np.cos(omega * on), 0.0)
-            if both:
-                bump -= np.where(t >= tf, np.exp(-off / time) * np.cos(omega * off), 0.0)
-            return 1.0 + 0.8 * sign * s * bump
+        def settle(t: FloatArray, t0: float = step.t0) -> FloatArray:
+            since = np.maximum(t - t0, 0.0)
+            bump = np.exp(-since / time) * np.cos(omega * since)
+            return np.where(t >= t0, 1.0 + 0.8 * sign * s * bump, 1.0)
 
         rig[step.name].test_gas.append(settle)
-        if both:
-            rig[step.name].carrier.append(settle)
 
 
 @cause(("flow_error",), "flow", "relative", 0.15, per_experiment=True)
@@ -269,14 +272,23 @@ def layered_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.film_share = s
 
 
-@cause(("sorption_asymmetry",), "fall", "K c", 3.0)
+@cause(("sorption_asymmetry",), "fall", "log of the rates", 1.2)
+def gated_pores(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Pores open under load and close behind it: uptake is faster than release, or slower."""
+    sign = 1.0 if rng.random() < 0.7 else -1.0
+    width = _between(rng, 0.002, 0.012)
+    for knobs in rig.values():
+        knobs.gate, knobs.gate_width = sign * s, width
+
+
+@cause((), "fall", "K c", 3.0, near=("sorption_asymmetry",))
 def site_kinetics(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
-    """Langmuir kinetics read on a calibrated scale: sites fill faster than they empty."""
+    """Langmuir kinetics read on a calibrated scale: the more gas, the faster the sensor."""
     for knobs in rig.values():
         knobs.langmuir = s
 
 
-@cause(("sorption_asymmetry",), "fall", "log of the rates", 2.0)
+@cause((), "fall", "log of the rates", 2.0, near=("sorption_asymmetry",))
 def swelling_film(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The coating swells: the more it has taken up, the faster it takes up and gives off."""
     sign = _sign(rng)
@@ -339,10 +351,10 @@ def condensation(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
 # --------------------------------------------------------------------------- readout
 
 
-@cause(("optical_nonlinearity",), "fall", "half-widths", 0.9)
+@cause(("optical_nonlinearity",), "fall", "half-widths", 0.5)
 def lorentzian_flank(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The dip moves past the laser: the whole Lorentzian, not its tangent, is read."""
-    detuning = rng.choice([rng.uniform(-1.4, -0.9), rng.uniform(-0.45, -0.2)])
+    detuning = rng.choice([rng.uniform(-2.0, -1.2), rng.uniform(0.15, 0.3)])
     for knobs in rig.values():
         knobs.shift, knobs.detuning = s, float(detuning)
 
@@ -552,7 +564,7 @@ def anti_alias_filter(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.filter_time = s
 
 
-@cause((), "clock", "relative", 0.08, per_experiment=True)
+@cause((), "clock", "relative", 0.08, near=("flow_error",), per_experiment=True)
 def running_off_clock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The recorder's clock runs at another rate each time and changes it on the way."""
     for step in case.steps:

@@ -26,8 +26,8 @@ class Knobs:
     """How one experiment's rig departs from ideal; the causes turn these."""
 
     # valve
-    coil_time: float = 0.0
-    """s, rise of the coil's current, whose square draws the valve"""
+    inertia: float = 0.0
+    """mass of the valve in units of tau_v squared"""
     stroke_time: float = 0.0
     """s, from stop to stop at constant acceleration"""
     closing: float = 0.0
@@ -69,6 +69,9 @@ class Knobs:
     curved: bool = False
     """whether the isotherm's bend shows in the signal, too"""
     swelling: float = 0.0
+    gate: float = 0.0
+    """log of the sensor's rate when it is driven up, minus that when driven down; halved"""
+    gate_width: float = 0.05
     slow_sites: float = 0.0
     slow_sites_time: float = 10.0
     backlash: float = 0.0
@@ -164,11 +167,10 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
     if knobs.stroke_time > 0:
         z = _stroke(t, step, knobs.stroke_time)
         first, last = z[:-1], z[1:]
-    if knobs.coil_time > 0:
-        # the current obeys the same first-order law as an ideal valve
-        force = stages.valve(t, first, last, knobs.coil_time, 0.0) ** 2
-        first, last = force[:-1], force[1:]
-    x = stages.valve(t, first, last, case.tau_v, knobs.closing)
+    if knobs.inertia > 0:
+        x = stages.heavy_valve(t, first, last, case.tau_v, knobs.inertia)
+    else:
+        x = stages.valve(t, first, last, case.tau_v, knobs.closing)
     if knobs.slow_opening > 0:
         slow = np.zeros_like(x)
         for factor in (0.6, 1.6):
@@ -240,20 +242,21 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         x = gas
     elif knobs.langmuir > 0:
         K = knobs.langmuir
-        filled = stages.langmuir(t, relative * gas, tau, K, 0.0)
+        filled = stages.langmuir(t, relative * gas, tau, K, 0.0, 0.0, 1.0)
         if knobs.curved:
             x = filled * (1.0 + K * relative) / relative
         else:  # a reading that was calibrated against concentration
             x = filled / (1.0 - K * filled) / relative
-    elif knobs.swelling != 0:
-        x = stages.langmuir(t, gas, tau, 0.0, knobs.swelling)
+    elif knobs.swelling != 0 or knobs.gate != 0:
+        x = stages.langmuir(t, gas, tau, 0.0, knobs.swelling, knobs.gate, knobs.gate_width)
     else:
         x = stages.lag(t, gas, np.full(len(t) - 1, tau), float(gas[0]))
     if knobs.slow_sites > 0:
         slow = np.zeros_like(x)
         for factor in (0.5, 1.8):
             K = 0.3
-            site = stages.langmuir(t, relative * gas, factor * knobs.slow_sites_time, K, 0.0)
+            time = factor * knobs.slow_sites_time
+            site = stages.langmuir(t, relative * gas, time, K, 0.0, 0.0, 1.0)
             slow += 0.5 * site * (1.0 + K * relative) / relative
         x = (1.0 - knobs.slow_sites) * x + knobs.slow_sites * slow
     if knobs.backlash > 0:

@@ -8,7 +8,7 @@ Runge-Kutta steps inside, as many as stability wants.
 
 from __future__ import annotations
 
-from math import ceil, exp
+from math import ceil, exp, tanh
 
 import numpy as np
 from numba import njit
@@ -59,6 +59,37 @@ def valve(
             middle = 0.5 * (x[i] + end)
         x[i + 1] = end
     return x
+
+
+@njit(cache=True, error_model="numpy")
+def heavy_valve(
+    t: FloatArray, first: FloatArray, last: FloatArray, tau_v: float, inertia: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) opening of a valve that moves a mass.
+
+    kappa tau_v^2 x'' + tau_v x' (1 + kappa/4 |tau_v x'|) + x = u with kappa = ``inertia``: the
+    drag grows a little with speed.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    x, v = 0.0, 0.0  # v = tau_v x'
+    k = np.zeros((4, 2))
+    share = (0.0, 0.5, 0.5, 1.0)
+    for i in range(n - 1):
+        steps = max(1, ceil((t[i + 1] - t[i]) / (0.2 * inertia * tau_v)))
+        h = (t[i + 1] - t[i]) / steps
+        for step in range(steps):
+            for stage in range(4):
+                u = first[i] + (step + share[stage]) / steps * (last[i] - first[i])
+                p = x + (share[stage] * h * k[stage - 1, 0] if stage else 0.0)
+                w = v + (share[stage] * h * k[stage - 1, 1] if stage else 0.0)
+                k[stage, 0] = w / tau_v
+                drag = w * (1.0 + 0.25 * inertia * abs(w))
+                k[stage, 1] = (u - p - drag) / (inertia * tau_v)
+            x += h / 6.0 * (k[0, 0] + 2.0 * k[1, 0] + 2.0 * k[2, 0] + k[3, 0])
+            v += h / 6.0 * (k[0, 1] + 2.0 * k[1, 1] + 2.0 * k[2, 1] + k[3, 1])
+        out[i + 1] = x
+    return out
 
 
 @njit(cache=True)
@@ -179,13 +210,14 @@ def cells(
 
 @njit(cache=True, error_model="numpy")
 def langmuir(
-    t: FloatArray, g: FloatArray, tau: float, K: float, bend: float
+    t: FloatArray, g: FloatArray, tau: float, K: float, bend: float, gate: float, width: float
 ) -> FloatArray:  # pragma: no cover - compiled
-    """(n,) coverage over K of sites that fill as r' = [g (1 - K r) - r] exp(bend (r - 1/2))/tau.
+    """(n,) coverage over K of sites that fill as r' = [g (1 - K r) - r] e/tau.
 
     ``g`` (n,) is the gas concentration in units in which K is Langmuir's constant (J. Am. Chem.
-    Soc. 40, 1361, 1918); K = 0 and bend = 0 is a first-order lag.  ``bend`` lets the rate grow
-    with coverage (a film that swells).
+    Soc. 40, 1361, 1918); e = exp(bend (r - 1/2) + gate tanh((g - r)/width)): the rate grows with
+    coverage (a film that swells) or with what drives the uptake (pores that open under load and
+    close behind it).  K, bend and gate 0: a first-order lag.
     """
     n = len(t)
     r = np.empty(n)
@@ -201,8 +233,9 @@ def langmuir(
         end = r[i]
         for _ in range(2):
             local = tau / fill
-            if bend != 0.0:
-                local *= exp(-bend * (middle - 0.5))
+            if bend != 0.0 or gate != 0.0:
+                drive = tanh((centre / fill - middle) / width)
+                local *= exp(-bend * (middle - 0.5) - gate * drive)
             end = b - local * slope + (r[i] - a + local * slope) * exp(-h / local)
             middle = 0.5 * (r[i] + end)
         r[i + 1] = end
