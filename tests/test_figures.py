@@ -87,6 +87,68 @@ def study() -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
+def predictive_record(unit: str = "V") -> dict[str, Any]:
+    def part(x: list[float], middle: list[float]) -> dict[str, Any]:
+        m = np.array(middle)
+        return {"x": x, "observed": (1.01 * m).tolist(), "low": (0.9 * m).tolist(),
+                "middle": middle, "high": (1.1 * m).tolist(), "p_value": 0.3}  # fmt: skip
+
+    return {
+        "autocorrelation": part([1, 3, 10, 30], [0.8, 0.5, 0.1, 0.01]),
+        "variance": part([0.0, 0.05, 0.1], [0.002, 0.003, 0.004]),
+        "spectrum": part([0.1, 1, 10, 100], [9, 9, 5, 0.2]),
+        "pit": {"counts": [100, 98, 103, 99], "p_uniform": 0.0},
+    }
+
+
+def prior_rows() -> list[dict[str, Any]]:
+    row = {"lo95_s": 0.001, "hi95_s": 0.06, "hdi_lo95_s": 0.0, "hdi_hi95_s": 0.055,
+           "upper95_s": 0.055, "upper99_s": 0.07}  # fmt: skip
+    return [{"prior": name, **row} for name in ("flat", "half_normal", "mine")]
+
+
+def time_rows() -> list[dict[str, Any]]:
+    def row(system: str, flow: float | None, scale: float) -> dict[str, Any]:
+        times = {"t10": 0.1, "t63": 1.0, "t90": 2.3}
+        return {"system": system, "total_flow_L_per_min": flow} | {
+            f"{name}{end}_s": scale * t * by
+            for name, t in times.items() for end, by in (("_lo", 0.8), ("", 1.0), ("_hi", 1.2))
+        }  # fmt: skip
+
+    return [row("sensor", None, 0.05), row("chain", 4.5, 1.0), row("chain", 9.0, 0.7)]
+
+
+def diffusivity_record(unbounded: bool) -> dict[str, Any]:
+    d = {"median": 7e-11, "lo68": 3e-11, "hi68": 1e-9, "lo95": 1.7e-11, "hi95": 3e-9}
+    if unbounded:
+        d |= {"hi68": None, "hi95": None, "median": None}
+    return {"d_zif8_m2_per_s": d, "d_literature_m2_per_s": 1.71e-10}
+
+
+def gap_record(nominal: bool = True) -> dict[str, Any]:
+    where = [
+        {"experiment": e, "phase": p, "excess_rms_V": x, "share": s, "p_value": q}
+        for e in ("1", "<b>") for p, x, s, q in
+        (("rise", 0.001, 0.1, 0.5), ("fall", 0.004, 0.4, 0.001), ("tail", None, 0.0, None))
+    ]  # fmt: skip
+    which = [
+        {"effect": e, "family": f, "probability": p}
+        for e, f, p in (("none", None, 0.0001), ("flow_switching", "asymmetry", 0.9),
+                        ("daq_filter", "hidden", 0.0499), ("unlisted", None, 0.05))
+    ]  # fmt: skip
+    return {
+        "budget": {"calibrated_rms_V": 0.0654, "noise_floor_rms_V": 0.0652, "excess_rms_V": 0.004,
+                   "nominal_rms_V": 0.09 if nominal else None},
+        "shrink": {"after_excess_rms_V": 0.0005, "withheld": not nominal},
+        "where": where,
+        "which": which,
+        "hidden": {"effects": [{"effect": "daq_filter", "d": 0.05, "tau_shift_s": 0.0025},
+                               {"effect": "dead_volume", "d": 5.0, "tau_shift_s": -0.04},
+                               {"effect": "heavy_tails", "d": None, "tau_shift_s": 0.0}],
+                   "tau_envelope_s": [0.02, 0.11]},
+    }  # fmt: skip
+
+
 MAKERS = {
     "overlay": (lambda: figures.overlay(trace()), ("time (s)", "signal (V)", "residual (mV)")),
     "overlay_up": (lambda: figures.overlay(trace(fall=False)), ("start", "whole record")),
@@ -118,6 +180,44 @@ MAKERS = {
         ),
         ("time (ms)", "63.2 % after 12.9 ms"),
     ),
+    "predictive": (
+        lambda: figures.predictive(predictive_record()),
+        ("lag (samples)", "frequency (Hz)", "standard deviation (mV)", "95 % of replicates",
+         "autocorrelation, p = 0.3", "next-sample forecasts, p &lt; 0.001"),
+    ),
+    "priors": (
+        lambda: figures.priors_on_tau(prior_rows(), {"flat": "even"}),
+        ("sensor τ (ms)", "even", "mine", "95 % upper limit", "densest 95 %"),
+    ),
+    "response_times": (
+        lambda: figures.response_times(time_rows()),
+        ("time after the step (ms), 95 % intervals", "chain, 4.5 L/min", "sensor alone", "t63"),
+    ),
+    "diffusivity": (
+        lambda: figures.diffusivity(diffusivity_record(False)),
+        ("diffusivity of ZIF-8 (m²/s)", "literature, 1.71e-10 m²/s"),
+    ),
+    "diffusivity_unbounded": (
+        lambda: figures.diffusivity(diffusivity_record(True)), ("diffusivity of ZIF-8 (m²/s)",),
+    ),
+    "gap_budget": (
+        lambda: figures.gap_budget(gap_record()),
+        ("RMS (mV)", "calibrated", "nominal", "above the noise floor"),
+    ),
+    "gap_budget_bare": (lambda: figures.gap_budget(gap_record(False)), ("calibrated",)),
+    "gap_map": (
+        lambda: figures.gap_map(gap_record()["where"]),
+        ("experiment", "phase of the step", "excess RMS (mV)", "40 %", "fall", "&lt;b&gt;"),
+    ),
+    "gap_ranking": (
+        lambda: figures.gap_ranking(gap_record()["which"]),
+        ("probability (%)", "flow switching", "unlisted", "90.0", "&lt;0.1", "asymmetry"),
+    ),
+    "gap_hidden": (
+        lambda: figures.gap_hidden(gap_record()["hidden"], 0.048),
+        ("shift of τ (ms)", "detectability d (standard deviations)", "could hide",
+         "would be seen", "envelope of τ", "daq filter"),
+    ),
 }  # fmt: skip
 
 
@@ -135,7 +235,7 @@ def test_a_figure_is_drawn_and_labelled(name: str) -> None:
     assert plt.get_fignums() == [], "a figure was left open in pyplot"
 
 
-@pytest.mark.parametrize("name", ["delays", "corner", "autocorrelation"])
+@pytest.mark.parametrize("name", ["delays", "corner", "autocorrelation", "gap_map"])
 def test_the_same_records_give_the_same_bytes(name: str) -> None:
     figure = MAKERS[name][0]
     state = RNG.bit_generator.state
@@ -160,7 +260,8 @@ def test_colours_that_meet_in_one_plot_differ_in_grey() -> None:
 
     pairs = [(figures.DATA, figures.MODEL), (figures.DATA, figures.INK),
              (figures.DATA, figures.ORANGE), (figures.PALE, figures.BLUE),
-             (figures.PALE, figures.MODEL), (figures.ORANGE, figures.INK)]  # fmt: skip
+             (figures.PALE, figures.MODEL), (figures.ORANGE, figures.INK),
+             (figures.GROUND, figures.REGIONS[1]), (figures.REGIONS[1], figures.BLUE)]  # fmt: skip
     for a, b in pairs:
         assert abs(grey(a) - grey(b)) > 0.15, (a, b)
 

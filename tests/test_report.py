@@ -4,8 +4,10 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,20 +17,34 @@ from bayes_sensor import figures
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import _guarded
 from bayes_sensor.report import (
-    MOST_OVERLAYS,
-    MOST_PIXELS,
+    FORMATS,
     Table,
     alerts,
     build_report,
     headline,
-    inline_svg,
+    html,
+    markdown,
     number,
     p_words,
     read_results,
+    typeset,
     with_spread,
 )
+from bayes_sensor.report.html import inline_svg, zoom_data
+from bayes_sensor.report.markdown import escaped
+from bayes_sensor.report.parts import Pictures, Section, numbering, pieces, see
+from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.sections import make_sections
+from bayes_sensor.report.sections.fit import fitted
+from bayes_sensor.samples import load_samples
 
 HOSTILE = "<script>document.title='taken'</script> $x^2$ \"&'"
+ORDER = [
+    "What was measured", "How well does the model fit", "What is the sensor&#39;s time constant",
+    "Is the noise model adequate", "What makes it hard", "Where is the gap, and what causes it",
+    "How do the delays depend on flow", "Response times and the coating", "What to measure next",
+    "How it was computed",
+]  # fmt: skip
 DESIGN = """title = "</title><script>document.title='taken'</script>"
 """
 
@@ -60,6 +76,13 @@ def analysed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     code = run("analyze", data / "campaign.toml", "--out", folder / "out", *options)
     assert code in (0, 3)
     return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def parts(analysed: Path) -> tuple[Saved, list[Section]]:
+    """What every format is made from, drawn once."""
+    saved = read_results(analysed)
+    return saved, make_sections(saved, Pictures())
 
 
 # --- words
@@ -149,30 +172,39 @@ def test_page_is_whole_self_contained_and_in_order(analysed: Path) -> None:
     anchors = {a["href"] for t, a in page.tags if t == "a"}
     assert anchors <= {f"#{i}" for i in ids}
     titles = re.findall(r"<h2 id=.*?</span> (.*?)</h2>", text)
-    assert titles == [
-        "What was measured", "How well does the model fit",
-        "What is the sensor&#39;s time constant", "Is the noise model adequate",
-        "How do the delays depend on flow", "How it was computed",
-    ]  # fmt: skip
+    assert [t for t in titles if t in ORDER] == [t for t in ORDER if t in titles]
+    assert set(titles) <= set(ORDER) and {*ORDER[:4], *ORDER[-1:]} <= set(titles)
     pictures = [a for t, a in page.tags if t == "figure" and a.get("class") == "picture"]
-    assert len(pictures) == 4 + 9  # one overlay per experiment, and the rest
+    assert sum("data-trace" in a for a in pictures) == 4
     assert all(a.get("aria-label") for t, a in page.tags if t == "svg")
+
+
+def test_every_answer_with_a_number_points_to_its_table(analysed: Path) -> None:
+    text = (analysed / "report.html").read_text(encoding="utf-8")
+    answers = re.findall(r'<p class="answer">(.*?)</p>', text, re.DOTALL)
+    assert len(answers) >= 6
+    for answer in answers:
+        words = re.sub(r"<.*?>", "", answer)
+        if re.search(r"\d", words):
+            assert 'class="see" href="#' in answer, words
 
 
 def test_hostile_names_stay_text(analysed: Path) -> None:
     text = (analysed / "report.html").read_text(encoding="utf-8")
     page = Page(text)
-    assert sum(tag == "script" for tag, _ in page.tags) == 1
+    runs = [a for tag, a in page.tags if tag == "script" and a.get("type") is None]
+    data = [a for tag, a in page.tags if tag == "script" and a.get("type") is not None]
+    assert len(runs) == 2 and len(data) == 4  # tables, zoom; samples of each experiment
     assert "document.title='taken'</script>" not in text
     assert "&lt;script&gt;document.title=" in text
-    for name, kind in (("report", ".svg"), ("report", ".png")):
-        assert not any("script" in p.name for p in (analysed / "figures").glob(f"*{kind}")), name
+    assert not any("script" in p.name for p in (analysed / "figures").iterdir())
 
 
 def test_figures_are_saved_and_not_blank(analysed: Path) -> None:
     names = {p.name for p in (analysed / "figures").iterdir()}
     for stem in ("overlay_1", "overlay_4", "histogram", "autocorrelation", "spread", "delays",
-                 "corner", "traces", "intervals", "step_study", "rms"):  # fmt: skip
+                 "corner", "traces", "intervals", "step_study", "rms", "predictive",
+                 "priors-figure", "response-times-figure", "d-zif8"):  # fmt: skip
         assert {f"{stem}.svg", f"{stem}.png"} <= names
         pixels = imread(analysed / "figures" / f"{stem}.png")[..., :3]
         assert pixels.std() > 0.02, stem
@@ -194,21 +226,28 @@ def test_numbers_of_the_page_are_those_of_the_files(analysed: Path) -> None:
 
 
 def test_report_is_rebuilt_from_saved_results_alone(
+    analysed: Path, parts: tuple[Saved, list[Section]]
+) -> None:
+    assert html.page(*parts) == (analysed / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_result_that_cannot_be_read_is_named_and_nothing_is_lost(
     analysed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    copy = tmp_path / "copy"
-    shutil.copytree(analysed, copy)
-    before = (copy / "report.html").read_text(encoding="utf-8")
-    (copy / "report.html").unlink()
-    shutil.rmtree(copy / "figures")
-    assert run("report", copy) == 0
-    assert (copy / "report.html").read_text(encoding="utf-8") == before
-    assert len(list((copy / "figures").iterdir())) == 26
-    assert "report.html" in capsys.readouterr().out
-    (copy / "posterior.nc").write_bytes(b"\x89HDF\r\n\x1a\n cut off")
-    assert run("report", copy) == 2
-    assert "posterior.nc: expected the draws" in capsys.readouterr().err
-    assert (copy / "report.html").read_text(encoding="utf-8") == before
+    for name in ("campaign.json", "run.json"):
+        shutil.copy(analysed / name, tmp_path / name)
+    (tmp_path / "report.html").write_text("the earlier report")
+    for name, content, said in (
+        ("posterior.nc", b"\x89HDF\r\n\x1a\n cut off", "expected the draws"),
+        ("samples.npz", b"PK\x03\x04 cut off", "expected saved samples"),
+        ("gap.json", b"{", "cannot be read"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        assert run("report", tmp_path) == 2
+        error = capsys.readouterr().err
+        assert f"{name}: expected" in error and said in error
+        (tmp_path / name).unlink()
+    assert (tmp_path / "report.html").read_text() == "the earlier report"
 
 
 def test_parts_that_were_not_computed_are_left_out(analysed: Path, tmp_path: Path) -> None:
@@ -250,15 +289,157 @@ def test_a_folder_without_results_is_refused(analysed: Path, tmp_path: Path, mis
 def test_many_overlays_become_pixels_before_the_page_grows_too_large(
     analysed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("campaign.json", "run.json", "fit.json", "traces.npz"):
+    saved = read_results(analysed)
+    assert saved.traces is not None
+    saved = replace(saved, traces=saved.traces[:3], samples=None)
+    section = fitted(saved, Pictures(most_vectors=60_000))
+    assert section is not None
+    text = html.page(saved, [section])
+    assert text.count("data:image/png;base64,") >= 2
+    assert html.MOST_VECTORS + html.MOST_PIXELS + html.MOST_SAMPLES < 13e6  # 2 MB for the rest
+    monkeypatch.setattr(html, "MOST_PIXELS", 10_000)
+    text = html.page(saved, [section])
+    assert "Drawn in figures/overlay_3.svg" in text
+
+
+def test_samples_of_fifty_experiments_stay_within_their_budget(analysed: Path) -> None:
+    saved = read_results(analysed)
+    assert saved.samples is not None and saved.traces is not None
+    rng = np.random.default_rng(3)
+    n = 120_000
+    noise = np.rint(16 * rng.standard_normal(n)).astype(np.int64)  # as large as samples get
+    long = replace(saved.samples[0], runs=np.array([(0, n, 1)]), values=noise, interval=1e-3)
+    few = replace(saved, samples=[long] * 2, traces=saved.traces[:1] * 2)
+    assert not any(each["thinned"] for each in zoom_data(few))
+    many = zoom_data(replace(saved, samples=[long] * 60, traces=saved.traces[:1] * 60))
+    assert all(each["thinned"] for each in many)
+    total = sum(len(json.dumps(each)) for each in many)
+    assert 0.5 * html.MOST_SAMPLES < total < 1.3 * html.MOST_SAMPLES
+
+
+# --- the gap, from a saved diagnosis
+
+
+def diagnosis(saved_names: list[str]) -> dict[str, Any]:
+    """A gap.json of the contract's form, with a hostile experiment name among its rows."""
+    phases = ("baseline", "onset", "rise", "plateau", "fall", "tail")
+    where = [
+        {"experiment": name, "phase": phase, "t_start_s": float(i), "t_end_s": i + 1.0,
+         "excess_rms_V": 0.004 if phase == "fall" else 0.0,
+         "share": 1 / len(saved_names) if phase == "fall" else 0.0,
+         "p_value": 0.001 if phase == "fall" else 0.6}
+        for name in saved_names for i, phase in enumerate(phases)
+    ]  # fmt: skip
+    which = [
+        {"effect": e, "family": f, "probability": p, "d": d, "strength": {"fraction": 0.98},
+         "tau_s": 0.05, "fraction_closed": 0.9, "confusable_with": ["valve_asymmetry"]}
+        for e, f, p, d in (
+            ("none", None, 0.01, None), ("flow_switching", "asymmetry", 0.95, 12.0),
+            ("unlisted", None, 0.03, None), ("valve_asymmetry", "asymmetry", 0.01, 11.0),
+        )
+    ]  # fmt: skip
+    return {
+        "budget": {"calibrated_rms_V": 0.0654, "noise_floor_rms_V": 0.0652, "excess_rms_V": 0.004,
+                   "excess_d": 12.2, "p_value": 1e-6, "nominal_rms_V": 0.09},
+        "where": where,
+        "which": which,
+        "verdict": {"kind": "effect", "effects": ["flow_switching"], "family": "asymmetry",
+                    "probability": 0.95, "sentence": "The fall is slower than the rise."},
+        "shrink": {"before_excess_rms_V": 0.004, "after_excess_rms_V": 0.0005,
+                   "fraction_closed": 0.97, "fraction_closed_lo": 0.9, "fraction_closed_hi": 1.02,
+                   "held_out_fraction_closed": 0.93, "tau_before_s": 0.05, "tau_after_s": 0.046,
+                   "withheld": False},
+        "hidden": {"effects": [{"effect": "daq_filter", "d": 0.05, "tau_shift_s": 0.0025},
+                               {"effect": "dead_volume", "d": 5.0, "tau_shift_s": -0.04},
+                               {"effect": "heavy_tails", "d": None, "tau_shift_s": 0.0}],
+                   "tau_envelope_s": [0.02, 0.11]},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("change", ["effect", "none"])
+def test_the_gap_is_told_when_it_was_diagnosed(analysed: Path, tmp_path: Path, change: str) -> None:
+    for name in ("campaign.json", "run.json"):
         shutil.copy(analysed / name, tmp_path / name)
-    monkeypatch.setattr("bayes_sensor.report.MOST_OVERLAYS", 100_000)
-    text = build_report(tmp_path)
-    assert text.count("data:image/png;base64,") >= 3
-    assert MOST_OVERLAYS + MOST_PIXELS < 12e6  # the rest of the page stays below 3 MB
-    monkeypatch.setattr("bayes_sensor.report.MOST_PIXELS", 100_000)
+    record = diagnosis([HOSTILE, "1", "2"])
+    if change == "none":  # nothing found: what cannot be said is null
+        record["verdict"] = {"kind": "none", "effects": [], "family": None, "probability": 0.8,
+                             "sentence": "No gap beyond the noise was found."}  # fmt: skip
+        record["shrink"] = dict.fromkeys(record["shrink"], None) | {"withheld": True}
+        record["budget"]["nominal_rms_V"] = None
+        record["hidden"]["tau_envelope_s"] = [None, None]
+        for row in record["where"]:
+            row.update(share=0.0, excess_rms_V=0.0, p_value=None)
+    (tmp_path / "gap.json").write_text(json.dumps(record))
     text = build_report(tmp_path, tmp_path)
-    assert "Drawn in figures/overlay_4.svg" in text and (tmp_path / "overlay_4.svg").is_file()
+    assert Page(text).open == [] and HOSTILE not in text
+    assert record["verdict"]["sentence"].removesuffix(".") in text
+    for name in ("gap-budget", "gap-map", "gap-ranking", "gap-hidden"):
+        assert imread(tmp_path / f"{name}.png")[..., :3].std() > 0.02
+    if change == "effect":
+        assert "97 % of the gap closes (95 % interval 90 to 102 %)" in text
+        assert "93 % on data that were left out" in text
+        assert "τ lies between 20.0 and 110 ms" in text
+    else:
+        assert "no fraction of it can be said to close" in text
+
+
+# --- other formats
+
+
+def test_what_points_nowhere_is_left_out() -> None:
+    text = "A" + see("gone") + " and B" + see("here", "gone") + "."
+    found = "".join(piece for piece, _ in pieces(text, {"here": "Table 1"}))
+    assert found == "A and B (Table 1)."
+    twice = Section("s", "t", "a", [], [Table("k", "c", [], [])] * 2)
+    with pytest.raises(ValueError, match="two parts"):
+        numbering([twice])
+
+
+def test_the_report_as_markdown(analysed: Path, parts: tuple[Saved, list[Section]]) -> None:
+    text = markdown.document(*parts)
+    assert "<script" not in text and "&lt;script&gt;" in text
+    tags = set(re.findall(r"<[^>]*>", text))
+    assert all(re.fullmatch(r'<a id="[\w-]+">|</a>', tag) for tag in tags), tags
+    anchors = set(re.findall(r'<a id="([\w-]+)">', text))
+    assert set(re.findall(r"\]\(#([\w-]+)\)", text)) <= anchors
+    for picture in re.findall(r"!\[.*?\]\((.*?)\)", text):
+        assert (analysed / picture).is_file()
+    for block in re.findall(r"(?:^\|.*\|$\n)+", text, re.MULTILINE):
+        widths = {len(re.findall(r"(?<!\\)\|", line)) for line in block.splitlines()}
+        assert len(widths) == 1, block[:200]
+
+
+def test_text_in_markdown_is_no_markup() -> None:
+    assert escaped("*a* [b](c) `d`") == r"\*a\* \[b\](c) \`d\`"
+    assert escaped("- x\n1. y") == r"\- x 1. y"
+    assert escaped("<img src=x>") == "&lt;img src=x&gt;"
+
+
+def test_the_report_as_pdf(parts: tuple[Saved, list[Section]]) -> None:
+    content = typeset.document(*parts)
+    assert content.startswith(b"%PDF") and content.rstrip().endswith(b"%%EOF")
+    n_pages = max(int(n) for n in re.findall(rb"/Count (\d+)", content))
+    assert 6 <= n_pages <= 40
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_every_format_is_written_by_the_command(
+    analysed: Path, tmp_path: Path, form: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("campaign.json", "run.json"):
+        shutil.copy(analysed / name, tmp_path / name)
+    assert run("report", tmp_path, "--format", form) == 0
+    assert FORMATS[form] in capsys.readouterr().out
+    assert (tmp_path / FORMATS[form]).stat().st_size > 1000
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "campaign.json", "run.json", "figures", FORMATS[form],
+    }  # fmt: skip
+
+
+def test_an_unknown_format_is_refused(analysed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("report", analysed, "--format", "docx") == 2
+    error = capsys.readouterr().err
+    assert "--format docx" in error and "html, pdf, md" in error and error.count("\n") == 1
 
 
 # --- in a browser
@@ -271,23 +452,67 @@ BROWSER = next(
 PROBE = """
 <script>
 window.addEventListener("load", function () {
+  var out = {};
   var table = document.getElementById("table-experiments");
   var button = Array.prototype.find.call(table.querySelectorAll("button.sort"), function (b) {
     return b.textContent.indexOf("flow") === 0; });
   button.click(); button.click();
-  var flows = Array.prototype.map.call(table.tBodies[0].rows, function (r) {
-    return r.cells[4].getAttribute("data-v"); });
-  var drawings = document.querySelectorAll(".drawing > *"), empty = 0;
+  out.flows = Array.prototype.map.call(table.tBodies[0].rows, function (r) {
+    return Number(r.cells[4].getAttribute("data-v")); });
+  out.sorted = button.closest("th").getAttribute("aria-sort");
+  var drawings = document.querySelectorAll(".drawing > *");
+  out.empty = 0;
   drawings.forEach(function (d) {
     var box = d.getBoundingClientRect();
-    if (box.width < 100 || box.height < 50) { empty += 1; } });
-  var wide = document.documentElement.scrollWidth > window.innerWidth + 1;
-  var out = document.createElement("pre");
-  out.id = "probe";
-  out.textContent = JSON.stringify({ flows: flows, n: drawings.length, empty: empty, wide: wide,
-    ready: document.documentElement.dataset.ready, title: document.title,
-    sorted: button.closest("th").getAttribute("aria-sort") });
-  document.body.appendChild(out);
+    if (box.width < 100 || box.height < 50) { out.empty += 1; } });
+  out.n = drawings.length;
+  out.wide = document.documentElement.scrollWidth > window.innerWidth + 1;
+  out.ready = document.documentElement.dataset.ready; out.title = document.title;
+
+  // the zoom of the second experiment
+  var figure = document.querySelectorAll("figure[data-trace]")[1];
+  figure.querySelector("button.opener").click();
+  var canvas = figure.querySelector("canvas"), words = figure.querySelector(".readout");
+  var box = canvas.getBoundingClientRect();
+  function view() { return [Number(canvas.dataset.from), Number(canvas.dataset.to)]; }
+  function later(act) { setTimeout(act, 150); }
+  function press(key) {
+    canvas.dispatchEvent(new KeyboardEvent("keydown",
+      { key: key, bubbles: true, cancelable: true }));
+  }
+  out.whole = view(); out.all = words.textContent;
+  var paint = canvas.getContext("2d"), seen = {};
+  var pixels = paint.getImageData(0, 0, canvas.width, canvas.height).data;
+  for (var i = 0; i < pixels.length; i += 4) {
+    if (pixels[i + 3] > 200) { seen[pixels[i] + "," + pixels[i + 1] + "," + pixels[i + 2]] = 1; }
+  }
+  out.colours = Object.keys(seen).length;
+  canvas.dispatchEvent(new WheelEvent("wheel", { deltaY: -300, clientX: box.left + 0.5 * box.width,
+    clientY: box.top + 40, cancelable: true }));
+  later(function () {
+    out.wheel = view(); press("+");
+    later(function () {
+      out.plus = view(); press("ArrowRight");
+      later(function () {
+        out.right = view();
+        for (var k = 0; k < 40; k += 1) { press("+"); }
+        later(function () {
+          out.closest = view();
+          canvas.dispatchEvent(new PointerEvent("pointermove", { pointerId: 1,
+            clientX: box.left + 0.5 * box.width, clientY: box.top + 40 }));
+          out.words = words.textContent; press("Home");
+          later(function () {
+            out.home = view(); press("Escape");
+            out.closed = figure.querySelector("canvas") === null
+              && figure.querySelector(".drawing").getBoundingClientRect().width > 100;
+            var pre = document.createElement("pre");
+            pre.id = "probe"; pre.textContent = JSON.stringify(out);
+            document.body.appendChild(pre);
+          });
+        });
+      });
+    });
+  });
 });
 </script></body>"""
 
@@ -312,16 +537,34 @@ def test_page_lives_in_a_browser(analysed: Path, tmp_path: Path, width: int) -> 
     page = tmp_path / "page.html"
     text = (analysed / "report.html").read_text(encoding="utf-8")
     page.write_text(text.replace("</body>", PROBE), encoding="utf-8")
-    done = browse(tmp_path / "p1", page, "--dump-dom", f"--window-size={width},2000")
+    done = browse(tmp_path / "p1", page, "--dump-dom", "--virtual-time-budget=3000",
+                  f"--window-size={width},2000")  # fmt: skip
     console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
     assert console == []
     found = re.search(r'<pre id="probe">(.*?)</pre>', done.stdout)
     assert found is not None, done.stderr[-2000:]
     probe = json.loads(found[1].replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&"))
     assert probe["ready"] == "yes" and probe["title"] != "taken"
-    assert probe["n"] == 13 and probe["empty"] == 0 and not probe["wide"]
-    flows = [float(v) for v in probe["flows"]]
-    assert flows == sorted(flows, reverse=True) and probe["sorted"] == "descending"
+    assert probe["n"] >= 16 and probe["empty"] == 0 and not probe["wide"]
+    assert probe["flows"] == sorted(probe["flows"], reverse=True)
+    assert probe["sorted"] == "descending"
+
+    # the zoom shows the samples that were saved
+    samples = load_samples(analysed / "samples.npz")[1]
+    t, y = samples.t, samples.offset + samples.step * samples.values
+    assert probe["whole"] == pytest.approx([t[0], t[-1]])
+    assert f"{len(t)} samples" in probe["all"]
+    assert probe["colours"] >= 5  # measurement, model, residual law, text, grid
+    spans = {key: probe[key][1] - probe[key][0] for key in ("whole", "wheel", "plus", "right")}
+    assert spans["wheel"] == pytest.approx(spans["whole"] * 1.0015**-300)
+    assert spans["plus"] == pytest.approx(spans["wheel"] / 2)
+    assert probe["right"][0] == pytest.approx(probe["plus"][0] + 0.2 * spans["plus"])
+    assert probe["closest"][1] - probe["closest"][0] == pytest.approx(8 * samples.interval)
+    shown = re.search(r"at ([\d.]+) s: measured ([\d.e+-]+) V", probe["words"])
+    assert shown is not None, probe["words"]
+    nearest = int(np.argmin(np.abs(t - float(shown[1]))))
+    assert float(shown[2]) == pytest.approx(y[nearest], rel=6e-4)  # four digits are shown
+    assert probe["home"] == pytest.approx(probe["whole"]) and probe["closed"]
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed: the page is not opened")

@@ -47,9 +47,9 @@ def hardness(saved: Saved, pictures: Pictures) -> Section | None:
         pictures.add(
             "tau-hard",
             figures.tau_hard(record),
-            "Why τ is hard: how far the likelihood falls as τ moves, with the fall that estimate ± "
-            "sd would claim; the bound if other quantities were known; the bound against the true "
-            "τ.",
+            "Why τ is hard: how far the likelihood falls as τ moves, beside what estimate ± sd "
+            "would claim; the bound against the true τ; the bound if something else were known; "
+            "and the direction in which the data know least.",
         ),
         Table(
             "known-table",
