@@ -508,7 +508,7 @@ def _rows(
             alike = next(r["confusable_with"] for r in made if r["effect"] == first)
             h = weighing.find(first)
             separations = [
-                what_would_separate(sketch, h.refit, first, rival, catalogue) for rival in alike[:3]
+                what_would_separate(sketch, h.refit, first, rival, catalogue) for rival in alike[:1]
             ]
     return made, separations
 
@@ -648,7 +648,7 @@ def _strength_words(strength: Mapping[str, Any], units: Mapping[str, str]) -> st
 
 
 def _units(sketch: Any, effect: Effect) -> dict[str, str]:
-    setting = sketch.setting(0, 0.0, None)
+    setting = sketch.settings[0]
     found = {s.name: s.unit for form in effect.forms for s in form.strengths(setting)}
     return {**found, "mains_V": "V", "mains_Hz": "Hz", "adc_step": "V", "tail_dof": "1"}
 

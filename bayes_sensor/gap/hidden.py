@@ -58,7 +58,7 @@ def plausible(effect: Effect, sketch: Sketch) -> dict[str, float]:
         "s": time, "V": volt, "1/V": 1.0 / volt, "V/s": volt / duration, "1/s": 1.0 / duration,
     }  # fmt: skip
     units = {}
-    setting = sketch.setting(0, 0.0, None)
+    setting = sketch.settings[0]
     for form in effect.forms:
         units.update({s.name: s.unit for s in form.strengths(setting)})
     return {
@@ -69,7 +69,7 @@ def plausible(effect: Effect, sketch: Sketch) -> dict[str, float]:
 
 def form_for(effect: Effect, sketch: Sketch, given: Mapping[str, float]) -> Form:
     """The form that takes the given strengths; the first where several do."""
-    setting = sketch.setting(0, 0.0, None)
+    setting = sketch.settings[0]
     for form in effect.forms:
         names = {s.name for s in form.strengths(setting)}
         if names and names <= set(given):
@@ -78,7 +78,7 @@ def form_for(effect: Effect, sketch: Sketch, given: Mapping[str, float]) -> Form
 
 
 def _all_strengths(effect: Effect, sketch: Sketch) -> list[Strength]:
-    setting = sketch.setting(0, 0.0, None)
+    setting = sketch.settings[0]
     return [s for form in effect.forms for s in form.strengths(setting)]
 
 
@@ -90,6 +90,8 @@ def what_may_hide(
     ``base``: the explanation that was accepted, with or without effects.
     """
     found = []
+    exact = [base.plan.binned(base.x, k) for k in range(len(sketch.bins))]
+    none = refit(base.plan, base.x, data=exact, most_steps=10)
     line = Linearised(base).evidence(None)
     low = line.log_tau - 1.96 * line.sd_log_tau
     high = line.log_tau + 1.96 * line.sd_log_tau
@@ -97,7 +99,7 @@ def what_may_hide(
     for name, effect in catalogue.items():
         if not effect.on_mean or effect.family in already:
             continue
-        made = one_hidden(sketch, base, name, effect, plausible(effect, sketch))
+        made = one_hidden(sketch, base, none, name, effect, plausible(effect, sketch))
         found.append(made)
         if made.d < UNSEEN and not made.contradicted:
             low = min(low, log(max(made.tau_low_s, 1e-12)))
@@ -106,9 +108,17 @@ def what_may_hide(
 
 
 def one_hidden(
-    sketch: Sketch, base: Refit, name: str, effect: Effect, given: Mapping[str, float]
+    sketch: Sketch,
+    base: Refit,
+    none: Refit,
+    name: str,
+    effect: Effect,
+    given: Mapping[str, float],
 ) -> Hidden:
-    """An effect at one strength: detectability, shift of tau, tau with the effect in place."""
+    """An effect at one strength: detectability, shift of tau, tau with the effect in place.
+
+    ``none``: the base refitted to its own noise-free mean.
+    """
     form = form_for(effect, sketch, given)
     own = {s.name for s in _all_strengths(effect, sketch) if s.per_experiment}
     part = Part(effect, form)
@@ -123,12 +133,10 @@ def one_hidden(
     blind = min(
         (
             refit(base.plan, start, data=data, most_steps=20)
-            for start in ([base.x] if base.plan.parts else base_starts(sketch, base.x)[:3])
+            for start in ([base.x] if base.plan.parts else base_starts(sketch, base.x)[:3:2])
         ),
         key=lambda r: r.objective,
     )
-    exact = [base.plan.binned(base.x, k) for k in range(len(sketch.bins))]
-    none = refit(base.plan, base.x, data=exact, most_steps=10)
     excess = blind.misfit - none.misfit
     if own:
         with_it = base
@@ -158,7 +166,7 @@ def _joined(plan: Plan, base: Refit) -> np.ndarray:
 
 def _starts(plan: Plan, x: np.ndarray, sketch: Sketch) -> list[np.ndarray]:
     found = [x]
-    for factor in (0.3, 3.0):
+    for factor in (3.0,):
         other = x.copy()
         tau = exp(x[1] - 0.3 - x[0])
         moved = min(tau * factor, 0.7 * exp(x[1]))

@@ -35,6 +35,7 @@ from bayes_sensor.gap.rig import (
     TF,
     Y0,
     rig_mean,
+    rig_means,
     rig_response,
 )
 
@@ -97,18 +98,25 @@ class Sketch:
         ends = np.cumsum([0] + [len(d) for d in self.data])
         return [slice(a, b) for a, b in itertools.pairwise(ends)]
 
-    def setting(self, k: int, t0: float, tf: float | None) -> Setting:
-        """What effects may know of experiment ``k``."""
-        e = self.campaign.experiments[k]
-        return Setting(
-            experiment=e,
-            t0=t0,
-            tf=float(e.t[-1]) if tf is None else tf,
-            time_scale=self.time_scale,
-            reference_flow=self.reference_flow,
-            signal_scale=self.signal_scale,
-            duration=self.duration,
-        )
+    @cached_property
+    def settings(self) -> tuple[Setting, ...]:
+        """What effects may know of every experiment, switch times from the fit without effects."""
+        plan = Plan(self)
+        found = []
+        for k, e in enumerate(self.campaign):
+            at = plan.local[k]
+            found.append(
+                Setting(
+                    experiment=e,
+                    t0=float(self.base[at + 2]),
+                    tf=float(self.base[at + 3]) if e.has_fall else float(e.t[-1]),
+                    time_scale=self.time_scale,
+                    reference_flow=self.reference_flow,
+                    signal_scale=self.signal_scale,
+                    duration=self.duration,
+                )
+            )
+        return tuple(found)
 
     def restricted(self, keep: Sequence[NDArray[np.bool_]]) -> Sketch:
         """The sketch with only some bins (n_bins,) of every experiment.
@@ -165,9 +173,7 @@ class Plan:
     @cached_property
     def strengths(self) -> list[list[Strength]]:
         """Per part, its strengths scaled to the campaign."""
-        t0, tf = float(self.sketch.campaign.experiments[0].t[0]), None
-        setting = self.sketch.setting(0, t0, tf)
-        return [list(part.form.strengths(setting)) for part in self.parts]
+        return [list(part.form.strengths(self.sketch.settings[0])) for part in self.parts]
 
     @cached_property
     def shared(self) -> list[Strength]:
@@ -228,6 +234,11 @@ class Plan:
         matrix[0, 1] -= tau
         matrix[1, 0] -= tau
         return matrix
+
+    @cached_property
+    def own_prior_matrix(self) -> FloatArray:
+        """(n, n) precision of the prior at the stated spreads."""
+        return self.prior_matrix()
 
     @cached_property
     def prior_centre(self) -> FloatArray:
@@ -294,7 +305,18 @@ class Plan:
         shares, ratios = coating_modes() if p[FIRST + INDEX["coating"]] != 0.0 else _NO_MODES
         if own is None:
             return np.asarray(rig_mean(at, p, shares, ratios))
-        form, values, setting = own
+        form, values = own
+        return self._own_mean(at, p, form, values, self.sketch.settings[k])
+
+    def _own_mean(
+        self,
+        at: FloatArray,
+        p: FloatArray,
+        form: Form,
+        values: Mapping[str, float],
+        setting: Setting,
+    ) -> FloatArray:
+        here = replace(setting, t0=float(p[T0]), tf=min(float(p[TF]), setting.tf + 1e6))
 
         def changed(settings: Mapping[str, float]) -> FloatArray:
             check_settings("user's own", settings)
@@ -304,7 +326,7 @@ class Plan:
             return q
 
         view = RigView(
-            setting, float(p[Y0]), float(p[BETA]),
+            here, float(p[Y0]), float(p[BETA]),
             lambda t, s: np.asarray(rig_mean(t, changed(s), *coating_modes())),
             lambda t, s: np.asarray(rig_response(t, changed(s), *coating_modes())),
         )  # fmt: skip
@@ -313,31 +335,47 @@ class Plan:
 
     def rig(
         self, x: FloatArray, k: int
-    ) -> tuple[FloatArray, tuple[Form, Mapping[str, float], Setting] | None]:
+    ) -> tuple[FloatArray, tuple[Form, Mapping[str, float]] | None]:
         """The kernel's parameters for experiment ``k``, and a user's own mean if there is one."""
-        e = self.sketch.campaign.experiments[k]
         at = self.local[k]
-        p = np.empty(FIRST + len(NEUTRAL))
-        p[FIRST:] = NEUTRAL
-        tau_v = exp(min(x[1], 40.0))
+        p = self._fixed[k].copy()
         p[TAU] = exp(max(x[1] - FASTER - x[0], -60.0))
-        p[TAU_V] = tau_v
-        p[TAU_M] = exp(min(x[2], 60.0)) / e.total_flow
+        p[TAU_V] = exp(min(x[1], 40.0))
+        p[TAU_M] = exp(min(x[2], 60.0)) / self._flows[k]
         p[Y0], p[BETA], p[T0] = x[at], x[at + 1], x[at + 2]
-        p[TF] = x[at + 3] if e.has_fall else 1e30
-        p[CONCENTRATION] = e.concentration
-        p[START] = e.t[0] - 0.5 * e.interval
-        p[MIDDLE] = 0.5 * (e.t[0] + e.t[-1])
+        if self._falls[k]:
+            p[TF] = x[at + 3]
         own = None
         if self.parts:
-            tf = float(p[TF]) if e.has_fall else None
-            setting = self.sketch.setting(k, float(p[T0]), tf)
+            setting = self.sketch.settings[k]
             for part, values in zip(self.parts, self.values(x, k), strict=True):
                 for name, value in part.form.settings(values, setting).items():
                     p[FIRST + INDEX[name]] = value
                 if part.form.mean is not None:
-                    own = (part.form, values, setting)
+                    own = (part.form, values)
         return p, own
+
+    @cached_property
+    def _flows(self) -> list[float]:
+        return [e.total_flow for e in self.sketch.campaign]
+
+    @cached_property
+    def _falls(self) -> list[bool]:
+        return [e.has_fall for e in self.sketch.campaign]
+
+    @cached_property
+    def _fixed(self) -> list[FloatArray]:
+        # the kernel's parameters that no coordinate changes
+        found = []
+        for e in self.sketch.campaign:
+            p = np.empty(FIRST + len(NEUTRAL))
+            p[FIRST:] = NEUTRAL
+            p[TF] = 1e30
+            p[CONCENTRATION] = e.concentration
+            p[START] = e.t[0] - 0.5 * e.interval
+            p[MIDDLE] = 0.5 * (e.t[0] + e.t[-1])
+            found.append(p)
+        return found
 
     def binned(self, x: FloatArray, k: int) -> FloatArray:
         """V (n_bins,), mean of each bin of experiment ``k``."""
@@ -345,9 +383,14 @@ class Plan:
 
     def columns(self, k: int) -> NDArray[np.int64]:
         """Coordinates that experiment ``k`` depends on."""
-        return np.concatenate(
-            [np.arange(SHARED + len(self.shared)), np.arange(self.local[k], self.local[k + 1])]
-        )
+        return self._columns[k]
+
+    @cached_property
+    def _columns(self) -> list[NDArray[np.int64]]:
+        shared = np.arange(SHARED + len(self.shared))
+        return [
+            np.concatenate([shared, np.arange(a, b)]) for a, b in itertools.pairwise(self.local)
+        ]
 
     @cached_property
     def steps(self) -> FloatArray:
@@ -361,19 +404,42 @@ class Plan:
             steps[at + 2 : at + (4 if e.has_fall else 3)] = 1e-3 * self.sketch.time_scale
         return steps
 
+    @cached_property
+    def longest_steps(self) -> FloatArray:
+        """(n,) how far one iteration may go: logarithms by 1, switch times by a time scale."""
+        most = np.full(self.size, 1.5)
+        most[:SHARED] = (2.0, 0.7, 0.7)
+        for k, fall in enumerate(self._falls):
+            at = self.local[k]
+            most[at : at + 2] = 10.0 * self.sketch.signal_scale
+            most[at + 2 : at + (4 if fall else 3)] = self.sketch.time_scale
+        return most
+
     def jacobian(self, x: FloatArray, k: int, here: FloatArray) -> FloatArray:
         """(n_bins, n_columns) whitened derivatives of experiment ``k``'s bin means."""
         columns = self.columns(k)
         made = np.empty((len(here), len(columns)))
-        y0 = self.local[k]
-        for i, c in enumerate(columns):
-            if c == y0:
-                made[:, i] = 1.0
-                continue
-            h = self.steps[c]
-            moved = x.copy()
-            moved[c] += h
-            made[:, i] = (self.binned(moved, k) - here) / h
+        bins = self.sketch.bins[k]
+        moved = np.array(x)
+        rigs, own = [], False
+        for c in columns:
+            moved[c] += self.steps[c]
+            p, mean = self.rig(moved, k)
+            own = own or mean is not None
+            rigs.append(p)
+            moved[c] = x[c]
+        if own:
+            for i, c in enumerate(columns):
+                moved[c] += self.steps[c]
+                made[:, i] = (self.binned(moved, k) - here) / self.steps[c]
+                moved[c] = x[c]
+        else:
+            table = np.array(rigs)
+            coated = bool(np.any(table[:, FIRST + INDEX["coating"]] != 0.0))
+            shares, ratios = coating_modes() if coated else _NO_MODES
+            means = rig_means(bins.times, table, shares, ratios)
+            reduced = np.add.reduceat(means * bins.weights, bins.starts, axis=1)
+            made[:] = ((reduced - here) / self.steps[columns][:, None]).T
         return self.sketch.inverse_factors[k] @ made
 
 
@@ -442,7 +508,7 @@ class Refit:
 
 
 def _penalty(plan: Plan, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    matrix = plan.prior_matrix()
+    matrix = plan.own_prior_matrix
     away = x - plan.prior_centre
     return float(away @ matrix @ away), matrix @ away, matrix
 
@@ -525,14 +591,8 @@ def refit(
 
 
 def _limited(step: FloatArray, index: NDArray[np.int64], plan: Plan) -> FloatArray:
-    # shared logarithms and strengths by at most 1, switch times by a time scale
-    most = np.full(plan.size, 1.5)
-    most[:SHARED] = (2.0, 0.7, 0.7)
-    for k, e in enumerate(plan.sketch.campaign):
-        at = plan.local[k]
-        most[at : at + 2] = 10.0 * plan.sketch.signal_scale
-        most[at + 2 : at + (4 if e.has_fall else 3)] = plan.sketch.time_scale
-    return np.clip(step, -most[index], most[index])
+    most = plan.longest_steps[index]
+    return np.clip(step, -most, most)
 
 
 def base_starts(sketch: Sketch, base: FloatArray) -> list[FloatArray]:

@@ -407,3 +407,14 @@ def rig_mean(
             v += p[STEP]
         x[i] = v
     return x
+
+
+@njit(cache=True)
+def rig_means(
+    times: FloatArray, p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
+) -> FloatArray:  # pragma: no cover
+    """(n_rigs, n_t) V: :func:`rig_mean` for every row of ``p`` (n_rigs, n_parameters)."""
+    out = np.empty((len(p), len(times)))
+    for i in range(len(p)):
+        out[i] = rig_mean(times, p[i], mode_share, mode_ratio)
+    return out

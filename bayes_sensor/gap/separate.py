@@ -41,8 +41,8 @@ def isolability(sketch: Sketch, truth: Refit, rival: Effect, given: Sequence[Par
     exact = replace(sketch, data=data)
     base = refit(_plan(exact, given), _bare(truth, len(given)), most_steps=15)
     best = min(
-        fit_effect(exact, base, [Part(rival, form)], form.starts[:3], 15).misfit
-        for form in rival.forms
+        fit_effect(exact, base, [Part(rival, form)], form.starts[:2], 12).misfit
+        for form in rival.forms[:2]
     )
     return float(np.sqrt(max(best, 0.0)))
 
