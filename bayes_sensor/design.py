@@ -12,7 +12,7 @@ t0 + tau to t0, such as a trigger.  The interval is that density's equal-tailed 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,9 +20,10 @@ import numpy as np
 
 from bayes_sensor.bounds import expected_information
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
-from bayes_sensor.likelihood import Prior, Problem, as_problem
+from bayes_sensor.likelihood import Prior, Problem, as_problem, simulate
 from bayes_sensor.model import Layout, Theta, local_parameters
 from bayes_sensor.noise import Noise, lag_coefficient
+from bayes_sensor.posterior import sample_posterior
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -411,6 +412,25 @@ class Design:
     status: str
     """one sentence"""
 
+    @property
+    def new(self) -> Campaign:
+        """The proposed experiments alone."""
+        names = set(self.experiments["name"]) if len(self.experiments) else set()
+        some = tuple(e for e in self.campaign if e.name in names)
+        return replace(self.campaign, title="proposed experiments", experiments=some)
+
+    @property
+    def truth(self) -> dict[str, Any]:
+        """What the prediction assumes, as ``simulate --truth`` reads it: every record's time starts
+        at zero there."""
+        nested = Layout.of(self.campaign).nested(self.theta)
+        for e in self.campaign:
+            own = nested["experiments"][e.name]
+            for key in ("t0_s", "tf_s"):
+                if key in own:
+                    own[key] -= float(e.t[0])
+        return nested
+
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, units in the keys."""
         return {
@@ -638,3 +658,61 @@ def _proposal(
     theta = np.concatenate([vector[:n], local, noise])
     assert len(theta) == len(Layout.of(combined))
     return combined, theta, pd.DataFrame(rows)
+
+
+# --------------------------------------------------------------------------- check by simulation
+
+
+def check_design(
+    design: Design,
+    n: int,
+    seed: int = 1,
+    trigger: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """Posterior intervals of ``n`` simulated campaigns of the proposal against the prediction.
+
+    ``trigger``: sd (s) with which the new switch times are known; they then get normal priors about
+    times drawn with that error.  Returns ``n``, ``mean_half_width95_s``, its ``sd_half_width95_s``
+    between campaigns, ``predicted_half_width95_s``, their ``ratio``, ``within_20_percent`` and
+    ``n_not_converged`` (left out of the mean).
+    """
+    names = [] if design.new.experiments == () else design.new.names_of_experiments
+    layout = Layout.of(design.campaign)
+    widths, lost = [], 0
+    for i, stream in enumerate(np.random.SeedSequence(seed).spawn(n)):
+        data, sampling, timing = stream.spawn(3)
+        campaign = simulate(design.campaign, design.theta, int(data.generate_state(1)[0]))
+        priors = {}
+        if trigger is not None:
+            rng = np.random.default_rng(timing)
+            for flat in layout.names:
+                kind, _, rest = flat.partition("[")
+                if kind in ("t0_s", "tf_s") and rest[:-1] in names:
+                    sd = max(trigger, EXACT)
+                    centre = design.theta[layout.index(flat)] + sd * rng.standard_normal()
+                    priors[flat] = Prior("normal", float(centre), sd)
+        posterior = sample_posterior(
+            Problem(campaign, given_priors=priors),
+            design.theta,
+            int(sampling.generate_state(1)[0]),
+            "independence",
+        )
+        if posterior.converged:
+            low, high = posterior.quantiles("tau_s", [0.025, 0.975])
+            widths.append(0.5 * (high - low))
+        else:
+            lost += 1
+        if progress is not None:
+            progress((i + 1) / n)
+    mean = float(np.mean(widths)) if widths else np.nan
+    ratio = mean / design.after.half_width95
+    return {
+        "n": n,
+        "mean_half_width95_s": mean,
+        "sd_half_width95_s": float(np.std(widths, ddof=1)) if len(widths) > 1 else np.nan,
+        "predicted_half_width95_s": design.after.half_width95,
+        "ratio": ratio,
+        "within_20_percent": bool(abs(ratio - 1.0) <= 0.2),
+        "n_not_converged": lost,
+    }

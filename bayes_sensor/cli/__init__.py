@@ -230,6 +230,56 @@ def simulate(
 
 
 @app.command()
+def design(
+    campaign: CampaignFile,
+    out: Out,
+    target_tau: Annotated[
+        str, typer.Option(help='Wanted half width of tau\'s 95 % interval, "5 ms".')
+    ],
+    flow: Annotated[
+        tuple[str, str] | None,
+        typer.Option(help='Lowest and highest total flow: "3 L/min" "12 L/min".'),
+    ] = None,
+    concentration: Annotated[
+        tuple[str, str] | None, typer.Option(help='Lowest and highest: "5 %" "20 %".')
+    ] = None,
+    duration: Annotated[
+        tuple[str, str] | None, typer.Option(help='Shortest and longest record: "30 s" "120 s".')
+    ] = None,
+    experiments: Annotated[
+        int | None, typer.Option(min=1, max=1000, help="Exactly so many, target reached or not.")
+    ] = None,
+    most: Annotated[int, typer.Option(min=1, max=1000, help="At most so many.")] = 40,
+    trigger: Annotated[
+        str | None, typer.Option(help='New switch times will be known to this sd, "2 ms".')
+    ] = None,
+    tau: Annotated[
+        str | None, typer.Option(help="Plan for this tau; default: the posterior median.")
+    ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="THETA.json", help="Plan for these parameters; no fit is made."),
+    ] = None,
+    check: Annotated[
+        int, typer.Option(min=0, max=10_000, help="Simulate so many campaigns of the proposal.")
+    ] = 0,
+    seed: Seed = 1,
+    quiet: Quiet = False,
+) -> None:
+    """The next experiments to reach a wanted interval of tau."""
+    from bayes_sensor.cli.planning import plan_experiments
+
+    raise typer.Exit(
+        plan_experiments(
+            campaign, out, target=target_tau,
+            limits=_given(flow=flow, concentration=concentration, duration=duration),
+            k=experiments, most=most, trigger=trigger, tau=tau, truth=truth, check=check,
+            seed=seed, quiet=quiet,
+        )
+    )  # fmt: skip
+
+
+@app.command()
 def diffusion(
     out: Out,
     quiet: Quiet = False,

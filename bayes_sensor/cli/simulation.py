@@ -122,7 +122,8 @@ def _empty(campaign: Campaign) -> Campaign:
     return replace(campaign, experiments=experiments, warnings=())
 
 
-def _read_truth(path: Path, design: Campaign) -> dict[str, Any]:
+def read_truth(path: Path, design: Campaign) -> dict[str, Any]:
+    """Parameters as in fit.json or truth.json, of every experiment of the design."""
     content = read_json(path)
     if isinstance(content, dict) and isinstance(content.get("parameters"), dict):
         content = content["parameters"]
@@ -193,7 +194,7 @@ def simulate_campaign(
                 f"--{name}: expected a positive value, but got '{quantities[name]}'"
             )
     if truth is not None:
-        given = _read_truth(truth, plan)
+        given = read_truth(truth, plan)
     elif given is None and not plan.is_design:
         from bayes_sensor.fit import fit_least_squares
 
