@@ -408,20 +408,22 @@ def run_chunks(
     the numbers depend on neither.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    marker = folder / "study.json"
-    settings = {"key": key, "chunk": chunk}
-    if not marker.exists() or json.loads(marker.read_text()) != settings:
-        for old in folder.glob("chunk-*.npz"):
-            old.unlink()
-        _write(marker, json.dumps(settings).encode())
-    spans = [(a, min(a + chunk, n)) for a in range(0, n, chunk)]
-    todo = [span for span in spans if not _file(folder, span).exists()]
-    done = n - sum(b - a for a, b in todo)
-    tell = progress or (lambda done, n: None)
-    tell(done, n)
     with ExitStack() as stack:
-        for span, result in _computed(task, todo, jobs, scheduler, stack):
+        if scheduler is not None:  # before anything is written: it may not answer
+            stack.enter_context(_dask_client(scheduler))
+        folder.mkdir(parents=True, exist_ok=True)
+        marker = folder / "study.json"
+        settings = {"key": key, "chunk": chunk}
+        if not marker.exists() or json.loads(marker.read_text()) != settings:
+            for old in folder.glob("chunk-*.npz"):
+                old.unlink()
+            _write(marker, json.dumps(settings).encode())
+        spans = [(a, min(a + chunk, n)) for a in range(0, n, chunk)]
+        todo = [span for span in spans if not _file(folder, span).exists()]
+        done = n - sum(b - a for a, b in todo)
+        tell = progress or (lambda done, n: None)
+        tell(done, n)
+        for span, result in _computed(task, todo, jobs, scheduler is not None, stack):
             buffer = io.BytesIO()
             np.savez_compressed(buffer, **result)
             _write(_file(folder, span), buffer.getvalue())
@@ -435,26 +437,37 @@ def run_chunks(
 
 
 def _computed(
-    task: Task,
-    todo: list[tuple[int, int]],
-    jobs: int,
-    scheduler: str | None,
-    stack: ExitStack,
+    task: Task, todo: list[tuple[int, int]], jobs: int, dask: bool, stack: ExitStack
 ) -> Any:
-    if scheduler is None and jobs == 1:
+    if not dask and jobs == 1:
         return ((span, _run(task, span)[1]) for span in todo)
     import joblib
 
-    if scheduler is not None:
-        from importlib import import_module
-
-        client: Any = import_module("distributed").Client  # untyped, and an extra
-        stack.enter_context(client(scheduler))
+    if dask:
         stack.enter_context(joblib.parallel_config(backend="dask"))
         parallel = joblib.Parallel(return_as="generator_unordered")
     else:
         parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
     return parallel(joblib.delayed(_run)(task, span) for span in todo)
+
+
+def _dask_client(scheduler: str) -> Any:
+    from importlib import import_module
+
+    try:
+        client: Any = import_module("distributed").Client  # untyped, and an extra
+    except ModuleNotFoundError:
+        raise CampaignError(
+            f"--scheduler {scheduler}: expected the package distributed to be installed, but it is "
+            "not; install it (pip install distributed) or use --jobs"
+        ) from None
+    try:
+        return client(scheduler, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise CampaignError(
+            f"--scheduler {scheduler}: expected a Dask scheduler there, but none answered "
+            f"({error}); check the address, tcp://host:port"
+        ) from None
 
 
 def _run(task: Task, span: tuple[int, int]) -> tuple[tuple[int, int], dict[str, np.ndarray]]:

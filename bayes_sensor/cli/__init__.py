@@ -230,6 +230,39 @@ def simulate(
 
 
 @app.command()
+def coverage(
+    out: Out,
+    campaigns: Annotated[
+        int, typer.Option(min=1, max=1_000_000, help="Simulated campaigns of each setting.")
+    ] = 1000,
+    setting: Annotated[
+        list[str] | None,
+        typer.Option(help="iid, ar1_0.5, ar1_0.9, arma, slow_closing; repeatable, default all."),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option("--method", "--methods", help="As in bounds.json; repeatable, default all."),
+    ] = None,
+    seed: Seed = 1,
+    jobs: Jobs = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Dask scheduler to run on, tcp://host:port.")
+    ] = None,
+    resume: Resume = False,
+    quiet: Quiet = False,
+) -> None:
+    """How often each bound method's interval holds the truth, on simulated campaigns."""
+    from bayes_sensor.cli.coverage import study_coverage
+
+    raise typer.Exit(
+        study_coverage(
+            out, campaigns=campaigns, settings=setting or [], methods=method or [], seed=seed,
+            jobs=jobs, scheduler=scheduler, resume=resume, quiet=quiet,
+        )
+    )  # fmt: skip
+
+
+@app.command()
 def design(
     campaign: CampaignFile,
     out: Out,
@@ -304,7 +337,7 @@ def diffusion(
 
 def _advice(arguments: list[str]) -> str:
     """What to type after an interruption."""
-    resumable = {"analyze", "posterior", "bounds"}
+    resumable = {"analyze", "posterior", "bounds", "coverage"}
     if arguments and arguments[0] in resumable:
         more = [] if "--resume" in arguments else ["--resume"]
         import shlex
