@@ -11,10 +11,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from bayes_sensor.campaign import FloatArray
-
 ENGINE = "h5netcdf"
 
 
@@ -37,9 +33,25 @@ def assemble(groups: Mapping[str, Any], attributes: Mapping[str, Any]) -> Any:
     return _arviz().InferenceData(attrs=dict(attributes), **groups)
 
 
-def save(data: Any, path: Path) -> None:
-    """Write as netCDF-4."""
-    data.to_netcdf(str(path), engine=ENGINE)
+def save(groups: Mapping[str, Any], attributes: Mapping[str, Any], path: Path) -> None:
+    """Write Datasets by group name as netCDF-4: the file that ArviZ of either version writes.
+
+    By xarray alone, because ArviZ takes two seconds to start.
+    """
+    import xarray
+
+    root: Any = xarray.Dataset(attrs=dict(attributes))
+    root.to_netcdf(str(path), mode="w", engine=ENGINE)
+    for name, group in groups.items():
+        group.to_netcdf(str(path), mode="a", group=name, engine=ENGINE)
+
+
+def load_group(path: Path, name: str) -> Any:
+    """One group of what :func:`save` wrote, as a Dataset in memory."""
+    import xarray
+
+    with xarray.open_dataset(str(path), group=name, engine=ENGINE) as group:
+        return group.load()
 
 
 def load(path: Path) -> Any:
@@ -54,39 +66,3 @@ def load(path: Path) -> Any:
         data[group].load()
     data.close()
     return data
-
-
-def diagnostics(chains: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rank R-hat, bulk and tail ESS (n_parameters,) of chains (n_chain, n_draw, n_parameters).
-
-    Vehtari et al., Bayesian Analysis 16, 667 (2021), as implemented by ArviZ.  A parameter that
-    does not vary has R-hat nan and ESS nan.
-    """
-    import xarray
-
-    arviz = _arviz()
-    data = xarray.Dataset({"theta": (("chain", "draw", "parameter"), chains)})
-    with np.errstate(divide="ignore", invalid="ignore"):
-        r_hat = arviz.rhat(data)["theta"].values
-        bulk = arviz.ess(data, method="bulk")["theta"].values
-        tail = arviz.ess(data, method="tail")["theta"].values
-    return r_hat, bulk, tail
-
-
-def pareto_k(log_weights: FloatArray) -> float:
-    """Shape of the generalised Pareto law fitted to the largest of the weights (n,).
-
-    Below .5 the weights have a finite variance and the proposal may be trusted (Vehtari et al.,
-    Pareto smoothed importance sampling, JMLR 25, 2024).
-    """
-    log_weights = np.asarray(log_weights)[np.isfinite(log_weights)]
-    if len(log_weights) < 100:
-        return float("inf")
-    if np.ptp(log_weights) < 1e-12:
-        return float("-inf")
-    if _modern():
-        # its psislw takes the negative of what ArviZ 0.23's takes; this one asks for the draws
-        array_stats = import_module("arviz_stats.base").array_stats
-        weights = np.exp(log_weights - log_weights.max())
-        return float(array_stats.pareto_khat(weights[None], r_eff=1.0, tail="right"))
-    return float(_arviz().psislw(log_weights)[1])

@@ -15,7 +15,6 @@ from functools import cached_property
 from math import log, pi, sqrt
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compression import Compressed, Region, compress
@@ -200,6 +199,8 @@ def draw_between(
 
     Also the log of their density (n,).
     """
+    from scipy.special import ndtr, ndtri
+
     a, b = (low - mean) / sd, (high - mean) / sd
     # the left tail keeps its digits: mirror where the interval lies right of the mean
     mirrored = a + b > 0.0

@@ -29,6 +29,7 @@ ROOMS = (
     "likelihood",
     "compression",
     "laplace",
+    "mixing",
     "inference_data",
     "fit",
     "diffusion",

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_sensor import inference_data as idata
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.laplace import Coordinates
 from bayes_sensor.likelihood import Problem
+from bayes_sensor.mixing import diagnostics
 
 R_HAT_LIMIT = 1.01
 ESS_LIMIT = 400.0
@@ -32,7 +32,7 @@ def diagnose(problem: Problem, chains: FloatArray) -> tuple[FloatArray, FloatArr
     """Rank R-hat, bulk and tail ESS (n_theta,) of chains; nan for what does not vary."""
     free = Coordinates(problem).free
     out = [np.full(chains.shape[-1], np.nan) for _ in range(3)]
-    for target, values in zip(out, idata.diagnostics(chains[:, :, free]), strict=True):
+    for target, values in zip(out, diagnostics(chains[:, :, free]), strict=True):
         target[free] = values
     return out[0], out[1], out[2]
 

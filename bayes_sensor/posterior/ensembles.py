@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor import inference_data as idata
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.compression import Compressed, Region
 from bayes_sensor.laplace import Coordinates, Laplace
 from bayes_sensor.likelihood import Problem, is_affine, log_priors
+from bayes_sensor.mixing import diagnostics
 from bayes_sensor.posterior.checkpoints import Checkpoint
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, Run, enough
 from bayes_sensor.posterior.settings import Progress, Settings
@@ -189,7 +189,7 @@ def run_emcee(
         thetas = target.thetas(stacked.reshape(-1, n_dim))
         full = steps >= settings.max_steps or _hopeless(stacked, steps, settings)
         quick = stacked[:, :, : min(n_dim, 3)]
-        r_hat, bulk, _ = idata.diagnostics(quick)
+        r_hat, bulk, _ = diagnostics(quick)
         if not full and not (np.all(r_hat < R_HAT_LIMIT) and np.all(bulk > settings.target_ess)):
             continue
         rng = np.random.default_rng(np.random.SeedSequence([seed, 10**6, steps]))
@@ -213,7 +213,7 @@ def _hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
     """
     if steps < 500 or (steps - settings.burn_in) % 500 != 0:
         return False
-    _, bulk, _ = idata.diagnostics(stacked)
+    _, bulk, _ = diagnostics(stacked)
     return bool(np.nanmin(bulk) * settings.max_steps / steps < 0.5 * ESS_LIMIT)
 
 

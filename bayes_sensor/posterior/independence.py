@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor import inference_data as idata
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compression import Compressed
 from bayes_sensor.laplace import Laplace, log_posteriors
 from bayes_sensor.likelihood import Problem
+from bayes_sensor.mixing import pareto_k
 from bayes_sensor.posterior.convergence import Run, enough
 from bayes_sensor.posterior.settings import Progress, Settings
 
@@ -59,7 +59,7 @@ def run_independence(
             tried += n
             states[j] = (current, current_w)
             chains[j] = np.concatenate([chains[j], out])
-        k_hat = idata.pareto_k(np.concatenate(weights))
+        k_hat = pareto_k(np.concatenate(weights))
         acceptance = accepted / tried
         report(min(0.95, len(chains[0]) / settings.max_draws), "independence Metropolis")
         stacked = np.stack(chains)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_sensor import inference_data as idata
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.laplace import Coordinates
 from bayes_sensor.likelihood import Prior, Problem
@@ -216,10 +214,6 @@ class Posterior:
 
     def save(self, path: str | Path) -> None:
         """Write ``posterior.nc``, under a temporary name first."""
-        path = Path(path)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            idata.save(self.inference_data, temporary)
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        from bayes_sensor.posterior.saving import save
+
+        save(self, path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,22 @@ UNITS = {
 
 def to_inference_data(posterior: Posterior) -> Any:
     """ArviZ InferenceData (a DataTree in ArviZ 1.x) of a posterior."""
+    return idata.assemble(*_contents(posterior))
+
+
+def save(posterior: Posterior, path: str | Path) -> None:
+    """Write ``posterior.nc``, under a temporary name first."""
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        idata.save(*_contents(posterior), temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _contents(posterior: Posterior) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Groups as Datasets by name, and the attributes of the whole."""
     import xarray
 
     from bayes_sensor import __version__
@@ -70,15 +87,13 @@ def to_inference_data(posterior: Posterior) -> Any:
         {"log_likelihood": (("chain", "draw", "experiment"), posterior.log_likelihood)},
         coords=coordinates,
     )
-    return idata.assemble(
-        {
-            "posterior": group,
-            "log_likelihood": likelihood,
-            "posterior_predictive": predictive,
-            "observed_data": observed,
-        },
-        attributes,
-    )
+    groups = {
+        "posterior": group,
+        "log_likelihood": likelihood,
+        "posterior_predictive": predictive,
+        "observed_data": observed,
+    }
+    return groups, attributes
 
 
 def unit_of(name: str, signal_unit: str) -> str:
@@ -138,7 +153,7 @@ def _predictive(posterior: Posterior, n_times: int = 240, n_draws: int = 120) ->
 
 def load_chains(path: str | Path) -> tuple[list[str], FloatArray]:
     """Flat names and chains (n_chain, n_draw, n_theta) of a saved ``posterior.nc``."""
-    data = idata.load(Path(path))["posterior"]
+    data = idata.load_group(Path(path), "posterior")
     names, columns = [], []
     own = [str(kind) for kind in data.data_vars if kind not in VARIABLES]
     for kind, flat in (VARIABLES | {kind: kind for kind in own}).items():
