@@ -205,17 +205,31 @@ MAKERS = {
         ("RMS (mV)", "calibrated", "nominal", "above the noise floor"),
     ),
     "gap_budget_bare": (lambda: figures.gap_budget(gap_record(False)), ("calibrated",)),
-    "gap_map": (
-        lambda: figures.gap_map(gap_record()["where"]),
+    "gap_where": (
+        lambda: figures.gap_where(gap_record()["where"]),
         ("experiment", "phase of the step", "excess RMS (mV)", "40 %", "fall", "&lt;b&gt;"),
     ),
-    "gap_ranking": (
-        lambda: figures.gap_ranking(gap_record()["which"]),
+    "gap_which": (
+        lambda: figures.gap_which(gap_record()),
         ("probability (%)", "flow switching", "unlisted", "90.0", "&lt;0.1", "asymmetry"),
+    ),
+    "gap_residuals": (
+        lambda: figures.gap_residuals(
+            [{"experiment": "<b>", "whitened": [0.1, -3.0, 2.0], "phase": [0, 2, 4]}] * 2
+        ),
+        ("baseline", "rise", "fall", "whitened residual (sd), strips of ± 3.5", "&lt;b&gt;"),
+    ),
+    "gap_hidden_whole": (
+        lambda: figures.gap_hidden(
+            {"effects": [{"effect": "daq_filter", "d": 0.0, "tau_shift_s": 0.1, "contradicted": c,
+                          "tau_with_it_s": 0.05, "tau_low_s": 0.04, "tau_high_s": 0.06}
+                         for c in (True, False)], "tau_envelope_s": [None, None]}
+        ),
+        ("τ with it (ms), 95 % intervals", "contradicted by the data", "could hide"),
     ),
     "gap_hidden": (
         lambda: figures.gap_hidden(gap_record()["hidden"], 0.048),
-        ("shift of τ (ms)", "detectability d (standard deviations)", "could hide",
+        ("shift of τ (ms)", "detectability d (sd)", "could hide",
          "would be seen", "envelope of τ", "daq filter"),
     ),
 }  # fmt: skip
@@ -235,7 +249,7 @@ def test_a_figure_is_drawn_and_labelled(name: str) -> None:
     assert plt.get_fignums() == [], "a figure was left open in pyplot"
 
 
-@pytest.mark.parametrize("name", ["delays", "corner", "autocorrelation", "gap_map"])
+@pytest.mark.parametrize("name", ["delays", "corner", "autocorrelation", "gap_where"])
 def test_the_same_records_give_the_same_bytes(name: str) -> None:
     figure = MAKERS[name][0]
     state = RNG.bit_generator.state

@@ -356,7 +356,31 @@ def diagnosis(saved_names: list[str]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("change", ["effect", "none"])
+def told_more(record: dict[str, Any]) -> None:
+    """What a diagnosis says beyond the contract."""
+    record["families"] = {"asymmetry": 0.96}
+    record["where_left_out_d"] = {"rise": 2.0, "fall": 30.0, "tail": None}
+    record["shrink"] |= {"tau_after_lo_s": 0.03, "tau_after_hi_s": 0.06, "rival": "dead_volume",
+                         "rival_fraction_closed": 0.41}  # fmt: skip
+    record["which"][1]["strength"] = {"flow_factor": {"1": 0.99, "2": 1.02}}
+    for row in record["hidden"]["effects"]:
+        row.update(strength={"x": 1.0}, tau_with_it_s=0.05, tau_low_s=0.04, tau_high_s=0.06,
+                   contradicted=row["effect"] == "dead_volume")  # fmt: skip
+    record["rounds"] = [{"added": ["flow_switching"], "probability": 0.95, "d_left": 3.0,
+                         "p_left": 0.4, "unlisted_left": False}]  # fmt: skip
+    record["separate"] = [{"effect": "flow_switching", "rival": "valve_asymmetry",
+                           "isolability": 2.0, "addition": "a second carrier flow",
+                           "isolability_with_it": 6.0}]  # fmt: skip
+    record["full_rate"] = [{"name": "mains_pickup", "log_bayes_factor": -2.0, "probability": 0.01,
+                            "strength": {"mains_V": 0.001}, "d": 1.0}]  # fmt: skip
+    record["residuals"] = [
+        {"experiment": row, "since_switch_s": [-1.0, 0.1, 1.0, 5.0],
+         "whitened": [0.3, -1.0, 4.0, 0.2], "phase": [0, 1, 2, 5]} for row in (HOSTILE, "1")
+    ]  # fmt: skip
+    record["notes"] = ["only a note"]
+
+
+@pytest.mark.parametrize("change", ["effect", "more", "none"])
 def test_the_gap_is_told_when_it_was_diagnosed(analysed: Path, tmp_path: Path, change: str) -> None:
     for name in ("campaign.json", "run.json"):
         shutil.copy(analysed / name, tmp_path / name)
@@ -369,13 +393,25 @@ def test_the_gap_is_told_when_it_was_diagnosed(analysed: Path, tmp_path: Path, c
         record["hidden"]["tau_envelope_s"] = [None, None]
         for row in record["where"]:
             row.update(share=0.0, excess_rms_V=0.0, p_value=None)
+    if change == "more":
+        told_more(record)
     (tmp_path / "gap.json").write_text(json.dumps(record))
     text = build_report(tmp_path, tmp_path)
     assert Page(text).open == [] and HOSTILE not in text
     assert record["verdict"]["sentence"].removesuffix(".") in text
-    for name in ("gap-budget", "gap-map", "gap-ranking", "gap-hidden"):
+    for name in ("gap-budget", "gap-where", "gap-which", "gap-hidden"):
         assert imread(tmp_path / f"{name}.png")[..., :3].std() > 0.02
-    if change == "effect":
+    if change == "more":
+        for said in (
+            "A fit to all other phases predicts the fall worst", "(95 % interval 30.0 to 60.0 ms)",
+            "The best rival outside the family, dead volume, closes 41 %", "Only a note.",
+            "With flow switching in the model, d = 3.00 is left",
+            "To tell flow switching from valve asymmetry: a second carrier flow",
+            "flow factor = 0.990 to 1.02", "no: contradicted by the data",
+        ):  # fmt: skip
+            assert said in text, said
+        assert imread(tmp_path / "gap-residuals.png")[..., :3].std() > 0.02
+    if change != "none":
         assert "97 % of the gap closes (95 % interval 90 to 102 %)" in text
         assert "93 % on data that were left out" in text
         assert "τ lies between 20.0 and 110 ms" in text

@@ -11,7 +11,13 @@ from bayes_sensor.figures.coating import (
     spectra_figure,
 )
 from bayes_sensor.figures.draws import corner, main_parameters, traces_and_ranks
-from bayes_sensor.figures.gap import gap_budget, gap_hidden, gap_map, gap_ranking
+from bayes_sensor.figures.gap import (
+    gap_budget,
+    gap_hidden,
+    gap_residuals,
+    gap_where,
+    gap_which,
+)
 from bayes_sensor.figures.methods import intervals, priors_on_tau, step_study
 from bayes_sensor.figures.noise import autocorrelation, histogram, predictive, spread
 from bayes_sensor.figures.overlays import overlay, rms_bars
@@ -67,8 +73,9 @@ __all__ = [
     "diffusivity",
     "gap_budget",
     "gap_hidden",
-    "gap_map",
-    "gap_ranking",
+    "gap_residuals",
+    "gap_where",
+    "gap_which",
     "histogram",
     "intervals",
     "main_parameters",

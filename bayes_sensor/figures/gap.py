@@ -5,6 +5,7 @@ Every function takes a part of ``gap.json``.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -69,6 +70,7 @@ def gap_budget(gap: Mapping[str, Any], unit: str = "V") -> Figure:
         left, right = figure.subplots(1, 2)
         for axes, column, title in ((left, 1, "RMS residual"), (right, 2, "above the noise floor")):
             heights = [float(stage[column]) for stage in stages]
+            digits = 4 if column == 1 else 3
             shown, factor = volts(unit, max(heights))
             for i, (stage, height) in enumerate(zip(stages, heights, strict=True)):
                 is_floor = stage[0] == "noise floor"
@@ -77,7 +79,7 @@ def gap_budget(gap: Mapping[str, Any], unit: str = "V") -> Figure:
                     lw=0.6, hatch="//" if is_floor else None,
                 )  # fmt: skip
                 axes.annotate(
-                    f"{factor * height:.3g}", (i, factor * height), xytext=(0, 2),
+                    f"{factor * height:.{digits}g}", (i, factor * height), xytext=(0, 2),
                     textcoords="offset points", ha="center", fontsize=8,
                 )  # fmt: skip
                 if i + 1 < len(stages):  # the step down to the next bar
@@ -92,7 +94,7 @@ def gap_budget(gap: Mapping[str, Any], unit: str = "V") -> Figure:
     return figure
 
 
-def gap_map(where: Sequence[Mapping[str, Any]], unit: str = "V") -> Figure:
+def gap_where(where: Sequence[Mapping[str, Any]], unit: str = "V") -> Figure:
     """Heat map experiment x phase of the excess, with the share of the whole where it is found.
 
     ``where``: rows of ``gap.json``; a frame marks cells whose p-value is below 5 %.
@@ -154,23 +156,25 @@ def _frame(x: float, y: float) -> Any:
     )
 
 
-def gap_ranking(which: Sequence[Mapping[str, Any]], most: int = 10) -> Figure:
+def gap_which(gap: Mapping[str, Any], most: int = 10) -> Figure:
     """Probabilities of the explanations, the likeliest first, and of their families.
 
-    ``which``: rows of ``gap.json``; what stands apart from the effects (none, unlisted) is hatched.
+    ``gap``: ``which`` and ``families`` of ``gap.json``.  What stands apart from the effects (none,
+    unlisted) is hatched.  Pairs count for both their families.
     """
-    rows = sorted(which, key=lambda row: -row["probability"])
-    shown = rows[:most]
-    families: dict[str, float] = {}
+    rows = sorted(gap["which"], key=lambda row: -row["probability"])
+    families = dict(gap.get("families") or {})
     for row in rows:
-        name = row.get("family") or row["effect"]
-        families[name] = families.get(name, 0.0) + row["probability"]
+        if row["effect"] in ("none", "unlisted") or not gap.get("families"):
+            name = row.get("family") or row["effect"]
+            families[name] = families.get(name, 0.0) + row["probability"]
     ranked = sorted(families.items(), key=lambda item: -item[1])[:most]
+    shown = [(row["effect"], row["probability"]) for row in rows[:most]]
     n = max(len(shown), len(ranked))
     with style():
         figure = new_figure(0.9 + 0.27 * n)
         left, right = figure.subplots(1, 2)
-        _bars(left, [(r["effect"], r["probability"]) for r in shown], n, "explanation")
+        _bars(left, shown, n, "explanation")
         _bars(right, ranked, n, "family")
     return figure
 
@@ -187,7 +191,7 @@ def _bars(axes: Any, rows: Sequence[tuple[str, float]], n: int, title: str) -> N
             text, (100 * probability, i), xytext=(3, 0), textcoords="offset points", va="center",
             fontsize=7.5,
         )  # fmt: skip
-    axes.set_yticks(range(len(rows)), [_short(effect_words(name)) for name, _ in rows])
+    axes.set_yticks(range(len(rows)), [_short(effect_words(name), 32) for name, _ in rows])
     axes.set_ylim(n - 0.4, -0.6)
     axes.set_xlim(0, 114)
     axes.set_xticks(range(0, 101, 25))
@@ -196,42 +200,111 @@ def _bars(axes: Any, rows: Sequence[tuple[str, float]], n: int, title: str) -> N
     axes.grid(axis="y", visible=False)
 
 
+def gap_residuals(residuals: Sequence[Mapping[str, Any]], most: int = 10) -> Figure:
+    """Whitened residuals in event-locked bins, one strip an experiment; noise stays within +-2.
+
+    ``residuals`` of ``gap.json``; of many experiments those with the largest residuals are shown.
+    """
+    order = sorted(
+        range(len(residuals)),
+        key=lambda k: -float(np.mean(np.square(residuals[k]["whitened"]))),
+    )[:most]
+    rows = [residuals[k] for k in sorted(order)]
+    reach = max(3.5, 1.1 * max(float(np.max(np.abs(row["whitened"]))) for row in rows))
+    with style():
+        figure = new_figure(0.9 + 0.48 * len(rows))
+        strips = figure.subplots(len(rows), 1, squeeze=False)[:, 0]
+        for axes, row in zip(strips, rows, strict=True):
+            values, phase = np.asarray(row["whitened"]), np.asarray(row["phase"])
+            place = np.arange(len(values))
+            axes.axhspan(-2, 2, color=PALE, lw=0, alpha=0.6)
+            axes.vlines(place, 0.0, values, color=BLUE, lw=1.1)
+            axes.plot(place, values, "o", color=BLUE, ms=2.0)
+            edges = [0, *(np.flatnonzero(np.diff(phase)) + 1), len(values)]
+            for begin, end in itertools.pairwise(edges):
+                if begin:
+                    axes.axvline(begin - 0.5, color=MIDDLE, lw=0.7)
+                if axes is strips[0]:
+                    axes.annotate(
+                        PHASES[phase[begin]], (0.5 * (begin + end - 1), 1.02), ha="center",
+                        xycoords=("data", "axes fraction"), va="bottom", fontsize=8, color=INK,
+                    )  # fmt: skip
+            axes.set_xlim(-0.7, len(values) - 0.3)
+            axes.set_ylim(-reach, reach)
+            axes.set_xticks([])
+            axes.set_yticks([0])
+            axes.grid(axis="x", visible=False)
+            axes.set_ylabel(_short(row["experiment"], 9), rotation=0, ha="right", va="center")
+        strips[-1].set_xlabel("bins, from the baseline to the tail (they widen after a switch)")
+        figure.supylabel(f"whitened residual (sd), strips of ± {reach:.2g}", fontsize=8.5)
+    return figure
+
+
 def gap_hidden(hidden: Mapping[str, Any], tau: float | None = None) -> Figure:
-    """What may hide: how visible each effect would be, and how far it would move tau.
+    """What may hide: how visible each effect would be, and what tau would be with it.
 
     ``hidden`` of ``gap.json``; ``tau`` in s draws a line.  Effects left of the line at three could
     not have been seen; the envelope of tau over them is shaded.
     """
     rows = [r for r in hidden["effects"] if r["d"] is not None and r["tau_shift_s"] is not None]
     rows.sort(key=lambda row: row["d"])
-    names = [_short(effect_words(row["effect"])) for row in rows]
-    d = np.array([max(row["d"], 1e-3) for row in rows])
-    shift = np.array([1e3 * row["tau_shift_s"] for row in rows])
-    unseen = d < VISIBLE
+    d = np.array([max(row["d"], 1e-2) for row in rows])
     place = np.arange(len(rows))
+    whole = all(row.get("tau_with_it_s") is not None for row in rows)
+    shift = [row["tau_with_it_s"] if whole else row["tau_shift_s"] for row in rows]
+    envelope = hidden.get("tau_envelope_s") or (None, None)
     with style():
         figure = new_figure(1.1 + 0.22 * max(len(rows), 3))
         left, right = figure.subplots(1, 2, sharey=True)
-        for axes, values in ((left, d), (right, shift)):
-            for kind, colour, marker, label in (
-                (unseen, ORANGE, MARKERS[2], "could hide"),
-                (~unseen, BLUE, MARKERS[0], "would be seen"),
-            ):
-                axes.plot(values[kind], place[kind], marker, color=colour, ms=5, label=label)
-            axes.set_ylim(len(rows) - 0.4, -0.6)
-            axes.grid(axis="y", visible=False)
-        left.set_yticks(place, names)
+        kinds = [_kind(row) for row in rows]
+        for kind, (colour, marker, face) in _KINDS.items():
+            chosen = [k == kind for k in kinds]
+            if not any(chosen):
+                continue
+            for axes, values in ((left, d), (right, 1e3 * np.array(shift))):
+                axes.plot(
+                    values[chosen], place[chosen], marker, color=colour, ms=5, label=kind,
+                    mfc=colour if face else GROUND, zorder=3,
+                )  # fmt: skip
+        left.set_ylim(len(rows) - 0.4, -0.6)
+        left.set_yticks(place, [_short(effect_words(row["effect"])) for row in rows])
         logarithmic(left, "x")
         left.axvline(VISIBLE, color=INK, lw=0.9, ls="--")
-        left.set_xlabel("detectability d (standard deviations)")
-        envelope = hidden.get("tau_envelope_s")
+        left.set_xlabel("detectability d (sd)")
+        if whole:
+            for i, row in enumerate(rows):
+                right.plot(
+                    [1e3 * row["tau_low_s"], 1e3 * row["tau_high_s"]], [i, i], color=MIDDLE, lw=1.1
+                )
+            right.set_xlabel("τ with it (ms), 95 % intervals")
+        else:
+            right.hlines(place, 0.0, 1e3 * np.array(shift), color=MIDDLE, lw=0.7)
+            right.set_xlabel("shift of τ (ms)")
+        origin = 0.0 if whole or tau is None else tau
+        low, high = envelope
+        if low is not None and high is not None and (whole or tau is not None):
+            right.axvspan(
+                1e3 * (low - origin), 1e3 * (high - origin), color=PALE, lw=0, zorder=0,
+                label="envelope of τ",
+            )  # fmt: skip
         if tau is not None:
-            right.axvline(0.0, color=INK, lw=0.9)
-            if envelope and None not in envelope:
-                low, high = (1e3 * (end - tau) for end in envelope)
-                right.axvspan(low, high, color=PALE, lw=0, zorder=0, label="envelope of τ")
-        right.set_xlabel("shift of τ (ms)")
-        right.hlines(place, 0.0, shift, color=MIDDLE, lw=0.7)
+            right.axvline(1e3 * (tau - origin), color=INK, lw=0.9)
+        for axes in (left, right):
+            axes.grid(axis="y", visible=False)
         handles, labels = right.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper right", ncols=3)
+        figure.legend(handles, labels, loc="outside upper right", ncols=4)
     return figure
+
+
+_KINDS = {
+    "could hide": (ORANGE, MARKERS[2], True),
+    "would be seen": (BLUE, MARKERS[0], True),
+    "contradicted by the data": (INK, MARKERS[1], False),
+}
+"""colour, marker, filled"""
+
+
+def _kind(row: Mapping[str, Any]) -> str:
+    if row.get("contradicted"):
+        return "contradicted by the data"
+    return "could hide" if row["d"] < VISIBLE else "would be seen"

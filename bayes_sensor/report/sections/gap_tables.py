@@ -1,0 +1,201 @@
+"""The tables of the gap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bayes_sensor.report.parts import Table
+from bayes_sensor.report.words import ms, number
+
+MOST_CELLS = 40
+MOST_EXPLANATIONS = 25
+UNSEEN = 3.0
+"""detectability below which an effect could hide"""
+
+
+def words(effect: str) -> str:
+    """An effect's or a family's name as words."""
+    return effect.replace("_", " ").replace("+", " + ")
+
+
+def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
+    """The budget and what is left of it."""
+    budget, shrink = record["budget"], record["shrink"]
+
+    def scaled(value: float | None) -> float | None:
+        return None if value is None else factor * value
+
+    rows: list[list[Any]] = [
+        [f"RMS, nominal simulation ({shown})", scaled(budget.get("nominal_rms_V"))],
+        [f"RMS, calibrated ({shown})", scaled(budget["calibrated_rms_V"])],
+        [f"RMS, noise floor ({shown})", scaled(budget["noise_floor_rms_V"])],
+        [f"excess over the floor ({shown})", scaled(budget["excess_rms_V"])],
+        ["excess, d (standard deviations)", budget["excess_d"]],
+        ["p-value", budget["p_value"]],
+        [f"excess with the effect ({shown})", scaled(shrink.get("after_excess_rms_V"))],
+        ["fraction closed", shrink.get("fraction_closed")],
+        ["fraction closed, 95 % low", shrink.get("fraction_closed_lo")],
+        ["fraction closed, 95 % high", shrink.get("fraction_closed_hi")],
+        ["fraction closed, held out", shrink.get("held_out_fraction_closed")],
+        ["τ without the effect (ms)", ms(shrink.get("tau_before_s"))],
+        ["τ with the effect (ms)", ms(shrink.get("tau_after_s"))],
+        ["τ with the effect, 95 % low (ms)", ms(shrink.get("tau_after_lo_s"))],
+        ["τ with the effect, 95 % high (ms)", ms(shrink.get("tau_after_hi_s"))],
+        ["best rival outside the family", words(shrink.get("rival") or "–")],
+        ["fraction that the rival closes", shrink.get("rival_fraction_closed")],
+    ]
+    return Table("budget-table", "The budget in numbers.", ["quantity", "value"], rows)
+
+
+def where_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
+    """The cells with an excess."""
+    found = [r for r in record["where"] if (r["share"] or 0.0) > 0 or (r["p_value"] or 1.0) < 0.05]
+    rows = sorted(found, key=lambda row: -(row["share"] or 0.0))[:MOST_CELLS]
+    caption = "Where the excess lies, the largest share first."
+    left_out = len(record["where"]) - len(rows)
+    if left_out > 0:
+        caption += f" {left_out} more cells, with less or nothing above the floor, are in gap.json."
+    return Table(
+        "where",
+        caption,
+        ["experiment", "phase", "from (s)", "to (s)", f"excess ({shown})", "share", "p-value"],
+        [
+            [
+                row["experiment"], row["phase"], row["t_start_s"], row["t_end_s"],
+                None if row["excess_rms_V"] is None else factor * row["excess_rms_V"],
+                row["share"], row["p_value"],
+            ]
+            for row in rows
+        ],
+        digits=3,
+    )  # fmt: skip
+
+
+def which_table(record: Mapping[str, Any]) -> Table:
+    """The explanations, the likeliest first."""
+    named = set(record["verdict"]["effects"])
+    ranked = sorted(record["which"], key=lambda row: -row["probability"])
+    rows = ranked[:MOST_EXPLANATIONS]
+    caption = "The explanations that were compared; their probabilities sum to one."
+    if len(ranked) > len(rows):
+        rest = sum(row["probability"] for row in ranked[len(rows) :])
+        caption += f" {len(ranked) - len(rows)} more, of {rest:.2g} together, are in gap.json."
+    return Table(
+        "which",
+        caption,
+        [
+            "effect", "family", "probability", "d", "strength", "τ with it (ms)",
+            "fraction closed", "confusable with",
+        ],
+        [
+            [
+                words(row["effect"]), words(row["family"] or ""), row["probability"], row["d"],
+                strength_words(row.get("strength")), ms(row["tau_s"]), row["fraction_closed"],
+                ", ".join(words(name) for name in row.get("confusable_with") or []),
+            ]
+            for row in rows
+        ],
+        digits=3,
+        marked=[i for i, row in enumerate(rows) if row["effect"] in named],
+    )  # fmt: skip
+
+
+def strength_words(strength: Any) -> str:
+    """Parameters and values in a row."""
+    if not isinstance(strength, Mapping):
+        return ""
+    return ", ".join(f"{words(name)} = {_value(value)}" for name, value in strength.items())
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, Mapping):  # one value an experiment
+        each = [v for v in value.values() if isinstance(v, int | float)]
+        return f"{number(min(each))} to {number(max(each))}" if each else "–"
+    return number(value) if isinstance(value, int | float) else str(value)
+
+
+def hidden_table(record: Mapping[str, Any]) -> Table:
+    """What may hide."""
+    rows = sorted(record["hidden"]["effects"], key=lambda row: (row["d"] is None, row["d"]))
+    return Table(
+        "hidden",
+        "What may hide: detectability d after refitting, the error of τ when the effect is there "
+        "and left out, and the τ of this campaign with it in the model, at plausible strength. "
+        f"Below d = {UNSEEN:g} an effect could be there unseen.",
+        [
+            "effect", "strength", "d", "error of τ (ms)", "τ with it (ms)", "95 % low",
+            "95 % high", "could hide",
+        ],
+        [
+            [
+                words(row["effect"]), strength_words(row.get("strength")), row["d"],
+                ms(row["tau_shift_s"]), ms(row.get("tau_with_it_s")), ms(row.get("tau_low_s")),
+                ms(row.get("tau_high_s")), _hides(row),
+            ]
+            for row in rows
+        ],
+        digits=3,
+    )  # fmt: skip
+
+
+def _hides(row: Mapping[str, Any]) -> str | None:
+    if row.get("contradicted"):
+        return "no: contradicted by the data"
+    return None if row["d"] is None else "yes" if row["d"] < UNSEEN else "no"
+
+
+def other_tables(record: Mapping[str, Any]) -> list[Table]:
+    """Escalation, pairs that need another measurement, and what was tested at full rate."""
+    made = []
+    if record.get("rounds"):
+        made.append(
+            Table(
+                "gap-rounds",
+                "The diagnosis repeated with what was named in the model.",
+                ["in the model", "probability", "d left", "p left", "unlisted rest"],
+                [
+                    [
+                        ", ".join(words(name) for name in row["added"]), row["probability"],
+                        row["d_left"], row["p_left"], bool(row["unlisted_left"]),
+                    ]
+                    for row in record["rounds"]
+                ],
+                digits=3,
+            )
+        )  # fmt: skip
+    if record.get("separate"):
+        made.append(
+            Table(
+                "gap-separate",
+                "Pairs that this campaign cannot tell apart, and the measurement that would. "
+                "Isolability: standard deviations between the two; three are needed.",
+                ["effect", "rival", "isolability", "measurement", "isolability with it"],
+                [
+                    [
+                        words(row["effect"]), words(row["rival"]), row["isolability"],
+                        row["addition"], row["isolability_with_it"],
+                    ]
+                    for row in record["separate"]
+                ],
+                digits=3,
+            )
+        )  # fmt: skip
+    if record.get("full_rate"):
+        made.append(
+            Table(
+                "gap-full-rate",
+                "What averaging would hide, tested on every sample. Positive logarithms of the "
+                "Bayes factor speak for it.",
+                ["effect", "log Bayes factor", "probability", "strength", "d"],
+                [
+                    [
+                        words(row["name"]), row["log_bayes_factor"], row["probability"],
+                        strength_words(row.get("strength")), row["d"],
+                    ]
+                    for row in record["full_rate"]
+                ],
+                digits=3,
+            )
+        )  # fmt: skip
+    return made
