@@ -88,7 +88,7 @@ def analyze(
     steps: Steps = None,
     chains: Chains = None,
 ) -> None:
-    """Fit, posterior, bounds, delays, then report.html and figures/."""
+    """Fit, posterior, bounds, delays, gap, then report.html and figures/."""
     _run("analyze", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config, resume=resume,
          posterior=_given(sampler=sampler, n_walkers=walkers, max_steps=steps, n_chains=chains),
          )  # fmt: skip
@@ -120,10 +120,20 @@ def posterior(
     walkers: Walkers = None,
     steps: Steps = None,
     chains: Chains = None,
+    with_effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="With this effect in the model; repeatable, NAME:FORM for a form."
+        ),
+    ] = None,
 ) -> None:
     """MCMC; interrupted runs continue with --resume."""
+    if with_effect:
+        from bayes_sensor.gap.model import check_effects
+
+        check_effects(with_effect, "--with-effect")
     _run("posterior", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config,
-         resume=resume,
+         resume=resume, options={"with_effects": tuple(with_effect or ())},
          posterior=_given(sampler=sampler, n_walkers=walkers, max_steps=steps, n_chains=chains),
          )  # fmt: skip
 
@@ -155,6 +165,42 @@ def delays(
 ) -> None:
     """Regressions of start and end delay on 1/Q."""
     _run("delays", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config)
+
+
+@app.command()
+def gap(
+    campaign: CampaignFile,
+    out: Out,
+    seed: Seed = 1,
+    jobs: Jobs = 1,
+    quiet: Quiet = False,
+    config: Config = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(metavar="EFFECT", help="Take this effect out of the catalogue; repeatable."),
+    ] = None,
+    nominal: Annotated[
+        Path | None,
+        typer.Option(metavar="THETA.json", help="Parameters of the simulation before calibration."),
+    ] = None,
+    own_effects: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE.py", help="Your own effects; the file is executed."),
+    ] = None,
+    bootstrap: Annotated[
+        int, typer.Option(min=0, max=100_000, help="Simulated and refitted campaigns; 0: none.")
+    ] = 60,
+) -> None:
+    """Where the model misses the measurement, which effect causes it, how far it shrinks."""
+    from bayes_sensor.cli.simulation import read_nominal
+    from bayes_sensor.gap.effects import check_names
+    from bayes_sensor.gap.own import read_effects
+
+    check_names(without or (), "--without")
+    own = [effect for path in own_effects or () for effect in read_effects(path)]
+    _run("gap", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config,
+         options={"without": tuple(without or ()), "effects": own, "bootstrap": bootstrap,
+                  "nominal": read_nominal(nominal)})  # fmt: skip
 
 
 @app.command()
@@ -214,6 +260,10 @@ def simulate(
     experiments: Annotated[
         str | None, typer.Option(help='Only these experiments of the design: "1,4,7".')
     ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME[=STRENGTH]", help="An effect of the catalogue; repeatable."),
+    ] = None,
     file_format: Annotated[
         str, typer.Option("--format", help="csv, picoscope-csv, mat or npz.")
     ] = "csv",
@@ -225,7 +275,7 @@ def simulate(
         out, campaign=campaign, seed=seed, quiet=quiet, design=design, truth=truth, phi=phi,
         quantities=_given(tau=tau, tau_v=tau_v, V=volume, sigma0=sigma0, sigma1=sigma1,
                           duration=duration, interval=interval),
-        only=experiments, file_format=file_format,
+        only=experiments, file_format=file_format, effects=effect or (),
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -150,6 +150,36 @@ def read_option(text: str, kind: Kind, option: str) -> float:
         raise CampaignError(str(error).replace(f"{option} = ", f"{option} ")) from None
 
 
+def _recorded(
+    plan: Campaign, theta: dict[str, Any], wanted: Mapping[str, float | None], seed: int
+) -> tuple[Campaign, dict[str, Any]]:
+    """The simulated campaign, and the truth with the effects that act."""
+    if not wanted:
+        return simulate(plan, theta, seed=seed), theta
+    from bayes_sensor.gap.simulation import simulate_with_effects
+
+    recorded, strengths = simulate_with_effects(plan, theta, wanted, seed=seed)
+    return recorded, {**theta, "effects": strengths}
+
+
+def read_nominal(path: Path | None) -> dict[str, Any] | None:
+    """Parameters of a nominal simulation, as in fit.json or truth.json.
+
+    Raises CampaignError where the file does not hold them.
+    """
+    if path is None:
+        return None
+    content = read_json(path)
+    if isinstance(content, dict) and isinstance(content.get("parameters"), dict):
+        content = content["parameters"]
+    if not isinstance(content, dict) or "tau_s" not in content:
+        raise CampaignError(
+            f"{path.name}: expected parameters as in fit.json (tau_s, tau_v_s, V_mL, experiments), "
+            "but tau_s is not there; give such a file"
+        )
+    return content
+
+
 def simulate_campaign(
     out: Path,
     *,
@@ -162,6 +192,7 @@ def simulate_campaign(
     quantities: Mapping[str, str],
     only: str | None,
     file_format: str,
+    effects: Sequence[str] = (),
 ) -> None:
     """Write data files, campaign.toml and truth.json into ``out``."""
     started, begin = now(), time.perf_counter()
@@ -173,6 +204,11 @@ def simulate_campaign(
         raise CampaignError("both CAMPAIGN.toml and --design are given; expected one: drop one")
     if phi is not None and not -1.0 < phi < 1.0:
         raise CampaignError(f"--phi: expected a number between -1 and 1, but got {phi}; try 0.8")
+    wanted: dict[str, float | None] = {}
+    if effects:
+        from bayes_sensor.gap.simulation import read_strength
+
+        wanted = dict(read_strength(text) for text in effects)
     source = campaign or design
     given: dict[str, Any] | None = None
     if source is None:
@@ -215,7 +251,7 @@ def simulate_campaign(
     results = Results(out)
     with results.locked(), progress_bar("simulate", quiet) as tell:
         tell(0.2, "noise")
-        recorded = simulate(plan, theta, seed=seed)
+        recorded, theta = _recorded(plan, theta, wanted, seed)
         recorded = replace(recorded, title=f"simulated: {plan.title}" if source else plan.title)
         with results.writing() as stage:
             tell(0.4, "writing")
@@ -228,7 +264,12 @@ def simulate_campaign(
                     "simulate",
                     basis="",
                     seed=seed,
-                    settings={**quantities, "phi": theta["phi"], "format": file_format},
+                    settings={
+                        **quantities,
+                        "phi": theta["phi"],
+                        "format": file_format,
+                        "effects": list(effects),
+                    },
                     campaign="" if source is None else str(source),
                     files={} if source is None else {source.name: sha256(source)},
                     started=started,

@@ -32,18 +32,29 @@ CHECKPOINT = "checkpoint"
 MOST_WARNINGS = 6
 """lines of warnings in a terminal"""
 STEPS: dict[str, tuple[str, ...]] = {
-    "analyze": ("fit", "residuals", "posterior", "predictive", "bounds", "delays", "report"),
+    "analyze": (
+        "fit",
+        "residuals",
+        "posterior",
+        "predictive",
+        "bounds",
+        "delays",
+        "gap",
+        "report",
+    ),
     "fit": ("fit", "residuals"),
     "posterior": ("fit", "posterior", "predictive"),
     "bounds": ("fit", "posterior", "bounds"),
     "delays": ("fit", "delays"),
+    "gap": ("fit", "gap"),
 }
 SAVES: dict[str, tuple[str, ...]] = {
-    "analyze": ("fit", "residuals", "posterior", "bounds", "delays", "report"),
+    "analyze": ("fit", "residuals", "posterior", "bounds", "delays", "gap", "report"),
     "fit": ("fit", "residuals"),
     "posterior": ("posterior",),
     "bounds": ("bounds",),
     "delays": ("delays",),
+    "gap": ("gap",),
 }
 
 
@@ -176,6 +187,9 @@ class Job:
     predictive: Any = None
     bounds: Any = None
     delays: Any = None
+    gap: Any = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """what only one command takes: with_effects, without, nominal, effects, bootstrap"""
 
     @contextmanager
     def timed(self, name: str) -> Iterator[Progress]:
@@ -224,7 +238,7 @@ def _do_posterior(job: Job) -> None:
         return
     with job.timed("posterior") as tell, muted():
         job.posterior = sample_posterior(
-            job.problem,
+            _problem_with_effects(job),
             job.fit,
             seed=job.seed,
             sampler=job.overrides.posterior.sampler,
@@ -239,6 +253,8 @@ def _do_posterior(job: Job) -> None:
 def _do_predictive(job: Job) -> None:
     from bayes_sensor.predictive import check_predictive
 
+    if job.options.get("with_effects"):
+        return  # replicates are drawn from the cascade
     with job.timed("predictive"):
         job.predictive = check_predictive(job.posterior, seed=job.seed)
 
@@ -373,6 +389,32 @@ def _saved_posterior(job: Job) -> SavedSpreads | None:
     return SavedSpreads(saved["parameters"])
 
 
+def _problem_with_effects(job: Job) -> Any:
+    """The problem of the posterior: with the effects that were asked for in its model."""
+    names = job.options.get("with_effects") or ()
+    if not names:
+        return job.problem
+    from bayes_sensor.gap.model import with_effects
+    from bayes_sensor.model import Layout
+
+    theta = Layout.of(job.problem.campaign).flat(job.fit.theta_hat[: job.problem.layout.n_mean])
+    return with_effects(job.problem, names, theta)
+
+
+def _do_gap(job: Job) -> None:
+    from bayes_sensor.gap import diagnose_gap
+
+    with job.timed("gap") as tell:
+        job.gap = diagnose_gap(
+            job.problem.campaign,
+            job.fit,
+            seed=job.seed,
+            jobs=job.jobs,
+            progress=tell,
+            **{k: v for k, v in job.options.items() if k != "with_effects"},
+        )
+
+
 _DO: dict[str, Callable[[Job], None]] = {
     "fit": _do_fit,
     "residuals": _do_residuals,
@@ -380,6 +422,7 @@ _DO: dict[str, Callable[[Job], None]] = {
     "predictive": _do_predictive,
     "bounds": _do_bounds,
     "delays": _do_delays,
+    "gap": _do_gap,
 }
 
 
@@ -397,9 +440,16 @@ def _put(job: Job, stage: Stage) -> None:
     if "posterior" in saves:
         record = job.posterior.to_json()
         record.pop("seconds", None)  # times are in run.json: the same run gives the same file
+        effects = list(job.options.get("with_effects") or ())
+        record["with_effects"] = effects
+        before = job.results.json("posterior.json")
+        if effects and before is not None and not before.get("with_effects"):
+            # the posterior without effects is kept, so that both can be compared
+            stage.json("posterior_without_effects.json", before)
         stage.json("posterior.json", record)
         job.posterior.save(stage.path("posterior.nc"))
-        stage.json("predictive.json", job.predictive.to_json())
+        if job.predictive is not None:
+            stage.json("predictive.json", job.predictive.to_json())
         stage.json("coating.json", _coating(job))
     if "bounds" in saves:
         compared, record = job.bounds
@@ -407,6 +457,10 @@ def _put(job: Job, stage: Stage) -> None:
         compared.to_csv(stage.path("bounds.csv"))
     if "delays" in saves:
         stage.json("delays.json", job.delays.to_json())
+    if "gap" in saves:
+        stage.json("gap.json", job.gap.to_json())
+        for name in ("where", "which"):
+            stage.text(f"gap_{name}.csv", getattr(job.gap, name).to_csv(index=False))
 
 
 def run(
@@ -420,6 +474,7 @@ def run(
     config: Path | None,
     resume: bool = False,
     posterior: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> int:
     """Run a command and write its results; the exit code."""
     from bayes_sensor.cli.settings import fit_bounds, make_problem, read_overrides
@@ -446,7 +501,7 @@ def run(
     with results.locked():
         job = Job(
             command, problem, overrides, label, seed, jobs, quiet, resume, results, basis,
-            {"read": read_seconds},
+            {"read": read_seconds}, options=options or {},
         )  # fmt: skip
         for name in STEPS[command]:
             if name in _DO:
@@ -556,6 +611,8 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
                 )
             elif line is not None:
                 say(f"{side}: {line.status}", quiet)
+    if job.gap is not None:
+        say(f"gap: {job.gap.verdict.sentence}", quiet)
     # non-convergence is said below, on stderr
     warnings = [w for w in _warnings(job, remarks) if not w.startswith("NOT converged")]
     for warning in warnings[:MOST_WARNINGS]:

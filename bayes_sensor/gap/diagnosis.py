@@ -12,7 +12,7 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.gap.effect import Effect
-from bayes_sensor.gap.effects import CATALOGUE
+from bayes_sensor.gap.effects import CATALOGUE, check_names
 from bayes_sensor.gap.full_rate import FullRate, test_full_rate
 from bayes_sensor.gap.hidden import Hidden, what_may_hide
 from bayes_sensor.gap.how_far import Closure, best_discrepancy, closure, held_out
@@ -216,6 +216,7 @@ def diagnose_gap(
     effects: Mapping[str, Effect] | Iterable[Effect] | None = None,
     nominal: Theta | None = None,
     bootstrap: int = BOOTSTRAP,
+    jobs: int = 1,
     hidden: bool = True,
     separate: bool = True,
     progress: Progress | None = None,
@@ -326,15 +327,10 @@ def _catalogue(
                     "another name, or replace the catalogue by a mapping"
                 )
             catalogue[effect.name] = effect
-    without = [without] if isinstance(without, str) else list(without)
-    for name in without:
+    for name in [without] if isinstance(without, str) else without:
         if name not in catalogue:
-            import difflib
-
-            close = difflib.get_close_matches(name, catalogue, n=1)
-            hint = f"did you mean '{close[0]}'?" if close else f"known are {', '.join(catalogue)}"
-            raise CampaignError(f"gap: no effect '{name}' in the catalogue; {hint}")
-        del catalogue[name]
+            check_names([name], "gap: without")
+        catalogue.pop(name, None)
     return catalogue
 
 

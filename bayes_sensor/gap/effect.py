@@ -11,11 +11,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from math import exp, log
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
 from bayes_sensor.gap.rig import SETTINGS
+
+if TYPE_CHECKING:
+    from bayes_sensor.likelihood import Problem
 
 KINDS = ("normal", "log_normal")
 
@@ -164,6 +168,12 @@ class Effect:
     """whether it changes the mean; otherwise it acts on the noise and has its own test"""
     null: Mapping[str, float] = field(default_factory=dict)
     """strengths at which nothing is left of it"""
+
+    def apply(self, problem: Problem) -> Problem:
+        """The problem with this effect in its model."""
+        from bayes_sensor.gap.model import with_effects
+
+        return with_effects(problem, [self])
 
     def __post_init__(self) -> None:
         if self.on_mean and not self.forms:

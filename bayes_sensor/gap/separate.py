@@ -14,8 +14,8 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.effect import Effect
-from bayes_sensor.gap.refit import Part, Refit, Sketch, refit
-from bayes_sensor.gap.which import fit_effect, joined_start
+from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, refit
+from bayes_sensor.gap.which import fit_effect
 
 ISOLATED = 3.0
 """isolability from which a pair is told apart"""
@@ -39,7 +39,7 @@ def isolability(sketch: Sketch, truth: Refit, rival: Effect, given: Sequence[Par
     """Detectability left when ``truth``'s noise-free mean is refitted with ``rival``."""
     data = tuple(truth.plan.binned(truth.x, k) for k in range(len(sketch.bins)))
     exact = replace(sketch, data=data)
-    base = refit(_plan(exact, given), _bare(truth, len(given)), most_steps=15)
+    base = refit(Plan(exact, tuple(given)), _bare(truth, len(given)), most_steps=15)
     best = min(
         fit_effect(exact, base, [Part(rival, form)], form.starts[:2], 12).misfit
         for form in rival.forms[:2]
@@ -56,7 +56,7 @@ def _plan(sketch: Sketch, parts: Sequence[Part]):
 def _bare(fitted: Refit, n_parts: int) -> FloatArray:
     # coordinates of the same optimum without the parts after the first n_parts
     plan = fitted.plan
-    smaller = _plan(plan.sketch, plan.parts[:n_parts])
+    smaller = Plan(plan.sketch, plan.parts[:n_parts])
     x = np.zeros(smaller.size)
     first = 3 + len(smaller.shared)
     x[:first] = fitted.x[:first]
@@ -135,6 +135,7 @@ def _second_flow(sketch: Sketch, factor: float) -> Sketch:
         campaign=replace(sketch.campaign, experiments=(*sketch.campaign.experiments, *more)),
         bins=sketch.bins * 2,
         data=sketch.data * 2,
+        base=np.concatenate([sketch.base, sketch.base[3:]]),
         floor=replace(
             sketch.floor,
             cholesky=sketch.floor.cholesky * 2,
@@ -154,6 +155,3 @@ def _moved(truth: Refit, sketch: Sketch) -> Refit:
         a, b = truth.plan.local[j], truth.plan.local[j + 1]
         x[plan.local[k] : plan.local[k] + b - a] = truth.x[a:b]
     return replace(truth, plan=plan, x=x)
-
-
-__all__ = ["Separation", "confusable", "isolability", "joined_start", "what_would_separate"]

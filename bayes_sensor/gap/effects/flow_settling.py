@@ -14,7 +14,8 @@ EFFECT = Effect(
     forms=(
         Form(
             lambda s: (
-                Strength("settling_share", "1", "normal", 0.0, 0.2, limits=(-3.0, 1.0), scaled=True),
+                Strength("settling_share", "1", "normal", 0.0, 0.2, limits=(-3.0, 1.0),
+                         scaled=True),
                 Strength("settling_time", "s", "log_normal", 1.5 * s.time_scale, 1.0,
                          limits=(0.02 * s.time_scale, 60.0 * s.time_scale)),
             ),

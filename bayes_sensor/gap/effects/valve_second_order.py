@@ -8,7 +8,7 @@ from bayes_sensor.gap.effect import Effect, Form, Strength
 EFFECT = Effect(
     name="valve_second_order",
     family="fast shape",
-    sentence="The valve starts and settles like a mass on a spring, not like a single lag: {strength}.",
+    sentence="The valve moves like a mass on a spring, not like a single lag: {strength}.",
     forms=(
         Form(
             lambda s: (Strength("inertia", "1", "log_normal", 0.12, 1.0, limits=(1e-4, 3.0)),),
