@@ -189,6 +189,13 @@ MAKERS = {
         lambda: figures.priors_on_tau(prior_rows(), {"flat": "even"}),
         ("sensor τ (ms)", "even", "mine", "95 % upper limit", "densest 95 %"),
     ),
+    "posteriors_of_tau": (
+        lambda: figures.posteriors_of_tau(
+            [{"model": m, "q2.5": 0.01, "q16": 0.02, "q50": 0.03, "q84": 0.04, "q97.5": 0.05}
+             for m in ("without", "with <b>")]
+        ),
+        ("sensor τ (ms)", "with &lt;b&gt;"),
+    ),
     "response_times": (
         lambda: figures.response_times(time_rows()),
         ("time after the step (ms), 95 % intervals", "chain, 4.5 L/min", "sensor alone", "t63"),

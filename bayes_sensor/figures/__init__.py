@@ -18,7 +18,12 @@ from bayes_sensor.figures.gap import (
     gap_where,
     gap_which,
 )
-from bayes_sensor.figures.methods import intervals, priors_on_tau, step_study
+from bayes_sensor.figures.methods import (
+    intervals,
+    posteriors_of_tau,
+    priors_on_tau,
+    step_study,
+)
 from bayes_sensor.figures.noise import autocorrelation, histogram, predictive, spread
 from bayes_sensor.figures.overlays import overlay, rms_bars
 from bayes_sensor.figures.style import (
@@ -83,6 +88,7 @@ __all__ = [
     "parameter_words",
     "pdf",
     "png",
+    "posteriors_of_tau",
     "predictive",
     "priors_on_tau",
     "response_times",

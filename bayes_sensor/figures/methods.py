@@ -175,3 +175,27 @@ def priors_on_tau(rows: Sequence[Mapping[str, Any]], words: Mapping[str, str]) -
         axes.grid(axis="y", visible=False)
         figure.legend(loc="outside upper right", ncols=4)
     return figure
+
+
+def posteriors_of_tau(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """tau under several models: median, 68 % thick, 95 % thin.
+
+    ``rows``: ``model`` and the percentiles ``q2.5``, ``q16``, ``q50``, ``q84``, ``q97.5`` in s.
+    """
+    with style():
+        figure = new_figure(0.36 * len(rows) + 0.8)
+        axes = figure.subplots()
+        for i, row in enumerate(rows):
+            colour = INK if i == 0 else BLUE
+            for lo, hi, width in (("q2.5", "q97.5", 1.4), ("q16", "q84", 4.2)):
+                axes.plot(
+                    [1e3 * row[lo], 1e3 * row[hi]], [i, i], color=colour, lw=width,
+                    solid_capstyle="butt",
+                )  # fmt: skip
+            axes.plot(1e3 * row["q50"], i, "D", color=GROUND, mec=colour, ms=4.5, mew=1.2)
+        axes.set_yticks(range(len(rows)), [row["model"] for row in rows])
+        axes.set_ylim(len(rows) - 0.5, -0.5)
+        axes.set_xlim(0.0, None)
+        axes.set_xlabel("sensor τ (ms)")
+        axes.grid(axis="y", visible=False)
+    return figure

@@ -38,6 +38,8 @@ def headline(
         lo, mid, hi = (1e3 * row[key] for key in ("q2.5", "q50", "q97.5"))
         autocorrelation = ((settings or {}).get("noise") or {}).get("autocorrelation", "ar1")
         noise = "AR(1) noise" if autocorrelation == "ar1" else "white noise"
+        if posterior.get("with_effects"):
+            noise += f"; with {list_words(effect_names(posterior))} in the model"
         if not posterior.get("converged", True):
             noise += "; NOT CONVERGED, do not quote"
         text = (
@@ -62,6 +64,11 @@ def headline(
             text = f"{number(mid)} ms, 95 % interval [{number(lo)}, {number(hi)}] ms ({method})"
             return Headline(text, naive, lo is not None and lo <= 0)
     return None
+
+
+def effect_names(posterior: Mapping[str, Any]) -> list[str]:
+    """The effects in a posterior's model, as words."""
+    return [name.replace("_", " ") for name in posterior.get("with_effects") or []]
 
 
 def _naive_words(bounds: Mapping[str, Any] | None) -> str:

@@ -21,12 +21,13 @@ class Saved:
     fit: dict[str, Any] | None = None
     residuals: dict[str, Any] | None = None
     posterior: dict[str, Any] | None = None
+    posterior_without_effects: dict[str, Any] | None = None
+    """the earlier posterior, where the newest has effects in its model"""
     predictive: dict[str, Any] | None = None
     bounds: dict[str, Any] | None = None
     delays: dict[str, Any] | None = None
     gap: dict[str, Any] | None = None
     coating: dict[str, Any] | None = None
-    what_if: dict[str, Any] | None = None
     traces: list[Trace] | None = None
     samples: list[Samples] | None = None
     chains: tuple[list[str], Any] | None = None
@@ -93,8 +94,8 @@ def read_results(folder: str | Path) -> Saved:
             f"{folder}: expected a results folder with campaign.json and run.json; "
             "run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
         )
-    parts = ("fit", "residuals", "posterior", "predictive", "bounds", "delays", "gap", "coating",
-             "what_if")  # fmt: skip
+    parts = ("fit", "residuals", "posterior", "posterior_without_effects", "predictive", "bounds",
+             "delays", "gap", "coating")  # fmt: skip
     found = {name: results.json(f"{name}.json") for name in parts}
     return Saved(
         campaign=results.json("campaign.json"),

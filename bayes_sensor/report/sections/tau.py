@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayes_sensor import figures
-from bayes_sensor.report.headline import headline
+from bayes_sensor.report.headline import effect_names, headline
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections.draws import posterior_table
@@ -37,6 +37,11 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
     paragraphs = []
     if head is not None and head.naive:
         paragraphs.append(sentence(head.naive).removesuffix(".") + see("naive") + ".")
+    if saved.posterior_without_effects is not None and posterior is not None:
+        paragraphs.append(
+            f"This posterior has {list_words(effect_names(posterior))} in its model; the earlier "
+            f"one, without, stands beside it{see('both-posteriors')}."
+        )
     paragraphs += _why(saved)
     content: list[Part] = []
     if bounds is not None:
@@ -65,6 +70,7 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
                 )
             )
             content.append(_prior_table(rows))
+        content += _both(saved, pictures)
         content.append(posterior_table(saved, shared=True))
         if saved.chains is not None:
             content.append(
@@ -82,6 +88,37 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
         content.append(_assumption_table(bounds))
         content += _steps(bounds, pictures)
     return Section("tau", "What is the sensor's time constant", answer, paragraphs, content)
+
+
+def _both(saved: Saved, pictures: Pictures) -> list[Part]:
+    """The posteriors of tau with and without the effects."""
+    earlier, newest = saved.posterior_without_effects, saved.posterior
+    if earlier is None or newest is None:
+        return []
+    rows = [
+        {"model": label, **{key: record["parameters"]["tau_s"][key] for key in _QUANTILES}}
+        for label, record in (
+            ("without effects", earlier),
+            (f"with {list_words(effect_names(newest))}", newest),
+        )
+    ]
+    return [
+        pictures.add(
+            "both-posteriors-figure",
+            figures.posteriors_of_tau(rows),
+            "τ without and with the effects in the model: median, 68 % (thick) and 95 % (thin).",
+        ),
+        Table(
+            "both-posteriors",
+            "Both posteriors of τ (ms).",
+            ["model", *(f"{key.removeprefix('q')} %" for key in _QUANTILES)],
+            [[row["model"], *(ms(row[key]) for key in _QUANTILES)] for row in rows],
+            digits=3,
+        ),
+    ]
+
+
+_QUANTILES = ("q2.5", "q16", "q50", "q84", "q97.5")
 
 
 def _limit(row: Mapping[str, Any]) -> str:
