@@ -413,11 +413,17 @@ class Design:
     """one sentence"""
 
     @property
-    def new(self) -> Campaign:
-        """The proposed experiments alone."""
-        names = set(self.experiments["name"]) if len(self.experiments) else set()
-        some = tuple(e for e in self.campaign if e.name in names)
-        return replace(self.campaign, title="proposed experiments", experiments=some)
+    def new_names(self) -> list[str]:
+        """Names of the proposed experiments."""
+        return [str(row["name"]) for row in self.experiments.to_dict("records")]
+
+    @property
+    def new(self) -> Campaign | None:
+        """The proposed experiments alone; None where none are needed."""
+        some = tuple(e for e in self.campaign if e.name in self.new_names)
+        return (
+            replace(self.campaign, title="proposed experiments", experiments=some) if some else None
+        )
 
     @property
     def truth(self) -> dict[str, Any]:
@@ -677,7 +683,7 @@ def check_design(
     between campaigns, ``predicted_half_width95_s``, their ``ratio``, ``within_20_percent`` and
     ``n_not_converged`` (left out of the mean).
     """
-    names = [] if design.new.experiments == () else design.new.names_of_experiments
+    names = design.new_names
     layout = Layout.of(design.campaign)
     widths, lost = [], 0
     for i, stream in enumerate(np.random.SeedSequence(seed).spawn(n)):

@@ -90,7 +90,10 @@ def plan_experiments(
         with results.writing() as stage:
             stage.json("design.json", record)
             stage.text("design.toml", campaign_text(_from_zero(found.campaign), {}))
-            stage.text("next.toml", campaign_text(_from_zero(found.new), {}))
+            if found.new is not None:
+                stage.text("next.toml", campaign_text(_from_zero(found.new), {}))
+            else:
+                stage.drop.append("next.toml")
             stage.json("truth.json", found.truth)
             stage.json(
                 "run.json",
@@ -202,9 +205,11 @@ def _tell(found: Design, record: Mapping[str, Any], results: Results, quiet: boo
         )
         for row in found.experiments.to_dict("records")
     )  # fmt: skip
+    if not kinds:
+        say("the experiments there are suffice", quiet)
     rows: list[tuple[str, ...]] = [header, *((str(times), *kind) for kind, times in kinds.items())]
     widths = [max(len(cells[i]) for cells in rows) for i in range(len(header))]
-    for cells in rows:
+    for cells in rows if kinds else ():
         say("  ".join(c.rjust(w) for c, w in zip(cells, widths, strict=True)), quiet)
     for words, prediction in (("now", found.before), ("with these", found.after)):
         say(

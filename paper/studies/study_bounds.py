@@ -1,0 +1,84 @@
+"""Bound methods: all on the bundled campaign, and how often their intervals hold the truth.
+
+The first is a figure and a table; the second simulates 1000 small campaigns in each of five
+settings (``bayes_sensor/coverage.py`` says which) and puts its table into the README.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+from drawing import FIGURES, PAPER, TABLES
+from matplotlib.figure import Figure
+
+from bayes_sensor import figures
+from bayes_sensor.bounds import compare_bounds
+from bayes_sensor.coverage import SETTINGS, run_coverage
+from bayes_sensor.figures import METHOD_LABELS
+from bayes_sensor.fit import fit_least_squares
+from bayes_sensor.posterior import sample_posterior
+from bayes_sensor.readers import read_campaign
+
+SEED, CAMPAIGNS = 53, 1000
+REFERENCE = PAPER.parent / "data" / "reference"
+README = PAPER.parent / "README.md"
+OPENS, CLOSES = "<!-- coverage table: study_bounds.py -->\n", "<!-- end of coverage table -->\n"
+
+
+def run(
+    folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
+) -> None:
+    """Compute both; write tables, figures and the README's table."""
+    compare()
+    table = run_coverage(
+        folder / "coverage-bounds", SETTINGS, CAMPAIGNS, None, SEED, jobs, scheduler, progress
+    )
+    path = TABLES / "coverage_bounds.csv"
+    table.to_csv(path, index=False, float_format="%.5g")
+    rows = pd.read_csv(path, dtype={"level": str})
+    save(figures.coverage(rows.to_dict("records")), "coverage_bounds")
+    README.write_text(with_table(README.read_text(encoding="utf-8"), rows), encoding="utf-8")
+
+
+def compare() -> None:
+    """Every method on the bundled campaign: bounds_methods.csv and the figure."""
+    campaign = read_campaign(REFERENCE / "campaign.toml")
+    truth = json.loads((REFERENCE / "truth.json").read_text(encoding="utf-8"))
+    fit = fit_least_squares(campaign, seed=1)
+    posterior = sample_posterior(campaign, fit, seed=1)
+    bounds = compare_bounds(campaign, fit, posterior, seed=1)
+    table = bounds.table().loc[["tau_s", "tau_v_s", "V_mL"]]
+    table.to_csv(TABLES / "bounds_methods.csv", float_format="%.5g")
+    save(figures.intervals(bounds.to_json(), truth), "bounds_methods")
+
+
+def save(figure: Figure, name: str) -> None:
+    """figures/name.png and .svg in the report's style."""
+    (FIGURES / f"{name}.png").write_bytes(figures.png(figure))
+    (FIGURES / f"{name}.svg").write_text(figures.svg(figure), encoding="utf-8")
+
+
+def readme_table(rows: pd.DataFrame) -> str:
+    """Coverage of the 95 % intervals of tau and V, in Markdown: a row a method."""
+    some = rows[rows["level"] == "95"].set_index(["method", "setting", "parameter"])["coverage"]
+    settings, methods = list(dict.fromkeys(rows["setting"])), list(dict.fromkeys(rows["method"]))
+    lines = [
+        "| 95 % interval of tau, V | " + " | ".join(settings) + " |",
+        "|---" * (len(settings) + 1) + "|",
+    ]
+    for method in methods:
+        cells = [
+            ", ".join(f"{some[method, setting, name]:.2f}" for name in ("tau_s", "V_mL"))
+            for setting in settings
+        ]
+        lines.append(f"| {METHOD_LABELS[method]} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def with_table(text: str, rows: pd.DataFrame) -> str:
+    """The README with its coverage table replaced; ValueError where the marks are not there."""
+    begin, end = text.index(OPENS) + len(OPENS), text.index(CLOSES)
+    return text[:begin] + readme_table(rows) + text[end:]
