@@ -189,6 +189,11 @@ MAKERS = {
         lambda: figures.priors_on_tau(prior_rows(), {"flat": "even"}),
         ("sensor τ (ms)", "even", "mine", "95 % upper limit", "densest 95 %"),
     ),
+    "responses": (
+        lambda: figures.responses([trace(), trace("2", fall=False)]),
+        ("time after the command (s)", "signal (V)", "11 % test gas", "4.5 L/min"),
+    ),
+    "schematic": (figures.schematic, ("valve", "y = y₀ + β x₃", "the lag that is sought")),
     "posteriors_of_tau": (
         lambda: figures.posteriors_of_tau(
             [{"model": m, "q2.5": 0.01, "q16": 0.02, "q50": 0.03, "q84": 0.04, "q97.5": 0.05}

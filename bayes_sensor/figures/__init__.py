@@ -26,6 +26,7 @@ from bayes_sensor.figures.methods import (
 )
 from bayes_sensor.figures.noise import autocorrelation, histogram, predictive, spread
 from bayes_sensor.figures.overlays import overlay, rms_bars
+from bayes_sensor.figures.rig import responses, schematic
 from bayes_sensor.figures.style import (
     BLUE,
     COLOURS,
@@ -92,7 +93,9 @@ __all__ = [
     "predictive",
     "priors_on_tau",
     "response_times",
+    "responses",
     "rms_bars",
+    "schematic",
     "spectra_figure",
     "spread",
     "step_study",

@@ -14,10 +14,12 @@ import study_coating
 import study_coverage
 import study_predictive
 import study_published_bounds
+import study_reproduction
 import study_sbc
 
 STUDIES = {
     "published-bounds": study_published_bounds.run,
+    "reproduction": study_reproduction.run,
     "predictive": study_predictive.run,
     "sbc": study_sbc.run,
     "coverage": study_coverage.run,

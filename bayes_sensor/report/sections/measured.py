@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayes_sensor import figures
-from bayes_sensor.report.parts import Pictures, Section, Table, see
+from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import list_words
 
@@ -63,7 +63,17 @@ def measured(saved: Saved, pictures: Pictures) -> Section:
             for e in rows
         ],
     )  # fmt: skip
-    return Section("measured", "What was measured", answer, paragraphs, [table])
+    content: list[Part] = [table]
+    if saved.traces:
+        content.append(
+            pictures.add(
+                "responses",
+                figures.responses(saved.traces),
+                "The recorded responses by test-gas concentration, one line a flow; dotted, the "
+                "commanded times.",
+            )
+        )
+    return Section("measured", "What was measured", answer, paragraphs, content)
 
 
 def _span(rows: Sequence[Mapping[str, Any]], key: str) -> str:

@@ -1,0 +1,213 @@
+"""The score card of the blind check on one page; every bar and point with its 95 % interval."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
+
+from bayes_sensor.figures.style import (
+    BLUE,
+    DATA,
+    GREEN,
+    INK,
+    MARKERS,
+    MIDDLE,
+    MODEL,
+    ORANGE,
+    PALE,
+    new_figure,
+    style,
+)
+
+Part = Mapping[str, Any]
+
+
+def score_card(card: Part) -> Figure:
+    """Nine panels from ``score.json``: is anything seen, named, flagged, calibrated, mended."""
+    with style():
+        figure = new_figure(8.6)
+        axes = figure.subplots(3, 3)
+        _nulls(axes[0, 0], card["nulls"])
+        _against_d(axes[0, 1], card["accuracy"], "top_or_abstained", "right effect")
+        _against_d(axes[0, 2], card["accuracy"], "family_or_abstained", "right family")
+        _wrong(axes[1, 0], card["confident_wrong"])
+        _flagged(axes[1, 1], card["unlisted"])
+        _roc(axes[1, 2], card["unlisted"]["roc"])
+        _reliability(axes[2, 0], card["calibration"]["verdict"])
+        _closed(axes[2, 1], card["closed_fraction"])
+        _tau(axes[2, 2], card)
+    return figure
+
+
+def _rate(part: Part) -> float:
+    return np.nan if part["rate"] is None else float(part["rate"])
+
+
+def _errors(parts: Sequence[Part]) -> np.ndarray:
+    """(2, n) lengths of the error bars below and above the rates."""
+    rates = np.array([_rate(part) for part in parts])
+    low = np.array([part["lo95"] for part in parts], dtype=float)
+    high = np.array([part["hi95"] for part in parts], dtype=float)
+    return np.nan_to_num(np.maximum(np.stack([rates - low, high - rates]), 0.0))
+
+
+def _bars(axes: Axes, names: Sequence[str], parts: Sequence[Part], colour: str) -> None:
+    y = np.arange(len(names))
+    axes.barh(y, [_rate(part) for part in parts], 0.6, color=colour, lw=0)
+    axes.errorbar(
+        [_rate(part) for part in parts], y, xerr=_errors(parts), fmt="none", ecolor=INK,
+        elinewidth=0.8,
+    )  # fmt: skip
+    labels = [f"{name} ({part['n']})" for name, part in zip(names, parts, strict=True)]
+    axes.set_yticks(y, labels)
+    axes.tick_params(axis="y", labelsize=7)
+    axes.yaxis.grid(False)
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, None)
+
+
+def _nulls(axes: Axes, nulls: Part) -> None:
+    laws = list(nulls["by_law"])
+    names = ["all", *(law.replace("_", " + ").replace("ar1", "AR(1)") for law in laws)]
+    parts = [nulls["all"], *(nulls["by_law"][law] for law in laws)]
+    _bars(axes, names, [part["alarmed"] for part in parts], PALE)
+    y = np.arange(len(names))
+    axes.barh(y, [_rate(part["named"]) for part in parts], 0.6, color=MODEL, lw=0)
+    axes.set_title("nothing wrong")
+    axes.set_xlabel("share alarmed (grey), named (red)")
+
+
+def _levels(axes: Axes, levels: Sequence[float]) -> None:
+    axes.set_xscale("log")
+    axes.set_xticks(levels, [f"{level:g}" for level in levels])
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel("detectability d")
+    axes.set_ylim(-0.03, 1.03)
+
+
+def _line(
+    axes: Axes, levels: Sequence[float], parts: Sequence[Part], label: str, colour: str,
+    marker: str, shift: float, bars: bool = True,
+) -> None:  # fmt: skip
+    x = np.array(levels) * 2.0**shift
+    axes.errorbar(
+        x, [_rate(part) for part in parts], yerr=_errors(parts) if bars else None, label=label,
+        color=colour, marker=marker, ms=4, lw=1.2 if bars else 0.8, elinewidth=0.8,
+        ls="-" if bars else "--",
+    )  # fmt: skip
+
+
+def _against_d(axes: Axes, table: Sequence[Part], key: str, title: str) -> None:
+    levels = [row["d"] for row in table]
+    _line(axes, levels, [row[key] for row in table], "diagnosis", BLUE, MARKERS[0], 0.0)
+    if key.startswith("top"):
+        _line(axes, levels, [row["oracle"] for row in table], "oracle", INK, MARKERS[1], 0.1, False)
+        _line(axes, levels, [row["bic"] for row in table], "BIC", ORANGE, MARKERS[2], 0.0, False)
+        _line(axes, levels, [row["rss"] for row in table], "RSS", GREEN, MARKERS[3], -0.1, False)
+        axes.legend(loc="lower right", fontsize=7)
+    _levels(axes, levels)
+    axes.set_title(title)
+
+
+def _wrong(axes: Axes, wrong: Part) -> None:
+    words = {
+        "listed": "listed", "pair": "pair", "unlisted": "unlisted", "withheld": "withheld",
+        "withheld_outside_family": ".. other family", "bic_listed": "BIC, listed",
+        "bic_unlisted": "BIC, unlisted", "bic_withheld": "BIC, withheld",
+    }  # fmt: skip
+    _bars(axes, list(words.values()), [wrong[key] for key in words], DATA)
+    axes.set_title("confident wrong name")
+    axes.set_xlabel("share")
+
+
+def _flagged(axes: Axes, unlisted: Part) -> None:
+    levels = [row["d"] for row in unlisted["flagged"]]
+    for key, label, colour, marker, shift in (
+        ("flagged", "outside the catalogue", BLUE, MARKERS[0], -0.06),
+        ("withheld_flagged", "withheld", ORANGE, MARKERS[1], 0.06),
+    ):
+        parts = [row["flagged"] for row in unlisted[key]]
+        known = [i for i, part in enumerate(parts) if part["n"]]
+        _line(
+            axes, [levels[i] for i in known], [parts[i] for i in known], label, colour, marker,
+            shift,
+        )  # fmt: skip
+    _levels(axes, levels)
+    axes.set_title("flagged unlisted")
+    axes.legend(loc="upper left", fontsize=7)
+
+
+def _roc(axes: Axes, roc: Part) -> None:
+    axes.plot([0, 1], [0, 1], color=MIDDLE, lw=0.7, ls=":")
+    axes.plot([0.0, *roc["false"], 1.0], [0.0, *roc["true"], 1.0], color=BLUE)
+    axes.set_xlabel("share of the others flagged")
+    axes.set_ylabel("share of the unlisted")
+    area = "" if roc["area"] is None else f", area {roc['area']:.2f} ± {1.96 * roc['se']:.2f}"
+    axes.set_title(f"unlisted{area}")
+
+
+def _reliability(axes: Axes, calibration: Part) -> None:
+    axes.plot([0, 1], [0, 1], color=MIDDLE, lw=0.7, ls=":")
+    bins = calibration["bins"]
+    parts = [entry["right"] for entry in bins]
+    axes.errorbar(
+        [entry["stated"] for entry in bins], [_rate(part) for part in parts],
+        yerr=_errors(parts), fmt="o", ms=4, color=BLUE, elinewidth=0.8,
+    )  # fmt: skip
+    if calibration["ece"] is not None:
+        axes.annotate(
+            f"error {calibration['ece']:.3f}\nif calibrated < {calibration['band95']:.3f}",
+            (0.03, 0.97), xycoords="axes fraction", va="top", fontsize=7,
+        )  # fmt: skip
+    axes.set_xlim(0, 1.02)
+    axes.set_ylim(-0.03, 1.03)
+    axes.set_xlabel("stated probability")
+    axes.set_ylabel("share right")
+    axes.set_title("verdicts")
+
+
+def _closed(axes: Axes, table: Sequence[Part]) -> None:
+    levels = [row["d"] for row in table]
+    for key, label, colour, marker in (
+        ("median_error", "in sample", BLUE, MARKERS[0]),
+        ("median_error_held_out", "held out", ORANGE, MARKERS[1]),
+    ):
+        values = [np.nan if row[key] is None else row[key] for row in table]
+        axes.plot(levels, values, color=colour, marker=marker, ms=4, label=label)
+    coverage = [_rate(row["coverage"]) for row in table]
+    axes.errorbar(
+        levels, coverage, yerr=_errors([row["coverage"] for row in table]), color=MIDDLE,
+        marker=MARKERS[2], ms=4, lw=0.8, elinewidth=0.8, ls="--", label="interval covers",
+    )  # fmt: skip
+    _levels(axes, levels)
+    axes.set_title("closed fraction, error")
+    axes.legend(loc="center right", fontsize=7)
+
+
+def _tau(axes: Axes, card: Part) -> None:
+    tau = card["tau"]
+    values = [np.nan if tau[key] is None else tau[key] for key in ("before", "after")]
+    axes.bar([0, 1], values, 0.6, color=[PALE, DATA], edgecolor=INK, lw=0.6)
+    axes.set_xticks([0, 1], ["before", "after"])
+    axes.xaxis.grid(False)
+    axes.set_ylabel("mean error of ln τ")
+    axes.set_title(f"τ, effect named ({tau['n']})")
+    places = card["localisation"]
+    said = []
+    if places["share"] is not None:
+        oracle = places["share_oracle"]
+        said.append(
+            f"excess where it acts {places['share']:.2f}"
+            + ("" if oracle is None else f" (oracle {oracle:.2f})")
+        )
+    cover = card["envelope"]["d_below_3"]
+    if cover["rate"] is not None:
+        said.append(f"τ in envelope, d < 3: {cover['rate']:.2f} of {cover['n']}")
+    axes.annotate(
+        "\n".join(said), (0.98, 0.98), xycoords="axes fraction", va="top", ha="right", fontsize=7
+    )
