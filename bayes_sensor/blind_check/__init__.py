@@ -1,0 +1,32 @@
+"""The blind check: is the diagnosis right on data whose cause it does not know?
+
+Cases come from :mod:`bayes_sensor.reality`, which shares nothing with the catalogue; truths are
+sealed before the diagnosis runs and opened after its verdicts are recorded.
+"""
+
+from bayes_sensor.blind_check.check import (
+    SETTINGS,
+    diagnose,
+    diagnose_cases,
+    draw_cases,
+    open_seals,
+)
+from bayes_sensor.blind_check.plan import LEVELS, Entry, draw_truth, make_plan
+from bayes_sensor.blind_check.score import card_table, make_card, score, table, wilson
+
+__all__ = [
+    "LEVELS",
+    "SETTINGS",
+    "Entry",
+    "card_table",
+    "diagnose",
+    "diagnose_cases",
+    "draw_cases",
+    "draw_truth",
+    "make_card",
+    "make_plan",
+    "open_seals",
+    "score",
+    "table",
+    "wilson",
+]

@@ -26,6 +26,7 @@ from bayes_sensor.reality import (
     CAUSES,
     OPEN_LAWS,
     RESERVE_LAWS,
+    SIZES,
     Case,
     Cause,
     acting_places,
@@ -82,8 +83,12 @@ def make_plan(n: int, seed: int, reserve: bool = False, size: str = "mixed") -> 
     Raises
     ------
     CampaignError
-        If ``n`` is not positive.
+        If ``n`` is not positive or ``size`` is not known.
     """
+    if size not in ("mixed", *SIZES):
+        raise CampaignError(
+            f"--size: expected one of mixed, {', '.join(SIZES)}, but got '{size}'; correct it"
+        )
     if n < 1:
         raise CampaignError(f"--cases: expected at least one case, got {n}")
     rng = np.random.default_rng([seed, 0xB11D])

@@ -312,6 +312,62 @@ def coverage(
     )  # fmt: skip
 
 
+@app.command("blind-check")
+def blind_check(
+    out: Out,
+    cases: Annotated[int, typer.Option(min=1, max=100_000, help="Simulated cases.")] = 60,
+    seed: Seed = 1,
+    setting: Annotated[
+        str, typer.Option(help="full (as the command gap) or study (quicker).")
+    ] = "full",
+    cases_only: Annotated[
+        bool, typer.Option("--cases-only", help="Draw campaigns and seal their truths.")
+    ] = False,
+    diagnose_only: Annotated[
+        bool, typer.Option("--diagnose-only", help="Diagnose what is in DIR, record verdicts.")
+    ] = False,
+    score_only: Annotated[
+        bool, typer.Option("--score-only", help="Open the seals and score the verdicts in DIR.")
+    ] = False,
+    reserve: Annotated[
+        bool, typer.Option("--reserve", help="Also causes and noise kept for a final run.")
+    ] = False,
+    keep: Annotated[
+        bool | None,
+        typer.Option("--keep/--no-keep", help="Whether to keep campaigns; default: up to 100."),
+    ] = None,
+    size: Annotated[str, typer.Option(help="mixed, paper, varied or small.")] = "mixed",
+    jobs: Jobs = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Dask scheduler to run on, tcp://host:port.")
+    ] = None,
+    resume: Resume = False,
+    quiet: Quiet = False,
+) -> None:
+    """Score card of the diagnosis on withheld effects, made by an independent simulator."""
+    from bayes_sensor.cli import blind
+
+    chosen = [
+        name
+        for name, wanted in (
+            ("cases", cases_only), ("diagnose", diagnose_only), ("score", score_only)
+        )
+        if wanted
+    ]  # fmt: skip
+    if len(chosen) > 1:
+        raise typer.BadParameter(
+            "expected at most one of --cases-only, --diagnose-only and --score-only; leave all "
+            "out to do the three in a row"
+        )
+    raise typer.Exit(
+        blind.blind_check(
+            out, cases=cases, seed=seed, setting=setting, only=chosen[0] if chosen else None,
+            reserve=reserve, keep=keep, jobs=jobs, scheduler=scheduler, resume=resume,
+            quiet=quiet, size=size,
+        )
+    )  # fmt: skip
+
+
 @app.command()
 def design(
     campaign: CampaignFile,
@@ -387,7 +443,7 @@ def diffusion(
 
 def _advice(arguments: list[str]) -> str:
     """What to type after an interruption."""
-    resumable = {"analyze", "posterior", "bounds", "coverage"}
+    resumable = {"analyze", "posterior", "bounds", "blind-check", "coverage"}
     if arguments and arguments[0] in resumable:
         more = [] if "--resume" in arguments else ["--resume"]
         import shlex

@@ -30,7 +30,7 @@ Part = Mapping[str, Any]
 def score_card(card: Part) -> Figure:
     """Nine panels from ``score.json``: is anything seen, named, flagged, calibrated, mended."""
     with style():
-        figure = new_figure(8.6)
+        figure = new_figure(8.9)
         axes = figure.subplots(3, 3)
         _nulls(axes[0, 0], card["nulls"])
         _against_d(axes[0, 1], card["accuracy"], "top_or_abstained", "right effect")
@@ -109,7 +109,7 @@ def _against_d(axes: Axes, table: Sequence[Part], key: str, title: str) -> None:
         _line(axes, levels, [row["oracle"] for row in table], "oracle", INK, MARKERS[1], 0.1, False)
         _line(axes, levels, [row["bic"] for row in table], "BIC", ORANGE, MARKERS[2], 0.0, False)
         _line(axes, levels, [row["rss"] for row in table], "RSS", GREEN, MARKERS[3], -0.1, False)
-        axes.legend(loc="lower right", fontsize=7)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=2, fontsize=7)
     _levels(axes, levels)
     axes.set_title(title)
 
@@ -139,7 +139,7 @@ def _flagged(axes: Axes, unlisted: Part) -> None:
         )  # fmt: skip
     _levels(axes, levels)
     axes.set_title("flagged unlisted")
-    axes.legend(loc="upper left", fontsize=7)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), fontsize=7)
 
 
 def _roc(axes: Axes, roc: Part) -> None:
@@ -147,8 +147,12 @@ def _roc(axes: Axes, roc: Part) -> None:
     axes.plot([0.0, *roc["false"], 1.0], [0.0, *roc["true"], 1.0], color=BLUE)
     axes.set_xlabel("share of the others flagged")
     axes.set_ylabel("share of the unlisted")
-    area = "" if roc["area"] is None else f", area {roc['area']:.2f} ± {1.96 * roc['se']:.2f}"
-    axes.set_title(f"unlisted{area}")
+    if roc["area"] is not None:
+        axes.annotate(
+            f"area {roc['area']:.2f} ± {1.96 * roc['se']:.2f}", (0.97, 0.05),
+            xycoords="axes fraction", ha="right", fontsize=7,
+        )  # fmt: skip
+    axes.set_title("P(unlisted)")
 
 
 def _reliability(axes: Axes, calibration: Part) -> None:
@@ -186,7 +190,7 @@ def _closed(axes: Axes, table: Sequence[Part]) -> None:
     )  # fmt: skip
     _levels(axes, levels)
     axes.set_title("closed fraction, error")
-    axes.legend(loc="center right", fontsize=7)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=2, fontsize=7)
 
 
 def _tau(axes: Axes, card: Part) -> None:
@@ -208,6 +212,4 @@ def _tau(axes: Axes, card: Part) -> None:
     cover = card["envelope"]["d_below_3"]
     if cover["rate"] is not None:
         said.append(f"τ in envelope, d < 3: {cover['rate']:.2f} of {cover['n']}")
-    axes.annotate(
-        "\n".join(said), (0.98, 0.98), xycoords="axes fraction", va="top", ha="right", fontsize=7
-    )
+    axes.set_xlabel("\n".join(said), fontsize=7)

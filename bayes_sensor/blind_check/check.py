@@ -1,0 +1,336 @@
+"""The blind check itself: cases drawn and sealed, diagnosed, verdicts recorded, seals opened.
+
+A folder holds::
+
+    plan.json                 what is to be diagnosed: name, seed, effects taken out (no truth)
+    campaigns/NAME/           a campaign as a user has it
+    sealed/NAME.json          its truth; sealed.json: SHA-256 of every one, written first
+    verdicts/NAME.json        what the diagnosis said; verdicts.json: SHA-256 of every one
+    score.json, cases.csv     the card and one row a case, written once the seals are open
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.blind_check.baselines import whiteness_p_value
+from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
+from bayes_sensor.calibration import run_chunks
+from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.reality import Case, make_campaign
+from bayes_sensor.results import json_text, plain, read_json, sha256, write_json, write_text
+
+Diagnose = Callable[[Campaign, int, Sequence[str], str], Mapping[str, Any]]
+"""campaign, seed, effects taken out, setting -> content of gap.json"""
+Progress = Callable[[int, int], None]
+SETTINGS = ("full", "study")
+PLAN, SEALED, VERDICTS = "plan.json", "sealed", "verdicts"
+KEPT = {
+    "where": ("experiment", "phase", "share", "p_value"),
+    "which": ("effect", "family", "probability", "d", "tau_s", "fraction_closed", "rss_V2", "bic"),
+}
+"""what is kept of the tables of gap.json; traces and sentences are not scored"""
+
+
+def diagnose(campaign: Campaign, seed: int, without: Sequence[str], setting: str) -> dict[str, Any]:
+    """gap.json of a campaign, and ``whiteness_p`` of the fit.
+
+    ``full`` is what ``bayes-sensor gap`` does; ``study`` leaves out what only the report shows and
+    takes linearised instead of bootstrapped intervals.
+    """
+    from bayes_sensor.fit import fit_least_squares
+    from bayes_sensor.gap import diagnose_gap
+
+    if setting == "full":
+        fit = fit_least_squares(campaign, seed=seed, euler=False)
+        gap = diagnose_gap(campaign, fit, seed=seed, without=without)
+    else:
+        fit = fit_least_squares(campaign, seed=seed, euler=False, swarms=1)
+        gap = diagnose_gap(campaign, fit, seed=seed, without=without, bootstrap=0, separate=False)
+    record = gap.to_json()
+    record["whiteness_p"] = whiteness_p_value(campaign, fit.theta_hat)
+    return record
+
+
+def trimmed(gap: Mapping[str, Any]) -> dict[str, Any]:
+    """The parts of gap.json that are scored."""
+    kept: dict[str, Any] = {
+        name: [{key: row.get(key) for key in keys} for row in gap[name]]
+        for name, keys in KEPT.items()
+    }
+    verdict = gap["verdict"]
+    kept["verdict"] = {k: verdict[k] for k in ("kind", "effects", "family", "probability")}
+    kept["shrink"] = {
+        k: v
+        for k, v in gap["shrink"].items()
+        if v is None or isinstance(v, bool | int | float | str)
+    }
+    kept["families"] = dict(gap.get("families") or {})
+    kept["budget"] = {k: gap["budget"].get(k) for k in ("excess_d", "p_value")}
+    kept["tau_envelope_s"] = gap["hidden"]["tau_envelope_s"]
+    kept["whiteness_p"] = gap.get("whiteness_p")
+    result: dict[str, Any] = plain(kept)
+    return result
+
+
+# --------------------------------------------------------------------------- tasks
+
+
+@dataclass(frozen=True)
+class Sealing:
+    """The task that draws case number i; its result is the text of the truth."""
+
+    entries: tuple[Entry, ...]
+
+    @property
+    def key(self) -> str:
+        """Everything that the truths depend on."""
+        return _key("sealing", [asdict(entry) for entry in self.entries])
+
+    def __call__(self, i: int) -> dict[str, Any]:
+        """``truth``: JSON."""
+        return {"truth": json_text(draw_truth(self.entries[i]))}
+
+
+@dataclass(frozen=True)
+class Diagnosing:
+    """The task that diagnoses case number i, from its files or from its recipe.
+
+    Only the campaign, the seed and the names taken out reach the diagnosis.
+    """
+
+    cases: tuple[tuple[str, int, tuple[str, ...]], ...]
+    """name, seed, effects taken out"""
+    sources: tuple[str, ...]
+    """path of a campaign.toml, or the recipe as JSON"""
+    setting: str
+    diagnose: Diagnose = diagnose
+    digest: str = ""
+    """of the campaigns"""
+
+    @property
+    def key(self) -> str:
+        """Everything that the verdicts depend on."""
+        name = getattr(self.diagnose, "__qualname__", repr(self.diagnose))
+        return _key("diagnosing", self.cases, self.setting, self.digest, name)
+
+    def __call__(self, i: int) -> dict[str, Any]:
+        """``verdict``: JSON; ``seconds``: of the diagnosis, processor time."""
+        name, seed, without = self.cases[i]
+        source = self.sources[i]
+        if source.startswith("{"):
+            campaign = make_campaign(Case.from_json(json.loads(source)))
+        else:
+            from bayes_sensor.readers import read_campaign
+
+            campaign = read_campaign(source)
+        begin = time.process_time()
+        verdict = trimmed(self.diagnose(campaign, seed, without, self.setting))
+        seconds = time.process_time() - begin
+        record = {"case": name, "seed": seed, "without": list(without), "setting": self.setting}
+        return {"verdict": json_text({**record, **verdict}), "seconds": seconds}
+
+
+def _key(*parts: Any) -> str:
+    from bayes_sensor import __version__
+
+    return hashlib.sha256(repr((__version__, parts)).encode()).hexdigest()[:16]
+
+
+# --------------------------------------------------------------------------- sealing
+
+
+def draw_cases(
+    folder: Path,
+    parts: Path,
+    n: int,
+    seed: int,
+    *,
+    reserve: bool = False,
+    size: str = "mixed",
+    keep: bool = True,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    chunk: int = 4,
+    progress: Progress | None = None,
+) -> None:
+    """Draw ``n`` cases, seal their truths and, with ``keep``, write their campaigns.
+
+    Without ``keep`` the campaigns are made again from their recipes when they are diagnosed.
+    ``parts`` holds what an interrupted run has drawn so far.
+    """
+    entries = make_plan(n, seed, reserve, size)
+    task = Sealing(tuple(entries))
+    drawn = run_chunks(task, n, parts / "sealing", task.key, jobs, chunk, scheduler, progress)
+    truths = [json.loads(text) for text in drawn["truth"].tolist()]
+    sealed = folder / SEALED
+    sealed.mkdir(parents=True, exist_ok=True)
+    for truth in truths:
+        write_json(sealed / f"{truth['name']}.json", truth)
+    _write_hashes(folder, SEALED)
+    plan = [
+        {
+            "case": truth["name"],
+            "seed": truth["diagnosis_seed"],
+            "without": sorted({n for names in truth["listed_as"] for n in names})
+            if truth["kind"] == "withheld"
+            else [],
+        }
+        for truth in truths
+    ]
+    write_json(folder / PLAN, {"cases": plan, "n": n, "seed": seed, "reserve": reserve})
+    if keep:
+        from bayes_sensor.writers import write_campaign
+
+        for truth in truths:
+            target = folder / "campaigns" / truth["name"]
+            if not (target / "campaign.toml").is_file():
+                case = Case.from_json(truth["recipe"])
+                write_campaign(make_campaign(case), target, "npz")
+
+
+def _write_hashes(folder: Path, what: str) -> None:
+    hashes = {path.stem: sha256(path) for path in sorted((folder / what).glob("*.json"))}
+    write_json(folder / f"{what}.json", hashes)
+
+
+def _check_hashes(folder: Path, what: str) -> None:
+    path = folder / f"{what}.json"
+    if not path.is_file():
+        return  # a user's own truths, sealed elsewhere
+    for name, expected in read_json(path).items():
+        file = folder / what / f"{name}.json"
+        found = sha256(file) if file.is_file() else "nothing"
+        if found != expected:
+            raise CampaignError(
+                f"{what}/{name}.json: expected the file whose SHA-256 was recorded before "
+                f"({expected[:12]}..), but found {found[:12]}..; put the original back"
+            )
+
+
+# --------------------------------------------------------------------------- diagnosing
+
+
+def diagnose_cases(
+    folder: Path,
+    target: Path,
+    parts: Path,
+    setting: str = "full",
+    *,
+    diagnosis: Diagnose = diagnose,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    chunk: int = 4,
+    progress: Progress | None = None,
+) -> np.ndarray:
+    """Diagnose every case of the plan and every campaign found; returns the seconds of each (n,).
+
+    Verdicts and their hashes go to ``target``.  Campaigns that a user put into ``campaigns/`` are
+    diagnosed with the full catalogue unless plan.json says otherwise.
+
+    Raises
+    ------
+    CampaignError
+        If there is nothing to diagnose, or the setting is not known.
+    """
+    if setting not in SETTINGS:
+        raise CampaignError(f"--setting: expected one of {', '.join(SETTINGS)}, got '{setting}'")
+    planned = read_json(folder / PLAN)["cases"] if (folder / PLAN).is_file() else []
+    names = {case["case"] for case in planned}
+    found = sorted((folder / "campaigns").glob("*/campaign.toml"))
+    planned += [
+        {"case": path.parent.name, "seed": 1, "without": []}
+        for path in found
+        if path.parent.name not in names
+    ]
+    if not planned:
+        raise CampaignError(
+            f"{folder}: expected cases to diagnose, but there is neither {PLAN} nor "
+            "campaigns/NAME/campaign.toml; draw cases with --cases-only or put campaigns there"
+        )
+    sources, digests = [], []
+    for case in planned:
+        toml = folder / "campaigns" / case["case"] / "campaign.toml"
+        if toml.is_file():
+            sources.append(str(toml))
+            digests += [sha256(path) for path in sorted(toml.parent.iterdir()) if path.is_file()]
+        else:
+            truth = read_json(folder / SEALED / f"{case['case']}.json")
+            if "recipe" not in truth:
+                raise CampaignError(
+                    f"campaigns/{case['case']}: expected campaign.toml there, because the sealed "
+                    "truth has no recipe to make the campaign from; put the campaign back"
+                )
+            sources.append(json.dumps(truth["recipe"]))
+            digests.append(sources[-1])
+    task = Diagnosing(
+        tuple((case["case"], int(case["seed"]), tuple(case["without"])) for case in planned),
+        tuple(sources), setting, diagnosis, hashlib.sha256("".join(digests).encode()).hexdigest(),
+    )  # fmt: skip
+    done = run_chunks(
+        task, len(planned), parts / "diagnosing", task.key, jobs, chunk, scheduler, progress
+    )
+    verdicts = target / VERDICTS
+    verdicts.mkdir(parents=True, exist_ok=True)
+    for case, text in zip(planned, done["verdict"].tolist(), strict=True):
+        write_text(verdicts / f"{case['case']}.json", text)
+    _write_hashes(target, VERDICTS)
+    return np.asarray(done["seconds"], dtype=float)
+
+
+# --------------------------------------------------------------------------- opening
+
+
+def open_seals(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """(truth, verdict) of every case with both, after their hashes were found unchanged.
+
+    Raises
+    ------
+    CampaignError
+        If a file was changed after its hash was recorded, or no verdict has a truth.
+    """
+    _check_hashes(folder, SEALED)
+    _check_hashes(folder, VERDICTS)
+    both = []
+    for path in sorted((folder / VERDICTS).glob("*.json")):
+        truth = folder / SEALED / path.name
+        if truth.is_file():
+            both.append((complete_truth(read_json(truth), path.stem), read_json(path)))
+    if not both:
+        raise CampaignError(
+            f"{folder}: expected verdicts/NAME.json and sealed/NAME.json of the same names, but "
+            "no verdict has a truth; diagnose first, then put the truths into sealed/"
+        )
+    return both
+
+
+def complete_truth(content: Any, name: str) -> dict[str, Any]:
+    """A sealed truth with every key: a user's own needs ``listed_as`` alone.
+
+    ``listed_as``: for each cause the names that are a right answer; ``[]`` for no cause at all and
+    ``[[]]`` for one that the catalogue does not list.
+    """
+    if not isinstance(content, Mapping) or not isinstance(content.get("listed_as"), list):
+        raise CampaignError(
+            f'sealed/{name}.json: expected {{"listed_as": [["effect"], ..]}}, one list of right '
+            "names for each cause; [] where nothing is wrong"
+        )
+    truth = dict(content)
+    listed = [[names] if isinstance(names, str) else list(names) for names in truth["listed_as"]]
+    kind = "null" if not listed else "pair" if len(listed) > 1 else "listed"
+    if listed and not any(listed):
+        kind = "unlisted"
+    defaults: dict[str, Any] = {
+        "name": name, "kind": kind, "causes": [], "near": [], "level": None, "d": None,
+        "law": "unknown", "is_ar1": None, "tau_s": None, "tau_refit_s": None, "rivals": {},
+        "acts": [], "visible": [], "closed": {}, "size": "own", "reserve": False,
+    }  # fmt: skip
+    return {**defaults, **truth, "listed_as": listed}
