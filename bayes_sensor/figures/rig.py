@@ -64,7 +64,7 @@ def responses(traces: Sequence[Trace]) -> Figure:
                         axes.axvline(trace.commanded_off - start, color=MIDDLE, lw=0.8, ls=":")
             axes.set_xlim(left=-5.0)
             axes.set_title(f"{level:g} % test gas")
-            axes.legend(loc="lower center", fontsize=7)
+            axes.legend(loc="best", fontsize=7)
         for axes in grid[:, 0]:
             axes.set_ylabel(f"signal ({unit})")
         for axes in grid[-1]:

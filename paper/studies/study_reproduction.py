@@ -19,7 +19,7 @@ from bayes_sensor import figures
 from bayes_sensor.bounds import cramer_rao
 from bayes_sensor.delays import regress_delays
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.posterior import sample_posterior
+from bayes_sensor.posterior import Settings, sample_posterior
 from bayes_sensor.predictive import check_predictive
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.residuals import diagnose_residuals
@@ -27,6 +27,7 @@ from bayes_sensor.results import make_traces
 
 REFERENCE = PAPER.parent / "data" / "reference"
 SEED = 1
+SETTINGS = Settings(n_chains=4, n_draws=8000)
 PUBLISHED_RMS_MV = 65.3
 PUBLISHED_SHARED = {"tau_s": 48.1, "tau_v_s": 857.7, "V_mL": 58.23}
 """ms, ms, mL (Sec. III-B)"""
@@ -48,7 +49,7 @@ def run(
     truth = json.loads((REFERENCE / "truth.json").read_text())
     fit = fit_least_squares(campaign, seed=SEED)
     residuals = diagnose_residuals(campaign, fit).to_json()
-    posterior = sample_posterior(campaign, fit, seed=SEED, sampler="independence")
+    posterior = sample_posterior(campaign, fit, SEED, "independence", SETTINGS)
     delays = regress_delays(campaign, fit, posterior).to_json()
     progress(1, 2)
     table_one(campaign).to_csv(TABLES / "reproduction_table1.csv", index=False)
