@@ -267,13 +267,13 @@ def _bin_cholesky(
     norm = np.outer(width, width)
 
     def covariance(spectrum: FloatArray) -> FloatArray:
-        # second integral of the autocovariance: differences of it are covariances of means
-        gamma = np.fft.irfft(spectrum, n) / (2.0 * step)
-        gamma = gamma[: n // 2]
-        first = np.concatenate([[0.0], np.cumsum(0.5 * (gamma[1:] + gamma[:-1]))]) * step
-        second = np.concatenate([[0.0], np.cumsum(0.5 * (first[1:] + first[:-1]))]) * step
+        # G with second differences equal to the autocovariance: then
+        # cov(mean over [a, b), mean over [c, d)) n m = G(b - c) + G(a - d) - G(b - d) - G(a - c)
+        gamma = np.fft.irfft(spectrum, n)[: n // 2] / (2.0 * step)
+        slope = np.cumsum(gamma) - 0.5 * gamma[0]
+        second = np.concatenate([[0.0], np.cumsum(slope)])
         made = second[index[0]] + second[index[1]] - second[index[2]] - second[index[3]]
-        return made / norm
+        return made * step**2 / norm
 
     level = np.clip(level, 0.0, 1.0)
     ratio = max(
@@ -325,6 +325,7 @@ def _density_at(f: FloatArray, edges: FloatArray, density: FloatArray) -> FloatA
     if low.any():
         mid = (centre > 0.5) & (centre < 4.0)
         above = float(density[0] - np.mean(density[mid])) if mid.any() else 0.0
-        grow = np.minimum(edges[0] / np.maximum(f[low], 1e-9) - 1.0, 8.0)
+        lowest = 0.5 * f[1] if len(f) > 1 else 1e-9  # the constant stands for half a spacing
+        grow = np.clip(edges[0] / np.maximum(f[low], lowest) - 1.0, 0.0, 8.0)
         made[low] = density[0] + max(above, 0.0) * grow
     return made

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter
 from scipy.signal import lfilter, windows
 from scipy.special import gammaln, logsumexp
 
@@ -21,8 +20,10 @@ MAINS = (50.0, 60.0)
 """Hz"""
 NEAR_MAINS = 0.15
 """Hz; a line this close to the mains or a harmonic is the mains"""
-LOWEST_LINE = 2.0
+LOWEST_LINE = 0.2
 """Hz; below, a spectrum's own slope looks like a line"""
+FEWEST_CYCLES = 6.0
+"""of a line in the longest stretch"""
 RATIOS = (1.0, 2.5, 6.0, 15.0, 40.0)
 """a line's plausible power over the noise's, per stretch and resolution"""
 TAIL_DOF = (2.5, 3.0, 4.0, 5.0, 7.0, 10.0)
@@ -94,7 +95,8 @@ def test_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRat
     k = len(used)
     c = np.array(RATIOS)[:, None]
     log_b = logsumexp(total * c / (1.0 + c) - k * np.log1p(c), axis=0) - np.log(len(RATIOS))
-    sane = (f >= LOWEST_LINE) & (f <= 0.498 / common)
+    lowest = max(LOWEST_LINE, FEWEST_CYCLES / (longest * common))
+    sane = (f >= lowest) & (f <= 0.498 / common)
     near, nominal = _mains_bands(f, common)
     found = []
     for name, where in (("mains_pickup", near & sane), ("line", ~near & sane)):
@@ -120,14 +122,31 @@ def _normalised_periodogram(samples: FloatArray, n: int) -> tuple[FloatArray, Fl
     """Ordinates (n/2 + 1,) over the local noise level, and that level in squared amplitude."""
     taper = windows.tukey(len(samples), 0.2)
     power = np.abs(np.fft.rfft(detrended(samples, 4) * taper, n)) ** 2
-    # the median over a window of native resolutions is ln 2 of the mean and does not see a line
-    width = 2 * int(30 * n / len(samples)) + 1
-    step = max(1, width // 60)
-    coarse = median_filter(power[::step], size=max(width // step, 3) | 1, mode="nearest")
-    index = np.arange(len(power))
-    level = np.interp(index, index[::step], coarse) / np.log(2.0)
-    level = np.maximum(level, 1e-300)
+    level = _local_level(power, n / len(samples))
     return power / level, level / np.sum(taper) ** 2
+
+
+def _local_level(power: FloatArray, per_resolution: float) -> FloatArray:
+    """The noise level (n_f,) around every ordinate, blind to lines and to a spectrum's slope.
+
+    The median over a window that is even in the logarithm of the frequency, at least 12 native
+    resolutions wide; for exponential ordinates it is ln 2 of the mean.
+    """
+    index = np.arange(len(power), dtype=float)
+    # a grid of windows, denser than their widths, then interpolated in the logarithm
+    edges = [1.0]
+    while edges[-1] < len(power):
+        edges.append(max(edges[-1] * 1.12, edges[-1] + 2.0 * per_resolution))
+    levels = []
+    for centre in edges:
+        half = max(0.4 * centre, 6.0 * per_resolution)
+        low, high = int(max(centre - half * 0.8, 1)), int(min(centre + half, len(power))) + 1
+        window = power[low:high]
+        step = max(1, len(window) // 400)
+        levels.append(float(np.median(window[::step])) / np.log(2.0))
+    level = np.exp(np.interp(np.log(np.maximum(index, 0.5)), np.log(edges),
+                             np.log(np.maximum(levels, 1e-300))))  # fmt: skip
+    return np.maximum(level, 1e-300)
 
 
 def _mains_bands(f: FloatArray, interval: float) -> tuple[np.ndarray, FloatArray]:

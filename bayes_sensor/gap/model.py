@@ -181,11 +181,11 @@ class EffectModel:
             made = {}
             for s in strengths:
                 if s.name in held:
-                    value = held[s.name]
-                else:
-                    key = parameter_name(s)
-                    key = f"{key}[{name}]" if s.per_experiment else key
-                    value = float(theta[layout.index(key)])
+                    made[s.name] = held[s.name]
+                    continue
+                key = parameter_name(s)
+                key = f"{key}[{name}]" if s.per_experiment else key
+                value = float(theta[layout.index(key)])
                 made[s.name] = min(max(value, s.limits[0]), s.limits[1])
             found.append(made)
         return found

@@ -48,6 +48,9 @@ SETTINGS: dict[str, tuple[float, str]] = {
     "gain_drift": (0.0, "1/s, relative change of beta with time"),
     "carry_over": (0.0, "share of beta still in the manifold when the record starts"),
     "carry_time": (0.0, "s, in which it leaves; 0: the manifold's own V/Q"),
+    "valve_factor": (1.0, "valve time constant over the common one"),
+    "sensor_factor": (1.0, "sensor time constant over the common one"),
+    "emptying_ratio": (1.0, "manifold time constant after the step down over that before"),
 }
 """name -> (neutral value, what it is)"""
 
@@ -61,7 +64,8 @@ FIRST = 10
 (
     CLOSING, INERTIA, STROKE, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME, SWITCHING, FLOW,
     POCKET, POCKET_TIME, TANK, RELEASE, SLOW_S, SLOW_S_TIME, COATING, FILTER, CURVATURE,
-    DRIFT, DRIFT_CURVE, STEP, STEP_TIME, GAIN, CARRY, CARRY_TIME,
+    DRIFT, DRIFT_CURVE, STEP, STEP_TIME, GAIN, CARRY, CARRY_TIME, VALVE_FACTOR, SENSOR_FACTOR,
+    EMPTYING,
 ) = range(FIRST, FIRST + len(SETTINGS))  # fmt: skip
 
 CELLS_PER_TIME_CONSTANT = 14.0
@@ -109,7 +113,7 @@ def _valve(t: float, p: FloatArray) -> float:  # pragma: no cover
     since = t - p[T0]
     if since <= 0.0:
         return 0.0
-    tau, share = p[TAU_V], p[SLOW_V]
+    tau, share = p[TAU_V] * p[VALVE_FACTOR], p[SLOW_V]
     after = t - p[TF]
     if p[CLOSING] == 1.0 or after <= 0.0:  # linear: opening minus shutting
         x = _opening(since, tau, p[INERTIA], p[STROKE])
@@ -184,7 +188,7 @@ def _manifold(
     x2 = np.zeros(n)
     slope_a = np.zeros(n)  # dx2/dt at the start and the end of cells (it may jump at a switch)
     slope_b = np.zeros(n)
-    rate0 = p[FLOW] / (p[TAU_M] * (1.0 - p[TANK]))
+    filling = p[FLOW] / (p[TAU_M] * (1.0 - p[TANK]))
     lost = p[SWITCHING] * p[CONCENTRATION]
     share, exchange = p[POCKET], 0.0
     if share > 0.0:
@@ -192,6 +196,7 @@ def _manifold(
     pocket = 0.0
     for i in range(n - 1):
         h = t[i + 1] - t[i]
+        rate0 = filling if t[i] < p[TF] else filling / p[EMPTYING]
         # the flow through the manifold follows the valve; what enters is Q x1 either way
         ra = rate0 * (1.0 - lost + lost * x1[i])
         rm = rate0 * (1.0 - lost + lost * x1_mid[i])
@@ -273,7 +278,7 @@ def _response(
     out[:] = 0.0
     if last <= t0:
         return
-    first = min(p[TAU_V], p[TAU_M] / p[FLOW])
+    first = min(p[TAU_V] * p[VALVE_FACTOR], p[TAU_M] / p[FLOW] * min(1.0, p[EMPTYING]))
     if p[CLOSING] < 1.0:
         first = min(first, p[CLOSING] * p[TAU_V])
     if p[INERTIA] > 0.0:
@@ -307,12 +312,13 @@ def _response(
     share = np.zeros(n_modes + 2)
     tau = np.ones(n_modes + 2)
     share[0] = (1.0 - p[COATING]) * (1.0 - p[SLOW_S])
-    tau[0] = p[TAU]
+    own_tau = p[TAU] * p[SENSOR_FACTOR]
+    tau[0] = own_tau
     used = 1
     if p[COATING] != 0.0:
         for j in range(n_modes):
             share[used] = p[COATING] * (1.0 - p[SLOW_S]) * mode_share[j]
-            tau[used] = p[TAU] * mode_ratio[j]
+            tau[used] = own_tau * mode_ratio[j]
             used += 1
     if p[SLOW_S] != 0.0:
         share[used] = p[SLOW_S]

@@ -18,6 +18,7 @@ from scipy.special import logsumexp
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.discrepancy import Discrepancy, make_discrepancies
 from bayes_sensor.gap.effect import Effect
+from bayes_sensor.gap.embedded import WEIGHT, embedded_rivals
 from bayes_sensor.gap.evidence import Evidence, Linearised
 from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, refit
 
@@ -44,6 +45,8 @@ class Hypothesis:
     """in the best of the forms"""
     log_tau: float
     sd_log_tau: float
+    within: str = ""
+    """the unlisted dependence inside the model, where it is that"""
 
     @property
     def log_weight(self) -> float:
@@ -55,7 +58,8 @@ class Hypothesis:
         """``none``, ``unlisted``, ``a``, ``a+b``; with a discrepancy ``a, unlisted``."""
         name = "+".join(self.effects)
         if self.incomplete:
-            return f"{name}, unlisted" if name else "unlisted"
+            other = f"unlisted ({self.within})" if self.within else "unlisted"
+            return f"{name}, {other}" if name else other
         return name or "none"
 
 
@@ -152,14 +156,27 @@ def weigh(
         log_prior: float,
         fits: Sequence[tuple[Refit, float]],
         ds: Sequence[Discrepancy] | None = None,
+        within: str = "",
     ) -> Hypothesis:
         log_z, best, log_tau, sd = _average(fits, ds)
-        made = Hypothesis(effects, ds is not None, log_prior, log_z, best, log_tau, sd)
+        other = ds is not None or bool(within)
+        made = Hypothesis(effects, other, log_prior, log_z, best, log_tau, sd, within)
         hypotheses.append(made)
         return made
 
     add((), float(np.log(PRIOR_NONE)), [(base, 1.0)])
-    alone = add((), float(np.log(PRIOR_UNLISTED)), [(base, 1.0)], shares)
+    rivals = embedded_rivals(
+        [*catalogue, *(part.effect.name for part in base.plan.parts)],
+        several_flows=len(sketch.campaign) > 1 and not sketch.campaign.same_flow,
+        has_fall=any(e.has_fall for e in sketch.campaign),
+    )
+    inside = WEIGHT if rivals else 0.0
+    alone = add((), float(np.log(PRIOR_UNLISTED * (1.0 - inside))), [(base, 1.0)], shares)
+    for rival in rivals:
+        form = rival.forms[0]
+        fitted = fit_effect(sketch, base, [Part(rival, form)], form.starts, 20)
+        add((), float(np.log(PRIOR_UNLISTED * inside / len(rivals))), [(fitted, 1.0)],
+            within=rival.name)  # fmt: skip
     fits: dict[str, list[tuple[Refit, float]]] = {}
     on_mean = {n: e for n, e in catalogue.items() if e.on_mean}
     for i, (name, effect) in enumerate(on_mean.items()):

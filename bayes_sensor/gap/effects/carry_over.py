@@ -12,7 +12,16 @@ def _carry(s: Setting, own: bool, slow: bool) -> tuple[Strength, ...]:
                  limits=(-1.0, 2.0), scaled=True),
     )  # fmt: skip
     if slow:
-        found += (Strength("carry_time", "s", "log_normal", 4.0 * s.time_scale, 0.8),)
+        found += (
+            Strength(
+                "carry_time",
+                "s",
+                "log_normal",
+                4.0 * s.time_scale,
+                0.7,
+                limits=(0.05 * s.time_scale, 12.0 * s.time_scale),
+            ),
+        )
     return found
 
 

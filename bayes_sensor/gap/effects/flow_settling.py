@@ -2,29 +2,31 @@
 
 The controller sees its line open, overshoots or lags, and settles with a time constant of its
 own: the inlet's concentration is ``x1 (1 - a exp(-s/T))``, s after opening.  Nothing flows
-through it once the valve is shut, so that the fall is not affected.
+through it once the valve is shut, so that the fall is not affected.  With a settling time near the
+valve's it is a valve that opens at another rate than it shuts: no step experiment separates the
+two, so that it belongs to that family.
 """
 
 from bayes_sensor.gap.effect import Effect, Form, Strength
 
 EFFECT = Effect(
     name="flow_settling",
-    family="slow exchange",
+    family="asymmetry",
     sentence="The flow controller needs time to settle after the valve has opened: {strength}.",
     forms=(
         Form(
             lambda s: (
                 Strength("settling_share", "1", "normal", 0.0, 0.2, limits=(-3.0, 1.0),
                          scaled=True),
-                Strength("settling_time", "s", "log_normal", 1.5 * s.time_scale, 1.0,
-                         limits=(0.02 * s.time_scale, 60.0 * s.time_scale)),
+                Strength("settling_time", "s", "log_normal", 0.8 * s.time_scale, 0.8,
+                         limits=(0.02 * s.time_scale, 8.0 * s.time_scale)),
             ),
             lambda v, s: dict(v),
             starts=(
                 {"settling_share": 0.1, "settling_time*": 0.6},
-                {"settling_share": 0.05, "settling_time*": 4.0},
+                {"settling_share": 0.05, "settling_time*": 2.5},
                 {"settling_share": -0.1, "settling_time*": 0.6},
-                {"settling_share": -0.05, "settling_time*": 4.0},
+                {"settling_share": -0.05, "settling_time*": 2.5},
             ),
         ),
     ),

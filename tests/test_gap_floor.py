@@ -1,0 +1,131 @@
+"""Bins and the noise floor: bin means, their covariance, the whitened residual of pure noise."""
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
+
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.gap.bins import PHASES, make_bins
+from bayes_sensor.gap.floor import _bin_cholesky, clean, detrended
+from bayes_sensor.gap.sketch import fit_base, prepare
+from bayes_sensor.likelihood import simulate
+from bayes_sensor.model import Layout, cascade_response
+from tests.gap_cases import design, theta
+
+TAUS = np.array([0.8577, 0.7, 0.06])
+
+
+def bins_of(campaign):
+    switches = [(e.commanded_on + 0.8, e.commanded_off + 0.5) for e in campaign]
+    return make_bins(campaign, switches, [TAUS] * len(campaign), 0.8577), switches
+
+
+def test_bins_cover_every_sample_once_and_average_exactly():
+    campaign = design(1)
+    (b,), ((t0, tf),) = bins_of(campaign)
+    e = campaign.experiments[0]
+    assert b.first[0] == 0 and b.last[-1] == len(e.t)
+    assert np.all(b.first[1:] == b.last[:-1])
+    x = cascade_response(e.t, TAUS, t0, tf)
+    by_nodes = b.reduce(cascade_response(b.times, TAUS, t0, tf))
+    assert np.max(np.abs(by_nodes - b.average(x))) < 2e-5
+    names = [PHASES[p] for p in b.phase]
+    assert [p for p in PHASES if p in names] == list(PHASES)
+    assert np.all(np.diff(b.phase) >= 0)
+
+
+def test_bins_respect_masks():
+    from dataclasses import replace
+
+    campaign = design(1)
+    e = campaign.experiments[0]
+    used = ~((e.t > 13.0) & (e.t < 14.05))
+    campaign = replace(campaign, experiments=(replace(e, mask=used),))
+    (b,), _ = bins_of(campaign)
+    inside = np.concatenate([np.arange(i, j) for i, j in zip(b.first, b.last, strict=True)])
+    assert np.array_equal(inside, np.flatnonzero(used))
+
+
+def test_restricted_bins_keep_their_means():
+    campaign = design(1)
+    (b,), (s,) = bins_of(campaign)
+    keep = np.arange(len(b.first)) % 3 != 0
+    values = cascade_response(b.times, TAUS, *s)
+    fewer = b.restricted(keep)
+    assert np.allclose(
+        fewer.reduce(cascade_response(fewer.times, TAUS, *s)), b.reduce(values)[keep]
+    )
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.95])
+def test_covariance_of_bin_means_is_that_of_the_process(phi):
+    campaign = design(1)
+    (b,), _ = bins_of(campaign)
+    e = campaign.experiments[0]
+    h = e.interval
+    # the process's own spectrum in narrow bands; its covariance from the definition
+    edges = 0.5 / h / 1.15 ** np.arange(70, -1, -1)
+    f = np.sqrt(edges[:-1] * edges[1:])
+    spectrum = 2.0 * h * (1 - phi**2) / (1 + phi**2 - 2 * phi * np.cos(2 * np.pi * f * h))
+    factor = _bin_cholesky(e, b, edges, np.array([spectrum, spectrum]), np.zeros(len(b.first)))
+    covariance = toeplitz(phi ** np.arange(len(e.t)))
+    total = np.zeros((len(e.t) + 1, len(e.t) + 1))
+    total[1:, 1:] = np.cumsum(np.cumsum(covariance, axis=0), axis=1)
+    exact = (
+        total[np.ix_(b.last, b.last)] - total[np.ix_(b.first, b.last)]
+        - total[np.ix_(b.last, b.first)] + total[np.ix_(b.first, b.first)]
+    ) / np.outer(b.count, b.count)  # fmt: skip
+    made = factor @ factor.T
+    sd = np.sqrt(np.diag(exact))
+    assert np.max(np.abs(made - exact) / np.outer(sd, sd)) < 0.04
+
+
+@pytest.mark.parametrize("kind", ["ar1", "slow"])
+def test_pure_noise_whitens_to_one(kind):
+    plan = design(4)
+    parameters = theta(plan, sigma=0.03, phi=0.6)
+    ratios = []
+    for seed in range(6):
+        campaign = simulate(plan, parameters, seed=seed)
+        if kind == "slow":
+            rng = np.random.default_rng(seed)
+            values = {}
+            for e in campaign:
+                decay = np.exp(-e.interval)
+                slow = lfilter([1], [1, -decay], rng.standard_normal(len(e.t) + 2000))[2000:]
+                values[e.name] = e.values + 0.004 * np.sqrt(1 - decay**2) * slow
+            campaign = campaign.with_data(values)
+        sketch = prepare(campaign, Layout.of(plan).flat(parameters)).sketch
+        fitted = fit_base(sketch)
+        ratios.append(fitted.misfit / (sketch.n_bins - fitted.plan.size))
+    # each has a spread of about .1 from the floor's own uncertainty
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
+    assert max(ratios) < 1.45
+
+
+def test_glitches_are_replaced_and_counted():
+    rng = np.random.default_rng(1)
+    r = rng.standard_normal(5000)
+    r[[100, 2000, 2001]] += 30.0
+    cleaned, n = clean(r, np.ones(5000, dtype=bool))
+    assert n == 3
+    assert np.max(np.abs(cleaned)) < 6.0
+    assert clean(r * 0.0, np.ones(5000, dtype=bool))[1] == 0
+
+
+def test_detrending_removes_a_parabola_exactly():
+    x = np.linspace(-1, 1, 300)
+    assert np.max(np.abs(detrended(3.0 + 2.0 * x - 5.0 * x**2))) < 1e-10
+
+
+def test_a_record_without_a_quiet_stretch_is_refused():
+    from dataclasses import replace
+
+    plan = design(1)
+    campaign = simulate(plan, theta(plan), seed=1)
+    e = campaign.experiments[0]
+    near = (np.abs(e.t - 12.5) < 2.0) | (np.abs(e.t - 35.2) < 1.0)
+    campaign = replace(campaign, experiments=(replace(e, mask=near),))
+    with pytest.raises(CampaignError, match="record longer"):
+        prepare(campaign, Layout.of(plan).flat(theta(plan)))

@@ -1,0 +1,181 @@
+"""The rig's kernel against the closed form and against a general-purpose integrator."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.gap import CATALOGUE
+from bayes_sensor.gap.effect import check_settings
+from bayes_sensor.gap.model import with_effects
+from bayes_sensor.gap.refit import coating_modes
+from bayes_sensor.gap.rig import FIRST, INDEX, rig_mean, settings_vector
+from bayes_sensor.likelihood import Problem
+from bayes_sensor.model import cascade_response
+from tests.campaigns import paper_design, paper_theta
+
+T = np.linspace(0.0, 60.0, 1201)
+T0, TF = 10.3333, 35.1111
+NO_MODES = (np.zeros(0), np.zeros(0))
+
+
+def parameters(tau=0.0481, tau_v=0.8577, tau_m=0.7, concentration=0.15, **settings):
+    first = [tau, tau_v, tau_m, 0.0, 1.0, T0, TF, concentration, 0.0, 30.0]
+    return np.concatenate([first, settings_vector(settings)])
+
+
+@pytest.mark.parametrize(
+    "taus",
+    [
+        (0.0481, 0.8577, 0.388),
+        (0.2, 0.86, 1.2),
+        (0.001, 0.5, 0.5),
+        (0.5, 0.9, 0.3),
+        (0.02, 0.02, 0.3),
+    ],
+)
+def test_neutral_settings_are_the_closed_form(taus):
+    tau, tau_v, tau_m = taus
+    x = rig_mean(T, parameters(tau, tau_v, tau_m), *NO_MODES)
+    exact = cascade_response(T, [tau_v, tau_m, tau], T0, TF)
+    assert np.max(np.abs(x - exact)) < 2e-5
+
+
+def integrated(p):
+    """x3, low-passed, by LSODA from the differential equations of every stage."""
+
+    def get(name):
+        return p[FIRST + INDEX[name]]
+
+    tau, tau_v, tau_m, _, _, t0, tf, c = p[:8]
+    ramp, kappa = get("stroke"), get("inertia")
+
+    def command(t):
+        up = np.clip((t - t0) / ramp, 0, 1) if ramp > 0 else float(t >= t0)
+        down = np.clip((t - tf) / ramp, 0, 1) if ramp > 0 else float(t >= tf)
+        return up - down
+
+    def slopes(t, s):
+        x1, v1, slow, x2, pocket, tank, x3, site, low = s
+        u = command(t)
+        lag = tau_v * get("valve_factor") * (get("closing_ratio") if t >= tf else 1.0)
+        dx1, dv1 = (
+            (v1, (u - x1 - lag * v1) / (kappa * lag**2)) if kappa > 0 else ((u - x1) / lag, 0)
+        )
+        dslow = (u - slow) / get("slow_valve_time")
+        open_ = x1 + get("slow_valve_share") * (slow - x1)
+        if t > t0:
+            open_ *= 1 - get("settling_share") * np.exp(-(t - t0) / get("settling_time"))
+        lost, a = get("flow_switching") * c, get("tank_share")
+        rate = get("flow_factor") / tau_m / (1 - a) / (get("emptying_ratio") if t >= tf else 1.0)
+        k = get("pocket_share") / get("pocket_time")
+        dx2 = rate * (open_ - (1 - lost + lost * open_) * x2) + k * (pocket - x2)
+        inlet = tank if a > 0 else x2
+        dtank = (x2 - tank) * get("flow_factor") / (tau_m * a) if a > 0 else 0.0
+        slower = get("release_ratio") if inlet < x3 else 1.0
+        dx3 = (inlet - x3) / (tau * get("sensor_factor") * slower)
+        dsite = (inlet - site) / (get("slow_site_time") * slower)
+        total = x3 + get("slow_site_share") * (site - x3)
+        dlow = (total - low) / get("filter") if get("filter") > 0 else 0.0
+        return [dx1, dv1, dslow, dx2, (x2 - pocket) / get("pocket_time"), dtank, dx3, dsite, dlow]
+
+    state, out = np.zeros(9), np.zeros_like(T)
+    for start, end in ((t0, tf), (tf, T[-1])):
+        inside = (start < T) & (end >= T)
+        at = np.append(T[inside], end)
+        solved = solve_ivp(
+            slopes, (start, end), state, method="LSODA", t_eval=np.unique(at),
+            rtol=1e-9, atol=1e-11, max_step=0.05,
+        )  # fmt: skip
+        state = solved.y[:, -1]
+        y = solved.y[:, : inside.sum()]
+        total = y[6] + get("slow_site_share") * (y[7] - y[6])
+        out[inside] = y[8] if get("filter") > 0 else total
+    return out
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"flow_switching": 1.0},
+        {"closing_ratio": 1.5},
+        {"inertia": 0.1},
+        {"inertia": 0.25},
+        {"inertia": 0.4},
+        {"stroke": 0.4},
+        {"slow_valve_share": 0.1, "slow_valve_time": 5.0},
+        {"settling_share": 0.3, "settling_time": 0.4},
+        {"pocket_share": 0.2, "pocket_time": 0.5, "flow_switching": 1.0},
+        {"tank_share": 0.3},
+        {"release_ratio": 3.0},
+        {"slow_site_share": 0.05, "slow_site_time": 10.0},
+        {"filter": 0.05},
+        {"valve_factor": 1.2, "sensor_factor": 0.7, "emptying_ratio": 1.3},
+        {"flow_factor": 1.1, "tank_share": 0.1, "pocket_share": 0.05, "filter": 0.02,
+         "slow_site_share": 0.1, "slow_site_time": 3.0, "closing_ratio": 1.2,
+         "flow_switching": 1.0},
+    ],
+    ids=lambda s: "+".join(s),
+)  # fmt: skip
+def test_every_stage_agrees_with_an_integrator(settings):
+    p = parameters(**settings)
+    assert np.max(np.abs(rig_mean(T, p, *NO_MODES) - integrated(p))) < 6e-5
+
+
+def test_the_coating_is_a_sum_of_lags():
+    share, ratio = coating_modes()
+    assert share.sum() == pytest.approx(1.0, abs=1e-6)
+    x = rig_mean(T, parameters(tau=0.2, coating=1.0), share, ratio)
+    exact = sum(
+        a * cascade_response(T, [0.8577, 0.7, 0.2 * r], T0, TF)
+        for a, r in zip(share, ratio, strict=True)
+    )
+    assert np.max(np.abs(x - exact)) < 2e-5
+
+
+def test_readout_terms_add_up():
+    p = parameters(drift=1e-3, drift_curve=1e-5, step=0.05, step_time=40.0, gain_drift=1e-3,
+                   curvature=0.1)  # fmt: skip
+    p[3], p[4] = 0.2, 1.5
+    v = 1.5 * cascade_response(T, [0.8577, 0.7, 0.0481], T0, TF)
+    since = T - 30.0
+    wanted = v * (1 + 0.1 * v) * (1 + 1e-3 * since) + 0.2 + since * (1e-3 + since * 1e-5)
+    wanted = wanted + 0.05 * (T >= 40.0)
+    assert np.max(np.abs(rig_mean(T, p, *NO_MODES) - wanted)) < 5e-5
+
+
+def test_carried_gas_leaves_with_the_manifold():
+    p = parameters(carry_over=0.1)
+    x = rig_mean(T, p, *NO_MODES)
+    early = T < 5.0
+    lag = (0.7 * np.exp(-T / 0.7) - 0.0481 * np.exp(-T / 0.0481)) / (0.7 - 0.0481)
+    assert np.max(np.abs(x[early] - 0.1 * lag[early])) < 1e-9
+
+
+def test_unknown_settings_are_named():
+    with pytest.raises(CampaignError, match="did you mean 'closing_ratio'"):
+        check_settings("mine", {"closing_ration": 1.0})
+
+
+@pytest.mark.parametrize("name", [n for n, e in CATALOGUE.items() if e.on_mean])
+def test_an_effect_at_its_null_is_the_cascade(name):
+    effect = CATALOGUE[name]
+    campaign = paper_design(0.01)
+    held = {**effect.plausible, **effect.null}
+    strengths = {}
+    for form in effect.forms:
+        problem = with_effects(
+            Problem(campaign), [f"{name}:{form.name}" if form.name else name], held=held
+        )
+        strengths = {s.name for part in problem.model.strengths for s in part}
+        if not strengths:  # a form at full strength has no null
+            continue
+        missing = strengths - set(held)
+        problem = with_effects(
+            Problem(campaign), [f"{name}:{form.name}" if form.name else name],
+            held={**held, **dict.fromkeys(missing, 1.0)},
+        )  # fmt: skip
+        vector = problem.layout.flat(paper_theta())
+        e = campaign.experiments[2]
+        exact = Problem(campaign).model.mean(e.t, vector, problem.layout, e)
+        assert np.max(np.abs(problem.model.mean(e.t, vector, problem.layout, e) - exact)) < 1e-4
