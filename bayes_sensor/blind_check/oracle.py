@@ -37,6 +37,8 @@ from bayes_sensor.reality.causes import converter_step, tail_mixture
 GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(3)
 FIRST_BIN, GROWTH = 0.015, 0.06
 """s and s/s: width of the bins after a switch, 0.015 s + 0.06 (time since)"""
+SAMPLES_THAT_COUNT = 1500
+"""about the number of bins of a campaign, so that d of the noise compares with d of the mean"""
 HIDDEN_BELOW = 2.0
 """detectability under which an effect counts as hidden"""
 SEPARABLE_ABOVE = 3.0
@@ -286,9 +288,10 @@ def noise_detectability(case: Case) -> float:
 
     Tails: the score test of the fourth cumulant, sqrt(n/24) times the excess kurtosis (Jarque and
     Bera, Int. Stat. Rev. 55, 1987).  Coarse steps: the added variance step^2/12 over that of the
-    noise, sqrt(n/2) times.
+    noise, sqrt(n/2) times.  n is at most :data:`SAMPLES_THAT_COUNT`: with all of a long record,
+    tails and steps far too small to matter would count as strong.
     """
-    n = sum(step.n_samples for step in case.steps)
+    n = min(sum(step.n_samples for step in case.steps), SAMPLES_THAT_COUNT)
     share, times = tail_mixture(case)
     variance = 1.0 - share + share * times**2
     kurtosis = 3.0 * ((1.0 - share + share * times**4) / variance**2 - 1.0)

@@ -206,8 +206,8 @@ def _tau(axes: Axes, card: Part) -> None:
     if places["share"] is not None:
         oracle = places["share_oracle"]
         said.append(
-            f"excess where it acts {places['share']:.2f}"
-            + ("" if oracle is None else f" (oracle {oracle:.2f})")
+            f"excess put where it acts {places['share']:.2f}"
+            + ("" if oracle is None else f"\n(oracle {oracle:.2f})")
         )
     cover = card["envelope"]["d_below_3"]
     if cover["rate"] is not None:

@@ -10,6 +10,7 @@ import argparse
 import time
 from pathlib import Path
 
+import study_blind_check
 import study_coating
 import study_coverage
 import study_predictive
@@ -24,6 +25,7 @@ STUDIES = {
     "sbc": study_sbc.run,
     "coverage": study_coverage.run,
     "coating": study_coating.run,
+    "blind-check": study_blind_check.run,
 }
 ROOT = Path(__file__).resolve().parent.parent.parent
 

@@ -1,0 +1,102 @@
+"""The blind check at full size: 600 cases quickly, 60 of them at the full setting as well.
+
+Cases, truths and verdicts are made as ``bayes-sensor blind-check`` makes them, with the causes and
+noise laws that no earlier run saw (``reserve``); campaigns are not kept.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+from drawing import TABLES, plt, save
+
+from bayes_sensor.blind_check import (
+    card_table,
+    diagnose_cases,
+    draw_cases,
+    open_seals,
+    score,
+    table,
+)
+from bayes_sensor.figures import png, svg
+from bayes_sensor.figures.blind_check import score_card
+from bayes_sensor.results import write_json, write_text
+
+N, SEED = 600, 20260711
+"""the seed was never used before the run that is reported"""
+N_FULL = 60
+FIGURES = TABLES.parent / "figures"
+
+
+def run(
+    folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
+) -> None:
+    """Compute, then write blind_check*.csv, blind_check.json and the score card."""
+    place = folder / "blind-check"
+    parts = place / "parts"
+    draw_cases(
+        place, parts, N, SEED, reserve=True, keep=False, jobs=jobs, scheduler=scheduler,
+        progress=progress,
+    )  # fmt: skip
+    diagnose_cases(place, place, parts, "study", jobs=jobs, scheduler=scheduler, progress=progress)
+    card, rows = score(open_seals(place))
+    frame = table(rows)
+    frame.to_csv(TABLES / "blind_check_cases.csv", index=False, float_format="%.5g")
+    card_table(card).to_csv(TABLES / "blind_check.csv", index=False, float_format="%.4g")
+    pd.DataFrame(card["goals"]).to_csv(
+        TABLES / "blind_check_goals.csv", index=False, float_format="%.4g"
+    )
+    write_json(TABLES / "blind_check.json", card)
+    figure = score_card(card)
+    FIGURES.mkdir(parents=True, exist_ok=True)
+    write_text(FIGURES / "blind_check.svg", svg(figure))
+    (FIGURES / "blind_check.png").write_bytes(png(figure))
+    both = compare_settings(place, frame, jobs, scheduler, progress)
+    both.to_csv(TABLES / "blind_check_settings.csv", index=False, float_format="%.4g")
+    draw_settings(both)
+
+
+def compare_settings(
+    place: Path,
+    frame: pd.DataFrame,
+    jobs: int,
+    scheduler: str | None,
+    progress: Callable[[int, int], None],
+) -> pd.DataFrame:
+    """The first cases of the plan diagnosed at the full setting, beside what the quick one said."""
+    few = place / "full"
+    (few / "sealed").mkdir(parents=True, exist_ok=True)
+    plan = json.loads((place / "plan.json").read_text())
+    plan["cases"] = plan["cases"][:N_FULL]
+    write_json(few / "plan.json", plan)
+    names = [case["case"] for case in plan["cases"]]
+    for name in names:
+        write_text(few / "sealed" / f"{name}.json", (place / "sealed" / f"{name}.json").read_text())
+    diagnose_cases(
+        few, few, few / "parts", "full", jobs=jobs, scheduler=scheduler, progress=progress
+    )
+    _, rows = score(open_seals(few))
+    keys = ["case", "verdict", "said", "p_said", "p_none", "p_unlisted", "p_right", "tau_after_s"]
+    full = table(rows)[[*keys, "closed"]]
+    quick = frame[frame["case"].isin(names)][[*keys, "kind", "d", "closed"]]
+    both = quick.merge(full, on="case", suffixes=("_study", "_full"))
+    same = both["verdict_study"] == both["verdict_full"]
+    both["same_verdict"] = same & (both["said_study"] == both["said_full"])
+    return both
+
+
+def draw_settings(both: pd.DataFrame) -> None:
+    """Probability of the right answer under both settings."""
+    figure, axis = plt.subplots(figsize=(3.2, 3.0), layout="constrained")
+    axis.plot([0, 1], [0, 1], color="0.6", lw=0.6)
+    same = both["same_verdict"].to_numpy(dtype=bool)
+    for which, marker, label in ((same, "o", "same verdict"), (~same, "s", "another verdict")):
+        some = both[which]
+        axis.plot(some["p_right_study"], some["p_right_full"], marker, label=label)
+    axis.set_xlabel("P(right answer), study setting")
+    axis.set_ylabel("full setting")
+    axis.legend(loc="lower right")
+    save(figure, "blind_check_settings")

@@ -1,0 +1,570 @@
+"""The blind check: oracle against brute force, sealing, scoring against counts by hand, one run."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bayes_sensor.blind_check import (
+    LEVELS,
+    diagnose_cases,
+    draw_cases,
+    make_card,
+    make_plan,
+    open_seals,
+    score,
+    wilson,
+)
+from bayes_sensor.blind_check.baselines import by_bic, by_rss, whiteness_p_value
+from bayes_sensor.blind_check.check import complete_truth, trimmed
+from bayes_sensor.blind_check.closing import closed_fraction
+from bayes_sensor.blind_check.oracle import (
+    Oracle,
+    bin_covariance,
+    detectability,
+    fast_detectability,
+    refitted,
+    rival_distances,
+    strength_for,
+)
+from bayes_sensor.blind_check.plan import HIDING, SHARES, Entry, counts, draw_truth
+from bayes_sensor.blind_check.score import Row, card_table, level_of, score_case, table
+from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.cli import _guarded
+from bayes_sensor.figures import svg
+from bayes_sensor.figures.blind_check import score_card
+from bayes_sensor.reality import (
+    CAUSES,
+    OPEN_LAWS,
+    RESERVE_LAWS,
+    Case,
+    Component,
+    NoiseLaw,
+    autocorrelation,
+    clean_signals,
+    draw_case,
+    draw_law,
+    make_campaign,
+    noise_scale,
+)
+from bayes_sensor.reality.noise import draw_noise
+from bayes_sensor.results import read_json
+
+
+@pytest.fixture(scope="module")
+def rig() -> Case:
+    """A small rig with nothing wrong."""
+    return draw_case(7, size="small")
+
+
+# --------------------------------------------------------------------------- the oracle
+
+
+@pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
+def test_covariance_of_bins_is_the_sum_over_samples(name: str) -> None:
+    law = draw_law(name, np.random.default_rng(3), 1.0)
+    n = 160
+    R = autocorrelation(law, n, 4e-3)
+    dense = R[np.abs(np.subtract.outer(np.arange(n), np.arange(n)))]
+    edges = np.array([0, 1, 2, 5, 9, 40, 90, 160])
+    mean = np.zeros((7, n))
+    for b, (i, j) in enumerate(pairwise(edges)):
+        mean[b, i:j] = 1.0 / (j - i)
+    np.testing.assert_allclose(bin_covariance(edges, R), mean @ dense @ mean.T, atol=1e-11)
+
+
+def test_whitened_noise_is_white(rig: Case) -> None:
+    oracle = Oracle(replace(rig, lsb=0.0))
+    rng = np.random.default_rng(0)
+    step, edges = rig.steps[0], oracle.edges[0]
+    quiet = edges <= np.searchsorted(np.arange(step.n_samples) * step.interval, step.t0)
+    n = int(quiet.sum()) - 1  # bins before anything moves, where the level is known
+    sums = np.zeros((n, n))
+    for _ in range(400):
+        y = rig.noise.sigma0 * draw_noise(rig.noise, step.n_samples, step.interval, rng)
+        means = np.add.reduceat(y, edges[:-1]) / np.diff(edges)
+        z = np.linalg.solve(oracle.factors[0][:n, :n], means[:n])
+        sums += np.outer(z, z)
+    # 400 draws: entries scatter by .07 on the diagonal, .05 off it; five of those
+    assert np.abs(sums / 400 - np.eye(n)).max() < 0.35
+
+
+def test_the_oracle_sees_nothing_where_nothing_is_wrong(rig: Case) -> None:
+    fit = refitted(rig)
+    assert fit.d < 0.02
+    assert fit.tau == pytest.approx(rig.tau, rel=1e-3)
+
+
+def test_jacobian_of_the_refit(rig: Case) -> None:
+    oracle = Oracle(rig)
+    theta = oracle.start()
+    jacobian = oracle.jacobian(theta)
+    for j in range(7):
+        h = 1e-5 * max(abs(theta[j]), 1e-2)
+        up, down = theta.copy(), theta.copy()
+        up[j] += h
+        down[j] -= h
+        numeric = (oracle.cascade(up) - oracle.cascade(down)) / (2 * h)
+        assert np.abs(numeric - jacobian[:, j]).max() < 2e-4 * np.abs(jacobian[:, j]).max()
+
+
+def test_detectability_is_the_noncentrality_of_simulated_data() -> None:
+    # with the refit's tangent space projected out, the mean of (whitened data)^2 is d^2 + dof
+    rig = draw_case(7, {"wall_pockets": 0.1}, law="white", size="small")
+    oracle = Oracle(rig)
+    fit = refitted(rig, oracle)
+    rng = np.random.default_rng(1)
+    clean = clean_signals(rig)
+    excess = []
+    for _ in range(40):
+        parts = []
+        for k, (step, edges) in enumerate(zip(oracle.steps, oracle.edges, strict=True)):
+            y = clean[step.name]
+            x = (y - step.y0) / step.beta
+            y = y + noise_scale(rig, step, x) * rng.standard_normal(len(y))
+            means = np.add.reduceat(y, edges[:-1]) / np.diff(edges)
+            parts.append(np.linalg.solve(oracle.factors[k], means))
+        r = fit.projected(np.concatenate(parts) - oracle.cascade(fit.theta))
+        excess.append(float(r @ r) - (len(r) - fit.nuisance.shape[1]))
+    scatter = np.std(excess, ddof=1) / np.sqrt(len(excess))
+    assert fit.d > 5.0
+    # bins that cut across the steep rise average the signal by quadrature to a percent of sigma
+    assert abs(np.mean(excess) - fit.d**2) < 4.0 * scatter + 0.03 * fit.d**2
+
+
+def test_strength_for_meets_its_target(rig: Case) -> None:
+    for name in ("wall_pockets", "closing_spring", "mains_hum", "wild_samples"):
+        strength, met = strength_for(rig, name, 8.0)
+        assert met == pytest.approx(8.0, rel=0.06)
+        assert 0 < strength < CAUSES[name].highest
+        assert detectability(replace(rig, strengths={name: strength})) == pytest.approx(met)
+    strength, met = strength_for(rig, "layered_coating", 8.0)
+    assert strength == CAUSES["layered_coating"].highest and met < 2.0
+
+
+def test_detectability_of_a_sine_is_its_energy_over_the_spectrum(rig: Case) -> None:
+    # white noise: d^2 = sum A^2 sin^2 / sigma^2
+    white = NoiseLaw("white", 0.03, 0.0, (Component(1.0),))
+    hum = replace(rig, noise=white, strengths={"mains_hum": 0.01})
+    ideal, loud = clean_signals(replace(hum, strengths={})), clean_signals(hum)
+    energy = sum(float(np.sum((loud[k] - ideal[k]) ** 2)) for k in ideal) / 0.03**2
+    assert fast_detectability(hum) == pytest.approx(np.sqrt(energy), rel=0.01)
+
+
+def test_the_truth_is_nearest_to_itself(rig: Case) -> None:
+    strength, d = strength_for(rig, "knocked_fibre", 16.0)
+    case = replace(rig, strengths={"knocked_fibre": strength})
+    oracle = Oracle(case)
+    target = oracle.signal(case)
+    fit = oracle.refit(target, oracle.several_starts(oracle.start()))
+    distances = rival_distances(case, fit, oracle)
+    assert min(distances, key=distances.__getitem__) == "baseline_step"
+    assert distances["baseline_step"] < 0.2 * d
+    assert all(0.0 <= value <= d * 1.001 for value in distances.values())
+    right = closed_fraction(oracle, target, fit, "baseline_step")
+    wrong = closed_fraction(oracle, target, fit, "daq_filter")
+    assert right is not None and wrong is not None
+    assert right > 0.6 > 0.3 > wrong
+    assert closed_fraction(oracle, target, fit, "heavy_tails") is None
+
+
+# --------------------------------------------------------------------------- the plan
+
+
+def test_the_plan_holds_what_was_asked_for() -> None:
+    plan = make_plan(600, 1)
+    kinds = Counter(entry.kind for entry in plan)
+    assert kinds == counts(600) and sum(SHARES.values()) == pytest.approx(1.0)
+    assert kinds["null"] >= 200
+    assert kinds["unlisted"] >= 0.2 * 600
+    laws = Counter(entry.law in ("ar1", "white") for entry in plan if entry.kind == "null")
+    assert abs(laws[True] - laws[False]) <= 1
+    listed = {entry.causes[0] for entry in plan if entry.kind == "listed"}
+    assert listed == {n for n, c in CAUSES.items() if c.listed} - set(HIDING[:2])
+    assert {e.level for e in plan if e.kind == "listed"} == set(LEVELS)
+    twins = {(e.seed, e.causes) for e in plan if e.kind == "listed"}
+    assert all((e.seed, e.causes) in twins for e in plan if e.kind == "withheld")
+    assert not any(CAUSES[name].reserve for entry in plan for name in entry.causes)
+    assert not any(entry.law in RESERVE_LAWS for entry in plan)
+    assert len({entry.name for entry in plan}) == 600
+    assert make_plan(600, 1) == plan != make_plan(600, 2)
+
+
+def test_reserved_causes_and_laws_come_only_when_asked_for() -> None:
+    plan = make_plan(600, 1, reserve=True)
+    unlisted = [entry for entry in plan if entry.kind == "unlisted"]
+    kept = sum(CAUSES[entry.causes[0]].reserve for entry in unlisted)
+    assert abs(kept - len(unlisted) / 2) <= 1
+    assert {entry.law for entry in plan if entry.kind == "null"} == {*OPEN_LAWS, *RESERVE_LAWS}
+    with pytest.raises(CampaignError, match="at least one case, got 0"):
+        make_plan(0, 1)
+    with pytest.raises(CampaignError, match="one of mixed, paper, varied, small, but got 'big'"):
+        make_plan(4, 1, size="big")
+
+
+# --------------------------------------------------------------------------- a stand-in diagnosis
+
+
+def knows_all(campaign: Campaign, seed: int, without: Sequence[str], setting: str) -> Any:
+    """A stand-in that always says the same."""
+    return verdict({"none": 0.6, "unlisted": 0.1, "dead_volume": 0.3})
+
+
+def verdict(
+    rows: Mapping[str, float],
+    kind: str = "none",
+    effects: Sequence[str] = (),
+    p: float = 0.6,
+    family: str | None = None,
+    **shrink: Any,
+) -> dict[str, Any]:
+    """gap.json of these probabilities."""
+    from bayes_sensor.gap import CATALOGUE
+
+    which = [
+        {
+            "effect": name, "probability": value, "d": 1.0, "tau_s": 0.05, "fraction_closed": 0.5,
+            "family": CATALOGUE[name].family if name in CATALOGUE else None,
+            "rss_V2": 2.0 - value, "bic": -100.0 * value,
+        }
+        for name, value in rows.items()
+    ]  # fmt: skip
+    return {
+        "where": [{"experiment": "1", "phase": "rise", "share": 1.0, "p_value": 0.01}],
+        "which": which,
+        "verdict": {
+            "kind": kind, "effects": list(effects), "family": family, "probability": p,
+            "sentence": "",
+        },
+        "shrink": {"tau_before_s": 0.1, "tau_after_s": 0.05, **shrink},
+        "budget": {"excess_d": 3.0, "p_value": 0.01},
+        "hidden": {"effects": [], "tau_envelope_s": [0.01, 0.2]},
+        "whiteness_p": 0.5,
+    }  # fmt: skip
+
+
+def scored(true: Mapping[str, Any], said: Mapping[str, Any]) -> Row:
+    """The row of a verdict as it would have been recorded."""
+    return score_case(true, trimmed(said))
+
+
+def truth(listed_as: Sequence[Sequence[str]] = (), **more: Any) -> dict[str, Any]:
+    """A truth with what is not named left at its default."""
+    return complete_truth({"listed_as": [list(names) for names in listed_as], **more}, "x")
+
+
+# --------------------------------------------------------------------------- sealing
+
+
+def test_seals_hold(tmp_path: Path) -> None:
+    parts = tmp_path / "parts"
+    draw_cases(tmp_path, parts, 3, 5, size="small")
+    hashes = read_json(tmp_path / "sealed.json")
+    assert len(hashes) == 3
+    plan = (tmp_path / "plan.json").read_text()
+    for name in hashes:
+        truth = read_json(tmp_path / "sealed" / f"{name}.json")
+        assert all(cause not in plan for cause in truth["causes"])
+        campaign = tmp_path / "campaigns" / name / "campaign.toml"
+        assert campaign.is_file()
+        assert all(cause not in campaign.read_text() for cause in truth["causes"])
+    seen: list[tuple[list[str], int]] = []
+
+    def spy(campaign: Campaign, seed: int, without: Sequence[str], setting: str) -> Any:
+        seen.append((campaign.names_of_experiments, seed))
+        return knows_all(campaign, seed, without, setting)
+
+    diagnose_cases(tmp_path, tmp_path, parts, "study", diagnosis=spy)
+    assert len(seen) == 3
+    cases = open_seals(tmp_path)
+    assert [truth["name"] for truth, _ in cases] == sorted(hashes)
+    # a verdict that is touched afterwards, or a truth, is refused
+    for folder in ("verdicts", "sealed"):
+        file = tmp_path / folder / f"{min(hashes)}.json"
+        kept = file.read_text()
+        file.write_text(kept.replace("0", "1", 1))
+        with pytest.raises(CampaignError, match=f"{folder}/{min(hashes)}.json: expected the file"):
+            open_seals(tmp_path)
+        file.write_text(kept)
+    assert len(open_seals(tmp_path)) == 3
+
+
+def test_a_campaign_from_its_recipe_is_diagnosed_like_the_one_on_disk(tmp_path: Path) -> None:
+    def mean(campaign: Campaign, seed: int, without: Sequence[str], setting: str) -> Any:
+        level = float(np.mean([e.values.mean() for e in campaign]))
+        return verdict({"none": 1.0, "unlisted": 0.0}, p=level)
+
+    found = []
+    for keep in (True, False):
+        folder = tmp_path / str(keep)
+        draw_cases(folder, folder / "parts", 2, 5, size="small", keep=keep)
+        assert (folder / "campaigns").is_dir() == keep
+        diagnose_cases(folder, folder, folder / "parts", "study", diagnosis=mean)
+        found.append([v["verdict"]["probability"] for _, v in open_seals(folder)])
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-12)
+
+
+def test_campaigns_of_ones_own_with_sealed_truths(tmp_path: Path) -> None:
+    from bayes_sensor.writers import write_campaign
+
+    campaign = make_campaign(draw_case(3, size="small"))
+    write_campaign(campaign, tmp_path / "campaigns" / "mine", "npz")
+    diagnose_cases(tmp_path, tmp_path, tmp_path / "parts", "study", diagnosis=knows_all)
+    with pytest.raises(CampaignError, match="no verdict has a truth"):
+        open_seals(tmp_path)
+    (tmp_path / "sealed").mkdir()
+    file = tmp_path / "sealed" / "mine.json"
+    file.write_text(json.dumps({"cause": "pocket"}))
+    with pytest.raises(CampaignError, match=r'sealed/mine.json: expected {"listed_as"'):
+        open_seals(tmp_path)
+    file.write_text(json.dumps({"listed_as": ["dead_volume"]}))
+    ((found, _),) = open_seals(tmp_path)
+    assert found["kind"] == "listed" and found["listed_as"] == [["dead_volume"]]
+    card, rows = score(open_seals(tmp_path))
+    assert card["n"] == 1 and not rows[0]["top_right"]
+    with pytest.raises(CampaignError, match="neither plan.json nor"):
+        diagnose_cases(tmp_path / "empty", tmp_path, tmp_path / "parts")
+    with pytest.raises(CampaignError, match="one of full, study, got 'quick'"):
+        diagnose_cases(tmp_path, tmp_path, tmp_path / "parts", "quick")
+
+
+# --------------------------------------------------------------------------- scoring
+
+
+def test_wilson_interval() -> None:
+    # Wilson's quadratic: |p - k/n| = z sqrt(p (1 - p)/n) at both ends
+    for k, n in ((0, 10), (3, 10), (197, 200)):
+        for p in wilson(k, n):
+            if 0.0 < p < 1.0:
+                z = abs(p - k / n) / np.sqrt(p * (1 - p) / n)
+                assert z == pytest.approx(1.96, abs=1e-3)
+    assert wilson(0, 0) == (0.0, 1.0)
+
+
+def test_levels() -> None:
+    assert [level_of(d) for d in (None, 0.3, 1.9, 5.5, 9.0, 50.0)] == [None, 0.0, 2.0, 4.0, 8.0, 32]
+
+
+def test_scores_of_single_cases() -> None:
+    right = verdict({"none": 0.02, "unlisted": 0.03, "dead_volume": 0.95}, "effect",
+                    ["dead_volume"], 0.95)  # fmt: skip
+    row = scored(truth([["dead_volume"]], d=8.0), right)
+    assert row["top_right"] and row["family_right"] and row["verdict_right"]
+    assert not row["confident_wrong"] and row["set_size"] == 1 and row["in_set"]
+    assert row["brier"] == pytest.approx(0.05**2 + 0.02**2 + 0.03**2)
+    assert row["log_score"] == pytest.approx(-np.log(0.95))
+    assert row["rss_says"] == "dead_volume"
+    # the same words about other truths
+    assert scored(truth(), right)["wrong_name"]
+    assert scored(truth([[]], d=8.0), right)["confident_wrong"]
+    other = scored(truth([["slow_sorption"]], d=8.0), right)
+    assert other["confident_wrong"] and other["family_right"] and not other["wrong_outside_family"]
+    near = scored(truth([[]], d=8.0, near=["dead_volume"]), right)
+    assert not near["wrong_name"] and not near["top_right"]
+    withheld = scored(truth([["slow_sorption"]], kind="withheld", d=8.0), right)
+    assert withheld["confident_wrong"] and not withheld["wrong_outside_family"]
+    quiet = verdict({"none": 0.7, "unlisted": 0.2, "dead_volume": 0.1}, "none", (), 0.7)
+    assert scored(truth(d=0.0), quiet)["verdict_right"]
+    assert not scored(truth([["dead_volume"]], d=8.0), quiet)["verdict_right"]
+    assert scored(truth([["dead_volume"]], d=1.0), quiet)["verdict_right"]
+
+
+def test_abstaining_is_right_only_where_the_oracle_cannot_tell_either() -> None:
+    said = verdict({"none": 0.0, "unlisted": 0.05, "dead_volume": 0.4, "slow_sorption": 0.55},
+                   "family", ["slow_sorption", "dead_volume"], 0.95, "slow exchange")  # fmt: skip
+    close = {"dead_volume": 0.1, "slow_sorption": 2.0, "flow_error": 6.0}
+    far = {"dead_volume": 0.1, "slow_sorption": 5.0, "flow_error": 6.0}
+    unsure = scored(truth([["dead_volume"]], d=8.0, rivals=close), said)
+    sure = scored(truth([["dead_volume"]], d=8.0, rivals=far), said)
+    assert not unsure["top_right"] and unsure["top_or_abstained"]
+    assert not sure["top_right"] and not sure["top_or_abstained"]
+    assert unsure["isolability"] == 2.0 and unsure["isolability_family"] == 6.0
+    assert unsure["family_right"] and unsure["verdict_right"]
+
+
+def test_pairs_are_right_when_both_are_named() -> None:
+    both = [["dead_volume"], ["gain_drift"]]
+    rows = {"none": 0.0, "unlisted": 0.0, "dead_volume": 0.1, "dead_volume+gain_drift": 0.9}
+    said = verdict(rows, "effect", ["dead_volume", "gain_drift"], 0.9)
+    row = scored(truth(both, d=16.0), said)
+    assert row["kind"] == "pair" and row["top_right"] and not row["wrong_name"]
+    single = scored(truth(both[:1], d=16.0), said)
+    assert not single["top_right"] and single["wrong_name"]
+
+
+def test_places_and_closed_fractions() -> None:
+    acts = [
+        {"experiment": "1", "phase": "rise", "share": 0.6},
+        {"experiment": "1", "phase": "fall", "share": 0.4},
+    ]
+    said = verdict({"none": 0.0, "unlisted": 0.0, "dead_volume": 1.0}, "effect", ["dead_volume"],
+                   1.0, fraction_closed=0.9, fraction_closed_lo=0.7, fraction_closed_hi=0.95,
+                   held_out_fraction_closed=0.8)  # fmt: skip
+    row = scored(
+        truth([["dead_volume"]], d=16.0, acts=acts, visible=acts, closed={"dead_volume": 0.97},
+              tau_s=0.04), said
+    )  # fmt: skip
+    assert row["located"] == 1.0 and row["place_precision"] == 1.0 and row["place_recall"] == 0.5
+    assert row["closed_oracle"] == 0.97
+    assert row["log_error_before"] == pytest.approx(np.log(2.5))
+    assert row["log_error_after"] == pytest.approx(np.log(1.25))
+    card = make_card([row])
+    closed = next(part for part in card["closed_fraction"] if part["d"] == 16.0)
+    assert closed["median_error"] == pytest.approx(0.07) and closed["coverage"]["k"] == 0
+    assert card["tau"]["ratio"] == pytest.approx(np.log(1.25) / np.log(2.5))
+    assert card["envelope"]["d_below_3"]["n"] == 0
+
+
+def calibrated_rows(n: int, overconfident: float = 0.0) -> list[dict[str, Any]]:
+    """Cases of which a stated p is right with probability p - overconfident."""
+    rng = np.random.default_rng(8)
+    rows = []
+    for p in rng.uniform(0.5, 1.0, n):
+        there = rng.random() < p - overconfident
+        said = verdict({"none": 1.0 - p, "unlisted": 0.0, "dead_volume": p}, "effect",
+                       ["dead_volume"], p)  # fmt: skip
+        rows.append(scored(truth([["dead_volume"]] if there else (), d=8.0), said))
+    return rows
+
+
+def test_calibration_error_lies_in_its_band_only_when_calibrated() -> None:
+    good = make_card(calibrated_rows(300))["calibration"]
+    bad = make_card(calibrated_rows(300, overconfident=0.2))["calibration"]
+    for name in ("verdict", "top_answer"):
+        assert good[name]["inside"] and not bad[name]["inside"]
+        assert bad[name]["ece"] == pytest.approx(0.2, abs=0.06)
+    assert sum(b["right"]["n"] for b in good["verdict"]["bins"]) == 300
+
+
+def test_area_under_the_curve_is_the_share_of_pairs_in_order() -> None:
+    rows = []
+    for p, listed in ((0.9, [[]]), (0.4, [[]]), (0.5, []), (0.1, []), (0.05, [["dead_volume"]])):
+        said = verdict({"none": 1.0 - p, "unlisted": p, "dead_volume": 0.0})
+        rows.append(scored(truth(listed, d=8.0), said))
+    roc = make_card(rows)["unlisted"]["roc"]
+    assert roc["area"] == pytest.approx(5 / 6)
+    assert roc["true"][-1] == roc["false"][-1] == 1.0
+    assert np.all(np.diff(roc["false"]) >= 0)
+
+
+def test_baselines() -> None:
+    rows = verdict({"none": 0.5, "unlisted": 0.3, "dead_volume": 0.2, "flow_error": 0.55})["which"]
+    assert by_rss(rows) == "flow_error"  # the least sum of squares, always a name
+    assert by_bic(rows) == "none"  # 5 below the cascade's is not enough
+    strong = verdict({"none": 0.1, "unlisted": 0.3, "flow_error": 0.6, "a+b": 0.9})["which"]
+    assert by_bic(strong) == "flow_error"
+    assert by_rss([]) == by_bic([]) == "none"
+
+
+def test_whiteness_sees_noise_that_is_not_ar1() -> None:
+    def p_value(law: str) -> float:
+        case = draw_case(2, law=law, size="small")
+        flat = replace(case.noise, sigma1=0.0)
+        case = replace(case, noise=flat, lsb=0.0)
+        theta = {
+            "tau_s": case.tau, "tau_v_s": case.tau_v, "V_mL": case.V,
+            "experiments": {
+                s.name: {"y0_V": s.y0, "beta_V": s.beta, "t0_s": s.t0, "tf_s": s.tf}
+                for s in case.steps
+            },
+        }  # fmt: skip
+        return whiteness_p_value(make_campaign(case), theta)
+
+    assert p_value("ar1") > 1e-3
+    assert p_value("arma") < 1e-6
+
+
+# --------------------------------------------------------------------------- all of it
+
+
+def test_a_small_blind_check_from_the_command_line(tmp_path: Path) -> None:
+    # the real diagnosis on small campaigns: everything is drawn, sealed, diagnosed, scored
+    out = tmp_path / "out"
+    command = ["blind-check", "--out", str(out), "--cases", "20", "--seed", "6", "--size", "small",
+               "--setting", "study", "--quiet", "--no-keep"]  # fmt: skip
+    assert _guarded(command) == 0
+    card, rows = score(open_seals(out))
+    assert read_json(out / "score.json")["n"] == card["n"] == 20
+    assert len((out / "cases.csv").read_text().splitlines()) == 21
+    assert (out / "score_card.png").stat().st_size > 10_000
+    assert not (out / "blind-check-parts").exists()
+    frame = table(rows)
+    assert set(frame["kind"]) == set(counts(20)) - {k for k, n in counts(20).items() if n == 0}
+    for row in rows:
+        assert 0.0 <= row["p_right"] <= 1.0 and row["set_size"] >= 1
+    assert len(card_table(card)) > 40
+    # the halves, on what is there
+    before = (out / "score.json").read_text()
+    assert _guarded(["blind-check", "--out", str(out), "--score-only", "--quiet"]) == 0
+    assert (out / "score.json").read_text() == before
+    # strong causes that are listed stand out against nothing at all
+    strong = [r["p_none"] for r in rows if r["kind"] == "listed" and r["d"] > 12]
+    assert strong and max(strong) < 0.5
+
+
+def test_user_errors_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "x")
+    for arguments, words in (
+        (["--setting", "quick"], "--setting: expected one of full, study"),
+        (["--score-only"], "no verdict has a truth"),
+        (["--diagnose-only"], "neither plan.json nor"),
+        (["--cases-only", "--score-only"], "at most one of --cases-only"),
+        (["--size", "big"], "--size: expected one of mixed"),
+    ):
+        assert _guarded(["blind-check", "--out", out, *arguments]) == 2
+        assert words in capsys.readouterr().err
+    (tmp_path / "own" / "campaigns").mkdir(parents=True)
+    assert _guarded(["blind-check", "--out", str(tmp_path / "own")]) == 2
+    assert "campaigns of your own" in capsys.readouterr().err
+
+
+def test_numbers_do_not_depend_on_jobs_or_interruptions(tmp_path: Path) -> None:
+    told: list[int] = []
+
+    class StopError(Exception):
+        """Raised half way."""
+
+    def stop(done: int, n: int) -> None:
+        told.append(done)
+        if done >= 2:
+            raise StopError
+
+    a, b = tmp_path / "a", tmp_path / "b"
+    with pytest.raises(StopError):
+        draw_cases(a, a / "parts", 4, 9, size="small", keep=False, chunk=2, progress=stop)
+    assert not (a / "sealed").exists()
+    draw_cases(a, a / "parts", 4, 9, size="small", keep=False, chunk=2, progress=told_by(told))
+    assert told[-2:] == [2, 4]  # the first half was not drawn again
+    draw_cases(b, b / "parts", 4, 9, size="small", keep=False, jobs=2, chunk=1)
+    assert (a / "sealed.json").read_bytes() == (b / "sealed.json").read_bytes()
+
+
+def told_by(told: list[int]) -> Any:
+    """A progress that writes down what is done."""
+    return lambda done, n: told.append(done)
+
+
+def test_a_drawn_truth_is_complete() -> None:
+    entry = Entry("x", "hidden", ("layered_coating",), 1.0, "pink", "small", 4, 5)
+    found = draw_truth(entry)
+    assert found["d"] < 2.0 and found["listed_as"] == [["sensor_diffusion"]]
+    assert found["is_ar1"] is False and found["tau_s"] > 0
+    assert sum(row["share"] for row in found["acts"]) == pytest.approx(1.0)
+    assert make_campaign(Case.from_json(found["recipe"])).n_samples > 0
+    assert complete_truth(found, "x")["rivals"]
+
+
+def test_the_score_card_is_drawn_even_when_nearly_empty() -> None:
+    empty = make_card([scored(truth(), verdict({"none": 1.0, "unlisted": 0.0}))])
+    text = svg(score_card(empty))
+    assert "nothing wrong" in text and "right family" in text
+    full = make_card(calibrated_rows(60))
+    assert "share right" in svg(score_card(full))
