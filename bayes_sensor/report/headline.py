@@ -8,7 +8,7 @@ from typing import Any
 
 from bayes_sensor import figures
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import list_words, ms, number, sentence, with_spread
+from bayes_sensor.report.words import list_words, ms, number, sentence, typeset, with_spread
 
 
 @dataclass(frozen=True)
@@ -142,5 +142,5 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
     for note in notes:
         if note not in seen and not any(note == text for _, text in found):
             seen.add(note)
-            found.append(("note", sentence(note)))
+            found.append(("note", sentence(typeset(note))))
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from math import floor, log10
 
@@ -75,6 +76,23 @@ def list_words(items: Sequence[str], most: int = 6) -> str:
     if len(items) > most:
         items = [*items[: most - 1], f"{len(items) - most + 1} more"]
     return " and ".join(filter(None, [", ".join(items[:-1]), *items[-1:]]))
+
+
+_SYMBOLS = {
+    "tau_v": "τᵥ", "tau_v_s": "τᵥ", "tau": "τ", "tau_s": "τ", "V_mL": "V", "t0": "t₀", "t0_s": "t₀",
+    "tf": "t_f", "tf_s": "t_f", "y0": "y₀", "y0_V": "y₀", "beta": "β", "beta_V": "β", "phi": "φ",
+    "sigma0_V": "σ₀", "sigma1_V": "σ₁",
+}  # fmt: skip
+
+
+def typeset(text: str) -> str:
+    """A sentence of the numerical rooms with symbols in place of plain ASCII; not in quotes.
+
+    >>> typeset("tau^2 is known to +-0.5 ms^2, mixed with t0_s[6]")
+    'τ² is known to ± 0.5 ms², mixed with t₀[6]'
+    """
+    text = re.sub(r"(?<![\w.'\"])([a-zA-Z]\w*)", lambda m: _SYMBOLS.get(m[1], m[1]), text)
+    return re.sub(r"\+-\s?", "± ", text.replace("^2", "²"))
 
 
 def sentence(text: str) -> str:

@@ -17,7 +17,7 @@ from bayes_sensor.report.sections.gap_tables import (
     which_table,
     words,
 )
-from bayes_sensor.report.words import list_words, ms, number, p_equals, sentence
+from bayes_sensor.report.words import list_words, ms, number, p_equals, sentence, typeset
 
 
 def gap(saved: Saved, pictures: Pictures) -> Section | None:
@@ -30,14 +30,15 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
     said = verdict["sentence"]
     for name in verdict["effects"]:
         said = said.replace(name, words(name))
-    answer = sentence(said).removesuffix(".") + see("which") + "."
+    answer = sentence(typeset(said)).removesuffix(".") + see("which") + "."
     paragraphs = [
         f"Model and measurement differ by {number(factor * budget['excess_rms_V'])} {shown} RMS "
         f"above the noise floor of {number(factor * budget['noise_floor_rms_V'])} {shown} "
         f"(d = {number(budget['excess_d'])} standard deviations, p "
         f"{p_equals(budget['p_value'])}){see('budget-table', 'where')}."
     ]
-    paragraphs += _left_out(record)
+    if verdict["kind"] != "none":
+        paragraphs += _left_out(record)
     paragraphs += _shrink(record, shown, factor)
     paragraphs += _more(record)
     paragraphs += _envelope(record)

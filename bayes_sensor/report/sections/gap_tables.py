@@ -33,18 +33,28 @@ def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
         [f"excess over the floor ({shown})", scaled(budget["excess_rms_V"])],
         ["excess, d (standard deviations)", budget["excess_d"]],
         ["p-value", budget["p_value"]],
-        [f"excess with the effect ({shown})", scaled(shrink.get("after_excess_rms_V"))],
+        [
+            f"excess with the effect ({shown})",
+            None if shrink.get("withheld") else scaled(shrink.get("after_excess_rms_V")),
+        ],
         ["fraction closed", shrink.get("fraction_closed")],
         ["fraction closed, 95 % low", shrink.get("fraction_closed_lo")],
         ["fraction closed, 95 % high", shrink.get("fraction_closed_hi")],
         ["fraction closed, held out", shrink.get("held_out_fraction_closed")],
         ["τ without the effect (ms)", ms(shrink.get("tau_before_s"))],
-        ["τ with the effect (ms)", ms(shrink.get("tau_after_s"))],
-        ["τ with the effect, 95 % low (ms)", ms(shrink.get("tau_after_lo_s"))],
-        ["τ with the effect, 95 % high (ms)", ms(shrink.get("tau_after_hi_s"))],
-        ["best rival outside the family", words(shrink.get("rival") or "–")],
-        ["fraction that the rival closes", shrink.get("rival_fraction_closed")],
     ]
+    if not shrink.get("withheld"):
+        rows += [
+            ["τ with the effect (ms)", ms(shrink.get("tau_after_s"))],
+            ["τ with the effect, 95 % low (ms)", ms(shrink.get("tau_after_lo_s"))],
+            ["τ with the effect, 95 % high (ms)", ms(shrink.get("tau_after_hi_s"))],
+            [
+                "best rival outside the family",
+                words(shrink["rival"]) if shrink.get("rival") else None,
+            ],
+            ["fraction that the rival closes", shrink.get("rival_fraction_closed")],
+        ]
+    rows = [row for row in rows if row[1] is not None]
     return Table("budget-table", "The budget in numbers.", ["quantity", "value"], rows)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from bayes_sensor import figures
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import ms, number, sentence
+from bayes_sensor.report.words import ms, number, sentence, typeset
 
 KNOWN_WORDS = {
     "nothing": "nothing",
@@ -30,9 +30,8 @@ def hardness(saved: Saved, pictures: Pictures) -> Section | None:
     known = record["sd_tau_if_known_s"]
     now, timed = known.get("nothing"), known.get("t0, tf") or known.get("t0")
     answer = (
-        "A slower sensor and a later switch change the trace almost alike: the switch times "
-        f"imitate {100 * record['collinearity']['switches']:.4g} % of what τ does to it (multiple "
-        f"correlation){see('tau-hard')}."
+        "A slower sensor and a later switch change the trace almost alike"
+        f"{see('tau-hard', 'weakest')}."
     )
     if now and timed:
         answer += (
@@ -40,7 +39,7 @@ def hardness(saved: Saved, pictures: Pictures) -> Section | None:
             f"{number(1e3 * now)} ms; it would be {number(1e3 * timed)} ms if the switch times "
             f"were known{see('known-table')}."
         )
-    paragraphs = [sentence(text) for text in record["sentences"]]
+    paragraphs = [sentence(typeset(text)) for text in record["sentences"]]
     if record.get("status", "ok") != "ok":
         paragraphs.append(sentence(record["status"]))
     content: list[Part] = [

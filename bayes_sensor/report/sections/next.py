@@ -5,7 +5,7 @@ from __future__ import annotations
 from bayes_sensor import figures
 from bayes_sensor.report.parts import Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import ms, number
+from bayes_sensor.report.words import ms, number, typeset
 
 
 def measure_next(saved: Saved, pictures: Pictures) -> Section | None:
@@ -13,6 +13,7 @@ def measure_next(saved: Saved, pictures: Pictures) -> Section | None:
     rows = (saved.bounds or {}).get("what_would_help")
     if not rows:
         return None
+    rows = [{**row, "change": typeset(row["change"])} for row in rows]
     now, others = rows[0], [row for row in rows[1:] if row.get("gain") is not None]
     answer = ""
     if others:
