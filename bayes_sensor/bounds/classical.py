@@ -86,7 +86,7 @@ def crlb_ar1(evidence: Evidence) -> Bound:
     surface = evidence.coloured
     psi = evidence.coloured_maximum.psi
     cov, identified = invert(surface.information(surface.expansion(psi)))
-    names = surface.mean_names
+    names, trouble = surface.mean_names, evidence.coloured_trouble
     theta = evidence.coloured_theta
     noise = {
         name: float(theta[evidence.problem.layout.index(name)])
@@ -101,11 +101,7 @@ def crlb_ar1(evidence: Evidence) -> Bound:
         cov[np.ix_(surface.mean, surface.mean)],
         evidence.coloured_at_bound,
         identified=identified[surface.mean],
-        status=(
-            ""
-            if evidence.coloured_maximum.converged
-            else "the maximum under this noise was not found; taken at the best point"
-        ),
+        status=trouble and f"{trouble}: taken at the best point",
         details={"noise": noise},
     )
 

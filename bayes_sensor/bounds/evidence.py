@@ -67,6 +67,16 @@ class Evidence:
         """Its maximum."""
         return self._coloured[1]
 
+    @property
+    def coloured_trouble(self) -> str:
+        """Why the maximum under the problem's noise was not found; empty where it was."""
+        if self.coloured_maximum.converged:
+            return ""
+        walled = self.coloured.at_wall(self.coloured_maximum.psi)
+        if walled:
+            return f"the likelihood keeps rising as {', '.join(walled)} moves out of its range"
+        return "the maximum under this noise was not found"
+
     @cached_property
     def coloured_theta(self) -> FloatArray:
         """(n_theta,) maximum under the problem's noise; tau 0 where it is on the floor."""

@@ -38,7 +38,8 @@ def _parts(surface: Surface, theta: FloatArray) -> list[tuple[Compressed, np.nda
 
 def leave_one_out(surface: Surface, psi: FloatArray) -> tuple[FloatArray, bool]:
     """(n_experiments, n_psi) least squares without each experiment, as if tau^2 could be negative;
-    entries of the experiment left out are not fitted.  Also whether all refits settled."""
+    entries of the experiment left out are not fitted.  Also whether all refits settled: it stops at
+    the first that does not."""
     problem, coordinates = surface.problem, surface.coordinates
     theta = coordinates.theta(psi)
     parts = _parts(surface, theta)
@@ -59,6 +60,8 @@ def leave_one_out(surface: Surface, psi: FloatArray) -> tuple[FloatArray, bool]:
         def objective(at: FloatArray, kept: list[int] = kept) -> tuple[float, FloatArray]:
             vector = coordinates.theta(at)
             value, gradient = 0.0, np.zeros(len(vector))
+            if not surface.compressed.covers(vector):  # a full pass over the samples otherwise
+                return -np.inf, gradient[coordinates.free]
             for i in kept:
                 compressed, index = parts[i]
                 part_value, part_gradient = compressed.value_and_gradient(vector[index])
@@ -70,8 +73,10 @@ def leave_one_out(surface: Surface, psi: FloatArray) -> tuple[FloatArray, bool]:
             return matrix
 
         maximum = maximise(objective, curvature, psi, active, *surface.box, 30, 1e-6)
-        settled &= maximum.converged
         found[left_out] = maximum.free
+        settled = maximum.converged
+        if not settled:
+            break
     return found, settled
 
 

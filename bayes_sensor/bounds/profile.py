@@ -248,7 +248,7 @@ def _no_profile(evidence: Evidence) -> Bound:
     return Bound(
         "profile", f"{noise_words(evidence)}, every other parameter at its best", REFERENCE, names,
         estimate, empty[:, 0], empty, empty,
-        "the maximum under this noise was not found; no profile about it",
+        f"{evidence.coloured_trouble}: no profile about it",
     )  # fmt: skip
 
 

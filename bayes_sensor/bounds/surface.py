@@ -164,6 +164,16 @@ class Surface:
                 low[i], high[i] = -np.inf, np.inf
         return low, high
 
+    def at_wall(self, psi: FloatArray) -> list[str]:
+        """Names of parameters at an edge of the mesh, where no maximum was found inside it.
+
+        A square at zero is not one of them: that is a legitimate place for a maximum.
+        """
+        low, high = self.box
+        margin = 1e-6 * np.where(np.isfinite(high - low), high - low, 1.0)
+        walled = (psi >= high - margin) | (psi <= low + margin) & (low > self.floor)
+        return [name for name, at in zip(self.coordinates.names, walled) if at]
+
     def psi(self, theta: FloatArray) -> FloatArray:
         """Coordinates of theta, raised to the floor (t0 + tau stays)."""
         return np.maximum(self.coordinates.psi(theta), self.floor)
@@ -275,13 +285,21 @@ def coloured_surface(problem: Problem, theta: FloatArray) -> tuple[Surface, Maxi
         # conditional spreads: the mesh reaches seven marginal ones, so this is near its centre
         if maximum.converged and (moved <= 3.0 * spread).all():
             break
-    if vector[0] > vector[1]:
-        # the cascade is unchanged when the two swap; the sensor is taken to be the faster one
-        vector[[0, 1]] = vector[[1, 0]]
-        attempt += 1
-    if attempt > 0:
-        surface = Surface(compress(problem, vector, _roomy(problem, vector)))
-    return surface, _climb(surface, vector)
+    recentre = attempt > 0
+    for _ in range(3):
+        if vector[0] > vector[1]:
+            # the cascade is unchanged when the two swap; the sensor is taken to be the faster one
+            vector[[0, 1]] = vector[[1, 0]]
+            recentre = True
+        if recentre:
+            surface = Surface(compress(problem, vector, _roomy(problem, vector)))
+        maximum = _climb(surface, vector)
+        vector = surface.coordinates.theta(maximum.psi)
+        if vector[0] <= vector[1]:
+            break
+    if surface.at_wall(maximum.psi) or vector[0] > vector[1]:
+        maximum = replace(maximum, converged=False)
+    return surface, maximum
 
 
 def curvature_along_tau(surface: Surface, psi: FloatArray, n: int = 6) -> Curvature:
@@ -327,7 +345,7 @@ def _climb(surface: Surface, theta: FloatArray, n_iterations: int = 40) -> Maxim
     def curvature(at: FloatArray) -> FloatArray:
         nonlocal n_made, matrix
         n_made += 1
-        if n_made <= 8 or n_made % 4 == 0:
+        if n_made <= 4 or n_made % 4 == 0:
             matrix = surface.information(at)
         return matrix
 
