@@ -345,15 +345,17 @@ def _best(
     complete = [h for h in weighing.hypotheses if not h.incomplete]
     if kind == "effect":
         fitting = [h for h in complete if set(h.effects) == on_mean]
-        if not fitting:
-            fitting = [h for h in complete if on_mean <= set(h.effects)]
-        return max(fitting, key=lambda h: h.log_weight)
-    if kind == "family":
-        fitting = [h for h in complete if len(h.effects) == 1 and h.effects[0] in named]
-        return max(fitting, key=lambda h: h.log_weight)
-    if kind == "none":
-        return next(h for h in complete if not h.effects)
-    return max((h for h in complete), key=lambda h: h.log_weight)
+        fitting = fitting or [h for h in complete if on_mean <= set(h.effects)]
+        fitting = fitting or [h for h in complete if set(h.effects) & on_mean]
+    elif kind == "family":
+        fitting = [h for h in complete if len(h.effects) == 1 and h.effects[0] in on_mean]
+    elif kind == "none":
+        fitting = []
+    else:
+        fitting = complete
+    if not fitting:  # what was named acts on the noise: the mean is the model's own
+        fitting = [h for h in complete if not h.effects]
+    return max(fitting, key=lambda h: h.log_weight)
 
 
 def _escalate(

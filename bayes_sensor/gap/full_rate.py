@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter, windows
 from scipy.special import gammaln, logsumexp
+from scipy.stats import gamma
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.gap.floor import Stretch, detrended
@@ -84,14 +85,7 @@ def test_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRat
     longest = max(len(s.samples) for s in used)
     n = 1 << int(np.ceil(np.log2(longest)))
     f = np.fft.rfftfreq(n, common)
-    total = np.zeros(len(f))
-    amplitude_weight = 0.0
-    level_sum = np.zeros(len(f))
-    for s in used:
-        power, level = _normalised_periodogram(s.samples, n)
-        total += power
-        level_sum += level
-        amplitude_weight += len(s.samples)
+    total, level_sum = _sum_over_stretches(used, n)
     k = len(used)
     c = np.array(RATIOS)[:, None]
     log_b = logsumexp(total * c / (1.0 + c) - k * np.log1p(c), axis=0) - np.log(len(RATIOS))
@@ -118,35 +112,53 @@ def test_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRat
     return found
 
 
-def _normalised_periodogram(samples: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Ordinates (n/2 + 1,) over the local noise level, and that level in squared amplitude."""
-    taper = windows.tukey(len(samples), 0.2)
-    power = np.abs(np.fft.rfft(detrended(samples, 4) * taper, n)) ** 2
-    level = _local_level(power, n / len(samples))
-    return power / level, level / np.sum(taper) ** 2
+def _sum_over_stretches(used: Sequence[Stretch], n: int) -> tuple[FloatArray, FloatArray]:
+    """Sums over stretches of ordinates (n/2 + 1,) over the noise level, and of squared levels.
+
+    The level's shape is pooled over the stretches with the same gas: one stretch alone has too
+    few ordinates at low frequencies for the ratio to be exponential.
+    """
+    total = np.zeros(n // 2 + 1)
+    level_sum = np.zeros(n // 2 + 1)
+    for gas in {s.level for s in used}:
+        group = [s for s in used if s.level == gas]
+        powers, sizes = [], []
+        for s in group:
+            taper = windows.tukey(len(s.samples), 0.2)
+            power = np.abs(np.fft.rfft(detrended(s.samples, 4) * taper, n)) ** 2
+            scale = float(np.mean(power[1:])) or 1e-300
+            powers.append(power / scale)
+            sizes.append(scale / float(np.sum(taper)) ** 2)
+        k = len(group)
+        resolution = n / float(np.median([len(s.samples) for s in group]))
+        level = _local_level(np.mean(powers, axis=0), resolution, k)
+        for power, size in zip(powers, sizes, strict=True):
+            total += power / level
+            level_sum += level * size
+    return total, level_sum
 
 
-def _local_level(power: FloatArray, per_resolution: float) -> FloatArray:
+def _local_level(power: FloatArray, per_resolution: float, k: int) -> FloatArray:
     """The noise level (n_f,) around every ordinate, blind to lines and to a spectrum's slope.
 
-    The median over a window that is even in the logarithm of the frequency, at least 12 native
-    resolutions wide; for exponential ordinates it is ln 2 of the mean.
+    ``power``: mean of ``k`` periodograms.  The level is the median over a window that is even in
+    the logarithm of the frequency, at least 16 native resolutions wide, over that of a gamma law.
     """
     index = np.arange(len(power), dtype=float)
-    # a grid of windows, denser than their widths, then interpolated in the logarithm
-    edges = [1.0]
-    while edges[-1] < len(power):
-        edges.append(max(edges[-1] * 1.12, edges[-1] + 2.0 * per_resolution))
+    centres = [1.0]
+    while centres[-1] < len(power):
+        centres.append(max(centres[-1] * 1.12, centres[-1] + 2.0 * per_resolution))
     levels = []
-    for centre in edges:
-        half = max(0.4 * centre, 6.0 * per_resolution)
+    for centre in centres:
+        half = max(0.4 * centre, 8.0 * per_resolution)
         low, high = int(max(centre - half * 0.8, 1)), int(min(centre + half, len(power))) + 1
         window = power[low:high]
         step = max(1, len(window) // 400)
-        levels.append(float(np.median(window[::step])) / np.log(2.0))
-    level = np.exp(np.interp(np.log(np.maximum(index, 0.5)), np.log(edges),
-                             np.log(np.maximum(levels, 1e-300))))  # fmt: skip
-    return np.maximum(level, 1e-300)
+        levels.append(float(np.median(window[::step])) / float(gamma.median(k) / k))
+    smooth = np.interp(
+        np.log(np.maximum(index, 0.5)), np.log(centres), np.log(np.maximum(levels, 1e-300))
+    )
+    return np.maximum(np.exp(smooth), 1e-300)
 
 
 def _mains_bands(f: FloatArray, interval: float) -> tuple[np.ndarray, FloatArray]:
