@@ -214,6 +214,10 @@ def profile(evidence: Evidence) -> Bound:
         if not np.isfinite([below, above]).all():  # not identified to first order
             width = 0.02 * max(abs(centre), 1e-3) * np.array(targets)
             below, above = np.maximum(centre - width, 0.5 * centre), centre + width
+        # an asymmetric interval need not hold the estimate: look on either side of it all the same
+        width = above - below
+        below = np.where(below < centre, below, centre - 0.5 * width)
+        above = np.where(above > centre, above, centre + 0.5 * width)
         if name == "tau_s":
             low[row], high[row] = _tau_ends(profiler, below, above, targets)
             at_zero = bool(low[row, 1] == 0.0)
