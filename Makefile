@@ -21,7 +21,7 @@ CONSTRAINTS := "constraints-$$($(BIN)/python -c \
 
 help:
 	@echo "make install   $(VENV) with the package and everything the tests need"
-	@echo "make demo      analyse the bundled campaign, report in build/demo"
+	@echo "make demo      analyse the bundled campaigns, report in build/demo"
 	@echo "make test      the test suite (PYTEST_ARGS=... is handed on)"
 	@echo "make lint      formatter and linter in check mode, types"
 	@echo "make format    let the formatter and the linter mend what they can"
@@ -29,7 +29,7 @@ help:
 	@echo "make study     the long studies behind the paper (JOBS=$(JOBS) processes)"
 	@echo "make paper     the manuscript as PDF, from the studies' outputs"
 	@echo "make docs      the documentation pages"
-	@echo "make data      rebuild data/reference bit for bit"
+	@echo "make data      rebuild data/reference and data/withheld bit for bit"
 	@echo "make clean     remove build results and caches (clean-venv: the environment)"
 
 install: $(STAMP)
@@ -51,6 +51,9 @@ $(STAMP): pyproject.toml $(wildcard constraints-*.txt)
 demo: $(STAMP)
 	$(ONE_THREAD) $(BIN)/bayes-sensor analyze data/reference/campaign.toml --out build/demo
 	@echo "report: $(CURDIR)/build/demo/report.html"
+	@echo "a campaign whose cause is withheld, diagnosed before its seal is opened:"
+	$(ONE_THREAD) $(BIN)/bayes-sensor gap data/withheld/campaign.toml --out build/demo-withheld
+	@$(BIN)/python data/open_seal.py build/demo-withheld
 
 test: $(STAMP)
 	@if $(BIN)/python -c 'import xdist' 2>/dev/null; then parallel="-n $(JOBS)"; else parallel=; fi; \
@@ -76,6 +79,7 @@ paper: $(STAMP) paper/build.py
 
 data: $(STAMP) data/make_reference.py
 	$(ONE_THREAD) $(BIN)/python data/make_reference.py
+	$(ONE_THREAD) $(BIN)/python data/make_withheld.py
 
 docs: $(STAMP) docs/conf.py
 	@$(PIP_INSTALL) -c $(CONSTRAINTS) -e '.[docs]'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -41,6 +42,7 @@ from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.cli import _guarded
 from bayes_sensor.figures import svg
 from bayes_sensor.figures.blind_check import score_card
+from bayes_sensor.readers import read_campaign
 from bayes_sensor.reality import (
     CAUSES,
     OPEN_LAWS,
@@ -57,6 +59,8 @@ from bayes_sensor.reality import (
 )
 from bayes_sensor.reality.noise import draw_noise
 from bayes_sensor.results import read_json
+
+DATA = Path(__file__).resolve().parent.parent / "data"
 
 
 @pytest.fixture(scope="module")
@@ -480,6 +484,48 @@ def test_whiteness_sees_noise_that_is_not_ar1() -> None:
 
     assert p_value("ar1") > 1e-3
     assert p_value("arma") < 1e-6
+
+
+# --------------------------------------------------------------------------- the bundled campaign
+
+
+def script(name: str) -> Any:
+    """A module of data/, which is no package."""
+    spec = importlib.util.spec_from_file_location(name, DATA / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_withheld_campaign_is_what_its_seal_says() -> None:
+    folder = DATA / "withheld"
+    true = script("open_seal").open_seal()
+    assert sum(path.stat().st_size for path in folder.iterdir()) <= 3_000_000
+    assert true["causes"][0] not in (folder / "campaign.toml").read_text()
+    campaign, case = read_campaign(folder / "campaign.toml"), Case.from_json(true["recipe"])
+    again = make_campaign(case)
+    for e, step in zip(again, case.steps, strict=True):
+        recorded = campaign[e.name]
+        # the file holds single precision
+        np.testing.assert_allclose(recorded.values, e.values, atol=1e-6)
+        assert recorded.commanded_on == pytest.approx(step.commanded_on, abs=1.5 * step.interval)
+
+
+def test_opening_the_seal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    opener = script("open_seal")
+    true = opener.open_seal()
+    right = true["listed_as"][0][0]
+    for name, words in ((right, "the verdict is right"), ("carry_over", "the verdict is wrong")):
+        said = verdict({"none": 0.0, "unlisted": 0.0, name: 1.0}, "effect", [name], 1.0,
+                       fraction_closed=0.9, explanation=name)  # fmt: skip
+        text = opener.side_by_side(said, true)
+        assert words in text and right in text and f"{1e3 * true['tau_s']:.1f} ms" in text
+    for file in ("sealed.json", "sealed.sha256"):
+        (tmp_path / file).write_text((DATA / "withheld" / file).read_text())
+    (tmp_path / "sealed.json").write_text("{}")
+    with pytest.raises(CampaignError, match="sealed.json: expected the hash"):
+        opener.open_seal(tmp_path)
 
 
 # --------------------------------------------------------------------------- all of it

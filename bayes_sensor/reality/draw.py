@@ -50,13 +50,16 @@ def draw_case(
     for k in range(n):
         on = float(np.round(duration * rng.uniform(0.16, 0.26), 3))
         off = float(np.round(duration * rng.uniform(0.62, 0.75), 3))
-        flow = flows[k] * LITRES_PER_MINUTE
+        # set points of the controllers, in steps of 0.01 L/min
+        test_gas = round(flows[k] * concentrations[k], 2) * LITRES_PER_MINUTE
+        carrier = round(flows[k] * (1.0 - concentrations[k]), 2) * LITRES_PER_MINUTE
+        flow = carrier + test_gas
         scale = (concentrations[k] / concentrations.max()) ** power
         steps.append(
             Step(
                 name=str(k + 1),
-                carrier_flow=flow * (1.0 - concentrations[k]),
-                test_gas_flow=flow * concentrations[k],
+                carrier_flow=carrier,
+                test_gas_flow=test_gas,
                 interval=interval,
                 duration=duration,
                 commanded_on=on,
