@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import study_blind_check
+import study_bounds
 import study_coating
 import study_coverage
 import study_predictive
@@ -24,6 +25,7 @@ STUDIES = {
     "predictive": study_predictive.run,
     "sbc": study_sbc.run,
     "coverage": study_coverage.run,
+    "bounds": study_bounds.run,
     "coating": study_coating.run,
     "blind-check": study_blind_check.run,
 }
