@@ -12,6 +12,8 @@ from typing import Any
 from bayes_sensor.blind_check.check import complete_truth, trimmed
 from bayes_sensor.blind_check.score import score_case
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.figures import png
+from bayes_sensor.figures.blind_check import opened_seal
 from bayes_sensor.reality import CAUSES
 from bayes_sensor.results import read_json, sha256
 
@@ -67,12 +69,17 @@ def side_by_side(gap: dict[str, Any], truth: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Print; one line and exit 2 where something is missing."""
+    """Print, and draw DIR/opened_seal.png; one line and exit 2 where something is missing."""
     if len(sys.argv) != 2:
         print("usage: python data/open_seal.py DIR", file=sys.stderr)
         sys.exit(2)
+    folder = Path(sys.argv[1])
     try:
-        print(side_by_side(read_json(Path(sys.argv[1]) / "gap.json"), open_seal()))
+        gap, truth = read_json(folder / "gap.json"), open_seal()
+        print(side_by_side(gap, truth))
+        figure = opened_seal(gap, score_case(truth, trimmed(gap)))
+        (folder / "opened_seal.png").write_bytes(png(figure))
+        print(f"figure: {folder / 'opened_seal.png'}")
     except CampaignError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

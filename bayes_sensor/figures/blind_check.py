@@ -213,3 +213,49 @@ def _tau(axes: Axes, card: Part) -> None:
     if cover["rate"] is not None:
         said.append(f"τ in envelope, d < 3: {cover['rate']:.2f} of {cover['n']}")
     axes.set_xlabel("\n".join(said), fontsize=7)
+
+
+def opened_seal(gap: Part, row: Part) -> Figure:
+    """What a diagnosis said of a withheld campaign, and what was true.
+
+    ``gap``: gap.json; ``row``: the case's row of ``cases.csv``.
+    """
+    right = set(str(row["listed_as"]).replace("+", "|").split("|"))
+    with style():
+        figure = new_figure(2.9)
+        left, middle, far = figure.subplots(1, 3, width_ratios=(1.5, 0.8, 0.8))
+        best = sorted(gap["which"], key=lambda entry: -(entry["probability"] or 0.0))[:7]
+        y = np.arange(len(best))
+        colours = [GREEN if set(e["effect"].split("+")) & right else DATA for e in best]
+        left.barh(y, [entry["probability"] for entry in best], 0.65, color=colours, lw=0)
+        left.set_yticks(y, [entry["effect"].replace("_", " ") for entry in best])
+        left.tick_params(axis="y", labelsize=7)
+        left.yaxis.grid(False)
+        left.invert_yaxis()
+        left.set_xlim(0, 1.02)
+        left.set_xlabel("probability (green: the truth)")
+        left.set_title("cause")
+        closed, oracle = row["closed"], row["closed_oracle"]
+        if closed is not None:
+            error = np.abs(np.array([[closed - row["closed_lo"]], [row["closed_hi"] - closed]]))
+            middle.errorbar([0], [closed], yerr=error, fmt=MARKERS[0], color=BLUE, elinewidth=0.9)
+        if oracle is not None:
+            middle.axhline(oracle, color=GREEN, lw=1.0)
+        middle.set_ylim(0, 1.15)
+        middle.set_xticks([0], ["gap closed"])
+        middle.set_xlim(-0.6, 0.6)
+        middle.set_title("how far")
+        shrink = gap["shrink"]
+        values = [1e3 * shrink[key] for key in ("tau_before_s", "tau_after_s")]
+        far.plot([0], values[:1], MARKERS[1], color=MIDDLE)
+        low, high = shrink.get("tau_after_lo_s"), shrink.get("tau_after_hi_s")
+        bar = None if low is None or high is None else [[values[1] - 1e3 * low],
+                                                        [1e3 * high - values[1]]]  # fmt: skip
+        far.errorbar([1], values[1:], yerr=bar, fmt=MARKERS[0], color=BLUE, elinewidth=0.9)
+        if row["tau_true_s"] is not None:
+            far.axhline(1e3 * row["tau_true_s"], color=GREEN, lw=1.0)
+        far.set_xticks([0, 1], ["without", "with it"])
+        far.set_xlim(-0.6, 1.6)
+        far.set_ylabel("τ (ms)")
+        far.set_title("τ")
+    return figure

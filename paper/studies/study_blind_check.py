@@ -11,7 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
-from drawing import TABLES, plt, save
+from drawing import PAPER, TABLES, plt, save
+from matplotlib.figure import Figure
 
 from bayes_sensor.blind_check import (
     card_table,
@@ -21,9 +22,13 @@ from bayes_sensor.blind_check import (
     score,
     table,
 )
+from bayes_sensor.blind_check.check import complete_truth, trimmed
+from bayes_sensor.blind_check.score import score_case
 from bayes_sensor.figures import png, svg
-from bayes_sensor.figures.blind_check import score_card
-from bayes_sensor.results import write_json, write_text
+from bayes_sensor.figures.blind_check import opened_seal, score_card
+from bayes_sensor.gap import diagnose_gap
+from bayes_sensor.readers import read_campaign
+from bayes_sensor.results import read_json, write_json, write_text
 
 N, SEED = 600, 20260711
 """the seed was never used before the run that is reported"""
@@ -50,13 +55,26 @@ def run(
         TABLES / "blind_check_goals.csv", index=False, float_format="%.4g"
     )
     write_json(TABLES / "blind_check.json", card)
-    figure = score_card(card)
-    FIGURES.mkdir(parents=True, exist_ok=True)
-    write_text(FIGURES / "blind_check.svg", svg(figure))
-    (FIGURES / "blind_check.png").write_bytes(png(figure))
+    keep_figure(score_card(card), "blind_check")
     both = compare_settings(place, frame, jobs, scheduler, progress)
     both.to_csv(TABLES / "blind_check_settings.csv", index=False, float_format="%.4g")
     draw_settings(both)
+    keep_figure(withheld(), "opened_seal")
+
+
+def keep_figure(figure: Figure, name: str) -> None:
+    """Write figures/name.png and .svg in the report's style."""
+    FIGURES.mkdir(parents=True, exist_ok=True)
+    write_text(FIGURES / f"{name}.svg", svg(figure))
+    (FIGURES / f"{name}.png").write_bytes(png(figure))
+
+
+def withheld() -> Figure:
+    """Verdict and truth of the bundled campaign whose cause is sealed."""
+    folder = PAPER.parent / "data" / "withheld"
+    gap = diagnose_gap(read_campaign(folder / "campaign.toml")).to_json()
+    truth = complete_truth(read_json(folder / "sealed.json"), "withheld")
+    return opened_seal(gap, score_case(truth, trimmed(gap)))
 
 
 def compare_settings(
