@@ -267,7 +267,13 @@ def test_fit_is_replaced_as_a_whole_and_repeats_itself(
     assert {"rms_V", "n_samples", "parameters", "at_bound", "converged", "warnings"} <= set(fit)
     assert fit["parameters"]["tau_s"] == pytest.approx(0.15, abs=0.05)
     first = numbers(out)
-    assert set(first) == {"fit.json", "residuals.json", "campaign.json", "traces.npz"}
+    assert set(first) == {
+        "fit.json",
+        "residuals.json",
+        "campaign.json",
+        "traces.npz",
+        "samples.npz",
+    }
     record = json.loads((out / "run.json").read_text())["commands"]["fit"]
     assert record["seed"] == 3 and record["exit_code"] == 0
     assert set(record["files_sha256"]) == {"campaign.toml", "exp1.csv", "exp4.csv", "exp6.csv"}
