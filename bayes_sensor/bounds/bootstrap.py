@@ -81,15 +81,22 @@ def _indices(
     n_out: int, n: int, length: float, rng: np.random.Generator, out: IntArray
 ) -> None:  # pragma: no cover - compiled
     # positions in a series of n, in blocks of geometric length that wrap around
-    log_rest = log(1.0 - 1.0 / length) if length > 1.0 else 0.0
+    stays = 1.0 - 1.0 / length if length > 1.0 else 0.0
+    log_stays = log(stays) if stays > 0.0 else 0.0
     left = 0
     at = 0
     for i in range(n_out):
         if left == 0:
             at = int(rng.random() * n)
             left = 1
-            if log_rest < 0.0:
-                left += int(log(1.0 - rng.random()) / log_rest)
+            if stays > 0.8:
+                left += int(log(1.0 - rng.random()) / log_stays)
+            elif stays > 0.0:
+                # the same whole number, counted: for short blocks faster than a logarithm
+                rest, power = 1.0 - rng.random(), stays
+                while rest <= power:
+                    left += 1
+                    power *= stays
         elif at == n:
             at = 0
         out[i] = at

@@ -16,8 +16,7 @@ from matplotlib.figure import Figure
 
 from bayes_sensor import figures
 from bayes_sensor.bounds import compare_bounds
-from bayes_sensor.coverage import SETTINGS, run_coverage
-from bayes_sensor.figures import METHOD_LABELS
+from bayes_sensor.coverage import SETTINGS, markdown_table, run_coverage
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.posterior import sample_posterior
 from bayes_sensor.readers import read_campaign
@@ -61,24 +60,7 @@ def save(figure: Figure, name: str) -> None:
     (FIGURES / f"{name}.svg").write_text(figures.svg(figure), encoding="utf-8")
 
 
-def readme_table(rows: pd.DataFrame) -> str:
-    """Coverage of the 95 % intervals of tau and V, in Markdown: a row a method."""
-    some = rows[rows["level"] == "95"].set_index(["method", "setting", "parameter"])["coverage"]
-    settings, methods = list(dict.fromkeys(rows["setting"])), list(dict.fromkeys(rows["method"]))
-    lines = [
-        "| 95 % interval of tau, V | " + " | ".join(settings) + " |",
-        "|---" * (len(settings) + 1) + "|",
-    ]
-    for method in methods:
-        cells = [
-            ", ".join(f"{some[method, setting, name]:.2f}" for name in ("tau_s", "V_mL"))
-            for setting in settings
-        ]
-        lines.append(f"| {METHOD_LABELS[method]} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
-
-
 def with_table(text: str, rows: pd.DataFrame) -> str:
     """The README with its coverage table replaced; ValueError where the marks are not there."""
     begin, end = text.index(OPENS) + len(OPENS), text.index(CLOSES)
-    return text[:begin] + readme_table(rows) + text[end:]
+    return text[:begin] + markdown_table(rows) + text[end:]
