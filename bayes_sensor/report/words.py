@@ -97,7 +97,8 @@ def typeset(text: str) -> str:
 
 def sentence(text: str) -> str:
     text = text.strip()
-    text = text[:1].upper() + text[1:]
+    if text[:1].isascii():  # a Greek capital would be another letter
+        text = text[:1].upper() + text[1:]
     return text if text.endswith((".", "!", "?")) else text + "."
 
 

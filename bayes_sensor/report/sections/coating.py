@@ -10,6 +10,14 @@ from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import number, powers, with_spread
 
 
+TOLERANCE_WORDS = {
+    "d_pdms": "diffusivity of PDMS",
+    "thickness_zif8": "thickness of ZIF-8",
+    "thickness_pdms": "thickness of PDMS",
+    "outer_radius": "outer radius",
+}
+
+
 def coating(saved: Saved, pictures: Pictures) -> Section | None:
     """t10, t63, t90 of sensor and chain; the diffusivity that tau implies."""
     record = saved.coating
@@ -124,7 +132,7 @@ def _diffusivity_table(found: dict[str, Any]) -> Table:
          None],
     ]  # fmt: skip
     rows += [
-        [f"relative tolerance of {name.replace('_', ' ')}", value, None, None]
+        [f"relative tolerance of the {TOLERANCE_WORDS.get(name, name)}", value, None, None]
         for name, value in found["tolerances"].items()
     ]
     return Table(
