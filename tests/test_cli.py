@@ -57,7 +57,7 @@ def test_version_and_help_answer_quickly() -> None:
         best = min(best, time.perf_counter() - before)
         assert process.returncode == 0
         for command in ("analyze", "fit", "posterior", "bounds", "delays", "simulate", "report",
-                        "check", "diffusion"):  # fmt: skip
+                        "check", "diffusion", "design", "coverage"):  # fmt: skip
             assert re.search(rf"^  {command} ", text, re.MULTILINE)
     assert best < 3.0  # a second on an idle machine, where it takes .4 s
 

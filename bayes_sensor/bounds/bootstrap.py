@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import gaussian_bound, normal_factor
+from bayes_sensor.bounds.gaussian import gaussian_bound, invert, normal_factor
 from bayes_sensor.bounds.records import LEVELS, Bound
 from bayes_sensor.bounds.surface import Surface, curvature_along_tau, maximise
 from bayes_sensor.campaign import FloatArray
@@ -299,6 +299,8 @@ def block_bootstrap(evidence: Evidence, whitened: bool = True) -> Bound:
     status = ""
     if details["n_failed"]:
         status = f"{details['n_failed']} of {evidence.n_resamples} refits did not settle"
+    information = surface.information(surface.expansion(evidence.psi_white))
+    _, identified = invert(information[np.ix_(surface.mean, surface.mean)])
     normal = gaussian_bound(
         "block_bootstrap",
         (
@@ -313,6 +315,7 @@ def block_bootstrap(evidence: Evidence, whitened: bool = True) -> Bound:
         cov,
         evidence.at_bound,
         normal_factor,
+        identified=identified,
         status=status,
         details=details,
     )
@@ -331,6 +334,8 @@ def block_bootstrap(evidence: Evidence, whitened: bool = True) -> Bound:
             low[:, j] = np.minimum(low[:, j], low[:, j - 1])
             high[:, j] = np.maximum(high[:, j], high[:, j - 1])
     sd[np.isnan(normal.sd)] = np.nan
+    # refits start at the fit: along a direction without information they would hardly move
+    low[~identified], high[~identified] = np.nan, np.nan
     return Bound(
         normal.method, normal.assumes, normal.reference, names, normal.estimate, sd, low, high,
         normal.status, details,

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 
 from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import gaussian_bound
+from bayes_sensor.bounds.gaussian import gaussian_bound, invert
 from bayes_sensor.bounds.records import LEVELS, Bound
 from bayes_sensor.bounds.surface import Surface, maximise
 from bayes_sensor.campaign import FloatArray
@@ -97,6 +97,8 @@ def jackknife_experiments(evidence: Evidence) -> Bound:
     values = found[:, surface.mean[shared]]
     deviation = values - values.mean(axis=0)
     cov = (n - 1) / n * deviation.T @ deviation
+    information = surface.information(surface.expansion(evidence.psi_white))
+    identified = invert(information[np.ix_(surface.mean, surface.mean)])[1][shared]
     short = gaussian_bound(
         "jackknife_experiments",
         assumes,
@@ -106,6 +108,7 @@ def jackknife_experiments(evidence: Evidence) -> Bound:
         cov,
         evidence.at_bound,
         lambda level: float(stats.t.ppf(0.5 + 0.5 * level, n - 1)),
+        identified=identified,
         status="" if settled else "a refit without one experiment did not settle",
         details={"n_experiments": n},
     )
