@@ -41,7 +41,7 @@ from bayes_sensor.blind_check.score import Row, card_table, level_of, score_case
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.cli import _guarded
 from bayes_sensor.figures import svg
-from bayes_sensor.figures.blind_check import score_card
+from bayes_sensor.figures.blind_check import opened_seal, score_card
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.reality import (
     CAUSES,
@@ -394,6 +394,20 @@ def test_abstaining_is_right_only_where_the_oracle_cannot_tell_either() -> None:
     assert unsure["family_right"] and unsure["verdict_right"]
 
 
+def test_a_refused_campaign_counts_as_a_wrong_answer(tmp_path: Path) -> None:
+    draw_cases(tmp_path, tmp_path / "parts", 1, 5, size="small", keep=False)
+
+    def refuses(campaign: Campaign, seed: int, without: Sequence[str], setting: str) -> Any:
+        raise CampaignError("gap: no quiet stretch")
+
+    diagnose_cases(tmp_path, tmp_path, tmp_path / "parts", "study", diagnosis=refuses)
+    ((_, said),) = open_seals(tmp_path)
+    assert said["reason"] == "gap: no quiet stretch"
+    card, (row,) = score(open_seals(tmp_path))
+    assert card["failed"]["k"] == 1 and not row["verdict_right"] and not row["named"]
+    assert svg(score_card(card))
+
+
 def test_pairs_are_right_when_both_are_named() -> None:
     both = [["dead_volume"], ["gain_drift"]]
     rows = {"none": 0.0, "unlisted": 0.0, "dead_volume": 0.1, "dead_volume+gain_drift": 0.9}
@@ -518,9 +532,12 @@ def test_opening_the_seal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     right = true["listed_as"][0][0]
     for name, words in ((right, "the verdict is right"), ("carry_over", "the verdict is wrong")):
         said = verdict({"none": 0.0, "unlisted": 0.0, name: 1.0}, "effect", [name], 1.0,
-                       fraction_closed=0.9, explanation=name)  # fmt: skip
+                       fraction_closed=0.9, fraction_closed_lo=0.8, fraction_closed_hi=1.0,
+                       explanation=name)  # fmt: skip
         text = opener.side_by_side(said, true)
         assert words in text and right in text and f"{1e3 * true['tau_s']:.1f} ms" in text
+        row = score_case(true, trimmed(said))
+        assert "gap closed" in svg(opened_seal(said, row))
     for file in ("sealed.json", "sealed.sha256"):
         (tmp_path / file).write_text((DATA / "withheld" / file).read_text())
     (tmp_path / "sealed.json").write_text("{}")
@@ -580,16 +597,16 @@ def test_numbers_do_not_depend_on_jobs_or_interruptions(tmp_path: Path) -> None:
 
     def stop(done: int, n: int) -> None:
         told.append(done)
-        if done >= 2:
+        if done >= 1:
             raise StopError
 
     a, b = tmp_path / "a", tmp_path / "b"
     with pytest.raises(StopError):
-        draw_cases(a, a / "parts", 4, 9, size="small", keep=False, chunk=2, progress=stop)
+        draw_cases(a, a / "parts", 2, 9, size="small", keep=False, chunk=1, progress=stop)
     assert not (a / "sealed").exists()
-    draw_cases(a, a / "parts", 4, 9, size="small", keep=False, chunk=2, progress=told_by(told))
-    assert told[-2:] == [2, 4]  # the first half was not drawn again
-    draw_cases(b, b / "parts", 4, 9, size="small", keep=False, jobs=2, chunk=1)
+    draw_cases(a, a / "parts", 2, 9, size="small", keep=False, chunk=1, progress=told_by(told))
+    assert told[-2:] == [1, 2]  # the first half was not drawn again
+    draw_cases(b, b / "parts", 2, 9, size="small", keep=False, jobs=2, chunk=1)
     assert (a / "sealed.json").read_bytes() == (b / "sealed.json").read_bytes()
 
 

@@ -81,6 +81,22 @@ def trimmed(gap: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
+def no_verdict(reason: str) -> dict[str, Any]:
+    """What is recorded where the diagnosis refused a campaign."""
+    rows = [{"effect": name, "probability": 0.0, "family": None} for name in ("none", "unlisted")]
+    return {
+        "where": [],
+        "which": rows,
+        "verdict": {"kind": "failed", "effects": [], "family": None, "probability": None},
+        "shrink": {},
+        "families": {},
+        "budget": {},
+        "tau_envelope_s": [None, None],
+        "whiteness_p": None,
+        "reason": reason,
+    }
+
+
 # --------------------------------------------------------------------------- tasks
 
 
@@ -133,7 +149,10 @@ class Diagnosing:
 
             campaign = read_campaign(source)
         begin = time.process_time()
-        verdict = trimmed(self.diagnose(campaign, seed, without, self.setting))
+        try:
+            verdict = trimmed(self.diagnose(campaign, seed, without, self.setting))
+        except CampaignError as error:  # no answer is a result, too: it counts as wrong
+            verdict = no_verdict(str(error))
         seconds = time.process_time() - begin
         record = {"case": name, "seed": seed, "without": list(without), "setting": self.setting}
         return {"verdict": json_text({**record, **verdict}), "seconds": seconds}

@@ -102,7 +102,6 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
     else:
         family_right = top_family in right_families
     abstains = said["kind"] != "effect"
-    member = said["kind"] == "family" and bool(answers & set(said["effects"]))
     p_right = _probability_of(rows, answer_is_right)
     shrink = verdict["shrink"]
     closed = truth["closed"].get(shrink.get("explanation") or (named[0] if named else ""))
@@ -141,12 +140,7 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         "isolability": apart,
         "isolability_family": apart_family,
         "top_or_abstained": answer_is_right(top)
-        or (
-            abstains
-            and not outside
-            and (member or apart < SEPARABLE_ABOVE)
-            and apart < SEPARABLE_ABOVE
-        ),
+        or (abstains and not outside and apart < SEPARABLE_ABOVE),
         "family_or_abstained": family_right
         or (abstains and kind != "null" and apart_family < SEPARABLE_ABOVE),
         "verdict_right": _verdict_right(truth, said, accepted, near, right_families),
@@ -237,6 +231,8 @@ def _verdict_right(
 ) -> bool:
     """Whether the stated verdict holds: what it names is there, none means nothing to be seen."""
     kind = truth["kind"]
+    if said["kind"] == "failed":
+        return False
     if said["kind"] == "none":
         return kind == "null" or (truth["d"] is not None and truth["d"] < HIDDEN_BELOW)
     if said["kind"] == "unlisted":
@@ -302,6 +298,7 @@ def make_card(rows: Sequence[Row]) -> Row:
     card: Row = {
         "n": len(rows),
         "kinds": {kind: len(_of(rows, kind)) for kind in kinds},
+        "failed": proportion(r["verdict"] == "failed" for r in rows),
         "nulls": _null_part(nulls),
         "accuracy": [_accuracy(listed, level) for level in LEVELS],
         "confident_wrong": {
@@ -382,10 +379,7 @@ def _null_part(nulls: Sequence[Row]) -> Row:
             "named_or_family": proportion(r["verdict"] in ("effect", "family") for r in rows),
             "alarmed": proportion(r["verdict"] != "none" for r in rows),
             "bic_named": proportion(r["bic_says"] != "none" for r in rows),
-            "whiteness_alarmed": proportion(
-                None if r["whiteness_p"] is None else r["whiteness_p"] < WHITENESS_ALARM
-                for r in rows
-            ),
+            "whiteness_alarmed": _whiteness(rows),
         }
 
     laws = list(dict.fromkeys(sorted(row["law"] for row in nulls)))
@@ -395,6 +389,12 @@ def _null_part(nulls: Sequence[Row]) -> Row:
         "not_ar1": part([r for r in nulls if r["is_ar1"] is False]),
         "by_law": {law: part([r for r in nulls if r["law"] == law]) for law in laws},
     }
+
+
+def _whiteness(rows: Sequence[Row]) -> dict[str, Any]:
+    return proportion(
+        None if r["whiteness_p"] is None else r["whiteness_p"] < WHITENESS_ALARM for r in rows
+    )
 
 
 def _is_right(says: str, row: Row) -> bool:
@@ -417,6 +417,7 @@ def _accuracy(listed: Sequence[Row], level: float) -> Row:
         "oracle": proportion(r["oracle_right"] for r in rows),
         "rss": proportion(_is_right(r["rss_says"], r) for r in rows),
         "bic": proportion(_is_right(r["bic_says"], r) for r in rows),
+        "whiteness_alarmed": _whiteness(rows),
     }
 
 
