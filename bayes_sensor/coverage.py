@@ -226,15 +226,21 @@ def coverage_of_methods(
     return pd.DataFrame(rows)
 
 
-def markdown_table(table: pd.DataFrame, parameters: Sequence[str] = ("tau_s", "V_mL")) -> str:
+def markdown_table(
+    table: pd.DataFrame, parameters: Sequence[str] = ("tau_s", "tau_v_s", "V_mL")
+) -> str:
     """Coverage of the 95 % intervals in Markdown: a row a method, a column a setting."""
     some = table[table["level"] == "95"].set_index(["method", "setting", "parameter"])["coverage"]
-    settings, methods = list(dict.fromkeys(table["setting"])), list(dict.fromkeys(table["method"]))
+    settings = list(dict.fromkeys(table["setting"]))
+    methods = list(dict.fromkeys(some.index.get_level_values("method")))
     kinds = ", ".join(name.rpartition("_")[0] for name in parameters)
     lines = [f"| {kinds} | {' | '.join(settings)} |", "|---" * (len(settings) + 1) + "|"]
     for method in methods:
         cells = [
-            ", ".join(f"{some[method, setting, name]:.2f}" for name in parameters)
+            ", ".join(
+                f"{some[method, setting, name]:.2f}" if (method, setting, name) in some else "-"
+                for name in parameters
+            )
             for setting in settings
         ]
         lines.append(f"| `{method}` | {' | '.join(cells)} |")

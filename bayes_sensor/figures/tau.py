@@ -150,7 +150,7 @@ def what_would_help(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def coverage(
-    rows: Sequence[Mapping[str, Any]], parameters: Sequence[str] = ("tau_s", "V_mL")
+    rows: Sequence[Mapping[str, Any]], parameters: Sequence[str] = ("tau_s", "tau_v_s", "V_mL")
 ) -> Figure:
     """Share of the 95 % intervals that hold the truth: one panel a setting, one row a method.
 
@@ -177,7 +177,7 @@ def coverage(
             axes.axvline(0.95, color=MIDDLE, lw=0.8)
             axes.set_xlim(-0.03, 1.03)
             axes.set_xticks([0.0, 0.5, 0.95], ["0", "0.5", "0.95"])
-            axes.set_title(setting)
+            axes.set_title(setting, fontsize=8.5)
         row_of_axes[0].set_yticks(
             range(len(methods)), [METHOD_LABELS.get(method, method) for method in methods]
         )
@@ -190,5 +190,6 @@ def coverage(
             handles, [parameter_words(name)[0] for name in parameters], loc="outside lower center",
             ncols=len(parameters),
         )  # fmt: skip
-        figure.supxlabel("share of 95 % intervals that hold the truth", fontsize=9)
+        middle = row_of_axes[len(settings) // 2]
+        middle.set_xlabel("share of 95 % intervals that hold the truth")
     return figure
