@@ -42,10 +42,14 @@ def theta(campaign: Campaign, sigma: float = 0.012, phi: float = 0.4) -> dict[st
 
 
 def measured(
-    effects: dict[str, float | None], seed: int = 1, sigma: float = 0.012, **options: object
+    effects: dict[str, float | None],
+    seed: int = 1,
+    sigma: float = 0.012,
+    n: int = 4,
+    interval: float = 0.01,
 ) -> Campaign:
     """A simulated campaign in which the effects act."""
-    plan = design(**options)  # type: ignore[arg-type]
+    plan = design(n, interval)
     return simulate_with_effects(plan, theta(plan, sigma), effects, seed=seed)[0]
 
 

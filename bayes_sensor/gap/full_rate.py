@@ -166,17 +166,17 @@ def _mains_bands(f: FloatArray, interval: float) -> tuple[np.ndarray, FloatArray
     near = np.zeros(len(f), dtype=bool)
     nominal = np.zeros(len(f))
     rate = 1.0 / interval
-    for mains in MAINS:
-        for harmonic in range(1, 10):
-            true = harmonic * mains
-            if true > max(0.5 * rate, 10.0 * mains):
-                break
-            folded = abs(true - rate * round(true / rate))
-            if folded < LOWEST_LINE:
-                continue
-            close = np.abs(f - folded) < NEAR_MAINS * harmonic**0.5
-            near |= close
-            nominal[close] = true
+    # the lowest line that folds to a frequency is the likeliest there
+    lines = sorted((harmonic * mains, harmonic) for mains in MAINS for harmonic in range(1, 10))
+    for true, harmonic in lines:
+        if true > max(0.5 * rate, 10.0 * MAINS[1]):
+            break
+        folded = abs(true - rate * round(true / rate))
+        if folded < LOWEST_LINE:
+            continue
+        close = np.abs(f - folded) < NEAR_MAINS * harmonic**0.5
+        nominal[close & ~near] = true
+        near |= close
     return near, nominal
 
 

@@ -26,6 +26,8 @@ PRIOR_NONE = 0.5
 PRIOR_UNLISTED = 0.15
 INCOMPLETE = 0.15
 """prior share of an effect's probability for "it is there, and something else with it" """
+MOST_FOLLOWED = 3
+"""times the search for a pair follows the best one found"""
 NEAR = 14.0
 """log evidences this far below the best are not looked at more closely"""
 
@@ -241,21 +243,45 @@ def _add_pairs(
     if not leading or not _something_left(hypotheses):
         return
     done: set[frozenset[str]] = set()
-    tried = [(a, b) for a in leading for b in on_mean if on_mean[a].family != on_mean[b].family]
-    for i, (a, b) in enumerate(tried):
-        if frozenset((a, b)) in done:
-            continue
+    found: list[Hypothesis] = []
+
+    def attempt(a: str, b: str) -> None:
+        if on_mean[a].family == on_mean[b].family or frozenset((a, b)) in done:
+            return
         done.add(frozenset((a, b)))
-        tell(0.75 + 0.25 * i / len(tried), f"{a} with {b}")
         made = []
-        first = max(_leading(fits[a]), key=lambda f: -f[0].objective)[0]
+        first = min(fits[a], key=lambda f: f[0].objective)[0]
         for form in on_mean[b].forms:
             part = Part(on_mean[b], form)
-            made.append((fit_effect(sketch, first, [part], form.starts[:3], 15), form.weight))
+            fitted = fit_effect(sketch, first, [part], form.starts[:3], 15)
+            if not base.plan.parts:  # what the first effect has swallowed may belong to the second
+                plan = fitted.plan
+                afresh = refit(plan, plan.start(base.x, form.starts[0]), most_steps=15)
+                fitted = min(fitted, afresh, key=lambda r: r.objective)
+            made.append((fitted, form.weight))
         weight = sum(w for _, w in made)
         log_prior = priors[a] + priors[b] - np.log(PRIOR_NONE)
         names = tuple(sorted((a, b), key=list(on_mean).index))
-        add(names, float(log_prior), [(f, w / weight) for f, w in made])
+        found.append(add(names, float(log_prior), [(f, w / weight) for f, w in made]))
+
+    tried = [(a, b) for a in leading for b in on_mean]
+    for i, (a, b) in enumerate(tried):
+        tell(0.75 + 0.2 * i / len(tried), f"{a} with {b}")
+        attempt(a, b)
+    # the leading single effects need not be the two that go together: follow the best pair
+    followed: set[str] = set(leading)
+    for _ in range(MOST_FOLLOWED):
+        best = max(found, key=lambda h: h.log_z, default=None)
+        if best is None or best.log_z < none.log_z:
+            return
+        new = [name for name in best.effects if name not in followed]
+        if not new:
+            return
+        tell(0.97, f"look-alikes of {' and '.join(best.effects)}")
+        for kept in new:
+            followed.add(kept)
+            for b in on_mean:
+                attempt(kept, b)
 
 
 def _something_left(hypotheses: Sequence[Hypothesis]) -> bool:

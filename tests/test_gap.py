@@ -1,0 +1,371 @@
+"""The diagnosis from end to end on small campaigns with a known effect."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayes_sensor as bs
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.gap import CATALOGUE, Strength, diagnose_gap, own_effect
+from bayes_sensor.gap.bins import PHASES
+from bayes_sensor.gap.diagnosis import ar1_whiteness
+from bayes_sensor.gap.own import read_effects
+from bayes_sensor.gap.simulation import default_strengths, simulate_with_effects
+from bayes_sensor.gap.verdict import NAMED
+from bayes_sensor.likelihood import simulate
+from tests.gap_cases import design, diagnosed, measured, theta
+
+NAMES = (
+    "flow_switching", "valve_asymmetry", "valve_second_order", "two_rate_valve", "finite_stroke",
+    "dead_volume", "axial_dispersion", "flow_settling", "flow_error", "sensor_diffusion",
+    "sorption_asymmetry", "slow_sorption", "optical_nonlinearity", "baseline_drift",
+    "baseline_step", "gain_drift", "carry_over", "mains_pickup", "daq_filter", "heavy_tails",
+    "quantisation",
+)  # fmt: skip
+
+
+def test_the_catalogue_is_the_contract():
+    assert tuple(CATALOGUE) == NAMES
+    for name, effect in CATALOGUE.items():
+        assert effect.name == name
+        assert effect.plausible and effect.null and effect.reference and effect.reveal
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_nothing_is_named_where_nothing_is_wrong(seed):
+    gap = diagnosed("none", seed=seed)
+    assert gap.verdict.kind == "none"
+    assert gap.budget["p_value"] > 0.01
+    assert gap.shrink.closure.withheld
+    low, high = gap.hidden.tau_envelope_s
+    assert low < 0.06 < high
+
+
+# strengths at which these four short records show the effect well
+@pytest.mark.parametrize(
+    ("effect", "strength"),
+    [
+        ("valve_asymmetry", 1.25),
+        ("flow_switching", 1.0),
+        ("dead_volume", 0.25),
+        ("two_rate_valve", 0.06),
+        ("finite_stroke", 2.0),
+        ("flow_error", 1.15),
+        ("optical_nonlinearity", 0.06),
+        ("baseline_drift", 1.2e-3),
+        ("baseline_step", 0.03),
+        ("gain_drift", 1.2e-3),
+        ("carry_over", 0.06),
+        ("heavy_tails", 3.0),
+        ("quantisation", 0.03),
+    ],
+)
+def test_a_visible_effect_or_its_family_is_named(effect, strength):
+    gap = diagnosed(effect, strength)
+    row = gap.which.set_index("effect").loc[effect]
+    family = CATALOGUE[effect].family
+    assert gap.verdict.kind in ("effect", "family")
+    assert {CATALOGUE[n].family for n in gap.verdict.effects} >= {family}
+    assert gap.standing.families[family] > 0.8
+    if gap.verdict.kind == "effect":
+        assert gap.verdict.probability > NAMED
+    if CATALOGUE[effect].on_mean:
+        assert gap.shrink.closure.fraction > 0.8
+        assert gap.budget["p_value"] < 0.01
+        assert row["d"] > 5
+    assert gap.verdict.sentence[0].isupper() and gap.verdict.sentence.endswith(".")
+
+
+def test_fitted_strengths_are_the_true_ones():
+    strength = diagnosed("valve_asymmetry", 1.25).which.set_index("effect").strength
+    assert strength["valve_asymmetry"]["closing_ratio"] == pytest.approx(1.25, abs=0.03)
+    strength = diagnosed("quantisation", 0.03).which.set_index("effect").strength["quantisation"]
+    assert strength["adc_step"] == pytest.approx(0.03, rel=1e-6)
+
+
+def test_the_mains_amplitude_is_estimated_also_where_they_are_folded():
+    for interval in (0.004, 0.012):  # 250 Hz; 83 Hz, where 50 Hz appears at 33 Hz
+        campaign = measured({"mains_pickup": 0.01}, seed=2, n=2, interval=interval)
+        gap = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)
+        strength = gap.which.set_index("effect").strength["mains_pickup"]
+        assert gap.verdict.effects == ("mains_pickup",)
+        assert strength["mains_V"] == pytest.approx(0.01, rel=0.15)
+        assert strength["mains_Hz"] == 50.0
+
+
+def test_an_unlisted_cause_is_not_given_a_name():
+    campaign = measured({}, seed=4)
+    values = {}
+    for e in campaign:  # a valve that couples into the signal for a moment at both commands
+        since = [e.t - e.commanded_on, e.t - e.commanded_off]
+        pulse = sum(np.where(s > 0, np.exp(-np.maximum(s, 0) / 0.4), 0.0) for s in since)
+        values[e.name] = e.values + 0.06 * pulse
+    gap = diagnose_gap(campaign.with_data(values), bootstrap=0, separate=False)
+    assert gap.verdict.kind == "unlisted"
+    assert gap.verdict.effects == ()
+    phases = gap.where.groupby("phase")["share"].sum()
+    assert phases["onset"] + phases["fall"] + phases["rise"] > 0.8
+
+
+def test_a_withheld_effect_is_never_named_with_confidence():
+    campaign = measured({"valve_asymmetry": 1.25}, seed=1)
+    gap = diagnose_gap(
+        campaign, without=["valve_asymmetry"], bootstrap=0, hidden=False, separate=False
+    )
+    assert "valve_asymmetry" not in set(gap.which.effect)
+    assert gap.verdict.kind == "unlisted" or (
+        {CATALOGUE[n].family for n in gap.verdict.effects} == {"asymmetry"}
+    )
+
+
+def test_two_effects_of_different_families_are_found():
+    campaign = measured({"valve_asymmetry": 1.25, "baseline_drift": 4e-4}, seed=2)
+    gap = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)
+    families = {CATALOGUE[n].family for n in gap.verdict.effects}
+    assert families == {"asymmetry", "baseline"}
+    assert "+" in gap.which.effect.iloc[0]
+    assert gap.rounds[0].p_left > 0.01
+
+
+def test_an_effect_of_the_mean_and_one_of_the_noise_stand_together():
+    campaign = measured({"valve_asymmetry": 1.3, "mains_pickup": 0.02}, seed=2)
+    gap = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)
+    assert "mains_pickup" in gap.verdict.effects
+    assert any(CATALOGUE[n].family == "asymmetry" for n in gap.verdict.effects)
+
+
+# --- the record
+
+
+def test_gap_json_has_the_contract_keys():
+    gap = diagnosed("valve_asymmetry", 1.25)
+    record = json.loads(json.dumps(gap.to_json(), allow_nan=False))
+    assert {"budget", "where", "which", "verdict", "shrink", "hidden"} <= set(record)
+    assert {"calibrated_rms_V", "noise_floor_rms_V", "excess_rms_V", "excess_d", "p_value",
+            "nominal_rms_V"} <= set(record["budget"])  # fmt: skip
+    for cell in record["where"]:
+        assert {"experiment", "phase", "t_start_s", "t_end_s", "excess_rms_V", "share",
+                "p_value"} <= set(cell)  # fmt: skip
+        assert cell["phase"] in PHASES and cell["t_start_s"] < cell["t_end_s"]
+    assert sum(c["share"] for c in record["where"]) == pytest.approx(1.0)
+    names = [row["effect"] for row in record["which"]]
+    assert {"none", "unlisted", *NAMES} <= set(names) and len(names) == len(set(names))
+    assert sum(row["probability"] for row in record["which"]) == pytest.approx(1.0)
+    for row in record["which"]:
+        assert {"effect", "family", "probability", "d", "strength", "tau_s", "fraction_closed",
+                "confusable_with"} <= set(row)  # fmt: skip
+    assert {"kind", "effects", "family", "probability", "sentence"} <= set(record["verdict"])
+    assert {"before_excess_rms_V", "after_excess_rms_V", "fraction_closed", "fraction_closed_lo",
+            "fraction_closed_hi", "held_out_fraction_closed", "tau_before_s", "tau_after_s",
+            "withheld"} <= set(record["shrink"])  # fmt: skip
+    assert {e["effect"] for e in record["hidden"]["effects"]} <= set(NAMES)
+    low, high = record["hidden"]["tau_envelope_s"]
+    assert 0 < low < high
+
+
+def test_nothing_is_shared_out_where_nothing_exceeds_the_floor():
+    assert diagnosed("none", seed=1).where.share.sum() == 0.0
+
+
+def test_effects_of_the_noise_have_no_d():
+    rows = diagnosed("none", seed=1).which.set_index("effect")
+    assert np.isnan(rows.d["heavy_tails"]) and np.isnan(rows.d["quantisation"])
+
+
+def test_the_same_seed_gives_the_same_record():
+    campaign = measured({"dead_volume": 0.2}, seed=6)
+    fit = bs.fit_least_squares(campaign, seed=1, euler=False)
+    records = [
+        diagnose_gap(campaign, fit, seed=3, bootstrap=10, separate=False).to_json()
+        for _ in range(2)
+    ]
+    assert records[0] == records[1]
+
+
+def test_closure_and_held_out_agree_where_the_cause_is_right():
+    gap = diagnosed("flow_switching", 1.0)
+    closed = gap.shrink.closure
+    assert closed.low < closed.fraction < closed.high
+    assert closed.after_V < closed.before_V
+    assert gap.shrink.held_out_fraction_closed == pytest.approx(closed.fraction, abs=0.25)
+
+
+def test_look_alikes_are_listed_with_what_would_separate_them():
+    campaign = measured({"slow_sorption": 0.05}, seed=1)
+    gap = diagnose_gap(campaign, bootstrap=0, hidden=False)
+    rows = gap.which.set_index("effect")
+    assert "two_rate_valve" in rows.confusable_with["slow_sorption"]
+    (first, *_) = gap.separations
+    assert first.isolability < 3.0
+    assert gap.verdict.kind == "family" and len(gap.verdict.effects) <= 5
+
+
+def test_nominal_parameters_fill_the_budget():
+    campaign = measured({}, seed=1)
+    nominal = {**theta(campaign), "V_mL": 80.0}
+    gap = diagnose_gap(campaign, nominal=nominal, bootstrap=0, hidden=False, separate=False)
+    assert gap.budget["nominal_rms_V"] > gap.budget["calibrated_rms_V"]
+    floor, calibrated = gap.budget["noise_floor_rms_V"], gap.budget["calibrated_rms_V"]
+    assert floor == pytest.approx(calibrated, rel=0.05)
+
+
+# --- what may hide
+
+
+def test_hidden_effects_shift_tau_without_a_trace():
+    gap = diagnosed("none", seed=1)
+    table = gap.hidden.table.set_index("effect")
+    assert table.d["sensor_diffusion"] < 3 and table.d["daq_filter"] < 3
+    assert table.d["slow_sorption"] > 3
+    assert table.tau_shift_s["valve_second_order"] > 0.01  # inertia looks like a slower sensor
+
+
+# --- robustness
+
+
+def test_one_experiment_step_up_only():
+    plan = design(1, fall=False)
+    campaign = simulate(plan, theta(plan), seed=1)
+    gap = diagnose_gap(campaign, bootstrap=0, separate=False)
+    assert gap.verdict.kind == "none"
+    assert gap.shrink.held_out_fraction_closed is None
+    text = " ".join(gap.notes)
+    assert "No step down" in text and "One experiment" in text
+    assert set(gap.where.phase) <= {"baseline", "onset", "rise", "plateau"}
+
+
+def test_without_commanded_times_and_with_unequal_intervals():
+    plan = design(3)
+    t = np.arange(1500) * 0.04
+    experiments = list(plan.experiments)
+    experiments[1] = replace(experiments[1], t=t, mask=None, interval=0.04)
+    plan = replace(plan, experiments=tuple(experiments))
+    campaign = simulate(plan, theta(plan), seed=2)
+    campaign = replace(
+        campaign,
+        experiments=tuple(replace(e, commanded_on=None, commanded_off=None) for e in campaign),
+    )
+    gap = diagnose_gap(campaign, bootstrap=0, separate=False, hidden=False)
+    assert gap.verdict.kind in ("none", "unlisted")
+    assert any("commanded" in note for note in gap.notes)
+
+
+def test_masked_and_spoilt_samples_do_not_name_anything():
+    campaign = measured({}, seed=8)
+    rng = np.random.default_rng(1)
+    experiments = []
+    for e in campaign:
+        y = e.values.copy()
+        y[rng.integers(0, len(y), 5)] += 2.0
+        used = np.ones(len(y), dtype=bool)
+        used[2000:2200] = False
+        experiments.append(replace(e, y=y, mask=used))
+    campaign = replace(campaign, experiments=tuple(experiments))
+    gap = diagnose_gap(campaign, bootstrap=0, separate=False, hidden=False)
+    assert gap.budget["spikes_replaced"] >= 15
+    assert gap.verdict.kind == "none" or set(gap.verdict.effects) <= {"heavy_tails"}
+
+
+def test_whiteness_of_an_ar1_and_of_something_else():
+    rng = np.random.default_rng(1)
+    e = rng.standard_normal(20_000)
+    ar1 = np.zeros_like(e)
+    for i in range(1, len(e)):
+        ar1[i] = 0.7 * ar1[i - 1] + e[i]
+    assert ar1_whiteness([ar1]) > 0.001
+    assert ar1_whiteness([e[2:] + 0.5 * e[:-2]]) < 1e-6
+
+
+# --- errors and own effects
+
+
+def test_bad_requests_are_explained():
+    plan = design(2)
+    with pytest.raises(CampaignError, match="design without data"):
+        diagnose_gap(plan)
+    campaign = simulate(plan, theta(plan), seed=1)
+    with pytest.raises(CampaignError, match="did you mean 'flow_error'"):
+        diagnose_gap(campaign, without=["flow_eror"])
+    with pytest.raises(CampaignError, match="already in the catalogue"):
+        diagnose_gap(campaign, effects=[CATALOGUE["flow_error"]])
+    with pytest.raises(CampaignError, match="between"):
+        simulate_with_effects(plan, theta(plan), {"axial_dispersion": 0.9})
+    with pytest.raises(CampaignError, match="degrees of freedom"):
+        simulate_with_effects(plan, theta(plan), {"heavy_tails": 1.5})
+
+
+def ripple(t, strength, rig):
+    """A wave that begins with the gas."""
+    since = np.maximum(t - rig.t0, 0.0)
+    return rig.mean(t) + strength["ripple_V"] * np.sin(2 * np.pi * since / 9.0) * (t > rig.t0)
+
+
+RIPPLE = own_effect(
+    "ripple", [Strength("ripple_V", "V", "normal", 0.0, 0.02)], ripple, plausible={"ripple_V": 0.02}
+)
+
+
+def test_an_effect_of_ones_own_is_named():
+    campaign = measured({}, seed=9)
+    values = {}
+    for e in campaign:
+        since = np.maximum(e.t - e.commanded_on - 0.8, 0.0)
+        values[e.name] = e.values + 0.02 * np.sin(2 * np.pi * since / 9.0)
+    campaign = campaign.with_data(values)
+    with_it = diagnose_gap(campaign, effects=[RIPPLE], bootstrap=0, hidden=False, separate=False)
+    assert with_it.verdict.kind == "effect" and with_it.verdict.effects == ("ripple",)
+    without = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)
+    # a wave on the plateau alone also raises the floor: nothing may be named, whatever is seen
+    assert without.verdict.effects == ()
+
+
+def test_own_effects_are_read_from_a_file(tmp_path):
+    path = tmp_path / "leak.py"
+    path.write_text(
+        "from bayes_sensor.gap import Strength, own_effect\n"
+        "LEAK = own_effect('leak', [Strength('leak_V', 'V', 'normal', 0.0, 0.02)],\n"
+        "    lambda t, s, rig: rig.mean(t) + s['leak_V'] * (t > rig.t0),\n"
+        "    plausible={'leak_V': 0.02})\n"
+    )
+    (effect,) = read_effects(path)
+    assert effect.name == "leak"
+    path.write_text("x = 1\n")
+    with pytest.raises(CampaignError, match="defines no effect"):
+        read_effects(path)
+    path.write_text("raise RuntimeError('no')\n")
+    with pytest.raises(CampaignError, match="RuntimeError: no"):
+        read_effects(path)
+    with pytest.raises(CampaignError, match="no such file"):
+        read_effects(tmp_path / "other.py")
+
+
+# --- simulation
+
+
+def test_simulation_without_effects_is_the_models():
+    plan = design(2)
+    one, _ = simulate_with_effects(plan, theta(plan), {}, seed=4)
+    other = simulate(plan, theta(plan), seed=4)
+    for a, b in zip(one, other, strict=True):
+        assert np.allclose(a.values, b.values, atol=1e-12)
+
+
+def test_every_effect_can_be_simulated_and_changes_the_record():
+    plan = design(2)
+    plain, _ = simulate_with_effects(plan, theta(plan), {}, seed=4)
+    for name in NAMES:
+        made, strengths = simulate_with_effects(plan, theta(plan), {name: None}, seed=4)
+        away = max(np.max(np.abs(a.values - b.values)) for a, b in zip(made, plain, strict=True))
+        assert away > 1e-4, name
+        assert set(strengths[name]) == set(CATALOGUE[name].plausible)
+
+
+def test_plausible_strengths_follow_the_rig():
+    from bayes_sensor.gap.model import Scales
+
+    slow = Scales(time_scale=8.577, reference_flow=100.0, signal_scale=1.88, duration=1200.0)
+    assert default_strengths("finite_stroke", slow)["stroke"] == pytest.approx(3.0)
+    assert default_strengths("gain_drift", slow)["gain_drift"] == pytest.approx(1e-5)
+    assert default_strengths("valve_asymmetry", slow)["closing_ratio"] == 1.1
