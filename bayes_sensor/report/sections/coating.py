@@ -9,7 +9,6 @@ from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import number, powers, with_spread
 
-
 TOLERANCE_WORDS = {
     "d_pdms": "diffusivity of PDMS",
     "thickness_zif8": "thickness of ZIF-8",
