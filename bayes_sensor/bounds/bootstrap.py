@@ -140,21 +140,21 @@ def _to_nodes(
     kind: IntArray,
     offset: IntArray,
     table: FloatArray,
-    moments: FloatArray,
+    sums: FloatArray,
 ) -> None:  # pragma: no cover - compiled
-    # moments (n_blocks, 5, K): entry 1 becomes the Lagrange-weighted sums of r
+    # sums (n_blocks, K): filled with the Lagrange-weighted sums of r
     for b in range(len(start)):
         for q in range(K):
-            moments[b, 1, q] = 0.0
+            sums[b, q] = 0.0
         if kind[b] == 0:
             for i in range(count[b]):
-                moments[b, 1, i] = r[start[b] + i]
+                sums[b, i] = r[start[b] + i]
             continue
         o = offset[kind[b]]
         for i in range(count[b]):
             value = r[start[b] + i]
             for q in range(K):
-                moments[b, 1, q] += table[o + i, q] * value
+                sums[b, q] += table[o + i, q] * value
 
 
 def stationary_indices(
@@ -236,7 +236,8 @@ def resample_and_refit(
     )
     surface = Surface(compressed)
     mesh = compressed.arrays
-    mesh.moments[:, 1:] = 0.0
+    mesh.moments[1:] = 0.0
+    node_sums = mesh.moments[1].reshape(-1, K)
     vector = theta.copy()
     noise = problem.layout.noise
     vector[noise] = evidence.theta[noise]
@@ -266,9 +267,7 @@ def resample_and_refit(
             r = residuals[k]
             _recolour(index, own.e, own.scale, e.runs, own.across, own.phi, r)
             part = slice(mesh.blocks[k], mesh.blocks[k + 1])
-            _to_nodes(
-                r, starts[k], counts[k], mesh.kind[part], offset, table, mesh.moments[part]
-            )  # fmt: skip
+            _to_nodes(r, starts[k], counts[k], mesh.kind[part], offset, table, node_sums[part])
             runs = slice(mesh.runs[k], mesh.runs[k + 1])
             edges = np.stack([e.runs[:, 0], e.runs[:, 1] - 1], axis=1)
             mesh.edge_y[runs] = (means[k] + r)[edges]

@@ -20,6 +20,11 @@ K = 8
 """nodes per block"""
 COINCIDENT = 1e-3
 """relative distance of time constants below which partial fractions give way to the stable form"""
+FAR = 40.0
+"""slowest time constants after which the response at an edge sample is 1: e^-40 is 4e-18"""
+OVER = 1e-17
+"""exponentials below this count as zero: with the least entry of the tables, 1e-290, they would
+become denormal numbers, which cost a hundred times as much"""
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 CHEBYSHEV = 0.5 - 0.5 * np.cos((2 * np.arange(K) + 1) * pi / (2 * K))
 _OFFSETS = np.stack([np.arange(K) + 0.5, CHEBYSHEV])  # in samples, and in block widths
@@ -37,9 +42,10 @@ class Arrays(NamedTuple):
     base: np.ndarray  # (n_blocks,) s, half a sample before the block's first sample
     kind: np.ndarray  # (n_blocks,) 0: pointwise; k: 8 2^k samples
     follows: np.ndarray  # (n_blocks,) whether the block starts where the previous one ends
-    moments: np.ndarray  # (n_blocks, 5, K) of 1, d, d_lag, d^2, d d_lag
-    reference: np.ndarray  # (n_blocks, 2, K) reference mean at the node and one sample before
-    reference_s2: np.ndarray  # (n_blocks, K)
+    time: np.ndarray  # (n_nodes,) s; the nodes of all blocks in a row, K each
+    moments: np.ndarray  # (5, n_nodes) of 1, d, d_lag, d^2, d d_lag
+    reference: np.ndarray  # (2, n_nodes) reference mean at the node and one sample before
+    reference_s2: np.ndarray  # (n_nodes,)
     log_s2: np.ndarray  # (n_exp,) sum of the reference log s^2 over the blocks' samples
     edge_t: np.ndarray  # (n_runs, 2) s, first and last sample of each run
     edge_y: np.ndarray  # (n_runs, 2)
@@ -48,6 +54,21 @@ class Arrays(NamedTuple):
     low: np.ndarray  # (n_theta,) region of the mesh
     high: np.ndarray  # (n_theta,)
     n_kinds: int
+
+
+class Room(NamedTuple):
+    """Scratch for one evaluation, so that none is allocated inside."""
+
+    x: np.ndarray  # (n_nodes,) response at the nodes
+    xl: np.ndarray  # (n_nodes,) and one sample before them
+    E_on: np.ndarray  # (3, n_nodes) exponentials since the step up
+    E_off: np.ndarray  # (3, n_nodes) .. and since the step down
+
+
+def make_room(n_nodes: int) -> Room:
+    """Scratch for a mesh of so many nodes."""
+    one, three = (n_nodes,), (3, n_nodes)
+    return Room(np.zeros(one), np.zeros(one), np.zeros(three), np.zeros(three))
 
 
 @njit(cache=True, error_model="numpy")
@@ -90,100 +111,114 @@ def _tables(h, taus, n_kinds, table, stride):  # pragma: no cover - compiled
     # a step inside a block (see least in mesh.py) still meets its inverse here
 
 
-@njit(cache=True, error_model="numpy")
-def _node_time(base, kind, h, q):  # pragma: no cover - compiled
-    if kind == 0:
-        return base + (q + 0.5) * h
-    return base + 8.0 * 2.0**kind * h * CHEBYSHEV[q]
-
-
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _add_edge(
-    first, last, base, kind, follows, h, taus, c, edge, sign, table, stride, x, xl, E
+    first, last, base, time, kind, follows, h, taus, c, edge, sign, table, stride, x, xl, E
 ):  # pragma: no cover - compiled
-    # Adds sign * x3(t - edge) at the nodes to x and at one sample before them to xl, and keeps the
-    # three exponentials in E (n_blocks, 3, K), zero where the step has not come yet.
+    # Adds sign * x3(t - edge) at the nodes to x and at one sample before them to xl.  Keeps the
+    # three exponentials in E (3, n_nodes) where the step acts: from the block in which it comes
+    # to that before which it is over; returns these two blocks.
     l0, l1, l2 = exp(h / taus[0]) * c[0], exp(h / taus[1]) * c[1], exp(h / taus[2]) * c[2]
     e0 = e1 = e2 = 0.0
-    active = False
+    begin, end = last, last
     for b in range(first, last):
         k = kind[b]
-        width = 8.0 * 2.0**k * h
-        if base[b] + width <= edge:
-            E[b, :, :] = 0.0
+        if base[b] + 8.0 * 2.0**k * h <= edge:
             continue
         s = base[b] - edge
-        if active and follows[b]:
+        if begin < last and follows[b]:
             step = kind[b - 1]
             e0 *= stride[step, 0]
             e1 *= stride[step, 1]
             e2 *= stride[step, 2]
         else:
             e0, e1, e2 = exp(-s / taus[0]), exp(-s / taus[1]), exp(-s / taus[2])
-            active = True
-        if e0 < 1e-150:
+        if begin == last:
+            begin = b
+        if e0 < OVER:
             e0 = 0.0
-        if e1 < 1e-150:
+        if e1 < OVER:
             e1 = 0.0
-        if e2 < 1e-150:
+        if e2 < OVER:
             e2 = 0.0
+        i = b * K
+        if s >= h and e0 + e1 + e2 == 0.0:
+            end = b
+            for j in range(i, last * K):
+                x[j] += sign
+                xl[j] += sign
+            break
+        here, before = x[i : i + K], xl[i : i + K]
+        E0, E1, E2 = E[0, i : i + K], E[1, i : i + K], E[2, i : i + K]
         if s < h:
             for q in range(K):
-                u = _node_time(base[b], k, h, q) - edge
+                u = time[i + q] - edge
                 f0, f1, f2 = e0 * table[k, 0, q], e1 * table[k, 1, q], e2 * table[k, 2, q]
                 if u <= 0.0:
                     f0 = f1 = f2 = 0.0
                 else:
-                    x[b, q] += sign * (1.0 - (c[0] * f0 + c[1] * f1 + c[2] * f2))
+                    here[q] += sign * (1.0 - (c[0] * f0 + c[1] * f1 + c[2] * f2))
                     if u > h:
-                        xl[b, q] += sign * (1.0 - (l0 * f0 + l1 * f1 + l2 * f2))
-                E[b, 0, q], E[b, 1, q], E[b, 2, q] = f0, f1, f2
+                        before[q] += sign * (1.0 - (l0 * f0 + l1 * f1 + l2 * f2))
+                E0[q], E1[q], E2[q] = f0, f1, f2
         else:
             for q in range(K):
                 f0, f1, f2 = e0 * table[k, 0, q], e1 * table[k, 1, q], e2 * table[k, 2, q]
-                x[b, q] += sign * (1.0 - (c[0] * f0 + c[1] * f1 + c[2] * f2))
-                xl[b, q] += sign * (1.0 - (l0 * f0 + l1 * f1 + l2 * f2))
-                E[b, 0, q], E[b, 1, q], E[b, 2, q] = f0, f1, f2
+                here[q] += sign * (1.0 - (c[0] * f0 + c[1] * f1 + c[2] * f2))
+                before[q] += sign * (1.0 - (l0 * f0 + l1 * f1 + l2 * f2))
+                E0[q], E1[q], E2[q] = f0, f1, f2
+    return begin, end
 
 
 @njit(cache=True, error_model="numpy")
-def _stable_edge(
-    first, last, base, kind, h, rates, edge, sign, x, xl
-):  # pragma: no cover - compiled
-    for b in range(first, last):
-        for q in range(K):
-            u = _node_time(base[b], kind[b], h, q) - edge
-            x[b, q] += sign * step_response(u, rates)
-            xl[b, q] += sign * step_response(u - h, rates)
+def _stable_edge(first, last, time, h, rates, edge, sign, x, xl):  # pragma: no cover - compiled
+    for i in range(first * K, last * K):
+        u = time[i] - edge
+        x[i] += sign * step_response(u, rates)
+        xl[i] += sign * step_response(u - h, rates)
+
+
+@njit(cache=True, error_model="numpy")
+def _logarithms(n, s2r, x, v0, v1):  # pragma: no cover - compiled
+    # change of sum log s^2 where the series in the loops below would not do
+    change = 0.0
+    for i in range(len(n)):
+        change += n[i] * log((v0 + v1 * x[i]) / s2r[i])
+    return change
+
+
+# The loops over nodes below store nothing and run over slices, whose indices cannot be negative,
+# so that the compiler takes several nodes at a time.
+# log s^2 is taken as 2 atanh(z), z = (s2 - s2r)/(s2 + s2r), by its series; ``tail`` tells whether
+# what the series leaves out would show.
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1):  # pragma: no cover
     # A = sum r_i^2, B = sum r_i r_(i-1), change of sum log s^2, over the blocks' samples
     A = B = change = tail = 0.0
-    for b in range(first, last):
-        for q in range(K):
-            d = y0 + beta * x[b, q] - reference[b, 0, q]
-            dl = y0 + beta * xl[b, q] - reference[b, 1, q]
-            s2 = v0 + v1 * x[b, q]
-            s2l = v0 + v1 * xl[b, q]
-            n, m1, m2 = moments[b, 0, q], moments[b, 1, q], moments[b, 2, q]
-            both = s2 * s2l
-            around = s2 + s2r[b, q]
-            inverse = 1.0 / (both * around)  # one division serves 1/s^2, 1/(s s_lag) and z
-            A += (moments[b, 3, q] - 2.0 * d * m1 + d * d * n) * (inverse * around * s2l)
-            B += (moments[b, 4, q] - d * m2 - dl * m1 + d * dl * n) * (
-                inverse * around * sqrt(both)
-            )
-            z = (s2 - s2r[b, q]) * (inverse * both)
-            z2 = z * z
-            tail += n * z2 * z2 * z2 * z2 * z2
-            change += n * 2.0 * z * (1.0 + z2 * (1 / 3 + z2 * (0.2 + z2 * (1 / 7 + z2 / 9))))
-    if tail > 1e-7:  # what the series leaves out would show; take logarithms
-        change = 0.0
-        for b in range(first, last):
-            for q in range(K):
-                change += moments[b, 0, q] * log((v0 + v1 * x[b, q]) / s2r[b, q])
+    i, j = first * K, last * K
+    m0, m1, m2 = moments[0, i:j], moments[1, i:j], moments[2, i:j]
+    m3, m4 = moments[3, i:j], moments[4, i:j]
+    ref, ref_l, ref_s2 = reference[0, i:j], reference[1, i:j], s2r[i:j]
+    on, before = x[i:j], xl[i:j]
+    for i in range(len(m0)):
+        d = y0 + beta * on[i] - ref[i]
+        dl = y0 + beta * before[i] - ref_l[i]
+        s2 = v0 + v1 * on[i]
+        s2l = v0 + v1 * before[i]
+        n = m0[i]
+        both = s2 * s2l
+        around = s2 + ref_s2[i]
+        inverse = 1.0 / (both * around)  # one division serves 1/s^2, 1/(s s_lag) and z
+        A += (m3[i] - 2.0 * d * m1[i] + d * d * n) * (inverse * around * s2l)
+        B += (m4[i] - d * m2[i] - dl * m1[i] + d * dl * n) * (inverse * around * sqrt(both))
+        z = (s2 - ref_s2[i]) * (inverse * both)
+        z2 = z * z
+        tail += n * z2 * z2 * z2 * z2 * z2
+        change += n * 2.0 * z * (1.0 + z2 * (1 / 3 + z2 * (0.2 + z2 * (1 / 7 + z2 / 9))))
+    if tail > 1e-7:
+        change = _logarithms(m0, ref_s2, on, v0, v1)
     return A, B, change
 
 
@@ -193,134 +228,177 @@ def _gram_sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1, A,
     ee = e1 = ex = oo = ox = xx = 0.0
     bee = be1 = bex = boo = box = bxx = 0.0
     change = tail = 0.0
-    for b in range(first, last):  # pragma: no cover - compiled
-        for q in range(K):
-            u, ul = x[b, q], xl[b, q]
-            d = y0 + beta * u - reference[b, 0, q]
-            dl = y0 + beta * ul - reference[b, 1, q]
-            s2 = v0 + v1 * u
-            s2l = v0 + v1 * ul
-            n, m1, m2 = moments[b, 0, q], moments[b, 1, q], moments[b, 2, q]
-            both = s2 * s2l
-            around = s2 + s2r[b, q]
-            inverse = 1.0 / (both * around)
-            w = inverse * around * s2l
-            p = inverse * around * sqrt(both)
-            r, rl = m1 - d * n, m2 - dl * n
-            ee += (moments[b, 3, q] - 2.0 * d * m1 + d * d * n) * w
-            e1 += r * w
-            ex += r * u * w
-            oo += n * w
-            ox += n * u * w
-            xx += n * u * u * w
-            bee += (moments[b, 4, q] - d * m2 - dl * m1 + d * dl * n) * p
-            be1 += 0.5 * (r + rl) * p
-            bex += 0.5 * (r * ul + rl * u) * p
-            boo += n * p
-            box += 0.5 * n * (u + ul) * p
-            bxx += n * u * ul * p
-            z = (s2 - s2r[b, q]) * (inverse * both)
-            z2 = z * z
-            tail += n * z2 * z2 * z2 * z2 * z2
-            change += n * 2.0 * z * (1.0 + z2 * (1 / 3 + z2 * (0.2 + z2 * (1 / 7 + z2 / 9))))
+    i, j = first * K, last * K
+    m0, m1, m2 = moments[0, i:j], moments[1, i:j], moments[2, i:j]
+    m3, m4 = moments[3, i:j], moments[4, i:j]
+    ref, ref_l, ref_s2 = reference[0, i:j], reference[1, i:j], s2r[i:j]
+    on, before = x[i:j], xl[i:j]
+    for i in range(len(m0)):  # pragma: no cover - compiled
+        u, ul = on[i], before[i]
+        d = y0 + beta * u - ref[i]
+        dl = y0 + beta * ul - ref_l[i]
+        s2 = v0 + v1 * u
+        s2l = v0 + v1 * ul
+        n = m0[i]
+        both = s2 * s2l
+        around = s2 + ref_s2[i]
+        inverse = 1.0 / (both * around)
+        w = inverse * around * s2l
+        p = inverse * around * sqrt(both)
+        r, rl = m1[i] - d * n, m2[i] - dl * n
+        ee += (m3[i] - 2.0 * d * m1[i] + d * d * n) * w
+        e1 += r * w
+        ex += r * u * w
+        oo += n * w
+        ox += n * u * w
+        xx += n * u * u * w
+        bee += (m4[i] - d * m2[i] - dl * m1[i] + d * dl * n) * p
+        be1 += 0.5 * (r + rl) * p
+        bex += 0.5 * (r * ul + rl * u) * p
+        boo += n * p
+        box += 0.5 * n * (u + ul) * p
+        bxx += n * u * ul * p
+        z = (s2 - ref_s2[i]) * (inverse * both)
+        z2 = z * z
+        tail += n * z2 * z2 * z2 * z2 * z2
+        change += n * 2.0 * z * (1.0 + z2 * (1 / 3 + z2 * (0.2 + z2 * (1 / 7 + z2 / 9))))
     if tail > 1e-7:
-        change = 0.0
-        for b in range(first, last):
-            for q in range(K):
-                change += moments[b, 0, q] * log((v0 + v1 * x[b, q]) / s2r[b, q])
+        change = _logarithms(m0, ref_s2, on, v0, v1)
     A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2] = ee, e1, ex, oo, ox, xx
     B[0, 0], B[0, 1], B[0, 2], B[1, 1], B[1, 2], B[2, 2] = bee, be1, bex, boo, box, bxx
     return change
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _gradient_sums(
-    first, last, base, kind, h, t0, tf, lag_on, moments, reference, s2r, x, xl, E_on, E_off,
-    y0, beta, v0, v1, phi, out,
+def _slopes(
+    first, last, time, edge, h, lags, E, moments, reference, s2r, x, xl,
+    y0, beta, v0, v1, phi, out, by_edge,
 ):  # fmt: skip  # pragma: no cover - compiled
-    # Besides A, B and the log term: out (16,) with the derivatives of log L by y0, beta, v0, v1
-    # and, for each edge, G_j = sum of E_j g and H_j = sum of s E_j g, g the derivative by x3.
-    # Nothing is stored inside the loop, so that it runs several nodes at a time.
+    # Adds A, B, change, tail and the derivatives of log L by y0, beta, v0, v1 to out (8,), and to
+    # by_edge (6,) G_j = sum of E_j g and H_j = sum of s E_j g with g the derivative by x3, for
+    # the step at ``edge``, over blocks first .. last - 1.
     A = B = change = tail = 0.0
     g_y0 = g_beta = g_v0 = g_v1 = 0.0
-    P0 = P1 = P2 = R0 = R1 = R2 = 0.0
-    N0 = N1 = N2 = S0 = S1 = S2 = 0.0
+    P0 = P1 = P2 = R0 = R1 = R2 = T0 = T1 = T2 = 0.0
     a = -0.5 * (1.0 + phi * phi) / (1.0 - phi * phi)
     c = phi / (1.0 - phi * phi)
-    l0, l1, l2 = lag_on[0], lag_on[1], lag_on[2]
-    for b in range(first, last):
-        k = kind[b]
-        width = 8.0 * 2.0**k * h
-        unit = h if k == 0 else width
-        row = min(k, 1)
-        start, start_off = base[b] - t0, base[b] - tf
-        on_mixed = -width < start < h
-        off_mixed = -width < start_off < h
-        for q in range(K):
-            u, ul = x[b, q], xl[b, q]
-            d = y0 + beta * u - reference[b, 0, q]
-            dl = y0 + beta * ul - reference[b, 1, q]
-            s2 = v0 + v1 * u
-            s2l = v0 + v1 * ul
-            n, m1, m2 = moments[b, 0, q], moments[b, 1, q], moments[b, 2, q]
-            both = s2 * s2l
-            around = s2 + s2r[b, q]
-            inverse = 1.0 / (both * around)
-            w = inverse * around * s2l
-            wl = inverse * around * s2
-            p = inverse * around * sqrt(both)
-            r = d * n - m1
-            rl = dl * n - m2
-            a_node = (moments[b, 3, q] - 2.0 * d * m1 + d * d * n) * w
-            b_node = (moments[b, 4, q] - d * m2 - dl * m1 + d * dl * n) * p
-            A += a_node
-            B += b_node
-            z = (s2 - s2r[b, q]) * (inverse * both)
-            z2 = z * z
-            tail += n * z2 * z2 * z2 * z2 * z2
-            change += n * 2.0 * z * (1.0 + z2 * (1 / 3 + z2 * (0.2 + z2 * (1 / 7 + z2 / 9))))
-            g_m = 2.0 * a * w * r + c * p * rl
-            g_ml = c * p * r
-            g_s = (-a * a_node - 0.5 * c * b_node - 0.5 * n) * w
-            g_sl = -0.5 * c * b_node * wl
-            g_y0 += g_m + g_ml
-            g_beta += g_m * u + g_ml * ul
-            g_v0 += g_s + g_sl
-            g_v1 += g_s * u + g_sl * ul
-            g = beta * g_m + v1 * g_s
-            gl = beta * g_ml + v1 * g_sl
-            s = start + unit * _OFFSETS[row, q]
-            sl = s - h
-            # one sample before a node just after the step, the step had not come yet
-            gl_on = gl
-            if on_mixed:
-                gl_on = gl if sl > 0.0 else 0.0
-            P0 += E_on[b, 0, q] * (g + l0 * gl_on)
-            P1 += E_on[b, 1, q] * (g + l1 * gl_on)
-            P2 += E_on[b, 2, q] * (g + l2 * gl_on)
-            R0 += E_on[b, 0, q] * (s * g + l0 * sl * gl_on)
-            R1 += E_on[b, 1, q] * (s * g + l1 * sl * gl_on)
-            R2 += E_on[b, 2, q] * (s * g + l2 * sl * gl_on)
-            s = start_off + unit * _OFFSETS[row, q]
-            sl = s - h
-            gl_off = gl
-            if off_mixed:
-                gl_off = gl if sl > 0.0 else 0.0
-            N0 += E_off[b, 0, q] * (g + l0 * gl_off)
-            N1 += E_off[b, 1, q] * (g + l1 * gl_off)
-            N2 += E_off[b, 2, q] * (g + l2 * gl_off)
-            S0 += E_off[b, 0, q] * (s * g + l0 * sl * gl_off)
-            S1 += E_off[b, 1, q] * (s * g + l1 * sl * gl_off)
-            S2 += E_off[b, 2, q] * (s * g + l2 * sl * gl_off)
-    if tail > 1e-7:
-        change = 0.0
-        for b in range(first, last):
-            for q in range(K):
-                change += moments[b, 0, q] * log((v0 + v1 * x[b, q]) / s2r[b, q])
-    out[0], out[1], out[2], out[3] = g_y0, g_beta, g_v0, g_v1
-    out[4], out[5], out[6], out[7], out[8], out[9] = P0, P1, P2, R0, R1, R2
-    out[10], out[11], out[12], out[13], out[14], out[15] = N0, N1, N2, S0, S1, S2
-    return A, B, change
+    l0, l1, l2 = lags[0], lags[1], lags[2]
+    i, j = first * K, last * K
+    m0, m1, m2 = moments[0, i:j], moments[1, i:j], moments[2, i:j]
+    m3, m4 = moments[3, i:j], moments[4, i:j]
+    ref, ref_l, ref_s2 = reference[0, i:j], reference[1, i:j], s2r[i:j]
+    on, before = x[i:j], xl[i:j]
+    t, E0, E1, E2 = time[i:j], E[0, i:j], E[1, i:j], E[2, i:j]
+    for i in range(len(m0)):
+        u, ul = on[i], before[i]
+        d = y0 + beta * u - ref[i]
+        dl = y0 + beta * ul - ref_l[i]
+        s2 = v0 + v1 * u
+        s2l = v0 + v1 * ul
+        n = m0[i]
+        both = s2 * s2l
+        around = s2 + ref_s2[i]
+        inverse = 1.0 / (both * around)
+        w = inverse * around * s2l
+        wl = inverse * around * s2
+        p = inverse * around * sqrt(both)
+        r = d * n - m1[i]
+        rl = dl * n - m2[i]
+        a_node = (m3[i] - 2.0 * d * m1[i] + d * d * n) * w
+        b_node = (m4[i] - d * m2[i] - dl * m1[i] + d * dl * n) * p
+        A += a_node
+        B += b_node
+        z = (s2 - ref_s2[i]) * (inverse * both)
+        z2 = z * z
+        tail += n * z2 * z2 * z2 * z2 * z2
+        change += n * 2.0 * z * (1.0 + z2 * (1 / 3 + z2 * (0.2 + z2 * (1 / 7 + z2 / 9))))
+        g_m = 2.0 * a * w * r + c * p * rl
+        g_ml = c * p * r
+        g_s = (-a * a_node - 0.5 * c * b_node - 0.5 * n) * w
+        g_sl = -0.5 * c * b_node * wl
+        g_y0 += g_m + g_ml
+        g_beta += g_m * u + g_ml * ul
+        g_v0 += g_s + g_sl
+        g_v1 += g_s * u + g_sl * ul
+        s = t[i] - edge
+        g = beta * g_m + v1 * g_s
+        # one sample before a node just after the step, the step had not come yet
+        gl = beta * g_ml + v1 * g_sl if s > h else 0.0
+        f0, f1, f2 = E0[i] * (g + l0 * gl), E1[i] * (g + l1 * gl), E2[i] * (g + l2 * gl)
+        P0 += f0
+        P1 += f1
+        P2 += f2
+        R0 += s * f0
+        R1 += s * f1
+        R2 += s * f2
+        T0 += E0[i] * gl
+        T1 += E1[i] * gl
+        T2 += E2[i] * gl
+    out[0] += A
+    out[1] += B
+    out[2] += change
+    out[3] += tail
+    out[4] += g_y0
+    out[5] += g_beta
+    out[6] += g_v0
+    out[7] += g_v1
+    by_edge[0] += P0
+    by_edge[1] += P1
+    by_edge[2] += P2
+    by_edge[3] += R0 - h * l0 * T0
+    by_edge[4] += R1 - h * l1 * T1
+    by_edge[5] += R2 - h * l2 * T2
+
+
+@njit(cache=True, error_model="numpy")
+def _clear(E, first, last):  # pragma: no cover - compiled
+    # (assigning to a slice of rows would cost ten times as much)
+    if first < last:
+        for row in E:
+            part = row[first * K : last * K]
+            for i in range(len(part)):
+                part[i] = 0.0
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _gradient_sums(
+    k, mesh, room, acts, t0, tf, lags, y0, beta, v0, v1, phi, out, by_on, by_off, unused
+):  # pragma: no cover - compiled
+    # A, B and change over the blocks of experiment k; out[4:8], by_on, by_off (6,): derivatives.
+    # acts: first and last block of either step's action; unused (8,): scratch
+    first, last = mesh.blocks[k], mesh.blocks[k + 1]
+    h = mesh.setting[k, 0]
+    data = (mesh.moments, mesh.reference, mesh.reference_s2, room.x, room.xl)
+    out[:] = 0.0
+    by_on[:] = 0.0
+    by_off[:] = 0.0
+    on_begin, on_end, off_begin, off_end = acts
+    # few long loops: each block goes to the step that acts there or, in the rest, to either
+    middle = min(max(off_begin, on_begin), last)
+    _clear(room.E_on, first, on_begin)
+    _clear(room.E_on, on_end, middle)
+    _slopes(
+        first, middle, mesh.time, t0, h, lags, room.E_on, *data, y0, beta, v0, v1, phi, out, by_on
+    )
+    _clear(room.E_off, middle, off_begin)
+    _clear(room.E_off, off_end, last)
+    _slopes(
+        middle, last, mesh.time, tf, h, lags, room.E_off, *data, y0, beta, v0, v1, phi, out, by_off
+    )
+    if on_end > middle:  # the step up still acts after the step down
+        _slopes(
+            middle, on_end, mesh.time, t0, h, lags, room.E_on, *data, y0, beta, v0, v1, phi,
+            unused, by_on,
+        )  # fmt: skip
+    if off_begin < middle:  # .. or was preceded by it
+        _slopes(
+            off_begin, min(off_end, middle), mesh.time, tf, h, lags, room.E_off, *data, y0, beta,
+            v0, v1, phi, unused, by_off,
+        )  # fmt: skip
+    if out[3] > 1e-7:
+        i, j = first * K, last * K
+        out[2] = _logarithms(mesh.moments[0, i:j], mesh.reference_s2[i:j], room.x[i:j], v0, v1)
+    return out[0], out[1], out[2]
 
 
 @njit(cache=True, error_model="numpy")
@@ -344,7 +422,7 @@ def _per_sample(phi_reference, steps):  # pragma: no cover - compiled
     return phi_reference**steps
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _constants(theta, k, mesh, taus):  # pragma: no cover - compiled
     # Time constants of experiment k (valve, manifold, sensor) and its two switch times.  A sensor
     # far faster than a block is replaced by a slower one with the same delay: exp(h/tau) would
@@ -363,47 +441,54 @@ def _constants(theta, k, mesh, taus):  # pragma: no cover - compiled
     return h, t0, tf
 
 
-@njit(cache=True, error_model="numpy")
-def _responses(k, mesh, taus, t0, tf, h, c, x, xl, E_on, E_off, table, stride):  # pragma: no cover
-    # x3 at the nodes and one sample before; False when the stable (slow) form was used
+@njit(cache=True, error_model="numpy", inline="always")
+def _responses(k, mesh, taus, t0, tf, h, c, room, table, stride):  # pragma: no cover - compiled
+    # x3 at the nodes and one sample before.  Returns whether partial fractions served (else the
+    # stable, slow form did), and the blocks between which either step acts.
     first, last = mesh.blocks[k], mesh.blocks[k + 1]
-    x[first:last] = 0.0
-    xl[first:last] = 0.0
+    room.x[first * K : last * K] = 0.0
+    room.xl[first * K : last * K] = 0.0
     if _partial_fractions(taus, c):
         _tables(h, taus, mesh.n_kinds, table, stride)
-        _add_edge(
-            first, last, mesh.base, mesh.kind, mesh.follows, h, taus, c, t0, 1.0, table, stride,
-            x, xl, E_on,
+        on_begin, on_end = _add_edge(
+            first, last, mesh.base, mesh.time, mesh.kind, mesh.follows, h, taus, c, t0, 1.0,
+            table, stride, room.x, room.xl, room.E_on,
         )  # fmt: skip
+        off_begin, off_end = last, last
         if tf < np.inf:
-            _add_edge(
-                first, last, mesh.base, mesh.kind, mesh.follows, h, taus, c, tf, -1.0, table,
-                stride, x, xl, E_off,
+            off_begin, off_end = _add_edge(
+                first, last, mesh.base, mesh.time, mesh.kind, mesh.follows, h, taus, c, tf, -1.0,
+                table, stride, room.x, room.xl, room.E_off,
             )  # fmt: skip
-        return True
+        return True, (on_begin, on_end, off_begin, off_end)
     rates = np.sort(1.0 / taus)
-    _stable_edge(first, last, mesh.base, mesh.kind, h, rates, t0, 1.0, x, xl)
+    _stable_edge(first, last, mesh.time, h, rates, t0, 1.0, room.x, room.xl)
     if tf < np.inf:
-        _stable_edge(first, last, mesh.base, mesh.kind, h, rates, tf, -1.0, x, xl)
-    return False
+        _stable_edge(first, last, mesh.time, h, rates, tf, -1.0, room.x, room.xl)
+    return False, (first, first, first, first)
 
 
-@njit(cache=True, error_model="numpy")
-def _edge_responses(k, mesh, taus, t0, tf, xe):  # pragma: no cover - compiled
-    slowest = max(taus[0], taus[1], taus[2])
+@njit(cache=True, error_model="numpy", inline="always")
+def _edge_responses(k, mesh, taus, t0, tf, c, separate, xe):  # pragma: no cover - compiled
+    # x3 at the first and last sample of every run
+    over = FAR * max(taus[0], taus[1], taus[2])
     for run in range(mesh.runs[k], mesh.runs[k + 1]):
         for side in range(2):
             value = 0.0
             for edge, sign in ((t0, 1.0), (tf, -1.0)):
                 s = mesh.edge_t[run, side] - edge
-                if s > 45.0 * slowest:
+                if s > over:
+                    value += sign
+                elif s > 0.0 and separate:
+                    for j in range(3):
+                        value -= sign * c[j] * exp(-s / taus[j])
                     value += sign
                 elif s > 0.0:
                     value += sign * step_response(s, np.sort(1.0 / taus))
             xe[run, side] = value
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _combine(k, mesh, phi, phi_reference, A, B, re, log_s2):  # pragma: no cover - compiled
     # log L of one experiment from block sums and standardised residuals of the edge samples
     rest = 1.0 - phi * phi
@@ -421,7 +506,7 @@ def _combine(k, mesh, phi, phi_reference, A, B, re, log_s2):  # pragma: no cover
     return -0.5 * (total + squares / rest)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _edge_log(k, mesh, s2e):  # pragma: no cover - compiled
     # log s^2 of the first sample of every run; the last one is in the blocks
     total = 0.0
@@ -431,7 +516,7 @@ def _edge_log(k, mesh, s2e):  # pragma: no cover - compiled
 
 
 @njit(cache=True, error_model="numpy")
-def value(theta, mesh, x, xl, E_on, E_off, each):  # pragma: no cover - compiled
+def value(theta, mesh, room, each):  # pragma: no cover - compiled
     # each (n_exp,): filled with every experiment's part
     taus, c = np.empty(3), np.empty(3)
     table, stride = np.empty((mesh.n_kinds, 3, K)), np.empty((mesh.n_kinds, 3))
@@ -450,8 +535,8 @@ def value(theta, mesh, x, xl, E_on, E_off, each):  # pragma: no cover - compiled
             return -np.inf
         y0, beta = theta[mesh.local[k, 0]], theta[mesh.local[k, 1]]
         v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * mesh.setting[k, 2]
-        _responses(k, mesh, taus, t0, tf, h, c, x, xl, E_on, E_off, table, stride)
-        _edge_responses(k, mesh, taus, t0, tf, xe)
+        separate, _ = _responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
+        _edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
         for run in range(mesh.runs[k], mesh.runs[k + 1]):
             for side in range(2):
                 s2e[run, side] = v0 + v1 * xe[run, side]
@@ -460,7 +545,7 @@ def value(theta, mesh, x, xl, E_on, E_off, each):  # pragma: no cover - compiled
                 )
         A, B, change = _sums(
             mesh.blocks[k], mesh.blocks[k + 1], mesh.moments, mesh.reference, mesh.reference_s2,
-            x, xl, y0, beta, v0, v1,
+            room.x, room.xl, y0, beta, v0, v1,
         )  # fmt: skip
         log_s2 = mesh.log_s2[k] + change + _edge_log(k, mesh, s2e)
         each[k] = _combine(k, mesh, phi, phi_reference, A, B, re, log_s2)
@@ -468,7 +553,7 @@ def value(theta, mesh, x, xl, E_on, E_off, each):  # pragma: no cover - compiled
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _slopes_of_edges(k, mesh, phi, phi_reference, A, B, re, gre):  # pragma: no cover - compiled
     # Derivative of log L by phi_reference, of the block sums and of the pairs across gaps; gre:
     # filled with the derivatives by the standardised residuals re of the edge samples
@@ -504,9 +589,10 @@ def _slopes_of_edges(k, mesh, phi, phi_reference, A, B, re, gre):  # pragma: no 
 
 
 @njit(cache=True, error_model="numpy")
-def value_and_gradient(theta, mesh, x, xl, E_on, E_off, gradient):  # pragma: no cover
+def value_and_gradient(theta, mesh, room, gradient):  # pragma: no cover
     taus, c = np.empty(3), np.empty(3)
-    sums, lags = np.empty(16), np.empty(3)
+    sums, unused, lags = np.empty(8), np.zeros(8), np.empty(3)
+    by_on, by_off, G, g_tau = np.empty(6), np.empty(6), np.empty(3), np.empty(3)
     table, stride = np.empty((mesh.n_kinds, 3, K)), np.empty((mesh.n_kinds, 3))
     xe = np.empty((len(mesh.distance), 2))
     re = np.empty((len(mesh.distance), 2))
@@ -515,7 +601,6 @@ def value_and_gradient(theta, mesh, x, xl, E_on, E_off, gradient):  # pragma: no
     gradient[:] = 0.0
     total = 0.0
     for k in range(len(mesh.local)):
-        first, last = mesh.blocks[k], mesh.blocks[k + 1]
         i_y0, i_beta, i_t0, i_tf = mesh.local[k]
         i_phi, i_s0, i_s1 = mesh.noise[k]
         h, t0, tf = _constants(theta, k, mesh, taus)
@@ -524,11 +609,10 @@ def value_and_gradient(theta, mesh, x, xl, E_on, E_off, gradient):  # pragma: no
         phi = _per_sample(phi_reference, steps)
         y0, beta = theta[i_y0], theta[i_beta]
         v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * weight
-        if i_tf < 0:
-            E_off[first:last] = 0.0
-        if not _responses(k, mesh, taus, t0, tf, h, c, x, xl, E_on, E_off, table, stride):
+        separate, acts = _responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
+        if not separate:
             return np.nan  # nearly equal time constants: the caller takes the stable route
-        _edge_responses(k, mesh, taus, t0, tf, xe)
+        _edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
         for run in range(mesh.runs[k], mesh.runs[k + 1]):
             for side in range(2):
                 s2e[run, side] = v0 + v1 * xe[run, side]
@@ -538,20 +622,16 @@ def value_and_gradient(theta, mesh, x, xl, E_on, E_off, gradient):  # pragma: no
         for j in range(3):
             lags[j] = exp(h / taus[j])
         A, B, change = _gradient_sums(
-            first, last, mesh.base, mesh.kind, h, t0, tf if i_tf >= 0 else 1e300, lags,
-            mesh.moments, mesh.reference, mesh.reference_s2, x, xl, E_on, E_off,
-            y0, beta, v0, v1, phi, sums,
-        )  # fmt: skip
+            k, mesh, room, acts, t0, tf, lags, y0, beta, v0, v1, phi, sums, by_on, by_off, unused
+        )
         log_s2 = mesh.log_s2[k] + change + _edge_log(k, mesh, s2e)
         total += _combine(k, mesh, phi, phi_reference, A, B, re, log_s2)
 
         gradient[i_phi] += _slopes_of_edges(k, mesh, phi, phi_reference, A, B, re, gre)
 
         # edge samples: residual r = (y - m)/s
-        g_v0, g_v1 = sums[2], sums[3]
-        g_y0, g_beta = sums[0], sums[1]
-        rates = np.sort(1.0 / taus)
-        slowest = 1.0 / rates[0]
+        g_y0, g_beta, g_v0, g_v1 = sums[4], sums[5], sums[6], sums[7]
+        over = FAR * max(taus[0], taus[1], taus[2])
         for run in range(mesh.runs[k], mesh.runs[k + 1]):
             for side in range(2):
                 g_m = -gre[run, side] / sqrt(s2e[run, side])
@@ -563,37 +643,41 @@ def value_and_gradient(theta, mesh, x, xl, E_on, E_off, gradient):  # pragma: no
                 g_v0 += g_s2
                 g_v1 += g_s2 * xe[run, side]
                 g_x = beta * g_m + v1 * g_s2
-                for edge, sign, i_edge in ((t0, 1.0, i_t0), (tf, -1.0, i_tf)):
-                    s = mesh.edge_t[run, side] - edge
-                    if 0.0 < s < 60.0 * slowest:
-                        slope_edge = 0.0
-                        for j in range(3):
-                            f = exp(-s / taus[j])
-                            slope_edge -= c[j] * f / taus[j]
-                            d_tau = -c[j] * f * s / taus[j] ** 2
-                            for m in range(3):
-                                d_tau -= _d_coefficient(c, taus, m, j) * exp(-s / taus[m])
-                            _add_tau(gradient, theta, mesh, k, j, sign * g_x * d_tau)
-                        gradient[i_edge] += sign * g_x * slope_edge
+                s = mesh.edge_t[run, side] - t0
+                if 0.0 < s < over:
+                    _add_exponentials(s, taus, g_x, by_on)
+                s = mesh.edge_t[run, side] - tf
+                if 0.0 < s < over:
+                    _add_exponentials(s, taus, g_x, by_off)
         gradient[i_y0] += g_y0
         gradient[i_beta] += g_beta
         gradient[i_s0] += 2.0 * sigma0 * g_v0
         gradient[i_s1] += 2.0 * sigma1 * weight * g_v1
 
-        for edge, sign, i_edge in ((t0, 1.0, i_t0), (tf, -1.0, i_tf)):
-            if edge == np.inf:
-                continue
-            G, H = (sums[4:7], sums[7:10]) if sign > 0 else (sums[10:13], sums[13:16])
-            for j in range(3):
-                d_tau = -c[j] * H[j] / taus[j] ** 2
-                for m in range(3):
-                    d_tau -= _d_coefficient(c, taus, m, j) * G[m]
-                _add_tau(gradient, theta, mesh, k, j, sign * d_tau)
-                gradient[i_edge] -= sign * c[j] * G[j] / taus[j]
-        if theta[0] < mesh.setting[k, 4]:
-            gradient[0] += gradient[i_t0]
-            if i_tf >= 0:
-                gradient[0] += gradient[i_tf]
+        # x3 = 1 - sum c_j E_j after the step up, less the same after the step down
+        g_t0 = g_tf = 0.0
+        for j in range(3):
+            g_t0 -= c[j] * by_on[j] / taus[j]
+            g_tf += c[j] * by_off[j] / taus[j]
+            G[j] = by_on[j] - by_off[j]
+            g_tau[j] = -c[j] * (by_on[3 + j] - by_off[3 + j]) / taus[j] ** 2
+        for j in range(3):
+            inner = 2.0 / taus[j]  # d log c_j / d tau_j
+            for m in range(3):
+                if m != j:
+                    inverse = 1.0 / (taus[j] - taus[m])
+                    inner -= inverse
+                    g_tau[j] += c[m] * inverse * G[m]
+            g_tau[j] -= c[j] * inner * G[j]
+        gradient[i_t0] += g_t0
+        if i_tf >= 0:
+            gradient[i_tf] += g_tf
+        gradient[1] += g_tau[0]
+        gradient[2] += g_tau[1] / mesh.setting[k, 1]
+        if theta[0] >= mesh.setting[k, 4]:
+            gradient[0] += g_tau[2]
+        else:  # a sensor faster than that acts as a pure delay, see _constants
+            gradient[0] += g_t0 + g_tf
     return total
 
 
@@ -608,30 +692,16 @@ def _phi_slope(phi, phi_reference, steps):  # pragma: no cover - compiled
 
 
 @njit(cache=True, error_model="numpy")
-def _d_coefficient(c, taus, m, j):  # pragma: no cover - compiled
-    # derivative of c_m by tau_j
-    if m != j:
-        return c[m] / (taus[m] - taus[j])
-    value = 2.0 / taus[j]
-    for n in range(3):
-        if n != j:
-            value -= 1.0 / (taus[j] - taus[n])
-    return c[j] * value
+def _add_exponentials(s, taus, g, by_edge):  # pragma: no cover - compiled
+    # adds one sample's part to the sums of E_j g and s E_j g
+    for j in range(3):
+        f = g * exp(-s / taus[j])
+        by_edge[j] += f
+        by_edge[3 + j] += s * f
 
 
 @njit(cache=True, error_model="numpy")
-def _add_tau(gradient, theta, mesh, k, j, value):  # pragma: no cover - compiled
-    if j == 0:
-        gradient[1] += value
-    elif j == 1:
-        gradient[2] += value / mesh.setting[k, 1]
-    elif theta[0] >= mesh.setting[k, 4]:
-        gradient[0] += value
-    # a sensor faster than that acts as a pure delay, see _constants: the caller adds that part
-
-
-@njit(cache=True, error_model="numpy")
-def marginal(theta, mesh, x, xl, E_on, E_off, best, factor):  # pragma: no cover - compiled
+def marginal(theta, mesh, room, best, factor):  # pragma: no cover - compiled
     # log L with every y0, beta integrated out under flat priors; best (n_exp, 2) their conditional
     # means, factor (n_exp, 3) the conditional precision's Cholesky factor (l11, l21, l22)
     taus, c = np.empty(3), np.empty(3)
@@ -654,11 +724,11 @@ def marginal(theta, mesh, x, xl, E_on, E_off, best, factor):  # pragma: no cover
         # any y0, beta serves as origin: the mesh's own reference keeps the numbers small
         y0, beta = mesh.setting[k, 5], mesh.setting[k, 6]
         v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * mesh.setting[k, 2]
-        _responses(k, mesh, taus, t0, tf, h, c, x, xl, E_on, E_off, table, stride)
-        _edge_responses(k, mesh, taus, t0, tf, xe)
+        separate, _ = _responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
+        _edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
         change = _gram_sums(
             first, last, mesh.moments, mesh.reference, mesh.reference_s2,
-            x, xl, y0, beta, v0, v1, A, B,
+            room.x, room.xl, y0, beta, v0, v1, A, B,
         )  # fmt: skip
         logs = mesh.log_s2[k] + change + mesh.n_samples[k] * log(2.0 * pi)
         logs += mesh.pairs[k] * log(rest)
@@ -707,19 +777,19 @@ def marginal(theta, mesh, x, xl, E_on, E_off, best, factor):  # pragma: no cover
 
 
 @njit(cache=True, error_model="numpy")
-def values(thetas, mesh, x, xl, E_on, E_off, each, inside):  # pragma: no cover - compiled
+def values(thetas, mesh, room, each, inside):  # pragma: no cover - compiled
     for i in range(len(thetas)):
         inside[i] = inside_box(thetas[i], mesh.low, mesh.high)
         if inside[i]:
-            value(thetas[i], mesh, x, xl, E_on, E_off, each[i])
+            value(thetas[i], mesh, room, each[i])
 
 
 @njit(cache=True, error_model="numpy")
-def marginals(thetas, mesh, x, xl, E_on, E_off, values, best, factor, inside):  # pragma: no cover
+def marginals(thetas, mesh, room, values, best, factor, inside):  # pragma: no cover
     for i in range(len(thetas)):
         inside[i] = inside_box(thetas[i], mesh.low, mesh.high)
         if inside[i]:
-            values[i] = marginal(thetas[i], mesh, x, xl, E_on, E_off, best[i], factor[i])
+            values[i] = marginal(thetas[i], mesh, room, best[i], factor[i])
 
 
 @njit(cache=True, error_model="numpy")
@@ -729,9 +799,10 @@ def general(k, mesh, phi, phi_reference, m, ml, me, s2, s2l, s2e):  # pragma: no
     A = B = log_s2 = 0.0
     for b in range(len(m)):
         for q in range(K):
-            d = m[b, q] - mesh.reference[first + b, 0, q]
-            dl = ml[b, q] - mesh.reference[first + b, 1, q]
-            n, m1, m2, m3, m4 = mesh.moments[first + b, :, q]
+            i = (first + b) * K + q
+            d = m[b, q] - mesh.reference[0, i]
+            dl = ml[b, q] - mesh.reference[1, i]
+            n, m1, m2, m3, m4 = mesh.moments[:, i]
             A += (m3 - 2.0 * d * m1 + d * d * n) / s2[b, q]
             B += (m4 - d * m2 - dl * m1 + d * dl * n) / sqrt(s2[b, q] * s2l[b, q])
             log_s2 += n * log(s2[b, q])
@@ -756,9 +827,10 @@ def general_gradient(
     by_B = phi / (1.0 - phi * phi)
     for b in range(len(m)):
         for q in range(K):
-            d = m[b, q] - mesh.reference[first + b, 0, q]
-            dl = ml[b, q] - mesh.reference[first + b, 1, q]
-            n, m1, m2, m3, m4 = mesh.moments[first + b, :, q]
+            i = (first + b) * K + q
+            d = m[b, q] - mesh.reference[0, i]
+            dl = ml[b, q] - mesh.reference[1, i]
+            n, m1, m2, m3, m4 = mesh.moments[:, i]
             w, wl = 1.0 / s2[b, q], 1.0 / s2l[b, q]
             p = sqrt(w * wl)
             a_node = (m3 - 2.0 * d * m1 + d * d * n) * w

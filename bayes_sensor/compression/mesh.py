@@ -120,7 +120,7 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
     base: list[float] = []
     kinds: list[int] = []
     follows: list[bool] = []
-    moments, reference, reference_s2 = [], [], []
+    moments, node_time, reference, reference_s2 = [], [], [], []
     log_s2, edge_t, edge_y, distance, pairs = [], [], [], [], []
     cache: dict[int, FloatArray] = {}
     for k, e in enumerate(campaign):
@@ -175,13 +175,15 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
         times = node_times(np.array(base[first_block:]), np.array(kinds[first_block:]), h)
         node_mean, node_s2 = at_times(problem, vector, e, k, times)
         lag_mean, _ = at_times(problem, vector, e, k, times - h)
-        reference.append(np.stack([node_mean, lag_mean], axis=1))
-        reference_s2.append(node_s2)
+        node_time.append(times.ravel())
+        reference.append(np.stack([node_mean.ravel(), lag_mean.ravel()]))
+        reference_s2.append(node_s2.ravel())
         counts = np.array([m[0] for m in moments[first_block:]]).reshape(-1, K)
         log_s2.append(float((counts * np.log(node_s2)).sum()))
         pairs.append(n_pairs)
         blocks.append(len(base))
         runs.append(len(distance))
+    stacked = np.array(moments, dtype=float).reshape(-1, 5, K)
     return Arrays(
         local=layout.local,
         noise=layout.noise,
@@ -192,8 +194,9 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
         base=np.array(base, dtype=float),
         kind=np.array(kinds, dtype=np.int64),
         follows=np.array(follows, dtype=bool),
-        moments=np.array(moments, dtype=float).reshape(-1, 5, K),
-        reference=np.concatenate(reference),
+        time=np.concatenate(node_time),
+        moments=np.ascontiguousarray(np.moveaxis(stacked, 1, 0).reshape(5, -1)),
+        reference=np.ascontiguousarray(np.concatenate(reference, axis=1)),
         reference_s2=np.concatenate(reference_s2),
         log_s2=np.array(log_s2),
         edge_t=np.array(edge_t, dtype=float),

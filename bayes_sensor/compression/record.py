@@ -12,7 +12,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.compression import kernels
 from bayes_sensor.compression.derivatives import mean_derivatives
 from bayes_sensor.compression.kernels import K
-from bayes_sensor.compression.mesh import Region, at_times, build, node_times
+from bayes_sensor.compression.mesh import Region, at_times, build
 from bayes_sensor.likelihood import (
     Problem,
     as_problem,
@@ -68,10 +68,8 @@ class Compressed:
         self.region = region
         self.arrays = build(problem, vector, region)
         self.n_full_passes = 0
-        shape = (len(self.arrays.base), K)
-        self._x, self._xl = np.zeros(shape), np.zeros(shape)
+        self._room = kernels.make_room(self.n_nodes)
         self._each = np.zeros(len(problem.campaign))
-        self._E_on, self._E_off = (np.zeros((shape[0], 3, K)) for _ in range(2))
         self._cascade = _is_cascade(problem)
         self._known_times: dict[int, FloatArray] = {}
 
@@ -102,11 +100,7 @@ class Compressed:
             return self._full(vector)
         if not self._cascade:
             return float(sum(self._general(vector, k) for k in range(len(self._each))))
-        return float(
-            kernels.value(
-                vector, self.arrays, self._x, self._xl, self._E_on, self._E_off, self._each
-            )
-        )
+        return float(kernels.value(vector, self.arrays, self._room, self._each))
 
     def _times(self, k: int) -> FloatArray:
         """(n_t,) s: nodes of experiment number ``k``, one sample before them, edge samples."""
@@ -178,9 +172,7 @@ class Compressed:
             return self._full(vector), self._full_gradient(vector)
         gradient = np.zeros(len(vector))
         if self._cascade:
-            value = kernels.value_and_gradient(
-                vector, self.arrays, self._x, self._xl, self._E_on, self._E_off, gradient
-            )
+            value = kernels.value_and_gradient(vector, self.arrays, self._room, gradient)
             if not np.isnan(value):
                 return value, gradient
             gradient[:] = 0.0  # time constants so close that its partial fractions cancel
@@ -225,9 +217,7 @@ class Compressed:
         if not (self._cascade and self.covers(vector)):
             return self._marginal_by_values(vector)
         best, factor = np.empty((n_exp, 2)), np.empty((n_exp, 3))
-        value = kernels.marginal(
-            vector, self.arrays, self._x, self._xl, self._E_on, self._E_off, best, factor
-        )
+        value = kernels.marginal(vector, self.arrays, self._room, best, factor)
         return value, best, factor
 
     def log_likelihoods(self, thetas: FloatArray) -> FloatArray:
@@ -236,9 +226,7 @@ class Compressed:
         each = np.zeros((len(thetas), len(self.problem.campaign)))
         inside = np.zeros(len(thetas), dtype=bool)
         if self._cascade:
-            kernels.values(
-                thetas, self.arrays, self._x, self._xl, self._E_on, self._E_off, each, inside
-            )
+            kernels.values(thetas, self.arrays, self._room, each, inside)
         for i in np.flatnonzero(~inside):
             each[i] = self._one_by_one(thetas[i])
         return each
@@ -262,7 +250,7 @@ class Compressed:
         inside = np.zeros(len(thetas), dtype=bool)
         if self._cascade:
             kernels.marginals(
-                thetas, self.arrays, self._x, self._xl, self._E_on, self._E_off,
+                thetas, self.arrays, self._room,
                 values, best, factor, inside,
             )  # fmt: skip
         for i in np.flatnonzero(~inside):
@@ -326,20 +314,20 @@ class Compressed:
             slope = mean_and_response(problem, moved(0.0, 1.0), e, t)[0] - mean
         return lambda u, w: self._density(k, known, mean + (u * unit + w * slope), x)
 
+    def _part(self, k: int) -> slice:
+        """The nodes of experiment number ``k`` among all."""
+        return slice(self.arrays.blocks[k] * K, self.arrays.blocks[k + 1] * K)
+
     def node_times(self, k: int) -> FloatArray:
         """(n_blocks, K) s, the nodes of experiment number ``k``."""
-        mesh = self.arrays
-        part = slice(mesh.blocks[k], mesh.blocks[k + 1])
-        return node_times(mesh.base[part], mesh.kind[part], mesh.setting[k, 0])
+        return self.arrays.time[self._part(k)].reshape(-1, K)
 
     def nodes(self, k: int) -> Nodes:
         """The weighted points of experiment number ``k``; points of weight 0 are left out."""
-        mesh = self.arrays
-        part = slice(mesh.blocks[k], mesh.blocks[k + 1])
-        count = mesh.moments[part, 0].ravel()
+        mesh, part = self.arrays, self._part(k)
+        count = mesh.moments[0, part]
         keep = count > 1e-9
-        mean = mesh.reference[part, 0].ravel()[keep]
-        mean = mean + mesh.moments[part, 1].ravel()[keep] / count[keep]
+        mean = mesh.reference[0, part][keep] + mesh.moments[1, part][keep] / count[keep]
         runs = slice(mesh.runs[k], mesh.runs[k + 1])
         first = mesh.edge_y[runs, 0]
         if self.problem.campaign.experiments[k].y is None:
@@ -383,7 +371,7 @@ class Compressed:
             rest = 1.0 - phi**2
             weight = problem.noise.weight(problem.campaign, e)
             times = self.node_times(k)
-            count = mesh.moments[mesh.blocks[k] : mesh.blocks[k + 1], 0].ravel()
+            count = mesh.moments[0, self._part(k)]
             J, u, _ = self._scaled(vector, k, times.ravel(), sigma0, sigma1, weight)
             Jl, ul, _ = self._scaled(vector, k, times.ravel() - e.interval, sigma0, sigma1, weight)
             cross = (J * count[:, None]).T @ Jl
