@@ -117,12 +117,7 @@ def nodes(step: Step, times: FloatArray, marks: list[float], quick: float) -> Fl
     pieces = [times, np.array([first, *events])]
     for i, event in enumerate(events):
         end = events[i + 1] if i + 1 < len(events) else last
-        s, offsets = 0.0, []
-        while event + s < end:
-            offsets.append(s)
-            h = min(1e-4 + 0.02 * s, 0.01 * quick)
-            s += max(h, 0.004 * (s - 25.0 * quick))
-        pieces.append(event + np.array(offsets))
+        pieces.append(event + stages.growing_steps(end - event, quick))
     grid = np.unique(np.concatenate(pieces))
     grid = grid[grid <= last]
     # times that differ by rounding only would make intervals of no length

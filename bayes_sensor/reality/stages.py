@@ -16,6 +16,22 @@ from numba import njit
 from bayes_sensor.campaign import FloatArray
 
 
+@njit(cache=True)
+def growing_steps(length: float, quick: float) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) s from 0 to ``length``: 0.1 ms at first, then up to ``quick``/100, later growing."""
+    count, s = 0, 0.0
+    for counting in (True, False):
+        if not counting:
+            offsets = np.empty(count)
+            count, s = 0, 0.0
+        while s < length:
+            if not counting:
+                offsets[count] = s
+            count += 1
+            s += max(min(1e-4 + 0.02 * s, 0.01 * quick), 0.004 * (s - 25.0 * quick))
+    return offsets
+
+
 @njit(cache=True, error_model="numpy")
 def lag(
     t: FloatArray, u: FloatArray, tau: FloatArray, start: float
