@@ -137,7 +137,9 @@ def _bins(
     order = np.argsort(first)
     begin = np.array(first, dtype=np.int64)[order]
     after = np.array(last, dtype=np.int64)[order]
-    times, weights, starts = [], [], []
+    times: list[float] = []
+    weights: list[float] = []
+    starts: list[int] = []
     x, w = QUADRATURE
     for a, b in zip(begin, after, strict=True):
         starts.append(len(times))
@@ -165,12 +167,12 @@ def _bins(
 
 def _thin(edges: FloatArray, scale: float) -> FloatArray:
     # no bin shorter than a third of the shortest after a switch, none longer than LONGEST
-    kept = [edges[0]]
+    kept = [float(edges[0])]
     for x in edges[1:]:
         if x - kept[-1] > 0.02 * scale:
             n = int(np.ceil((x - kept[-1]) / (LONGEST * scale)))
             kept += list(kept[-1] + (x - kept[-1]) * np.arange(1, n + 1) / n)
-    kept[-1] = max(kept[-1], edges[-1])
+    kept[-1] = max(kept[-1], float(edges[-1]))
     return np.array(kept)
 
 
@@ -184,7 +186,7 @@ def phase_times(e: Experiment, t0: float, tf: float | None, taus: FloatArray) ->
     lags = float(np.sum(taus))
     grid = np.linspace(0.0, 12.0 * lags, 1200)
     x = cascade_response(grid, taus, 0.0)
-    tenth, most = grid[np.searchsorted(x, 0.1)], grid[min(np.searchsorted(x, 0.99), 1199)]
+    tenth, most = (float(grid[min(int(np.searchsorted(x, s)), 1199)]) for s in (0.1, 0.99))
     onset = t0 - 0.25 * lags
     if e.commanded_on is not None:
         onset = min(onset, e.commanded_on)

@@ -92,10 +92,10 @@ def _laplace(
     prior = plan.prior_matrix(widths)
     away = refit.x - plan.prior_centre
     n = len(refit.residual)
-    scale, step = 1.0, np.zeros(plan.size)
+    scale, step, misfit = 1.0, np.zeros(plan.size), square
     for _ in range(3):
         matrix = scale * normal + prior
-        step = np.linalg.solve(matrix, scale * gradient - prior @ away)
+        step[:] = np.linalg.solve(matrix, scale * gradient - prior @ away)
         misfit = square - 2.0 * float(step @ gradient) + float(step @ normal @ step)
         misfit = max(misfit, 1e-9)
         scale = (DOF + n) / (DOF + misfit)

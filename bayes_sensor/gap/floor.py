@@ -128,7 +128,7 @@ def detrended(samples: FloatArray, degree: int = 2) -> FloatArray:
     basis = np.polynomial.legendre.legvander(x, degree)
     # Legendre polynomials are nearly orthogonal on a grid: the normal equations are harmless
     coefficients = np.linalg.solve(basis.T @ basis, basis.T @ samples)
-    return samples - basis @ coefficients
+    return np.asarray(samples - basis @ coefficients, dtype=float)
 
 
 def band_edges(campaign: Campaign, stretches: Sequence[Stretch]) -> FloatArray:
@@ -137,7 +137,7 @@ def band_edges(campaign: Campaign, stretches: Sequence[Stretch]) -> FloatArray:
     top = 0.5 / min(e.interval for e in campaign)
     low = 3.0 / longest
     n = max(int(np.ceil(np.log2(top / low))), 1)
-    return top / 2.0 ** np.arange(n, -1, -1)
+    return np.asarray(top / 2.0 ** np.arange(n, -1, -1), dtype=float)
 
 
 def estimate_floor(
@@ -188,7 +188,7 @@ def _periodogram(samples: FloatArray, interval: float) -> tuple[FloatArray, Floa
     taper = windows.tukey(n, 0.2)
     spectrum = np.fft.rfft(detrended(samples) * taper)
     power = 2.0 * interval * np.abs(spectrum) ** 2 / np.sum(taper**2)
-    return np.fft.rfftfreq(n, interval)[1:], power[1:]
+    return np.asarray(np.fft.rfftfreq(n, interval)[1:], dtype=float), power[1:]
 
 
 def _shrunk(
@@ -256,7 +256,7 @@ def _bin_cholesky(
     step = e.interval * max(1, int(shortest / (12.0 * e.interval)))
     length = len(e.t) * e.interval
     n = 1 << int(np.ceil(np.log2(2.2 * length / step)))
-    f = np.fft.rfftfreq(n, step)
+    f = np.asarray(np.fft.rfftfreq(n, step), dtype=float)
     low = _density_at(f, edges, density[0])
     high = _density_at(f, edges, density[1])
     half = 0.5 * e.interval
@@ -295,7 +295,8 @@ def _bin_cholesky(
     total[np.diag_indices_from(total)] = np.maximum(floor, white) * (1.0 + 1e-9)
     for ridge in (0.0, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2):
         try:
-            return np.linalg.cholesky(total + ridge * np.diag(np.diag(total)))
+            factor = np.linalg.cholesky(total + ridge * np.diag(np.diag(total)))
+            return np.asarray(factor, dtype=float)
         except np.linalg.LinAlgError:
             continue
     return np.diag(np.sqrt(np.diag(total)))

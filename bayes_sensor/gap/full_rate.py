@@ -84,7 +84,7 @@ def test_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRat
         return []
     longest = max(len(s.samples) for s in used)
     n = 1 << int(np.ceil(np.log2(longest)))
-    f = np.fft.rfftfreq(n, common)
+    f = np.asarray(np.fft.rfftfreq(n, common), dtype=float)
     total, level_sum = _sum_over_stretches(used, n)
     k = len(used)
     c = np.array(RATIOS)[:, None]

@@ -16,8 +16,7 @@ import numpy as np
 
 from bayes_sensor.gap.effect import Effect, Form, Strength
 from bayes_sensor.gap.evidence import Linearised
-from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, refit
-from bayes_sensor.gap.sketch import base_starts
+from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, base_starts, refit
 
 UNSEEN = 3.0
 """detectability below which an effect counts as hidden"""

@@ -85,7 +85,7 @@ class Sketch:
     @cached_property
     def inverse_factors(self) -> tuple[FloatArray, ...]:
         """Inverses of the floor's Cholesky factors."""
-        return tuple(np.linalg.inv(c) for c in self.floor.cholesky)
+        return tuple(np.asarray(np.linalg.inv(c), dtype=float) for c in self.floor.cholesky)
 
     @cached_property
     def n_bins(self) -> int:
@@ -127,7 +127,8 @@ class Sketch:
         factors = []
         for k in stay:
             covariance = self.floor.cholesky[k] @ self.floor.cholesky[k].T
-            factors.append(np.linalg.cholesky(covariance[np.ix_(keep[k], keep[k])]))
+            kept = covariance[np.ix_(keep[k], keep[k])]
+            factors.append(np.asarray(np.linalg.cholesky(kept), dtype=float))
         experiments = tuple(self.campaign.experiments[k] for k in stay)
         return replace(
             self,
@@ -565,7 +566,7 @@ def refit(
         for _ in range(8):
             damped = normal[np.ix_(index, index)] + damping * np.diag(diagonal + 1e-12)
             try:
-                step = np.linalg.solve(damped, gradient[index])
+                step = np.asarray(np.linalg.solve(damped, gradient[index]), dtype=float)
             except np.linalg.LinAlgError:
                 damping = max(damping, 1e-6) * 10.0
                 continue

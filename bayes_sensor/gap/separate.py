@@ -47,12 +47,6 @@ def isolability(sketch: Sketch, truth: Refit, rival: Effect, given: Sequence[Par
     return float(np.sqrt(max(best, 0.0)))
 
 
-def _plan(sketch: Sketch, parts: Sequence[Part]):
-    from bayes_sensor.gap.refit import Plan
-
-    return Plan(sketch, tuple(parts))
-
-
 def _bare(fitted: Refit, n_parts: int) -> FloatArray:
     # coordinates of the same optimum without the parts after the first n_parts
     plan = fitted.plan

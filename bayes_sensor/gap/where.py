@@ -80,14 +80,15 @@ class Leverage:
         """Of a refit, its priors counted as data."""
         j = fitted.jacobian
         normal = j.T @ j
-        solve = np.linalg.inv(normal + fitted.plan.prior_matrix())
+        solve = np.asarray(np.linalg.inv(normal + fitted.plan.prior_matrix()), dtype=float)
         if fitted.x[0] <= 0.0:  # tau at its upper limit: its own coordinate did not move
             keep = np.arange(1, len(solve))
             inverse = np.zeros_like(solve)
             matrix = (normal + fitted.plan.prior_matrix())[np.ix_(keep, keep)]
             inverse[np.ix_(keep, keep)] = np.linalg.inv(matrix)
-            solve = inverse
-        return cls(j, 2.0 * solve - solve @ normal @ solve, solve)
+            solve = np.asarray(inverse, dtype=float)
+        inner = np.asarray(2.0 * solve - solve @ normal @ solve, dtype=float)
+        return cls(j, inner, solve)
 
     def block(self, rows: NDArray[np.int64]) -> FloatArray:
         """P on some rows."""
@@ -116,7 +117,8 @@ def locate(sketch: Sketch, base: Refit, seed: int = 1, bootstrap: int = 0) -> Ma
     noise *= np.sqrt(DOF / rng.chisquare(DOF, DRAWS))
     left = leverage.leave(noise)
     z = base.residual
-    parts, transforms = [], []
+    parts: list[tuple[int, int, NDArray[np.int64], str, float | None]] = []
+    transforms: list[FloatArray] = []
     for k, phase, rows in groups:
         parts.append((k, phase, rows, "", None))
         transforms.append(np.eye(len(rows)))
@@ -159,7 +161,7 @@ def locate(sketch: Sketch, base: Refit, seed: int = 1, bootstrap: int = 0) -> Ma
     clear = p_value < CLEAR
     weight = np.maximum(np.array(excess) - np.array(spread), 0.0) if clear else 0.0 * own
     made = []
-    for i, (k, phase, rows, name, length) in enumerate(parts):
+    for i, (k, phase, rows, name, scale_s) in enumerate(parts):
         among = slice(0, whole) if i < whole else slice(whole, None)
         whole_weight = float(np.sum(weight[among]))
         b = sketch.bins[k]
@@ -176,7 +178,7 @@ def locate(sketch: Sketch, base: Refit, seed: int = 1, bootstrap: int = 0) -> Ma
                 p_value=p_of(float(own[i]), largest if i < whole else finest),
                 d=float(np.sqrt(max(excess[i], 0.0))),
                 scale=name,
-                scale_s=length,
+                scale_s=scale_s,
             )
         )
     everywhere = [_mean_square(sketch, leverage, z, k, rows) for k, _, rows in groups]

@@ -3,13 +3,15 @@
 A coupling that shifts when the valve shuts, or a light that is switched on.
 """
 
+from collections.abc import Callable, Mapping
+
 from bayes_sensor.gap.effect import Effect, Form, Setting, Settings, Strength
 
 PLACES = (0.12, 0.25, 0.4, 0.6, 0.8, 0.9)
 """where else in the record a common jump is looked for, as a share of its length"""
 
 
-def _step(own: bool):
+def _step(own: bool) -> Callable[[Setting], tuple[Strength, ...]]:
     def strengths(s: Setting) -> tuple[Strength, ...]:
         return (
             Strength("step", "V", "normal", 0.0, 0.01 * s.signal_scale, per_experiment=own,
@@ -20,14 +22,14 @@ def _step(own: bool):
 
 
 def _at(place: float) -> Settings:
-    def settings(v, s):
+    def settings(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
         t = s.experiment.t
         return {"step": v["step"], "step_time": float(t[0] + place * (t[-1] - t[0]))}
 
     return settings
 
 
-def _after_pulse(v, s):
+def _after_pulse(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
     return {"step": v["step"], "step_time": s.tf}
 
 
