@@ -218,6 +218,12 @@ def predict_tau(
     return Prediction(float(sd), sd_square, *(float(end) for end in ends))
 
 
+def known_volume(problem: Problem) -> float | None:
+    """sd (mL) with which V is known beforehand; None without side information."""
+    prior = problem.priors["V_mL"]
+    return prior.b if prior.kind == "normal" else None
+
+
 def predict(
     settings: Sequence[Setting],
     truth: Truth,
@@ -278,6 +284,7 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
     vector = problem.layout.flat(theta)
     settings, truth = settings_of(problem, vector), truth_of(problem, vector)
     prior = prior or problem.priors["tau_s"]
+    volume = known_volume(problem)
     rows: list[dict[str, Any]] = []
     known: Known = {}
 
@@ -299,37 +306,52 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
             }
         )
 
-    add("as it is", "none", 0.0, "", predict(settings, truth, prior, known=known))
+    add("as it is", "none", 0.0, "", predict(settings, truth, prior, V_sd=volume, known=known))
     for ms in (20.0, 10.0, 5.0, 2.0, 1.0):
-        found = predict(settings, truth, prior, trigger=1e-3 * ms, known=known)
+        found = predict(settings, truth, prior, 1e-3 * ms, volume, known=known)
         add(f"a trigger that times the valve to +-{ms:g} ms", "trigger", ms, "ms", found)
     for mL in (2.0, 1.0, 0.5, 0.1):
-        found = predict(settings, truth, prior, V_sd=mL, known=known)
+        found = predict(settings, truth, prior, V_sd=_both(mL, volume), known=known)
         add(f"V measured to +-{mL:g} mL", "volume", mL, "mL", found)
-    found = predict(settings, truth, prior, trigger=2e-3, V_sd=0.5, known=known)
+    found = predict(settings, truth, prior, 2e-3, _both(0.5, volume), known=known)
     add("a trigger to +-2 ms and V to +-0.5 mL", "trigger and volume", 2.0, "ms", found)
     for factor in (2.0, 4.0, 10.0):
         fast = replace(truth, tau_v=truth.tau_v / factor)
         add(
-            f"a valve {factor:g} times faster", "valve", factor, "x", predict(settings, fast, prior)
+            f"a valve {factor:g} times faster",
+            "valve",
+            factor,
+            "x",
+            predict(settings, fast, prior, V_sd=volume),
         )
     for factor in (2.0, 4.0):
         stronger = [_with_flow(setting, factor) for setting in settings]
-        add(f"{factor:g} times the flow", "flow", factor, "x", predict(stronger, truth, prior))
+        add(
+            f"{factor:g} times the flow",
+            "flow",
+            factor,
+            "x",
+            predict(stronger, truth, prior, V_sd=volume),
+        )
     for factor in (2.0, 4.0, 10.0):
-        found = predict(settings, truth, prior, repeats=factor, known=known)
+        found = predict(settings, truth, prior, V_sd=volume, repeats=factor, known=known)
         add(f"{factor:g} times the experiments", "repeats", factor, "x", found)
     for factor in (2, 10):
         denser = [_with_rate(setting, factor) for setting in settings]
-        found = predict(denser, truth, prior)
+        found = predict(denser, truth, prior, V_sd=volume)
         add(f"{factor} times the sampling rate", "rate", float(factor), "x", found)
     for pulses in (3, 6):
         short = [_as_pulse(setting, pulses, truth) for setting in settings]
         if all(setting is not None for setting in short):
             each = [setting for setting in short if setting is not None]
-            found = predict(each, truth, prior, repeats=float(pulses))
+            found = predict(each, truth, prior, V_sd=volume, repeats=float(pulses))
             add(f"{pulses} pulses in each record", "pulses", float(pulses), "", found)
     return pd.DataFrame(rows)
+
+
+def _both(sd: float, other: float | None) -> float:
+    """sd of what is known from two sources."""
+    return sd if other is None else float((sd**-2 + other**-2) ** -0.5)
 
 
 def _with_flow(setting: Setting, factor: float) -> Setting:
@@ -411,6 +433,10 @@ class Design:
     reached: bool
     status: str
     """one sentence"""
+    prior: Prior
+    """on tau, that the prediction rests on"""
+    noise: Noise
+    """law of the noise, one for all experiments"""
 
     @property
     def new_names(self) -> list[str]:
@@ -508,16 +534,17 @@ def design_experiments(
             "design: no duration within its limits lets the response settle; allow longer ones"
         )
     lengths = [len(c.experiment.t) * c.experiment.interval for c in candidates]
-    before = predict(present, truth, prior)
+    volume = known_volume(problem)
+    before = predict(present, truth, prior, V_sd=volume)
     fastest = min(truth.tau_v, min(truth.V / s.experiment.total_flow for s in present))
     tau = min(max(truth.tau, before.high68, 2e-3 * fastest), max(truth.tau, 0.5 * fastest))
     chosen: list[int] = []
     for _ in range(2):  # once more with sensitivities where the better experiments put tau
         base = sum_information(present, truth, tau)
         parts = [information_of(c, truth, tau, trigger) for c in candidates]
-        chosen = _choose(base, parts, truth.tau, prior, target_tau, k, k_max, lengths)
+        chosen = _choose(base, parts, truth.tau, prior, volume, target_tau, k, k_max, lengths)
         total = base + np.sum([parts[i] for i in chosen], axis=0) if chosen else base
-        after = predict_tau(total, truth.tau, prior)
+        after = predict_tau(total, truth.tau, prior, volume)
         better = max(truth.tau, min(after.high68, tau), 2e-3 * fastest)
         if better > 0.9 * tau:
             break
@@ -529,7 +556,9 @@ def design_experiments(
     )
     words += "" if reached else f", not the +-{1e3 * target_tau:.3g} ms wanted"
     combined, new_theta, table = _proposal(problem, vector, truth, picked)
-    return Design(table, combined, new_theta, before, after, target_tau, reached, words)
+    return Design(
+        table, combined, new_theta, before, after, target_tau, reached, words, prior, truth.noise
+    )
 
 
 def _candidates(
@@ -575,6 +604,7 @@ def _choose(
     parts: list[FloatArray],
     tau: float,
     prior: Prior,
+    volume: float | None,
     target: float,
     k: int | None,
     k_max: int,
@@ -595,7 +625,7 @@ def _choose(
         return int(min(good, key=lambda i: (durations[i], -gains[i])))
 
     def half_width(total: FloatArray) -> float:
-        return predict_tau(total, tau, prior).half_width95
+        return predict_tau(total, tau, prior, volume).half_width95
 
     total, chosen = base.copy(), list[int]()
     most = k_max if k is None else k
@@ -688,8 +718,9 @@ def check_design(
     widths, lost = [], 0
     for i, stream in enumerate(np.random.SeedSequence(seed).spawn(n)):
         data, sampling, timing = stream.spawn(3)
-        campaign = simulate(design.campaign, design.theta, int(data.generate_state(1)[0]))
-        priors = {}
+        plan = Problem(design.campaign, noise=design.noise)
+        campaign = simulate(plan, design.theta, int(data.generate_state(1)[0]))
+        priors = {"tau_s": design.prior}
         if trigger is not None:
             rng = np.random.default_rng(timing)
             for flat in layout.names:
@@ -699,7 +730,7 @@ def check_design(
                     centre = design.theta[layout.index(flat)] + sd * rng.standard_normal()
                     priors[flat] = Prior("normal", float(centre), sd)
         posterior = sample_posterior(
-            Problem(campaign, given_priors=priors),
+            replace(plan, campaign=campaign, given_priors=priors),
             design.theta,
             int(sampling.generate_state(1)[0]),
             "independence",

@@ -226,3 +226,19 @@ def test_a_prediction_needs_noise():
     design = design_of()
     with pytest.raises(CampaignError, match="sigma0_V"):
         what_if(design, theta_of(design)[:-3])
+
+
+def test_what_is_known_about_the_volume_enters_every_prediction():
+    from bayes_sensor.campaign import SideInformation
+
+    design = design_of()
+    theta = theta_of(design)
+    measured = replace(design, side_information={"V_mL": SideInformation(40.0, 0.02)})
+    plain, told = what_if(design, theta), what_if(measured, theta)
+    first = told.iloc[0]["half_width95_s"]
+    assert first < plain.iloc[0]["half_width95_s"]
+    expected = plain[plain["kind"] == "volume"]["half_width95_s"].min()  # +-0.1 mL
+    assert first <= expected * (1 + 1e-9)
+    # knowing it less well than it is known already changes next to nothing
+    coarse = told[(told["kind"] == "volume") & (told["value"] == 2.0)]["half_width95_s"].iloc[0]
+    assert coarse == pytest.approx(first, rel=1e-3)

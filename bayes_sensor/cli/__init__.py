@@ -404,6 +404,7 @@ def design(
     ] = 0,
     seed: Seed = 1,
     quiet: Quiet = False,
+    config: Config = None,
 ) -> None:
     """The next experiments to reach a wanted interval of tau."""
     from bayes_sensor.cli.planning import plan_experiments
@@ -413,7 +414,7 @@ def design(
             campaign, out, target=target_tau,
             limits=_given(flow=flow, concentration=concentration, duration=duration),
             k=experiments, most=most, trigger=trigger, tau=tau, truth=truth, check=check,
-            seed=seed, quiet=quiet,
+            seed=seed, quiet=quiet, config=config,
         )
     )  # fmt: skip
 

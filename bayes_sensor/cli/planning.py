@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.cli.settings import make_problem, read_overrides
 from bayes_sensor.cli.simulation import read_option, read_truth
 from bayes_sensor.cli.steps import Progress, load, progress_bar, say
 from bayes_sensor.design import Design, check_design, design_experiments
@@ -40,15 +41,17 @@ def plan_experiments(
     check: int,
     seed: int,
     quiet: bool,
+    config: Path | None = None,
 ) -> int:
     """Write design.json, design.toml, next.toml and truth.json into ``out``; the exit code."""
     started, begin = now(), time.perf_counter()
     goal = _positive(target, "--target-tau")
     known = None if trigger is None else _positive(trigger, "--trigger", zero=True)
     assumed = None if tau is None else _positive(tau, "--tau", zero=True)
+    overrides = read_overrides(config)
     campaign, _, _ = load(campaign_path)
     ranges = _ranges(campaign, limits)
-    problem = Problem(campaign)
+    problem = make_problem(campaign, overrides, config.name if config else "--config")
     vector = None
     if truth is not None:
         vector = problem.layout.flat(read_truth(truth, campaign))
@@ -102,7 +105,12 @@ def plan_experiments(
                     "design",
                     basis="",
                     seed=seed,
-                    settings={"target_tau": target, "limits": record["limits"], "check": check},
+                    settings={
+                        "target_tau": target,
+                        "limits": record["limits"],
+                        "check": check,
+                        **overrides.record(),
+                    },
                     campaign=str(campaign_path),
                     files={campaign_path.name: sha256(campaign_path)},
                     started=started,
