@@ -13,6 +13,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import PlaceHolderLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 INK = "#1b1b1b"
@@ -104,9 +105,10 @@ def settle(figure: Figure) -> None:
 
     The layout's solver is exact to rounding only, which would otherwise show in the bytes.
     """
-    if figure.get_layout_engine() is None:
-        return
-    figure.draw_without_rendering()
+    engine = figure.get_layout_engine()
+    if engine is None or isinstance(engine, PlaceHolderLayoutEngine):
+        return  # placed by hand, or settled before
+    engine.execute(figure)
     figure.set_layout_engine("none")
     for axes in figure.axes:
         left, bottom, width, height = (round(float(v), 5) for v in axes.get_position().bounds)
