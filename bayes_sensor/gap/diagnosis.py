@@ -677,17 +677,20 @@ def _sentence(
             f"still hide: with them tau could lie anywhere from {low:.3g} to {high:.3g} ms."
         )
     if kind == "unlisted":
+        words = []
         line = next((f for f in full_rate if f.name == "line" and f.probability > 0.5), None)
+        if worst is not None or line is None:
+            words.append(
+                f"The model misses the measurement{place}, and no effect of the catalogue "
+                "explains it well: the cause is not listed."
+            )
         if line is not None:
             s = line.strength
-            return (
-                f"There is a line of unlisted origin at {s['line_Hz']:.4g} Hz with an amplitude of "
-                f"{1e3 * s['line_V']:.3g} m{unit}."
+            words.append(
+                f"There is a line of unlisted origin at {s['line_Hz']:.4g} Hz with an amplitude "
+                f"of {1e3 * s['line_V']:.3g} m{unit}."
             )
-        return (
-            f"The model misses the measurement{place}, and no effect of the catalogue explains "
-            "it well: the cause is not listed."
-        )
+        return " ".join(words)
     if kind == "family":
         helps = next((s for s in separations if s.addition), None)
         advice = (

@@ -28,6 +28,8 @@ INCOMPLETE = 0.15
 """prior share of an effect's probability for "it is there, and something else with it" """
 MOST_FOLLOWED = 3
 """times the search for a pair follows the best one found"""
+HOPELESS = 0.2
+"""share of what something else explains better that a first pair must explain"""
 NEAR = 14.0
 """log evidences this far below the best are not looked at more closely"""
 
@@ -264,10 +266,16 @@ def _add_pairs(
         names = tuple(sorted((a, b), key=list(on_mean).index))
         found.append(add(names, float(log_prior), [(f, w / weight) for f, w in made]))
 
-    tried = [(a, b) for a in leading for b in on_mean]
-    for i, (a, b) in enumerate(tried):
-        tell(0.75 + 0.2 * i / len(tried), f"{a} with {b}")
-        attempt(a, b)
+    single = max(h.log_z for h in singles.values())
+    other = max(h.log_z for h in hypotheses if h.incomplete)
+    for i, a in enumerate(leading):
+        for j, b in enumerate(on_mean):
+            share = (i + j / len(on_mean)) / len(leading)
+            tell(0.75 + 0.2 * share, f"{a} with {b}")
+            attempt(a, b)
+        gained = max((h.log_z for h in found), default=single) - single
+        if gained < HOPELESS * (other - single):
+            return  # no pair comes near what something else explains
     # the leading single effects need not be the two that go together: follow the best pair
     followed: set[str] = set(leading)
     for _ in range(MOST_FOLLOWED):
