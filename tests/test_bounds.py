@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
 from bayes_sensor.bounds import (
     LEVELS,
@@ -21,7 +22,6 @@ from bayes_sensor.bounds import (
     step_study,
 )
 from bayes_sensor.bounds.bootstrap import (
-    _recolour,
     _series,
     optimal_block_length,
     resample_and_refit,
@@ -307,8 +307,6 @@ def test_parametric_middle_equals_the_dense_one():
 def test_andrews_bandwidth_of_an_ar1():
     rng = np.random.default_rng(4)
     n, rho = 200_000, 0.6
-    from scipy.signal import lfilter
-
     x = lfilter([1.0], [1.0, -rho], rng.standard_normal(n))[:, None]
     alpha = 4 * rho**2 / ((1 - rho) ** 2 * (1 + rho) ** 2)
     # rho is estimated to a few thousandths
@@ -345,8 +343,6 @@ def test_resamples_are_blocks_of_the_asked_mean_length():
 
 @pytest.mark.parametrize("rho", [0.4, 0.8])
 def test_block_length_of_an_ar1_is_the_theoretical_one(rho):
-    from scipy.signal import lfilter
-
     n = 60_000
     x = lfilter([1.0], [1.0, -rho], np.random.default_rng(7).standard_normal(n))
     # G = sum |k| R(k), g = sum R(k): for an AR(1) their ratio is 2 rho/(1 - rho^2)
@@ -365,9 +361,10 @@ def test_a_refit_on_node_sums_equals_a_refit_of_the_samples(small):
     for k, e in enumerate(problem.campaign):
         own = _series(problem, vector, k, True)
         index = stationary_indices(len(own.e), own.length, rng)
-        r = np.zeros(len(e.t))
-        _recolour(index, own.e, own.scale, e.runs, own.across, own.phi, r)
-        values[e.name] = mean_and_variance(problem, vector, k)[0] + r
+        innovations = own.e[index]
+        innovations[1:] *= np.sqrt(1.0 - own.phi**2)
+        z = lfilter([1.0], [1.0, -own.phi], innovations)  # no gaps here: one run each
+        values[e.name] = mean_and_variance(problem, vector, k)[0] + own.scale * z
     again = Problem(small.campaign.with_data(values))
     region = evidence.white.compressed.region
     surface, maximum = white_surface(again, vector, small.fit.rms, region)
