@@ -20,6 +20,9 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compression import Compressed, Region, compress
 from bayes_sensor.likelihood import Problem, log_prior_derivatives, log_priors
 
+MESH_LIMIT = 3e-4
+"""error in log L at a few draws above which blocks are made narrower; promised is 1e-3"""
+
 
 @dataclass(frozen=True)
 class Coordinates:
@@ -277,12 +280,21 @@ def log_posteriors(
     compressed: Compressed, coordinates: Coordinates, thetas: FloatArray, roots: bool = False
 ) -> FloatArray:
     """(n,) log posterior density in psi (or in psi with roots) up to a constant."""
+    return log_posteriors_and_likelihoods(compressed, coordinates, thetas, roots)[0]
+
+
+def log_posteriors_and_likelihoods(
+    compressed: Compressed, coordinates: Coordinates, thetas: FloatArray, roots: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """:func:`log_posteriors`, and the log-likelihood (n, n_experiments) of every experiment."""
     problem = coordinates.problem
     total = log_priors(problem, thetas) + coordinates.log_jacobian(thetas, roots)
     good = np.isfinite(total)
+    each = np.full((len(thetas), len(problem.campaign)), -np.inf)
     if good.any():
-        total[good] += compressed.log_likelihoods(thetas[good]).sum(axis=1)
-    return np.where(np.isnan(total), -np.inf, total)
+        each[good] = compressed.log_likelihoods(thetas[good])
+        total[good] += each[good].sum(axis=1)
+    return np.where(np.isnan(total), -np.inf, total), each
 
 
 def approximate(
@@ -359,7 +371,6 @@ def approximate(
             mesh = compress(problem, coordinates.theta(psi))
         info = _information(mesh, coordinates, psi)
     theta = coordinates.theta(psi)
-    mesh = compress(problem, theta)
     mean, cov = _expand(mesh, coordinates, psi, gradient)
     if mean[0] < 0.25 * sqrt(cov[0, 0]):
         # re-expand where the bulk of the truncated Gaussian lies, not at the edge
@@ -370,8 +381,11 @@ def approximate(
         if np.isfinite(objective(middle)):
             mean, cov = _expand(mesh, coordinates, middle, gradient)
     laplace = Laplace(coordinates, mean, cov, theta, float(value), converged)
-    mesh = compress(problem, theta, covering_region(mesh, laplace))
-    return laplace, mesh
+    drawn, _ = laplace.draw(400, np.random.default_rng(0), inflate=1.5)
+    needed = covering_region(mesh, laplace, drawn, 0.2)
+    if (needed.low < mesh.region.low).any() or (needed.high > mesh.region.high).any():
+        mesh = compress(problem, theta, covering_region(mesh, laplace, drawn, 0.4))
+    return laplace, mesh.accurate(drawn[:3], MESH_LIMIT)
 
 
 def _into_support(problem: Problem, theta: FloatArray) -> FloatArray:
@@ -390,17 +404,18 @@ def _into_support(problem: Problem, theta: FloatArray) -> FloatArray:
     return theta
 
 
-def covering_region(compressed: Compressed, laplace: Laplace, n: int = 400) -> Region:
-    """A mesh region that holds the Gaussian's draws with half as much again to spare."""
-    thetas, _ = laplace.draw(n, np.random.default_rng(0), inflate=1.5)
+def covering_region(
+    compressed: Compressed, laplace: Laplace, thetas: FloatArray, spare: float
+) -> Region:
+    """A mesh region that holds draws ``thetas`` and ``spare`` of their range on either side."""
     low, high = compressed.region.low.copy(), compressed.region.high.copy()
     layout = laplace.coordinates.problem.layout
     switches = layout.local[:, 2:].ravel()
     extra = range(len(layout) - len(layout.extra), len(layout))
     for i in [1, 2, *switches[switches >= 0], *extra]:
         a, b = thetas[:, i].min(), thetas[:, i].max()
-        low[i], high[i] = a - 0.4 * (b - a), b + 0.4 * (b - a)
-    low[0], high[0] = 0.0, 1.4 * thetas[:, 0].max()
+        low[i], high[i] = a - spare * (b - a), b + spare * (b - a)
+    low[0], high[0] = 0.0, (1.0 + spare) * thetas[:, 0].max()
     for i in (1, 2):
         low[i] = max(low[i], 0.2 * laplace.theta[i])
     for i in extra:

@@ -549,6 +549,19 @@ def is_affine(problem: Problem) -> bool:
     return bool(getattr(model, "affine", type(model).mean is Cascade.mean))
 
 
+def mean_on_grid(problem: Problem, vector: FloatArray, k: int) -> FloatArray:
+    """Mean (n_t,) V of experiment number ``k`` on its grid."""
+    e, model = problem.campaign.experiments[k], problem.model
+    if type(model) is Cascade and model.method == "exact":
+        y0, beta, t0, tf = local_parameters(vector, problem.layout, e.name)
+        taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
+        mean = grid_response(e, taus, t0, tf)
+        mean *= beta
+        mean += y0
+        return mean
+    return mean_and_response(problem, vector, e, e.t)[0]
+
+
 def mean_and_variance(
     problem: Problem, vector: FloatArray, k: int
 ) -> tuple[FloatArray, FloatArray]:

@@ -131,15 +131,29 @@ def test_a_mesh_is_small_and_does_not_grow_with_the_sampling_rate() -> None:
     assert sizes[0] < 12000 / 8 and sizes[1] < 1.3 * sizes[0]
 
 
-def test_a_wrong_mesh_would_be_noticed(monkeypatch) -> None:
+def test_a_wrong_mesh_would_be_noticed() -> None:
     # negative control: blocks sixteen times too wide break the agreement asserted above
-    import bayes_sensor.compression.mesh as building
-
     problem, theta = small_problem(0.5, n=1, interval=1e-3)
-    monkeypatch.setattr(building, "NARROWER", 16.0)
-    monkeypatch.setattr(building, "WINDOW_BLOCK", 16 * building.WINDOW_BLOCK)
+    region = replace(default_region(problem, theta), fineness=1 / 16)
+    mesh = compress(problem, theta, region)
+    points = principal_points(problem, mesh, theta)
+    assert mesh.error(points) > 2e-4
+    # and mended: narrower blocks until the error is small
+    mended = mesh.accurate(points[:4], 1e-5)
+    assert mended.region.fineness > 1 / 16 and mended.error(points[:4]) <= 1e-5
+    assert mended.accurate(points[:4], 1e-5) is mended
+
+
+def test_a_variance_that_all_but_vanishes_before_the_step() -> None:
+    # sigma0 a hundredth of sigma1: 1/s^2 changes ten-thousandfold while x3 rises and decays
+    plan = small_design(n=2, interval=1e-3)
+    problem = Problem(plan)
+    nested = small_theta(plan, 0.5, 2e-4, 0.02)
+    problem = replace(problem, campaign=simulate(problem, nested, seed=3))
+    theta = problem.layout.flat(nested)
     mesh = compress(problem, theta)
-    assert mesh.error(principal_points(problem, mesh, theta)) > 2e-4
+    points = principal_points(problem, mesh, theta)
+    assert mesh.accurate(points, 1e-3).error(points) < 1e-3
 
 
 # --- outside the region

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import pi
+from math import exp, pi
 
 import numpy as np
+from numba import njit
 
 from bayes_sensor.campaign import Experiment, FloatArray
 from bayes_sensor.compression.kernels import CHEBYSHEV, Arrays, K
-from bayes_sensor.likelihood import Problem, mean_and_response, mean_and_variance
+from bayes_sensor.likelihood import Problem, mean_and_response, mean_on_grid
 from bayes_sensor.noise import scale_squared
 
-# Interpolation tolerance for a decaying exponential of unit amplitude, and how much narrower than
-# its own mesh products such as x^2/s^2 want it; both set by the measured error of the likelihood.
+# Interpolation tolerance for a decaying exponential of unit amplitude, set by the measured error
+# of the likelihood.
 TOLERANCE = 1e-7
-NARROWER = 1.0
 # Widest block, in slowest time constants, in which a switch time may fall.
 WINDOW_BLOCK = 0.03
 
@@ -44,39 +43,65 @@ class Region:
     """how many times narrower than usual the blocks are"""
 
 
+@njit(cache=True, error_model="numpy")
+def _width_after(
+    s: float, decays: FloatArray, amplitude: float, fineness: float
+) -> float:  # pragma: no cover - compiled
+    # Block width (s) at a time s after the last possible switch, for exponentials given by rows
+    # (time constant, coefficient); amplitude: of them as the weights 1/s^2 see them
+    factorial = 1.0
+    for i in range(1, K + 1):
+        factorial *= i
+    least = np.inf
+    for i in range(len(decays)):
+        tau, c = decays[i, 0], decays[i, 1]
+        growth = exp(min(s / tau, 600.0))
+        reach = (TOLERANCE * factorial * growth / (2.0 * c * amplitude)) ** (1.0 / K)
+        least = min(least, 4.0 * tau * reach)
+    return least / fineness
+
+
+@njit(cache=True, error_model="numpy")
 def _blocks_of_run(
     first: int,
     last: int,
-    e: Experiment,
-    windows: list[tuple[float, float]],
-    width_after: Callable[[float], float],
+    start: float,
+    h: float,
+    windows: FloatArray,
     narrow: float,
-    kinks: Sequence[tuple[float, float]],
+    decays: FloatArray,
+    amplitude: float,
+    kinks: FloatArray,
     fineness: float,
-) -> list[tuple[int, int, int]]:
-    """(start, samples, kind) of the blocks covering samples first .. last - 1 of one run."""
-    h, t_first = e.interval, e.t[0]
+) -> list[tuple[int, int, int]]:  # pragma: no cover - compiled
+    # (start, samples, kind) of the blocks covering samples first .. last - 1 of one run;
+    # windows, kinks (n, 2): where a switch may fall, what is wanted sample by sample (s)
     blocks = []
     i = first
     longest = max(8.0, (last - first) / 6.0 / fineness)
     while i < last:
-        t = t_first + i * h
+        t = start + i * h
         allowed = longest * h
-        for low, high in windows:
-            if t >= high:
-                allowed = min(allowed, max(narrow, width_after(t - high)))
-            elif t >= low:
+        for w in range(len(windows)):
+            if t >= windows[w, 1]:
+                after = _width_after(t - windows[w, 1], decays, amplitude, fineness)
+                allowed = min(allowed, max(narrow, after))
+            elif t >= windows[w, 0]:
                 allowed = min(allowed, narrow)
         kind = 0
-        # a block may reach up to a window, or into it only when narrow
+        # a block may reach up to a window, or into it only when narrow; never into a kink
         while True:
             n = 16 * 2**kind
             end = t + n * h
             if n > last - i or n * h > allowed:
                 break
-            if n * h > narrow and any(low < end and t < high for low, high in windows):
-                break
-            if any(low < end and t < high for low, high in kinks):
+            reaches = False
+            for w in range(len(windows)):
+                inside = windows[w, 0] < end and t < windows[w, 1]
+                reaches = reaches or (inside and n * h > narrow)
+            for w in range(len(kinks)):
+                reaches = reaches or (kinks[w, 0] < end and t < kinks[w, 1])
+            if reaches:
                 break
             kind += 1
         n = 8 * 2**kind
@@ -85,27 +110,15 @@ def _blocks_of_run(
     return blocks
 
 
-def _width_after(taus: FloatArray, amplitude: float, fineness: float) -> Callable[[float], float]:
-    """Block width (s) at a time s after the last possible switch, for time constants (n, 3).
-
-    ``amplitude``: of the exponentials as the weights 1/s^2 see them.
-    """
-    coefficients = []
+def _decays(taus: FloatArray) -> FloatArray:
+    """(3 n, 2) time constants and coefficients of the exponentials of cascades ``taus`` (n, 3)."""
+    rows = []
     for row in taus:
         for j in range(3):
             others = [row[j] - row[m] for m in range(3) if m != j]
             c = row[j] ** 2 / max(abs(others[0] * others[1]), (0.05 * row[j]) ** 2)
-            coefficients.append((row[j], c))
-    tau, c = np.array(coefficients).T
-    factorial = float(np.prod(np.arange(1, K + 1)))
-
-    def width(s: float) -> float:
-        with np.errstate(over="ignore"):
-            growth = np.exp(np.minimum(s / tau, 600.0))
-        reach = (TOLERANCE * factorial * growth / (2.0 * c * amplitude)) ** (1.0 / K)
-        return float(NARROWER / fineness * np.min(4.0 * tau * reach))
-
-    return width
+            rows.append((row[j], c))
+    return np.array(rows)
 
 
 def build(problem: Problem, vector: FloatArray, region: Region, data: bool = True) -> Arrays:
@@ -126,11 +139,13 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
     for k, e in enumerate(campaign):
         h = e.interval
         i_y0, i_beta, i_t0, i_tf = layout.local[k]
-        width_after, narrow = _widths(problem, vector, region, k)
+        decays, amplitude, narrow = _widths(problem, vector, region, k)
         kinks = _kinks(problem, region, e)
         # a sensor faster than this is replaced by a delay: no exponential may overflow
         least = max(16.0 * h, narrow) / 600.0
-        windows = [(low[i] - least - h, high[i] + h) for i in (i_t0, i_tf) if i >= 0]
+        windows = np.array(
+            [(low[i] - least - h, high[i] + h) for i in (i_t0, i_tf) if i >= 0], dtype=float
+        )
         setting[k] = (
             h,
             e.total_flow,
@@ -142,8 +157,7 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
         )
         with_data = data and e.y is not None
         if with_data:
-            mean, _ = mean_and_variance(problem, vector, k)
-            d = e.values - mean
+            d = e.values - mean_on_grid(problem, vector, k)
         previous = -1
         n_pairs = 0
         first_block = len(base)
@@ -154,9 +168,10 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
             previous = b - 1
             n_pairs += b - a - 1
             run_start = len(base)
-            for start, n, kind in _blocks_of_run(
-                a + 1, b, e, windows, width_after, narrow, kinks, region.fineness
-            ):
+            found = _blocks_of_run(
+                a + 1, b, e.t[0], h, windows, narrow, decays, amplitude, kinks, region.fineness
+            )
+            for start, n, kind in found:
                 if kind == 0:
                     L = np.eye(n, K)
                 else:
@@ -209,19 +224,17 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
     )
 
 
-def _kinks(problem: Problem, region: Region, e: Experiment) -> list[tuple[float, float]]:
-    """Stretches (s) that the model wants sample by sample."""
+def _kinks(problem: Problem, region: Region, e: Experiment) -> FloatArray:
+    """(n, 2) stretches (s) that the model wants sample by sample."""
     asked = getattr(problem.model, "kinks", None)
-    if asked is None:
-        return []
-    found = asked(region.low, region.high, problem.layout, e)
-    return [(float(start) - e.interval, float(end) + e.interval) for start, end in found]
+    found = [] if asked is None else asked(region.low, region.high, problem.layout, e)
+    return np.array(found, dtype=float).reshape(-1, 2) + e.interval * np.array([-1.0, 1.0])
 
 
 def _widths(
     problem: Problem, vector: FloatArray, region: Region, k: int
-) -> tuple[Callable[[float], float], float]:
-    """Block width after a switch as a function of time, and the width where a switch may fall."""
+) -> tuple[FloatArray, float, float]:
+    """The exponentials to resolve, their amplitude, and the width where a switch may fall."""
     low, high = region.low, region.high
     e = problem.campaign.experiments[k]
     _, sigma0, sigma1 = vector[problem.layout.noise[k]]
@@ -239,7 +252,7 @@ def _widths(
     slowest = max(vector[0], vector[1], vector[2] / e.total_flow)
     # x3 starts like the cube of time: s^2 doubles within growth^(-1/3) of the response's own time
     narrow = WINDOW_BLOCK * slowest * (1.0 + growth / 30.0) ** (-1.0 / 3.0)
-    return _width_after(candidates, growth, region.fineness), narrow / region.fineness
+    return _decays(candidates), growth, narrow / region.fineness
 
 
 def node_times(base: FloatArray, kind: np.ndarray, h: float) -> FloatArray:

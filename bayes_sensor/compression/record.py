@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, pi, sqrt
 
 import numpy as np
@@ -350,6 +350,19 @@ class Compressed:
                 worst = max(worst, abs(full - fast))
         self.n_full_passes = passes
         return worst
+
+    def accurate(self, thetas: FloatArray, limit: float) -> Compressed:
+        """This mesh, or one with narrower blocks, whose error at ``thetas`` is at most ``limit``.
+
+        Blocks are halved four times at most; the error that remains is for the caller to state.
+        """
+        mesh = self
+        for _ in range(4):
+            if mesh.error(thetas) <= limit:
+                break
+            region = replace(mesh.region, fineness=2.0 * mesh.region.fineness)
+            mesh = Compressed(mesh.problem, mesh.reference, region)
+        return mesh
 
     def information(self, theta: Theta) -> FloatArray:
         """Expected Fisher information (n_theta, n_theta) of the flat vector.

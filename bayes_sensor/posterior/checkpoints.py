@@ -71,13 +71,15 @@ def replace_file(path: Path, content: bytes) -> None:
     os.replace(temporary, path)
 
 
-def digest(problem: Problem, start: FloatArray, settings: Settings, seed: int) -> str:
-    """Identifies a run: data, model, priors, start, settings and seed."""
+def digest(
+    problem: Problem, start: FloatArray, settings: Settings, seed: int, fineness: float
+) -> str:
+    """Identifies a run: data, model, priors, start, settings, seed and mesh."""
     hasher = hashlib.sha256()
     for e in problem.campaign:
         hasher.update(np.ascontiguousarray(e.values[e.used]).tobytes())
         hasher.update(repr((e.name, e.interval, e.total_flow, e.concentration)).encode())
     hasher.update(np.ascontiguousarray(start).tobytes())
     hasher.update(repr((problem.noise, problem.model, sorted(problem.priors.items()))).encode())
-    hasher.update(repr((settings, seed)).encode())
+    hasher.update(repr((settings, seed, fineness)).encode())
     return hasher.hexdigest()

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compression import Compressed
 from bayes_sensor.laplace import Coordinates
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.mixing import diagnostics
 
 R_HAT_LIMIT = 1.01
 ESS_LIMIT = 400.0
+MESH_ERROR_LIMIT = 1e-3
+"""of log L, between mesh and full pass"""
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,10 @@ class Run:
     acceptance: float
     k_hat: float | None = None
     diagnosis: tuple[FloatArray, FloatArray, FloatArray] | None = None
+    log_likelihood: FloatArray | None = None
+    """(n_chain, n_draw, n_experiment) where the sampler has kept it"""
+    compressed: Compressed | None = None
+    """the mesh it ended with, where that is another"""
 
 
 def diagnose(problem: Problem, chains: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

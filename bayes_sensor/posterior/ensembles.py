@@ -203,7 +203,7 @@ def run_emcee(
                 f"{steps} steps ({settings.burn_in} dropped), {how}; acceptance {rate:.2f}; "
                 "convergence judged between ensembles"
             )
-            return Run("emcee", drawn, True, reason, rate, None, found)
+            return Run("emcee", drawn, True, reason, rate, None, found, None, target.compressed)
 
 
 def _hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:

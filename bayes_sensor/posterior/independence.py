@@ -8,7 +8,7 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compression import Compressed
-from bayes_sensor.laplace import Laplace, log_posteriors
+from bayes_sensor.laplace import Laplace, log_posteriors_and_likelihoods
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.mixing import pareto_k
 from bayes_sensor.posterior.convergence import Run, enough
@@ -27,7 +27,8 @@ def run_independence(
 ) -> Run:
     """Chains whose proposals are draws of the Laplace approximation."""
     rngs = [np.random.default_rng(s) for s in streams.spawn(settings.n_chains)]
-    chains = [np.empty((0, len(problem.layout))) for _ in rngs]
+    n_theta = len(problem.layout)
+    chains = [np.empty((0, n_theta + len(problem.campaign))) for _ in rngs]
     states: list[Any] = [None] * len(rngs)
     weights: list[FloatArray] = []
     accepted = tried = 0
@@ -36,7 +37,12 @@ def run_independence(
         for j, rng in enumerate(rngs):
             extra = 1 if states[j] is None else 0
             thetas, log_q = laplace.draw(n + extra, rng, inflate=1.08)
-            log_w = log_posteriors(compressed, laplace.coordinates, thetas, roots=True) - log_q
+            density, each = log_posteriors_and_likelihoods(
+                compressed, laplace.coordinates, thetas, roots=True
+            )
+            log_w = density - log_q
+            # theta and its log-likelihoods travel together
+            thetas = np.concatenate([thetas, each], axis=1)
             weights.append(log_w)
             if states[j] is None:
                 if not np.isfinite(log_w).any():
@@ -62,7 +68,7 @@ def run_independence(
         k_hat = pareto_k(np.concatenate(weights))
         acceptance = accepted / tried
         report(min(0.95, len(chains[0]) / settings.max_draws), "independence Metropolis")
-        stacked = np.stack(chains)
+        stacked = np.stack(chains)[:, :, :n_theta]
         if k_hat >= K_HAT_LIMIT or acceptance < 0.1:
             reason = (
                 f"independence Metropolis was given up: Pareto k-hat {k_hat:.2f} "
@@ -76,4 +82,5 @@ def run_independence(
                 f"{acceptance:.2f}, Pareto k-hat {k_hat:.2f} (trusted below {K_HAT_LIMIT}), "
                 f"{settings.n_chains} independent chains compared"
             )
-            return Run("independence", stacked, True, reason, acceptance, k_hat, found)
+            likelihood = np.stack(chains)[:, :, n_theta:]
+            return Run("independence", stacked, True, reason, acceptance, k_hat, found, likelihood)

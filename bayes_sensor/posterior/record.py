@@ -13,7 +13,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.laplace import Coordinates
 from bayes_sensor.likelihood import Prior, Problem
 from bayes_sensor.model import Layout
-from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT
+from bayes_sensor.posterior.convergence import ESS_LIMIT, MESH_ERROR_LIMIT, R_HAT_LIMIT
 from bayes_sensor.posterior.settings import Settings
 from bayes_sensor.posterior.summaries import highest_density, weighted_quantiles
 
@@ -113,7 +113,7 @@ class Posterior:
                 "all flows are equal: tau_v and V cannot be told apart by these data, "
                 "their intervals come from the priors"
             )
-        if self.mesh_error > 1e-3:
+        if self.mesh_error > MESH_ERROR_LIMIT:
             found.append(f"the mesh is off by {self.mesh_error:.1e} in log L, more than 1e-3")
         return tuple(found)
 

@@ -11,15 +11,19 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
-from bayes_sensor.laplace import approximate
+from bayes_sensor.compression import Compressed
+from bayes_sensor.laplace import Laplace, approximate
 from bayes_sensor.likelihood import Problem, as_problem
 from bayes_sensor.posterior.checkpoints import digest
-from bayes_sensor.posterior.convergence import diagnose
+from bayes_sensor.posterior.convergence import MESH_ERROR_LIMIT, Run, diagnose
 from bayes_sensor.posterior.ensembles import run_emcee
 from bayes_sensor.posterior.hmc import run_hmc
 from bayes_sensor.posterior.independence import run_independence
 from bayes_sensor.posterior.record import Posterior
 from bayes_sensor.posterior.settings import SAMPLERS, Progress, Settings
+
+MESHES = 3
+"""how often a run may be repeated with narrower blocks, should the mesh prove too coarse"""
 
 
 def sample_posterior(
@@ -74,32 +78,24 @@ def sample_posterior(
     start = _start(problem, getattr(fit, "theta_hat", fit))
     report(0.0, "Laplace approximation")
     laplace, compressed = approximate(problem, start)
-    streams = np.random.SeedSequence(seed)
-    reasons: list[str] = []
-    run = None
-    if sampler == "independence":
-        run = run_independence(problem, laplace, compressed, settings, streams, report)
-        reasons.append(run.reason)
-        if not run.good:
-            sampler = "hmc"
-    if sampler == "hmc":
-        run = run_hmc(problem, laplace, compressed, settings, streams, report)
-        reasons.append(run.reason)
-        if not run.good:
-            sampler = "emcee"
-    if sampler == "emcee":
-        folder = None if checkpoint is None else Path(checkpoint)
-        identity = digest(problem, start, settings, seed)
-        run = run_emcee(
-            problem, laplace, compressed, settings, seed, jobs, folder, resume, identity, report
-        )
-        reasons.append(run.reason)
-    assert run is not None  # one of the three has run
+    for _ in range(MESHES):
+        run, reasons = _run(
+            sampler, problem, start, laplace, compressed, settings, seed, jobs,
+            None if checkpoint is None else Path(checkpoint), resume, report,
+        )  # fmt: skip
+        compressed = run.compressed or compressed
+        draws = run.chains.reshape(-1, len(problem.layout))
+        few = draws[:: max(1, len(draws) // 6)][:6]
+        error = compressed.error(few)
+        if error <= MESH_ERROR_LIMIT:
+            break
+        compressed = compressed.accurate(few, MESH_ERROR_LIMIT)
     chains = run.chains
     r_hat, bulk, tail = run.diagnosis or diagnose(problem, chains)
     n_chain, n_draw, n_theta = chains.shape
-    each = compressed.log_likelihoods(chains.reshape(-1, n_theta))
-    few = chains.reshape(-1, n_theta)[:: max(1, n_chain * n_draw // 6)][:6]
+    each = run.log_likelihood
+    if each is None:
+        each = compressed.log_likelihoods(chains.reshape(-1, n_theta))
     report(1.0, "done")
     return Posterior(
         problem=problem,
@@ -107,7 +103,7 @@ def sample_posterior(
         log_likelihood=each.reshape(n_chain, n_draw, -1),
         sampler=run.sampler,
         reasons=tuple(reasons),
-        mesh_error=compressed.error(few),
+        mesh_error=error,
         r_hat=r_hat,
         ess_bulk=bulk,
         ess_tail=tail,
@@ -117,6 +113,40 @@ def sample_posterior(
         k_hat=run.k_hat,
         acceptance=run.acceptance,
     )
+
+
+def _run(
+    sampler: str,
+    problem: Problem,
+    start: FloatArray,
+    laplace: Laplace,
+    compressed: Compressed,
+    settings: Settings,
+    seed: int,
+    jobs: int,
+    folder: Path | None,
+    resume: bool,
+    report: Progress,
+) -> tuple[Run, list[str]]:
+    """What ``sampler``, or what replaced it, has drawn; and why, in sentences."""
+    streams = np.random.SeedSequence(seed)
+    reasons: list[str] = []
+    if sampler == "independence":
+        run = run_independence(problem, laplace, compressed, settings, streams, report)
+        reasons.append(run.reason)
+        if run.good:
+            return run, reasons
+        sampler = "hmc"
+    if sampler == "hmc":
+        run = run_hmc(problem, laplace, compressed, settings, streams, report)
+        reasons.append(run.reason)
+        if run.good:
+            return run, reasons
+    identity = digest(problem, start, settings, seed, compressed.region.fineness)
+    run = run_emcee(
+        problem, laplace, compressed, settings, seed, jobs, folder, resume, identity, report
+    )
+    return run, [*reasons, run.reason]
 
 
 def _start(problem: Problem, given: Any) -> FloatArray:
