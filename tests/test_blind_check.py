@@ -548,6 +548,7 @@ def test_opening_the_seal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 # --------------------------------------------------------------------------- all of it
 
 
+@pytest.mark.slow
 def test_a_small_blind_check_from_the_command_line(tmp_path: Path) -> None:
     # the real diagnosis on small campaigns: everything is drawn, sealed, diagnosed, scored
     out = tmp_path / "out"
