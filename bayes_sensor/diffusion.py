@@ -283,7 +283,9 @@ def _legendre_element(degree: int) -> tuple[FloatArray, FloatArray, FloatArray, 
     """Gauss-Lobatto nodes and weights on [-1, 1], differentiation matrix, barycentric weights."""
     last = np.zeros(degree + 1)
     last[degree] = 1.0
-    nodes = np.concatenate(([-1.0], legendre.legroots(legendre.legder(last)), [1.0]))
+    # newer numpy hands the roots on as complex numbers, though all are real
+    inner = np.sort(np.real(legendre.legroots(legendre.legder(last))))
+    nodes = np.concatenate(([-1.0], inner, [1.0]))
     weights = 2 / (degree * (degree + 1) * legendre.legval(nodes, last) ** 2)
     gaps = nodes[:, None] - nodes[None, :] + np.eye(degree + 1)
     barycentric = 1 / gaps.prod(axis=1)
