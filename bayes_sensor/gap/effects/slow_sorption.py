@@ -13,13 +13,13 @@ EFFECT = Effect(
     forms=(
         Form(
             lambda s: (
-                Strength("slow_site_share", "1", "log_normal", 0.03, 1.0, limits=(1e-6, 0.9)),
-                Strength("slow_site_time", "s", "log_normal", 10.0 * s.time_scale, 0.8),
+                Strength("slow_site_share", "1", "log_normal", 0.04, 1.0, limits=(1e-6, 0.9)),
+                Strength("slow_site_time", "s", "log_normal", 7.0 * s.time_scale, 1.0),
             ),
             lambda v, s: dict(v),
             starts=(
-                {"slow_site_share": 0.03, "slow_site_time*": 5.0},
-                {"slow_site_share": 0.03, "slow_site_time*": 18.0},
+                {"slow_site_share": 0.03, "slow_site_time*": 4.0},
+                {"slow_site_share": 0.03, "slow_site_time*": 15.0},
             ),
         ),
     ),

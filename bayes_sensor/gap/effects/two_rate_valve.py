@@ -1,7 +1,9 @@
 """Part of the valve's opening follows slowly.
 
 A seat that swells or a membrane that creeps lets most of the gas through at once and the rest
-with a second, longer time constant; the same shares shut.
+with a second, longer time constant; the same shares shut.  Seen from outside it is one response
+with a slow part of the sensor (``slow_sorption``): the two have the same priors, so that data
+which cannot separate them leave both.
 """
 
 from bayes_sensor.gap.effect import Effect, Form, Strength
@@ -13,13 +15,13 @@ EFFECT = Effect(
     forms=(
         Form(
             lambda s: (
-                Strength("slow_valve_share", "1", "log_normal", 0.05, 1.0, limits=(1e-6, 0.9)),
-                Strength("slow_valve_time", "s", "log_normal", 5.0 * s.time_scale, 0.8),
+                Strength("slow_valve_share", "1", "log_normal", 0.04, 1.0, limits=(1e-6, 0.9)),
+                Strength("slow_valve_time", "s", "log_normal", 7.0 * s.time_scale, 1.0),
             ),
             lambda v, s: dict(v),
             starts=(
-                {"slow_valve_share": 0.03, "slow_valve_time*": 3.0},
-                {"slow_valve_share": 0.03, "slow_valve_time*": 12.0},
+                {"slow_valve_share": 0.03, "slow_valve_time*": 4.0},
+                {"slow_valve_share": 0.03, "slow_valve_time*": 15.0},
             ),
         ),
     ),
