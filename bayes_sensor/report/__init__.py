@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bayes_sensor.report import html, markdown, typeset
 from bayes_sensor.report.headline import Headline, alerts, headline
 from bayes_sensor.report.parts import Picture, Pictures, Section, Table
 from bayes_sensor.report.saved import Saved, read_results
-from bayes_sensor.report.sections import make_sections
 from bayes_sensor.report.words import list_words, number, p_words, with_spread
 
 __all__ = [
@@ -52,6 +50,8 @@ def build_report(
 
     Raises CampaignError if ``folder`` is not a results directory.
     """
+    from bayes_sensor.report import html  # the drawing rooms are slow to import
+
     saved, sections = _read(folder, figure_folder, progress)
     return html.page(saved, sections)
 
@@ -63,6 +63,8 @@ def write_report(
 
     ``form``: ``html``, ``pdf`` or ``md``.
     """
+    from bayes_sensor.report import html, markdown, typeset
+
     place = Path(target) / FORMATS[form]
     figure_folder = Path(target) / FIGURES
     figure_folder.mkdir(exist_ok=True)
@@ -80,6 +82,9 @@ def write_report(
 def _read(
     folder: str | Path, figure_folder: str | Path | None, progress: Progress | None
 ) -> tuple[Saved, list[Section]]:
+    from bayes_sensor.report import html
+    from bayes_sensor.report.sections import make_sections
+
     saved = read_results(folder)
     pictures = Pictures(
         None if figure_folder is None else Path(figure_folder),

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bayes_sensor import figures
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import list_words, ms, number, sentence, typeset, with_spread
 
@@ -95,6 +94,8 @@ def _naive_words(bounds: Mapping[str, Any] | None) -> str:
 
 def alerts(saved: Saved) -> list[tuple[str, str]]:
     """(kind, sentence) for the top of the page: ``bad`` for what failed, else ``note``."""
+    from bayes_sensor.figures import METHOD_LABELS  # draws, so slow to import
+
     found: list[tuple[str, str]] = []
     if saved.fit is not None and not saved.fit["converged"]:
         found.append(("bad", f"The least-squares fit did not converge. {saved.fit['status']}"))
@@ -136,7 +137,7 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
             if method == "crlb_iid_one_percent_step":  # its caveats stand in the table of methods
                 continue
             if status != "ok" and "lower bound" not in status and "upper limit" not in status:
-                label = figures.METHOD_LABELS.get(method, method)
+                label = METHOD_LABELS.get(method, method)
                 notes.append(f"{label}: {status}")
     seen: set[str] = set()
     for note in notes:

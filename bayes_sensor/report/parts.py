@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bayes_sensor import figures
 from bayes_sensor.report.words import number
 
 _OPEN, _CLOSE = "\ue000", "\ue001"
@@ -146,6 +145,8 @@ class Pictures:
 
     def add(self, key: str, figure: Any, caption: str, overlay: int | None = None) -> Picture:
         """The picture of a figure."""
+        from bayes_sensor import figures  # slow to import
+
         drawing = figures.svg(figure)
         self.done += 1
         self.progress(min(0.99, self.done / max(self.total, 1)), f"figure {key}")
