@@ -238,6 +238,8 @@ def diagnose_gap(
         Parameters of the simulation before calibration, for the budget.
     bootstrap
         Simulated and refitted campaigns; 0: linearised p-values and intervals.
+    jobs
+        Processes for the bootstrap and for what may hide; the numbers do not depend on it.
     hidden, separate
         Whether to work out what may hide, and what would tell look-alikes apart.
 
@@ -277,31 +279,27 @@ def diagnose_gap(
     rounds, _last = _escalate(weighing, best, kind, named, probability, catalogue, seed)
     tell(0.7, "how far")
     window = best_discrepancy(base, weighing.discrepancies)
-    shrink = _shrink(weighing, best, kind, window, catalogue, seed, bootstrap)
+    shrink = _shrink(weighing, best, kind, window, catalogue, seed, bootstrap, jobs)
     tell(0.85, "what may hide")
-    rest = (
-        what_may_hide(sketch, best.refit if kind == "effect" else base, catalogue)
-        if hidden
-        else (
-            [],
-            (
-                exp(best.log_tau - 1.96 * best.sd_log_tau),
-                exp(best.log_tau + 1.96 * best.sd_log_tau),
-            ),
-        )
-    )
+    accepted = best.refit if kind == "effect" else base
+    found: list[Hidden] = []
+    if hidden:
+        found, envelope = what_may_hide(sketch, accepted, catalogue, jobs)
+    else:
+        spread = 1.96 * best.sd_log_tau
+        envelope = (exp(best.log_tau - spread), exp(best.log_tau + spread))
     tell(0.93, "look-alikes")
     rows, separations = _rows(weighing, stand, full_rate, catalogue, window, separate, kind, named)
     notes = _notes(campaign, sketch.floor.spikes)
     sentence = _sentence(kind, named, family, probability, best, located, catalogue, separations,
-                         shrink, full_rate, rest[1], campaign.signal_unit)  # fmt: skip
+                         shrink, full_rate, envelope, campaign.signal_unit)  # fmt: skip
     tell(1.0, "done")
     return Gap(
         verdict=Verdict(kind, named, family, float(min(max(probability, 0.0), 1.0)), sentence),
         budget=_budget(campaign, prepared, base, located, nominal),
         map=located,
         shrink=shrink,
-        hidden=HiddenEffects(tuple(rest[0]), rest[1]),
+        hidden=HiddenEffects(tuple(found), envelope),
         rounds=tuple(rounds),
         separations=tuple(separations),
         full_rate=tuple(full_rate),
@@ -400,9 +398,10 @@ def _shrink(
     catalogue: Mapping[str, Effect],
     seed: int,
     bootstrap: int,
+    jobs: int,
 ) -> Shrink:
     base = weighing.base
-    closed = closure(base, best.refit, window, seed, bootstrap if kind == "effect" else 0)
+    closed = closure(base, best.refit, window, seed, bootstrap if kind == "effect" else 0, jobs)
     out = None
     if best.effects and not closed.withheld:
         out = held_out(base, best.refit, window)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from math import exp, log
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from bayes_sensor.gap.effect import Effect, Form, Strength
 from bayes_sensor.gap.evidence import Linearised
@@ -82,24 +83,24 @@ def _all_strengths(effect: Effect, sketch: Sketch) -> list[Strength]:
 
 
 def what_may_hide(
-    sketch: Sketch, base: Refit, catalogue: Mapping[str, Effect]
+    sketch: Sketch, base: Refit, catalogue: Mapping[str, Effect], jobs: int = 1
 ) -> tuple[list[Hidden], tuple[float, float]]:
     """Every effect on the mean at plausible strength, and the envelope of tau, s.
 
     ``base``: the explanation that was accepted, with or without effects.
     """
-    found = []
     exact = [base.plan.binned(base.x, k) for k in range(len(sketch.bins))]
     none = refit(base.plan, base.x, data=exact, most_steps=10)
     line = Linearised(base).evidence(None)
     low = line.log_tau - 1.96 * line.sd_log_tau
     high = line.log_tau + 1.96 * line.sd_log_tau
     already = {part.effect.family for part in base.plan.parts}
-    for name, effect in catalogue.items():
-        if not effect.on_mean or effect.family in already:
-            continue
-        made = one_hidden(sketch, base, none, name, effect, plausible(effect, sketch))
-        found.append(made)
+    found = Parallel(n_jobs=jobs)(
+        delayed(one_hidden)(sketch, base, none, name, effect, plausible(effect, sketch))
+        for name, effect in catalogue.items()
+        if effect.on_mean and effect.family not in already
+    )
+    for made in found:
         if made.d < UNSEEN and not made.contradicted:
             low = min(low, log(max(made.tau_low_s, 1e-12)))
             high = max(high, log(max(made.tau_high_s, 1e-12)))

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.discrepancy import Discrepancy
@@ -63,7 +64,12 @@ def visible_misfit(fitted: Refit, window: Discrepancy) -> tuple[float, float]:
 
 
 def closure(
-    base: Refit, fitted: Refit, window: Discrepancy, seed: int = 1, bootstrap: int = 0
+    base: Refit,
+    fitted: Refit,
+    window: Discrepancy,
+    seed: int = 1,
+    bootstrap: int = 0,
+    jobs: int = 1,
 ) -> Closure:
     """The closed fraction with its 95 % interval.
 
@@ -82,7 +88,7 @@ def closure(
     fraction = 1.0 - after / before
     rng = np.random.default_rng(seed)
     if bootstrap >= 20:
-        spread_of = _simulated(base, fitted, window, rng, bootstrap)
+        spread_of = _simulated(base, fitted, window, rng, bootstrap, jobs)
     else:
         # noise in the remaining misfit, the floor's level, and noise in what was there before
         sd = np.sqrt(spread_after**2 + (1.0 - fraction) ** 2 * (spread**2 + 4.0 * before))
@@ -112,22 +118,34 @@ def _mean_volts(sketch: Sketch, fitted: Refit) -> float:
 
 
 def _simulated(
-    base: Refit, fitted: Refit, window: Discrepancy, rng: np.random.Generator, n: int
+    base: Refit,
+    fitted: Refit,
+    window: Discrepancy,
+    rng: np.random.Generator,
+    n: int,
+    jobs: int,
 ) -> FloatArray:
+    """Errors (n,) of the closed fraction in campaigns simulated at the explanation's optimum."""
     sketch = base.plan.sketch
     means = [fitted.plan.binned(fitted.x, k) for k in range(len(sketch.bins))]
-    found = []
+    campaigns = []
     for _ in range(n):
         scale = np.sqrt(DOF / rng.chisquare(DOF))
-        data = [
-            m + scale * c @ rng.standard_normal(len(m))
-            for m, c in zip(means, sketch.floor.cholesky, strict=True)
-        ]
-        pair = [refit(r.plan, r.x, data=data, most_steps=10, tolerance=0.2) for r in (base, fitted)]
-        before, after = (visible_misfit(r, window)[0] for r in pair)
-        found.append(1.0 - after / max(before, 1.0))
+        campaigns.append(
+            [
+                m + scale * c @ rng.standard_normal(len(m))
+                for m, c in zip(means, sketch.floor.cholesky, strict=True)
+            ]
+        )
     # the truth of the simulation is a closed gap
+    found = Parallel(n_jobs=jobs)(delayed(_closed)(base, fitted, window, y) for y in campaigns)
     return np.array(found) - 1.0
+
+
+def _closed(base: Refit, fitted: Refit, window: Discrepancy, data: Sequence[FloatArray]) -> float:
+    pair = [refit(r.plan, r.x, data=data, most_steps=10, tolerance=0.2) for r in (base, fitted)]
+    before, after = (visible_misfit(r, window)[0] for r in pair)
+    return 1.0 - after / max(before, 1.0)
 
 
 def held_out(base: Refit, fitted: Refit, window: Discrepancy) -> float | None:
