@@ -234,7 +234,8 @@ def markdown_table(
     settings = list(dict.fromkeys(table["setting"]))
     methods = list(dict.fromkeys(some.index.get_level_values("method")))
     kinds = ", ".join(name.rpartition("_")[0] for name in parameters)
-    lines = [f"| {kinds} | {' | '.join(settings)} |", "|---" * (len(settings) + 1) + "|"]
+    count = f"{int(table['campaigns'].min())} campaigns"
+    lines = [f"| {count}: {kinds} | {' | '.join(settings)} |", "|---" * (len(settings) + 1) + "|"]
     for method in methods:
         cells = [
             ", ".join(
