@@ -61,7 +61,10 @@ def p_words(p: float | None) -> str:
     return "below 0.001" if p < 0.001 else f"{p:.2g}"
 
 
-def p_equals(p: float) -> str:
+def p_equals(p: float | None) -> str:
+    """``= 0.03``, ``below 0.001`` or ``not computed``."""
+    if p is None:
+        return "not computed"
     words = p_words(p)
     return words if words.startswith("below") else f"= {words}"
 

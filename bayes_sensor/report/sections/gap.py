@@ -36,7 +36,7 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
         f"above the noise floor of {number(factor * budget['noise_floor_rms_V'])} {shown} "
         f"(d = {number(budget['excess_d'])} standard deviations, p "
         f"{p_equals(budget['p_value'])}){see('budget-table', 'where')}"
-        + (", no more than noise alone would leave." if budget["p_value"] > 0.05 else ".")
+        + (", no more than noise alone would leave." if (budget["p_value"] or 0.0) > 0.05 else ".")
     ]
     if verdict["kind"] != "none":
         paragraphs += _left_out(record)
