@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -42,6 +42,11 @@ def check_campaign(campaign: Campaign) -> pd.DataFrame:
     """
     import pandas as pd  # slow to import
 
+    return pd.DataFrame(campaign_rows(campaign))
+
+
+def campaign_rows(campaign: Campaign) -> list[dict[str, Any]]:
+    """The rows of :func:`check_campaign`'s table, one mapping per experiment."""
     remarks = campaign_remarks(campaign)
     rows = []
     for experiment in campaign:
@@ -68,7 +73,7 @@ def check_campaign(campaign: Campaign) -> pd.DataFrame:
                 "warnings": "; ".join(mine),
             }
         )
-    return pd.DataFrame(rows)
+    return rows
 
 
 def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:

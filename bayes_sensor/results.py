@@ -318,8 +318,13 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
 
 
-def campaign_record(campaign: Campaign, remarks: Sequence[str], table: Any) -> dict[str, Any]:
-    """The content of ``campaign.json``: what was understood of the input, with file hashes."""
+def campaign_record(
+    campaign: Campaign, remarks: Sequence[str], rows: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """The content of ``campaign.json``: what was understood of the input, with file hashes.
+
+    ``rows``: one per experiment, as check.campaign_rows makes them.
+    """
     source = Path(campaign.source) if campaign.source else None
     return {
         "title": campaign.title,
@@ -336,7 +341,7 @@ def campaign_record(campaign: Campaign, remarks: Sequence[str], table: Any) -> d
         "remarks": list(remarks),
         "experiments": [
             {**row, "file": Path(e.source).name if e.source else "", "sha256": e.sha256}
-            for row, e in zip(table.to_dict(orient="records"), campaign, strict=True)
+            for row, e in zip(rows, campaign, strict=True)
         ],
     }
 

@@ -114,12 +114,12 @@ def say(text: str, quiet: bool) -> None:
 
 
 def load(path: Path) -> tuple[Campaign, Any, tuple[str, ...]]:
-    """Campaign, table of what was understood, and remarks."""
-    from bayes_sensor.check import campaign_remarks, check_campaign
+    """Campaign, rows of what was understood, and remarks."""
+    from bayes_sensor.check import campaign_remarks, campaign_rows
     from bayes_sensor.readers import read_campaign
 
     campaign = read_campaign(path)
-    return campaign, check_campaign(campaign), campaign_remarks(campaign)
+    return campaign, campaign_rows(campaign), campaign_remarks(campaign)
 
 
 def print_check(path: Path, quiet: bool) -> None:
@@ -144,7 +144,7 @@ def print_check(path: Path, quiet: bool) -> None:
         (f"noise ({unit})", "noise_V", "{:.3g}"),
     ]
     rows = [[title for title, _, _ in columns]]
-    for row in table.to_dict(orient="records"):
+    for row in table:
         rows.append([_cell(row[key], pattern) for _, key, pattern in columns])
     widths = [max(len(row[i]) for row in rows) for i in range(len(columns))]
     for row in rows:

@@ -7,7 +7,7 @@ from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtri
 
 from bayes_sensor.campaign import Experiment, FloatArray
 from bayes_sensor.fit.looks import Look
@@ -78,8 +78,8 @@ def _lack_of_fit(
     ratio = means**2 / expected
     total = float(ratio.mean())
     level = 1e-3 / n_experiments
-    worst = stats.chi2.isf(level / len(ratio), 1)
-    if total > 1.5 * stats.chi2.isf(level, len(ratio)) / len(ratio) or ratio.max() > 1.5 * worst:
+    worst = chdtri(1, level / len(ratio))
+    if total > 1.5 * chdtri(len(ratio), level) / len(ratio) or ratio.max() > 1.5 * worst:
         volts = means * np.sqrt(np.mean(scale[e.used] ** 2))
         return float(np.abs(volts).max()), max(total, float(ratio.max()) / worst)
     return 0.0, 0.0
