@@ -14,6 +14,7 @@ import study_blind_check
 import study_bounds
 import study_coating
 import study_coverage
+import study_gap
 import study_predictive
 import study_published_bounds
 import study_reproduction
@@ -27,6 +28,7 @@ STUDIES = {
     "coverage": study_coverage.run,
     "bounds": study_bounds.run,
     "coating": study_coating.run,
+    "gap": study_gap.run,
     "blind-check": study_blind_check.run,
 }
 ROOT = Path(__file__).resolve().parent.parent.parent
