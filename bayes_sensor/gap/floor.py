@@ -25,7 +25,8 @@ SHRINK = 20.0
 """degrees of freedom of the neighbouring band, or of the common shape, in a band's estimate"""
 DOF = 60.0
 """degrees of freedom of the floor's level: evidences use a t law with so many"""
-LEVELS = ("carrier", "plateau")
+LAGS_PER_BIN = 24.0
+"""lags of the covariance within the shortest bin"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,20 +252,18 @@ def _bin_cholesky(
     e: Experiment, bins: ExperimentBins, edges: FloatArray, density: FloatArray, level: FloatArray
 ) -> FloatArray:
     """Lower factor (n_bins, n_bins) of the covariance of bin means of one experiment."""
-    # lags are needed on a grid that is fine beside the shortest bin only
+    # lags are needed on a grid that is fine beside the shortest bin only; the bins' ends are moved
+    # onto it, so that what follows is the covariance of a real process and positive definite
     shortest = float(np.min(bins.count)) * e.interval
-    step = e.interval * max(1, int(shortest / (12.0 * e.interval)))
-    length = len(e.t) * e.interval
-    n = 1 << int(np.ceil(np.log2(2.2 * length / step)))
+    step = e.interval * max(1, int(shortest / (LAGS_PER_BIN * e.interval)))
+    n = 1 << int(np.ceil(np.log2(2.2 * len(e.t) * e.interval / step)))
     f = np.asarray(np.fft.rfftfreq(n, step), dtype=float)
     low = _density_at(f, edges, density[0])
     high = _density_at(f, edges, density[1])
-    half = 0.5 * e.interval
-    a, b = e.t[bins.first] - half, e.t[bins.last - 1] + half
-    width = b - a
-    differences = [np.subtract.outer(p, q) for p, q in ((b, a), (a, b), (b, b), (a, a))]
-    index = [np.rint(np.abs(d) / step).astype(np.int64) for d in differences]
-    norm = np.outer(width, width)
+    a = np.rint(bins.first * e.interval / step).astype(np.int64)
+    b = np.maximum(np.rint(bins.last * e.interval / step).astype(np.int64), a + 1)
+    index = [np.abs(np.subtract.outer(p, q)) for p, q in ((b, a), (a, b), (b, b), (a, a))]
+    norm = np.outer(b - a, b - a)
 
     def covariance(spectrum: FloatArray) -> FloatArray:
         # G with second differences equal to the autocovariance: then
@@ -273,7 +272,7 @@ def _bin_cholesky(
         slope = np.cumsum(gamma) - 0.5 * gamma[0]
         second = np.concatenate([[0.0], np.cumsum(slope)])
         made = second[index[0]] + second[index[1]] - second[index[2]] - second[index[3]]
-        return made * step**2 / norm
+        return np.asarray(made / norm, dtype=float)
 
     level = np.clip(level, 0.0, 1.0)
     ratio = max(
@@ -292,14 +291,10 @@ def _bin_cholesky(
     total = 0.5 * (total + total.T)
     floor = np.maximum(np.diag(total), 0.0)
     white = _white_variance(e, edges, density, w) / bins.count
-    total[np.diag_indices_from(total)] = np.maximum(floor, white) * (1.0 + 1e-9)
-    for ridge in (0.0, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2):
-        try:
-            factor = np.linalg.cholesky(total + ridge * np.diag(np.diag(total)))
-            return np.asarray(factor, dtype=float)
-        except np.linalg.LinAlgError:
-            continue
-    return np.diag(np.sqrt(np.diag(total)))
+    total[np.diag_indices_from(total)] = np.maximum(floor, white)
+    # rounding alone may take the smallest eigenvalue below zero
+    total[np.diag_indices_from(total)] *= 1.0 + 1e-9
+    return np.asarray(np.linalg.cholesky(total), dtype=float)
 
 
 def _white_variance(
