@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 
@@ -85,9 +86,14 @@ def simulate_noise(
     scale: FloatArray, phi: float, rng: np.random.Generator, burn_in: int = 0
 ) -> FloatArray:
     """(n_t,) V: s_i z_i with z a stationary AR(1) of unit variance and lag-one coefficient phi."""
-    from scipy.signal import lfilter
-
     e = rng.standard_normal(len(scale) + burn_in)
     e[1:] *= np.sqrt(1.0 - phi**2)
-    z = lfilter([1.0], [1.0, -phi], e)
-    return scale * z[burn_in:]
+    _recurse(e, float(phi))
+    return scale * e[burn_in:]
+
+
+@njit(cache=True)
+def _recurse(z: FloatArray, phi: float) -> None:  # pragma: no cover - compiled
+    # z_i + phi z_(i-1), in place
+    for i in range(1, len(z)):
+        z[i] += phi * z[i - 1]

@@ -1062,3 +1062,15 @@ def test_real_campaigns(name: str, n: int, samples: int, falls: bool) -> None:
     for e in found:
         assert len(e.t) == samples and e.interval == 0.001 and e.used.all()
         assert e.has_fall is falls
+
+
+def test_the_factors_kept_at_hand_are_those_of_pint(monkeypatch: pytest.MonkeyPatch) -> None:
+    from bayes_sensor.readers import quantities
+
+    known = dict(quantities._COMMON)
+    assert ("L/min", "mL/s") in known
+    monkeypatch.setattr(quantities, "_COMMON", {})
+    for (unit, target), factor in known.items():
+        quantities.conversion_factor.cache_clear()
+        assert quantities.conversion_factor(unit, target) == pytest.approx(factor, rel=4e-16)
+    quantities.conversion_factor.cache_clear()

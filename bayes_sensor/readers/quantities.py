@@ -41,6 +41,16 @@ TIME = Kind("a time", "s", "24.0 s")
 VOLUME = Kind("a volume", "mL", "60 mL")
 
 
+# What most campaigns are written in: pint takes a quarter of a second to start.
+_COMMON = {
+    **{(u, "mL/s"): f for u, f in (("mL/s", 1.0), ("cm^3/s", 1.0), ("L/s", 1e3),
+                                   ("L/min", 1e3 / 60), ("mL/min", 1 / 60))},
+    **{(u, "s"): f for u, f in (("s", 1.0), ("ms", 1e-3), ("min", 60.0))},
+    **{(u, "mL"): f for u, f in (("mL", 1.0), ("cm^3", 1.0), ("L", 1e3))},
+    **{(u, "V"): f for u, f in (("V", 1.0), ("mV", 1e-3))},
+}  # fmt: skip
+
+
 @cache
 def _registry() -> UnitRegistry[Any]:
     from pint import UnitRegistry  # slow to import and to build, so only where a unit is read
@@ -62,6 +72,8 @@ def conversion_factor(unit: str, target: str) -> float | None:
     CampaignError
         If ``unit`` is not a unit.
     """
+    if (unit, target) in _COMMON:
+        return _COMMON[unit, target]
     from pint.errors import PintError
 
     registry = _registry()
