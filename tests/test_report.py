@@ -71,7 +71,9 @@ def analysed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     noise = ["--tau", "150 ms", "--sigma0", "5 mV", "--sigma1", "3 mV", "--quiet"]
     data = folder / "data"
     assert run("simulate", "--design", folder / "design.toml", "--out", data, *noise) == 0
-    (folder / "over.toml").write_text("[bounds]\nresamples = 40\n")
+    (folder / "over.toml").write_text(
+        '[bounds]\nmethods = ["crlb_iid", "crlb_iid_one_percent_step", "crlb_ar1", "posterior"]\n'
+    )
     options = ["--sampler", "independence", "--config", folder / "over.toml", "--quiet"]
     with pytest.MonkeyPatch.context() as patch:  # the diagnosis takes long and has its own tests
         for table in (steps.STEPS, steps.SAVES):
