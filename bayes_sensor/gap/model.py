@@ -57,8 +57,9 @@ def find_form(effect: Effect, name: str | None = None) -> Form:
     for form in effect.forms:
         if form.name == name:
             return form
-    known = ", ".join(f"'{f.name}'" for f in effect.forms)
-    raise CampaignError(f"effect {effect.name} has no form '{name}'; known are {known}")
+    known = ", ".join(f"'{f.name}'" for f in effect.forms if f.name)
+    hint = f"known are {known}" if known else f"it has one only: give {effect.name} alone"
+    raise CampaignError(f"effect {effect.name} has no form '{name}'; {hint}")
 
 
 @dataclass(frozen=True)

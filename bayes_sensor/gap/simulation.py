@@ -51,12 +51,20 @@ def read_strength(text: str) -> tuple[str, float | None]:
     parse_effect(name, "--effect")
     if not equals:
         return name, None
+    first = next(iter(CATALOGUE[name].plausible))
+    own = {s.name: s.unit for s in _strengths(name, Scales(1.0, 1.0, 1.0, 1.0))}.get(first, "1")
+    amount, _, unit = value.strip().partition(" ")
+    if unit.strip() not in ("", own):
+        raise CampaignError(
+            f"--effect {text[:80]}: {first} is in {own if own != '1' else 'no unit'}, not in "
+            f"'{unit.strip()[:40]}'; give the number alone"
+        )
     try:
-        number = float(value.split()[0])
-    except (ValueError, IndexError):
+        number = float(amount)
+    except ValueError:
         raise CampaignError(
             f"--effect {text[:80]}: expected NAME=NUMBER such as {name}="
-            f"{next(iter(CATALOGUE[name].plausible.values())):g}, but '{value[:40]}' is no number"
+            f"{CATALOGUE[name].plausible[first]:g}, but '{amount[:40]}' is no number"
         ) from None
     if not np.isfinite(number):
         raise CampaignError(f"--effect {text[:80]}: expected a finite number")
