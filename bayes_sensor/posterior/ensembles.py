@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
-from bayes_sensor.compression import Compressed, Region
+from bayes_sensor.compression import Compressed
 from bayes_sensor.laplace import Coordinates, Laplace
 from bayes_sensor.likelihood import Problem, is_affine, log_priors
 from bayes_sensor.mixing import diagnostics
 from bayes_sensor.posterior.checkpoints import Checkpoint
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, Run, enough
+from bayes_sensor.posterior.covering import covered
 from bayes_sensor.posterior.settings import Progress, Settings
 
 SETTLING = 10
@@ -57,37 +58,7 @@ class Marginal:
 
     def cover(self, points: FloatArray) -> None:
         """Widen the mesh where walkers have left it, so that they stay off the full pass."""
-        layout = self.coordinates.problem.layout
-        thetas = self.thetas(points)
-        region = self.compressed.region
-        low, high = region.low.copy(), region.high.copy()
-        least, most = thetas.min(axis=0), thetas.max(axis=0)
-        if (least >= low).all() and (most <= high).all():
-            return
-        moved = np.ones(len(low), dtype=bool)
-        moved[layout.noise] = False  # its region holds all that exists
-        room = most - least
-        low[moved] = np.minimum(low, least - room)[moved]
-        high[moved] = np.maximum(high, most + room)[moved]
-        for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
-            support = self.coordinates.problem.priors[name].support
-            low[i], high[i] = max(low[i], support[0]), min(high[i], support[1])
-        for i in layout.local[:, 2:].ravel():
-            prior = self.coordinates.problem.priors[layout.names[i]] if i >= 0 else None
-            # a switch time that the data hardly hold goes wherever its prior lets it
-            if (
-                prior
-                and prior.kind == "uniform"
-                and most[i] - least[i] > 0.05 * (prior.b - prior.a)
-            ):
-                low[i], high[i] = prior.a - 1e-9, prior.b + 1e-9
-        low[0] = 0.0
-        low[1:3] = np.maximum(low[1:3], 0.5 * least[1:3])
-        self.compressed = Compressed(
-            self.coordinates.problem,
-            self.compressed.reference,
-            Region(low, high, region.fineness),
-        )
+        self.compressed = covered(self.compressed, self.thetas(points))
 
     def redraw(self, thetas: FloatArray, rng: np.random.Generator) -> FloatArray:
         """``thetas`` with y0 and beta drawn from their exact conditional law."""

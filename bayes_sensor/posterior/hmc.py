@@ -9,8 +9,11 @@ from bayes_sensor.compression import Compressed
 from bayes_sensor.laplace import Laplace, prior_gradient
 from bayes_sensor.likelihood import Problem, log_priors
 from bayes_sensor.posterior.convergence import Run, enough
+from bayes_sensor.posterior.covering import covered
 from bayes_sensor.posterior.settings import Progress, Settings
 
+OUTSIDE = 8
+"""points off the mesh after which it is widened"""
 _State = tuple[FloatArray, float, FloatArray]  # position, log density, its gradient
 
 
@@ -23,6 +26,7 @@ class Whitened:
 
     def __init__(self, laplace: Laplace, compressed: Compressed) -> None:
         self.coordinates, self.compressed = laplace.coordinates, compressed
+        self.outside: list[FloatArray] = []
         thetas, _ = laplace.draw(2000, np.random.default_rng(12345))
         roots = self._roots(thetas)
         self.pinned = self.coordinates.theta(np.zeros(roots.shape[1]))
@@ -62,6 +66,12 @@ class Whitened:
         prior = log_priors(coordinates.problem, theta[None])[0]
         if not np.isfinite(prior):
             return -np.inf, np.zeros_like(q)
+        if not self.compressed.covers(theta):
+            # full passes with difference quotients cost ten thousand times a mesh's gradient
+            self.outside.append(theta)
+            if len(self.outside) == OUTSIDE:
+                self.compressed = covered(self.compressed, np.array(self.outside))
+                self.outside = []
         value, gradient = self.compressed.value_and_gradient(theta)
         slope = 1.0 - values[phi] ** 2
         value += prior + float(np.log(slope).sum() + np.log(values[sigma0]).sum())
@@ -124,7 +134,10 @@ def run_hmc(
             report(min(0.95, (len(chains[0]) + j * block / len(rngs)) / settings.max_draws), "HMC")
         stacked = target.theta(np.stack(chains))
         done, found = enough(problem, stacked, settings.target_ess)
-        if done or len(chains[0]) >= settings.max_draws // 2:
+        n, most = len(chains[0]), settings.max_draws // 2
+        # what all draws allowed would still leave far below what is asked ends early
+        slow = n >= 4 * block and np.nanmin(found[1]) * most / n < 0.5 * settings.target_ess
+        if done or slow or n >= most:
             reason = (
                 "Hamiltonian Monte Carlo with the analytic gradient in whitened coordinates: "
                 f"mean acceptance {accepted / tried:.2f}, "
@@ -132,7 +145,9 @@ def run_hmc(
             )
             if not done:
                 reason += "; it did not reach its target and was given up"
-            return Run("hmc", stacked, done, reason, accepted / tried, None, found)
+            return Run(
+                "hmc", stacked, done, reason, accepted / tried, None, found, None, target.compressed
+            )
 
 
 def _leapfrog(
