@@ -104,14 +104,30 @@ def make_bins(
     ``switches``: t0 and tf (None: no fall) in s, ``taus``: valve, manifold, sensor (3,) s of each
     experiment at the fit without effects; ``time_scale`` s is what :data:`AFTER` is in units of.
     """
+    delay = _usual_delay(campaign, switches)
     return [
-        _bins(e, t0, tf, tau, time_scale)
+        _bins(e, t0, tf, tau, time_scale, delay)
         for e, (t0, tf), tau in zip(campaign, switches, taus, strict=True)
     ]
 
 
+def _usual_delay(campaign: Campaign, switches: list[tuple[float, float | None]]) -> float | None:
+    """s, median time from the command to the response; None where too few commands are known."""
+    delays = [
+        t0 - e.commanded_on
+        for e, (t0, _) in zip(campaign, switches, strict=True)
+        if e.commanded_on is not None
+    ]
+    return float(np.median(delays)) if len(delays) >= 3 else None
+
+
 def _bins(
-    e: Experiment, t0: float, tf: float | None, taus: FloatArray, scale: float
+    e: Experiment,
+    t0: float,
+    tf: float | None,
+    taus: FloatArray,
+    scale: float,
+    delay: float | None,
 ) -> ExperimentBins:
     start, end = float(e.t[0]) - 0.5 * e.interval, float(e.t[-1]) + 0.5 * e.interval
     edges = [start, end]
@@ -121,7 +137,11 @@ def _bins(
         # the bins before the next switch belong to that switch
         stop = until + (scale * BEFORE[0] if until != end else 0.0)
         edges += [x for x in inside if start < x < stop or (x <= event and start < x < end)]
-    phases = phase_times(e, t0, tf, taus)
+    response = t0
+    if delay is not None and e.commanded_on is not None and t0 - e.commanded_on < 0.4 * delay:
+        # a fit to a weak step may lock onto a spike at the command; the onset lasts longer
+        response = e.commanded_on + delay
+    phases = phase_times(e, response, tf, taus)
     edges += [x for x in phases if start < x < end]
     # carried-over gas leaves at the start of the record
     edges += [start + scale * x for x in (0.3, 0.8, 1.6, 3.0, 6.0) if start + scale * x < t0]

@@ -45,6 +45,8 @@ SHARED = 3
 """coordinates shared by all experiments: ln tau_v - ln tau - FASTER, ln tau_v, ln V"""
 NUISANCE_SD = {"tau": 1.0, "tau_v": 0.7, "V": 0.3}
 """sd of the logarithms around plausible values"""
+WIDE = 100.0
+"""step heights; spread of the priors of y0 and beta"""
 TAU_OVER_TAU_V = 0.07
 """plausible ratio of the sensor's to the valve's time constant"""
 
@@ -209,19 +211,26 @@ class Plan:
 
     @cached_property
     def prior(self) -> tuple[FloatArray, FloatArray]:
-        """Means and precisions (n,) of the coordinates; precision 0 where flat.
+        """Means and precisions (n,) of the coordinates.
 
         The first coordinate's prior is that of ln tau given ln tau_v and enters through
-        :meth:`prior_terms`.
+        :meth:`prior_matrix`.  y0, beta, t0 and tf have priors so wide that they only matter for an
+        experiment that does not show its step.
         """
         mean, precision = np.zeros(self.size), np.zeros(self.size)
         mean[1:3] = self.sketch.centre[1:]
         precision[1:3] = 1.0 / self.sketch.sd[1:] ** 2
         precision[SHARED : SHARED + len(self.shared)] = 1.0
         n = len(self.own)
-        if n:
-            for k in range(len(self.sketch.campaign)):
-                precision[self.local[k + 1] - n : self.local[k + 1]] = 1.0
+        at = SHARED
+        for k, fall in enumerate(self._falls):
+            m = 4 if fall else 3
+            here = slice(self.local[k], self.local[k] + m)
+            mean[here] = self.sketch.base[at : at + m]
+            wide = [WIDE * self.sketch.signal_scale] * 2 + [self.sketch.duration] * (m - 2)
+            precision[here] = 1.0 / np.array(wide) ** 2
+            precision[self.local[k + 1] - n : self.local[k + 1]] = 1.0
+            at += m
         return mean, precision
 
     def prior_matrix(self, widths: FloatArray | None = None) -> FloatArray:
@@ -248,11 +257,6 @@ class Plan:
         centre = mean.copy()
         centre[0] = centre[1] - FASTER - self.sketch.centre[0]
         return centre
-
-    @cached_property
-    def n_prior(self) -> int:
-        """Coordinates with a proper prior."""
-        return int(np.sum(self.prior[1] > 0)) + 1
 
     def values(self, x: FloatArray, k: int) -> list[dict[str, float]]:
         """Per part, the strengths of experiment ``k``."""

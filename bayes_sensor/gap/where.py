@@ -268,31 +268,43 @@ def _volts(
 def predict_left_out(sketch: Sketch, base: Refit) -> dict[str, float]:
     """Detectability of each phase's misfit when the phase is predicted from a fit without it.
 
-    A joint fit smears a misfit over the phases; a prediction does not.
+    A joint fit smears a misfit over the phases; a prediction does not.  When a switch happened is
+    only known from the phases around it, so that t0 (onset, rise) or tf (fall) is fitted to the
+    predicted phase itself.
     """
     found = {}
-    for phase in range(len(PHASES)):
+    plan = base.plan
+    for phase, name in enumerate(PHASES):
         inside = [b.phase == phase for b in sketch.bins]
-        if not any(np.any(mask) for mask in inside):
-            continue
         rest = [~mask for mask in inside]
-        if not all(np.sum(mask) >= 8 for mask in rest):
+        if not any(np.any(mask) for mask in inside) or min(np.sum(mask) for mask in rest) < 8:
             continue
         other = sketch.restricted(rest)
-        fitted = refit(Plan(other, base.plan.parts), base.x, most_steps=10, tolerance=0.2)
+        fitted = refit(Plan(other, plan.parts), base.x, most_steps=10, tolerance=0.2)
         normal = fitted.jacobian.T @ fitted.jacobian
         posterior = np.linalg.inv(normal + fitted.plan.prior_matrix())
+        x = fitted.x
+        switch = {"onset": 2, "rise": 2, "fall": 3}.get(name)
+        if switch is not None:
+            free = np.zeros(plan.size, dtype=bool)
+            for k, e in enumerate(sketch.campaign):
+                if (switch == 2 or e.has_fall) and np.any(inside[k]):
+                    free[plan.local[k] + switch] = True
+            only = [m if np.any(m) else np.ones_like(m) for m in inside]
+            start = x.copy()
+            start[free] = base.x[free]
+            x = refit(Plan(sketch.restricted(only), plan.parts), start, most_steps=15, free=free).x
         excess = 0.0
         for k, mask in enumerate(inside):
             if not np.any(mask):
                 continue
-            here = base.plan.binned(fitted.x, k)
-            columns = base.plan.columns(k)
-            jacobian = sketch.floor.cholesky[k] @ base.plan.jacobian(fitted.x, k, here)
+            here = plan.binned(x, k)
+            columns = plan.columns(k)
+            jacobian = sketch.floor.cholesky[k] @ plan.jacobian(x, k, here)
             covariance = sketch.floor.cholesky[k] @ sketch.floor.cholesky[k].T
             inner = posterior[np.ix_(columns, columns)]
             spread = covariance[np.ix_(mask, mask)] + jacobian[mask] @ inner @ jacobian[mask].T
             away = (sketch.data[k] - here)[mask]
             excess += float(away @ np.linalg.solve(spread, away)) - int(np.sum(mask))
-        found[PHASES[phase]] = float(np.sqrt(max(excess, 0.0)))
+        found[name] = float(np.sqrt(max(excess, 0.0)))
     return found
