@@ -407,7 +407,7 @@ def test_scales_come_from_the_fit_or_from_the_records() -> None:
     fitted, guessed = Scales.of(recorded, flat), Scales.of(recorded)
     assert fitted.time_scale == pytest.approx(max(0.8577, 58.23 / fitted.reference_flow))
     assert fitted.duration == guessed.duration == pytest.approx(60.0)
-    assert guessed.time_scale == pytest.approx(fitted.time_scale, rel=1.5)
+    assert guessed.time_scale == pytest.approx(fitted.time_scale, rel=0.3)
     assert guessed.signal_scale == pytest.approx(fitted.signal_scale, rel=0.2)
 
 

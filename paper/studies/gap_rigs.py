@@ -356,16 +356,15 @@ def outside(rig: Rig, name: str) -> tuple[Shape, float]:
 # --------------------------------------------------------------------------- detectability
 
 
-def detectability(rig: Rig, mean: Callable[[int, FloatArray], FloatArray], exact: bool) -> Refit:
-    """The model without effects refitted to this mean; d is the root of its misfit.
+def noise_free(sketch: Sketch, mean: Callable[[int, FloatArray], FloatArray]) -> list[FloatArray]:
+    """(n_bins,) V of each experiment: every sample of the mean averaged in its bin."""
+    return [b.average(mean(k, b.experiment.t)) for k, b in enumerate(sketch.bins)]
 
-    ``exact`` averages every sample of a bin, otherwise a few times in it.
-    """
+
+def detectability(rig: Rig, mean: Callable[[int, FloatArray], FloatArray]) -> Refit:
+    """The model without effects refitted to this mean; d is the root of its misfit."""
     sketch = rig.sketch
-    data = [
-        b.average(mean(k, b.experiment.t)) if exact else b.reduce(mean(k, b.times))
-        for k, b in enumerate(sketch.bins)
-    ]
+    data = noise_free(sketch, mean)
     plan = Plan(sketch)
     starts = base_starts(sketch, sketch.base)[:3:2]
     return min(
@@ -379,15 +378,20 @@ def amount_for(rig: Rig, shape: Shape, highest: float, wanted: float) -> tuple[f
     The highest where that is not enough.
     """
 
-    def d(amount: float, exact: bool = False) -> float:
-        return float(np.sqrt(detectability(rig, shape(amount), exact).misfit))
+    def d(amount: float) -> float:
+        return float(np.sqrt(detectability(rig, shape(amount)).misfit))
 
-    low, high, amount, found = 0.0, highest, highest, d(highest)
+    amount, found = highest, d(highest)
+    above, below = (amount, found), (0.0, 0.0)
     for _ in range(12):
         if abs(found / wanted - 1.0) < 0.05 or (amount == highest and found < wanted):
             break
-        low, high = (low, amount) if found > wanted else (amount, high)
-        guess = amount * wanted / max(found, 1e-9)  # d is nearly proportional to the amount
-        amount = guess if low < guess < high else 0.5 * (low + high)
+        power = 1.0  # d rises nearly with a power of the amount
+        if below[1] > 0.0:
+            power = float(np.log(above[1] / below[1]) / np.log(above[0] / below[0]))
+        amount = float(above[0] * (wanted / above[1]) ** (1.0 / power))
+        if not below[0] < amount < above[0]:
+            amount = 0.5 * (below[0] + above[0])
         found = d(amount)
-    return amount, d(amount, exact=True)
+        above, below = ((amount, found), below) if found > wanted else (above, (amount, found))
+    return amount, found

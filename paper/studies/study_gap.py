@@ -26,6 +26,7 @@ from gap_rigs import (
     amount_for,
     detectability,
     draw_rig,
+    noise_free,
     outside,
 )
 
@@ -153,7 +154,7 @@ def oracle(gap: Gap, mean: Callable[[int, np.ndarray], np.ndarray]) -> float:
     if not found.effects:
         return float("nan")
     sketch = gap.weighing.sketch
-    data = [b.average(mean(k, b.experiment.t)) for k, b in enumerate(sketch.bins)]
+    data = noise_free(sketch, mean)
     base = gap.weighing.base
     before, after = (
         refit(r.plan, r.x, data=data, most_steps=20).misfit for r in (base, found.refit)
@@ -317,9 +318,8 @@ class IsolabilityStudy:
         wanted = DETECTABILITIES[level]
         amount, d = amount_for(rig, listed, listed.highest, wanted)
         mean = listed(amount)
-        start = detectability(rig, mean, exact=False)
-        data = tuple(b.reduce(mean(k, b.times)) for k, b in enumerate(rig.sketch.bins))
-        exact = replace(rig.sketch, data=data)
+        start = detectability(rig, mean)
+        exact = replace(rig.sketch, data=tuple(noise_free(rig.sketch, mean)))
         base = refit(Plan(exact), start.x)
         other = fit_base(exact)
         base = min(base, other, key=lambda r: r.objective)
