@@ -136,7 +136,8 @@ def _run(
         reasons.append(run.reason)
         if run.good:
             return run, reasons
-        sampler = "hmc"
+        # where the Laplace approximation has no overlap with the priors, its scales mislead HMC too
+        sampler = "hmc" if len(run.chains) else "emcee"
     if sampler == "hmc":
         run = run_hmc(problem, laplace, compressed, settings, streams, report)
         reasons.append(run.reason)
