@@ -13,7 +13,7 @@ import numpy as np
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.effects import CATALOGUE, check_names
-from bayes_sensor.gap.full_rate import FullRate, test_full_rate
+from bayes_sensor.gap.full_rate import FullRate, look_at_full_rate
 from bayes_sensor.gap.hidden import Hidden, what_may_hide
 from bayes_sensor.gap.how_far import Closure, best_discrepancy, closure, held_out
 from bayes_sensor.gap.refit import Refit
@@ -266,7 +266,7 @@ def diagnose_gap(
     sketch = prepared.sketch
     base = fit_base(sketch)
     full_rate = [
-        f for f in test_full_rate(campaign, prepared.stretches, prepared.raw)
+        f for f in look_at_full_rate(campaign, prepared.stretches, prepared.raw)
         if f.name in catalogue or f.name == "line"
     ]  # fmt: skip
     tell(0.08, "where")

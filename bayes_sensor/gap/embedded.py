@@ -1,10 +1,11 @@
 """Something else, of another kind: a parameter of the model that is not constant.
 
 A smooth additive discrepancy sees what is left in the traces.  Many unlisted causes act inside the
-model instead: a lag that depends on the flow, on the concentration, or on the direction of the
-step (embedded discrepancy; Sargsyan, Najm and Ghanem 2015).  These rivals have no name of their
-own and count as unlisted.  Where a listed effect is just such a dependence, the rival is left out
-for as long as that effect is in the catalogue: then the dependence has a name.
+model instead: a lag that depends on the flow, on the concentration, on the direction of the step,
+or that changes from one experiment to the next (embedded discrepancy; Sargsyan, Najm and Ghanem
+2015).  These rivals have no name of their own and count as unlisted.  Where a listed effect is
+just such a dependence, the rival is left out for as long as that effect is in the catalogue: then
+the dependence has a name.
 """
 
 from __future__ import annotations
@@ -44,6 +45,13 @@ def _direction(name: str) -> Form:
     return Form(lambda s: (_ratio(name),), lambda v, s: dict(v), starts=({name: 1.1}, {name: 0.9}))
 
 
+def _by_experiment(target: str, sd: float) -> Form:
+    name = f"{target}_of_its_own"
+    own = Strength(name, "1", "log_normal", 1.0, sd, per_experiment=True, limits=(0.05, 20.0),
+                   scaled=True)  # fmt: skip
+    return Form(lambda s: (own,), lambda v, s: {target: v[name]})
+
+
 _BY_CONCENTRATION = Form(
     lambda s: (_exponent("sensor_by_concentration"),),
     lambda v, s: {
@@ -57,6 +65,8 @@ RIVALS: dict[str, tuple[Form, tuple[str, ...]]] = {
     "valve by flow": (_power("valve_factor", "valve_by_flow"), ()),
     "volume by flow": (_power("flow_factor", "volume_by_flow"), ()),
     "sensor by concentration": (_BY_CONCENTRATION, ()),
+    "valve by experiment": (_by_experiment("valve_factor", 0.05), ()),
+    "sensor by experiment": (_by_experiment("sensor_factor", 0.3), ()),
     "valve by direction": (_direction("closing_ratio"), ("valve_asymmetry",)),
     "volume by direction": (
         _direction("emptying_ratio"), ("flow_switching", "valve_asymmetry"),
@@ -72,7 +82,7 @@ def embedded_rivals(catalogue: Iterable[str], several_flows: bool, has_fall: boo
     for name, (form, named_by) in RIVALS.items():
         if known & set(named_by):
             continue
-        if ("flow" in name or "concentration" in name) and not several_flows:
+        if not several_flows and any(w in name for w in ("flow", "concentration", "experiment")):
             continue
         if "direction" in name and not has_fall:
             continue

@@ -31,6 +31,8 @@ TAIL_DOF = (2.5, 3.0, 4.0, 5.0, 7.0, 10.0)
 """degrees of freedom that count as heavy tails"""
 COARSE = 0.02
 """share of the sample-to-sample variance from which the converter's steps are called coarse"""
+LUMPY = -25.0
+"""ln Bayes factor of coarse steps from which the test of tails spreads the samples"""
 PRIOR = {"mains_pickup": 0.03, "heavy_tails": 0.03, "quantisation": 0.03, "line": 0.02}
 
 
@@ -53,21 +55,20 @@ class FullRate:
         return float(1.0 / (1.0 + np.exp(-np.clip(odds, -60.0, 60.0))))
 
 
-def test_full_rate(
+def look_at_full_rate(
     campaign: Campaign, stretches: Sequence[Stretch], raw: Sequence[Stretch]
 ) -> list[FullRate]:
     """Mains, other lines, tails and quantisation; ``raw`` still has its spikes."""
-    return [
-        *test_lines(campaign, stretches),
-        test_tails(raw),
-        test_quantisation(campaign, stretches),
-    ]
+    coarse = look_for_steps(campaign, stretches)
+    # on a coarse lattice the innovations are lumps, not tails: spread them over the step again
+    step = coarse.strength["adc_step"] if coarse.log_bayes_factor > LUMPY else 0.0
+    return [*look_for_lines(campaign, stretches), look_at_tails(raw, step), coarse]
 
 
 # --------------------------------------------------------------------------- lines
 
 
-def test_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRate]:
+def look_for_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRate]:
     """Mains and other lines from the periodograms of all stretches together.
 
     A line of any phase makes a periodogram ordinate, exponential under noise, ``1 + c`` times as
@@ -183,13 +184,18 @@ def _mains_bands(f: FloatArray, interval: float) -> tuple[np.ndarray, FloatArray
 # --------------------------------------------------------------------------- tails
 
 
-def test_tails(stretches: Sequence[Stretch]) -> FullRate:
-    """Student-t against Gaussian innovations of an AR(4) fitted to each stretch."""
+def look_at_tails(stretches: Sequence[Stretch], step: float = 0.0) -> FullRate:
+    """Student-t against Gaussian innovations of an AR(4) fitted to each stretch.
+
+    ``step`` V: the samples are spread evenly over the converter's step first.
+    """
     values = []
+    rng = np.random.default_rng(1)  # the same dither in every run
     for s in stretches:
         if len(s.samples) < 200:
             continue
-        e = _innovations(detrended(s.samples), 4)
+        samples = s.samples + step * (rng.random(len(s.samples)) - 0.5) if step else s.samples
+        e = _innovations(detrended(samples), 4)
         spread = float(np.std(e))
         if spread > 0:
             values.append(e / spread)
@@ -251,7 +257,7 @@ def lattice_step(values: FloatArray) -> float:
     return step if float(np.max(away)) < 0.02 else 0.0
 
 
-def test_quantisation(campaign: Campaign, stretches: Sequence[Stretch]) -> FullRate:
+def look_for_steps(campaign: Campaign, stretches: Sequence[Stretch]) -> FullRate:
     """Coarse steps: a lattice whose rounding makes up a share of the sample-to-sample variance."""
     steps = [lattice_step(e.values[e.used]) for e in campaign]
     known = [s for s in steps if s > 0]
