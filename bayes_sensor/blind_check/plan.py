@@ -7,7 +7,7 @@ The plan depends on the number of cases and the seed alone.  Cases are drawn by
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from math import floor
+from math import floor, sqrt
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,8 @@ SHARES = {
 }  # fmt: skip
 """kinds of cases; half of the nulls have noise that is not AR(1)"""
 AR1_LAWS = ("ar1", "ar1", "ar1", "white")
+REFITTED_RIVALS = 4
+"""nearest rivals whose distance is settled by a refit of the catalogue's form, times included"""
 HIDING = (
     "layered_coating", "anti_alias_filter", "heavy_plunger", "plunger_stroke", "back_mixing",
     "gated_pores", "controller_settling",
@@ -222,6 +224,12 @@ def _seen_by_an_oracle(case: Case) -> dict[str, Any]:
     seen["tau_refit_s"] = fit.tau
     seen["visible"] = _as_rows(places_after_refit(case, fit, oracle))
     seen["rivals"] = rival_distances(case, fit, oracle)
+    answers = {effect for name in case.strengths for effect in CAUSES[name].listed_as}
+    others = (name for name in seen["rivals"] if name not in answers)
+    for name in sorted(others, key=seen["rivals"].__getitem__)[:REFITTED_RIVALS]:
+        closed = closed_fraction(oracle, target, fit, name)
+        if closed is not None:
+            seen["rivals"][name] = min(seen["rivals"][name], fit.d * sqrt(1.0 - closed))
     if len(case.strengths) == 1 and fit.d >= HIDDEN_BELOW:
         name = next(iter(case.strengths))
         seen["closed"] = {

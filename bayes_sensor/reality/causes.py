@@ -564,7 +564,7 @@ def anti_alias_filter(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.filter_time = s
 
 
-@cause((), "clock", "relative", 0.08, near=("flow_error",), per_experiment=True)
+@cause((), "clock", "relative", 0.08, per_experiment=True)
 def running_off_clock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The recorder's clock runs at another rate each time and changes it on the way."""
     for step in case.steps:
