@@ -20,7 +20,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compression import Compressed, Region, compress
 from bayes_sensor.likelihood import Problem, log_prior_derivatives, log_priors
 
-MESH_LIMIT = 3e-4
+MESH_LIMIT = 5e-4
 """error in log L at a few draws above which blocks are made narrower; promised is 1e-3"""
 
 

@@ -354,13 +354,14 @@ class Compressed:
     def accurate(self, thetas: FloatArray, limit: float) -> Compressed:
         """This mesh, or one with narrower blocks, whose error at ``thetas`` is at most ``limit``.
 
-        Blocks are halved four times at most; the error that remains is for the caller to state.
+        The error falls with the eighth power of the width, so a quarter narrower mostly does;
+        sixteen times narrower is the end, and what error remains is for the caller to state.
         """
         mesh = self
-        for _ in range(4):
+        for factor in (1.25, 1.6, 2.0, 2.0, 2.0):
             if mesh.error(thetas) <= limit:
                 break
-            region = replace(mesh.region, fineness=2.0 * mesh.region.fineness)
+            region = replace(mesh.region, fineness=factor * mesh.region.fineness)
             mesh = Compressed(mesh.problem, mesh.reference, region)
         return mesh
 
