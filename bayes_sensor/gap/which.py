@@ -20,12 +20,14 @@ from bayes_sensor.gap.discrepancy import Discrepancy, make_discrepancies
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.embedded import WEIGHT, embedded_rivals
 from bayes_sensor.gap.evidence import Evidence, Linearised
-from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, refit
+from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, Sketch, refit
 
 PRIOR_NONE = 0.5
 PRIOR_UNLISTED = 0.15
 INCOMPLETE = 0.15
 """prior share of an effect's probability for "it is there, and something else with it" """
+UNUSUAL = 1.2
+"""distance of ln tau from its plausible value from which fits also start at that value"""
 MOST_FOLLOWED = 3
 """times the search for a pair follows the best one found"""
 HOPELESS = 0.2
@@ -116,7 +118,26 @@ def fit_effect(
     plan = Plan(sketch, (*base.plan.parts, *parts))
     begun = joined_start(plan, base)
     found = [refit(plan, with_start(plan, begun, start), most_steps=most_steps) for start in starts]
+    usual = _with_usual_tau(plan, begun)
+    if usual is not None and not base.plan.parts:
+        # the fit without the effect may have bent tau far away to do the effect's work
+        found += [refit(plan, with_start(plan, usual, s), most_steps=most_steps) for s in starts]
     return min(found, key=lambda r: r.objective)
+
+
+def _with_usual_tau(plan: Plan, x: FloatArray) -> FloatArray | None:
+    """``x`` with tau at its plausible value and switch times to match; None where it is near."""
+    sketch = plan.sketch
+    now = float(x[1]) - FASTER - float(x[0])
+    if abs(now - float(sketch.centre[0])) < UNUSUAL:
+        return None
+    made = x.copy()
+    made[0] = max(float(x[1]) - FASTER - float(sketch.centre[0]), 0.0)
+    moved = np.exp(x[1] - FASTER - made[0]) - np.exp(now)
+    for k, e in enumerate(sketch.campaign):
+        at = plan.local[k] + 2
+        made[at : at + (2 if e.has_fall else 1)] -= moved
+    return made
 
 
 def _average(
