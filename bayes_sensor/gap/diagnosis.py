@@ -706,7 +706,7 @@ def _sentence(
     by_name = {f.name: f for f in full_rate}
     fitted = best.refit.strength()
     for n in named:
-        units = _units(sketch, catalogue[n])
+        units = {k: u.replace("V", unit) for k, u in _units(sketch, catalogue[n]).items()}
         own = (
             {k: v for k, v in fitted.items() if k in units} if catalogue[n].on_mean
             else by_name[n].strength
