@@ -42,9 +42,9 @@ from bayes_sensor.gap.which import fit_effect
 from bayes_sensor.readers import read_campaign
 
 SEED = 700_000
-NULLS = {"ar1": 100, "ar1 + 1 s": 40, "heavy tails": 40, "1/f": 40}
+NULLS = {"ar1": 60, "ar1 + 1 s": 20, "heavy tails": 20, "1/f": 20}
 DETECTABILITIES = (10.0, 30.0)
-REPEATS, REPEATS_OUTSIDE = 4, 3
+REPEATS, REPEATS_OUTSIDE = 3, 2
 PHI = 0.9
 """of the published design's noise, for isolability and for what may hide"""
 README = PAPER.parent / "README.md"
