@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from bayes_sensor.blind_check import (
@@ -632,3 +633,19 @@ def test_the_score_card_is_drawn_even_when_nearly_empty() -> None:
     assert "nothing wrong" in text and "right family" in text
     full = make_card(calibrated_rows(60))
     assert "share right" in svg(score_card(full))
+
+
+def test_the_readme_shows_the_goals_that_were_scored() -> None:
+    study = (
+        Path(__file__).resolve().parent.parent / "paper" / "studies" / "study_blind_check.py"
+    ).read_text(encoding="utf-8")
+    readme = (Path(__file__).resolve().parent.parent / "README.md").read_text(encoding="utf-8")
+    begin = "<!-- blind check: study_blind_check.py -->\n"
+    assert begin.strip() in study
+    shown = readme.partition(begin)[2].partition("<!-- end of blind check -->")[0]
+    goals = pd.read_csv(
+        Path(__file__).resolve().parent.parent / "paper" / "tables" / "blind_check_goals.csv"
+    )
+    assert len(goals) == len(shown.strip().splitlines()) - 2
+    for row in goals.itertuples():
+        assert f"| {row.goal} | {row.wanted} | {row.reached:.3f}" in shown

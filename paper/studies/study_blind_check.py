@@ -34,6 +34,8 @@ N, SEED = 600, 20260711
 """the seed was never used before the run that is reported"""
 N_FULL = 60
 FIGURES = TABLES.parent / "figures"
+README = PAPER.parent / "README.md"
+OPENS, CLOSES = "<!-- blind check: study_blind_check.py -->\n", "<!-- end of blind check -->\n"
 
 
 def run(
@@ -54,12 +56,31 @@ def run(
     pd.DataFrame(card["goals"]).to_csv(
         TABLES / "blind_check_goals.csv", index=False, float_format="%.4g"
     )
+    write_readme()
     write_json(TABLES / "blind_check.json", card)
     keep_figure(score_card(card), "blind_check")
     both = compare_settings(place, frame, jobs, scheduler, progress)
     both.to_csv(TABLES / "blind_check_settings.csv", index=False, float_format="%.4g")
     draw_settings(both)
     keep_figure(withheld(), "opened_seal")
+
+
+def markdown_table(goals: pd.DataFrame) -> str:
+    """Every goal beside what was reached, in Markdown; intervals are Wilson's at 95 %."""
+    lines = ["| claim | goal | reached | met |", "|---|---|---|---|"]
+    for row in goals.itertuples():
+        between = "" if pd.isna(row.lo95) else f" ({row.lo95:.2f} to {row.hi95:.2f})"
+        met = "yes" if row.met else "no"
+        lines.append(f"| {row.goal} | {row.wanted} | {row.reached:.3f}{between} | {met} |")
+    return "\n".join(lines) + "\n"
+
+
+def write_readme() -> None:
+    """Put the table of goals between its marks in the README."""
+    text = README.read_text(encoding="utf-8")
+    begin, end = text.index(OPENS) + len(OPENS), text.index(CLOSES)
+    goals = pd.read_csv(TABLES / "blind_check_goals.csv")
+    write_text(README, text[:begin] + markdown_table(goals) + text[end:])
 
 
 def keep_figure(figure: Figure, name: str) -> None:
