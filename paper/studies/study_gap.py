@@ -449,7 +449,7 @@ def draw_isolability(table: pd.DataFrame) -> None:
         )  # fmt: skip
         axis.set_title(f"d {d:g}", pad=3)
         axis.set_xlabel("explained by")
-    axes[0].set_ylabel("cause, with the d it reaches")
+    axes[0].set_ylabel("cause, and the d it can reach")
     figure.colorbar(image, ax=axes, shrink=0.6, label="share of d that is left")
     save(figure, "gap_isolability")
 
