@@ -357,7 +357,11 @@ def test_an_interruption_is_one_line_and_tells_how_to_go_on(
                 break
             time.sleep(0.02)
         os.killpg(process.pid, signal.SIGINT)
-        said, err = process.communicate(timeout=60)
+        try:
+            said, err = process.communicate(timeout=60)
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
     assert process.returncode == 130, err
     lines = [line for line in err.splitlines() if line]
     assert len(lines) == 1, err

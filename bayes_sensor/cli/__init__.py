@@ -8,6 +8,7 @@ by the command that needs them, so that ``--help`` answers at once.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -453,9 +454,36 @@ def _advice(arguments: list[str]) -> str:
     return "earlier results are as they were; run the same command again"
 
 
+REPEAT_SECONDS = 1.0
+"""after Ctrl-C, how often the interruption is repeated until it has got through"""
+
+
+def _insist(_signal: int, _frame: Any) -> None:
+    """Raise KeyboardInterrupt, now and again later.
+
+    Python drops an exception that a signal raises inside a destructor or a callback of compiled
+    code; a long run would then go on as if nothing had been pressed.
+    """
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, REPEAT_SECONDS)
+    raise KeyboardInterrupt
+
+
+def _be_interruptible() -> None:
+    signal.signal(signal.SIGINT, _insist)
+    if hasattr(signal, "SIGALRM"):
+        signal.signal(signal.SIGALRM, _insist)
+
+
+def _interruption_has_come() -> None:
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """The entry point ``bayes-sensor``; ends the process with the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    _be_interruptible()
     sys.exit(_guarded(arguments))
 
 
@@ -467,6 +495,7 @@ def _guarded(arguments: list[str]) -> int:
         code = app(args=arguments, prog_name="bayes-sensor", standalone_mode=False)
         sys.stdout.flush()
         if code == INTERRUPTED:  # how newer typer hands on Ctrl-C
+            _interruption_has_come()
             raise KeyboardInterrupt
         return code if isinstance(code, int) else DONE
     except usage_error as error:
@@ -480,12 +509,14 @@ def _guarded(arguments: list[str]) -> int:
     except CampaignError as error:
         return _complain(str(error))
     except (typer.Abort, KeyboardInterrupt):
+        _interruption_has_come()
         _complain(f"interrupted; {_advice(arguments)}", kind="stopped")
         return INTERRUPTED
     except SystemError as error:
         # Ctrl-C inside compiled code can come out as the SystemError that it caused
         if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
             raise
+        _interruption_has_come()
         _complain(f"interrupted; {_advice(arguments)}", kind="stopped")
         return INTERRUPTED
     except BrokenPipeError:

@@ -92,15 +92,18 @@ def muted() -> Iterator[None]:
     emcee prints the arguments of whatever call was stopped, also by Ctrl-C, in every process.
     """
     sink = io.StringIO()
+    sys.stdout.flush()
     sys.stderr.flush()
-    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    kept, null = [os.dup(1), os.dup(2)], os.open(os.devnull, os.O_WRONLY)
     try:
+        os.dup2(null, 1)
         os.dup2(null, 2)
         with redirect_stdout(sink), redirect_stderr(sink):
             yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        for descriptor, copy in zip((1, 2), kept, strict=True):
+            os.dup2(copy, descriptor)
+            os.close(copy)
         os.close(null)
 
 
