@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from bayes_sensor.likelihood import Problem
 from bayes_sensor.readers import read_campaign
 from tests.gap_cases import design, measured, theta
 
+ROOT = Path(__file__).resolve().parent.parent
 SMALL = ["--duration", "60 s", "--interval", "10 ms", "--experiments", "1,3,4"]
 QUIET_NOISE = ["--sigma0", "12 mV", "--sigma1", "12 mV", "--phi", "0.4"]
 RATIO = 1.25
@@ -438,3 +440,15 @@ def test_an_effect_of_ones_own_enters_the_model() -> None:
 def test_diagnose_gap_explains_a_name_that_is_nearly_right(campaign: Path) -> None:
     with pytest.raises(CampaignError, match="did you mean 'carry_over'"):
         diagnose_gap(read_campaign(campaign), without="cary_over")
+
+
+# --- what the README says
+
+
+def readme() -> str:
+    return (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_readme_lists_every_effect_with_its_family() -> None:
+    rows = dict(re.findall(r"^\| `(\w+)` \| [^|]+ \| ([\w ]+) \|$", readme(), re.MULTILINE))
+    assert rows == {name: effect.family for name, effect in CATALOGUE.items()}

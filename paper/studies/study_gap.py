@@ -47,8 +47,6 @@ DETECTABILITIES = (10.0, 30.0)
 REPEATS, REPEATS_OUTSIDE = 3, 2
 PHI = 0.9
 """of the published design's noise, for isolability and for what may hide"""
-README = PAPER.parent / "README.md"
-OPENS, CLOSES = "<!-- gap table: study_gap.py -->\n", "<!-- end of gap table -->\n"
 
 
 # --------------------------------------------------------------------------- one campaign
@@ -283,19 +281,6 @@ def _row(
     }  # fmt: skip
 
 
-def markdown_table(table: pd.DataFrame) -> str:
-    """What has a goal, in Markdown; intervals are Wilson's at 95 %."""
-    lines = ["| claim | where | goal | reached | of | met |", "|---|---|---|---|---|---|"]
-    for row in table[table["met"].isin(("yes", "no"))].itertuples():
-        counted = np.isfinite(float(row.k)) if row.k != "" else False
-        between = f" ({row.low:.2f} to {row.high:.2f})" if counted else ""
-        lines.append(
-            f"| {row.claim} | {row.setting} | {row.goal} | {row.value:.2f}{between} | {row.n} "
-            f"| {row.met} |"
-        )
-    return "\n".join(lines) + "\n"
-
-
 # --------------------------------------------------------------------------- isolability
 
 
@@ -460,7 +445,7 @@ def draw_isolability(table: pd.DataFrame) -> None:
 def run(
     folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
 ) -> None:
-    """Compute, then write gap_*.csv, both figures and the README's table."""
+    """Compute, then write gap_*.csv and both figures."""
     separate = IsolabilityStudy()
     results = run_chunks(
         separate, len(separate.names) * len(DETECTABILITIES), folder / "gap-isolability",
@@ -479,13 +464,9 @@ def run(
 
 
 def write(rows: pd.DataFrame, isolability: pd.DataFrame) -> None:
-    """Tables, figure and the README's table from the diagnosed campaigns."""
+    """Tables and figure from the diagnosed campaigns."""
     rows = scored(rows, inseparable(isolability)).sort_values("case")
     rows.to_csv(TABLES / "gap_cases.csv", index=False, float_format="%.5g")
     table = power(rows)
     table.to_csv(TABLES / "gap_power.csv", index=False, float_format="%.4g")
     draw_power(table, rows)
-    kept = pd.read_csv(TABLES / "gap_power.csv", keep_default_na=False)
-    text = README.read_text(encoding="utf-8")
-    begin, end = text.index(OPENS) + len(OPENS), text.index(CLOSES)
-    README.write_text(text[:begin] + markdown_table(kept) + text[end:], encoding="utf-8")
