@@ -22,15 +22,17 @@ import os
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
 
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.likelihood import Problem, simulate
 from bayes_sensor.posterior import SAMPLERS, Posterior, Settings, sample_posterior
+from bayes_sensor.workers import WorkerDied, completed, dask_client
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -405,74 +407,63 @@ def run_chunks(
     Every ``chunk`` of tasks becomes one small file in ``folder``, written whole or not at all; a
     later call with the same ``key`` goes on from those files.  Files of another key are removed.
     ``jobs`` processes of this machine, or with ``scheduler`` (``tcp://host:port``) a Dask cluster;
-    the numbers depend on neither.
+    the numbers depend on neither.  What a process that died was doing is done again.
+
+    Raises CampaignError where a part ended one process after the other.
     """
     folder = Path(folder)
     with ExitStack() as stack:
+        client = None
         if scheduler is not None:  # before anything is written: it may not answer
-            stack.enter_context(_dask_client(scheduler))
+            client = stack.enter_context(dask_client(scheduler))
         folder.mkdir(parents=True, exist_ok=True)
-        marker = folder / "study.json"
-        settings = {"key": key, "chunk": chunk}
-        if not marker.exists() or json.loads(marker.read_text()) != settings:
-            for old in folder.glob("chunk-*.npz"):
-                old.unlink()
-            _write(marker, json.dumps(settings).encode())
+        for rest in folder.glob(".chunk-*"):  # of a run that was killed
+            rest.unlink(missing_ok=True)
+        _claim(folder, {"key": key, "chunk": chunk})
         spans = [(a, min(a + chunk, n)) for a in range(0, n, chunk)]
-        todo = [span for span in spans if not _file(folder, span).exists()]
+        parts = {span: part for span in spans if (part := _load(_file(folder, span))) is not None}
+        todo = [span for span in spans if span not in parts]
         done = n - sum(b - a for a, b in todo)
         tell = progress or (lambda done, n: None)
         tell(done, n)
-        for span, result in _computed(task, todo, jobs, scheduler is not None, stack):
+        for k, result in completed(partial(_run, task), todo, jobs, client):
+            span = todo[k]
+            if isinstance(result, WorkerDied):
+                raise CampaignError(f"campaigns {span[0]} to {span[1] - 1} of the study: {result}")
             buffer = io.BytesIO()
             np.savez_compressed(buffer, **result)
             _write(_file(folder, span), buffer.getvalue())
+            parts[span] = result
             done += span[1] - span[0]
             tell(done, n)
-    parts = []
-    for span in spans:
-        with np.load(_file(folder, span), allow_pickle=False) as saved:
-            parts.append({name: saved[name] for name in saved.files})
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return {name: np.concatenate([parts[s][name] for s in spans]) for name in parts[spans[0]]}
 
 
-def _computed(
-    task: Task, todo: list[tuple[int, int]], jobs: int, dask: bool, stack: ExitStack
-) -> Any:
-    if not dask and jobs == 1:
-        return ((span, _run(task, span)[1]) for span in todo)
-    import joblib
-
-    if dask:
-        stack.enter_context(joblib.parallel_config(backend="dask"))
-        parallel = joblib.Parallel(return_as="generator_unordered")
-    else:
-        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-    return parallel(joblib.delayed(_run)(task, span) for span in todo)
-
-
-def _dask_client(scheduler: str) -> Any:
-    from importlib import import_module
-
+def _claim(folder: Path, settings: dict[str, Any]) -> None:
+    """Leave in ``folder`` only the parts of a study with these settings."""
+    marker = folder / "study.json"
     try:
-        client: Any = import_module("distributed").Client  # untyped, and an extra
-    except ModuleNotFoundError:
-        raise CampaignError(
-            f"--scheduler {scheduler}: expected the package distributed to be installed, but it is "
-            "not; install it (pip install distributed) or use --jobs"
-        ) from None
+        known = json.loads(marker.read_text())
+    except (FileNotFoundError, ValueError):
+        known = None
+    if known != settings:
+        for old in folder.glob("chunk-*.npz"):
+            old.unlink()
+        _write(marker, json.dumps(settings).encode())
+
+
+def _load(path: Path) -> dict[str, np.ndarray] | None:
+    """A finished part; None where there is none, or a power cut has left it damaged."""
     try:
-        return client(scheduler, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise CampaignError(
-            f"--scheduler {scheduler}: expected a Dask scheduler there, but none answered "
-            f"({error}); check the address, tcp://host:port"
-        ) from None
+        with np.load(path, allow_pickle=False) as saved:
+            return {name: saved[name] for name in saved.files}
+    except (FileNotFoundError, EOFError, ValueError, BadZipFile):
+        return None
 
 
-def _run(task: Task, span: tuple[int, int]) -> tuple[tuple[int, int], dict[str, np.ndarray]]:
+def _run(task: Task, span: tuple[int, int]) -> dict[str, np.ndarray]:
     results = [task(i) for i in range(*span)]
-    return span, {name: np.stack([np.asarray(r[name]) for r in results]) for name in results[0]}
+    return {name: np.stack([np.asarray(r[name]) for r in results]) for name in results[0]}
 
 
 def _file(folder: Path, span: tuple[int, int]) -> Path:

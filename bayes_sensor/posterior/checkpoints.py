@@ -7,6 +7,7 @@ import json
 import os
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -24,7 +25,12 @@ class Checkpoint:
             return
         folder.mkdir(parents=True, exist_ok=True)
         marker = folder / "run.json"
-        known = json.loads(marker.read_text()) if marker.exists() else None
+        for rest in folder.glob(".ensemble-*"):  # of a run that was killed
+            rest.unlink(missing_ok=True)
+        try:
+            known = json.loads(marker.read_text())
+        except (FileNotFoundError, ValueError):
+            known = None
         if not resume or known != {"digest": digest}:
             for old in folder.glob("ensemble-*.npz"):
                 old.unlink()
@@ -34,6 +40,14 @@ class Checkpoint:
         assert self.folder is not None  # only reached with a folder
         return self.folder / f"ensemble-{j}-{i:05d}.npz"
 
+    def _chunk(self, j: int, i: int) -> dict[str, Any] | None:
+        """Chunk ``i`` of ensemble ``j``; None where there is none, or a power cut damaged it."""
+        try:
+            with np.load(self._path(j, i), allow_pickle=False) as saved:
+                return {name: saved[name] for name in saved.files}
+        except (FileNotFoundError, EOFError, ValueError, BadZipFile):
+            return None
+
     def read(self, j: int) -> Any:
         """(chunks, state, acceptances) of ensemble ``j``, or None where nothing is saved."""
         if self.folder is None:
@@ -41,13 +55,12 @@ class Checkpoint:
         chunks: list[FloatArray] = []
         rates: list[float] = []
         state = None
-        while self._path(j, len(chunks)).exists():
-            with np.load(self._path(j, len(chunks)), allow_pickle=False) as saved:
-                chunks.append(saved["chain"])
-                rates.append(float(saved["acceptance"]))
-                random = ("MT19937", saved["keys"], int(saved["position"]),
-                          int(saved["has_gauss"]), float(saved["gauss"]))  # fmt: skip
-                state = (saved["coords"], saved["log_prob"], random)
+        while (saved := self._chunk(j, len(chunks))) is not None:
+            random = ("MT19937", saved["keys"], int(saved["position"]),
+                      int(saved["has_gauss"]), float(saved["gauss"]))  # fmt: skip
+            chunks.append(saved["chain"])
+            rates.append(float(saved["acceptance"]))
+            state = (saved["coords"], saved["log_prob"], random)
         return None if state is None else (chunks, state, rates)
 
     def write(self, j: int, i: int, chain: FloatArray, state: Any, rate: float) -> None:

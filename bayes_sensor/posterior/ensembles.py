@@ -16,6 +16,7 @@ from bayes_sensor.posterior.checkpoints import Checkpoint
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, Run, enough
 from bayes_sensor.posterior.covering import covered
 from bayes_sensor.posterior.settings import Progress, Settings
+from bayes_sensor.workers import in_order
 
 SETTLING = 10
 """ensemble steps between looks at the mesh during burn-in"""
@@ -191,13 +192,10 @@ def _hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
 def _advance(
     target: Marginal, states: list[Any], n_steps: int, jobs: int
 ) -> list[tuple[FloatArray, Any, float]]:
-    if jobs in (0, 1) or len(states) == 1:
-        return [_ensemble(target, state, n_steps) for state in states]
-    from joblib import Parallel, delayed
-
-    return list(
-        Parallel(n_jobs=jobs)(delayed(_ensemble)(target, state, n_steps) for state in states)
+    found: list[tuple[FloatArray, Any, float]] = in_order(
+        _ensemble, [(target, state, n_steps) for state in states], jobs
     )
+    return found
 
 
 def _start(target: Marginal, laplace: Laplace, n: int, rng: np.random.Generator) -> FloatArray:

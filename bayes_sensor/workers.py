@@ -1,0 +1,281 @@
+"""Many calls of one function on many processes, where a process may die.
+
+On this machine joblib runs them; elsewhere a Dask scheduler does.  The results depend on neither,
+nor on how many processes there are.  A process that ends without a word (killed, out of memory, a
+fault in compiled code) is replaced: what it held is run again, at last alone, and is given up only
+after it has ended :data:`MOST_DEATHS` processes.  Every death is logged as a warning, which Python
+shows on stderr unless told otherwise.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from bayes_sensor.campaign import CampaignError
+
+LOG = logging.getLogger(__name__)
+MOST_DEATHS = 3
+"""processes that one call may end before it is given up"""
+NO_WORKER_SECONDS = 120.0
+"""how long to wait for a Dask cluster that has lost all its workers"""
+PARENT_SECONDS = 0.25
+"""how often a worker looks whether the process that it works for is still there"""
+
+
+class WorkerDied(RuntimeError):
+    """A call that ended every process that ran it."""
+
+
+@contextmanager
+def dask_client(scheduler: str) -> Iterator[Any]:
+    """A client of the Dask scheduler at ``tcp://host:port``; CampaignError where none answers."""
+    from importlib import import_module
+
+    try:
+        client: Any = import_module("distributed").Client  # untyped, and an extra
+    except ModuleNotFoundError:
+        raise CampaignError(
+            f"--scheduler {scheduler}: expected the package distributed to be installed, but it is "
+            "not; install it (pip install 'bayes-sensor[cluster]') or use --jobs"
+        ) from None
+    try:
+        connected = client(scheduler, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise CampaignError(
+            f"--scheduler {scheduler}: expected a Dask scheduler there, but none answered "
+            f"({error}); check the address, tcp://host:port"
+        ) from None
+    with connected:
+        yield connected
+
+
+def completed(
+    function: Callable[[Any], Any],
+    items: Sequence[Any],
+    jobs: int = 1,
+    client: Any = None,
+) -> Iterator[tuple[int, Any]]:
+    """``(i, function(items[i]))`` as they come, in ``jobs`` processes or on a Dask ``client``.
+
+    In place of a result stands a :class:`WorkerDied` where a call was given up.  Whatever the
+    function raises is raised here.
+
+    >>> sorted(completed(abs, [-2, 3]))
+    [(0, 2), (1, 3)]
+    """
+    if client is not None:
+        yield from _on_dask(function, items, client)
+    elif jobs == 1:
+        for i, item in enumerate(items):
+            yield i, function(item)
+    else:
+        yield from _on_joblib(function, items, jobs)
+
+
+def in_order(function: Callable[..., Any], arguments: Sequence[Sequence[Any]], jobs: int) -> Any:
+    """``[function(*a) for a in arguments]``, in ``jobs`` processes of this machine.
+
+    Raises WorkerDied where one call ended every process that ran it.
+
+    >>> in_order(pow, [(2, 3), (3, 2)], 1)
+    [8, 9]
+    """
+    found: dict[int, Any] = {}
+    for i, result in completed(_Spread(function), arguments, min(jobs, len(arguments)) or 1):
+        if isinstance(result, WorkerDied):
+            raise result
+        found[i] = result
+    return [found[i] for i in range(len(arguments))]
+
+
+class _Spread:
+    """The function of one tuple of arguments."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function = function
+
+    def __call__(self, arguments: Sequence[Any]) -> Any:
+        return self.function(*arguments)
+
+
+# --------------------------------------------------------------------------- joblib
+
+
+def _on_joblib(
+    function: Callable[[Any], Any], items: Sequence[Any], jobs: int
+) -> Iterator[tuple[int, Any]]:
+    deaths = [0] * len(items)
+    todo = set(range(len(items)))
+    while todo:
+        # what was twice in a process that died runs alone, so that only the culprit is blamed
+        alone = [i for i in sorted(todo) if deaths[i] >= 2]
+        batch = [i for i in sorted(todo) if deaths[i] < 2] or alone[:1]
+        held: set[int] = set()
+        for i, result in _round(function, items, batch, jobs, held):
+            held.discard(i)
+            todo.discard(i)
+            yield i, result
+        for i in held:  # these were being computed when a process died
+            deaths[i] += 1
+        if not held:
+            continue
+        _report(len(held), "a worker process")
+        for i in held:
+            if deaths[i] >= MOST_DEATHS and held == {i}:
+                todo.discard(i)
+                yield i, _given_up(deaths[i])
+
+
+def _round(
+    function: Callable[[Any], Any],
+    items: Sequence[Any],
+    batch: Sequence[int],
+    jobs: int,
+    held: set[int],
+) -> Iterator[tuple[int, Any]]:
+    """What comes back until a process dies; ``held``: what had been handed out."""
+    import joblib
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    def tasks() -> Iterator[Any]:
+        for i in batch:
+            held.add(i)
+            yield joblib.delayed(_call)(function, i, items[i], os.getpid())
+
+    # one call a process at a time, no more in advance: else a death would blame the innocent
+    parallel = joblib.Parallel(
+        n_jobs=jobs, batch_size=1, pre_dispatch=jobs, return_as="generator_unordered"
+    )
+    with _children_deaf_to_ctrl_c():
+        results = parallel(tasks())
+    try:
+        yield from results
+    except TerminatedWorkerError:
+        return
+
+
+def _call(function: Callable[[Any], Any], i: int, item: Any, parent: int) -> tuple[int, Any]:
+    _end_with(parent)
+    return i, function(item)
+
+
+_watching: set[int] = set()
+
+
+def _end_with(parent: int) -> None:
+    """End this process soon after ``parent`` has: nobody else would take its result."""
+    here = os.getpid()
+    if here in _watching or os.name != "posix" or os.getppid() != parent or here == parent:
+        return
+    _watching.add(here)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(PARENT_SECONDS)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="end with parent", daemon=True).start()
+
+
+@contextmanager
+def _children_deaf_to_ctrl_c() -> Iterator[None]:
+    """Processes started inside do not hear Ctrl-C: who started them ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _report(n: int, who: str) -> None:
+    LOG.warning(
+        "%s ended unexpectedly (killed, or out of memory); what it did is run again (%d %s)",
+        who, n, "call" if n == 1 else "calls at most",
+    )  # fmt: skip
+
+
+def _given_up(n: int) -> WorkerDied:
+    return WorkerDied(
+        f"it ended {n} worker processes one after the other (killed, or out of memory); "
+        "expected a process that lives to the end: use fewer --jobs or a machine with more memory"
+    )
+
+
+# --------------------------------------------------------------------------- Dask
+
+
+def _on_dask(
+    function: Callable[[Any], Any], items: Sequence[Any], client: Any
+) -> Iterator[tuple[int, Any]]:
+    suspects: list[int] = []
+    for i, result in _on_workers(function, items, range(len(items)), client):
+        if isinstance(result, WorkerDied):
+            suspects.append(i)  # perhaps only because it sat beside the culprit
+        else:
+            yield i, result
+    for i in suspects:
+        yield from _on_workers(function, items, [i], client)
+
+
+def _on_workers(
+    function: Callable[[Any], Any], items: Sequence[Any], batch: Iterable[int], client: Any
+) -> Iterator[tuple[int, Any]]:
+    from importlib import import_module
+
+    killed: Any = import_module("distributed").KilledWorker
+    futures = {client.submit(_plain, function, i, items[i], pure=False): i for i in batch}
+    waiting = set(futures)
+    workers, seen_at = _workers(client), time.monotonic()
+    try:
+        while waiting:
+            done = _some_done(waiting)
+            now = _workers(client)
+            for address in sorted(workers - now):
+                _report(len(waiting), f"the Dask worker {address}")
+            workers = now
+            if workers or done:
+                seen_at = time.monotonic()
+            elif time.monotonic() - seen_at > NO_WORKER_SECONDS:
+                raise CampaignError(
+                    "--scheduler: expected workers, but the cluster has had none for "
+                    f"{NO_WORKER_SECONDS:.0f} s; start some and go on with --resume"
+                )
+            for future in done:
+                waiting.discard(future)
+                try:
+                    result = future.result()
+                except killed as error:
+                    result = futures[future], _given_up(1 + error.allowed_failures)
+                future.release()
+                yield result
+    finally:
+        client.cancel(list(waiting))
+
+
+def _plain(function: Callable[[Any], Any], i: int, item: Any) -> tuple[int, Any]:
+    return i, function(item)
+
+
+def _workers(client: Any) -> set[str]:
+    return set(client.scheduler_info(n_workers=-1)["workers"])
+
+
+def _some_done(waiting: Iterable[Any]) -> list[Any]:
+    """The futures that have ended, after a wait of at most half a second."""
+    from importlib import import_module
+
+    try:
+        import_module("distributed").wait(list(waiting), timeout=0.5, return_when="FIRST_COMPLETED")
+    except TimeoutError:
+        return []
+    return [future for future in waiting if future.done()]
