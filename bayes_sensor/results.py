@@ -14,6 +14,7 @@ import platform
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -31,7 +32,9 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.likelihood import Problem, as_problem, mean_and_variance
 from bayes_sensor.model import local_parameters
 
-LOCK = ".lock"
+LOCK, RUN = ".lock", "run.json"
+STAGE, COMPLETE, OLD, DROP = ".stage-", ".complete", ".old-", ".drop.json"
+"""of a run's results: being written; complete, about to be moved; replaced; names to remove"""
 BINS_WHOLE = 600
 """stretches of an envelope over a whole record"""
 BINS_SWITCH = 260
@@ -410,8 +413,11 @@ class Results:
         return self.folder / name
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
+    def locked(self, patience: float = 0.0) -> Iterator[None]:
         """Make the directory where it is missing and hold it for this process alone.
+
+        ``patience``: seconds to wait for another process that holds it.  A lock whose owner has
+        ended holds nobody up, and what that owner had begun to put in place is put in place.
 
         Raises
         ------
@@ -419,35 +425,30 @@ class Results:
             If another process is writing there, or the directory cannot be made or written.
         """
         made = [p for p in (self.folder, *self.folder.parents) if not p.exists()]
-        handle: IO[str] | None = None
+        deadline = time.monotonic() + patience
+        lock: Lock | None = None
         try:
             try:
                 self.folder.mkdir(parents=True, exist_ok=True)
-                handle = (self.folder / LOCK).open("a")
+                while not (lock := Lock(self.folder / LOCK)).held:
+                    if time.monotonic() >= deadline:
+                        raise CampaignError(
+                            f"--out {self.folder}: another bayes-sensor is writing there "
+                            f"({lock.owner}); expected a folder in use by one run: wait for it or "
+                            f"choose another folder{lock.advice}"
+                        )
+                    time.sleep(0.2)
+                self._put_in_place()
             except OSError as error:
                 raise CampaignError(
                     f"--out {self.folder}: results cannot be written there "
                     f"({error.strerror or error}); expected a folder that can be written: "
                     "choose another"
                 ) from None
-            if fcntl is not None:
-                try:
-                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    # the file may have been removed by its last owner since it was opened
-                    if os.fstat(handle.fileno()).st_nlink == 0:
-                        raise OSError("the lock is changing hands")
-                except OSError:
-                    handle.close()
-                    handle = None
-                    raise CampaignError(
-                        f"--out {self.folder}: another bayes-sensor is writing there; expected a "
-                        "folder in use by one run: wait for it or choose another folder"
-                    ) from None
             yield
         finally:
-            if handle is not None:
-                (self.folder / LOCK).unlink(missing_ok=True)
-                handle.close()
+            if lock is not None:
+                lock.release()
             for folder in made:  # whatever stayed empty goes again
                 if folder.is_dir() and not any(folder.iterdir()):
                     folder.rmdir()
@@ -456,27 +457,133 @@ class Results:
     def writing(self) -> Iterator[Stage]:
         """A stage to write to; what is on it replaces earlier results when the block ends well.
 
-        An exception inside leaves the earlier results as they were.
+        An exception inside leaves the earlier results as they were.  From the moment when the
+        stage is complete and renamed, a run that is killed has its results: whoever holds the
+        directory next puts them in place.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        for rest in self.folder.glob(".stage-*"):  # of a run that was killed
-            shutil.rmtree(rest, ignore_errors=True)
-        inside = Path(tempfile.mkdtemp(prefix=".stage-", dir=self.folder))
+        self._put_in_place()
+        inside = Path(tempfile.mkdtemp(prefix=STAGE, dir=self.folder))
         stage = Stage(self.folder, inside)
         try:
             yield stage
-            for source in sorted(p for p in inside.iterdir() if p.is_dir()):
-                target = self.folder / source.name
-                old = inside / f".old-{source.name}"
-                if target.exists():
-                    os.replace(target, old)
-                os.replace(source, target)
-            for source in sorted(p for p in inside.iterdir() if p.is_file()):
-                os.replace(source, self.folder / source.name)
-            for name in stage.drop:
-                (self.folder / name).unlink(missing_ok=True)
+            if stage.drop:
+                write_json(inside / DROP, stage.drop)
+            os.replace(inside, self.folder / COMPLETE)
+            self._put_in_place()
         finally:
             shutil.rmtree(inside, ignore_errors=True)
+
+    def _put_in_place(self) -> None:
+        """Move what stands on a complete stage to its place; clear what a killed run left."""
+        for rest in (*self.folder.glob(f"{STAGE}*"), *self.folder.glob(f"{OLD}*")):
+            shutil.rmtree(rest, ignore_errors=True)
+        complete = self.folder / COMPLETE
+        if not complete.is_dir():
+            return
+        sources = [p for p in complete.iterdir() if p.name != DROP]
+        for source in sorted(p for p in sources if p.is_dir()):
+            target = self.folder / source.name
+            old = self.folder / f"{OLD}{source.name}"
+            if target.exists():
+                os.replace(target, old)
+            os.replace(source, target)
+            shutil.rmtree(old, ignore_errors=True)
+        # run.json last: it speaks of what is there
+        for source in sorted((p for p in sources if p.is_file()), key=lambda p: p.name == RUN):
+            os.replace(source, self.folder / source.name)
+        if (complete / DROP).is_file():
+            for name in read_json(complete / DROP):
+                (self.folder / name).unlink(missing_ok=True)
+        shutil.rmtree(complete)
+
+
+class Lock:
+    """A lock file with the name of its owner; ``held`` says whether it is ours.
+
+    Where the file system knows locks, the system gives them up when their owner ends, however it
+    ends.  Where it does not, a lock is stale when its owner ran on this machine and is no more.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.handle: IO[str] | None = path.open("a+", encoding="utf-8")
+        self.advice = ""
+        try:
+            self.held = self._take()
+        except BaseException:
+            self.handle.close()
+            raise
+        if self.held:
+            self._sign()
+        else:
+            self.owner = self._owner()
+            self.handle.close()
+            self.handle = None
+
+    def _take(self) -> bool:
+        assert self.handle is not None  # opened just now
+        if fcntl is not None:
+            try:
+                fcntl.flock(self.handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return False
+            except OSError:
+                pass  # a file system without locks
+            else:
+                # the file may have been removed by its last owner since it was opened
+                return os.fstat(self.handle.fileno()).st_nlink > 0
+        record = self._record()
+        if not record or record.get("pid") == os.getpid():
+            return True
+        self.advice = f"; if that run has ended, remove {self.path}"
+        return record.get("host") == platform.node() and not _alive(int(record.get("pid", 0)))
+
+    def _record(self) -> dict[str, Any]:
+        try:
+            found = json.loads(self.path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    def _owner(self) -> str:
+        record = self._record()
+        if not record:
+            return "it has not signed yet"
+        return (
+            f"process {record.get('pid')} on {record.get('host')}, "
+            f"{record.get('command')}, since {record.get('since')}"
+        )
+
+    def _sign(self) -> None:
+        assert self.handle is not None  # held
+        record = {
+            "pid": os.getpid(), "host": platform.node(), "since": now(),
+            "command": " ".join(["bayes-sensor", *sys.argv[1:2]]),
+        }  # fmt: skip
+        self.handle.truncate(0)
+        self.handle.write(json.dumps(record))
+        self.handle.flush()
+
+    def release(self) -> None:
+        """Give the directory free."""
+        if self.handle is not None:
+            self.path.unlink(missing_ok=True)
+            self.handle.close()
+            self.handle = None
+
+
+def _alive(pid: int) -> bool:
+    """Whether a process of this machine exists; where that cannot be known: yes."""
+    if os.name != "posix" or pid <= 0:
+        return True
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 def run_record(
