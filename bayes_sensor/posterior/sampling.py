@@ -38,7 +38,7 @@ def sample_posterior(
     progress: Progress | None = None,
     with_effect: Iterable[Any] = (),
 ) -> Posterior:
-    """Draw from the posterior of every parameter of a campaign.
+    """Draws from the posterior of every parameter; ``converged`` and ``status`` say how good.
 
     Parameters
     ----------
@@ -56,9 +56,10 @@ def sample_posterior(
     with_effect
         objects whose ``apply(problem)`` returns a changed Problem, applied in this order.
 
-    Returns a :class:`Posterior`; ``converged`` and ``status`` say whether to trust it.
-
-    Raises CampaignError for a design, an unknown sampler or a malformed start.
+    Raises
+    ------
+    CampaignError
+        For a design, an unknown sampler or a malformed start.
     """
     started = perf_counter()
     problem = as_problem(campaign)
