@@ -92,7 +92,7 @@ paper/studies/benchmark.py paper/studies/run_all.py paper/build.py data/make_ref
 
 clean:
 	rm -rf build dist htmlcov .coverage .coverage.* .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find bayes_sensor tests data paper -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+	find bayes_sensor tests data docs paper -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 clean-venv:
 	rm -rf $(VENV)

@@ -1,0 +1,46 @@
+"""How ``make docs`` builds the pages: no network, numbers from ``paper/tables`` at build time."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
+
+import bayes_sensor  # noqa: E402
+
+project = "bayes_sensor"
+author = "bayes_sensor contributors"
+copyright = author
+version = release = bayes_sensor.__version__
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "myst_parser",
+    "mathml",
+    "study_table",
+]
+myst_enable_extensions = ["dollarmath", "deflist"]
+myst_heading_anchors = 3
+# formulas become MathML, which browsers draw themselves; MathJax would be fetched from elsewhere
+html_math_renderer = "mathml"
+math_number_all = False
+math_eqref_format = "({number})"
+
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+add_module_names = False
+napoleon_numpy_docstring = True
+napoleon_google_docstring = False
+
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = f"bayes_sensor {release}"
+html_static_path = ["static"]
+html_css_files = ["pages.css"]
+html_show_sphinx = False
+html_copy_source = False

@@ -1,0 +1,209 @@
+"""The pages of docs/: every name, file, column and command in them exists, the examples run."""
+
+import csv
+import json
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from campaigns import small_problem
+
+import bayes_sensor as bs
+from bayes_sensor.bounds import METHODS
+from bayes_sensor.cli import app
+from bayes_sensor.gap import CATALOGUE
+from bayes_sensor.readers import FORMATS
+from bayes_sensor.readers.campaign_file import SIDE_INFORMATION, Entry
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
+
+
+def resolve(dotted: str) -> Any:
+    """The object of a dotted name; AttributeError or ModuleNotFoundError where there is none."""
+    parts = dotted.split(".")
+    for cut in range(len(parts), 0, -1):
+        try:
+            found: Any = import_module(".".join(parts[:cut]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[cut:]:
+            found = getattr(found, part)
+        return found
+    raise ModuleNotFoundError(dotted)
+
+
+def test_a_name_that_does_not_exist_is_seen() -> None:
+    assert resolve("bayes_sensor.bounds.records.Bound").__name__ == "Bound"
+    with pytest.raises(AttributeError):
+        resolve("bayes_sensor.bounds.records.Bounding")
+
+
+def test_the_reference_holds_every_public_name_once() -> None:
+    listed = re.findall(r"^\.\. auto\w+:: ([\w.]+)$", TEXT["api.md"], flags=re.MULTILINE)
+    public = [name for name in listed if "." not in name]
+    assert sorted(public) == sorted(set(bs.__all__) - {"__version__"})
+    for name in listed:
+        found = resolve(name if "." in name else f"bayes_sensor.{name}")
+        assert found.__doc__, name
+
+
+@pytest.mark.parametrize("page", TEXT)
+def test_names_files_and_links_exist(page: str) -> None:
+    text = TEXT[page]
+    for dotted in re.findall(r"\{py:\w+\}`~?([\w.]+)`", text):
+        resolve(dotted)
+    for name in re.findall(r"\bbs\.(\w+)", text):
+        assert name in bs.__all__, name
+    for dotted in re.findall(r"`(bayes_sensor(?:\.\w+)+)`", text):
+        resolve(dotted)
+    for module, names in re.findall(r"^from (bayes_sensor[\w.]*) import ([^(\n]+)$", text, re.M):
+        for name in names.split(","):
+            resolve(f"{module}.{name.strip()}")
+    for path in re.findall(r"`((?:bayes_sensor|tests|paper|notebooks)/[\w./-]*)`", text):
+        assert (ROOT / path).exists(), path
+    for path in re.findall(r"`(\w+\.ipynb)`", text):
+        assert (ROOT / "notebooks" / path).exists(), path
+    for path in re.findall(r"\]\(([^)#]+)\)", text):
+        assert (DOCS / path).exists(), path
+    for path in re.findall(r"^(\w+)$", "\n".join(re.findall(r"\{toctree\}(.*?)```", text, re.S)),
+                           re.M):  # fmt: skip
+        assert (DOCS / f"{path}.md").exists(), path
+
+
+@pytest.mark.parametrize("page", TEXT)
+def test_commands_and_their_options_exist(page: str) -> None:
+    root: Any = typer.main.get_command(app)
+    for name, rest in re.findall(r"bayes-sensor ([a-z][a-z-]*)([^`\n#]*)", TEXT[page]):
+        assert name in root.commands, name
+        known = {flag for parameter in root.commands[name].params for flag in parameter.opts}
+        for flag in re.findall(r"(?<!\S)--[a-z-]+", rest):
+            assert flag in known, f"{name} {flag}"
+    for target in re.findall(r"`make ([\w-]+)`|^make ([\w-]+)$", TEXT[page], flags=re.MULTILINE):
+        assert re.search(rf"^{''.join(target)}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+
+
+def directives() -> list[tuple[str, str, str]]:
+    """(page, table, body) of every study-table."""
+    return [
+        (page, name, body)
+        for page, text in TEXT.items()
+        for name, body in re.findall(r"```\{study-table\} (\w+)\n(.*?)```", text, flags=re.DOTALL)
+    ]
+
+
+def test_tables_have_the_columns_and_rows_that_are_asked_for() -> None:
+    found = directives()
+    assert len(found) > 10
+    for page, name, body in found:
+        path = ROOT / "paper" / "tables" / f"{name}.csv"
+        if not path.exists():  # the page then says that make study writes it
+            assert name in "".join(p.read_text() for p in (ROOT / "paper/studies").glob("*.py"))
+            continue
+        with path.open(newline="", encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+        options = dict(re.findall(r"^:(\w+): (.*)$", body, flags=re.MULTILINE))
+        named = [part.split("=")[0].strip() for part in options.get("columns", "").split(",")]
+        named += [part.strip() for part in options.get("pivot", "").split("=")]
+        wanted = dict(
+            part.strip().split("=") for part in options.get("where", "").split(",") if part
+        )
+        for column in [*filter(None, named), *wanted]:
+            assert column in rows[0], f"{page}: {name}.csv has no column {column}"
+        assert any(all(row[k] == v for k, v in wanted.items()) for row in rows), f"{page}: {name}"
+
+
+def test_no_result_of_a_study_is_typed_into_a_page() -> None:
+    # a table whose cells are decimals would be one
+    for page, text in TEXT.items():
+        assert not re.search(r"^\|.*\d\.\d+.*\|.*\d\.\d+.*\|$", text, flags=re.MULTILINE), page
+
+
+def test_what_can_be_chosen_is_told() -> None:
+    formats, bounds, gap = (
+        TEXT[f"{page}.md"] for page in ("file_formats", "choose_a_bound", "read_a_gap_report")
+    )
+    assert [suffix for suffix in FORMATS if f"`{suffix}`" not in formats] == []
+    assert [key for key in Entry.model_fields if not re.search(rf"\b{key}\b", formats)] == []
+    assert [key for key in SIDE_INFORMATION if not re.search(rf"\b{key}\b", formats)] == []
+    assert [method for method in METHODS if f"\n`{method}`\n:" not in bounds] == []
+    assert [
+        kind for kind in ("none", "effect", "family", "unlisted") if f"**{kind}**" not in gap
+    ] == []
+    blocks = re.findall(r"```toml\n(.*?)```", formats, flags=re.DOTALL)
+    assert len(blocks) == 2  # a campaign and settings, both read below
+
+
+def test_the_settings_and_the_campaign_of_the_page_are_accepted(tmp_path: Path) -> None:
+    from bayes_sensor.cli.settings import read_overrides
+
+    campaign, settings = re.findall(r"```toml\n(.*?)```", TEXT["file_formats.md"], flags=re.DOTALL)
+    (tmp_path / "overrides.toml").write_text(settings)
+    assert read_overrides(tmp_path / "overrides.toml").bounds.methods == [
+        "crlb_iid", "profile", "posterior",
+    ]  # fmt: skip
+    t = np.arange(12_000) * 0.01
+    rows = [f"{a:.2f},{b:.4f},{c:.1f}" for a, b, c in zip(t, _step(t), _drive(t))]
+    (tmp_path / "exp1.csv").write_text("\n".join(["time_s,A,B", *rows]))
+    (tmp_path / "campaign.toml").write_text(campaign)
+    read = bs.read_campaign(tmp_path / "campaign.toml")
+    assert read["1"].commanded_off == 83.6
+    assert read["1"].n_samples < len(read["1"].t)  # the mask
+    assert read.side_information["V_mL"].mean == 60.0
+
+
+def _drive(t: np.ndarray) -> np.ndarray:
+    return np.where((t >= 24.0) & (t < 83.6), 5.0, 0.0)
+
+
+def _step(t: np.ndarray) -> np.ndarray:
+    noise = 0.01 * np.random.default_rng(1).standard_normal(len(t))
+    return 0.3 + 1.5 * (1 - np.exp(-np.maximum(t - 24.5, 0))) * (t < 84.1) + noise
+
+
+@pytest.fixture
+def examples(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the code blocks of extend.md define, run from top to bottom."""
+    monkeypatch.setattr("bayes_sensor.readers.FORMATS", dict(FORMATS))
+    made: dict[str, Any] = {}
+    blocks = re.findall(r"```python\n(.*?)```", TEXT["extend.md"], flags=re.DOTALL)
+    assert len(blocks) == 5
+    exec(compile("\n".join(blocks), "extend.md", "exec"), made)
+    return made
+
+
+def test_the_reader_of_the_page_reads(examples: dict[str, Any], tmp_path: Path) -> None:
+    t = np.arange(6000) * 0.02
+    content = {"time_s": t.tolist(), "voltage_mV": (1e3 * _step(t)).tolist()}
+    (tmp_path / "exp1.json").write_text(json.dumps(content))
+    (tmp_path / "campaign.toml").write_text(
+        '[[experiment]]\nname = "1"\nfile = "exp1.json"\ncarrier_flow = "4 L/min"\n'
+        'test_gas_flow = "0.5 L/min"\ncommanded_on = "24 s"\ncommanded_off = "83.6 s"\n'
+    )
+    assert ".json" in examples["FORMATS"] and ".json" not in FORMATS
+    read = bs.read_campaign(tmp_path / "campaign.toml")
+    assert read.signal_unit == "V"
+    np.testing.assert_allclose(read["1"].values, _step(t), rtol=1e-12)
+    (tmp_path / "exp1.json").write_text('{"time_s": [0, 1')
+    with pytest.raises(bs.CampaignError, match=r"experiment '1' \(exp1.json\): expected a JSON"):
+        bs.read_campaign(tmp_path / "campaign.toml")
+
+
+def test_the_effect_of_the_page_is_one(examples: dict[str, Any]) -> None:
+    assert examples["EFFECT"].name == "leak" and "leak" not in CATALOGUE
+
+
+def test_the_bound_of_the_page_is_wider_by_its_factor(examples: dict[str, Any]) -> None:
+    campaign = small_problem(phi=0.5)[0].campaign
+    fit = bs.fit_least_squares(campaign, seed=1, euler=False)
+    bounds = bs.compare_bounds(campaign, fit, methods=examples["mine"])
+    phi = fit.parameters["phi"]
+    assert 0.4 < phi < 0.6
+    narrow, wide = (np.ptp(bounds[m].interval("tau_v_s")) for m in examples["mine"])
+    assert wide / narrow == pytest.approx(np.sqrt((1 + phi) / (1 - phi)))
