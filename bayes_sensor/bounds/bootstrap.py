@@ -14,6 +14,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 from math import ceil, log, log10, sqrt
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -32,6 +33,8 @@ REFERENCE = "Politis and Romano (1994); Politis and White (2004); Patton, Politi
 IntArray = NDArray[np.int64]
 LEAST_TAIL = 5
 """resamples that must lie beyond an end for the end to be read off them"""
+MOST_FAILED = 0.25
+"""of the refits that may not settle; their spread says nothing where more do"""
 
 
 # --------------------------------------------------------------------------- block length
@@ -225,7 +228,7 @@ def _series(problem: Problem, vector: FloatArray, k: int, whitened: bool) -> _Se
 
 def resample_and_refit(
     evidence: Evidence, n_resamples: int, whitened: bool = True
-) -> tuple[FloatArray, FloatArray, dict[str, object]]:
+) -> tuple[FloatArray, FloatArray, dict[str, Any]]:
     """Least-squares psi of every resample: (n, n_psi) with tau^2 >= 0, the same as if it could be
     negative, and what happened (block lengths, failures)."""
     problem, white = evidence.problem, evidence.white
@@ -280,7 +283,7 @@ def resample_and_refit(
         if sample % 20 == 19:
             evidence.progress((sample + 1) / n_resamples, "block bootstrap")
     lengths = {e.name: own.length for e, own in zip(problem.campaign, series)}
-    details: dict[str, object] = {
+    details: dict[str, Any] = {
         "n_resamples": n_resamples,
         "block_length_samples": lengths,
         "whitened": whitened,
@@ -295,9 +298,8 @@ def block_bootstrap(evidence: Evidence, whitened: bool = True) -> Bound:
     surface = evidence.white
     names = surface.mean_names
     cov = np.atleast_2d(np.cov(free[:, surface.mean], rowvar=False))
-    status = ""
-    if details["n_failed"]:
-        status = f"{details['n_failed']} of {evidence.n_resamples} refits did not settle"
+    n_failed = int(details["n_failed"])
+    status = f"{n_failed} of {evidence.n_resamples} refits did not settle" if n_failed else ""
     information = surface.information(surface.expansion(evidence.psi_white))
     _, identified = invert(information[np.ix_(surface.mean, surface.mean)])
     normal = gaussian_bound(
@@ -335,6 +337,10 @@ def block_bootstrap(evidence: Evidence, whitened: bool = True) -> Bound:
     sd[np.isnan(normal.sd)] = np.nan
     # refits start at the fit: along a direction without information they would hardly move
     low[~identified], high[~identified] = np.nan, np.nan
+    if n_failed > MOST_FAILED * evidence.n_resamples:
+        # levels and steps settle at once, whatever becomes of the times
+        slow = np.array([not name.startswith(("y0_V", "beta_V")) for name in names])
+        sd[slow], low[slow], high[slow] = np.nan, np.nan, np.nan
     return Bound(
         normal.method, normal.assumes, normal.reference, names, normal.estimate, sd, low, high,
         normal.status, details,

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from bayes_sensor.bounds.bootstrap import block_bootstrap
 from bayes_sensor.bounds.classical import (
@@ -16,10 +19,11 @@ from bayes_sensor.bounds.classical import (
 from bayes_sensor.bounds.evidence import Evidence, Progress
 from bayes_sensor.bounds.jackknife import jackknife_experiments
 from bayes_sensor.bounds.profile import profile
-from bayes_sensor.bounds.records import Bound, Bounds
+from bayes_sensor.bounds.records import LEVELS, Bound, Bounds
 from bayes_sensor.bounds.sandwich import sandwich
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.fit import Fit
+from bayes_sensor.fit.identifiability import slow_noise
 from bayes_sensor.likelihood import Problem, as_problem
 
 Method = Callable[[Evidence], Bound]
@@ -38,6 +42,46 @@ METHODS: dict[str, Method] = {
 """every method by name; a caller may pass another mapping"""
 
 
+SPREAD_OF_LEAST_SQUARES = ("sandwich", "sandwich_ar1", "block_bootstrap")
+"""methods that judge the spread of least squares from the noise they see"""
+
+
+def why_mute(evidence: Evidence, name: str) -> str:
+    """Why a method can say nothing about these data, as a sentence; empty where it can."""
+    if name != "posterior" and not evidence.fit.step_seen:
+        return "no step is seen in any experiment"
+    walled = [n for n in ("tau_s", "tau_v_s", "V_mL") if n in evidence.fit.at_bound]
+    if evidence.at_bound:  # a sensor too fast to see is an ordinary outcome
+        walled = [n for n in walled if n != "tau_s"]
+    if name not in ("crlb_ar1", "profile", "posterior") and walled:
+        return f"least squares ended at the edge of its search in {', '.join(walled)}"
+    if name in SPREAD_OF_LEAST_SQUARES:
+        return slow_noise(evidence.problem, evidence.coloured_theta)
+    return ""
+
+
+def silent(evidence: Evidence, name: str, reason: str) -> Bound:
+    """The bound of a method that gives no value."""
+    names = evidence.problem.layout.mean_names + list(evidence.problem.layout.extra)
+    estimate = evidence.theta[[evidence.problem.layout.index(n) for n in names]]
+    empty = np.full((len(names), len(LEVELS)), np.nan)
+    return Bound(name, "that the data can tell", "", names, estimate, empty[:, 0], empty, empty,
+                 reason)  # fmt: skip
+
+
+def without_roles(bound: Bound, reason: str) -> Bound:
+    """The bound without its values of tau_v and V, which hold about one of two fits only."""
+    lost = np.isin(bound.names, ("tau_v_s", "V_mL"))
+    status = reason if bound.status == "ok" else f"{bound.status}; {reason}"
+    return replace(
+        bound,
+        sd=np.where(lost, np.nan, bound.sd),
+        low=np.where(lost[:, None], np.nan, bound.low),
+        high=np.where(lost[:, None], np.nan, bound.high),
+        status=status,
+    )
+
+
 def compare_bounds(
     campaign: Campaign | Problem,
     fit: Fit,
@@ -53,8 +97,11 @@ def compare_bounds(
     posterior only where one is given.  Methods that rest on least squares are centred on the fit,
     those under coloured noise (``crlb_ar1``, ``profile``) on the maximum of that likelihood.
 
-    Raises CampaignError for an unknown method, for ``posterior`` without one, or for a fit of
-    another campaign.
+    Where no step is seen, and for least squares under noise that is correlated over much of a
+    record, a method gives no value and says why.
+
+    Raises CampaignError for an unknown method, for ``posterior`` without one, for a fit of another
+    campaign, or for data that allow no interval at all.
     """
     problem = as_problem(campaign)
     if methods is None:
@@ -70,6 +117,8 @@ def compare_bounds(
         raise CampaignError("the method 'posterior' needs the posterior; sample it first")
     for e in problem.campaign:
         _ = e.values  # a design has no data to bound
+    if fit.cannot_tell:
+        raise CampaignError(f"no interval can be given: {fit.cannot_tell}")
     bounds: dict[str, Bound] = {}
     seconds: dict[str, float] = {}
     done = 0
@@ -82,7 +131,10 @@ def compare_bounds(
     for name, method in chosen.items():
         report(0.0, name)
         start = time.perf_counter()
-        bounds[name] = method(evidence)
+        mute = why_mute(evidence, name)
+        bounds[name] = silent(evidence, name, mute) if mute else method(evidence)
+        if fit.twin and not mute and name != "posterior":
+            bounds[name] = without_roles(bounds[name], fit.twin)
         seconds[name] = time.perf_counter() - start
         done += 1
     return Bounds(bounds, problem.campaign.signal_unit, seconds, evidence.likelihood)

@@ -51,16 +51,21 @@ class Profiler:
         those are reached by exchanging tau for t0, with (t0 + tau) following.  Started where a
         Gaussian has it, or from ``near`` (n_psi,), the maximum at another value.
         """
-        psi, cov, surface = self.maximum.psi, self.cov, self.surface
+        psi, surface = self.maximum.psi, self.surface
         rest = np.array([j for j in range(len(psi)) if j != i])
         if i in surface.coordinates.switches:
             return self._best_switch(i, value, rest, near)
-        start = psi + cov[:, i] / cov[i, i] * (value - psi[i]) if near is None else near.copy()
+        start = psi + self._slope(i) * (value - psi[i]) if near is None else near.copy()
         start[i] = value
         return maximise(
             surface.guarded, self.curvature, start, rest, *self._box(i), n_iterations=25,
             tolerance=1e-5,
         )  # fmt: skip
+
+    def _slope(self, i: int) -> FloatArray:
+        # (n_psi,) how a Gaussian's best rest follows psi's parameter i; 0 where nothing is known
+        own = self.cov[i, i]
+        return self.cov[:, i] / own if own > 0.0 else np.zeros(len(self.cov))
 
     def _box(self, i: int) -> tuple[FloatArray, FloatArray]:
         # what is held may stand anywhere
@@ -97,7 +102,7 @@ class Profiler:
             return matrix
 
         if near is None:
-            start = psi + self.cov[:, 0] / self.cov[0, 0] * (tau**2 - psi[0])
+            start = psi + self._slope(0) * (tau**2 - psi[0])
             start[0] = tau
         else:
             start = near.copy()
@@ -128,6 +133,8 @@ class Profiler:
         The likelihood may have two maxima over the rest (tau at zero and above): where the profile
         seems to jump, each is followed from its neighbour and the higher one counts.
         """
+        if not self.cov[i, i] > 0.0:  # the data hold nothing about it: there is no end
+            return [nan] * len(targets)
         known = [Point(centre, 0.0, self.maximum.psi)]
         found = []
         for guess, target in zip(guesses, targets):

@@ -199,6 +199,10 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
         blocks.append(len(base))
         runs.append(len(distance))
     stacked = np.array(moments, dtype=float).reshape(-1, 5, K)
+    # valve and manifold have no such delay: where they are as fast, the full pass serves
+    low = low.copy()
+    low[1] = max(low[1], setting[:, 4].max())
+    low[2] = max(low[2], (setting[:, 4] * setting[:, 1]).max())
     return Arrays(
         local=layout.local,
         noise=layout.noise,

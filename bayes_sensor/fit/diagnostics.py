@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from bayes_sensor.campaign import Experiment, FloatArray
+from bayes_sensor.fit.identifiability import step_error
 from bayes_sensor.fit.looks import Look
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.model import Layout
@@ -100,6 +100,13 @@ def warn(
             "alike and cannot be told apart; only the set of time constants is determined (the "
             "smallest is given as tau, the largest as tau_v)."
         )
+    moving = [e.name for e, look in zip(campaign, looks) if not look.settled]
+    if moving:
+        warnings.append(
+            f"Experiment{'s' if len(moving) > 1 else ''} {', '.join(repr(n) for n in moving)}: the "
+            "signal still moves when the step ends, so slow lags and the step's height cannot be "
+            "told apart; record longer steps."
+        )
     rises = [look.rise for look in looks if look.rise is not None]
     usual = (
         float(np.median(rises)) if rises else 0.1 * float(np.median([e.t[-1] for e in campaign]))
@@ -111,8 +118,8 @@ def warn(
             sigma0**2 + sigma1**2 * problem.noise.weight(campaign, e) * np.maximum(x, 0)
         )
         beta = abs(vector[layout.local[k, 1]])
-        error = _step_error(e, r, x)
-        if beta < 3.0 * error:
+        error = step_error(e, r, x)
+        if beta <= 3.0 * error:
             warnings.append(
                 f"Experiment '{e.name}': the step ({beta:.2g} {unit}) is not visible above its own "
                 f"error ({error:.2g} {unit}); its switch times mean little."
@@ -128,22 +135,6 @@ def warn(
                 "than the noise explains."
             )
     return warnings
-
-
-def _step_error(e: Experiment, r: FloatArray, x: FloatArray) -> float:
-    """Standard error of the step size, V: low against high x3, from the scatter of block means.
-
-    Forty block means carry slow noise; their median deviation leaves out the few blocks in which
-    the model misses the trace.
-    """
-    z = r[e.used]
-    size = max(len(z) // 40, 1)
-    n = len(z) // size
-    means = z[: n * size].reshape(n, size).mean(axis=1)
-    high = x[e.used][: n * size].reshape(n, size).mean(axis=1) > 0.5
-    spread = 1.4826 * float(np.median(np.abs(means - np.median(means))))
-    n_high = max(int(high.sum()), 1)
-    return spread * sqrt(1.0 / n_high + 1.0 / max(n - n_high, 1))
 
 
 def at_bounds(

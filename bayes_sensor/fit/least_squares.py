@@ -13,6 +13,7 @@ from scipy import optimize
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.fit.diagnostics import at_bounds, bound_warnings, warn
+from bayes_sensor.fit.identifiability import cannot_tell, step_is_seen
 from bayes_sensor.fit.looks import Look, first_look, initial_bounds
 from bayes_sensor.fit.noise import all_residuals, estimate_noise, mean_square
 from bayes_sensor.fit.points import averages, scatter
@@ -25,6 +26,31 @@ from bayes_sensor.model import Cascade
 
 # Starts along the valley, as fractions of the rise time (10, 60, 200, 500 ms at the published rig).
 TAU_STARTS = (0.005, 0.03, 0.1, 0.25)
+
+
+TWINS_APART = 0.3
+"""distance in the logarithms of tau_v and of V above which two fits are different answers"""
+AS_GOOD = 9.0
+"""rise of the sum of squares, in noise variances, up to which another fit is as good (3 sd)"""
+
+
+@dataclass(frozen=True)
+class Twin:
+    """The best fit with the roles of valve and manifold exchanged."""
+
+    tau_v: float  # s
+    volume: float  # mL
+    excess: float  # V^2, its sum of squares less that of the fit
+
+
+def exchanged(campaign: Campaign, theta: FloatArray) -> FloatArray:
+    """``theta`` (n_mean,) with tau_v in the place of the typical V/Q and the other way round."""
+    flow = float(np.median([e.total_flow for e in campaign]))
+    theta = theta.copy()
+    theta[1], theta[2] = theta[2] / flow, theta[1] * flow
+    if theta[0] > theta[1]:
+        theta[0], theta[1] = theta[1], theta[0]
+    return theta
 
 
 @dataclass
@@ -70,10 +96,11 @@ def fit_least_squares(
     count = Count()
     exact = replace(problem, model=Cascade())
     plain = type(problem.model) is Cascade
-    theta, success, record, check = _search(
+    theta, success, record, check, other = _search(
         exact, looks, box, seed, swarms, particles, de, tell, count
     )
     if not plain:
+        other = None
         theta, success = refit(problem, theta, box, count)
     elif problem.model.method == "euler":
         theta, success = _fit_euler(problem, theta, box, looks, count)
@@ -102,6 +129,22 @@ def fit_least_squares(
     status = "Converged." if success else "The refinement stopped before it converged."
     if success and at_bound:
         status = f"Converged, with {', '.join(at_bound)} at a search bound."
+    twin = ""
+    if other is not None:
+        phi = max(float(vector[problem.layout.noise[0, 0]]), 0.0)
+        if other.excess < AS_GOOD * rms**2 * (1.0 + phi) / (1.0 - phi):
+            twin = (
+                "valve and manifold cannot be told apart by these data: a fit with "
+                f"tau_v = {1e3 * other.tau_v:.4g} ms and V = {other.volume:.4g} mL is as good"
+            )
+            warnings.append(f"V{twin[1:]}.")
+    mute = cannot_tell(problem, vector, residuals)
+    seen = step_is_seen(problem, vector, residuals)
+    if mute:
+        warnings.insert(0, f"No interval can be given: {mute}.")
+    if not seen:
+        success = False
+        status = "No step is seen in any experiment, so the time constants mean nothing."
     return Fit(
         names=list(problem.layout.names),
         theta_hat=vector,
@@ -125,6 +168,9 @@ def fit_least_squares(
         signal_unit=unit,
         phi_interval=problem.campaign.reference_interval,
         seed=seed,
+        cannot_tell=mute,
+        twin=twin,
+        step_seen=seen,
     )
 
 
@@ -151,8 +197,8 @@ def _search(
     de: bool,
     tell: Progress,
     count: Count,
-) -> tuple[FloatArray, bool, dict[str, Any], dict[str, Any] | None]:
-    """The exact cascade's least squares: swarms, starts along the valley, mesh."""
+) -> tuple[FloatArray, bool, dict[str, Any], dict[str, Any] | None, Twin | None]:
+    """The exact cascade's least squares: swarms, starts along the valley, mesh; and its twin."""
     campaign = problem.campaign
     problem = Problem(campaign, noise=problem.noise)
     layout = problem.layout
@@ -195,6 +241,14 @@ def _search(
         other = refined_from(start)
         if other.cost < best.cost:
             best = other
+    twin = None
+    if not campaign.same_flow:
+        other = refined_from(exchanged(campaign, best.theta))
+        if other.cost < best.cost:
+            best, other = other, best
+        apart = np.abs(np.log(other.theta[1:3] / best.theta[1:3]))
+        if (apart > TWINS_APART).all():
+            twin = Twin(other.theta[1], other.theta[2], other.cost - best.cost)
     noise = mean_square(problem, best.theta)
     tell(0.7, "mesh")
     start = _swap(campaign, best.theta, high)
@@ -222,7 +276,7 @@ def _search(
             "n_evaluations": int(result.nfev),
             **dict(zip(layout.names[:3], map(float, _swap(campaign, other.theta, high)[:3]))),
         }
-    return theta, success, {"agree": agree, "swarms": each}, check
+    return theta, success, {"agree": agree, "swarms": each}, check, twin
 
 
 def _finish(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf
+from math import inf, sqrt
 
 import numpy as np
 
@@ -13,6 +13,11 @@ from bayes_sensor.likelihood import Problem
 
 LEAST_TAU = 0.1
 """lower bound of tau in sampling intervals: far below anything a sample can tell"""
+DRIFT = 0.2
+"""of the step, between the two halves of what follows its middle: more, and the plateau is not
+reached (that is so where the step lasts less than three lags)"""
+UNSETTLED = 10.0
+"""longest lag looked for where no plateau is reached, in lengths of the step"""
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,7 @@ class Look:
     rise: float | None  # 10 to 90 %, s; None where no step is visible
     before: float
     step: float
+    settled: bool = True  # False where the signal still moves when the step ends
 
 
 def blocks(e: Experiment, start: float, end: float, n: int) -> tuple[FloatArray, FloatArray]:
@@ -72,13 +78,17 @@ def first_look(e: Experiment) -> Look:
             end_by = float(t_fall[split(y_fall)])
     if abs(step) < 4.0 * noise:
         return Look(on, off, 0.5 * (on + off), 0.5 * (off + last), None, before, step)
+    half = len(after) // 2
+    drift = float(np.median(after[-half:]) - np.median(after[:half])) if half >= 4 else 0.0
+    settled = abs(drift) < max(DRIFT * abs(step), 6.0 * noise * sqrt(2.0 / max(half, 1)))
     x = (y - before) / step
     low = np.flatnonzero(x[:cut] < 0.1)
     high = np.flatnonzero(x[max(cut - 1, 0) :] >= 0.9)
     begin = t[low[-1]] if len(low) else t[0]
     finish = t[max(cut - 1, 0) + high[0]] if len(high) else t[-1]
     width = t[1] - t[0]
-    return Look(on, off, float(t[cut]), end_by, max(float(finish - begin), width), before, step)
+    rise = max(float(finish - begin), width)
+    return Look(on, off, float(t[cut]), end_by, rise, before, step, settled)
 
 
 def initial_bounds(
@@ -91,17 +101,21 @@ def initial_bounds(
     flow = max(e.total_flow for e in campaign)
     least = LEAST_TAU * min(e.interval for e in campaign)
     slowest = max(slowest, 100.0 * least)
+    unsettled = [look.off - look.on for look in looks if not look.settled]
+    most = 3.0 * slowest if not unsettled else UNSETTLED * max(3.0 * slowest, *unsettled)
     bounds = {
         "tau_s": (least, slowest),
-        "tau_v_s": (least, 3.0 * slowest),
-        "V_mL": (least * flow, 3.0 * slowest * flow),
+        "tau_v_s": (least, most),
+        "V_mL": (least * flow, most * flow),
     }
     for e, look in zip(campaign, looks):
         y = e.values[e.used]
         low, high = float(y.min()), float(y.max())
         spread = max(high - low, 1e-12 * max(abs(high), abs(low)), 1e-300)
         bounds[f"y0_V[{e.name}]"] = (low - spread, high + spread)
-        bounds[f"beta_V[{e.name}]"] = (-3.0 * spread, 3.0 * spread)
+        # where no plateau is reached, the step may be as much higher as the lag is longer
+        reach = 3.0 * spread if look.settled else 10.0 * UNSETTLED * spread
+        bounds[f"beta_V[{e.name}]"] = (-reach, reach)
         bounds[f"t0_s[{e.name}]"] = (look.on, max(look.start_by, look.on + 2.0 * e.interval))
         if e.has_fall:
             bounds[f"tf_s[{e.name}]"] = (look.off, max(look.end_by, look.off + 2.0 * e.interval))

@@ -51,6 +51,12 @@ class Fit:
     phi_interval: float = 0.0
     """s, the sampling interval that phi refers to"""
     seed: int = 1
+    cannot_tell: str = ""
+    """why these data allow no interval at all, as a sentence; empty where they do"""
+    twin: str = ""
+    """that another valve and manifold fit as well, as a sentence; empty where they do not"""
+    step_seen: bool = True
+    """whether the step of any experiment stands out of the noise"""
 
     def to_json(self) -> dict[str, Any]:
         """The content of ``fit.json``."""

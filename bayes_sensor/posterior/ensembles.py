@@ -200,7 +200,7 @@ def _advance(
 
 def _start(target: Marginal, laplace: Laplace, n: int, rng: np.random.Generator) -> FloatArray:
     """(n, n_dim) walkers of finite density: draws of the Laplace approximation where the priors
-    allow them, else draws pulled towards its maximum, which always is allowed."""
+    allow them, else draws pulled towards its maximum, else draws moved into the priors."""
     found = np.empty((0, len(target.kept)))
     centre = target.points(laplace.theta[None])
     shrink = 1.0
@@ -211,7 +211,29 @@ def _start(target: Marginal, laplace: Laplace, n: int, rng: np.random.Generator)
         if len(found) >= n:
             return found[:n]
         shrink *= 0.8
+    # the Gaussian has no overlap with the priors, as where the data say almost nothing
+    drawn = into_priors(target.coordinates.problem, laplace.draw(8 * n, rng)[0], rng)
+    points = target.points(drawn)
+    found = np.concatenate([found, points[np.isfinite(target(points))]])
+    if len(found) >= n:
+        return found[:n]
     raise CampaignError(
         "no starting point with a positive posterior density was found; "
         "the priors (side information, commanded times) contradict the data"
     )
+
+
+def into_priors(problem: Problem, thetas: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """``thetas`` (n, n_theta) with everything outside its prior's support drawn from that prior."""
+    thetas = thetas.copy()
+    for i, name in enumerate(problem.layout.names):
+        law = problem.priors[name].law
+        if name in problem.fixed or law is None:
+            continue
+        # the far tails too: they are as good as outside
+        low, high = law.ppf([1e-9, 1.0 - 1e-9])
+        outside = ~((thetas[:, i] > low) & (thetas[:, i] < high))
+        thetas[outside, i] = law.rvs(int(outside.sum()), random_state=rng)
+    wrong = thetas[:, 0] > thetas[:, 1]
+    thetas[wrong, 0] = thetas[wrong, 1] * rng.random(int(wrong.sum()))
+    return thetas

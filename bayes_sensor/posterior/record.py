@@ -20,6 +20,8 @@ from bayes_sensor.posterior.summaries import highest_density, weighted_quantiles
 if TYPE_CHECKING:
     import pandas as pd
 
+NEAR_EQUAL, MAY_BE_EQUAL = 0.9, 0.025
+"""tau over tau_v that counts as equal, and the probability of it that is worth a warning"""
 QUANTILES = (0.5, 2.5, 16.0, 50.0, 84.0, 97.5, 99.5)
 
 
@@ -46,6 +48,8 @@ class Posterior:
     seconds: float = 0.0
     k_hat: float | None = None
     acceptance: float | None = None
+    remarks: tuple[str, ...] = ()
+    """sentences of the fit that concern the posterior too"""
 
     @property
     def layout(self) -> Layout:
@@ -108,10 +112,19 @@ class Posterior:
     def warnings(self) -> tuple[str, ...]:
         """Sentences a reader must see."""
         found = [] if self.converged else [self.status]
+        found += self.remarks
         if self.problem.campaign.same_flow:
             found.append(
                 "all flows are equal: tau_v and V cannot be told apart by these data, "
                 "their intervals come from the priors"
+            )
+        tau, tau_v = self.of("tau_s"), self.of("tau_v_s")
+        if not self.problem.campaign.same_flow and np.mean(tau > NEAR_EQUAL * tau_v) > MAY_BE_EQUAL:
+            low, high = np.quantile(tau, 0.025), np.quantile(tau_v, 0.975)
+            found.append(
+                f"tau and tau_v may be equal and can then not be told apart: only the rule "
+                f"tau <= tau_v separates their intervals; both lie between {1e3 * low:.4g} and "
+                f"{1e3 * high:.4g} ms (95 %)"
             )
         if self.mesh_error > MESH_ERROR_LIMIT:
             found.append(f"the mesh is off by {self.mesh_error:.1e} in log L, more than 1e-3")

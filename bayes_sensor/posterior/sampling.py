@@ -12,6 +12,9 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.compression import Compressed
+from bayes_sensor.fit import Fit, fit_least_squares, refit
+from bayes_sensor.fit.identifiability import cannot_tell
+from bayes_sensor.fit.noise import all_residuals
 from bayes_sensor.laplace import Laplace, approximate
 from bayes_sensor.likelihood import Problem, as_problem
 from bayes_sensor.posterior.checkpoints import digest
@@ -59,7 +62,8 @@ def sample_posterior(
     Raises
     ------
     CampaignError
-        For a design, an unknown sampler or a malformed start.
+        For a design, an unknown sampler, a malformed start, or data that allow no interval at all:
+        too few samples, one level only, no noise.
     """
     started = perf_counter()
     problem = as_problem(campaign)
@@ -72,11 +76,13 @@ def sample_posterior(
         raise CampaignError("a design has no data to condition on; simulate or measure it first")
     report = progress or (lambda fraction, text: None)
     if fit is None:
-        from bayes_sensor.fit import fit_least_squares
-
         fit = fit_least_squares(problem, seed=seed)
     problem.prior_table  # noqa: B018 - raises CampaignError where a parameter has no prior
     start = _start(problem, getattr(fit, "theta_hat", fit))
+    mute = fit.cannot_tell if isinstance(fit, Fit) else _cannot_tell(problem, start)
+    if mute:
+        raise CampaignError(f"no interval can be given: {mute}")
+    twin = isinstance(fit, Fit) and fit.twin
     report(0.0, "Laplace approximation")
     laplace, compressed = approximate(problem, start)
     for _ in range(MESHES):
@@ -113,6 +119,7 @@ def sample_posterior(
         seconds=perf_counter() - started,
         k_hat=run.k_hat,
         acceptance=run.acceptance,
+        remarks=(f"{fit.twin}; the draws are about one of the two",) if twin else (),
     )
 
 
@@ -151,6 +158,11 @@ def _run(
     return run, [*reasons, run.reason]
 
 
+def _cannot_tell(problem: Problem, start: FloatArray) -> str:
+    """Why no interval can be given, judged by the residuals at ``start`` (n_theta,)."""
+    return cannot_tell(problem, start, all_residuals(problem, start)[0])
+
+
 def _start(problem: Problem, given: Any) -> FloatArray:
     """The flat vector to start from; a model's own parameters are fitted where it lacks them."""
     layout = problem.layout
@@ -161,8 +173,6 @@ def _start(problem: Problem, given: Any) -> FloatArray:
         lacks = np.shape(given) != (len(layout),)
     if not layout.extra or not lacks:
         return layout.flat(given)
-    from bayes_sensor.fit import refit
-
     theta = bare.flat(given)
     vector = np.concatenate([theta, np.zeros(len(layout.extra))])
     found, _ = refit(problem, theta)

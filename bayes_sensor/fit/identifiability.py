@@ -1,0 +1,106 @@
+"""Whether the data can tell anything: enough samples, two levels, noise, a step that is seen."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from bayes_sensor.campaign import Experiment, FloatArray
+from bayes_sensor.likelihood import Problem
+
+FEWEST = 5
+"""samples of one experiment; y0, beta, t0 and tf alone are four parameters"""
+ROUNDING = 1e-10
+"""RMS residual over the largest |y| below which nothing but rounding is left"""
+LEAST_RANGE = 0.02
+"""of the response over the used samples, below which y0 and beta cannot be told apart"""
+SEEN = 6.0
+"""step over its standard error above which it is seen.  The fit looks for a step wherever the
+commands allow one, and finds four standard errors in pure noise."""
+STEADY = 20.0
+"""correlation times of the noise that a record must hold for least squares to judge its spread"""
+
+
+def step_error(e: Experiment, r: FloatArray, x: FloatArray) -> float:
+    """Standard error of the step size, V: low against high x3, from the scatter of block means.
+
+    Forty block means carry slow noise; their median deviation leaves out the few blocks in which
+    the model misses the trace.
+    """
+    z = r[e.used]
+    size = max(len(z) // 40, 1)
+    n = len(z) // size
+    means = z[: n * size].reshape(n, size).mean(axis=1)
+    high = x[e.used][: n * size].reshape(n, size).mean(axis=1) > 0.5
+    spread = 1.4826 * float(np.median(np.abs(means - np.median(means))))
+    n_high = max(int(high.sum()), 1)
+    return spread * sqrt(1.0 / n_high + 1.0 / max(n - n_high, 1))
+
+
+def cannot_tell(
+    problem: Problem, vector: FloatArray, residuals: list[tuple[FloatArray, FloatArray]]
+) -> str:
+    """Why no interval can be given at all, as a sentence; empty where one can.
+
+    ``residuals``: of every experiment r (n_t,) in V and x3 (n_t,) at ``vector`` (n_theta,).
+    """
+    campaign, unit = problem.campaign, problem.campaign.signal_unit
+    for e, (_, x) in zip(campaign, residuals):
+        if e.n_samples < FEWEST:
+            return (
+                f"experiment '{e.name}': {e.n_samples} samples are used, fewer than its own "
+                f"parameters need; expected at least {FEWEST} and hundreds for a result: shorten "
+                "mask and keep, or leave the experiment out"
+            )
+        x = x[e.used]
+        if float(x.max() - x.min()) < LEAST_RANGE:
+            return (
+                f"experiment '{e.name}': all samples that are used lie at one level, so baseline "
+                "and step cannot be told apart; expected samples before and after the step: "
+                "shorten mask and keep, or leave the experiment out"
+            )
+    n_mean = problem.layout.n_mean
+    if campaign.n_samples <= n_mean:
+        return (
+            f"{campaign.n_samples} samples are used for {n_mean} parameters; expected hundreds "
+            "for each experiment: shorten mask and keep, or record longer"
+        )
+    rms = sqrt(sum(float(r @ r) for r, _ in residuals) / campaign.n_samples)
+    largest = max(float(np.abs(e.values[e.used]).max()) for e in campaign)
+    if rms <= ROUNDING * largest:
+        return (
+            f"the model meets every sample to within rounding (RMS {rms:.1e} {unit}), so there is "
+            "no noise by which to judge an interval; expected a measured signal: check that the "
+            "right column is read (noise-free simulations can be fitted, not bounded)"
+        )
+    return ""
+
+
+def step_is_seen(
+    problem: Problem, vector: FloatArray, residuals: list[tuple[FloatArray, FloatArray]]
+) -> bool:
+    """Whether the step of any experiment stands out of the noise."""
+    for k, (e, (r, x)) in enumerate(zip(problem.campaign, residuals)):
+        beta = abs(float(vector[problem.layout.local[k, 1]]))
+        if beta > SEEN * step_error(e, r, x):
+            return True
+    return False
+
+
+def slow_noise(problem: Problem, vector: FloatArray) -> str:
+    """The sentence that the noise is correlated over too much of the records; else empty."""
+    campaign = problem.campaign
+    for k, e in enumerate(campaign):
+        phi = float(vector[problem.layout.noise[k, 0]])
+        if phi <= 0.0:
+            continue
+        time = campaign.reference_interval / -np.log(phi)
+        duration = len(e.t) * e.interval
+        if duration < STEADY * time:
+            return (
+                f"the noise is correlated over {time:.2g} s, not short against experiment "
+                f"'{e.name}' of {duration:.3g} s: too little of it is seen to judge the spread of "
+                "least squares (crlb_ar1, profile and posterior model it)"
+            )
+    return ""

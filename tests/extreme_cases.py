@@ -1,0 +1,141 @@
+"""Campaigns at the edge of what can be told, each drawn from a truth that is returned with it.
+
+Used by the tests and by ``paper/studies/study_extremes.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from campaigns import small_design, small_theta
+
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.likelihood import Problem, simulate
+from bayes_sensor.model import local_parameters
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """One kind of campaign and what may be said of it."""
+
+    words: str
+    make: Callable[[int], tuple[Problem, FloatArray]]
+    """a drawn campaign as a Problem, and its truth (n_theta,), by seed"""
+    identified: tuple[str, ...] = ("tau_s", "tau_v_s", "V_mL")
+    """shared parameters that the data can tell"""
+
+
+def _drawn(
+    seed: int,
+    design: Campaign | None = None,
+    n_keep: int | None = None,
+    **changes: float,
+) -> tuple[Problem, FloatArray]:
+    """A simulated small campaign with some of its truth changed."""
+    design = design or small_design()
+    phi, sigma = changes.pop("phi", 0.5), changes.pop("sigma", 0.02)
+    beta = changes.pop("beta", None)
+    theta = small_theta(design, phi, sigma, changes.pop("growth", sigma))
+    theta.update(changes)
+    if beta is not None:
+        for values in theta["experiments"].values():
+            values["beta_V"] = beta
+    problem = Problem(design)
+    return replace(problem, campaign=simulate(problem, theta, seed=seed)), problem.layout.flat(
+        theta
+    )
+
+
+def two_samples(seed: int) -> tuple[Problem, FloatArray]:
+    """All but two samples of each record are masked."""
+    problem, theta = _drawn(seed)
+    experiments = []
+    for e in problem.campaign:
+        used = np.zeros(len(e.t), dtype=bool)
+        used[[len(e.t) // 3, len(e.t) // 2]] = True
+        experiments.append(replace(e, mask=used))
+    return Problem(replace(problem.campaign, experiments=tuple(experiments))), theta
+
+
+def one_of_two_samples(seed: int) -> tuple[Problem, FloatArray]:
+    """All but two samples of the second record are masked; the first is whole."""
+    problem, theta = _drawn(seed)
+    first, second = problem.campaign
+    used = np.zeros(len(second.t), dtype=bool)
+    used[[len(used) // 3, len(used) // 2]] = True
+    return Problem(
+        replace(problem.campaign, experiments=(first, replace(second, mask=used)))
+    ), theta
+
+
+def plateau_only(seed: int) -> tuple[Problem, FloatArray]:
+    """All samples of the second record but those on its plateau are masked."""
+    problem, theta = _drawn(seed)
+    first, second = problem.campaign
+    used = (second.t > 4.0) & (second.t < 6.5)
+    return Problem(
+        replace(problem.campaign, experiments=(first, replace(second, mask=used)))
+    ), theta
+
+
+def constant(seed: int) -> tuple[Problem, FloatArray]:
+    """Every record is one and the same number."""
+    problem, theta = _drawn(seed, beta=0.0)
+    values = {e.name: np.full(len(e.t), 0.3) for e in problem.campaign}
+    return Problem(problem.campaign.with_data(values)), theta
+
+
+def only_the_fall(seed: int) -> tuple[Problem, FloatArray]:
+    """Records that begin on the plateau and hold the fall alone, its command as commanded_on."""
+    problem, theta = _drawn(seed)
+    layout = problem.layout
+    experiments, truth = [], list(theta[:3])
+    for e in problem.campaign:
+        y0, beta, _, tf = local_parameters(theta, layout, e.name)
+        part = e.t >= 5.0
+        experiments.append(
+            replace(e, t=e.t[part], y=e.values[part], mask=e.used[part], drive=None,
+                    commanded_on=e.commanded_off, commanded_off=None)
+        )  # fmt: skip
+        truth += [y0 + beta, -beta, tf]
+    campaign = replace(problem.campaign, experiments=tuple(experiments))
+    return Problem(campaign), np.array([*truth, *theta[-3:]])
+
+
+CASES: Mapping[str, Extreme] = {
+    "ordinary": Extreme("nothing unusual, for comparison", _drawn),
+    "one experiment": Extreme(
+        "one experiment: valve and manifold cannot be told apart",
+        lambda seed: _drawn(seed, small_design(1)),
+        ("tau_s",),
+    ),
+    "two samples": Extreme("two samples left of every record", two_samples, ()),
+    "two samples in one": Extreme(
+        "two samples left of one of two records", one_of_two_samples, ("tau_s",)
+    ),
+    "one level in one": Extreme(
+        "only the plateau left of one of two records", plateau_only, ("tau_s",)
+    ),
+    "step not seen": Extreme("no step at all: beta is 0", lambda seed: _drawn(seed, beta=0.0), ()),
+    "no noise": Extreme("no noise at all", lambda seed: _drawn(seed, sigma=0.0)),
+    "noise above the step": Extreme(
+        "noise of five times the step", lambda seed: _drawn(seed, sigma=7.5, growth=0.0), ()
+    ),
+    "phi near 1": Extreme("AR(1) noise, phi .999", lambda seed: _drawn(seed, phi=0.999)),
+    "phi negative": Extreme("AR(1) noise, phi -.8", lambda seed: _drawn(seed, phi=-0.8)),
+    "tau below the interval": Extreme(
+        "tau a tenth of the sampling interval", lambda seed: _drawn(seed, tau_s=0.001)
+    ),
+    "equal time constants": Extreme(
+        "tau, tau_v and V/Q of the first experiment all 200 ms",
+        lambda seed: _drawn(seed, tau_s=0.2, tau_v_s=0.2),
+    ),
+    "tau above the record": Extreme(
+        "a lag of 40 s in a record of 12 s", lambda seed: _drawn(seed, tau_v_s=40.0)
+    ),
+    "constant signal": Extreme("the same number throughout", constant, ()),
+    "only the fall": Extreme("only the fall recorded", only_the_fall),
+}
+"""by name"""
