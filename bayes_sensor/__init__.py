@@ -53,6 +53,7 @@ _PUBLIC = {
     "diagnose_gap": "gap",
     "Gap": "gap",
     "own_effect": "gap",
+    "run_fleet": "cli.fleet",
 }
 
 # names that would say too little outside their room

@@ -599,8 +599,12 @@ def run_record(
     seconds: Mapping[str, float],
     exit_code: int,
     warnings: Sequence[str],
+    command_line: Sequence[str] | None = None,
 ) -> dict[str, Any]:
-    """The content of ``run.json`` after a command: one entry per command, the newest of each."""
+    """The content of ``run.json`` after a command: one entry per command, the newest of each.
+
+    ``command_line``: where it is not that of this process.
+    """
     commands = dict(earlier.get("commands", {})) if isinstance(earlier, Mapping) else {}
     commands[command] = {
         "started": started,
@@ -615,7 +619,7 @@ def run_record(
         "basis_sha256": basis,
         "versions": versions(),
         "platform": f"{platform.system()} {platform.machine()}",
-        "command_line": ["bayes-sensor", *sys.argv[1:]],
+        "command_line": list(command_line or ["bayes-sensor", *sys.argv[1:]]),
         "warnings": list(warnings),
     }
     return {"version": RUN_VERSION, "last": command, "commands": commands}

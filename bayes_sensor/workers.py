@@ -15,6 +15,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from typing import Any
 
@@ -29,7 +30,7 @@ PARENT_SECONDS = 0.25
 """how often a worker looks whether the process that it works for is still there"""
 
 
-class WorkerDied(RuntimeError):
+class WorkerDied(BrokenExecutor):
     """A call that ended every process that ran it."""
 
 

@@ -49,6 +49,7 @@ ROOMS = (
     "blind_check",
     "figures",
     "report",
+    "fleet",
     "cli",
 )
 DRAWING_ROOMS = ("figures", "report")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -370,6 +371,45 @@ def blind_check(
 
 
 @app.command()
+def fleet(
+    listing: Annotated[
+        str,
+        typer.Argument(
+            metavar="LIST",
+            help="Text file of campaign.toml paths, TOML with [[campaign]], folder or 'pattern'.",
+        ),
+    ],
+    out: Out,
+    seed: Seed = 1,
+    jobs: Jobs = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Dask scheduler to run on, tcp://host:port.")
+    ] = None,
+    resume: Resume = False,
+    quiet: Quiet = False,
+    config: Config = None,
+    sampler: Sampler = None,
+    walkers: Walkers = None,
+    steps: Steps = None,
+    chains: Chains = None,
+) -> None:
+    """Analyze many campaigns, whatever becomes of each; one table, figure and index page.
+
+    A campaign that cannot be analysed becomes a row with its message.  Exit status: 0 all done, 3
+    some failed or did not converge, 2 a bad list or nowhere to write.
+    """
+    from bayes_sensor.cli.fleet import analyse_fleet
+
+    raise typer.Exit(
+        analyse_fleet(
+            Path(listing), out, seed=seed, jobs=jobs, scheduler=scheduler, config=config,
+            posterior=_given(sampler=sampler, n_walkers=walkers, max_steps=steps, n_chains=chains),
+            resume=resume, quiet=quiet,
+        )
+    )  # fmt: skip
+
+
+@app.command()
 def design(
     campaign: CampaignFile,
     out: Out,
@@ -445,7 +485,7 @@ def diffusion(
 
 def _advice(arguments: list[str]) -> str:
     """What to type after an interruption."""
-    resumable = {"analyze", "posterior", "bounds", "blind-check", "coverage"}
+    resumable = {"analyze", "posterior", "bounds", "blind-check", "coverage", "fleet"}
     if arguments and arguments[0] in resumable:
         more = [] if "--resume" in arguments else ["--resume"]
         import shlex
@@ -484,6 +524,9 @@ def main(arguments: list[str] | None = None) -> None:
     """The entry point ``bayes-sensor``; ends the process with the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     _be_interruptible()
+    from bayes_sensor.cli.notes import take_notes
+
+    take_notes()
     sys.exit(_guarded(arguments))
 
 
@@ -519,6 +562,11 @@ def _guarded(arguments: list[str]) -> int:
         _interruption_has_come()
         _complain(f"interrupted; {_advice(arguments)}", kind="stopped")
         return INTERRUPTED
+    except BrokenExecutor as error:  # a worker of a step that is not repeated
+        return _complain(
+            f"a worker process ended unexpectedly, killed or out of memory ({error}); expected it "
+            f"to finish: use fewer --jobs; {_advice(arguments)}"
+        )
     except BrokenPipeError:
         # whoever read our output has left; nothing more to say, and not at shutdown either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -19,6 +19,7 @@ from bayes_sensor.blind_check import (
     table,
 )
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.cli.notes import noted
 from bayes_sensor.cli.steps import progress_bar, say
 from bayes_sensor.figures.blind_check import score_card
 from bayes_sensor.results import Results, Stage, now, read_json, run_record
@@ -94,7 +95,7 @@ def blind_check(
                         "size": size,
                     },
                     campaign="", files={}, started=started, seconds=seconds, exit_code=0,
-                    warnings=[],
+                    warnings=noted(),
                 ),
             )  # fmt: skip
         shutil.rmtree(parts, ignore_errors=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from bayes_sensor import figures
 from bayes_sensor.bounds import METHODS
+from bayes_sensor.cli.notes import noted
 from bayes_sensor.cli.steps import progress_bar, say
 from bayes_sensor.coverage import BoundsStudy, chosen_settings, run_coverage
 from bayes_sensor.results import Results, now, run_record
@@ -78,7 +79,7 @@ def study_coverage(
                     started=started,
                     seconds={"coverage": time.perf_counter() - begin},
                     exit_code=0,
-                    warnings=[],
+                    warnings=noted(),
                 ),
             )  # fmt: skip
     say(summary(table), quiet)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.cli.notes import noted
 from bayes_sensor.results import (
     Results,
     Stage,
@@ -484,8 +485,13 @@ def run(
     resume: bool = False,
     posterior: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
+    patience: float = 0.0,
+    command_line: Sequence[str] | None = None,
 ) -> int:
-    """Run a command and write its results; the exit code."""
+    """Run a command and write its results; the exit code.
+
+    ``patience``: seconds to wait for another run that holds ``out``.
+    """
     from bayes_sensor.cli.settings import fit_bounds, make_problem, read_overrides
 
     started = now()
@@ -507,7 +513,7 @@ def run(
     basis = digest(record, {"noise": overrides.noise.model_dump(), "priors": overrides.priors})
     files = _files(campaign_path, campaign, config)
     results = Results(out)
-    with results.locked():
+    with results.locked(patience):
         job = Job(
             command, problem, overrides, label, seed, jobs, quiet, resume, results, basis,
             {"read": read_seconds}, options=options or {},
@@ -532,7 +538,8 @@ def run(
                     started=started,
                     seconds=job.seconds,
                     exit_code=code,
-                    warnings=_warnings(job, remarks),
+                    warnings=[*_warnings(job, remarks), *noted()],
+                    command_line=command_line,
                 ),
             )
             if "report" in SAVES[command]:

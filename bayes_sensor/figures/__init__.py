@@ -11,6 +11,7 @@ from bayes_sensor.figures.coating import (
     spectra_figure,
 )
 from bayes_sensor.figures.draws import corner, main_parameters, traces_and_ranks
+from bayes_sensor.figures.fleet import forest
 from bayes_sensor.figures.gap import (
     gap_budget,
     gap_hidden,
@@ -77,6 +78,7 @@ __all__ = [
     "diffusion",
     "diffusion_figure",
     "diffusivity",
+    "forest",
     "gap_budget",
     "gap_hidden",
     "gap_residuals",

@@ -1,0 +1,16 @@
+"""Many campaigns side by side: which they are, what came out, one table, one figure, one page."""
+
+from bayes_sensor.fleet.comparison import comparison, table, write_comparison
+from bayes_sensor.fleet.listing import Entry, read_list
+from bayes_sensor.fleet.outcome import COLUMNS, failed_row, row_of
+
+__all__ = [
+    "COLUMNS",
+    "Entry",
+    "comparison",
+    "failed_row",
+    "read_list",
+    "row_of",
+    "table",
+    "write_comparison",
+]

@@ -1,0 +1,110 @@
+"""What one campaign contributes to the comparison: a row of numbers, or why there are none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from bayes_sensor.results import Results
+
+SHARED = (("tau", "s"), ("tau_v", "s"), ("V", "mL"))
+PERCENTILES = {
+    "": "q50", "_lo95": "q2.5", "_hi95": "q97.5", "_lo68": "q16", "_hi68": "q84",
+}  # fmt: skip
+DONE, NOT_CONVERGED, FAILED = "done", "not converged", "failed"
+COLUMNS = (
+    "campaign", "file", "title", "status", "message", "experiments", "samples", "signal_unit",
+    *(f"{name}{end}_{unit}" for name, unit in SHARED for end in (*PERCENTILES, "_sd")),
+    "tau_upper95_s", "tau_is_limit", "phi", "sigma0_V", "sigma1_V", "rms_V", "crlb_iid_tau_sd_s",
+    "least_ess", "largest_r_hat", "gap", "gap_effects", "gap_probability",
+    "tau_envelope_lo_s", "tau_envelope_hi_s", "report",
+)  # fmt: skip
+"""of the table: medians of the posterior, equal-tailed limits, ``_V`` in the campaign's own unit"""
+
+
+def row_of(results: Results, name: str, file: str, report: str, message: str) -> dict[str, Any]:
+    """The row of an analysed campaign, from its results folder.
+
+    ``tau_is_limit``: zero is not excluded, so that ``tau_upper95_s`` is what can be said.
+    """
+    from bayes_sensor.report import headline  # draws, so slow to import
+
+    campaign, fit, posterior, bounds, gap = (
+        results.json(f"{part}.json") for part in ("campaign", "fit", "posterior", "bounds", "gap")
+    )
+    row: dict[str, Any] = dict.fromkeys(COLUMNS)
+    row.update(
+        campaign=name,
+        file=file,
+        title=campaign["title"],
+        status=DONE if posterior["converged"] and fit["converged"] else NOT_CONVERGED,
+        message=message,
+        experiments=len(campaign["experiments"]),
+        samples=campaign["n_samples"],
+        signal_unit=campaign["signal_unit"],
+        rms_V=fit["rms_V"],
+        report=report,
+    )
+    parameters = posterior["parameters"]
+    for symbol, unit in SHARED:
+        own = parameters[f"{symbol}_{unit}"]
+        for end, percentile in PERCENTILES.items():
+            row[f"{symbol}{end}_{unit}"] = own[percentile]
+        row[f"{symbol}_sd_{unit}"] = own["sd"]
+    for noise in ("phi", "sigma0_V", "sigma1_V"):
+        if noise in parameters:
+            row[noise] = parameters[noise]["q50"]
+    row["least_ess"] = _least(p["ess_bulk"] for p in parameters.values())
+    row["largest_r_hat"] = _largest(p["r_hat"] for p in parameters.values())
+    head = headline(posterior, bounds)
+    row["tau_is_limit"] = bool(head is not None and head.is_limit)
+    for prior in posterior.get("tau_under_priors") or []:
+        if prior["prior"] == "half_normal":
+            row["tau_upper95_s"] = prior["upper95_s"]
+    naive = ((bounds or {}).get("naive") or {}).get("crlb_iid") or {}
+    row["crlb_iid_tau_sd_s"] = naive.get("tau_s")
+    if gap is not None:
+        verdict = gap["verdict"]
+        row["gap"], row["gap_probability"] = verdict["kind"], verdict["probability"]
+        row["gap_effects"] = " ".join(verdict["effects"])
+        row["tau_envelope_lo_s"], row["tau_envelope_hi_s"] = gap["hidden"]["tau_envelope_s"]
+    return row
+
+
+def failed_row(name: str, file: str, message: str) -> dict[str, Any]:
+    """The row of a campaign without results."""
+    row: dict[str, Any] = dict.fromkeys(COLUMNS)
+    row.update(campaign=name, file=file, status=FAILED, message=" ".join(message.split()))
+    return row
+
+
+def _least(values: Any) -> float | None:
+    return min((v for v in values if v is not None), default=None)
+
+
+def _largest(values: Any) -> float | None:
+    return max((v for v in values if v is not None), default=None)
+
+
+def fingerprint(campaign_file: Path) -> dict[str, str]:
+    """SHA-256 of a campaign's file and of its data files, by path relative to its folder."""
+    import tomllib
+
+    from bayes_sensor.results import sha256
+
+    tables: Mapping[str, Any] = tomllib.loads(campaign_file.read_text(encoding="utf-8-sig"))
+    names = [campaign_file.name, *(entry["file"] for entry in tables["experiment"])]
+    return {name: sha256(campaign_file.parent / name) for name in names}
+
+
+def unchanged(campaign_file: Path, known: Mapping[str, str]) -> bool:
+    """Whether all files still are what :func:`fingerprint` saw."""
+    from bayes_sensor.results import sha256
+
+    try:
+        return bool(known) and all(
+            sha256(campaign_file.parent / name) == digest for name, digest in known.items()
+        )
+    except (OSError, ValueError):
+        return False
