@@ -108,7 +108,10 @@ class Analysis:
 def _bug(error: BaseException) -> str:
     place = traceback.extract_tb(error.__traceback__)[-1]
     where = f"{Path(place.filename).name}, line {place.lineno}"
-    return f"an unforeseen {type(error).__name__} ({str(error)[:200]}) in {where}; run analyze on this campaign alone to see all of it, and report it"
+    return (
+        f"an unforeseen {type(error).__name__} ({str(error)[:200]}) in {where}; "
+        "run analyze on this campaign alone to see all of it, and report it"
+    )
 
 
 def _cost(begin: float, spent: float) -> dict[str, Any]:
@@ -167,8 +170,9 @@ def run_fleet(
         ``status`` "failed" and its message.
     """
     rows, _ = _run(
-        Path(listing), Path(out), seed, jobs, scheduler, None if config is None else Path(config), posterior or {},
-        resume, progress or (lambda fraction, text: None),
+        Path(listing), Path(out), seed, jobs, scheduler,
+        None if config is None else Path(os.path.abspath(config)), posterior or {}, resume,
+        progress or (lambda fraction, text: None),
     )  # fmt: skip
     return table(rows)
 
@@ -190,10 +194,7 @@ def _run(
     entries = read_list(listing)
     results = Results(out)
     key = repr((__version__, seed, sorted(settings.record().items())))
-    task = Analysis(
-        Path(os.path.abspath(out)), None if config is None else Path(os.path.abspath(config)), seed, resume, key,
-        posterior,
-    )  # fmt: skip
+    task = Analysis(Path(os.path.abspath(out)), config, seed, resume, key, posterior)
     with ExitStack() as stack:
         client = None
         if scheduler is not None:  # before anything is written: it may not answer
@@ -272,7 +273,10 @@ def analyse_fleet(
 ) -> int:
     """Run the command; the exit code."""
     with progress_bar("fleet", quiet) as tell:
-        rows, compared = _run(listing, out, seed, jobs, scheduler, config, posterior, resume, tell)
+        rows, compared = _run(
+            listing, out, seed, jobs, scheduler,
+            None if config is None else Path(os.path.abspath(config)), posterior, resume, tell,
+        )  # fmt: skip
     for text in sentences(compared):
         say(text, quiet)
     for row in [row for row in rows if row["status"] == "failed"][:MOST_SHOWN]:

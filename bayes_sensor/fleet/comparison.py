@@ -21,7 +21,8 @@ def table(rows: Sequence[Row]) -> pd.DataFrame:
     """One row a campaign, in the order of the list."""
     import pandas as pd
 
-    return pd.DataFrame([[row.get(name) for name in COLUMNS] for row in rows], columns=COLUMNS)
+    frame = pd.DataFrame([[row.get(name) for name in COLUMNS] for row in rows], columns=COLUMNS)
+    return frame.astype({"experiments": "Int64", "samples": "Int64", "tau_is_limit": "boolean"})
 
 
 def comparison(rows: Sequence[Row]) -> dict[str, Any]:
@@ -133,7 +134,7 @@ def page(rows: Sequence[Row], found: Mapping[str, Any], drawing: str | None, ver
         return Markup((places / name).read_text(encoding="utf-8"))
 
     columns = [
-        "campaign", "status", *(words for words, _, _ in SHOWN), "unit", "gap", "message",
+        "campaign", "status", *(words for words, _, _ in SHOWN), "unit", "gap", "message or title",
     ]  # fmt: skip
     shown = Table(
         "campaigns",
