@@ -75,7 +75,7 @@ def responses(traces: Sequence[Trace]) -> Figure:
 def schematic() -> Figure:
     """The model as a chain of first-order lags, with what each makes of a step (paper Fig. 4)."""
     boxes = (
-        ("command", "u(t)", "steps at t₀ and t_f"),
+        ("command", "u(t)", "open at t₀, then shut"),
         ("valve", "x₁′ = (u − x₁)/τᵥ", "same in every experiment"),
         ("manifold", "x₂′ = (Q/V)(x₁ − x₂)", "faster at higher flow"),
         ("sensor", "x₃′ = (x₂ − x₃)/τ", "the lag that is sought"),

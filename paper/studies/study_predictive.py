@@ -72,8 +72,11 @@ def draw(checks: dict[str, PredictiveCheck]) -> None:
         row[3].stairs(pit.counts / expected, edges, color=INK)
         row[3].set_ylim(0.65, 1.25)
         row[3].set_ylabel("density of PIT")
-        title = f"{p_text(pit.p_uniform)}; lag 1: {p_text(pit.p_independent)}"
-        row[3].set_title(title, pad=2)
+        row[3].set_title(p_text(pit.p_uniform), pad=2)
+        row[3].text(
+            0.5, 0.06, f"lag 1: {p_text(pit.p_independent)}", fontsize=7, ha="center",
+            transform=row[3].transAxes,
+        )  # fmt: skip
     for axis, text in zip(
         axes[-1], ("lag (samples)", "concentration", "frequency (Hz)", "one-step-ahead PIT")
     ):
