@@ -19,6 +19,8 @@ from bayes_sensor.reality import (
     OPEN_LAWS,
     RESERVE_LAWS,
     Case,
+    Component,
+    NoiseLaw,
     acting_places,
     autocorrelation,
     clean_signals,
@@ -254,6 +256,49 @@ def test_pockets_back_mixing_mass_gates_and_site_kinetics_against_an_ode_solver(
     assert np.abs(voltage(rig, step, Knobs(langmuir=2.0, curved=True), t)[1] - bent).max() < 5e-5
 
 
+def test_layers_and_valve_speed_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    q, V = step.total_flow, rig.V
+
+    def with_layers(u: float, x: FloatArray) -> list[float]:
+        gas = q / V * (x[0] - x[1]) / (1.0 + 1.7 * x[1])
+        return [(u - x[0]) / (1.4 * rig.tau_v), gas, (x[1] - x[2]) / rig.tau]
+
+    t, states = solved(rig, with_layers, 3)
+    knobs = Knobs(layering=1.7, valve_factor=1.4)
+    assert np.abs(voltage(rig, step, knobs, t)[1] - states[:, 2]).max() < 5e-5
+
+
+def test_the_servo_ranges_and_fringes_do_what_they_say() -> None:
+    rig = case()
+    step = rig.steps[0]
+    t = sample_times(step)
+    plain, x = voltage(rig, step, Knobs(), t)
+
+    def with_servo(u: float, z: FloatArray) -> list[float]:
+        cascade = [(u - z[0]) / rig.tau_v, step.total_flow / rig.V * (z[0] - z[1])]
+        return [*cascade, (z[1] - z[2]) / rig.tau, (z[2] - z[3]) / 20.0]
+
+    _, states = solved(rig, with_servo, 4)
+    pulled, _ = voltage(rig, step, Knobs(servo=0.2, servo_time=20.0), t)
+    signal = (pulled - step.y0) / step.beta
+    assert np.abs(signal - (states[:, 2] - 0.2 * states[:, 3])).max() < 2e-5
+    assert signal[-1] < -0.01  # what was pulled off the plateau shows below the baseline
+
+    up, down = step.y0 + 0.6 * step.beta, step.y0 + 0.4 * step.beta
+    shown, _ = voltage(rig, step, Knobs(range_up=up, range_down=down, range_gap=0.05), t)
+    upper = shown - plain > 0.025
+    assert np.allclose(shown - plain, np.where(upper, 0.05, 0.0), atol=1e-12)
+    rising, falling = np.flatnonzero(np.diff(upper.astype(int)))
+    assert plain[rising] <= up < plain[rising + 1] and t[rising] < step.tf
+    assert plain[falling] >= down > plain[falling + 1] and t[falling] > step.tf
+
+    knobs = Knobs(fringe=0.03, fringe_turns=1.5, fringe_phase=lambda s: 0.1 + 0.02 * s)
+    fringes = voltage(rig, step, knobs, t)[0] - plain
+    assert np.allclose(fringes, 0.03 * np.sin(2 * np.pi * (1.5 * x + 0.1 + 0.02 * t)), atol=1e-9)
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -294,8 +339,27 @@ def test_noise_has_the_stated_autocorrelation(name: str) -> None:
     for lag in (0, 1, 3, 10, 40, 200, 1000):
         each = (z[:, : n - lag] * z[:, lag:]).mean(axis=1)
         error = each.std(ddof=1) / np.sqrt(stretches)
-        # five standard errors of the mean over stretches: 56 comparisons, none should fail
+        # five standard errors of the mean over stretches: seven lags a law, none should fail
         assert abs(each.mean() - stated[lag]) < 5.0 * error + 1e-4
+
+
+def test_shot_noise_leans_to_one_side_and_gusts_come_and_go() -> None:
+    rng = np.random.default_rng(8)
+    shot = NoiseLaw("shot", 1.0, components=(Component(1.0, 0.01, shape="shot", rate=0.5),))
+    z = draw_noise(shot, 400_000, 1e-3, rng)
+    # cumulants of pulses h exp(-s/T), heights with <h^k> = k!: rate k!/k, here (k - 1)! / 2
+    assert abs(z.mean()) < 0.03
+    assert np.mean(z**3) == pytest.approx(2.0 * 0.5**-0.5, rel=0.15)
+    assert z.min() > -(0.5**0.5) - 1e-9  # no pulse: the mean is missing, nothing more
+
+    gusty = Component(1.0, 1e-3, shape="gusts", depth=0.8, gust_time=1.0)
+    law = NoiseLaw("gusty", 1.0, components=(gusty,))
+    z = draw_noise(law, 400_000, 1e-3, rng)
+    assert not law.is_ar1 and not shot.is_ar1
+    # the variance is 0.2 or 1.8: kurtosis 3 (1 + 0.8^2), and the squares stay correlated
+    assert np.mean(z**4) == pytest.approx(3.0 * 1.64, rel=0.1)
+    loud = (z**2).reshape(-1, 100).mean(axis=1)  # 0.1 s each
+    assert np.mean(loud < 0.6) > 0.3 and np.mean(loud > 1.2) > 0.3
 
 
 def test_wild_samples_keep_the_variance_and_fatten_the_tails() -> None:

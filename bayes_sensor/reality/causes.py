@@ -147,12 +147,19 @@ def sticking_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.stick_band = s * _between(rng, 0.7, 1.4)
 
 
-@cause((), "valve", "s", 0.6, reserve=True)
+@cause((), "valve", "s", 0.6)
 def bouncing_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The valve springs back once, at either end."""
     after = rng.uniform(0.1, 0.8)
     for knobs in rig.values():
         knobs.bounces = [(after, s)]
+
+
+@cause((), "valve", "log of the time", 0.6, per_experiment=True, reserve=True)
+def uneven_air(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Compressed air drives the valve; its pressure, and the valve's speed, differ each time."""
+    for knobs in rig.values():
+        knobs.valve_factor = float(np.exp(s * np.clip(rng.standard_normal(), -2.0, 2.0)))
 
 
 # --------------------------------------------------------------------------- flows
@@ -214,6 +221,24 @@ def neighbours_pump(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].marks += list(np.arange(0.0, step.duration, 0.04 / frequency)[1:])
 
 
+@cause((), "plateau", "relative", 0.3, per_experiment=True, reserve=True)
+def corrected_setting(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """In some experiments the operator corrects the test gas's set point on the way."""
+    certain = int(rng.integers(len(case.steps)))
+    time = _between(rng, 0.2, 2.0)
+    for k, step in enumerate(case.steps):
+        size = _sign(rng) * s * rng.uniform(0.5, 1.0)
+        at = step.t0 + rng.uniform(0.15, 0.85) * (step.tf - step.t0)
+        if k != certain and rng.random() < 0.5:
+            continue
+
+        def flow(t: FloatArray, at: float = at, size: float = size) -> FloatArray:
+            return 1.0 - size * np.expm1(-np.maximum(t - at, 0.0) / time)
+
+        rig[step.name].test_gas.append(flow)
+        rig[step.name].marks.append(at)
+
+
 # --------------------------------------------------------------------------- manifold
 
 
@@ -260,6 +285,16 @@ def late_bypass(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
     for step in case.steps:
         rig[step.name].bypass = s
         rig[step.name].bypass_delay = volume / (typical if shared else step.total_flow)
+
+
+@cause((), "mixing", "relative", 2.0, reserve=True)
+def layered_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Heavy gas lies in layers: the more of it there is, the less mixes; above all at low flow."""
+    power = rng.choice([0.0, 0.5, 1.0])
+    lowest = min(step.total_flow for step in case.steps)
+    for step in case.steps:
+        heavy = case.relative_concentration(step)
+        rig[step.name].layering = s * heavy * (lowest / step.total_flow) ** power
 
 
 # --------------------------------------------------------------------------- sensor
@@ -319,7 +354,7 @@ def ageing_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.tau_factor = float(np.exp(sign * np.log1p(s) * k))
 
 
-@cause((), "fall", "share", 0.3, reserve=True)
+@cause((), "fall", "share", 0.3)
 def sensor_hysteresis(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Uptake and release do not follow one line: part of the response has backlash."""
     for knobs in rig.values():
@@ -431,7 +466,7 @@ def wandering_laser(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].wander.append(_interpolated(times, s * walk))
 
 
-@cause((), "drift", "relative", 0.1, per_experiment=True, reserve=True)
+@cause((), "drift", "relative", 0.1, per_experiment=True)
 def mode_hop(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The laser hops to another mode and back: its power differs for a while."""
     for step in case.steps:
@@ -465,7 +500,7 @@ def gas_cooling(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         rig[step.name].offset.append(swing)
 
 
-@cause((), "spike", "share of the step", 0.2, reserve=True)
+@cause((), "spike", "share of the step", 0.2)
 def pressure_spike(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A pressure wave runs ahead of the gas and presses on the ring before it arrives."""
     width, lead = _between(rng, 0.05, 0.4), rng.uniform(0.1, 0.5)
@@ -483,7 +518,7 @@ def pressure_spike(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         rig[step.name].marks += [step.t0 - lead - 3.0 * width, step.tf - lead - 3.0 * width]
 
 
-@cause((), "spike", "share of the step", 0.3, per_experiment=True, reserve=True)
+@cause((), "spike", "share of the step", 0.3, per_experiment=True)
 def passing_bubble(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Droplets pass the ring now and then: the signal dips and recovers."""
     for step in case.steps:
@@ -499,6 +534,22 @@ def passing_bubble(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
 
             rig[step.name].offset.append(dip_of)
             rig[step.name].marks.append(at)
+
+
+@cause((), "drift", "share of the step", 0.1, per_experiment=True, reserve=True)
+def stray_light(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Stray light interferes; its phase turns as the bench warms and as the test gas comes."""
+    size, turns = s * _mean_step(case), _sign(rng) * rng.uniform(1.0, 3.0)
+    in_a_record = rng.uniform(1.5, 5.0)
+    for step in case.steps:
+        begin, rate = rng.random(), in_a_record * rng.uniform(0.7, 1.3) / step.duration
+
+        def phase(t: FloatArray, begin: float = begin, rate: float = rate) -> FloatArray:
+            return begin + rate * t
+
+        knobs = rig[step.name]
+        knobs.fringe, knobs.fringe_phase = size, phase
+        knobs.fringe_turns = turns * case.relative_concentration(step)
 
 
 # --------------------------------------------------------------------------- electronics
@@ -519,7 +570,7 @@ def mains_hum(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
         rig[step.name].offset.append(hum)
 
 
-@cause((), "line", "share of the step", 0.2, fast=True, reserve=True)
+@cause((), "line", "share of the step", 0.2, fast=True)
 def ringing_bench(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The click of the valve sets the optical bench ringing."""
     frequency, damping = _between(rng, 4.0, 18.0), _between(rng, 0.3, 2.0)
@@ -537,6 +588,48 @@ def ringing_bench(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
             return size * total
 
         rig[step.name].offset.append(ring)
+
+
+@cause((), "line", "share of the step", 0.2, fast=True, reserve=True)
+def fluttering_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A hose flutters in the stream and shakes the fibre: faster and harder at larger flow."""
+    largest = max(step.total_flow for step in case.steps)
+    frequency, unsteady = _between(rng, 6.0, 35.0), _between(rng, 0.1, 1.0)
+    for step in case.steps:
+        flow = step.total_flow / largest
+        size = s * _mean_step(case) * flow**2
+        times = np.arange(0.0, step.duration + 1.0, 0.02)
+        walk = np.cumsum(rng.standard_normal(len(times))) * np.sqrt(0.02 * unsteady)
+        stray = _interpolated(times, walk + rng.uniform(0.0, 2.0 * pi))
+
+        def flutter(
+            t: FloatArray,
+            size: float = size,
+            frequency: float = flow * frequency,
+            stray: Course = stray,
+        ) -> FloatArray:
+            return size * np.sin(2.0 * pi * frequency * t + stray(t))
+
+        rig[step.name].offset.append(flutter)
+
+
+@cause((), "plateau", "share", 0.4, reserve=True)
+def zero_servo(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A servo in the receiver takes part of any change for drift and slowly pulls it to zero."""
+    time = _between(rng, 10.0, 80.0)
+    for knobs in rig.values():
+        knobs.servo, knobs.servo_time = s, time
+
+
+@cause((), "level", "share of the step", 0.15, reserve=True)
+def range_change(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The recorder changes its range on the way up, and back lower down; the two do not agree."""
+    step = _mean_step(case)
+    up = float(np.mean([each.y0 for each in case.steps])) + rng.uniform(0.35, 0.65) * step
+    down = up - rng.uniform(0.1, 0.25) * step
+    gap = _sign(rng) * s * step
+    for knobs in rig.values():
+        knobs.range_up, knobs.range_down, knobs.range_gap = up, down, gap
 
 
 @cause((), "drive", "share of the step", 0.1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import exp, pi, sqrt
+from math import ceil, exp, pi, sqrt
 
 import numpy as np
 from scipy.signal import lfilter
@@ -10,9 +10,11 @@ from scipy.signal import lfilter
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.reality.records import Component, NoiseLaw
 
-OPEN_LAWS = ("ar1", "white", "ar1_slow", "arma", "pink")
+OPEN_LAWS = (
+    "ar1", "white", "ar1_slow", "arma", "pink", "band_limited", "oscillating", "telegraph",
+)  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("band_limited", "oscillating", "telegraph")
+RESERVE_LAWS = ("sliding_mean", "shot", "gusty")
 """kept out of every run but the last"""
 
 
@@ -52,6 +54,25 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             Component(share, exp(rng.uniform(np.log(0.1), np.log(3.0))), shape="telegraph"),
         ),
     }
+    # from a generator of their own: what is drawn after the law stays what it was without these
+    (own,) = rng.spawn(1)
+    averaged = own.uniform(0.5, 0.9)
+    parts |= {
+        "sliding_mean": (
+            Component(1.0 - averaged),
+            Component(averaged, exp(own.uniform(np.log(0.01), np.log(0.08))), shape="window"),
+        ),
+        "shot": (
+            Component(0.4),
+            Component(0.6, short, shape="shot", rate=exp(own.uniform(np.log(0.1), np.log(2.0)))),
+        ),
+        "gusty": (
+            Component(
+                1.0, short, shape="gusts", depth=own.uniform(0.5, 0.95),
+                gust_time=exp(own.uniform(np.log(0.1), np.log(4.0))),
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -68,6 +89,12 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
         own = np.exp(-lags / part.time)
         if part.shape == "smooth":
             own *= 1.0 + lags / part.time
+        elif part.shape == "window":
+            own = np.maximum(1.0 - lags / part.time, 0.0)
+        elif part.shape == "gusts":
+            strong, calm = _gusts(part)
+            mean, swing = 0.5 * (strong + calm), 0.5 * (strong - calm)
+            own *= mean**2 + swing**2 * np.exp(-lags / part.gust_time)
         elif part.frequency:
             own *= np.cos(2.0 * pi * part.frequency * lags)
         total += part.share * own
@@ -108,19 +135,67 @@ def _draw_part(
         return _innovations(n, rng, tails)
     decay = exp(-interval / part.time)
     if part.shape == "telegraph":
-        flips = rng.random(n) < 0.5 * (1.0 - decay)
-        return np.where((np.cumsum(flips) + rng.integers(2)) % 2 == 0, 1.0, -1.0)
+        return _telegraph(decay, n, rng)
+    if part.shape == "window":
+        return _window(part.time, n, interval, rng)
+    if part.shape == "shot":
+        return _shot(part, n, interval, rng)
     if part.shape == "smooth":
         # exact sampling of the critically damped process (x, v): x'' = -2 x'/T - x/T^2 + noise
         return _smooth(part.time, n, interval, rng)
     e = _innovations(n, rng, tails)
     e[1:] *= sqrt(1.0 - decay**2)
     if part.frequency == 0.0:
-        return lfilter([1.0], [1.0, -decay], e)
+        x = lfilter([1.0], [1.0, -decay], e)
+        if part.shape == "gusts":
+            x *= np.where(_telegraph(exp(-interval / part.gust_time), n, rng) > 0, *_gusts(part))
+        return x
     other = rng.standard_normal(n)
     other[1:] *= sqrt(1.0 - decay**2)
     turn = decay * np.exp(2j * pi * part.frequency * interval)
     return lfilter([1.0], [1.0, -turn], e + 1j * other).real
+
+
+def _gusts(part: Component) -> tuple[float, float]:
+    """Standard deviations in a gust and out of it."""
+    return sqrt(1.0 + part.depth), sqrt(1.0 - part.depth)
+
+
+def _telegraph(decay: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) 1 or -1; ``decay`` is its correlation from sample to sample."""
+    flips = rng.random(n) < 0.5 * (1.0 - decay)
+    return np.where((np.cumsum(flips) + rng.integers(2)) % 2 == 0, 1.0, -1.0)
+
+
+def _window(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) white noise integrated over the ``time`` before each sample.
+
+    Such a window spans m whole intervals and the last part of one more, so that each interval's
+    integral is drawn in two parts.
+    """
+    whole = int(time // interval)
+    part = time - whole * interval
+    late = sqrt(part) * rng.standard_normal(n + whole)
+    both = late + sqrt(max(interval - part, 0.0)) * rng.standard_normal(n + whole)
+    sums = np.concatenate([[0.0], np.cumsum(both)])
+    return (sums[whole + 1 :] - sums[1 : n + 1] + late[:n]) / sqrt(time)
+
+
+def _shot(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) pulses that come at random and die out, of exponentially distributed heights.
+
+    Their mean, ``rate`` times the mean height, is taken off (Campbell's theorem: the variance is
+    ``rate``/2 times the mean squared height).
+    """
+    before = ceil(20.0 * part.time / interval)
+    total = n + before
+    count = rng.poisson(part.rate * total * interval / part.time)
+    at = rng.uniform(0.0, total, count)  # in samples; a pulse is seen from the next sample on
+    seen = at.astype(np.int64)
+    late = (seen + 1 - at) * interval / part.time
+    arriving = np.bincount(seen, rng.exponential(size=count) * np.exp(-late), total)
+    x = lfilter([1.0], [1.0, -exp(-interval / part.time)], arriving)[before:]
+    return (x - part.rate) / sqrt(part.rate)
 
 
 def _smooth(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

@@ -58,9 +58,12 @@ class Component:
 
     ``time`` 0 is white; otherwise the autocorrelation is ``exp(-lag/time) cos(2 pi frequency lag)``
     (an Ornstein-Uhlenbeck process, a damped oscillation where ``frequency`` is not 0, or with
-    ``telegraph`` a process of two levels that has the same autocorrelation).  With ``smooth`` the
-    part is white noise through a critically damped two-pole filter:
-    ``exp(-lag/time) (1 + lag/time)``.
+    ``telegraph`` a process of two levels that has the same autocorrelation, with ``shot`` one-sided
+    pulses that do, ``rate`` of them in a ``time``).  With ``smooth`` the part is white noise
+    through a critically damped two-pole filter: ``exp(-lag/time) (1 + lag/time)``; with ``window``
+    white noise averaged over the ``time`` past: ``max(0, 1 - lag/time)``.  With ``gusts`` it is an
+    Ornstein-Uhlenbeck process whose variance jumps between 1 - ``depth`` and 1 + ``depth``, equally
+    often and for exponentially distributed times whose correlation lasts ``gust_time``.
     """
 
     share: float
@@ -69,7 +72,11 @@ class Component:
     frequency: float = 0.0
     """Hz"""
     shape: str = "gauss"
-    """``gauss``, ``telegraph`` or ``smooth``"""
+    """``gauss``, ``telegraph``, ``smooth``, ``shot``, ``window`` or ``gusts``"""
+    rate: float = 0.0
+    depth: float = 0.0
+    gust_time: float = 0.0
+    """s"""
 
 
 @dataclass(frozen=True)

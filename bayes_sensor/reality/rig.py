@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import pi
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,8 @@ class Knobs:
     slow_opening: float = 0.0
     """share of the opening that follows slowly"""
     slow_opening_time: float = 3.0
+    valve_factor: float = 1.0
+    """of tau_v"""
     bounces: list[tuple[float, float]] = field(default_factory=list)
     """(s after the switch, s it lasts): the valve springs back"""
     # flows
@@ -60,6 +63,8 @@ class Knobs:
     left_over_times: tuple[float, float] = (4.0, 20.0)
     bypass: float = 0.0
     bypass_delay: float = 1.0
+    layering: float = 0.0
+    """by how much, relatively, the full step of gas slows down the exchange"""
     # sensor
     tau_factor: float = 1.0
     film_share: float = 0.0
@@ -85,9 +90,25 @@ class Knobs:
     """relative changes of the optical power"""
     concentration_gain: list[Course] = field(default_factory=list)
     """relative changes of the response alone"""
+    fringe: float = 0.0
+    """V, amplitude of an interference"""
+    fringe_turns: float = 0.0
+    """by which the full response turns its phase"""
+    fringe_phase: Course | None = None
+    """turns"""
     offset: list[Course] = field(default_factory=list)
     """V, added"""
     # receiver and recorder
+    servo: float = 0.0
+    """share of a change that the receiver pulls back"""
+    servo_time: float = 30.0
+    """s"""
+    range_up: float = 0.0
+    """V, above which the recorder takes its upper range"""
+    range_down: float = 0.0
+    """V, below which it goes back"""
+    range_gap: float = 0.0
+    """V by which the upper range reads more"""
     filter_time: float = 0.0
     """s, total delay of a four-pole anti-alias filter"""
     clock: Course | None = None
@@ -162,10 +183,11 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
     if knobs.stroke_time > 0:
         z = _stroke(t, step, knobs.stroke_time)
         first, last = z[:-1], z[1:]
+    tau_v = case.tau_v * knobs.valve_factor
     if knobs.inertia > 0:
-        x = stages.heavy_valve(t, first, last, case.tau_v, knobs.inertia)
+        x = stages.heavy_valve(t, first, last, tau_v, knobs.inertia)
     else:
-        x = stages.valve(t, first, last, case.tau_v, knobs.closing)
+        x = stages.valve(t, first, last, tau_v, knobs.closing)
     if knobs.slow_opening > 0:
         slow = np.zeros_like(x)
         for factor in (0.6, 1.6):
@@ -215,7 +237,11 @@ def _manifold(
     elif knobs.back_flow is not None:
         gas = stages.cells(t, inlet, flow, case.V, knobs.n_cells, knobs.back_flow)
     else:
-        gas = stages.lag(t, inlet, case.V / (0.5 * (flow[1:] + flow[:-1])), 0.0)
+        passage = case.V / (0.5 * (flow[1:] + flow[:-1]))
+        if knobs.layering > 0:
+            gas = stages.layers(t, inlet, passage, knobs.layering, 0.0)
+        else:
+            gas = stages.lag(t, inlet, passage, 0.0)
     if knobs.bypass > 0:
         late = np.interp(t - knobs.bypass_delay, t, gas, left=0.0)
         gas = (1.0 - knobs.bypass) * gas + knobs.bypass * late
@@ -280,8 +306,16 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
         at = knobs.detuning + reach * x
         signal = signal + (dip(at + stray) - dip(at)) / (full - rest)
     y = step.y0 + step.beta * signal
+    if knobs.fringe_phase is not None:
+        turns = knobs.fringe_turns * x + knobs.fringe_phase(t)
+        y = y + knobs.fringe * np.sin(2.0 * pi * turns)
     for course in knobs.gain:
         y = y * (1.0 + course(t))
     for course in knobs.offset:
         y = y + course(t)
+    if knobs.servo > 0:
+        time = np.full(len(t) - 1, knobs.servo_time)
+        y = y - knobs.servo * stages.lag(t, y - y[0], time, 0.0)
+    if knobs.range_gap != 0:
+        y = stages.two_ranges(y, knobs.range_up, knobs.range_down, knobs.range_gap)
     return y

@@ -52,6 +52,26 @@ def lag(
 
 
 @njit(cache=True, error_model="numpy")
+def layers(
+    t: FloatArray, u: FloatArray, tau: FloatArray, hindrance: float, start: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state of x' = (u - x)/(tau (1 + ``hindrance`` x)); ``tau`` as in :func:`lag`."""
+    n = len(t)
+    x = np.empty(n)
+    x[0] = start
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        slope = (u[i + 1] - u[i]) / h
+        middle = x[i]
+        for _ in range(2):  # predictor, corrector of the state that sets the rate
+            local = tau[i] * (1.0 + hindrance * middle)
+            end = u[i + 1] - local * slope + (x[i] - u[i] + local * slope) * exp(-h / local)
+            middle = 0.5 * (x[i] + end)
+        x[i + 1] = end
+    return x
+
+
+@njit(cache=True, error_model="numpy")
 def valve(
     t: FloatArray, first: FloatArray, last: FloatArray, tau_v: float, closing: float
 ) -> FloatArray:  # pragma: no cover - compiled
@@ -120,6 +140,22 @@ def stick_slip(x: FloatArray, band: float) -> FloatArray:  # pragma: no cover - 
         if abs(x[i] - place) > band * (0.02 + 4.0 * x[i] * (1.0 - x[i])):
             place = x[i]
         out[i] = place
+    return out
+
+
+@njit(cache=True)
+def two_ranges(
+    y: FloatArray, up: float, down: float, gap: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``y``, plus ``gap`` from where it rises above ``up`` until it falls below ``down``."""
+    out = np.empty(len(y))
+    upper = y[0] > up
+    for i in range(len(y)):
+        if y[i] > up:
+            upper = True
+        elif y[i] < down:
+            upper = False
+        out[i] = y[i] + gap if upper else y[i]
     return out
 
 
