@@ -2,12 +2,14 @@
 
 import csv
 import importlib.util
+import json
 import re
 import shutil
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+import typst
 
 PAPER = Path(__file__).resolve().parent.parent / "paper"
 
@@ -42,6 +44,38 @@ def test_the_manuscript_is_built_and_follows_its_tables(paper: ModuleType, tmp_p
         path.unlink()
     paper.build(tmp_path / "b.pdf")  # a section without its tables is left out
     assert pages(tmp_path / "b.pdf") < whole
+
+
+def labels(folder: Path) -> set[str]:
+    """Labels of the figures and tables that the manuscript in ``folder`` has."""
+    tables = ",".join(path.stem for path in (folder / "tables").glob("*.csv"))
+    found = typst.query(
+        folder / "manuscript.typ", "figure", root=folder, sys_inputs={"tables": tables}
+    )
+    return {figure["label"].strip("<>") for figure in json.loads(found)}
+
+
+def test_what_is_computed_is_shown_and_what_is_not_is_left_out(
+    paper: ModuleType, tmp_path: Path
+) -> None:
+    folder = tmp_path / "paper"
+    power = folder / "tables" / "gap_power.csv"
+    power.write_text(
+        "claim,setting,n,k,value,low,high,goal,met\n"
+        "null: a cause is named,ar1,60,0,0,0,0.06,<= 0.02,yes\n"
+    )
+    every = labels(folder)
+    assert {"tab-power", "tab-card", "tab-hidden", "tab-flows", "tab-local"} <= every
+    power.unlink()
+    assert labels(folder) == every - {"tab-power"}
+    goals = folder / "tables" / "blind_check_goals.csv"
+    goals.write_text(goals.read_text().replace("False", "True"))  # every goal met
+    assert labels(folder) == every - {"tab-power"}
+    for path in (folder / "tables").glob("*.csv"):
+        if path.stem not in paper.NEEDED:
+            path.unlink()
+    assert labels(folder) < every
+    paper.build(tmp_path / "least.pdf")
 
 
 def test_a_missing_table_is_named(

@@ -73,7 +73,10 @@ def _bars(axes: Axes, names: Sequence[str], parts: Sequence[Part], colour: str) 
 
 def _nulls(axes: Axes, nulls: Part) -> None:
     laws = list(nulls["by_law"])
-    names = ["all", *(law.replace("_", " + ").replace("ar1", "AR(1)") for law in laws)]
+    names = [
+        "all",
+        *(law.replace("ar1_", "ar1 + ").replace("_", "-").replace("ar1", "AR(1)") for law in laws),
+    ]
     parts = [nulls["all"], *(nulls["by_law"][law] for law in laws)]
     _bars(axes, names, [part["alarmed"] for part in parts], PALE)
     y = np.arange(len(names))
