@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
+
 
 import bayes_sensor  # noqa: E402
 
@@ -44,3 +48,32 @@ html_static_path = ["static"]
 html_css_files = ["pages.css"]
 html_show_sphinx = False
 html_copy_source = False
+
+
+_kept: dict[str, list[str]] = {}
+
+
+def _keep(_app: Sphinx, what: str, name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
+    # before napoleon, which takes the words before a colon for a type: here they are prose
+    if what in ("attribute", "property"):
+        _kept[name] = list(lines)
+
+
+def _restore(
+    _app: Sphinx, _what: str, name: str, _obj: Any, _options: Any, lines: list[str]
+) -> None:
+    lines[:] = _kept.pop(name, lines)
+
+
+def _signature(
+    _app: Sphinx, _what: str, _name: str, _obj: Any, _options: Any, signature: str, returns: str
+) -> tuple[str, str] | None:
+    # a dataclass shows "<factory>" for a default made anew, which is no Python
+    return (signature.replace("<factory>", "..."), returns) if signature else None
+
+
+def setup(app: Sphinx) -> None:
+    """What autodoc's text goes through on its way to the page."""
+    app.connect("autodoc-process-docstring", _keep, priority=400)
+    app.connect("autodoc-process-docstring", _restore, priority=600)
+    app.connect("autodoc-process-signature", _signature)
