@@ -6,14 +6,17 @@ Used by the tests and by ``paper/studies/study_extremes.py``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from campaigns import small_design, small_theta
 
-from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.bounds import compare_bounds
+from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.fit import Fit, fit_least_squares
 from bayes_sensor.likelihood import Problem, simulate
 from bayes_sensor.model import local_parameters
+from bayes_sensor.posterior import Posterior, Settings, sample_posterior
 
 
 @dataclass(frozen=True)
@@ -23,8 +26,8 @@ class Extreme:
     words: str
     make: Callable[[int], tuple[Problem, FloatArray]]
     """a drawn campaign as a Problem, and its truth (n_theta,), by seed"""
-    identified: tuple[str, ...] = ("tau_s", "tau_v_s", "V_mL")
-    """shared parameters that the data can tell"""
+    sampler: str = "emcee"
+    """which draws the posterior; ``independence`` is far quicker where it is of use"""
 
 
 def _drawn(
@@ -105,26 +108,23 @@ def only_the_fall(seed: int) -> tuple[Problem, FloatArray]:
 
 
 CASES: Mapping[str, Extreme] = {
-    "ordinary": Extreme("nothing unusual, for comparison", _drawn),
+    "ordinary": Extreme("nothing unusual, for comparison", _drawn, "independence"),
     "one experiment": Extreme(
         "one experiment: valve and manifold cannot be told apart",
         lambda seed: _drawn(seed, small_design(1)),
-        ("tau_s",),
     ),
-    "two samples": Extreme("two samples left of every record", two_samples, ()),
-    "two samples in one": Extreme(
-        "two samples left of one of two records", one_of_two_samples, ("tau_s",)
-    ),
-    "one level in one": Extreme(
-        "only the plateau left of one of two records", plateau_only, ("tau_s",)
-    ),
-    "step not seen": Extreme("no step at all: beta is 0", lambda seed: _drawn(seed, beta=0.0), ()),
+    "two samples": Extreme("two samples left of every record", two_samples),
+    "two samples in one": Extreme("two samples left of one of two records", one_of_two_samples),
+    "one level in one": Extreme("only the plateau left of one of two records", plateau_only),
+    "step not seen": Extreme("no step at all: beta is 0", lambda seed: _drawn(seed, beta=0.0)),
     "no noise": Extreme("no noise at all", lambda seed: _drawn(seed, sigma=0.0)),
     "noise above the step": Extreme(
-        "noise of five times the step", lambda seed: _drawn(seed, sigma=7.5, growth=0.0), ()
+        "noise of five times the step", lambda seed: _drawn(seed, sigma=7.5, growth=0.0)
     ),
     "phi near 1": Extreme("AR(1) noise, phi .999", lambda seed: _drawn(seed, phi=0.999)),
-    "phi negative": Extreme("AR(1) noise, phi -.8", lambda seed: _drawn(seed, phi=-0.8)),
+    "phi negative": Extreme(
+        "AR(1) noise, phi -.8", lambda seed: _drawn(seed, phi=-0.8), "independence"
+    ),
     "tau below the interval": Extreme(
         "tau a tenth of the sampling interval", lambda seed: _drawn(seed, tau_s=0.001)
     ),
@@ -135,7 +135,65 @@ CASES: Mapping[str, Extreme] = {
     "tau above the record": Extreme(
         "a lag of 40 s in a record of 12 s", lambda seed: _drawn(seed, tau_v_s=40.0)
     ),
-    "constant signal": Extreme("the same number throughout", constant, ()),
+    "constant signal": Extreme("the same number throughout", constant),
     "only the fall": Extreme("only the fall recorded", only_the_fall),
 }
 """by name"""
+
+
+SHARED = ("tau_s", "tau_v_s", "V_mL")
+METHODS = ("crlb_iid", "crlb_ar1", "sandwich", "sandwich_ar1", "block_bootstrap", "profile")
+QUICK = Settings(
+    n_chains=2, n_walkers=40, n_draws=800, target_ess=400, max_draws=6000, max_steps=1000
+)
+
+
+@dataclass(eq=False)
+class Told:
+    """What the program says of one drawn campaign: 95 % intervals of tau, tau_v and V."""
+
+    fit: Fit
+    posterior: Posterior | None = None
+    refusals: list[str] = field(default_factory=list)
+    """sentences of what was refused"""
+    intervals: dict[str, FloatArray] = field(default_factory=dict)
+    """by method: (3, 2), nan where no value is given"""
+    warned: dict[str, bool] = field(default_factory=dict)
+    """by method: whether a printed warning, a status or exit code 3 stands beside the intervals"""
+
+
+ORDINARY = ("ok", "upper limit", "intervals taken in tau^2")
+"""a status with one of these says how tau is stated, not that something is wrong"""
+
+
+def ask(
+    problem: Problem,
+    seed: int = 1,
+    settings: Settings = QUICK,
+    sampler: str = "emcee",
+    n_resamples: int = 200,
+) -> Told:
+    """Fit, posterior and bounds as the command line would have them, with small settings."""
+    fit = fit_least_squares(problem, seed=seed, swarms=1, particles=6, euler=False)
+    told = Told(fit)
+    # that tau is an upper limit is an answer, not a doubt
+    doubts = [text for text in fit.warnings if not text.startswith("tau is at its lower bound")]
+    said = bool(doubts) or not fit.converged
+    try:
+        told.posterior = posterior = sample_posterior(problem, fit, seed, sampler, settings)
+        ends = np.array([posterior.quantiles(name, [0.025, 0.975]) for name in SHARED])
+        middle, upper = posterior.quantiles("tau_s", [0.5, 0.95])
+        if ends[0, 0] < 0.15 * middle:  # as the headline has it: an upper limit
+            ends[0] = 0.0, upper
+        told.intervals["posterior"] = ends
+        told.warned["posterior"] = said or bool(posterior.warnings)
+    except CampaignError as error:
+        told.refusals.append(str(error))
+    try:
+        bounds = compare_bounds(problem, fit, None, METHODS, seed, n_resamples=n_resamples)
+        for name, bound in bounds.methods.items():
+            told.intervals[name] = np.array([bound.interval(p) for p in SHARED])
+            told.warned[name] = said or not any(word in bound.status for word in ORDINARY)
+    except CampaignError as error:
+        told.refusals.append(str(error))
+    return told

@@ -15,9 +15,9 @@ ROUNDING = 1e-10
 """RMS residual over the largest |y| below which nothing but rounding is left"""
 LEAST_RANGE = 0.02
 """of the response over the used samples, below which y0 and beta cannot be told apart"""
-SEEN = 6.0
+SEEN = 8.0
 """step over its standard error above which it is seen.  The fit looks for a step wherever the
-commands allow one, and finds four standard errors in pure noise."""
+commands allow one, and finds up to seven standard errors in pure noise."""
 STEADY = 20.0
 """correlation times of the noise that a record must hold for least squares to judge its spread"""
 
@@ -32,10 +32,10 @@ def step_error(e: Experiment, r: FloatArray, x: FloatArray) -> float:
     size = max(len(z) // 40, 1)
     n = len(z) // size
     means = z[: n * size].reshape(n, size).mean(axis=1)
-    high = x[e.used][: n * size].reshape(n, size).mean(axis=1) > 0.5
     spread = 1.4826 * float(np.median(np.abs(means - np.median(means))))
-    n_high = max(int(high.sum()), 1)
-    return spread * sqrt(1.0 / n_high + 1.0 / max(n - n_high, 1))
+    # in blocks, and not rounded up: a spike of a few samples is no better known than these
+    n_high = float(np.clip(x[e.used].sum() / size, 1e-12, n))
+    return spread * sqrt(1.0 / n_high + 1.0 / max(n - n_high, 1.0))
 
 
 def cannot_tell(

@@ -14,6 +14,7 @@ import study_blind_check
 import study_bounds
 import study_coating
 import study_coverage
+import study_extremes
 import study_gap
 import study_predictive
 import study_published_bounds
@@ -30,6 +31,7 @@ STUDIES = {
     "coating": study_coating.run,
     "gap": study_gap.run,
     "blind-check": study_blind_check.run,
+    "extremes": study_extremes.run,
 }
 ROOT = Path(__file__).resolve().parent.parent.parent
 
