@@ -360,6 +360,23 @@ def _clear(E, first, last):  # pragma: no cover - compiled
                 part[i] = 0.0
 
 
+# What may reorder sums is compiled by itself before whatever calls it.  A program that finds its
+# callers in the cache would else run the copy inside these, which can add up in another order, and
+# the first run after an installation would differ from all later ones in the last digits.
+_ALONE = (
+    (_add_edge, "i8, i8, f8[::1], f8[::1], i8[::1], b1[::1], f8, f8[::1], f8[::1], f8, f8, "
+                "f8[:, :, ::1], f8[:, ::1], f8[::1], f8[::1], f8[:, ::1]"),
+    (_sums, "i8, i8, f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[::1], f8, f8, f8, f8"),
+    (_gram_sums, "i8, i8, f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[::1], f8, f8, f8, f8, "
+                 "f8[:, ::1], f8[:, ::1]"),
+    (_slopes, "i8, i8, f8[::1], f8, f8, f8[::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], "
+              "f8[::1], f8[::1], f8, f8, f8, f8, f8, f8[::1], f8[::1]"),
+)  # fmt: skip
+for _kernel, _types in _ALONE:
+    if hasattr(_kernel, "compile"):  # a plain function where compilation is switched off
+        _kernel.compile(f"({_types})")
+
+
 @njit(cache=True, error_model="numpy", inline="always")
 def _gradient_sums(
     k, mesh, room, acts, t0, tf, lags, y0, beta, v0, v1, phi, out, by_on, by_off, unused
