@@ -30,6 +30,7 @@ from bayes_sensor.report import (
     typeset,
     with_spread,
 )
+from bayes_sensor.report.headline import remarks
 from bayes_sensor.report.html import inline_svg, zoom_data
 from bayes_sensor.report.markdown import escaped
 from bayes_sensor.report.parts import Pictures, Section, numbering, pieces, see
@@ -124,6 +125,33 @@ def test_headline_of_a_limit_and_of_an_interval() -> None:
     found = headline({"parameters": {"tau_s": row}}, None, white)
     assert found is not None and not found.is_limit and "white noise" in str(found)
     assert headline(None, None) is None
+
+
+def test_a_newcomer_is_told_what_tau_is_and_why_the_bound_misleads(
+    parts: tuple[Saved, list[Section]],
+) -> None:
+    saved = parts[0]
+    assert saved.posterior is not None and saved.bounds is not None and saved.residuals is not None
+    row = {"q2.5": 0.001, "q50": 0.022, "q97.5": 0.064}
+    priors = [{"prior": "half_normal", "upper95_s": 0.057}]
+    verdict = {"sentence": "The cause is flow_settling.", "effects": ["flow_settling"]}
+    saved = replace(
+        saved,
+        posterior={**saved.posterior, "parameters": {"tau_s": row}, "tau_under_priors": priors},
+        bounds={**saved.bounds, "naive": {"crlb_iid": {"tau_s": 0.02},
+                                          "crlb_iid_one_percent_step": {"tau_s": 0.002}}},
+        residuals={**saved.residuals, "ar1": {"phi": 0.8}},
+        gap={"verdict": verdict},
+    )  # fmt: skip
+    what, limit, why, model = remarks(saved)
+    assert "63 %" in what.text and "upper limit" in limit.text and "57 ms" in limit.text
+    assert "neighbours are alike (φ = 0.80)" in why.text and "steps of 1 %" in why.text
+    assert "flow settling" in model.text and model.section == "gap"
+    fair = {"crlb_iid": {"tau_s": 0.02}, "crlb_iid_one_percent_step": {"tau_s": 0.02}}
+    saved = replace(saved, bounds={**saved.bounds, "naive": fair},
+                    residuals={**saved.residuals, "ar1": {"phi": 0.0}}, gap=None)  # fmt: skip
+    assert "misleads" not in "".join(remark.text for remark in remarks(saved))
+    assert remarks(replace(saved, posterior=None, bounds=None)) == []
 
 
 def test_a_drawing_that_could_run_something_is_refused() -> None:

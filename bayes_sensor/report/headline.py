@@ -65,6 +65,73 @@ def headline(
     return None
 
 
+@dataclass(frozen=True)
+class Remark:
+    """A sentence under the headline, and the section that says more."""
+
+    text: str
+    section: str
+
+
+ALIKE = 0.05
+"""correlation of neighbouring samples from which the bound for white noise is called wrong"""
+TOO_NARROW = 1.3
+"""times by which the published recipe narrows the bound of tau before it is called wrong"""
+
+
+def remarks(saved: Saved) -> list[Remark]:
+    """What a newcomer must know of the headline: what tau is, how sure, why the bound misleads."""
+    head = headline(saved.posterior, saved.bounds, saved.settings)
+    if head is None:
+        return []
+    said = [
+        Remark(
+            "τ is the sensor's own time constant: how long it takes, without valve and manifold, "
+            "to cover 63 % of a step.",
+            "tau",
+        )
+    ]
+    if head.is_limit and head.limit:
+        said.append(
+            Remark(
+                f"Zero is not excluded: read it as an upper limit, τ < {head.limit} (95 %). The "
+                "data say how slow the sensor can be at most, not how fast it is.",
+                "tau",
+            )
+        )
+    if head.naive:
+        why = _why_naive_misleads(saved)
+        text = sentence(head.naive) + (f" Why that misleads: {why}." if why else "")
+        said.append(Remark(text, "tau"))
+    if saved.gap is not None:
+        verdict = saved.gap["verdict"]
+        words = verdict["sentence"]
+        for name in verdict["effects"]:
+            words = words.replace(name, name.replace("_", " "))
+        words = sentence(typeset(words))
+        said.append(Remark(f"All this takes the model as right. Is it? {words}", "gap"))
+    return said
+
+
+def _why_naive_misleads(saved: Saved) -> str:
+    """The assumptions of the classical bound that fail here, in words."""
+    naive = (saved.bounds or {}).get("naive") or {}
+    right, published = naive.get("crlb_iid") or {}, naive.get("crlb_iid_one_percent_step") or {}
+    found = []
+    phi = ((saved.residuals or {}).get("ar1") or {}).get("phi")
+    if right.get("tau_s") and phi is not None and phi > ALIKE:
+        found.append(
+            f"it counts every sample as new, but neighbours are alike (φ = {number(phi, 2)})"
+        )
+    if right.get("tau_s") and published.get("tau_s"):
+        if right["tau_s"] > TOO_NARROW * published["tau_s"]:
+            found.append(
+                "steps of 1 % move a switch time by tenths of a second and so hide that a slower "
+                "sensor and a later switch look almost the same"
+            )
+    return "; ".join(found)
+
+
 def effect_names(posterior: Mapping[str, Any]) -> list[str]:
     """The effects in a posterior's model, as words."""
     return [name.replace("_", " ") for name in posterior.get("with_effects") or []]

@@ -17,7 +17,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from bayes_sensor import figures
-from bayes_sensor.report.headline import alerts, headline
+from bayes_sensor.report.headline import alerts, headline, remarks
 from bayes_sensor.report.parts import Picture, Section, Table, compact, numbering, pieces
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.samples import coded, thinned
@@ -138,6 +138,7 @@ def page(saved: Saved, sections: Sequence[Section]) -> str:
         version=saved.last["versions"].get("bayes-sensor", ""),
         finished=saved.last["finished"],
         head=headline(saved.posterior, saved.bounds, saved.settings),
+        remarks=remarks(saved),
         alerts=alerts(saved),
         sections=sections,
         numbers=numbers,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from bayes_sensor.report.headline import alerts, headline
+from bayes_sensor.report.headline import alerts, headline, remarks
 from bayes_sensor.report.parts import Section, Table, numbering, pieces
 from bayes_sensor.report.saved import Saved
 
@@ -46,10 +46,8 @@ def document(saved: Saved, sections: Sequence[Section], figure_folder: str = "fi
     head = headline(saved.posterior, saved.bounds, saved.settings)
     if head is not None:
         lines += [f"**τ = {escaped(head.tau)}**", ""]
-        if head.is_limit and head.limit:
-            lines += [f"Zero is not excluded: τ &lt; {escaped(head.limit)} (95 %).", ""]
-        if head.naive:
-            lines += [escaped(head.naive[0].upper() + head.naive[1:]) + ".", ""]
+        for remark in remarks(saved):
+            lines += [escaped(remark.text), ""]
     for kind, text in alerts(saved):
         mark = "**Attention.** " if kind == "bad" else ""
         lines += [f"> {mark}{escaped(text)}", ""]

@@ -12,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from bayes_sensor.report.headline import alerts, headline
+from bayes_sensor.report.headline import alerts, headline, remarks
 from bayes_sensor.report.parts import Section, Table, numbering, pieces
 from bayes_sensor.report.saved import Saved
 
@@ -33,8 +33,7 @@ def content(saved: Saved, sections: Sequence[Section]) -> dict[str, Any]:
         "version": saved.last["versions"].get("bayes-sensor", ""),
         "finished": saved.last["finished"],
         "tau": "" if head is None else head.tau,
-        "limit": head.limit if head is not None and head.is_limit else "",
-        "naive": "" if head is None else head.naive[:1].upper() + head.naive[1:],
+        "remarks": [remark.text for remark in remarks(saved)],
         "alerts": [{"kind": kind, "text": text} for kind, text in alerts(saved)],
         "sections": [
             {

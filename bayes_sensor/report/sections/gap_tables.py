@@ -9,6 +9,7 @@ from bayes_sensor.report.parts import Table
 from bayes_sensor.report.words import ms, number
 
 MOST_CELLS = 40
+FEW_CELLS = 8
 MOST_EXPLANATIONS = 25
 UNSEEN = 3.0
 """detectability below which an effect could hide"""
@@ -63,6 +64,9 @@ def where_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
     found = [r for r in record["where"] if (r["share"] or 0.0) > 0 or (r["p_value"] or 1.0) < 0.05]
     rows = sorted(found, key=lambda row: -(row["share"] or 0.0))[:MOST_CELLS]
     caption = "Where the excess lies, the largest share first."
+    if not rows:  # nothing is shared out: the largest cells, as chance made them
+        rows = sorted(record["where"], key=lambda row: -(row["excess_rms_V"] or 0.0))[:FEW_CELLS]
+        caption = "No cell exceeds the noise floor by more than chance. The largest:"
     left_out = len(record["where"]) - len(rows)
     if left_out > 0:
         caption += f" {left_out} more cells, with less or nothing above the floor, are in gap.json."

@@ -8,7 +8,7 @@ from typing import Any
 from bayes_sensor import figures
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import p_equals, p_words, sentence
+from bayes_sensor.report.words import p_equals, p_words, sentence, typeset
 
 
 def noise(saved: Saved, pictures: Pictures) -> Section | None:
@@ -16,11 +16,13 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
     residuals = saved.residuals
     if residuals is None:
         return None
-    answer = ("Yes. " if residuals["adequate"] else "Not fully. ") + sentence(residuals["verdict"])
+    answer = ("Yes. " if residuals["adequate"] else "Not fully. ") + sentence(
+        typeset(residuals["verdict"])
+    )
     test = residuals["variance_vs_concentration"]["breusch_pagan"]
     before, after = (residuals["durbin_watson"][k] for k in ("before", "after"))
     if saved.predictive is not None:
-        answer += " " + sentence(saved.predictive["status"]).removesuffix(".")
+        answer += " " + sentence(typeset(saved.predictive["status"])).removesuffix(".")
         answer += see("predictive-table") + "."
     paragraphs = [
         f"Residuals that follow each other closely carry less information than their number "

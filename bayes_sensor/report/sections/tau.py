@@ -10,7 +10,7 @@ from bayes_sensor.report.headline import effect_names, headline
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections.draws import posterior_table
-from bayes_sensor.report.words import list_words, ms, number, sentence
+from bayes_sensor.report.words import list_words, ms, number, sentence, typeset
 
 PUBLISHED_3SD = {"tau_s": 0.0056049, "tau_v_s": 0.0086029, "V_mL": 0.6817}
 """the paper's Table III"""
@@ -247,9 +247,9 @@ def _assumption_table(bounds: Mapping[str, Any]) -> Table:
     rows = [
         [
             figures.METHOD_LABELS.get(method, method),
-            entry["assumes"],
+            typeset(entry["assumes"]),
             entry.get("reference", ""),
-            "" if entry.get("status", "ok") == "ok" else entry["status"],
+            "" if entry.get("status", "ok") == "ok" else typeset(entry["status"]),
         ]
         for method, entry in bounds["methods"].items()
     ]
