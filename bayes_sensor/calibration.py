@@ -455,7 +455,7 @@ def _claim(folder: Path, settings: dict[str, Any]) -> None:
 def _load(path: Path) -> dict[str, np.ndarray] | None:
     """A finished part; None where there is none, or a power cut has left it damaged."""
     try:
-        with np.load(path, allow_pickle=False) as saved:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as saved:
             return {name: saved[name] for name in saved.files}
     except (FileNotFoundError, EOFError, ValueError, BadZipFile):
         return None

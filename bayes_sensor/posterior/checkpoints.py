@@ -43,7 +43,10 @@ class Checkpoint:
     def _chunk(self, j: int, i: int) -> dict[str, Any] | None:
         """Chunk ``i`` of ensemble ``j``; None where there is none, or a power cut damaged it."""
         try:
-            with np.load(self._path(j, i), allow_pickle=False) as saved:
+            with (
+                self._path(j, i).open("rb") as stream,
+                np.load(stream, allow_pickle=False) as saved,
+            ):
                 return {name: saved[name] for name in saved.files}
         except (FileNotFoundError, EOFError, ValueError, BadZipFile):
             return None
