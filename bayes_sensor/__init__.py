@@ -15,6 +15,7 @@ _PUBLIC = {
     "CampaignError": "campaign",
     "Experiment": "campaign",
     "SideInformation": "campaign",
+    "progress_bar": "notebook",
     "read_campaign": "readers",
     "check_campaign": "check",
     "Cascade": "model",

@@ -13,6 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_sensor.notebook import card
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
@@ -219,6 +221,20 @@ class Campaign:
         """Whether all experiments share one total flow: then tau_v and V cannot be told apart."""
         flows = np.array([experiment.total_flow for experiment in self.experiments])
         return bool(np.ptp(flows) <= 1e-6 * flows.max())
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it."""
+        rows = [
+            [
+                e.name, e.n_samples, 1e3 * e.interval, len(e.t) * e.interval, 0.06 * e.total_flow,
+                100.0 * e.concentration, e.commanded_on, e.commanded_off,
+                "planned" if e.y is None else e.source,
+            ]
+            for e in self.experiments
+        ]  # fmt: skip
+        columns = ["experiment", "samples", "interval (ms)", "length (s)", "flow (L/min)",
+                   "test gas (%)", "on (s)", "off (s)", "file"]  # fmt: skip
+        return card(self.title, self.warnings, columns, rows)
 
     def without(self, name: str) -> Campaign:
         """The campaign with one experiment left out."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.notebook import card
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -131,6 +132,17 @@ class Bounds:
             return self.methods[method]
         except KeyError:
             raise KeyError(f"no method '{method}'; there are {', '.join(self.methods)}") from None
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: the shared parameters; :meth:`table` has all."""
+        rows = []
+        for name in ("tau_s", "tau_v_s", "V_mL"):
+            for method, bound in self.methods.items():
+                row = bound.row(name) if name in bound.names else {}
+                ends = [row.get(key) for key in ("estimate", "sd", "lo95", "hi95")]
+                rows.append([name, method, *ends, bound.assumes])
+        columns = ["parameter", "method", "estimate", "sd", "95 % low", "95 % high", "assumes"]
+        return card("bounds", [], columns, rows)
 
     def table(self) -> pd.DataFrame:
         """One row per parameter and method (a MultiIndex), columns as in ``bounds.json``."""

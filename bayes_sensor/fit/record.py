@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.notebook import card
 
 Progress = Callable[[float, str], None]
 """called with the fraction done and a word"""
@@ -57,6 +58,17 @@ class Fit:
     """that another valve and manifold fit as well, as a sentence; empty where they do not"""
     step_seen: bool = True
     """whether the step of any experiment stands out of the noise"""
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: no spreads, which are the bounds' and the posterior's."""
+        limit = set(self.at_bound)
+        rows = [
+            [name, value, "at a search bound" if name in limit else ""]
+            for name, value in zip(self.names, self.theta_hat.tolist(), strict=True)
+        ]
+        title = f"least squares: RMS {self.rms:.4g} {self.signal_unit}, {self.n_samples} samples"
+        sentences = [self.status, *self.warnings]
+        return card(title, sentences, ["parameter", "value", ""], rows)
 
     def to_json(self) -> dict[str, Any]:
         """The content of ``fit.json``."""

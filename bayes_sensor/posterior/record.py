@@ -13,6 +13,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.laplace import Coordinates
 from bayes_sensor.likelihood import Prior, Problem
 from bayes_sensor.model import Layout
+from bayes_sensor.notebook import card
 from bayes_sensor.posterior.convergence import ESS_LIMIT, MESH_ERROR_LIMIT, R_HAT_LIMIT
 from bayes_sensor.posterior.settings import Settings
 from bayes_sensor.posterior.summaries import highest_density, weighted_quantiles
@@ -146,6 +147,17 @@ class Posterior:
         row["ess_tail"] = float(self.ess_tail[i])
         row["r_hat"] = float(self.r_hat[i])
         return row
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it."""
+        rows = []
+        for i in self.free:
+            low, middle, high = np.quantile(self.draws[:, i], [0.025, 0.5, 0.975]).tolist()
+            ess = float(min(self.ess_bulk[i], self.ess_tail[i]))
+            rows.append([self.names[i], middle, low, high, round(ess), float(self.r_hat[i])])
+        columns = ["parameter", "median", "95 % low", "95 % high", "effective draws", "R-hat"]
+        warnings = [text for text in self.warnings if text != self.status]
+        return card(f"posterior: {self.status}", warnings, columns, rows)
 
     def to_json(self) -> dict[str, Any]:
         """The contents of ``posterior.json``; parameters that the noise law pins are null."""
