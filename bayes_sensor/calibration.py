@@ -426,16 +426,20 @@ def run_chunks(
         done = n - sum(b - a for a, b in todo)
         tell = progress or (lambda done, n: None)
         tell(done, n)
+        lost = ""
         for k, result in completed(partial(_run, task), todo, jobs, client):
             span = todo[k]
             if isinstance(result, WorkerDied):
-                raise CampaignError(f"campaigns {span[0]} to {span[1] - 1} of the study: {result}")
+                lost = f"campaigns {span[0]} to {span[1] - 1} of the study: {result}"
+                continue  # said when all others are done and kept
             buffer = io.BytesIO()
             np.savez_compressed(buffer, **result)
             _write(_file(folder, span), buffer.getvalue())
             parts[span] = result
             done += span[1] - span[0]
             tell(done, n)
+    if lost:
+        raise CampaignError(lost)
     return {name: np.concatenate([parts[s][name] for s in spans]) for name in parts[spans[0]]}
 
 

@@ -1,0 +1,479 @@
+"""What survives: runs killed, disks full, folders read-only or in use, Ctrl-C, dead workers.
+
+Every long command is killed (SIGKILL) at random moments and continued with ``--resume`` where it
+has that, else run again.  What it then leaves must equal, bit for bit, what an undisturbed run
+leaves; left out of the comparison are times of day, durations, memory, and the folders of
+unfinished parts, by which a run goes on.  To save the time of loading the program two hundred
+times, each of these runs is a fork of one process that has loaded it.
+
+The other faults are met as a user meets them: on file systems of a few kilobytes and one mounted
+read-only, where this program may mount; by a second run into the same folder; by the signal that
+Ctrl-C sends, with and without two busy processes beside; by a worker's death.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from drawing import TABLES
+
+SEED = 1
+SETTINGS = """\
+[fit]
+swarms = 1
+particles = 10
+euler = false
+[posterior]
+n_chains = 2
+n_walkers = 32
+burn_in = 60
+chunk = 50
+max_steps = 400
+target_ess = 200
+[bounds]
+resamples = 40
+"""
+TIME_OF_DAY = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
+DURATION = re.compile(r'(TIME</td>(?:(?!</tr>).)*)<td data-v="[^"]*" class="num">[^<]*</td></tr>')
+UNFINISHED = re.compile(r"(^|/)(checkpoint|\w+(-\w+)*-parts|\.[^/]*)(/|$)")
+LEFT_OUT = "times of day, durations, memory; folders of unfinished parts"
+
+
+@dataclass(frozen=True)
+class Command:
+    """A long command on a small campaign."""
+
+    name: str
+    arguments: tuple[str, ...]
+    kills: int
+    resumes: bool = True
+
+
+def commands(place: Path) -> list[Command]:
+    """Every long command; ``place`` holds the campaigns."""
+    one, other = str(place / "a" / "campaign.toml"), str(place / "effect" / "campaign.toml")
+    quick = ("--config", str(place / "quick.toml"))
+    few = ("--setting", "iid", "--method", "crlb_ar1", "--method", "sandwich")
+    return [
+        Command("posterior", ("posterior", one, *quick), 34),
+        Command("posterior --jobs 2", ("posterior", one, *quick, "--jobs", "2"), 3),
+        Command("posterior --sampler hmc", ("posterior", one, *quick, "--sampler", "hmc"), 10),
+        Command("bounds (profile, bootstrap)", ("bounds", one, *quick), 18),
+        Command("analyze", ("analyze", one, *quick), 4),
+        Command("coverage", ("coverage", "--campaigns", "80", *few), 12),
+        Command("coverage --jobs 2", ("coverage", "--campaigns", "80", *few, "--jobs", "2"), 2),
+        Command(
+            "blind-check",
+            ("blind-check", "--cases", "8", "--size", "small", "--setting", "study"),
+            3,
+        ),
+        Command("fleet", ("fleet", str(place / "list.txt"), *quick), 6),
+        Command("fleet --jobs 2", ("fleet", str(place / "list.txt"), *quick, "--jobs", "2"), 0),
+        Command("fit", ("fit", one, *quick), 5, False),
+        Command("gap --bootstrap 60", ("gap", other, *quick, "--bootstrap", "60"), 3, False),
+    ]
+
+
+def prepare(place: Path) -> None:
+    """Small campaigns, settings and a list with one campaign that is not there."""
+    small = ["--experiments", "1,4,6", "--duration", "15 s", "--interval", "10 ms"]
+    noise = ["--sigma0", "5 mV", "--sigma1", "3 mV"]
+    effect = ["--effect", "valve_asymmetry=0.2"]
+    for name, more in (("a", ["--tau", "150 ms"]), ("b", ["--tau", "80 ms"]), ("effect", effect)):
+        if not (place / name / "campaign.toml").is_file():
+            done = call("simulate", "--out", str(place / name), *small, *noise, *more, "--quiet")
+            assert done.returncode == 0, done.stderr
+    (place / "quick.toml").write_text(SETTINGS)
+    (place / "list.txt").write_text("a\nb/campaign.toml\nmissing/campaign.toml\n")
+
+
+# --------------------------------------------------------------------------- processes
+
+
+def environment() -> dict[str, str]:
+    """One thread of linear algebra a process."""
+    return {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def start(*arguments: str) -> subprocess.Popen[str]:
+    """A command in a process group of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "bayes_sensor.cli", *arguments],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment(),
+        start_new_session=True,
+    )  # fmt: skip
+
+
+def call(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """A command to its end."""
+    with start(*arguments) as process:
+        out, err = process.communicate()
+    return subprocess.CompletedProcess(arguments, process.returncode, out, err)
+
+
+@dataclass
+class Fork:
+    """A command in a fork of this process."""
+
+    pid: int
+    errors: Path
+    code: int | None = None
+
+    def ended(self, wait: bool = False) -> bool:
+        """Whether it has; ``code`` is negative where a signal ended it."""
+        if self.code is None:
+            pid, status = os.waitpid(self.pid, 0 if wait else os.WNOHANG)
+            if pid:
+                self.code = os.waitstatus_to_exitcode(status)
+        return self.code is not None
+
+
+def fork(errors: Path, *arguments: str) -> Fork:
+    """Start a command in a fork, in a process group of its own; its stderr goes to a file."""
+    from bayes_sensor.cli import main
+
+    sys.stdout.flush()
+    pid = os.fork()
+    if pid:
+        return Fork(pid, errors)
+    code = 99
+    try:
+        os.setsid()
+        descriptor = os.open(errors, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(descriptor, 1)
+        os.dup2(descriptor, 2)
+        sys.argv = ["bayes-sensor", *arguments]
+        main(list(arguments))
+    except SystemExit as end:
+        code = int(end.code or 0)
+    finally:
+        os._exit(code)
+
+
+def to_the_end(errors: Path, *arguments: str) -> tuple[int, str]:
+    """Exit code and stderr of a command in a fork."""
+    child = fork(errors, *arguments)
+    child.ended(wait=True)
+    assert child.code is not None
+    return child.code, errors.read_text()
+
+
+def comparable(file: Path) -> bytes:
+    """A result's content without times of day and durations."""
+    content = file.read_bytes()
+    if file.name == "outcome.json":
+        record = json.loads(content)
+        record.pop("cost")
+        return json.dumps(record).encode()
+    if file.suffix in (".html", ".md", ".json", ".csv"):
+        text = TIME_OF_DAY.sub("TIME", content.decode("utf-8"))
+        return DURATION.sub(r"\1", text).encode()
+    return content
+
+
+def state(folder: Path) -> dict[str, str]:
+    """Digest of every result in a folder."""
+    found = {}
+    for file in sorted(p for p in folder.rglob("*") if p.is_file()):
+        name = file.relative_to(folder).as_posix()
+        if file.name != "run.json" and not UNFINISHED.search(name):
+            found[name] = hashlib.sha256(comparable(file)).hexdigest()
+    return found
+
+
+def half_written(folder: Path) -> list[str]:
+    """Results that cannot be read, right after a kill."""
+    bad = []
+    for file in folder.rglob("*.json"):
+        if not UNFINISHED.search(file.relative_to(folder).as_posix()):
+            try:
+                json.loads(file.read_text())
+            except ValueError:
+                bad.append(file.name)
+    return bad
+
+
+# --------------------------------------------------------------------------- faults
+
+
+def killed(command: Command, place: Path, tell: Callable[[], None]) -> dict[str, Any]:
+    """Kill at random moments, go on, compare; every second time only the main process."""
+    out, whole, errors = place / "out", place / "whole", place / "stderr.txt"
+    shutil.rmtree(whole, ignore_errors=True)
+    spans = []
+    arguments = (*command.arguments, "--out", str(out), "--quiet")
+    for _ in range(2):  # the first compiles what is not in the cache, the second tells the time
+        shutil.rmtree(out, ignore_errors=True)
+        begin = time.perf_counter()
+        expected, _ = to_the_end(errors, *arguments)
+        spans.append(time.perf_counter() - begin)
+        if not whole.exists():
+            shutil.copytree(out, whole)
+    reference, again = state(whole), state(out)
+    differing = [f"two whole runs: {k}" for k in reference if reference[k] != again.get(k)]
+    rng = np.random.default_rng([SEED, len(command.name), command.kills])
+    survived = n = half = started = 0
+    while n < command.kills:
+        shutil.rmtree(out, ignore_errors=True)
+        process = fork(errors, *arguments)
+        time.sleep(float(rng.uniform(0.02, 0.98)) * spans[1])
+        if process.ended():  # it was quicker than the one that told the time
+            continue
+        (os.kill if n % 2 else os.killpg)(process.pid, signal.SIGKILL)
+        process.ended(wait=True)
+        n += 1
+        bad = half_written(out)
+        half += bool(bad)
+        started += any(UNFINISHED.search(p.name) for p in out.glob("*")) if out.exists() else 0
+        code, said = to_the_end(errors, *arguments, *(["--resume"] if command.resumes else []))
+        now = state(out)
+        wrong = sorted(k for k in reference.keys() | now.keys() if reference.get(k) != now.get(k))
+        if code != expected:
+            wrong.append(f"exit {code}: {said.strip()[-200:]}")
+        survived += not (wrong or bad)
+        differing += [*wrong, *bad]
+        tell()
+    left = [f"left behind: {p.name}" for p in sorted(out.iterdir()) if p.name.startswith(".")]
+    return {
+        "fault": "killed at a random moment",
+        "command": command.name,
+        "trials": n,
+        "survived": survived,
+        "checked": f"{'--resume' if command.resumes else 'run again'}: {len(reference)} files "
+        "bit for bit; none half-written after the kill",
+        "note": "; ".join([f"{started} of {n} killed at work", *dict.fromkeys(differing), *left]),
+    }
+
+
+@contextmanager
+def mounted(place: Path, kilobytes: int, read_only: bool = False) -> Iterator[Path | None]:
+    """A small file system in memory; None where mounting is not allowed."""
+    place.mkdir(parents=True, exist_ok=True)
+    make = ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", str(place)]
+    try:
+        allowed = subprocess.run(make, capture_output=True).returncode == 0
+    except FileNotFoundError:
+        allowed = False
+    try:
+        if allowed and read_only:
+            subprocess.run(["mount", "-o", "remount,ro", str(place)], check=True)
+        yield place if allowed else None
+    finally:
+        if allowed:
+            subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def one_message(done: subprocess.CompletedProcess[str], code: int = 2) -> bool:
+    """Whether a run ended with the exit code and one line on stderr, no traceback."""
+    lines = [line for line in done.stderr.splitlines() if line]
+    return done.returncode == code and len(lines) == 1 and "Traceback" not in done.stderr
+
+
+def disk_full(command: Command, place: Path) -> dict[str, Any] | None:
+    """The command on file systems of several sizes: one message, and nothing half-written."""
+    good = n = 0
+    said = ""
+    for kilobytes in (4, 16, 64, 256, 1024):
+        with mounted(place / "tiny", kilobytes) as disk:
+            if disk is None:
+                return None
+            out = disk / "out"
+            done = call(*command.arguments, "--out", str(out), "--quiet")
+            if done.returncode == 0 or (done.returncode == 3 and (out / "run.json").is_file()):
+                continue  # it fitted
+            n += 1
+            bad = half_written(out) if out.exists() else []
+            ok = one_message(done) and not bad
+            good += ok
+            if not ok or not said:
+                said = done.stderr.strip()[-160:].replace(str(place), "..")
+    return {
+        "fault": "disk full", "command": command.name, "trials": n, "survived": good,
+        "checked": "exit 2, one line on stderr, no result half-written", "note": said,
+    }  # fmt: skip
+
+
+def read_only(command: Command, place: Path) -> dict[str, Any] | None:
+    """The command on a file system mounted read-only."""
+    with mounted(place / "ro", 64, read_only=True) as disk:
+        if disk is None:
+            return None
+        done = call(*command.arguments, "--out", str(disk / "out"), "--quiet")
+    said = done.stderr.strip()[-160:].replace(str(place), "..")
+    return {
+        "fault": "read-only folder", "command": command.name, "trials": 1,
+        "survived": int(one_message(done)), "checked": "exit 2, one line on stderr", "note": said,
+    }  # fmt: skip
+
+
+def in_use(command: Command, place: Path) -> dict[str, Any]:
+    """A second run into the folder of the first: refused, named; the first is not harmed."""
+    out = place / "out"
+    shutil.rmtree(out, ignore_errors=True)
+    with start(*command.arguments, "--out", str(out), "--quiet") as first:
+        while not (out / ".lock").exists() and first.poll() is None:
+            time.sleep(0.02)
+        second = call(*command.arguments, "--out", str(out), "--quiet")
+        first.communicate()
+    whole = state(out)
+    shutil.rmtree(out)
+    call(*command.arguments, "--out", str(out), "--quiet")
+    ok = one_message(second) and f"process {first.pid}" in second.stderr and whole == state(out)
+    return {
+        "fault": "two runs into one folder", "command": command.name, "trials": 1,
+        "survived": int(ok),
+        "checked": "second: exit 2, one line naming the first's process; first: bit for bit",
+        "note": re.sub(r"process \d+ on \S+", "process N on HOST", second.stderr.strip())[-170:]
+        .replace(str(place), ".."),
+    }  # fmt: skip
+
+
+def busy() -> subprocess.Popen[bytes]:
+    """A process that takes all it can get."""
+    return subprocess.Popen([sys.executable, "-c", "while True: pass"])
+
+
+def interrupted(command: Command, place: Path, n: int, load: int) -> dict[str, Any]:
+    """Ctrl-C at random moments after the start: one line, exit 130, how soon."""
+    out = place / "out"
+    rng = np.random.default_rng([SEED, load, n])
+    seconds, good, said = [], 0, ""
+    others = [busy() for _ in range(load)]
+    try:
+        for _ in range(n):
+            shutil.rmtree(out, ignore_errors=True)
+            process = start(*command.arguments, "--out", str(out), "--quiet")
+            while not (out / ".lock").exists() and process.poll() is None:
+                time.sleep(0.02)
+            time.sleep(float(rng.uniform(0.0, 5.0)))
+            if process.poll() is None:
+                begin = time.perf_counter()
+                os.killpg(process.pid, signal.SIGINT)
+            stdout, stderr = process.communicate()
+            if process.returncode in (0, 3):
+                continue  # done before
+            seconds.append(time.perf_counter() - begin)
+            ended = subprocess.CompletedProcess([], process.returncode, stdout, stderr)
+            ok = one_message(ended, 130) and (
+                "--resume" in stderr if command.resumes else "run the same" in stderr
+            )
+            good += ok
+            if not ok:
+                said = stderr.strip()[-160:]
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+    return {
+        "fault": "Ctrl-C" + (f", {load} busy processes beside" if load else ""),
+        "command": command.name, "trials": len(seconds), "survived": good,
+        "checked": "exit 130, one line that says how to go on",
+        "note": f"median {np.median(seconds):.2f} s, longest {max(seconds):.2f} s {said}".strip(),
+    }  # fmt: skip
+
+
+def workers_of(pid: int) -> list[int]:
+    """Child processes that compute for ``pid``; only where /proc is."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (entry / "stat").read_text().rpartition(")")[2].split()
+            words = (entry / "cmdline").read_bytes()
+        except OSError:
+            continue
+        if int(fields[1]) == pid and b"loky" in words and b"resource_tracker" not in words:
+            found.append(int(entry.name))
+    return found
+
+
+def worker_killed(command: Command, place: Path, n: int) -> dict[str, Any]:
+    """One worker of a parallel run killed: retried, reported, the numbers unchanged."""
+    out = place / "out"
+    shutil.rmtree(out, ignore_errors=True)
+    call(*command.arguments, "--out", str(out), "--quiet")
+    reference = state(out)
+    rng = np.random.default_rng(SEED)
+    good, hit, said = 0, 0, ""
+    while hit < n:
+        shutil.rmtree(out, ignore_errors=True)
+        with start(*command.arguments, "--out", str(out), "--quiet") as process:
+            while not (children := workers_of(process.pid)) and process.poll() is None:
+                time.sleep(0.02)
+            time.sleep(float(rng.uniform(0.5, 3.0)))
+            children = workers_of(process.pid)
+            if children:
+                os.kill(int(rng.choice(children)), signal.SIGKILL)
+                hit += 1
+            _, stderr = process.communicate()
+        if children:
+            ok = process.returncode in (0, 3) and state(out) == reference
+            reported = "ended unexpectedly" in stderr
+            good += ok and reported
+            if not (ok and reported):
+                said = stderr.strip()[-160:] or "not reported"
+    return {
+        "fault": "a worker killed", "command": command.name, "trials": n, "survived": good,
+        "checked": "run again and reported; results bit for bit", "note": said,
+    }  # fmt: skip
+
+
+def write(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
+    """The table."""
+    table = pd.DataFrame(rows)
+    table.insert(4, "share", [f"{s}/{t}" for s, t in zip(table["survived"], table["trials"])])
+    TABLES.mkdir(parents=True, exist_ok=True)
+    table.to_csv(TABLES / "faults.csv", index=False, lineterminator="\n")
+    return table
+
+
+def run(
+    folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
+) -> pd.DataFrame:
+    """Every fault; rows so far are kept in ``folder``, and a later call goes on from there."""
+    place = Path(folder) / "faults"
+    place.mkdir(parents=True, exist_ok=True)
+    prepare(place)
+    every = commands(place)
+    named = {c.name: c for c in every}
+    kept = place / "rows.json"
+    rows: dict[str, Any] = json.loads(kept.read_text()) if kept.exists() else {}
+    total, done = sum(c.kills for c in every), 0
+
+    def tell() -> None:
+        nonlocal done
+        done += 1
+        progress(done, total)
+
+    def keep(key: str, make: Callable[[], dict[str, Any] | None]) -> None:
+        if key not in rows:
+            rows[key] = make()
+            kept.write_text(json.dumps(rows))
+
+    for c in (c for c in every if c.kills):
+        keep(f"killed {c.name}", lambda c=c: killed(c, place, tell))
+    for name in ("posterior", "analyze", "coverage", "fleet"):
+        keep(f"full {name}", lambda c=named[name]: disk_full(c, place))
+        keep(f"read-only {name}", lambda c=named[name]: read_only(c, place))
+    for name in ("posterior", "fleet"):
+        keep(f"in use {name}", lambda c=named[name]: in_use(c, place))
+    for load in (0, 2):
+        for name in ("posterior", "analyze", "coverage --jobs 2", "fleet --jobs 2"):
+            keep(f"ctrl-c {load} {name}", lambda c=named[name], k=load: interrupted(c, place, 5, k))
+    for name in ("posterior --jobs 2", "coverage --jobs 2", "fleet --jobs 2"):
+        keep(f"worker {name}", lambda c=named[name]: worker_killed(c, place, 3))
+    return write([row for row in rows.values() if row is not None])

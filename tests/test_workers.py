@@ -1,0 +1,113 @@
+"""Many calls on many processes: in order, retried where a process dies, given up at last."""
+
+import logging
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dying import Dying, DyingStudy
+
+from bayes_sensor.calibration import run_chunks
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.workers import WorkerDied, completed, dask_client, in_order
+
+
+def test_a_dead_worker_is_replaced_and_reported(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING, "bayes_sensor"):
+        found = dict(completed(Dying(tmp_path, once=3), range(8), 2))
+    assert found == {i: i * i for i in range(8)}
+    assert (tmp_path / "died-3").exists()
+    assert len(caplog.records) == 1 and "run again" in caplog.records[0].getMessage()
+
+
+def test_calls_come_back_in_order_and_what_cannot_be_done_is_raised(tmp_path: Path) -> None:
+    assert in_order(pow, [(i, 2) for i in range(5)], 2) == [0, 1, 4, 9, 16]
+    with pytest.raises(WorkerDied, match=r"3 worker processes.*fewer --jobs"):
+        in_order(Dying(tmp_path, always=1), [(i,) for i in range(4)], 2)
+
+
+def test_what_a_call_raises_is_raised() -> None:
+    with pytest.raises(ZeroDivisionError):
+        dict(completed((1).__truediv__, [1, 0, 2], 2))
+
+
+def test_a_study_keeps_the_rest_of_what_killed_its_workers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def died(function: Any, items: Any, jobs: int, client: Any) -> Any:
+        yield 1, WorkerDied("it ended 3 worker processes")
+        yield from ((i, function(items[i])) for i in (0, 2))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bayes_sensor.calibration.completed", died)
+        with pytest.raises(CampaignError, match="campaigns 2 to 3 of the study: it ended 3"):
+            run_chunks(DyingStudy(tmp_path), 6, tmp_path / "b", "key", jobs=2, chunk=2)
+    assert len(list((tmp_path / "b").glob("chunk-*.npz"))) == 2
+    found = run_chunks(DyingStudy(tmp_path), 6, tmp_path / "b", "key", chunk=2)
+    np.testing.assert_array_equal(found["x"], np.arange(6) ** 2)
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 cut", None])
+def test_a_damaged_part_is_computed_again(tmp_path: Path, damage: bytes | None) -> None:
+    first = run_chunks(DyingStudy(tmp_path), 4, tmp_path / "c", "key", chunk=2)
+    part = tmp_path / "c" / "chunk-000002-000004.npz"
+    part.write_bytes(part.read_bytes()[:-30] if damage is None else damage)
+    (tmp_path / "c" / ".chunk-000000-000002.npz.99").write_bytes(b"rest of a killed run")
+    again = run_chunks(DyingStudy(tmp_path), 4, tmp_path / "c", "key", chunk=2)
+    np.testing.assert_array_equal(first["x"], again["x"])
+    assert sorted(p.name for p in (tmp_path / "c").iterdir()) == [
+        "chunk-000000-000002.npz", "chunk-000002-000004.npz", "study.json",
+    ]  # fmt: skip
+
+
+@pytest.mark.skipif(os.name != "posix", reason="parents are watched by their process number")
+def test_workers_end_soon_after_who_started_them(tmp_path: Path) -> None:
+    code = (
+        "import os, sys, time\nfrom pathlib import Path\n"
+        "from bayes_sensor.workers import completed\n"
+        "def wait(i):\n"
+        "    Path(sys.argv[1] if len(sys.argv) > 1 else i, f'{os.getpid()}').touch()\n"
+        "    time.sleep(60)\n"
+        "list(completed(wait, [sys.argv[1]] * 2, 2))\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)]) as process:
+        deadline = time.monotonic() + 60
+        while len(list(tmp_path.iterdir())) < 2 and time.monotonic() < deadline:
+            time.sleep(0.05)
+        process.kill()
+    pids = [int(p.name) for p in tmp_path.iterdir()]
+    assert len(pids) == 2 and process.pid not in pids
+    deadline = time.monotonic() + 30  # a quarter of a second on an idle machine
+    while any(Path(f"/proc/{pid}").exists() for pid in pids) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+
+
+@pytest.mark.filterwarnings("ignore")  # distributed warns about ports and its own shutdown
+def test_a_dask_worker_that_dies_is_replaced(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+        ) as cluster,
+        dask_client(cluster.scheduler_address) as client,
+    ):
+        found = dict(completed(Dying(tmp_path, once=2), range(4), client=client))
+    assert found == {i: i * i for i in range(4)}
+    assert (tmp_path / "died-2").exists()
+
+
+def test_a_scheduler_that_does_not_answer_is_one_message() -> None:
+    pytest.importorskip("distributed")
+    with (
+        pytest.raises(CampaignError, match=r"--scheduler nonsense: expected a Dask scheduler"),
+        dask_client("nonsense"),
+    ):
+        pass
