@@ -86,8 +86,9 @@ def progress_bar(label: str = "") -> Callable[[float, str], None]:
     """
     if not in_kernel():
         return lambda fraction, text: None
-    from IPython.display import HTML, display
+    from IPython import display
 
+    screen: Any = display  # its functions carry no types
     begun = drawn = monotonic()
     handle: Any = None
 
@@ -100,9 +101,9 @@ def progress_bar(label: str = "") -> Callable[[float, str], None]:
         drawn = now
         words = f"{label} done in {now - begun:.0f} s" if done else f"{label} {text}"
         bar = "" if done else f'<progress value="{share:.3f}" max="1"></progress> '
-        content = HTML(f"{bar}<span>{escape(words.strip())}</span>")
+        content = screen.HTML(f"{bar}<span>{escape(words.strip())}</span>")
         if handle is None:
-            handle = display(content, display_id=True)
+            handle = screen.display(content, display_id=True)
         else:
             handle.update(content)
 
