@@ -25,7 +25,7 @@ AFTER = np.array(
         2.5, 3.0, 3.6, 4.4, 5.4, 6.6, 8.0, 10.0, 13.0, 17.0, 23.0, 31.0, 43.0, 60.0,
     ]
 )  # fmt: skip
-BEFORE = np.array([-0.6, -0.3, -0.12, -0.06])
+BEFORE = np.array([-1.2, -0.9, -0.6, -0.45, -0.3, -0.2, -0.12, -0.06])
 """edges before a switch: a delay that the fit misplaced shows there"""
 LONGEST = 17.0
 """time scales; no bin is longer, so that drifts stay visible"""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from math import exp
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,13 @@ import numpy as np
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.effects import CATALOGUE, check_names
-from bayes_sensor.gap.full_rate import FullRate, look_at_full_rate
+from bayes_sensor.gap.events import look_for_events, look_for_patches, look_for_ringing
+from bayes_sensor.gap.full_rate import (
+    OF_UNLISTED_ORIGIN,
+    FullRate,
+    look_at_full_rate,
+    rounds_away,
+)
 from bayes_sensor.gap.hidden import Hidden, what_may_hide
 from bayes_sensor.gap.how_far import Closure, best_discrepancy, closure, held_out
 from bayes_sensor.gap.refit import Refit
@@ -266,12 +272,16 @@ def diagnose_gap(
     sketch = prepared.sketch
     base = fit_base(sketch)
     full_rate = [
-        f for f in look_at_full_rate(campaign, prepared.stretches, prepared.raw)
-        if f.name in catalogue or f.name == "line"
+        f for f in map(partial(_without_mains, catalogue), look_at_full_rate(
+            campaign, prepared.stretches, prepared.raw, prepared.residuals,
+            [q.deviation for q in prepared.quiet],
+        ))
+        if f.name in catalogue or f.name in OF_UNLISTED_ORIGIN
     ]  # fmt: skip
     tell(0.08, "where")
     located = locate(sketch, base, seed, bootstrap)
     weighing = weigh(sketch, base, catalogue, lambda s, t: tell(0.15 + 0.4 * s, t))
+    full_rate += _events(prepared, weighing, full_rate)
     stand = standing(weighing, full_rate, catalogue)
     kind, named, family, probability = judge(weighing, stand, catalogue)
     best = _best(weighing, kind, named, catalogue)
@@ -333,6 +343,32 @@ def _catalogue(
 
 
 # --------------------------------------------------------------------------- explanation
+
+
+def _without_mains(catalogue: Mapping[str, Effect], found: FullRate) -> FullRate:
+    """Where the mains are not in the catalogue, theirs is a line like any other."""
+    if found.name != "mains_pickup" or found.name in catalogue:
+        return found
+    s = found.strength
+    return replace(found, name="line", strength={"line_V": s["mains_V"], "line_Hz": s["mains_Hz"]})
+
+
+def _events(
+    prepared: Prepared, weighing: Weighing, full_rate: Sequence[FullRate]
+) -> list[FullRate]:
+    """Events and ringing in what the best complete explanation leaves."""
+    campaign = prepared.sketch.campaign
+    step = max((f.strength.get("adc_step", 0.0) for f in full_rate), default=0.0)
+    if rounds_away(prepared.stretches, step):
+        return []
+    complete = [h for h in weighing.hypotheses if not h.incomplete]
+    best = max(complete, key=lambda h: h.log_weight)
+    residuals = prepared.residuals_of(best.refit)
+    return [
+        look_for_patches(best.refit),
+        look_for_events(campaign, prepared.stretches_of(residuals)),
+        look_for_ringing(campaign, residuals, prepared.quiet),
+    ]
 
 
 def _best(
@@ -644,6 +680,29 @@ def _strength_words(strength: Mapping[str, Any], units: Mapping[str, str]) -> st
     return ", ".join(parts)
 
 
+def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
+    """One sentence about something of unlisted origin."""
+    s = found.strength
+    if found.name == "line":
+        return (
+            f"There is a line of unlisted origin at {s['line_Hz']:.4g} Hz with an amplitude "
+            f"of {1e3 * s['line_V']:.3g} m{unit}."
+        )
+    if found.name == "ringing":
+        return f"After the switches the signal rings at about {s['ringing_Hz']:.3g} Hz."
+    if found.name == "event":
+        return (
+            f"In experiment {names[int(s['event_experiment'])]} something happens once, near "
+            f"{s['event_s']:.4g} s: {s['event_ratio']:.2g} times the noise's usual size at that "
+            "time scale."
+        )
+    side = "after" if s["patch_s"] >= 0.0 else "before"
+    return (
+        "Single switches leave the model for moments, clearest in experiment "
+        f"{names[int(s['patch_experiment'])]}, {abs(s['patch_s']):.2g} s {side} a switch."
+    )
+
+
 def _units(sketch: Any, effect: Effect) -> dict[str, str]:
     setting = sketch.settings[0]
     found = {s.name: s.unit for form in effect.forms for s in form.strengths(setting)}
@@ -677,18 +736,14 @@ def _sentence(
         )
     if kind == "unlisted":
         words = []
-        line = next((f for f in full_rate if f.name == "line" and f.probability > 0.5), None)
-        if worst is not None or line is None:
+        findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > 0.5]
+        if worst is not None or not findings:
             words.append(
                 f"The model misses the measurement{place}, and no effect of the catalogue "
                 "explains it well: the cause is not listed."
             )
-        if line is not None:
-            s = line.strength
-            words.append(
-                f"There is a line of unlisted origin at {s['line_Hz']:.4g} Hz with an amplitude "
-                f"of {1e3 * s['line_V']:.3g} m{unit}."
-            )
+        names = [e.name for e in best.refit.plan.sketch.campaign]
+        words += [_finding_words(f, names, unit) for f in findings]
         return " ".join(words)
     if kind == "family":
         helps = next((s for s in separations if s.addition), None)

@@ -1,10 +1,11 @@
 """Something else: a smooth Gaussian-process discrepancy as an explicit competitor.
 
 Residual tests cannot say "none of the listed causes"; a rival that explains any smooth,
-event-locked misfit can (Kennedy and O'Hagan 2001; Brynjarsdottir and O'Hagan 2014).  Three
-Matern-3/2 parts:
+event-locked misfit can (Kennedy and O'Hagan 2001; Brynjarsdottir and O'Hagan 2014).  Matern-3/2
+parts:
 
 - *response*: in the logarithm of the time since a switch reached the sensor, scaled by beta;
+- *herald*: in linear time around the switch, scaled by beta: what runs ahead of the gas;
 - *drift*: in linear time, in volts;
 - *switching*: in the logarithm of the time since the command, in volts.
 
@@ -32,6 +33,10 @@ NEGLIGIBLE = 1e-3
 
 RESPONSE_LENGTHS = (0.3, 1.0, 2.5)
 RESPONSE_SHARES = (0.001, 0.003, 0.01, 0.03, 0.1)
+HERALD_SHARES = (0.003, 0.01, 0.03)
+HERALD = (-1.2, 0.5)
+"""time scales around a switch"""
+HERALD_LENGTH = 0.15
 DRIFT_SECONDS = 8.0
 VOLT_SHARES = (0.0005, 0.0015, 0.005, 0.015)
 """of the median step height: 1 to 30 mV for a 2 V step"""
@@ -125,6 +130,9 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
         flow, DRIFT_SECONDS, own=1.0,
     )  # fmt: skip
     made = []
+    herald = _herald_part(sketch, beta, flow)
+    for share in HERALD_SHARES:
+        made.append(_configure(f"herald {share:g}", 0.03, herald * share))
     for length, factor in response.items():
         for share in RESPONSE_SHARES:
             weight = 0.45 / (len(response) * len(RESPONSE_SHARES))
@@ -165,6 +173,21 @@ def _response_parts(sketch: Sketch, beta: list[float], flow: FloatArray) -> dict
             )  # fmt: skip
         found[length] = np.hstack(blocks)
     return found
+
+
+def _herald_part(sketch: Sketch, beta: list[float], flow: FloatArray) -> FloatArray:
+    blocks = []
+    for falling in (False, True):
+        if falling and not any(b.falling.any() for b in sketch.bins):
+            continue
+        since, volts = [], []
+        for b, size, setting in zip(sketch.bins, beta, sketch.settings, strict=True):
+            at = (b.centre - (setting.tf if falling else setting.t0)) / sketch.time_scale
+            near = (at > HERALD[0]) & (at < HERALD[1])
+            since.append(np.clip(at, *HERALD))
+            volts.append(np.where(near, size, 0.0))
+        blocks.append(_part(sketch, since, volts, flow, HERALD_LENGTH))
+    return np.hstack(blocks)
 
 
 def _log_time(since: FloatArray, scale: float) -> FloatArray:

@@ -38,6 +38,8 @@ class Stretch:
     """0 carrier gas alone, 1 plateau"""
     samples: FloatArray
     """(n,) V, residual of the fit, spikes replaced"""
+    begin: float = 0.0
+    """s, time of the first sample"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +121,7 @@ def quiet_stretches(
             for run_a, run_b in e.runs:
                 i, j = max(a, run_a), min(z, run_b)
                 if (j - i) >= 64:
-                    found.append(Stretch(k, level, np.asarray(r[i:j], dtype=float)))
+                    found.append(Stretch(k, level, np.asarray(r[i:j], dtype=float), float(e.t[i])))
     return found
 
 
@@ -148,10 +150,12 @@ def estimate_floor(
     settle: Sequence[float],
     level_of_bins: Sequence[FloatArray],
     spikes: int = 0,
+    fits: Sequence[FloatArray] | None = None,
 ) -> Floor:
     """The floor of a campaign from the residuals (n_t,) V of its fit.
 
-    ``level_of_bins``: the normalised concentration (n_bins,) in 0..1 of every bin.
+    ``level_of_bins``: the normalised concentration (n_bins,) in 0..1 of every bin.  ``fits``
+    (n_t,) V: the fitted means, for the bias of a coarse converter's rounding.
 
     Raises
     ------
@@ -178,9 +182,12 @@ def estimate_floor(
         np.add.at(count[s.experiment, s.level], band[inside], 1.0)
     density, dof = _shrunk(power, count, edges)
     factors = tuple(
-        _bin_cholesky(e, b, edges, density[k], level)
+        _bin_cholesky(
+            e, b, edges, density[k], level,
+            None if fits is None else rounding_bias(e, b, edges, density[k], fits[k]),
+        )
         for k, (e, b, level) in enumerate(zip(campaign, bins, level_of_bins, strict=True))
-    )
+    )  # fmt: skip
     return Floor(edges, density, dof, factors, spikes)
 
 
@@ -248,10 +255,58 @@ def _lean_down(common: FloatArray, count: FloatArray, edges: FloatArray) -> Floa
     return out
 
 
+def rounding_bias(
+    e: Experiment, bins: ExperimentBins, edges: FloatArray, density: FloatArray, fit: FloatArray
+) -> FloatArray | None:
+    """(n_bins, m) V, factor of the covariance that rounding to a converter's step gives bin means.
+
+    Gaussian noise of standard deviation sigma around y rounds, on average, to y plus
+    sum_m (-1)^m step/(pi m) exp(-2 (pi m sigma/step)^2) sin(2 pi m y/step): nothing where the
+    noise crosses several steps, a bias that follows the signal where it does not (Widrow, Kollar
+    and Liu 1996).  The phase is taken for unknown.  None where the bias is negligible.
+    """
+    step = lattice_step(e.values[e.used])
+    if step <= 0.0:
+        return None
+    sigma = float(np.sqrt(np.min(density @ np.diff(edges))))
+    columns = []
+    for m in (1, 2, 3):
+        size = step / (np.pi * m) * np.exp(-2.0 * (np.pi * m * sigma / step) ** 2)
+        if size > 1e-3 * sigma:
+            angle = 2.0 * np.pi * m * fit / step
+            columns += [size * bins.average(np.cos(angle)), size * bins.average(np.sin(angle))]
+    return np.column_stack(columns) / np.sqrt(2.0) if columns else None
+
+
+def lattice_step(values: FloatArray) -> float:
+    """The step of the lattice that all values (n,) lie on, or 0 where they lie on none."""
+    distinct = np.unique(values)
+    if len(distinct) < 3 or len(distinct) > 0.5 * len(values):
+        return 0.0
+    gaps = np.diff(distinct)
+    span = float(distinct[-1] - distinct[0])
+    gaps = gaps[gaps > 1e-9 * span]
+    if len(gaps) == 0:
+        return 0.0
+    step = float(np.min(gaps))
+    # converted values carry rounding: the mean over many steps is sharper than one
+    step = span / round(span / step) if span / step < 1e6 else step
+    away = np.abs((distinct - distinct[0]) / step - np.rint((distinct - distinct[0]) / step))
+    return step if float(np.max(away)) < 0.02 else 0.0
+
+
 def _bin_cholesky(
-    e: Experiment, bins: ExperimentBins, edges: FloatArray, density: FloatArray, level: FloatArray
+    e: Experiment,
+    bins: ExperimentBins,
+    edges: FloatArray,
+    density: FloatArray,
+    level: FloatArray,
+    extra: FloatArray | None = None,
 ) -> FloatArray:
-    """Lower factor (n_bins, n_bins) of the covariance of bin means of one experiment."""
+    """Lower factor (n_bins, n_bins) of the covariance of bin means of one experiment.
+
+    ``extra`` (n_bins, m) V: factor of what is added to it.
+    """
     # lags are needed on a grid that is fine beside the shortest bin only; the bins' ends are moved
     # onto it, so that what follows is the covariance of a real process and positive definite
     shortest = float(np.min(bins.count)) * e.interval
@@ -292,6 +347,8 @@ def _bin_cholesky(
     floor = np.maximum(np.diag(total), 0.0)
     white = _white_variance(e, edges, density, w) / bins.count
     total[np.diag_indices_from(total)] = np.maximum(floor, white)
+    if extra is not None:
+        total += extra @ extra.T
     # rounding alone may take the smallest eigenvalue below zero
     total[np.diag_indices_from(total)] *= 1.0 + 1e-9
     return np.asarray(np.linalg.cholesky(total), dtype=float)

@@ -7,20 +7,23 @@ its own on the quiet stretches, and each adds its probability to whatever explai
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter, windows
 from scipy.special import gammaln, logsumexp
 from scipy.stats import gamma
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.gap.floor import Stretch, detrended
+from bayes_sensor.gap.floor import Stretch, detrended, lattice_step
 
 MAINS = (50.0, 60.0)
 """Hz"""
 NEAR_MAINS = 0.15
 """Hz; a line this close to the mains or a harmonic is the mains"""
+MAINS_SPREAD = 0.05
+"""Hz; spread of the mains' frequency, and of a harmonic's in proportion"""
 LOWEST_LINE = 0.2
 """Hz; below, a spectrum's own slope looks like a line"""
 FEWEST_CYCLES = 6.0
@@ -33,7 +36,18 @@ COARSE = 0.02
 """share of the sample-to-sample variance from which the converter's steps are called coarse"""
 LUMPY = -25.0
 """ln Bayes factor of coarse steps from which the test of tails spreads the samples"""
-PRIOR = {"mains_pickup": 0.03, "heavy_tails": 0.03, "quantisation": 0.03, "line": 0.02}
+COARSE_OF_ALL = 0.001
+"""share of the noise's whole variance below which the steps do not matter, fine as they may look"""
+TOO_COARSE = 1.0
+"""steps over the innovations' standard deviation from which tails cannot be told"""
+PRIOR = {
+    "mains_pickup": 0.03, "heavy_tails": 0.03, "quantisation": 0.03,
+    "line": 0.02, "event": 0.025, "patch": 0.025, "ringing": 0.01,
+}  # fmt: skip
+HARDLY_CROSSED = 0.7
+"""steps over the noise's standard deviation from which it hardly crosses them"""
+OF_UNLISTED_ORIGIN = ("line", "event", "patch", "ringing")
+"""findings that have no name in the catalogue"""
 
 
 @dataclass(frozen=True)
@@ -41,7 +55,7 @@ class FullRate:
     """What the samples themselves say."""
 
     name: str
-    """an effect's name, or ``line`` for one of unlisted origin"""
+    """an effect's name, or one of :data:`OF_UNLISTED_ORIGIN`"""
     log_bayes_factor: float
     strength: dict[str, float]
     d: float | None
@@ -56,82 +70,155 @@ class FullRate:
 
 
 def look_at_full_rate(
-    campaign: Campaign, stretches: Sequence[Stretch], raw: Sequence[Stretch]
+    campaign: Campaign,
+    stretches: Sequence[Stretch],
+    raw: Sequence[Stretch],
+    residuals: Sequence[FloatArray],
+    deviations: Sequence[FloatArray],
 ) -> list[FullRate]:
-    """Mains, other lines, tails and quantisation; ``raw`` still has its spikes."""
+    """Mains, other lines, tails and quantisation.
+
+    ``raw`` still has its spikes; ``residuals`` (n_t,) V and ``deviations`` (n_t,) V of the noise
+    are those of whole records, over which the mains keep their phase.
+    """
     coarse = look_for_steps(campaign, stretches)
     # on a coarse lattice the innovations are lumps, not tails: spread them over the step again
     step = coarse.strength["adc_step"] if coarse.log_bayes_factor > LUMPY else 0.0
-    return [*look_for_lines(campaign, stretches), look_at_tails(raw, step), coarse]
+    found = [look_at_tails(raw, step), coarse]
+    if rounds_away(stretches, coarse.strength["adc_step"]):
+        return found
+    return [
+        *_look_for_lines(_pieces_of_records(campaign, residuals, deviations), mains=True),
+        *_other_lines(_pieces_of_stretches(campaign, stretches)),
+        *found,
+    ]
+
+
+def _other_lines(pieces: Sequence[Piece]) -> list[FullRate]:
+    """A line in all quiet stretches, or (a pump's, a controller's) in the plateaus alone."""
+    everywhere = _look_for_lines(pieces, mains=False)
+    plateaus = _look_for_lines([p for p in pieces if p.group == 1], mains=False)
+    if not everywhere or not plateaus:
+        return everywhere or plateaus
+    both = (everywhere[0], plateaus[0])
+    value = float(logsumexp([f.log_bayes_factor for f in both]) - np.log(2.0))
+    clearer = max(both, key=lambda f: f.log_bayes_factor)
+    return [replace(clearer, log_bayes_factor=value)]
+
+
+def rounds_away(stretches: Sequence[Stretch], step: float) -> bool:
+    """Whether the converter's step V is so coarse that the noise hardly crosses it.
+
+    Rounding then makes lines, plateaus and jumps of its own.
+    """
+    spreads = [float(np.std(s.samples)) for s in stretches]
+    return bool(spreads) and step > HARDLY_CROSSED * min(spreads)
 
 
 # --------------------------------------------------------------------------- lines
 
 
-def look_for_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRate]:
-    """Mains and other lines from the periodograms of all stretches together.
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Samples in which a line keeps its phase."""
+
+    samples: FloatArray
+    """(n,) V"""
+    weights: FloatArray
+    """(n,) of every sample in the transform"""
+    interval: float
+    """s"""
+    group: int
+    """pieces of one group share a spectral shape"""
+
+
+def _pieces_of_stretches(campaign: Campaign, stretches: Sequence[Stretch]) -> list[Piece]:
+    return [
+        Piece(
+            detrended(s.samples, 4),
+            windows.tukey(len(s.samples), 0.2),
+            campaign.experiments[s.experiment].interval,
+            s.level,
+        )
+        for s in stretches
+        if len(s.samples) >= 512
+    ]
+
+
+def _pieces_of_records(
+    campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
+) -> list[Piece]:
+    found = []
+    for e, r, d in zip(campaign, residuals, deviations, strict=True):
+        for a, b in e.runs:
+            if b - a >= 512:
+                samples = np.where(e.used[a:b], r[a:b], 0.0)
+                # the weights of least squares: less where the noise is larger
+                weights = windows.tukey(b - a, 0.05) * (np.min(d) / d[a:b]) ** 2 * e.used[a:b]
+                found.append(Piece(detrended(samples, 4), weights, e.interval, 0))
+    return found
+
+
+def _look_for_lines(pieces: Sequence[Piece], mains: bool) -> list[FullRate]:
+    """The mains, or any other line, from the periodograms of all pieces together.
 
     A line of any phase makes a periodogram ordinate, exponential under noise, ``1 + c`` times as
     large on average; ``ln B(f) = ln mean_c exp(sum_k [P_k c/(1 + c) - ln(1 + c)])``, averaged over
     frequency with the weight 1/max(f, 1 Hz).
     """
-    intervals = [campaign.experiments[s.experiment].interval for s in stretches]
-    common = float(np.median(intervals)) if intervals else 1.0
-    used = [
-        s for s, h in zip(stretches, intervals, strict=True)
-        if abs(h - common) < 1e-9 * common and len(s.samples) >= 512
-    ]  # fmt: skip
+    if not pieces:
+        return []
+    common = float(np.median([p.interval for p in pieces]))
+    used = [p for p in pieces if abs(p.interval - common) < 1e-9 * common]
     if not used:
         return []
-    longest = max(len(s.samples) for s in used)
+    longest = max(len(p.samples) for p in used)
     n = 1 << int(np.ceil(np.log2(longest)))
     f = np.asarray(np.fft.rfftfreq(n, common), dtype=float)
-    total, level_sum = _sum_over_stretches(used, n)
+    total, level_sum = _sum_over_pieces(used, n)
     k = len(used)
     c = np.array(RATIOS)[:, None]
     log_b = logsumexp(total * c / (1.0 + c) - k * np.log1p(c), axis=0) - np.log(len(RATIOS))
     lowest = max(LOWEST_LINE, FEWEST_CYCLES / (longest * common))
-    sane = (f >= lowest) & (f <= 0.498 / common)
-    near, nominal = _mains_bands(f, common)
-    found = []
-    for name, where in (("mains_pickup", near & sane), ("line", ~near & sane)):
-        if not where.any():
-            continue
-        weight = 1.0 / np.maximum(f[where], 1.0)
-        weight /= weight.sum()
-        value = float(logsumexp(log_b[where] + np.log(weight)))
-        peak = np.flatnonzero(where)[int(np.argmax(log_b[where]))]
-        excess = max(float(total[peak]) - k, 0.0)
-        # a line of amplitude A gives |sum w y|^2 = A^2 (sum w)^2 / 4
-        amplitude = 2.0 * np.sqrt(excess / k * level_sum[peak] / k)
-        strength = (
-            {"mains_V": float(amplitude), "mains_Hz": float(nominal[peak])}
-            if name == "mains_pickup"
-            else {"line_V": float(amplitude), "line_Hz": float(f[peak])}
-        )
-        found.append(FullRate(name, value, strength, float(np.sqrt(2.0 * excess))))
-    return found
+    near, nominal, closeness = _mains_bands(f, common)
+    where = (near if mains else ~near) & (f >= lowest) & (f <= 0.498 / common)
+    if not where.any():
+        return []
+    # the grid keeps its frequency within a few hundredths of a hertz; fundamentals come first
+    weight = closeness[where] if mains else 1.0 / np.maximum(f[where], 1.0)
+    weight /= weight.sum()
+    value = float(logsumexp(log_b[where] + np.log(weight)))
+    peak = np.flatnonzero(where)[int(np.argmax(log_b[where]))]
+    excess = max(float(total[peak]) - k, 0.0)
+    # a line of amplitude A gives |sum w y|^2 = A^2 (sum w)^2 / 4
+    amplitude = 2.0 * np.sqrt(excess / k * level_sum[peak] / k)
+    strength = (
+        {"mains_V": float(amplitude), "mains_Hz": float(nominal[peak])}
+        if mains
+        else {"line_V": float(amplitude), "line_Hz": float(f[peak])}
+    )
+    name = "mains_pickup" if mains else "line"
+    return [FullRate(name, value, strength, float(np.sqrt(2.0 * excess)))]
 
 
-def _sum_over_stretches(used: Sequence[Stretch], n: int) -> tuple[FloatArray, FloatArray]:
-    """Sums over stretches of ordinates (n/2 + 1,) over the noise level, and of squared levels.
+def _sum_over_pieces(used: Sequence[Piece], n: int) -> tuple[FloatArray, FloatArray]:
+    """Sums over pieces of ordinates (n/2 + 1,) over the noise level, and of squared levels.
 
-    The level's shape is pooled over the stretches with the same gas: one stretch alone has too
-    few ordinates at low frequencies for the ratio to be exponential.
+    The level's shape is pooled over a group: one piece alone has too few ordinates at low
+    frequencies for the ratio to be exponential.
     """
     total = np.zeros(n // 2 + 1)
     level_sum = np.zeros(n // 2 + 1)
-    for gas in {s.level for s in used}:
-        group = [s for s in used if s.level == gas]
+    for which in {p.group for p in used}:
+        group = [p for p in used if p.group == which]
         powers, sizes = [], []
-        for s in group:
-            taper = windows.tukey(len(s.samples), 0.2)
-            power = np.abs(np.fft.rfft(detrended(s.samples, 4) * taper, n)) ** 2
+        for p in group:
+            power = np.abs(np.fft.rfft(p.samples * p.weights, n)) ** 2
             scale = float(np.mean(power[1:])) or 1e-300
             powers.append(power / scale)
-            sizes.append(scale / float(np.sum(taper)) ** 2)
+            sizes.append(scale / float(np.sum(p.weights)) ** 2)
         k = len(group)
-        resolution = n / float(np.median([len(s.samples) for s in group]))
+        resolution = n / float(np.median([len(p.samples) for p in group]))
         level = _local_level(np.mean(powers, axis=0), resolution, k)
         for power, size in zip(powers, sizes, strict=True):
             total += power / level
@@ -142,17 +229,18 @@ def _sum_over_stretches(used: Sequence[Stretch], n: int) -> tuple[FloatArray, Fl
 def _local_level(power: FloatArray, per_resolution: float, k: int) -> FloatArray:
     """The noise level (n_f,) around every ordinate, blind to lines and to a spectrum's slope.
 
-    ``power``: mean of ``k`` periodograms.  The level is the median over a window that is even in
-    the logarithm of the frequency, at least 16 native resolutions wide, over that of a gamma law.
+    ``power``: mean of ``k`` periodograms.  The level is the median over a window 20 native
+    resolutions or a tenth of the frequency wide, over that of a gamma law: a resonance of the
+    noise is wider than that and is no line.
     """
     index = np.arange(len(power), dtype=float)
     centres = [1.0]
     while centres[-1] < len(power):
-        centres.append(max(centres[-1] * 1.12, centres[-1] + 2.0 * per_resolution))
+        centres.append(max(centres[-1] * 1.03, centres[-1] + 4.0 * per_resolution))
     levels = []
     for centre in centres:
-        half = max(0.4 * centre, 8.0 * per_resolution)
-        low, high = int(max(centre - half * 0.8, 1)), int(min(centre + half, len(power))) + 1
+        half = max(0.05 * centre, 10.0 * per_resolution)
+        low, high = int(max(centre - half, 1)), int(min(centre + half, len(power))) + 1
         window = power[low:high]
         step = max(1, len(window) // 400)
         levels.append(float(np.median(window[::step])) / float(gamma.median(k) / k))
@@ -162,10 +250,16 @@ def _local_level(power: FloatArray, per_resolution: float, k: int) -> FloatArray
     return np.maximum(np.exp(smooth), 1e-300)
 
 
-def _mains_bands(f: FloatArray, interval: float) -> tuple[np.ndarray, FloatArray]:
-    """Whether a frequency is the mains' or a harmonic's, folded at half the sampling rate."""
+def _mains_bands(
+    f: FloatArray, interval: float
+) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
+    """Whether a frequency is the mains' or a harmonic's, folded at half the sampling rate.
+
+    Also the line's own frequency, and how plausible each frequency is.
+    """
     near = np.zeros(len(f), dtype=bool)
     nominal = np.zeros(len(f))
+    closeness = np.full(len(f), 1e-300)
     rate = 1.0 / interval
     # the lowest line that folds to a frequency is the likeliest there
     lines = sorted((harmonic * mains, harmonic) for mains in MAINS for harmonic in range(1, 10))
@@ -175,10 +269,12 @@ def _mains_bands(f: FloatArray, interval: float) -> tuple[np.ndarray, FloatArray
         folded = abs(true - rate * round(true / rate))
         if folded < LOWEST_LINE:
             continue
-        close = np.abs(f - folded) < NEAR_MAINS * harmonic**0.5
-        nominal[close & ~near] = true
+        close = (np.abs(f - folded) < NEAR_MAINS * harmonic**0.5) & ~near
+        nominal[close] = true
+        away = (f[close] - folded) / (MAINS_SPREAD * harmonic)
+        closeness[close] = np.exp(-0.5 * away**2) / harmonic**3
         near |= close
-    return near, nominal
+    return near, nominal, np.maximum(closeness, 1e-300)
 
 
 # --------------------------------------------------------------------------- tails
@@ -189,7 +285,7 @@ def look_at_tails(stretches: Sequence[Stretch], step: float = 0.0) -> FullRate:
 
     ``step`` V: the samples are spread evenly over the converter's step first.
     """
-    values = []
+    values, spreads = [], []
     rng = np.random.default_rng(1)  # the same dither in every run
     for s in stretches:
         if len(s.samples) < 200:
@@ -199,6 +295,7 @@ def look_at_tails(stretches: Sequence[Stretch], step: float = 0.0) -> FullRate:
         spread = float(np.std(e))
         if spread > 0:
             values.append(e / spread)
+            spreads.append(spread)
     if not values:
         return FullRate("heavy_tails", 0.0, {"tail_dof": float("inf")}, None)
     e = np.concatenate(values)
@@ -213,6 +310,8 @@ def look_at_tails(stretches: Sequence[Stretch], step: float = 0.0) -> FullRate:
         scales.append(scale)
     best = TAIL_DOF[int(np.argmax(logs))]
     value = float(logsumexp(logs) - np.log(len(logs)) - gaussian)
+    if step > TOO_COARSE * float(np.median(spreads)):
+        value = min(value, 0.0)
     return FullRate("heavy_tails", value, {"tail_dof": best}, None)
 
 
@@ -240,23 +339,6 @@ def _t_likelihood(e: FloatArray, dof: float) -> tuple[float, float]:
 # --------------------------------------------------------------------------- the converter
 
 
-def lattice_step(values: FloatArray) -> float:
-    """The step of the lattice that all values (n,) lie on, or 0 where they lie on none."""
-    distinct = np.unique(values)
-    if len(distinct) < 3 or len(distinct) > 0.5 * len(values):
-        return 0.0
-    gaps = np.diff(distinct)
-    span = float(distinct[-1] - distinct[0])
-    gaps = gaps[gaps > 1e-9 * span]
-    if len(gaps) == 0:
-        return 0.0
-    step = float(np.min(gaps))
-    # converted values carry rounding: the mean over many steps is sharper than one
-    step = span / round(span / step) if span / step < 1e6 else step
-    away = np.abs((distinct - distinct[0]) / step - np.rint((distinct - distinct[0]) / step))
-    return step if float(np.max(away)) < 0.02 else 0.0
-
-
 def look_for_steps(campaign: Campaign, stretches: Sequence[Stretch]) -> FullRate:
     """Coarse steps: a lattice whose rounding makes up a share of the sample-to-sample variance."""
     steps = [lattice_step(e.values[e.used]) for e in campaign]
@@ -266,6 +348,9 @@ def look_for_steps(campaign: Campaign, stretches: Sequence[Stretch]) -> FullRate
     step = float(np.median(known))
     innovations = [float(np.var(_innovations(detrended(s.samples), 4))) for s in stretches]
     share = step**2 / 12.0 / max(float(np.median(innovations)), 1e-300)
+    whole = float(np.median([np.var(s.samples) for s in stretches]))
+    of_all = step**2 / 12.0 / max(whole, 1e-300)
     # the lattice itself is certain; what is judged is whether it matters
-    value = float(np.clip(8.0 * np.log(share / COARSE), -30.0, 30.0))
+    value = 8.0 * np.log(min(share / COARSE, of_all / COARSE_OF_ALL))
+    value = float(np.clip(value, -30.0, 30.0))
     return FullRate("quantisation", value, {"adc_step": step}, None)

@@ -9,7 +9,8 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.gap.bins import make_bins
-from bayes_sensor.gap.floor import Stretch, clean, estimate_floor, quiet_stretches
+from bayes_sensor.gap.events import Quiet
+from bayes_sensor.gap.floor import Floor, Stretch, clean, estimate_floor, quiet_stretches
 from bayes_sensor.gap.refit import (
     FASTER,
     NUISANCE_SD,
@@ -71,6 +72,44 @@ class Prepared:
     """quiet parts, spikes replaced"""
     raw: tuple[Stretch, ...]
     """the same as measured"""
+    quiet: tuple[Quiet, ...]
+    """switches and quiet spans of every experiment, and its noise"""
+    theta: FloatArray
+    """the flat fit that the residuals belong to"""
+    settle: tuple[float, ...]
+    """s after a switch that every experiment's quiet spans leave out"""
+
+    def residuals_of(self, found: Refit) -> list[FloatArray]:
+        """(n_t,) V of every experiment, spikes replaced, measurement minus a refit's mean."""
+        campaign = self.sketch.campaign
+        layout = Layout.of(campaign)
+        made = []
+        for k, (e, r) in enumerate(zip(campaign, self.residuals, strict=True)):
+            i_y0, i_beta, i_t0, i_tf = layout.local[k]
+            taus = _taus(self.theta, e.total_flow)
+            tf = float(self.theta[i_tf]) if i_tf >= 0 else None
+            n = int(max((e.t[-1] - e.t[0]) / max(FINE, e.interval), 1.0)) + 2
+            grid = np.linspace(float(e.t[0]), float(e.t[-1]), n)
+            here = float(self.theta[i_y0]) + float(self.theta[i_beta]) * cascade_response(
+                grid, taus, float(self.theta[i_t0]), tf
+            )
+            moved = found.plan.mean(found.x, k, grid) - here
+            made.append(np.where(e.used, r - np.interp(e.t, grid, moved), 0.0))
+        return made
+
+    def stretches_of(self, residuals: list[FloatArray]) -> list[Stretch]:
+        """The quiet parts of other residuals (n_t,) V."""
+        sketch = self.sketch
+        return quiet_stretches(sketch.campaign, residuals, sketch.bins, self.settle)
+
+
+FINE = 0.005
+"""s, steps in which two means are compared at full rate"""
+
+
+def _taus(theta: FloatArray, flow: float) -> FloatArray:
+    """(3,) s, valve, manifold, sensor of a flat theta."""
+    return np.array([theta[1], theta[2] / flow, theta[0]])
 
 
 def prepare(campaign: Campaign, theta: FloatArray) -> Prepared:
@@ -87,7 +126,7 @@ def prepare(campaign: Campaign, theta: FloatArray) -> Prepared:
         values, n = clean(r, e.used)
         cleaned.append(values)
         spikes += n
-    taus = [np.array([flat[1], flat[2] / e.total_flow, flat[0]]) for e in campaign]
+    taus = [_taus(flat, e.total_flow) for e in campaign]
     scale = float(max(flat[1], np.median([t[1] for t in taus])))
     switches = []
     for k in range(len(campaign)):
@@ -101,7 +140,8 @@ def prepare(campaign: Campaign, theta: FloatArray) -> Prepared:
         t0, tf = switches[k]
         levels.append(b.reduce(cascade_response(b.times, taus[k], t0, tf)))
     settle = [settling_time(t) for t in taus]
-    floor = estimate_floor(campaign, cleaned, bins, settle, levels, spikes)
+    fits = [e.values - r for e, r in zip(campaign, raw, strict=True)]
+    floor = estimate_floor(campaign, cleaned, bins, settle, levels, spikes, fits)
     steps = [abs(float(flat[layout.local[k][1]])) for k in range(len(campaign))]
     sketch = Sketch(
         campaign=campaign,
@@ -121,7 +161,34 @@ def prepare(campaign: Campaign, theta: FloatArray) -> Prepared:
         tuple(cleaned),
         tuple(quiet_stretches(campaign, cleaned, bins, settle)),
         tuple(quiet_stretches(campaign, raw, bins, settle)),
+        tuple(_quiet(campaign, floor, switches, taus, settle)),
+        flat,
+        tuple(settle),
     )
+
+
+def _quiet(
+    campaign: Campaign,
+    floor: Floor,
+    switches: list[tuple[float, float | None]],
+    taus: list[FloatArray],
+    settle: list[float],
+) -> list[Quiet]:
+    deviation = np.sqrt(floor.density @ np.diff(floor.edges))
+    found = []
+    for k, (e, (t0, tf)) in enumerate(zip(campaign, switches, strict=True)):
+        begins = [float(e.t[0]), t0 + settle[k]] + ([] if tf is None else [tf + settle[k]])
+        ends = [t0, float(e.t[-1])] if tf is None else [t0, tf, float(e.t[-1])]
+        x = np.clip(cascade_response(e.t, taus[k], t0, tf), 0.0, 1.0)
+        low, high = deviation[k]
+        found.append(
+            Quiet(
+                switches=(t0,) if tf is None else (t0, tf),
+                spans=tuple(zip(begins, ends, strict=True)),
+                deviation=low + (high - low) * x,
+            )
+        )
+    return found
 
 
 def settling_time(taus: FloatArray) -> float:

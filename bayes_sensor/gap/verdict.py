@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_sensor.gap.effect import Effect
-from bayes_sensor.gap.full_rate import FullRate
+from bayes_sensor.gap.full_rate import OF_UNLISTED_ORIGIN, FullRate
 from bayes_sensor.gap.which import Hypothesis, Weighing
 
 NAMED = 0.9
@@ -51,17 +51,18 @@ def standing(
     """Join what explains the mean with what the samples say; the two are independent."""
     rows: dict[str, float] = {"none": 0.0, "unlisted": 0.0}
     rows.update({name: 0.0 for name in catalogue})
-    on_noise = {f.name: f.probability for f in full_rate if f.name in catalogue or f.name == "line"}
-    quiet = float(np.prod([1.0 - p for p in on_noise.values()]))
-    line = on_noise.pop("line", 0.0)
+    on_noise = {f.name: f.probability for f in full_rate if f.name in catalogue}
+    silent = float(np.prod([1.0 - p for p in on_noise.values()]))
+    other = 1.0 - float(
+        np.prod([1.0 - f.probability for f in full_rate if f.name in OF_UNLISTED_ORIGIN])
+    )
     likely = max(on_noise, key=lambda n: on_noise[n]) if on_noise else ""
     for h, p in zip(weighing.hypotheses, weighing.probabilities, strict=True):
         if h.incomplete:
             rows["unlisted"] += float(p)
             continue
-        rows["unlisted"] += float(p) * line
-        rest = float(p) * (1.0 - line)
-        silent = quiet / max(1.0 - line, 1e-300)
+        rows["unlisted"] += float(p) * other
+        rest = float(p) * (1.0 - other)
         name = "+".join(h.effects) or "none"
         rows[name] = rows.get(name, 0.0) + rest * silent
         # some effect of the noise is there: the likeliest stands for it

@@ -1,0 +1,269 @@
+"""Something else, again: what happens once, and what rings after a switch.
+
+The noise floor comes from the quiet stretches, so an event that befalls one of them raises the
+floor it is judged by, and bins average what is shorter than they are.  Two tests at full rate ask
+for what stationary Gaussian noise of *any* spectrum does not do: to be much larger somewhere than
+it usually is at the same time scale, and to oscillate after the switches more than elsewhere.
+Both count as unlisted, whatever explains the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.special import logsumexp
+
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.gap.floor import DOF, Stretch, detrended
+from bayes_sensor.gap.full_rate import FullRate
+from bayes_sensor.gap.refit import Refit
+
+BLOCK = 0.05
+"""s, means over which events are looked for"""
+WIDTHS = (0.15, 0.25, 0.42, 0.7, 1.15, 1.9, 3.1, 5.0)
+"""s, of a bump or of the means on either side of a jump"""
+EVENT_RATIOS = (4.0, 16.0, 64.0)
+"""an event's plausible variance over the noise's"""
+STRUCK = 0.3
+"""plausible share of stretches with an event, where there are any"""
+MEDIAN_EFFICIENCY = 0.37
+"""of a spread taken from the median of absolute values (Hampel 1974)"""
+
+PATCH_SPAN = (-1.2, 8.0)
+"""time scales around a switch"""
+PATCH_BINS = (1, 2, 3, 4, 6)
+"""bins in a run"""
+
+RINGING_BLOCK = 0.005
+"""s"""
+DAMPING = (0.15, 0.4, 1.0, 2.0)
+"""s, times in which a ringing dies away"""
+BEGINS = np.arange(-7, 8) * 0.05
+"""s, when it may begin, from the fitted switch"""
+RINGING_HZ = (3.5, 60.0)
+RINGING_RATIOS = (0.5, 1.0, 2.5, 6.0, 15.0, 40.0)
+FEWEST_WINDOWS = 10
+"""quiet windows below which the usual power at a frequency is not known"""
+
+
+@dataclass(frozen=True)
+class Quiet:
+    """Where one record is quiet, and what to scale it by."""
+
+    switches: tuple[float, ...]
+    """s"""
+    spans: tuple[tuple[float, float], ...]
+    """s, from settling to the next switch"""
+    deviation: FloatArray
+    """(n_t,) V, the noise's standard deviation at every sample"""
+
+
+def look_for_events(campaign: Campaign, stretches: Sequence[Stretch]) -> FullRate:
+    """Bumps and jumps in single stretches.
+
+    Differences of means (a bump against both its sides, after against before) are scaled by their
+    own median absolute value over all stretches with the same gas, so that the noise's spectrum
+    does not matter and an event that is rare in time does not hide itself.  ``ln B`` of a stretch
+    averages, over positions, widths and the amplitude's plausible spread, the ratio of t
+    densities; ``strength``: the clearest event's experiment (counted from 0), time in s and
+    ratio to the usual.
+    """
+    blocks = [_blocks(campaign, s) for s in stretches]
+    use = [(s, *made) for s, made in zip(stretches, blocks, strict=True) if made is not None]
+    found: list[list[float]] = [[] for _ in use]
+    largest, where, when = 0.0, 0, 0.0
+    for width in WIDTHS:
+        for shape, middle in ((_bump, 2.5), (_jump, 1.0)):
+            sizes = [max(1, round(width / dt)) for _, _, dt in use]
+            made = [shape(x, m) for (_, x, _), m in zip(use, sizes, strict=True)]
+            for level in (0, 1):
+                here = [k for k, u in enumerate(use) if u[0].level == level and len(made[k]) > 0]
+                if not here:
+                    continue
+                usual = float(np.median(np.abs(np.concatenate([made[k] for k in here])))) / 0.6745
+                if usual <= 0.0:
+                    continue
+                seconds = sum(len(made[k]) * use[k][2] for k in here)
+                dof = max(MEDIAN_EFFICIENCY * seconds / width, 3.0)
+                for k in here:
+                    square = (made[k] / usual) ** 2
+                    found[k].append(_surprise(square, dof))
+                    at = int(np.argmax(square))
+                    # brought to a Gaussian's tails, so that widths compare
+                    clear = float(dof * np.log1p(square[at] / dof))
+                    if clear > largest:
+                        stretch, _, dt = use[k]
+                        largest, where = clear, stretch.experiment
+                        when = stretch.begin + (at + middle * sizes[k]) * dt
+    value = 0.0
+    for logs in found:
+        if logs:
+            b = float(logsumexp(logs)) - np.log(len(logs))
+            value += float(np.logaddexp(np.log1p(-STRUCK), np.log(STRUCK) + b))
+    strength = {"event_experiment": float(where), "event_s": when, "event_ratio": largest**0.5}
+    return FullRate("event", value, strength, float(np.sqrt(largest)))
+
+
+def _blocks(campaign: Campaign, s: Stretch) -> tuple[FloatArray, float] | None:
+    """(n,) detrended means over BLOCK in units of the sample-to-sample changes, and their step."""
+    h = campaign.experiments[s.experiment].interval
+    size = max(1, round(BLOCK / h))
+    n = len(s.samples) // size
+    if n < 40:
+        return None
+    x = detrended(s.samples[: n * size])
+    scale = float(np.std(np.diff(x)))
+    if scale <= 0.0:
+        return None
+    return x.reshape(n, size).mean(axis=1) / scale, size * h
+
+
+def _bump(x: FloatArray, m: int) -> FloatArray:
+    """Means over m blocks minus those of 2 m on both sides; empty where the record is short."""
+    if len(x) < 6 * m:
+        return np.empty(0)
+    c = np.concatenate([[0.0], np.cumsum(x)])
+    i = np.arange(len(x) - 5 * m + 1)
+    sides = (c[i + 2 * m] - c[i]) + (c[i + 5 * m] - c[i + 3 * m])
+    return np.asarray((c[i + 3 * m] - c[i + 2 * m]) / m - sides / (4 * m))
+
+
+def _jump(x: FloatArray, m: int) -> FloatArray:
+    """Means over the m blocks after minus those before."""
+    if len(x) < 6 * m:
+        return np.empty(0)
+    c = np.concatenate([[0.0], np.cumsum(x)])
+    j = np.arange(len(x) - 2 * m + 1)
+    return np.asarray((c[j + 2 * m] - 2.0 * c[j + m] + c[j]) / m)
+
+
+def _surprise(square: FloatArray, dof: float) -> float:
+    """ln of the mean over positions and spreads of the ratio of t densities."""
+    wider = 1.0 + np.array(EVENT_RATIOS)[:, None]
+    logs = 0.5 * (dof + 1.0) * (np.log1p(square / dof) - np.log1p(square / dof / wider))
+    logs -= 0.5 * np.log(wider)
+    return float(logsumexp(logs) - np.log(logs.size))
+
+
+def look_for_patches(found: Refit) -> FullRate:
+    """Runs of bins around single switches that lie on one side of a refit.
+
+    What goes wrong at one switch and not, or elsewhere, at the next has no common shape, and a
+    process that is free at every switch pays for all of them.  Per switch, ``ln B`` averages over
+    runs of bins the ratio of densities of their whitened sum, wider against usual, the usual with
+    the floor's degrees of freedom.
+    """
+    sketch = found.plan.sketch
+    value, largest, where = 0.0, 0.0, (0.0, 0.0)
+    wider = 1.0 + np.array(EVENT_RATIOS)[:, None]
+    for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
+        z = found.residual[rows]
+        for falling in (False, True):
+            here = np.flatnonzero(
+                (b.falling == falling)
+                & (b.since > PATCH_SPAN[0] * sketch.time_scale)
+                & (b.since < PATCH_SPAN[1] * sketch.time_scale)
+            )
+            if len(here) < max(PATCH_BINS):
+                continue
+            total = np.concatenate([[0.0], np.cumsum(z[here])])
+            logs = []
+            for m in PATCH_BINS:
+                square = (total[m:] - total[:-m]) ** 2 / m
+                ratio = np.log1p(square / DOF) - np.log1p(square / DOF / wider)
+                logs.append((0.5 * (DOF + 1.0) * ratio - 0.5 * np.log(wider)).ravel())
+                if float(square.max()) > largest:
+                    largest = float(square.max())
+                    where = (float(k), float(b.since[here[int(np.argmax(square))]]))
+            every = np.concatenate(logs)
+            surprise = float(logsumexp(every)) - np.log(len(every))
+            value += float(np.logaddexp(np.log1p(-STRUCK), np.log(STRUCK) + surprise))
+    strength = {"patch_experiment": where[0], "patch_s": where[1], "patch_ratio": largest**0.5}
+    return FullRate("patch", value, strength, float(np.sqrt(largest)))
+
+
+def look_for_ringing(
+    campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[Quiet]
+) -> FullRate:
+    """A damped oscillation that follows the switches.
+
+    Exponentially fading windows that begin near the switches, Fourier transformed; their power
+    over that of the same windows in the quiet spans is exponential under noise of any spectrum
+    and ``1 + c`` times as large on average with a ringing of any phase.
+    """
+    records = []
+    for e, r, q in zip(campaign, residuals, quiet, strict=True):
+        size = max(1, round(RINGING_BLOCK / e.interval))
+        n = len(r) // size
+        y = (r / q.deviation)[: n * size].reshape(n, size).mean(axis=1)
+        dt = size * e.interval
+        # what is slower than the slowest ringing is the model's misfit
+        smooth = gaussian_filter1d(y, 0.28 / RINGING_HZ[0] / dt, mode="nearest")
+        records.append((y - smooth, dt, float(e.t[0])))
+    steps = {round(dt, 9) for _, dt, _ in records}
+    if len(steps) != 1:
+        return FullRate("ringing", 0.0, {"ringing_Hz": 0.0}, None)
+    dt = records[0][1]
+    logs: list[float] = []
+    best, frequency, power = -np.inf, 0.0, 0.0
+    for damping in DAMPING:
+        length = round(3.0 * damping / dt)
+        n_fft = 1 << int(np.ceil(np.log2(2 * max(length, 2))))
+        f = np.asarray(np.fft.rfftfreq(n_fft, dt))
+        keep = (f >= RINGING_HZ[0]) & (f <= min(RINGING_HZ[1], 0.45 / dt))
+        if int(keep.sum()) < 3:
+            continue
+        fading = np.exp(-np.arange(length) * dt / damping)
+        fading /= np.sqrt(np.sum(fading**2))
+
+        def spectra(
+            y: FloatArray,
+            at: NDArray[np.int64],
+            w: FloatArray = fading,
+            n: int = n_fft,
+            keep: NDArray[np.bool_] = keep,
+        ) -> FloatArray:
+            at = at[(at >= 0) & (at + len(w) <= len(y))]
+            windows = y[at[:, None] + np.arange(len(w))] * w
+            return np.asarray(np.abs(np.fft.rfft(windows, n, axis=1)[:, keep]) ** 2)
+
+        usual = []
+        for (y, _, begin), q in zip(records, quiet, strict=True):
+            for low, high in q.spans:
+                last = (high - begin) / dt - length
+                at = np.arange((low - begin) / dt, last, max(1.0, 2.0 * damping / dt))
+                usual.append(spectra(y, at.astype(np.int64)))
+        n_usual = sum(len(u) for u in usual)
+        if n_usual < FEWEST_WINDOWS:
+            continue
+        # smoothed within the windows' own resolution only: a resonance of the noise stays one
+        native = 0.25 / (np.pi * damping) / float(f[1])
+        level = gaussian_filter1d(np.concatenate(usual).mean(axis=0), native)
+        for begins in BEGINS:
+            made = [
+                spectra(y, np.rint((np.array(q.switches) + begins - t0) / dt).astype(np.int64))
+                for (y, _, t0), q in zip(records, quiet, strict=True)
+            ]
+            ratio = np.concatenate(made) / np.maximum(level, 1e-300)
+            if len(ratio) == 0:
+                continue
+            # noise that is stronger while the gas changes is stronger at all frequencies
+            ratio /= np.maximum(np.median(ratio, axis=1, keepdims=True) / np.log(2.0), 0.3)
+            total, k = ratio.sum(axis=0), len(ratio)
+            c = np.array(RINGING_RATIOS)[:, None]
+            # ratio of F densities: the usual power is a mean over windows, too
+            usually = np.log1p(total / n_usual) - np.log1p(total / n_usual / (1.0 + c))
+            each = logsumexp((k + n_usual) * usually - k * np.log1p(c), axis=0)
+            each = each - np.log(len(RINGING_RATIOS))
+            logs.append(float(logsumexp(each) - np.log(len(each))))
+            if logs[-1] > best:
+                best, peak = logs[-1], int(np.argmax(each))
+                frequency, power = float(f[keep][peak]), max(float(total[peak]) - k, 0.0)
+    if not logs:
+        return FullRate("ringing", 0.0, {"ringing_Hz": 0.0}, None)
+    value = float(logsumexp(logs) - np.log(len(logs)))
+    return FullRate("ringing", value, {"ringing_Hz": frequency}, float(np.sqrt(2.0 * power)))
