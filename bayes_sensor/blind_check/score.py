@@ -516,12 +516,17 @@ def _localisation(rows: Sequence[Row]) -> Row:
 
 
 def _tau(listed: Sequence[Row]) -> Row:
-    """Mean error of ln tau before and after the effect is added, where it was seen and named."""
+    """Mean error of ln tau before and after the effect is added, where it was seen and named.
+
+    Causes that leave the mean alone (hum, tails, steps of the converter) move no estimate of tau
+    and do not count.
+    """
     named = [
         r
         for r in listed
         if r["verdict"] in ("effect", "family")
         and r["verdict_right"]
+        and r["oracle_right"] is not None
         and (r["d"] or 0.0) >= VISIBLE
         and r["log_error_before"] is not None
         and r["log_error_after"] is not None
