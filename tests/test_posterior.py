@@ -159,6 +159,32 @@ def test_a_half_written_chunk_of_one_ensemble_is_made_up_for(tmp_path) -> None:
     np.testing.assert_array_equal(resumed.chains, whole.chains)
 
 
+def test_a_run_stopped_after_its_last_step_takes_no_further_one(tmp_path) -> None:
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
+    whole = sample_posterior(problem, theta, seed=5, settings=SHORT, checkpoint=tmp_path)
+    saved = sorted(path.name for path in tmp_path.glob("ensemble-*.npz"))
+    resumed = sample_posterior(
+        problem, theta, seed=5, settings=SHORT, checkpoint=tmp_path, resume=True
+    )
+    np.testing.assert_array_equal(resumed.chains, whole.chains)
+    assert sorted(path.name for path in tmp_path.glob("ensemble-*.npz")) == saved
+
+
+@pytest.mark.parametrize("steps", [80, 160])
+def test_a_run_that_was_too_short_goes_on_and_one_too_long_is_cut(tmp_path, steps: int) -> None:
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
+    other = replace(SHORT, max_steps=steps)
+    whole = sample_posterior(problem, theta, seed=5, settings=other)
+    sample_posterior(problem, theta, seed=5, settings=SHORT, checkpoint=tmp_path)
+    first = tmp_path / "ensemble-0-00000.npz"
+    made = first.stat().st_mtime_ns
+    resumed = sample_posterior(
+        problem, theta, seed=5, settings=other, checkpoint=tmp_path, resume=True
+    )
+    np.testing.assert_array_equal(resumed.chains, whole.chains)
+    assert first.stat().st_mtime_ns == made
+
+
 def test_what_belongs_to_another_run_is_not_continued(tmp_path) -> None:
     problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
     sample_posterior(problem, theta, seed=5, settings=SHORT, checkpoint=tmp_path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -51,20 +52,15 @@ class Checkpoint:
         except (FileNotFoundError, EOFError, ValueError, BadZipFile):
             return None
 
-    def read(self, j: int) -> Any:
-        """(chunks, state, acceptances) of ensemble ``j``, or None where nothing is saved."""
-        if self.folder is None:
-            return None
-        chunks: list[FloatArray] = []
-        rates: list[float] = []
-        state = None
-        while (saved := self._chunk(j, len(chunks))) is not None:
+    def read(self, j: int) -> list[tuple[FloatArray, Any, float]]:
+        """Chain, state at its end and acceptance of each chunk of ensemble ``j`` that is saved."""
+        found: list[tuple[FloatArray, Any, float]] = []
+        while self.folder is not None and (saved := self._chunk(j, len(found))) is not None:
             random = ("MT19937", saved["keys"], int(saved["position"]),
                       int(saved["has_gauss"]), float(saved["gauss"]))  # fmt: skip
-            chunks.append(saved["chain"])
-            rates.append(float(saved["acceptance"]))
             state = (saved["coords"], saved["log_prob"], random)
-        return None if state is None else (chunks, state, rates)
+            found.append((saved["chain"], state, float(saved["acceptance"])))
+        return found
 
     def write(self, j: int, i: int, chain: FloatArray, state: Any, rate: float) -> None:
         """Save chunk ``i`` of ensemble ``j`` with the state it ended in."""
@@ -90,7 +86,11 @@ def replace_file(path: Path, content: bytes) -> None:
 def digest(
     problem: Problem, start: FloatArray, settings: Settings, seed: int, fineness: float
 ) -> str:
-    """Identifies a run: data, model, priors, start, settings, seed and mesh."""
+    """Identifies a run: data, model, priors, start, settings, seed and mesh.
+
+    When to stop is left out: a run that was too short goes on from where it ended.
+    """
+    settings = replace(settings, max_steps=1, target_ess=1.0)
     hasher = hashlib.sha256()
     for e in problem.campaign:
         hasher.update(np.ascontiguousarray(e.values[e.used]).tobytes())

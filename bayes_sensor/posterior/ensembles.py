@@ -117,40 +117,33 @@ def run_emcee(
     n_dim = len(target.kept)
     n_walkers = max(settings.n_walkers, 2 * n_dim + 2)
     store = Checkpoint(folder, digest, resume)
-    states: list[Any] = []
-    chains: list[list[FloatArray]] = []
-    acceptance: list[list[float]] = []
     begins = []
     for j in range(settings.n_chains):
         rng = np.random.default_rng(np.random.SeedSequence([seed, j]))
         points = _start(target, laplace, n_walkers, rng)
         begins.append((points, None, np.random.RandomState(rng.integers(2**32)).get_state()))
     target.cover(np.concatenate([begin[0] for begin in begins]))
-    for j in range(settings.n_chains):
-        chunks, state, rates = store.read(j) or ([], begins[j], [])
-        chains.append(chunks)
-        states.append(state)
-        acceptance.append(rates)
-    # a resumed run sees the meshes that the uninterrupted one saw
-    n_covered = min(len(chain) for chain in chains)
-    for i in range(n_covered):
-        target.cover(np.concatenate([chain[i][-1] for chain in chains]))
+    saved = [store.read(j) for j in range(settings.n_chains)]
+    chains: list[list[FloatArray]] = [[] for _ in saved]
+    acceptance: list[list[float]] = [[] for _ in saved]
+    states: list[Any] = list(begins)
     while True:
         # short chunks at first: the mesh follows the walkers while they settle
-        chunk = min(len(chain) for chain in chains)
-        n_settling = settings.burn_in // SETTLING
-        n_steps = SETTLING if chunk < n_settling else settings.chunk
-        todo = [j for j in range(settings.n_chains) if len(chains[j]) == chunk]
-        for j, (chain, state, rate) in zip(
-            todo, _advance(target, [states[j] for j in todo], n_steps, jobs), strict=True
-        ):
-            chains[j].append(chain)
-            states[j] = state
+        i = len(chains[0])
+        n_steps = SETTLING if i < settings.burn_in // SETTLING else settings.chunk
+        # a resumed run takes the steps that it finds, sees the meshes and the looks at convergence
+        # that the uninterrupted one saw, and so ends where that would have ended
+        todo = [j for j, chunks in enumerate(saved) if i >= len(chunks)]
+        made = dict(
+            zip(todo, _advance(target, [states[j] for j in todo], n_steps, jobs), strict=True)
+        )
+        for j, chain in enumerate(chains):
+            points, states[j], rate = made[j] if j in made else saved[j][i]
+            chain.append(points)
             acceptance[j].append(rate)
-            store.write(j, len(chains[j]) - 1, chain, state, rate)
-        for i in range(n_covered, len(chains[0])):
-            target.cover(np.concatenate([chain[i][-1] for chain in chains]))
-        n_covered = len(chains[0])
+            if j in made:
+                store.write(j, i, points, states[j], rate)
+        target.cover(np.concatenate([chain[i][-1] for chain in chains]))
         steps = sum(len(c) for c in chains[0])
         report(min(0.95, steps / settings.max_steps), f"emcee, {steps} steps")
         if steps < settings.burn_in + 2 * settings.chunk:
