@@ -148,6 +148,7 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         "set_size": len(chosen_set),
         "brier": _brier(rows, p_right, answer_is_right),
         "log_score": -log(max(p_right, 1e-3)),
+        "on_mean": any(CATALOGUE[name].on_mean for name in answers if name in CATALOGUE),
         "oracle_right": None
         if not rivals or kind in ("null", "pair") or outside
         else min(rivals, key=rivals.__getitem__) in answers,
@@ -526,7 +527,7 @@ def _tau(listed: Sequence[Row]) -> Row:
         for r in listed
         if r["verdict"] in ("effect", "family")
         and r["verdict_right"]
-        and r["oracle_right"] is not None
+        and r["on_mean"]
         and (r["d"] or 0.0) >= VISIBLE
         and r["log_error_before"] is not None
         and r["log_error_after"] is not None
