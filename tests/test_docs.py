@@ -207,3 +207,40 @@ def test_the_bound_of_the_page_is_wider_by_its_factor(examples: dict[str, Any]) 
     assert 0.4 < phi < 0.6
     narrow, wide = (np.ptp(bounds[m].interval("tau_v_s")) for m in examples["mine"])
     assert wide / narrow == pytest.approx(np.sqrt((1 + phi) / (1 - phi)))
+
+
+def test_the_readme_says_what_the_tables_say() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+
+    def rows(name: str, key: str) -> dict[str, dict[str, str]]:
+        with (ROOT / "paper" / "tables" / f"{name}.csv").open(newline="") as stream:
+            return {row[key]: row for row in csv.DictReader(stream)}
+
+    speed = rows("benchmark", "what")
+    said = re.search(
+        r"in about (\d+) microseconds, (\d+) times faster than our own[\w\s]*? and (\d+) times",
+        text,
+    )
+    assert said is not None
+    for number, what in zip(
+        said.groups(),
+        ("compressed value", "own full pass over value",
+         "PINTS AR1LogLikelihood, numba Euler over value"),
+    ):  # fmt: skip
+        # "about": a busy machine moves these by as much
+        assert float(number) == pytest.approx(float(speed[what]["median"]), rel=0.3), what
+
+    bounds = rows("published_bounds", "how")
+    table = re.findall(r"^\| ([^|]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", text, re.MULTILINE)
+    keys = {
+        "Table III as published": "Table III as published",
+        "forward Euler, every": "forward Euler, forward difference, +1 % of every parameter",
+        "converged derivatives": "converged, closed form",
+        "converged, AR(1) noise": "converged, AR(1) phi 0.5 with concentration-dependent variance",
+        "the same with phi = 0.9": "converged, AR(1) phi 0.9 with concentration-dependent variance",
+    }
+    assert len(table) == len(keys)
+    for (words, *values), (start, how) in zip(table, keys.items()):
+        assert words.startswith(start)
+        for value, column in zip(values, ("tau_3sigma_ms", "tau_v_3sigma_ms", "V_3sigma_mL")):
+            assert float(value) == float(f"{float(bounds[how][column]):.3g}"), (how, column)
