@@ -32,6 +32,7 @@ DISAGREEMENT = 0.05
 """s between commanded time and drive edge that is worth a warning"""
 _LARGEST_VALUE = 1e12
 _LONG_RECORD = 2 * 3600.0  # s
+_SLOW_SAMPLING = 1.0  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +305,8 @@ def _check_times(
     first, last = float(t[0]), float(t[-1])
     if off is not None and on is None:
         raise CampaignError(
-            f"{where}: commanded_off is given without commanded_on; add commanded_on or drive"
+            f"{where}: commanded_off is given without commanded_on; add commanded_on or drive "
+            "(where only the fall was recorded, give its command as commanded_on)"
         )
     if on is None:
         return None, None
@@ -456,8 +458,8 @@ def _look_for_mistakes(
                     f"{where}: the signal jumps like a valve drive and the drive moves like a "
                     "sensor; signal and drive may be swapped"
                 )
-    if t[-1] - t[0] > _LONG_RECORD:
+    if t[-1] - t[0] > _LONG_RECORD or t[1] - t[0] >= _SLOW_SAMPLING:
         notes.append(
-            f"{where}: the record lasts {(t[-1] - t[0]) / 3600:.3g} h; if the times are in ms, "
-            "name the column time_ms"
+            f"{where}: the record lasts {(t[-1] - t[0]) / 3600:.3g} h with a sample every "
+            f"{t[1] - t[0]:.4g} s; if the times are in ms, name the column time_ms"
         )

@@ -41,6 +41,12 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
             member.removesuffix(".npy") for member in archive.namelist() if member.endswith(".npy")
         ]
         check_counts(file, len(members))
+        repeated = [member for member in members if members.count(member) > 1]
+        if repeated:
+            raise file.error(
+                f"expected each array once, but '{repeated[0][:60]}' is in the archive "
+                f"{len(repeated)} times; save with numpy.savez(path, t=t, y=y)"
+            )
         columns = [split_name(member) for member in members]
         if not columns:
             raise file.error(

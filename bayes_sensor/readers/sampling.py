@@ -13,6 +13,8 @@ from bayes_sensor.readers.recording import MAX_SAMPLES
 
 MOST_JITTER = 0.3
 """of the interval: times further than this from the uniform grid are not uniform sampling"""
+LATEST = 1e12
+"""s, far beyond any clock"""
 NOTED_JITTER = 0.05
 """of the interval: jitter above this is mentioned, unless the written digits explain it"""
 
@@ -100,6 +102,11 @@ def uniform_grid(
         if slope <= 0 or abs(slope / interval - 1) < 1e-12:
             break
         interval = slope
+    if not max(abs(float(t[0])), abs(float(t[-1]))) < LATEST:
+        raise error(
+            f"the times run from {t[0]:g} s to {t[-1]:g} s, out of all proportion; expected "
+            "seconds since the recording began or since an epoch: repair them"
+        )
     off = np.abs(t - (origin + index * interval))
     worst = int(np.argmax(off))
     jitter = float(off[worst] / interval)

@@ -16,6 +16,7 @@ import study_coating
 import study_coverage
 import study_extremes
 import study_gap
+import study_hostile
 import study_predictive
 import study_published_bounds
 import study_reproduction
@@ -32,6 +33,7 @@ STUDIES = {
     "gap": study_gap.run,
     "blind-check": study_blind_check.run,
     "extremes": study_extremes.run,
+    "hostile": study_hostile.run,
 }
 ROOT = Path(__file__).resolve().parent.parent.parent
 

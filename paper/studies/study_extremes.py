@@ -29,11 +29,12 @@ from extreme_cases import CASES, METHODS, QUICK, SHARED, ask
 SEED = 61
 STATED = ("posterior", *METHODS)
 DRAWS = {
-    "one experiment": 40, "one level in one": 40, "phi near 1": 40, "step not seen": 16,
-    "noise above the step": 16, "tau above the record": 16,
+    "ordinary": 100, "one experiment": 40, "one level in one": 12, "phi near 1": 20,
+    "tau below the interval": 20, "equal time constants": 20, "step not seen": 4,
+    "noise above the step": 4, "tau above the record": 4,
 }  # fmt: skip
-"""how many of each case where not ``USUAL``: the posterior of these takes up to half a minute"""
-USUAL = 100
+"""how many of each case where not ``USUAL``; posteriors that wander take up to a minute each"""
+USUAL = 40
 PLAIN, WARNED, NONE = 0, 1, 2
 
 
