@@ -1,0 +1,201 @@
+"""Events, ringing, patches and lines of unlisted origin, and the bias of coarse rounding."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from bayes_sensor.gap import diagnose_gap
+from bayes_sensor.gap.effects import CATALOGUE
+from bayes_sensor.gap.events import (
+    Quiet,
+    look_for_events,
+    look_for_patches,
+    look_for_ringing,
+)
+from bayes_sensor.gap.floor import Stretch, lattice_step, rounding_bias
+from bayes_sensor.gap.full_rate import look_at_full_rate, rounds_away
+from bayes_sensor.gap.sketch import fit_base, prepare
+from bayes_sensor.model import Layout
+from tests.gap_cases import design, measured, theta
+
+INTERVAL = 0.01
+
+
+def noise(n, rng, kind):
+    e = rng.standard_normal(n)
+    if kind == "white":
+        return e
+    if kind == "ar1":
+        return lfilter([1.0], [1.0, -0.9], e)
+    if kind == "slow":
+        return e + 0.3 * lfilter([0.1], [1.0, -0.99], rng.standard_normal(n))
+    # a resonance of the noise at 6 Hz
+    root = 0.97 * np.exp(2j * np.pi * 6.0 * INTERVAL)
+    return lfilter([0.1], [1.0, -2.0 * root.real, abs(root) ** 2], e) + 0.2 * e
+
+
+def stretches(rng, kind="white", n=2000):
+    return [
+        Stretch(k, level, noise(n, rng, kind), 30.0 * level) for k in range(4) for level in (0, 1)
+    ]
+
+
+@pytest.mark.parametrize("kind", ["white", "ar1", "slow", "resonance"])
+def test_noise_of_any_spectrum_holds_no_event(kind):
+    rng = np.random.default_rng(3)
+    values = [look_for_events(design(), stretches(rng, kind)).log_bayes_factor for _ in range(12)]
+    assert max(values) < 2.0 and np.median(values) < -0.5
+
+
+@pytest.mark.parametrize("shape", ["bump", "jump"])
+def test_one_event_in_one_stretch_is_found_where_it_is(shape):
+    some = stretches(np.random.default_rng(4))
+    t = np.arange(2000) * INTERVAL
+    # 1.2 s long, twelve standard deviations of its mean
+    size = 12.0 * np.sqrt(INTERVAL / 1.2)
+    added = size * ((t >= 7.0) & (t < 8.2)) if shape == "bump" else 1.5 * size * (t > 12.0)
+    spoilt = [*some[:5], replace(some[5], samples=some[5].samples + added), *some[6:]]
+    before, after = (look_for_events(design(), x) for x in (some, spoilt))
+    assert before.log_bayes_factor < 0.0 and after.log_bayes_factor > 5.0
+    assert after.strength["event_experiment"] == some[5].experiment
+    assert after.strength["event_s"] == pytest.approx(30.0 + (7.6 if shape == "bump" else 12.0),
+                                                      abs=0.5)  # fmt: skip
+
+
+def test_the_contaminated_floor_does_not_hide_events_that_are_everywhere():
+    # in every plateau: the mean spectrum of the plateaus holds them, the median in time does not
+    rng = np.random.default_rng(5)
+    t = np.arange(2000) * INTERVAL
+    made = []
+    for s in stretches(rng):
+        at = rng.uniform(4.0, 14.0)
+        made.append(replace(s, samples=s.samples + 1.0 * s.level * ((t > at) & (t < at + 1.5))))
+    assert look_for_events(design(), made).log_bayes_factor > 8.0
+
+
+def ringing_case(rng, kind, amplitude):
+    campaign = design()
+    residuals, quiet = [], []
+    for e in campaign:
+        on, off = e.commanded_on + 0.8, e.commanded_off + 0.5
+        r = noise(len(e.t), rng, kind)
+        for at in (on, off):
+            since = np.maximum(e.t - at + 0.1, 0.0)
+            r = r + amplitude * (since > 0) * np.exp(-since / 0.5) * np.sin(2 * np.pi * 9.0 * since)
+        residuals.append(r)
+        spans = ((0.0, on), (on + 6.0, off), (off + 6.0, float(e.t[-1])))
+        quiet.append(Quiet((on, off), spans, np.full(len(e.t), float(np.std(r)))))
+    return look_for_ringing(campaign, residuals, quiet)
+
+
+@pytest.mark.parametrize("kind", ["white", "ar1", "resonance"])
+def test_only_a_ringing_that_follows_the_switches_is_one(kind):
+    rng = np.random.default_rng(6)
+    values = [ringing_case(rng, kind, 0.0).log_bayes_factor for _ in range(6)]
+    assert max(values) < 3.5 and np.median(values) < 0.0
+
+
+def test_a_ringing_and_its_frequency_are_found():
+    found = ringing_case(np.random.default_rng(7), "white", 1.4)
+    assert found.log_bayes_factor > 10.0
+    assert found.strength["ringing_Hz"] == pytest.approx(9.0, abs=0.5)
+
+
+def prepared_of(campaign):
+    from bayes_sensor.fit import fit_least_squares
+
+    fit = fit_least_squares(campaign, seed=1, euler=False)
+    return prepare(campaign, Layout.of(campaign).flat(fit.theta_hat))
+
+
+def test_a_block_lost_in_one_step_is_a_patch():
+    campaign = measured({}, seed=8)
+    kept = look_for_patches(fit_base(prepared_of(campaign).sketch))
+    first, *others = campaign.experiments
+    # a quarter second is missing while the signal rises, and the clock does not know
+    i = int(np.searchsorted(first.t, first.commanded_on + 1.9))
+    values = np.concatenate([first.y[:i], first.y[i + 25 :], first.y[-25:]])
+    spoilt = replace(campaign, experiments=(replace(first, y=values), *others))
+    found = look_for_patches(fit_base(prepared_of(spoilt).sketch))
+    assert kept.log_bayes_factor < 0.0 and found.log_bayes_factor > 5.0
+    assert found.strength["patch_experiment"] == 0.0
+    gap = diagnose_gap(spoilt, bootstrap=0, separate=False, hidden=False)
+    assert gap.verdict.kind == "unlisted" and "experiment 1" in gap.verdict.sentence
+
+
+def test_a_line_on_the_plateaus_alone_is_found():
+    campaign = measured({}, seed=9)
+    experiments = []
+    for e in campaign:
+        on = (e.t > e.commanded_on + 3.0) & (e.t < e.commanded_off)
+        pump = 0.0035 * np.sin(2.0 * np.pi * 1.7 * e.t + float(e.name)) * on
+        experiments.append(replace(e, y=e.y + pump))
+    for name, these in (("quiet", campaign.experiments), ("pumped", tuple(experiments))):
+        p = prepared_of(replace(campaign, experiments=these))
+        found = look_at_full_rate(
+            p.sketch.campaign, p.stretches, p.raw, p.residuals, [q.deviation for q in p.quiet]
+        )
+        line = next(f for f in found if f.name == "line")
+        if name == "quiet":
+            assert line.log_bayes_factor < 1.0
+        else:
+            assert line.log_bayes_factor > 5.0
+            assert line.strength["line_Hz"] == pytest.approx(1.7, abs=0.05)
+
+
+def test_the_mains_are_a_line_where_they_have_no_name():
+    campaign = measured({"mains_pickup": 0.004}, seed=10, interval=0.004)
+    named = diagnose_gap(campaign, bootstrap=0, separate=False, hidden=False)
+    assert named.verdict.effects == ("mains_pickup",)
+    other = diagnose_gap(
+        campaign, bootstrap=0, separate=False, hidden=False, without=["mains_pickup"]
+    )
+    assert other.verdict.kind == "unlisted" and "line of unlisted origin" in other.verdict.sentence
+
+
+def test_rounding_biases_bins_as_the_covariance_says():
+    plan = design(1)
+    values = theta(plan, sigma=0.012)
+    from bayes_sensor.likelihood import simulate
+
+    step = 0.05  # four standard deviations: the noise hardly crosses it
+    campaign = simulate(plan, values, seed=1)
+    smooth = simulate(plan, {**values, "sigma0_V": 0.0, "sigma1_V": 0.0}, seed=1)
+    (e,), (mean,) = campaign.experiments, [x.values for x in smooth.experiments]
+    e = replace(e, y=np.round(e.values / step) * step)
+    assert lattice_step(e.values) == pytest.approx(step)
+    p = prepared_of(replace(campaign, experiments=(e,)))
+    (b,), edges = p.sketch.bins, p.sketch.floor.edges
+    flat = np.full((2, len(edges) - 1), 2.0 * INTERVAL * 0.012**2)
+    factor = rounding_bias(e, b, edges, flat, mean)
+    assert factor is not None
+    # an independent route: round many noisy copies of the true mean, at any offset of the lattice
+    rng = np.random.default_rng(2)
+    bias = []
+    for _ in range(300):
+        offset = step * rng.random()
+        noisy = mean + 0.012 * rng.standard_normal(len(mean))
+        bias.append(b.average(np.round((noisy + offset) / step) * step - offset - noisy))
+    said = np.sqrt(np.sum(factor**2, axis=1))
+    seen = np.sqrt(np.mean(np.square(bias), axis=0))
+    long = b.count > 100  # elsewhere the rounding of single samples adds its own
+    assert np.median(np.abs(said[long] / seen[long] - 1.0)) < 0.1
+    fine = replace(e, y=np.round(campaign.experiments[0].values / 0.002) * 0.002)
+    assert rounding_bias(fine, b, edges, flat, mean) is None
+
+
+def test_on_a_lattice_that_the_noise_hardly_crosses_only_the_steps_are_judged():
+    campaign = measured({}, seed=11)
+    coarse = replace(
+        campaign,
+        experiments=tuple(replace(e, y=np.round(e.values / 0.03) * 0.03) for e in campaign),
+    )
+    p = prepared_of(coarse)
+    assert rounds_away(p.stretches, 0.03)
+    assert not rounds_away(prepared_of(campaign).stretches, 0.002)
+    gap = diagnose_gap(coarse, bootstrap=0, separate=False, hidden=False)
+    assert {f.name for f in gap.full_rate} == {"heavy_tails", "quantisation"}
+    assert gap.verdict.kind == "effect" and gap.verdict.effects == ("quantisation",)
+    assert set(gap.verdict.effects) <= set(CATALOGUE)
