@@ -144,6 +144,18 @@ class Gap:
 
         return pd.DataFrame(list(self.rows))
 
+    def _finding(self, found: FullRate) -> dict[str, Any]:
+        experiments = self.weighing.sketch.campaign.experiments
+        where = found.strength.get(f"{found.name}_experiment")
+        return {
+            "name": found.name,
+            "log_bayes_factor": found.log_bayes_factor,
+            "probability": found.probability,
+            "strength": {k: v for k, v in found.strength.items() if not k.endswith("_experiment")},
+            "experiment": None if where is None else experiments[int(where)].name,
+            "d": found.d,
+        }
+
     def to_json(self) -> dict[str, Any]:
         """The content of gap.json; further keys: `where_scales`, `rounds`, `separate`, ..."""
         v = self.verdict
@@ -168,16 +180,7 @@ class Gap:
             },
             "rounds": [{**vars(r), "added": list(r.added)} for r in self.rounds],
             "separate": [vars(s) for s in self.separations],
-            "full_rate": [
-                {
-                    "name": f.name,
-                    "log_bayes_factor": f.log_bayes_factor,
-                    "probability": f.probability,
-                    "strength": f.strength,
-                    "d": f.d,
-                }
-                for f in self.full_rate
-            ],
+            "full_rate": [self._finding(f) for f in self.full_rate],
             "residuals": [
                 {
                     "experiment": name,
