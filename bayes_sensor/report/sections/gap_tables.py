@@ -201,11 +201,11 @@ def other_tables(record: Mapping[str, Any]) -> list[Table]:
                 "gap-full-rate",
                 "What averaging would hide, tested on every sample. Positive logarithms of the "
                 "Bayes factor speak for it.",
-                ["effect", "log Bayes factor", "probability", "strength", "d"],
+                ["effect", "log Bayes factor", "probability", "strength", "experiment", "d"],
                 [
                     [
                         words(row["name"]), row["log_bayes_factor"], row["probability"],
-                        strength_words(row.get("strength")), row["d"],
+                        strength_words(row.get("strength")), row.get("experiment") or "", row["d"],
                     ]
                     for row in record["full_rate"]
                 ],
