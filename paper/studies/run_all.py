@@ -14,7 +14,10 @@ import study_blind_check
 import study_bounds
 import study_coating
 import study_coverage
+import study_determinism
 import study_extremes
+import study_faults
+import study_fleet
 import study_gap
 import study_hostile
 import study_predictive
@@ -34,6 +37,9 @@ STUDIES = {
     "blind-check": study_blind_check.run,
     "extremes": study_extremes.run,
     "hostile": study_hostile.run,
+    "faults": study_faults.run,
+    "determinism": study_determinism.run,
+    "fleet": study_fleet.run,
 }
 ROOT = Path(__file__).resolve().parent.parent.parent
 
