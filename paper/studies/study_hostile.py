@@ -29,8 +29,8 @@ sys.path.insert(0, str(PAPER.parent / "tests"))
 from bad_inputs import OUTCOMES, SECONDS, Misjudged, check_in_process, generate, judge, remove
 
 SEED = 97
-N = 3300
-EVERY = 40
+N = 2160
+EVERY = 120
 """one input in so many goes to a process of its own"""
 MOST_BYTES = 2 << 30
 """of memory that reading may take"""
