@@ -148,13 +148,16 @@ def _round(
     def tasks() -> Iterator[Any]:
         for i in batch:
             held.add(i)
-            yield joblib.delayed(_call)(function, i, items[i], os.getpid())
+            yield joblib.delayed(_call)(function, i, items[i])
 
     # one call a process at a time, no more in advance: else a death would blame the innocent
-    parallel = joblib.Parallel(
-        n_jobs=jobs, batch_size=1, pre_dispatch=jobs, return_as="generator_unordered"
-    )
-    with _children_deaf_to_ctrl_c():
+    with (
+        joblib.parallel_config("loky", initializer=_end_with, initargs=(os.getpid(),)),
+        _children_deaf_to_ctrl_c(),
+    ):
+        parallel = joblib.Parallel(
+            n_jobs=jobs, batch_size=1, pre_dispatch=jobs, return_as="generator_unordered"
+        )
         results = parallel(tasks())
     try:
         yield from results
@@ -162,20 +165,14 @@ def _round(
         return
 
 
-def _call(function: Callable[[Any], Any], i: int, item: Any, parent: int) -> tuple[int, Any]:
-    _end_with(parent)
+def _call(function: Callable[[Any], Any], i: int, item: Any) -> tuple[int, Any]:
     return i, function(item)
 
 
-_watching: set[int] = set()
-
-
 def _end_with(parent: int) -> None:
-    """End this process soon after ``parent`` has: nobody else would take its result."""
-    here = os.getpid()
-    if here in _watching or os.name != "posix" or os.getppid() != parent or here == parent:
+    """End this worker soon after ``parent`` has: nobody else would take its results."""
+    if os.name != "posix":
         return
-    _watching.add(here)
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -234,7 +231,7 @@ def _on_workers(
     from importlib import import_module
 
     killed: Any = import_module("distributed").KilledWorker
-    futures = {client.submit(_plain, function, i, items[i], pure=False): i for i in batch}
+    futures = {client.submit(_call, function, i, items[i], pure=False): i for i in batch}
     waiting = set(futures)
     workers, seen_at = _workers(client), time.monotonic()
     try:
@@ -261,10 +258,6 @@ def _on_workers(
                 yield result
     finally:
         client.cancel(list(waiting))
-
-
-def _plain(function: Callable[[Any], Any], i: int, item: Any) -> tuple[int, Any]:
-    return i, function(item)
 
 
 def _workers(client: Any) -> set[str]:
