@@ -369,3 +369,12 @@ def test_plausible_strengths_follow_the_rig():
     assert default_strengths("finite_stroke", slow)["stroke"] == pytest.approx(3.0)
     assert default_strengths("gain_drift", slow)["gain_drift"] == pytest.approx(1e-5)
     assert default_strengths("valve_asymmetry", slow)["closing_ratio"] == 1.1
+
+
+def test_a_notebook_shows_the_verdict_and_the_explanations():
+    gap = diagnosed("carry_over", 0.12)
+    text = gap._repr_html_()
+    assert gap.verdict.kind in text and "carry_over" in text
+    for row in gap.rows[:3]:
+        assert row["effect"] in text
+    assert text.count("<tr") >= min(len(gap.rows), 8)

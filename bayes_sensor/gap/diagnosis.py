@@ -29,6 +29,7 @@ from bayes_sensor.gap.verdict import Standing, Verdict, judge, leftover, standin
 from bayes_sensor.gap.where import Map, locate
 from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
 from bayes_sensor.model import Layout, Theta
+from bayes_sensor.notebook import card
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -143,6 +144,14 @@ class Gap:
         import pandas as pd
 
         return pd.DataFrame(list(self.rows))
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: the verdict and the explanations it was chosen from."""
+        keys = ("effect", "family", "probability", "d", "fraction_closed", "tau_s")
+        rows = [[row.get(key) for key in keys] for row in self.rows[:8]]
+        sentences = [self.verdict.sentence, *self.notes]
+        title = f"gap: {self.verdict.kind}, probability {self.verdict.probability:.2f}"
+        return card(title, sentences, [key.replace("_", " ") for key in keys], rows)
 
     def _finding(self, found: FullRate) -> dict[str, Any]:
         experiments = self.weighing.sketch.campaign.experiments
