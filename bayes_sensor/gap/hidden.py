@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from math import exp, log
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from bayes_sensor.gap.effect import Effect, Form, Strength
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, base_starts, refit
+from bayes_sensor.workers import in_order
 
 UNSEEN = 3.0
 """detectability below which an effect counts as hidden"""
@@ -95,11 +95,12 @@ def what_may_hide(
     low = line.log_tau - 1.96 * line.sd_log_tau
     high = line.log_tau + 1.96 * line.sd_log_tau
     already = {part.effect.family for part in base.plan.parts}
-    found = Parallel(n_jobs=jobs)(
-        delayed(one_hidden)(sketch, base, none, name, effect, plausible(effect, sketch))
+    each = [
+        (sketch, base, none, name, effect, plausible(effect, sketch))
         for name, effect in catalogue.items()
         if effect.on_mean and effect.family not in already
-    )
+    ]
+    found: list[Hidden] = in_order(one_hidden, each, jobs)
     for made in found:
         if made.d < UNSEEN and not made.contradicted:
             low = min(low, log(max(made.tau_low_s, 1e-12)))

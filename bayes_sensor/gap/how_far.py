@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.discrepancy import Discrepancy
@@ -21,6 +20,7 @@ from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.floor import DOF
 from bayes_sensor.gap.refit import Plan, Refit, Sketch, refit
 from bayes_sensor.gap.where import Leverage, _mean_square
+from bayes_sensor.workers import in_order
 
 VISIBLE = 3.0
 """standard deviations of the noise's own misfit below which no fraction is given"""
@@ -138,7 +138,7 @@ def _simulated(
             ]
         )
     # the truth of the simulation is a closed gap
-    found = Parallel(n_jobs=jobs)(delayed(_closed)(base, fitted, window, y) for y in campaigns)
+    found = in_order(_closed, [(base, fitted, window, y) for y in campaigns], jobs)
     return np.array(found) - 1.0
 
 
