@@ -28,6 +28,8 @@ WIDTHS = (0.15, 0.25, 0.42, 0.7, 1.15, 1.9, 3.1, 5.0)
 """s, of a bump or of the means on either side of a jump"""
 EVENT_RATIOS = (4.0, 16.0, 64.0)
 """an event's plausible variance over the noise's"""
+LOCAL = 20
+"""blocks over which the local size of the noise is taken"""
 STRUCK = 0.3
 """plausible share of stretches with an event, where there are any"""
 MEDIAN_EFFICIENCY = 0.37
@@ -65,12 +67,13 @@ class Quiet:
 def look_for_events(campaign: Campaign, stretches: Sequence[Stretch]) -> FullRate:
     """Bumps and jumps in single stretches.
 
-    Differences of means (a bump against both its sides, after against before) are scaled by their
-    own median absolute value over all stretches with the same gas, so that the noise's spectrum
-    does not matter and an event that is rare in time does not hide itself.  ``ln B`` of a stretch
-    averages, over positions, widths and the amplitude's plausible spread, the ratio of t
-    densities; ``strength``: the clearest event's experiment (counted from 0), time in s and
-    ratio to the usual.
+    Differences of means (a bump against both its sides, after against before) are taken in units
+    of how much samples change from one to the next there, so that gusts of noise are none, and
+    scaled by their own median absolute value over all stretches with the same gas, so that the
+    noise's spectrum does not matter and an event that is rare in time does not hide itself.
+    ``ln B`` of a stretch averages, over positions, widths and the amplitude's plausible spread,
+    the ratio of t densities; ``strength``: the clearest event's experiment (counted from 0), time
+    in s and ratio to the usual.
     """
     blocks = [_blocks(campaign, s) for s in stretches]
     use = [(s, *made) for s, made in zip(stretches, blocks, strict=True) if made is not None]
@@ -79,7 +82,7 @@ def look_for_events(campaign: Campaign, stretches: Sequence[Stretch]) -> FullRat
     for width in WIDTHS:
         for shape, middle in ((_bump, 2.5), (_jump, 1.0)):
             sizes = [max(1, round(width / dt)) for _, _, dt in use]
-            made = [shape(x, m) for (_, x, _), m in zip(use, sizes, strict=True)]
+            made = [shape(x, q, m) for (_, (x, q), _), m in zip(use, sizes, strict=True)]
             for level in (0, 1):
                 here = [k for k, u in enumerate(use) if u[0].level == level and len(made[k]) > 0]
                 if not here:
@@ -108,37 +111,52 @@ def look_for_events(campaign: Campaign, stretches: Sequence[Stretch]) -> FullRat
     return FullRate("event", value, strength, float(np.sqrt(largest)))
 
 
-def _blocks(campaign: Campaign, s: Stretch) -> tuple[FloatArray, float] | None:
-    """(n,) detrended means over BLOCK in units of the sample-to-sample changes, and their step."""
+def _blocks(campaign: Campaign, s: Stretch) -> tuple[tuple[FloatArray, FloatArray], float] | None:
+    """Detrended means (n,) over BLOCK, mean squared changes (n,) from sample to sample, step (s).
+
+    Both in units of the changes in the whole stretch.
+    """
     h = campaign.experiments[s.experiment].interval
     size = max(1, round(BLOCK / h))
     n = len(s.samples) // size
     if n < 40:
         return None
     x = detrended(s.samples[: n * size])
-    scale = float(np.std(np.diff(x)))
+    change = np.diff(x, prepend=x[0]) ** 2
+    scale = float(np.sqrt(np.mean(change)))
     if scale <= 0.0:
         return None
-    return x.reshape(n, size).mean(axis=1) / scale, size * h
+    means = x.reshape(n, size).mean(axis=1) / scale
+    return (means, change.reshape(n, size).mean(axis=1) / scale**2), size * h
 
 
-def _bump(x: FloatArray, m: int) -> FloatArray:
+def _bump(x: FloatArray, changes: FloatArray, m: int) -> FloatArray:
     """Means over m blocks minus those of 2 m on both sides; empty where the record is short."""
     if len(x) < 6 * m:
         return np.empty(0)
     c = np.concatenate([[0.0], np.cumsum(x)])
     i = np.arange(len(x) - 5 * m + 1)
     sides = (c[i + 2 * m] - c[i]) + (c[i + 5 * m] - c[i + 3 * m])
-    return np.asarray((c[i + 3 * m] - c[i + 2 * m]) / m - sides / (4 * m))
+    made = (c[i + 3 * m] - c[i + 2 * m]) / m - sides / (4 * m)
+    return np.asarray(made / _local(changes, i, 5 * m))
 
 
-def _jump(x: FloatArray, m: int) -> FloatArray:
+def _jump(x: FloatArray, changes: FloatArray, m: int) -> FloatArray:
     """Means over the m blocks after minus those before."""
     if len(x) < 6 * m:
         return np.empty(0)
     c = np.concatenate([[0.0], np.cumsum(x)])
     j = np.arange(len(x) - 2 * m + 1)
-    return np.asarray((c[j + 2 * m] - 2.0 * c[j + m] + c[j]) / m)
+    return np.asarray((c[j + 2 * m] - 2.0 * c[j + m] + c[j]) / m / _local(changes, j, 2 * m))
+
+
+def _local(changes: FloatArray, begins: NDArray[np.int64], length: int) -> FloatArray:
+    """Root mean square of the changes within ``length`` blocks, at least LOCAL of them."""
+    total = np.concatenate([[0.0], np.cumsum(changes)])
+    wider = max(LOCAL - length, 0) // 2
+    low = np.maximum(begins - wider, 0)
+    high = np.minimum(begins + length + wider, len(changes))
+    return np.sqrt(np.maximum((total[high] - total[low]) / (high - low), 1e-12))
 
 
 def _surprise(square: FloatArray, dof: float) -> float:

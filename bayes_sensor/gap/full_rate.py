@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter, windows
 from scipy.special import gammaln, logsumexp
 from scipy.stats import gamma
@@ -44,6 +45,8 @@ PRIOR = {
     "mains_pickup": 0.03, "heavy_tails": 0.03, "quantisation": 0.03,
     "line": 0.02, "event": 0.025, "patch": 0.025, "ringing": 0.01,
 }  # fmt: skip
+AROUND = 400
+"""samples over which the size of the innovations is taken"""
 HARDLY_CROSSED = 0.7
 """steps over the noise's standard deviation from which it hardly crosses them"""
 OF_UNLISTED_ORIGIN = ("line", "event", "patch", "ringing")
@@ -283,6 +286,7 @@ def _mains_bands(
 def look_at_tails(stretches: Sequence[Stretch], step: float = 0.0) -> FullRate:
     """Student-t against Gaussian innovations of an AR(4) fitted to each stretch.
 
+    In units of their size around, so that noise that swells and fades is not taken for wild.
     ``step`` V: the samples are spread evenly over the converter's step first.
     """
     values, spreads = [], []
@@ -294,7 +298,9 @@ def look_at_tails(stretches: Sequence[Stretch], step: float = 0.0) -> FullRate:
         e = _innovations(detrended(samples), 4)
         spread = float(np.std(e))
         if spread > 0:
-            values.append(e / spread)
+            width = min(AROUND, len(e))
+            around = np.sqrt(uniform_filter1d(e**2, width, mode="nearest"))
+            values.append(e / np.maximum(around, 1e-3 * spread))
             spreads.append(spread)
     if not values:
         return FullRate("heavy_tails", 0.0, {"tail_dof": float("inf")}, None)

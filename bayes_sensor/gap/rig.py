@@ -46,6 +46,7 @@ SETTINGS: dict[str, tuple[float, str]] = {
     "step": (0.0, "V, step of the baseline"),
     "step_time": (0.0, "s, when it happens"),
     "gain_drift": (0.0, "1/s, relative change of beta with time"),
+    "gain_curve": (0.0, "1/s^2, bend of that change"),
     "carry_over": (0.0, "share of beta still in the manifold when the record starts"),
     "carry_time": (0.0, "s, in which it leaves; 0: the manifold's own V/Q"),
     "valve_factor": (1.0, "valve time constant over the common one"),
@@ -64,8 +65,8 @@ FIRST = 10
 (
     CLOSING, INERTIA, STROKE, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME, SWITCHING, FLOW,
     POCKET, POCKET_TIME, TANK, RELEASE, SLOW_S, SLOW_S_TIME, COATING, FILTER, CURVATURE,
-    DRIFT, DRIFT_CURVE, STEP, STEP_TIME, GAIN, CARRY, CARRY_TIME, VALVE_FACTOR, SENSOR_FACTOR,
-    EMPTYING,
+    DRIFT, DRIFT_CURVE, STEP, STEP_TIME, GAIN, GAIN_CURVE, CARRY, CARRY_TIME, VALVE_FACTOR,
+    SENSOR_FACTOR, EMPTYING,
 ) = range(FIRST, FIRST + len(SETTINGS))  # fmt: skip
 
 CELLS_PER_TIME_CONSTANT = 14.0
@@ -407,7 +408,7 @@ def rig_mean(
         v = p[BETA] * x[i]
         v *= 1.0 + p[CURVATURE] * v
         since = times[i] - p[MIDDLE]
-        v *= 1.0 + p[GAIN] * since
+        v *= 1.0 + since * (p[GAIN] + since * p[GAIN_CURVE])
         v += p[Y0] + since * (p[DRIFT] + since * p[DRIFT_CURVE])
         if p[STEP] != 0.0 and times[i] >= p[STEP_TIME]:
             v += p[STEP]

@@ -14,6 +14,13 @@ def _drift(s: Setting, own: bool) -> tuple[Strength, ...]:
     )  # fmt: skip
 
 
+def _bent(s: Setting) -> tuple[Strength, ...]:
+    curve = Strength("drift_curve", "V/s^2", "normal", 0.0,
+                     0.01 * s.signal_scale / s.duration**2, per_experiment=True,
+                     scaled=True)  # fmt: skip
+    return (*_drift(s, True), curve)
+
+
 EFFECT = Effect(
     name="baseline_drift",
     family="baseline",
@@ -21,9 +28,10 @@ EFFECT = Effect(
     forms=(
         Form(lambda s: _drift(s, False), lambda v, s: {"drift": v["drift"]}, name="common"),
         Form(lambda s: _drift(s, True), lambda v, s: {"drift": v["drift"]}, name="own"),
+        Form(_bent, lambda v, s: dict(v), name="bent"),
     ),
     plausible={"drift": 1e-4},
-    null={"drift": 0.0},
+    null={"drift": 0.0, "drift_curve": 0.0},
     reference="drift of laser power and temperature",
     reveal="a record of the carrier gas alone, as long as an experiment",
 )

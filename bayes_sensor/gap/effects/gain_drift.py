@@ -10,6 +10,12 @@ def _gain(s: Setting, own: bool) -> tuple[Strength, ...]:
     )  # fmt: skip
 
 
+def _bent(s: Setting) -> tuple[Strength, ...]:
+    curve = Strength("gain_curve", "1/s^2", "normal", 0.0, 0.02 / s.duration**2,
+                     per_experiment=True, scaled=True)  # fmt: skip
+    return (*_gain(s, True), curve)
+
+
 EFFECT = Effect(
     name="gain_drift",
     family="gain",
@@ -19,9 +25,10 @@ EFFECT = Effect(
             lambda s: _gain(s, False), lambda v, s: {"gain_drift": v["gain_drift"]}, name="common"
         ),
         Form(lambda s: _gain(s, True), lambda v, s: {"gain_drift": v["gain_drift"]}, name="own"),
+        Form(_bent, lambda v, s: dict(v), name="bent"),
     ),
     plausible={"gain_drift": 1e-4},
-    null={"gain_drift": 0.0},
+    null={"gain_drift": 0.0, "gain_curve": 0.0},
     reference="temperature dependence of sorption; laser power",
     reveal="a longer plateau, and the same step early and late in a record",
 )
