@@ -646,6 +646,15 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     goals = pd.read_csv(
         Path(__file__).resolve().parent.parent / "paper" / "tables" / "blind_check_goals.csv"
     )
-    assert len(goals) == len(shown.strip().splitlines()) - 2
+    lines = [line for line in shown.splitlines() if line.startswith("|")]
+    assert len(goals) == len(lines) - 2
+    cases = pd.read_csv(
+        Path(__file__).resolve().parent.parent / "paper" / "tables" / "blind_check_cases.csv",
+        keep_default_na=False,
+    )
+    nulls = cases[cases["kind"] == "null"]
+    for law, some in nulls.groupby("law"):
+        n = int((some["verdict"] == "effect").sum())
+        assert (f"{law} {n} of {len(some)} (" in shown) == (n > 0)
     for row in goals.itertuples():
         assert f"| {row.goal} | {row.wanted} | {row.reached:.3f}" in shown

@@ -80,7 +80,25 @@ def write_readme() -> None:
     text = README.read_text(encoding="utf-8")
     begin, end = text.index(OPENS) + len(OPENS), text.index(CLOSES)
     goals = pd.read_csv(TABLES / "blind_check_goals.csv")
-    write_text(README, text[:begin] + markdown_table(goals) + text[end:])
+    cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
+    write_text(
+        README, text[:begin] + markdown_table(goals) + "\n" + named_nulls(cases) + text[end:]
+    )
+
+
+def named_nulls(cases: pd.DataFrame) -> str:
+    """One sentence: under which laws of noise faultless campaigns were given a name."""
+    nulls = cases[cases["kind"] == "null"]
+    named = nulls[nulls["verdict"] == "effect"]
+    counts = [
+        f"{law} {len(named[named['law'] == law])} of {len(nulls[nulls['law'] == law])}"
+        + f" ({', '.join(sorted(set(some['said'])))})"
+        for law, some in named.groupby("law")
+    ]
+    rest = nulls[~nulls["law"].isin(set(named["law"]))]
+    return (
+        f"Nulls named, by law of noise: {'; '.join(counts) or 'none'}; others 0 of {len(rest)}.\n"
+    )
 
 
 def keep_figure(figure: Figure, name: str) -> None:
