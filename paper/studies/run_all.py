@@ -22,6 +22,7 @@ import study_gap
 import study_hostile
 import study_predictive
 import study_published_bounds
+import study_real
 import study_reproduction
 import study_sbc
 
@@ -37,6 +38,7 @@ STUDIES = {
     "blind-check": study_blind_check.run,
     "extremes": study_extremes.run,
     "hostile": study_hostile.run,
+    "real": study_real.run,
     "faults": study_faults.run,
     "determinism": study_determinism.run,
     "fleet": study_fleet.run,
