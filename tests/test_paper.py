@@ -114,3 +114,26 @@ def test_reproduced_numbers_are_near_the_published_ones() -> None:
         inside = [row["inside"] == "True" for row in csv.DictReader(stream)]
     # 28 intervals of 95 %: 24 or more hold with probability .997
     assert len(inside) == 28 and sum(inside) >= 24
+
+
+@pytest.mark.skipif(
+    not (PAPER / "tables" / "real_pid.csv").is_file(),
+    reason="make study has not been run with BAYES_SENSOR_REAL, the folder of the measurements",
+)
+def test_the_real_measurements_are_reported_whole() -> None:
+    with (PAPER / "tables" / "real_pid.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["campaign"] for row in rows] == ["pid_dilution_steps", "pid_flow_matrix"]
+    for row in rows:
+        for half in ("", "held_"):
+            before, after = (float(row[f"{half}d_{when}"]) for when in ("before", "after"))
+            # both were written with five digits
+            assert float(row[f"{half}closed"]) == pytest.approx(1 - (after / before) ** 2, abs=1e-3)
+            assert float(row[f"{half}closed_low"]) <= float(row[f"{half}closed_high"])
+    with (PAPER / "tables" / "real_pid_where.csv").open(newline="") as stream:
+        places = list(csv.DictReader(stream))
+    for row in rows:
+        for half in ("choosing", "held out"):
+            mine = [p for p in places if (p["campaign"], p["half"]) == (row["campaign"], half)]
+            assert sum(float(p["share_before"]) for p in mine) == pytest.approx(1, abs=1e-3)
+    assert {"tab-real", "fig-real_pid"} <= labels(PAPER)
