@@ -17,7 +17,8 @@ CONSTRAINTS := "constraints-$$($(BIN)/python -c \
   'import sys; print("3.11" if sys.version_info < (3, 12) else "3.12")').txt"
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint format bench study paper docs data clean clean-venv
+.PHONY: help install demo test lint format bench study paper docs data dist check-dist clean \
+  clean-venv
 
 help:
 	@echo "make install   $(VENV) with the package and everything the tests need"
@@ -30,6 +31,8 @@ help:
 	@echo "make paper     the manuscript as PDF, from the studies' outputs"
 	@echo "make docs      the documentation pages"
 	@echo "make data      rebuild data/reference and data/withheld bit for bit"
+	@echo "make dist      wheel and source archive in dist/"
+	@echo "make check-dist  install the wheel into new environments, run it there (QUICK=1: one)"
 	@echo "make clean     remove build results and caches (clean-venv: the environment)"
 
 install: $(STAMP)
@@ -85,6 +88,16 @@ docs: $(STAMP) docs/conf.py
 	@$(PIP_INSTALL) -c $(CONSTRAINTS) -e '.[docs]'
 	$(BIN)/python -m sphinx -W --keep-going -b html docs build/docs
 	@echo "pages: $(CURDIR)/build/docs/index.html"
+
+# Builds need no environment of the project: a builder of their own, and the sources.
+dist:
+	@rm -rf dist build/builder
+	@$(PYTHON) -m venv build/builder
+	@build/builder/bin/python -m pip install --quiet --disable-pip-version-check build
+	build/builder/bin/python -m build --outdir dist .
+
+check-dist: dist
+	build/builder/bin/python paper/studies/study_packaging.py dist $(if $(QUICK),--quick)
 
 # What a target above runs and this checkout does not hold: say so, and fail.
 paper/studies/benchmark.py paper/studies/run_all.py paper/build.py data/make_reference.py docs/conf.py:

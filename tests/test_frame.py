@@ -55,7 +55,8 @@ ROOMS = (
 )
 DRAWING_ROOMS = ("figures", "report")
 
-MAKE_TARGETS = ("install", "demo", "test", "lint", "bench", "study", "paper", "docs", "data")
+MAKE_TARGETS = ("install", "demo", "test", "lint", "bench", "study", "paper", "docs", "data",
+                "dist", "check-dist")  # fmt: skip
 
 
 def test_version_is_the_same_everywhere() -> None:
@@ -64,6 +65,25 @@ def test_version_is_the_same_everywhere() -> None:
     assert importlib.metadata.version("bayes-sensor") == declared
     assert f"## [{declared}]" in (ROOT / "CHANGELOG.md").read_text()
     assert f"\nversion: {declared}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_citation_file_says_what_is_needed_to_cite() -> None:
+    yaml = pytest.importorskip("yaml")
+    text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    # dates and numbers stay as they are written: a version is a string
+    citation = yaml.load(text, Loader=yaml.BaseLoader)
+    for key in ("cff-version", "message", "title", "authors"):  # required by the format
+        assert citation[key], f"CITATION.cff: {key} is missing"
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["type"] in ("software", "dataset")
+    assert citation["version"] == bayes_sensor.__version__
+    assert re.fullmatch(r"\d+\.\d+\.\d+(-[0-9A-Za-z.-]+)?", citation["version"])
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert citation["license"] == project["license"]
+    for entry in [citation, *citation["references"]]:
+        assert entry["title"] and entry["authors"]
+        for author in entry["authors"]:
+            assert "name" in author or {"family-names", "given-names"} <= set(author)
 
 
 # --- the order of the rooms
@@ -187,7 +207,7 @@ def test_constraints_cover_every_dependency_and_extra(name: str) -> None:
 def test_makefile_has_target(target: str) -> None:
     text = (ROOT / "Makefile").read_text()
     assert re.search(rf"^{target}:", text, flags=re.MULTILINE)
-    phony = re.search(r"^\.PHONY:(.*)$", text, flags=re.MULTILINE)
+    phony = re.search(r"^\.PHONY:((?:.*\\\n)*.*)$", text, flags=re.MULTILINE)
     assert phony is not None
     assert target in phony[1].split(), f"{target} is not .PHONY: a folder of that name hides it"
 
