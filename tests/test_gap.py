@@ -378,3 +378,12 @@ def test_a_notebook_shows_the_verdict_and_the_explanations():
     for row in gap.rows[:3]:
         assert row["effect"] in text
     assert text.count("<tr") >= min(len(gap.rows), 8)
+
+
+@pytest.mark.parametrize("name", ["a+b", "", "unlisted", "with space"])
+def test_names_of_own_effects_must_not_be_mistaken(name):
+    with pytest.raises(CampaignError, match="expected a name of letters"):
+        own_effect(
+            name, [Strength("s", "V", "normal", 0.0, 1.0)], lambda t, s, rig: rig.mean(t),
+            plausible={"s": 1.0},
+        )  # fmt: skip

@@ -216,6 +216,12 @@ def own_effect(
     'leak'
     """
     fixed = tuple(strengths)
+    if not name.isidentifier() or name in ("none", "unlisted"):
+        # tables write a+b for two effects at once
+        raise CampaignError(
+            f"effect '{name}': expected a name of letters, digits and underscores that is not "
+            "'none' or 'unlisted'; rename it"
+        )
     if not fixed:
         raise CampaignError(f"effect {name}: expected at least one strength")
     form = Form(
