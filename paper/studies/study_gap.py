@@ -407,7 +407,7 @@ def draw_power(table: pd.DataFrame, rows: pd.DataFrame) -> None:
     right.tick_params(axis="y", labelsize=6)
     right.invert_yaxis()
     right.set_xlabel("probability of the true family")
-    right.legend(loc="lower left")
+    right.legend(loc="center", bbox_to_anchor=(0.42, 0.62))
     save(figure, "gap_power")
 
 
