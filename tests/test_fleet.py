@@ -297,8 +297,9 @@ def test_the_committed_study_compares_the_three_ways() -> None:
     if not (TABLES / "fleet.csv").exists():
         pytest.skip("fleet.csv is not in this checkout")
     measured = pd.read_csv(TABLES / "fleet.csv")
-    ways = measured[measured["campaigns"] < 100]
-    assert {"serial", "--jobs 2", "Dask, 2 workers"} <= set(ways["way"])
+    three = ("serial", "--jobs 2", "Dask, 2 workers")
+    ways = measured[measured["way"].isin(three)]
+    assert len(ways) == len(three)
     assert (ways["campaigns"] >= 12).all() and (ways["same_as_serial"] == "yes").all()
     assert (ways["peak_memory_MB"] > 50).all()
     assert (measured["campaigns"] == 10_000).any()
