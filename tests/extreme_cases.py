@@ -166,6 +166,11 @@ ORDINARY = ("ok", "upper limit", "intervals taken in tau^2")
 """a status with one of these says how tau is stated, not that something is wrong"""
 
 
+def ordinary(sentence: str) -> bool:
+    """Whether a sentence of a status says how an interval is stated, not that it is doubtful."""
+    return any(sentence == word or (len(word) > 2 and word in sentence) for word in ORDINARY)
+
+
 def ask(
     problem: Problem,
     seed: int = 1,
@@ -193,7 +198,8 @@ def ask(
         bounds = compare_bounds(problem, fit, None, METHODS, seed, n_resamples=n_resamples)
         for name, bound in bounds.methods.items():
             told.intervals[name] = np.array([bound.interval(p) for p in SHARED])
-            told.warned[name] = said or not any(word in bound.status for word in ORDINARY)
+            rest = [part for part in bound.status.split("; ") if not ordinary(part)]
+            told.warned[name] = said or bool(rest)
     except CampaignError as error:
         told.refusals.append(str(error))
     return told

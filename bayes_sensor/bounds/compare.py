@@ -46,6 +46,14 @@ SPREAD_OF_LEAST_SQUARES = ("sandwich", "sandwich_ar1", "block_bootstrap")
 """methods that judge the spread of least squares from the noise they see"""
 
 
+CLOSE = 0.5
+"""tau over tau_v above which a Gaussian about one of the two orders is too narrow"""
+CLOSE_WORDS = (
+    "tau and tau_v are close, and the cascade is unchanged when they swap: intervals about one "
+    "order may be too narrow, those of the profile are not"
+)
+
+
 def why_mute(evidence: Evidence, name: str) -> str:
     """Why a method can say nothing about these data, as a sentence; empty where it can."""
     if name != "posterior" and not evidence.fit.step_seen:
@@ -69,16 +77,20 @@ def silent(evidence: Evidence, name: str, reason: str) -> Bound:
                  reason)  # fmt: skip
 
 
+def with_remark(bound: Bound, remark: str) -> Bound:
+    """The bound with one more sentence in its status."""
+    status = remark if bound.status == "ok" else f"{bound.status}; {remark}"
+    return replace(bound, status=status)
+
+
 def without_roles(bound: Bound, reason: str) -> Bound:
     """The bound without its values of tau_v and V, which hold about one of two fits only."""
     lost = np.isin(bound.names, ("tau_v_s", "V_mL"))
-    status = reason if bound.status == "ok" else f"{bound.status}; {reason}"
     return replace(
-        bound,
+        with_remark(bound, reason),
         sd=np.where(lost, np.nan, bound.sd),
         low=np.where(lost[:, None], np.nan, bound.low),
         high=np.where(lost[:, None], np.nan, bound.high),
-        status=status,
     )
 
 
@@ -128,6 +140,7 @@ def compare_bounds(
             progress((done + fraction) / len(chosen), text)
 
     evidence = Evidence(problem, fit, posterior, seed, n_resamples, report)
+    theta = evidence.theta
     for name, method in chosen.items():
         report(0.0, name)
         start = time.perf_counter()
@@ -135,6 +148,8 @@ def compare_bounds(
         bounds[name] = silent(evidence, name, mute) if mute else method(evidence)
         if fit.twin and not mute and name != "posterior":
             bounds[name] = without_roles(bounds[name], fit.twin)
+        elif name not in ("profile", "posterior") and theta[0] > CLOSE * theta[1]:
+            bounds[name] = with_remark(bounds[name], CLOSE_WORDS)
         seconds[name] = time.perf_counter() - start
         done += 1
     return Bounds(bounds, problem.campaign.signal_unit, seconds, evidence.likelihood)

@@ -21,7 +21,7 @@ from bayes_sensor.posterior.summaries import highest_density, weighted_quantiles
 if TYPE_CHECKING:
     import pandas as pd
 
-NEAR_EQUAL, MAY_BE_EQUAL = 0.9, 0.025
+NEAR_EQUAL, MAY_BE_EQUAL = 0.8, 0.025
 """tau over tau_v that counts as equal, and the probability of it that is worth a warning"""
 QUANTILES = (0.5, 2.5, 16.0, 50.0, 84.0, 97.5, 99.5)
 
