@@ -84,7 +84,8 @@ def ranks_of(truth: FloatArray, draws: FloatArray, n_ranks: int) -> IntArray:
     if len(draws) < n_ranks:
         raise CampaignError(f"{n_ranks} ranks need as many draws, but there are {len(draws)}")
     some = draws[np.linspace(0, len(draws) - 1, n_ranks).round().astype(int)]
-    return (some < truth).sum(axis=0)
+    ranks: np.ndarray = (some < truth).sum(axis=0)
+    return ranks
 
 
 @dataclass(frozen=True, eq=False)

@@ -187,7 +187,8 @@ class ReducedResponse:
     def step(self, t: FloatArray | float) -> FloatArray:
         """Step response at t (s), of the shape of t; 0 before the step."""
         elapsed = np.maximum(np.asarray(t, dtype=float), 0.0)
-        return 1.0 - np.exp(-elapsed[..., None] * self.rate) @ self.amplitude
+        risen: FloatArray = 1.0 - np.exp(-elapsed[..., None] * self.rate) @ self.amplitude
+        return risen
 
     def scaled(self, factor: float) -> ReducedResponse:
         """The same shape, ``factor`` times slower (all diffusivities divided by it)."""
@@ -300,8 +301,9 @@ def _interpolation_row(nodes: FloatArray, barycentric: FloatArray, x: float) -> 
     distance = x - nodes
     if np.abs(distance).min() < 1e-14:
         return (np.abs(distance) < 1e-14).astype(float)
-    row = barycentric / distance
-    return row / row.sum()
+    row: FloatArray = barycentric / distance
+    row /= row.sum()
+    return row
 
 
 def _lateral_modes(coating: Coating) -> tuple[FloatArray, FloatArray]:
@@ -353,7 +355,8 @@ def reduced(coating: Coating, n: int = 6) -> ReducedResponse:
 
     def rates(u: FloatArray) -> FloatArray:
         steps = math.log(1.3) + np.exp(u[1:])
-        return np.exp(u[0] + np.concatenate(([0.0], np.cumsum(steps))))
+        rate: FloatArray = np.exp(u[0] + np.concatenate(([0.0], np.cumsum(steps))))
+        return rate
 
     def amplitudes(rate: FloatArray) -> FloatArray:
         conditions = np.stack((np.ones(n), rate))
@@ -427,16 +430,14 @@ def assemble(coating: Coating, level: int = 1) -> System:
         area = w.x[0] if axisymmetric else 1.0
         return area * np.where(w.x[1] < coating.thickness_zif8, in_zif8, in_pdms)
 
-    @BilinearForm
     def mass_form(u: Any, v: Any, w: Any) -> Any:
         return by_layer(w, coating.partition, 1.0) * u * v
 
-    @BilinearForm
     def stiffness_form(u: Any, v: Any, w: Any) -> Any:
         conductivity = by_layer(w, coating.partition * coating.d_zif8, coating.d_pdms)
         return conductivity * (u.grad[0] * v.grad[0] + u.grad[1] * v.grad[1])
 
-    mass, stiffness = mass_form.assemble(basis), stiffness_form.assemble(basis)
+    mass, stiffness = (BilinearForm(form).assemble(basis) for form in (mass_form, stiffness_form))
     at_r, at_z = basis.doflocs
     fixed = np.isclose(at_z, z[-1], rtol=1e-9, atol=0)
     if math.isfinite(coating.outer_radius):
@@ -902,9 +903,12 @@ class TauMap:
         """(n,) log(tau) at log D_ZIF8 (n,), given :meth:`at`; tau goes as 1/D below range."""
         centre, half = self.centre_and_half
         x = np.clip((log_d - centre) / half, -1.0, 1.0)
-        value = np.sum(chebyshev.chebvander(x, coefficients.shape[1] - 1) * coefficients, axis=1)
+        value: FloatArray = np.sum(
+            chebyshev.chebvander(x, coefficients.shape[1] - 1) * coefficients, axis=1
+        )
         # Below the range PDMS takes no time and tau goes as h^2/D.
-        return value + np.maximum(centre - half - log_d, 0.0)
+        value = value + np.maximum(centre - half - log_d, 0.0)
+        return value
 
     def invert(self, log_tau: FloatArray, coefficients: FloatArray) -> FloatArray:
         """(n,) log D_ZIF8 at which log(tau) is met; +inf beyond the top of the range."""

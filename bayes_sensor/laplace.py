@@ -137,7 +137,7 @@ class Coordinates:
         values = np.asarray(thetas)[..., self.free]
         phi, sigma0 = self.phi, self.sigma0
         with np.errstate(divide="ignore"):
-            total = np.log(1.0 - values[..., phi] ** 2).sum(axis=-1)
+            total: FloatArray = np.log(1.0 - values[..., phi] ** 2).sum(axis=-1)
             total = total + np.log(values[..., sigma0]).sum(axis=-1)
             total = total + np.log(values[..., self.logs]).sum(axis=-1)
             if not roots:
@@ -329,7 +329,8 @@ def approximate(
         candidate = coordinates.theta(psi)
         _, g = mesh.value_and_gradient(candidate)
         g = g + prior_gradient(problem, candidate)
-        return coordinates.slopes(candidate).T @ g[free]
+        slopes: FloatArray = coordinates.slopes(candidate).T @ g[free]
+        return slopes
 
     psi = coordinates.psi(theta)
     value = objective(psi)
@@ -441,7 +442,8 @@ def _positive(matrix: FloatArray) -> FloatArray:
     scale = np.sqrt(diagonal)
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     values = np.maximum(values, 1e-8)
-    return (vectors * values) @ vectors.T * np.outer(scale, scale)
+    mended: FloatArray = (vectors * values) @ vectors.T * np.outer(scale, scale)
+    return mended
 
 
 def _expand(

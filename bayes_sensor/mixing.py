@@ -52,7 +52,8 @@ def _normal_scores(draws: FloatArray) -> FloatArray:
         ends = np.append(starts[1:], n)
         rank[place] = np.repeat(0.5 * (starts + ends + 1), ends - starts)
     # Blom's offset (Vehtari et al., eq. 14)
-    return ndtri((ranks - 0.375) / (n + 0.25)).reshape(draws.shape)
+    scores: FloatArray = ndtri((ranks - 0.375) / (n + 0.25))
+    return scores.reshape(draws.shape)
 
 
 def _r_hat(draws: FloatArray) -> FloatArray:
@@ -60,7 +61,8 @@ def _r_hat(draws: FloatArray) -> FloatArray:
     within = draws.var(axis=2, ddof=1).mean(axis=1)
     between = draws.mean(axis=2).var(axis=1, ddof=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.sqrt((n - 1) / n + between / within)
+        ratio: FloatArray = np.sqrt((n - 1) / n + between / within)
+    return ratio
 
 
 def _effective(draws: FloatArray) -> FloatArray:

@@ -249,7 +249,8 @@ def _divided(
                 table[i] = (table[i + 1] - table[i]) / spread
             else:
                 table[i] = _series(a, i, k + 1, s, h)
-    return table[0]
+    highest: float = table[0]
+    return highest
 
 
 @njit(cache=True)
@@ -283,7 +284,7 @@ def impulse_response(s: float, rates: FloatArray) -> float:  # pragma: no cover 
     """dx_n/ds, 1/s, of the same cascade."""
     if s <= 0.0:
         return 0.0
-    value = divided_exponential(rates, s) * rates[0]
+    value: float = divided_exponential(rates, s) * rates[0]
     for i in range(1, len(rates)):
         value *= -rates[i]
     return value

@@ -303,7 +303,8 @@ def _one_step_ahead(z: FloatArray, e: Experiment, phi: float) -> FloatArray:
     step[0] = 0.0
     innovation = values.copy()
     innovation[1:] -= step[1:] * values[:-1]
-    return ndtr(innovation / np.sqrt(1.0 - step**2))
+    share: FloatArray = ndtr(innovation / np.sqrt(1.0 - step**2))
+    return share
 
 
 def _compare(

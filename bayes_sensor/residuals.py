@@ -102,11 +102,12 @@ def autocorrelation(r: FloatArray, n_lags: int) -> FloatArray:
     """
     d = r - r.mean()
     n_lags = min(n_lags, len(d) - 1)
-    power = fft.rfft(d, fft.next_fast_len(len(d) + n_lags, real=True))
-    sums = fft.irfft(power.real**2 + power.imag**2, fft.next_fast_len(len(d) + n_lags, real=True))
-    if sums[0] <= 0.0:
-        return np.r_[1.0, np.zeros(n_lags)]
-    return sums[: n_lags + 1] / sums[0]
+    length = fft.next_fast_len(len(d) + n_lags, real=True)
+    power = fft.rfft(d, length)
+    sums = fft.irfft(power.real**2 + power.imag**2, length)
+    impulse = np.r_[1.0, np.zeros(n_lags)]
+    rho: FloatArray = impulse if sums[0] <= 0.0 else sums[: n_lags + 1] / sums[0]
+    return rho
 
 
 def whiten(z: FloatArray, index: np.ndarray, phi: float) -> FloatArray:

@@ -70,7 +70,8 @@ def bin_covariance(edges: np.ndarray, correlation: FloatArray) -> FloatArray:
     first, last = edges[:-1], edges[1:]
 
     def at(a: np.ndarray, b: np.ndarray) -> FloatArray:
-        return F[np.abs(np.subtract.outer(a, b))]
+        values: FloatArray = F[np.abs(np.subtract.outer(a, b))]
+        return values
 
     total = at(first, last) - at(last, last) - at(first, first) + at(last, first)
     n = np.diff(edges).astype(float)

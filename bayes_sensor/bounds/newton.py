@@ -230,4 +230,5 @@ def mixed(
     while j < last - 1 and taus[j + 1] < tau:
         j += 1
     share = min(max((tau - taus[j]) / (taus[j + 1] - taus[j]), 0.0), 1.0)
-    return (1.0 - share) * matrices[j] + share * matrices[j + 1]
+    matrix: FloatArray = (1.0 - share) * matrices[j] + share * matrices[j + 1]
+    return matrix

@@ -27,7 +27,7 @@ def _lagrange(points: FloatArray) -> FloatArray:
     hit = np.abs(distance) < 1e-14
     distance[hit] = 1.0
     terms = weights / distance
-    values = terms / terms.sum(axis=1, keepdims=True)
+    values: FloatArray = terms / terms.sum(axis=1, keepdims=True)
     rows = hit.any(axis=1)
     values[rows] = hit[rows]
     return values

@@ -53,7 +53,8 @@ def _errors(parts: Sequence[Part]) -> np.ndarray:
     rates = np.array([_rate(part) for part in parts])
     low = np.array([part["lo95"] for part in parts], dtype=float)
     high = np.array([part["hi95"] for part in parts], dtype=float)
-    return np.nan_to_num(np.maximum(np.stack([rates - low, high - rates]), 0.0))
+    lengths: np.ndarray = np.nan_to_num(np.maximum(np.stack([rates - low, high - rates]), 0.0))
+    return lengths
 
 
 def _bars(axes: Axes, names: Sequence[str], parts: Sequence[Part], colour: str) -> None:

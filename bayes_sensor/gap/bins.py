@@ -68,7 +68,8 @@ class ExperimentBins:
     def average(self, samples: FloatArray) -> FloatArray:
         """(n_bins,) means of the samples (n_t,) in each bin."""
         total = np.concatenate([[0.0], np.cumsum(samples)])
-        return (total[self.last] - total[self.first]) / self.count
+        means: FloatArray = (total[self.last] - total[self.first]) / self.count
+        return means
 
     def restricted(self, keep: NDArray[np.bool_]) -> ExperimentBins:
         """Only the bins (n_bins,) that are kept."""

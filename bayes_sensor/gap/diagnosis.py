@@ -203,7 +203,8 @@ class Gap:
             "signal_unit": self.signal_unit,
             "notes": list(self.notes),
         }
-        return _finite(record)
+        finite: dict[str, Any] = _finite(record)
+        return finite
 
 
 def _plain(mapping: Mapping[str, Any], *without: str) -> dict[str, Any]:

@@ -156,7 +156,8 @@ def _local(changes: FloatArray, begins: NDArray[np.int64], length: int) -> Float
     wider = max(LOCAL - length, 0) // 2
     low = np.maximum(begins - wider, 0)
     high = np.minimum(begins + length + wider, len(changes))
-    return np.sqrt(np.maximum((total[high] - total[low]) / (high - low), 1e-12))
+    local: FloatArray = np.sqrt(np.maximum((total[high] - total[low]) / (high - low), 1e-12))
+    return local
 
 
 def _surprise(square: FloatArray, dof: float) -> float:

@@ -59,11 +59,13 @@ class Floor:
 
     def whiten(self, k: int, values: FloatArray) -> FloatArray:
         """Bin values (n_bins,) or (n_bins, m) of experiment ``k`` in standard deviations."""
-        return solve_triangular(self.cholesky[k], values, lower=True, check_finite=False)
+        e: FloatArray = solve_triangular(self.cholesky[k], values, lower=True, check_finite=False)
+        return e
 
     def deviation(self, k: int) -> FloatArray:
         """(n_bins,) V, standard deviation of each bin mean of experiment ``k``."""
-        return np.sqrt(np.sum(self.cholesky[k] ** 2, axis=1))
+        deviation: FloatArray = np.sqrt(np.sum(self.cholesky[k] ** 2, axis=1))
+        return deviation
 
     def rms(self) -> float:
         """V, of the noise itself, averaged over experiments and levels."""
@@ -98,7 +100,8 @@ def clean(residual: FloatArray, used: NDArray[np.bool_]) -> tuple[FloatArray, in
 def _running_median(values: FloatArray, width: int) -> FloatArray:
     from scipy.ndimage import median_filter
 
-    return median_filter(values, size=2 * width + 1, mode="nearest")
+    median: FloatArray = median_filter(values, size=2 * width + 1, mode="nearest")
+    return median
 
 
 def quiet_stretches(
@@ -361,7 +364,7 @@ def _white_variance(
     # n samples cannot do better than this over n
     top = 0.5 / e.interval
     band = min(max(int(np.searchsorted(edges, top)) - 2, 0), density.shape[1] - 1)
-    root = (1.0 - w) * np.sqrt(density[0, band]) + w * np.sqrt(density[1, band])
+    root: FloatArray = (1.0 - w) * np.sqrt(density[0, band]) + w * np.sqrt(density[1, band])
     return 0.5 * root**2 * top
 
 

@@ -250,7 +250,8 @@ def _local_level(power: FloatArray, per_resolution: float, k: int) -> FloatArray
     smooth = np.interp(
         np.log(np.maximum(index, 0.5)), np.log(centres), np.log(np.maximum(levels, 1e-300))
     )
-    return np.maximum(np.exp(smooth), 1e-300)
+    expected: FloatArray = np.maximum(np.exp(smooth), 1e-300)
+    return expected
 
 
 def _mains_bands(
@@ -328,7 +329,8 @@ def _innovations(x: FloatArray, order: int) -> FloatArray:
         return x
     toeplitz = gamma[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
     a = np.linalg.solve(toeplitz + 1e-9 * gamma[0] * np.eye(order), gamma[1:])
-    return lfilter(np.concatenate([[1.0], -a]), [1.0], x)[order:]
+    whitened: FloatArray = lfilter(np.concatenate([[1.0], -a]), [1.0], x)
+    return whitened[order:]
 
 
 def _t_likelihood(e: FloatArray, dof: float) -> tuple[float, float]:

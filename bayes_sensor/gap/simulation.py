@@ -220,7 +220,9 @@ def _unit_noise(
     if "heavy_tails" not in chosen:
         e = rng.standard_normal(n)
         e[1:] *= np.sqrt(1.0 - phi**2)
-        return lfilter([1.0], [1.0, -phi], e)
+        noise: FloatArray = lfilter([1.0], [1.0, -phi], e)
+        return noise
     dof = chosen["heavy_tails"]["tail_dof"]
     e = rng.standard_t(dof, n + BURN_IN) / np.sqrt(dof / (dof - 2.0))
-    return lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], e)[BURN_IN:]
+    noise = lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], e)
+    return noise[BURN_IN:]

@@ -83,7 +83,8 @@ class Weighing:
     def probabilities(self) -> FloatArray:
         """(n_hypotheses,) summing to 1."""
         logs = np.array([h.log_weight for h in self.hypotheses])
-        return np.exp(logs - logsumexp(logs))
+        shares: FloatArray = np.exp(logs - logsumexp(logs))
+        return shares
 
     def find(self, *effects: str) -> Hypothesis:
         """The hypothesis of exactly these effects and nothing else.  Raises KeyError."""

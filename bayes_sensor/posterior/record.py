@@ -86,7 +86,8 @@ class Posterior:
 
     def quantiles(self, name: str, probabilities: Any) -> FloatArray:
         """Posterior quantiles at ``probabilities`` between 0 and 1."""
-        return np.quantile(self.of(name), probabilities)
+        found: FloatArray = np.quantile(self.of(name), probabilities)
+        return found
 
     @property
     def converged(self) -> bool:

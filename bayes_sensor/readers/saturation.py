@@ -55,7 +55,8 @@ def clipped_samples(y: FloatArray, used: BoolArray) -> BoolArray:
     before = counts[i] - counts[np.maximum(i - WINDOW, 0)]
     after = counts[np.minimum(i + 1 + WINDOW, len(y))] - counts[i + 1]
     crowded = np.minimum(before, after) > CROWDED * WINDOW
-    return (at_rail | crowded) & used
+    clipped: BoolArray = (at_rail | crowded) & used
+    return clipped
 
 
 def _is_rail(values: FloatArray, rail: float) -> bool:

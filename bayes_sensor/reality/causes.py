@@ -565,7 +565,8 @@ def mains_hum(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
 
         def hum(t: FloatArray, phases: FloatArray = phases) -> FloatArray:
             angle = 2.0 * pi * frequency * t
-            return size * (np.sin(angle + phases[0]) + third * np.sin(3.0 * angle + phases[1]))
+            sines: FloatArray = np.sin(angle + phases[0]) + third * np.sin(3.0 * angle + phases[1])
+            return size * sines
 
         rig[step.name].offset.append(hum)
 

@@ -146,14 +146,15 @@ def _draw_part(
     e = _innovations(n, rng, tails)
     e[1:] *= sqrt(1.0 - decay**2)
     if part.frequency == 0.0:
-        x = lfilter([1.0], [1.0, -decay], e)
+        x: FloatArray = lfilter([1.0], [1.0, -decay], e)
         if part.shape == "gusts":
             x *= np.where(_telegraph(exp(-interval / part.gust_time), n, rng) > 0, *_gusts(part))
         return x
     other = rng.standard_normal(n)
     other[1:] *= sqrt(1.0 - decay**2)
     turn = decay * np.exp(2j * pi * part.frequency * interval)
-    return lfilter([1.0], [1.0, -turn], e + 1j * other).real
+    turning: FloatArray = lfilter([1.0], [1.0, -turn], e + 1j * other).real
+    return turning
 
 
 def _gusts(part: Component) -> tuple[float, float]:
@@ -178,7 +179,8 @@ def _window(time: float, n: int, interval: float, rng: np.random.Generator) -> F
     late = sqrt(part) * rng.standard_normal(n + whole)
     both = late + sqrt(max(interval - part, 0.0)) * rng.standard_normal(n + whole)
     sums = np.concatenate([[0.0], np.cumsum(both)])
-    return (sums[whole + 1 :] - sums[1 : n + 1] + late[:n]) / sqrt(time)
+    moving: FloatArray = (sums[whole + 1 :] - sums[1 : n + 1] + late[:n]) / sqrt(time)
+    return moving
 
 
 def _shot(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
@@ -194,7 +196,7 @@ def _shot(part: Component, n: int, interval: float, rng: np.random.Generator) ->
     seen = at.astype(np.int64)
     late = (seen + 1 - at) * interval / part.time
     arriving = np.bincount(seen, rng.exponential(size=count) * np.exp(-late), total)
-    x = lfilter([1.0], [1.0, -exp(-interval / part.time)], arriving)[before:]
+    x: FloatArray = lfilter([1.0], [1.0, -exp(-interval / part.time)], arriving)[before:]
     return (x - part.rate) / sqrt(part.rate)
 
 
@@ -213,4 +215,5 @@ def _smooth(time: float, n: int, interval: float, rng: np.random.Generator) -> F
         second = step @ start + kicks[:, 1]
         drive[1] = second[0] - 2.0 * e * start[0]
         drive[2:] = kicks[0, 2:] - step[1, 1] * kicks[0, 1:-1] + step[0, 1] * kicks[1, 1:-1]
-    return lfilter([1.0], [1.0, -2.0 * e, e * e], drive)
+    x: FloatArray = lfilter([1.0], [1.0, -2.0 * e, e * e], drive)
+    return x

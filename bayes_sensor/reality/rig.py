@@ -142,8 +142,8 @@ def nodes(step: Step, times: FloatArray, marks: list[float], quick: float) -> Fl
     grid = np.unique(np.concatenate(pieces))
     grid = grid[grid <= last]
     # times that differ by rounding only would make intervals of no length
-    keep = np.concatenate([[True], np.diff(grid) > 1e-9])
-    return grid[keep]
+    kept: FloatArray = grid[np.concatenate([[True], np.diff(grid) > 1e-9])]
+    return kept
 
 
 def voltage(
@@ -305,7 +305,7 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
         rest, full = dip(knobs.detuning), dip(knobs.detuning + reach)
         at = knobs.detuning + reach * x
         signal = signal + (dip(at + stray) - dip(at)) / (full - rest)
-    y = step.y0 + step.beta * signal
+    y: FloatArray = step.y0 + step.beta * signal
     if knobs.fringe_phase is not None:
         turns = knobs.fringe_turns * x + knobs.fringe_phase(t)
         y = y + knobs.fringe * np.sin(2.0 * pi * turns)
