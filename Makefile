@@ -94,7 +94,7 @@ dist:
 	@rm -rf dist build/builder
 	@$(PYTHON) -m venv build/builder
 	@build/builder/bin/python -m pip install --quiet --disable-pip-version-check build
-	build/builder/bin/python -m build --outdir dist .
+	build/builder/bin/python -m build --sdist --wheel --outdir dist .
 
 check-dist: dist
 	build/builder/bin/python paper/studies/study_packaging.py dist $(if $(QUICK),--quick)

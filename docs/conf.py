@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from sphinx.application import Sphinx
+from sphinx.errors import ConfigError
+
+ABSENT = [name for name in ("myst_parser", "furo", "latex2mathml") if find_spec(name) is None]
+if ABSENT:
+    raise ConfigError(f"not installed: {', '.join(ABSENT)}; run: pip install 'bayes-sensor[docs]'")
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]

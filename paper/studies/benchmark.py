@@ -136,7 +136,8 @@ def pints_log_likelihoods(problem: Problem) -> dict[str, Callable[[np.ndarray], 
     try:
         import pints
     except ImportError:
-        print("PINTS is not installed (the extra 'bench'): its rows are skipped", file=sys.stderr)
+        print("PINTS is not installed: its rows are skipped; for them run "
+              "pip install 'bayes-sensor[bench]'", file=sys.stderr)  # fmt: skip
         return None
     campaign, layout = problem.campaign, problem.layout
     n_mean = layout.n_mean

@@ -1,15 +1,17 @@
 """Does what is handed out install and run?  ``make check-dist`` calls this; Python alone is enough.
 
-The archives in ``dist`` are looked into; the wheel goes into a new environment of every interpreter
-found, without extras and with the tested versions, where ``pip check`` must be content, commands
-must run away from the sources, and a missing extra must be named.  Times are CPU seconds, the
-least of several processes.  A row an interpreter goes to ``paper/tables/packaging.csv``.
+The archives in ``dist`` are looked into.  For every interpreter found, the sdist must give the
+wheel again, file by file, and the wheel goes into a new environment, without extras and with the
+tested versions, where ``pip check`` must be content, commands must run away from the sources, and
+a missing extra must be named.  Times are CPU seconds, the least of several processes.  A row an
+interpreter goes to ``paper/tables/packaging.csv``.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import hashlib
 import json
 import os
 import shutil
@@ -30,8 +32,10 @@ IN_SDIST = ("pyproject.toml", "Makefile", ".ci/run", "LICENSE", "CITATION.cff", 
             "tests/public_api.txt", "docs/conf.py", "notebooks/quickstart.ipynb",
             "data/reference/campaign.toml", "paper/build.py",
             "bayes_sensor/templates/report.css")  # fmt: skip
+ALL_NAMES = "import bayes_sensor as b; [getattr(b, name) for name in b.__all__]"
 EXTRAS = {"parquet": "pyarrow", "tdms": "nptdms", "cluster": "distributed"}
-OUTSIDE = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
+# what the caller has set for Python or for an environment of its own stays out
+OUTSIDE = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON") and k != "VIRTUAL_ENV"}
 
 
 class Failed(Exception):
@@ -83,6 +87,25 @@ def interpreters() -> dict[str, str]:
     return found
 
 
+def contents(wheel: Path) -> dict[str, str]:
+    """Digest by name of the files in a wheel; its list of itself (RECORD) is left out."""
+    with zipfile.ZipFile(wheel) as archive:
+        names = [name for name in archive.namelist() if not name.endswith("/RECORD")]
+        return {name: hashlib.sha256(archive.read(name)).hexdigest() for name in names}
+
+
+def wheel_again(python: Path, sdist: Path, wheel: Path, place: Path) -> int:
+    """Files of the wheel that pip builds from the sdist; Failed unless they are the wheel's."""
+    run(python, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps",
+        "--wheel-dir", place / "again", sdist, cwd=place)  # fmt: skip
+    (built,) = (place / "again").glob("*.whl")
+    here, there = contents(wheel), contents(built)
+    other = sorted(n for n in here.keys() | there.keys() if here.get(n) != there.get(n))
+    if other or built.name != wheel.name:
+        raise Failed(f"the sdist gives {built.name}, which differs from {wheel.name} in {other}")
+    return len(there)
+
+
 def look_into(wheel: Path, sdist: Path) -> None:
     """Failed unless the archives hold what belongs there, and the wheel nothing else."""
     inside = zipfile.ZipFile(wheel).namelist()
@@ -96,7 +119,10 @@ def look_into(wheel: Path, sdist: Path) -> None:
 
 
 def missing_extra(extra: str, command: Callable[..., str], place: Path, python: Path) -> None:
-    """Failed unless a command that needs an absent extra names it and ends with 2."""
+    """Failed unless a command that needs an absent extra names it and ends with 2.
+
+    ``place/simulated`` holds a campaign of CSV files.
+    """
     absent = (
         f"import importlib.util as u, sys; sys.exit(u.find_spec({EXTRAS[extra]!r}) is not None)"
     )
@@ -104,22 +130,29 @@ def missing_extra(extra: str, command: Callable[..., str], place: Path, python: 
     if extra == "cluster":
         said = command("coverage", "--out", place / "c", "--scheduler", "tcp://localhost:1", code=2)
     else:
-        (place / f"a.{extra}").write_bytes(b"data")
-        text = (place / "simulated" / "campaign.toml").read_text()
+        folder = place / "simulated"
+        (folder / f"a.{extra}").write_bytes(b"data")
+        text = (folder / "campaign.toml").read_text(encoding="utf-8")
         file = next(word for word in text.split('"') if word.endswith(".csv"))
-        (place / f"{extra}.toml").write_text(text.replace(file, f"../a.{extra}"))
-        shutil.move(place / f"{extra}.toml", place / "simulated" / f"{extra}.toml")
-        said = command("check", place / "simulated" / f"{extra}.toml", code=2)
+        (folder / f"{extra}.toml").write_text(text.replace(file, f"a.{extra}"), encoding="utf-8")
+        said = command("check", folder / f"{extra}.toml", code=2)
     if f"bayes-sensor[{extra}]" not in said:
         raise Failed(f"the extra {extra} is not named: {said}")
 
 
-def tried(version: str, interpreter: str, wheel: Path, source: Path, place: Path) -> dict[str, str]:
-    """The row of one interpreter; Failed with the first thing that does not hold."""
+def tried(
+    version: str, interpreter: str, wheel: Path, sdist: Path, source: Path, place: Path
+) -> dict[str, str]:
+    """The row of one interpreter; Failed with the first thing that does not hold.
+
+    ``source`` is the unpacked sdist, ``place`` an empty folder.
+    """
     run(interpreter, "-m", "venv", place / "venv", cwd=place)
     python, script = place / "venv/bin/python", place / "venv/bin/bayes-sensor"
+    same = wheel_again(python, sdist, wheel, place)
     constraints = f"constraints-{'3.11' if version == '3.11' else '3.12'}.txt"
-    quiet = ("install", "--quiet", "--disable-pip-version-check")
+    # compiled when first imported: most of it never is
+    quiet = ("install", "--quiet", "--no-compile", "--disable-pip-version-check")
     run(python, "-m", "pip", *quiet, "-c", source / constraints, wheel, cwd=place)
     content = run(python, "-m", "pip", "check", "--disable-pip-version-check", cwd=place)
 
@@ -144,9 +177,10 @@ def tried(version: str, interpreter: str, wheel: Path, source: Path, place: Path
     importing = cpu_seconds(python, "-c", "import bayes_sensor", cwd=place)
     if importing > IMPORT_SECONDS or brought != "[]":
         raise Failed(f"import bayes_sensor takes {importing:.2f} s and loads {brought}")
-    packages = run(python, "-m", "pip", "list", "--format=json", *quiet[2:], cwd=place)
+    packages = run(python, "-m", "pip", "list", "--format=json", quiet[-1], cwd=place)
     return {
         "python": version,
+        "files_from_sdist": str(same),
         "packages": str(len(json.loads(packages))),
         "pip_check": content.rstrip("."),
         "check": "done",
@@ -155,6 +189,7 @@ def tried(version: str, interpreter: str, wheel: Path, source: Path, place: Path
         "extras_named": str(len(EXTRAS)),
         "import_s": f"{importing:.3f}",
         "bare_python_s": f"{cpu_seconds(python, '-c', 'pass', cwd=place):.3f}",
+        "all_names_s": f"{cpu_seconds(python, '-c', ALL_NAMES, cwd=place):.2f}",
         "help_s": f"{cpu_seconds(script, '--help', cwd=place):.3f}",
     }
 
@@ -182,10 +217,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             place = Path(folder) / version
             place.mkdir()
             try:
-                rows.append(tried(version, interpreter, wheel, source, place))
+                rows.append(tried(version, interpreter, wheel, sdist, source, place))
                 print("  " + ", ".join(f"{k} {v}" for k, v in rows[-1].items()), flush=True)
             except Failed as error:
                 failed.append(f"Python {version}: {error}")
+                print("  failed", flush=True)
             shutil.rmtree(place / "venv", ignore_errors=True)
     for sentence in failed:
         print(sentence, file=sys.stderr)
