@@ -14,6 +14,10 @@ if TYPE_CHECKING:
 
 BLOCKS = 10
 """stretches into which baseline and plateau are cut, to tell noise from drift"""
+SAME_FLOW = (
+    "all experiments have the same total flow, so valve and manifold (tau_v and V) cannot be told "
+    "apart"
+)
 SEEN = 4.0
 """standard errors above which a step counts as seen"""
 
@@ -85,7 +89,14 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
         where = f"experiment '{experiment.name}'"
         if experiment.source:
             where += f" ({experiment.source})"
+        fallen = experiment.commanded_off is None and falls_back(experiment)
+        end = (
+            f"{where}: the record ends where it began, as after a fall, but the command of one is "
+            "unknown, and the model holds the plateau to the end: give commanded_off or drive, or "
+            "crop with keep"
+        )
         if experiment.commanded_on is None:
+            remarks += [end] * fallen
             remarks.append(
                 f"{where}: the commanded time is unknown; delays cannot be computed, give "
                 "commanded_on or drive"
@@ -97,17 +108,27 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
             remarks.append(f"{where}: no baseline is recorded before the command")
         elif np.isnan(plateau.median):
             remarks.append(f"{where}: no plateau is recorded after the command")
+        elif fallen:
+            remarks.append(end)
         elif abs(step) <= SEEN * np.hypot(baseline.error, plateau.error):
             remarks.append(
                 f"{where}: no step is seen (it is {step:.3g} {campaign.signal_unit}, with a "
                 f"standard error of {np.hypot(baseline.error, plateau.error):.2g})"
             )
     if len(campaign) > 1 and campaign.same_flow:
-        remarks.append(
-            "all experiments have the same total flow, so valve and manifold (tau_v and V) "
-            "cannot be told apart"
-        )
+        remarks.append(SAME_FLOW)
     return tuple(remarks)
+
+
+def falls_back(experiment: Experiment) -> bool:
+    """Whether the record's ends are alike and its middle is far from both."""
+    if experiment.y is None or experiment.n_samples < BLOCKS * BLOCKS:
+        return False
+    blocks = np.array_split(experiment.y[experiment.used], 2 * BLOCKS)
+    medians = np.array([np.median(block) for block in blocks])
+    noise = max(_level(blocks[0]).noise, _level(blocks[-1]).noise)
+    step = float(np.abs(medians - medians[0]).max())
+    return bool(abs(medians[-1] - medians[0]) < 0.2 * step and step > 2 * SEEN * noise)
 
 
 def levels(experiment: Experiment) -> tuple[Level, Level]:

@@ -107,7 +107,7 @@ def read_json(path: str | os.PathLike[str]) -> Any:
     except (OSError, ValueError) as error:
         raise CampaignError(
             f"{path}: expected a saved result in JSON, but it cannot be read ({error}); "
-            "run the command that makes it again"
+            "give a file such as fit.json, or run the command that makes it again"
         ) from None
 
 

@@ -347,7 +347,7 @@ MISTAKES: dict[str, tuple[str, str]] = {
     "no unit": (entry(carrier_flow='"4.0"'), 'without one; write carrier_flow = "4.0 L/min"'),
     "flow in seconds": (entry(carrier_flow='"4.0 s"'), r"carrier_flow: .* in 's', which is not"),
     "time in litres": (entry(commanded_on='"2 L"'), "commanded_on: expected a time"),
-    "unknown unit": (entry(carrier_flow='"4 lpm"'), "'lpm' is not a unit that is known"),
+    "unknown unit": (entry(carrier_flow='"4 lpq"'), "'lpq' is not a unit that is known"),
     "standard flow": (entry(carrier_flow='"400 sccm"'), "flow at standard conditions"),
     "decimal comma": (entry(carrier_flow='"4,0 L/min"'), "with a decimal point"),
     "zero flow": (entry(test_gas_flow='"0 L/min"'), "test_gas_flow: expected a positive flow"),

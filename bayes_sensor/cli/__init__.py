@@ -90,7 +90,7 @@ def analyze(
     steps: Steps = None,
     chains: Chains = None,
 ) -> None:
-    """Fit, posterior, bounds, delays, gap, then report.html and figures/."""
+    """All of it, from the fit to the gap, with report and figures."""
     _run("analyze", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config, resume=resume,
          posterior=_given(sampler=sampler, n_walkers=walkers, max_steps=steps, n_chains=chains),
          )  # fmt: skip
@@ -179,11 +179,14 @@ def gap(
     config: Config = None,
     without: Annotated[
         list[str] | None,
-        typer.Option(metavar="EFFECT", help="Take this effect out of the catalogue; repeatable."),
+        typer.Option(metavar="EFFECT", help="Leave this effect out; repeatable, or A,B."),
     ] = None,
     nominal: Annotated[
         Path | None,
-        typer.Option(metavar="THETA.json", help="Parameters of the simulation before calibration."),
+        typer.Option(
+            metavar="THETA.json",
+            help="The simulation before calibration, as fit.json or truth.json.",
+        ),
     ] = None,
     own_effects: Annotated[
         list[Path] | None,
@@ -193,15 +196,20 @@ def gap(
         int, typer.Option(min=0, max=100_000, help="Simulated and refitted campaigns; 0: none.")
     ] = 60,
 ) -> None:
-    """Where the model misses the measurement, which effect causes it, how far it shrinks."""
+    """Where the model misses, and which effect causes it.
+
+    Also how far each explanation closes the gap, what becomes of tau, and what may hide.  The
+    README lists the effects.
+    """
     from bayes_sensor.cli.simulation import read_nominal
     from bayes_sensor.gap.effects import check_names
     from bayes_sensor.gap.own import read_effects
 
-    check_names(without or (), "--without")
+    without = [name.strip() for text in without or () for name in text.split(",")]
+    check_names(without, "--without")
     own = [effect for path in own_effects or () for effect in read_effects(path)]
     _run("gap", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config,
-         options={"without": tuple(without or ()), "effects": own, "bootstrap": bootstrap,
+         options={"without": tuple(without), "effects": own, "bootstrap": bootstrap,
                   "nominal": read_nominal(nominal)})  # fmt: skip
 
 
@@ -270,7 +278,10 @@ def simulate(
         str, typer.Option("--format", help="csv, picoscope-csv, mat or npz.")
     ] = "csv",
 ) -> None:
-    """A campaign with known truth: data files, campaign.toml and truth.json."""
+    """A campaign with known truth, to try things out.
+
+    Writes data files, campaign.toml and truth.json.
+    """
     from bayes_sensor.cli.simulation import simulate_campaign
 
     simulate_campaign(
@@ -303,7 +314,7 @@ def coverage(
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
-    """How often each bound method's interval holds the truth, on simulated campaigns."""
+    """How often each bound holds the truth, by simulation."""
     from bayes_sensor.cli.coverage import study_coverage
 
     raise typer.Exit(
@@ -346,7 +357,10 @@ def blind_check(
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
-    """Score card of the diagnosis on withheld effects, made by an independent simulator."""
+    """Score card of the gap diagnosis on withheld effects.
+
+    The campaigns come from a simulator that shares nothing with the diagnosis.
+    """
     from bayes_sensor.cli import blind
 
     chosen = [
@@ -393,7 +407,7 @@ def fleet(
     steps: Steps = None,
     chains: Chains = None,
 ) -> None:
-    """Analyze many campaigns, whatever becomes of each; one table, figure and index page.
+    """Analyze many campaigns; one table, figure and index.
 
     A campaign that cannot be analysed becomes a row with its message.  Exit status: 0 all done, 3
     some failed or did not converge, 2 a bad list or nowhere to write.
@@ -464,13 +478,19 @@ def design(
 def diffusion(
     out: Out,
     quiet: Quiet = False,
-    outer_radius: Annotated[str | None, typer.Option(help='"17.4 um"')] = None,
-    d_zif8: Annotated[str | None, typer.Option("--d-zif8", help='"1.71e-10 m^2/s"')] = None,
-    d_pdms: Annotated[str | None, typer.Option("--d-pdms", help='"4.2e-9 m^2/s"')] = None,
-    thickness_zif8: Annotated[str | None, typer.Option("--thickness-zif8", help='"1.5 um"')] = None,
-    thickness_pdms: Annotated[str | None, typer.Option("--thickness-pdms", help='"7.0 um"')] = None,
-    ring_radius: Annotated[str | None, typer.Option(help='"10 um"')] = None,
-    probe_height: Annotated[str | None, typer.Option(help='"220 nm"')] = None,
+    outer_radius: Annotated[str | None, typer.Option(help='Default "17.4 um".')] = None,
+    d_zif8: Annotated[
+        str | None, typer.Option("--d-zif8", help='Default "1.71e-10 m^2/s".')
+    ] = None,
+    d_pdms: Annotated[str | None, typer.Option("--d-pdms", help='Default "4.2e-9 m^2/s".')] = None,
+    thickness_zif8: Annotated[
+        str | None, typer.Option("--thickness-zif8", help='Default "1.5 um".')
+    ] = None,
+    thickness_pdms: Annotated[
+        str | None, typer.Option("--thickness-pdms", help='Default "7.0 um".')
+    ] = None,
+    ring_radius: Annotated[str | None, typer.Option(help='Default "10 um".')] = None,
+    probe_height: Annotated[str | None, typer.Option(help='Default "220 nm".')] = None,
     tolerance: Annotated[float, typer.Option(help="Relative, of the response times.")] = 5e-4,
 ) -> None:
     """Finite-element response of the coating."""

@@ -175,7 +175,12 @@ def _first_problem(error: ValidationError, label: str, given: Mapping[str, Any])
     if first["type"] == "extra_forbidden":
         model = Overrides.model_fields[table].default_factory if table else Overrides
         known = list(model.model_fields)  # type: ignore[union-attr]
-        close = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+        if not table and key in ("title", "experiment", "side_information"):
+            return (
+                f"{label}: this is a campaign file; expected settings, with tables such as "
+                "[noise], [priors], [fit]: give the campaign as the argument, settings as --config"
+            )
+        close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
         hint = f'write "{close[0]}"' if close else f"known are {', '.join(known)}"
         return f"{where}unknown key '{key[:80]}'; expected one that is known: {hint}"
     if table == "posterior" and key in given:

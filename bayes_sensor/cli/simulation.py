@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.cli.steps import progress_bar, say
+from bayes_sensor.cli.steps import counted, progress_bar, say
 from bayes_sensor.likelihood import simulate
 from bayes_sensor.model import Layout
 from bayes_sensor.readers import read_campaign
@@ -180,6 +180,19 @@ def read_nominal(path: Path | None) -> dict[str, Any] | None:
     return content
 
 
+def _check_free(results: Results, written: Path) -> None:
+    """Raise CampaignError where a simulation would replace files that it did not write."""
+    earlier = results.json("run.json")
+    if isinstance(earlier, Mapping) and "simulate" in earlier.get("commands", {}):
+        return
+    for path in sorted(written.iterdir()):
+        if results.path(path.name).exists():
+            raise CampaignError(
+                f"--out {results.folder}: it holds a {path.name} that no simulation wrote; "
+                "expected a new folder, so that no measurement is lost: choose another"
+            )
+
+
 def simulate_campaign(
     out: Path,
     *,
@@ -256,6 +269,7 @@ def simulate_campaign(
         with results.writing() as stage:
             tell(0.4, "writing")
             write_campaign(recorded, stage.inside, formats=file_format)
+            _check_free(results, stage.inside)
             stage.json("truth.json", theta)
             stage.json(
                 "run.json",
@@ -279,7 +293,8 @@ def simulate_campaign(
                 ),
             )
     say(
-        f"{len(recorded)} experiments with tau = {1e3 * theta['tau_s']:g} ms, seed {seed}",
+        f"{counted(len(recorded), 'experiment')} with tau = {1e3 * theta['tau_s']:g} ms, "
+        f"seed {seed}",
         quiet,
     )
     say(f"campaign: {results.path('campaign.toml')}", quiet)

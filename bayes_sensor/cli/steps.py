@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -32,6 +32,8 @@ Progress = Callable[[float, str], None]
 CHECKPOINT = "checkpoint"
 MOST_DRAWS = 4000
 """draws from which response times are summarised"""
+LOG_SECONDS = 30.0
+"""between two lines on progress where stderr is not a terminal"""
 MOST_WARNINGS = 6
 """lines of warnings in a terminal"""
 STEPS: dict[str, tuple[str, ...]] = {
@@ -63,9 +65,13 @@ SAVES: dict[str, tuple[str, ...]] = {
 
 @contextmanager
 def progress_bar(label: str, quiet: bool) -> Iterator[Progress]:
-    """A bar on stderr; nothing where that is not a terminal."""
-    if quiet or not sys.stderr.isatty():
+    """A bar on stderr; now and then a line where that is not a terminal but a log."""
+    if quiet:
         yield lambda fraction, text: None
+        return
+    if not sys.stderr.isatty():
+        with os.fdopen(os.dup(2), "w") as log:
+            yield lambda fraction, text: _log(log, label, fraction, text)
         return
     from rich.console import Console
     from rich.markup import escape
@@ -84,6 +90,17 @@ def progress_bar(label: str, quiet: bool) -> Iterator[Progress]:
     with screen, bar:
         task = bar.add_task(label, total=1.0, word="")
         yield lambda fraction, text: bar.update(task, completed=fraction, word=escape(text[:40]))
+
+
+_logged = time.monotonic()
+
+
+def _log(log: IO[str], label: str, fraction: float, text: str) -> None:
+    """A line on how far it is, if the last one is long enough ago."""
+    global _logged
+    if time.monotonic() - _logged >= LOG_SECONDS:
+        _logged = time.monotonic()
+        print(f"{label}: {fraction:.0%} {text}".rstrip(), file=log, flush=True)
 
 
 @contextmanager
@@ -132,7 +149,7 @@ def print_check(path: Path, quiet: bool) -> None:
     if quiet:
         return
     kind = "a design without data" if campaign.is_design else f"{campaign.n_samples} samples in use"
-    print(f"{campaign.title}: {len(campaign)} experiments, {kind}")
+    print(f"{campaign.title}: {counted(len(campaign), 'experiment')}, {kind}")
     unit = campaign.signal_unit
     columns = [
         ("experiment", "experiment", "{}"),
@@ -161,6 +178,15 @@ def print_check(path: Path, quiet: bool) -> None:
         print(f"known beforehand: {name} = {info.mean:g} +- {info.sd:g}")
     for remark in remarks:
         print(f"remark: {remark}")
+
+
+def counted(n: int, noun: str) -> str:
+    """The number with its noun.
+
+    >>> counted(1, "experiment"), counted(7, "experiment")
+    ('1 experiment', '7 experiments')
+    """
+    return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
 def _cell(value: Any, pattern: str) -> str:
@@ -582,7 +608,10 @@ def _exit_code(job: Job) -> int:
 
 
 def _warnings(job: Job, remarks: Sequence[str]) -> list[str]:
-    found = list(remarks) + list(job.fit.warnings)
+    from bayes_sensor.check import SAME_FLOW
+
+    found = [text for text in remarks if text != SAME_FLOW]  # the fit says it, with consequences
+    found += job.fit.warnings
     if job.posterior is not None:
         found += list(job.posterior.warnings)
     return list(dict.fromkeys(found))
@@ -641,7 +670,24 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
         hint = "" if not job.fit.converged else "; more --steps with --resume may help"
         status = status.removeprefix("NOT converged: ")
         print(f"not converged: {status}{hint}; the results are marked so", file=sys.stderr)
+    other = _of_other_data(job)
+    if other:
+        say(
+            f"warning: {job.results.folder} also holds {', '.join(other)} of other data or "
+            "settings; run them again, or use another --out",
+            quiet,
+        )
     say(f"{'report' if command == 'analyze' else 'results'}: {_place(job)}", quiet)
+
+
+def _of_other_data(job: Job) -> list[str]:
+    """Commands whose results in the folder rest on another campaign or other settings."""
+    commands = job.results.json("run.json")["commands"]
+    return [
+        name
+        for name, entry in commands.items()
+        if entry["basis_sha256"] not in ("", job.basis) and name != job.command
+    ]
 
 
 def _place(job: Job) -> Path:

@@ -67,7 +67,7 @@ def overlay(trace: Trace) -> Figure:
                     color=ORANGE,
                     lw=0.9,
                     ls=(0, (4, 2)),
-                    label="± 2 s, noise law" if sign > 0 else None,
+                    label="± 2 sd, noise law" if sign > 0 else None,
                 )
             if commanded is not None and piece.t[0] <= commanded <= piece.t[-1]:
                 upper.axvline(commanded, color=MIDDLE, lw=0.9, ls=":", label="commanded")

@@ -96,7 +96,7 @@ def warn(
     warnings = []
     if campaign.same_flow:
         warnings.append(
-            "All experiments share one total flow: the valve's tau_v and the manifold's V/Q enter "
+            "There is one total flow only: the valve's tau_v and the manifold's V/Q enter "
             "alike and cannot be told apart; only the set of time constants is determined (the "
             "smallest is given as tau, the largest as tau_v)."
         )

@@ -144,7 +144,10 @@ def fit_least_squares(
         warnings.insert(0, f"No interval can be given: {mute}.")
     if not seen:
         success = False
-        status = "No step is seen in any experiment, so the time constants mean nothing."
+        status = (
+            "No step is seen beyond what the model misses, in any experiment, so the time "
+            "constants mean nothing."
+        )
     return Fit(
         names=list(problem.layout.names),
         theta_hat=vector,

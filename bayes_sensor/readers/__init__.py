@@ -6,6 +6,7 @@ where, what was expected, what came and what to do.
 
 from __future__ import annotations
 
+import difflib
 import os
 import stat
 from collections.abc import Callable, Mapping
@@ -37,6 +38,8 @@ FORMATS: Mapping[str, Reader] = {
     ".csv": read_table,
     ".txt": read_table,
     ".tsv": read_table,
+    ".lvm": read_table,
+    ".dat": read_table,
     ".mat": read_matlab,
     ".parquet": read_parquet,
     ".npz": read_npz,
@@ -95,7 +98,14 @@ def read_campaign(path: str | os.PathLike[str]) -> Campaign:
 
 def _read(path: Path) -> Campaign:
     label = path.name or str(path)
-    content = _read_bytes(path, label, LARGEST, "a campaign file in TOML")
+    if path.suffix.casefold() in FORMATS and path.is_file():
+        raise CampaignError(
+            f"{label}: expected a campaign file in TOML, but this is a data file; put a "
+            f'campaign.toml beside it, with an [[experiment]] that says file = "{label}", and give '
+            "that"
+        )
+    where = label if path.exists() else str(path)
+    content = _read_bytes(path, where, LARGEST, "a campaign file in TOML")
     sheet = read_sheet(read_toml(content, label), label)
     side_information = read_side_information(sheet.side_information, label)
     entries = [read_entry(table, i, label) for i, table in enumerate(sheet.experiment, 1)]
@@ -175,9 +185,10 @@ def _open(entry: Entry, folder: Path, allow_outside: bool) -> DataFile:
     where = f"experiment '{entry.name}' ({entry.file})"
     suffix = Path(entry.file).suffix
     if suffix.casefold() not in FORMATS:
+        fix = "in Excel, save as CSV" if suffix.casefold().startswith(".xls") else "export it so"
         raise CampaignError(
             f"{where}: expected a data file ending in {', '.join(FORMATS)}, but it ends in "
-            f"'{suffix}'; export it in one of these formats"
+            f"'{suffix}'; {fix}"
         )
     try:
         target = (folder / entry.file).resolve()
@@ -191,6 +202,21 @@ def _open(entry: Entry, folder: Path, allow_outside: bool) -> DataFile:
         )
     content = _read_bytes(target, where, LARGEST_FILE, "a data file")
     return DataFile(target, where, content)
+
+
+def _where_else(path: Path) -> str:
+    """What to do about a file that is not there."""
+    if "\\" in path.name:
+        return "write / between folders, not \\"
+    try:
+        beside = [entry.name for entry in path.parent.iterdir() if entry.is_file()]
+    except OSError:
+        return f"there is no folder {path.parent} either; check the path"
+    folded = {name.casefold(): name for name in beside}
+    close = difflib.get_close_matches(path.name.casefold(), folded, n=1, cutoff=0.75)
+    if close:
+        return f"did you mean '{folded[close[0]]}'?"
+    return "check the name and the folder"
 
 
 def _read_bytes(path: Path, where: str, most: int, what: str) -> bytes:
@@ -214,7 +240,7 @@ def _read_bytes(path: Path, where: str, most: int, what: str) -> bytes:
             content = stream.read(most + 1)
     except FileNotFoundError:
         raise CampaignError(
-            f"{where}: there is no such file; expected {what}: check the name and the folder"
+            f"{where}: there is no such file; expected {what}: {_where_else(path)}"
         ) from None
     except (OSError, ValueError) as error:  # no permission, vanished, a zero byte in the name
         reason = getattr(error, "strerror", None) or str(error)

@@ -31,6 +31,10 @@ MOST_CLIPPED = 0.8
 DISAGREEMENT = 0.05
 """s between commanded time and drive edge that is worth a warning"""
 _LARGEST_VALUE = 1e12
+_LARGEST_VOLTAGE = 20.0
+"""V; what lies above was probably recorded in mV"""
+_USUAL_FLOWS = (0.5, 5000.0)
+"""mL/s; beyond these the unit was probably slipped"""
 _LONG_RECORD = 2 * 3600.0  # s
 _SLOW_SAMPLING = 1.0  # s
 
@@ -149,6 +153,7 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
     if unusable.any():  # never looked at, but figures and sums want finite numbers
         y = np.where(unusable, np.interp(t, t[used], y[used]), y)
     _look_for_mistakes(where, t, y, used, unit, drive, notes)
+    _question_units(entry, file, recording, float(np.abs(y[used]).max()), notes)
     experiment = Experiment(
         name=entry.name,
         t=t,
@@ -317,7 +322,8 @@ def _check_times(
             hint = " (is time in ms but read as s, or the other way round?)"
         raise CampaignError(
             f"{where}: commanded_on = {on:.10g} s lies outside the record, which runs from "
-            f"{first:.10g} s to {last:.10g} s{hint}; correct it or keep"
+            f"{first:.10g} s to {last:.10g} s{hint}; expected a time on the record's own "
+            "axis: correct commanded_on, or the crop in keep"
         )
     if off is not None and off <= on:
         raise CampaignError(
@@ -429,6 +435,23 @@ def _check_clipped(
         f"{file.where}: {int(clipped.sum())} samples ({share:.1%}) are clipped at {level} or "
         f"among clipped ones, the first at {begins}; left out"
     )
+
+
+def _question_units(
+    entry: Entry, file: DataFile, recording: Recording, largest: float, notes: list[str]
+) -> None:
+    """Notes on a unit that was forgotten or slipped."""
+    if not recording.unit and entry.signal_unit is None and largest > _LARGEST_VOLTAGE:
+        notes.append(
+            f"{file.where}: no unit is given for '{recording.signal}', so {largest:.4g} was taken "
+            'as volts; if it is in mV, write signal_unit = "mV"'
+        )
+    flow = entry.carrier_flow + entry.test_gas_flow
+    if not _USUAL_FLOWS[0] <= flow <= _USUAL_FLOWS[1]:
+        notes.append(
+            f"{file.where}: the total flow is {flow * 0.06:.3g} L/min ({flow * 60:.4g} mL/min), "
+            "unusual for a rig of this kind; check the unit"
+        )
 
 
 def _look_for_mistakes(

@@ -290,6 +290,8 @@ def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
         return f"the key {key} is missing; add {example}"
     if first["type"] == "too_short":
         return f"expected at least one experiment, but there is none; add {example}"
+    if key == "experiment" and isinstance(first["input"], dict):
+        return "experiment: expected [[experiment]], but got [experiment]; double the brackets"
     return f"{key}: expected {example}, but got {_shorten(first['input'])}; correct it"
 
 

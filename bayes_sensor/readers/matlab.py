@@ -27,6 +27,7 @@ from bayes_sensor.readers.recording import (
     is_time,
     list_names,
     parser_errors,
+    same_column,
     scale_time,
     split_name,
 )
@@ -64,9 +65,17 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
     has_clock = sizes.get("Tinterval") == 1
     if time is None and not has_clock:
         names = [v.name for v in variables]
+        other = [v.name for v in variables if not v.numeric]
+        fix = "save time as well"
+        if other:
+            fix = (
+                f"'{other[0][:60]}' is no vector of numbers, and structures, cells and objects are "
+                "never read: save the fields of a structure s as vectors, in MATLAB "
+                "save('flat.mat', '-struct', 's')"
+            )
         raise file.error(
             "expected a time vector 't' or PicoScope's 'Tinterval', but it has "
-            f"{list_names(names) if names else 'no variables'}; save time as well"
+            f"{list_names(names) if names else 'no variables'}; {fix}"
         )
     if has_clock:
         time = None
@@ -134,6 +143,8 @@ def _choose(
     for key, chosen in (("signal", signal), ("drive", drive)):
         if chosen is not None and chosen == time:
             raise file.error(f"{key} is '{vectors[chosen]}', which is the time; choose another")
+    if drive == signal:
+        raise same_column(file, vectors[signal])
     return signal, drive
 
 
@@ -254,6 +265,8 @@ def _list_hdf5(file: DataFile) -> list[Variable]:
             if isinstance(item, h5py.Dataset):
                 numeric = item.dtype.kind in "biuf" and "MATLAB_empty" not in item.attrs
                 variables.append(Variable(str(name), tuple(item.shape), numeric))
+            elif not str(name).startswith("#"):  # a structure
+                variables.append(Variable(str(name), (), False))
     return variables
 
 

@@ -193,9 +193,15 @@ def _scaled(number: str, unit: str, kind: Kind, key: str, text: str) -> float:
     except CampaignError as error:
         raise CampaignError(f"{key}: {error}") from None
     if factor is None:
+        fix = f'write for example {key} = "{kind.example}"'
+        if kind is FLOW and conversion_factor(unit.strip(), "dimensionless") is not None:
+            fix = (
+                "a concentration c needs the flow that makes it, "
+                "test_gas_flow = c / (1 - c) x carrier_flow"
+            )
         raise CampaignError(
             f"{key}: expected {kind.name}, but '{_shorten(text)}' is in '{_shorten(unit)}', which "
-            f'is not one; write for example {key} = "{kind.example}"'
+            f"is not one; {fix}"
         )
     value = float(number) * factor
     if not isfinite(value):
@@ -211,6 +217,7 @@ def _scaled(number: str, unit: str, kind: Kind, key: str, text: str) -> float:
 def _normal_form(text: str) -> str:
     text = text.strip().replace("·", "*").replace("^", "**")
     text = text.replace("²", "**2").replace("³", "**3")
+    text = re.sub(r"(?i)\b(l|ml)pm\b", r"\1/min", text)
     return re.sub(r"\b([cdm]?m)([23])\b", r"\1**\2", text)
 
 

@@ -23,6 +23,7 @@ _TIME_NAMES = frozenset(
     "t time times zeit temps tiempo timestamp timestamps elapsed seconds sec secs milliseconds "
     "elapsedtime timeelapsed reltime relativetime timeaxis".split()
 )
+_DATE_NAMES = frozenset("date datum day".split())
 _SUFFIX_UNITS = frozenset(
     "s sec ms us µs μs ns min h V mV uV µV μV kV ppm ppb ohm kohm Mohm Ω kΩ "
     "mW uW µW μW nW pW mA uA µA μA nA pA percent Pa kPa hPa mbar dB dBm".split()
@@ -188,7 +189,10 @@ def choose_columns(
             f"expected a time column and a signal column, but there is only "
             f"'{columns[0].name.strip()[:60]}'; export both, in columns of their own"
         )
-    signal = 1 if time == 0 else 0
+    dated = [i for i, column in enumerate(columns) if column.base.casefold() in _DATE_NAMES]
+    signal = next(
+        (i for i in range(len(columns)) if i != time and i not in dated), 1 - min(time, 1)
+    )
     drive = None
     if selection.signal is not None:
         signal = find_column(file, columns, selection.signal, "signal")
@@ -200,7 +204,17 @@ def choose_columns(
                 f"{key} is '{columns[time].name.strip()[:60]}', which is the time column; "
                 f"choose one of {list_names(others)}"
             )
+    if drive == signal:
+        raise same_column(file, columns[signal].name)
     return time, signal, drive
+
+
+def same_column(file: DataFile, name: str) -> CampaignError:
+    """The error for a campaign that takes one column as signal and as drive."""
+    return file.error(
+        f"signal and drive are both '{name.strip()[:60]}'; expected two columns: set signal to the "
+        "sensor's and drive to the valve's"
+    )
 
 
 def scale_time(file: DataFile, column: Column, t: FloatArray) -> FloatArray:

@@ -3,7 +3,8 @@
 What is understood: comma, semicolon, tab or blanks between columns; decimal commas where the
 comma is not the separator; UTF-8 with or without byte order mark, UTF-16, Latin-1; any line
 ending; comment lines before the header; a row of units under it, as ``(ms),(mV),(V)``; blank
-lines; PicoScope's ∞ for samples out of range.
+lines; PicoScope's ∞ for samples out of range; lines about the measurement above the header, as
+LabVIEW writes them; times of day, with or without a date, counted from the first sample.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import io
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,6 +42,13 @@ _INFINITE = frozenset(("inf", "-inf", "+inf", "infinity", "-infinity", "+infinit
 _NA_VALUES = ["", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "NULL", "null", "None", "none"]
 _NA_VALUES += ["#N/A", "-nan", "-NaN", "1.#QNAN"]
 _FLOAT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+_CLOCK = re.compile(
+    r"(?:[\d./-]{6,10}[T ]\s*)?(?:(\d{1,2}):)?(\d{1,2}):(\d{2}(?:[.,]\d+)?)"
+    r"\s*([AaPp])?\.?[Mm]?\.?(?:Z|[+-]\d{2}:?\d{2})?"
+)
+"""hours (where they are given), minutes, seconds and a or p; a date before them is not read"""
+_DATE = re.compile(r"\d{1,4}[./-]\d{1,2}[./-]\d{1,4}")
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 _SEPARATOR_NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
 
 
@@ -56,6 +65,8 @@ class Layout:
     """row number, from 1, of the first data row"""
     n_cells: int
     """cells of the first data row"""
+    clocks: frozenset[int] = frozenset()
+    """columns that hold times of day"""
 
 
 def read_table(file: DataFile, selection: Selection) -> Recording:
@@ -73,12 +84,16 @@ def read_table(file: DataFile, selection: Selection) -> Recording:
     use = sorted({time, signal} | ({drive} if drive is not None else set()))
     values = dict(zip(use, _parse_body(file, text, layout, use), strict=True))
     check_counts(file, len(columns), len(values[time]))
+    if time in layout.clocks:
+        times = _since_first(file, text, layout, time, values[time])
+    else:
+        times = scale_time(file, columns[time], values[time])
 
     def place(i: int) -> str:
         return f"row {_row_number(text, layout, i)}"
 
     return Recording(
-        t=scale_time(file, columns[time], values[time]),
+        t=times,
         y=values[signal],
         signal=columns[signal].name.strip(),
         place=place,
@@ -177,6 +192,16 @@ def _is_value(cell: str, decimal: str) -> bool:
     return folded in _NOT_A_NUMBER or folded in _INFINITE or _is_number(cell, decimal)
 
 
+def _is_sample(cell: str, decimal: str) -> bool:
+    """A value, a time of day or a date: what a row of samples may hold."""
+    text = cell.strip()
+    return (
+        _is_value(text, decimal)
+        or _CLOCK.fullmatch(text) is not None
+        or _DATE.fullmatch(text) is not None
+    )
+
+
 def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(("#", "%", "//"))
 
@@ -229,6 +254,9 @@ def _find_layout(file: DataFile, text: bytes) -> Layout:
         if header is None and not all(_is_value(cell, decimal) for cell in cells):
             doubtful = [cell for cell in cells if _looks_measured(cell, decimal)]
             if doubtful:
+                below = _under_preamble(file, head, row)
+                if below is not None:
+                    return below
                 culprit = next(c for c in cells if not _is_value(c, decimal))
                 raise file.error(
                     f"row {row}: expected a header or numbers, but got the text "
@@ -247,11 +275,63 @@ def _find_layout(file: DataFile, text: bytes) -> Layout:
                     )
                 continue
             units = []
+        if header is not None and not all(_is_sample(cell, decimal) for cell in cells):
+            below = _under_preamble(file, head, header_row)
+            if below is not None:
+                return below
         columns = _name_columns(file, header, header_row, cells, units or [], row, separator)
-        return Layout(separator, decimal, columns, start, row, len(cells))
+        return Layout(separator, decimal, columns, start, row, len(cells), _clocks(cells))
     raise file.error(
         "expected rows of numbers after the header, but there are none; export the samples as well"
     )
+
+
+def _under_preamble(file: DataFile, head: bytes, top: int) -> Layout | None:
+    """The layout of a table that begins below row ``top``, under lines about the measurement.
+
+    It begins where two rows in a row hold samples only; the row above them, or above their units,
+    must be names without a number among them.  None where there is no such place.
+    """
+    named: tuple[int, str] | None = None  # the last row that could name columns
+    units: tuple[int, str] | None = None
+    lines = [
+        (row, start, _decode(raw))
+        for (row, (start, raw)) in zip(range(1, _MAX_PREAMBLE), _lines(head), strict=False)
+        if raw.strip() and not _is_comment(_decode(raw))
+    ]
+    for (row, start, line), (_, _, after) in pairwise(lines):
+        if row <= top:
+            continue
+        for separator in _SEPARATOR_NAMES:
+            decimal = "." if separator == "," else _find_decimal(head[start:], separator)
+            cells, more = _split(line, separator), _split(after, separator)
+            if (
+                named is not None
+                and len(cells) == len(more) > 1
+                and all(_is_sample(cell, decimal) for cell in [*cells, *more])
+                and sum(_is_number(cell, decimal) for cell in cells) >= 1
+                and cells[0].strip()
+            ):
+                header = _split(named[1], separator)
+                if len(header) == len(cells) + 1 and header[-1].casefold() == "comment":
+                    header = header[:-1]  # LabVIEW's, empty but for the first row
+                if any(_looks_measured(cell, decimal) for cell in header):
+                    return None
+                given = _split(units[1], separator) if units is not None else []
+                columns = _name_columns(file, header, named[0], cells, given, row, separator)
+                return Layout(separator, decimal, columns, start, row, len(cells), _clocks(cells))
+        for separator in _SEPARATOR_NAMES:
+            cells = _split(line, separator)
+            if named is not None and len(cells) > 1 and _unit_row(cells) is not None:
+                units = (row, line)
+                break
+        else:
+            named, units = (row, line), None
+    return None
+
+
+def _clocks(cells: list[str]) -> frozenset[int]:
+    return frozenset(i for i, cell in enumerate(cells) if _CLOCK.fullmatch(cell.strip()))
 
 
 def _looks_measured(cell: str, decimal: str) -> bool:
@@ -343,7 +423,10 @@ def _parse_body(file: DataFile, text: bytes, layout: Layout, use: list[int]) -> 
             names=list(range(layout.n_cells)),
             index_col=False,
             # no usecols: with it, cells beyond the last column are dropped in silence
-            dtype={i: np.float64 if i in use else object for i in range(layout.n_cells)},
+            dtype={
+                i: np.float64 if i in use and i not in layout.clocks else object
+                for i in range(layout.n_cells)
+            },
             na_values=_NA_VALUES,
             keep_default_na=False,
             skipinitialspace=True,
@@ -352,7 +435,36 @@ def _parse_body(file: DataFile, text: bytes, layout: Layout, use: list[int]) -> 
         )
     except (ValueError, OverflowError) as error:  # pandas' ParserError is a ValueError
         raise _blame(file, text, layout, use, str(error)) from None
-    return [frame[i].to_numpy(dtype=np.float64) for i in use]
+    return [frame[i].to_numpy(dtype=None if i in layout.clocks else np.float64) for i in use]
+
+
+def _since_first(
+    file: DataFile, text: bytes, layout: Layout, time: int, cells: FloatArray
+) -> FloatArray:
+    """(n,) s since the first sample, from times of day; they may pass midnight (or the hour)."""
+    import pandas as pd  # slow to import
+
+    parts = pd.Series(cells, dtype="object").astype(str).str.strip()
+    parts = parts.str.extract(f"^{_CLOCK.pattern}$")
+    minutes = pd.to_numeric(parts[1], errors="coerce")
+    wrong = minutes.isna().to_numpy()
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise file.error(
+            f"row {_row_number(text, layout, i)}, column "
+            f"'{layout.columns[time].name.strip()[:60]}': expected a time of day as above, but got "
+            f"'{str(cells[i])[:60]}'; repair or remove that row"
+        )
+    hours = pd.to_numeric(parts[0], errors="coerce").fillna(0).to_numpy(dtype=float)
+    half = parts[3].str.casefold()
+    hours = np.where(half.notna(), hours % 12, hours) + np.where(half == "p", 12, 0)
+    seconds = pd.to_numeric(parts[2].str.replace(",", ".")).to_numpy(dtype=float)
+    t: FloatArray = 3600 * hours + 60 * minutes.to_numpy(dtype=float) + seconds
+    period = 86400.0 if parts[0].notna().any() else 3600.0
+    around = np.diff(t) < -period / 2
+    t[1:] += period * np.cumsum(around)
+    # three decimals of the clock must give 0.01 s, not 0.010000000002
+    return np.asarray(np.round(t - t[0], 9))
 
 
 def _blame(
@@ -368,9 +480,12 @@ def _blame(
         for i in use:
             if i < len(cells) and not _is_value(cells[i], layout.decimal):
                 mark = {".": "point", ",": "comma"}[layout.decimal]
+                fix = "repair or remove that row"
+                if _THOUSANDS.fullmatch(cells[i]):
+                    fix = "export the numbers without marks between the thousands"
                 return file.error(
                     f"row {row}, column '{columns[i].name.strip()[:60]}': expected a number "
-                    f"(decimal {mark}), but got '{cells[i][:60]}'; repair or remove that row"
+                    f"(decimal {mark}), but got '{cells[i][:60]}'; {fix}"
                 )
         if len(cells) > layout.n_cells:
             return file.error(
