@@ -1,0 +1,252 @@
+"""What changed code had got past the tests: found by mutants that survived (study_mutants.py)."""
+
+import contextlib
+import io
+import os
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import statsmodels.api as sm
+from campaigns import small_design, small_problem, small_theta
+
+import bayes_sensor.posterior.sampling as sampling
+from bayes_sensor.bounds.bootstrap import _series
+from bayes_sensor.calibration import Ranks
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.compression import compress
+from bayes_sensor.delays import regress_line
+from bayes_sensor.design import _candidates, settings_of, truth_of
+from bayes_sensor.laplace import draw_root
+from bayes_sensor.likelihood import Prior, Problem, simulate
+from bayes_sensor.mixing import diagnostics
+from bayes_sensor.posterior.covering import covered
+from bayes_sensor.predictive import PredictiveCheck, _pit
+from bayes_sensor.reality import draw
+from bayes_sensor.reality.simulator import prepared_rig, sample_times
+from bayes_sensor.residuals import diagnose_residuals
+
+
+@dataclass(frozen=True)
+class Known:
+    """A fit that ended at the truth."""
+
+    theta_hat: np.ndarray
+
+
+KERNELS = """
+import numpy as np
+from campaigns import small_problem
+from bayes_sensor.likelihood import log_likelihood, log_prior
+from bayes_sensor.model import cascade_response, cascade_sensitivities
+t = np.concatenate([np.linspace(0.0, 3.0, 40), [60.0]])
+for taus in ([0.8, 0.4, 0.05], [0.5, 0.5, 0.5], [0.5, 0.45, 0.4], [0.3, 0.3 + 1e-9, 0.02]):
+    print(*cascade_response(t, taus, 0.3, 1.1), *cascade_sensitivities(t, taus, 0.3, 1.1).ravel())
+problem, theta = small_problem(n=2, interval=0.05, masked=[(3.0, 3.5)])
+print(log_likelihood(problem, theta), log_prior(problem, theta))
+"""
+
+
+def test_kernels_stay_inside_their_arrays() -> None:
+    # compiled code writes past the end of an array unnoticed; without compilation it is an error
+    environment = {
+        **os.environ, "NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "1",
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", KERNELS], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    with contextlib.redirect_stdout(io.StringIO()) as compiled:
+        exec(KERNELS, {})
+    # sums in another order: rounding, of the likelihood's thousands
+    found, expected = (
+        np.array(text.split(), dtype=float) for text in (done.stdout, compiled.getvalue())
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13)
+
+
+def test_the_gradient_across_gaps_under_alternating_noise() -> None:
+    problem, theta = small_problem(
+        -0.4, n=2, interval=0.02, masked=[(3.0, 3.04), (4.0, 4.06), (5.5, 5.52)]
+    )
+    mesh = compress(problem, theta)
+    i = problem.layout.index("phi")
+    h = 1e-5
+    up, down = theta.copy(), theta.copy()
+    up[i] += h
+    down[i] -= h
+    expected = (mesh.log_likelihood(up) - mesh.log_likelihood(down)) / (2 * h)
+    assert mesh.gradient(theta)[i] == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_density_of_drawn_roots_is_the_one_they_are_drawn_from() -> None:
+    mean, sd = np.full(20_000, 0.3), np.full(20_000, 0.5)
+    x, log_q = draw_root(mean, sd, np.random.default_rng(4), n_grid=32)
+    order = np.argsort(x)
+    q = np.exp(log_q[order])
+    # the density of the draws made, summed over the stretch they cover
+    assert np.trapezoid(q, x[order]) == pytest.approx(1.0, abs=2e-3)
+    # piecewise linear: the distribution function at the draws is uniform, sd of its mean 0.002
+    cdf = np.concatenate([[0.0], np.cumsum(0.5 * (q[1:] + q[:-1]) * np.diff(x[order]))])
+    assert np.abs(cdf - np.arange(len(x)) / len(x)).max() < 0.014  # Kolmogorov: 1.95 / sqrt(n)
+
+
+def test_chains_that_differ_in_spread_alone_are_seen() -> None:
+    draws = np.random.default_rng(2).standard_normal((4, 1000, 1)) + 7.0
+    draws[2:] = 7.0 + 3.0 * (draws[2:] - 7.0)
+    r_hat, _, _ = diagnostics(draws)
+    assert r_hat[0] > 1.1
+
+
+def test_a_mesh_grows_to_the_draws_also_where_a_switch_time_has_another_prior() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    name = "t0_s[a]"
+    i = problem.layout.index(name)
+    # 0.2 s wide around 2 s: two numbers that are no limits
+    problem = replace(problem, given_priors={name: Prior("normal", theta[i], 0.2)})
+    mesh = compress(problem, theta)
+    thetas = np.stack([theta, theta])
+    thetas[0, i] -= 1.0
+    thetas[1, i] += 1.0
+    wider = covered(mesh, thetas)
+    assert wider.region.low[i] <= theta[i] - 1.0 and wider.region.high[i] >= theta[i] + 1.0
+    assert wider.covers(thetas[0]) and wider.covers(thetas[1])
+
+
+def test_without_a_fit_the_sampler_makes_one_and_with_one_it_does_not(monkeypatch) -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    seeds = []
+
+    def fit(problem: Problem, seed: int) -> Known:
+        seeds.append(seed)
+        return Known(theta)
+
+    def stop(*_: object) -> None:
+        raise CampaignError("far enough")
+
+    monkeypatch.setattr(sampling, "fit_least_squares", fit)
+    monkeypatch.setattr(sampling, "approximate", stop)
+    for given, expected in ((None, [5]), (Known(theta), [5])):
+        with pytest.raises(CampaignError, match="far enough"):
+            sampling.sample_posterior(problem, given, seed=5)
+        assert seeds == expected
+
+
+def test_holm_stops_at_the_first_check_that_passes() -> None:
+    # the third would fail by its own: .003 * 3 < .01, but the second passes: .0026 * 4 > .01
+    p = (0.5, 0.003, 0.0026, 0.001, 0.4)
+    comparisons = [SimpleNamespace(p_value=value) for value in p[:3]]
+    pit = SimpleNamespace(p_uniform=p[3], p_independent=p[4])
+    check = PredictiveCheck(*comparisons, pit=pit, n_draws=1, seed=1)
+    assert check.failed == ["pit_uniform"]
+
+
+def test_the_distance_from_uniform_is_drawn_over_the_whole_range() -> None:
+    problem, _ = small_problem(n=1, interval=0.05)
+    n = int(problem.campaign.experiments[0].used.sum())
+    u = np.random.default_rng(1).random(n)
+    found = _pit([u], problem)
+    np.testing.assert_allclose(found.grid, np.arange(1, 100) / 100)
+    expected = [(u <= g).mean() - g for g in found.grid]
+    np.testing.assert_allclose(found.ecdf_difference, expected)
+    assert np.abs(found.ecdf_difference).max() <= found.ks
+
+
+def test_variance_bins_rise_from_pure_carrier_gas() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    bins = diagnose_residuals(problem, Known(theta)).to_json()["variance_vs_concentration"]
+    low, high = np.array(bins["concentration_low"]), np.array(bins["concentration_high"])
+    reference = problem.campaign.reference_concentration
+    np.testing.assert_allclose(low[:3], [0.0, 0.02 * reference, 0.1 * reference])
+    assert (high > low).all() and (low[1:] == high[:-1]).all() and low[0] == 0.0
+    assert bins["count"][0] > 0  # the baseline
+
+
+def test_whitening_across_a_gap_leaves_white_noise() -> None:
+    # phi .95 and two samples missing in every twenty: a wrong neighbour across the gap shows
+    masked = [(0.2 * k, 0.2 * k + 0.0199) for k in range(1, 600)]
+    campaign = small_design(n=1, interval=0.01, duration=120.0, masked=masked)
+    problem = Problem(campaign)
+    theta = small_theta(campaign, phi=0.95)
+    problem = replace(problem, campaign=simulate(problem, theta, seed=3))
+    e = problem.campaign.experiments[0]
+    series = _series(problem, problem.layout.flat(theta), 0, whitened=True)
+    starts = np.cumsum([0, *(b - a for a, b in e.runs[:-1])])[1:]
+    assert len(starts) > 500
+    # variance 1 within and across, sd of the mean square across sqrt(2/n)
+    assert np.mean(series.e[starts] ** 2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(starts)))
+    z = (e.values - e.values.mean())[e.used]
+    assert z.std() > 0  # the raw series is not what is resampled
+    np.testing.assert_allclose(
+        series.across[1:], 0.95 ** (e.runs[1:, 0] - e.runs[:-1, 1] + 1), rtol=1e-12
+    )
+
+
+def test_candidates_fill_the_grid_that_was_asked_for() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    present, truth = settings_of(problem, theta), truth_of(problem, theta)
+    found = _candidates(
+        problem, theta, present, truth, (60.0, 120.0), (0.1, 0.3), (20.0, 60.0), (2, 3, 4)
+    )
+    assert len(found) == 2 * 3 * 4
+    concentrations = {round(s.experiment.concentration, 9) for s in found}
+    assert concentrations == {0.1, 0.2, 0.3}
+
+
+def test_a_point_that_decides_its_line_hides_no_other() -> None:
+    # the first flow stands alone; the points after it still have their studentised residuals
+    x = np.array([1.0, 2.0, 2.0, 2.0, 2.0])
+    y = np.array([0.3, 0.51, 0.48, 0.5, 0.52])
+    line = regress_line(list("abcde"), x, y)
+    assert line.studentised["a"] is None
+    assert all(line.studentised[name] is not None for name in "bcde")
+
+
+def test_the_interval_of_the_intercept_is_its_own() -> None:
+    x, y = np.array([1.0, 2.0, 3.0, 5.0]), np.array([0.5, 0.63, 0.69, 0.92])
+    line = regress_line(list("abcd"), x, y)
+    expected = sm.OLS(y, sm.add_constant(x)).fit().conf_int()
+    assert line.ci95["intercept_s"] == pytest.approx(expected[0])
+    assert line.ci95["slope_L"] == pytest.approx(expected[1])
+
+
+def test_a_histogram_of_ranks_has_sixteen_bins_unless_told_otherwise() -> None:
+    ranks = Ranks(("tau",), np.arange(64)[:, None], 63)
+    assert ranks.histogram().tolist() == [[4] * 16]
+    assert ranks.chi_squared()[0].tolist() == [0.0]
+    assert ranks.histogram(8).tolist() == [[8] * 8]
+
+
+@pytest.mark.parametrize(("size", "least"), [("small", 0.96), ("paper", 1.6)])
+def test_drawn_valves_are_slower_than_drawn_sensors(monkeypatch, size: str, least: float) -> None:
+    # a slow sensor with a quick valve, as one draw in ten thousand has them
+    medians = {0.048: 0.25, 0.75: 0.3}
+    monkeypatch.setattr(
+        draw, "_log_normal", lambda rng, median, spread: medians.get(median, median)
+    )
+    case = draw.draw_case(1, size=size)
+    assert case.tau == 0.25 and case.tau_v / case.tau == pytest.approx(least)
+
+
+def test_samples_are_lost_after_the_switches_only() -> None:
+    lost = 0
+    for seed in range(30):
+        case = draw.draw_case(seed, {"lost_samples": 0.5}, size="small")
+        rig = prepared_rig(case)
+        for step in case.steps:
+            t = sample_times(step)
+            true = rig[step.name].clock(t)
+            jumps = np.flatnonzero(np.diff(true - t) > 0.01)
+            lost += len(jumps)
+            reach = 1.5 * (case.tau_v + case.V / np.mean([p.total_flow for p in case.steps]))
+            for at in true[jumps] + step.interval:
+                since = [at - switch for switch in (step.t0, step.tf) if at >= switch]
+                assert since, f"seed {seed}, experiment {step.name}: lost before any switch"
+                # seen at the first sample that follows
+                assert 0.1 * reach <= min(since) <= reach + 2 * step.interval
+    assert lost > 50  # 0.6 of the 180 switches
