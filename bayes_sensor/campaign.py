@@ -90,6 +90,14 @@ class Experiment:
                 f"{where}: a sample that is used is not finite; mask it or repair the file"
             )
 
+    def __repr__(self) -> str:
+        """One line, without the samples."""
+        what = "planned" if self.y is None else f"{self.n_samples} samples used"
+        return (
+            f"Experiment({self.name!r}: {what}, one every {self.interval:.4g} s, "
+            f"{self.total_flow * 0.06:.4g} L/min, {100 * self.concentration:.3g} % test gas)"
+        )
+
     @property
     def used(self) -> BoolArray:
         """(n_t,) True where the sample is used."""
@@ -221,6 +229,10 @@ class Campaign:
         """Whether all experiments share one total flow: then tau_v and V cannot be told apart."""
         flows = np.array([experiment.total_flow for experiment in self.experiments])
         return bool(np.ptp(flows) <= 1e-6 * flows.max())
+
+    def __repr__(self) -> str:
+        """The experiments, a line each."""
+        return "\n  ".join([f"Campaign({self.title!r}:", *map(repr, self.experiments)]) + ")"
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it."""

@@ -222,6 +222,20 @@ def test_a_fall_without_its_command_is_noticed(tmp_path: Path) -> None:
         assert campaign_remarks(read_campaign(path)) == ()
 
 
+def test_what_is_printed_is_short() -> None:
+    from campaigns import small_problem
+
+    import bayes_sensor as bs
+
+    campaign = small_problem(phi=0.3)[0].campaign
+    fit = bs.fit_least_squares(campaign, seed=1, swarms=1, euler=False)
+    bounds = bs.compare_bounds(campaign, fit, None, ["crlb_iid", "crlb_ar1"])
+    text = repr(campaign)
+    assert len(text.splitlines()) == 1 + len(campaign) and max(map(len, text.splitlines())) < 120
+    assert f"tau_s {fit.parameters['tau_s']:.4g}" in repr(fit) and fit.status in repr(fit)
+    assert repr(bounds) == "Bounds(crlb_iid, crlb_ar1)"
+
+
 # --------------------------------------------------------------------------- commands
 
 

@@ -133,6 +133,10 @@ class Bounds:
         except KeyError:
             raise KeyError(f"no method '{method}'; there are {', '.join(self.methods)}") from None
 
+    def __repr__(self) -> str:
+        """The methods; :meth:`table` has their numbers."""
+        return f"Bounds({', '.join(self.methods)})"
+
     def _repr_html_(self) -> str:
         """What a notebook shows of it: the shared parameters; :meth:`table` has all."""
         rows = []

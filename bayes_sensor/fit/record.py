@@ -59,6 +59,11 @@ class Fit:
     step_seen: bool = True
     """whether the step of any experiment stands out of the noise"""
 
+    def __repr__(self) -> str:
+        """The shared time constants and the status."""
+        shared = ", ".join(f"{name} {self.parameters[name]:.4g}" for name in self.names[:3])
+        return f"Fit({shared}; RMS {self.rms:.4g} {self.signal_unit}; {self.status})"
+
     def _repr_html_(self) -> str:
         """What a notebook shows of it: no spreads, which are the bounds' and the posterior's."""
         limit = set(self.at_bound)

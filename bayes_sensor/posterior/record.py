@@ -149,6 +149,10 @@ class Posterior:
         row["r_hat"] = float(self.r_hat[i])
         return row
 
+    def __repr__(self) -> str:
+        """Size and status."""
+        return f"Posterior({len(self.draws)} draws by {self.sampler}; {self.status})"
+
     def _repr_html_(self) -> str:
         """What a notebook shows of it."""
         rows = []
