@@ -7,6 +7,7 @@ import pytest
 from campaigns import small_design, small_problem
 
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.gap import which
 from bayes_sensor.gap.diagnosis import ar1_whiteness
 from bayes_sensor.gap.effect import Effect, Strength, own_effect
 from bayes_sensor.gap.effects import CATALOGUE
@@ -202,3 +203,19 @@ def test_a_hypothesis_that_was_not_tried_is_no_answer() -> None:
     weighing = Weighing(SimpleNamespace(), SimpleNamespace(), (), CATALOGUE, ())
     with pytest.raises(KeyError, match="dead_volume"):
         weighing.find("dead_volume")
+
+
+def test_forms_are_averaged_by_their_evidence(monkeypatch) -> None:
+    forms = {"near": (2.0, -3.0, 0.1), "far": (0.5, -2.0, 0.3)}  # ln evidence, ln tau, its sd
+    monkeypatch.setattr(
+        which, "Linearised",
+        lambda name: SimpleNamespace(evidence=lambda _: SimpleNamespace(
+            **dict(zip(("log_z", "log_tau", "sd_log_tau"), forms[name])))),
+    )  # fmt: skip
+    log_z, best, mean, sd = which._average([("near", 0.25), ("far", 0.75)], None)
+    shares = np.array([0.25 * np.exp(2.0), 0.75 * np.exp(0.5)])
+    assert log_z == pytest.approx(np.log(shares.sum())) and best == "near"
+    shares /= shares.sum()
+    assert mean == pytest.approx(shares @ [-3.0, -2.0])
+    spread = shares @ [0.1**2 + (-3.0 - mean) ** 2, 0.3**2 + (-2.0 - mean) ** 2]
+    assert sd == pytest.approx(np.sqrt(spread))

@@ -21,7 +21,8 @@ from bayes_sensor.campaign import CampaignError
 from bayes_sensor.compression import compress
 from bayes_sensor.delays import regress_line
 from bayes_sensor.design import _candidates, settings_of, truth_of
-from bayes_sensor.laplace import draw_root
+from bayes_sensor.diffusion import find_outer_radius
+from bayes_sensor.laplace import Laplace, draw_root
 from bayes_sensor.likelihood import Prior, Problem, simulate
 from bayes_sensor.mixing import diagnostics
 from bayes_sensor.posterior.covering import covered
@@ -94,6 +95,20 @@ def test_the_density_of_drawn_roots_is_the_one_they_are_drawn_from() -> None:
     # piecewise linear: the distribution function at the draws is uniform, sd of its mean 0.002
     cdf = np.concatenate([[0.0], np.cumsum(0.5 * (q[1:] + q[:-1]) * np.diff(x[order]))])
     assert np.abs(cdf - np.arange(len(x)) / len(x)).max() < 0.014  # Kolmogorov: 1.95 / sqrt(n)
+
+
+def test_every_parameter_with_limits_is_drawn_within_them() -> None:
+    # two of them, correlated, each cut on one side at half a standard deviation
+    cov = np.array([[1.0, 0.2, 0.1, 0.0], [0.2, 1.0, 0.6, 0.3], [0.1, 0.6, 1.0, 0.4],
+                    [0.0, 0.3, 0.4, 1.0]])  # fmt: skip
+    limits = (np.array([-9.0, -0.5, -9.0, -9.0]), np.array([9.0, 9.0, 0.5, 9.0]))
+    coordinates = SimpleNamespace(
+        squared=np.array([0]), limited=np.array([1, 2]), limits=limits, theta=lambda psi: psi
+    )
+    laplace = Laplace(coordinates, np.zeros(4), cov, np.zeros(4), 0.0, True)
+    drawn, log_q = laplace.draw(4000, np.random.default_rng(7))
+    assert (drawn[:, 1] >= -0.5).all() and (drawn[:, 2] <= 0.5).all()
+    assert drawn[:, 1].max() > 2.0 and drawn[:, 2].min() < -2.0 and np.isfinite(log_q).all()
 
 
 def test_chains_that_differ_in_spread_alone_are_seen() -> None:
@@ -213,6 +228,12 @@ def test_the_interval_of_the_intercept_is_its_own() -> None:
     expected = sm.OLS(y, sm.add_constant(x)).fit().conf_int()
     assert line.ci95["intercept_s"] == pytest.approx(expected[0])
     assert line.ci95["slope_L"] == pytest.approx(expected[1])
+
+
+@pytest.mark.parametrize("tau63", [1e-6, 1.0])
+def test_a_response_time_that_no_radius_gives_is_refused_in_words(tau63: float) -> None:
+    with pytest.raises(ValueError, match="no radius gives .* ms; this coating reaches 63.2 %"):
+        find_outer_radius(tau63)
 
 
 def test_a_histogram_of_ranks_has_sixteen_bins_unless_told_otherwise() -> None:
