@@ -17,8 +17,8 @@ CONSTRAINTS := "constraints-$$($(BIN)/python -c \
   'import sys; print("3.11" if sys.version_info < (3, 12) else "3.12")').txt"
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint format bench study paper docs data dist check-dist clean \
-  clean-venv
+.PHONY: help install demo test lint format bench study coverage mutants paper docs data dist \
+  check-dist clean clean-venv
 
 help:
 	@echo "make install   $(VENV) with the package and everything the tests need"
@@ -28,6 +28,8 @@ help:
 	@echo "make format    let the formatter and the linter mend what they can"
 	@echo "make bench     speed of likelihood and posterior"
 	@echo "make study     the long studies behind the paper (JOBS=$(JOBS) processes)"
+	@echo "make coverage  which branches the tests see, by room (half an hour)"
+	@echo "make mutants   which changes to the code they notice; goes on where it stopped (hours)"
 	@echo "make paper     the manuscript as PDF, from the studies' outputs"
 	@echo "make docs      the documentation pages"
 	@echo "make data      rebuild data/reference and data/withheld bit for bit"
@@ -76,6 +78,13 @@ bench: $(STAMP) paper/studies/benchmark.py
 
 study: $(STAMP) paper/studies/run_all.py
 	$(ONE_THREAD) $(BIN)/python paper/studies/run_all.py --jobs $(JOBS)
+
+coverage: $(STAMP) paper/studies/study_branches.py
+	PYTHONPATH=. $(ONE_THREAD) $(BIN)/python paper/studies/study_branches.py
+
+mutants: coverage paper/studies/study_mutants.py
+	@$(PIP_INSTALL) -c $(CONSTRAINTS) -e '.[mutation]'
+	PYTHONPATH=. $(ONE_THREAD) $(BIN)/python paper/studies/study_mutants.py
 
 paper: $(STAMP) paper/build.py
 	$(ONE_THREAD) $(BIN)/python paper/build.py
