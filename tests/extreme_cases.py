@@ -162,6 +162,26 @@ class Told:
     """by method: whether a printed warning, a status or exit code 3 stands beside the intervals"""
 
 
+VERDICTS = ("none", "unlisted", "family", "effect", "refused")
+
+
+def diagnose(problem: Problem, seed: int = 1) -> tuple[str, tuple[str, ...], float]:
+    """The gap's verdict, what it names and with which probability; ``refused``: one message.
+
+    Nothing is wrong with any of these campaigns but their size, so that every name is a false one.
+    """
+    from bayes_sensor.gap import diagnose_gap
+
+    try:
+        fit = fit_least_squares(problem, seed=seed, swarms=1, particles=6, euler=False)
+        found = diagnose_gap(
+            problem.campaign, fit, seed=seed, bootstrap=0, hidden=False, separate=False
+        ).verdict
+    except CampaignError:
+        return "refused", (), 0.0
+    return found.kind, found.effects, found.probability
+
+
 ORDINARY = ("ok", "upper limit", "intervals taken in tau^2")
 """a status with one of these says how tau is stated, not that something is wrong"""
 
