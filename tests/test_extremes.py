@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from campaigns import small_design, small_theta
-from extreme_cases import CASES, METHODS, SHARED, Told, ask
+from extreme_cases import CASES, METHODS, SHARED, Told, ask, diagnose
 
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import CampaignError
@@ -158,3 +158,18 @@ def test_records_at_ten_kilohertz() -> None:
         low, high = bounds["profile"].interval(name, "997")
         assert low < true < high
     assert fit.converged and fit.warnings == []
+
+
+# seeds with which each once crashed or came close to naming something
+GAPS = {
+    "two samples": (3, ("refused",)),
+    "one experiment": (3, ("none",)),
+    "noise above the step": (3, ("none",)),
+}
+
+
+@pytest.mark.parametrize("case", GAPS)
+def test_the_gap_is_sure_of_nothing_that_is_not_there(case: str) -> None:
+    seed, kinds = GAPS[case]
+    kind, _, _ = diagnose(CASES[case].make(seed)[0])
+    assert kind in kinds
