@@ -1,12 +1,6 @@
 """What changed code had got past the tests: found by mutants that survived (study_mutants.py)."""
 
-import contextlib
-import io
-import os
-import subprocess
-import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -37,38 +31,6 @@ class Known:
     """A fit that ended at the truth."""
 
     theta_hat: np.ndarray
-
-
-KERNELS = """
-import numpy as np
-from campaigns import small_problem
-from bayes_sensor.likelihood import log_likelihood, log_prior
-from bayes_sensor.model import cascade_response, cascade_sensitivities
-t = np.concatenate([np.linspace(0.0, 3.0, 40), [60.0]])
-for taus in ([0.8, 0.4, 0.05], [0.5, 0.5, 0.5], [0.5, 0.45, 0.4], [0.3, 0.3 + 1e-9, 0.02]):
-    print(*cascade_response(t, taus, 0.3, 1.1), *cascade_sensitivities(t, taus, 0.3, 1.1).ravel())
-problem, theta = small_problem(n=2, interval=0.05, masked=[(3.0, 3.5)])
-print(log_likelihood(problem, theta), log_prior(problem, theta))
-"""
-
-
-def test_kernels_stay_inside_their_arrays() -> None:
-    # compiled code writes past the end of an array unnoticed; without compilation it is an error
-    environment = {
-        **os.environ, "NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "1",
-        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
-    }  # fmt: skip
-    done = subprocess.run(
-        [sys.executable, "-c", KERNELS], env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    with contextlib.redirect_stdout(io.StringIO()) as compiled:
-        exec(KERNELS, {})
-    # sums in another order: rounding, of the likelihood's thousands
-    found, expected = (
-        np.array(text.split(), dtype=float) for text in (done.stdout, compiled.getvalue())
-    )
-    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13)
 
 
 def test_the_gradient_across_gaps_under_alternating_noise() -> None:

@@ -21,11 +21,11 @@ from pathlib import Path
 import pandas as pd
 from study_mutants import COMPUTING, ROOT, TABLES, files_of
 
-UNCOMPILED = ("model", "noise", "mixing", "readout", "likelihood", "compression", "fit", "bounds",
-              "bounds_search", "reality", "gap_rig")  # fmt: skip
+UNCOMPILED = ("without_compilation", "model", "noise", "mixing", "readout", "likelihood",
+              "bounds_search", "gap_rig", "fit")  # fmt: skip
 ELSEWHERE = ("faults", "fleet", "hostile", "determinism", "docs", "frame", "paper", "notebooks",
              "notebook_bounds", "notebook_coating", "notebook_gap", "notebook_guides")  # fmt: skip
-LIMIT = 5.0
+LIMIT = 3.0
 """seconds for a test without compilation"""
 SETTINGS = """[run]
 branch = true

@@ -5,7 +5,8 @@ Cosmic Ray).  Places are drawn at random from every room, then one change among 
 there; left out are changes that no caller could see (annotations, decorators) or that raise on
 the first float (bit operations), which would only flatter the score.  A mutant meets the tests
 that run the changed line, the quickest first, as many as fit into ``BUDGET`` seconds; if it
-survives, those of up to ``BUDGET_MORE``.  What the tests run is known from ``make coverage``.
+survives and nobody has reviewed it, those of up to ``BUDGET_MORE``.  What the tests run is known
+from ``make coverage``.
 
 Survivors are reviewed by hand in ``mutants_reviewed.csv``: ``equivalent`` (no result changes;
 ``remark`` says why), ``test added`` (``tests`` names them; they are kept out of the first verdict
@@ -438,10 +439,9 @@ def drawn(room: str, place: Path) -> list[Mutant]:
     return [Mutant(**m) for m in json.loads(path.read_text(encoding="utf-8"))]
 
 
-def in_turn(rooms: tuple[str, ...], place: Path) -> Iterator[Mutant]:
-    """The first of every room, then the second of every room, ..."""
+def in_turn(rooms: tuple[str, ...], place: Path, n: int) -> Iterator[Mutant]:
+    """The first of every room, then the second of every room, ... up to ``n`` of each."""
     samples = [drawn(room, place) for room in rooms]
-    n = max(len(mutants) for mutants in samples)
     for i in range(n):
         for mutants in samples:
             if i < len(mutants):
@@ -455,10 +455,11 @@ def run(
     progress: Callable[[int, int], None],
     rooms: tuple[str, ...] = COMPUTING,
     until: float = float("inf"),
+    each: int = PER_ROOM,
 ) -> pd.DataFrame:
     """The tables; one process whatever ``jobs`` is, because every trial changes the same copy.
 
-    ``until``: time.time() after which no trial is begun.
+    ``until``: time.time() after which no trial is begun; ``each``: how many of every room.
     """
     place = Path(folder) / "mutants"
     prepare(place)
@@ -473,12 +474,14 @@ def run(
             stream.write(json.dumps({"key": mutant.key, **facts}) + "\n")
         known.setdefault(mutant.key, {}).update(facts)
 
-    mutants = list(in_turn(rooms, place))
+    mutants = list(in_turn(rooms, place, each))
     for stage, low, high in (("first", 0.0, BUDGET), ("more", BUDGET, BUDGET_MORE)):
         for i, mutant in enumerate(mutants):
             progress(i, len(mutants))
             row = known.get(mutant.key, {})
-            if stage in row or (stage == "more" and row.get("first") != SURVIVED):
+            if stage in row:
+                continue
+            if stage == "more" and (row.get("first") != SURVIVED or mutant.key in reviewed):
                 continue
             if time.time() > until:
                 continue
@@ -549,6 +552,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--room", choices=COMPUTING, action="append", help="only this room")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin nothing later")
+    parser.add_argument("--each", type=int, default=PER_ROOM, help="how many of every room")
     parser.add_argument("--folder", type=Path, default=ROOT / "build" / "studies")
     arguments = parser.parse_args()
     begin = time.time()
@@ -557,7 +561,8 @@ def main() -> None:
         print(f"{done} of {n}, {time.time() - begin:.0f} s", flush=True)
 
     rooms = tuple(arguments.room or COMPUTING)
-    print(run(arguments.folder, 1, None, tell, rooms, begin + 60 * arguments.minutes).to_string())
+    until = begin + 60 * arguments.minutes
+    print(run(arguments.folder, 1, None, tell, rooms, until, arguments.each).to_string())
 
 
 if __name__ == "__main__":
