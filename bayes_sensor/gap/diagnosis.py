@@ -13,7 +13,12 @@ import numpy as np
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.effects import CATALOGUE, check_names
-from bayes_sensor.gap.events import look_for_events, look_for_patches, look_for_ringing
+from bayes_sensor.gap.events import (
+    look_for_breaks,
+    look_for_events,
+    look_for_patches,
+    look_for_ringing,
+)
 from bayes_sensor.gap.full_rate import (
     OF_UNLISTED_ORIGIN,
     FullRate,
@@ -25,7 +30,7 @@ from bayes_sensor.gap.how_far import Closure, best_discrepancy, closure, held_ou
 from bayes_sensor.gap.refit import Refit
 from bayes_sensor.gap.separate import Separation, confusable, what_would_separate
 from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
-from bayes_sensor.gap.verdict import Standing, Verdict, judge, leftover, standing
+from bayes_sensor.gap.verdict import NAMED, Standing, Verdict, judge, leftover, standing
 from bayes_sensor.gap.where import Map, locate
 from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
 from bayes_sensor.model import Layout, Theta
@@ -40,6 +45,8 @@ BOOTSTRAP = 60
 """simulated campaigns behind the calibrated p-values and the interval of the closed fraction"""
 MOST_ROUNDS = 3
 """effects added one after the other before the search ends"""
+MOSTLY = 0.7
+"""share of a family's probability from which its leading member is stated alone"""
 LIKELY = 0.02
 """probability from which an effect's look-alikes are listed"""
 
@@ -315,7 +322,8 @@ def diagnose_gap(
     rows, separations = _rows(weighing, stand, full_rate, catalogue, window, separate, kind, named)
     notes = _notes(campaign, sketch.floor.spikes)
     sentence = _sentence(kind, named, family, probability, best, located, catalogue, separations,
-                         shrink, full_rate, envelope, campaign.signal_unit)  # fmt: skip
+                         shrink, full_rate, envelope, campaign.signal_unit,
+                         stand.effects.get(named[0], 0.0) if named else 0.0)  # fmt: skip
     tell(1.0, "done")
     return Gap(
         verdict=Verdict(kind, named, family, float(min(max(probability, 0.0), 1.0)), sentence),
@@ -372,6 +380,7 @@ def _events(
     """Events and ringing in what the best complete explanation leaves."""
     campaign = prepared.sketch.campaign
     step = max((f.strength.get("adc_step", 0.0) for f in full_rate), default=0.0)
+    heavy = any(f.name == "heavy_tails" and f.probability > 0.5 for f in full_rate)
     if rounds_away(prepared.stretches, step):
         return []
     complete = [h for h in weighing.hypotheses if not h.incomplete]
@@ -379,7 +388,8 @@ def _events(
     residuals = prepared.residuals_of(best.refit)
     return [
         look_for_patches(best.refit),
-        look_for_events(campaign, prepared.stretches_of(residuals)),
+        look_for_breaks(best.refit),
+        look_for_events(campaign, prepared.stretches_of(residuals), heavy),
         look_for_ringing(campaign, residuals, prepared.quiet),
     ]
 
@@ -709,6 +719,12 @@ def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
             f"{s['event_s']:.4g} s: {s['event_ratio']:.2g} times the noise's usual size at that "
             "time scale."
         )
+    if found.name == "break":
+        return (
+            f"In experiment {names[int(s['break_experiment'])]} the level changes at about "
+            f"{s['break_s']:.4g} s in a way of its own"
+            f" ({s['break_ratio']:.2g} standard deviations)."
+        )
     side = "after" if s["patch_s"] >= 0.0 else "before"
     return (
         "Single switches leave the model for moments, clearest in experiment "
@@ -735,6 +751,7 @@ def _sentence(
     full_rate: Sequence[FullRate],
     envelope: tuple[float, float],
     unit: str,
+    leading: float,
 ) -> str:
     phases: dict[str, float] = {}
     for c in located.cells:
@@ -758,6 +775,7 @@ def _sentence(
         names = [e.name for e in best.refit.plan.sketch.campaign]
         words += [_finding_words(f, names, unit) for f in findings]
         return " ".join(words)
+    sketch = best.refit.plan.sketch
     if kind == "family":
         helps = next((s for s in separations if s.addition), None)
         advice = (
@@ -765,12 +783,22 @@ def _sentence(
             if helps
             else f" What would show it: {catalogue[named[0]].reveal}."
         )
-        return (
-            f"One of {', '.join(named)} explains the gap{place}; this campaign does not tell "
-            f"them apart.{advice}"
+        beside = [
+            " " + catalogue[f.name].sentence.replace(
+                "{strength}", _strength_words(f.strength, _units(sketch, catalogue[f.name]))
+            )
+            for f in full_rate
+            if f.name in catalogue and f.probability > NAMED
+        ]  # fmt: skip
+        said = (
+            f"Most likely {named[0]} ({leading:.0%}) explains the gap{place}, but a cause outside "
+            "the catalogue that looks the same is not excluded."
+            if leading > MOSTLY * probability
+            else f"One of {', '.join(named)} explains the gap{place}; this campaign does not tell "
+            "them apart."
         )
+        return "".join([said, advice, *beside])
     words = []
-    sketch = best.refit.plan.sketch
     by_name = {f.name: f for f in full_rate}
     fitted = best.refit.strength()
     for n in named:

@@ -11,11 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import logsumexp
+from scipy.stats import norm
+from scipy.stats import t as student_t
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.gap.floor import DOF, Stretch, detrended
@@ -34,11 +37,29 @@ STRUCK = 0.3
 """plausible share of stretches with an event, where there are any"""
 MEDIAN_EFFICIENCY = 0.37
 """of a spread taken from the median of absolute values (Hampel 1974)"""
+TAIL_CAUTION = 1.5
+"""standard errors of the tails' length that are given to a Gaussian"""
+TAIL_LEVELS = (0.95, 0.99)
+TAIL_DOFS = np.array([2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 25.0, 50.0, 100.0])
+HEAVY_DOF = 8.0
+"""degrees of freedom where single samples are heavy-tailed"""
+FOOTPRINT = 5.0
+"""widths over which an event is seen"""
+SPARE = 0.2
+"""share of what lies beyond a quantile that one event may make up"""
+_HALF = [0.5 + 0.5 * level for level in TAIL_LEVELS]
+_RATIOS = [student_t.ppf(h, TAIL_DOFS) / student_t.ppf(0.75, TAIL_DOFS) for h in _HALF]
+_SLOPES = [2.0 * float(norm.pdf(norm.ppf(h)) * norm.ppf(h)) for h in _HALF]
 
 PATCH_SPAN = (-1.2, 8.0)
 """time scales around a switch"""
 PATCH_BINS = (1, 2, 3, 4, 6)
 """bins in a run"""
+
+BREAK_LENGTHS = (1, 2, 3, 5, 8, 13, 21)
+"""bins that a passing change lasts"""
+ABSORBED = 0.1
+"""share of a change that a refit must leave of it, for the change to be looked for"""
 
 RINGING_BLOCK = 0.005
 """s"""
@@ -64,13 +85,16 @@ class Quiet:
     """(n_t,) V, the noise's standard deviation at every sample"""
 
 
-def look_for_events(campaign: Campaign, stretches: Sequence[Stretch]) -> FullRate:
+def look_for_events(
+    campaign: Campaign, stretches: Sequence[Stretch], heavy_tailed: bool = False
+) -> FullRate:
     """Bumps and jumps in single stretches.
 
     Differences of means (a bump against both its sides, after against before) are taken in units
     of how much samples change from one to the next there, so that gusts of noise are none, and
     scaled by their own median absolute value over all stretches with the same gas, so that the
     noise's spectrum does not matter and an event that is rare in time does not hide itself.
+    ``heavy_tailed``: single samples are, and so means over a few of them may be.
     ``ln B`` of a stretch averages, over positions, widths and the amplitude's plausible spread,
     the ratio of t densities; ``strength``: the clearest event's experiment (counted from 0), time
     in s and ratio to the usual.
@@ -91,7 +115,10 @@ def look_for_events(campaign: Campaign, stretches: Sequence[Stretch]) -> FullRat
                 if usual <= 0.0:
                     continue
                 seconds = sum(len(made[k]) * use[k][2] for k in here)
+                sizes_here = np.abs(np.concatenate([made[k] for k in here])) / usual
                 dof = max(MEDIAN_EFFICIENCY * seconds / width, 3.0)
+                dof = min(dof, _tail_dof(sizes_here, seconds, width))
+                dof = min(dof, HEAVY_DOF) if heavy_tailed else dof
                 for k in here:
                     square = (made[k] / usual) ** 2
                     found[k].append(_surprise(square, dof))
@@ -160,6 +187,25 @@ def _local(changes: FloatArray, begins: NDArray[np.int64], length: int) -> Float
     return local
 
 
+def _tail_dof(sizes: FloatArray, seconds: float, width: float) -> float:
+    """Degrees of freedom of the t law that is as long-tailed as ``sizes`` (n,), median .6745.
+
+    Gusts and shots lengthen the tails at every time scale they act on; without that, each of them
+    would be an event.  From ratios of quantiles to the median, less what the number of independent
+    values leaves open, and none that a single event would move.
+    """
+    found = np.inf
+    for level, ratios, slope in zip(TAIL_LEVELS, _RATIOS, _SLOPES, strict=True):
+        if level > TAIL_LEVELS[0] and FOOTPRINT * width > SPARE * (1.0 - level) * seconds:
+            continue
+        ratio = float(np.quantile(sizes, level)) / 0.6745
+        error = sqrt(level * (1.0 - level) / max(seconds / width, 1.0)) / slope
+        ratio *= 1.0 - TAIL_CAUTION * error
+        if ratio > ratios[-1]:
+            found = min(found, float(np.interp(-ratio, -ratios, TAIL_DOFS)))
+    return found
+
+
 def _surprise(square: FloatArray, dof: float) -> float:
     """ln of the mean over positions and spreads of the ratio of t densities."""
     wider = 1.0 + np.array(EVENT_RATIOS)[:, None]
@@ -203,6 +249,59 @@ def look_for_patches(found: Refit) -> FullRate:
             value += float(np.logaddexp(np.log1p(-STRUCK), np.log(STRUCK) + surprise))
     strength = {"patch_experiment": where[0], "patch_s": where[1], "patch_ratio": largest**0.5}
     return FullRate("patch", value, strength, float(np.sqrt(largest)))
+
+
+def look_for_breaks(found: Refit) -> FullRate:
+    """Changes that begin at any time in single records: passing, until the fall, or to stay.
+
+    What happens once has no common shape either, and on a plateau it looks like a drift.  A score
+    test per record: a change of so many volts between two edges of bins, what the refit's own
+    coordinates would take up of it left out.  ``ln B`` of a record averages over begins and
+    lengths the ratio of t densities, as in :func:`look_for_patches`.
+    """
+    sketch, plan = found.plan.sketch, found.plan
+    normal = found.jacobian.T @ found.jacobian + plan.own_prior_matrix
+    covariance = np.linalg.inv(normal)
+    value, largest, where = 0.0, 0.0, (0.0, 0.0)
+    wider = 1.0 + np.array(EVENT_RATIOS)[:, None]
+    for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
+        shapes, begins = _changes(b.falling)
+        templates = sketch.inverse_factors[k] @ shapes
+        inside = found.jacobians[k].T @ templates
+        columns = plan.columns(k)
+        own = covariance[np.ix_(columns, columns)]
+        whole = np.sum(templates**2, axis=0)
+        left = whole - np.sum(inside * (own @ inside), axis=0)
+        use = left > ABSORBED * whole
+        if not np.any(use):
+            continue
+        square = (found.residual[rows] @ templates[:, use]) ** 2 / left[use]
+        ratio = np.log1p(square / DOF) - np.log1p(square / DOF / wider)
+        logs = 0.5 * (DOF + 1.0) * ratio - 0.5 * np.log(wider)
+        surprise = float(logsumexp(logs)) - np.log(logs.size)
+        value += float(np.logaddexp(np.log1p(-STRUCK), np.log(STRUCK) + surprise))
+        if float(square.max()) > largest:
+            largest = float(square.max())
+            first = begins[use][int(np.argmax(square))]
+            where = (float(k), float(b.experiment.t[b.first[first]]))
+    strength = {"break_experiment": where[0], "break_s": where[1], "break_ratio": largest**0.5}
+    return FullRate("break", value, strength, float(np.sqrt(largest)))
+
+
+def _changes(falling: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]:
+    """(n_bins, m) ones where a change lasts, and (m,) the bins it begins with."""
+    n = len(falling)
+    fall = int(np.argmax(falling)) if np.any(falling) else n
+    spans = {
+        (i, j)
+        for i in range(1, n)
+        for j in (*(i + m for m in BREAK_LENGTHS), fall, n)
+        if i < j <= n
+    }
+    ordered = np.array(sorted(spans), dtype=np.int64)
+    at = np.arange(n)[:, None]
+    shapes = (at >= ordered[:, 0]) & (at < ordered[:, 1])
+    return shapes.astype(float), ordered[:, 0]
 
 
 def look_for_ringing(

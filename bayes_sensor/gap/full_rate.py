@@ -43,13 +43,13 @@ TOO_COARSE = 1.0
 """steps over the innovations' standard deviation from which tails cannot be told"""
 PRIOR = {
     "mains_pickup": 0.03, "heavy_tails": 0.03, "quantisation": 0.03,
-    "line": 0.02, "event": 0.025, "patch": 0.025, "ringing": 0.01,
+    "line": 0.02, "event": 0.025, "patch": 0.025, "break": 0.025, "ringing": 0.01,
 }  # fmt: skip
 AROUND = 400
 """samples over which the size of the innovations is taken"""
 HARDLY_CROSSED = 0.7
 """steps over the noise's standard deviation from which it hardly crosses them"""
-OF_UNLISTED_ORIGIN = ("line", "event", "patch", "ringing")
+OF_UNLISTED_ORIGIN = ("line", "event", "patch", "break", "ringing")
 """findings that have no name in the catalogue"""
 
 

@@ -258,7 +258,8 @@ class EffectModel:
             for theta in (low, high):
                 _, _, t0, tf = local_parameters(theta, layout, experiment.name)
                 setting = self.scales.setting(experiment, t0, tf)
-                ends.append(c.body.settings({"step": 1.0}, setting)["step_time"])
+                made = c.body.settings({"step": 1.0}, setting)
+                ends.append(made.get("step_time", setting.tf))
             found.append((min(ends) - experiment.interval, max(ends) + experiment.interval))
         return found
 

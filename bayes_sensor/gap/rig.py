@@ -43,10 +43,14 @@ SETTINGS: dict[str, tuple[float, str]] = {
     "curvature": (0.0, "1/V, k in v + k v^2 with v = beta x3"),
     "drift": (0.0, "V/s, slope of the baseline"),
     "drift_curve": (0.0, "V/s^2, bend of the baseline"),
+    "drift_twist": (0.0, "V/s^3, change of that bend"),
     "step": (0.0, "V, step of the baseline"),
-    "step_time": (0.0, "s, when it happens"),
+    "step_time": (0.0, "s, when it begins"),
+    "step_with_fall": (0.0, "1: that time counts from the step down"),
+    "step_width": (0.0, "s, time constant with which it settles"),
     "gain_drift": (0.0, "1/s, relative change of beta with time"),
     "gain_curve": (0.0, "1/s^2, bend of that change"),
+    "gain_twist": (0.0, "1/s^3, change of that bend"),
     "carry_over": (0.0, "share of beta still in the manifold when the record starts"),
     "carry_time": (0.0, "s, in which it leaves; 0: the manifold's own V/Q"),
     "valve_factor": (1.0, "valve time constant over the common one"),
@@ -65,8 +69,8 @@ FIRST = 10
 (
     CLOSING, INERTIA, STROKE, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME, SWITCHING, FLOW,
     POCKET, POCKET_TIME, TANK, RELEASE, SLOW_S, SLOW_S_TIME, COATING, FILTER, CURVATURE,
-    DRIFT, DRIFT_CURVE, STEP, STEP_TIME, GAIN, GAIN_CURVE, CARRY, CARRY_TIME, VALVE_FACTOR,
-    SENSOR_FACTOR, EMPTYING,
+    DRIFT, DRIFT_CURVE, DRIFT_TWIST, STEP, STEP_TIME, STEP_WITH_FALL, STEP_WIDTH, GAIN,
+    GAIN_CURVE, GAIN_TWIST, CARRY, CARRY_TIME, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING,
 ) = range(FIRST, FIRST + len(SETTINGS))  # fmt: skip
 
 CELLS_PER_TIME_CONSTANT = 14.0
@@ -404,14 +408,18 @@ def rig_mean(
 ) -> FloatArray:  # pragma: no cover
     """The mean voltage (n_t,) at sorted ``times`` (n_t,) s."""
     x = rig_response(times, p, mode_share, mode_ratio)
+    step_time = p[STEP_TIME] + (p[TF] if p[STEP_WITH_FALL] > 0.0 else 0.0)
     for i in range(len(times)):
         v = p[BETA] * x[i]
         v *= 1.0 + p[CURVATURE] * v
         since = times[i] - p[MIDDLE]
-        v *= 1.0 + since * (p[GAIN] + since * p[GAIN_CURVE])
-        v += p[Y0] + since * (p[DRIFT] + since * p[DRIFT_CURVE])
-        if p[STEP] != 0.0 and times[i] >= p[STEP_TIME]:
-            v += p[STEP]
+        v *= 1.0 + since * (p[GAIN] + since * (p[GAIN_CURVE] + since * p[GAIN_TWIST]))
+        v += p[Y0] + since * (p[DRIFT] + since * (p[DRIFT_CURVE] + since * p[DRIFT_TWIST]))
+        if p[STEP] != 0.0 and times[i] >= step_time:
+            settled = 1.0
+            if p[STEP_WIDTH] > 0.0:
+                settled -= exp(-(times[i] - step_time) / p[STEP_WIDTH])
+            v += p[STEP] * settled
         x[i] = v
     return x
 

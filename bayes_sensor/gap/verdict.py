@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.full_rate import OF_UNLISTED_ORIGIN, FullRate
-from bayes_sensor.gap.which import Hypothesis, Weighing
+from bayes_sensor.gap.which import PRIOR_NONE, PRIOR_UNLISTED, Hypothesis, Weighing
 
 NAMED = 0.9
 """probability from which an effect or a family is named"""
+LOUDER = 0.75
+"""probability from which a family on the mean is stated in place of an effect of the noise"""
 QUIET = 0.3
 """probability of none from which nothing is named"""
+MIMIC = 2.0
+"""detectability at which every unlisted cause looks like some effect of the catalogue; of unlisted
+causes at detectability d about ``MIMIC / d`` do, as their noise-free residuals show"""
 GATE = 4.0
 """standard deviations of misfit left under a named effect from which it is unlisted after all"""
 
@@ -57,7 +63,10 @@ def standing(
         np.prod([1.0 - f.probability for f in full_rate if f.name in OF_UNLISTED_ORIGIN])
     )
     likely = max(on_noise, key=lambda n: on_noise[n]) if on_noise else ""
-    for h, p in zip(weighing.hypotheses, weighing.probabilities, strict=True):
+    alike = np.array([_look_alike(weighing, h) for h in weighing.hypotheses])
+    shares = weighing.probabilities / (1.0 + float(weighing.probabilities @ alike))
+    for h, p, other_cause in zip(weighing.hypotheses, shares, alike, strict=True):
+        rows["unlisted"] += float(p * other_cause)
         if h.incomplete:
             rows["unlisted"] += float(p)
             continue
@@ -72,8 +81,6 @@ def standing(
             total = sum(share.values())
             for n, s in share.items():
                 joint = n if not h.effects else "+".join([*h.effects, n])
-                if len(h.effects) > 1:
-                    joint = name  # three at once: the two of the mean are reported
                 rows[joint] = rows.get(joint, 0.0) + loud * s / total
     effects = dict.fromkeys(catalogue, 0.0)
     families: dict[str, float] = {}
@@ -90,6 +97,17 @@ def standing(
         effects[n] = max(effects[n], p)
         families[catalogue[n].family] = max(families.get(catalogue[n].family, 0.0), p)
     return Standing(rows, effects, families, rows["none"], rows["unlisted"])
+
+
+def _look_alike(weighing: Weighing, h: Hypothesis) -> float:
+    """Odds that what looks like this explanation is an unlisted cause with the same residual.
+
+    The more can be seen of an effect, the fewer other causes look the same.
+    """
+    if h.incomplete or not h.effects:
+        return 0.0
+    d = sqrt(max(weighing.base.misfit - h.refit.misfit, MIMIC**2))
+    return PRIOR_UNLISTED / (1.0 - PRIOR_NONE - PRIOR_UNLISTED) * MIMIC / d
 
 
 def leftover(h: Hypothesis) -> float:
@@ -117,13 +135,19 @@ def judge(
         if on_noise and stand.unlisted <= 0.5 and not on_mean:
             return _effect(on_noise, stand, catalogue)
         return "unlisted", (), None, max(stand.unlisted, 0.5 if on_mean else 0.0)
-    if named:
+    of_mean = {
+        f: p for f, p in stand.families.items()
+        if any(e.family == f and e.on_mean for e in catalogue.values())
+    }  # fmt: skip
+    family = max(of_mean, key=lambda f: of_mean[f]) if of_mean else None
+    likely = family is not None and of_mean[family] > max(0.5, stand.unlisted)
+    louder = family is not None and of_mean[family] > LOUDER
+    if on_mean or (on_noise and not louder):
         # an effect of the noise is named alone only where nothing more is likely in the mean
         return _effect([*on_mean, *on_noise], stand, catalogue)
     if stand.none > QUIET:
         return "none", (), None, stand.none
-    family = max(stand.families, key=lambda f: stand.families[f]) if stand.families else None
-    if family is not None and stand.families[family] > max(0.5, stand.unlisted):
+    if family is not None and likely:
         members = sorted(
             (n for n in catalogue if catalogue[n].family == family),
             key=lambda n: -stand.effects[n],

@@ -30,6 +30,8 @@ UNUSUAL = 1.2
 """distance of ln tau from its plausible value from which fits also start at that value"""
 MOST_FOLLOWED = 3
 """times the search for a pair follows the best one found"""
+MOST_FURTHER = 60
+"""further steps of a refit that had not converged"""
 HOPELESS = 0.2
 """share of what something else explains better that a first pair must explain"""
 NEAR = 14.0
@@ -123,7 +125,14 @@ def fit_effect(
     if usual is not None and not base.plan.parts:
         # the fit without the effect may have bent tau far away to do the effect's work
         found += [refit(plan, with_start(plan, usual, s), most_steps=most_steps) for s in starts]
-    return min(found, key=lambda r: r.objective)
+    return finished(min(found, key=lambda r: r.objective))
+
+
+def finished(fitted: Refit) -> Refit:
+    """The refit carried on where it had not converged: an evidence is that of an optimum."""
+    if fitted.converged:
+        return fitted
+    return refit(fitted.plan, fitted.x, most_steps=MOST_FURTHER)
 
 
 def _with_usual_tau(plan: Plan, x: FloatArray) -> FloatArray | None:
@@ -281,7 +290,7 @@ def _add_pairs(
             if not base.plan.parts:  # what the first effect has swallowed may belong to the second
                 plan = fitted.plan
                 afresh = refit(plan, plan.start(base.x, form.starts[0]), most_steps=15)
-                fitted = min(fitted, afresh, key=lambda r: r.objective)
+                fitted = finished(min(fitted, afresh, key=lambda r: r.objective))
             made.append((fitted, form.weight))
         weight = sum(w for _, w in made)
         log_prior = priors[a] + priors[b] - np.log(PRIOR_NONE)

@@ -21,6 +21,13 @@ def _bent(s: Setting) -> tuple[Strength, ...]:
     return (*_drift(s, True), curve)
 
 
+def _twisted(s: Setting) -> tuple[Strength, ...]:
+    twist = Strength("drift_twist", "V/s^3", "normal", 0.0,
+                     0.02 * s.signal_scale / s.duration**3, per_experiment=True,
+                     scaled=True)  # fmt: skip
+    return (*_bent(s), twist)
+
+
 EFFECT = Effect(
     name="baseline_drift",
     family="baseline",
@@ -29,9 +36,10 @@ EFFECT = Effect(
         Form(lambda s: _drift(s, False), lambda v, s: {"drift": v["drift"]}, name="common"),
         Form(lambda s: _drift(s, True), lambda v, s: {"drift": v["drift"]}, name="own"),
         Form(_bent, lambda v, s: dict(v), name="bent"),
+        Form(_twisted, lambda v, s: dict(v), name="twisted"),
     ),
     plausible={"drift": 1e-4},
-    null={"drift": 0.0, "drift_curve": 0.0},
+    null={"drift": 0.0, "drift_curve": 0.0, "drift_twist": 0.0},
     reference="drift of laser power and temperature",
     reveal="a record of the carrier gas alone, as long as an experiment",
 )

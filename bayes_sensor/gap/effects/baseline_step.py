@@ -1,6 +1,7 @@
 """The baseline jumps: after the pulse, or at another moment common to all records.
 
-A coupling that shifts when the valve shuts, or a light that is switched on.
+A coupling that shifts when the valve shuts, at once or within seconds, or a light that is
+switched on.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,12 +12,12 @@ PLACES = (0.12, 0.25, 0.4, 0.6, 0.8, 0.9)
 """where else in the record a common jump is looked for, as a share of its length"""
 
 
-def _step(own: bool) -> Callable[[Setting], tuple[Strength, ...]]:
+def _step(own: bool, soft: bool = False) -> Callable[[Setting], tuple[Strength, ...]]:
     def strengths(s: Setting) -> tuple[Strength, ...]:
-        return (
-            Strength("step", "V", "normal", 0.0, 0.01 * s.signal_scale, per_experiment=own,
-                     scaled=True),
-        )  # fmt: skip
+        size = Strength("step", "V", "normal", 0.0, 0.01 * s.signal_scale, per_experiment=own,
+                        scaled=True)  # fmt: skip
+        width = Strength("step_width", "s", "log_normal", s.time_scale, 0.8)
+        return (size, width) if soft else (size,)
 
     return strengths
 
@@ -30,7 +31,7 @@ def _at(place: float) -> Settings:
 
 
 def _after_pulse(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
-    return {"step": v["step"], "step_time": s.tf}
+    return {"step_with_fall": 1.0, **v}
 
 
 EFFECT = Effect(
@@ -38,8 +39,10 @@ EFFECT = Effect(
     family="baseline",
     sentence="The baseline after the pulse is not the one before it: {strength}.",
     forms=(
-        Form(_step(False), _after_pulse, name="common", weight=0.4),
-        Form(_step(True), _after_pulse, name="own", weight=0.4),
+        Form(_step(False), _after_pulse, name="common", weight=0.3),
+        Form(_step(True), _after_pulse, name="own", weight=0.3),
+        Form(_step(False, soft=True), _after_pulse, name="common, slow", weight=0.1),
+        Form(_step(True, soft=True), _after_pulse, name="own, slow", weight=0.1),
         *(
             Form(_step(False), _at(place), name=f"at {place:.0%}", weight=0.2 / len(PLACES))
             for place in PLACES

@@ -13,15 +13,9 @@ def _carry(s: Setting, own: bool, slow: bool) -> tuple[Strength, ...]:
     )  # fmt: skip
     if slow:
         found += (
-            Strength(
-                "carry_time",
-                "s",
-                "log_normal",
-                4.0 * s.time_scale,
-                0.7,
-                limits=(0.05 * s.time_scale, 12.0 * s.time_scale),
-            ),
-        )
+            Strength("carry_time", "s", "log_normal", 6.0 * s.time_scale, 1.0,
+                     limits=(0.05 * s.time_scale, 60.0 * s.time_scale)),
+        )  # fmt: skip
     return found
 
 
@@ -37,7 +31,7 @@ EFFECT = Effect(
             lambda v, s: dict(v),
             name="slow",
             weight=0.5,
-            starts=({"carry_time*": 4.0},),
+            starts=({"carry_time*": 4.0}, {"carry_time*": 20.0}),
         ),
     ),
     plausible={"carry_over": 0.02},

@@ -16,6 +16,12 @@ def _bent(s: Setting) -> tuple[Strength, ...]:
     return (*_gain(s, True), curve)
 
 
+def _twisted(s: Setting) -> tuple[Strength, ...]:
+    twist = Strength("gain_twist", "1/s^3", "normal", 0.0, 0.04 / s.duration**3,
+                     per_experiment=True, scaled=True)  # fmt: skip
+    return (*_bent(s), twist)
+
+
 EFFECT = Effect(
     name="gain_drift",
     family="gain",
@@ -26,9 +32,10 @@ EFFECT = Effect(
         ),
         Form(lambda s: _gain(s, True), lambda v, s: {"gain_drift": v["gain_drift"]}, name="own"),
         Form(_bent, lambda v, s: dict(v), name="bent"),
+        Form(_twisted, lambda v, s: dict(v), name="twisted"),
     ),
     plausible={"gain_drift": 1e-4},
-    null={"gain_drift": 0.0, "gain_curve": 0.0},
+    null={"gain_drift": 0.0, "gain_curve": 0.0, "gain_twist": 0.0},
     reference="temperature dependence of sorption; laser power",
     reveal="a longer plateau, and the same step early and late in a record",
 )
