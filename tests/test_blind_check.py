@@ -46,6 +46,7 @@ from bayes_sensor.figures.blind_check import opened_seal, score_card
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.reality import (
     CAUSES,
+    HEAVY_TAILED,
     OPEN_LAWS,
     RESERVE_LAWS,
     Case,
@@ -525,6 +526,8 @@ def test_the_withheld_campaign_is_what_its_seal_says() -> None:
         # the file holds single precision
         np.testing.assert_allclose(recorded.values, e.values, atol=1e-6)
         assert recorded.commanded_on == pytest.approx(step.commanded_on, abs=1.5 * step.interval)
+    # the seal keeps its bytes when it is made again
+    assert json.loads(json.dumps(case.to_json())) == true["recipe"]
 
 
 def test_opening_the_seal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -625,6 +628,23 @@ def test_a_drawn_truth_is_complete() -> None:
     assert sum(row["share"] for row in found["acts"]) == pytest.approx(1.0)
     assert make_campaign(Case.from_json(found["recipe"])).n_samples > 0
     assert complete_truth(found, "x")["rivals"]
+
+
+def test_heavy_tails_are_no_wrong_answer_where_the_noise_has_them() -> None:
+    for law in (*OPEN_LAWS, *RESERVE_LAWS):
+        null = draw_truth(Entry("x", "null", (), 0.0, law, "small", 4, 5))
+        assert null["near"] == (["heavy_tails"] if law in HEAVY_TAILED else [])
+    entry = Entry("x", "unlisted", ("swelling_film",), 2.0, "shot", "small", 4, 5)
+    assert draw_truth(entry)["near"] == ["heavy_tails", "sorption_asymmetry"]
+
+
+def test_causes_kept_for_the_last_run_can_be_made_plain_to_see() -> None:
+    kept = [name for name, cause in CAUSES.items() if cause.reserve]
+    rigs = [draw_case(seed, size="small") for seed in (31, 32, 33)]
+    for name in kept:
+        strengths = {name: CAUSES[name].highest}
+        seen = [detectability(replace(rig, strengths=strengths), starts=1) for rig in rigs]
+        assert np.median(seen) > LEVELS[-1], name
 
 
 def test_the_score_card_is_drawn_even_when_nearly_empty() -> None:

@@ -5,17 +5,22 @@ from __future__ import annotations
 import ast
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
 
 import bayes_sensor.reality as reality
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.reality import (
     CAUSES,
+    HEAVY_TAILED,
     OPEN_LAWS,
     RESERVE_LAWS,
     Case,
@@ -33,6 +38,7 @@ from bayes_sensor.reality import (
 )
 from bayes_sensor.reality.noise import draw_noise
 from bayes_sensor.reality.rig import Knobs, dip, voltage
+from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import layered_film, modal
 
 CONTRACT_NAMES = (
@@ -49,14 +55,21 @@ def case(**strengths: float) -> Case:
     return replace(draw_case(11, size="small"), strengths=strengths)
 
 
-def solved(rig: Case, right_side, n_states: int, k: int = 0) -> tuple[FloatArray, FloatArray]:
-    """Times and states of an ODE that scipy solves piece by piece between the switches."""
+def solved(
+    rig: Case, right_side, n_states: int, k: int = 0, inputs: Sequence[tuple[float, Any]] = ()
+) -> tuple[FloatArray, FloatArray]:
+    """Times and states of an ODE that scipy solves piece by piece between the switches.
+
+    ``inputs``: (s from which it holds, what ``right_side`` is given) of every piece; the valve's
+    command if there are none.
+    """
     step = rig.steps[k]
     t = sample_times(step)
     states = np.zeros((len(t), n_states))
     y = np.zeros(n_states)
-    edges = [0.0, step.t0, step.tf, step.duration]
-    for low, high, u in zip(edges[:-1], edges[1:], (0.0, 1.0, 0.0), strict=True):
+    inputs = inputs or [(0.0, 0.0), (step.t0, 1.0), (step.tf, 0.0)]
+    edges = [at for at, _ in inputs] + [step.duration]
+    for low, high, u in zip(edges[:-1], edges[1:], [u for _, u in inputs], strict=True):
         inside = (t >= low) & (t < high)
         result = solve_ivp(
             lambda s, x, u=u: right_side(u, x), (low, high), y, method="DOP853", rtol=1e-10,
@@ -299,6 +312,92 @@ def test_the_servo_ranges_and_fringes_do_what_they_say() -> None:
     assert np.allclose(fringes, 0.03 * np.sin(2 * np.pi * (1.5 * x + 0.1 + 0.02 * t)), atol=1e-9)
 
 
+def test_dropped_valves_plugs_and_sites_that_keep_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    q, V = step.total_flow, rig.V
+    at, lasts = 0.5 * (step.t0 + step.tf), 0.7
+    pushed, plug = step.t0 - 0.3, 1.5  # mL/s of test gas, until t0
+
+    def with_both(u: tuple[float, float], x: FloatArray) -> list[float]:
+        inlet = x[0] + u[1] / q / step.concentration
+        return [(u[0] - x[0]) / rig.tau_v, q / V * (inlet - x[1]), (x[1] - x[2]) / rig.tau, x[2]]
+
+    inputs = [
+        (0.0, (0.0, 0.0)), (pushed, (0.0, plug)), (step.t0, (1.0, 0.0)), (at, (0.0, 0.0)),
+        (at + lasts, (1.0, 0.0)), (step.tf, (0.0, 0.0)),
+    ]  # fmt: skip
+    t, states = solved(rig, with_both, 4, inputs=inputs)
+    knobs = Knobs(
+        dropped=[(at, lasts)], seep=[lambda s: plug * ((s >= pushed) & (s < step.t0))],
+        bound=0.1, bound_time=7.0, marks=[pushed - 1e-6, pushed, step.t0 - 1e-6],
+    )  # fmt: skip
+    kept = 0.1 * (1.0 - np.exp(-states[:, 3] / 7.0))
+    assert np.abs(voltage(rig, step, knobs, t)[1] - states[:, 2] - kept).max() < 5e-5
+    assert kept[-1] > 0.05  # still there at the end of the record
+
+
+def test_a_dead_leg_gives_off_what_diffuses_out_of_a_blind_branch() -> None:
+    rig = case(dead_leg=0.1)
+    step = rig.steps[0]
+    (out,) = prepared_rig(rig)[step.name].seep
+    since = np.concatenate([[0.0], np.geomspace(1e-4, 400.0, 4000)])
+    flux = out(step.tf + since)
+    given = np.concatenate([[0.0], np.cumsum(0.5 * (flux[1:] + flux[:-1]) * np.diff(since))])
+    assert 0.85 * 0.1 * rig.V < given[-1] < 0.1 * rig.V
+    # finite volumes of a branch of unit length that starts full: the same decline of what is left
+    n = 200
+    matrix = np.diag(np.full(n, -2.0)) + np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)
+    matrix[0, 0], matrix[-1, -1] = -3.0, -1.0
+    rates, modes = np.linalg.eigh(matrix * n**2)
+    start = modes.T @ np.ones(n)
+
+    def left(time: float) -> float:
+        return float(np.mean(modes @ (np.exp(rates * time) * start)))
+
+    half = float(np.interp(0.5 * given[-1], given, since))
+    tenth = float(np.interp(0.9 * given[-1], given, since))
+    times = np.linspace(0.01, 2.0, 4000)
+    shares = np.array([left(s) for s in times]) / left(0.01)
+    expected = [np.interp(-share, -shares, times) - 0.01 for share in (0.5, 0.1)]
+    assert tenth / half == pytest.approx(expected[1] / expected[0], rel=0.02)
+
+
+def test_the_lock_the_holder_and_the_contact_do_what_they_say() -> None:
+    rig = case()
+    step = rig.steps[0]
+    t = sample_times(step)
+    plain, _ = voltage(rig, step, Knobs(), t)
+    fastest = 0.5 * float(np.abs(np.diff(plain)).max()) / step.interval
+    slow, _ = voltage(rig, step, Knobs(fastest=fastest), t)
+    speed = np.diff(slow) / step.interval
+    assert np.abs(speed).max() == pytest.approx(fastest, rel=1e-6)
+    behind = np.abs(slow - plain) > 1e-6 * step.beta
+    # it runs at full speed for as long as it is behind, towards where it should be
+    both = behind[:-1] & behind[1:]
+    assert both.sum() > 20
+    ahead = np.sign(plain - slow)[:-1][both]
+    assert np.allclose(speed[both], ahead * fastest, rtol=1e-3)
+
+    held, _ = voltage(rig, step, Knobs(hold=0.25, hold_begin=0.1), t)
+    readings = (np.arange(-1, 1 + step.duration / 0.25)) * 0.25 + 0.1
+    last = np.searchsorted(readings, t + 1e-9) - 1
+    expected = np.interp(np.maximum(readings[last], 0.0), t, plain)
+    inside = np.abs(t - readings[last]) > 1e-6  # on a reading rounding decides which one it is
+    # straight lines between samples 10 ms apart instead of the response itself
+    assert np.abs(held - expected)[inside].max() < 1e-3 * step.beta
+
+    loose = clean_signals(case(loose_contact=0.1))[step.name]
+    broken = np.abs(loose - plain) > 0.05 * np.abs(plain)
+    assert np.allclose(loose, np.where(broken, 0.9, 1.0) * plain, rtol=1e-4)
+    assert 0.0 < broken.mean() < 0.3
+    swings = clean_signals(case(thermostat_swings=0.05))[step.name] - plain
+    size = 0.05 * np.mean([each.beta for each in rig.steps])
+    assert np.abs(swings).max() == pytest.approx(size, rel=0.05)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(swings))))
+    assert len(turns) >= 2
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -362,6 +461,46 @@ def test_shot_noise_leans_to_one_side_and_gusts_come_and_go() -> None:
     assert np.mean(loud < 0.6) > 0.3 and np.mean(loud > 1.2) > 0.3
 
 
+def test_sparks_echoes_and_double_samples_are_what_they_say() -> None:
+    rng = np.random.default_rng(9)
+    part = Component(1.0, 0.01, 50.0, shape="sparks", rate=2.0)
+    sparks = NoiseLaw("sparks", 1.0, components=(part,))
+    z = draw_noise(sparks, 400_000, 1e-3, rng)
+    # Campbell: fourth cumulant rate/4 <h^4> <cos^4> over (rate/4 <h^2>)^2, <h^k> = k!: 9 / rate
+    assert np.mean(z**4) / np.mean(z**2) ** 2 - 3.0 == pytest.approx(4.5, rel=0.25)
+    assert abs(np.mean(z**3)) < 0.5  # to both sides
+
+    # an echo undone: z_i - r z_(i - m) + r^2 z_(i - 2 m) .. is the process itself again
+    echo = NoiseLaw("echo", 1.0, components=(Component(1.0, 0.02, 50.0, "echo", depth=0.5),))
+    z = draw_noise(echo, 200_000, 1e-3, rng)
+    undone = lfilter([1.0], np.concatenate([[1.0], np.zeros(19), [0.5]]), z)[1000:]
+    after = [float(np.mean(undone[lag:] * undone[:-lag])) / float(undone.var()) for lag in (5, 20)]
+    assert after == pytest.approx(np.exp([-0.25, -1.0]), abs=0.04)
+
+    pair = Component(1.0, shape="difference", depth=0.8)
+    law = NoiseLaw("double_sampling", 1.0, components=(pair,))
+    z = draw_noise(law, 200_000, 1e-3, rng)
+    assert np.mean(z[1:] * z[:-1]) == pytest.approx(-0.8 / 1.64, abs=0.02)
+    # what is averaged over is nearly gone: (1 - 0.8)^2 / (1 + 0.8^2) of white noise
+    assert z.reshape(-1, 500).mean(axis=1).var() * 500 < 0.1
+    assert not (sparks.is_ar1 or echo.is_ar1 or law.is_ar1)
+
+
+@pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
+def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
+    for seed in range(3):
+        for interval in (1e-3, 1e-2):
+            rng = np.random.default_rng(seed)
+            law = draw_law(name, rng, 1.0)
+            R = autocorrelation(law, 61, interval)
+            predictor = solve_toeplitz(R[:-1], R[1:])
+            z = draw_noise(law, 60_000, interval, rng)
+            e = lfilter(np.concatenate([[1.0], -predictor]), [1.0], z)[60:]
+            excess = np.mean(e**4) / np.mean(e**2) ** 2 - 3.0
+            # two standard errors of 1500 independent samples; 60 000 leave one of 0.02
+            assert (excess > 2.0 * np.sqrt(24.0 / 1500)) == (name in HEAVY_TAILED)
+
+
 def test_wild_samples_keep_the_variance_and_fatten_the_tails() -> None:
     rig = case(wild_samples=4.0)
     rng = np.random.default_rng(2)
@@ -421,6 +560,12 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("emptying_bottle", {"plateau", "fall"}, 0.95),
         ("plunger_stroke", {"rise", "fall"}, 0.95),
         ("residue", {"baseline", "onset", "rise", "plateau"}, 0.9),
+        ("mains_dip", {"plateau"}, 0.95),
+        ("dead_leg", {"fall", "tail"}, 0.999),
+        ("trapped_plug", {"onset", "rise"}, 0.95),
+        ("sites_that_keep", {"plateau", "fall", "tail"}, 0.95),
+        ("sluggish_lock", {"rise", "fall"}, 0.999),
+        ("held_readings", {"rise", "fall"}, 0.95),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

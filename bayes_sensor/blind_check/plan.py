@@ -24,6 +24,7 @@ from bayes_sensor.blind_check.oracle import (
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.reality import (
     CAUSES,
+    HEAVY_TAILED,
     OPEN_LAWS,
     RESERVE_LAWS,
     SIZES,
@@ -191,11 +192,14 @@ def draw_truth(entry: Entry) -> dict[str, Any]:
             strength, _ = strength_for(case, name, entry.level)
         strengths[name] = strength
     case = replace(case, strengths=strengths)
+    near = {name for cause in entry.causes for name in CAUSES[cause].near}
+    if entry.law in HEAVY_TAILED:  # its tails are heavy, whatever else is wrong
+        near.add("heavy_tails")
     truth: dict[str, Any] = {
         **asdict(entry),
         "strengths": strengths,
         "listed_as": [list(CAUSES[name].listed_as) for name in entry.causes],
-        "near": sorted({name for cause in entry.causes for name in CAUSES[cause].near}),
+        "near": sorted(near),
         "cause_families": [CAUSES[name].family for name in entry.causes],
         "reserve": any(CAUSES[name].reserve for name in entry.causes) or entry.law in RESERVE_LAWS,
         "is_ar1": case.noise.is_ar1,

@@ -7,7 +7,13 @@ physics, differ in form from the catalogue's effects, and some have no counterpa
 
 from bayes_sensor.reality.causes import CAUSES, Cause
 from bayes_sensor.reality.draw import SIZES, draw_case
-from bayes_sensor.reality.noise import OPEN_LAWS, RESERVE_LAWS, autocorrelation, draw_law
+from bayes_sensor.reality.noise import (
+    HEAVY_TAILED,
+    OPEN_LAWS,
+    RESERVE_LAWS,
+    autocorrelation,
+    draw_law,
+)
 from bayes_sensor.reality.records import Case, Component, NoiseLaw, Step
 from bayes_sensor.reality.simulator import (
     PHASES,
@@ -22,8 +28,8 @@ from bayes_sensor.reality.simulator import (
 )
 
 __all__ = [
-    "CAUSES", "OPEN_LAWS", "PHASES", "RESERVE_LAWS", "SIZES", "Case", "Cause", "Component",
-    "NoiseLaw", "Step", "acting_places", "as_recorded", "autocorrelation", "clean_signals",
-    "draw_case", "draw_law", "make_campaign", "noise_scale", "phase_edges", "sample_times",
-    "without_causes",
+    "CAUSES", "HEAVY_TAILED", "OPEN_LAWS", "PHASES", "RESERVE_LAWS", "SIZES", "Case", "Cause",
+    "Component", "NoiseLaw", "Step", "acting_places", "as_recorded", "autocorrelation",
+    "clean_signals", "draw_case", "draw_law", "make_campaign", "noise_scale", "phase_edges",
+    "sample_times", "without_causes",
 ]  # fmt: skip

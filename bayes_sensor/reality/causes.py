@@ -19,7 +19,7 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.records import Case
-from bayes_sensor.reality.rig import Course, Knobs
+from bayes_sensor.reality.rig import Course, Knobs, voltage
 
 Rig = dict[str, Knobs]
 Apply = Callable[[Rig, float, np.random.Generator, Case], None]
@@ -155,11 +155,22 @@ def bouncing_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.bounces = [(after, s)]
 
 
-@cause((), "valve", "log of the time", 0.6, per_experiment=True, reserve=True)
+@cause((), "valve", "log of the time", 0.6, per_experiment=True)
 def uneven_air(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Compressed air drives the valve; its pressure, and the valve's speed, differ each time."""
     for knobs in rig.values():
         knobs.valve_factor = float(np.exp(s * np.clip(rng.standard_normal(), -2.0, 2.0)))
+
+
+@cause((), "valve", "s", 0.8, per_experiment=True, reserve=True)
+def mains_dip(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The mains fail for a moment while test gas flows; the valve falls shut and opens again."""
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        at = step.t0 + rng.uniform(0.2, 0.9) * (step.tf - step.t0)
+        lasts = s * rng.uniform(0.5, 1.0)
+        if k == certain or rng.random() < 0.6:
+            rig[step.name].dropped.append((at, lasts))
 
 
 # --------------------------------------------------------------------------- flows
@@ -221,7 +232,7 @@ def neighbours_pump(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].marks += list(np.arange(0.0, step.duration, 0.04 / frequency)[1:])
 
 
-@cause((), "plateau", "relative", 0.3, per_experiment=True, reserve=True)
+@cause((), "plateau", "relative", 0.3, per_experiment=True)
 def corrected_setting(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """In some experiments the operator corrects the test gas's set point on the way."""
     certain = int(rng.integers(len(case.steps)))
@@ -287,7 +298,7 @@ def late_bypass(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         rig[step.name].bypass_delay = volume / (typical if shared else step.total_flow)
 
 
-@cause((), "mixing", "relative", 2.0, reserve=True)
+@cause((), "mixing", "relative", 2.0)
 def layered_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Heavy gas lies in layers: the more of it there is, the less mixes; above all at low flow."""
     power = rng.choice([0.0, 0.5, 1.0])
@@ -295,6 +306,39 @@ def layered_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
     for step in case.steps:
         heavy = case.relative_concentration(step)
         rig[step.name].layering = s * heavy * (lowest / step.total_flow) ** power
+
+
+@cause((), "tail", "share of V", 0.3, near=("dead_volume",), reserve=True)
+def dead_leg(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The shut valve leaves a blind branch full of test gas, which diffuses out of it."""
+    time = _between(rng, 1.0, 10.0)
+    volume = s * case.V
+    for step in case.steps:
+
+        def out(t: FloatArray, tf: float = step.tf) -> FloatArray:
+            since = np.maximum(t - tf, 0.0) / time
+            # what a branch with one open end gives off, mode by mode, the valve not shut at once
+            flux = sum(2.0 * np.exp(-((k + 0.5) ** 2) * pi**2 * (since + 0.01)) for k in range(12))
+            return np.where(t > tf, volume / time * flux, 0.0)
+
+        rig[step.name].seep.append(out)
+
+
+@cause((), "spike", "share of V", 0.1, reserve=True)
+def trapped_plug(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Test gas trapped in the hose is pushed out ahead of the gas that pushes it."""
+    volume, sits, reach = s * case.V, rng.uniform(0.1, 0.6), rng.uniform(0.2, 1.0)
+    for step in case.steps:
+        # the hose empties from the command on; what it held sits between its end and the valve
+        begin = step.commanded_on + sits * (step.t0 - step.commanded_on)
+        end = begin + reach * (step.t0 - begin)
+
+        def plug(t: FloatArray, begin: float = begin, end: float = end) -> FloatArray:
+            done = np.clip((t - begin) / (end - begin), 0.0, 1.0)  # blurred on its way
+            return 2.0 * volume / (end - begin) * np.sin(pi * done) ** 2
+
+        rig[step.name].seep.append(plug)
+        rig[step.name].marks += [begin, end]
 
 
 # --------------------------------------------------------------------------- sensor
@@ -359,6 +403,18 @@ def sensor_hysteresis(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
     """Uptake and release do not follow one line: part of the response has backlash."""
     for knobs in rig.values():
         knobs.backlash = s
+
+
+@cause((), "tail", "share", 0.2, near=("slow_sorption",), per_experiment=True, reserve=True)
+def sites_that_keep(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Some sites bind the gas for good; experiment by experiment fewer of them are free."""
+    time = _between(rng, 20.0, 200.0)
+    free = s
+    for step in case.steps:
+        relative = case.relative_concentration(step)
+        knobs = rig[step.name]
+        knobs.bound, knobs.bound_time = free / relative, time / relative
+        free *= float(np.exp(-(step.tf - step.t0) / knobs.bound_time))
 
 
 @cause((), "plateau", "share lost", 0.3)
@@ -536,7 +592,7 @@ def passing_bubble(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
             rig[step.name].marks.append(at)
 
 
-@cause((), "drift", "share of the step", 0.1, per_experiment=True, reserve=True)
+@cause((), "drift", "share of the step", 0.1, per_experiment=True)
 def stray_light(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Stray light interferes; its phase turns as the bench warms and as the test gas comes."""
     size, turns = s * _mean_step(case), _sign(rng) * rng.uniform(1.0, 3.0)
@@ -550,6 +606,27 @@ def stray_light(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         knobs = rig[step.name]
         knobs.fringe, knobs.fringe_phase = size, phase
         knobs.fringe_turns = turns * case.relative_concentration(step)
+
+
+@cause((), "drift", "share of the step", 0.06, reserve=True)
+def thermostat_swings(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A thermostat heats and rests by turns; the resonance follows the temperature up and down."""
+    size = _sign(rng) * s * _mean_step(case)
+    period, hot, bend = _between(rng, 3.0, 20.0), rng.uniform(0.15, 0.6), rng.uniform(0.5, 2.0)
+
+    def settled(share: FloatArray) -> FloatArray:
+        """0 to 1 as ``share`` of a heating or of a rest passes."""
+        return np.asarray(np.expm1(-bend * share) / np.expm1(-bend))
+
+    for step in case.steps:
+        begin = rng.random()
+
+        def swing(t: FloatArray, begin: float = begin) -> FloatArray:
+            turn = np.mod(t / period + begin, 1.0)
+            rest = 1.0 - settled((turn - hot) / (1.0 - hot))
+            return size * (2.0 * np.where(turn < hot, settled(turn / hot), rest) - 1.0)
+
+        rig[step.name].offset.append(swing)
 
 
 # --------------------------------------------------------------------------- electronics
@@ -591,7 +668,7 @@ def ringing_bench(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         rig[step.name].offset.append(ring)
 
 
-@cause((), "line", "share of the step", 0.2, fast=True, reserve=True)
+@cause((), "line", "share of the step", 0.2, fast=True)
 def fluttering_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A hose flutters in the stream and shakes the fibre: faster and harder at larger flow."""
     largest = max(step.total_flow for step in case.steps)
@@ -614,7 +691,7 @@ def fluttering_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].offset.append(flutter)
 
 
-@cause((), "plateau", "share", 0.4, reserve=True)
+@cause((), "plateau", "share", 0.4)
 def zero_servo(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A servo in the receiver takes part of any change for drift and slowly pulls it to zero."""
     time = _between(rng, 10.0, 80.0)
@@ -622,7 +699,7 @@ def zero_servo(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
         knobs.servo, knobs.servo_time = s, time
 
 
-@cause((), "level", "share of the step", 0.15, reserve=True)
+@cause((), "level", "share of the step", 0.15)
 def range_change(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The recorder changes its range on the way up, and back lower down; the two do not agree."""
     step = _mean_step(case)
@@ -631,6 +708,50 @@ def range_change(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
     gap = _sign(rng) * s * step
     for knobs in rig.values():
         knobs.range_up, knobs.range_down, knobs.range_gap = up, down, gap
+
+
+@cause((), "delay", "times too slow", 2.0, reserve=True)
+def sluggish_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The laser's lock follows the resonance no faster than its piezo moves: steep parts lag."""
+    steepest = 0.0
+    for step in case.steps:
+        reach = 8.0 * (case.tau_v + case.V / step.total_flow)
+        t = step.t0 + np.linspace(0.0, min(reach, step.tf - step.t0), 2001)
+        y, _ = voltage(case, step, Knobs(), t)
+        steepest = max(steepest, float(np.abs(np.diff(y)).max() / (t[1] - t[0])))
+    for knobs in rig.values():
+        knobs.fastest = steepest / (1.0 + s)
+
+
+@cause((), "delay", "s", 0.5, reserve=True)
+def held_readings(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The instrument renews its output now and then only; between, the recorder sees it stand."""
+    for knobs in rig.values():
+        knobs.hold, knobs.hold_begin = s, s * rng.random()
+
+
+@cause((), "line", "relative", 0.2, per_experiment=True, fast=True, reserve=True)
+def loose_contact(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A plug is loose: now and then it crackles, and the signal breaks down for split seconds."""
+    for step in case.steps:
+        gaps: list[tuple[float, float]] = []
+        for _ in range(int(rng.integers(1, 4))):
+            at = rng.uniform(0.02, 0.9) * step.duration
+            for _ in range(int(rng.integers(3, 12))):
+                lasts = _between(rng, 0.03, 0.4)
+                gaps.append((at, at + lasts))
+                at += lasts + rng.exponential(0.4)
+
+        def broken(
+            t: FloatArray, gaps: tuple[tuple[float, float], ...] = tuple(gaps)
+        ) -> FloatArray:
+            open_ = np.zeros(len(t), dtype=bool)
+            for begin, end in gaps:
+                open_ |= (t >= begin) & (t < end)
+            return -s * open_
+
+        rig[step.name].gain.append(broken)
+        rig[step.name].marks += [edge for gap in gaps for edge in gap]
 
 
 @cause((), "drive", "share of the step", 0.1)

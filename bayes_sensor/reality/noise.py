@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import ceil, exp, pi, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from bayes_sensor.campaign import CampaignError, FloatArray
@@ -12,10 +13,14 @@ from bayes_sensor.reality.records import Component, NoiseLaw
 
 OPEN_LAWS = (
     "ar1", "white", "ar1_slow", "arma", "pink", "band_limited", "oscillating", "telegraph",
+    "sliding_mean", "shot", "gusty",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("sliding_mean", "shot", "gusty")
+RESERVE_LAWS = ("double_sampling", "echo", "sparks")
 """kept out of every run but the last"""
+HEAVY_TAILED = ("shot", "gusty", "sparks")
+"""laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
+loudness"""
 
 
 def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
@@ -73,6 +78,28 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    slow, sparking = own.uniform(0.05, 0.2), own.uniform(0.3, 0.6)
+    parts |= {
+        "double_sampling": (
+            Component(1.0 - slow, shape="difference", depth=own.uniform(0.4, 0.9)),
+            Component(slow, exp(own.uniform(np.log(0.02), np.log(0.3)))),
+        ),
+        "echo": (
+            Component(
+                1.0, exp(own.uniform(np.log(2e-3), np.log(2e-2))),
+                1.0 / exp(own.uniform(np.log(6e-3), np.log(4e-2))),
+                shape="echo", depth=own.uniform(0.3, 0.8),
+            ),
+        ),
+        "sparks": (
+            Component(1.0 - sparking, short),
+            Component(
+                sparking, exp(own.uniform(np.log(3e-3), np.log(3e-2))),
+                exp(own.uniform(np.log(20.0), np.log(200.0))), shape="sparks",
+                rate=exp(own.uniform(np.log(0.05), np.log(0.5))),
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -85,6 +112,8 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
     for part in law.components:
         if part.time == 0.0:
             total[0] += part.share
+            if part.shape == "difference" and n > 1:
+                total[1] -= part.share * part.depth / (1.0 + part.depth**2)
             continue
         own = np.exp(-lags / part.time)
         if part.shape == "smooth":
@@ -95,6 +124,11 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             strong, calm = _gusts(part)
             mean, swing = 0.5 * (strong + calm), 0.5 * (strong - calm)
             own *= mean**2 + swing**2 * np.exp(-lags / part.gust_time)
+        elif part.shape == "echo":
+            around = np.exp(-np.abs(lags - 1.0 / part.frequency) / part.time)
+            beyond = np.exp(-(lags + 1.0 / part.frequency) / part.time)
+            own = (1.0 + part.depth**2) * own + part.depth * (around + beyond)
+            own /= _echo_variance(part)
         elif part.frequency:
             own *= np.cos(2.0 * pi * part.frequency * lags)
         total += part.share * own
@@ -131,6 +165,9 @@ def _innovations(n: int, rng: np.random.Generator, tails: tuple[float, float]) -
 def _draw_part(
     part: Component, n: int, interval: float, rng: np.random.Generator, tails: tuple[float, float]
 ) -> FloatArray:
+    if part.shape == "difference":
+        e = _innovations(n + 1, rng, tails)
+        return (e[1:] - part.depth * e[:-1]) / sqrt(1.0 + part.depth**2)
     if part.time == 0.0:
         return _innovations(n, rng, tails)
     decay = exp(-interval / part.time)
@@ -140,6 +177,10 @@ def _draw_part(
         return _window(part.time, n, interval, rng)
     if part.shape == "shot":
         return _shot(part, n, interval, rng)
+    if part.shape == "sparks":
+        return _sparks(part, n, interval, rng)
+    if part.shape == "echo":
+        return _echo(part, n, interval, rng, tails)
     if part.shape == "smooth":
         # exact sampling of the critically damped process (x, v): x'' = -2 x'/T - x/T^2 + noise
         return _smooth(part.time, n, interval, rng)
@@ -189,15 +230,65 @@ def _shot(part: Component, n: int, interval: float, rng: np.random.Generator) ->
     Their mean, ``rate`` times the mean height, is taken off (Campbell's theorem: the variance is
     ``rate``/2 times the mean squared height).
     """
+    before, seen, late = _arrivals(part, n, interval, rng)
+    heights = rng.exponential(size=len(seen)) * np.exp(-late / part.time)
+    arriving = np.bincount(seen, heights, n + before)
+    x: FloatArray = lfilter([1.0], [1.0, -exp(-interval / part.time)], arriving)[before:]
+    return (x - part.rate) / sqrt(part.rate)
+
+
+def _arrivals(
+    part: Component, n: int, interval: float, rng: np.random.Generator
+) -> tuple[int, NDArray[np.int64], FloatArray]:
+    """Samples before the first one, where pulses are seen first (m,), and how late (m,) s."""
     before = ceil(20.0 * part.time / interval)
     total = n + before
     count = rng.poisson(part.rate * total * interval / part.time)
     at = rng.uniform(0.0, total, count)  # in samples; a pulse is seen from the next sample on
     seen = at.astype(np.int64)
-    late = (seen + 1 - at) * interval / part.time
-    arriving = np.bincount(seen, rng.exponential(size=count) * np.exp(-late), total)
-    x: FloatArray = lfilter([1.0], [1.0, -exp(-interval / part.time)], arriving)[before:]
-    return (x - part.rate) / sqrt(part.rate)
+    return before, seen, (seen + 1 - at) * interval
+
+
+def _sparks(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) pulses that come at random and ring out, of exponential heights and any phase.
+
+    Campbell's theorem: their variance is ``rate``/4 times the mean squared height.
+    """
+    before, seen, late = _arrivals(part, n, interval, rng)
+    turn = -1.0 / part.time + 2j * pi * part.frequency
+    phases = 2j * pi * rng.random(len(seen))
+    struck = rng.exponential(size=len(seen)) * np.exp(phases + turn * late)
+    arriving = np.zeros(n + before, dtype=complex)
+    np.add.at(arriving, seen, struck)
+    x: FloatArray = lfilter([1.0], [1.0, -np.exp(turn * interval)], arriving)[before:].real
+    return x / sqrt(0.5 * part.rate)
+
+
+def _echo_variance(part: Component) -> float:
+    """Of a process of unit variance together with its echo."""
+    return 1.0 + part.depth**2 + 2.0 * part.depth * exp(-1.0 / (part.frequency * part.time))
+
+
+def _echo(
+    part: Component, n: int, interval: float, rng: np.random.Generator, tails: tuple[float, float]
+) -> FloatArray:
+    """(n,) Ornstein-Uhlenbeck process and its echo, whose samples lie between those of the first.
+
+    The process is stepped from each sample to the echo's time between it and the next, and on.
+    """
+    delay = 1.0 / part.frequency
+    whole = int(delay // interval)
+    rest = min(max(delay - whole * interval, 0.0), interval)
+    first, second = exp(-(interval - rest) / part.time), exp(-rest / part.time)
+    e = _innovations(n + whole + 1, rng, tails)
+    between = sqrt(1.0 - first**2) * _innovations(n + whole + 1, rng, tails)
+    kicks = sqrt(1.0 - second**2) * e
+    kicks[1:] += second * between[:-1]
+    kicks[0] = e[0]
+    x: FloatArray = lfilter([1.0], [1.0, -first * second], kicks)
+    echo = first * x + between
+    both: FloatArray = x[whole + 1 :] + part.depth * echo[:n]
+    return both / sqrt(_echo_variance(part))
 
 
 def _smooth(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

@@ -63,7 +63,10 @@ class Component:
     through a critically damped two-pole filter: ``exp(-lag/time) (1 + lag/time)``; with ``window``
     white noise averaged over the ``time`` past: ``max(0, 1 - lag/time)``.  With ``gusts`` it is an
     Ornstein-Uhlenbeck process whose variance jumps between 1 - ``depth`` and 1 + ``depth``, equally
-    often and for exponentially distributed times whose correlation lasts ``gust_time``.
+    often and for exponentially distributed times whose correlation lasts ``gust_time``.  With
+    ``sparks`` it is damped oscillations that start at random, ``rate`` of them in a ``time``; with
+    ``echo`` an Ornstein-Uhlenbeck process and ``depth`` times itself 1/``frequency`` earlier; with
+    ``difference`` (``time`` 0) white noise less ``depth`` times that of the sample before.
     """
 
     share: float
@@ -72,7 +75,8 @@ class Component:
     frequency: float = 0.0
     """Hz"""
     shape: str = "gauss"
-    """``gauss``, ``telegraph``, ``smooth``, ``shot``, ``window`` or ``gusts``"""
+    """``gauss``, ``telegraph``, ``smooth``, ``shot``, ``window``, ``gusts``, ``sparks``, ``echo``
+    or ``difference``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0
@@ -141,8 +145,17 @@ class Case:
         return step.concentration / self.highest_concentration
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)
+        """Plain values.
+
+        What a part of the noise may have and has not is left out, so that sealed files stay the
+        same when kinds of noise are added.
+        """
+        content = asdict(self)
+        for part in content["noise"]["components"]:
+            for name in ("rate", "depth", "gust_time"):
+                if part[name] == 0.0:
+                    del part[name]
+        return content
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Case:

@@ -40,6 +40,8 @@ class Knobs:
     """of tau_v"""
     bounces: list[tuple[float, float]] = field(default_factory=list)
     """(s after the switch, s it lasts): the valve springs back"""
+    dropped: list[tuple[float, float]] = field(default_factory=list)
+    """(s, s it lasts): the coil lets the valve go"""
     # flows
     following: float = 0.0
     """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
@@ -49,6 +51,8 @@ class Knobs:
     """factors of the carrier flow"""
     test_gas: list[Course] = field(default_factory=list)
     """factors of the test-gas flow"""
+    seep: list[Course] = field(default_factory=list)
+    """test gas from elsewhere, mL/s"""
     flow_factor: float = 1.0
     """true over set flow, both gases"""
     # manifold
@@ -80,6 +84,10 @@ class Knobs:
     slow_sites: float = 0.0
     slow_sites_time: float = 10.0
     backlash: float = 0.0
+    bound: float = 0.0
+    """share of the response that sites which never let go can add"""
+    bound_time: float = 30.0
+    """s of full response in which those sites fill"""
     # readout
     shift: float = 0.0
     """resonance shift at the highest concentration in half-widths; 0: straight readout"""
@@ -96,6 +104,8 @@ class Knobs:
     """by which the full response turns its phase"""
     fringe_phase: Course | None = None
     """turns"""
+    fastest: float = np.inf
+    """V/s, which the reading follows at most"""
     offset: list[Course] = field(default_factory=list)
     """V, added"""
     # receiver and recorder
@@ -111,6 +121,10 @@ class Knobs:
     """V by which the upper range reads more"""
     filter_time: float = 0.0
     """s, total delay of a four-pole anti-alias filter"""
+    hold: float = 0.0
+    """s for which an instrument's output stands still between its readings"""
+    hold_begin: float = 0.0
+    """s, of one of the readings"""
     clock: Course | None = None
     """true time of what the recorder calls ``t``"""
     marks: list[float] = field(default_factory=list)
@@ -151,7 +165,7 @@ def voltage(
 ) -> tuple[FloatArray, FloatArray]:
     """Signal (n,) V and normalised response (n,) at recorder times ``times`` (n,) s, no noise."""
     true = times if knobs.clock is None else knobs.clock(times)
-    marks = list(knobs.marks)
+    marks = knobs.marks + [edge for at, lasts in knobs.dropped for edge in (at, at + lasts)]
     for switch in (step.t0, step.tf):
         marks += [switch + after for after, _ in knobs.bounces]
         marks += [switch + after + lasts for after, lasts in knobs.bounces]
@@ -170,7 +184,11 @@ def voltage(
         for _ in range(4):
             pole = np.full(len(t) - 1, 0.25 * knobs.filter_time)
             y = stages.lag(t, y, pole, float(y[0]))
-    return np.interp(true, t, y), np.interp(true, t, response)
+    shown = true
+    if knobs.hold > 0:
+        readings = np.floor((true - knobs.hold_begin) / knobs.hold)
+        shown = np.maximum(knobs.hold_begin + readings * knobs.hold, t[0])
+    return np.interp(shown, t, y), np.interp(true, t, response)
 
 
 def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
@@ -179,6 +197,8 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
     for after, lasts in knobs.bounces:
         up &= ~((middle > step.t0 + after) & (middle < step.t0 + after + lasts))
         up |= (middle > step.tf + after) & (middle < step.tf + after + lasts)
+    for at, lasts in knobs.dropped:
+        up &= ~((middle > at) & (middle < at + lasts))
     first = last = up.astype(float)
     if knobs.stroke_time > 0:
         z = _stroke(t, step, knobs.stroke_time)
@@ -223,6 +243,8 @@ def _flows(
         share = full / (carrier + full)
         inlet = opening * share / step.concentration
     flow = carrier + test + made_up
+    for source in knobs.seep:
+        inlet = inlet + source(t) / flow / step.concentration
     return inlet, flow * knobs.flow_factor
 
 
@@ -282,6 +304,9 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         x = (1.0 - knobs.slow_sites) * x + knobs.slow_sites * slow
     if knobs.backlash > 0:
         x = x + knobs.backlash * (stages.play(x, 0.25) - x)
+    if knobs.bound > 0:
+        dose = np.concatenate([[0.0], np.cumsum(0.5 * (x[1:] + x[:-1]) * np.diff(t))])
+        x = x - knobs.bound * np.expm1(-dose / knobs.bound_time)
     return x
 
 
@@ -309,6 +334,8 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
     if knobs.fringe_phase is not None:
         turns = knobs.fringe_turns * x + knobs.fringe_phase(t)
         y = y + knobs.fringe * np.sin(2.0 * pi * turns)
+    if np.isfinite(knobs.fastest):
+        y = stages.no_faster(t, y, knobs.fastest)
     for course in knobs.gain:
         y = y * (1.0 + course(t))
     for course in knobs.offset:

@@ -160,6 +160,19 @@ def two_ranges(
 
 
 @njit(cache=True)
+def no_faster(
+    t: FloatArray, y: FloatArray, fastest: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``y`` followed at a speed of at most ``fastest`` (per s)."""
+    out = np.empty(len(y))
+    out[0] = y[0]
+    for i in range(len(y) - 1):
+        reach = fastest * (t[i + 1] - t[i])
+        out[i + 1] = out[i] + max(-reach, min(reach, y[i + 1] - out[i]))
+    return out
+
+
+@njit(cache=True)
 def play(x: FloatArray, width: float) -> FloatArray:  # pragma: no cover - compiled
     """(n,) ``x`` through a backlash of half-width ``width``."""
     out = np.empty(len(x))
