@@ -383,6 +383,23 @@ def test_scores_of_single_cases() -> None:
     assert scored(truth([["dead_volume"]], d=1.0), quiet)["verdict_right"]
 
 
+def test_tails_that_the_noise_has_are_neither_right_nor_wrong() -> None:
+    said = verdict({"none": 0.05, "unlisted": 0.05, "dead_volume": 0.3, "heavy_tails": 0.4,
+                    "dead_volume+heavy_tails": 0.2}, "effect", ["heavy_tails"], 0.99)  # fmt: skip
+    null = scored(truth(near=["heavy_tails"]), said)
+    assert not null["named"] and not null["confident_wrong"] and null["verdict"] == "none"
+    assert null["p_none"] == pytest.approx(0.45) and null["p_said"] == pytest.approx(0.45)
+    assert scored(truth(), said)["confident_wrong"]
+    pocket = scored(truth([["dead_volume"]], d=8.0, near=["heavy_tails"]), said)
+    assert pocket["top"] == "dead_volume" and pocket["p_top"] == pytest.approx(0.5)
+    assert not pocket["verdict_right"]  # what acts on the mean was not named
+    both = verdict({"none": 0.0, "dead_volume+heavy_tails": 0.95, "unlisted": 0.05}, "effect",
+                   ["dead_volume", "heavy_tails"], 0.95)  # fmt: skip
+    assert scored(truth([["dead_volume"]], d=8.0, near=["heavy_tails"]), both)["verdict_right"]
+    # a cause that is heavy tails itself has to be named
+    assert scored(truth([["heavy_tails"]], d=8.0, near=["heavy_tails"]), said)["verdict_right"]
+
+
 def test_abstaining_is_right_only_where_the_oracle_cannot_tell_either() -> None:
     said = verdict({"none": 0.0, "unlisted": 0.05, "dead_volume": 0.4, "slow_sorption": 0.55},
                    "family", ["slow_sorption", "dead_volume"], 0.95, "slow exchange")  # fmt: skip

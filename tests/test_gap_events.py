@@ -10,6 +10,7 @@ from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.events import (
     Quiet,
+    look_for_breaks,
     look_for_events,
     look_for_patches,
     look_for_ringing,
@@ -123,6 +124,59 @@ def test_a_block_lost_in_one_step_is_a_patch():
     assert found.strength["patch_experiment"] == 0.0
     gap = diagnose_gap(spoilt, bootstrap=0, separate=False, hidden=False)
     assert gap.verdict.kind == "unlisted" and "experiment 1" in gap.verdict.sentence
+
+
+def test_shots_and_gusts_are_no_events():
+    rng = np.random.default_rng(12)
+
+    def shots(n):
+        # one in thirty samples is ten times as large, and each lasts a tenth of a second
+        pulses = rng.standard_normal(n) * np.where(rng.random(n) < 1.0 / 30.0, 10.0, 1.0)
+        return lfilter([1.0], [1.0, -0.9], pulses)
+
+    made = [Stretch(k, level, shots(4000), 0.0) for k in range(4) for level in (0, 1)]
+    plain = look_for_events(design(), made)
+    assert look_for_events(design(), made, heavy_tailed=True).log_bayes_factor < 2.0
+    assert plain.log_bayes_factor < 8.0  # the tails' length alone takes most of it
+
+
+def test_a_level_that_changes_in_one_record_is_found_when_it_does():
+    campaign = measured({}, seed=8)
+    base = fit_base(prepared_of(campaign).sketch)
+    kept = look_for_breaks(base)
+    assert kept.log_bayes_factor < 0.0
+    third = campaign.experiments[2]
+    at = 0.5 * (third.commanded_on + third.commanded_off)
+    # from the middle of the plateau to the fall, as after a setting that was corrected
+    jump = 0.012 * ((third.t > at) & (third.t < third.commanded_off))
+    experiments = list(campaign.experiments)
+    experiments[2] = replace(third, y=third.y + jump)
+    found = look_for_breaks(fit_base(prepared_of(replace(campaign, experiments=tuple(experiments)))
+                                     .sketch))  # fmt: skip
+    assert found.log_bayes_factor > 6.0 and found.strength["break_experiment"] == 2.0
+    assert found.strength["break_s"] == pytest.approx(at, abs=2.5)
+
+
+def test_scores_of_changes_have_unit_variance_where_nothing_changes():
+    # the refit's own freedom is left out: over noises the squares average to one
+    from bayes_sensor.gap.events import _changes
+
+    squares = []
+    for seed in range(6):
+        found = fit_base(prepared_of(measured({}, seed=20 + seed)).sketch)
+        sketch = found.plan.sketch
+        normal = found.jacobian.T @ found.jacobian + found.plan.own_prior_matrix
+        covariance = np.linalg.inv(normal)
+        for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
+            templates = sketch.inverse_factors[k] @ _changes(b.falling)[0]
+            columns = found.plan.columns(k)
+            inside = found.jacobians[k].T @ templates
+            left = np.sum(templates**2, axis=0) - np.sum(
+                inside * (covariance[np.ix_(columns, columns)] @ inside), axis=0
+            )
+            use = left > 0.1 * np.sum(templates**2, axis=0)
+            squares.append(np.mean((found.residual[rows] @ templates[:, use]) ** 2 / left[use]))
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.2)
 
 
 def test_a_line_on_the_plateaus_alone_is_found():

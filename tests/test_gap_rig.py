@@ -134,14 +134,22 @@ def test_the_coating_is_a_sum_of_lags():
 
 
 def test_readout_terms_add_up():
-    p = parameters(drift=1e-3, drift_curve=1e-5, step=0.05, step_time=40.0, gain_drift=1e-3,
-                   curvature=0.1)  # fmt: skip
+    p = parameters(drift=1e-3, drift_curve=1e-5, drift_twist=3e-7, step=0.05, step_time=40.0,
+                   gain_drift=1e-3, gain_curve=2e-5, gain_twist=-4e-7, curvature=0.1)  # fmt: skip
     p[3], p[4] = 0.2, 1.5
     v = 1.5 * cascade_response(T, [0.8577, 0.7, 0.0481], T0, TF)
     since = T - 30.0
-    wanted = v * (1 + 0.1 * v) * (1 + 1e-3 * since) + 0.2 + since * (1e-3 + since * 1e-5)
-    wanted = wanted + 0.05 * (T >= 40.0)
+    gain = 1 + 1e-3 * since + 2e-5 * since**2 - 4e-7 * since**3
+    drift = 0.2 + 1e-3 * since + 1e-5 * since**2 + 3e-7 * since**3
+    wanted = v * (1 + 0.1 * v) * gain + drift + 0.05 * (T >= 40.0)
     assert np.max(np.abs(rig_mean(T, p, *NO_MODES) - wanted)) < 5e-5
+
+
+def test_a_step_follows_the_fall_and_settles():
+    without = rig_mean(T, parameters(), *NO_MODES)
+    p = parameters(step=0.05, step_with_fall=1.0, step_time=0.5, step_width=2.0)
+    wanted = 0.05 * -np.expm1(-np.maximum(T - TF - 0.5, 0.0) / 2.0)
+    assert np.max(np.abs(rig_mean(T, p, *NO_MODES) - without - wanted)) < 1e-12
 
 
 def test_carried_gas_leaves_with_the_manifold():

@@ -70,6 +70,7 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
     outside = kind in ("unlisted", "withheld")
     accepted = set() if outside else answers
     near = set(truth["near"])
+    verdict = _without_the_noise_s_own(verdict, near - answers)
     rows = {row["effect"]: float(row["probability"] or 0.0) for row in verdict["which"]}
     top = max(rows, key=rows.__getitem__)
     families = _families(verdict)
@@ -174,6 +175,30 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         else bool(envelope[0] <= tau <= envelope[1]),
     }
     return row
+
+
+def _without_the_noise_s_own(verdict: Mapping[str, Any], near: set[str]) -> Mapping[str, Any]:
+    """The verdict on the mean, where the noise itself is what an effect of the noise describes.
+
+    Heavy tails that the noise law has are neither right nor wrong: ``a+heavy_tails`` counts as
+    ``a``, and ``heavy_tails`` alone as nothing found.
+    """
+    there = {name for name in near if name in CATALOGUE and not CATALOGUE[name].on_mean}
+    if not there:
+        return verdict
+    which: dict[str, dict[str, Any]] = {}
+    for row in verdict["which"]:
+        label = "+".join(n for n in row["effect"].split("+") if n not in there) or "none"
+        kept = which.setdefault(label, {**row, "effect": label, "probability": 0.0})
+        if row["effect"] == label:
+            kept.update({k: v for k, v in row.items() if k != "probability"})
+        kept["probability"] += float(row["probability"] or 0.0)
+    said = dict(verdict["verdict"])
+    if said["kind"] == "effect":
+        said["effects"] = [name for name in said["effects"] if name not in there]
+        if not said["effects"]:
+            said.update(kind="none", family=None, probability=which["none"]["probability"])
+    return {**verdict, "which": list(which.values()), "verdict": said}
 
 
 def _families(verdict: Mapping[str, Any]) -> dict[str, float]:

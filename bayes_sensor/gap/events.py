@@ -196,7 +196,7 @@ def _tail_dof(sizes: FloatArray, seconds: float, width: float) -> float:
     """
     found = np.inf
     for level, ratios, slope in zip(TAIL_LEVELS, _RATIOS, _SLOPES, strict=True):
-        if level > TAIL_LEVELS[0] and FOOTPRINT * width > SPARE * (1.0 - level) * seconds:
+        if FOOTPRINT * width > SPARE * (1.0 - level) * seconds:
             continue
         ratio = float(np.quantile(sizes, level)) / 0.6745
         error = sqrt(level * (1.0 - level) / max(seconds / width, 1.0)) / slope
