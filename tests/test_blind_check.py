@@ -62,7 +62,9 @@ from bayes_sensor.reality import (
 from bayes_sensor.reality.noise import draw_noise
 from bayes_sensor.results import read_json
 
-DATA = Path(__file__).resolve().parent.parent / "data"
+ROOT = Path(__file__).resolve().parent.parent
+DATA = ROOT / "data"
+TABLES = ROOT / "paper" / "tables"
 
 
 @pytest.fixture(scope="module")
@@ -672,23 +674,29 @@ def test_the_score_card_is_drawn_even_when_nearly_empty() -> None:
     assert "share right" in svg(score_card(full))
 
 
+def test_unlisted_causes_look_listed_as_often_as_the_verdict_assumes() -> None:
+    from bayes_sensor.gap.verdict import MIMIC
+
+    cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
+    outside = cases[(cases["kind"] == "unlisted") & (cases["d"].astype(float) > 4.0)]
+    away = outside["isolability"].astype(float) / outside["d"].astype(float)
+    assert len(away) > 50
+    for d in (8.0, 16.0):  # what lies nearer than 3.5 to an effect is taken for it
+        share = float(np.mean(away * d < 3.5))
+        spread = np.sqrt(share * (1.0 - share) / len(away))
+        assert abs(share - MIMIC / d) < 0.05 + 2.0 * spread
+
+
 def test_the_readme_shows_the_goals_that_were_scored() -> None:
-    study = (
-        Path(__file__).resolve().parent.parent / "paper" / "studies" / "study_blind_check.py"
-    ).read_text(encoding="utf-8")
-    readme = (Path(__file__).resolve().parent.parent / "README.md").read_text(encoding="utf-8")
+    study = (ROOT / "paper" / "studies" / "study_blind_check.py").read_text(encoding="utf-8")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
     begin = "<!-- blind check: study_blind_check.py -->\n"
     assert begin.strip() in study
     shown = readme.partition(begin)[2].partition("<!-- end of blind check -->")[0]
-    goals = pd.read_csv(
-        Path(__file__).resolve().parent.parent / "paper" / "tables" / "blind_check_goals.csv"
-    )
+    goals = pd.read_csv(TABLES / "blind_check_goals.csv")
     lines = [line for line in shown.splitlines() if line.startswith("|")]
     assert len(goals) == len(lines) - 2
-    cases = pd.read_csv(
-        Path(__file__).resolve().parent.parent / "paper" / "tables" / "blind_check_cases.csv",
-        keep_default_na=False,
-    )
+    cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
     nulls = cases[cases["kind"] == "null"]
     for law, some in nulls.groupby("law"):
         n = int((some["verdict"] == "effect").sum())
