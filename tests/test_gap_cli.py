@@ -252,7 +252,7 @@ def test_the_posterior_with_the_effect_recovers_its_strength(
         (["heavy_tails"], "heavy_tails acts on the noise, not on the mean"),
         (["valve_asymetry"], "--with-effect: no effect 'valve_asymetry' in the catalogue; did you"),
         (["valve_asymmetry:slow"], "no form 'slow'; it has one only: give valve_asymmetry alone"),
-        (["baseline_step:slow"], "no form 'slow'; known are 'common', 'own', 'at 12%'"),
+        (["baseline_step:slow"], "no form 'slow'; known are 'common', 'own', 'common, slow'"),
         (["carry_over", "carry_over"], "carry_over is given twice"),
     ],
 )
