@@ -312,7 +312,7 @@ def test_an_effect_of_ones_own_is_named():
     values = {}
     for e in campaign:
         since = np.maximum(e.t - e.commanded_on - 0.8, 0.0)
-        values[e.name] = e.values + 0.03 * np.sin(2 * np.pi * since / 9.0)
+        values[e.name] = e.values + 0.02 * np.sin(2 * np.pi * since / 9.0)
     campaign = campaign.with_data(values)
     with_it = diagnose_gap(campaign, effects=[RIPPLE], bootstrap=0, hidden=False, separate=False)
     assert with_it.verdict.kind == "effect" and with_it.verdict.effects == ("ripple",)

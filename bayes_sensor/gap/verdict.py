@@ -102,9 +102,11 @@ def standing(
 def _look_alike(weighing: Weighing, h: Hypothesis) -> float:
     """Odds that what looks like this explanation is an unlisted cause with the same residual.
 
-    The more can be seen of an effect, the fewer other causes look the same.
+    The more can be seen of an effect, the fewer other causes look the same.  Whoever writes an
+    effect of their own has a reason to: it is not charged.
     """
-    if h.incomplete or not h.effects:
+    own = any(part.form.mean is not None for part in h.refit.plan.parts)
+    if h.incomplete or not h.effects or own:
         return 0.0
     d = sqrt(max(weighing.base.misfit - h.refit.misfit, MIMIC**2))
     return PRIOR_UNLISTED / (1.0 - PRIOR_NONE - PRIOR_UNLISTED) * MIMIC / d
