@@ -9,16 +9,21 @@ import statsmodels.api as sm
 from campaigns import small_design, small_problem, small_theta
 
 import bayes_sensor.posterior.sampling as sampling
+from bayes_sensor import coverage
+from bayes_sensor.blind_check import oracle
 from bayes_sensor.bounds.bootstrap import _series
-from bayes_sensor.calibration import Ranks
+from bayes_sensor.calibration import Ranks, coverage_row
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.compression import compress
 from bayes_sensor.delays import regress_line
 from bayes_sensor.design import _candidates, settings_of, truth_of
 from bayes_sensor.diffusion import find_outer_radius
-from bayes_sensor.laplace import Laplace, draw_root
+from bayes_sensor.fit.looks import first_look
+from bayes_sensor.fit.points import sorted_apart
+from bayes_sensor.laplace import Laplace, covering_region, draw_root
 from bayes_sensor.likelihood import Prior, Problem, simulate
-from bayes_sensor.mixing import diagnostics
+from bayes_sensor.mixing import diagnostics, pareto_k
+from bayes_sensor.model import cascade_response
 from bayes_sensor.posterior.covering import covered
 from bayes_sensor.predictive import PredictiveCheck, _pit
 from bayes_sensor.reality import draw
@@ -190,6 +195,68 @@ def test_the_interval_of_the_intercept_is_its_own() -> None:
     expected = sm.OLS(y, sm.add_constant(x)).fit().conf_int()
     assert line.ci95["intercept_s"] == pytest.approx(expected[0])
     assert line.ci95["slope_L"] == pytest.approx(expected[1])
+
+
+def test_a_mesh_reaches_a_fifth_of_both_slow_constants_at_least() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    mesh = compress(problem, theta)
+    laplace = SimpleNamespace(coordinates=SimpleNamespace(problem=problem), theta=theta)
+    thetas = np.stack([theta, theta])
+    thetas[0, 1:3] *= 0.5
+    thetas[1, 1:3] *= 1.5
+    region = covering_region(mesh, laplace, thetas, 0.4)
+    np.testing.assert_allclose(region.low[1:3], 0.2 * theta[1:3])
+    np.testing.assert_allclose(region.high[1:3], 1.9 * theta[1:3])
+
+
+def test_the_tail_of_nearly_equal_weights_is_judged_like_any_other() -> None:
+    # excesses of an exponential law have k = 0 in any unit; sd of the estimate about 0.07
+    x = np.random.default_rng(8).exponential(size=20_000)
+    assert pareto_k(np.log1p(1e-4 * x)) == pytest.approx(pareto_k(np.log1p(1e4 * x)), abs=1e-3)
+    assert pareto_k(np.log1p(1e-4 * x)) == pytest.approx(0.0, abs=0.2)
+
+
+def test_where_a_perfect_reader_looks_sums_to_one(monkeypatch) -> None:
+    monkeypatch.setattr(oracle, "phase_edges", lambda case, step: {"rise": (1.0, 2.0),
+                                                                   "tail": (2.0, 4.0)})  # fmt: skip
+    step = SimpleNamespace(name="1", interval=0.1)
+    seen = SimpleNamespace(steps=[step], spans=lambda: [slice(0, 4)], edges=[np.arange(5) * 10])
+    fit = SimpleNamespace(residual=np.array([9.0, 1.0, 1.0, 1.0]))
+    shares = oracle.places_after_refit(SimpleNamespace(), fit, seen)
+    assert shares == {("1", "rise"): pytest.approx(1 / 3), ("1", "tail"): pytest.approx(2 / 3)}
+    fit.residual[:] = 0.0
+    assert set(oracle.places_after_refit(SimpleNamespace(), fit, seen).values()) == {0.0}
+
+
+def test_a_rise_ends_where_nine_tenths_are_first_reached() -> None:
+    problem, theta = small_problem(n=1, interval=0.01, sigma=0.002)
+    e = problem.campaign.experiments[0]
+    t = np.arange(0.0, 5.0, 1e-3)
+    taus = [theta[0], theta[1], theta[2] / e.total_flow]
+    x = cascade_response(t, taus, 0.0)
+    expected = t[x >= 0.9][0] - t[x >= 0.1][0]
+    assert first_look(e).rise == pytest.approx(expected, abs=0.03)
+
+
+def test_equal_time_constants_are_set_apart_by_a_thousandth() -> None:
+    taus = np.array([0.4, 0.5, 0.5])
+    sorted_apart(taus)
+    np.testing.assert_allclose(taus, [0.4, 0.5, 0.5005])
+
+
+def test_a_coverage_is_a_share() -> None:
+    row = coverage_row(np.arange(50) < 47, 0.95)
+    assert (row["n"], row["covered"], row["coverage"], row["agrees"]) == (50, 47, 0.94, 1)
+    assert row["coverage_lo95"] < 0.94 < row["coverage_hi95"]
+
+
+def test_delays_of_the_design_of_the_coverage_study_are_the_published_lines() -> None:
+    design, theta = coverage.small_design()
+    layout = Problem(design).layout
+    for e, (_, _, on, off) in zip(design, layout.local):
+        inverse = 1000.0 / e.total_flow  # s/L
+        assert theta[on] - e.commanded_on == pytest.approx(0.1340 + 0.1125 * inverse)
+        assert theta[off] - e.commanded_off == pytest.approx(0.0161 + 0.0745 * inverse)
 
 
 @pytest.mark.parametrize("tau63", [1e-6, 1.0])

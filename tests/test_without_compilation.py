@@ -10,6 +10,7 @@ import io
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,13 @@ for design in designs:
     say(mesh.log_likelihoods(np.stack([theta, gone])))
 problem, theta = small_problem(n=2, interval=0.05, noise=Noise(variance="constant"))
 say(compress(problem, theta).gradient(theta))
+quick = theta.copy()
+quick[0] = 1e-4
+say(compress(problem, quick).gradient(quick))
+from bayes_sensor.gap.model import with_effects
+other = with_effects(small_problem(n=1, interval=0.05)[0], ["optical_nonlinearity"])
+theta = np.concatenate([small_problem(n=1, interval=0.05)[1], [0.05] * len(other.layout.extra)])
+say(compress(other, theta).log_likelihood(theta))
 """,
     "bounds": """
 from bayes_sensor.bounds.bootstrap import resample_and_refit
@@ -75,7 +83,14 @@ from bayes_sensor.bounds.cramer_rao import cramer_rao
 from bayes_sensor.bounds.evidence import Evidence
 problem, theta = small_problem(n=2, interval=0.05, masked=[(3.0, 3.5)], fall=[True, False])
 fit = SimpleNamespace(names=problem.layout.names, theta_hat=theta, rms=0.03)
+from bayes_sensor.bounds.gaussian import _switch_quantiles
+from bayes_sensor.bounds.sensitivities import local_jacobian
 say(cramer_rao(problem, theta).cov)
+say(*(local_jacobian(problem, theta, k)[0][::20] for k in range(2)))
+close = theta.copy()
+close[0] = close[1] - 1e-9
+say(local_jacobian(problem, close, 0)[0][::20])
+say(*_switch_quantiles(2.0, 0.01, 0.02, 1e-4, 5e-5, np.array([1.0, 2.0])))
 for whitened in (True, False):
     bounded, free, details = resample_and_refit(Evidence(problem, fit), 3, whitened)
     say(bounded, free)
@@ -107,7 +122,8 @@ def test_compiled_code_gives_the_numbers_of_the_same_code_in_python(part: str) -
     command = [sys.executable, "-W", "ignore::RuntimeWarning", "-c", script]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    with contextlib.redirect_stdout(io.StringIO()) as compiled:
+    with contextlib.redirect_stdout(io.StringIO()) as compiled, warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # as there: infinities are compared too
         exec(script, {})
     python, numba = (
         np.array(text.split(), dtype=float) for text in (done.stdout, compiled.getvalue())

@@ -498,9 +498,9 @@ def run(
     for mutant in mutants:
         tests = reviewed.get(mutant.key, {}).get("tests", "").split()
         row = known.get(mutant.key, {})
-        if tests and row.get("after_tests") != tests and time.time() < until:
+        if tests and row.get("again_tests") != tests and time.time() < until:
             outcome, said = trial(mutant, tests, place, 60.0)
-            note(mutant, after=outcome, after_tests=tests, said=said)
+            note(mutant, again=outcome, again_tests=tests, said=said)
     progress(len(mutants), len(mutants))
     return tables(mutants, known, reviewed)
 
@@ -516,7 +516,7 @@ def tables(
             continue
         review = reviewed.get(mutant.key, {"verdict": "not reviewed", "remark": "", "tests": ""})
         verdict = review["verdict"]
-        if verdict == "test added" and row.get("after") not in (KILLED, TIMED_OUT):
+        if verdict == "test added" and row.get("again") not in (KILLED, TIMED_OUT):
             verdict = "open"
         survivors.append(
             {"room": mutant.room, "file": mutant.file, "line": mutant.line,
