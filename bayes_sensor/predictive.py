@@ -187,7 +187,8 @@ class _Statistics:
         edges = np.linspace(0.0, top * (1 + 1e-9), N_VARIANCE_BINS + 1)
         where = [np.digitize(level, edges) - 1 for level in levels]
         counts = sum(np.bincount(w[u], minlength=N_VARIANCE_BINS) for w, u in zip(where, self.used))
-        keep = np.flatnonzero(np.asarray(counts) >= 100)
+        # short records: the fullest
+        keep = np.flatnonzero(np.asarray(counts) >= min(100, np.max(counts)))
         number = np.full(N_VARIANCE_BINS, len(keep))
         number[keep] = np.arange(len(keep))
         self.bins = [np.where(u, number[w], len(keep)) for w, u in zip(where, self.used)]

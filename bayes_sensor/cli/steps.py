@@ -220,6 +220,8 @@ class Job:
     bounds: Any = None
     delays: Any = None
     gap: Any = None
+    no_gap: str = ""
+    """why the gap could not be diagnosed, in a sentence"""
     options: Mapping[str, Any] = field(default_factory=dict)
     """what only one command takes: with_effects, without, nominal, effects, bootstrap"""
 
@@ -440,15 +442,20 @@ def _problem_with_effects(job: Job) -> Any:
 def _do_gap(job: Job) -> None:
     from bayes_sensor.gap import diagnose_gap
 
-    with job.timed("gap") as tell:
-        job.gap = diagnose_gap(
-            job.problem.campaign,
-            job.fit,
-            seed=job.seed,
-            jobs=job.jobs,
-            progress=tell,
-            **{k: v for k, v in job.options.items() if k != "with_effects"},
-        )
+    try:
+        with job.timed("gap") as tell:
+            job.gap = diagnose_gap(
+                job.problem.campaign,
+                job.fit,
+                seed=job.seed,
+                jobs=job.jobs,
+                progress=tell,
+                **{k: v for k, v in job.options.items() if k != "with_effects"},
+            )
+    except CampaignError as error:
+        if job.command != "analyze":
+            raise
+        job.no_gap = str(error)  # records too short for it; what was found before is kept
 
 
 _DO: dict[str, Callable[[Job], None]] = {
@@ -493,7 +500,9 @@ def _put(job: Job, stage: Stage) -> None:
         compared.to_csv(stage.path("bounds.csv"))
     if "delays" in saves:
         stage.json("delays.json", job.delays.to_json())
-    if "gap" in saves:
+    if job.no_gap:
+        stage.drop += ["gap.json", "gap_where.csv", "gap_which.csv"]
+    elif "gap" in saves:
         stage.json("gap.json", job.gap.to_json())
         for name in ("where", "which"):
             stage.text(f"gap_{name}.csv", getattr(job.gap, name).to_csv(index=False))
@@ -614,6 +623,8 @@ def _warnings(job: Job, remarks: Sequence[str]) -> list[str]:
     found += job.fit.warnings
     if job.posterior is not None:
         found += list(job.posterior.warnings)
+    if job.no_gap:
+        found.append(f"not diagnosed: {job.no_gap}")
     return list(dict.fromkeys(found))
 
 
@@ -658,8 +669,11 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
                 say(f"{side}: {line.status}", quiet)
     if job.gap is not None:
         say(f"gap: {job.gap.verdict.sentence}", quiet)
+    elif job.no_gap:
+        say(f"not diagnosed: {job.no_gap}", quiet)
     # non-convergence is said below, on stderr
-    warnings = [w for w in _warnings(job, remarks) if not w.startswith("NOT converged")]
+    unsaid = ("NOT converged", "not diagnosed")
+    warnings = [w for w in _warnings(job, remarks) if not w.startswith(unsaid)]
     for warning in warnings[:MOST_WARNINGS]:
         say(f"warning: {warning}", quiet)
     if len(warnings) > MOST_WARNINGS:

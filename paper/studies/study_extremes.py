@@ -37,7 +37,7 @@ DRAWS = {
 """how many of each case where not ``USUAL``; posteriors that wander take up to a minute each"""
 USUAL = 40
 PLAIN, WARNED, NONE = 0, 1, 2
-GAP_DRAWS = 5
+GAP_DRAWS = 20
 """of each case, for the gap"""
 CONFIDENT = 0.9
 """probability above which a verdict names an effect"""
