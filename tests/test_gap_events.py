@@ -16,7 +16,7 @@ from bayes_sensor.gap.events import (
     look_for_ringing,
 )
 from bayes_sensor.gap.floor import Stretch, lattice_step, rounding_bias
-from bayes_sensor.gap.full_rate import look_at_full_rate, rounds_away
+from bayes_sensor.gap.full_rate import look_at_full_rate, look_at_tails, rounds_away
 from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.model import Layout
 from tests.gap_cases import design, measured, theta
@@ -138,6 +138,17 @@ def test_shots_and_gusts_are_no_events():
     plain = look_for_events(design(), made)
     assert look_for_events(design(), made, heavy_tailed=True).log_bayes_factor < 2.0
     assert plain.log_bayes_factor < 8.0  # the tails' length alone takes most of it
+
+
+@pytest.mark.parametrize("n", [250, 400, 800])
+def test_the_ends_of_short_stretches_are_no_tails(n):
+    # the local size of the innovations must not rest on the one sample at the end
+    rng = np.random.default_rng(13)
+    values = []
+    for _ in range(60):
+        made = [Stretch(k, 0, noise(n, rng, "ar1"), 0.0) for k in range(3)]
+        values.append(look_at_tails(made).log_bayes_factor)
+    assert max(values) < 2.0
 
 
 def test_a_level_that_changes_in_one_record_is_found_when_it_does():

@@ -282,10 +282,14 @@ def diagnose_gap(
             "experiment a file, or simulate it first"
         )
     catalogue = _catalogue(effects, without)
-    if fit is None:
-        from bayes_sensor.fit import fit_least_squares
+    from bayes_sensor.fit import fit_least_squares
+    from bayes_sensor.fit.identifiability import ROUNDING
 
+    if fit is None:
         fit = fit_least_squares(campaign, seed=seed, euler=False)
+    largest = max(float(np.abs(e.values[e.used]).max()) for e in campaign)
+    if fit.cannot_tell and fit.rms <= ROUNDING * largest:  # a floor of nothing judges nothing
+        raise CampaignError(f"gap: {fit.cannot_tell}")
     theta = Layout.of(campaign).flat(fit.theta_hat)
     tell(0.02, "noise floor")
     prepared = prepare(campaign, theta)
@@ -763,6 +767,11 @@ def _sentence(
         return (
             "Nothing is missing beyond the noise floor. Effects that this campaign cannot see may "
             f"still hide: with them tau could lie anywhere from {low:.3g} to {high:.3g} ms."
+        )
+    if kind == "unlisted" and probability < 0.5:
+        return (
+            f"Something may be missing{place}, but neither that nothing is, nor any family of "
+            "effects, nor an unlisted cause is likelier than not."
         )
     if kind == "unlisted":
         words = []

@@ -300,7 +300,7 @@ def look_at_tails(stretches: Sequence[Stretch], step: float = 0.0) -> FullRate:
         spread = float(np.std(e))
         if spread > 0:
             width = min(AROUND, len(e))
-            around = np.sqrt(uniform_filter1d(e**2, width, mode="nearest"))
+            around = np.sqrt(uniform_filter1d(e**2, width, mode="reflect"))
             values.append(e / np.maximum(around, 1e-3 * spread))
             spreads.append(spread)
     if not values:

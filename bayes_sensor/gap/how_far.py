@@ -83,7 +83,7 @@ def closure(
         np.sqrt(max(_mean_volts(sketch, r), 0.0)) for r in (base, fitted)
     ]  # fmt: skip
     d = [float(np.sqrt(max(x, 0.0))) for x in (before, after)]
-    if before < VISIBLE * spread:
+    if before <= VISIBLE * spread:  # both are 0 where nothing at all is left over
         return Closure(None, None, None, float(volts[0]), float(volts[1]), d[0], d[1])
     fraction = 1.0 - after / before
     rng = np.random.default_rng(seed)

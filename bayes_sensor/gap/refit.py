@@ -16,7 +16,7 @@ from math import exp, inf, log
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.gap.bins import ExperimentBins
 from bayes_sensor.gap.effect import Effect, Form, RigView, Setting, Strength, check_settings
 from bayes_sensor.gap.floor import Floor
@@ -336,7 +336,22 @@ class Plan:
             lambda t, s: np.asarray(rig_response(t, changed(s), *coating_modes())),
         )  # fmt: skip
         assert form.mean is not None
-        return np.asarray(form.mean(at, values, view), dtype=float)
+        try:
+            made = np.asarray(form.mean(at, values, view), dtype=float)
+        except CampaignError:
+            raise
+        except Exception as error:  # whatever the user's code raises is the user's to see
+            raise CampaignError(
+                f"an own effect's function stops with {type(error).__name__}: {error}; expected "
+                f"the voltage at each of the {len(at)} times it is given, from the strengths "
+                f"{', '.join(values)}: correct it"
+            ) from error
+        if made.shape != at.shape:
+            raise CampaignError(
+                f"an own effect's function returned shape {made.shape}; expected {at.shape}, the "
+                "voltage at each time it is given: correct it"
+            )
+        return made
 
     def rig(
         self, x: FloatArray, k: int
