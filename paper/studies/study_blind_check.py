@@ -23,6 +23,7 @@ from bayes_sensor.blind_check import (
     table,
 )
 from bayes_sensor.blind_check.check import complete_truth, trimmed
+from bayes_sensor.blind_check.oracle import SEPARABLE_ABOVE
 from bayes_sensor.blind_check.score import score_case
 from bayes_sensor.figures import png, svg
 from bayes_sensor.figures.blind_check import opened_seal, score_card
@@ -81,9 +82,8 @@ def write_readme() -> None:
     begin, end = text.index(OPENS) + len(OPENS), text.index(CLOSES)
     goals = pd.read_csv(TABLES / "blind_check_goals.csv")
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
-    write_text(
-        README, text[:begin] + markdown_table(goals) + "\n" + named_nulls(cases) + text[end:]
-    )
+    below = f"{named_nulls(cases)} {out_of_reach(cases)}"
+    write_text(README, text[:begin] + markdown_table(goals) + "\n" + below + text[end:])
 
 
 def named_nulls(cases: pd.DataFrame) -> str:
@@ -96,9 +96,24 @@ def named_nulls(cases: pd.DataFrame) -> str:
         for law, some in named.groupby("law")
     ]
     rest = nulls[~nulls["law"].isin(set(named["law"]))]
-    return (
-        f"Nulls named, by law of noise: {'; '.join(counts) or 'none'}; others 0 of {len(rest)}.\n"
-    )
+    return f"Nulls named, by law of noise: {'; '.join(counts) or 'none'}; others 0 of {len(rest)}."
+
+
+def out_of_reach(cases: pd.DataFrame) -> str:
+    """How many unlisted causes no method can flag: they look like an effect of the catalogue."""
+    unlisted = cases[cases["kind"] == "unlisted"]
+    words = []
+    for level in (8.0, 16.0):
+        here = unlisted[unlisted["d_level"].astype(float) == level]
+        apart = here[here["isolability"].astype(float) >= SEPARABLE_ABOVE]
+        flagged = int((apart["verdict"] == "unlisted").sum())
+        words.append(
+            f"of {len(here)} unlisted causes at d = {level:g}, {len(here) - len(apart)} lie nearer "
+            f"than {SEPARABLE_ABOVE:g} to an effect of the catalogue, and of the other "
+            f"{len(apart)} {flagged} were flagged"
+        )
+    joined = "; ".join(words)
+    return f"{joined[0].upper()}{joined[1:]}.\n"
 
 
 def keep_figure(figure: Figure, name: str) -> None:
