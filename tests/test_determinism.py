@@ -25,19 +25,29 @@ for _ in range(40):
 
 
 @pytest.mark.slow
-def test_the_first_run_which_compiles_gives_the_numbers_of_every_later_one(tmp_path: Path) -> None:
+@pytest.mark.parametrize("at_once", [1, 3])
+def test_first_runs_which_compile_give_the_numbers_of_every_later_one(
+    tmp_path: Path, at_once: int
+) -> None:
+    # at once: what one process has cached may be called by what another has
     environment = {
         **os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "OMP_NUM_THREADS": "1",
         "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
     }  # fmt: skip
-    said = [
-        subprocess.run(
-            [sys.executable, "-c", EVALUATE], env=environment, capture_output=True, text=True,
-            check=True,
-        ).stdout
-        for _ in range(2)
-    ]  # fmt: skip
-    assert said[0].count("\n") == 40 and said[0] == said[1]
+    said = []
+    for n in (at_once, 1):
+        processes = [
+            subprocess.Popen(
+                [sys.executable, "-c", EVALUATE], env=environment, text=True,
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            )
+            for _ in range(n)
+        ]  # fmt: skip
+        for process in processes:
+            text, error = process.communicate()
+            assert process.returncode == 0, error
+            said.append(text)
+    assert said[0].count("\n") == 40 and set(said) == {said[0]}
 
 
 def test_the_diagnosis_of_the_gap_does_not_depend_on_jobs(tmp_path: Path) -> None:

@@ -8,13 +8,20 @@ Everything here works on :class:`Arrays` and plain arrays of scratch space, size
 
 from __future__ import annotations
 
+from contextlib import ExitStack, contextmanager, suppress
 from math import exp, log, pi, sqrt
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from bayes_sensor.model import step_response
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 K = 8
 """nodes per block"""
@@ -362,7 +369,9 @@ def _clear(E, first, last):  # pragma: no cover - compiled
 
 # What may reorder sums is compiled by itself before whatever calls it.  A program that finds its
 # callers in the cache would else run the copy inside these, which can add up in another order, and
-# the first run after an installation would differ from all later ones in the last digits.
+# the first run after an installation would differ from all later ones in the last digits.  For
+# the same reason one process at a time compiles them: numba names what it compiles by a count of
+# its process, and callers cached by one process would not find the sums cached by another.
 _ALONE = (
     (_add_edge, "i8, i8, f8[::1], f8[::1], i8[::1], b1[::1], f8, f8[::1], f8[::1], f8, f8, "
                 "f8[:, :, ::1], f8[:, ::1], f8[::1], f8[::1], f8[:, ::1]"),
@@ -372,9 +381,24 @@ _ALONE = (
     (_slopes, "i8, i8, f8[::1], f8, f8, f8[::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], "
               "f8[::1], f8[::1], f8, f8, f8, f8, f8, f8[::1], f8[::1]"),
 )  # fmt: skip
-for _kernel, _types in _ALONE:
-    if hasattr(_kernel, "compile"):  # a plain function where compilation is switched off
-        _kernel.compile(f"({_types})")
+
+
+@contextmanager
+def _one_process(folder):
+    # nothing is locked where files cannot be (Windows, a file system without locks)
+    with ExitStack() as stack:
+        if fcntl is not None:
+            with suppress(OSError):
+                Path(folder).mkdir(parents=True, exist_ok=True)
+                file = stack.enter_context(open(Path(folder) / "kernels.lock", "w"))
+                fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+if hasattr(_sums, "compile"):  # a plain function where compilation is switched off
+    with _one_process(_sums.stats.cache_path):
+        for _kernel, _types in _ALONE:
+            _kernel.compile(f"({_types})")
 
 
 @njit(cache=True, error_model="numpy", inline="always")
