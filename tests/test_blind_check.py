@@ -703,3 +703,11 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
         assert (f"{law} {n} of {len(some)} (" in shown) == (n > 0)
     for row in goals.itertuples():
         assert f"| {row.goal} | {row.wanted} | {row.reached:.3f}" in shown
+    text = " ".join(shown.split())
+    unlisted = nulls[nulls["verdict"] == "unlisted"]
+    assert f"Nulls called unlisted: {len(unlisted)} of {len(nulls)}" in text
+    card = json.loads((TABLES / "blind_check.json").read_text(encoding="utf-8"))
+    wrong = card["confident_wrong"]
+    withheld, outside = wrong["withheld"], wrong["withheld_outside_family"]
+    assert f"Of {withheld['n']} campaigns whose effect was taken out" in text
+    assert f"{withheld['k']} were given another name with more than .9, {outside['k']} of" in text

@@ -558,7 +558,8 @@ def _tau(listed: Sequence[Row]) -> Row:
         and r["log_error_after"] is not None
     ]
     if not named:
-        return {"n": 0, "before": None, "after": None, "ratio": None, "ratio_hi95": None}
+        nothing = ("before", "after", "ratio", "ratio_lo95", "ratio_hi95")
+        return {"n": 0, **dict.fromkeys(nothing)}
     before = np.array([r["log_error_before"] for r in named])
     after = np.array([r["log_error_after"] for r in named])
     rng = np.random.default_rng(20260602)
@@ -614,7 +615,9 @@ def _goals(card: Row) -> list[Row]:
             "met": None if rate is None else 0.90 <= rate <= 0.98,
         }
     )
-    goals.append(_goal("error of ln tau, after over before", "<=", 0.5, card["tau"]["ratio"]))
+    tau = card["tau"]
+    between = {"lo95": tau["ratio_lo95"], "hi95": tau["ratio_hi95"]}
+    goals.append(_goal("error of ln tau, after over before", "<=", 0.5, tau["ratio"], between))
     return goals
 
 

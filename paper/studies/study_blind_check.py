@@ -7,6 +7,7 @@ noise laws that no earlier run saw (``reserve``); campaigns are not kept.
 from __future__ import annotations
 
 import json
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
@@ -82,7 +83,11 @@ def write_readme() -> None:
     begin, end = text.index(OPENS) + len(OPENS), text.index(CLOSES)
     goals = pd.read_csv(TABLES / "blind_check_goals.csv")
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
-    below = f"{named_nulls(cases)} {out_of_reach(cases)}"
+    said = [
+        named_nulls(cases), alarmed_nulls(cases), left_out(cases), overlooked(cases),
+        out_of_reach(cases),
+    ]  # fmt: skip
+    below = textwrap.fill(" ".join(said), 112) + "\n"
     write_text(README, text[:begin] + markdown_table(goals) + "\n" + below + text[end:])
 
 
@@ -95,8 +100,42 @@ def named_nulls(cases: pd.DataFrame) -> str:
         + f" ({', '.join(sorted(set(some['said'])))})"
         for law, some in named.groupby("law")
     ]
+    if not counts:
+        return f"Nulls named: none of {len(nulls)}, under {nulls['law'].nunique()} laws of noise."
     rest = nulls[~nulls["law"].isin(set(named["law"]))]
-    return f"Nulls named, by law of noise: {'; '.join(counts) or 'none'}; others 0 of {len(rest)}."
+    return f"Nulls named, by law of noise: {'; '.join(counts)}; others 0 of {len(rest)}."
+
+
+def alarmed_nulls(cases: pd.DataFrame) -> str:
+    """One sentence: under which laws of noise faultless campaigns were called unlisted."""
+    nulls = cases[cases["kind"] == "null"]
+    called = nulls[nulls["verdict"] == "unlisted"]
+    return f"Nulls called unlisted: {_counted(called, nulls, 'law')}."
+
+
+def left_out(cases: pd.DataFrame) -> str:
+    """One sentence: wrong names where the true effect had been taken out of the catalogue."""
+    cases = cases[cases["kind"] == "withheld"]
+    wrong = cases[cases["confident_wrong"].astype(str) == "True"]
+    outside = wrong[wrong["wrong_outside_family"].astype(str) == "True"]
+    return (
+        f"Of {len(cases)} campaigns whose effect was taken out of the catalogue, {len(wrong)} were "
+        f"given another name with more than .9, {len(outside)} of them from outside its family."
+    )
+
+
+def overlooked(cases: pd.DataFrame) -> str:
+    """One sentence: which unlisted causes passed for noise although they were strong."""
+    strong = cases[(cases["kind"] == "unlisted") & (cases["d_level"].astype(float) >= 8)]
+    passed = strong[strong["verdict"] == "none"]
+    return f"Unlisted causes of d >= 8 that passed for noise: {_counted(passed, strong, 'causes')}."
+
+
+def _counted(some: pd.DataFrame, of: pd.DataFrame, by: str) -> str:
+    counts = some[by].value_counts()
+    names = sorted(counts.index, key=lambda name: (-counts[name], name))
+    each = [f"{name} {counts[name]} of {(of[by] == name).sum()}" for name in names]
+    return f"{len(some)} of {len(of)}" + (f" ({', '.join(each)})" if each else "")
 
 
 def out_of_reach(cases: pd.DataFrame) -> str:
@@ -113,7 +152,7 @@ def out_of_reach(cases: pd.DataFrame) -> str:
             f"{len(apart)} {flagged} were flagged"
         )
     joined = "; ".join(words)
-    return f"{joined[0].upper()}{joined[1:]}.\n"
+    return f"{joined[0].upper()}{joined[1:]}."
 
 
 def keep_figure(figure: Figure, name: str) -> None:
