@@ -274,7 +274,8 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
     width over this one).  ``prior`` on tau: the campaign's own by default.
 
     A higher sampling rate keeps the noise in continuous time: phi per sample becomes
-    phi^(1/factor).  A pulse train is approximated by as many short experiments as there are pulses
+    phi^(1/factor); a negative phi, which is no process in continuous time, is taken as zero there.
+    A pulse train is approximated by as many short experiments as there are pulses
     (each with its own y0, beta and switch times, started from rest), which is pessimistic: a real
     train shares them.  A design is enough.
     """
@@ -338,7 +339,7 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
         add(f"{factor:g} times the experiments", "repeats", factor, "x", found)
     for factor in (2, 10):
         denser = [_with_rate(setting, factor) for setting in settings]
-        found = predict(denser, truth, prior, V_sd=volume)
+        found = predict(denser, replace(truth, phi=max(truth.phi, 0.0)), prior, V_sd=volume)
         add(f"{factor} times the sampling rate", "rate", float(factor), "x", found)
     for pulses in (3, 6):
         short = [_as_pulse(setting, pulses, truth) for setting in settings]

@@ -153,6 +153,15 @@ def test_white_noise_gains_from_a_higher_rate():
     )
 
 
+def test_an_estimate_of_phi_below_zero_is_no_obstacle():
+    # white noise gives one in every second campaign; at twice the rate phi^(1/2) would not be real
+    design = design_of()
+    found = what_if(design, theta_of(design, phi=-0.02))["half_width95_s"].to_numpy()
+    white = what_if(design, theta_of(design, phi=0.0))["half_width95_s"].to_numpy()
+    # a 2 % smaller sum of neighbours' noise
+    np.testing.assert_allclose(found, white, rtol=0.05)
+
+
 LIMITS = {"flows": (60.0, 200.0), "concentrations": (0.1, 0.3), "durations": (12.0, 30.0)}
 
 
