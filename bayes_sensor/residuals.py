@@ -326,8 +326,8 @@ def _slow_part(problem: Problem, vector: FloatArray, series: list[_Series]) -> t
     least twenty ordinates per experiment.
     """
     total, n = 0.0, 0
-    for k, s in enumerate(series):
-        phi = lag_coefficient(float(vector[problem.layout.noise[k, 0]]), 1.0)
+    for k, (e, s) in enumerate(zip(problem.campaign, series, strict=True)):
+        phi = lag_coefficient(float(vector[problem.layout.noise[k, 0]]), problem.steps(e))
         m = len(s.e)
         power = np.abs(fft.rfft(s.e)) ** 2 / m
         bend = (1.0 - abs(phi)) / (2.0 * np.pi)  # cycles per sample

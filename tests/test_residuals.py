@@ -104,6 +104,27 @@ def test_ar1_noise_is_found_adequate(adequate):
     )
 
 
+def test_slow_noise_is_sought_below_one_frequency_whatever_the_interval():
+    # noise of one correlation time, 0.1 s: a record at ten times the rate has as many ordinates
+    # below a tenth of the frequency at which its spectrum bends
+    own = {name: EXPERIMENTS["a"] for name in "abc"}
+    theta = {**MEAN, "experiments": own, "phi": np.exp(-0.02), "sigma0_V": 0.05, "sigma1_V": 0.0}
+    counts = []
+    for last in (0.002, 0.0002):
+        campaign = Campaign(
+            "three",
+            tuple(
+                Experiment(name, h * np.arange(round(140.0 / h)), None, 60.0, 10.0, h, 2.5, 10.5)
+                for name, h in zip("abc", (0.002, 0.002, last), strict=True)
+            ),
+        )
+        campaign = simulate(campaign, theta, seed=4)
+        found = diagnose_residuals(campaign, Known(Problem(campaign).layout.flat(theta)))
+        counts.append(found.spectrum["expected_sd"] ** -2)
+    assert counts[0] > 65  # above the least of twenty a record
+    assert counts[1] == pytest.approx(counts[0], abs=1)
+
+
 def test_slow_noise_on_top_is_found_inadequate():
     found = diagnosed(change=lambda t: 0.06 * np.sin(2 * np.pi * t / 6.0))
     assert not found.adequate and "too narrow" in found.verdict
