@@ -283,8 +283,11 @@ def run_coverage(
     jobs: int = 1,
     scheduler: str | None = None,
     progress: Callable[[int, int], None] | None = None,
+    n_resamples: int | None = None,
 ) -> pd.DataFrame:
     """The table of :func:`coverage_of_methods` for every setting, ``n_campaigns`` each.
+
+    ``n_resamples`` of the bootstrap; None: as many as the study takes by itself.
 
     Finished parts are kept in ``folder``, a later call goes on from there (see ``run_chunks``).
     All settings draw from the same streams of random numbers.
@@ -295,6 +298,8 @@ def run_coverage(
     tables = []
     for number, (name, setting) in enumerate(settings.items()):
         study = BoundsStudy(setting, methods=tuple(methods or METHODS), seed=seed)
+        if n_resamples is not None:
+            study = replace(study, n_resamples=n_resamples)
 
         def tell(done: int, n: int, before: int = number * n_campaigns) -> None:
             if progress is not None:

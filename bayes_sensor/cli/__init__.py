@@ -39,6 +39,17 @@ Config = Annotated[
     Path | None,
     typer.Option("--config", metavar="OVERRIDES.toml", help="Settings that differ from default."),
 ]
+# every command takes the common options, so that a script may give all the same ones
+UnusedSeed = Annotated[
+    int, typer.Option("--seed", min=0, max=2**32 - 1, help="Taken; nothing is drawn here.")
+]
+UnusedJobs = Annotated[
+    int, typer.Option("--jobs", min=1, max=256, help="Taken; one process does it.")
+]
+UnusedConfig = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="OVERRIDES.toml", help="Checked; nothing in it acts here."),
+]
 Resume = Annotated[
     bool, typer.Option("--resume", help="Go on with what an interrupted run left in DIR.")
 ]
@@ -52,6 +63,14 @@ Chains = Annotated[int | None, typer.Option(min=2, help="Independent runs.")]
 
 def _given(**values: Any) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
+
+
+def _read_settings(config: Path | None) -> None:
+    """Refuse settings with a mistake in them, also where none of them acts."""
+    if config is not None:
+        from bayes_sensor.cli.settings import read_overrides
+
+        read_overrides(config)
 
 
 def _run(command: str, campaign: Path, out: Path, **options: Any) -> None:
@@ -214,20 +233,33 @@ def gap(
 
 
 @app.command()
-def check(campaign: CampaignFile, quiet: Quiet = False) -> None:
+def check(
+    campaign: CampaignFile,
+    seed: UnusedSeed = 1,
+    jobs: UnusedJobs = 1,
+    quiet: Quiet = False,
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", metavar="OVERRIDES.toml", help="Checked with the campaign."),
+    ] = None,
+) -> None:
     """Load and validate only, print what was understood."""
     from bayes_sensor.cli.steps import print_check
 
-    print_check(campaign, quiet)
+    print_check(campaign, quiet, config)
 
 
 @app.command()
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A results folder.")],
+    seed: UnusedSeed = 1,
+    jobs: UnusedJobs = 1,
     quiet: Quiet = False,
+    config: UnusedConfig = None,
     form: Annotated[str, typer.Option("--format", help="html, pdf or md.")] = "html",
 ) -> None:
     """Rebuild the report from the saved results."""
+    _read_settings(config)
     from bayes_sensor.cli.steps import rebuild_report
 
     rebuild_report(folder, quiet, form)
@@ -246,7 +278,12 @@ def simulate(
         ),
     ] = None,
     seed: Seed = 1,
+    jobs: UnusedJobs = 1,
     quiet: Quiet = False,
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", metavar="OVERRIDES.toml", help="Its [noise] is the noise law."),
+    ] = None,
     design: Annotated[
         Path | None, typer.Option(metavar="DESIGN.toml", help="A campaign file without data.")
     ] = None,
@@ -288,7 +325,7 @@ def simulate(
         out, campaign=campaign, seed=seed, quiet=quiet, design=design, truth=truth, phi=phi,
         quantities=_given(tau=tau, tau_v=tau_v, V=volume, sigma0=sigma0, sigma1=sigma1,
                           duration=duration, interval=interval),
-        only=experiments, file_format=file_format, effects=effect or (),
+        only=experiments, file_format=file_format, effects=effect or (), config=config,
     )  # fmt: skip
 
 
@@ -313,6 +350,12 @@ def coverage(
     ] = None,
     resume: Resume = False,
     quiet: Quiet = False,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "--config", metavar="OVERRIDES.toml", help="Its [bounds]: methods and resamples."
+        ),
+    ] = None,
 ) -> None:
     """How often each bound holds the truth, by simulation."""
     from bayes_sensor.cli.coverage import study_coverage
@@ -320,7 +363,7 @@ def coverage(
     raise typer.Exit(
         study_coverage(
             out, campaigns=campaigns, settings=setting or [], methods=method or [], seed=seed,
-            jobs=jobs, scheduler=scheduler, resume=resume, quiet=quiet,
+            jobs=jobs, scheduler=scheduler, resume=resume, quiet=quiet, config=config,
         )
     )  # fmt: skip
 
@@ -356,11 +399,13 @@ def blind_check(
     ] = None,
     resume: Resume = False,
     quiet: Quiet = False,
+    config: UnusedConfig = None,
 ) -> None:
     """Score card of the gap diagnosis on withheld effects.
 
     The campaigns come from a simulator that shares nothing with the diagnosis.
     """
+    _read_settings(config)
     from bayes_sensor.cli import blind
 
     chosen = [
@@ -458,6 +503,7 @@ def design(
         int, typer.Option(min=0, max=10_000, help="Simulate so many campaigns of the proposal.")
     ] = 0,
     seed: Seed = 1,
+    jobs: UnusedJobs = 1,
     quiet: Quiet = False,
     config: Config = None,
 ) -> None:
@@ -477,7 +523,10 @@ def design(
 @app.command()
 def diffusion(
     out: Out,
+    seed: UnusedSeed = 1,
+    jobs: UnusedJobs = 1,
     quiet: Quiet = False,
+    config: UnusedConfig = None,
     outer_radius: Annotated[str | None, typer.Option(help='Default "17.4 um".')] = None,
     d_zif8: Annotated[
         str | None, typer.Option("--d-zif8", help='Default "1.71e-10 m^2/s".')
@@ -494,6 +543,7 @@ def diffusion(
     tolerance: Annotated[float, typer.Option(help="Relative, of the response times.")] = 5e-4,
 ) -> None:
     """Finite-element response of the coating."""
+    _read_settings(config)
     from bayes_sensor.cli.steps import solve_diffusion
 
     quantities = _given(

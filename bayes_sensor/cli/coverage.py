@@ -33,12 +33,20 @@ def study_coverage(
     scheduler: str | None,
     resume: bool,
     quiet: bool,
+    config: Path | None = None,
 ) -> int:
-    """Write coverage.csv, coverage.json and the figure into ``out``; the exit code."""
+    """Write coverage.csv, coverage.json and the figure into ``out``; the exit code.
+
+    ``methods`` win over those of ``config``; none at all are all.
+    """
+    from bayes_sensor.cli.settings import read_overrides
+
     started, begin = now(), time.perf_counter()
     chosen = chosen_settings(settings)
-    names = tuple(methods) or tuple(METHODS)
+    asked = read_overrides(config).bounds
+    names = tuple(methods) or tuple(asked.methods or ()) or tuple(METHODS)
     BoundsStudy(next(iter(chosen.values())), methods=names)  # refuses unknown methods
+    resamples = asked.resamples if "resamples" in asked.model_fields_set else None
     results = Results(out)
     parts = results.path(CHUNKS)
     with results.locked():
@@ -48,6 +56,7 @@ def study_coverage(
             table = run_coverage(
                 parts, chosen, campaigns, names, seed, jobs, scheduler,
                 lambda done, n: tell(done / n, f"{done} of {n} campaigns"),
+                n_resamples=resamples,
             )  # fmt: skip
         rows = table.to_dict("records")
         figure = figures.coverage(rows)

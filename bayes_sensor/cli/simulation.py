@@ -13,8 +13,7 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.cli.steps import counted, progress_bar, say
-from bayes_sensor.likelihood import simulate
-from bayes_sensor.model import Layout
+from bayes_sensor.likelihood import Problem, simulate
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.readers.quantities import TIME, VOLUME, Kind, read_quantity
 from bayes_sensor.results import Results, now, read_json, run_record, sha256
@@ -151,7 +150,7 @@ def read_option(text: str, kind: Kind, option: str) -> float:
 
 
 def _recorded(
-    plan: Campaign, theta: dict[str, Any], wanted: Mapping[str, float | None], seed: int
+    plan: Problem, theta: dict[str, Any], wanted: Mapping[str, float | None], seed: int
 ) -> tuple[Campaign, dict[str, Any]]:
     """The simulated campaign, and the truth with the effects that act."""
     if not wanted:
@@ -206,8 +205,15 @@ def simulate_campaign(
     only: str | None,
     file_format: str,
     effects: Sequence[str] = (),
+    config: Path | None = None,
 ) -> None:
-    """Write data files, campaign.toml and truth.json into ``out``."""
+    """Write data files, campaign.toml and truth.json into ``out``.
+
+    Of the settings of ``config`` the noise law acts; what it pins is pinned in the truth.
+    """
+    from bayes_sensor.cli.settings import make_problem, read_overrides
+
+    overrides = read_overrides(config)
     started, begin = now(), time.perf_counter()
     if file_format not in FORMATS:
         raise CampaignError(
@@ -260,11 +266,12 @@ def simulate_campaign(
         theta["phi"] = phi
     for name in ("phi", "sigma0_V", "sigma1_V"):
         theta.setdefault(name, DEFAULTS[name] if name == "sigma0_V" else 0.0)
-    theta = Layout.of(plan).nested(theta)
+    problem = make_problem(plan, overrides, config.name if config is not None else "--config")
+    theta = problem.layout.nested({**theta, **problem.noise.fixed})
     results = Results(out)
     with results.locked(), progress_bar("simulate", quiet) as tell:
         tell(0.2, "noise")
-        recorded, theta = _recorded(plan, theta, wanted, seed)
+        recorded, theta = _recorded(problem, theta, wanted, seed)
         recorded = replace(recorded, title=f"simulated: {plan.title}" if source else plan.title)
         with results.writing() as stage:
             tell(0.4, "writing")
@@ -280,7 +287,8 @@ def simulate_campaign(
                     seed=seed,
                     settings={
                         **quantities,
-                        "phi": theta["phi"],
+                        "phi": theta.get("phi"),
+                        "noise": overrides.noise.model_dump(),
                         "format": file_format,
                         "effects": list(effects),
                     },

@@ -143,9 +143,15 @@ def load(path: Path) -> tuple[Campaign, Any, tuple[str, ...]]:
     return campaign, campaign_rows(campaign), campaign_remarks(campaign)
 
 
-def print_check(path: Path, quiet: bool) -> None:
-    """Print what was understood of a campaign."""
+def print_check(path: Path, quiet: bool, config: Path | None = None) -> None:
+    """Print what was understood of a campaign; settings are checked against it."""
+    from bayes_sensor.cli.settings import fit_bounds, make_problem, read_overrides
+
+    overrides = read_overrides(config)
+    label = config.name if config is not None else "--config"
+    _check_methods(overrides.bounds.methods, label)
     campaign, table, remarks = load(path)
+    fit_bounds(make_problem(campaign, overrides, label), overrides, label)
     if quiet:
         return
     kind = "a design without data" if campaign.is_design else f"{campaign.n_samples} samples in use"
