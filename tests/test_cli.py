@@ -17,7 +17,9 @@ import bayes_sensor
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import _guarded
 from bayes_sensor.cli.settings import make_problem, read_overrides, read_prior
+from bayes_sensor.cli.steps import Job, _saved_spreads
 from bayes_sensor.readers import read_campaign
+from bayes_sensor.results import Results
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
@@ -207,10 +209,19 @@ def test_priors_and_noise_reach_the_problem(campaign: Path, tmp_path: Path) -> N
     assert overrides.sampler_settings().max_steps == 50
 
 
-@pytest.mark.parametrize("text", ["", "flat(1 s)", "half-normal", "half-normal(-1 s)", "normal(,)"])
+@pytest.mark.parametrize(
+    "text",
+    ["", "flat(1 s)", "half-normal", "half-normal(-1 s)", "normal(,)", "log-normal(48 ms, nan)"],
+)
 def test_a_prior_that_makes_no_sense_is_refused(text: str) -> None:
     with pytest.raises(CampaignError, match=r"tau: "):
         read_prior(text, "tau_s", "V", "tau")
+
+
+@pytest.mark.parametrize("text", ["normal(nan, 0.1)", "normal(0, inf)", "uniform(-inf, inf)"])
+def test_a_prior_without_finite_numbers_is_refused(text: str) -> None:
+    with pytest.raises(CampaignError, match="phi: expected a number, but got '.*(nan|inf)'"):
+        read_prior(text, "phi", "V", "phi")
 
 
 # --- commands
@@ -312,6 +323,57 @@ def test_bounds_without_the_posterior(campaign: Path, tmp_path: Path) -> None:
     assert bounds["naive"]["crlb_iid"]["tau_s"] > 0
     header = (out / "bounds.csv").read_text().splitlines()[0]
     assert header.startswith("parameter,method,estimate,sd,lo68,hi68")
+
+
+def test_closed_streams_are_no_obstacle(campaign: Path, tmp_path: Path) -> None:
+    # as services and the like start a program
+    command = f'"{sys.executable}" -m bayes_sensor.cli posterior "$0" --out "$1"'
+    for closed in ("2>&-", "<&- >&- 2>&-"):
+        out = tmp_path / f"out {len(closed)}"
+        words = [f"{command} --sampler independence {closed}", str(campaign), str(out)]
+        assert subprocess.run(["sh", "-c", *words], env=ENVIRONMENT).returncode == 0
+        assert (out / "posterior.json").is_file()
+
+
+def test_a_log_that_cannot_show_a_letter_shows_its_number() -> None:
+    code = (
+        "from bayes_sensor.cli import steps; steps.LOG_SECONDS = 0.0\n"
+        "with steps.progress_bar('fit', False) as tell: tell(0.5, chr(0x3c4))"
+    )
+    plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    ended = subprocess.run(
+        [sys.executable, "-c", code], env=ENVIRONMENT | plain, capture_output=True, text=True
+    )
+    assert (ended.returncode, ended.stderr) == (0, "fit: 50% \\u03c4\n")
+
+
+def test_delays_take_their_weights_from_the_newest_posterior_only(
+    campaign: Path, tmp_path: Path
+) -> None:
+    def weights(config: Path) -> object:
+        assert run("delays", campaign, "--out", tmp_path, "--quiet", "--config", config) == 0
+        job = Job("delays", None, None, "", 1, 1, True, False, Results(tmp_path), basis())
+        return _saved_spreads(job)
+
+    def basis() -> str:
+        commands = json.loads((tmp_path / "run.json").read_text())["commands"]
+        return str(commands["delays"]["basis_sha256"])
+
+    configs = [tmp_path / "ar1.toml", tmp_path / "white.toml"]
+    common = ["--out", tmp_path, "--sampler", "independence", "--quiet", "--config"]
+    for config, law in zip(configs, ("ar1", "white"), strict=True):
+        config.write_text(f"[noise]\nautocorrelation = '{law}'\n")
+        assert run("posterior", campaign, *common, config) == 0
+    assert weights(configs[0]) is None
+    assert weights(configs[1]) is not None
+    # an older analyze with the first settings has not written posterior.json
+    record = json.loads((tmp_path / "run.json").read_text())
+    earlier = record["commands"]["posterior"] | {"finished": "2000-01-01T00:00:00Z"}
+    assert run("delays", campaign, "--out", tmp_path, "--quiet", "--config", configs[0]) == 0
+    record = json.loads((tmp_path / "run.json").read_text())
+    record["commands"]["analyze"] = earlier | {"basis_sha256": basis()}
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    assert weights(configs[0]) is None
 
 
 def test_a_posterior_that_does_not_converge_says_so(

@@ -232,7 +232,10 @@ def test_the_posterior_with_the_effect_recovers_its_strength(
     plain = read(tmp_path / "posterior.json")
     assert plain["with_effects"] == []
     assert not (tmp_path / "posterior_without_effects.json").exists()
+    assert (tmp_path / "predictive.json").exists()
     assert run(*common, "--with-effect", "valve_asymmetry") == 0
+    # its replicates were drawn from the other posterior
+    assert not (tmp_path / "predictive.json").exists()
     record = read(tmp_path / "posterior.json")
     assert record["with_effects"] == ["valve_asymmetry"] and record["converged"]
     ratio = record["parameters"]["closing_ratio"]
@@ -244,6 +247,9 @@ def test_the_posterior_with_the_effect_recovers_its_strength(
     tau = record["parameters"]["tau_s"]
     truth = read(campaign.parent / "truth.json")["tau_s"]
     assert tau["q0.5"] < truth < tau["q99.5"]
+    # with nothing to stand beside, the kept one goes
+    assert run(*common) == 0
+    assert not (tmp_path / "posterior_without_effects.json").exists()
 
 
 @pytest.mark.parametrize(

@@ -123,9 +123,11 @@ def fit(
     jobs: Jobs = 1,
     quiet: Quiet = False,
     config: Config = None,
+    resume: Resume = False,
 ) -> None:
     """Particle swarm and refinement, residual diagnostics."""
-    _run("fit", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config)
+    _run("fit", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config,
+         resume=resume)  # fmt: skip
 
 
 @app.command()
@@ -183,9 +185,11 @@ def delays(
     jobs: Jobs = 1,
     quiet: Quiet = False,
     config: Config = None,
+    resume: Resume = False,
 ) -> None:
     """Regressions of start and end delay on 1/Q."""
-    _run("delays", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config)
+    _run("delays", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config,
+         resume=resume)  # fmt: skip
 
 
 @app.command()
@@ -196,6 +200,7 @@ def gap(
     jobs: Jobs = 1,
     quiet: Quiet = False,
     config: Config = None,
+    resume: Resume = False,
     without: Annotated[
         list[str] | None,
         typer.Option(metavar="EFFECT", help="Leave this effect out; repeatable, or A,B."),
@@ -228,6 +233,7 @@ def gap(
     check_names(without, "--without")
     own = [effect for path in own_effects or () for effect in read_effects(path)]
     _run("gap", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config,
+         resume=resume,
          options={"without": tuple(without), "effects": own, "bootstrap": bootstrap,
                   "nominal": read_nominal(nominal)})  # fmt: skip
 
@@ -590,9 +596,21 @@ def _interruption_has_come() -> None:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
+def _open_streams() -> None:
+    """Let closed output streams, which Python has as None, lead nowhere."""
+    for descriptor, name in ((1, "stdout"), (2, "stderr")):
+        if getattr(sys, name) is None:
+            null = os.open(os.devnull, os.O_WRONLY)
+            if null != descriptor:
+                os.dup2(null, descriptor)
+                os.close(null)
+            setattr(sys, name, os.fdopen(descriptor, "w", encoding="utf-8"))
+
+
 def main(arguments: list[str] | None = None) -> None:
     """The entry point ``bayes-sensor``; ends the process with the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    _open_streams()
     _be_interruptible()
     from bayes_sensor.cli.notes import take_notes
 

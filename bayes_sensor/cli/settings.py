@@ -39,6 +39,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any, Literal
 
@@ -233,14 +234,15 @@ def flat_names(key: str, layout: Layout, where: str) -> list[str]:
 
 
 def _value(text: str, kind: Kind | None, where: str) -> float:
-    if kind is None:
-        try:
-            return float(text)
-        except ValueError:
-            raise CampaignError(
-                f"{where}: expected a number, but got '{text}'; write 0.5"
-            ) from None
-    return read_quantity(text, kind, where)
+    if kind is not None:
+        return read_quantity(text, kind, where)
+    try:
+        value = float(text)
+    except ValueError:
+        value = nan
+    if not isfinite(value):
+        raise CampaignError(f"{where}: expected a number, but got '{text}'; write 0.5")
+    return value
 
 
 def read_prior(text: str, name: str, unit: str, where: str) -> Prior:

@@ -69,16 +69,17 @@ def progress_bar(label: str, quiet: bool) -> Iterator[Progress]:
     if quiet:
         yield lambda fraction, text: None
         return
+    # a descriptor of its own: it goes on while everything else is muted; names of experiments may
+    # hold letters that it cannot show
+    screen = os.fdopen(os.dup(2), "w", encoding=sys.stderr.encoding, errors="backslashreplace")
     if not sys.stderr.isatty():
-        with os.fdopen(os.dup(2), "w") as log:
-            yield lambda fraction, text: _log(log, label, fraction, text)
+        with screen:
+            yield lambda fraction, text: _log(screen, label, fraction, text)
         return
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    # a descriptor of its own: the bar goes on while everything else is muted
-    screen = os.fdopen(os.dup(2), "w", encoding=sys.stderr.encoding)
     bar = Progress(
         TextColumn("{task.description:<12}"),
         BarColumn(),
@@ -407,7 +408,7 @@ def _do_delays(job: Job) -> None:
     from bayes_sensor.delays import regress_delays
 
     with job.timed("delays"):
-        job.delays = regress_delays(job.problem, job.fit, job.posterior or _saved_posterior(job))
+        job.delays = regress_delays(job.problem, job.fit, job.posterior or _saved_spreads(job))
 
 
 class SavedSpreads:
@@ -421,16 +422,22 @@ class SavedSpreads:
         return float(self.parameters[name]["sd"])
 
 
-def _saved_posterior(job: Job) -> SavedSpreads | None:
-    """The posterior in the results folder, where it rests on the same data and settings."""
+def _saved_posterior(job: Job) -> dict[str, Any] | None:
+    """``posterior.json`` of the results folder, where it rests on the same data and settings."""
     run = job.results.json("run.json")
-    saved = job.results.json("posterior.json")
-    if run is None or saved is None:
+    saved: dict[str, Any] | None = job.results.json("posterior.json")
+    commands = {} if run is None else run["commands"]
+    entries = [commands[name] for name in ("posterior", "analyze") if name in commands]
+    if saved is None or not entries:
         return None
-    entries = [run["commands"].get(name) for name in ("posterior", "analyze")]
-    if not any(e and e["basis_sha256"] == job.basis and e["converged"] for e in entries):
-        return None
-    return SavedSpreads(saved["parameters"])
+    newest = max(entries, key=lambda entry: entry["finished"])  # which has written it
+    return saved if newest["basis_sha256"] == job.basis else None
+
+
+def _saved_spreads(job: Job) -> SavedSpreads | None:
+    """Spreads of a posterior that was saved and had converged."""
+    saved = _saved_posterior(job)
+    return SavedSpreads(saved["parameters"]) if saved is not None and saved["converged"] else None
 
 
 def _problem_with_effects(job: Job) -> Any:
@@ -491,14 +498,18 @@ def _put(job: Job, stage: Stage) -> None:
         record.pop("seconds", None)  # times are in run.json: the same run gives the same file
         effects = list(job.options.get("with_effects") or ())
         record["with_effects"] = effects
-        before = job.results.json("posterior.json")
-        if effects and before is not None and not before.get("with_effects"):
+        before = _saved_posterior(job)
+        if not effects or before is None:
+            stage.drop.append("posterior_without_effects.json")  # nothing to stand beside
+        elif not before.get("with_effects"):
             # the posterior without effects is kept, so that both can be compared
             stage.json("posterior_without_effects.json", before)
         stage.json("posterior.json", record)
         job.posterior.save(stage.path("posterior.nc"))
         if job.predictive is not None:
             stage.json("predictive.json", job.predictive.to_json())
+        else:
+            stage.drop.append("predictive.json")  # it speaks of another posterior
         stage.json("coating.json", _coating(job))
     if "bounds" in saves:
         compared, record = job.bounds
