@@ -207,9 +207,11 @@ def test_forgotten_and_slipped_units_are_questioned(tmp_path: Path) -> None:
     assert "1700 was taken as volts" in unit and 'signal_unit = "mV"' in unit
     assert "0.0045 L/min (4.5 mL/min)" in flow
     path = written(tmp_path, "a.csv", UNITLESS, 'signal_unit = "mV"')
-    path.write_text(path.read_text().replace("4 L/min", "4 lpm"))
-    (e,) = (campaign := read_campaign(path))
-    assert campaign.warnings == () and e.carrier_flow == pytest.approx(4000 / 60)
+    told = path.read_text()
+    for flow in ("4 lpm", "4 LPM", "4000 MLPM"):
+        path.write_text(told.replace("4 L/min", flow))
+        (e,) = (campaign := read_campaign(path))
+        assert campaign.warnings == () and e.carrier_flow == pytest.approx(4000 / 60)
     np.testing.assert_allclose(e.y, Y, atol=1.1e-6)
 
 

@@ -217,7 +217,8 @@ def _scaled(number: str, unit: str, kind: Kind, key: str, text: str) -> float:
 def _normal_form(text: str) -> str:
     text = text.strip().replace("·", "*").replace("^", "**")
     text = text.replace("²", "**2").replace("³", "**3")
-    text = re.sub(r"(?i)\b(l|ml)pm\b", r"\1/min", text)
+    # in small letters: MLPM is on many a controller, and ML would be megalitres
+    text = re.sub(r"(?i)\b(l|ml)pm\b", lambda match: f"{match[1].lower()}/min", text)
     return re.sub(r"\b([cdm]?m)([23])\b", r"\1**\2", text)
 
 
