@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
@@ -567,10 +567,14 @@ class Lock:
 
     def release(self) -> None:
         """Give the directory free."""
-        if self.handle is not None:
-            self.path.unlink(missing_ok=True)
+        if self.handle is None:
+            return
+        if fcntl is None:  # Windows removes no file that is open
             self.handle.close()
-            self.handle = None
+        with suppress(PermissionError):  # there, too, while another process looks into it
+            self.path.unlink(missing_ok=True)
+        self.handle.close()
+        self.handle = None
 
 
 def _alive(pid: int) -> bool:

@@ -277,6 +277,24 @@ def test_without_locks_of_the_system_the_owner_is_looked_for(
             other.communicate(b"\n")
 
 
+def test_a_lock_is_closed_before_it_is_removed_where_open_files_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    removed = Path.unlink
+
+    def unlink(path: Path, missing_ok: bool = False) -> None:
+        if lock.handle is not None and not lock.handle.closed:
+            raise PermissionError(13, "the file is in use", str(path))
+        removed(path, missing_ok=missing_ok)
+
+    monkeypatch.setattr(results, "fcntl", None)  # as on Windows
+    lock = Lock(tmp_path / ".lock")
+    assert lock.held
+    monkeypatch.setattr(Path, "unlink", unlink)
+    lock.release()
+    assert not (tmp_path / ".lock").exists()
+
+
 # --- interrupted
 
 
