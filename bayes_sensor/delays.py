@@ -22,7 +22,10 @@ from bayes_sensor.likelihood import Problem, as_problem
 
 OUTLIER_LEVEL = 0.05
 """Bonferroni-corrected level at which an experiment is left out"""
-LEAST_POINTS = 4
+LEAST_POINTS = 3
+"""of a line: one more than it has parameters, so that its intervals exist"""
+LEAST_LEFT = 4
+"""points that must stay when an outlier goes"""
 
 
 class Fitted(Protocol):
@@ -189,7 +192,7 @@ def regress_line(
     with_outliers = None
     left_out = [name for name, out in zip(names, outlying) if out]
     if left_out:
-        if _cannot([names[i] for i in np.flatnonzero(used)], x[used]):
+        if used.sum() < LEAST_LEFT or _cannot([names[i] for i in np.flatnonzero(used)], x[used]):
             used[:] = True
             status = (
                 f"Experiment {', '.join(left_out)} stands out, but too few would be left without; "
@@ -265,6 +268,8 @@ def _studentised(x: FloatArray, result: Any) -> FloatArray:
     n = len(x)
     rounding = 1e-12 * float(np.max(np.abs(result.model.endog)) + 1e-300)
     values = np.full(n, np.nan)
+    if n <= 3:  # without one point the others lie on a line
+        return values
     for i in range(n):
         if 1.0 - h[i] < 1e-10:  # the point alone decides the line at its flow
             continue

@@ -104,3 +104,15 @@ def test_coverage_takes_methods_and_resamples_from_the_settings(tmp_path: Path) 
     pd.testing.assert_series_equal(found["median_width"], expected["median_width"])
     usual = run_coverage(tmp_path / "all", iid, 1, ["block_bootstrap"])
     assert not np.allclose(found["median_width"], usual["median_width"])
+
+
+@pytest.mark.parametrize("command", ["fit", "delays", "gap"])
+def test_resume_starts_afresh_where_nothing_is_unfinished(command: str, tmp_path: Path) -> None:
+    simulated(tmp_path / "sim")
+    campaign = tmp_path / "sim" / "campaign.toml"
+    options = ["--bootstrap", "0"] if command == "gap" else []
+    for name, more in (("plain", []), ("new", ["--resume"]), ("new", ["--resume"])):
+        out = tmp_path / name
+        assert run(command, campaign, "--out", out, "--quiet", *options, *more) == 0
+    expected = (tmp_path / "plain" / f"{command}.json").read_bytes()
+    assert (tmp_path / "new" / f"{command}.json").read_bytes() == expected

@@ -176,7 +176,7 @@ def test_weights_from_inference_data():
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"n": 3}, "at least 4"),
+        ({"n": 2}, "at least 3"),
         ({"commanded": False}, "no commanded time"),
         ({"flows": np.full(7, 5.0)}, "all flows are equal"),
     ],
@@ -206,6 +206,19 @@ def test_two_flows_only_is_no_crash():
     campaign, fit = case(noise=0.01, flows=np.array([4.5, 9, 9, 9, 9, 9, 9.0]))
     line = regress_delays(campaign, fit).start
     assert line.studentised["1"] is None and line.slope is not None
+    json.dumps(line.to_json(), allow_nan=False)
+
+
+def test_three_delays_are_a_line_whose_intervals_have_one_degree_of_freedom():
+    campaign, fit = case(noise=0.01, n=3)
+    line = regress_delays(campaign, fit).start
+    slope, intercept = np.polyfit(line.inverse_flow, line.delay, 1)
+    assert (line.slope, line.intercept) == pytest.approx((slope, intercept))
+    left = line.delay - intercept - slope * line.inverse_flow
+    se = np.sqrt(left @ left / ((line.inverse_flow - line.inverse_flow.mean()) ** 2).sum())
+    half = 12.7062 * se  # Student's t of one degree of freedom, tabulated
+    assert line.ci95["slope_L"] == pytest.approx([slope - half, slope + half], rel=1e-5)
+    assert line.n == 3 and line.outliers == [] and set(line.studentised.values()) == {None}
     json.dumps(line.to_json(), allow_nan=False)
 
 
