@@ -16,6 +16,7 @@ from matplotlib.image import imread
 from bayes_sensor import figures
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import _guarded, steps
+from bayes_sensor.gap import CATALOGUE
 from bayes_sensor.report import (
     FORMATS,
     Table,
@@ -30,13 +31,22 @@ from bayes_sensor.report import (
     typeset,
     with_spread,
 )
-from bayes_sensor.report.headline import remarks
+from bayes_sensor.report.headline import gap_sentence, remarks
 from bayes_sensor.report.html import inline_svg, zoom_data
 from bayes_sensor.report.markdown import escaped
-from bayes_sensor.report.parts import Pictures, Section, numbering, pieces, see
+from bayes_sensor.report.parts import (
+    Pictures,
+    Section,
+    numbering,
+    p_value,
+    pieces,
+    see,
+    to_spread,
+)
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections import make_sections
 from bayes_sensor.report.sections.fit import fitted
+from bayes_sensor.report.sections.gap_tables import strength_units, strength_words
 from bayes_sensor.samples import load_samples
 
 HOSTILE = "<script>document.title='taken'</script> $x^2$ \"&'"
@@ -134,19 +144,41 @@ def test_a_newcomer_is_told_what_tau_is_and_why_the_bound_misleads(
     assert saved.posterior is not None and saved.bounds is not None and saved.residuals is not None
     row = {"q2.5": 0.001, "q50": 0.022, "q97.5": 0.064}
     priors = [{"prior": "half_normal", "upper95_s": 0.057}]
-    verdict = {"sentence": "The cause is flow_settling.", "effects": ["flow_settling"]}
+    verdict = {
+        "sentence": "The cause is flow_settling. It closes 97% of the gap.",
+        "effects": ["flow_settling"],
+        "kind": "effect",
+        "probability": 0.95,
+    }
+    shrink = {
+        "withheld": False,
+        "tau_after_s": 0.04,
+        "tau_after_lo_s": 0.031,
+        "tau_after_hi_s": 0.052,
+    }
+    found = {"verdict": verdict, "shrink": shrink, "hidden": {"tau_envelope_s": [0.0068, 0.24]}}
     saved = replace(
         saved,
         posterior={**saved.posterior, "parameters": {"tau_s": row}, "tau_under_priors": priors},
         bounds={**saved.bounds, "naive": {"crlb_iid": {"tau_s": 0.02},
                                           "crlb_iid_one_percent_step": {"tau_s": 0.002}}},
         residuals={**saved.residuals, "ar1": {"phi": 0.8}},
-        gap={"verdict": verdict},
+        gap=found,
     )  # fmt: skip
     what, limit, why, model = remarks(saved)
     assert "63 %" in what.text and "upper limit" in limit.text and "57 ms" in limit.text
     assert "neighbours are alike (φ = 0.80)" in why.text and "steps of 1 %" in why.text
-    assert "flow settling" in model.text and model.section == "gap"
+    assert "The classical Cramér-Rao bound alone" in why.text
+    # who reads only the top must not take home the tau of a model that is known to be wrong
+    assert "Is it? No. The cause is flow settling. It closes 97 % of the gap." in model.text
+    assert "τ is 40 ms, 95 % interval [31, 52] ms" in model.text and model.section == "gap"
+    assert "--with-effect flow_settling" in model.text
+    none = {"sentence": "Nothing. With them tau could lie anywhere from 6.8 to 240 ms.",
+            "effects": [], "kind": "none", "probability": 0.7}  # fmt: skip
+    model = remarks(replace(saved, gap={**found, "verdict": none}))[-1]
+    # beside a limit, the lower end of the envelope would contradict it
+    assert model.text.endswith("Is it? Nothing. With them τ could reach 240 ms.")
+    assert gap_sentence({**found, "verdict": none}, False).endswith("could lie from 6.8 to 240 ms.")
     fair = {"crlb_iid": {"tau_s": 0.02}, "crlb_iid_one_percent_step": {"tau_s": 0.02}}
     saved = replace(saved, bounds={**saved.bounds, "naive": fair},
                     residuals={**saved.residuals, "ar1": {"phi": 0.0}}, gap=None)  # fmt: skip
@@ -164,6 +196,18 @@ def test_table_cells_are_rounded_but_sort_by_the_full_value() -> None:
     cell = Table("k", "c", ["x"], [[0.123456789]]).cells([0.123456789])[0]
     assert cell == {"text": "0.1235", "full": "0.123456789", "num": True}
     assert Table("k", "c", ["x"], []).cells([None, True, "a"])[0]["text"] == "–"
+    small = Table("k", "c", ["p"], [[p_value(1e-30)], [to_spread(48.1234, 12.0)]])
+    assert small.numeric == [True]
+    assert small.cells(small.rows[0]) == [{"text": "below 0.001", "full": "1e-30", "num": True}]
+    assert small.cells(small.rows[1])[0]["text"] == "48"
+
+
+def test_a_strength_has_the_unit_that_the_catalogue_gives_it() -> None:
+    units = strength_units()
+    for effect in CATALOGUE.values():
+        assert set(effect.plausible) <= set(units), effect.name
+    said = strength_words({"closing_ratio": 1.1, "mains_V": 0.01, "filter": 0.015}, "ppm")
+    assert said == "closing ratio = 1.10, mains = 0.0100 ppm, filter = 0.0150 s"
 
 
 # --- the page
@@ -447,7 +491,7 @@ def test_the_gap_is_told_when_it_was_diagnosed(analysed: Path, tmp_path: Path, c
     if change != "none":
         assert "97 % of the gap closes (95 % interval 90 to 102 %)" in text
         assert "93 % on data that were left out" in text
-        assert "τ lies between 20.0 and 110 ms" in text
+        assert "τ lies between 20 and 110 ms" in text
     else:
         assert "no fraction of it can be said to close" in text and "p not computed" in text
 

@@ -296,13 +296,23 @@ def _square_sentences(tau: float, sd_square: float, law: str) -> list[str]:
     z = normal_factor(0.95)
     low, high = np.sqrt(max(tau**2 - z * sd_square, 0.0)), np.sqrt(tau**2 + z * sd_square)
     return [
-        f"Under {law} tau^2 is known to +-{sd_square * 1e6:.3g} ms^2 (one standard deviation), "
-        f"against tau^2 = {tau**2 * 1e6:.3g} ms^2: {tau**2 / sd_square:.2g} standard deviations "
+        f"Under {law} tau^2 is known to +-{_plain(sd_square * 1e6)} ms^2 (one standard "
+        f"deviation), against tau^2 = {_plain(tau**2 * 1e6)} ms^2: "
+        f"{tau**2 / sd_square:.2g} standard deviations "
         "from zero.",
         f"At 95 % that is tau between {1e3 * low:.1f} and {1e3 * high:.1f} ms."
         if low > 0
         else f"At 95 % that is an upper limit: tau below {1e3 * high:.1f} ms.",
     ]
+
+
+def _plain(value: float) -> str:
+    """Three digits without a power of ten.
+
+    >>> _plain(2454.3), _plain(0.03214)
+    ('2450', '0.0321')
+    """
+    return f"{float(f'{value:.3g}'):.10g}"
 
 
 def _bound_words(sd: float) -> str:

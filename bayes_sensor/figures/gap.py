@@ -232,7 +232,7 @@ def gap_residuals(residuals: Sequence[Mapping[str, Any]], most: int = 10) -> Fig
             axes.set_xlim(-0.7, len(values) - 0.3)
             axes.set_ylim(-reach, reach)
             axes.set_xticks([])
-            axes.set_yticks([0])
+            axes.set_yticks([0], [""])  # a number there would read as part of the name
             axes.grid(axis="x", visible=False)
             axes.set_ylabel(_short(row["experiment"], 9), rotation=0, ha="right", va="center")
         strips[-1].set_xlabel("bins, from the baseline to the tail (they widen after a switch)")

@@ -142,7 +142,7 @@ def what_would_help(rows: Sequence[Mapping[str, Any]]) -> Figure:
                     f"{row['gain']:.3g}×", (1.01, i), xycoords=("axes fraction", "data"),
                     va="center", fontsize=7, color=GREEN if row["gain"] > 1.5 else MIDDLE,
                 )  # fmt: skip
-        axes.set_yticks(range(len(rows)), [row["change"] for row in rows])
+        axes.set_yticks(range(len(rows)), [row["change"].replace("+-", "± ") for row in rows])
         axes.set_ylim(len(rows) - 0.4, -0.6)
         axes.set_xlim(left=0.0)
         axes.set_xlabel("predicted interval of τ (ms): 68 % thick, 95 % thin; at right the gain")

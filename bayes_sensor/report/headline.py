@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -101,16 +102,58 @@ def remarks(saved: Saved) -> list[Remark]:
         )
     if head.naive:
         why = _why_naive_misleads(saved)
-        text = sentence(head.naive) + (f" Why that misleads: {why}." if why else "")
+        text = naive_sentence(head) + (f" Why that misleads: {why}." if why else "")
         said.append(Remark(text, "tau"))
     if saved.gap is not None:
+        words = gap_sentence(saved.gap, head.is_limit)
         verdict = saved.gap["verdict"]
-        words = verdict["sentence"]
-        for name in verdict["effects"]:
-            words = words.replace(name, name.replace("_", " "))
-        words = sentence(typeset(words))
-        said.append(Remark(f"All this takes the model as right. Is it? {words}", "gap"))
+        if verdict["kind"] != "none" and verdict["probability"] >= 0.5:
+            words = f"No. {words}"
+        text = f"All this takes the model as right. Is it? {words}"
+        said.append(Remark(text + _with_the_effect(saved), "gap"))
     return said
+
+
+def naive_sentence(head: Headline) -> str:
+    """What the classical bound alone would have said, in the report's words."""
+    return sentence(head.naive).replace("iid Cramer-Rao", "classical Cramér-Rao")
+
+
+def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
+    """The verdict in words.
+
+    ``is_limit``: zero is not excluded.  The diagnosis works in ln tau, so the lower end of its
+    envelope is never zero and says nothing there: only the upper end is told.
+    """
+    verdict = gap["verdict"]
+    words = verdict["sentence"]
+    for name in verdict["effects"]:
+        words = words.replace(name, name.replace("_", " "))
+    low, high = gap["hidden"].get("tau_envelope_s") or (None, None)
+    if verdict["kind"] == "none" and low is not None and high is not None:
+        upper = f"{number(1e3 * high, 2)} ms"
+        reach = f"reach {upper}" if is_limit else f"lie from {number(1e3 * low, 2)} to {upper}"
+        words = re.sub(r"(tau could) lie anywhere from \S+ to \S+ ms", rf"\1 {reach}", words)
+    return sentence(typeset(re.sub(r"(\d)%", r"\1 %", words)))
+
+
+def _with_the_effect(saved: Saved) -> str:
+    """tau with what was named in the model, where the posterior at the top leaves it out."""
+    assert saved.gap is not None
+    verdict, shrink = saved.gap["verdict"], saved.gap["shrink"]
+    low, mid, high = (ms(shrink.get(f"tau_after{end}_s")) for end in ("_lo", "", "_hi"))
+    if verdict["kind"] != "effect" or shrink.get("withheld"):
+        return ""
+    if low is None or mid is None or high is None:
+        return ""
+    if saved.posterior is not None and saved.posterior.get("with_effects"):
+        return ""
+    return (
+        f" With it in the model τ is {with_spread(mid, high - low)} ms, 95 % interval "
+        f"[{with_spread(low, high - low)}, {with_spread(high, high - low)}] ms: quote that, not "
+        "the line at the top, or sample it with bayes-sensor posterior --with-effect "
+        f"{' --with-effect '.join(verdict['effects'])}."
+    )
 
 
 def _why_naive_misleads(saved: Saved) -> str:
@@ -210,5 +253,7 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
     for note in notes:
         if note not in seen and not any(note == text for _, text in found):
             seen.add(note)
+            if note.startswith("tau is at"):  # beside the posterior's tau at the top
+                note = f"the least-squares {note}"
             found.append(("note", sentence(typeset(note))))
     return found

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bayes_sensor.report.words import number
+from bayes_sensor.report.words import number, p_words, with_spread
 
 _OPEN, _CLOSE = "\ue000", "\ue001"
 
@@ -46,6 +46,24 @@ def _keys(text: str) -> list[str]:
     return re.findall(f"{_OPEN}([^{_CLOSE}]*){_CLOSE}", text)
 
 
+@dataclass(frozen=True)
+class Shown:
+    """A number in a table with words of its own; sorted and copied by its value."""
+
+    value: float
+    text: str
+
+
+def to_spread(value: float, spread: float) -> Shown:
+    """A number rounded to two digits of its spread."""
+    return Shown(value, with_spread(value, spread))
+
+
+def p_value(p: float | None) -> Shown | None:
+    """A p-value or a probability in words that do not pretend."""
+    return None if p is None else Shown(p, p_words(p))
+
+
 @dataclass
 class Table:
     """A table that can be sorted and copied."""
@@ -63,7 +81,7 @@ class Table:
     def numeric(self) -> list[bool]:
         """Which columns hold numbers."""
         return [
-            any(isinstance(v, int | float) and not isinstance(v, bool) for v in column)
+            any(isinstance(v, int | float | Shown) and not isinstance(v, bool) for v in column)
             for column in zip(*self.rows, strict=True)
         ] or [False] * len(self.columns)
 
@@ -74,6 +92,8 @@ class Table:
             if isinstance(value, bool) or value is None or isinstance(value, str):
                 shown = {True: "yes", False: "no", None: "–"}.get(value, value)  # type: ignore[arg-type]
                 made.append({"text": shown, "full": "" if value is None else shown, "num": False})
+            elif isinstance(value, Shown):
+                made.append({"text": value.text, "full": repr(value.value), "num": True})
             else:
                 shown = f"{value:d}" if isinstance(value, int) else number(value, self.digits)
                 if isinstance(value, float) and abs(float(shown) - value) <= 1e-9 * abs(value):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayes_sensor import figures
-from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
+from bayes_sensor.report.parts import Part, Pictures, Section, Table, p_value, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import list_words, number, p_equals
 
@@ -34,7 +34,7 @@ def switching(saved: Saved, pictures: Pictures) -> Section | None:
     points = [
         [
             side, p["experiment"], p["inverse_flow_s_per_L"], p["delay_s"],
-            p["studentised_residual"], p["bonferroni_p"], p["used"],
+            p["studentised_residual"], p_value(p["bonferroni_p"]), p["used"],
         ]
         for side in ("start", "end")
         if delays.get(side)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bayes_sensor import figures
-from bayes_sensor.report.parts import Table
+from bayes_sensor.report.parts import Shown, Table, to_spread
 from bayes_sensor.report.saved import Saved
 
 
@@ -19,10 +19,14 @@ def posterior_table(saved: Saved, shared: bool) -> Table:
         if row is None or is_local == shared:
             continue
         symbol, unit, factor = figures.parameter_words(name, saved.unit)
-        values = [factor * row[key] for key in keys]
+        values = [to_spread(factor * row[key], factor * row["sd"]) for key in keys]
         if not shared:
             values = values[:2] + [values[2], values[4], values[6]]
-        rows.append([symbol, unit, *values, row["ess_bulk"], row["ess_tail"], row["r_hat"]])
+        checks = [
+            None if row[key] is None else Shown(row[key], f"{row[key]:.{places}f}")
+            for key, places in (("ess_bulk", 0), ("ess_tail", 0), ("r_hat", 3))
+        ]
+        rows.append([symbol, unit, *values, *checks])
     percent = ["2.5 %", "16 %", "50 %", "84 %", "97.5 %"] if shared else ["2.5 %", "50 %", "97.5 %"]
     return Table(
         "posterior-shared" if shared else "posterior-experiments",
@@ -32,5 +36,4 @@ def posterior_table(saved: Saved, shared: bool) -> Table:
         else "Posterior of each experiment's own parameters.",
         ["parameter", "unit", "mean", "sd", *percent, "ESS bulk", "ESS tail", "R-hat"],
         rows,
-        digits=5,
     )

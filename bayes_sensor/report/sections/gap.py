@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bayes_sensor import figures
+from bayes_sensor.report.headline import gap_sentence, headline
 from bayes_sensor.report.parts import Part, Pictures, Section, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections.gap_tables import (
@@ -17,7 +18,7 @@ from bayes_sensor.report.sections.gap_tables import (
     which_table,
     words,
 )
-from bayes_sensor.report.words import list_words, ms, number, p_equals, sentence, typeset
+from bayes_sensor.report.words import list_words, ms, number, p_equals, sentence
 
 
 def gap(saved: Saved, pictures: Pictures) -> Section | None:
@@ -27,22 +28,30 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
         return None
     budget, verdict = record["budget"], record["verdict"]
     shown, factor = saved.small_unit
-    said = verdict["sentence"]
-    for name in verdict["effects"]:
-        said = said.replace(name, words(name))
-    answer = sentence(typeset(said)).removesuffix(".") + see("which") + "."
+    head = headline(saved.posterior, saved.bounds, saved.settings)
+    is_limit = head is not None and head.is_limit
+    answer = gap_sentence(record, is_limit).removesuffix(".") + see("which") + "."
+    p = budget["p_value"]
+    is_noise = p is not None and p > 0.05
+    size = "" if is_noise else f"d = {number(budget['excess_d'])} standard deviations, "
     paragraphs = [
         f"Model and measurement differ by {number(factor * budget['excess_rms_V'])} {shown} RMS "
         f"above the noise floor of {number(factor * budget['noise_floor_rms_V'])} {shown} "
-        f"(d = {number(budget['excess_d'])} standard deviations, p "
-        f"{p_equals(budget['p_value'])}){see('budget-table', 'where')}"
-        + (", no more than noise alone would leave." if (budget["p_value"] or 0.0) > 0.05 else ".")
+        f"({size}p {p_equals(p)}){see('budget-table', 'where')}"
+        + (", no more than noise alone would leave." if is_noise else ".")
     ]
     if verdict["kind"] != "none":
+        who = list_words([words(name) for name in verdict["effects"]])
+        if verdict["kind"] == "effect":
+            paragraphs.append(
+                f"Named: {who}, with a probability of {number(verdict['probability'], 2)}"
+                f"{see('which')}. How often such a verdict is right was counted on campaigns with "
+                "a sealed cause; the documentation holds the score card."
+            )
         paragraphs += _left_out(record)
     paragraphs += _shrink(record, shown, factor)
     paragraphs += _more(record)
-    paragraphs += _envelope(record)
+    paragraphs += _envelope(record, is_limit)
     paragraphs += [sentence(note) for note in record.get("notes") or []]
     content: list[Part] = [
         pictures.add(
@@ -57,7 +66,8 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
             "gap-where",
             figures.gap_where(record["where"], saved.unit),
             "Where the gap lies: excess over the noise floor by experiment and phase of the step. "
-            "Numbers: share of the whole; framed: p below 5 %.",
+            "Numbers: share of the whole; framed: p below 5 %, as the largest of all cells. "
+            "Without a frame a shade is no more than noise makes.",
         ),
         *_strips(record, pictures),
         where_table(record, shown, factor),
@@ -67,7 +77,7 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
             "What explains it: probabilities of the explanations and of their families. Hatched: "
             "no effect at all, and something that is not in the catalogue.",
         ),
-        which_table(record),
+        which_table(record, saved.unit),
     ]
     if record["hidden"]["effects"]:
         tau = record["shrink"].get("tau_before_s")
@@ -79,9 +89,9 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
                 "what τ would be with it in the model. Left of the dashed line this campaign could "
                 "not have seen it; shaded, the envelope of τ over all that may hide.",
             ),
-            hidden_table(record),
+            hidden_table(record, saved.unit),
         ]
-    content += other_tables(record)
+    content += other_tables(record, saved.unit)
     return Section("gap", "Where is the gap, and what causes it", answer, paragraphs, content)
 
 
@@ -160,11 +170,12 @@ def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
             f" The best rival outside the family, {words(shrink['rival'])}, closes "
             f"{100 * shrink['rival_fraction_closed']:.0f} %."
         )
-    return [said, "A large closed fraction alone proves no cause: a wrong effect often closes most "
+    return [said, "The fraction is of the squared excess, less what noise leaves in it, so it may "
+            "pass 100 %. A large one alone proves no cause: a wrong effect often closes most "
             "of a gap. The ranking weighs the explanations against each other."]  # fmt: skip
 
 
-def _envelope(record: Mapping[str, Any]) -> list[str]:
+def _envelope(record: Mapping[str, Any], is_limit: bool) -> list[str]:
     hidden = record["hidden"]
     unseen = [
         row
@@ -179,6 +190,13 @@ def _envelope(record: Mapping[str, Any]) -> list[str]:
     low, high = hidden.get("tau_envelope_s") or (None, None)
     if low is not None and high is not None:
         said += (
-            f"; over all that may hide, τ lies between {number(ms(low))} and {number(ms(high))} ms"
+            f"; over all that may hide, τ lies between {number(ms(low), 2)} and "
+            f"{number(ms(high), 2)} ms"
         )
-    return [said + see("hidden") + "."]
+    said += see("hidden") + "."
+    if is_limit:
+        said += (
+            " The diagnosis works with ln τ, so its values of τ stay above zero and its lower end "
+            "excludes nothing; read the upper one."
+        )
+    return [said]

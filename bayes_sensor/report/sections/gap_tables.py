@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
-from bayes_sensor.report.parts import Table
-from bayes_sensor.report.words import ms, number
+import numpy as np
+
+from bayes_sensor.report.parts import Shown, Table, p_value
+from bayes_sensor.report.words import ms, number, powers
 
 MOST_CELLS = 40
 FEW_CELLS = 8
 MOST_EXPLANATIONS = 25
+FEW_EXPLANATIONS = 8
+NEGLIGIBLE = 0.0005
+"""probability below which an explanation is only in gap.json, beyond the first few"""
 UNSEEN = 3.0
 """detectability below which an effect could hide"""
 
@@ -33,7 +39,7 @@ def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
         [f"RMS, noise floor ({shown})", scaled(budget["noise_floor_rms_V"])],
         [f"excess over the floor ({shown})", scaled(budget["excess_rms_V"])],
         ["excess, d (standard deviations)", budget["excess_d"]],
-        ["p-value", budget["p_value"]],
+        ["p-value", p_value(budget["p_value"])],
         [
             f"excess with the effect ({shown})",
             None if shrink.get("withheld") else scaled(shrink.get("after_excess_rms_V")),
@@ -56,7 +62,15 @@ def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
             ["fraction that the rival closes", shrink.get("rival_fraction_closed")],
         ]
     rows = [row for row in rows if row[1] is not None]
-    return Table("budget-table", "The budget in numbers.", ["quantity", "value"], rows)
+    return Table(
+        "budget-table",
+        "The budget in numbers. The excess is seen in averages over bins, where the noise is much "
+        "smaller than in single samples: it is no difference of the two RMS values. d counts all "
+        "of it, the p-value only what noise alone would not leave.",
+        ["quantity", "value"],
+        rows,
+        digits=3,
+    )
 
 
 def where_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
@@ -66,19 +80,19 @@ def where_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
     caption = "Where the excess lies, the largest share first."
     if not rows:  # nothing is shared out: the largest cells, as chance made them
         rows = sorted(record["where"], key=lambda row: -(row["excess_rms_V"] or 0.0))[:FEW_CELLS]
-        caption = "No cell exceeds the noise floor by more than chance. The largest:"
+        caption = "No cell exceeds the noise floor by more than chance; the largest are shown."
     left_out = len(record["where"]) - len(rows)
     if left_out > 0:
         caption += f" {left_out} more cells, with less or nothing above the floor, are in gap.json."
     return Table(
         "where",
         caption,
-        ["experiment", "phase", "from (s)", "to (s)", f"excess ({shown})", "share", "p-value"],
+        ["experiment", "phase", "from (s)", "to (s)", f"excess ({shown})", "share (%)", "p-value"],
         [
             [
                 row["experiment"], row["phase"], row["t_start_s"], row["t_end_s"],
                 None if row["excess_rms_V"] is None else factor * row["excess_rms_V"],
-                row["share"], row["p_value"],
+                None if row["share"] is None else 100.0 * row["share"], p_value(row["p_value"]),
             ]
             for row in rows
         ],
@@ -86,26 +100,28 @@ def where_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
     )  # fmt: skip
 
 
-def which_table(record: Mapping[str, Any]) -> Table:
+def which_table(record: Mapping[str, Any], unit: str) -> Table:
     """The explanations, the likeliest first."""
     named = set(record["verdict"]["effects"])
     ranked = sorted(record["which"], key=lambda row: -row["probability"])
-    rows = ranked[:MOST_EXPLANATIONS]
+    worth = sum(row["probability"] >= NEGLIGIBLE for row in ranked)
+    rows = ranked[: min(MOST_EXPLANATIONS, max(FEW_EXPLANATIONS, worth))]
     caption = "The explanations that were compared; their probabilities sum to one."
     if len(ranked) > len(rows):
         rest = sum(row["probability"] for row in ranked[len(rows) :])
-        caption += f" {len(ranked) - len(rows)} more, of {rest:.2g} together, are in gap.json."
+        caption += f" {len(ranked) - len(rows)} more, {_together(rest)}, are in gap.json."
     return Table(
         "which",
         caption,
         [
             "effect", "family", "probability", "d", "strength", "τ with it (ms)",
-            "fraction closed", "confusable with",
+            "closed (%)", "confusable with",
         ],
         [
             [
-                words(row["effect"]), words(row["family"] or ""), row["probability"], row["d"],
-                strength_words(row.get("strength")), ms(row["tau_s"]), row["fraction_closed"],
+                words(row["effect"]), words(row["family"] or ""), p_value(row["probability"]),
+                row["d"], strength_words(row.get("strength"), unit), ms(row["tau_s"]),
+                _percent(row["fraction_closed"]),
                 ", ".join(words(name) for name in row.get("confusable_with") or []),
             ]
             for row in rows
@@ -115,35 +131,83 @@ def which_table(record: Mapping[str, Any]) -> Table:
     )  # fmt: skip
 
 
-def strength_words(strength: Any) -> str:
-    """Parameters and values in a row."""
+def _together(probability: float) -> str:
+    return f"of {probability:.2g} together" if probability >= 0.001 else "below 0.001 together"
+
+
+def _percent(fraction: float | None) -> Shown | None:
+    return None if fraction is None else Shown(100.0 * fraction, f"{100.0 * fraction:.0f}")
+
+
+def strength_words(strength: Any, unit: str = "V") -> str:
+    """Parameters and values in a row, with the units that the catalogue gives them.
+
+    >>> strength_words({"closing_ratio": 1.1, "mains_V": 0.01, "gain_drift": -3.6e-5})
+    'closing ratio = 1.10, mains = 0.0100 V, gain drift = -3.60 × 10⁻⁵ 1/s'
+    """
     if not isinstance(strength, Mapping):
         return ""
-    return ", ".join(f"{words(name)} = {_value(value)}" for name, value in strength.items())
+    said = []
+    for name, value in strength.items():
+        own = strength_units().get(name, "1")
+        label = words(name.removesuffix(f"_{own}"))
+        own = "" if own == "1" else " " + own.replace("V", unit)
+        said.append(f"{label} = {_value(value)}{own}")
+    return ", ".join(said)
+
+
+@cache
+def strength_units() -> dict[str, str]:
+    """Unit of every strength of the catalogue, and of what is tested at full rate."""
+    from bayes_sensor.campaign import Experiment
+    from bayes_sensor.gap import CATALOGUE
+    from bayes_sensor.gap.effect import Setting
+
+    # units do not depend on the rig, but the laws of the strengths do: any rig will do
+    times = np.linspace(0.0, 100.0, 101)
+    anywhere = Setting(
+        Experiment("any", times, None, 60.0, 10.0, 1.0, 20.0, 60.0),
+        t0=20.0, tf=60.0, time_scale=1.0, reference_flow=70.0, signal_scale=1.0, duration=100.0,
+    )  # fmt: skip
+    found = {
+        strength.name: strength.unit
+        for effect in CATALOGUE.values()
+        for form in effect.forms
+        for strength in form.strengths(anywhere)
+    }
+    return {
+        "mains_V": "V", "mains_Hz": "Hz", "line_V": "V", "line_Hz": "Hz", "ringing_Hz": "Hz",
+        "adc_step": "V", "tail_dof": "1", "patch_s": "s", "break_s": "s", "event_s": "s", **found,
+    }  # fmt: skip
 
 
 def _value(value: Any) -> str:
     if isinstance(value, Mapping):  # one value an experiment
         each = [v for v in value.values() if isinstance(v, int | float)]
-        return f"{number(min(each))} to {number(max(each))}" if each else "–"
-    return number(value) if isinstance(value, int | float) else str(value)
+        return f"{_one(min(each))} to {_one(max(each))}" if each else "–"
+    return _one(value) if isinstance(value, int | float) else str(value)
 
 
-def hidden_table(record: Mapping[str, Any]) -> Table:
+def _one(value: float) -> str:
+    return powers(value) if 0.0 < abs(value) < 1e-4 else number(value)
+
+
+def hidden_table(record: Mapping[str, Any], unit: str) -> Table:
     """What may hide."""
     rows = sorted(record["hidden"]["effects"], key=lambda row: (row["d"] is None, row["d"]))
     return Table(
         "hidden",
         "What may hide: detectability d after refitting, the error of τ when the effect is there "
         "and left out, and the τ of this campaign with it in the model, at plausible strength. "
-        f"Below d = {UNSEEN:g} an effect could be there unseen.",
+        f"Below d = {UNSEEN:g} an effect could be there unseen, unless the data contradict it: "
+        "with it in the model no value of τ fits them.",
         [
             "effect", "strength", "d", "error of τ (ms)", "τ with it (ms)", "95 % low",
             "95 % high", "could hide",
         ],
         [
             [
-                words(row["effect"]), strength_words(row.get("strength")), row["d"],
+                words(row["effect"]), strength_words(row.get("strength"), unit), row["d"],
                 ms(row["tau_shift_s"]), ms(row.get("tau_with_it_s")), ms(row.get("tau_low_s")),
                 ms(row.get("tau_high_s")), _hides(row),
             ]
@@ -159,7 +223,7 @@ def _hides(row: Mapping[str, Any]) -> str | None:
     return None if row["d"] is None else "yes" if row["d"] < UNSEEN else "no"
 
 
-def other_tables(record: Mapping[str, Any]) -> list[Table]:
+def other_tables(record: Mapping[str, Any], unit: str) -> list[Table]:
     """Escalation, pairs that need another measurement, and what was tested at full rate."""
     made = []
     if record.get("rounds"):
@@ -171,7 +235,7 @@ def other_tables(record: Mapping[str, Any]) -> list[Table]:
                 [
                     [
                         ", ".join(words(name) for name in row["added"]), row["probability"],
-                        row["d_left"], row["p_left"], bool(row["unlisted_left"]),
+                        row["d_left"], p_value(row["p_left"]), bool(row["unlisted_left"]),
                     ]
                     for row in record["rounds"]
                 ],
@@ -204,8 +268,9 @@ def other_tables(record: Mapping[str, Any]) -> list[Table]:
                 ["effect", "log Bayes factor", "probability", "strength", "experiment", "d"],
                 [
                     [
-                        words(row["name"]), row["log_bayes_factor"], row["probability"],
-                        strength_words(row.get("strength")), row.get("experiment") or "", row["d"],
+                        words(row["name"]), row["log_bayes_factor"], p_value(row["probability"]),
+                        strength_words(row.get("strength"), unit),
+                        row.get("experiment") or "", row["d"],
                     ]
                     for row in record["full_rate"]
                 ],

@@ -40,6 +40,11 @@ def hardness(saved: Saved, pictures: Pictures) -> Section | None:
             f"were known{see('known-table')}."
         )
     paragraphs = [sentence(typeset(text)) for text in record["sentences"]]
+    if now and timed:
+        paragraphs.append(
+            "These are bounds at one value of τ, to see what limits the measurement; the interval "
+            f"to quote is the posterior's{see('posterior-shared')}."
+        )
     if record.get("status", "ok") != "ok":
         paragraphs.append(sentence(record["status"]))
     content: list[Part] = [

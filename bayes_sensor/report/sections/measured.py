@@ -43,11 +43,11 @@ def measured(saved: Saved, pictures: Pictures) -> Section:
             f"Known beforehand and used as a prior: {symbol} = {factor * info['mean']:g} ± "
             f"{factor * info['sd']:g} {unit}."
         )
-    unit = saved.unit
+    unit, (small, factor) = saved.unit, saved.small_unit
     columns = [
         "experiment", "samples used", "interval (ms)", "length (s)", "flow (L/min)",
         "test gas (%)", "on (s)", "off (s)", f"baseline ({unit})", f"step ({unit})",
-        f"noise ({unit})", "file",
+        f"noise ({small})", "file",
     ]  # fmt: skip
     table = Table(
         "experiments",
@@ -58,7 +58,8 @@ def measured(saved: Saved, pictures: Pictures) -> Section:
             [
                 e["experiment"], e["used"], 1e3 * e["interval_s"], e["duration_s"],
                 e["total_flow_L_min"], e["concentration_percent"], e["commanded_on_s"],
-                e["commanded_off_s"], e["baseline_V"], e["step_V"], e["noise_V"], e["file"],
+                e["commanded_off_s"], e["baseline_V"], e["step_V"],
+                None if e["noise_V"] is None else factor * e["noise_V"], e["file"],
             ]
             for e in rows
         ],

@@ -20,14 +20,14 @@ def measure_next(saved: Saved, pictures: Pictures) -> Section | None:
         best = max(others, key=lambda row: row["gain"])
         answer = (
             f"Of the changes looked at, {best['change']} narrows the interval of τ most: from "
-            f"± {number(ms(now['half_width95_s']))} ms to ± "
-            f"{number(ms(best['half_width95_s']))} ms (95 %){see('what-would-help')}."
+            f"± {number(ms(now['half_width95_s']), 2)} ms to ± "
+            f"{number(ms(best['half_width95_s']), 2)} ms (95 %){see('what-would-help')}."
         )
     paragraphs = [
         "These are predictions of the bound under the fitted coloured noise, at the τ of this "
         "campaign. bayes-sensor design proposes experiments that reach a wanted interval."
     ]
-    names = ("sd_tau_s", "lo68_s", "hi68_s", "lo95_s", "hi95_s", "half_width95_s")
+    names = ("lo68_s", "hi68_s", "lo95_s", "hi95_s", "half_width95_s")
     return Section(
         "next",
         "What to measure next",
@@ -44,7 +44,7 @@ def measure_next(saved: Saved, pictures: Pictures) -> Section | None:
                 "Predicted interval of τ (ms) if one thing were different; the gain is how many "
                 "times narrower the 95 % interval becomes.",
                 [
-                    "change", "sd", "68 % low", "68 % high", "95 % low", "95 % high",
+                    "change", "68 % low", "68 % high", "95 % low", "95 % high",
                     "half width 95 %", "gain",
                 ],
                 [

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bayes_sensor import figures
-from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
+from bayes_sensor.report.parts import Part, Pictures, Section, Table, p_value, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import p_equals, p_words, sentence, typeset
 
@@ -64,7 +64,7 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
             "With many samples a small p-value also comes from correlations too small to matter.",
             ["lag (samples)", "Q before", "p before", "Q after", "p after"],
             [
-                [lag, b, pb, a, pa]
+                [lag, b, p_value(pb), a, p_value(pa)]
                 for lag, b, pb, a, pa in zip(
                     lb["lags"],
                     lb["before"]["statistic"],
@@ -76,7 +76,7 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
             ],
         )
     )
-    unit = saved.unit
+    unit, factor = saved.small_unit
     content.append(
         Table(
             "noise-experiments",
@@ -87,11 +87,13 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
             ],
             [
                 [
-                    name, e["rms_V"],  e["lag_one"], e["baseline_sd_V"],
-                    e["plateau_sd_V"],
+                    name, factor * e["rms_V"], e["lag_one"],
+                    *(None if e[k] is None else factor * e[k]
+                      for k in ("baseline_sd_V", "plateau_sd_V")),
                 ]
                 for name, e in residuals["experiments"].items()
             ],
+            digits=3,
         )
     )  # fmt: skip
     return Section("noise", "Is the noise model adequate", answer, paragraphs, content)

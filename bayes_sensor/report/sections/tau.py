@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayes_sensor import figures
-from bayes_sensor.report.headline import effect_names, headline
-from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
+from bayes_sensor.report.headline import effect_names, headline, naive_sentence
+from bayes_sensor.report.parts import Part, Pictures, Section, Table, see, to_spread
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections.draws import posterior_table
-from bayes_sensor.report.words import list_words, ms, number, sentence, typeset
+from bayes_sensor.report.words import list_words, ms, number, typeset
 
 PUBLISHED_3SD = {"tau_s": 0.0056049, "tau_v_s": 0.0086029, "V_mL": 0.6817}
 """the paper's Table III"""
@@ -36,7 +36,7 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
         )
     paragraphs = []
     if head is not None and head.naive:
-        paragraphs.append(sentence(head.naive).removesuffix(".") + see("naive") + ".")
+        paragraphs.append(naive_sentence(head).removesuffix(".") + see("naive") + ".")
     if saved.posterior_without_effects is not None and posterior is not None:
         paragraphs.append(
             f"This posterior has {list_words(effect_names(posterior))} in its model; the earlier "
@@ -219,10 +219,12 @@ def _method_table(bounds: Mapping[str, Any]) -> Table:
     rows: list[list[Any]] = []
     marked: list[int] = []
     for name, (symbol, unit, factor) in figures.SHARED_LABELS.items():
-        for method, entry in bounds["methods"].items():
-            row = entry["parameters"].get(name) or {}
+        found = [entry["parameters"].get(name) or {} for entry in bounds["methods"].values()]
+        widths = [row["hi68"] - row["lo68"] for row in found if _is_bounded(row)]
+        narrowest = factor * min(filter(None, widths), default=0.0)
+        for method, row in zip(bounds["methods"], found, strict=True):
             values = [
-                None if row.get(key) is None else factor * row[key]
+                None if row.get(key) is None else to_spread(factor * row[key], narrowest)
                 for key in ("estimate", "sd", "lo68", "hi68", "lo95", "hi95", "lo997", "hi997")
             ]
             if method == "posterior":
@@ -241,6 +243,10 @@ def _method_table(bounds: Mapping[str, Any]) -> Table:
         rows,
         marked=marked,
     )
+
+
+def _is_bounded(row: Mapping[str, Any]) -> bool:
+    return row.get("lo68") is not None and row.get("hi68") is not None
 
 
 def _assumption_table(bounds: Mapping[str, Any]) -> Table:
