@@ -309,8 +309,10 @@ def test_delays_are_saved(
 ) -> None:
     out = tmp_path / "out"
     assert run("delays", campaign, "--out", out) == 0
-    assert "a line needs at least 4" in capsys.readouterr().out
-    assert set(json.loads((out / "delays.json").read_text())) == {"start", "end"}
+    assert "end delay = " in capsys.readouterr().out
+    found = json.loads((out / "delays.json").read_text())
+    assert set(found) == {"start", "end", "signal_unit"}
+    assert found["start"]["n"] == found["end"]["n"] == 3
 
 
 def test_bounds_without_the_posterior(campaign: Path, tmp_path: Path) -> None:

@@ -277,7 +277,7 @@ def simulate_campaign(
             tell(0.4, "writing")
             write_campaign(recorded, stage.inside, formats=file_format)
             _check_free(results, stage.inside)
-            stage.json("truth.json", theta)
+            stage.json("truth.json", {**theta, "signal_unit": unit})
             stage.json(
                 "run.json",
                 run_record(

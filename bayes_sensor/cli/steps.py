@@ -487,6 +487,7 @@ def _put(job: Job, stage: Stage) -> None:
     from bayes_sensor.samples import make_samples, save_samples
 
     saves = SAVES[job.command]
+    unit = {"signal_unit": job.problem.campaign.signal_unit}
     if "fit" in saves:
         stage.json("fit.json", job.fit.to_json())
         save_traces(stage.path("traces.npz"), make_traces(job.problem, job.fit))
@@ -507,16 +508,16 @@ def _put(job: Job, stage: Stage) -> None:
         stage.json("posterior.json", record)
         job.posterior.save(stage.path("posterior.nc"))
         if job.predictive is not None:
-            stage.json("predictive.json", job.predictive.to_json())
+            stage.json("predictive.json", {**job.predictive.to_json(), **unit})
         else:
             stage.drop.append("predictive.json")  # it speaks of another posterior
-        stage.json("coating.json", _coating(job))
+        stage.json("coating.json", {**_coating(job), **unit})
     if "bounds" in saves:
         compared, record = job.bounds
         stage.json("bounds.json", record)
         compared.to_csv(stage.path("bounds.csv"))
     if "delays" in saves:
-        stage.json("delays.json", job.delays.to_json())
+        stage.json("delays.json", {**job.delays.to_json(), **unit})
     if job.no_gap:
         stage.drop += ["gap.json", "gap_where.csv", "gap_which.csv"]
     elif "gap" in saves:
@@ -577,23 +578,21 @@ def run(
         with results.writing() as stage:
             stage.json("campaign.json", record)
             _put(job, stage)
-            stage.json(
-                "run.json",
-                run_record(
-                    results.json("run.json"),
-                    command,
-                    basis=basis,
-                    seed=seed,
-                    settings=overrides.record(),
-                    campaign=str(campaign_path),
-                    files=files,
-                    started=started,
-                    seconds=job.seconds,
-                    exit_code=code,
-                    warnings=[*_warnings(job, remarks), *noted()],
-                    command_line=command_line,
-                ),
+            entry = run_record(
+                results.json("run.json"),
+                command,
+                basis=basis,
+                seed=seed,
+                settings=overrides.record(),
+                campaign=str(campaign_path),
+                files=files,
+                started=started,
+                seconds=job.seconds,
+                exit_code=code,
+                warnings=[*_warnings(job, remarks), *noted()],
+                command_line=command_line,
             )
+            stage.json("run.json", {**entry, "signal_unit": campaign.signal_unit})
             if "report" in SAVES[command]:
                 with job.timed("report") as tell:
                     _write_report(stage.inside, stage, tell)
