@@ -14,6 +14,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
@@ -160,9 +161,15 @@ def _round(
         )
         results = parallel(tasks())
     try:
-        yield from results
+        for result in results:
+            yield result
     except TerminatedWorkerError:
         return
+    finally:
+        # who stops early, as by Ctrl-C, need not be told that work under way is given up
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            results.close()
 
 
 def _call(function: Callable[[Any], Any], i: int, item: Any) -> tuple[int, Any]:

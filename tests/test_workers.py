@@ -38,6 +38,13 @@ def test_what_a_call_raises_is_raised() -> None:
         dict(completed((1).__truediv__, [1, 0, 2], 2))
 
 
+def test_who_stops_early_is_not_warned(recwarn: pytest.WarningsRecorder) -> None:
+    found = completed(time.sleep, [0.0, 5.0, 5.0], 2)
+    assert next(found) == (0, None)
+    found.close()  # as Ctrl-C does between two results
+    assert not [str(w.message) for w in recwarn if "cancelled" in str(w.message)]
+
+
 def test_a_study_keeps_the_rest_of_what_killed_its_workers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
