@@ -19,6 +19,14 @@ def run(name: str, expressions: dict[str, str]) -> dict[str, float]:
     nbclient.NotebookClient(
         notebook, timeout=600, resources={"metadata": {"path": str(ROOT)}}
     ).execute()
+    shown = [
+        output["data"]
+        for cell in notebook.cells
+        for output in cell.get("outputs", [])
+        if output["output_type"] in ("execute_result", "display_data")
+    ]
+    for data in shown:  # a figure that is only handed back is shown as its name
+        assert not data.get("text/plain", "").startswith("<Figure") or "image/png" in data, name
     return json.loads(notebook.cells[-1]["outputs"][0]["text"])
 
 
