@@ -161,7 +161,7 @@ def _round(
         )
         results = parallel(tasks())
     try:
-        for result in results:
+        for result in results:  # noqa: UP028, 'yield from' would close them in our place
             yield result
     except TerminatedWorkerError:
         return
