@@ -9,9 +9,10 @@ import pytest
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.compression import compress
 from bayes_sensor.fit import fit_least_squares, particle_swarm
-from bayes_sensor.fit.diagnostics import local_noise
+from bayes_sensor.fit.diagnostics import local_noise, warn
 from bayes_sensor.fit.euler import euler_relaxed
 from bayes_sensor.fit.looks import first_look, initial_bounds, split
+from bayes_sensor.fit.noise import all_residuals
 from bayes_sensor.fit.points import averages, profiles
 from bayes_sensor.fit.refinement import Squares, mesh_points
 from bayes_sensor.likelihood import Prior, Problem, simulate
@@ -389,6 +390,52 @@ def test_a_trace_the_model_misses_is_named():
     named = [sentence for sentence in found.warnings if "does not describe" in sentence]
     assert any("'4'" in sentence for sentence in named)
     assert fit_least_squares(data, euler=False).warnings == []
+
+
+def on_another_clock(campaign, later):
+    """The campaign with every time ``later`` s later."""
+    return replace(
+        campaign,
+        experiments=tuple(
+            replace(
+                e, t=e.t + later, commanded_on=e.commanded_on + later,
+                commanded_off=e.commanded_off + later,
+            )
+            for e in campaign
+        ),
+    )  # fmt: skip
+
+
+def test_seconds_since_an_epoch_give_the_same_fit():
+    plan = design(3, interval=0.01)
+    data = simulate(plan, truth(plan, tau_s=0.05, sigma0_V=0.05, sigma1=0.05), seed=4)
+    later = 1.7e9
+    here, there = (
+        fit_least_squares(campaign, euler=False)
+        for campaign in (data, on_another_clock(data, later))
+    )
+    # doubles have steps of 0.24 us there; with a tolerance that grows with the clock it is 12 %
+    np.testing.assert_allclose(there.theta_hat[:3], here.theta_hat[:3], rtol=1e-3)
+    assert there.parameters["experiments"]["3"]["t0_s"] - later == pytest.approx(
+        here.parameters["experiments"]["3"]["t0_s"], abs=1e-4
+    )
+    assert there.cost == pytest.approx(here.cost, rel=1e-9)
+
+
+def test_what_is_warned_of_does_not_depend_on_the_clock():
+    plan = design(3)
+    data = simulate(plan, truth(plan), seed=4)
+    e = data["2"]
+    data = data.with_data({"2": e.values + 0.1 * np.exp(-(((e.t - 6.0) / 0.2) ** 2))})
+    found = []
+    for later in (0.0, 1e6):
+        campaign = on_another_clock(data, later)
+        vector = Problem(campaign).layout.flat(truth(plan))
+        vector[Problem(campaign).layout.local[:, 2:]] += later
+        residuals, _ = all_residuals(Problem(campaign), vector)
+        unseen = [replace(first_look(e), rise=None) for e in campaign]
+        found.append(warn(Problem(campaign), vector, residuals, unseen, "V"))
+    assert found[0] == found[1] and "does not describe" in found[0][0]
 
 
 def test_given_bounds_are_kept_and_reported(measured):

@@ -108,9 +108,8 @@ def warn(
             "told apart; record longer steps."
         )
     rises = [look.rise for look in looks if look.rise is not None]
-    usual = (
-        float(np.median(rises)) if rises else 0.1 * float(np.median([e.t[-1] for e in campaign]))
-    )
+    lengths = [len(e.t) * e.interval for e in campaign]
+    usual = float(np.median(rises)) if rises else 0.1 * float(np.median(lengths))
     for k, e in enumerate(campaign):
         r, x = residuals[k]
         _, sigma0, sigma1 = vector[layout.noise[k]]

@@ -27,7 +27,8 @@ class Squares:
     """Residuals and Jacobian on points in the coordinates of the refinement.
 
     Coordinates: tau^2, tau_v, V, per experiment y0, beta, t0 + tau, tf + tau, then extra
-    parameters; ``straight=False``: theta itself.  Each experiment's block [J r] is replaced by the
+    parameters; ``straight=False``: theta itself.  Times count from the start of each record, or the
+    tolerance on steps would grow with the clock.  Each experiment's block [J r] is replaced by the
     triangular factor of its QR decomposition: same norm, same J'J and J'r, a few rows in place of
     hundreds.
     """
@@ -35,7 +36,10 @@ class Squares:
     def __init__(self, problem: Problem, points: Points, straight: bool = True) -> None:
         self.problem, self.points, self.straight = problem, points, straight
         self.layout: Layout = problem.layout
-        self.edges = self.layout.local[:, 2:][self.layout.local[:, 2:] >= 0]
+        there = self.layout.local[:, 2:] >= 0
+        self.edges = self.layout.local[:, 2:][there]
+        begin = np.array([float(e.t[0]) for e in problem.campaign])
+        self.begin = np.stack([begin, begin], axis=1)[there]
         self.n_evaluations = 0
         self._at: bytes = b""
         self._last: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty((0, 0)))
@@ -45,6 +49,7 @@ class Squares:
     def coordinates(self, theta: FloatArray) -> FloatArray:
         """From (tau, .., t0, tf, ..) to the refinement's coordinates."""
         p = np.array(theta, dtype=float)
+        p[self.edges] -= self.begin
         if self.straight:
             p[self.edges] += p[0]
             p[0] = p[0] ** 2
@@ -56,6 +61,7 @@ class Squares:
         if self.straight:
             theta[0] = sqrt(max(theta[0], 0.0))
             theta[self.edges] -= theta[0]
+        theta[self.edges] += self.begin
         return theta
 
     def _block(self, theta: FloatArray, k: int) -> tuple[FloatArray, FloatArray, list[int]]:
@@ -168,9 +174,11 @@ def refine(
     ):
         # a switch time left its own bounds: those are a box only in theta itself
         squares = Squares(problem, points, straight=False)
+        box_low, box_high = squares.coordinates(low), squares.coordinates(high)
         again = _trust_region(
-            squares, np.clip(result.theta, low, high), low, high, free, max_evaluations, tolerance
-        )
+            squares, np.clip(result.theta, low, high), box_low, box_high, free, max_evaluations,
+            tolerance,
+        )  # fmt: skip
         return again._replace(n_evaluations=again.n_evaluations + result.n_evaluations)
     return result
 
