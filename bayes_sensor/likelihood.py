@@ -207,9 +207,10 @@ def default_priors(campaign: Campaign, layout: Layout) -> dict[str, Prior]:
         priors[f"beta_V[{e.name}]"] = Prior("flat")
         start, end = float(e.t[0]), float(e.t[-1])
         on = start if e.commanded_on is None else e.commanded_on
-        priors[f"t0_s[{e.name}]"] = Prior("uniform", on, e.commanded_off or end)
+        off = end if e.commanded_off is None else e.commanded_off
+        priors[f"t0_s[{e.name}]"] = Prior("uniform", on, off)
         if e.has_fall:
-            priors[f"tf_s[{e.name}]"] = Prior("uniform", e.commanded_off or start, end)
+            priors[f"tf_s[{e.name}]"] = Prior("uniform", off, end)
     for name in layout.noise_names:
         kind = name.split("[")[0]
         if kind == "phi":

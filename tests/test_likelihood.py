@@ -265,6 +265,18 @@ def test_default_priors_follow_the_campaign() -> None:
     assert mixed.priors["phi"] == Prior("uniform", 0.0, 1.0)
 
 
+def test_a_step_down_commanded_at_zero_is_one() -> None:
+    # a recorder triggered by the fall counts from there
+    problem, _ = small_problem(n=1)
+    (e,) = problem.campaign
+    off = e.commanded_off
+    assert off is not None and e.commanded_on is not None
+    moved = replace(e, t=e.t - off, commanded_on=e.commanded_on - off, commanded_off=0.0)
+    priors = Problem(replace(problem.campaign, experiments=(moved,))).priors
+    assert priors["t0_s[a]"] == Prior("uniform", e.commanded_on - off, 0.0)
+    assert priors["tf_s[a]"] == Prior("uniform", 0.0, float(moved.t[-1]))
+
+
 def test_the_scale_of_tau_follows_the_fastest_rise() -> None:
     # the same record played ten times slower has ten times the scale
     fast, _ = small_problem(n=2)
