@@ -379,6 +379,10 @@ def test_tau_under_other_priors() -> None:
     assert table.loc["log_uniform_floored", "upper95_s"] == pytest.approx(upper, rel=0.01)
     width = table["hi95_s"] - table["lo95_s"]
     assert (table["hdi_hi95_s"] - table["hdi_lo95_s"] <= width + 1e-12).all()
+    # with another law in use the half-normal one is the default, which follows the rig
+    flat = replace(posterior.problem, given_priors={"tau_s": Prior("flat")})
+    law = replace(posterior, problem=flat).tau_under_priors().set_index("prior")["law"]
+    assert scale < 0.2 and law["half_normal"] == f"half-normal({scale:g})"
 
 
 def test_only_a_mean_linear_in_y0_and_beta_is_marginalised() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.laplace import Coordinates
-from bayes_sensor.likelihood import Prior, Problem
+from bayes_sensor.likelihood import Prior, Problem, default_priors
 from bayes_sensor.model import Layout
 from bayes_sensor.notebook import card
 from bayes_sensor.posterior.convergence import ESS_LIMIT, MESH_ERROR_LIMIT, R_HAT_LIMIT
@@ -196,13 +196,18 @@ class Posterior:
         """Intervals and upper limits of tau (s) under other priors, by reweighting the draws.
 
         Rows: flat, half-normal, log-uniform with a floor (a hundredth of the half-normal's scale).
+        The half-normal is the posterior's own or, where it has another law, the default one.
         Columns: equal-tailed 95 % interval, highest-density 95 % interval, one-sided 95 and 99 %
         upper limits, and the effective number of draws that the reweighting leaves.
         """
         import pandas as pd
 
         current = self.problem.priors["tau_s"]
-        scale = current.a if current.kind == "half_normal" else 0.2
+        usual = current
+        if current.kind != "half_normal":
+            bare = replace(self.problem.campaign, side_information={})
+            usual = default_priors(bare, self.layout)["tau_s"]
+        scale = usual.a
         tau = self.of("tau_s")
         top = max(float(tau.max()), scale)
         laws = {
@@ -237,7 +242,7 @@ class Posterior:
     @cached_property
     def inference_data(self) -> Any:
         """ArviZ InferenceData (a DataTree in ArviZ 1.x): posterior, log_likelihood,
-        posterior_predictive (a summary on a coarse grid), observed_data, constant_data."""
+        posterior_predictive (a summary on a coarse grid), observed_data."""
         from bayes_sensor.posterior.saving import to_inference_data
 
         return to_inference_data(self)
