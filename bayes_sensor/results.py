@@ -264,6 +264,9 @@ def save_traces(path: str | os.PathLike[str], traces: Sequence[Trace]) -> None:
             piece = getattr(trace, part)
             if piece is not None:
                 table = np.stack([getattr(piece, column) for column in _COLUMNS])
+                # seven digits do not hold the time of day, nor that since an epoch
+                arrays[f"{k}_{part}_start"] = start = table[0, :1].copy()
+                table[0] -= start
                 arrays[f"{k}_{part}"] = table.astype(np.float32)
     text = json.dumps(plain(facts), allow_nan=False)
     arrays["facts"] = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
@@ -290,11 +293,12 @@ def load_traces(path: str | os.PathLike[str]) -> list[Trace]:
         ) from None
     traces = []
     for k, fact in enumerate(facts):
-        parts: dict[str, Any] = {
-            part: Envelope(*content[f"{k}_{part}"].astype(float)) if f"{k}_{part}" in content
-            else None
-            for part in ("whole", "rise", "fall")
-        }  # fmt: skip
+        parts: dict[str, Any] = dict.fromkeys(("whole", "rise", "fall"))
+        for part in parts:
+            if f"{k}_{part}" in content:
+                table = content[f"{k}_{part}"].astype(float)
+                table[0] += content.get(f"{k}_{part}_start", 0.0)
+                parts[part] = Envelope(*table)
         traces.append(Trace(**fact, **parts))
     return traces
 

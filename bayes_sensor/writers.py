@@ -137,15 +137,19 @@ def write_csv(
     separator, decimal
         ``,`` ``;`` or tab, and ``.`` or ``,`` (not both commas).
     digits
-        Significant digits.
+        Significant digits; more for the first column where its steps need them, as the seconds
+        since an epoch do.
     """
     if separator == decimal:
         raise CampaignError(
             f"{os.fspath(path)}: separator and decimal mark are both '{decimal}'; "
             "use semicolons with decimal commas"
         )
-    pattern = separator.join([f"%.{digits}g"] * len(columns)) + "\n"
-    rows = _rows(pattern, [np.asarray(values) for values in columns.values()])
+    values = [np.asarray(column) for column in columns.values()]
+    pattern = separator.join(
+        [f"%.{max(digits, _digits(values[0]))}g", *[f"%.{digits}g"] * (len(values) - 1)]
+    )
+    rows = _rows(pattern + "\n", values)
     if decimal != ".":
         rows = rows.replace(".", decimal)
     _write(path, (separator.join(columns) + "\n" + rows).encode("utf-8"))
@@ -211,9 +215,9 @@ def campaign_text(campaign: Campaign, files: Mapping[str, Mapping[str, str]]) ->
         lines.append(f'carrier_flow = "{experiment.carrier_flow * 0.06:.12g} L/min"')
         lines.append(f'test_gas_flow = "{experiment.test_gas_flow * 0.06:.12g} L/min"')
         if experiment.commanded_on is not None:
-            lines.append(f'commanded_on = "{experiment.commanded_on:.12g} s"')
+            lines.append(f'commanded_on = "{_seconds(experiment.commanded_on)} s"')
         if experiment.commanded_off is not None:
-            lines.append(f'commanded_off = "{experiment.commanded_off:.12g} s"')
+            lines.append(f'commanded_off = "{_seconds(experiment.commanded_off)} s"')
         if "file" not in keys:
             duration = len(experiment.t) * experiment.interval
             lines.append(f'interval = "{experiment.interval:.12g} s"')
@@ -317,14 +321,28 @@ def _mask_lines(experiment: Experiment) -> list[str]:
         # half an interval wide: a range of one sample needs its end after its start
         a = experiment.t[start] - 0.25 * experiment.interval
         b = experiment.t[end] + 0.25 * experiment.interval
-        lines.append(f'  ["{a:.12g} s", "{b:.12g} s"],')
+        lines.append(f'  ["{_seconds(a)} s", "{_seconds(b)} s"],')
     return [*lines, "]"]
+
+
+def _seconds(time: float) -> str:
+    """The time, to microseconds on any clock."""
+    return f"{time:.12g}" if abs(time) < 1e5 else f"{time:.6f}"
 
 
 def _quoted(text: str) -> str:
     """The text as a TOML basic string."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + re.sub(r"[\x00-\x1f\x7f]", lambda m: f"\\u{ord(m[0]):04x}", escaped) + '"'
+
+
+def _digits(t: FloatArray) -> int:
+    """Significant digits that tell hundredths of the steps of ``t`` (n,); 17 hold any float."""
+    steps = np.abs(np.diff(t))
+    if not (steps > 0).any():
+        return 0
+    ratio = float(np.abs(t).max() / steps[steps > 0].min())
+    return min(int(np.ceil(np.log10(ratio))) + 2, 17)
 
 
 def _rows(pattern: str, columns: Sequence[FloatArray]) -> str:

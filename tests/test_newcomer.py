@@ -183,6 +183,14 @@ def test_a_data_file_in_place_of_the_campaign(tmp_path: Path) -> None:
         read_campaign(tmp_path / "a.csv")
 
 
+def test_the_signal_is_not_the_drive_in_archives_either(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", t=T, y=Y, drive=U)
+    path = written(tmp_path, "a.csv", PLAIN, 'signal = "y"\ndrive = "y"')
+    path.write_text(path.read_text().replace("a.csv", "a.npz"))
+    with pytest.raises(CampaignError, match="signal and drive are both 'y'"):
+        read_campaign(path)
+
+
 def test_single_brackets(tmp_path: Path) -> None:
     path = written(tmp_path, "a.csv", PLAIN)
     path.write_text(path.read_text().replace("[[", "[").replace("]]", "]"))

@@ -249,6 +249,8 @@ def test_tdms(clock: str, tmp_path: Path) -> None:
     assert_is_the_step(campaign(tmp_path, file="a.tdms", **keys), 1e-6)
     with pytest.raises(CampaignError, match="nothing. is not in the file.*'sensor', 'valve'"):
         campaign(tmp_path, file="a.tdms", signal='"nothing"')
+    with pytest.raises(CampaignError, match="signal and drive are both 'valve'"):
+        campaign(tmp_path, file="a.tdms", signal='"valve"', drive='"valve"')
 
 
 @pytest.mark.parametrize(("suffix", "module"), [("parquet", "pyarrow"), ("tdms", "nptdms")])

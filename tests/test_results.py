@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -162,6 +163,28 @@ def test_traces_come_back_as_they_were_saved(tmp_path: Path) -> None:
     # single precision: seven digits
     np.testing.assert_allclose(back[0].rise.model, traces[0].rise.model, rtol=2e-7, atol=1e-9)
     assert back[0].rise.t[0] <= 4.5 < 5.0 < back[0].rise.t[-1]
+
+
+def test_traces_keep_their_times_on_any_clock(tmp_path: Path) -> None:
+    campaign, theta = small_campaign()
+    later = 1.7e9
+    both = campaign["both"]
+    moved = replace(
+        both, t=both.t + later, commanded_on=4.5 + later, commanded_off=12.0 + later
+    )  # fmt: skip
+
+    class Fit:
+        theta_hat = Layout.of(campaign).flat(theta)
+
+    # tau, tau_v, V; up: y0, beta, t0; both: y0, beta, t0, tf; noise
+    Fit.theta_hat = np.delete(Fit.theta_hat, [3, 4, 5])
+    Fit.theta_hat[5:7] += later
+    (trace,) = make_traces(Campaign("one", (moved,)), Fit())
+    save_traces(tmp_path / "traces.npz", [trace])
+    (back,) = load_traces(tmp_path / "traces.npz")
+    assert back.fall is not None and trace.fall is not None
+    for found, made in ((back.rise, trace.rise), (back.fall, trace.fall)):
+        np.testing.assert_allclose(found.t, made.t, rtol=0, atol=1e-5)
 
 
 def test_damaged_traces_are_reported(tmp_path: Path) -> None:

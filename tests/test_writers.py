@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,23 @@ def test_round_trip(kind: str, drive: bool, tmp_path: Path) -> None:
     assert found.side_information == planted.side_information
     assert found.warnings == ()
     assert all((e.drive is not None) == drive for e in found)
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_seconds_since_an_epoch_come_back(kind: str, tmp_path: Path) -> None:
+    later = 1.7e9
+    mask = np.ones(N, dtype=bool)
+    mask[[10, 20]] = False
+    one = experiment("1", mask=mask)
+    planted = replace(
+        one, t=one.t + later, commanded_on=2.002 + later, commanded_off=6.002 + later
+    )  # fmt: skip
+    found = read_campaign(write_campaign(Campaign("late", (planted,)), tmp_path, kind))["1"]
+    # doubles have steps of 0.24 us there
+    np.testing.assert_allclose(found.t, planted.t, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(found.used, mask)
+    assert found.commanded_on == pytest.approx(planted.commanded_on, rel=0, abs=1e-6)
+    assert found.commanded_off == pytest.approx(planted.commanded_off, rel=0, abs=1e-6)
 
 
 def test_round_trip_in_another_unit_and_mixed_formats(tmp_path: Path) -> None:

@@ -20,13 +20,13 @@ from bayes_sensor.readers.quantities import (
     read_spread,
     unit_text,
 )
+from bayes_sensor.readers.sampling import LATEST
 
 LARGEST = 1 << 20
 """bytes of a campaign file"""
 LONGEST_LINE = 4000
 """characters; longer lines and deeply dotted keys only slow the parser down"""
 _LEAST_FLOW, _MOST_FLOW = 1e-6, 1e6  # mL/s
-_LONGEST_TIME = 1e8  # s
 
 SIDE_INFORMATION: Mapping[str, tuple[str, Kind]] = {
     "V": ("V_mL", VOLUME),
@@ -74,7 +74,7 @@ def _flow(value: object, info: ValidationInfo) -> float:
 def _time(value: object, info: ValidationInfo) -> float:
     key = _key(info)
     time = read_quantity(value, TIME, key)
-    if abs(time) > _LONGEST_TIME:
+    if not abs(time) < LATEST:
         raise CampaignError(
             f"{key}: expected a time such as \"{TIME.example}\", but got '{value}'; correct it"
         )

@@ -18,6 +18,7 @@ from bayes_sensor.readers.recording import (
     is_time,
     list_names,
     parser_errors,
+    same_column,
     scale_time,
     split_name,
 )
@@ -79,6 +80,8 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
         for key, chosen in (("signal", signal), ("drive", drive)):
             if chosen == time:
                 raise file.error(f"{key} is '{members[time]}', which is the time; choose another")
+        if drive == signal:
+            raise same_column(file, members[signal])
         t, y = _array(file, archive, members[time]), _array(file, archive, members[signal])
         d = None if drive is None else _array(file, archive, members[drive])
     for name, values in ((members[time], t), ("drive", d)):

@@ -24,6 +24,7 @@ from bayes_sensor.readers.recording import (
     list_names,
     missing_extra,
     parser_errors,
+    same_column,
     scale_time,
     split_name,
 )
@@ -78,6 +79,8 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
                 raise file.error(
                     f"{key} is '{columns[chosen].name}', which is the time; choose another"
                 )
+        if drive == signal:
+            raise same_column(file, columns[signal].name)
         y = _values(channels[signal])
         d = None if drive is None else _values(channels[drive])
         interval = None
