@@ -11,6 +11,8 @@ from bayes_sensor.campaign import CampaignError
 from bayes_sensor.check import campaign_remarks
 from bayes_sensor.cli import _guarded, steps
 from bayes_sensor.readers import read_campaign
+from bayes_sensor.report import read_results
+from bayes_sensor.report.headline import alerts
 
 INTERVAL = 0.01
 T = np.round(INTERVAL * np.arange(2000), 6)
@@ -282,6 +284,16 @@ def test_results_of_another_campaign_are_pointed_out(
     path = str(written(tmp_path, "a.csv", PLAIN, 'drive = "valve"\nmask = [["1 s", "2 s"]]'))
     assert _guarded(["delays", path, *out]) in (0, 3)
     assert "also holds fit of other data or settings" in capsys.readouterr().out
+
+
+def test_a_simulation_is_not_taken_for_results_of_other_data(tmp_path: Path) -> None:
+    # what it made is analysed beside it
+    small = ["--duration", "20 s", "--interval", "20 ms", "--experiments", "1,4", "--quiet"]
+    out = ["--out", str(tmp_path), "--quiet"]
+    assert _guarded(["simulate", *small, "--out", str(tmp_path)]) == 0
+    assert _guarded(["fit", str(tmp_path / "campaign.toml"), *out]) in (0, 3)
+    told = [text for _, text in alerts(read_results(tmp_path))]
+    assert not any("rest on other data" in text for text in told)
 
 
 def test_without_takes_a_list(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

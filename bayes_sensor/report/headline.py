@@ -229,7 +229,7 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
         )
     bases = {name: entry["basis_sha256"] for name, entry in saved.run["commands"].items()}
     newest = bases.get(saved.run["last"])
-    stale = [name for name, basis in bases.items() if newest and basis != newest]
+    stale = [name for name, basis in bases.items() if newest and basis not in ("", newest)]
     if stale:
         found.append(
             (
