@@ -31,7 +31,7 @@ from bayes_sensor.report import (
     typeset,
     with_spread,
 )
-from bayes_sensor.report.headline import gap_sentence, remarks
+from bayes_sensor.report.headline import gap_sentence, remarks, with_the_effect
 from bayes_sensor.report.html import inline_svg, zoom_data
 from bayes_sensor.report.markdown import escaped
 from bayes_sensor.report.parts import (
@@ -45,8 +45,11 @@ from bayes_sensor.report.parts import (
 )
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections import make_sections
+from bayes_sensor.report.sections.coating import coating
 from bayes_sensor.report.sections.fit import fitted
 from bayes_sensor.report.sections.gap_tables import strength_units, strength_words
+from bayes_sensor.report.sections.noise import noise
+from bayes_sensor.report.sections.tau import time_constant
 from bayes_sensor.samples import load_samples
 
 HOSTILE = "<script>document.title='taken'</script> $x^2$ \"&'"
@@ -184,6 +187,44 @@ def test_a_newcomer_is_told_what_tau_is_and_why_the_bound_misleads(
                     residuals={**saved.residuals, "ar1": {"phi": 0.0}}, gap=None)  # fmt: skip
     assert "misleads" not in "".join(remark.text for remark in remarks(saved))
     assert remarks(replace(saved, posterior=None, bounds=None)) == []
+
+
+def test_no_section_contradicts_the_gap(parts: tuple[Saved, list[Section]]) -> None:
+    verdict = {"sentence": "Found.", "effects": ["flow_settling"], "kind": "effect",
+               "probability": 0.95}  # fmt: skip
+    shrink = {"withheld": False, "tau_after_s": 0.04, "tau_after_lo_s": 0.031,
+              "tau_after_hi_s": 0.052}  # fmt: skip
+    found = {"verdict": verdict, "shrink": shrink, "hidden": {}}
+    plain, blamed = replace(parts[0], gap=None), replace(parts[0], gap=found)
+    for make, said in (
+        (time_constant, "With flow settling in the model τ is 40 ms, 95 % interval [31, 52] ms"),
+        (coating, "rests on the posterior without the effect"),
+        (fitted, "All of them together do"),
+    ):
+        for saved in (plain, blamed):
+            section = make(saved, Pictures())
+            assert section is not None
+            text = " ".join([section.answer, *section.paragraphs])
+            assert (said in text) == (saved is blamed), make
+    assert plain.posterior is not None
+    sampled = {**plain.posterior, "with_effects": ["flow_settling"]}
+    assert with_the_effect(replace(blamed, posterior=sampled)) == ""
+    noisy = {"verdict": {**verdict, "effects": ["heavy_tails"]}, "shrink": {"withheld": True}}
+    assert with_the_effect(replace(plain, gap=noisy)) == ""
+
+
+def test_a_noise_law_whose_replicas_differ_is_not_called_adequate(
+    parts: tuple[Saved, list[Section]],
+) -> None:
+    saved = parts[0]
+    assert saved.residuals is not None and saved.predictive is not None
+    residuals = {**saved.residuals, "adequate": True}
+    right = {**saved.predictive, "failed": [], "status": "Alike."}
+    wrong = {**right, "failed": ["spectrum"], "status": "Not alike: spectrum (p 3e-05)."}
+    for predictive, begin in ((right, "Yes. "), (wrong, "Not fully. ")):
+        section = noise(replace(saved, residuals=residuals, predictive=predictive), Pictures())
+        assert section is not None and section.answer.startswith(begin)
+    assert "spectrum (p below 0.001)" in section.answer
 
 
 def test_a_drawing_that_could_run_something_is_refused() -> None:

@@ -109,8 +109,8 @@ def remarks(saved: Saved) -> list[Remark]:
         verdict = saved.gap["verdict"]
         if verdict["kind"] != "none" and verdict["probability"] >= 0.5:
             words = f"No. {words}"
-        text = f"All this takes the model as right. Is it? {words}"
-        said.append(Remark(text + _with_the_effect(saved), "gap"))
+        text = f"All this takes the model as right. Is it? {words} {with_the_effect(saved)}"
+        said.append(Remark(text.rstrip(), "gap"))
     return said
 
 
@@ -137,9 +137,10 @@ def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
     return sentence(typeset(re.sub(r"(\d)%", r"\1 %", words)))
 
 
-def _with_the_effect(saved: Saved) -> str:
-    """tau with what was named in the model, where the posterior at the top leaves it out."""
-    assert saved.gap is not None
+def with_the_effect(saved: Saved) -> str:
+    """tau with what was named in the model, where the posterior leaves it out; else nothing."""
+    if saved.gap is None:
+        return ""
     verdict, shrink = saved.gap["verdict"], saved.gap["shrink"]
     low, mid, high = (ms(shrink.get(f"tau_after{end}_s")) for end in ("_lo", "", "_hi"))
     if verdict["kind"] != "effect" or shrink.get("withheld"):
@@ -149,9 +150,10 @@ def _with_the_effect(saved: Saved) -> str:
     if saved.posterior is not None and saved.posterior.get("with_effects"):
         return ""
     return (
-        f" With it in the model τ is {with_spread(mid, high - low)} ms, 95 % interval "
-        f"[{with_spread(low, high - low)}, {with_spread(high, high - low)}] ms: quote that, not "
-        "the line at the top, or sample it with bayes-sensor posterior --with-effect "
+        f"With {list_words([name.replace('_', ' ') for name in verdict['effects']])} in the model "
+        f"τ is {with_spread(mid, high - low)} ms, 95 % interval [{with_spread(low, high - low)}, "
+        f"{with_spread(high, high - low)}] ms: quote that, not the interval without it, or sample "
+        "it with bayes-sensor posterior --with-effect "
         f"{' --with-effect '.join(verdict['effects'])}."
     )
 

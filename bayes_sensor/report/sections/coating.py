@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bayes_sensor import figures
+from bayes_sensor.report.headline import with_the_effect
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import number, powers, with_spread
@@ -39,6 +40,11 @@ def coating(saved: Saved, pictures: Pictures) -> Section | None:
         "flow drop when the valve shuts, or the sensor release more slowly than it takes up, the "
         "section on the gap says so."
     ]
+    if with_the_effect(saved):
+        paragraphs.append(
+            "All this rests on the posterior without the effect that the gap names"
+            f"{see('which')}; sample it with the effect before quoting."
+        )
     content: list[Part] = [
         pictures.add(
             "response-times-figure",

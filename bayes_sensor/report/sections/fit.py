@@ -25,6 +25,8 @@ def fitted(saved: Saved, pictures: Pictures) -> Section | None:
         if saved.missed
         else "No experiment shows a misfit that its noise would not explain."
     )
+    if not saved.missed and saved.gap is not None and saved.gap["verdict"]["kind"] != "none":
+        answer += f" All of them together do{see('where')}."
     content: list[Part] = list(_overlays(saved, pictures))
     traces = saved.traces or []
     if len(traces) > 1:

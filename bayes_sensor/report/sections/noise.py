@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,13 +17,15 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
     residuals = saved.residuals
     if residuals is None:
         return None
-    answer = ("Yes. " if residuals["adequate"] else "Not fully. ") + sentence(
+    failed = saved.predictive is not None and saved.predictive["failed"]
+    answer = ("Yes. " if residuals["adequate"] and not failed else "Not fully. ") + sentence(
         typeset(residuals["verdict"])
     )
     test = residuals["variance_vs_concentration"]["breusch_pagan"]
     before, after = (residuals["durbin_watson"][k] for k in ("before", "after"))
     if saved.predictive is not None:
-        answer += " " + sentence(typeset(saved.predictive["status"])).removesuffix(".")
+        status = re.sub(r"\(p \S+e-\S+\)", "(p below 0.001)", saved.predictive["status"])
+        answer += " " + sentence(typeset(status)).removesuffix(".")
         answer += see("predictive-table") + "."
     paragraphs = [
         f"Residuals that follow each other closely carry less information than their number "

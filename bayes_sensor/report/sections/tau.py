@@ -6,7 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayes_sensor import figures
-from bayes_sensor.report.headline import effect_names, headline, naive_sentence
+from bayes_sensor.report.headline import (
+    effect_names,
+    headline,
+    naive_sentence,
+    with_the_effect,
+)
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see, to_spread
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections.draws import posterior_table
@@ -35,6 +40,10 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
             f"τ < {head.limit} (95 %){see('priors-on-tau')}."
         )
     paragraphs = []
+    if instead := with_the_effect(saved):
+        paragraphs.append(
+            f"This takes the model as right, which it is not{see('which')}. {instead}"
+        )
     if head is not None and head.naive:
         paragraphs.append(naive_sentence(head).removesuffix(".") + see("naive") + ".")
     if saved.posterior_without_effects is not None and posterior is not None:
