@@ -553,7 +553,8 @@ def design_experiments(
     picked = [candidates[i] for i in sorted(chosen)]
     reached = bool(after.half_width95 <= target_tau)
     words = (
-        f"{len(picked)} more experiments: 95 % interval of tau +-{1e3 * after.half_width95:.3g} ms"
+        f"{len(picked)} more experiment{'s' * (len(picked) != 1)}: 95 % interval of tau "
+        f"+-{1e3 * after.half_width95:.3g} ms"
     )
     words += "" if reached else f", not the +-{1e3 * target_tau:.3g} ms wanted"
     combined, new_theta, table = _proposal(problem, vector, truth, picked)

@@ -34,7 +34,6 @@ OVER = 1e-17
 become denormal numbers, which cost a hundred times as much"""
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 CHEBYSHEV = 0.5 - 0.5 * np.cos((2 * np.arange(K) + 1) * pi / (2 * K))
-_OFFSETS = np.stack([np.arange(K) + 0.5, CHEBYSHEV])  # in samples, and in block widths
 
 
 class Arrays(NamedTuple):

@@ -66,10 +66,6 @@ class Discrepancy:
             shrink[:, None] * inner if values.ndim > 1 else shrink * inner
         )
 
-    def realised(self, residual: FloatArray) -> FloatArray:
-        """Posterior mean (n,) of the discrepancy, whitened, given a whitened residual."""
-        return self.basis @ (self.variance / (1.0 + self.variance) * (self.basis.T @ residual))
-
 
 def matern32(distance: FloatArray, length: float) -> FloatArray:
     """Matern-3/2 correlation, (1 + r) exp(-r) with r = sqrt(3) |d|/length."""

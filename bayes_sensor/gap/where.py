@@ -23,8 +23,6 @@ from bayes_sensor.gap.refit import Plan, Refit, Sketch, refit
 
 DRAWS = 2000
 """simulated noises behind the p-values"""
-SCALES = ("slow", "middle", "fast")
-"""the first two cosine components of a cell, the next four, the rest"""
 CLEAR = 0.05
 """p-value of the whole below which the excess is shared out"""
 
