@@ -151,25 +151,28 @@ def _round(
             held.add(i)
             yield joblib.delayed(_call)(function, i, items[i])
 
-    # one call a process at a time, no more in advance: else a death would blame the innocent
-    with (
-        joblib.parallel_config("loky", initializer=_end_with, initargs=(os.getpid(),)),
-        _children_deaf_to_ctrl_c(),
-    ):
-        parallel = joblib.Parallel(
-            n_jobs=jobs, batch_size=1, pre_dispatch=jobs, return_as="generator_unordered"
-        )
-        results = parallel(tasks())
+    results: Any = None
     try:
+        # one call a process at a time, no more in advance: else a death would blame the innocent
+        with (
+            joblib.parallel_config("loky", initializer=_end_with, initargs=(os.getpid(),)),
+            _children_deaf_to_ctrl_c(),
+        ):
+            parallel = joblib.Parallel(
+                n_jobs=jobs, batch_size=1, pre_dispatch=jobs, return_as="generator_unordered"
+            )
+            results = parallel(tasks())
+        # a Ctrl-C that came meanwhile is heard here
         for result in results:  # noqa: UP028, 'yield from' would close them in our place
             yield result
     except TerminatedWorkerError:
         return
     finally:
-        # who stops early, as by Ctrl-C, need not be told that work under way is given up
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            results.close()
+        if results is not None:
+            # who stops early, as by Ctrl-C, need not be told that work under way is given up
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)
+                results.close()
 
 
 def _call(function: Callable[[Any], Any], i: int, item: Any) -> tuple[int, Any]:

@@ -1,9 +1,12 @@
 """Many calls on many processes: in order, retried where a process dies, given up at last."""
 
+import gc
 import logging
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -42,6 +45,19 @@ def test_who_stops_early_is_not_warned(recwarn: pytest.WarningsRecorder) -> None
     found = completed(time.sleep, [0.0, 5.0, 5.0], 2)
     assert next(found) == (0, None)
     found.close()  # as Ctrl-C does between two results
+    assert not [str(w.message) for w in recwarn if "cancelled" in str(w.message)]
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be held back")
+def test_ctrl_c_while_the_workers_start_is_no_warning(recwarn: pytest.WarningsRecorder) -> None:
+    class Interrupting(list[float]):
+        def __getitem__(self, i: Any) -> Any:
+            signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+            return super().__getitem__(i)
+
+    with pytest.raises(KeyboardInterrupt):
+        next(completed(time.sleep, Interrupting([5.0, 5.0]), 2))
+    gc.collect()
     assert not [str(w.message) for w in recwarn if "cancelled" in str(w.message)]
 
 
