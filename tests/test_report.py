@@ -209,6 +209,8 @@ def test_no_section_contradicts_the_gap(parts: tuple[Saved, list[Section]]) -> N
     assert plain.posterior is not None
     sampled = {**plain.posterior, "with_effects": ["flow_settling"]}
     assert with_the_effect(replace(blamed, posterior=sampled)) == ""
+    alone = remarks(replace(blamed, posterior=None, bounds=None))  # as bayes-sensor gap leaves it
+    assert [(remark.text, remark.section) for remark in alone] == [("Found.", "gap")]
     noisy = {"verdict": {**verdict, "effects": ["heavy_tails"]}, "shrink": {"withheld": True}}
     assert with_the_effect(replace(plain, gap=noisy)) == ""
 

@@ -156,6 +156,10 @@ def _frame(x: float, y: float) -> Any:
     )
 
 
+FEW = 5
+"""explanations that are drawn however improbable"""
+
+
 def gap_which(gap: Mapping[str, Any], most: int = 10) -> Figure:
     """Probabilities of the explanations, the likeliest first, and of their families.
 
@@ -163,13 +167,14 @@ def gap_which(gap: Mapping[str, Any], most: int = 10) -> Figure:
     unlisted) is hatched.  Pairs count for both their families.
     """
     rows = sorted(gap["which"], key=lambda row: -row["probability"])
+    worth = sum(row["probability"] >= 5e-4 for row in rows)  # others would all read "<0.1"
     families = dict(gap.get("families") or {})
     for row in rows:
         if row["effect"] in ("none", "unlisted") or not gap.get("families"):
             name = row.get("family") or row["effect"]
             families[name] = families.get(name, 0.0) + row["probability"]
-    ranked = sorted(families.items(), key=lambda item: -item[1])[:most]
-    shown = [(row["effect"], row["probability"]) for row in rows[:most]]
+    ranked = sorted(families.items(), key=lambda item: -item[1])[: min(most, max(worth, FEW))]
+    shown = [(row["effect"], row["probability"]) for row in rows[: min(most, max(worth, FEW))]]
     n = max(len(shown), len(ranked))
     with style():
         figure = new_figure(0.9 + 0.27 * n)

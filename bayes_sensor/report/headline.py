@@ -84,7 +84,7 @@ def remarks(saved: Saved) -> list[Remark]:
     """What a newcomer must know of the headline: what tau is, how sure, why the bound misleads."""
     head = headline(saved.posterior, saved.bounds, saved.settings)
     if head is None:
-        return []
+        return [] if saved.gap is None else [Remark(gap_sentence(saved.gap, False), "gap")]
     said = [
         Remark(
             "τ is the sensor's own time constant: how long it takes, without valve and manifold, "

@@ -46,8 +46,8 @@ def document(saved: Saved, sections: Sequence[Section], figure_folder: str = "fi
     head = headline(saved.posterior, saved.bounds, saved.settings)
     if head is not None:
         lines += [f"**τ = {escaped(head.tau)}**", ""]
-        for remark in remarks(saved):
-            lines += [escaped(remark.text), ""]
+    for remark in remarks(saved):
+        lines += [escaped(remark.text), ""]
     for kind, text in alerts(saved):
         mark = "**Attention.** " if kind == "bad" else ""
         lines += [f"> {mark}{escaped(text)}", ""]

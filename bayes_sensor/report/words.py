@@ -50,6 +50,15 @@ def with_spread(value: float | None, spread: float | None) -> str:
     return f"{value:.{min(decimals, 9)}f}"
 
 
+def thousands(count: int) -> str:
+    """A count in groups of three digits, which no line breaks.
+
+    >>> thousands(840000) == "840\\u00a0000", thousands(4500)
+    (True, '4500')
+    """
+    return f"{count:,}".replace(",", "\u00a0") if count > 9999 else str(count)
+
+
 def p_words(p: float | None) -> str:
     """A p-value in words that do not pretend.
 

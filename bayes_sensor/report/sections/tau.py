@@ -65,9 +65,12 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
     if posterior is not None:
         rows = posterior.get("tau_under_priors", [])
         if rows:
+            limits = [row["upper95_s"] for row in rows]
+            agree = max(limits) < 1.05 * min(limits)
             paragraphs.append(
-                "Because the data see τ mainly through its square, the prior matters near zero. "
-                f"Under the three priors the one-sided 95 % upper limits are "
+                "Because the data see τ mainly through its square, the prior matters near zero"
+                + (", but not here. " if agree else ". ")
+                + "Under the three priors the one-sided 95 % upper limits are "
                 f"{list_words([_limit(r) for r in rows])}{see('priors-on-tau', 'priors-figure')}."
             )
             content.append(
