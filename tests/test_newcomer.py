@@ -303,17 +303,9 @@ def test_without_takes_a_list(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "no effect 'flow_eror'" in capsys.readouterr().err
 
 
-def test_a_log_gets_a_line_now_and_then(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    now = [1000.0]
-    monkeypatch.setattr(steps.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(steps, "_logged", now[0])
+def test_a_log_gets_no_progress(capfd: pytest.CaptureFixture[str]) -> None:
     for quiet in (True, False):
         with steps.progress_bar("posterior", quiet) as tell, steps.muted():
             for i in range(100):
-                now[0] += 1.0
                 tell(i / 100, f"step {i}")
-        lines = capfd.readouterr().err.splitlines()
-        assert len(lines) == (0 if quiet else 4)
-    assert lines[-1].startswith("posterior: ") and "step" in lines[-1]
+        assert capfd.readouterr().err == ""

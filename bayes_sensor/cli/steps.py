@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,8 +32,6 @@ Progress = Callable[[float, str], None]
 CHECKPOINT = "checkpoint"
 MOST_DRAWS = 4000
 """draws from which response times are summarised"""
-LOG_SECONDS = 30.0
-"""between two lines on progress where stderr is not a terminal"""
 MOST_WARNINGS = 6
 """lines of warnings in a terminal"""
 STEPS: dict[str, tuple[str, ...]] = {
@@ -65,21 +63,17 @@ SAVES: dict[str, tuple[str, ...]] = {
 
 @contextmanager
 def progress_bar(label: str, quiet: bool) -> Iterator[Progress]:
-    """A bar on stderr; now and then a line where that is not a terminal but a log."""
-    if quiet:
+    """A bar on stderr; nothing where that is no terminal."""
+    if quiet or not sys.stderr.isatty():
         yield lambda fraction, text: None
-        return
-    # a descriptor of its own: it goes on while everything else is muted; names of experiments may
-    # hold letters that it cannot show
-    screen = os.fdopen(os.dup(2), "w", encoding=sys.stderr.encoding, errors="backslashreplace")
-    if not sys.stderr.isatty():
-        with screen:
-            yield lambda fraction, text: _log(screen, label, fraction, text)
         return
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+    # a descriptor of its own: it goes on while everything else is muted; names of experiments may
+    # hold letters that it cannot show
+    screen = os.fdopen(os.dup(2), "w", encoding=sys.stderr.encoding, errors="backslashreplace")
     bar = Progress(
         TextColumn("{task.description:<12}"),
         BarColumn(),
@@ -91,17 +85,6 @@ def progress_bar(label: str, quiet: bool) -> Iterator[Progress]:
     with screen, bar:
         task = bar.add_task(label, total=1.0, word="")
         yield lambda fraction, text: bar.update(task, completed=fraction, word=escape(text[:40]))
-
-
-_logged = time.monotonic()
-
-
-def _log(log: IO[str], label: str, fraction: float, text: str) -> None:
-    """A line on how far it is, if the last one is long enough ago."""
-    global _logged
-    if time.monotonic() - _logged >= LOG_SECONDS:
-        _logged = time.monotonic()
-        print(f"{label}: {fraction:.0%} {text}".rstrip(), file=log, flush=True)
 
 
 @contextmanager
