@@ -27,6 +27,10 @@ from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+ROUNDING = 1e-15
+"""what is smaller is a zero that was computed"""
+SHORT = 12
+"""characters of a cell that is kept on one line"""
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 
 
@@ -35,12 +39,16 @@ def shown(cell: str, digits: int) -> str:
     try:
         value = float(cell)
     except ValueError:
-        return {"": "–", "True": "yes", "False": "no"}.get(cell, cell)
+        words = {"": "–", "True": "yes", "False": "no"}.get(cell, cell)
+        words = words.replace("<=", "≤").replace(">=", "≥")
+        return words.replace("+", "+\u200b")  # joined names may break there
     if not isfinite(value):
         return "–"
     # integers, seeds and counts stand as they are written
     if cell.lstrip("+-").isdigit() or value == 0:
         return str(int(value))
+    if abs(value) < ROUNDING:
+        return "0"
     exponent = floor(log10(abs(value)))
     if not -5 < exponent < 7:
         return f"{value:.{digits - 1}e}"
@@ -129,7 +137,10 @@ class StudyTable(SphinxDirective):
 
 
 def _row(cells: list[str]) -> nodes.row:
-    return nodes.row("", *[nodes.entry("", nodes.paragraph(text=cell)) for cell in cells])
+    return nodes.row("", *[
+        nodes.entry("", nodes.paragraph(text=cell), classes=["short"] if len(cell) <= SHORT else [])
+        for cell in cells
+    ])  # fmt: skip
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import runpy
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -244,3 +245,12 @@ def test_the_readme_says_what_the_tables_say() -> None:
         assert words.startswith(start)
         for value, column in zip(values, ("tau_3sigma_ms", "tau_v_3sigma_ms", "V_3sigma_mL")):
             assert float(value) == float(f"{float(bounds[how][column]):.3g}"), (how, column)
+
+
+def test_cells_of_a_study_table_read_as_words() -> None:
+    pytest.importorskip("sphinx")
+    shown = runpy.run_path(str(DOCS / "study_table.py"))["shown"]
+    assert [shown(cell, 3) for cell in ("8.674e-19", "0.04512", "<= 0.02", "")] == [
+        "0", "0.0451", "≤ 0.02", "–",
+    ]  # fmt: skip
+    assert shown("a_name+another", 3).replace("\u200b", "") == "a_name+another"
