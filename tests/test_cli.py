@@ -315,6 +315,20 @@ def test_delays_are_saved(
     assert found["start"]["n"] == found["end"]["n"] == 3
 
 
+def test_files_of_one_name_in_two_folders_are_both_recorded(campaign: Path, tmp_path: Path) -> None:
+    text = campaign.read_text()
+    for i in "14":
+        (tmp_path / i).mkdir()
+        (tmp_path / i / "exp.csv").write_bytes((campaign.parent / f"exp{i}.csv").read_bytes())
+        text = text.replace(f'"exp{i}.csv"', f'"{i}/exp.csv"')
+    (tmp_path / "exp6.csv").write_bytes((campaign.parent / "exp6.csv").read_bytes())
+    (tmp_path / "campaign.toml").write_text(text)
+    out = tmp_path / "out"
+    assert run("fit", tmp_path / "campaign.toml", "--out", out, "--quiet") == 0
+    files = json.loads((out / "run.json").read_text())["commands"]["fit"]["files_sha256"]
+    assert set(files) == {"campaign.toml", "1/exp.csv", "4/exp.csv", "exp6.csv"}
+
+
 def test_bounds_without_the_posterior(campaign: Path, tmp_path: Path) -> None:
     config = tmp_path / "over.toml"
     config.write_text("[bounds]\nmethods = ['crlb_iid', 'crlb_ar1']\nstep_study = false\n")

@@ -603,7 +603,10 @@ def _check_methods(methods: Sequence[str] | None, label: str) -> None:
 
 def _files(path: Path, campaign: Campaign, config: Path | None) -> dict[str, str]:
     files = {path.name: sha256(path)}
-    files.update({Path(e.source).name: e.sha256 for e in campaign if e.source})
+    names = [Path(e.source).name for e in campaign]
+    for e, name in zip(campaign, names, strict=True):
+        if e.source:  # with their folders where two files are called alike
+            files[e.source if names.count(name) > 1 else name] = e.sha256
     if config is not None:
         files[config.name] = sha256(config)
     return files
