@@ -5,7 +5,8 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from bayes_sensor.campaign import CampaignError
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment
+from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.gap.bins import PHASES, make_bins
 from bayes_sensor.gap.floor import _bin_cholesky, clean, detrended
 from bayes_sensor.gap.sketch import fit_base, prepare
@@ -129,3 +130,37 @@ def test_a_record_without_a_quiet_stretch_is_refused():
     campaign = replace(campaign, experiments=(replace(e, mask=near),))
     with pytest.raises(CampaignError, match="record longer"):
         prepare(campaign, Layout.of(plan).flat(theta(plan)))
+
+
+def short_record(seed):
+    """One record of 16 s at 20 ms: a short baseline is quiet, the plateau never."""
+    t = np.arange(800) * 0.02
+    plan = Campaign("short", (Experiment("1", t, None, 66.7, 8.33, 0.02, 3.1, 11.04),))
+    parameters = {
+        "tau_s": 0.048, "tau_v_s": 0.858, "V_mL": 58.2, "phi": 0.85, "sigma0_V": 0.045,
+        "sigma1_V": 0.072,
+        "experiments": {"1": {"y0_V": 0.3, "beta_V": 1.78, "t0_s": 4.54, "tf_s": 12.07}},
+    }  # fmt: skip
+    return simulate(plan, parameters, seed=seed), Layout.of(plan).flat(parameters)
+
+
+def test_the_floor_of_a_record_that_is_never_quiet_on_its_plateau():
+    ratios = []
+    for seed in range(8):
+        campaign, flat = short_record(seed)
+        floor = prepare(campaign, flat).sketch.floor
+        f = np.sqrt(floor.edges[:-1] * floor.edges[1:])
+        # one-sided density of an AR(1)
+        shape = 2.0 * 0.02 * (1 - 0.85**2) / (1 + 0.85**2 - 1.7 * np.cos(2 * np.pi * f * 0.02))
+        known = np.outer([0.045**2, 0.045**2 + 0.072**2], shape)
+        ratios.append(np.log(floor.density[0] / known))
+    typical = np.exp(np.median(ratios, axis=0))
+    # taking out the trend takes some of the slowest noise with it
+    assert np.all(typical > 0.35) and np.all(typical < 1.6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_short_record_with_nothing_wrong_raises_no_confident_alarm(seed):
+    campaign, _ = short_record(seed)
+    verdict = diagnose_gap(campaign, seed=1, bootstrap=0, separate=False).verdict
+    assert verdict.kind == "none" or verdict.probability < 0.9

@@ -183,7 +183,8 @@ def estimate_floor(
         inside = (band >= 0) & (band < n_b)
         np.add.at(power[s.experiment, s.level], band[inside], p[keep][inside])
         np.add.at(count[s.experiment, s.level], band[inside], 1.0)
-    density, dof = _shrunk(power, count, edges)
+    rough = _roughness(campaign, residuals, bins, level_of_bins)
+    density, dof = _shrunk(power, count, edges, _correlated(campaign, stretches, edges), rough)
     factors = tuple(
         _bin_cholesky(
             e, b, edges, density[k], level,
@@ -202,13 +203,62 @@ def _periodogram(samples: FloatArray, interval: float) -> tuple[FloatArray, Floa
     return np.asarray(np.fft.rfftfreq(n, interval)[1:], dtype=float), power[1:]
 
 
+def _correlated(campaign: Campaign, stretches: Sequence[Stretch], edges: FloatArray) -> FloatArray:
+    """(n_bands,) of any scale: the spectrum of an AR(1) with the stretches' correlation.
+
+    Neighbouring samples tell it even where the stretches are too short for low frequencies.
+    """
+    centre = np.sqrt(edges[:-1] * edges[1:])
+    made = np.zeros(len(centre))
+    intervals = [campaign.experiments[s.experiment].interval for s in stretches]
+    for h in sorted(set(intervals)):
+        some = [
+            detrended(s.samples) for s, own in zip(stretches, intervals, strict=True) if own == h
+        ]
+        square = sum(float(x @ x) for x in some)
+        product = sum(float(x[1:] @ x[:-1]) for x in some)
+        phi = min(max(product / max(square, 1e-300), 0.0), 0.999)
+        shape = 1.0 / (1.0 + phi**2 - 2.0 * phi * np.cos(2.0 * np.pi * np.minimum(centre * h, 0.5)))
+        made += square * shape / np.mean(shape)
+    return np.maximum(made, 1e-300)
+
+
+def _roughness(
+    campaign: Campaign,
+    residuals: Sequence[FloatArray],
+    bins: Sequence[ExperimentBins],
+    level_of_bins: Sequence[FloatArray],
+) -> FloatArray:
+    """(2,) V^2, of the carrier and of the plateaus: mean square change from sample to sample.
+
+    Of the noise alone, since what a model misses changes slowly; so it compares the two levels
+    also where the plateaus are too short to be quiet.
+    """
+    square, n = np.zeros(2), np.zeros(2)
+    for e, r, b, level in zip(campaign, residuals, bins, level_of_bins, strict=True):
+        for first, last, share in zip(b.first, b.last, level, strict=True):
+            if 0.1 < share < 0.9:
+                continue
+            both = e.used[first : last - 1] & e.used[first + 1 : last]
+            change = np.diff(r[first:last])[both]
+            square[int(share >= 0.9)] += float(change @ change)
+            n[int(share >= 0.9)] += len(change)
+    return square / np.maximum(n, 1.0)
+
+
 def _shrunk(
-    power: FloatArray, count: FloatArray, edges: FloatArray
+    power: FloatArray,
+    count: FloatArray,
+    edges: FloatArray,
+    correlated: FloatArray,
+    rough: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Densities (n_e, 2, n_b): a level per experiment, a spectral shape per level.
 
     The shape of a level is pooled over experiments; where a band holds few ordinates it leans on
-    the common shape of both levels, and below a few hertz on the band above it.
+    the common shape of both levels, and below a few hertz on the band above it, as a noise
+    ``correlated`` (n_b,) from sample to sample continues from there.  A level without any quiet
+    stretch exceeds the other by the ratio of ``rough`` (2,).
     """
     n_e, _, n_b = power.shape
     width = np.diff(edges)
@@ -228,14 +278,14 @@ def _shrunk(
     for level in range(2):  # a level that a record lacks: as in the others
         have = seen[:, level] > 0
         if not have.any():
-            scale[:, level] = scale[:, 1 - level]
+            scale[:, level] = scale[:, 1 - level] * _ratio(rough[level], rough[1 - level])
         elif not have.all():
             scale[~have, level] = np.mean(scale[have, level])
     scale = np.maximum(scale, 1e-12)
     relative = power / scale[:, :, None]
     n_all = count.sum(axis=(0, 1))
     common = _filled(relative.sum(axis=(0, 1)) / np.maximum(n_all, 1.0), n_all > 0)
-    common = _lean_down(common, n_all, edges)
+    common = _lean_down(common, n_all, edges, correlated)
     shapes = np.empty((2, n_b))
     for level in range(2):
         n_l = count[:, level].sum(axis=0)
@@ -250,11 +300,18 @@ def _filled(values: FloatArray, have: NDArray[np.bool_]) -> FloatArray:
     return np.interp(index, index[have], values[have]) if have.any() else np.ones_like(values)
 
 
-def _lean_down(common: FloatArray, count: FloatArray, edges: FloatArray) -> FloatArray:
+def _ratio(a: float, b: float) -> float:
+    return a / b if a > 0.0 and b > 0.0 else 1.0
+
+
+def _lean_down(
+    common: FloatArray, count: FloatArray, edges: FloatArray, correlated: FloatArray
+) -> FloatArray:
     out = common.copy()
     for b in range(len(out) - 2, -1, -1):
         if edges[b + 1] <= 8.0:
-            out[b] = (count[b] * common[b] + SHRINK * out[b + 1]) / (count[b] + SHRINK)
+            expected = out[b + 1] * correlated[b] / correlated[b + 1]
+            out[b] = (count[b] * common[b] + SHRINK * expected) / (count[b] + SHRINK)
     return out
 
 
