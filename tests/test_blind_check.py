@@ -701,8 +701,13 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     for law, some in nulls.groupby("law"):
         n = int((some["verdict"] == "effect").sum())
         assert (f"{law} {n} of {len(some)} (" in shown) == (n > 0)
-    for row in goals.itertuples():
-        assert f"| {row.goal} | {row.wanted} | {row.reached:.3f}" in shown
+    first = pd.read_csv(TABLES / "blind_check_first_goals.csv")
+    for row, then in zip(goals.itertuples(), first.itertuples(), strict=True):
+        assert f"| {row.goal} | {then.wanted} | {then.reached:.3f}" in shown
+        assert shown.partition(f"| {row.goal} |")[2].splitlines()[0].count(f"{row.reached:.3f}")
+    before = pd.read_csv(TABLES / "blind_check_first.csv", keep_default_na=False)
+    assert before["case"].tolist() == cases["case"].tolist()
+    assert f"gives {(before['verdict'] != cases['verdict']).sum()} of another kind" in shown
     text = " ".join(shown.split())
     unlisted = nulls[nulls["verdict"] == "unlisted"]
     assert f"Nulls called unlisted: {len(unlisted)} of {len(nulls)}" in text
