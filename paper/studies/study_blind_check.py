@@ -111,8 +111,8 @@ def write_readme() -> None:
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
     first = pd.read_csv(TABLES / "blind_check_first.csv", keep_default_na=False)
     said = [
-        changed(cases, first), "What follows counts its verdicts.", named_nulls(cases), alarmed_nulls(cases),
-        left_out(cases), overlooked(cases), out_of_reach(cases),
+        changed(cases, first), "What follows counts its verdicts.", named_nulls(cases),
+        alarmed_nulls(cases), left_out(cases), overlooked(cases), out_of_reach(cases),
     ]  # fmt: skip
     below = textwrap.fill(" ".join(said), 112) + "\n"
     write_text(
