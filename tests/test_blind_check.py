@@ -693,7 +693,7 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     begin = "<!-- blind check: study_blind_check.py -->\n"
     assert begin.strip() in study
     shown = readme.partition(begin)[2].partition("<!-- end of blind check -->")[0]
-    goals = pd.read_csv(TABLES / "blind_check_goals.csv")
+    goals = pd.read_csv(TABLES / "blind_check_first_goals.csv")
     lines = [line for line in shown.splitlines() if line.startswith("|")]
     assert len(goals) == len(lines) - 2
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
@@ -701,10 +701,8 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     for law, some in nulls.groupby("law"):
         n = int((some["verdict"] == "effect").sum())
         assert (f"{law} {n} of {len(some)} (" in shown) == (n > 0)
-    first = pd.read_csv(TABLES / "blind_check_first_goals.csv")
-    for row, then in zip(goals.itertuples(), first.itertuples(), strict=True):
-        assert f"| {row.goal} | {then.wanted} | {then.reached:.3f}" in shown
-        assert shown.partition(f"| {row.goal} |")[2].splitlines()[0].count(f"{row.reached:.3f}")
+    for row in goals.itertuples():
+        assert f"| {row.goal} | {row.wanted} | {row.reached:.3f}" in shown
     before = pd.read_csv(TABLES / "blind_check_first.csv", keep_default_na=False)
     assert before["case"].tolist() == cases["case"].tolist()
     assert f"gives {(before['verdict'] != cases['verdict']).sum()} of another kind" in shown
