@@ -23,6 +23,15 @@ class CampaignError(ValueError):
     """Input that cannot be used.  The message says where, what was expected, what came, the fix."""
 
 
+def counted(n: int, noun: str) -> str:
+    """The number with its noun.
+
+    >>> counted(1, "experiment"), counted(7, "experiment")
+    ('1 experiment', '7 experiments')
+    """
+    return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """One step experiment on a uniform time grid.

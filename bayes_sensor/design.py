@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.bounds import expected_information
-from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray, counted
 from bayes_sensor.likelihood import Prior, Problem, as_problem, simulate
 from bayes_sensor.model import Layout, Theta, local_parameters
 from bayes_sensor.noise import Noise, lag_coefficient
@@ -553,7 +553,7 @@ def design_experiments(
     picked = [candidates[i] for i in sorted(chosen)]
     reached = bool(after.half_width95 <= target_tau)
     words = (
-        f"{len(picked)} more experiment{'s' * (len(picked) != 1)}: 95 % interval of tau "
+        f"{counted(len(picked), 'more experiment')}: 95 % interval of tau "
         f"+-{1e3 * after.half_width95:.3g} ms"
     )
     words += "" if reached else f", not the +-{1e3 * target_tau:.3g} ms wanted"

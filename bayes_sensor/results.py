@@ -594,6 +594,14 @@ def _alive(pid: int) -> bool:
     return True
 
 
+def of_other_data(run: Mapping[str, Any]) -> list[str]:
+    """Commands in ``run.json`` whose results rest on other data or settings than the newest's."""
+    bases = {name: entry["basis_sha256"] for name, entry in run["commands"].items()}
+    newest = bases.get(run["last"])
+    # what rests on no data (a simulation, a design) has no basis
+    return [name for name, basis in bases.items() if newest and basis not in ("", newest)]
+
+
 def run_record(
     earlier: Any,
     command: str,

@@ -35,10 +35,13 @@ Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the resul
 Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Same seed, same numbers.")]
 Jobs = Annotated[int, typer.Option(min=1, max=256, help="Processes; numbers do not depend on it.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
-Config = Annotated[
-    Path | None,
-    typer.Option("--config", metavar="OVERRIDES.toml", help="Settings that differ from default."),
-]
+
+
+def _settings_file(words: str) -> Any:
+    return typer.Option("--config", metavar="OVERRIDES.toml", help=words)
+
+
+Config = Annotated[Path | None, _settings_file("Settings that differ from default.")]
 # every command takes the common options, so that a script may give all the same ones
 UnusedSeed = Annotated[
     int, typer.Option("--seed", min=0, max=2**32 - 1, help="Taken; nothing is drawn here.")
@@ -46,10 +49,7 @@ UnusedSeed = Annotated[
 UnusedJobs = Annotated[
     int, typer.Option("--jobs", min=1, max=256, help="Taken; one process does it.")
 ]
-UnusedConfig = Annotated[
-    Path | None,
-    typer.Option("--config", metavar="OVERRIDES.toml", help="Checked; nothing in it acts here."),
-]
+UnusedConfig = Annotated[Path | None, _settings_file("Checked; nothing in it acts here.")]
 Resume = Annotated[
     bool, typer.Option("--resume", help="Go on with what an interrupted run left in DIR.")
 ]
@@ -244,10 +244,7 @@ def check(
     seed: UnusedSeed = 1,
     jobs: UnusedJobs = 1,
     quiet: Quiet = False,
-    config: Annotated[
-        Path | None,
-        typer.Option("--config", metavar="OVERRIDES.toml", help="Checked with the campaign."),
-    ] = None,
+    config: Annotated[Path | None, _settings_file("Checked with the campaign.")] = None,
 ) -> None:
     """Load and validate only, print what was understood."""
     from bayes_sensor.cli.steps import print_check
@@ -286,10 +283,7 @@ def simulate(
     seed: Seed = 1,
     jobs: UnusedJobs = 1,
     quiet: Quiet = False,
-    config: Annotated[
-        Path | None,
-        typer.Option("--config", metavar="OVERRIDES.toml", help="Its [noise] is the noise law."),
-    ] = None,
+    config: Annotated[Path | None, _settings_file("Its [noise] is the noise law.")] = None,
     design: Annotated[
         Path | None, typer.Option(metavar="DESIGN.toml", help="A campaign file without data.")
     ] = None,
@@ -356,12 +350,7 @@ def coverage(
     ] = None,
     resume: Resume = False,
     quiet: Quiet = False,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            "--config", metavar="OVERRIDES.toml", help="Its [bounds]: methods and resamples."
-        ),
-    ] = None,
+    config: Annotated[Path | None, _settings_file("Its [bounds]: methods and resamples.")] = None,
 ) -> None:
     """How often each bound holds the truth, by simulation."""
     from bayes_sensor.cli.coverage import study_coverage

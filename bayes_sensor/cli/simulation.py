@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.cli.steps import counted, progress_bar, say
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment, counted
+from bayes_sensor.cli.steps import progress_bar, say
 from bayes_sensor.likelihood import Problem, simulate
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.readers.quantities import TIME, VOLUME, Kind, read_quantity

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.campaign import Campaign, CampaignError, counted
 from bayes_sensor.cli.notes import noted
 from bayes_sensor.results import (
     Results,
@@ -23,6 +23,7 @@ from bayes_sensor.results import (
     digest,
     make_traces,
     now,
+    of_other_data,
     run_record,
     save_traces,
     sha256,
@@ -168,15 +169,6 @@ def print_check(path: Path, quiet: bool, config: Path | None = None) -> None:
         print(f"known beforehand: {name} = {info.mean:g} +- {info.sd:g}")
     for remark in remarks:
         print(f"remark: {remark}")
-
-
-def counted(n: int, noun: str) -> str:
-    """The number with its noun.
-
-    >>> counted(1, "experiment"), counted(7, "experiment")
-    ('1 experiment', '7 experiments')
-    """
-    return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
 def _cell(value: Any, pattern: str) -> str:
@@ -686,7 +678,7 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
         hint = "" if not job.fit.converged else "; more --steps with --resume may help"
         status = status.removeprefix("NOT converged: ")
         print(f"not converged: {status}{hint}; the results are marked so", file=sys.stderr)
-    other = _of_other_data(job)
+    other = of_other_data(job.results.json("run.json"))
     if other:
         say(
             f"warning: {job.results.folder} also holds {', '.join(other)} of other data or "
@@ -694,16 +686,6 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
             quiet,
         )
     say(f"{'report' if command == 'analyze' else 'results'}: {_place(job)}", quiet)
-
-
-def _of_other_data(job: Job) -> list[str]:
-    """Commands whose results in the folder rest on another campaign or other settings."""
-    commands = job.results.json("run.json")["commands"]
-    return [
-        name
-        for name, entry in commands.items()
-        if entry["basis_sha256"] not in ("", job.basis) and name != job.command
-    ]
 
 
 def _place(job: Job) -> Path:

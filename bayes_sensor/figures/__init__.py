@@ -13,6 +13,7 @@ from bayes_sensor.figures.coating import (
 from bayes_sensor.figures.draws import corner, main_parameters, traces_and_ranks
 from bayes_sensor.figures.fleet import forest
 from bayes_sensor.figures.gap import (
+    effect_words,
     gap_budget,
     gap_hidden,
     gap_residuals,
@@ -78,6 +79,7 @@ __all__ = [
     "diffusion",
     "diffusion_figure",
     "diffusivity",
+    "effect_words",
     "forest",
     "gap_budget",
     "gap_hidden",

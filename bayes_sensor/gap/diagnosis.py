@@ -707,6 +707,15 @@ def _strength_words(strength: Mapping[str, Any], units: Mapping[str, str]) -> st
     return ", ".join(parts)
 
 
+def _effect_words(
+    effect: Effect, strength: Mapping[str, Any], sketch: Any, signal_unit: str
+) -> str:
+    """The effect's sentence with those of the strengths that are its own."""
+    units = {k: u.replace("V", signal_unit) for k, u in _units(sketch, effect).items()}
+    own = {k: v for k, v in strength.items() if k in units}
+    return effect.sentence.replace("{strength}", _strength_words(own, units))
+
+
 def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
     """One sentence about something of unlisted origin."""
     s = found.strength
@@ -793,12 +802,10 @@ def _sentence(
             else f" What would show it: {catalogue[named[0]].reveal}."
         )
         beside = [
-            " " + catalogue[f.name].sentence.replace(
-                "{strength}", _strength_words(f.strength, _units(sketch, catalogue[f.name]))
-            )
+            " " + _effect_words(catalogue[f.name], f.strength, sketch, unit)
             for f in full_rate
             if f.name in catalogue and f.probability > NAMED
-        ]  # fmt: skip
+        ]
         said = (
             f"Most likely {named[0]} ({leading:.0%}) explains the gap{place}, but a cause outside "
             "the catalogue that looks the same is not excluded."
@@ -811,12 +818,8 @@ def _sentence(
     by_name = {f.name: f for f in full_rate}
     fitted = best.refit.strength()
     for n in named:
-        units = {k: u.replace("V", unit) for k, u in _units(sketch, catalogue[n]).items()}
-        own = (
-            {k: v for k, v in fitted.items() if k in units} if catalogue[n].on_mean
-            else by_name[n].strength
-        )  # fmt: skip
-        words.append(catalogue[n].sentence.replace("{strength}", _strength_words(own, units)))
+        strength = fitted if catalogue[n].on_mean else by_name[n].strength
+        words.append(_effect_words(catalogue[n], strength, sketch, unit))
     if shrink.closure.fraction is not None and any(catalogue[n].on_mean for n in named):
         words.append(f"It closes {shrink.closure.fraction:.0%} of the gap.")
     return " ".join(words)

@@ -129,11 +129,7 @@ def look_for_events(
                         stretch, _, dt = use[k]
                         largest, where = clear, stretch.experiment
                         when = stretch.begin + (at + middle * sizes[k]) * dt
-    value = 0.0
-    for logs in found:
-        if logs:
-            b = float(logsumexp(logs)) - np.log(len(logs))
-            value += float(np.logaddexp(np.log1p(-STRUCK), np.log(STRUCK) + b))
+    value = sum(_struck(float(logsumexp(logs)) - np.log(len(logs))) for logs in found if logs)
     strength = {"event_experiment": float(where), "event_s": when, "event_ratio": largest**0.5}
     return FullRate("event", value, strength, float(np.sqrt(largest)))
 
@@ -214,6 +210,11 @@ def _surprise(square: FloatArray, dof: float) -> float:
     return float(logsumexp(logs) - np.log(logs.size))
 
 
+def _struck(surprise: float) -> float:
+    """ln B of a place that an event strikes or spares, from that of one that it strikes."""
+    return float(np.logaddexp(np.log1p(-STRUCK), np.log(STRUCK) + surprise))
+
+
 def look_for_patches(found: Refit) -> FullRate:
     """Runs of bins around single switches that lie on one side of a refit.
 
@@ -224,7 +225,6 @@ def look_for_patches(found: Refit) -> FullRate:
     """
     sketch = found.plan.sketch
     value, largest, where = 0.0, 0.0, (0.0, 0.0)
-    wider = 1.0 + np.array(EVENT_RATIOS)[:, None]
     for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
         z = found.residual[rows]
         for falling in (False, True):
@@ -236,17 +236,12 @@ def look_for_patches(found: Refit) -> FullRate:
             if len(here) < max(PATCH_BINS):
                 continue
             total = np.concatenate([[0.0], np.cumsum(z[here])])
-            logs = []
-            for m in PATCH_BINS:
-                square = (total[m:] - total[:-m]) ** 2 / m
-                ratio = np.log1p(square / DOF) - np.log1p(square / DOF / wider)
-                logs.append((0.5 * (DOF + 1.0) * ratio - 0.5 * np.log(wider)).ravel())
+            squares = [(total[m:] - total[:-m]) ** 2 / m for m in PATCH_BINS]
+            for square in squares:
                 if float(square.max()) > largest:
                     largest = float(square.max())
                     where = (float(k), float(b.since[here[int(np.argmax(square))]]))
-            every = np.concatenate(logs)
-            surprise = float(logsumexp(every)) - np.log(len(every))
-            value += float(np.logaddexp(np.log1p(-STRUCK), np.log(STRUCK) + surprise))
+            value += _struck(_surprise(np.concatenate(squares), DOF))
     strength = {"patch_experiment": where[0], "patch_s": where[1], "patch_ratio": largest**0.5}
     return FullRate("patch", value, strength, float(np.sqrt(largest)))
 
@@ -263,7 +258,6 @@ def look_for_breaks(found: Refit) -> FullRate:
     normal = found.jacobian.T @ found.jacobian + plan.own_prior_matrix
     covariance = np.linalg.inv(normal)
     value, largest, where = 0.0, 0.0, (0.0, 0.0)
-    wider = 1.0 + np.array(EVENT_RATIOS)[:, None]
     for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
         shapes, begins = _changes(b.falling)
         templates = sketch.inverse_factors[k] @ shapes
@@ -276,10 +270,7 @@ def look_for_breaks(found: Refit) -> FullRate:
         if not np.any(use):
             continue
         square = (found.residual[rows] @ templates[:, use]) ** 2 / left[use]
-        ratio = np.log1p(square / DOF) - np.log1p(square / DOF / wider)
-        logs = 0.5 * (DOF + 1.0) * ratio - 0.5 * np.log(wider)
-        surprise = float(logsumexp(logs)) - np.log(logs.size)
-        value += float(np.logaddexp(np.log1p(-STRUCK), np.log(STRUCK) + surprise))
+        value += _struck(_surprise(square, DOF))
         if float(square.max()) > largest:
             largest = float(square.max())
             first = begins[use][int(np.argmax(square))]

@@ -175,16 +175,18 @@ def estimate_floor(
     n_e, n_b = len(campaign), len(edges) - 1
     power = np.zeros((n_e, 2, n_b))
     count = np.zeros((n_e, 2, n_b))
-    for s in stretches:
-        h = campaign.experiments[s.experiment].interval
-        f, p = _periodogram(s.samples, h)
+    intervals = [campaign.experiments[s.experiment].interval for s in stretches]
+    noises = [detrended(s.samples) for s in stretches]
+    for s, h, noise in zip(stretches, intervals, noises, strict=True):
+        f, p = _periodogram(noise, h)
         keep = f >= 1.6 / (len(s.samples) * h)
         band = np.searchsorted(edges, f[keep], side="right") - 1
         inside = (band >= 0) & (band < n_b)
         np.add.at(power[s.experiment, s.level], band[inside], p[keep][inside])
         np.add.at(count[s.experiment, s.level], band[inside], 1.0)
-    rough = _roughness(campaign, residuals, bins, level_of_bins)
-    density, dof = _shrunk(power, count, edges, _correlated(campaign, stretches, edges), rough)
+    missing = len({s.level for s in stretches}) < 2
+    louder = _louder(campaign, residuals, bins, level_of_bins) if missing else 1.0
+    density, dof = _shrunk(power, count, edges, _correlated(noises, intervals, edges), louder)
     factors = tuple(
         _bin_cholesky(
             e, b, edges, density[k], level,
@@ -195,26 +197,25 @@ def estimate_floor(
     return Floor(edges, density, dof, factors, spikes)
 
 
-def _periodogram(samples: FloatArray, interval: float) -> tuple[FloatArray, FloatArray]:
-    n = len(samples)
+def _periodogram(noise: FloatArray, interval: float) -> tuple[FloatArray, FloatArray]:
+    n = len(noise)
     taper = windows.tukey(n, 0.2)
-    spectrum = np.fft.rfft(detrended(samples) * taper)
+    spectrum = np.fft.rfft(noise * taper)
     power = 2.0 * interval * np.abs(spectrum) ** 2 / np.sum(taper**2)
     return np.asarray(np.fft.rfftfreq(n, interval)[1:], dtype=float), power[1:]
 
 
-def _correlated(campaign: Campaign, stretches: Sequence[Stretch], edges: FloatArray) -> FloatArray:
-    """(n_bands,) of any scale: the spectrum of an AR(1) with the stretches' correlation.
+def _correlated(
+    noises: Sequence[FloatArray], intervals: Sequence[float], edges: FloatArray
+) -> FloatArray:
+    """(n_bands,) of any scale: the spectrum of an AR(1) with the detrended noises' correlation.
 
     Neighbouring samples tell it even where the stretches are too short for low frequencies.
     """
     centre = np.sqrt(edges[:-1] * edges[1:])
     made = np.zeros(len(centre))
-    intervals = [campaign.experiments[s.experiment].interval for s in stretches]
     for h in sorted(set(intervals)):
-        some = [
-            detrended(s.samples) for s, own in zip(stretches, intervals, strict=True) if own == h
-        ]
+        some = [x for x, own in zip(noises, intervals, strict=True) if own == h]
         square = sum(float(x @ x) for x in some)
         product = sum(float(x[1:] @ x[:-1]) for x in some)
         phi = min(max(product / max(square, 1e-300), 0.0), 0.999)
@@ -223,16 +224,16 @@ def _correlated(campaign: Campaign, stretches: Sequence[Stretch], edges: FloatAr
     return np.maximum(made, 1e-300)
 
 
-def _roughness(
+def _louder(
     campaign: Campaign,
     residuals: Sequence[FloatArray],
     bins: Sequence[ExperimentBins],
     level_of_bins: Sequence[FloatArray],
-) -> FloatArray:
-    """(2,) V^2, of the carrier and of the plateaus: mean square change from sample to sample.
+) -> float:
+    """The plateaus' noise power over the carrier's, from changes from sample to sample.
 
-    Of the noise alone, since what a model misses changes slowly; so it compares the two levels
-    also where the plateaus are too short to be quiet.
+    These are the noise's alone, since what a model misses changes slowly; so they compare the two
+    levels also where one is too short to be quiet.
     """
     square, n = np.zeros(2), np.zeros(2)
     for e, r, b, level in zip(campaign, residuals, bins, level_of_bins, strict=True):
@@ -243,7 +244,8 @@ def _roughness(
             change = np.diff(r[first:last])[both]
             square[int(share >= 0.9)] += float(change @ change)
             n[int(share >= 0.9)] += len(change)
-    return square / np.maximum(n, 1.0)
+    carrier, plateau = square / np.maximum(n, 1.0)
+    return float(plateau / carrier) if carrier > 0.0 and plateau > 0.0 else 1.0
 
 
 def _shrunk(
@@ -251,14 +253,14 @@ def _shrunk(
     count: FloatArray,
     edges: FloatArray,
     correlated: FloatArray,
-    rough: FloatArray,
+    louder: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Densities (n_e, 2, n_b): a level per experiment, a spectral shape per level.
 
     The shape of a level is pooled over experiments; where a band holds few ordinates it leans on
     the common shape of both levels, and below a few hertz on the band above it, as a noise
-    ``correlated`` (n_b,) from sample to sample continues from there.  A level without any quiet
-    stretch exceeds the other by the ratio of ``rough`` (2,).
+    ``correlated`` (n_b,) from sample to sample continues from there.  Where one level has no
+    quiet stretch, the plateaus are ``louder`` than the carrier by this factor.
     """
     n_e, _, n_b = power.shape
     width = np.diff(edges)
@@ -278,7 +280,7 @@ def _shrunk(
     for level in range(2):  # a level that a record lacks: as in the others
         have = seen[:, level] > 0
         if not have.any():
-            scale[:, level] = scale[:, 1 - level] * _ratio(rough[level], rough[1 - level])
+            scale[:, level] = scale[:, 1 - level] * (louder if level else 1.0 / louder)
         elif not have.all():
             scale[~have, level] = np.mean(scale[have, level])
     scale = np.maximum(scale, 1e-12)
@@ -298,10 +300,6 @@ def _shrunk(
 def _filled(values: FloatArray, have: NDArray[np.bool_]) -> FloatArray:
     index = np.arange(len(values))
     return np.interp(index, index[have], values[have]) if have.any() else np.ones_like(values)
-
-
-def _ratio(a: float, b: float) -> float:
-    return a / b if a > 0.0 and b > 0.0 else 1.0
 
 
 def _lean_down(

@@ -22,12 +22,12 @@ from bayes_sensor.readers.recording import (
     DataFile,
     Recording,
     Selection,
+    check_chosen,
     check_counts,
     find_column,
     is_time,
     list_names,
     parser_errors,
-    same_column,
     scale_time,
     split_name,
 )
@@ -140,11 +140,7 @@ def _choose(
     drive = None
     if selection.drive is not None:
         drive = find_column(file, columns, selection.drive, "drive")
-    for key, chosen in (("signal", signal), ("drive", drive)):
-        if chosen is not None and chosen == time:
-            raise file.error(f"{key} is '{vectors[chosen]}', which is the time; choose another")
-    if drive == signal:
-        raise same_column(file, vectors[signal])
+    check_chosen(file, vectors, time, signal, drive)
     return signal, drive
 
 

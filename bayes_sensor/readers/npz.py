@@ -13,12 +13,12 @@ from bayes_sensor.readers.recording import (
     DataFile,
     Recording,
     Selection,
+    check_chosen,
     check_counts,
     find_column,
     is_time,
     list_names,
     parser_errors,
-    same_column,
     scale_time,
     split_name,
 )
@@ -77,11 +77,7 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
             drive = find_column(file, columns, selection.drive, "drive")
         elif selection.signal is None and "drive" in members:
             drive = members.index("drive")
-        for key, chosen in (("signal", signal), ("drive", drive)):
-            if chosen == time:
-                raise file.error(f"{key} is '{members[time]}', which is the time; choose another")
-        if drive == signal:
-            raise same_column(file, members[signal])
+        check_chosen(file, members, time, signal, drive)
         t, y = _array(file, archive, members[time]), _array(file, archive, members[signal])
         d = None if drive is None else _array(file, archive, members[drive])
     for name, values in ((members[time], t), ("drive", d)):

@@ -198,23 +198,29 @@ def choose_columns(
         signal = find_column(file, columns, selection.signal, "signal")
     if selection.drive is not None:
         drive = find_column(file, columns, selection.drive, "drive")
-    for key, chosen in (("signal", signal), ("drive", drive)):
-        if chosen == time:
-            raise file.error(
-                f"{key} is '{columns[time].name.strip()[:60]}', which is the time column; "
-                f"choose one of {list_names(others)}"
-            )
-    if drive == signal:
-        raise same_column(file, columns[signal].name)
+    names = [column.name.strip() for column in columns]
+    fix = f"which is the time column; choose one of {list_names(others)}"
+    check_chosen(file, names, time, signal, drive, fix)
     return time, signal, drive
 
 
-def same_column(file: DataFile, name: str) -> CampaignError:
-    """The error for a campaign that takes one column as signal and as drive."""
-    return file.error(
-        f"signal and drive are both '{name.strip()[:60]}'; expected two columns: set signal to the "
-        "sensor's and drive to the valve's"
-    )
+def check_chosen(
+    file: DataFile,
+    names: Sequence[str],
+    time: int | None,
+    signal: int,
+    drive: int | None,
+    fix: str = "which is the time; choose another",
+) -> None:
+    """Raise CampaignError where signal or drive is the time, or both are one."""
+    for key, chosen in (("signal", signal), ("drive", drive)):
+        if chosen is not None and chosen == time:
+            raise file.error(f"{key} is '{names[chosen][:60]}', {fix}")
+    if drive == signal:
+        raise file.error(
+            f"signal and drive are both '{names[signal][:60]}'; expected two columns: set signal "
+            "to the sensor's and drive to the valve's"
+        )
 
 
 def scale_time(file: DataFile, column: Column, t: FloatArray) -> FloatArray:

@@ -18,13 +18,13 @@ from bayes_sensor.readers.recording import (
     DataFile,
     Recording,
     Selection,
+    check_chosen,
     check_counts,
     find_column,
     is_time,
     list_names,
     missing_extra,
     parser_errors,
-    same_column,
     scale_time,
     split_name,
 )
@@ -74,13 +74,7 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
         drive = None
         if selection.drive is not None:
             drive = find_column(file, columns, selection.drive, "drive")
-        for key, chosen in (("signal", signal), ("drive", drive)):
-            if chosen is not None and chosen == time:
-                raise file.error(
-                    f"{key} is '{columns[chosen].name}', which is the time; choose another"
-                )
-        if drive == signal:
-            raise same_column(file, columns[signal].name)
+        check_chosen(file, [column.name for column in columns], time, signal, drive)
         y = _values(channels[signal])
         d = None if drive is None else _values(channels[drive])
         interval = None

@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from bayes_sensor.figures import effect_words
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import list_words, ms, number, sentence, typeset, with_spread
+from bayes_sensor.results import of_other_data
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
     verdict = gap["verdict"]
     words = verdict["sentence"]
     for name in verdict["effects"]:
-        words = words.replace(name, name.replace("_", " "))
+        words = words.replace(name, effect_words(name))
     low, high = gap["hidden"].get("tau_envelope_s") or (None, None)
     if verdict["kind"] == "none" and low is not None and high is not None:
         upper = f"{number(1e3 * high, 2)} ms"
@@ -150,7 +152,7 @@ def with_the_effect(saved: Saved) -> str:
     if saved.posterior is not None and saved.posterior.get("with_effects"):
         return ""
     return (
-        f"With {list_words([name.replace('_', ' ') for name in verdict['effects']])} in the model "
+        f"With {list_words([effect_words(name) for name in verdict['effects']])} in the model "
         f"τ is {with_spread(mid, high - low)} ms, 95 % interval [{with_spread(low, high - low)}, "
         f"{with_spread(high, high - low)}] ms: quote that, not the interval without it, or sample "
         "it with bayes-sensor posterior --with-effect "
@@ -179,7 +181,7 @@ def _why_naive_misleads(saved: Saved) -> str:
 
 def effect_names(posterior: Mapping[str, Any]) -> list[str]:
     """The effects in a posterior's model, as words."""
-    return [name.replace("_", " ") for name in posterior.get("with_effects") or []]
+    return [effect_words(name) for name in posterior.get("with_effects") or []]
 
 
 def _naive_words(bounds: Mapping[str, Any] | None) -> str:
@@ -229,9 +231,7 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
                 "intervals below take the model as right; what it leaves out is in none of them.",
             )
         )
-    bases = {name: entry["basis_sha256"] for name, entry in saved.run["commands"].items()}
-    newest = bases.get(saved.run["last"])
-    stale = [name for name, basis in bases.items() if newest and basis not in ("", newest)]
+    stale = of_other_data(saved.run)
     if stale:
         found.append(
             (

@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 from drawing import PAPER, TABLES
 
+from bayes_sensor.blind_check import wilson
 from bayes_sensor.calibration import run_chunks, study_key
 from bayes_sensor.campaign import CampaignError
 
@@ -128,19 +129,6 @@ def tabulate_gap(
         rows.append(row)
         progress(number + 1, len(CASES))
     pd.DataFrame(rows).to_csv(TABLES / "extremes_gap.csv", index=False)
-
-
-def wilson(k: float, n: float, z: float = 1.959963984540054) -> tuple[float, float]:
-    """Wilson's interval of a proportion after ``k`` of ``n`` (J. Amer. Statist. Assoc. 22, 1927).
-
-    >>> [round(v, 4) for v in wilson(9, 10)]
-    [0.5958, 0.9821]
-    """
-    if n == 0:
-        return np.nan, np.nan
-    centre = (k + 0.5 * z * z) / (n + z * z)
-    half = z / (n + z * z) * np.sqrt(k * (n - k) / n + 0.25 * z * z)
-    return max(float(centre - half), 0.0), min(float(centre + half), 1.0)
 
 
 def rows_of(case: str, results: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:

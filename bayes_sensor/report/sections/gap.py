@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bayes_sensor import figures
+from bayes_sensor.figures import effect_words
 from bayes_sensor.report.headline import gap_sentence, headline
 from bayes_sensor.report.parts import Part, Pictures, Section, see
 from bayes_sensor.report.saved import Saved
@@ -16,7 +17,6 @@ from bayes_sensor.report.sections.gap_tables import (
     other_tables,
     where_table,
     which_table,
-    words,
 )
 from bayes_sensor.report.words import list_words, ms, number, p_equals, sentence
 
@@ -41,7 +41,7 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
         + (", no more than noise alone would leave." if is_noise else ".")
     ]
     if verdict["kind"] != "none":
-        who = list_words([words(name) for name in verdict["effects"]])
+        who = list_words([effect_words(name) for name in verdict["effects"]])
         if verdict["kind"] == "effect":
             paragraphs.append(
                 f"Named: {who}, with a probability of {number(verdict['probability'], 2)}"
@@ -124,7 +124,7 @@ def _left_out(record: Mapping[str, Any]) -> list[str]:
 def _more(record: Mapping[str, Any]) -> list[str]:
     said = []
     for row in record.get("rounds") or []:
-        names = list_words([words(name) for name in row["added"]])
+        names = list_words([effect_words(name) for name in row["added"]])
         said.append(
             f"With {names} in the model, d = {number(row['d_left'])} is left (p "
             f"{p_equals(row['p_left'])}){see('gap-rounds')}."
@@ -132,7 +132,7 @@ def _more(record: Mapping[str, Any]) -> list[str]:
     for row in record.get("separate") or []:
         if row["addition"]:
             said.append(
-                f"To tell {words(row['effect'])} from {words(row['rival'])}: "
+                f"To tell {effect_words(row['effect'])} from {effect_words(row['rival'])}: "
                 f"{row['addition']}{see('gap-separate')}."
             )
     return said
@@ -167,7 +167,7 @@ def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
         said += "."
     if shrink.get("rival") and shrink.get("rival_fraction_closed") is not None:
         said += (
-            f" The best rival outside the family, {words(shrink['rival'])}, closes "
+            f" The best rival outside the family, {effect_words(shrink['rival'])}, closes "
             f"{100 * shrink['rival_fraction_closed']:.0f} %."
         )
     return [said, "The fraction is of the squared excess, less what noise leaves in it, so it may "
@@ -185,7 +185,7 @@ def _envelope(record: Mapping[str, Any], is_limit: bool) -> list[str]:
     if not unseen:
         return []
     unseen.sort(key=lambda row: -abs(row["tau_shift_s"] or 0.0))
-    names = list_words([words(row["effect"]) for row in unseen], most=5)
+    names = list_words([effect_words(row["effect"]) for row in unseen], most=5)
     said = f"Present at plausible strength, {names} would leave no trace that these data could show"
     low, high = hidden.get("tau_envelope_s") or (None, None)
     if low is not None and high is not None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bayes_sensor.figures import effect_words
 from bayes_sensor.report.parts import Shown, Table, p_value
 from bayes_sensor.report.words import ms, number, powers
 
@@ -19,11 +20,6 @@ NEGLIGIBLE = 0.0005
 """probability below which an explanation is only in gap.json, beyond the first few"""
 UNSEEN = 3.0
 """detectability below which an effect could hide"""
-
-
-def words(effect: str) -> str:
-    """An effect's or a family's name as words."""
-    return effect.replace("_", " ").replace("+", " + ")
 
 
 def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
@@ -57,7 +53,7 @@ def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
             ["τ with the effect, 95 % high (ms)", ms(shrink.get("tau_after_hi_s"))],
             [
                 "best rival outside the family",
-                words(shrink["rival"]) if shrink.get("rival") else None,
+                effect_words(shrink["rival"]) if shrink.get("rival") else None,
             ],
             ["fraction that the rival closes", shrink.get("rival_fraction_closed")],
         ]
@@ -119,10 +115,11 @@ def which_table(record: Mapping[str, Any], unit: str) -> Table:
         ],
         [
             [
-                words(row["effect"]), words(row["family"] or ""), p_value(row["probability"]),
-                row["d"], strength_words(row.get("strength"), unit), ms(row["tau_s"]),
+                effect_words(row["effect"]), effect_words(row["family"] or ""),
+                p_value(row["probability"]), row["d"], strength_words(row.get("strength"), unit),
+                ms(row["tau_s"]),
                 _percent(row["fraction_closed"]),
-                ", ".join(words(name) for name in row.get("confusable_with") or []),
+                ", ".join(effect_words(name) for name in row.get("confusable_with") or []),
             ]
             for row in rows
         ],
@@ -150,7 +147,7 @@ def strength_words(strength: Any, unit: str = "V") -> str:
     said = []
     for name, value in strength.items():
         own = strength_units().get(name, "1")
-        label = words(name.removesuffix(f"_{own}"))
+        label = effect_words(name.removesuffix(f"_{own}"))
         own = "" if own == "1" else " " + own.replace("V", unit)
         said.append(f"{label} = {_value(value)}{own}")
     return ", ".join(said)
@@ -207,7 +204,7 @@ def hidden_table(record: Mapping[str, Any], unit: str) -> Table:
         ],
         [
             [
-                words(row["effect"]), strength_words(row.get("strength"), unit), row["d"],
+                effect_words(row["effect"]), strength_words(row.get("strength"), unit), row["d"],
                 ms(row["tau_shift_s"]), ms(row.get("tau_with_it_s")), ms(row.get("tau_low_s")),
                 ms(row.get("tau_high_s")), _hides(row),
             ]
@@ -234,7 +231,7 @@ def other_tables(record: Mapping[str, Any], unit: str) -> list[Table]:
                 ["in the model", "probability", "d left", "p left", "unlisted rest"],
                 [
                     [
-                        ", ".join(words(name) for name in row["added"]), row["probability"],
+                        ", ".join(effect_words(name) for name in row["added"]), row["probability"],
                         row["d_left"], p_value(row["p_left"]), bool(row["unlisted_left"]),
                     ]
                     for row in record["rounds"]
@@ -251,7 +248,7 @@ def other_tables(record: Mapping[str, Any], unit: str) -> list[Table]:
                 ["effect", "rival", "isolability", "measurement", "isolability with it"],
                 [
                     [
-                        words(row["effect"]), words(row["rival"]), row["isolability"],
+                        effect_words(row["effect"]), effect_words(row["rival"]), row["isolability"],
                         row["addition"], row["isolability_with_it"],
                     ]
                     for row in record["separate"]
@@ -268,8 +265,8 @@ def other_tables(record: Mapping[str, Any], unit: str) -> list[Table]:
                 ["effect", "log Bayes factor", "probability", "strength", "experiment", "d"],
                 [
                     [
-                        words(row["name"]), row["log_bayes_factor"], p_value(row["probability"]),
-                        strength_words(row.get("strength"), unit),
+                        effect_words(row["name"]), row["log_bayes_factor"],
+                        p_value(row["probability"]), strength_words(row.get("strength"), unit),
                         row.get("experiment") or "", row["d"],
                     ]
                     for row in record["full_rate"]

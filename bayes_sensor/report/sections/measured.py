@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayes_sensor import figures
+from bayes_sensor.campaign import counted
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import list_words, thousands
@@ -18,7 +19,7 @@ def measured(saved: Saved, pictures: Pictures) -> Section:
     intervals = sorted({e["interval_s"] for e in rows})
     n_fall = sum(e["commanded_off_s"] is not None for e in rows)
     answer = (
-        f"{len(rows)} step experiment{'s' * (len(rows) != 1)} with "
+        f"{counted(len(rows), 'step experiment')} with "
         f"{thousands(campaign['n_samples'])} samples in use, one every "
         f"{list_words([f'{1e3 * h:g} ms' for h in intervals])}; total flow "
         f"{_span(rows, 'total_flow_L_min')} L/min, test gas "
