@@ -21,6 +21,7 @@ from bayes_sensor.gap.events import (
 )
 from bayes_sensor.gap.full_rate import (
     OF_UNLISTED_ORIGIN,
+    UNITS,
     FullRate,
     look_at_full_rate,
     rounds_away,
@@ -748,7 +749,7 @@ def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
 def _units(sketch: Any, effect: Effect) -> dict[str, str]:
     setting = sketch.settings[0]
     found = {s.name: s.unit for form in effect.forms for s in form.strengths(setting)}
-    return {**found, "mains_V": "V", "mains_Hz": "Hz", "adc_step": "V", "tail_dof": "1"}
+    return {**found, **UNITS}
 
 
 def _sentence(

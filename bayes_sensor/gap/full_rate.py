@@ -49,6 +49,11 @@ AROUND = 400
 """samples over which the size of the innovations is taken"""
 HARDLY_CROSSED = 0.7
 """steps over the noise's standard deviation from which it hardly crosses them"""
+UNITS = {
+    "mains_V": "V", "mains_Hz": "Hz", "adc_step": "V", "tail_dof": "1", "line_V": "V",
+    "line_Hz": "Hz", "ringing_Hz": "Hz", "patch_s": "s", "break_s": "s", "event_s": "s",
+}  # fmt: skip
+"""of the strengths that are found here"""
 OF_UNLISTED_ORIGIN = ("line", "event", "patch", "break", "ringing")
 """findings that have no name in the catalogue"""
 

@@ -159,6 +159,7 @@ def strength_units() -> dict[str, str]:
     from bayes_sensor.campaign import Experiment
     from bayes_sensor.gap import CATALOGUE
     from bayes_sensor.gap.effect import Setting
+    from bayes_sensor.gap.full_rate import UNITS
 
     # units do not depend on the rig, but the laws of the strengths do: any rig will do
     times = np.linspace(0.0, 100.0, 101)
@@ -172,10 +173,7 @@ def strength_units() -> dict[str, str]:
         for form in effect.forms
         for strength in form.strengths(anywhere)
     }
-    return {
-        "mains_V": "V", "mains_Hz": "Hz", "line_V": "V", "line_Hz": "Hz", "ringing_Hz": "Hz",
-        "adc_step": "V", "tail_dof": "1", "patch_s": "s", "break_s": "s", "event_s": "s", **found,
-    }  # fmt: skip
+    return {**UNITS, **found}
 
 
 def _value(value: Any) -> str:
