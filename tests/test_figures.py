@@ -207,7 +207,7 @@ MAKERS = {
     ),
     "diffusivity": (
         lambda: figures.diffusivity(diffusivity_record(False)),
-        ("diffusivity of ZIF-8 (m²/s)", "literature, 1.71e-10 m²/s"),
+        ("diffusivity of ZIF-8 (m²/s)", "literature, 1.71 × 10⁻¹⁰ m²/s"),
     ),
     "diffusivity_unbounded": (
         lambda: figures.diffusivity(diffusivity_record(True)), ("diffusivity of ZIF-8 (m²/s)",),
@@ -229,7 +229,7 @@ MAKERS = {
         lambda: figures.gap_residuals(
             [{"experiment": "<b>", "whitened": [0.1, -3.0, 2.0], "phase": [0, 2, 4]}] * 2
         ),
-        ("baseline", "rise", "fall", "whitened residual (sd), strips of ± 3.5", "&lt;b&gt;"),
+        ("baseline", "rise", "fall", "strips of ± 3.5", "&lt;b&gt;"),
     ),
     "gap_hidden_whole": (
         lambda: figures.gap_hidden(

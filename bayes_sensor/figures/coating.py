@@ -30,6 +30,7 @@ from bayes_sensor.figures.style import (
     WIDTH,
     logarithmic,
     new_figure,
+    plain,
     style,
 )
 
@@ -116,7 +117,7 @@ def _curves(axes: Axes, response: Response, other: Response | None) -> None:
         1e3 * end, 100 * LEVEL_63 - 1.5, "63.2 %", ha="right", va="top", fontsize=8, color=INK
     )
     for each, colour, dash, marker in zip(both, (BLUE, MODEL), _DASHES, MARKERS, strict=False):
-        words = f"D(ZIF-8) = {each.coating.d_zif8:.3g} m²/s"
+        words = f"D(ZIF-8) = {plain(each.coating.d_zif8)} m²/s"
         axes.plot(1e3 * t, 100 * each.step(t), color=colour, ls=dash, label=words)
         tau = 1e3 * each.tau63
         axes.plot([tau, tau], [0.0, 100 * LEVEL_63], color=colour, lw=0.8, ls=":")
@@ -231,7 +232,7 @@ def diffusivity(record: Mapping[str, Any]) -> Figure:
             (literature, "--", "literature"),
             (LOWERED_D_ZIF8, ":", "lowered by the paper"),
         ):
-            axes.axvline(value, color=MODEL, lw=1.2, ls=dash, label=f"{words}, {value:.3g} m²/s")
+            axes.axvline(value, color=MODEL, lw=1.2, ls=dash, label=f"{words}, {plain(value)} m²/s")
         axes.set(xlim=(low, high), ylim=(-1, 1))
         logarithmic(axes, "x")
         axes.set_yticks([0], ["from τ"])

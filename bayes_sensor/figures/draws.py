@@ -8,7 +8,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FixedLocator, MaxNLocator
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.figures.style import (
@@ -18,6 +18,8 @@ from bayes_sensor.figures.style import (
     ORANGE,
     PALE,
     REGIONS,
+    SMALLEST,
+    WIDTH,
     axis_label,
     new_figure,
     parameter_words,
@@ -53,13 +55,12 @@ def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
     draws = draws[:: max(1, len(draws) // 20000)]
     n = len(words)
     with style(), mpl.rc_context({"figure.constrained_layout.use": False}):
-        figure = Figure(figsize=(1.2 * n + 0.4, 1.2 * n + 0.4))
+        side = min(WIDTH, 1.3 * n + 0.9)
+        figure = Figure(figsize=(side, side))
         corner_plot.corner(
             draws,
             fig=figure,
             labels=[axis_label(w) for w in words],
-            label_kwargs={"fontsize": 8},
-            labelpad=0.12,
             bins=40,
             smooth=1.1,
             quantiles=(0.025, 0.5, 0.975),
@@ -67,7 +68,6 @@ def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
             plot_datapoints=False,
             plot_density=False,
             fill_contours=True,
-            max_n_ticks=4,
             color=BLUE,
             contour_kwargs={"colors": [BLUE], "linewidths": 0.9},
             contourf_kwargs={"colors": ["none", *REGIONS]},
@@ -75,9 +75,28 @@ def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
         )
         for axes in figure.axes:
             axes.grid(False)
-            axes.tick_params(labelsize=6.5)
-        figure.subplots_adjust(left=0.11, bottom=0.11, right=0.97, top=0.98)
+            axes.tick_params(labelsize=SMALLEST, rotation=0)
+            for axis in (axes.xaxis, axes.yaxis):
+                if isinstance(axis.get_major_locator(), MaxNLocator):
+                    axis.set_major_locator(FixedLocator(_two_ticks(*axis.get_view_interval())))
+        left, bottom, right, top = 0.72 / side, 0.5 / side, 0.98, 0.99
+        figure.subplots_adjust(left=left, bottom=bottom, right=right, top=top)
+        panel = side * (right - left) / (n + 0.05 * (n - 1))  # inches
+        for axes in figure.axes:
+            axes.xaxis.set_label_coords(0.5, -0.27 / panel)
+            axes.yaxis.set_label_coords(-0.5 / panel, 0.5)
     return figure
+
+
+def _two_ticks(low: float, high: float) -> FloatArray:
+    """Two round values well inside a range, so that labels of neighbouring panels stay apart."""
+    margin = 0.16 * (high - low)
+    for n in range(3, 9):
+        ticks = MaxNLocator(n, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+        inside = ticks[(ticks > low + margin) & (ticks < high - margin)]
+        if len(inside) > 1:
+            break
+    return np.asarray(inside[[0, -1]] if len(inside) > 1 else inside)
 
 
 def traces_and_ranks(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:

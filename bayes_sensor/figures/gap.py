@@ -24,6 +24,7 @@ from bayes_sensor.figures.style import (
     ORANGE,
     PALE,
     REGIONS,
+    SMALLEST,
     logarithmic,
     new_figure,
     style,
@@ -136,7 +137,7 @@ def gap_where(where: Sequence[Mapping[str, Any]], unit: str = "V") -> Figure:
         axes.set_xticks(np.arange(size[1]) + 0.5, phases)
         axes.set_yticks(np.arange(size[0]) + 0.5, [_short(e, 18) for e in experiments])
         if many:
-            axes.tick_params(axis="y", labelsize=6)
+            axes.tick_params(axis="y", labelsize=SMALLEST)
         axes.set_ylim(size[0], 0)
         axes.set_ylabel("experiment")
         axes.set_xlabel("phase of the step")
@@ -217,7 +218,7 @@ def gap_residuals(residuals: Sequence[Mapping[str, Any]], most: int = 10) -> Fig
     rows = [residuals[k] for k in sorted(order)]
     reach = max(3.5, 1.1 * max(float(np.max(np.abs(row["whitened"]))) for row in rows))
     with style():
-        figure = new_figure(0.9 + 0.48 * len(rows))
+        figure = new_figure(max(1.9, 0.9 + 0.48 * len(rows)))
         strips = figure.subplots(len(rows), 1, squeeze=False)[:, 0]
         for axes, row in zip(strips, rows, strict=True):
             values, phase = np.asarray(row["whitened"]), np.asarray(row["phase"])
@@ -241,7 +242,7 @@ def gap_residuals(residuals: Sequence[Mapping[str, Any]], most: int = 10) -> Fig
             axes.grid(axis="x", visible=False)
             axes.set_ylabel(_short(row["experiment"], 9), rotation=0, ha="right", va="center")
         strips[-1].set_xlabel("bins, from the baseline to the tail (they widen after a switch)")
-        figure.supylabel(f"whitened residual (sd), strips of ± {reach:.2g}", fontsize=8.5)
+        figure.supylabel(f"whitened residual (sd)\nstrips of ± {reach:.2g}", fontsize=8.5)
     return figure
 
 

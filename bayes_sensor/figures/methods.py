@@ -124,7 +124,8 @@ def step_study(
                 x = np.array([r["step"] for r in chosen])
                 y = np.array([3 * factor * r[name] for r in chosen])
                 known = np.array([bool(r.get("identified", True)) for r in chosen], dtype=bool)
-                axes.plot(x, y, color=colour, ls=dash, lw=1.1, label=label)
+                axes.plot(x, y, color=colour, ls=dash, lw=1.1)
+                axes.plot([], [], color=colour, ls=dash, marker=marker, lw=1.1, ms=3.5, label=label)
                 axes.plot(x[known], y[known], marker, color=colour, ms=3.5)
                 axes.plot(x[~known], y[~known], marker, mfc="none", mec=colour, ms=3.5)
             if published and name in published:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from bayes_sensor.figures.style import (
     BLUE,
@@ -18,6 +19,7 @@ from bayes_sensor.figures.style import (
     logarithmic,
     new_figure,
     style,
+    thousands,
     volts,
 )
 from bayes_sensor.results import Trace
@@ -38,14 +40,14 @@ def histogram(residuals: Mapping[str, Any], rms: float) -> Figure:
         axes = figure.subplots()
         axes.bar(
             centre, count, width=np.diff(edges), color=DATA, edgecolor=INK, lw=0.5,
-            label=f"residuals ({total:.0f})",
+            label=f"residuals ({thousands(total)})",
         )  # fmt: skip
         x = np.linspace(edges[0], edges[-1], 300)
         normal = total * width / (rms * np.sqrt(2 * np.pi)) * np.exp(-0.5 * (x / rms) ** 2)
         axes.plot(x, normal, color=MODEL, ls="--", label="normal of the same RMS")
         axes.set_xlabel(f"residual ({unit}), bins of {width:g} {unit}")
         axes.set_ylabel("samples per bin")
-        axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=False)
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: thousands(value)))
         axes.legend()
     return figure
 
@@ -78,6 +80,7 @@ def autocorrelation(residuals: Mapping[str, Any], traces: Sequence[Trace] = ()) 
         right.plot(lag[1:], curve[1:], color=MODEL, ls="--")
         logarithmic(right, "x")
         right.set_xlabel("lag (s), logarithmic")
+        right.set_ylabel("autocorrelation")
         right.set_title("all lags")
         if traces:
             _joined_residuals(panels["c"], traces)

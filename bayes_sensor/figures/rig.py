@@ -45,7 +45,7 @@ def responses(traces: Sequence[Trace]) -> Figure:
     with style():
         columns = min(len(levels), 3)
         rows = -(-len(levels) // columns)
-        figure = new_figure(0.4 + 2.5 * rows)
+        figure = new_figure(0.4 + 2.7 * rows)
         grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
         for axes in grid.ravel()[len(levels) :]:
             axes.set_visible(False)
@@ -64,7 +64,7 @@ def responses(traces: Sequence[Trace]) -> Figure:
                         axes.axvline(trace.commanded_off - start, color=MIDDLE, lw=0.8, ls=":")
             axes.set_xlim(left=-5.0)
             axes.set_title(f"{level:g} % test gas")
-            axes.legend(loc="best", fontsize=7)
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, columnspacing=1.2)
         for axes in grid[:, 0]:
             axes.set_ylabel(f"signal ({unit})")
         for axes in grid[-1]:

@@ -28,8 +28,10 @@ REGIONS = ("#dbe8f2", "#a9cae2", "#6fa6cd")
 GROUND = "#ffffff"
 COLOURS = (GROUND, INK, PALE, MIDDLE, DATA, MODEL, BLUE, ORANGE, GREEN, *REGIONS)
 """every colour in use; the page gives each its counterpart on a dark ground"""
-WIDTH = 7.2
-"""inches"""
+WIDTH = 6.4
+"""inches, as wide as the text of the manuscript: a point in a figure is a point in print"""
+SMALLEST = 7
+"""points; below, print is hard to read"""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 
 STYLE: dict[str, Any] = {
@@ -39,37 +41,38 @@ STYLE: dict[str, Any] = {
     "axes.formatter.useoffset": False,
     "axes.grid": True,
     "axes.labelcolor": INK,
-    "axes.labelsize": 9,
+    "axes.labelsize": 8.5,
     "axes.linewidth": 0.7,
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.titlecolor": INK,
     "axes.titlelocation": "left",
-    "axes.titlesize": 9.5,
+    "axes.titlesize": 9,
     "axes.titleweight": "bold",
     "figure.constrained_layout.use": True,
     "figure.facecolor": "none",
     "font.family": ["sans-serif"],
     "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 9,
+    "font.size": 8.5,
     "grid.color": PALE,
     "grid.linewidth": 0.5,
     "legend.edgecolor": PALE,
     "legend.facecolor": "none",
-    "legend.fontsize": 8,
+    "legend.fontsize": 7.5,
     "legend.frameon": False,
     "lines.linewidth": 1.4,
     "savefig.facecolor": "none",
     "svg.fonttype": "none",
     "svg.hashsalt": "bayes_sensor",
     "text.color": INK,
+    "text.hinting": "none",  # hinted letters are narrower than those of a vector drawing
     "text.parse_math": False,  # a name may hold dollar signs
     "xtick.color": MIDDLE,
     "xtick.labelcolor": INK,
-    "xtick.labelsize": 8,
+    "xtick.labelsize": 7.5,
     "ytick.color": MIDDLE,
     "ytick.labelcolor": INK,
-    "ytick.labelsize": 8,
+    "ytick.labelsize": 7.5,
 }
 
 METHOD_LABELS = {
@@ -152,8 +155,35 @@ def logarithmic(axes: Axes, which: str) -> None:
     low, high = axis.get_view_interval()
     if high < 30 * low:
         axis.set_major_locator(LogLocator(subs=(1, 2, 3, 5, 7) if high < 5 * low else (1, 2, 5)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
     axis.set_minor_formatter(NullFormatter())
+
+
+def plain(value: float) -> str:
+    """A number as a reader writes it: small ones as powers of ten.
+
+    >>> plain(0.01), plain(1e-6), plain(2e-11), plain(2000.0)
+    ('0.01', '10⁻⁶', '2 × 10⁻¹¹', '2000')
+    """
+    if value == 0 or 1e-3 <= abs(value) < 1e6:
+        return f"{value:g}"
+    mantissa, exponent = f"{value:e}".split("e")
+    front = f"{float(mantissa):g}"
+    return ("" if front == "1" else f"{front} × ") + "10" + raised(int(exponent))
+
+
+def raised(exponent: int) -> str:
+    """An exponent in small raised digits."""
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def thousands(count: float) -> str:
+    """A count in groups of three digits, which no line breaks.
+
+    >>> thousands(840000) == "840\\u00a0000", thousands(4500)
+    (True, '4500')
+    """
+    return f"{count:,.0f}".replace(",", "\u00a0") if count > 9999 else f"{count:.0f}"
 
 
 def volts(unit: str, size: float) -> tuple[str, float]:

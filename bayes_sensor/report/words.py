@@ -6,6 +6,8 @@ import re
 from collections.abc import Sequence
 from math import floor, log10
 
+from bayes_sensor.figures.style import raised
+
 
 def number(value: float | None, digits: int = 3) -> str:
     """A number with ``digits`` significant digits, never in powers of ten unless it must be.
@@ -32,8 +34,7 @@ def powers(value: float | None, digits: int = 3) -> str:
     if value is None:
         return "–"
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
-    raised = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return f"{mantissa} × 10{raised}"
+    return f"{mantissa} × 10{raised(int(exponent))}"
 
 
 def with_spread(value: float | None, spread: float | None) -> str:
@@ -48,15 +49,6 @@ def with_spread(value: float | None, spread: float | None) -> str:
         return number(value, 4)
     decimals = max(0, 1 - floor(log10(spread)))
     return f"{value:.{min(decimals, 9)}f}"
-
-
-def thousands(count: int) -> str:
-    """A count in groups of three digits, which no line breaks.
-
-    >>> thousands(840000) == "840\\u00a0000", thousands(4500)
-    (True, '4500')
-    """
-    return f"{count:,}".replace(",", "\u00a0") if count > 9999 else str(count)
 
 
 def p_words(p: float | None) -> str:

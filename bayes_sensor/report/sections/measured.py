@@ -7,9 +7,10 @@ from typing import Any
 
 from bayes_sensor import figures
 from bayes_sensor.campaign import counted
+from bayes_sensor.figures.style import thousands
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import list_words, thousands
+from bayes_sensor.report.words import list_words
 
 
 def measured(saved: Saved, pictures: Pictures) -> Section:
