@@ -7,25 +7,29 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 from campaigns import small_design, small_problem, small_theta
+from scipy.stats import kstest
 
 import bayes_sensor.posterior.sampling as sampling
 from bayes_sensor import coverage
 from bayes_sensor.blind_check import oracle
+from bayes_sensor.bounds import expected_information
 from bayes_sensor.bounds.bootstrap import _series
 from bayes_sensor.calibration import Ranks, coverage_row
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.compression import compress
 from bayes_sensor.delays import regress_line
-from bayes_sensor.design import _candidates, settings_of, truth_of
+from bayes_sensor.design import _candidates, record_information, settings_of, truth_of
 from bayes_sensor.diffusion import find_outer_radius
 from bayes_sensor.fit.looks import first_look
 from bayes_sensor.fit.points import sorted_apart
-from bayes_sensor.laplace import Laplace, covering_region, draw_root
+from bayes_sensor.laplace import Laplace, approximate, covering_region, draw_root
 from bayes_sensor.likelihood import Prior, Problem, simulate
 from bayes_sensor.mixing import diagnostics, pareto_k
 from bayes_sensor.model import cascade_response
+from bayes_sensor.noise import Noise
 from bayes_sensor.posterior.covering import covered
-from bayes_sensor.predictive import PredictiveCheck, _pit
+from bayes_sensor.predictive import PredictiveCheck, _compare, _pit
+from bayes_sensor.readout import Cladding, Ring
 from bayes_sensor.reality import draw
 from bayes_sensor.reality.simulator import prepared_rig, sample_times
 from bayes_sensor.residuals import diagnose_residuals
@@ -300,3 +304,63 @@ def test_samples_are_lost_after_the_switches_only() -> None:
                 # seen at the first sample that follows
                 assert 0.1 * reach <= min(since) <= reach + 2 * step.interval
     assert lost > 50  # 0.6 of the 180 switches
+
+
+def test_a_pressure_spike_and_its_reversal_have_one_shape() -> None:
+    case = replace(draw.draw_case(3, size="small"), strengths={"pressure_spike": 0.5})
+    for step in case.steps:
+        (course,) = prepared_rig(case)[step.name].offset
+        # the other switch is too far away to show
+        d = np.linspace(-1.5, 0.2, 300)
+        opening, closing = course(step.t0 + d), course(step.tf + d)
+        np.testing.assert_allclose(closing, -0.7 * opening, atol=1e-9 * np.abs(opening).max())
+        peak = d[np.argmax(np.abs(opening))]
+        assert -0.5 - 0.01 <= peak <= -0.1 + 0.01  # before the gas
+        assert np.abs(opening).max() == pytest.approx(0.5 * abs(step.beta), rel=1e-2)
+
+
+def test_the_ring_is_like_the_published_ones() -> None:
+    ring, cladding = Ring(), Cladding()
+    assert (ring.resonance, ring.q, ring.extinction) == (1574.4e-9, 20_000, 15)
+    assert (ring.radius, ring.group_index) == (10e-6, 4.3)
+    # De Vos et al. 2007: 70 nm/RIU; Kong et al. 2021: 7.4 pm/% at 188 nm/RIU
+    assert cladding.redshift_per_percent == pytest.approx(7.4e-12 * 70 / 188)
+
+
+def test_p_values_of_few_replicates_are_uniform_where_nothing_is_wrong() -> None:
+    # one data set and three replicates of the same law, twenty thousand times over
+    rng = np.random.default_rng(6)
+    observed = np.broadcast_to(rng.standard_normal(20_000), (3, 20_000))
+    replicated = rng.standard_normal((3, 20_000))
+    found = _compare("mean", "x", "s", np.arange(20_000.0), observed, replicated)
+    assert kstest(found.p_values, "uniform").pvalue > 0.01
+    assert np.mean(found.p_values < 0.05) == pytest.approx(0.05, abs=4 * 0.0015)
+
+
+@pytest.mark.parametrize("noise", [Noise("constant"), Noise("concentration")], ids=str)
+def test_without_growing_noise_a_record_tells_the_same_under_either_law(noise: Noise) -> None:
+    problem, theta = small_problem(0.4, n=2, interval=0.05, noise=noise)
+    theta[problem.layout.noise[0][2]] = 0.0
+    truth = truth_of(problem, theta)
+    found = record_information(settings_of(problem, theta)[0], truth, truth.tau)
+    assert np.isfinite(found).all()
+    alone = replace(problem, campaign=small_design(n=1, interval=0.05))
+    direct = expected_information(alone, np.array([*theta[:7], *theta[problem.layout.noise[0]]]))
+    # of tau_v, V, y0, beta, t0, tf and, through d(tau^2) = 2 tau d(tau) at t0 + tau, of tau
+    np.testing.assert_allclose(found[2:8, 2:8], direct[1:7, 1:7], rtol=1e-9)
+    slope = np.zeros(len(found))
+    slope[[0, 6, 7]] = 2.0 * truth.tau, 1.0, 1.0
+    assert slope @ found @ slope == pytest.approx(direct[0, 0], rel=1e-9)
+
+
+def test_a_mesh_that_was_widened_once_is_wide_enough() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    first = compress(problem, theta)
+    narrow = replace(
+        first.region, low=theta - 0.5 * (theta - first.region.low),
+        high=theta + 0.05 * (first.region.high - theta),
+    )  # fmt: skip
+    _, wide = approximate(problem, theta, compress(problem, theta, narrow))
+    assert (wide.region.high > narrow.high).any()
+    _, again = approximate(problem, theta, wide)
+    assert again is wide
