@@ -10,8 +10,12 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 
+from bayes_sensor.figures import WIDTH as PRINTED
+
 PAPER = Path(__file__).resolve().parent.parent
 TABLES, FIGURES = PAPER / "tables", PAPER / "figures"
+WIDTH = PRINTED
+"""inches, as wide as the text of the manuscript: a point in a figure is a point in print"""
 
 INK, SHADE, ACCENT = "0.1", "0.82", "#0b5394"
 plt.rcParams.update(
@@ -19,9 +23,9 @@ plt.rcParams.update(
         "font.size": 8,
         "axes.labelsize": 8,
         "axes.titlesize": 8,
-        "xtick.labelsize": 7,
-        "ytick.labelsize": 7,
-        "legend.fontsize": 7,
+        "xtick.labelsize": 7.5,
+        "ytick.labelsize": 7.5,
+        "legend.fontsize": 7.5,
         "legend.frameon": False,
         "axes.spines.top": False,
         "axes.spines.right": False,
@@ -31,6 +35,7 @@ plt.rcParams.update(
         "figure.dpi": 100,
         "savefig.dpi": 200,
         "svg.hashsalt": "bayes_sensor",
+        "text.hinting": "none",  # hinted letters are narrower than those of a vector drawing
     }
 )
 

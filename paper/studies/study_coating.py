@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from drawing import ACCENT, FIGURES, INK, TABLES, plt, save
+from drawing import ACCENT, FIGURES, INK, TABLES, WIDTH, plt, save
 from matplotlib.figure import Figure
 from scipy.stats import norm
 from study_coverage import REFERENCE, design
@@ -34,6 +34,7 @@ from bayes_sensor.diffusion import (
     solve,
 )
 from bayes_sensor.figures import diffusion_figure, spectra_figure
+from bayes_sensor.figures.style import logarithmic, plain
 from bayes_sensor.likelihood import Problem, simulate
 from bayes_sensor.posterior import Settings, sample_posterior
 from bayes_sensor.readers import read_campaign
@@ -228,7 +229,7 @@ def draw(table: pd.DataFrame) -> None:
         "converged, white": r"converged, white, $\pm$%.1f ms",
         "converged, AR(1)": r"AR(1) bound, $\varphi=$%g, $\pm$%.1f ms",
     }
-    figure, axis = plt.subplots(figsize=(7.2, 5.4), layout="constrained")
+    figure, axis = plt.subplots(figsize=(WIDTH, 5.4), layout="constrained")
     y, ticks, names = 0.0, [], []
     right = 1e-8
     for evidence, text in words.items():
@@ -255,8 +256,9 @@ def draw(table: pd.DataFrame) -> None:
         (Coating().d_zif8, "--", "literature"),
         (LOWERED, ":", "lowered by the paper"),
     ):
-        axis.axvline(value, color=INK, lw=0.8, ls=dash, label=f"{text}, {value:.3g} m²/s")
-    axis.set(xscale="log", xlim=(3e-12, right), xlabel="diffusivity of ZIF-8 (m²/s), 95 % interval")
+        axis.axvline(value, color=INK, lw=0.8, ls=dash, label=f"{text}, {plain(value)} m²/s")
+    axis.set(xlim=(3e-12, right), xlabel="diffusivity of ZIF-8 (m²/s), 95 % interval")
+    logarithmic(axis, "x")
     axis.set_yticks(ticks, names)
     axis.tick_params(axis="y", length=0)
     axis.invert_yaxis()

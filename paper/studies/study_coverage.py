@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from drawing import ACCENT, INK, PAPER, SHADE, TABLES, label, plt, save
+from drawing import ACCENT, INK, PAPER, SHADE, TABLES, WIDTH, label, plt, save
 
 from bayes_sensor.calibration import (
     LEVELS,
@@ -100,7 +100,7 @@ def draw_parameters(table: pd.DataFrame) -> None:
     phis = sorted(set(table["phi"]))
     names = list(dict.fromkeys(table["parameter"]))
     figure, axes = plt.subplots(
-        1, len(LEVELS), figsize=(7.2, 5.2), sharey=True, layout="constrained"
+        1, len(LEVELS), figsize=(WIDTH, 0.17 * len(names) + 0.9), sharey=True, layout="constrained"
     )
     for axis, level in zip(axes, LEVELS):
         some = table[table["nominal"] == level]
@@ -115,9 +115,9 @@ def draw_parameters(table: pd.DataFrame) -> None:
                 of["coverage"], np.arange(len(names)) + shift, marker, color=colour,
                 markerfacecolor=face, label=rf"$\varphi = {phi:g}$",
             )  # fmt: skip
-        axis.set_xlabel(f"coverage of {100 * level:g} % interval")
+        axis.set_xlabel(f"coverage of the\n{100 * level:g} % interval")
     axes[0].set_yticks(range(len(names)), [label(name) for name in names])
-    axes[0].tick_params(axis="y", labelsize=6)
+    axes[0].set_ylim(-0.7, len(names) - 0.3)
     axes[0].invert_yaxis()
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
@@ -134,7 +134,7 @@ def draw_tau(table: pd.DataFrame) -> None:
         "log_uniform_floored": ("^", "0.45", "0.45"),
     }
     figure, axes = plt.subplots(
-        1, len(claims), figsize=(7.2, 2.2), sharey=True, layout="constrained"
+        1, len(claims), figsize=(WIDTH, 2.3), sharey=True, layout="constrained"
     )
     for axis, claim in zip(axes, claims):
         for j, (prior, (marker, colour, face)) in enumerate(looks.items()):

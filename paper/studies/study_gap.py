@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from drawing import ACCENT, INK, PAPER, SHADE, TABLES, plt, save
+from drawing import ACCENT, INK, PAPER, SHADE, TABLES, WIDTH, plt, save
 from gap_rigs import (
     LAWS,
     LISTED,
@@ -33,6 +33,7 @@ from gap_rigs import (
 from bayes_sensor.blind_check import wilson
 from bayes_sensor.calibration import run_chunks, study_key
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.figures import effect_words
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.gap import CATALOGUE, Gap, diagnose_gap
 from bayes_sensor.gap.refit import Part, Plan, refit
@@ -377,22 +378,19 @@ def what_hides() -> pd.DataFrame:
 def draw_power(table: pd.DataFrame, rows: pd.DataFrame) -> None:
     """Rates beside their goals, and every listed campaign's probability of the true family."""
     goals = table[(table["goal"] != "") & (table["k"] != "")].reset_index(drop=True)
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(7.2, 4.2), layout="constrained", width_ratios=[1.15, 1.0]
-    )
+    figure, (upper, lower) = plt.subplots(2, 1, figsize=(WIDTH, 6.4), layout="constrained")
     for y, row in enumerate(goals.itertuples()):
         goal = float(str(row.goal).partition(" ")[2])
         if str(row.goal).startswith("<="):
-            left.barh(y, goal, height=0.8, color=SHADE)
+            upper.barh(y, goal, height=0.8, color=SHADE)
         else:
-            left.barh(y, 1.0 - goal, left=goal, height=0.8, color=SHADE)
-        left.plot([row.low, row.high], [y, y], color=INK, lw=0.8)
-        left.plot(row.value, y, "o", color=ACCENT if row.met == "yes" else "white", mec=ACCENT)
-    left.set_yticks(range(len(goals)), [f"{r.claim}, {r.setting}" for r in goals.itertuples()])
-    left.invert_yaxis()
-    left.set_xlim(-0.02, 1.02)
-    left.set_xlabel("rate (goal shaded)")
-    left.tick_params(axis="y", labelsize=6)
+            upper.barh(y, 1.0 - goal, left=goal, height=0.8, color=SHADE)
+        upper.plot([row.low, row.high], [y, y], color=INK, lw=0.8)
+        upper.plot(row.value, y, "o", color=ACCENT if row.met == "yes" else "white", mec=ACCENT)
+    upper.set_yticks(range(len(goals)), [f"{r.claim}, {r.setting}" for r in goals.itertuples()])
+    upper.invert_yaxis()
+    upper.set_xlim(-0.02, 1.02)
+    upper.set_xlabel("rate (goal shaded)")
     listed = rows[rows["group"] == "listed"]
     names = list(LISTED)
     for d, marker, shift in zip(DETECTABILITIES, ("o", "s"), (-0.18, 0.18), strict=True):
@@ -400,21 +398,21 @@ def draw_power(table: pd.DataFrame, rows: pd.DataFrame) -> None:
         y = np.array([names.index(n) for n in some["cause"]]) + shift
         faint = some["hidden"].to_numpy(dtype=bool)
         p = some["p_family"].to_numpy(dtype=float)
-        right.plot(p[~faint], y[~faint], marker, color=ACCENT, ls="", alpha=0.7, label=f"d {d:g}")
-        right.plot(p[faint], y[faint], marker, mfc="none", color="0.6", ls="")
-    right.plot([], [], "o", mfc="none", color="0.6", ls="", label="cannot reach that d")
-    right.set_yticks(range(len(names)), names)
-    right.tick_params(axis="y", labelsize=6)
-    right.invert_yaxis()
-    right.set_xlabel("probability of the true family")
-    right.legend(loc="center", bbox_to_anchor=(0.42, 0.62))
+        lower.plot(p[~faint], y[~faint], marker, color=ACCENT, ls="", alpha=0.7, label=f"d {d:g}")
+        lower.plot(p[faint], y[faint], marker, mfc="none", color="0.6", ls="")
+    lower.plot([], [], "o", mfc="none", color="0.6", ls="", label="cannot reach that d")
+    lower.set_yticks(range(len(names)), [effect_words(n) for n in names])
+    lower.invert_yaxis()
+    lower.set_xlabel("probability of the true family")
+    lower.legend(loc="center", bbox_to_anchor=(0.35, 0.55))
     save(figure, "gap_power")
 
 
 def draw_isolability(table: pd.DataFrame) -> None:
     """What a rival leaves of an effect's gap, as a share of it; pairs below three are framed."""
     names = [n for n in LISTED if n in table.columns]
-    figure, axes = plt.subplots(1, 2, figsize=(7.2, 4.0), layout="constrained", sharey=True)
+    words = [effect_words(n) for n in names]
+    figure, axes = plt.subplots(2, 1, figsize=(WIDTH, 8.0), layout="constrained", sharex=True)
     for axis, (d, some) in zip(axes, table.groupby("d_wanted"), strict=True):
         left = some.set_index("effect").loc[names]
         values = left[names].to_numpy(dtype=float)
@@ -425,17 +423,17 @@ def draw_isolability(table: pd.DataFrame) -> None:
                 if rival in names:
                     j = names.index(rival)
                     axis.text(j, i, f"{values[i, j]:.1f}", ha="center", va="center",
-                              fontsize=4.5, color="white")  # fmt: skip
+                              fontsize=7, color="white")  # fmt: skip
                     axis.add_patch(plt.Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, ec=ACCENT))
-        axis.set_xticks(range(len(names)), names, rotation=90, fontsize=5.5)
+        axis.set_xticks(range(len(names)), words, rotation=90)
         axis.set_yticks(
             range(len(names)),
-            [f"{n}  {v:.0f}" for n, v in zip(names, left["d"], strict=True)], fontsize=5.5,
-        )  # fmt: skip
-        axis.set_title(f"d {d:g}", pad=3)
-        axis.set_xlabel("explained by")
-    axes[0].set_ylabel("cause, and the d it can reach")
-    figure.colorbar(image, ax=axes, shrink=0.6, label="share of d that is left")
+            [f"{word}  {v:.0f}" for word, v in zip(words, left["d"], strict=True)],
+        )
+        axis.set_title(f"wanted d = {d:g}", pad=3)
+        axis.set_ylabel("cause, and the d it can reach")
+    axes[-1].set_xlabel("explained by")
+    figure.colorbar(image, ax=axes, shrink=0.5, label="share of d that is left")
     save(figure, "gap_isolability")
 
 

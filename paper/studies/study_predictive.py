@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from drawing import ACCENT, INK, PAPER, SHADE, TABLES, plt, save
+from drawing import ACCENT, INK, PAPER, SHADE, TABLES, WIDTH, plt, save
 
+from bayes_sensor.figures.style import logarithmic
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.noise import Noise
 from bayes_sensor.posterior import sample_posterior
@@ -49,7 +50,7 @@ def p_text(p: float) -> str:
 
 def draw(checks: dict[str, PredictiveCheck]) -> None:
     """Observed statistics on the band of replicates, one row a noise law."""
-    figure, axes = plt.subplots(len(checks), 4, figsize=(7.2, 5.0), layout="constrained")
+    figure, axes = plt.subplots(len(checks), 4, figsize=(WIDTH, 5.4), layout="constrained")
     for row, (law, check) in zip(axes, checks.items()):
         records = (check.autocorrelation, check.variance, check.spectrum)
         for axis, record, unit in zip(row, records, (1.0, 1e-3, 1.0)):
@@ -58,11 +59,11 @@ def draw(checks: dict[str, PredictiveCheck]) -> None:
             axis.plot(record.x, record.middle / unit, color="0.5", lw=0.7)
             axis.plot(record.x, record.observed / unit, "o", color=ACCENT)
             axis.set_title(p_text(record.p_value), pad=2)
-        row[0].set_xscale("log")
+        logarithmic(row[0], "x")
         row[0].set_ylabel(f"{law}\n\nautocorrelation")
         row[1].set_ylabel("variance ($10^{-3}$ V$^2$)")
-        row[2].set_xscale("log")
-        row[2].set_yscale("log")
+        logarithmic(row[2], "x")
+        logarithmic(row[2], "y")
         row[2].set_ylabel("spectrum (1/sample)")
         pit = check.pit
         edges = np.linspace(0, 1, len(pit.counts) + 1)
@@ -74,7 +75,7 @@ def draw(checks: dict[str, PredictiveCheck]) -> None:
         row[3].set_ylabel("density of PIT")
         row[3].set_title(p_text(pit.p_uniform), pad=2)
         row[3].text(
-            0.5, 0.06, f"lag 1: {p_text(pit.p_independent)}", fontsize=7, ha="center",
+            0.5, 0.06, f"lag 1: {p_text(pit.p_independent)}", fontsize=7.5, ha="center",
             transform=row[3].transAxes,
         )  # fmt: skip
     for axis, text in zip(

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from drawing import ACCENT, INK, TABLES, plt, save
+from drawing import ACCENT, INK, TABLES, WIDTH, plt, save
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.fit import fit_least_squares
@@ -533,7 +533,7 @@ def run(
 
 def draw(found: Mapping[str, Found]) -> None:
     """A few traces around the switch: measured, the model, the model with the effect."""
-    figure, axes = plt.subplots(len(found), 4, figsize=(7.2, 3.9), layout="constrained")
+    figure, axes = plt.subplots(len(found), 4, figsize=(WIDTH, 4.1), layout="constrained")
     for row, (name, f) in zip(axes, found.items()):
         for axis, trace in zip(row, SHOWN[name]):
             for side in (0, 1):

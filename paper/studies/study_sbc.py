@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from drawing import ACCENT, INK, SHADE, TABLES, label, plt, save
+from drawing import ACCENT, INK, SHADE, TABLES, WIDTH, label, plt, save
 
 from bayes_sensor.calibration import Ranks, RankStudy, run_chunks
 from bayes_sensor.campaign import Campaign, Experiment
@@ -109,7 +109,7 @@ def draw(ranks: Ranks) -> None:
     n_columns = 6
     n_rows = -(-len(ranks.names) // n_columns)
     figure, axes = plt.subplots(
-        2 * n_rows, n_columns, figsize=(7.2, 1.25 * 2 * n_rows), sharex=True, layout="constrained"
+        2 * n_rows, n_columns, figsize=(WIDTH, 1.2 * 2 * n_rows), sharex=True, layout="constrained"
     )
     for axis in axes.ravel():
         axis.set_visible(False)
@@ -126,7 +126,7 @@ def draw(ranks: Ranks) -> None:
         lower.fill_between(x, low, high, color=SHADE, lw=0)
         lower.plot(x, ranks.ecdf_difference[i], color=ACCENT)
         lower.set_ylim(-top, top)
-        lower.set_xticks([0, 0.5, 1])
+        lower.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
         if column:
             upper.set_yticklabels([])
             lower.set_yticklabels([])
