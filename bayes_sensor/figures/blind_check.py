@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -20,6 +21,7 @@ from bayes_sensor.figures.style import (
     MODEL,
     ORANGE,
     PALE,
+    SMALLEST,
     new_figure,
     style,
 )
@@ -28,19 +30,27 @@ Part = Mapping[str, Any]
 
 
 def score_card(card: Part) -> Figure:
-    """Nine panels from ``score.json``: is anything seen, named, flagged, calibrated, mended."""
+    """Nine panels from ``score.json``: is anything seen, named, flagged, calibrated, mended.
+
+    What has no panel stands as sentences beside the last.
+    """
     with style():
-        figure = new_figure(8.9)
-        axes = figure.subplots(3, 3)
-        _nulls(axes[0, 0], card["nulls"])
-        _against_d(axes[0, 1], card["accuracy"], "top_or_abstained", "right effect")
-        _against_d(axes[0, 2], card["accuracy"], "family_or_abstained", "right family")
-        _wrong(axes[1, 0], card["confident_wrong"])
-        _flagged(axes[1, 1], card["unlisted"])
-        _roc(axes[1, 2], card["unlisted"]["roc"])
-        _reliability(axes[2, 0], card["calibration"]["verdict"])
-        _closed(axes[2, 1], card["closed_fraction"])
-        _tau(axes[2, 2], card)
+        figure = new_figure(8.7)
+        rows: Any = figure.subfigures(4, 1, height_ratios=[2.75, 2.1, 2.05, 1.8])
+        left, right = rows[0].subplots(1, 2)
+        _nulls(left, card["nulls"])
+        _wrong(right, card["confident_wrong"])
+        effect, family, unknown = rows[1].subplots(1, 3)
+        _against_d(effect, card["accuracy"], "top_or_abstained", "right effect")
+        _against_d(family, card["accuracy"], "family_or_abstained", "right family")
+        _flagged(unknown, card["unlisted"])
+        roc, stated, closed = rows[2].subplots(1, 3)
+        _roc(roc, card["unlisted"]["roc"])
+        _reliability(stated, card["calibration"]["verdict"])
+        _closed(closed, card["closed_fraction"])
+        tau, words = rows[3].subplots(1, 2, width_ratios=[1, 2])
+        _tau(tau, card["tau"])
+        _sentences(words, card)
     return figure
 
 
@@ -66,9 +76,9 @@ def _bars(axes: Axes, names: Sequence[str], parts: Sequence[Part], colour: str) 
     )  # fmt: skip
     labels = [f"{name} ({part['n']})" for name, part in zip(names, parts, strict=True)]
     axes.set_yticks(y, labels)
-    axes.tick_params(axis="y", labelsize=7)
+    axes.tick_params(axis="y", labelsize=SMALLEST)
     axes.yaxis.grid(False)
-    axes.invert_yaxis()
+    axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xlim(0.0, None)
 
 
@@ -82,16 +92,21 @@ def _nulls(axes: Axes, nulls: Part) -> None:
     _bars(axes, names, [part["alarmed"] for part in parts], PALE)
     y = np.arange(len(names))
     axes.barh(y, [_rate(part["named"]) for part in parts], 0.6, color=MODEL, lw=0)
-    axes.set_title("nothing wrong")
-    axes.set_xlabel("share alarmed (grey), named (red)")
+    axes.set_title("nothing wrong, by noise")
+    axes.set_xlabel("share of false alarms\n(red: a cause is named)")
 
 
 def _levels(axes: Axes, levels: Sequence[float]) -> None:
     axes.set_xscale("log")
     axes.set_xticks(levels, [f"{level:g}" for level in levels])
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel("detectability d")
+    axes.set_xlabel("size d of the misfit (sd)")
+    _shares(axes)
+
+
+def _shares(axes: Axes) -> None:
     axes.set_ylim(-0.03, 1.03)
+    axes.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0", "0.25", "0.5", "0.75", "1"])
 
 
 def _line(
@@ -108,32 +123,41 @@ def _line(
 
 def _against_d(axes: Axes, table: Sequence[Part], key: str, title: str) -> None:
     levels = [row["d"] for row in table]
-    _line(axes, levels, [row[key] for row in table], "diagnosis", BLUE, MARKERS[0], 0.0)
+    _line(axes, levels, [row[key] for row in table], "this diagnosis", BLUE, MARKERS[0], 0.0)
     if key.startswith("top"):
         _line(axes, levels, [row["oracle"] for row in table], "oracle", INK, MARKERS[1], 0.1, False)
         _line(axes, levels, [row["bic"] for row in table], "BIC", ORANGE, MARKERS[2], 0.0, False)
         _line(axes, levels, [row["rss"] for row in table], "RSS", GREEN, MARKERS[3], -0.1, False)
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=2, fontsize=7)
+    _legend(axes)
     _levels(axes, levels)
+    axes.set_ylabel("share of campaigns")
     axes.set_title(title)
+
+
+def _legend(axes: Axes) -> None:
+    axes.legend(
+        loc="upper center", bbox_to_anchor=(0.45, -0.3), ncols=2, fontsize=SMALLEST,
+        columnspacing=0.8, handlelength=1.6, handletextpad=0.4,
+    )  # fmt: skip
 
 
 def _wrong(axes: Axes, wrong: Part) -> None:
     words = {
-        "listed": "listed", "pair": "pair", "unlisted": "unlisted", "withheld": "withheld",
-        "withheld_outside_family": ".. other family", "bic_listed": "BIC, listed",
-        "bic_unlisted": "BIC, unlisted", "bic_withheld": "BIC, withheld",
+        "listed": "cause in the catalogue", "pair": "two such causes",
+        "unlisted": "cause not in it", "withheld": "cause taken out",
+        "withheld_outside_family": "same, other family", "bic_listed": "BIC, in the catalogue",
+        "bic_unlisted": "BIC, not in it", "bic_withheld": "BIC, taken out",
     }  # fmt: skip
     _bars(axes, list(words.values()), [wrong[key] for key in words], DATA)
-    axes.set_title("confident wrong name")
-    axes.set_xlabel("share")
+    axes.set_title("wrong name")
+    axes.set_xlabel("share given a wrong cause\n(probability above 0.9)")
 
 
 def _flagged(axes: Axes, unlisted: Part) -> None:
     levels = [row["d"] for row in unlisted["flagged"]]
     for key, label, colour, marker, shift in (
-        ("flagged", "outside the catalogue", BLUE, MARKERS[0], -0.06),
-        ("withheld_flagged", "withheld", ORANGE, MARKERS[1], 0.06),
+        ("flagged", "never listed", BLUE, MARKERS[0], -0.06),
+        ("withheld_flagged", "taken out", ORANGE, MARKERS[1], 0.06),
     ):
         parts = [row["flagged"] for row in unlisted[key]]
         known = [i for i, part in enumerate(parts) if part["n"]]
@@ -142,21 +166,24 @@ def _flagged(axes: Axes, unlisted: Part) -> None:
             shift,
         )  # fmt: skip
     _levels(axes, levels)
-    axes.set_title("flagged unlisted")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), fontsize=7)
+    axes.set_ylabel("share called unlisted")
+    axes.set_title("unlisted cause")
+    _legend(axes)
 
 
 def _roc(axes: Axes, roc: Part) -> None:
     axes.plot([0, 1], [0, 1], color=MIDDLE, lw=0.7, ls=":")
     axes.plot([0.0, *roc["false"], 1.0], [0.0, *roc["true"], 1.0], color=BLUE)
-    axes.set_xlabel("share of the others flagged")
-    axes.set_ylabel("share of the unlisted")
+    axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
+    _shares(axes)
+    axes.set_xlabel("share of others flagged")
+    axes.set_ylabel("share of unlisted flagged")
     if roc["area"] is not None:
         axes.annotate(
             f"area {roc['area']:.2f} ± {1.96 * roc['se']:.2f}", (0.97, 0.05),
-            xycoords="axes fraction", ha="right", fontsize=7,
+            xycoords="axes fraction", ha="right", fontsize=SMALLEST,
         )  # fmt: skip
-    axes.set_title("P(unlisted)")
+    axes.set_title("unlisted or not")
 
 
 def _reliability(axes: Axes, calibration: Part) -> None:
@@ -169,11 +196,12 @@ def _reliability(axes: Axes, calibration: Part) -> None:
     )  # fmt: skip
     if calibration["ece"] is not None:
         axes.annotate(
-            f"error {calibration['ece']:.3f}\nif calibrated < {calibration['band95']:.3f}",
-            (0.03, 0.97), xycoords="axes fraction", va="top", fontsize=7,
+            f"mean error {calibration['ece']:.3f},\nchance: < {calibration['band95']:.3f}",
+            (0.98, 0.03), xycoords="axes fraction", ha="right", va="bottom", fontsize=SMALLEST,
         )  # fmt: skip
     axes.set_xlim(0, 1.02)
-    axes.set_ylim(-0.03, 1.03)
+    axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
+    _shares(axes)
     axes.set_xlabel("stated probability")
     axes.set_ylabel("share right")
     axes.set_title("verdicts")
@@ -182,7 +210,7 @@ def _reliability(axes: Axes, calibration: Part) -> None:
 def _closed(axes: Axes, table: Sequence[Part]) -> None:
     levels = [row["d"] for row in table]
     for key, label, colour, marker in (
-        ("median_error", "in sample", BLUE, MARKERS[0]),
+        ("median_error", "error", BLUE, MARKERS[0]),
         ("median_error_held_out", "held out", ORANGE, MARKERS[1]),
     ):
         values = [np.nan if row[key] is None else row[key] for row in table]
@@ -190,33 +218,57 @@ def _closed(axes: Axes, table: Sequence[Part]) -> None:
     coverage = [_rate(row["coverage"]) for row in table]
     axes.errorbar(
         levels, coverage, yerr=_errors([row["coverage"] for row in table]), color=MIDDLE,
-        marker=MARKERS[2], ms=4, lw=0.8, elinewidth=0.8, ls="--", label="interval covers",
+        marker=MARKERS[2], ms=4, lw=0.8, elinewidth=0.8, ls="--", label="interval holds",
     )  # fmt: skip
     _levels(axes, levels)
-    axes.set_title("closed fraction, error")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=2, fontsize=7)
+    axes.set_ylabel("error, or share")
+    axes.set_title("how much closes")
+    _legend(axes)
 
 
-def _tau(axes: Axes, card: Part) -> None:
-    tau = card["tau"]
+def _tau(axes: Axes, tau: Part) -> None:
     values = [np.nan if tau[key] is None else tau[key] for key in ("before", "after")]
     axes.bar([0, 1], values, 0.6, color=[PALE, DATA], edgecolor=INK, lw=0.6)
-    axes.set_xticks([0, 1], ["before", "after"])
+    axes.set_xticks([0, 1], ["without", "with"])
     axes.xaxis.grid(False)
+    axes.set_xlabel("the named cause in the model")
     axes.set_ylabel("mean error of ln τ")
-    axes.set_title(f"τ, effect named ({tau['n']})")
-    places = card["localisation"]
+    axes.set_title("is τ mended")
+
+
+def _sentences(axes: Axes, card: Part) -> None:
+    """What the panel of tau means, where the gap lies, and what hides, in words."""
+    tau, places, cover = card["tau"], card["localisation"], card["envelope"]["d_below_3"]
     said = []
-    if places["share"] is not None:
-        oracle = places["share_oracle"]
-        said.append(
-            f"excess put where it acts {places['share']:.2f}"
-            + ("" if oracle is None else f"\n(oracle {oracle:.2f})")
+    if tau["before"] is not None and tau["after"] is not None:
+        words = (
+            f"τ: in the {tau['n']} campaigns in which the cause was named, the estimate of τ is "
+            f"wrong by a factor of {np.exp(tau['before']):.2f} on average before the cause is in "
+            f"the model, and of {np.exp(tau['after']):.2f} after"
         )
-    cover = card["envelope"]["d_below_3"]
+        if tau.get("ratio_lo95") is not None:
+            words += (
+                f". The error of ln τ falls to {100 * tau['ratio']:.0f} % (95 % interval "
+                f"{100 * tau['ratio_lo95']:.0f} to {100 * tau['ratio_hi95']:.0f} %)"
+            )
+        said.append(words + ".")
+    if places["share"] is not None:
+        words = (
+            f"Where: of the misfit that the diagnosis finds, {100 * places['share']:.0f} % on "
+            "average lies in the phases in which the cause acts"
+        )
+        if places["share_oracle"] is not None:
+            words += f"; with the cause known it would be {100 * places['share_oracle']:.0f} %"
+        said.append(words + ".")
     if cover["rate"] is not None:
-        said.append(f"τ in envelope, d < 3: {cover['rate']:.2f} of {cover['n']}")
-    axes.set_xlabel("\n".join(said), fontsize=7)
+        said.append(
+            f"What hides: in {cover['k']} of {cover['n']} campaigns with no cause, or with one "
+            "too weak to be seen (d < 3), the true τ lies within the range that the diagnosis "
+            "gives for it."
+        )
+    axes.set_axis_off()
+    text = "\n\n".join(textwrap.fill(words, 66) for words in said)
+    axes.text(0.02, 1.0, text, transform=axes.transAxes, va="top", fontsize=7.5)
 
 
 def opened_seal(gap: Part, row: Part) -> Figure:
@@ -233,7 +285,7 @@ def opened_seal(gap: Part, row: Part) -> Figure:
         colours = [GREEN if set(e["effect"].split("+")) & right else DATA for e in best]
         left.barh(y, [entry["probability"] for entry in best], 0.65, color=colours, lw=0)
         left.set_yticks(y, [entry["effect"].replace("_", " ") for entry in best])
-        left.tick_params(axis="y", labelsize=7)
+        left.tick_params(axis="y", labelsize=SMALLEST)
         left.yaxis.grid(False)
         left.invert_yaxis()
         left.set_xlim(0, 1.02)

@@ -149,6 +149,16 @@ def what_would_help(rows: Sequence[Mapping[str, Any]]) -> Figure:
     return figure
 
 
+def _setting_words(setting: str) -> str:
+    """A simulated setting as words.
+
+    >>> _setting_words("ar1_0.9"), _setting_words("slow_closing")
+    ('AR(1), φ 0.9', 'slow closing')
+    """
+    words = {"iid": "white noise", "arma": "ARMA"}.get(setting, setting)
+    return words.replace("ar1_", "AR(1), φ ").replace("_", " ")
+
+
 def coverage(
     rows: Sequence[Mapping[str, Any]], parameters: Sequence[str] = ("tau_s", "tau_v_s", "V_mL")
 ) -> Figure:
@@ -176,8 +186,8 @@ def coverage(
                     axes.plot(row["coverage"], at, MARKERS[j], color=colour, ms=4)
             axes.axvline(0.95, color=MIDDLE, lw=0.8)
             axes.set_xlim(-0.03, 1.03)
-            axes.set_xticks([0.0, 0.5, 0.95], ["0", "0.5", "0.95"])
-            axes.set_title(setting, fontsize=8.5)
+            axes.set_xticks([0.0, 0.5, 0.95], ["0", "0.5", ".95"])
+            axes.set_title(_setting_words(setting), fontsize=8.5)
         row_of_axes[0].set_yticks(
             range(len(methods)), [METHOD_LABELS.get(method, method) for method in methods]
         )

@@ -229,7 +229,7 @@ def draw(table: pd.DataFrame) -> None:
         "converged, white": r"converged, white, $\pm$%.1f ms",
         "converged, AR(1)": r"AR(1) bound, $\varphi=$%g, $\pm$%.1f ms",
     }
-    figure, axis = plt.subplots(figsize=(WIDTH, 5.4), layout="constrained")
+    figure, axis = plt.subplots(figsize=(WIDTH, 4.6), layout="constrained")
     y, ticks, names = 0.0, [], []
     right = 1e-8
     for evidence, text in words.items():

@@ -100,7 +100,7 @@ def draw_parameters(table: pd.DataFrame) -> None:
     phis = sorted(set(table["phi"]))
     names = list(dict.fromkeys(table["parameter"]))
     figure, axes = plt.subplots(
-        1, len(LEVELS), figsize=(WIDTH, 0.17 * len(names) + 0.9), sharey=True, layout="constrained"
+        1, len(LEVELS), figsize=(WIDTH, 0.14 * len(names) + 0.9), sharey=True, layout="constrained"
     )
     for axis, level in zip(axes, LEVELS):
         some = table[table["nominal"] == level]

@@ -412,7 +412,7 @@ def draw_isolability(table: pd.DataFrame) -> None:
     """What a rival leaves of an effect's gap, as a share of it; pairs below three are framed."""
     names = [n for n in LISTED if n in table.columns]
     words = [effect_words(n) for n in names]
-    figure, axes = plt.subplots(2, 1, figsize=(WIDTH, 8.0), layout="constrained", sharex=True)
+    figure, axes = plt.subplots(2, 1, figsize=(WIDTH, 7.0), layout="constrained", sharex=True)
     for axis, (d, some) in zip(axes, table.groupby("d_wanted"), strict=True):
         left = some.set_index("effect").loc[names]
         values = left[names].to_numpy(dtype=float)

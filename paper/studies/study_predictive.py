@@ -50,7 +50,7 @@ def p_text(p: float) -> str:
 
 def draw(checks: dict[str, PredictiveCheck]) -> None:
     """Observed statistics on the band of replicates, one row a noise law."""
-    figure, axes = plt.subplots(len(checks), 4, figsize=(WIDTH, 5.4), layout="constrained")
+    figure, axes = plt.subplots(len(checks), 4, figsize=(WIDTH, 4.8), layout="constrained")
     for row, (law, check) in zip(axes, checks.items()):
         records = (check.autocorrelation, check.variance, check.spectrum)
         for axis, record, unit in zip(row, records, (1.0, 1e-3, 1.0)):

@@ -109,7 +109,7 @@ def draw(ranks: Ranks) -> None:
     n_columns = 6
     n_rows = -(-len(ranks.names) // n_columns)
     figure, axes = plt.subplots(
-        2 * n_rows, n_columns, figsize=(WIDTH, 1.2 * 2 * n_rows), sharex=True, layout="constrained"
+        2 * n_rows, n_columns, figsize=(WIDTH, 0.95 * 2 * n_rows), sharex=True, layout="constrained"
     )
     for axis in axes.ravel():
         axis.set_visible(False)
