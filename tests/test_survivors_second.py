@@ -1,0 +1,166 @@
+"""What changed code had got past the tests, second draw of mutants (study_mutants.py)."""
+
+from dataclasses import replace
+from itertools import pairwise
+from math import floor, sqrt
+
+import numpy as np
+import pytest
+from campaigns import PUBLISHED, small_problem
+
+from bayes_sensor import coverage
+from bayes_sensor.bounds.surface import _roomy
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.compression.record import default_region
+from bayes_sensor.delays import regress_line
+from bayes_sensor.design import _as_pulse, _candidates, settings_of, truth_of
+from bayes_sensor.fit.looks import first_look
+from bayes_sensor.fit.points import averages
+from bayes_sensor.mixing import pareto_k
+from bayes_sensor.model import time_constants
+from bayes_sensor.predictive import _Statistics
+
+
+def published_shape(excess: np.ndarray) -> float:
+    """Shape of the generalised Pareto law by Zhang and Stephens (2009), step by step."""
+    x = np.sort(excess)
+    n = len(x)
+    m = 30 + floor(sqrt(n))
+    quartile = x[floor(n / 4 + 0.5) - 1]
+    thetas, logs = [], []
+    for j in range(1, m + 1):
+        theta = 1.0 / x[-1] + (1.0 - sqrt(m / (j - 0.5))) / (3.0 * quartile)
+        k = -np.mean(np.log(1.0 - theta * x))
+        thetas.append(theta)
+        logs.append(n * (np.log(theta / k) + k - 1.0))
+    weights = [1.0 / sum(np.exp(other - own) for other in logs) for own in logs]
+    best = sum(w * theta for w, theta in zip(weights, thetas))
+    return float(np.mean(np.log(1.0 - best * x)))
+
+
+@pytest.mark.parametrize("power", [0.2, 0.5, 0.9])
+def test_the_tail_of_weights_has_the_shape_of_the_published_estimate(power: float) -> None:
+    log_weights = power * np.random.default_rng(3).exponential(size=1000)
+    weights = np.sort(np.exp(log_weights - log_weights.max()))
+    n = 95  # ceil(3 sqrt(1000)) of the largest
+    expected = published_shape(weights[-n:] - weights[-n - 1])
+    # drawn to one half with the weight of ten observations
+    assert pareto_k(log_weights) == pytest.approx((n * expected + 5.0) / (n + 10.0), rel=1e-9)
+    assert pareto_k(log_weights) == pytest.approx(power, abs=0.3)
+
+
+def test_before_a_switch_a_record_is_averaged_in_eight_equal_stretches() -> None:
+    problem, _ = small_problem(n=1, interval=0.01)
+    e = problem.campaign.experiments[0]
+    look = first_look(e)
+    points = averages(problem.campaign, [look], per_rise=12, most=60)
+    before = points.t < look.on - e.interval
+    assert before.sum() == 8
+    np.testing.assert_allclose(points.weight[before], look.on / e.interval / 8, atol=1.0)
+
+
+def test_candidates_answer_as_late_as_the_present_experiments() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    early = [replace(e, commanded_on=0.5) for e in problem.campaign.experiments]
+    problem = replace(problem, campaign=replace(problem.campaign, experiments=tuple(early)))
+    present, truth = settings_of(problem, theta), truth_of(problem, theta)
+    found = _candidates(
+        problem, theta, present, truth, (60.0, 120.0), (0.1, 0.3), (20.0, 60.0), (2, 2, 2)
+    )
+    delay = np.mean([s.t0 for s in present]) - 0.5  # of two, the median is the mean
+    assert delay == pytest.approx(1.5137)
+    for s in found:
+        assert s.experiment.commanded_on is not None and s.experiment.commanded_off is not None
+        assert s.t0 - s.experiment.commanded_on == pytest.approx(delay)
+        assert s.tf is not None and s.tf - s.experiment.commanded_off == pytest.approx(delay)
+
+
+def test_a_pulse_lasts_six_slowest_time_constants_or_is_not_proposed() -> None:
+    problem, theta = small_problem(n=1, interval=0.01, duration=120.0)
+    setting, truth = settings_of(problem, theta)[0], truth_of(problem, theta)
+    slowest = max(truth.tau, truth.tau_v, truth.V / setting.experiment.total_flow)
+    most = int(0.4 * 120.0 / (6.0 * slowest))  # up at 20 %, down at 60 %
+    assert most > 10
+    pulse = _as_pulse(setting, most, truth)
+    assert pulse is not None and pulse.tf is not None and pulse.tf - pulse.t0 >= 6.0 * slowest
+    assert _as_pulse(setting, most + 1, truth) is None
+
+
+def test_the_design_of_the_coverage_study_holds_published_experiments() -> None:
+    assert coverage.RUNS == tuple(PUBLISHED[name][:4] for name in "167")
+
+
+def test_a_coverage_study_tries_the_methods_that_were_asked_for(monkeypatch, tmp_path) -> None:
+    tried = []
+
+    def note(study: coverage.BoundsStudy, *_: object, **__: object) -> None:
+        tried.append(study.methods)
+        raise CampaignError("far enough")
+
+    monkeypatch.setattr(coverage, "run_chunks", note)
+    some = tuple(coverage.METHODS)[:2]
+    for asked in (some, None, ()):
+        with pytest.raises(CampaignError, match="far enough"):
+            coverage.run_coverage(tmp_path, coverage.chosen_settings(["iid"]), 1, asked)
+    assert tried == [some, tuple(coverage.METHODS), tuple(coverage.METHODS)]
+
+
+@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+def test_a_time_constant_is_positive_and_finite(place: int, value: float) -> None:
+    values = [0.05, 0.8, 60.0]
+    values[place] = value
+    with pytest.raises(CampaignError, match="time constants must be positive"):
+        time_constants(*values, total_flow=100.0)
+
+
+def test_the_statistics_of_residuals_are_those_of_the_textbook() -> None:
+    # one experiment, two stretches missing; what stands there is of no account
+    problem, theta = small_problem(n=1, interval=0.02, masked=[(1.0, 1.5), (4.0, 4.1)])
+    statistics = _Statistics(problem, theta)
+    (e,) = problem.campaign.experiments
+    rng = np.random.default_rng(5)
+    z, s = rng.standard_normal(len(e.t)), 0.01 + 0.02 * rng.random(len(e.t))
+    z[~e.used] = 1e3
+    autocorrelation, variance, spectrum = statistics([z], [s])
+
+    u = e.used
+    expected = []
+    for lag in statistics.lags:
+        pairs = [z[i] * z[i + lag] for i in range(len(z) - lag) if u[i] and u[i + lag]]
+        expected.append(np.mean(pairs) / np.mean(z[u] ** 2))
+    np.testing.assert_allclose(autocorrelation, expected, rtol=1e-10)
+
+    counts = statistics.bin_counts
+    assert counts.sum() <= u.sum()
+    (where,) = statistics.bins
+    squares = [np.mean((s * z)[u & (where == b)] ** 2) for b in range(len(counts))]
+    np.testing.assert_allclose(variance, squares, rtol=1e-12)
+
+    n, zero = len(z), np.where(u, z, 0.0)
+    k = np.arange(n // 2 + 1)
+    wave = np.exp(-2j * np.pi * np.outer(k, np.arange(n)) / n)
+    density = np.abs(wave @ zero) ** 2 / u.sum()  # 1 for white noise
+    f = k / (n * e.interval)
+    edges = np.geomspace(0.999 * f[1], 1.001 * 0.5 / e.interval, 13)
+    bands = [density[(f >= a) & (f < b)] for a, b in pairwise(edges)]
+    np.testing.assert_allclose(spectrum, [b.mean() for b in bands if len(b)], rtol=1e-8)
+
+
+def test_a_wider_region_is_wider_in_both_slow_constants() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    usual, wide = default_region(problem, theta), _roomy(problem, theta, room=1.5)
+    for i in (1, 2):  # tau_v, V
+        assert wide.high[i] - theta[i] == pytest.approx(1.5 * (usual.high[i] - theta[i]))
+        low = theta[i] - 1.5 * (theta[i] - usual.low[i])
+        assert wide.low[i] == pytest.approx(max(low, 0.1 * theta[i]))
+
+
+def test_a_point_off_an_exact_line_stands_out_without_limit() -> None:
+    x = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    y = 0.25 + 0.125 * x
+    y[2] += 0.5
+    line = regress_line(list("abcde"), x, y)
+    found = line.studentised
+    assert found["c"] is not None and found["c"] > 1e6
+    assert all(abs(found[name]) < 10.0 for name in "abde")
