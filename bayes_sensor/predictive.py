@@ -30,6 +30,13 @@ N_BANDS = 12
 N_PIT_BINS = 20
 N_PIT_DRAWS = 6
 ALPHA = 0.01
+CHECK_WORDS = {
+    "autocorrelation": "autocorrelation",
+    "variance": "spread against concentration",
+    "spectrum": "spectrum",
+    "pit_uniform": "spread of the forecasts of the next sample",
+    "pit_independent": "independence of the forecasts of the next sample",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,9 +151,13 @@ class PredictiveCheck:
             least = min(self.p_values, key=lambda name: self.p_values[name])
             return (
                 "Replicated data look like the data in every check "
-                f"(smallest p-value {self.p_values[least]:.2g}, {least.replace('_', ' ')})."
+                f"(smallest p-value {self.p_values[least]:.2g}, {CHECK_WORDS[least]})."
             )
-        found = ", ".join(f"{n.replace('_', ' ')} (p {self.p_values[n]:.1g})" for n in self.failed)
+        found = ", ".join(
+            f"{CHECK_WORDS[name]} (p {'below 0.001' if p < 1e-3 else f'{p:.1g}'})"
+            for name in self.failed
+            for p in (self.p_values[name],)
+        )
         return f"Replicated data do not look like the data: {found}."
 
     def to_json(self) -> dict[str, Any]:

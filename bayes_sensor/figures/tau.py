@@ -186,7 +186,7 @@ def coverage(
                     axes.plot(row["coverage"], at, MARKERS[j], color=colour, ms=4)
             axes.axvline(0.95, color=MIDDLE, lw=0.8)
             axes.set_xlim(-0.03, 1.03)
-            axes.set_xticks([0.0, 0.5, 0.95], ["0", "0.5", ".95"])
+            axes.set_xticks([0.0, 0.5, 0.95], ["0", "0.5", "0.95"])
             axes.set_title(_setting_words(setting), fontsize=8.5)
         row_of_axes[0].set_yticks(
             range(len(methods)), [METHOD_LABELS.get(method, method) for method in methods]

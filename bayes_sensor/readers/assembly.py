@@ -110,8 +110,8 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
     grid = _grid(file, recording)
     if NOTED_JITTER < grid.jitter <= MOST_JITTER and not grid.rounded:
         notes.append(
-            f"{where}: times are up to {grid.jitter:.0%} of the interval off a uniform grid of "
-            f"{grid.interval:.6g} s; the samples were taken as uniform"
+            f"{where}: times are up to {100 * grid.jitter:.0f} % of the interval off a uniform grid "
+            f"of {grid.interval:.6g} s; the samples were taken as uniform"
         )
     n = int(grid.index[-1]) + 1
     t = grid_times(grid.start, grid.interval, n)
@@ -266,7 +266,7 @@ def _check_gaps(
         )
     if missing.mean() > MOST_LOST:
         raise file.error(
-            f"{int(missing.sum())} of {len(t)} samples are missing ({missing.mean():.0%}); "
+            f"{int(missing.sum())} of {len(t)} samples are missing ({100 * missing.mean():.0f} %); "
             f"expected one every {interval:.6g} s: record again or crop with keep"
         )
     count = "one gap" if len(lengths) == 1 else f"{len(lengths)} gaps"
@@ -390,7 +390,7 @@ def _check_finite(
     if bad.sum() > MOST_LOST * len(t):
         raise file.error(
             f"{int(bad.sum())} of {len(t)} samples are not a number, {at}; expected at most "
-            f"{MOST_LOST:.0%}: repair the file, crop with keep or leave them out with mask"
+            f"{100 * MOST_LOST:.0f} %: repair the file, crop with keep or leave them out with mask"
         )
     if bad.any():
         i = int(np.argmax(bad))
@@ -428,12 +428,12 @@ def _check_clipped(
             )
     if share > MOST_CLIPPED:
         raise file.error(
-            f"{share:.0%} of the samples are clipped at {level}, the first at {begins}; expected "
-            f"a signal within the input range: {fix}"
+            f"{100 * share:.0f} % of the samples are clipped at {level}, the first at {begins}; "
+            f"expected a signal within the input range: {fix}"
         )
     notes.append(
-        f"{file.where}: {int(clipped.sum())} samples ({share:.1%}) are clipped at {level} or "
-        f"among clipped ones, the first at {begins}; left out"
+        f"{file.where}: {int(clipped.sum())} samples ({100 * share:.1f} %) are clipped at {level} "
+        f"or among clipped ones, the first at {begins}; left out"
     )
 
 

@@ -106,8 +106,8 @@ CHECKS = {
     "autocorrelation": "autocorrelation at eight lags",
     "variance": "variance against concentration",
     "spectrum": "spectrum of the residuals",
-    "pit_uniform": "forecasts of the next sample: right spread (PIT uniform)",
-    "pit_independent": "forecasts of the next sample: nothing left over (PIT independent)",
+    "pit_uniform": "forecasts of the next sample: their spread is right",
+    "pit_independent": "forecasts of the next sample: nothing is left over",
 }
 
 
