@@ -154,9 +154,7 @@ class PredictiveCheck:
                 f"(smallest p-value {self.p_values[least]:.2g}, {CHECK_WORDS[least]})."
             )
         found = ", ".join(
-            f"{CHECK_WORDS[name]} (p {'below 0.001' if p < 1e-3 else f'{p:.1g}'})"
-            for name in self.failed
-            for p in (self.p_values[name],)
+            f"{CHECK_WORDS[name]} (p {_p_words(self.p_values[name])})" for name in self.failed
         )
         return f"Replicated data do not look like the data: {found}."
 
@@ -173,6 +171,10 @@ class PredictiveCheck:
             "spectrum": self.spectrum.to_json(),
             "pit": self.pit.to_json(),
         }
+
+
+def _p_words(p: float) -> str:
+    return "below 0.001" if p < 1e-3 else f"{p:.1g}"
 
 
 class _Statistics:

@@ -110,8 +110,8 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
     grid = _grid(file, recording)
     if NOTED_JITTER < grid.jitter <= MOST_JITTER and not grid.rounded:
         notes.append(
-            f"{where}: times are up to {100 * grid.jitter:.0f} % of the interval off a uniform grid "
-            f"of {grid.interval:.6g} s; the samples were taken as uniform"
+            f"{where}: times are up to {100 * grid.jitter:.0f} % of the interval off a uniform "
+            f"grid of {grid.interval:.6g} s; the samples were taken as uniform"
         )
     n = int(grid.index[-1]) + 1
     t = grid_times(grid.start, grid.interval, n)

@@ -47,9 +47,9 @@ def commanded_times(
     between = (smooth > low + (high - low) / 3) & (smooth < low + (high - low) * 2 / 3)
     if between.mean() > MOST_BETWEEN:
         raise error(
-            f"the drive shows no edge between two levels ({100 * between.mean():.0f} % of its samples "
-            f"lie in the middle between {low:.4g} and {high:.4g}); choose another channel, or give "
-            "commanded_on instead"
+            f"the drive shows no edge between two levels ({100 * between.mean():.0f} % of its "
+            f"samples lie in the middle between {low:.4g} and {high:.4g}); choose another channel, "
+            "or give commanded_on instead"
         )
     state = np.full(len(smooth), -1)
     state[smooth > low + (high - low) * 2 / 3] = 1

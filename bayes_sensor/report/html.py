@@ -44,7 +44,8 @@ def inline_svg(text: str, key: str, label: str) -> str:
         text = re.sub(
             rf'((?:fill|stroke|color)(?:: |="))({colour})', rf"\1var(--f-{colour[1:]}, \2)", text
         )
-    text = re.sub(r'<svg\b([^>]*?) width="[^"]*"', r"<svg\1", text, count=1)
+    # the page shows no drawing much smaller or larger than it was made
+    text = re.sub(r'<svg\b([^>]*?) width="([^"]*)"', r'<svg style="--made: \2"\1', text, count=1)
     text = re.sub(r'<svg\b([^>]*?) height="[^"]*"', r"<svg\1", text, count=1)
     safe = html.escape(label, quote=True)
     return text.replace("<svg", f'<svg role="img" aria-label="{safe}"', 1)
