@@ -99,8 +99,11 @@ def _known(axes: Axes, record: Mapping[str, float | None]) -> None:
     rows = np.arange(len(labels))
     axes.barh(rows, np.nan_to_num(sd), height=0.6, color=PALE, edgecolor=MIDDLE, lw=0.6)
     for row, value in zip(rows, sd, strict=True):
-        words = f" {value:.3g} ms" if np.isfinite(value) else " no finite bound"
-        axes.annotate(words, (np.nan_to_num(value), row), va="center", fontsize=7)
+        words = f"{value:.3g} ms" if np.isfinite(value) else "no finite bound"
+        axes.annotate(
+            words, (np.nan_to_num(value), row), xytext=(3, 0), textcoords="offset points",
+            va="center", fontsize=7,
+        )  # fmt: skip
     axes.set_yticks(rows, [KNOWN_WORDS.get(label, label) for label in labels])
     axes.invert_yaxis()
     top = float(np.nanmax(sd, initial=0.0))

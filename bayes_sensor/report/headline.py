@@ -168,13 +168,14 @@ def _why_naive_misleads(saved: Saved) -> str:
     phi = ((saved.residuals or {}).get("ar1") or {}).get("phi")
     if right.get("tau_s") and phi is not None and phi > ALIKE:
         found.append(
-            f"it counts every sample as new, but neighbours are alike (φ = {number(phi, 2)})"
+            "it counts every sample as new information, but neighbours are alike "
+            f"(φ = {number(phi, 2)})"
         )
     if right.get("tau_s") and published.get("tau_s"):
         if right["tau_s"] > TOO_NARROW * published["tau_s"]:
             found.append(
-                "steps of 1 % move a switch time by tenths of a second and so hide that a slower "
-                "sensor and a later switch look almost the same"
+                "and steps of 1 % move a switch time by tenths of a second, which hides that a "
+                "slower sensor and a later switch look almost the same"
             )
     return "; ".join(found)
 
@@ -199,11 +200,11 @@ def _naive_words(bounds: Mapping[str, Any] | None) -> str:
     if published and published.get("tau_s"):
         said = f"± {number(1.96e3 * published['tau_s'], 2)} ms"
         parts.append(
-            f"(with the published 1 % steps {said})"
+            f"or {said} if computed as published, with steps of 1 %"
             if parts
-            else f"the iid Cramer-Rao bound with the published 1 % steps would have said {said}"
+            else f"the iid Cramer-Rao bound with the published steps of 1 % would have said {said}"
         )
-    return " ".join(parts)
+    return ", ".join(parts)
 
 
 def alerts(saved: Saved) -> list[tuple[str, str]]:

@@ -45,7 +45,10 @@ def computed(saved: Saved, pictures: Pictures) -> Section:
                 "priors",
                 "Priors, in s, mL and the signal's unit.",
                 ["parameter", "prior"],
-                [[n, text] for n, text in saved.posterior.get("priors", {}).items()],
+                [
+                    [figures.parameter_words(name, saved.unit)[0], text]
+                    for name, text in saved.posterior.get("priors", {}).items()
+                ],
             )
         )
     content.append(
