@@ -3,19 +3,24 @@
 from dataclasses import replace
 from itertools import pairwise
 from math import floor, sqrt
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from campaigns import PUBLISHED, small_problem
 
 from bayes_sensor import coverage
+from bayes_sensor.bounds.profile import Point, _next
 from bayes_sensor.bounds.surface import _roomy
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.compression import compress
 from bayes_sensor.compression.record import default_region
 from bayes_sensor.delays import regress_line
 from bayes_sensor.design import _as_pulse, _candidates, settings_of, truth_of
+from bayes_sensor.diffusion import Coating, assemble, march
 from bayes_sensor.fit.looks import first_look
 from bayes_sensor.fit.points import averages
+from bayes_sensor.laplace import Coordinates, _expand, _information, draw_root
 from bayes_sensor.mixing import pareto_k
 from bayes_sensor.model import time_constants
 from bayes_sensor.predictive import _Statistics
@@ -164,3 +169,79 @@ def test_a_point_off_an_exact_line_stands_out_without_limit() -> None:
     found = line.studentised
     assert found["c"] is not None and found["c"] > 1e6
     assert all(abs(found[name]) < 10.0 for name in "abde")
+
+
+def test_curvatures_are_taken_where_tau_squared_is_positive() -> None:
+    problem, theta = small_problem(n=2, interval=0.05, tau=0.01)
+    mesh, coordinates = compress(problem, theta), Coordinates(problem)
+    psi = coordinates.psi(theta)
+    info = _information(mesh, coordinates, psi)
+    assert psi[0] < 0.3 / np.sqrt(info[0, 0])  # a usual step would reach below zero
+    asked = []
+
+    def gradient(at: np.ndarray) -> np.ndarray:
+        asked.append(at.copy())
+        return -info @ (at - psi)
+
+    mean, cov = _expand(mesh, coordinates, psi, gradient)
+    assert (np.array(asked)[:, coordinates.squared] > 0.0).all()
+    # a Gaussian is its own expansion
+    np.testing.assert_allclose(mean, psi, rtol=1e-12)
+    scale = np.sqrt(np.diag(info))
+    np.testing.assert_allclose(
+        cov * np.outer(scale, scale), np.linalg.inv(info / np.outer(scale, scale)), rtol=1e-5
+    )
+
+
+@pytest.mark.parametrize("outer_radius", [Coating().outer_radius, np.inf])
+@pytest.mark.parametrize("geometry", ["axisymmetric", "planar"])
+def test_the_mesh_fills_the_coating_from_its_axis(outer_radius: float, geometry: str) -> None:
+    coating = Coating(outer_radius=outer_radius, geometry=geometry)
+    system = assemble(coating, level=0)
+    assert (np.diff(system.r) > 0).all() and (np.diff(system.z) > 0).all()
+    assert (system.r[0], system.z[0]) == (0.0, 0.0)
+    assert system.z[-1] == pytest.approx(coating.thickness)
+    if np.isfinite(outer_radius):
+        assert system.r[-1] == pytest.approx(outer_radius)
+    # the capacity is positive, as a quadratic form
+    assert np.linalg.eigvalsh(system.mass.toarray()).min() > 0
+
+
+def test_roots_are_drawn_to_beyond_eight_standard_deviations() -> None:
+    mean, sd = np.array([-1.0, 0.0, 3.0, 40.0]), np.array([1.0, 0.5, 2.0, 4.0])
+
+    def drawn_at(u: float) -> np.ndarray:
+        drawn, log_q = draw_root(mean, sd, SimpleNamespace(random=lambda n: np.full(n, u)))
+        assert np.isfinite(log_q).all()
+        return drawn**2
+
+    # where the density has sunk to its floor, so that weights stay bounded there
+    assert (drawn_at(1.0 - 1e-15) > np.maximum(mean, 0.0) + 8.0 * sd).all()
+    assert (drawn_at(0.0) <= np.maximum(mean - 8.0 * sd, 0.0)).all()
+
+
+def test_a_step_that_is_cut_follows_the_third_order_of_its_error() -> None:
+    system = assemble(Coating(), level=0)
+    usual = 1e-6 * system.tau_moment()
+    first = []
+    for tolerance in (1e-9, 3e-12, 1e-12):
+        times = march(system, tolerance=tolerance, until=3.0 * usual).times
+        first.append(times[1] - times[0])
+    assert first[0] == pytest.approx(usual, rel=1e-9)  # fits as it is
+    assert first[1] < usual
+    assert first[1] / first[2] == pytest.approx(3.0 ** (1 / 3), rel=1e-2)
+
+
+def test_a_profile_is_followed_outwards_in_proportion() -> None:
+    def at(value: float, drop: float) -> Point:
+        return Point(value, drop, np.zeros(1))
+
+    for centre, sign in ((2.0, 1.0), (2.0, -1.0), (-0.5, 1.0)):
+        near = at(centre + sign * 0.25, 1.0)
+        # a Gaussian profile: the drop is proportional to the distance; 2 % beyond the target
+        assert _next(centre, near, None, 9.0, 1.96) == pytest.approx(
+            centre + sign * 0.25 * 1.02 * 1.96
+        )
+        assert _next(centre, at(centre, 0.0), None, 9.0, 1.96) == 9.0
+        # at most three times as far
+        assert _next(centre, near, None, 9.0, 100.0) == pytest.approx(centre + sign * 0.75)
