@@ -9,6 +9,7 @@ from bayes_sensor.bounds.evidence import Evidence
 from bayes_sensor.bounds.gaussian import gaussian_bound, invert, normal_factor
 from bayes_sensor.bounds.profile import noise_words
 from bayes_sensor.bounds.records import LEVELS, Bound
+from bayes_sensor.bounds.surface import spread_along_tau
 
 PAPER = "the paper, eqs. 16-18; Kay (1993), eq. 3.33"
 
@@ -29,6 +30,7 @@ def crlb_iid(evidence: Evidence) -> Bound:
         identified=identified,
         details={"sigma": evidence.fit.rms},
         plain=True,
+        along_tau=evidence.white_along_tau,
     )
 
 
@@ -103,6 +105,7 @@ def crlb_ar1(evidence: Evidence) -> Bound:
         identified=identified[surface.mean],
         status=trouble and f"{trouble}: taken at the best point",
         details={"noise": noise},
+        along_tau=spread_along_tau(surface, psi),
     )
 
 

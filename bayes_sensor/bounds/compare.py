@@ -23,7 +23,7 @@ from bayes_sensor.bounds.records import LEVELS, Bound, Bounds
 from bayes_sensor.bounds.sandwich import sandwich
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.fit import Fit
-from bayes_sensor.fit.identifiability import slow_noise
+from bayes_sensor.fit.identifiability import coloured_noise, slow_noise
 from bayes_sensor.likelihood import Problem, as_problem
 
 Method = Callable[[Evidence], Bound]
@@ -44,7 +44,18 @@ METHODS: dict[str, Method] = {
 
 SPREAD_OF_LEAST_SQUARES = ("sandwich", "sandwich_ar1", "block_bootstrap")
 """methods that judge the spread of least squares from the noise they see"""
-
+TAKES_WHITE = ("crlb_iid", "crlb_iid_one_percent_step")
+"""methods that take the noise for white"""
+MODELS_NOISE = ("crlb_ar1", "profile")
+"""methods that take the noise's own law at its best value"""
+TOO_SLOW_TO_JUDGE = (
+    "too little of it is seen to judge the spread of least squares (crlb_ar1, profile and "
+    "posterior model it)"
+)
+FEW_STRETCHES = (
+    "its law rests on few independent stretches and phi is likely to be taken too low, so that "
+    "intervals may be too narrow; those of the posterior allow for it"
+)
 
 CLOSE = 0.5
 """tau over tau_v above which a Gaussian about one of the two orders is too narrow"""
@@ -64,8 +75,23 @@ def why_mute(evidence: Evidence, name: str) -> str:
     if name not in ("crlb_ar1", "profile", "posterior") and walled:
         return f"least squares ended at the edge of its search in {', '.join(walled)}"
     if name in SPREAD_OF_LEAST_SQUARES:
-        return slow_noise(evidence.problem, evidence.coloured_theta)
+        slow = slow_noise(evidence.problem, evidence.coloured_theta)
+        return slow and f"{slow}: {TOO_SLOW_TO_JUDGE}"
     return ""
+
+
+def doubts(evidence: Evidence, name: str) -> list[str]:
+    """What a reader must know of a method's intervals for these data, in sentences."""
+    found = []
+    theta = evidence.theta
+    if name not in ("profile", "posterior") and theta[0] > CLOSE * theta[1]:
+        found.append(CLOSE_WORDS)
+    if name in TAKES_WHITE:
+        found.append(coloured_noise(evidence.problem, theta))
+    if name in MODELS_NOISE:
+        slow = slow_noise(evidence.problem, evidence.coloured_theta)
+        found.append(slow and f"{slow}: {FEW_STRETCHES}")
+    return [sentence for sentence in found if sentence]
 
 
 def silent(evidence: Evidence, name: str, reason: str) -> Bound:
@@ -140,7 +166,6 @@ def compare_bounds(
             progress((done + fraction) / len(chosen), text)
 
     evidence = Evidence(problem, fit, posterior, seed, n_resamples, report)
-    theta = evidence.theta
     for name, method in chosen.items():
         report(0.0, name)
         start = time.perf_counter()
@@ -148,8 +173,8 @@ def compare_bounds(
         bounds[name] = silent(evidence, name, mute) if mute else method(evidence)
         if fit.twin and not mute and name != "posterior":
             bounds[name] = without_roles(bounds[name], fit.twin)
-        elif name not in ("profile", "posterior") and theta[0] > CLOSE * theta[1]:
-            bounds[name] = with_remark(bounds[name], CLOSE_WORDS)
+        for doubt in [] if mute else doubts(evidence, name):
+            bounds[name] = with_remark(bounds[name], doubt)
         seconds[name] = time.perf_counter() - start
         done += 1
     return Bounds(bounds, problem.campaign.signal_unit, seconds, evidence.likelihood)

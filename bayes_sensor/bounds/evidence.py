@@ -14,6 +14,7 @@ from bayes_sensor.bounds.surface import (
     Surface,
     coloured_surface,
     region_of,
+    spread_along_tau,
     white_surface,
 )
 from bayes_sensor.campaign import CampaignError, FloatArray
@@ -109,6 +110,11 @@ class Evidence:
         for row in self.problem.layout.noise:
             theta[row] = 0.0, self.fit.rms, 0.0
         return self.white.psi(theta)
+
+    @cached_property
+    def white_along_tau(self) -> tuple[FloatArray, FloatArray] | None:
+        """Values of tau (m,), and the sd (m,) of least squares' tau^2 there under white noise."""
+        return spread_along_tau(self.white, self.psi_white)
 
     @cached_property
     def psi_expansion(self) -> FloatArray:

@@ -5,6 +5,11 @@ estimator is taken in psi, where it stays finite as tau goes to zero: tau^2 +- z
 and cut at zero, and t0 and tf follow as the quantiles of (t0 + tau) - sqrt(tau^2).  Far from zero
 this is the familiar estimate +- z sd, which the textbook bound states instead when tau is above
 three of its standard deviations.
+
+The information on tau^2 falls as tau grows, so that a fit which happens to lie low would promise
+too small an upper limit.  Where it is known how, each end is therefore judged by the spread that
+holds there: the interval has the values x of tau^2 with |estimate - x| < z sd(x) (Wilson, J. Amer.
+Statist. Assoc. 22, 209, 1927, for another spread that depends on what is estimated).
 """
 
 from __future__ import annotations
@@ -74,6 +79,41 @@ def least_tau(compressed: Compressed) -> float:
     return float(max(1e-3 * fastest, 2.0 * compressed.arrays.setting[:, 4].max()))
 
 
+def square_ends(
+    q: float, z: FloatArray, taus: FloatArray, spreads: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Ends (n_levels,) of the values x >= 0 with |q - x| <= z sd(x), for an estimate q of tau^2.
+
+    ``spreads`` (m,): sd(x) of estimates of tau^2 where tau is one of the rising ``taus`` (m,);
+    linear in tau between and above them, constant below.
+
+    >>> low, high = square_ends(4.0, np.array([1.0]), np.array([1.0, 2.0]), np.array([0.5, 0.5]))
+    >>> [round(float(v), 2) for v in (low[0], high[0])]
+    [3.5, 4.5]
+    """
+    slope = max((spreads[-1] - spreads[-2]) / (taus[-1] - taus[-2]), 0.0)
+    # tau^2 - z sd - q rises for good where tau is above this
+    most = float(z.max())
+    top = most * slope + sqrt(max(q, 0.0) + most * float(spreads.max())) + float(taus[-1])
+    tau = np.linspace(0.0, 1.0, 2001) ** 1.5 * top
+    sd = np.interp(tau, taus, spreads) + slope * np.maximum(tau - taus[-1], 0.0)
+    start = int(np.searchsorted(tau, sqrt(max(q, 0.0))))
+    low, high = np.empty(len(z)), np.empty(len(z))
+    for j, factor in enumerate(z):
+        above = tau**2 - factor * sd - q
+        below = tau**2 + factor * sd - q
+        last = start + int(np.argmax(above[start:] > 0.0))
+        first = start - int(np.argmax(below[start::-1] < 0.0))
+        high[j] = _crossing(tau, above, max(last, 1)) ** 2
+        low[j] = _crossing(tau, below, first + 1) ** 2 if below[first] < 0.0 else 0.0
+    return low, high
+
+
+def _crossing(x: FloatArray, y: FloatArray, i: int) -> float:
+    """Where y crosses zero between positions i - 1 and i, linearly."""
+    return float(x[i - 1] + (x[i] - x[i - 1]) * y[i - 1] / (y[i - 1] - y[i]))
+
+
 def mean_positions(coordinates: Coordinates) -> np.ndarray:
     """Positions in psi of everything but the noise parameters."""
     noise = set(coordinates.problem.layout.noise_names)
@@ -88,17 +128,20 @@ def gaussian_bound(
     estimate: FloatArray,
     cov_psi: FloatArray,
     at_bound: bool = False,
-    factor: Callable[[float], float] = normal_factor,
+    factor: Callable[[float], float | FloatArray] = normal_factor,
     identified: np.ndarray | None = None,
     status: str = "",
     details: dict[str, Any] | None = None,
     plain: bool = False,
+    along_tau: tuple[FloatArray, FloatArray] | None = None,
 ) -> Bound:
     """Intervals for a Gaussian estimator with covariance ``cov_psi`` (n, n) of psi.
 
     ``names`` (n) flat names of the mean's parameters, ``estimate`` (n,) theta; ``at_bound``: tau's
-    estimate sits at its lower bound, so that tau gets an upper limit and no sd; ``plain``: state
-    estimate +- z sd for tau and the switch times where tau is far from zero.
+    estimate sits at its lower bound, so that tau gets an upper limit and no sd; ``factor``: z of a
+    level, one number or (n,); ``plain``: state estimate +- z sd for tau and the switch times where
+    tau is far from zero; ``along_tau``: taus (m,) and the sd (m,) of tau^2 there, in the same
+    measure as ``cov_psi``.
     """
     n = len(names)
     kinds = [name.split("[")[0] for name in names]
@@ -109,7 +152,8 @@ def gaussian_bound(
     switches = [i for i, kind in enumerate(kinds) if kind in ("t0_s", "tf_s")]
     sd = np.sqrt(np.diag(cov_psi))
     low, high = np.full((n, len(LEVELS)), np.nan), np.full((n, len(LEVELS)), np.nan)
-    z = np.array([factor(level) for level in LEVELS.values()])
+    # (n, n_levels)
+    z = np.stack([np.broadcast_to(factor(level), n) for level in LEVELS.values()], axis=1)
     sd_tau = np.nan if at_bound or sd_q > 2.0 * tau**2 else sd_q / (2.0 * tau)
     far = plain and bool(tau > FAR * sd_tau)  # False for nan
     slope = 0.0 if np.isnan(sd_tau) else 1.0 / (2.0 * tau)
@@ -122,10 +166,17 @@ def gaussian_bound(
             sd[i] = np.sqrt(max(variance, 0.0))
     low[:], high[:] = estimate[:, None] - z * sd[:, None], estimate[:, None] + z * sd[:, None]
     if not far and identified[0]:
-        low[0], high[0] = np.sqrt(np.maximum(q - z * sd_q, 0.0)), np.sqrt(q + z * sd_q)
+        square_low, square_high = np.maximum(q - z[0] * sd_q, 0.0), q + z[0] * sd_q
+        below = above = np.ones(len(LEVELS))
+        if along_tau is not None and np.isfinite(along_tau[1]).all():
+            square_low, square_high = square_ends(q, z[0], *along_tau)
+            # how much wider tau^2 is towards either end than about the estimate
+            above = (square_high - q) / (z[0] * sd_q)
+            below = np.where(square_low > 0.0, (q - square_low) / (z[0] * sd_q), 1.0)
+        low[0], high[0] = np.sqrt(square_low), np.sqrt(square_high)
         for i in switches:
             low[i], high[i] = _switch_quantiles(
-                estimate[i] + tau, q, sd_q, cov_psi[i, i], cov_psi[0, i], z
+                estimate[i] + tau, q, sd_q, cov_psi[i, i], cov_psi[0, i], z[i], below, above
             )
         if np.isnan(sd_tau):
             where = "at its lower bound" if at_bound else "within a spread of zero"
@@ -151,18 +202,36 @@ def gaussian_bound(
 
 
 def _switch_quantiles(
-    centre: float, q: float, sd_q: float, variance: float, covariance: float, z: FloatArray
+    centre: float,
+    q: float,
+    sd_q: float,
+    variance: float,
+    covariance: float,
+    z: FloatArray,
+    below: FloatArray | None = None,
+    above: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Quantiles at +-z of A - sqrt(max(X, 0)) for a Gaussian pair X (mean q), A (mean centre)."""
+    """Quantiles at +-z of A - sqrt(max(X, 0)) for a Gaussian pair X (mean q), A (mean centre).
+
+    ``below`` and ``above`` (n_levels,): factors of X's spread towards its low and high values,
+    by level; a high X goes with a low quantile.
+    """
     u = np.linspace(-7.0, 7.0, 701)
     weight = np.exp(-0.5 * u**2)
     weight /= weight.sum()
     slope = covariance / sd_q
     rest = np.sqrt(max(variance - slope**2, 1e-6 * variance, 1e-300))
-    middle = centre + slope * u - np.sqrt(np.maximum(q + sd_q * u, 0.0))
     target = special.ndtr(np.concatenate([-z, z]))
     x = np.empty(len(target))
-    _mixture_quantiles(middle, weight, rest, target, x)
+    factors = np.ones(len(target))
+    if above is not None and below is not None:
+        factors[: len(z)], factors[len(z) :] = above, below
+    for factor in np.unique(factors):
+        same = factors == factor
+        found = np.empty(int(same.sum()))
+        middle = centre + slope * u - np.sqrt(np.maximum(q + factor * sd_q * u, 0.0))
+        _mixture_quantiles(middle, weight, rest, target[same], found)
+        x[same] = found
     return x[: len(z)], x[len(z) :]
 
 

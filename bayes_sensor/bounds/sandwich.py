@@ -4,15 +4,26 @@ cov = B^-1 M B^-1 with B = J'J and M the long-run covariance of the scores J_i r
 Bartlett weights over a bandwidth chosen from the scores (Newey and West, Econometrica 55, 1987;
 Andrews, Econometrica 59, 1991, eqs. 6.2 and 6.4), or from a fitted AR(1) with
 concentration-dependent scale.  Experiments are independent of one another.
+
+Bartlett weights cut the correlation short, and the residuals of a fit are smaller than the noise
+where few of them decide a parameter, as at a switch.  What the measured M falls short of on average
+is worked out for AR(1) noise and made up for, and Student's t takes the place of the normal law,
+with the degrees of freedom that M then has (Bell and McCaffrey, Survey Methodology 28, 169, 2002;
+Imbens and Kolesar, Rev. Econ. Statist. 98, 701, 2016; both for clusters).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import log
+
 import numpy as np
-from scipy.signal import lfilter
+from scipy import stats
+from scipy.signal import lfilter, oaconvolve
 
 from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import gaussian_bound, invert
+from bayes_sensor.bounds.gaussian import gaussian_bound, invert, normal_factor
 from bayes_sensor.bounds.records import Bound
 from bayes_sensor.bounds.sensitivities import local_jacobian
 from bayes_sensor.bounds.surface import Surface
@@ -20,7 +31,14 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood import Problem, mean_and_variance
 from bayes_sensor.noise import lag_coefficient
 
-REFERENCE = "Newey and West, Econometrica 55, 703 (1987); Andrews, Econometrica 59, 817 (1991)"
+REFERENCE = (
+    "Newey and West, Econometrica 55, 703 (1987); Andrews, Econometrica 59, 817 (1991); "
+    "Bell and McCaffrey, Survey Methodology 28, 169 (2002)"
+)
+BLOCKS = 8
+"""blocks that the bandwidth holds where sums over samples are taken by blocks"""
+MOST_MISSED = 0.9
+"""of a variance that may be lacking in what is measured before no more is made up for"""
 
 
 def newey_west(scores: FloatArray, bandwidth: int) -> FloatArray:
@@ -69,79 +87,214 @@ def ar1_middle(scaled: FloatArray, phi: float) -> FloatArray:
     return result
 
 
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """What one experiment says about the covariance of its scores J_i r_i, m parameters each."""
+
+    own: np.ndarray
+    """(m,) positions of its parameters among the mean's"""
+    measured: FloatArray
+    """(m, m) by Bartlett weights"""
+    unfitted: FloatArray
+    """(m, m) their average under the AR(1) law if the noise itself were seen"""
+    squares: FloatArray
+    """(n_blocks, m, m) sum of J_i J_i' over a block short against the bandwidth"""
+    follows: FloatArray
+    """(n_blocks, m, m) sum of J_i (Sigma J)_i', Sigma the covariance of the noise"""
+    noisy: FloatArray
+    """(n_blocks, m, m) sum of s_i^2 J_i J_i'"""
+    weights: FloatArray
+    """(n_lags,) Bartlett weights of blocks 0, 1, .. apart"""
+
+    def expected(self, inverse: FloatArray, modelled: FloatArray) -> FloatArray:
+        """(m, m) average of ``measured`` under the AR(1) law, for residuals of a fit.
+
+        They are u - J b with b = B^-1 J'u: to the average without a fit come the covariance of
+        noise and fit, twice, and the fit's own.  ``inverse`` B^-1 (n, n) of the campaign;
+        ``modelled`` (n, n): covariance of b.
+        """
+        here = np.ix_(self.own, self.own)
+        spread = _smoothed(self.squares, self.weights)
+        both = ([0, 2], [0, 2])
+        cross = np.tensordot(self.follows @ inverse[here], spread, both)
+        fit: FloatArray = np.tensordot(spread @ modelled[here], self.squares, both)
+        return self.unfitted - cross - cross.T + fit
+
+    def tally(self, inverse: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) mean and half the variance of every parameter's measured variance, by blocks."""
+        own = inverse[self.own]
+        v = ((self.noisy @ own) * own).sum(axis=1)
+        return v.sum(axis=0), (v * _smoothed(v, self.weights**2)).sum(axis=0)
+
+
+def _smoothed(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """sum_j weights[|i - j|] values[j] along the first axis."""
+    flat = values.reshape(len(values), -1)
+    both = np.concatenate([weights[:0:-1], weights])
+    found = oaconvolve(flat, both[:, None], mode="full", axes=0)
+    start = len(weights) - 1
+    result: FloatArray = found[start : start + len(values)].reshape(values.shape)
+    return result
+
+
+def scores_of(
+    J: FloatArray, r: FloatArray, scale: FloatArray, phi: float, lags: int, own: np.ndarray
+) -> Scores:
+    """The record of scores J_i r_i (n, m), weighted over ``lags``.
+
+    ``scale`` (n,) and ``phi``: the AR(1) law that they are judged by; rows of zeros for gaps.
+    """
+    n, m = J.shape
+    lags = min(max(lags, 0), n - 1)
+    scaled = J * scale[:, None]
+    forward = lfilter([1.0], [1.0, -phi], scaled, axis=0)
+    backward = lfilter([1.0], [1.0, -phi], scaled[::-1], axis=0)[::-1]
+    noise = (forward + backward - scaled) * scale[:, None]  # Sigma J
+    # Bartlett weights times phi^d, until nothing is left of it
+    reach = lags if abs(phi) < 1e-9 else min(lags, int(log(1e-9) / log(abs(phi))))
+    d = np.arange(reach + 1)
+    kernel = (1.0 - d / (lags + 1.0)) * phi**d
+    mixed = scaled.T @ oaconvolve(scaled, kernel[:, None], axes=0)[:n]
+    size = max((lags + 1) // BLOCKS, 1)
+    rows = -(-n // size) * size
+
+    def by_block(left: FloatArray, right: FloatArray) -> FloatArray:
+        padded = np.zeros((2, rows, m))
+        padded[0, :n], padded[1, :n] = left, right
+        parts = padded.reshape(2, -1, size, m)
+        found: FloatArray = parts[0].transpose(0, 2, 1) @ parts[1]
+        return found
+
+    apart = np.arange(-(-(lags + 1) // size))
+    return Scores(
+        own,
+        newey_west(J * r[:, None], lags),
+        mixed + mixed.T - scaled.T @ scaled,
+        by_block(J, J),
+        by_block(J, noise),
+        by_block(scaled, scaled),
+        1.0 - apart * size / (lags + 1.0),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Sandwich:
+    """Covariance of least squares in psi's mean part."""
+
+    cov: FloatArray
+    """(n, n)"""
+    identified: np.ndarray
+    """(n,)"""
+    degrees: FloatArray
+    """(n,) of freedom of every variance; infinite in the AR(1) form"""
+    bandwidths: dict[str, float]
+    """samples, by experiment; empty in the AR(1) form"""
+
+    def factor(self, level: float) -> FloatArray:
+        """(n,) quantile of Student's t at a two-sided ``level``."""
+        found: FloatArray = stats.t.ppf(0.5 + 0.5 * level, self.degrees)
+        return found
+
+
 def sandwich_covariance(
     surface: Surface,
     psi: FloatArray,
     fitted: FloatArray,
-    coloured: Problem | None = None,
-    noise: FloatArray | None = None,
-) -> tuple[FloatArray, np.ndarray, dict[str, float]]:
-    """Covariance (n, n) of least squares in psi's mean part, (n,) identified, bandwidths.
+    coloured: Problem,
+    noise: FloatArray,
+    parametric: bool = False,
+) -> Sandwich:
+    """The spread of least squares.
 
-    Sensitivities are taken at ``psi`` (n_psi,), residuals at the theta ``fitted`` (n_theta,).
-
-    Without ``coloured``: Newey-West.  With it: the AR(1) form, for that problem's noise law at the
-    noise parameters of ``noise`` (n_theta,).  One experiment at a time, seven columns each: the
-    scores of the whole campaign are never held together.
+    Sensitivities are taken at ``psi`` (n_psi,), residuals at the theta ``fitted`` (n_theta,).  The
+    AR(1) law is that of the problem ``coloured`` at the noise parameters of ``noise`` (n_theta,):
+    it is the answer where ``parametric``, and otherwise judges the measured one.  One experiment at
+    a time, seven columns each: the scores of the whole campaign are never held together.
     """
     problem = surface.problem
     theta = surface.coordinates.theta(psi)
     positions = {name: i for i, name in enumerate(surface.mean_names)}
     n = len(positions)
     slopes = surface.coordinates.slopes(theta)[np.ix_(surface.mean, surface.mean)]
-    bread, middle = np.zeros((n, n)), np.zeros((n, n))
+    vector = np.where(np.isin(np.arange(len(theta)), coloured.layout.noise), noise, theta)
+    bread, middle, measured = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
     bandwidths: dict[str, float] = {}
+    records: list[Scores] = []
     for k, e in enumerate(problem.campaign):
         J, index = local_jacobian(problem, theta, k)
-        local = np.array([positions[problem.layout.names[i]] for i in index])
-        J = J @ slopes[np.ix_(local, local)]
-        if coloured is None:
-            mean, _ = mean_and_variance(problem, fitted, k)
-            r = np.where(e.used, e.values - mean, 0.0)
-            scores = J * r[:, None]
-            bandwidths[e.name] = andrews_bandwidth(scores)
-            part = newey_west(scores, round(bandwidths[e.name]))
-        else:
-            assert noise is not None  # given together
-            vector = np.where(np.isin(np.arange(len(theta)), coloured.layout.noise), noise, theta)
-            _, s2 = mean_and_variance(coloured, vector, k)
-            phi = lag_coefficient(float(vector[coloured.layout.noise[k, 0]]), problem.steps(e))
-            part = ar1_middle(J * np.sqrt(s2)[:, None], phi)
-        bread[np.ix_(local, local)] += J.T @ J
-        middle[np.ix_(local, local)] += part
-    inverse, identified = invert(bread)
-    finite = np.where(np.isfinite(inverse), inverse, 0.0)
-    return finite @ middle @ finite, identified, bandwidths
+        own = np.array([positions[problem.layout.names[i]] for i in index])
+        here = np.ix_(own, own)
+        J = J @ slopes[here]
+        scale = np.sqrt(mean_and_variance(coloured, vector, k)[1])
+        phi = lag_coefficient(float(vector[coloured.layout.noise[k, 0]]), problem.steps(e))
+        bread[here] += J.T @ J
+        if parametric:
+            middle[here] += ar1_middle(J * scale[:, None], phi)
+            continue
+        r = np.where(e.used, e.values - mean_and_variance(problem, fitted, k)[0], 0.0)
+        bandwidths[e.name] = andrews_bandwidth(J * r[:, None])
+        records.append(scores_of(J, r, scale, phi, round(bandwidths[e.name]), own))
+        middle[here] += records[-1].follows.sum(axis=0)
+        measured[here] += records[-1].measured
+    found, identified = invert(bread)
+    inverse = np.where(np.isfinite(found), found, 0.0)
+    modelled = inverse @ middle @ inverse
+    if parametric:
+        return Sandwich(modelled, identified, np.full(n, np.inf), {})
+    expected = np.zeros((n, n))
+    mean, half = np.zeros(n), np.zeros(n)
+    for record in records:
+        expected[np.ix_(record.own, record.own)] += record.expected(inverse, modelled)
+        own_mean, own_half = record.tally(inverse)
+        mean, half = mean + own_mean, half + own_half
+    target = np.diag(modelled)
+    there = np.maximum(np.diag(inverse @ expected @ inverse), (1.0 - MOST_MISSED) * target)
+    missed = np.sqrt(np.where(there > 0.0, target / np.where(there > 0.0, there, 1.0), 1.0))
+    cov = inverse @ measured @ inverse * np.outer(missed, missed)
+    degrees = np.where(half > 0.0, mean**2 / np.where(half > 0.0, half, 1.0), np.inf)
+    return Sandwich(cov, identified, np.maximum(degrees, 1.0), bandwidths)
 
 
 def sandwich(evidence: Evidence, parametric: bool = False) -> Bound:
     """Least squares with the sandwich covariance; ``parametric``: its AR(1) form."""
     surface, psi = evidence.white, evidence.psi_expansion
     fitted = surface.coordinates.theta(evidence.psi_white)
+    found = sandwich_covariance(surface, psi, fitted, evidence.problem, evidence.theta, parametric)
+    factor: Callable[[float], float | FloatArray] = found.factor
     if parametric:
-        cov, identified, _ = sandwich_covariance(
-            surface, psi, fitted, evidence.problem, evidence.theta
-        )
         assumes = (
             "least squares under AR(1) noise with concentration-dependent scale, whose fitted "
             "parameters stand in the covariance"
         )
         details: dict[str, object] = {}
+        factor = normal_factor
     else:
-        cov, identified, bandwidths = sandwich_covariance(surface, psi, fitted)
         assumes = (
             "least squares; noise stationary in its correlations over short lags but otherwise "
             "unspecified, experiments independent"
         )
-        details = {"bandwidth_samples": bandwidths, "kernel": "Bartlett"}
+        names = surface.mean_names
+        details = {
+            "bandwidth_samples": found.bandwidths,
+            "kernel": "Bartlett",
+            "degrees_of_freedom": dict(zip(names, found.degrees.tolist())),
+        }
+    along_tau = evidence.white_along_tau
+    if along_tau is not None:
+        # least squares' tau^2 scatters along tau as it does under white noise, times one factor
+        taus, spreads = along_tau
+        here = float(np.interp(np.sqrt(psi[0]), taus, spreads))
+        along_tau = taus, spreads * (np.sqrt(found.cov[0, 0]) / here)
     return gaussian_bound(
         "sandwich_ar1" if parametric else "sandwich",
         assumes,
         REFERENCE,
         surface.mean_names,
         evidence.estimate,
-        cov,
+        found.cov,
         evidence.at_bound,
-        identified=identified,
+        factor,
+        identified=found.identified,
         details=details,
+        along_tau=along_tau,
     )

@@ -320,6 +320,37 @@ def curvature_along_tau(surface: Surface, psi: FloatArray, n: int = 6) -> Curvat
     return curvature
 
 
+ORDERED = 0.5
+"""tau over tau_v up to which the spread of tau^2 is followed; nearer, the two exchange roles"""
+
+
+def spread_along_tau(
+    surface: Surface, psi: FloatArray, n: int = 5
+) -> tuple[FloatArray, FloatArray] | None:
+    """``n`` rising values of tau and the sd of estimates of tau^2 where tau has them.
+
+    As far as a Gaussian about ``psi`` (n_psi,) reaches; the rest stays there, with t0 + tau.  None
+    where tau is not clearly the faster lag: the other order is no small step in tau^2.
+    Infinite where tau^2 is not identified.
+    """
+    if psi[0] > (ORDERED * psi[1]) ** 2:
+        return None
+    point = surface.expansion(psi)
+    reach = 6.0 * float(np.sqrt(invert(surface.information(point))[0][0, 0]))
+    q = max(float(psi[0]), 0.0)
+    most = min(sqrt(q + reach), ORDERED * float(psi[1])) if np.isfinite(reach) else 0.0
+    most = max(most, 1.2 * sqrt(q))
+    most = min(most, float(surface.compressed.region.high[0]))
+    least = float(np.sqrt(surface.floor[0]))
+    taus = least + max(most - least, least) * np.linspace(0.0, 1.0, n)
+    point = psi.copy()
+    spreads = np.empty(n)
+    for i, tau in enumerate(taus):
+        point[0] = tau**2
+        spreads[i] = np.sqrt(invert(surface.information(point))[0][0, 0])
+    return taus, spreads
+
+
 def _roomy(problem: Problem, vector: FloatArray, room: float = 1.5) -> Region:
     """The default region ``room`` times as wide: the information on tau^2 falls as tau grows, so
     that likelihoods have longer tails upwards than it tells at a small tau."""

@@ -20,6 +20,8 @@ SEEN = 8.0
 commands allow one, and finds up to seven standard errors in pure noise."""
 STEADY = 20.0
 """correlation times of the noise that a record must hold for least squares to judge its spread"""
+WHITE = 1.02
+"""factor of a spread up to which correlated noise passes for white"""
 
 
 def step_error(e: Experiment, r: FloatArray, x: FloatArray) -> float:
@@ -89,7 +91,7 @@ def step_is_seen(
 
 
 def slow_noise(problem: Problem, vector: FloatArray) -> str:
-    """The sentence that the noise is correlated over too much of the records; else empty."""
+    """That the noise is correlated over too much of the records, as a clause; else empty."""
     campaign = problem.campaign
     for k, e in enumerate(campaign):
         phi = float(vector[problem.layout.noise[k, 0]])
@@ -100,7 +102,29 @@ def slow_noise(problem: Problem, vector: FloatArray) -> str:
         if duration < STEADY * time:
             return (
                 f"the noise is correlated over {time:.2g} s, not short against experiment "
-                f"'{e.name}' of {duration:.3g} s: too little of it is seen to judge the spread of "
-                "least squares (crlb_ar1, profile and posterior model it)"
+                f"'{e.name}' of {duration:.3g} s"
             )
     return ""
+
+
+def coloured_noise(problem: Problem, vector: FloatArray) -> str:
+    """That the noise at ``vector`` (n_theta,) is not white, as a sentence; empty where it may be.
+
+    A coefficient counts beyond three of its standard errors 1/sqrt(n) under white noise, where
+    it changes the spread of slow means, sqrt((1 + phi)/(1 - phi)), by more than ``WHITE``.
+    """
+    campaign, layout = problem.campaign, problem.layout
+    worst, most = 0.0, 1.0
+    for k, e in enumerate(campaign):
+        phi = float(vector[layout.noise[k, 0]])
+        n = e.n_samples if layout.noise_per_experiment else campaign.n_samples
+        factor = sqrt((1.0 + phi) / (1.0 - phi))
+        if abs(phi) > 3.0 / sqrt(n) and max(factor, 1.0 / factor) > max(most, 1.0 / most, WHITE):
+            worst, most = phi, factor
+    if worst == 0.0:
+        return ""
+    side, times = ("narrow", most) if worst > 0.0 else ("wide", 1.0 / most)
+    return (
+        f"the residuals are not white (phi {worst:.2g}): intervals that take them for white are "
+        f"too {side}, by a factor of about {times:.3g}"
+    )
