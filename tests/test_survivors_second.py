@@ -10,10 +10,12 @@ import pytest
 from campaigns import PUBLISHED, small_problem
 
 from bayes_sensor import coverage
+from bayes_sensor.bounds.gaussian import least_tau
 from bayes_sensor.bounds.profile import Point, _next
 from bayes_sensor.bounds.surface import _roomy
-from bayes_sensor.campaign import CampaignError
+from bayes_sensor.campaign import CampaignError, Experiment
 from bayes_sensor.compression import compress
+from bayes_sensor.compression.mesh import _blocks_of_run
 from bayes_sensor.compression.record import default_region
 from bayes_sensor.delays import regress_line
 from bayes_sensor.design import _as_pulse, _candidates, settings_of, truth_of
@@ -21,9 +23,12 @@ from bayes_sensor.diffusion import Coating, assemble, march
 from bayes_sensor.fit.looks import first_look
 from bayes_sensor.fit.points import averages
 from bayes_sensor.laplace import Coordinates, _expand, _information, draw_root
+from bayes_sensor.likelihood import Prior
 from bayes_sensor.mixing import pareto_k
 from bayes_sensor.model import time_constants
+from bayes_sensor.posterior.covering import covered
 from bayes_sensor.predictive import _Statistics
+from bayes_sensor.readout import Ring
 
 
 def published_shape(excess: np.ndarray) -> float:
@@ -245,3 +250,76 @@ def test_a_profile_is_followed_outwards_in_proportion() -> None:
         assert _next(centre, at(centre, 0.0), None, 9.0, 1.96) == 9.0
         # at most three times as far
         assert _next(centre, near, None, 9.0, 100.0) == pytest.approx(centre + sign * 0.75)
+
+
+@pytest.mark.parametrize(("lags", "settled"), [(1.0, False), (2.0, False), (6.0, True)])
+def test_a_step_of_few_lags_does_not_reach_its_plateau(lags: float, settled: bool) -> None:
+    t = np.arange(0.0, 3.0 + lags, 0.01)
+    y = np.where(t < 2.0, 0.0, 1.0 - np.exp(-(t - 2.0)))
+    y += 1e-3 * np.random.default_rng(1).standard_normal(len(t))
+    e = Experiment("a", t, y, 60.0, 10.0, 0.01, 2.0, 2.0 + lags)
+    assert first_look(e).settled == settled
+
+
+def test_where_the_mesh_grows_at_all_it_holds_a_uniform_prior_of_a_switch_time() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    name = "t0_s[a]"
+    i = problem.layout.index(name)
+    low, high = theta[i] - 1.5, theta[i] + 2.5
+    problem = replace(problem, given_priors={name: Prior("uniform", low, high)})
+    thetas = np.stack([theta, theta])
+    thetas[0, i], thetas[1, i] = theta[i] - 0.3, theta[i] + 0.3
+    wider = covered(compress(problem, theta), thetas)
+    for end in (low, high):
+        at = theta.copy()
+        at[i] = end
+        assert wider.covers(at)
+    assert wider.region.low[i] == pytest.approx(low) and wider.region.high[i] == pytest.approx(high)
+
+
+def test_a_response_below_zero_counts_as_pure_carrier_gas(monkeypatch) -> None:
+    problem, theta = small_problem(n=1, interval=0.02)
+    plain = _Statistics(problem, theta)
+    (e,) = problem.campaign.experiments
+    response = problem.model.response
+
+    def undershooting(t: np.ndarray, *rest: object) -> np.ndarray:
+        x = response(t, *rest)
+        return np.where(x < 1e-3, -0.01, x)
+
+    monkeypatch.setattr(type(problem.model), "response", lambda self, *a: undershooting(*a))
+    found = _Statistics(problem, theta)
+    np.testing.assert_array_equal(found.bin_counts, plain.bin_counts)
+    assert (found.concentration >= 0.0).all()
+    assert found.concentration[-1] == pytest.approx(e.concentration, rel=0.1)
+
+
+def test_blocks_reach_into_no_stretch_that_is_wanted_sample_by_sample() -> None:
+    h, kinks = 0.01, np.array([[3.0, 3.2], [6.0, 6.005]])
+    none = np.empty((0, 2))
+    blocks = _blocks_of_run(0, 1000, 0.0, h, none, 0.1, np.ones((3, 2)), 1.0, kinks, 1.0)
+    starts, sizes, kinds = np.array(blocks).T
+    assert starts[0] == 0 and (starts[1:] == (starts + sizes)[:-1]).all() and sizes.sum() == 1000
+    within = np.zeros(len(starts), dtype=bool)
+    for low, high in kinks:
+        within |= (starts * h < high) & ((starts + sizes) * h > low)
+    assert within.sum() > 3 and (kinds[within] == 0).all() and (sizes[within] <= 8).all()
+    assert kinds[~within].max() > 2
+
+
+def test_derivatives_by_tau_squared_reach_down_to_a_thousandth_of_the_fastest_lag() -> None:
+    problem, theta = small_problem(n=1, interval=1e-3, duration=10.0)
+    (e,) = problem.campaign.experiments
+    mesh = compress(problem, theta)
+    fastest = min(theta[1], theta[2] / e.total_flow)
+    assert mesh.arrays.setting[0, 4] < 0.5e-3 * fastest  # the mesh itself resolves less
+    assert least_tau(mesh) == pytest.approx(1e-3 * fastest)
+
+
+def test_a_free_spectral_range_is_one_more_wavelength_around_the_ring() -> None:
+    ring = Ring()
+    turns = ring.group_index * 2.0 * np.pi * ring.radius / ring.resonance
+    # of n wavelengths to n + 1; the group index is the slope of the optical path by 1 / wavelength
+    away = ring.resonance * turns / (turns + 1.0)
+    assert ring.free_spectral_range == pytest.approx(ring.resonance - away, rel=2.0 / turns)
+    assert ring.free_spectral_range == pytest.approx(9.17e-9, rel=1e-3)
