@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from bayes_sensor.figures.gap import effect_words
 from bayes_sensor.figures.style import (
     BLUE,
     DATA,
@@ -284,22 +285,23 @@ def opened_seal(gap: Part, row: Part) -> Figure:
         y = np.arange(len(best))
         colours = [GREEN if set(e["effect"].split("+")) & right else DATA for e in best]
         left.barh(y, [entry["probability"] for entry in best], 0.65, color=colours, lw=0)
-        left.set_yticks(y, [entry["effect"].replace("_", " ") for entry in best])
+        left.set_yticks(y, [effect_words(entry["effect"]) for entry in best])
         left.tick_params(axis="y", labelsize=SMALLEST)
         left.yaxis.grid(False)
         left.invert_yaxis()
         left.set_xlim(0, 1.02)
-        left.set_xlabel("probability (green: the truth)")
-        left.set_title("cause")
+        left.set_xlabel("probability")
+        left.set_title("cause (green: the truth)")
         closed, oracle = row["closed"], row["closed_oracle"]
         if closed is not None:
             error = np.abs(np.array([[closed - row["closed_lo"]], [row["closed_hi"] - closed]]))
             middle.errorbar([0], [closed], yerr=error, fmt=MARKERS[0], color=BLUE, elinewidth=0.9)
         if oracle is not None:
-            middle.axhline(oracle, color=GREEN, lw=1.0)
+            middle.axhline(oracle, color=GREEN, lw=1.2, ls="--")
         middle.set_ylim(0, 1.15)
         middle.set_xticks([0], ["gap closed"])
         middle.set_xlim(-0.6, 0.6)
+        middle.set_ylabel("share, 95 % interval")
         middle.set_title("how far")
         shrink = gap["shrink"]
         values = [1e3 * shrink[key] for key in ("tau_before_s", "tau_after_s")]
@@ -309,9 +311,9 @@ def opened_seal(gap: Part, row: Part) -> Figure:
                                                         [1e3 * high - values[1]]]  # fmt: skip
         far.errorbar([1], values[1:], yerr=bar, fmt=MARKERS[0], color=BLUE, elinewidth=0.9)
         if row["tau_true_s"] is not None:
-            far.axhline(1e3 * row["tau_true_s"], color=GREEN, lw=1.0)
+            far.axhline(1e3 * row["tau_true_s"], color=GREEN, lw=1.2, ls="--")
         far.set_xticks([0, 1], ["without", "with it"])
         far.set_xlim(-0.6, 1.6)
-        far.set_ylabel("τ (ms)")
+        far.set_ylabel("τ (ms), 95 % interval")
         far.set_title("τ")
     return figure
