@@ -29,6 +29,7 @@ from bayes_sensor.model import time_constants
 from bayes_sensor.posterior.covering import covered
 from bayes_sensor.predictive import _Statistics
 from bayes_sensor.readout import Ring
+from bayes_sensor.residuals import _breusch_pagan
 
 
 def published_shape(excess: np.ndarray) -> float:
@@ -323,3 +324,15 @@ def test_a_free_spectral_range_is_one_more_wavelength_around_the_ring() -> None:
     away = ring.resonance * turns / (turns + 1.0)
     assert ring.free_spectral_range == pytest.approx(ring.resonance - away, rel=2.0 / turns)
     assert ring.free_spectral_range == pytest.approx(9.17e-9, rel=1e-3)
+
+
+@pytest.mark.parametrize(("n", "farthest"), [(40_000, 2000), (5000, 501)])
+def test_residuals_that_stay_correlated_are_thinned_beyond_the_farthest_lag(
+    n: int, farthest: int
+) -> None:
+    # half a wave over the record: the correlation at a twentieth or tenth of it is still high
+    z = np.cos(np.pi * np.arange(n) / n)
+    series = SimpleNamespace(z=z, r=0.01 * z, x=np.linspace(0.0, 1.0, n), concentration=0.2)
+    found = _breusch_pagan([series])
+    assert found["every"] == farthest + 1
+    assert found["n"] == len(range(0, n, farthest + 1))
