@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 from campaigns import PUBLISHED, small_problem
 
-from bayes_sensor import coverage
+from bayes_sensor import coverage, design
 from bayes_sensor.bounds.gaussian import least_tau
 from bayes_sensor.bounds.profile import Point, _next
 from bayes_sensor.bounds.surface import _roomy
+from bayes_sensor.calibration import _said
 from bayes_sensor.campaign import CampaignError, Experiment
 from bayes_sensor.compression import compress
 from bayes_sensor.compression.mesh import _blocks_of_run
 from bayes_sensor.compression.record import default_region
 from bayes_sensor.delays import regress_line
 from bayes_sensor.design import _as_pulse, _candidates, settings_of, truth_of
-from bayes_sensor.diffusion import Coating, assemble, march
+from bayes_sensor.diffusion import Coating, assemble, march, modal
 from bayes_sensor.fit.looks import first_look
 from bayes_sensor.fit.points import averages
 from bayes_sensor.laplace import Coordinates, _expand, _information, draw_root
@@ -336,3 +337,37 @@ def test_residuals_that_stay_correlated_are_thinned_beyond_the_farthest_lag(
     found = _breusch_pagan([series])
     assert found["every"] == farthest + 1
     assert found["n"] == len(range(0, n, farthest + 1))
+
+
+@pytest.mark.parametrize("k_hat", [None, 0.31])
+def test_a_study_notes_the_tail_of_weights_where_there_are_weights(k_hat: float | None) -> None:
+    posterior = SimpleNamespace(
+        sampler="hmc", k_hat=k_hat, mesh_error=1e-5, converged=True,
+        r_hat=np.array([1.0, np.nan, 1.02]), ess_bulk=np.array([900.0, 400.0, np.nan]),
+    )  # fmt: skip
+    said = _said(posterior)
+    assert np.isnan(said["k_hat"]) if k_hat is None else said["k_hat"] == k_hat
+    assert (said["r_hat"], said["ess"], said["converged"]) == (1.02, 400.0, 1.0)
+
+
+def test_the_modal_response_is_its_own_measure() -> None:
+    assert modal(Coating()).max_error == 0.0
+
+
+@pytest.mark.parametrize(("tau", "target", "rounds"), [(0.01, 4e-3, 2), (0.1, 10.0, 1)])
+def test_a_design_is_made_again_where_better_experiments_tell_tau_better(
+    monkeypatch, tau: float, target: float, rounds: int
+) -> None:
+    problem, theta = small_problem(n=2, interval=0.05, tau=tau)
+    choose, made = design._choose, []
+
+    def counted(*args: object) -> list[int]:
+        made.append(choose(*args))
+        return made[-1]
+
+    monkeypatch.setattr(design, "_choose", counted)
+    found = design.design_experiments(
+        problem, theta, target, (60.0, 200.0), (0.2, 0.4), (20.0, 40.0), n_grid=(2, 2, 1)
+    )
+    better = found.after.high68 < 0.9 * found.before.high68
+    assert better == (rounds == 2) and len(made) == rounds
