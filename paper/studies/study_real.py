@@ -555,7 +555,7 @@ def draw(found: Mapping[str, Found]) -> None:
             axis.set_title(f"{what}\n{half}", color=ACCENT if side else INK)
         row[0].set_ylabel("voltage (V)")
     for axis in axes[-1]:
-        axis.set_xlabel("time since command (s)")
+        axis.set_xlabel("time (s)")
     handles = [
         plt.Line2D([], [], color="0.6", lw=1.6), plt.Line2D([], [], color=INK, ls="--", lw=0.8),
         plt.Line2D([], [], color=ACCENT, lw=0.8),
