@@ -53,7 +53,10 @@ def texts(figure: Figure) -> set[str]:
     [
         (lambda: figures.tau_hard(hard()), {"profile likelihood", "50 ms", "t₀ known"}),
         (lambda: figures.what_would_help(help_rows()), {"as it is", "2.5×", "1.1×"}),
-        (lambda: figures.coverage(coverage_rows()), {"white noise", "ARMA", "posterior", "volume V"}),
+        (
+            lambda: figures.coverage(coverage_rows()),
+            {"white noise", "ARMA", "posterior", "volume V"},
+        ),
     ],
 )
 def test_drawn_with_its_words_and_the_same_twice(make: Any, wanted: set[str]) -> None:
