@@ -88,15 +88,16 @@ def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
     return figure
 
 
-def _two_ticks(low: float, high: float) -> FloatArray:
+def _two_ticks(low: float, high: float) -> list[float]:
     """Two round values well inside a range, so that labels of neighbouring panels stay apart."""
     margin = 0.16 * (high - low)
+    inside: FloatArray = np.empty(0)
     for n in range(3, 9):
-        ticks = MaxNLocator(n, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+        ticks = np.asarray(MaxNLocator(n, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
         inside = ticks[(ticks > low + margin) & (ticks < high - margin)]
         if len(inside) > 1:
             break
-    return np.asarray(inside[[0, -1]] if len(inside) > 1 else inside)
+    return [float(tick) for tick in (inside[[0, -1]] if len(inside) > 1 else inside)]
 
 
 def traces_and_ranks(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
