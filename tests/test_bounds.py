@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.integrate import quad
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
@@ -28,14 +29,26 @@ from bayes_sensor.bounds.bootstrap import (
     stationary_indices,
 )
 from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import _switch_quantiles, gaussian_bound, invert
+from bayes_sensor.bounds.gaussian import (
+    _switch_quantiles,
+    gaussian_bound,
+    invert,
+    square_ends,
+)
 from bayes_sensor.bounds.hardness import multiple_correlation
 from bayes_sensor.bounds.jackknife import leave_one_out
-from bayes_sensor.bounds.sandwich import andrews_bandwidth, ar1_middle, newey_west
+from bayes_sensor.bounds.sandwich import (
+    andrews_bandwidth,
+    ar1_middle,
+    judged,
+    newey_west,
+    scores_of,
+)
 from bayes_sensor.bounds.sensitivities import local_jacobian
-from bayes_sensor.bounds.surface import maximise, white_surface
+from bayes_sensor.bounds.surface import maximise, spread_along_tau, white_surface
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.fit import fit_least_squares
+from bayes_sensor.fit.identifiability import coloured_noise
 from bayes_sensor.likelihood import Problem, mean_and_variance, simulate
 from bayes_sensor.noise import Noise
 
@@ -133,9 +146,11 @@ def small() -> SimpleNamespace:
         names=list(fit.names), draws=fit.theta_hat + 0.01 * rng.standard_normal((4000, len(theta)))
     )
     bounds = compare_bounds(campaign, fit, posterior, n_resamples=300)
+    evidence = Evidence(Problem(campaign), fit)
     return SimpleNamespace(
-        campaign=campaign, theta=theta, fit=fit, posterior=posterior, bounds=bounds
-    )
+        campaign=campaign, theta=theta, fit=fit, posterior=posterior, bounds=bounds,
+        evidence=evidence,
+    )  # fmt: skip
 
 
 # --------------------------------------------------------------------------- the published table
@@ -302,6 +317,76 @@ def test_parametric_middle_equals_the_dense_one():
     G[20:24] = 0.0  # a gap
     lag = np.abs(np.subtract.outer(np.arange(60), np.arange(60)))
     np.testing.assert_allclose(ar1_middle(G, 0.8), G.T @ 0.8**lag @ G, rtol=1e-10)
+
+
+def bumps(n: int) -> np.ndarray:
+    """(n, 3) a constant, and two short pulses as a switch makes them."""
+    t = np.arange(n)
+    first = np.where(t > n // 3, np.exp(-(t - n // 3) / 8.0), 0.0)
+    second = np.where(t > n // 3, (t - n // 3) * np.exp(-(t - n // 3) / 6.0), 0.0)
+    return np.column_stack([np.ones(n), first, second])
+
+
+@pytest.mark.parametrize(("phi", "lags"), [(0.6, 12), (-0.7, 5), (0.0, 3), (0.5, 0)])
+def test_what_the_sandwich_misses_equals_the_dense_average(phi, lags):
+    n = 90
+    J, scale = bumps(n), 1.0 + 0.5 * np.sin(np.arange(n) / 9.0)
+    J[50:53] = 0.0  # a gap
+    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    cov = np.outer(scale, scale) * np.where(lag == 0, 1.0, phi ** np.maximum(lag, 1))
+    kernel = np.maximum(1.0 - lag / (lags + 1), 0.0)
+    inverse = np.linalg.inv(J.T @ J)
+    left = np.eye(n) - J @ inverse @ J.T
+    modelled = inverse @ (J.T @ cov @ J) @ inverse
+    found = scores_of(J, np.ones(n), scale, phi, lags, np.arange(3))
+    np.testing.assert_allclose(found.unfitted, J.T @ (kernel * cov) @ J, rtol=1e-8)
+    np.testing.assert_allclose(
+        found.expected(inverse, modelled), J.T @ (kernel * (left @ cov @ left.T)) @ J, rtol=1e-7
+    )
+    mean, half = found.tally(inverse)
+    for c in range(3):
+        weighted = kernel * np.outer(J @ inverse[c], J @ inverse[c]) * scale**2
+        assert mean[c] == pytest.approx(np.trace(weighted))
+        assert half[c] == pytest.approx(np.trace(weighted @ weighted))
+
+
+def test_sums_by_blocks_are_near_those_by_samples():
+    n, phi, lags = 1200, 0.8, 160
+    J, scale = bumps(60)[np.arange(n) // 20], np.ones(n)
+    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    kernel, cov = np.maximum(1.0 - lag / (lags + 1), 0.0), phi**lag
+    inverse = np.linalg.inv(J.T @ J)
+    left = np.eye(n) - J @ inverse @ J.T
+    modelled = inverse @ (J.T @ cov @ J) @ inverse
+    found = scores_of(J, np.ones(n), scale, phi, lags, np.arange(3))
+    assert len(found.squares) == n / 20
+    expected = inverse @ found.expected(inverse, modelled) @ inverse
+    dense = inverse @ (J.T @ (kernel * (left @ cov @ left.T)) @ J) @ inverse
+    # a block is an eighth of the bandwidth, and half of the second pulse
+    np.testing.assert_allclose(np.diag(expected), np.diag(dense), rtol=0.06)
+    assert (np.diag(dense) < 0.9 * np.diag(modelled)).any()  # against what is made up for
+
+
+def test_the_sandwich_covers_where_few_samples_decide():
+    n, phi, n_draws = 150, 0.5, 600
+    J = bumps(n)
+    inverse = np.linalg.inv(J.T @ J)
+    modelled = inverse @ ar1_middle(J, phi) @ inverse
+    rng = np.random.default_rng(5)
+    steps = rng.standard_normal((n_draws, n + 100)) * np.sqrt(1 - phi**2)
+    noise = lfilter([1.0], [1.0, -phi], steps, axis=1)[:, 100:]
+    covered, naive = np.zeros(3), np.zeros(3)
+    for u in noise:
+        b = inverse @ (J.T @ u)
+        r = u - J @ b
+        lags = round(andrews_bandwidth(J * r[:, None]))
+        record = scores_of(J, r, np.ones(n), phi, lags, np.arange(3))
+        found = judged([record], inverse, np.ones(3, dtype=bool), modelled, {})
+        covered += np.abs(b) < found.factor(0.95) * np.sqrt(np.diag(found.cov))
+        naive += np.abs(b) < 1.96 * np.sqrt(np.diag(inverse @ record.measured @ inverse))
+    assert (naive[1:] < 0.88 * n_draws).all()  # what it was without
+    # Monte Carlo error .009; one degree of freedom is left to the shorter pulse, t is then cautious
+    assert (covered > 0.925 * n_draws).all() and (covered[[0, 2]] < 0.985 * n_draws).all()
 
 
 def test_andrews_bandwidth_of_an_ar1():
@@ -475,6 +560,68 @@ def test_intervals_in_the_square_match_their_definition():
     np.testing.assert_allclose([*low, *high], expected, atol=2e-4)
 
 
+def test_ends_in_the_square_are_measured_by_the_local_spread():
+    taus = np.linspace(0.01, 0.4, 6)
+    z = np.array([1.0, 1.96, 2.97])
+
+    def rate(x: float) -> float:
+        return 1.0 / (0.004 + 0.03 * max(np.sqrt(x), 0.01))
+
+    for q in (0.0, 0.002, 0.02, 0.1, 0.3):
+        low, high = square_ends(q, z, taus, 0.004 + 0.03 * taus)
+        for end, sign in ((low, 1.0), (high, -1.0)):
+            for x, factor in zip(end, z):
+                away = sign * quad(rate, x, q, epsabs=1e-10)[0]
+                # 2001 places on a stretch of about .5 s
+                assert away == pytest.approx(factor, rel=1e-3) or (x == 0.0 and away < factor)
+        assert (np.diff(low) <= 0).all() and (np.diff(high) > 0).all()
+
+
+def test_an_upper_limit_covers_where_the_spread_grows_with_tau():
+    # estimates of tau^2 whose spread depends on it, read as if it did not, and as it does
+    rng = np.random.default_rng(4)
+    taus = np.linspace(0.001, 0.3, 9)
+    spreads = 0.001 + 0.05 * taus
+    names, missed = ["tau_s"], {"one": 0, "own": 0}
+    for tau in rng.uniform(0.05, 0.15, 600):
+        q = tau**2 + rng.standard_normal() * float(np.interp(tau, taus, spreads))
+        tau_hat = np.sqrt(max(q, 0.0))
+        cov = np.array([[float(np.interp(tau_hat, taus, spreads)) ** 2]])
+        for name, along in (("one", None), ("own", (taus, spreads))):
+            bound = gaussian_bound(
+                "m", "a", "r", names, np.array([tau_hat]), cov, q <= 0.0, along_tau=along
+            )
+            missed[name] += not bound.low[0, 1] <= tau <= bound.high[0, 1]
+    # nominal 30 of 600, sd 5
+    assert missed["one"] > 42 and 15 < missed["own"] < 42
+
+
+def test_the_spread_along_tau_is_that_of_the_information(small):
+    surface, maximum = small.evidence.coloured, small.evidence.coloured_maximum
+    taus, spreads = spread_along_tau(surface, maximum.psi)
+    assert (np.diff(taus) > 0).all() and taus[-1] <= 0.5001 * maximum.psi[1]
+    for tau, spread in zip(taus, spreads):
+        psi = maximum.psi.copy()
+        psi[0] = tau**2
+        expected = np.linalg.inv(surface.information(psi))[0, 0]
+        assert spread**2 == pytest.approx(expected, rel=1e-6)
+    # where tau may be the slower lag nothing is followed
+    near = maximum.psi.copy()
+    near[0] = (0.6 * near[1]) ** 2
+    assert spread_along_tau(surface, near) is None
+
+
+@pytest.mark.parametrize(
+    ("phi", "words"), [(0.5, "too narrow, by a factor of about 1.73"), (0.02, ""), (0.0, ""),
+                       (-0.6, "too wide, by a factor of about 2")],
+)  # fmt: skip
+def test_residuals_that_are_not_white_are_said_to_be_so(small, phi, words):
+    vector = small.fit.theta_hat.copy()
+    vector[small.evidence.problem.layout.noise[:, 0]] = phi
+    said = coloured_noise(small.evidence.problem, vector)
+    assert (words in said) if words else said == ""
+
+
 @pytest.mark.parametrize("tau", [0.0, 1e-4, 0.05, 1.0])
 def test_gaussian_intervals_are_nested_and_never_divide_by_zero(tau):
     names = ["tau_s", "t0_s[a]"]
@@ -520,6 +667,13 @@ def test_coloured_methods_agree_and_the_iid_bound_is_too_narrow(small):
     bootstrap = np.subtract(*small.bounds["block_bootstrap"].interval("V_mL")[::-1])
     # 300 resamples give a 95 % interval to some 10 %
     assert bootstrap == pytest.approx(widths["crlb_ar1"], rel=0.25)
+
+
+def test_the_iid_bounds_say_that_the_noise_is_not_white(small):
+    for method, bound in small.bounds.methods.items():
+        assert ("not white" in bound.status) == method.startswith("crlb_iid")
+    record = small.bounds.to_json()["methods"]["crlb_iid"]
+    assert "too narrow, by a factor of about 1.98" in record["status"]  # phi is .59
 
 
 def test_the_truth_lies_inside_the_coloured_intervals(small):

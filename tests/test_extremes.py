@@ -69,6 +69,7 @@ def test_plain_intervals_hold_the_truth(case: str) -> None:
     stated = 0
     for method, ends in found.intervals.items():
         if method == "crlb_iid":  # takes coloured noise for white, and says so
+            assert found.warned[method] or not np.isfinite(ends).any()
             continue
         for (low, high), true in zip(ends, truth):
             if found.warned[method] or not np.isfinite([low, high]).all():
@@ -98,6 +99,12 @@ def test_noise_that_outlasts_the_record_silences_least_squares() -> None:
     for method in ("sandwich", "sandwich_ar1", "block_bootstrap"):
         assert np.isnan(found.intervals[method]).all()
     assert np.isfinite(found.intervals["crlb_ar1"]).all()
+    problem, _ = CASES["phi near 1"].make(3)
+    bounds = compare_bounds(problem, found.fit, methods=["crlb_ar1", "profile"])
+    for bound in bounds.methods.values():
+        assert "its law rests on few independent stretches" in bound.status
+    ordinary, _ = told("ordinary")
+    assert not ordinary.warned["crlb_ar1"] and not ordinary.warned["profile"]
 
 
 def test_exchanged_lags_are_named() -> None:

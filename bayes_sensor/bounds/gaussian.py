@@ -7,9 +7,10 @@ this is the familiar estimate +- z sd, which the textbook bound states instead w
 three of its standard deviations.
 
 The information on tau^2 falls as tau grows, so that a fit which happens to lie low would promise
-too small an upper limit.  Where it is known how, each end is therefore judged by the spread that
-holds there: the interval has the values x of tau^2 with |estimate - x| < z sd(x) (Wilson, J. Amer.
-Statist. Assoc. 22, 209, 1927, for another spread that depends on what is estimated).
+too small an upper limit, and one which lies high too low a lower one.  Where it is known how, tau^2
+is therefore measured in units of its own local spread: integral dx/sd(x) is nearly normal with unit
+variance wherever the truth lies (Bartlett, Biometrics 3, 39, 1947; it is the distance of Rao, Bull.
+Calcutta Math. Soc. 37, 81, 1945).
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ def least_tau(compressed: Compressed) -> float:
 def square_ends(
     q: float, z: FloatArray, taus: FloatArray, spreads: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Ends (n_levels,) of the values x >= 0 with |q - x| <= z sd(x), for an estimate q of tau^2.
+    """Ends (n_levels,) of the values x >= 0 within z of q >= 0 as integral dx/sd(x) measures it.
 
     ``spreads`` (m,): sd(x) of estimates of tau^2 where tau is one of the rising ``taus`` (m,);
     linear in tau between and above them, constant below.
@@ -92,26 +93,21 @@ def square_ends(
     [3.5, 4.5]
     """
     slope = max((spreads[-1] - spreads[-2]) / (taus[-1] - taus[-2]), 0.0)
-    # tau^2 - z sd - q rises for good where tau is above this
-    most = float(z.max())
-    top = most * slope + sqrt(max(q, 0.0) + most * float(spreads.max())) + float(taus[-1])
-    tau = np.linspace(0.0, 1.0, 2001) ** 1.5 * top
-    sd = np.interp(tau, taus, spreads) + slope * np.maximum(tau - taus[-1], 0.0)
-    start = int(np.searchsorted(tau, sqrt(max(q, 0.0))))
-    low, high = np.empty(len(z)), np.empty(len(z))
-    for j, factor in enumerate(z):
-        above = tau**2 - factor * sd - q
-        below = tau**2 + factor * sd - q
-        last = start + int(np.argmax(above[start:] > 0.0))
-        first = start - int(np.argmax(below[start::-1] < 0.0))
-        high[j] = _crossing(tau, above, max(last, 1)) ** 2
-        low[j] = _crossing(tau, below, first + 1) ** 2 if below[first] < 0.0 else 0.0
+    middle = sqrt(max(q, 0.0))
+    top = max(float(taus[-1]), 1.1 * middle)
+    while True:
+        tau = np.linspace(0.0, top, 2001)
+        sd = np.interp(tau, taus, spreads) + slope * np.maximum(tau - taus[-1], 0.0)
+        rate = 2.0 * tau / sd
+        step = 0.5 * (rate[1:] + rate[:-1]) * (tau[1] - tau[0])
+        distance = np.concatenate([[0.0], np.cumsum(step)])
+        centre = float(np.interp(middle, tau, distance))
+        if distance[-1] > centre + z.max():
+            break
+        top *= 1.5
+    low: FloatArray = np.interp(centre - z, distance, tau) ** 2
+    high: FloatArray = np.interp(centre + z, distance, tau) ** 2
     return low, high
-
-
-def _crossing(x: FloatArray, y: FloatArray, i: int) -> float:
-    """Where y crosses zero between positions i - 1 and i, linearly."""
-    return float(x[i - 1] + (x[i] - x[i - 1]) * y[i - 1] / (y[i - 1] - y[i]))
 
 
 def mean_positions(coordinates: Coordinates) -> np.ndarray:

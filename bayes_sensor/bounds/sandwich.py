@@ -196,6 +196,36 @@ class Sandwich:
         return found
 
 
+def judged(
+    records: list[Scores],
+    inverse: FloatArray,
+    identified: np.ndarray,
+    modelled: FloatArray,
+    bandwidths: dict[str, float],
+) -> Sandwich:
+    """The measured covariance B^-1 M B^-1, made up for what it misses, with degrees of freedom.
+
+    ``inverse`` B^-1 (n, n), zero where not ``identified`` (n,); ``modelled`` (n, n): what the AR(1)
+    law gives.  Degrees of freedom: those of Satterthwaite (Biometrics Bull. 2, 110, 1946).
+    """
+    n = len(inverse)
+    measured, expected = np.zeros((n, n)), np.zeros((n, n))
+    mean, half = np.zeros(n), np.zeros(n)
+    for record in records:
+        here = np.ix_(record.own, record.own)
+        measured[here] += record.measured
+        expected[here] += record.expected(inverse, modelled)
+        own_mean, own_half = record.tally(inverse)
+        mean, half = mean + own_mean, half + own_half
+    target = np.diag(modelled)
+    there = np.maximum(np.diag(inverse @ expected @ inverse), (1.0 - MOST_MISSED) * target)
+    some = there > 0.0
+    missed = np.sqrt(np.divide(target, there, out=np.ones(n), where=some))
+    cov = inverse @ measured @ inverse * np.outer(missed, missed)
+    degrees = np.divide(mean**2, half, out=np.full(n, np.inf), where=half > 0.0)
+    return Sandwich(cov, identified, np.maximum(degrees, 1.0), bandwidths)
+
+
 def sandwich_covariance(
     surface: Surface,
     psi: FloatArray,
@@ -217,7 +247,7 @@ def sandwich_covariance(
     n = len(positions)
     slopes = surface.coordinates.slopes(theta)[np.ix_(surface.mean, surface.mean)]
     vector = np.where(np.isin(np.arange(len(theta)), coloured.layout.noise), noise, theta)
-    bread, middle, measured = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    bread, middle = np.zeros((n, n)), np.zeros((n, n))
     bandwidths: dict[str, float] = {}
     records: list[Scores] = []
     for k, e in enumerate(problem.campaign):
@@ -235,24 +265,12 @@ def sandwich_covariance(
         bandwidths[e.name] = andrews_bandwidth(J * r[:, None])
         records.append(scores_of(J, r, scale, phi, round(bandwidths[e.name]), own))
         middle[here] += records[-1].follows.sum(axis=0)
-        measured[here] += records[-1].measured
     found, identified = invert(bread)
     inverse = np.where(np.isfinite(found), found, 0.0)
     modelled = inverse @ middle @ inverse
     if parametric:
         return Sandwich(modelled, identified, np.full(n, np.inf), {})
-    expected = np.zeros((n, n))
-    mean, half = np.zeros(n), np.zeros(n)
-    for record in records:
-        expected[np.ix_(record.own, record.own)] += record.expected(inverse, modelled)
-        own_mean, own_half = record.tally(inverse)
-        mean, half = mean + own_mean, half + own_half
-    target = np.diag(modelled)
-    there = np.maximum(np.diag(inverse @ expected @ inverse), (1.0 - MOST_MISSED) * target)
-    missed = np.sqrt(np.where(there > 0.0, target / np.where(there > 0.0, there, 1.0), 1.0))
-    cov = inverse @ measured @ inverse * np.outer(missed, missed)
-    degrees = np.where(half > 0.0, mean**2 / np.where(half > 0.0, half, 1.0), np.inf)
-    return Sandwich(cov, identified, np.maximum(degrees, 1.0), bandwidths)
+    return judged(records, inverse, identified, modelled, bandwidths)
 
 
 def sandwich(evidence: Evidence, parametric: bool = False) -> Bound:
