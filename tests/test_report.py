@@ -1,5 +1,6 @@
 """The report: self-contained, escaped, in order, honest about what failed, alive in a browser."""
 
+import io
 import json
 import re
 import shutil
@@ -592,6 +593,29 @@ def test_the_report_as_pdf(parts: tuple[Saved, list[Section]]) -> None:
     assert content.startswith(b"%PDF") and content.rstrip().endswith(b"%%EOF")
     n_pages = max(int(n) for n in re.findall(rb"/Count (\d+)", content))
     assert 6 <= n_pages <= 40
+
+
+def test_no_page_on_paper_is_left_half_empty(
+    parts: tuple[Saved, list[Section]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import typst
+
+    pages: list[bytes] = []
+
+    def as_pictures(*arguments: Any, **options: Any) -> bytes:
+        pages.extend(compiled(*arguments, **options, format="png", ppi=30))
+        return b""
+
+    compiled = typst.compile
+    monkeypatch.setattr(typst, "compile", as_pictures)
+    typeset.document(*parts)
+    assert len(pages) > 5
+    for page_number, page in enumerate(pages[:-1], 1):
+        inked = imread(io.BytesIO(page))[..., :3].min(axis=-1) < 0.8
+        # between the margins, without the footer
+        body = inked[int(0.05 * len(inked)) : int(0.92 * len(inked))].any(axis=1)
+        foot = 1.0 - (np.flatnonzero(body)[-1] + 1) / len(body)
+        assert foot < 1 / 3, (page_number, foot)
 
 
 @pytest.mark.parametrize("form", FORMATS)
