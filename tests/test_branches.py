@@ -74,3 +74,17 @@ def test_the_mutants_were_noticed_or_reviewed() -> None:
     assert set(survived["verdict"]) <= {"equivalent", "test added", "open"}
     assert (survived["remark"] != "").all()  # every survivor was looked at
     assert total["score"] > 0.9 and total["lo95"] > 0.8
+
+
+def test_both_draws_of_mutants_are_counted_and_noticed_alike() -> None:
+    total = pd.read_csv(TABLES / "mutants.csv").set_index("room").loc["all"]
+    draws = pd.read_csv(TABLES / "mutants_by_draw.csv")
+    tried = pd.read_csv(TABLES / "mutants_tried.csv", keep_default_na=False)
+    counts = ["mutants", "killed", "timed_out", "survived", "equivalent", "killed_by_new_tests"]
+    assert (draws[counts].sum() == total[counts]).all() and len(tried) == total["mutants"]
+    assert (tried["outcome"].value_counts()[["killed", "survived"]]
+            == total[["killed", "survived"]]).all()  # fmt: skip
+    assert not tried.duplicated(["file", "operator", "before", "after"]).any()
+    # docs/robustness.md: about as many got past the tests as before
+    first, second = draws["score_before"]
+    assert abs(first - second) < 0.1 and (draws["mutants"] >= 80).all()

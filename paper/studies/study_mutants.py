@@ -8,10 +8,15 @@ that run the changed line, the quickest first, as many as fit into ``BUDGET`` se
 survives and nobody has reviewed it, those of up to ``BUDGET_MORE``.  What the tests run is known
 from ``make coverage``.
 
+There are several draws of ``PER_ROOM`` mutants a room, one after the other: a later one meets the
+tests that the review of the earlier ones added, and so tells what that review was worth.  A change
+of the code elsewhere leaves a draw as it is.  ``paper/tables/mutants_tried.csv`` is the record of
+what was tried; what it holds is not tried again.
+
 Survivors are reviewed by hand in ``mutants_reviewed.csv``: ``equivalent`` (no result changes;
 ``remark`` says why), ``test added`` (``tests`` names them; they are kept out of the first verdict
-and must kill the mutant) or ``open``.  ``python paper/studies/study_mutants.py`` goes on where it
-stopped; results are in build/studies/mutants.
+of their draw and must kill the mutant) or ``open``.  ``python paper/studies/study_mutants.py``
+goes on where it stopped; results are in build/studies/mutants.
 """
 
 from __future__ import annotations
@@ -42,6 +47,7 @@ from bayes_sensor.blind_check import wilson
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 TABLES = ROOT / "paper" / "tables"
+TRIED = TABLES / "mutants_tried.csv"
 REVIEWED = Path(__file__).with_name("mutants_reviewed.csv")
 COMPUTING = (
     "reality", "model", "noise", "likelihood", "compression", "laplace", "mixing", "fit",
@@ -50,8 +56,9 @@ COMPUTING = (
 )  # fmt: skip
 """the rooms that compute"""
 
-SEED = 11
-PER_ROOM = 15
+SEEDS = (11, 12)
+"""one a draw"""
+PER_ROOM = 5
 BUDGET, BUDGET_MORE = 8.0, 40.0
 SECONDS_TO_COMPILE = 90.0
 MOST_BYTES = 8 << 30
@@ -69,16 +76,15 @@ KILLED, TIMED_OUT, SURVIVED, NOT_RUN = "killed", "timed out", "survived", "no te
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change: where, which operator, which of its occurrences in the file."""
+    """One change: in which draw, where, which operator, the line before and after."""
 
+    draw: int
     room: str
     file: str
     line: int
     operator: str
-    occurrence: int
     before: str
     after: str
-    compiled: bool
 
     @property
     def key(self) -> str:
@@ -119,6 +125,12 @@ def compiled_lines(tree: ast.Module) -> set[int]:
         ):
             lines.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
     return lines
+
+
+def is_compiled(mutant: Mutant) -> bool:
+    """Whether the change is in a compiled function."""
+    source = (ROOT / mutant.file).read_text(encoding="utf-8")
+    return mutant.line in compiled_lines(ast.parse(source))
 
 
 def annotation_places(tree: ast.Module) -> list[tuple[tuple[int, int], tuple[int, int]]]:
@@ -166,30 +178,40 @@ def mutated(file: Path, operator: str, occurrence: int) -> str:
     return text
 
 
-def sample(room: str, n: int = PER_ROOM) -> list[Mutant]:
-    """``n`` mutants of a room, at different places, in random order."""
-    rng = np.random.default_rng([SEED, COMPUTING.index(room)])
-    every = [(file, place) for file in files_of(room) for place in sorted(places(file))]
-    mutants = []
-    for i in rng.permutation(len(every)):
-        file, place = every[i]
-        choices = places(file)[place]
-        operator, occurrence = choices[rng.integers(len(choices))]
-        source = (ROOT / file).read_text(encoding="utf-8")
-        text = mutated(file, operator, occurrence)
-        changed = [
-            (k, a, b)
-            for k, (a, b) in enumerate(zip(source.splitlines(), text.splitlines()), 1)
-            if a != b
-        ]
-        if not changed:
-            continue  # 1 -> 1.0 and the like
-        k, before, after = changed[0]
-        compiled = k in compiled_lines(ast.parse(source))
-        mutants.append(
-            Mutant(room, file.as_posix(), k, operator.split("/")[-1], occurrence, before.strip(),
-                   after.strip(), compiled)
-        )  # fmt: skip
+def changed_line(file: str, operator: str, occurrence: int) -> tuple[int, str, str] | None:
+    """The first line that a change alters, before and after; None for 1 -> 1.0 and the like."""
+    lines = (ROOT / file).read_text(encoding="utf-8").splitlines()
+    after = mutated(Path(file), f"core/{operator}", occurrence).splitlines()
+    for k, (a, b) in enumerate(zip(lines, after), 1):
+        if a != b:
+            return k, a.strip(), b.strip()
+    return None
+
+
+def sample(room: str, draw: int, n: int) -> list[Mutant]:
+    """``n`` mutants of a room, at different places, in random order.
+
+    The order is that of hashes of the line's text, so it stays where other lines change.
+    """
+
+    def rank(*words: object) -> bytes:
+        return hashlib.sha1("\n".join(map(str, (SEEDS[draw - 1], *words))).encode()).digest()
+
+    every = []
+    for file in files_of(room):
+        lines = (ROOT / file).read_text(encoding="utf-8").splitlines()
+        for line, column in places(file):
+            text = lines[line - 1]
+            of_equal = lines[: line - 1].count(text)
+            every.append((rank(file, text, of_equal, column), file, (line, column)))
+    mutants: list[Mutant] = []
+    for own, file, place in sorted(every):
+        choices = list(enumerate(places(file)[place]))
+        operator, occurrence = min(choices, key=lambda c: rank(own.hex(), c[0], c[1][0]))[1]
+        operator = operator.split("/")[-1]
+        changed = changed_line(file.as_posix(), operator, occurrence)
+        if changed is not None:
+            mutants.append(Mutant(draw, room, file.as_posix(), changed[0], operator, *changed[1:]))
         if len(mutants) == n:
             break
     return mutants
@@ -201,7 +223,7 @@ def sample(room: str, n: int = PER_ROOM) -> list[Mutant]:
 class Seen:
     """Which tests run which line, from the measurement of ``make coverage``."""
 
-    def __init__(self, folder: Path, kept_out: set[str]) -> None:
+    def __init__(self, folder: Path) -> None:
         """Raises FileNotFoundError where coverage was not measured."""
         from coverage import CoverageData
 
@@ -216,9 +238,27 @@ class Seen:
         for path in notes:
             self.notes |= json.loads(path.read_text(encoding="utf-8"))
         self.notes = {
-            name: note for name, note in self.notes.items()
-            if note["outcome"] == "passed" and name not in kept_out
+            name: note for name, note in self.notes.items() if note["outcome"] == "passed"
         }  # fmt: skip
+        known = {c for data in self.data for c in data.measured_contexts()}
+        self.shared = {
+            name: {(name.split("::")[0], f) for f in note["fixtures"] if f"fixture {f}" in known}
+            for name, note in self.notes.items()
+        }
+        self.cost: dict[tuple[str, str], float] = {}
+        for fixture in set().union(*self.shared.values()):
+            users = [self.notes[n]["seconds"] for n, own in self.shared.items() if fixture in own]
+            self.cost[fixture] = max(users) - float(np.median(users))
+
+    def seconds(self, name: str, made: frozenset[tuple[str, str]] = frozenset()) -> float:
+        """What a test takes, with those of the fixtures it shares that are not ``made`` yet.
+
+        The note of the first test that asked for a fixture holds what that costs.
+        """
+        own, shared = self.notes[name]["seconds"], self.shared[name]
+        every = sum(self.cost[f] for f in shared)
+        new = sum(self.cost[f] for f in shared - made)
+        return float(new + (own if own < every else own - every))
 
     @cache  # noqa: B019 - lives as long as the study
     def contexts(self, file: str) -> dict[int, set[str]]:
@@ -238,25 +278,31 @@ class Seen:
             for line, names in found.items()
         }
 
-    def tests(self, mutant: Mutant) -> list[str]:
-        """Tests that run the line, quickest first.
+    def tests(self, mutant: Mutant, kept_out: set[str]) -> list[str]:
+        """Tests that run the line, quickest first, without those to be kept out.
 
-        Of a line that runs on import, or compiled and never without compilation, those that run
-        any line of its file, first those of the room.
+        Of a line that runs on import those that run any line of its file, first those of the
+        room.  Of a compiled line, which is seen by the tests without compilation only, those
+        behind the ones that are known to run it.
         """
         by_line = self.contexts(mutant.file)
-        names, own = by_line.get(mutant.line, set()), f"tests/test_{mutant.room}"
-        if names:
-            own = ""
-        elif mutant.compiled or mutant.line in by_line:
+        known, own = by_line.get(mutant.line, set()), f"tests/test_{mutant.room}"
+        names = known
+        if is_compiled(mutant) or (not known and mutant.line in by_line):
             names = set().union(*by_line.values())
-        return sorted(names, key=lambda n: (not n.startswith(own), self.notes[n]["seconds"], n))
+
+        def order(name: str) -> tuple[bool, bool, float, str]:
+            new = name not in known
+            return new, new and not name.startswith(own), self.seconds(name), name
+
+        return sorted(names - kept_out, key=order)
 
     def within(self, names: list[str], low: float, high: float) -> list[str]:
         """Those whose running total of seconds is in (low, high]; at least one from 0 on."""
-        total, found = 0.0, []
+        total, found, made = 0.0, [], frozenset[tuple[str, str]]()
         for name in names:
-            total += self.notes[name]["seconds"]
+            total += self.seconds(name, made)
+            made |= self.shared[name]
             if low < total <= high or (low == 0.0 and not found):
                 found.append(name)
         return found
@@ -341,11 +387,12 @@ def trial(mutant: Mutant | None, tests: list[str], place: Path, seconds: float) 
     if mutant is not None:
         target = tree / mutant.file
         target.write_text(mutated_of(mutant), encoding="utf-8")
-    if mutant is not None and mutant.compiled:
+    compiled = mutant is not None and is_compiled(mutant)
+    if compiled:
         used = place / "numba-mutant"
         shutil.rmtree(used, ignore_errors=True)
         shutil.copytree(cache_folder, used, copy_function=os.link)
-    stamp(tree, dependents(mutant.file) if mutant and mutant.compiled else set(),
+    stamp(tree, dependents(mutant.file) if mutant and compiled else set(),
           mutant.key if mutant else "")  # fmt: skip
     try:
         process = os.fork()
@@ -384,8 +431,14 @@ def trial(mutant: Mutant | None, tests: list[str], place: Path, seconds: float) 
 
 
 def mutated_of(mutant: Mutant) -> str:
-    """The file's text with the change in it."""
-    return mutated(Path(mutant.file), f"core/{mutant.operator}", mutant.occurrence)
+    """The file's text with the change in it; ValueError where the line is not what it was."""
+    file, changed = Path(mutant.file), (mutant.line, mutant.before, mutant.after)
+    for at in sorted(places(file), key=lambda at: abs(at[0] - mutant.line)):
+        for operator, occurrence in places(file)[at]:
+            name = operator.split("/")[-1]
+            if name == mutant.operator and changed_line(mutant.file, name, occurrence) == changed:
+                return mutated(file, operator, occurrence)
+    raise ValueError(f"{mutant.file}:{mutant.line} is no longer what {mutant} changes")
 
 
 def prepare(place: Path) -> None:
@@ -430,22 +483,54 @@ def records(path: Path) -> dict[str, dict[str, Any]]:
     return found
 
 
-def drawn(room: str, place: Path) -> list[Mutant]:
-    """:func:`sample`, kept in ``place`` as long as the room's files stay as they are."""
+def recorded() -> tuple[list[Mutant], dict[str, dict[str, Any]]]:
+    """What was tried before: the mutants, at the lines where they are now, and what became of them.
+
+    The line is 0 where it was rewritten since.
+    """
+    mutants, known = [], {}
+    if not TRIED.exists():
+        return mutants, known
+    with TRIED.open(newline="", encoding="utf-8") as stream:
+        for row in csv.DictReader(stream):
+            path = ROOT / row["file"]
+            lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+            here = [k for k, line in enumerate(lines, 1) if line.strip() == row["before"]]
+            old = int(row["line"])
+            line = min(here, key=lambda k: abs(k - old), default=0)
+            mutant = Mutant(int(row["draw"]), row["room"], row["file"], line, row["operator"],
+                            row["before"], row["after"])  # fmt: skip
+            mutants.append(mutant)
+            known[mutant.key] = {"first": row["outcome"]}
+            if row["tests"]:
+                known[mutant.key] |= {"again": row["again"], "again_tests": row["tests"].split()}
+    return mutants, known
+
+
+def drawn(room: str, draw: int, place: Path, n: int, tried: list[Mutant]) -> list[Mutant]:
+    """``n`` mutants of a draw: those on record, then more of :func:`sample`."""
+    own = [m for m in tried if (m.room, m.draw) == (room, draw)]
+    if len(own) >= n:
+        return own[:n]
     texts = b"".join((ROOT / f).read_bytes() for f in files_of(room))
-    path = place / f"sample-{room}-{hashlib.sha1(texts).hexdigest()[:10]}-{SEED}-{PER_ROOM}.json"
+    wanted = n + sum(m.room == room for m in tried)
+    name = f"sample-{room}-{hashlib.sha1(texts).hexdigest()[:10]}-{SEEDS[draw - 1]}-{wanted}.json"
+    path = place / name
     if not path.exists():
-        path.write_text(json.dumps([asdict(m) for m in sample(room)]), encoding="utf-8")
-    return [Mutant(**m) for m in json.loads(path.read_text(encoding="utf-8"))]
+        path.write_text(json.dumps([asdict(m) for m in sample(room, draw, wanted)]))
+    more = [Mutant(**m) for m in json.loads(path.read_text(encoding="utf-8"))]
+    new = {m.key: m for m in more} | {m.key: None for m in tried}  # none twice
+    return [*own, *filter(None, new.values())][:n]
 
 
-def in_turn(rooms: tuple[str, ...], place: Path, n: int) -> Iterator[Mutant]:
-    """The first of every room, then the second of every room, ... up to ``n`` of each."""
-    samples = [drawn(room, place) for room in rooms]
-    for i in range(n):
-        for mutants in samples:
-            if i < len(mutants):
-                yield mutants[i]
+def in_turn(rooms: tuple[str, ...], place: Path, n: int, tried: list[Mutant]) -> Iterator[Mutant]:
+    """Draw by draw, the first of every room, then the second of every room, ... up to ``n``."""
+    for draw in range(1, len(SEEDS) + 1):
+        samples = [drawn(room, draw, place, n, tried) for room in rooms]
+        for i in range(n):
+            for mutants in samples:
+                if i < len(mutants):
+                    yield mutants[i]
 
 
 def run(
@@ -459,22 +544,29 @@ def run(
 ) -> pd.DataFrame:
     """The tables; one process whatever ``jobs`` is, because every trial changes the same copy.
 
-    ``until``: time.time() after which no trial is begun; ``each``: how many of every room.
+    ``until``: time.time() after which no trial is begun; ``each``: how many of every room, in
+    every draw.
     """
     place = Path(folder) / "mutants"
     prepare(place)
     log = place / "results.jsonl"
     reviewed = reviews()
-    added = {t for row in reviewed.values() for t in row["tests"].split()}
-    seen = Seen(Path(folder) / "branches", added)
-    known = records(log)
+    seen = Seen(Path(folder) / "branches")
+    tried, known = recorded()
+    for key, facts in records(log).items():
+        known[key] = known.get(key, {}) | facts
 
     def note(mutant: Mutant, **facts: Any) -> None:
         with log.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps({"key": mutant.key, **facts}) + "\n")
         known.setdefault(mutant.key, {}).update(facts)
 
-    mutants = list(in_turn(rooms, place, each))
+    mutants = list(in_turn(rooms, place, each, tried))
+    everything = list({m.key: m for m in (*tried, *mutants)}.values())
+    draw_of = {m.key: m.draw for m in everything}
+    added: dict[int, set[str]] = {draw: set() for draw in range(1, len(SEEDS) + 1)}
+    for key, row in reviewed.items():
+        added[draw_of.get(key, 1)].update(row["tests"].split())
     for stage, low, high in (("first", 0.0, BUDGET), ("more", BUDGET, BUDGET_MORE)):
         for i, mutant in enumerate(mutants):
             progress(i, len(mutants))
@@ -485,9 +577,11 @@ def run(
                 continue
             if time.time() > until:
                 continue
-            every = seen.tests(mutant)
+            earlier = set().union(*(added[d] for d in added if d < mutant.draw))
+            later = set().union(*(added[d] for d in added if d >= mutant.draw))
+            every = seen.tests(mutant, later - earlier)
             tests = seen.within(every, low, high)
-            seconds = sum(seen.notes[t]["seconds"] for t in tests)
+            seconds = sum(seen.seconds(t) for t in tests)
             begin = time.time()
             if tests:
                 outcome, said = trial(mutant, tests, place, seconds)
@@ -495,64 +589,92 @@ def run(
                 outcome, said = (SURVIVED if every else NOT_RUN), ""
             note(mutant, **asdict(mutant), **{stage: outcome, f"{stage}_tests": len(tests),
                  f"{stage}_seconds": round(time.time() - begin, 1)}, said=said)  # fmt: skip
-    for mutant in mutants:
+    for mutant in everything:
         tests = reviewed.get(mutant.key, {}).get("tests", "").split()
         row = known.get(mutant.key, {})
-        if tests and row.get("again_tests") != tests and time.time() < until:
+        dead = row.get("again") in (KILLED, TIMED_OUT) and row["again_tests"] == tests
+        if tests and not dead and mutant.line > 0 and time.time() < until:
             outcome, said = trial(mutant, tests, place, 60.0)
             note(mutant, again=outcome, again_tests=tests, said=said)
     progress(len(mutants), len(mutants))
-    return tables(mutants, known, reviewed)
+    return tables(everything, known, reviewed)
+
+
+def counts(
+    mutants: list[Mutant], known: dict[str, dict[str, Any]], left: list[str]
+) -> dict[str, Any]:
+    """How many were noticed, of those that change something, before and after the review.
+
+    ``left``: the verdicts on those that survived.
+    """
+    n, equivalent, added = len(mutants), left.count("equivalent"), left.count("test added")
+    timed = sum(known[m.key].get("more", known[m.key]["first"]) == TIMED_OUT for m in mutants)
+    low0, high0 = wilson(n - len(left), n - equivalent)
+    low1, high1 = wilson(n - len(left) + added, n - equivalent)
+    return {
+        "mutants": n, "killed": n - len(left) - timed, "timed_out": timed, "survived": len(left),
+        "equivalent": equivalent, "killed_by_new_tests": added,
+        "open": len(left) - equivalent - added,
+        "score_before": (n - len(left)) / (n - equivalent), "before_lo95": low0,
+        "before_hi95": high0, "score": (n - len(left) + added) / (n - equivalent),
+        "lo95": low1, "hi95": high1,
+    }  # fmt: skip
 
 
 def tables(
     mutants: list[Mutant], known: dict[str, dict[str, Any]], reviewed: dict[str, dict[str, str]]
 ) -> pd.DataFrame:
-    """``mutants.csv`` by room, which is returned, and ``mutants_survived.csv``."""
-    tried = [(m, known[m.key]) for m in mutants if "first" in known.get(m.key, {})]
-    survivors, rows = [], []
-    for mutant, row in tried:
-        if row.get("more", row["first"]) in (KILLED, TIMED_OUT):
+    """``mutants.csv`` by room, which is returned, and by draw, all that were tried, survivors."""
+    tried = sorted((m for m in mutants if "first" in known.get(m.key, {})), key=lambda m: m.draw)
+    survivors, record = [], []
+    for mutant in tried:
+        row = known[mutant.key]
+        outcome = row.get("more", row["first"])
+        note = asdict(mutant)
+        tests = " ".join(row.get("again_tests", ()))
+        record.append({**note, "outcome": outcome, "again": row.get("again", ""), "tests": tests})
+        if outcome in (KILLED, TIMED_OUT):
             continue
         review = reviewed.get(mutant.key, {"verdict": "not reviewed", "remark": "", "tests": ""})
         verdict = review["verdict"]
-        if verdict == "test added" and row.get("again") not in (KILLED, TIMED_OUT):
+        if verdict == "test added" and (
+            row.get("again") not in (KILLED, TIMED_OUT) or tests != review["tests"]
+        ):
             verdict = "open"
         survivors.append(
-            {"room": mutant.room, "file": mutant.file, "line": mutant.line,
-             "operator": mutant.operator, "before": mutant.before, "after": mutant.after,
-             "verdict": verdict, "remark": review["remark"], "tests": review["tests"],
+            {**note, "verdict": verdict, "remark": review["remark"], "tests": review["tests"],
              "key": mutant.key}
         )  # fmt: skip
-    for room in (*dict.fromkeys(m.room for m, _ in tried), "all"):
-        here = [r for m, r in tried if room in (m.room, "all")]
-        left = [s["verdict"] for s in survivors if room in (s["room"], "all")]
-        n, equivalent, added = len(here), left.count("equivalent"), left.count("test added")
-        timed = sum(r.get("more", r["first"]) == TIMED_OUT for r in here)
-        low0, high0 = wilson(n - len(left), n - equivalent)
-        low1, high1 = wilson(n - len(left) + added, n - equivalent)
-        rows.append(
-            {"room": room, "mutants": n, "killed": n - len(left) - timed, "timed_out": timed,
-             "survived": len(left), "equivalent": equivalent, "killed_by_new_tests": added,
-             "open": len(left) - equivalent - added,
-             "score_before": (n - len(left)) / (n - equivalent), "before_lo95": low0,
-             "before_hi95": high0, "score": (n - len(left) + added) / (n - equivalent),
-             "lo95": low1, "hi95": high1}
-        )  # fmt: skip
+
+    def row_of(**wanted: Any) -> dict[str, Any]:
+        def fits(m: dict[str, Any]) -> bool:
+            return all(m[k] == v for k, v in wanted.items())
+
+        return counts([m for m in tried if fits(asdict(m))], known,
+                      [s["verdict"] for s in survivors if fits(s)])  # fmt: skip
+
+    rooms = [r for r in COMPUTING if any(m.room == r for m in tried)]
+    by_room = [{"room": room, **row_of(room=room)} for room in rooms]
+    by_room.append({"room": "all", **row_of()})
+    draws = sorted({m.draw for m in tried})
+    by_draw = [{"draw": draw, **row_of(draw=draw)} for draw in draws]
     TABLES.mkdir(parents=True, exist_ok=True)
-    for name, each in (("mutants", rows), ("mutants_survived", survivors)):
+    for name, each in (("mutants", by_room), ("mutants_by_draw", by_draw),
+                       ("mutants_survived", survivors), ("mutants_tried", record)):  # fmt: skip
         pd.DataFrame(each).to_csv(
             TABLES / f"{name}.csv", index=False, lineterminator="\n", float_format="%.4f"
         )
-    return pd.DataFrame(rows)
+    return pd.DataFrame(by_room)
 
 
 def main() -> None:
     """Parse, run, tell."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--room", choices=COMPUTING, action="append", help="only this room")
+    parser.add_argument(
+        "--room", choices=COMPUTING, action="append", help="try new mutants of this room only"
+    )
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin nothing later")
-    parser.add_argument("--each", type=int, default=PER_ROOM, help="how many of every room")
+    parser.add_argument("--each", type=int, default=PER_ROOM, help="how many of every room, a draw")
     parser.add_argument("--folder", type=Path, default=ROOT / "build" / "studies")
     arguments = parser.parse_args()
     begin = time.time()
