@@ -393,19 +393,22 @@ def test_a_jump_of_the_baseline_is_told_to_the_compression(
     late = flat.copy()
     late[3:] += 0.3  # all switch times later, among others
 
-    def stretches(name: str) -> list[tuple[float, float]]:
+    def stretches(name: str, *moved: float) -> list[tuple[float, float]]:
         made = with_effects(problem, [name], flat)
         assert isinstance(made.model, EffectModel)
         extra = np.zeros(len(made.layout) - len(flat))
-        low, high = np.concatenate([flat, extra]), np.concatenate([late, extra])
+        extra[len(extra) - len(moved) :] = moved
+        low, high = np.concatenate([flat, extra]), np.concatenate([late, 1.1 * extra])
         return made.model.kinks(low, high, made.layout, e)
 
     ((begin, end),) = stretches("baseline_step")
     tf = float(flat[Problem(problem.campaign).layout.local[0][3]])
     assert begin == pytest.approx(tf - e.interval) and end == pytest.approx(tf + 0.3 + e.interval)
-    ((begin, end),) = stretches("baseline_step:at 40%")
-    place = e.t[0] + 0.4 * np.ptp(e.t)
-    assert begin == pytest.approx(place - e.interval) and end == pytest.approx(place + e.interval)
+    ((begin, end),) = stretches("baseline_step:at any time", 0.4)
+    places = e.t[0] + np.array([0.4, 0.44]) * np.ptp(e.t)
+    assert (begin, end) == pytest.approx((places[0] - e.interval, places[1] + e.interval))
+    ((begin, end),) = stretches("baseline_step:some time after the fall", 5.0)
+    assert (begin, end) == pytest.approx((tf + 5.0 - e.interval, tf + 0.3 + 5.5 + e.interval))
     assert stretches("valve_asymmetry") == []
 
 

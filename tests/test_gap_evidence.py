@@ -1,17 +1,20 @@
 """Refits, evidences and the discrepancy against independent routes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bayes_sensor.gap import CATALOGUE
 from bayes_sensor.gap.discrepancy import make_discrepancies, matern32
+from bayes_sensor.gap.effect import Form, Strength
 from bayes_sensor.gap.embedded import embedded_rivals
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.floor import DOF
-from bayes_sensor.gap.refit import FASTER, Part, Plan, refit
+from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, refit
 from bayes_sensor.gap.sketch import coordinates, fit_base, flat_theta, prepare
 from bayes_sensor.gap.where import Leverage
-from bayes_sensor.gap.which import family_priors, joined_start, with_start
+from bayes_sensor.gap.which import _most_promising, family_priors, joined_start, with_start
 from bayes_sensor.model import Layout
 from tests.gap_cases import measured, theta
 
@@ -164,3 +167,89 @@ def test_a_dependence_that_has_a_name_is_no_rival():
     assert "valve by direction" in names(fewer)
     assert not any("flow" in n for n in names(CATALOGUE, flows=False))
     assert not any("direction" in n for n in names([], fall=False))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"step": 0.02, "step_time": 20.3},
+        {"step": 0.02, "step_time": 1.7, "step_with_fall": 1.0},
+        {"step": -0.01, "step_time": 0.4, "step_with_fall": 1.0, "step_width": 0.9},
+    ],
+)
+def test_a_step_inside_a_bin_has_the_mean_over_its_samples(sketch, settings):
+    # the nodes of a bin do not tell where in it a step is; the sum over samples does
+    effect = CATALOGUE["baseline_step"]
+    form = Form(lambda _: (Strength("step", "V", "normal", 0.0, 0.01),), lambda _v, _s: settings)
+    plan = Plan(sketch, (Part(effect, form),))
+    x = plan.start(sketch.base, {})
+    for k, (b, e) in enumerate(zip(sketch.bins, sketch.campaign, strict=True)):
+        without = Plan(sketch).binned(np.delete(x, 3), k)
+        added = plan.binned(x, k) - without
+        # the samples' own steps, a hundred to a sample
+        fine = (e.t[:, None] + (np.arange(100) / 100.0 - 0.495) * e.interval).ravel()
+        begin = settings["step_time"]
+        begin += x[plan.local[k] + 3] if "step_with_fall" in settings else 0.0
+        settled = (fine >= begin).astype(float)
+        if "step_width" in settings:
+            settled *= 1.0 - np.exp(-np.maximum(fine - begin, 0.0) / settings["step_width"])
+        expected = settings["step"] * b.average(settled.reshape(-1, 100).mean(axis=1))
+        assert np.allclose(added, expected, atol=3e-6)
+        here = plan.binned(x, k)
+        derivative = plan.jacobian(x, k, here)
+        assert np.all(np.isfinite(derivative))
+
+
+def test_the_starts_of_a_grid_are_those_that_gain(base, sketch):
+    effect = CATALOGUE["baseline_step"]
+    form = next(f for f in effect.forms if f.name == "at any time")
+    plan = Plan(sketch, (Part(effect, form),))
+    begun = joined_start(plan, base)
+    times = [0.3 * 60.0, 0.7 * 60.0]
+    stepped = []
+    for k, b in enumerate(sketch.bins):
+        steps = sum(size * b.average((b.experiment.t > at) * 1.0)
+                    for size, at in zip((0.01, -0.02), times, strict=True))  # fmt: skip
+        stepped.append(sketch.inverse_factors[k] @ steps)
+    r = np.concatenate(stepped)
+    normal = base.jacobian.T @ base.jacobian + base.plan.own_prior_matrix
+    left = r - base.jacobian @ np.linalg.solve(normal, base.jacobian.T @ r)
+    spoilt = replace(base, residual=left)
+    first, second = _most_promising(plan, begun, spoilt, form.grid)[:2]
+    assert first["step_place"] == pytest.approx(0.7, abs=0.021) and first["step"] < -0.01
+    assert second["step_place"] == pytest.approx(0.3, abs=0.041)
+
+
+def test_what_a_refit_was_promised_and_did_not_get_is_not_credited(base):
+    at_rest = Linearised(base)
+    assert at_rest.promised is None
+    # stopped 8 steps of its own deviation from the optimum, as a bend would stop it
+    x = base.x.copy()
+    x[2] += 8.0 / np.sqrt(float(np.sum(base.jacobian[:, 2] ** 2)))
+    plan, sketch = base.plan, base.plan.sketch
+    residual = np.concatenate(
+        [sketch.inverse_factors[k] @ (y - plan.binned(x, k)) for k, y in enumerate(sketch.data)]
+    )
+    away = x - plan.prior_centre
+    objective = float(residual @ residual + away @ plan.own_prior_matrix @ away)
+    jacobians = tuple(plan.jacobian(x, k, plan.binned(x, k)) for k in range(len(sketch.data)))
+    stuck = Linearised(Refit(plan, x, residual, jacobians, objective, True))
+    assert stuck.promised is not None
+    assert stuck.promised[2] == pytest.approx(base.x[2] - x[2], rel=0.2)
+    found = stuck.evidence(None)
+    assert found.misfit == pytest.approx(stuck.refit.misfit, rel=1e-3)
+    assert found.log_z < at_rest.evidence(None).log_z - 3.0
+
+
+def test_a_refit_stuck_at_wrong_differences_goes_on_with_finer_ones(sketch):
+    # a strength that acts beyond a kink far closer than the usual difference
+    form = Form(
+        lambda _: (Strength("step", "V", "normal", 0.0, 1.0),),
+        lambda v, _s: {"step": 0.02 * np.tanh(300.0 * v["step"]), "step_time": 25.0},
+    )
+    plan = Plan(sketch, (Part(CATALOGUE["baseline_step"], form),))
+    truth = plan.start(sketch.base, {"step": 3e-3})
+    data = [plan.binned(truth, k) for k in range(len(sketch.bins))]
+    start = plan.start(sketch.base, {"step": 1e-4})
+    found = refit(plan, start, data=data, most_steps=60, tolerance=1e-6)
+    assert found.strength()["step"] == pytest.approx(3e-3, rel=0.02)

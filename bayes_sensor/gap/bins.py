@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +60,12 @@ class ExperimentBins:
         """(n_bins,) s, middle of each bin."""
         t = self.experiment.t
         return 0.5 * (t[self.first] + t[self.last - 1])
+
+    @cached_property
+    def edges(self) -> tuple[FloatArray, FloatArray]:
+        """(n_bins,) s, begins and ends: half a sample before the first to half after the last."""
+        t, half = self.experiment.t, 0.5 * self.experiment.interval
+        return t[self.first] - half, t[self.last - 1] + half
 
     @property
     def count(self) -> NDArray[np.int64]:

@@ -120,6 +120,8 @@ class Form:
     """prior weight among the forms of the effect"""
     starts: tuple[Mapping[str, float], ...] = ({},)
     """strengths (in units of the time scale for times ending in ``*``) from which fits begin"""
+    grid: tuple[Mapping[str, float], ...] = ()
+    """further starts, of which only those are followed that promise most"""
     mean: Callable[[FloatArray, Mapping[str, float], RigView], FloatArray] | None = None
     """a user's own mean; it may call the rig's"""
 
@@ -168,6 +170,9 @@ class Effect:
     """whether it changes the mean; otherwise it acts on the noise and has its own test"""
     null: Mapping[str, float] = field(default_factory=dict)
     """strengths at which nothing is left of it"""
+    same_response: str = ""
+    """an effect that no measurement of the response can tell from this one: it is not named
+    alone"""
 
     def apply(self, problem: Problem) -> Problem:
         """The problem with this effect in its model."""

@@ -20,6 +20,8 @@ from bayes_sensor.gap.refit import Refit
 
 WIDTHS = (1.0 / 3.0, 1.0, 3.0)
 """an amplitude's plausible size is averaged over these multiples of its stated spread"""
+AT_REST = 2.0
+"""gain that the linearisation may promise beyond a refit's end before it is not believed"""
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,23 @@ class Linearised:
             made.append(factor)
         return made
 
+    @cached_property
+    def promised(self) -> FloatArray | None:
+        """(n,) the step by which the linearisation would still gain; None at an optimum.
+
+        A refit that ends where its derivatives promise more than the model keeps (a bend, a kink)
+        is credited with what it has reached.
+        """
+        plan, x = self.refit.plan, self.refit.x
+        prior = plan.own_prior_matrix
+        slope = self.jacobian.T @ self.refit.residual - prior @ (x - plan.prior_centre)
+        free = np.ones(plan.size, dtype=bool)
+        free[0] = x[0] > 0.0 or slope[0] > 0.0
+        normal = (self.jacobian.T @ self.jacobian + prior)[np.ix_(free, free)]
+        step = np.zeros(plan.size)
+        step[free] = np.linalg.solve(normal, slope[free])
+        return step if float(slope @ step) > AT_REST else None
+
     def evidence(self, discrepancy: Discrepancy | None) -> Evidence:
         """Average over the prior widths."""
         residual, jacobian = self.refit.residual, self.jacobian
@@ -69,6 +88,8 @@ class Linearised:
             mr, mj, log_det = both[:, 0], both[:, 1:], discrepancy.log_determinant()
         normal = jacobian.T @ mj
         gradient = jacobian.T @ mr
+        if self.promised is not None:
+            gradient = gradient - normal @ self.promised
         square = float(residual @ mr)
         found = [
             _laplace(self.refit, normal, gradient, square, log_det, widths)

@@ -251,15 +251,17 @@ class EffectModel:
     ) -> list[tuple[float, float]]:
         """Stretches (s) in which the baseline may jump for theta between ``low`` and ``high``."""
         found = []
-        for c in self.chosen:
+        for i, c in enumerate(self.chosen):
             if c.effect != "baseline_step":
                 continue
             ends = []
             for theta in (low, high):
                 _, _, t0, tf = local_parameters(theta, layout, experiment.name)
                 setting = self.scales.setting(experiment, t0, tf)
-                made = c.body.settings({"step": 1.0}, setting)
-                ends.append(made.get("step_time", setting.tf))
+                values = self.values(theta, layout, experiment.name)[i]
+                made = c.body.settings({**values, "step": 1.0}, setting)
+                after = setting.tf if made.get("step_with_fall") else 0.0
+                ends.append(after + made.get("step_time", 0.0))
             found.append((min(ends) - experiment.interval, max(ends) + experiment.interval))
         return found
 

@@ -28,6 +28,7 @@ from bayes_sensor.gap.rig import (
     MIDDLE,
     NEUTRAL,
     START,
+    STEP,
     T0,
     TAU,
     TAU_M,
@@ -37,6 +38,7 @@ from bayes_sensor.gap.rig import (
     rig_mean,
     rig_means,
     rig_response,
+    step_means,
 )
 
 FASTER = 0.3
@@ -47,6 +49,8 @@ NUISANCE_SD = {"tau": 1.0, "tau_v": 0.7, "V": 0.3}
 """sd of the logarithms around plausible values"""
 WIDE = 100.0
 """step heights; spread of the priors of y0 and beta"""
+FINER = 0.01
+"""factor on the differences' steps where the usual ones lead nowhere"""
 TAU_OVER_TAU_V = 0.07
 """plausible ratio of the sensor's to the valve's time constant"""
 
@@ -307,9 +311,8 @@ class Plan:
         """V (n_times,), the mean of experiment ``k`` at sorted ``times`` (default: the bins')."""
         p, own = self.rig(x, k)
         at = self.sketch.bins[k].times if times is None else times
-        shares, ratios = coating_modes() if p[FIRST + INDEX["coating"]] != 0.0 else _NO_MODES
         if own is None:
-            return np.asarray(rig_mean(at, p, shares, ratios))
+            return np.asarray(rig_mean(at, p, *_modes(p)))
         form, values = own
         return self._own_mean(at, p, form, values, self.sketch.settings[k])
 
@@ -399,7 +402,14 @@ class Plan:
 
     def binned(self, x: FloatArray, k: int) -> FloatArray:
         """V (n_bins,), mean of each bin of experiment ``k``."""
-        return self.sketch.bins[k].reduce(self.mean(x, k))
+        bins = self.sketch.bins[k]
+        p, own = self.rig(x, k)
+        if p[STEP] == 0.0 or own is not None:
+            return bins.reduce(self.mean(x, k))
+        step = step_means(*bins.edges, p)
+        p[STEP] = 0.0
+        made: FloatArray = bins.reduce(np.asarray(rig_mean(bins.times, p, *_modes(p)))) + step
+        return made
 
     def columns(self, k: int) -> NDArray[np.int64]:
         """Coordinates that experiment ``k`` depends on."""
@@ -435,35 +445,49 @@ class Plan:
             most[at + 2 : at + (4 if fall else 3)] = self.sketch.time_scale
         return most
 
-    def jacobian(self, x: FloatArray, k: int, here: FloatArray) -> FloatArray:
-        """(n_bins, n_columns) whitened derivatives of experiment ``k``'s bin means."""
+    def jacobian(self, x: FloatArray, k: int, here: FloatArray, finer: float = 1.0) -> FloatArray:
+        """(n_bins, n_columns) whitened derivatives of experiment ``k``'s bin means.
+
+        ``finer``: factor on the steps of the differences.
+        """
         columns = self.columns(k)
         made = np.empty((len(here), len(columns)))
         bins = self.sketch.bins[k]
+        steps = finer * self.steps
         moved = np.array(x)
         rigs, own = [], False
         for c in columns:
-            moved[c] += self.steps[c]
+            moved[c] += steps[c]
             p, mean = self.rig(moved, k)
             own = own or mean is not None
             rigs.append(p)
             moved[c] = x[c]
         if own:
             for i, c in enumerate(columns):
-                moved[c] += self.steps[c]
-                made[:, i] = (self.binned(moved, k) - here) / self.steps[c]
+                moved[c] += steps[c]
+                made[:, i] = (self.binned(moved, k) - here) / steps[c]
                 moved[c] = x[c]
         else:
             table = np.array(rigs)
             coated = bool(np.any(table[:, FIRST + INDEX["coating"]] != 0.0))
             shares, ratios = coating_modes() if coated else _NO_MODES
+            stepped = [step_means(*bins.edges, p) for p in table if p[STEP] != 0.0]
+            if stepped:
+                which = np.flatnonzero(table[:, STEP])
+                table[:, STEP] = 0.0
             means = rig_means(bins.times, table, shares, ratios)
             reduced = np.add.reduceat(means * bins.weights, bins.starts, axis=1)
-            made[:] = ((reduced - here) / self.steps[columns][:, None]).T
+            if stepped:
+                reduced[which] += stepped
+            made[:] = ((reduced - here) / steps[columns][:, None]).T
         return self.sketch.inverse_factors[k] @ made
 
 
 _NO_MODES = (np.zeros(0), np.zeros(0))
+
+
+def _modes(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return coating_modes() if p[FIRST + INDEX["coating"]] != 0.0 else _NO_MODES
 
 
 @dataclass(frozen=True, eq=False)
@@ -564,10 +588,10 @@ def refit(
         return means, residual, total if np.isfinite(total) else inf
 
     means, residual, objective = evaluate(x)
-    damping, converged = 1e-3, False
+    damping, converged, finer = 1e-3, False, 1.0
     jacobians: tuple[FloatArray, ...] = ()
     for _ in range(most_steps):
-        jacobians = tuple(plan.jacobian(x, k, means[k]) for k in range(n_e))
+        jacobians = tuple(plan.jacobian(x, k, means[k], finer) for k in range(n_e))
         normal, gradient = np.zeros((plan.size, plan.size)), np.zeros(plan.size)
         for k, j in enumerate(jacobians):
             columns = plan.columns(k)
@@ -598,6 +622,10 @@ def refit(
                 break
             damping = max(damping, 1e-6) * 8.0
         if not accepted:
+            if finer == 1.0 and float(step @ gradient[index]) > 0.1 * tolerance:
+                # where the model bends within the steps of the differences, they mislead
+                finer, damping = FINER, 1e-3
+                continue
             converged = True
             break
         gained = objective - t_objective
@@ -607,6 +635,8 @@ def refit(
             converged = True
             jacobians = tuple(plan.jacobian(x, k, means[k]) for k in range(n_e))
             break
+    if finer != 1.0:  # evidences rest on the usual differences, which smooth over the bins' nodes
+        jacobians = tuple(plan.jacobian(x, k, means[k]) for k in range(n_e))
     return Refit(plan, x, residual, jacobians, objective, converged)
 
 

@@ -425,6 +425,28 @@ def rig_mean(
 
 
 @njit(cache=True)
+def step_means(low: FloatArray, high: FloatArray, p: FloatArray) -> FloatArray:  # pragma: no cover
+    """(n_bins,) V: means of the baseline's step between ``low`` and ``high`` (n_bins,) s.
+
+    Exact, where a few times in a bin would not tell where in it the step is.
+    """
+    made = np.zeros(len(low))
+    if p[STEP] == 0.0:
+        return made
+    begin = p[STEP_TIME] + (p[TF] if p[STEP_WITH_FALL] > 0.0 else 0.0)
+    width = p[STEP_WIDTH]
+    for i in range(len(low)):
+        if high[i] > begin:
+            first = max(low[i] - begin, 0.0)
+            last = high[i] - begin
+            area = last - first
+            if width > 0.0:
+                area -= width * (exp(-first / width) - exp(-last / width))
+            made[i] = p[STEP] * area / (high[i] - low[i])
+    return made
+
+
+@njit(cache=True)
 def rig_means(
     times: FloatArray, p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
 ) -> FloatArray:  # pragma: no cover

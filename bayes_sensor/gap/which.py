@@ -30,6 +30,10 @@ UNUSUAL = 1.2
 """distance of ln tau from its plausible value from which fits also start at that value"""
 MOST_FOLLOWED = 3
 """times the search for a pair follows the best one found"""
+MOST_PROMISING = 3
+"""starts of a grid that are followed"""
+ABSORBED = 1e-3
+"""share of a start's signature that the refit without it must leave, for it to be followed"""
 MOST_FURTHER = 60
 """further steps of a refit that had not converged"""
 HOPELESS = 0.2
@@ -120,12 +124,47 @@ def fit_effect(
     """The best refit of the base's parts and further ones, over the starts of the last part."""
     plan = Plan(sketch, (*base.plan.parts, *parts))
     begun = joined_start(plan, base)
+    starts = [*starts, *_most_promising(plan, begun, base, parts[-1].form.grid)]
     found = [refit(plan, with_start(plan, begun, start), most_steps=most_steps) for start in starts]
     usual = _with_usual_tau(plan, begun)
     if usual is not None and not base.plan.parts:
         # the fit without the effect may have bent tau far away to do the effect's work
         found += [refit(plan, with_start(plan, usual, s), most_steps=most_steps) for s in starts]
     return finished(min(found, key=lambda r: r.objective))
+
+
+def _most_promising(
+    plan: Plan, begun: FloatArray, base: Refit, grid: Sequence[Mapping[str, float]]
+) -> list[Mapping[str, float]]:
+    """Those of a grid of starts whose linearised gain is largest, each a peak among its neighbours.
+
+    The gain is that of the effect's size alone, everything else refitted linearly; amplitudes
+    begin at the size that gains it.
+    """
+    if not grid:
+        return []
+    normal = base.jacobian.T @ base.jacobian + base.plan.own_prior_matrix
+    sketch = plan.sketch
+    here = [base.plan.binned(base.x, k) for k in range(len(sketch.bins))]
+    amplitudes = {s.name for s in plan.strengths[-1] if s.scaled}
+    gains, sizes = np.zeros(len(grid)), np.zeros(len(grid))
+    for i, start in enumerate(grid):
+        x = with_start(plan, begun, start)
+        template = np.concatenate([
+            sketch.inverse_factors[k] @ (plan.binned(x, k) - mean) for k, mean in enumerate(here)
+        ])  # fmt: skip
+        inside = base.jacobian.T @ template
+        whole = float(template @ template)
+        left = whole - float(inside @ np.linalg.solve(normal, inside))
+        if left > ABSORBED * whole:
+            sizes[i] = float(template @ base.residual) / left
+            gains[i] = sizes[i] ** 2 * left
+    around = np.concatenate([[-np.inf], gains, [-np.inf]])
+    peaks = np.flatnonzero((gains >= around[:-2]) & (gains >= around[2:]))
+    return [
+        {name: v * (sizes[i] if name in amplitudes else 1.0) for name, v in grid[i].items()}
+        for i in peaks[np.argsort(-gains[peaks])][:MOST_PROMISING]
+    ]
 
 
 def finished(fitted: Refit) -> Refit:

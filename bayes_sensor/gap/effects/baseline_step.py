@@ -6,10 +6,12 @@ switched on.
 
 from collections.abc import Callable, Mapping
 
-from bayes_sensor.gap.effect import Effect, Form, Setting, Settings, Strength
+from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
 
-PLACES = (0.12, 0.25, 0.4, 0.6, 0.8, 0.9)
-"""where else in the record a common jump is looked for, as a share of its length"""
+PLACES = tuple(0.02 + 0.02 * i for i in range(49))
+"""where in the record a common jump is looked for first, as a share of its length"""
+DELAYS = tuple(0.3 * 1.3**i for i in range(20))
+"""time scales after the fall where one is looked for first"""
 
 
 def _step(own: bool, soft: bool = False) -> Callable[[Setting], tuple[Strength, ...]]:
@@ -22,12 +24,23 @@ def _step(own: bool, soft: bool = False) -> Callable[[Setting], tuple[Strength, 
     return strengths
 
 
-def _at(place: float) -> Settings:
-    def settings(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
-        t = s.experiment.t
-        return {"step": v["step"], "step_time": float(t[0] + place * (t[-1] - t[0]))}
+def _anywhere(s: Setting) -> tuple[Strength, ...]:
+    place = Strength("step_place", "1", "normal", 0.5, 0.3, limits=(0.005, 0.995))
+    return (*_step(False)(s), place)
 
-    return settings
+
+def _some_time_after(s: Setting) -> tuple[Strength, ...]:
+    delay = Strength("step_delay", "s", "log_normal", 5.0 * s.time_scale, 1.2)
+    return (*_step(False)(s), delay)
+
+
+def _at_place(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
+    t = s.experiment.t
+    return {"step": v["step"], "step_time": float(t[0] + v["step_place"] * (t[-1] - t[0]))}
+
+
+def _after_delay(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
+    return {"step": v["step"], "step_with_fall": 1.0, "step_time": v["step_delay"]}
 
 
 def _after_pulse(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
@@ -37,15 +50,25 @@ def _after_pulse(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
 EFFECT = Effect(
     name="baseline_step",
     family="baseline",
-    sentence="The baseline after the pulse is not the one before it: {strength}.",
+    sentence="The baseline steps to another level and stays there: {strength}.",
     forms=(
         Form(_step(False), _after_pulse, name="common", weight=0.3),
         Form(_step(True), _after_pulse, name="own", weight=0.3),
         Form(_step(False, soft=True), _after_pulse, name="common, slow", weight=0.1),
         Form(_step(True, soft=True), _after_pulse, name="own, slow", weight=0.1),
-        *(
-            Form(_step(False), _at(place), name=f"at {place:.0%}", weight=0.2 / len(PLACES))
-            for place in PLACES
+        Form(
+            _anywhere,
+            _at_place,
+            name="at any time",
+            weight=0.1,
+            grid=tuple({"step": 1e-4, "step_place": place} for place in PLACES),
+        ),
+        Form(
+            _some_time_after,
+            _after_delay,
+            name="some time after the fall",
+            weight=0.1,
+            grid=tuple({"step": 1e-4, "step_delay*": delay} for delay in DELAYS),
         ),
     ),
     plausible={"step": 0.01},

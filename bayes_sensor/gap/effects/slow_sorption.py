@@ -25,6 +25,7 @@ EFFECT = Effect(
     ),
     plausible={"slow_site_share": 0.03, "slow_site_time": 10.0},
     null={"slow_site_share": 0.0},
+    same_response="two_rate_valve",
     reference="two-site sorption",
     reveal="the sensor exposed behind another valve, or the valve with another sensor",
 )

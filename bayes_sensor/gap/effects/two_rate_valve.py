@@ -27,6 +27,7 @@ EFFECT = Effect(
     ),
     plausible={"slow_valve_share": 0.05, "slow_valve_time": 5.0},
     null={"slow_valve_share": 0.0},
+    same_response="slow_sorption",
     reference="creep of elastomer seats",
     reveal="a flow meter behind the valve, or the sensor exposed without the valve",
 )
