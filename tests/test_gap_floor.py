@@ -1,5 +1,7 @@
 """Bins and the noise floor: bin means, their covariance, the whitened residual of pure noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
@@ -8,7 +10,7 @@ from scipy.signal import lfilter
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.gap.bins import PHASES, make_bins
-from bayes_sensor.gap.floor import _bin_cholesky, clean, detrended
+from bayes_sensor.gap.floor import _bin_cholesky, _correlation, clean, detrended
 from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.likelihood import simulate
 from bayes_sensor.model import Layout, cascade_response
@@ -69,7 +71,9 @@ def test_covariance_of_bin_means_is_that_of_the_process(phi):
     edges = 0.5 / h / 1.15 ** np.arange(70, -1, -1)
     f = np.sqrt(edges[:-1] * edges[1:])
     spectrum = 2.0 * h * (1 - phi**2) / (1 + phi**2 - 2 * phi * np.cos(2 * np.pi * f * h))
-    factor = _bin_cholesky(e, b, edges, np.array([spectrum, spectrum]), np.zeros(len(b.first)))
+    factor = _bin_cholesky(
+        e, b, edges, np.array([spectrum, spectrum]), np.zeros(len(b.first)), np.ones_like
+    )
     covariance = toeplitz(phi ** np.arange(len(e.t)))
     total = np.zeros((len(e.t) + 1, len(e.t) + 1))
     total[1:, 1:] = np.cumsum(np.cumsum(covariance, axis=0), axis=1)
@@ -164,3 +168,31 @@ def test_a_short_record_with_nothing_wrong_raises_no_confident_alarm(seed):
     campaign, _ = short_record(seed)
     verdict = diagnose_gap(campaign, seed=1, bootstrap=0, separate=False).verdict
     assert verdict.kind == "none" or verdict.probability < 0.9
+
+
+def test_noise_that_outlasts_the_quiet_stretches_is_refused():
+    # a random walk in records of 60 s, with stretches of ten seconds and more
+    campaign = design(2)
+    rng = np.random.default_rng(4)
+    values = theta(campaign, sigma=5e-4)
+    ideal = simulate(campaign, Layout.of(campaign).flat(values), seed=1)
+    for walk, refused in ((0.002, True), (0.0, False)):
+        noisy = [replace(e, y=e.y + walk * np.cumsum(rng.standard_normal(len(e.t)))) for e in ideal]
+        walking = replace(ideal, experiments=tuple(noisy))
+        if refused:
+            with pytest.raises(CampaignError, match="the noise wanders"):
+                diagnose_gap(walking, bootstrap=0, hidden=False, separate=False)
+        else:
+            diagnose_gap(walking, bootstrap=0, hidden=False, separate=False)
+
+
+@pytest.mark.parametrize("phi", [0.5, 0.9, 0.97])
+def test_the_correlation_that_a_parabola_takes_is_put_back(phi):
+    rng = np.random.default_rng(5)
+    found = []
+    for _ in range(200):
+        noise = lfilter([1.0], [1.0, -phi], rng.standard_normal(700))[300:]
+        found.append(detrended(noise))
+    plain = np.mean([x[1:] @ x[:-1] / (x @ x) for x in found])
+    assert plain < phi - 0.005
+    assert _correlation(found) == pytest.approx(phi, abs=0.006)

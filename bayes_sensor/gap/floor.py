@@ -8,7 +8,7 @@ floor far too low where an effect would show.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +25,18 @@ SHRINK = 20.0
 """degrees of freedom of the neighbouring band, or of the common shape, in a band's estimate"""
 DOF = 60.0
 """degrees of freedom of the floor's level: evidences use a t law with so many"""
+WANDERING = 0.9999
+"""largest correlation from sample to sample: below, noise is stationary"""
+ROOT = 20.0
+"""samples in a stretch times (1 - correlation) below which noise may be a random walk"""
+WALK = -0.2
+"""correlation of neighbouring changes above which it looks like one"""
 LAGS_PER_BIN = 24.0
 """lags of the covariance within the shortest bin"""
+
+
+Shape = Callable[[FloatArray], FloatArray]
+"""frequencies (n_f,) Hz -> a spectral density of any scale"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +173,7 @@ def estimate_floor(
     Raises
     ------
     CampaignError
-        If no stretch of any record is quiet and long enough.
+        If no stretch of any record is quiet and long enough, or the noise outlasts them all.
     """
     stretches = quiet_stretches(campaign, residuals, bins, settle)
     if not stretches:
@@ -186,10 +196,12 @@ def estimate_floor(
         np.add.at(count[s.experiment, s.level], band[inside], 1.0)
     missing = len({s.level for s in stretches}) < 2
     louder = _louder(campaign, residuals, bins, level_of_bins) if missing else 1.0
-    density, dof = _shrunk(power, count, edges, _correlated(noises, intervals, edges), louder)
+    _check_memory(noises)
+    shape = _correlated(noises, intervals)
+    density, dof = _shrunk(power, count, edges, shape(np.sqrt(edges[:-1] * edges[1:])), louder)
     factors = tuple(
         _bin_cholesky(
-            e, b, edges, density[k], level,
+            e, b, edges, density[k], level, shape,
             None if fits is None else rounding_bias(e, b, edges, density[k], fits[k]),
         )
         for k, (e, b, level) in enumerate(zip(campaign, bins, level_of_bins, strict=True))
@@ -205,23 +217,58 @@ def _periodogram(noise: FloatArray, interval: float) -> tuple[FloatArray, FloatA
     return np.asarray(np.fft.rfftfreq(n, interval)[1:], dtype=float), power[1:]
 
 
-def _correlated(
-    noises: Sequence[FloatArray], intervals: Sequence[float], edges: FloatArray
-) -> FloatArray:
-    """(n_bands,) of any scale: the spectrum of an AR(1) with the detrended noises' correlation.
+def _correlated(noises: Sequence[FloatArray], intervals: Sequence[float]) -> Shape:
+    """The spectrum, of any scale, of an AR(1) with the detrended noises' correlation.
 
-    Neighbouring samples tell it even where the stretches are too short for low frequencies.
+    Neighbouring samples tell it even where the stretches are too short for low frequencies.  A
+    parabola taken out of n samples takes about (3 + 5 phi)/n of the correlation with it, which is
+    put back (Kendall 1954, with two further coefficients): noise that wanders for longer than a
+    stretch lasts must not look as if it did not.
     """
-    centre = np.sqrt(edges[:-1] * edges[1:])
-    made = np.zeros(len(centre))
+    parts = []
     for h in sorted(set(intervals)):
         some = [x for x, own in zip(noises, intervals, strict=True) if own == h]
-        square = sum(float(x @ x) for x in some)
-        product = sum(float(x[1:] @ x[:-1]) for x in some)
-        phi = min(max(product / max(square, 1e-300), 0.0), 0.999)
-        shape = 1.0 / (1.0 + phi**2 - 2.0 * phi * np.cos(2.0 * np.pi * np.minimum(centre * h, 0.5)))
-        made += square * shape / np.mean(shape)
-    return np.maximum(made, 1e-300)
+        parts.append((h, sum(float(x @ x) for x in some), _correlation(some)))
+
+    def shape(f: FloatArray) -> FloatArray:
+        made = np.zeros(len(f))
+        for h, square, phi in parts:
+            cosine = np.cos(2.0 * np.pi * np.minimum(f * h, 0.5))
+            made += square * (1.0 - phi**2) / (1.0 + phi**2 - 2.0 * phi * cosine)
+        return np.maximum(made, 1e-300)
+
+    return shape
+
+
+def _correlation(noises: Sequence[FloatArray]) -> float:
+    """From sample to sample, what detrending took of it put back; at most WANDERING."""
+    square = max(sum(float(x @ x) for x in noises), 1e-300)
+    phi = sum(float(x[1:] @ x[:-1]) for x in noises) / square
+    lost = (3.0 + 5.0 * phi) * len(noises) / sum(len(x) for x in noises)
+    return min(max(phi + lost, 0.0), WANDERING)
+
+
+def _check_memory(noises: Sequence[FloatArray]) -> None:
+    """Refuse noise that may keep its value for longer than the quiet stretches last.
+
+    The test is that for a unit root, n (1 - phi) of stretches of n samples, about 14 for a random
+    walk without its parabola.  It must also look like a walk at the shortest times, where changes
+    follow each other without correlation: those of a smooth misfit under white noise alternate.
+    """
+    square = max(sum(float(x @ x) for x in noises), 1e-300)
+    phi = sum(float(x[1:] @ x[:-1]) for x in noises) / square
+    mean_length = sum(len(x) for x in noises) / len(noises)
+    changes = [np.diff(x) for x in noises]
+    whole = max(sum(float(c @ c) for c in changes), 1e-300)
+    if mean_length * (1.0 - phi) < ROOT and sum(float(c[1:] @ c[:-1]) for c in changes) > (
+        WALK * whole
+    ):
+        raise CampaignError(
+            f"gap: the noise wanders: its value persists (correlation {phi:.3f} from sample to "
+            f"sample) throughout quiet stretches of {mean_length:.0f} samples, so that it cannot "
+            "be told from a gap; expected stretches that outlast the noise's memory many times: "
+            "record longer baselines and plateaus, or remove what makes the signal wander"
+        )
 
 
 def _louder(
@@ -359,6 +406,7 @@ def _bin_cholesky(
     edges: FloatArray,
     density: FloatArray,
     level: FloatArray,
+    shape: Shape,
     extra: FloatArray | None = None,
 ) -> FloatArray:
     """Lower factor (n_bins, n_bins) of the covariance of bin means of one experiment.
@@ -371,8 +419,8 @@ def _bin_cholesky(
     step = e.interval * max(1, int(shortest / (LAGS_PER_BIN * e.interval)))
     n = 1 << int(np.ceil(np.log2(2.2 * len(e.t) * e.interval / step)))
     f = np.asarray(np.fft.rfftfreq(n, step), dtype=float)
-    low = _density_at(f, edges, density[0])
-    high = _density_at(f, edges, density[1])
+    low = _density_at(f, edges, density[0], shape)
+    high = _density_at(f, edges, density[1], shape)
     a = np.rint(bins.first * e.interval / step).astype(np.int64)
     b = np.maximum(np.rint(bins.last * e.interval / step).astype(np.int64), a + 1)
     index = [np.abs(np.subtract.outer(p, q)) for p, q in ((b, a), (a, b), (b, b), (a, a))]
@@ -423,11 +471,11 @@ def _white_variance(
     return 0.5 * root**2 * top
 
 
-def _density_at(f: FloatArray, edges: FloatArray, density: FloatArray) -> FloatArray:
+def _density_at(f: FloatArray, edges: FloatArray, density: FloatArray, shape: Shape) -> FloatArray:
     """One-sided density (n_f,) V^2/Hz, in log frequency between the bands' centres.
 
     Below the first band it grows as 1/f as far as the first band exceeds those at .5-4 Hz, by at
-    most a factor of nine.
+    most a factor of nine, or as noise of this ``shape`` does, where that is more.
     """
     centre = np.sqrt(edges[:-1] * edges[1:])
     logs = np.log(np.maximum(f, 1e-12))
@@ -439,4 +487,6 @@ def _density_at(f: FloatArray, edges: FloatArray, density: FloatArray) -> FloatA
         lowest = 0.5 * f[1] if len(f) > 1 else 1e-9  # the constant stands for half a spacing
         grow = np.clip(edges[0] / np.maximum(f[low], lowest) - 1.0, 0.0, 8.0)
         made[low] = density[0] + max(above, 0.0) * grow
+        as_shaped = shape(np.maximum(f[low], lowest)) / shape(centre[:1])
+        made[low] = np.maximum(made[low], density[0] * as_shaped)
     return made
