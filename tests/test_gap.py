@@ -120,6 +120,31 @@ def test_a_withheld_effect_is_never_named_with_confidence():
     )
 
 
+def test_two_effects_of_one_response_are_never_told_apart():
+    # with the other taken out of the catalogue, too: it may be the cause all the same
+    campaign = measured({"two_rate_valve": 0.08}, seed=3)
+    gap = diagnose_gap(
+        campaign, without=["two_rate_valve"], bootstrap=0, hidden=False, separate=False
+    )
+    assert gap.standing.effects["slow_sorption"] > 0.9
+    assert gap.verdict.kind == "family" and gap.verdict.effects[0] == "slow_sorption"
+    assert "two_rate_valve, whose response is the same" in gap.verdict.sentence
+
+
+@pytest.mark.parametrize("seconds", [4.0, 12.0])
+def test_a_step_of_the_baseline_at_any_common_time_is_named(seconds):
+    campaign = measured({}, seed=4)
+    stepped = [
+        replace(e, y=e.y + 0.02 * (e.t >= e.commanded_off + 0.5 + seconds)) for e in campaign
+    ]
+    gap = diagnose_gap(
+        replace(campaign, experiments=tuple(stepped)), bootstrap=0, hidden=False, separate=False
+    )
+    assert gap.verdict.kind in ("effect", "family")
+    assert gap.verdict.effects[0] == "baseline_step"
+    assert gap.standing.effects["baseline_step"] > 0.7
+
+
 def test_two_effects_of_different_families_are_found():
     campaign = measured({"valve_asymmetry": 1.25, "baseline_drift": 4e-4}, seed=2)
     gap = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)

@@ -13,7 +13,8 @@ from bayes_sensor.gap.effect import Effect, Strength, own_effect
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.events import _blocks
 from bayes_sensor.gap.floor import Stretch, clean, lattice_step
-from bayes_sensor.gap.full_rate import _innovations, _look_for_lines, look_at_tails
+from bayes_sensor.gap.full_rate import _innovations, look_at_tails
+from bayes_sensor.gap.lines import _look_for_lines
 from bayes_sensor.gap.model import EffectModel, check_effects, find_form, with_effects
 from bayes_sensor.gap.simulation import read_strength
 from bayes_sensor.gap.verdict import Standing, judge
@@ -126,7 +127,7 @@ def test_a_lattice_needs_levels_that_differ_by_more_than_rounding() -> None:
 
 
 def test_no_pieces_hold_no_lines() -> None:
-    assert _look_for_lines([], mains=True) == []
+    assert _look_for_lines([], "mains_pickup") == []
 
 
 def stretch_of(samples: np.ndarray) -> Stretch:

@@ -20,14 +20,23 @@ from bayes_sensor.gap.events import (
     look_for_ringing,
 )
 from bayes_sensor.gap.full_rate import (
+    LUMPY,
     OF_UNLISTED_ORIGIN,
     UNITS,
     FullRate,
-    look_at_full_rate,
+    look_at_tails,
+    look_for_steps,
     rounds_away,
 )
 from bayes_sensor.gap.hidden import Hidden, what_may_hide
 from bayes_sensor.gap.how_far import Closure, best_discrepancy, closure, held_out
+from bayes_sensor.gap.lines import (
+    look_for_lines,
+    look_for_mains,
+    look_for_swings,
+    mains_closure,
+    pieces_of_records,
+)
 from bayes_sensor.gap.refit import Refit
 from bayes_sensor.gap.separate import Separation, confusable, what_would_separate
 from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
@@ -297,12 +306,10 @@ def diagnose_gap(
     sketch = prepared.sketch
     base = fit_base(sketch)
     full_rate = [
-        f for f in map(partial(_without_mains, catalogue), look_at_full_rate(
-            campaign, prepared.stretches, prepared.raw, prepared.residuals,
-            [q.deviation for q in prepared.quiet],
-        ))
+        f
+        for f in map(partial(_without_mains, catalogue), _samples(prepared))
         if f.name in catalogue or f.name in OF_UNLISTED_ORIGIN
-    ]  # fmt: skip
+    ]
     tell(0.08, "where")
     located = locate(sketch, base, seed, bootstrap)
     weighing = weigh(sketch, base, catalogue, lambda s, t: tell(0.15 + 0.4 * s, t))
@@ -315,6 +322,8 @@ def diagnose_gap(
     tell(0.7, "how far")
     window = best_discrepancy(base, weighing.discrepancies)
     shrink = _shrink(weighing, best, kind, window, catalogue, seed, bootstrap, jobs)
+    if kind == "effect" and "mains_pickup" in named and not best.effects:
+        shrink = _of_the_mains(shrink, prepared, full_rate)
     tell(0.85, "what may hide")
     accepted = best.refit if kind == "effect" else base
     found: list[Hidden] = []
@@ -379,6 +388,20 @@ def _without_mains(catalogue: Mapping[str, Effect], found: FullRate) -> FullRate
     return replace(found, name="line", strength={"line_V": s["mains_V"], "line_Hz": s["mains_Hz"]})
 
 
+def _samples(prepared: Prepared) -> list[FullRate]:
+    """Lines, tails and the converter's steps, whatever explains the mean."""
+    campaign, stretches = prepared.sketch.campaign, prepared.stretches
+    coarse = look_for_steps(campaign, stretches)
+    # on a coarse lattice the innovations are lumps, not tails: spread them over the step again
+    step = coarse.strength["adc_step"] if coarse.log_bayes_factor > LUMPY else 0.0
+    found = [look_at_tails(prepared.raw, step), coarse]
+    if rounds_away(stretches, coarse.strength["adc_step"]):
+        return found
+    deviations = [q.deviation for q in prepared.quiet]
+    mains = look_for_mains(campaign, prepared.residuals, deviations)
+    return [*mains, *look_for_lines(campaign, stretches), *found]
+
+
 def _events(
     prepared: Prepared, weighing: Weighing, full_rate: Sequence[FullRate]
 ) -> list[FullRate]:
@@ -396,6 +419,7 @@ def _events(
         look_for_breaks(best.refit),
         look_for_events(campaign, prepared.stretches_of(residuals), heavy),
         look_for_ringing(campaign, residuals, prepared.quiet),
+        *look_for_swings(campaign, residuals, [q.deviation for q in prepared.quiet]),
     ]
 
 
@@ -491,6 +515,15 @@ def _shrink(
         rival=rival.key if rival else None,
         rival_fraction_closed=closure(base, rival.refit, window).fraction if rival else None,
     )
+
+
+def _of_the_mains(shrink: Shrink, prepared: Prepared, full_rate: Sequence[FullRate]) -> Shrink:
+    """The gap that the mains make is one of power at their frequencies, not of the mean."""
+    found = next(f for f in full_rate if f.name == "mains_pickup")
+    deviations = [q.deviation for q in prepared.quiet]
+    pieces = pieces_of_records(prepared.sketch.campaign, prepared.residuals, deviations)
+    closed, out = mains_closure(pieces, found)
+    return replace(shrink, closure=closed, held_out_fraction_closed=out, explanation="mains_pickup")
 
 
 def _averaged_tau(weighing: Weighing) -> tuple[float, float, float]:
@@ -725,6 +758,11 @@ def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
             f"There is a line of unlisted origin at {s['line_Hz']:.4g} Hz with an amplitude "
             f"of {1e3 * s['line_V']:.3g} m{unit}."
         )
+    if found.name == "swing":
+        return (
+            f"The signal swings slowly, once in {1.0 / s['swing_Hz']:.3g} s, with an amplitude of "
+            f"{1e3 * s['swing_V']:.3g} m{unit}."
+        )
     if found.name == "ringing":
         return f"After the switches the signal rings at about {s['ringing_Hz']:.3g} Hz."
     if found.name == "event":
@@ -776,7 +814,7 @@ def _sentence(
         low, high = (1e3 * t for t in envelope)
         return (
             "Nothing is missing beyond the noise floor. Effects that this campaign cannot see may "
-            f"still hide: with them tau could lie anywhere from {low:.3g} to {high:.3g} ms."
+            f"still hide: with them tau could lie anywhere from {low:.2g} to {high:.2g} ms."
         )
     if kind == "unlisted" and probability < 0.5:
         return (
@@ -807,13 +845,20 @@ def _sentence(
             for f in full_rate
             if f.name in catalogue and f.probability > NAMED
         ]
-        said = (
-            f"Most likely {named[0]} ({leading:.0%}) explains the gap{place}, but a cause outside "
-            "the catalogue that looks the same is not excluded."
-            if leading > MOSTLY * probability
-            else f"One of {', '.join(named)} explains the gap{place}; this campaign does not tell "
-            "them apart."
-        )
+        other = catalogue[named[0]].same_response
+        leads = leading > MOSTLY * probability
+        if leads and other:
+            said = f"{named[0]}, or {other}, whose response is the same, explains the gap{place}."
+        elif leads:
+            said = (
+                f"Most likely {named[0]} ({100.0 * leading:.0f} %) explains the gap{place}, but a cause "
+                "outside the catalogue that looks the same is not excluded."
+            )
+        else:
+            said = (
+                f"One of {', '.join(named)} explains the gap{place}; this campaign does not tell "
+                "them apart."
+            )
         return "".join([said, advice, *beside])
     words = []
     by_name = {f.name: f for f in full_rate}
@@ -821,6 +866,6 @@ def _sentence(
     for n in named:
         strength = fitted if catalogue[n].on_mean else by_name[n].strength
         words.append(_effect_words(catalogue[n], strength, sketch, unit))
-    if shrink.closure.fraction is not None and any(catalogue[n].on_mean for n in named):
-        words.append(f"It closes {shrink.closure.fraction:.0%} of the gap.")
+    if shrink.closure.fraction is not None:
+        words.append(f"It closes {100.0 * shrink.closure.fraction:.0f} % of the gap.")
     return " ".join(words)

@@ -95,13 +95,14 @@ def look_for_events(
     scaled by their own median absolute value over all stretches with the same gas, so that the
     noise's spectrum does not matter and an event that is rare in time does not hide itself.
     ``heavy_tailed``: single samples are, and so means over a few of them may be.
-    ``ln B`` of a stretch averages, over positions, widths and the amplitude's plausible spread,
-    the ratio of t densities; ``strength``: the clearest event's experiment (counted from 0), time
-    in s and ratio to the usual.
+    ``ln B`` of a stretch averages, over positions and the amplitude's plausible spread, the ratio
+    of t densities; widths and shapes are averaged over for each stretch, or for all together,
+    since what strikes again lasts as long again.  ``strength``: the clearest event's experiment
+    (counted from 0), time in s and ratio to the usual.
     """
     blocks = [_blocks(campaign, s) for s in stretches]
     use = [(s, *made) for s, made in zip(stretches, blocks, strict=True) if made is not None]
-    found: list[list[float]] = [[] for _ in use]
+    found: list[dict[tuple[float, str], float]] = [{} for _ in use]
     largest, where, when = 0.0, 0, 0.0
     for width in WIDTHS:
         for shape, middle in ((_bump, 2.5), (_jump, 1.0)):
@@ -121,7 +122,7 @@ def look_for_events(
                 dof = min(dof, HEAVY_DOF) if heavy_tailed else dof
                 for k in here:
                     square = (made[k] / usual) ** 2
-                    found[k].append(_surprise(square, dof))
+                    found[k][width, shape.__name__] = _surprise(square, dof)
                     at = int(np.argmax(square))
                     # brought to a Gaussian's tails, so that widths compare
                     clear = float(dof * np.log1p(square[at] / dof))
@@ -129,7 +130,13 @@ def look_for_events(
                         stretch, _, dt = use[k]
                         largest, where = clear, stretch.experiment
                         when = stretch.begin + (at + middle * sizes[k]) * dt
-    value = sum(_struck(float(logsumexp(logs)) - np.log(len(logs))) for logs in found if logs)
+    alone = sum(
+        _struck(float(logsumexp(list(logs.values()))) - np.log(len(logs))) for logs in found if logs
+    )
+    kinds = sorted({kind for logs in found for kind in logs})
+    alike = [sum(_struck(logs[kind]) for logs in found if kind in logs) for kind in kinds]
+    together = float(logsumexp(alike)) - np.log(len(alike)) if alike else 0.0
+    value = float(np.logaddexp(alone, together) - np.log(2.0))
     strength = {"event_experiment": float(where), "event_s": when, "event_ratio": largest**0.5}
     return FullRate("event", value, strength, float(np.sqrt(largest)))
 

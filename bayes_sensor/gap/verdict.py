@@ -144,20 +144,29 @@ def judge(
     family = max(of_mean, key=lambda f: of_mean[f]) if of_mean else None
     likely = family is not None and of_mean[family] > max(0.5, stand.unlisted)
     louder = family is not None and of_mean[family] > LOUDER
+    if len(on_mean) == 1 and catalogue[on_mean[0]].same_response:
+        # one response: whichever is in the catalogue, the other may be the cause
+        family = catalogue[on_mean[0]].family
+        return _family(family, stand, catalogue)
     if on_mean or (on_noise and not louder):
         # an effect of the noise is named alone only where nothing more is likely in the mean
         return _effect([*on_mean, *on_noise], stand, catalogue)
     if stand.none > QUIET:
         return "none", (), None, stand.none
     if family is not None and likely:
-        members = sorted(
-            (n for n in catalogue if catalogue[n].family == family),
-            key=lambda n: -stand.effects[n],
-        )
-        return "family", tuple(members[:5]), family, stand.families[family]
+        return _family(family, stand, catalogue)
     if stand.none >= stand.unlisted:
         return "none", (), None, stand.none
     return "unlisted", (), None, stand.unlisted
+
+
+def _family(
+    family: str, stand: Standing, catalogue: Mapping[str, Effect]
+) -> tuple[str, tuple[str, ...], str | None, float]:
+    members = sorted(
+        (n for n in catalogue if catalogue[n].family == family), key=lambda n: -stand.effects[n]
+    )
+    return "family", tuple(members[:5]), family, stand.families[family]
 
 
 def _effect(

@@ -1,0 +1,393 @@
+"""Lines in the spectrum: the mains', a pump's, a thermostat's, and how much of them is explained.
+
+Bins average a line away, so that each kind has a test of its own on the periodograms of quiet
+stretches or of whole records, and the mains a closed fraction of their own.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.signal import windows
+from scipy.special import logsumexp
+from scipy.stats import gamma
+
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.gap.floor import Stretch, detrended
+from bayes_sensor.gap.full_rate import FullRate
+from bayes_sensor.gap.how_far import VISIBLE, Closure
+
+MAINS = (50.0, 60.0)
+"""Hz"""
+HARMONICS = 9
+"""of the mains that are looked at"""
+SIDE = 3.0
+"""native resolutions around a line that hold its power"""
+LEVEL_ERROR = 0.25
+"""relative, of the level that 20 resolutions of one record give"""
+NEAR_MAINS = 0.15
+"""Hz; a line this close to the mains or a harmonic is the mains"""
+MAINS_SPREAD = 0.05
+"""Hz; spread of the mains' frequency, and of a harmonic's in proportion"""
+LOWEST_LINE = 0.2
+"""Hz; below, a spectrum's own slope looks like a line"""
+FEWEST_CYCLES = 6.0
+"""of a line in the longest stretch"""
+FASTEST_SWING = 1.0
+"""Hz; whole records are looked at below, where stretches are too short"""
+SWING_BLOCK = 0.05
+"""s, means over which swings are looked for"""
+RATIOS = (1.0, 2.5, 6.0, 15.0, 40.0)
+"""a line's plausible power over the noise's, per stretch and resolution"""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Samples in which a line keeps its phase."""
+
+    samples: FloatArray
+    """(n,) V"""
+    weights: FloatArray
+    """(n,) of every sample in the transform"""
+    interval: float
+    """s"""
+    group: int
+    """pieces of one group share a spectral shape"""
+
+
+def look_for_mains(
+    campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
+) -> list[FullRate]:
+    """The mains in ``residuals`` (n_t,) V of whole records, over which they keep their phase.
+
+    ``deviations`` (n_t,) V: of the noise.
+    """
+    return _look_for_lines(pieces_of_records(campaign, residuals, deviations), "mains_pickup")
+
+
+def look_for_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRate]:
+    """A line in all quiet stretches, or (a pump's, a controller's) in the plateaus alone."""
+    pieces = _pieces_of_stretches(campaign, stretches)
+    everywhere = _look_for_lines(pieces, "line")
+    plateaus = _look_for_lines([p for p in pieces if p.group == 1], "line")
+    if not everywhere or not plateaus:
+        return everywhere or plateaus
+    both = (everywhere[0], plateaus[0])
+    value = float(logsumexp([f.log_bayes_factor for f in both]) - np.log(2.0))
+    clearer = max(both, key=lambda f: f.log_bayes_factor)
+    return [replace(clearer, log_bayes_factor=value)]
+
+
+def look_for_swings(
+    campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
+) -> list[FullRate]:
+    """A slow line (a thermostat's, a pressure controller's) in what an explanation leaves.
+
+    ``residuals`` (n_t,) V and ``deviations`` (n_t,) V of whole records: a quiet stretch holds too
+    few cycles of it, and counts them as its floor.
+    """
+    found = []
+    for piece in pieces_of_records(campaign, residuals, deviations):
+        size = max(1, round(SWING_BLOCK / piece.interval))
+        n = len(piece.samples) // size
+        samples, weights = (
+            v[: n * size].reshape(n, size).mean(axis=1) for v in (piece.samples, piece.weights)
+        )
+        found.append(replace(piece, samples=samples, weights=weights,
+                             interval=size * piece.interval))  # fmt: skip
+    return _look_for_lines(found, "swing")
+
+
+def _pieces_of_stretches(campaign: Campaign, stretches: Sequence[Stretch]) -> list[Piece]:
+    return [
+        Piece(
+            detrended(s.samples, 4),
+            windows.tukey(len(s.samples), 0.2),
+            campaign.experiments[s.experiment].interval,
+            s.level,
+        )
+        for s in stretches
+        if len(s.samples) >= 512
+    ]
+
+
+def pieces_of_records(
+    campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
+) -> list[Piece]:
+    found = []
+    for e, r, d in zip(campaign, residuals, deviations, strict=True):
+        for a, b in e.runs:
+            if b - a >= 512:
+                samples = np.where(e.used[a:b], r[a:b], 0.0)
+                # the weights of least squares: less where the noise is larger
+                weights = windows.tukey(b - a, 0.05) * (np.min(d) / d[a:b]) ** 2 * e.used[a:b]
+                found.append(Piece(detrended(samples, 4), weights, e.interval, 0))
+    return found
+
+
+def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
+    """The mains, a swing, or any other line, from the periodograms of all pieces together.
+
+    A line of any phase makes a periodogram ordinate, exponential under noise, ``1 + c`` times as
+    large on average; ``ln B(f) = ln mean_c exp(sum_k [P_k c/(1 + c) - ln(1 + c)])``, averaged over
+    frequency with the weight 1/max(f, 1 Hz).
+    """
+    if not pieces:
+        return []
+    common = float(np.median([p.interval for p in pieces]))
+    used = [p for p in pieces if abs(p.interval - common) < 1e-9 * common]
+    if not used:
+        return []
+    longest = max(len(p.samples) for p in used)
+    n = 1 << int(np.ceil(np.log2(2 * longest)))  # twice: a line between two ordinates is seen
+    f = np.asarray(np.fft.rfftfreq(n, common), dtype=float)
+    total, level_sum = _sum_over_pieces(used, n, sloping=name == "swing")
+    k = len(used)
+    c = np.array(RATIOS)[:, None]
+    log_b = logsumexp(total * c / (1.0 + c) - k * np.log1p(c), axis=0) - np.log(len(RATIOS))
+    mains = name == "mains_pickup"
+    near, nominal, closeness = mains_bands(f, common)
+    where = (near if mains else ~near) & (f >= FEWEST_CYCLES / (longest * common))
+    where &= f <= 0.498 / common
+    where &= f <= FASTEST_SWING if name == "swing" else f >= LOWEST_LINE
+    if not where.any():
+        return []
+    # the grid keeps its frequency within a few hundredths of a hertz; fundamentals come first
+    weight = closeness[where] if mains else 1.0 / np.maximum(f[where], 1.0)
+    weight /= weight.sum()
+    value = float(logsumexp(log_b[where] + np.log(weight)))
+    peak = np.flatnonzero(where)[int(np.argmax(log_b[where]))]
+    excess = max(float(total[peak]) - k, 0.0)
+    # a line of amplitude A gives |sum w y|^2 = A^2 (sum w)^2 / 4
+    amplitude = 2.0 * np.sqrt(excess / k * level_sum[peak] / k)
+    frequency = nominal[peak] if mains else f[peak]
+    short = name.removesuffix("_pickup")
+    strength = {f"{short}_V": float(amplitude), f"{short}_Hz": float(frequency)}
+    return [FullRate(name, value, strength, float(np.sqrt(2.0 * excess)))]
+
+
+def _sum_over_pieces(
+    used: Sequence[Piece], n: int, sloping: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Sums over pieces of ordinates (n/2 + 1,) over the noise level, and of squared levels.
+
+    The level's shape is pooled over a group: one piece alone has too few ordinates at low
+    frequencies for the ratio to be exponential.  ``sloping``: a smooth slope of the spectrum is
+    taken out first, which matters where the lowest frequencies are looked at.
+    """
+    total = np.zeros(n // 2 + 1)
+    level_sum = np.zeros(n // 2 + 1)
+    for p, power, level in _levels(used, n, sloping):
+        total += power / level
+        level_sum += level / float(np.sum(p.weights)) ** 2
+    return total, level_sum
+
+
+def _levels(
+    used: Sequence[Piece], n: int, sloping: bool = False
+) -> list[tuple[Piece, FloatArray, FloatArray]]:
+    """Every piece with its periodogram (n/2 + 1,) and the noise level of that."""
+    found = []
+    for which in sorted({p.group for p in used}):
+        group = [p for p in used if p.group == which]
+        powers = [np.abs(np.fft.rfft(p.samples * p.weights, n)) ** 2 for p in group]
+        scales = [float(np.mean(power[1:])) or 1e-300 for power in powers]
+        resolution = n / float(np.median([len(p.samples) for p in group]))
+        mean = np.mean([power / own for power, own in zip(powers, scales, strict=True)], axis=0)
+        slope = _slope(mean, resolution) if sloping else np.ones(len(mean))
+        level = slope * _local_level(mean / slope, resolution, len(group))
+        found += [
+            (p, power, own * level) for p, power, own in zip(group, powers, scales, strict=True)
+        ]
+    return found
+
+
+def _slope(power: FloatArray, per_resolution: float) -> FloatArray:
+    """(n_f,) parabola in ln f through ln ``power``; medians of bands, so that no line bends it.
+
+    Bands are at least four native resolutions wide and a quarter of their frequency.
+    """
+    edges = [0.5 * per_resolution]
+    while edges[-1] < len(power):
+        edges.append(max(edges[-1] * 1.25, edges[-1] + 4.0 * per_resolution))
+    middles, medians, weights = [], [], []
+    for low, high in itertools.pairwise(edges):
+        band = power[max(int(low), 1) : int(high)]
+        if len(band) > per_resolution:
+            middles.append(np.log(0.5 * (low + high)))
+            medians.append(np.log(max(float(np.median(band)), 1e-300)))
+            weights.append(np.sqrt(min(len(band) / per_resolution, 40.0)))
+    if len(middles) < 4:
+        return np.ones(len(power))
+    parabola = np.polynomial.Polynomial.fit(middles, medians, 2, w=weights)
+    at = np.clip(np.log(np.maximum(np.arange(len(power)), 0.5)), middles[0], middles[-1])
+    return np.asarray(np.exp(parabola(at)))
+
+
+def _local_level(power: FloatArray, per_resolution: float, k: int) -> FloatArray:
+    """The noise level (n_f,) around every ordinate, blind to lines and to a spectrum's slope.
+
+    ``power``: mean of ``k`` periodograms.  The level is the median over a window of 20 to 80
+    native resolutions, a tenth of the frequency in between, over that of a gamma law: resonances
+    of the noise, and the ripples that an echo makes in its spectrum, are wider and are no lines.
+    """
+    index = np.arange(len(power), dtype=float)
+
+    def half_width(centre: float) -> float:
+        return per_resolution * min(max(0.05 * centre / per_resolution, 10.0), 40.0)
+
+    centres = [1.0]
+    while centres[-1] < len(power):
+        centres.append(centres[-1] + 0.4 * half_width(centres[-1]))
+    levels = []
+    for centre in centres:
+        half = half_width(centre)
+        low, high = int(max(centre - half, 1)), int(min(centre + half, len(power))) + 1
+        window = power[low:high]
+        step = max(1, len(window) // 400)
+        levels.append(float(np.median(window[::step])) / float(gamma.median(k) / k))
+    smooth = np.interp(
+        np.log(np.maximum(index, 0.5)), np.log(centres), np.log(np.maximum(levels, 1e-300))
+    )
+    expected: FloatArray = np.maximum(np.exp(smooth), 1e-300)
+    return expected
+
+
+def mains_bands(f: FloatArray, interval: float) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
+    """Whether a frequency is the mains' or a harmonic's, folded at half the sampling rate.
+
+    Also the line's own frequency, and how plausible each frequency is.
+    """
+    near = np.zeros(len(f), dtype=bool)
+    nominal = np.zeros(len(f))
+    closeness = np.full(len(f), 1e-300)
+    rate = 1.0 / interval
+    # the lowest line that folds to a frequency is the likeliest there
+    lines = sorted(
+        (harmonic * mains, harmonic) for mains in MAINS for harmonic in range(1, HARMONICS + 1)
+    )
+    for true, harmonic in lines:
+        if true > max(0.5 * rate, 10.0 * MAINS[1]):
+            break
+        folded = abs(true - rate * round(true / rate))
+        if folded < LOWEST_LINE:
+            continue
+        close = (np.abs(f - folded) < NEAR_MAINS * harmonic**0.5) & ~near
+        nominal[close] = true
+        away = (f[close] - folded) / (MAINS_SPREAD * harmonic)
+        closeness[close] = np.exp(-0.5 * away**2) / harmonic**3
+        near |= close
+    return near, nominal, np.maximum(closeness, 1e-300)
+
+
+# --------------------------------------------------------------------------- how far
+
+
+def mains_closure(pieces: Sequence[Piece], found: FullRate) -> tuple[Closure, float | None]:
+    """The closed fraction of the line's power with its 95 % interval, and the held-out fraction.
+
+    ``pieces`` are whole records, ``found`` the mains as the test at full rate reports them.  In
+    sample a sine with the record's own amplitude and phase is taken off every record; held out,
+    the sine of one half of the record is taken off the other.  The interval is that of
+    exponential ordinates around their expectation.
+    """
+    n = 1 << int(np.ceil(np.log2(max(len(p.samples) for p in pieces))))
+    levels = _levels(pieces, n)
+    pieces = [p for p, _, _ in levels]
+    level = [
+        (np.asarray(np.fft.rfftfreq(n, p.interval)), usual / float(np.sum(p.weights**2)))
+        for p, _, usual in levels
+    ]
+    frequency = _sharpened(pieces, level, found.strength["mains_Hz"])
+    order = next(
+        k for k in range(1, HARMONICS + 1) for m in MAINS if found.strength["mains_Hz"] == k * m
+    )
+    harmonics = frequency / order * np.arange(1.0, HARMONICS + 1.0)
+    before, after = np.zeros(2), np.zeros(2)
+    amplitudes, apart, noise = [], [], []
+    for p, own in zip(pieces, level, strict=True):
+        t = np.arange(len(p.samples), dtype=float) * p.interval
+        a, _ = _amplitude(p, t, frequency, own)
+        amplitudes.append(abs(a))
+        sine = a.real * np.cos(2.0 * np.pi * frequency * t)
+        sine -= a.imag * np.sin(2.0 * np.pi * frequency * t)
+        before += _power_near(p, p.samples, own, harmonics)
+        after += _power_near(p, p.samples - sine, own, harmonics)
+        half = len(t) // 2
+        parts = [
+            _amplitude(Piece(p.samples[s], p.weights[s], p.interval, p.group), t[s], frequency, own)
+            for s in (slice(0, half), slice(half, None))
+        ]
+        (a1, v1), (a2, v2) = parts
+        apart.append(2.0 * (abs(a1 - a2) ** 2 - v1 - v2))
+        noise.append(abs(a1) ** 2 + abs(a2) ** 2 - v1 - v2)
+    volts = float(np.sqrt(np.mean(np.square(amplitudes)) / 2.0))
+    excess, spread = before[0], float(np.sqrt(before[1]))
+    d = [float(np.sqrt(max(2.0 * x, 0.0))) for x in (before[0], after[0])]
+    if excess <= VISIBLE * spread:
+        return Closure(None, None, None, volts, 0.0, d[0], d[1]), None
+    fraction = 1.0 - after[0] / excess
+    # an ordinate of the line varies by sqrt(2 P) besides what noise alone leaves
+    of_line = 2.0 * max(excess, 0.0)
+    # and the level is a median over at least 20 resolutions of all records together
+    of_level = (before[1] * LEVEL_ERROR) ** 2 / len(pieces)
+    sd = np.sqrt(after[1] + of_level + (1.0 - fraction) ** 2 * (before[1] + of_line)) / excess
+    out = 1.0 - float(np.sum(apart)) / float(np.sum(noise)) if np.sum(noise) > 0 else None
+    left = volts * float(np.sqrt(max(1.0 - fraction, 0.0)))
+    low, high = float(fraction - 1.96 * sd), float(fraction + 1.96 * sd)
+    return Closure(float(fraction), low, high, volts, left, d[0], d[1]), out
+
+
+def _amplitude(
+    p: Piece, t: FloatArray, frequency: float, level: tuple[FloatArray, FloatArray]
+) -> tuple[complex, float]:
+    """Least-squares amplitude A of Re(A exp(2 pi i f t)) V, and its variance V^2 under noise."""
+    w = p.weights
+    total = float(np.sum(w))
+    a = 2.0 * complex(np.sum(w * p.samples * np.exp(-2j * np.pi * frequency * t))) / total
+    # the level is that of |sum w y e|^2 for the whole record: scaled to these samples
+    f, power = level
+    own = float(np.interp(frequency, f, power)) * float(np.sum(w**2))
+    return a, 4.0 * own / total**2
+
+
+def _power_near(
+    p: Piece, samples: FloatArray, level: tuple[FloatArray, FloatArray], lines: FloatArray
+) -> FloatArray:
+    """(2,) excess of the periodogram over the level around ``lines`` (n,) Hz, and its variance."""
+    f = np.asarray(np.fft.rfftfreq(len(samples), p.interval), dtype=float)
+    rate = 1.0 / p.interval
+    folded = np.abs(lines - rate * np.rint(lines / rate))
+    folded = folded[folded > LOWEST_LINE]
+    reach = SIDE / (len(samples) * p.interval)
+    near = np.any(np.abs(np.subtract.outer(f, folded)) <= reach, axis=1)
+    power = np.abs(np.fft.rfft(samples * p.weights)[near]) ** 2
+    usual = np.interp(f[near], *level) * float(np.sum(p.weights**2))
+    return np.array([float(np.sum(power / usual - 1.0)), float(np.count_nonzero(near))])
+
+
+def _sharpened(
+    pieces: Sequence[Piece], level: Sequence[tuple[FloatArray, FloatArray]], nominal: float
+) -> float:
+    """Hz, the frequency near the nominal one where all records together are largest."""
+    longest = max(len(p.samples) * p.interval for p in pieces)
+
+    def less(frequency: float) -> float:
+        total = 0.0
+        for p, own in zip(pieces, level, strict=True):
+            a, v = _amplitude(
+                p, np.arange(len(p.samples), dtype=float) * p.interval, frequency, own
+            )
+            total -= abs(a) ** 2 / v
+        return total
+
+    grid = nominal + np.arange(-0.15, 0.15, 0.4 / longest)
+    best = float(grid[int(np.argmin([less(float(f)) for f in grid]))])
+    step = 0.5 / longest
+    made = minimize_scalar(less, bounds=(best - step, best + step), method="bounded")
+    return float(made.x)

@@ -1,0 +1,123 @@
+"""Lines in the spectrum: slow swings, the mains and how far they are closed; echoes are none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from bayes_sensor.gap import diagnose_gap
+from bayes_sensor.gap.full_rate import FullRate
+from bayes_sensor.gap.lines import (
+    Piece,
+    _look_for_lines,
+    look_for_swings,
+    mains_closure,
+)
+from tests.gap_cases import design, measured
+
+
+def residuals(rng, period=None, size=0.0, memory=0.0, n=4):
+    """White noise and, if asked for, slow noise and a swing in records of 60 s."""
+    campaign = design(n)
+    found = []
+    for e in campaign:
+        y = 0.012 * rng.standard_normal(len(e.t))
+        if memory:
+            phi = np.exp(-e.interval / memory)
+            y += 0.004 * lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], rng.standard_normal(len(y)))
+        if period:
+            y += size * np.sin(2.0 * np.pi * (e.t / period + rng.random()))
+        found.append(y)
+    return campaign, found, [np.full(len(y), 0.012) for y in found]
+
+
+def test_a_slow_swing_is_found_with_its_period_and_size():
+    found = look_for_swings(*residuals(np.random.default_rng(1), period=7.0, size=0.0012))[0]
+    assert found.log_bayes_factor > 5.0
+    assert 1.0 / found.strength["swing_Hz"] == pytest.approx(7.0, rel=0.04)
+    assert found.strength["swing_V"] == pytest.approx(0.0012, rel=0.25)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 3.0])
+def test_slow_noise_is_no_swing(memory):
+    rng = np.random.default_rng(2)
+    values = [look_for_swings(*residuals(rng, memory=memory))[0].log_bayes_factor
+              for _ in range(15)]  # fmt: skip
+    assert max(values) < 3.0 and np.median(values) < 0.0
+
+
+def test_ripples_that_an_echo_makes_in_the_spectrum_are_no_lines():
+    rng = np.random.default_rng(3)
+    pieces = []
+    for _ in range(8):
+        e = rng.standard_normal(20_000)
+        e[25:] += 0.7 * e[:-25]  # a copy 25 ms later: ripples 40 Hz apart
+        pieces.append(Piece(e, np.ones(len(e)), 1e-3, 0))
+    assert _look_for_lines(pieces, "line")[0].log_bayes_factor < 0.0
+    t = np.arange(20_000) * 1e-3
+    humming = [
+        replace(p, samples=p.samples + 0.06 * np.sin(2.0 * np.pi * 431.0 * t)) for p in pieces
+    ]
+    found = _look_for_lines(humming, "line")[0]
+    assert found.log_bayes_factor > 5.0
+    assert found.strength["line_Hz"] == pytest.approx(431.0, abs=0.1)
+
+
+def test_a_line_between_two_ordinates_keeps_its_amplitude():
+    # ordinates of 20 000 samples lie .05 Hz apart: the worst place is half-way
+    t = np.arange(20_000) * 1e-3
+    rng = np.random.default_rng(4)
+    pieces = [
+        Piece(0.05 * rng.standard_normal(len(t)) + 0.01 * np.sin(2.0 * np.pi * 77.025 * t + k),
+              np.ones(len(t)), 1e-3, 0)
+        for k in range(4)
+    ]  # fmt: skip
+    found = _look_for_lines(pieces, "line")[0]
+    assert found.strength["line_V"] == pytest.approx(0.01, rel=0.15)
+
+
+def humming(rng, fundamental, third=0.0, steady=True, n=6):
+    """Records of 30 s at 1 kHz with the mains at 49.98 Hz."""
+    t = np.arange(30_000) * 1e-3
+    found = []
+    for k in range(n):
+        angle = 2.0 * np.pi * 49.98 * t
+        y = fundamental * np.sin(angle + k) + third * np.sin(3.0 * angle + 0.3 * k)
+        y = y if steady else y * (t < 15.0)  # or it stops half-way
+        found.append(Piece(y + 0.05 * rng.standard_normal(len(t)), np.ones(len(t)), 1e-3, 0))
+    return found
+
+
+def test_the_mains_closed_fraction_is_the_share_that_one_sine_explains():
+    rng = np.random.default_rng(5)
+    mains = FullRate("mains_pickup", 50.0, {"mains_V": 0.01, "mains_Hz": 50.0}, 60.0)
+    pure, out = mains_closure(humming(rng, 0.01), mains)
+    assert pure.fraction == pytest.approx(1.0, abs=0.03) and pure.low < 1.0 < pure.high
+    assert pure.before_V == pytest.approx(0.01 / np.sqrt(2.0), rel=0.03)
+    assert out == pytest.approx(1.0, abs=0.05)
+    # of 1 + .8^2 the fundamental is 1 / 1.64
+    mixed, out = mains_closure(humming(rng, 0.01, third=0.008), mains)
+    assert mixed.fraction == pytest.approx(1.0 / 1.64, abs=0.05)
+    assert mixed.low < 1.0 / 1.64 < mixed.high
+    # each half predicts the other as wrongly as it can
+    _, out = mains_closure(humming(rng, 0.01, steady=False), mains)
+    assert out == pytest.approx(-1.0, abs=0.3)
+
+
+def test_too_little_of_the_mains_has_no_closed_fraction():
+    faint = FullRate("mains_pickup", 0.0, {"mains_V": 1e-4, "mains_Hz": 150.0}, 1.0)
+    closed, out = mains_closure(humming(np.random.default_rng(6), 0.0), faint)
+    assert closed.withheld and out is None
+
+
+def test_a_diagnosis_that_names_the_mains_says_how_far_they_are_closed():
+    campaign = measured({"mains_pickup": 0.006}, seed=10, interval=0.004)
+    gap = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)
+    assert gap.verdict.kind == "effect" and gap.verdict.effects == ("mains_pickup",)
+    shrink = gap.to_json()["shrink"]
+    assert shrink["explanation"] == "mains_pickup" and not shrink["withheld"]
+    assert shrink["fraction_closed"] == pytest.approx(1.0, abs=0.1)
+    assert shrink["held_out_fraction_closed"] == pytest.approx(1.0, abs=0.15)
+    assert shrink["before_excess_rms_V"] == pytest.approx(0.006 / np.sqrt(2.0), rel=0.15)
+    assert "closes" in gap.verdict.sentence
