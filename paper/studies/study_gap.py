@@ -22,6 +22,7 @@ from gap_rigs import (
     OUTSIDE,
     REACHED,
     Listed,
+    Rig,
     Shape,
     amount_for,
     detectability,
@@ -36,10 +37,12 @@ from bayes_sensor.campaign import CampaignError
 from bayes_sensor.figures import effect_words
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.gap import CATALOGUE, Gap, diagnose_gap
+from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.refit import Part, Plan, refit
 from bayes_sensor.gap.separate import ISOLATED
-from bayes_sensor.gap.sketch import fit_base
-from bayes_sensor.gap.which import fit_effect
+from bayes_sensor.gap.sketch import coordinates, fit_base
+from bayes_sensor.gap.which import fit_effect, joined_start, with_start
+from bayes_sensor.model import Layout
 from bayes_sensor.readers import read_campaign
 
 SEED = 700_000
@@ -92,6 +95,7 @@ class PowerStudy:
         rng = np.random.default_rng(SEED + i)
         rig = draw_rig(rng, case.law)
         shape: Shape | None = None
+        listed: Listed | None = None
         amount = d = 0.0
         if case.group == "outside":
             shape, highest = outside(rig, case.cause)
@@ -105,8 +109,10 @@ class PowerStudy:
         made: dict[str, Any] = {
             "case": i, "group": case.group, "cause": case.cause, "law": case.law,
             "d_wanted": case.d, "d": d, "amount": amount, "phi": rig.theta["phi"],
-            "tau_s": rig.theta["tau_s"],
+            "tau_s": rig.theta["tau_s"], "nearest": np.nan,
         }  # fmt: skip
+        if case.group == "outside":
+            made["nearest"] = nearest(rig, mean)
         try:
             fit = fit_least_squares(campaign, seed=1, euler=False)
             gap = diagnose_gap(
@@ -115,13 +121,20 @@ class PowerStudy:
             )  # fmt: skip
         except (CampaignError, np.linalg.LinAlgError):
             return {**made, **_FAILED}
-        return {**made, **said(gap, case.cause), "oracle_closed": oracle(gap, mean)}
+        known = np.nan
+        if case.group == "listed":
+            known = tau_of_the_cause(gap, rig, listed, amount)
+        return {
+            **made, **said(gap, case.cause), "oracle_closed": oracle(gap, mean),
+            "tau_known_s": known,
+        }  # fmt: skip
 
 
 _FAILED = {
     "kind": "failed", "named": "", "probability": np.nan, "top": "", "p_top": np.nan,
     "p_none": np.nan, "p_unlisted": np.nan, "p_family": np.nan, "explanation": "",
     "closed": np.nan, "tau_before_s": np.nan, "tau_after_s": np.nan, "oracle_closed": np.nan,
+    "tau_known_s": np.nan,
 }  # fmt: skip
 
 
@@ -149,9 +162,10 @@ def said(gap: Gap, cause: str) -> dict[str, Any]:
 
 def oracle(gap: Gap, mean: Callable[[int, np.ndarray], np.ndarray]) -> float:
     """What the explanation closes of the gap without noise; nan where it is the model itself."""
-    found = next(h for h in gap.weighing.hypotheses if h.key == gap.shrink.explanation)
-    if not found.effects:
+    alike = [h for h in gap.weighing.hypotheses if h.key == gap.shrink.explanation and h.effects]
+    if not alike:
         return float("nan")
+    found = alike[0]
     sketch = gap.weighing.sketch
     data = noise_free(sketch, mean)
     base = gap.weighing.base
@@ -159,6 +173,34 @@ def oracle(gap: Gap, mean: Callable[[int, np.ndarray], np.ndarray]) -> float:
         refit(r.plan, r.x, data=data, most_steps=20).misfit for r in (base, found.refit)
     )
     return 1.0 - after / before
+
+
+def tau_of_the_cause(gap: Gap, rig: Rig, listed: Listed, amount: float) -> float:
+    """tau of a fit that is told the cause, its form and where to start: noise alone is left."""
+    sketch = gap.weighing.sketch
+    plan = Plan(sketch, (Part(CATALOGUE[listed.name], listed.form),))
+    truth = coordinates(sketch.campaign, Layout.of(sketch.campaign).flat(rig.theta))
+    strengths = listed.strengths(amount, 0)
+    starts = [
+        plan.start(truth, strengths),
+        with_start(plan, joined_start(plan, gap.weighing.base), strengths),
+    ]
+    best = min((refit(plan, x, most_steps=60) for x in starts), key=lambda r: r.objective)
+    return float(np.exp(Linearised(best).evidence(None).log_tau))
+
+
+def nearest(rig: Rig, mean: Callable[[int, np.ndarray], np.ndarray]) -> float:
+    """Standard deviations that the listed effect which resembles a cause most leaves of it."""
+    sketch = rig.sketch
+    exact = replace(sketch, data=tuple(noise_free(sketch, mean)))
+    base = fit_base(exact)
+    left = [
+        fit_effect(exact, base, [Part(effect, form)], form.starts, 20).misfit
+        for effect in CATALOGUE.values()
+        if effect.on_mean
+        for form in effect.forms
+    ]
+    return float(np.sqrt(min(left)))
 
 
 # --------------------------------------------------------------------------- the score
@@ -235,14 +277,22 @@ def power(rows: pd.DataFrame) -> pd.DataFrame:
         rate_goal = "<= 0.05" if d == DETECTABILITIES[-1] else ""
         median("listed and named: |closed fraction - oracle|", setting,
                (named["closed"] - named["oracle_closed"]).abs(), rate_goal)  # fmt: skip
-        before, after = (np.log(named[c] / named["tau_s"]).abs()
-                         for c in ("tau_before_s", "tau_after_s"))  # fmt: skip
+        names = ("tau_before_s", "tau_after_s", "tau_known_s")
+        before, after, known = (np.log(named[name] / named["tau_s"]).abs() for name in names)
         median("listed and named: |error of ln tau| without the effect", setting, before)
         median("listed and named: |error of ln tau| with it", setting, after)
+        median("listed and named: |error of ln tau| of a fit told the cause", setting, known)
+
+        def ratio(claim: str, value: float, goal: str = "", n: int = len(named),
+                  setting: str = setting) -> None:  # fmt: skip
+            made.append(_row(f"listed and named: {claim}", setting, n, value, np.nan, np.nan, goal))
+
         if len(named):
-            made.append(_row("listed and named: ratio of these", setting, len(named),
-                             after.median() / before.median(), np.nan, np.nan,
-                             "<= 0.2"))  # fmt: skip
+            ratio("ratio of these, with it over without", after.median() / before.median(),
+                  "<= 0.2")  # fmt: skip
+            ratio("ratio of these, told the cause over without", known.median() / before.median())
+            ratio("ratio of the means, with it over without", after.mean() / before.mean())
+            ratio("ratio of the means, told the cause over without", known.mean() / before.mean())
     hidden = listed[listed["hidden"]]
     rate("hidden: nothing is named", "any d", hidden["kind"].isin(("none", "unlisted")))
     rate("hidden: confident name outside the family", "any d", hidden["wrong"], "<= 0.02")
@@ -251,6 +301,9 @@ def power(rows: pd.DataFrame) -> pd.DataFrame:
         some = others[others["d_wanted"] == d]
         rate("outside the catalogue: called unlisted", f"d {d:g}", some["kind"] == "unlisted", goal)
         rate("outside the catalogue: confident name", f"d {d:g}", some["kind"] == "effect")
+        alone = some[some["nearest"] >= ISOLATED]
+        rate("outside, and nothing listed resembles it: called unlisted", f"d {d:g}",
+             alone["kind"] == "unlisted")  # fmt: skip
     taken = rows[(rows["group"] == "withheld") & ~rows["hidden"]]
     for d in DETECTABILITIES:
         some = taken[taken["d_wanted"] == d]
