@@ -371,7 +371,6 @@ def test_the_sandwich_covers_where_few_samples_decide():
     n, phi, n_draws = 150, 0.5, 600
     J = bumps(n)
     inverse = np.linalg.inv(J.T @ J)
-    modelled = inverse @ ar1_middle(J, phi) @ inverse
     rng = np.random.default_rng(5)
     steps = rng.standard_normal((n_draws, n + 100)) * np.sqrt(1 - phi**2)
     noise = lfilter([1.0], [1.0, -phi], steps, axis=1)[:, 100:]
@@ -381,12 +380,29 @@ def test_the_sandwich_covers_where_few_samples_decide():
         r = u - J @ b
         lags = round(andrews_bandwidth(J * r[:, None]))
         record = scores_of(J, r, np.ones(n), phi, lags, np.arange(3))
-        found = judged([record], inverse, np.ones(3, dtype=bool), modelled, {})
+        found = judged([record], J.T @ J, ar1_middle(J, phi), {})
         covered += np.abs(b) < found.factor(0.95) * np.sqrt(np.diag(found.cov))
         naive += np.abs(b) < 1.96 * np.sqrt(np.diag(inverse @ record.measured @ inverse))
     assert (naive[1:] < 0.88 * n_draws).all()  # what it was without
     # Monte Carlo error .009; one degree of freedom is left to the shorter pulse, t is then cautious
     assert (covered > 0.925 * n_draws).all() and (covered[[0, 2]] < 0.985 * n_draws).all()
+
+
+def test_what_is_not_identified_leaves_the_rest_of_the_sandwich_alone():
+    n, phi = 200, 0.5
+    J, rng = bumps(n), np.random.default_rng(6)
+    r = lfilter([1.0], [1.0, -phi], rng.standard_normal(n))
+    r -= J @ np.linalg.lstsq(J, r, rcond=None)[0]
+    twice = np.column_stack([J, J[:, 2]])  # two parameters that act alike
+    alone = judged(
+        [scores_of(J, r, np.ones(n), phi, 9, np.arange(3))], J.T @ J, ar1_middle(J, phi), {}
+    )
+    both = judged(
+        [scores_of(twice, r, np.ones(n), phi, 9, np.arange(4))],
+        twice.T @ twice, ar1_middle(twice, phi), {},
+    )  # fmt: skip
+    assert both.identified.tolist() == [True, True, False, False]
+    np.testing.assert_allclose(both.cov[:2, :2], alone.cov[:2, :2], rtol=1e-6)
 
 
 def test_andrews_bandwidth_of_an_ar1():

@@ -23,7 +23,7 @@ from scipy import stats
 from scipy.signal import lfilter, oaconvolve
 
 from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import gaussian_bound, invert, normal_factor
+from bayes_sensor.bounds.gaussian import SINGULAR, gaussian_bound, invert, normal_factor
 from bayes_sensor.bounds.records import Bound
 from bayes_sensor.bounds.sensitivities import local_jacobian
 from bayes_sensor.bounds.surface import Surface
@@ -106,18 +106,18 @@ class Scores:
     weights: FloatArray
     """(n_lags,) Bartlett weights of blocks 0, 1, .. apart"""
 
-    def expected(self, inverse: FloatArray, modelled: FloatArray) -> FloatArray:
+    def expected(self, inverse: FloatArray, spread_of_fit: FloatArray) -> FloatArray:
         """(m, m) average of ``measured`` under the AR(1) law, for residuals of a fit.
 
         They are u - J b with b = B^-1 J'u: to the average without a fit come the covariance of
-        noise and fit, twice, and the fit's own.  ``inverse`` B^-1 (n, n) of the campaign;
-        ``modelled`` (n, n): covariance of b.
+        noise and fit, twice, and the fit's own.  ``inverse`` B^-1 (n, n) of the campaign, on what
+        is identified; ``spread_of_fit`` (n, n): covariance of b.
         """
         here = np.ix_(self.own, self.own)
         spread = _smoothed(self.squares, self.weights)
         both = ([0, 2], [0, 2])
         cross = np.tensordot(self.follows @ inverse[here], spread, both)
-        fit: FloatArray = np.tensordot(spread @ modelled[here], self.squares, both)
+        fit: FloatArray = np.tensordot(spread @ spread_of_fit[here], self.squares, both)
         return self.unfitted - cross - cross.T + fit
 
     def tally(self, inverse: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -197,27 +197,30 @@ class Sandwich:
 
 
 def judged(
-    records: list[Scores],
-    inverse: FloatArray,
-    identified: np.ndarray,
-    modelled: FloatArray,
-    bandwidths: dict[str, float],
+    records: list[Scores], bread: FloatArray, middle: FloatArray, bandwidths: dict[str, float]
 ) -> Sandwich:
     """The measured covariance B^-1 M B^-1, made up for what it misses, with degrees of freedom.
 
-    ``inverse`` B^-1 (n, n), zero where not ``identified`` (n,); ``modelled`` (n, n): what the AR(1)
-    law gives.  Degrees of freedom: those of Satterthwaite (Biometrics Bull. 2, 110, 1946).
+    ``bread`` B and ``middle``, M of the AR(1) law (n, n).  Degrees of freedom: Satterthwaite's
+    (Biometrics Bull. 2, 110, 1946).
     """
-    n = len(inverse)
+    n = len(bread)
+    found, identified = invert(bread)
+    inverse = np.where(np.isfinite(found), found, 0.0)
+    # a fit takes out every direction that is identified, also those no single parameter owns
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(bread), 1e-300))
+    unit = np.outer(scale, scale)
+    removed = np.linalg.pinv(bread * unit, rcond=SINGULAR, hermitian=True) * unit
+    spread_of_fit = removed @ middle @ removed
     measured, expected = np.zeros((n, n)), np.zeros((n, n))
     mean, half = np.zeros(n), np.zeros(n)
     for record in records:
         here = np.ix_(record.own, record.own)
         measured[here] += record.measured
-        expected[here] += record.expected(inverse, modelled)
+        expected[here] += record.expected(removed, spread_of_fit)
         own_mean, own_half = record.tally(inverse)
         mean, half = mean + own_mean, half + own_half
-    target = np.diag(modelled)
+    target = np.diag(inverse @ middle @ inverse)
     there = np.maximum(np.diag(inverse @ expected @ inverse), (1.0 - MOST_MISSED) * target)
     some = there > 0.0
     missed = np.sqrt(np.divide(target, there, out=np.ones(n), where=some))
@@ -265,12 +268,11 @@ def sandwich_covariance(
         bandwidths[e.name] = andrews_bandwidth(J * r[:, None])
         records.append(scores_of(J, r, scale, phi, round(bandwidths[e.name]), own))
         middle[here] += records[-1].follows.sum(axis=0)
+    if not parametric:
+        return judged(records, bread, middle, bandwidths)
     found, identified = invert(bread)
     inverse = np.where(np.isfinite(found), found, 0.0)
-    modelled = inverse @ middle @ inverse
-    if parametric:
-        return Sandwich(modelled, identified, np.full(n, np.inf), {})
-    return judged(records, inverse, identified, modelled, bandwidths)
+    return Sandwich(inverse @ middle @ inverse, identified, np.full(n, np.inf), {})
 
 
 def sandwich(evidence: Evidence, parametric: bool = False) -> Bound:
@@ -301,8 +303,9 @@ def sandwich(evidence: Evidence, parametric: bool = False) -> Bound:
     if along_tau is not None:
         # least squares' tau^2 scatters along tau as it does under white noise, times one factor
         taus, spreads = along_tau
-        here = float(np.interp(np.sqrt(psi[0]), taus, spreads))
-        along_tau = taus, spreads * (np.sqrt(found.cov[0, 0]) / here)
+        tau = float(np.sqrt(psi[0]))
+        factor_here = np.sqrt(found.cov[0, 0]) / np.interp(tau, taus, spreads)
+        along_tau = (taus, spreads * factor_here) if tau <= taus[-1] else None
     return gaussian_bound(
         "sandwich_ar1" if parametric else "sandwich",
         assumes,
