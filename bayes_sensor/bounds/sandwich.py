@@ -304,8 +304,10 @@ def sandwich(evidence: Evidence, parametric: bool = False) -> Bound:
         # least squares' tau^2 scatters along tau as it does under white noise, times one factor
         taus, spreads = along_tau
         tau = float(np.sqrt(psi[0]))
-        factor_here = np.sqrt(found.cov[0, 0]) / np.interp(tau, taus, spreads)
-        along_tau = (taus, spreads * factor_here) if tau <= taus[-1] else None
+        along_tau = None
+        if tau <= taus[-1] and np.isfinite(spreads).all():
+            here = np.sqrt(found.cov[0, 0]) / np.interp(tau, taus, spreads)
+            along_tau = taus, spreads * here
     return gaussian_bound(
         "sandwich_ar1" if parametric else "sandwich",
         assumes,

@@ -31,9 +31,9 @@ from extreme_cases import CASES, METHODS, QUICK, SHARED, VERDICTS, ask, diagnose
 SEED = 61
 STATED = ("posterior", *METHODS)
 DRAWS = {
-    "ordinary": 100, "one experiment": 40, "one level in one": 12, "phi near 1": 20,
-    "tau below the interval": 20, "equal time constants": 20, "step not seen": 4,
-    "noise above the step": 4, "tau above the record": 4,
+    "ordinary": 100, "only the fall": 100, "tau below the interval": 100, "one level in one": 12,
+    "equal time constants": 20, "step not seen": 4, "noise above the step": 4,
+    "tau above the record": 4,
 }  # fmt: skip
 """how many of each case where not ``USUAL``; posteriors that wander take up to a minute each"""
 USUAL = 40
