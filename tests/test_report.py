@@ -214,6 +214,10 @@ def test_no_section_contradicts_the_gap(parts: tuple[Saved, list[Section]]) -> N
     assert [(remark.text, remark.section) for remark in alone] == [("Found.", "gap")]
     noisy = {"verdict": {**verdict, "effects": ["heavy_tails"]}, "shrink": {"withheld": True}}
     assert with_the_effect(replace(plain, gap=noisy)) == ""
+    # the mains have a closed fraction, but move no tau
+    hum = {"verdict": {**verdict, "effects": ["mains_pickup"]},
+           "shrink": {**shrink, "explanation": "mains_pickup"}}  # fmt: skip
+    assert with_the_effect(replace(plain, gap=hum)) == ""
 
 
 def test_a_noise_law_whose_replicas_differ_is_not_called_adequate(

@@ -147,6 +147,8 @@ def with_the_effect(saved: Saved) -> str:
     low, mid, high = (ms(shrink.get(f"tau_after{end}_s")) for end in ("_lo", "", "_hi"))
     if verdict["kind"] != "effect" or shrink.get("withheld"):
         return ""
+    if shrink.get("explanation") == "mains_pickup":  # it moves no estimate of tau
+        return ""
     if low is None or mid is None or high is None:
         return ""
     if saved.posterior is not None and saved.posterior.get("with_effects"):

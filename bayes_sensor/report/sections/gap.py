@@ -144,10 +144,12 @@ def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
         return [
             "The gap is too small, or nothing was named, so no fraction of it can be said to close."
         ]
+    mains = shrink.get("explanation") == "mains_pickup"  # a gap of power at lines, not of the mean
     said = (
-        f"Once the effect is in the model the excess falls from "
+        f"Once {'a sine is taken off every record' if mains else 'the effect is in the model'} "
+        f"the {'mains fall' if mains else 'excess falls'} from "
         f"{number(factor * shrink['before_excess_rms_V'])} to "
-        f"{number(factor * shrink['after_excess_rms_V'])} {shown}: "
+        f"{number(factor * shrink['after_excess_rms_V'])} {shown}{' RMS' if mains else ''}: "
         f"{100 * shrink['fraction_closed']:.0f} % of the gap closes"
     )
     if shrink.get("fraction_closed_lo") is not None:
@@ -159,7 +161,7 @@ def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
         said += f", and {100 * shrink['held_out_fraction_closed']:.0f} % on data that were left out"
     said += see("budget-table") + "."
     before, after = shrink.get("tau_before_s"), shrink.get("tau_after_s")
-    if before is not None and after is not None:
+    if before is not None and after is not None and not mains:
         said += f" τ moves from {number(1e3 * before)} to {number(1e3 * after)} ms"
         low, high = shrink.get("tau_after_lo_s"), shrink.get("tau_after_hi_s")
         if low is not None and high is not None:
