@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -398,6 +399,189 @@ def test_the_lock_the_holder_and_the_contact_do_what_they_say() -> None:
     assert len(turns) >= 2
 
 
+def test_sagging_carrier_weeping_valve_and_flipping_cages_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    carrier, test, V = step.carrier_flow, step.test_gas_flow, rig.V
+    relative = rig.relative_concentration(step)
+    at, lasts = 0.5 * (step.t0 + step.tf), 1.1
+
+    def with_sag(u: tuple[float, float], x: FloatArray) -> list[float]:
+        flow = u[1] * carrier + test
+        inlet = x[0] * test / flow / step.concentration
+        return [(u[0] - x[0]) / rig.tau_v, flow / V * (inlet - x[1]), (x[1] - x[2]) / rig.tau]
+
+    inputs = [
+        (0.0, (0.0, 1.0)), (step.t0, (1.0, 1.0)), (at, (1.0, 0.7)), (at + lasts, (1.0, 1.0)),
+        (step.tf, (0.0, 1.0)),
+    ]  # fmt: skip
+    t, states = solved(rig, with_sag, 3, inputs=inputs)
+    knobs = Knobs(
+        carrier=[lambda s: np.where((s >= at) & (s < at + lasts), 0.7, 1.0)],
+        marks=[at - 1e-6, at, at + lasts - 1e-6, at + lasts],
+    )
+    assert np.abs(voltage(rig, step, knobs, t)[1] - states[:, 2]).max() < 5e-5
+    assert states[:, 2].max() > 1.1  # less carrier, more concentration
+
+    def with_leak(u: tuple[float, float], x: FloatArray) -> list[float]:
+        q = carrier + test
+        inlet = x[0] - 0.1 * test / q / step.concentration * u[1] * x[3]
+        gas = q / V * (inlet - x[1])
+        return [(u[0] - x[0]) / rig.tau_v, gas, (x[1] - x[2]) / rig.tau, (1.0 - u[1] - x[3]) / 3.0]
+
+    # the fourth state is how far the pressure is from where it creeps to; before, it is there
+    inputs = [(0.0, (0.0, 1.0)), (step.t0, (1.0, 0.0)), (step.tf, (0.0, 1.0))]
+    t, states = solved(rig, with_leak, 4, inputs=inputs)
+    full = states[t < step.tf][-1, 3]
+    leak = 0.1 * test * full
+
+    def missing(s: FloatArray) -> FloatArray:
+        return np.where(s > step.tf, -leak * np.exp(-np.maximum(s - step.tf, 0.0) / 3.0), 0.0)
+
+    assert np.abs(voltage(rig, step, Knobs(seep=[missing]), t)[1] - states[:, 2]).max() < 1e-4
+    assert states[:, 2].min() < -0.02  # below the leak that y0 holds
+    wept = prepared_rig(case(creeping_regulator=0.1))[step.name].seep[0](t)
+    after = wept[t > step.tf]
+    assert np.all(wept[t <= step.tf] == 0) and after[0] == pytest.approx(-0.1 * test, rel=0.01)
+    log = np.log(-after)
+    assert np.ptp(np.diff(log)) < 1e-9 and 2.0 < -0.01 / np.diff(log)[0] < 15.0
+
+    def with_cages(u: float, x: FloatArray) -> list[float]:
+        def share(c: float) -> float:
+            return 1.0 / (1.0 + np.exp((0.3 - c) / 0.06))
+
+        open_ = (share(relative * x[1]) - share(0.0)) / (1.0 - share(0.0))
+        cascade = [(u - x[0]) / rig.tau_v, (carrier + test) / V * (x[0] - x[1])]
+        return [*cascade, (x[1] - x[2]) / rig.tau, (open_ - x[3]) / 0.9]
+
+    t, states = solved(rig, with_cages, 4)
+    knobs = Knobs(cages=0.2, cages_at=0.3, cages_width=0.06, cages_time=0.9)
+    seen = states[:, 2] + 0.2 / relative * states[:, 3]
+    assert np.abs(voltage(rig, step, knobs, t)[1] - seen).max() < 5e-5
+    # an experiment that stays far below the threshold sees nothing of it
+    beyond = replace(knobs, cages_at=2.0 * relative, cages_width=0.02)
+    assert np.abs(voltage(rig, step, beyond, t)[1] - states[:, 2]).max() < 1e-4
+
+
+def test_exhaust_that_returns_is_the_whole_response_again_late_and_blurred() -> None:
+    rig = case()
+    step = rig.steps[0]
+    delay, blur, share = 3.3, 0.8, 0.2
+
+    def once_more(u: float, x: FloatArray) -> list[float]:
+        passage = rig.V / step.total_flow
+        first = [(u - x[0]) / rig.tau_v, (x[0] - x[1]) / passage, (x[1] - x[2]) / blur]
+        return [*first, (x[2] - x[3]) / passage, (x[3] - x[4]) / rig.tau]
+
+    inputs = [(0.0, 0.0), (step.t0 + delay, 1.0), (step.tf + delay, 0.0)]
+    t, states = solved(rig, once_more, 5, inputs=inputs)
+    plain = voltage(rig, step, Knobs(), t)[1]
+    knobs = Knobs(returned=share, return_delay=delay, return_time=blur)
+    seen = voltage(rig, step, knobs, t)[1] - plain
+    expected = share * step.carrier_flow / step.total_flow * states[:, 4]
+    assert np.abs(seen - expected).max() < 5e-5
+    assert expected.max() > 0.1
+
+
+def test_draughts_of_carrier_recover_and_sweeps_of_the_laser_come_back() -> None:
+    rig = case(shared_nitrogen=0.3)
+    found = prepared_rig(rig)
+    drawn = 0
+    for step in rig.steps:
+        t = sample_times(step)
+        for course in found[step.name].carrier:
+            factor = course(t)
+            first = min(found[step.name].marks)
+            assert np.all(factor[t <= first] == 1.0) and step.t0 < first < step.tf
+            assert 1.0 - 2.0 * 0.3 <= factor.min() < 0.95 and factor.max() == 1.0
+            assert course(np.array([1e3])) == pytest.approx(1.0)
+            drawn += 1
+    assert drawn >= 1
+
+    rig = case(relocking_laser=0.1)
+    found = prepared_rig(rig)
+    swept = clean_signals(rig)
+    for step in rig.steps:
+        t, marks = sample_times(step), found[step.name].marks
+        plain, x = voltage(rig, step, Knobs(), t)
+        stray = np.sum([course(t) for course in found[step.name].wander], axis=0)
+        detuning, reach = Knobs().detuning, 0.3 * rig.relative_concentration(step)
+        at = detuning + reach * x
+        read = (dip(at + stray) - dip(at)) / (dip(detuning + reach) - dip(detuning))
+        assert np.allclose(swept[step.name] - plain, step.beta * read, atol=1e-3 * step.beta)
+        begins, middles, ends = (np.array(marks[i::3]) for i in range(3))
+        outside = np.all([(t <= a) | (t >= b) for a, b in zip(begins, ends, strict=True)], axis=0)
+        assert np.all(stray[outside] == 0.0) and outside.any() and not outside.all()
+        for course, middle in zip(found[step.name].wander, middles, strict=True):
+            assert 0.05 <= abs(float(course(np.array([middle]))[0])) <= 0.1
+
+
+def test_the_swinging_column_obeys_its_length_and_stops() -> None:
+    strength = 0.05
+    rig = case(swinging_column=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    largest = max(step.test_gas_flow for step in rig.steps)
+    for step in rig.steps:
+        t = sample_times(step)
+        (course,) = prepared_rig(rig)[step.name].concentration_gain
+        swing = course(t)
+        expected = (plain[step.name] - step.y0) * (1.0 + swing) + step.y0
+        assert np.allclose(seen[step.name], expected, atol=2e-4 * step.beta)
+        assert np.all(swing[t <= step.t0] == 0.0)
+        assert np.abs(swing).max() <= strength * step.test_gas_flow / largest
+        fine = step.t0 + np.linspace(1e-3, step.tf - step.t0 - 1e-3, 400_001)
+        free = course(fine)
+        turns = fine[1:][np.diff(np.sign(free)) != 0]
+        half = np.diff(turns)
+        assert np.ptp(half) < 1e-3  # damped, its period stays
+        length = 2.0 * 9.81 * (half.mean() / np.pi) ** 2
+        assert 0.2 < length < 0.8
+        peaks = [np.abs(free[(fine > a) & (fine < b)]).max() for a, b in pairwise(turns)]
+        decay = -half.mean() / np.diff(np.log(peaks))
+        assert np.ptp(decay) < 0.02 * decay.mean() and 1.5 < decay.mean() < 8.0
+
+
+def test_the_drivers_warmth_is_two_lags_of_the_command() -> None:
+    rig = case(warm_driver=0.08)
+    size = 0.08 * np.mean([step.beta for step in rig.steps])
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    peaks = []
+    for k, step in enumerate(rig.steps):
+        t = sample_times(step)
+        drift = seen[step.name] - plain[step.name]
+        (course,) = prepared_rig(rig)[step.name].offset
+        # once the driver is off it falls in two exponentials: any three samples obey one recursion
+        y = course(step.commanded_off + np.arange(60.0))
+        (a, b), *_ = np.linalg.lstsq(np.column_stack([y[1:-1], y[:-2]]), y[2:], rcond=None)
+        driver, bench = np.sort(-1.0 / np.log(np.roots([1.0, -a, -b]).real))[::-1]
+        assert 4.0 < driver < 20.0 and 0.5 < bench < 3.0
+
+        def warming(u: float, x: FloatArray, driver=driver, bench=bench) -> list[float]:
+            return [(u - x[0]) / driver, (x[0] - x[1]) / bench]
+
+        inputs = [(0.0, 0.0), (step.commanded_on, 1.0), (step.commanded_off, 0.0)]
+        _, states = solved(rig, warming, 2, k, inputs)
+        scale = drift[np.abs(drift).argmax()] / states[:, 1].max()
+        assert np.abs(drift - scale * states[:, 1]).max() < 2e-4 * size
+        off = np.searchsorted(t, step.commanded_off)
+        assert np.abs(drift).argmax() > off  # the heat is on its way when the driver is
+        peaks.append(abs(drift[off]))
+    assert max(peaks) == pytest.approx(size, rel=1e-3)
+
+
+def test_a_hurried_timer_shows_the_ideal_signal_at_other_times() -> None:
+    rig = case(hurried_timer=0.12)
+    seen = clean_signals(rig)
+    for step in rig.steps:
+        clock = prepared_rig(rig)[step.name].clock
+        assert clock is not None
+        t = sample_times(step)
+        true = clock(t)
+        assert np.all(np.diff(true) > 0.0)
+        assert 0.06 < np.abs(true - t).max() <= 0.12
+        assert np.array_equal(seen[step.name], voltage(rig, step, Knobs(), true)[0])
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -486,6 +670,34 @@ def test_sparks_echoes_and_double_samples_are_what_they_say() -> None:
     assert not (sparks.is_ar1 or echo.is_ar1 or law.is_ar1)
 
 
+def test_turbulence_walks_set_back_and_pulsing_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(10)
+    stirred = NoiseLaw("turbulent", 1.0, components=(Component(1.0, 5.0, shape="turbulent"),))
+    z = draw_noise(stirred, 400_000, 1e-3, rng)
+    # Kolmogorov: squared differences grow as the 2/3 power of the distance
+    near, far = (np.mean((z[lag:] - z[:-lag]) ** 2) for lag in (4, 32))
+    assert far / near == pytest.approx(8.0 ** (2.0 / 3.0), rel=0.05)
+
+    walk = NoiseLaw("zeroed_walk", 1.0, components=(Component(1.0, 0.5, shape="zeroed"),))
+    z = draw_noise(walk, 500_000, 1e-3, rng)
+    folded = np.mean(z.reshape(-1, 500) ** 2, axis=0)
+    since = np.roll(folded, -int(folded.argmin()))  # variance 2 lag / period since the last zero
+    # a thousand walks, whose squares scatter by 4.5 % of the variance
+    assert np.abs(since - 2.0 * np.arange(500) / 500.0).max() < 0.35
+    assert since[0] < 0.01
+
+    part = Component(1.0, 2e-3, 4.0, shape="pulsing", depth=0.8)
+    law = NoiseLaw("pulsing", 1.0, components=(part,))
+    z = draw_noise(law, 500_000, 1e-3, rng)
+    # (1 + d cos)^k averaged over a turn: k = 2: 1 + d^2/2, k = 4: 1 + 3 d^2 + 3/8 d^4
+    kurtosis = 3.0 * (1.0 + 3.0 * 0.64 + 0.375 * 0.64**2) / 1.32**2
+    assert np.mean(z**4) == pytest.approx(kurtosis, rel=0.1)
+    loud = np.sqrt(np.mean(z.reshape(-1, 250) ** 2, axis=0) * 1.32)  # over one turn
+    turn = np.fft.rfft(loud) / 250
+    assert 2.0 * abs(turn[1]) == pytest.approx(0.8, rel=0.1) and turn[0].real > 0.9
+    assert not (stirred.is_ar1 or walk.is_ar1 or law.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):
@@ -544,7 +756,7 @@ def test_a_case_makes_the_same_campaign_again_and_survives_json() -> None:
 
 
 def test_switches_follow_commands_even_on_a_bad_clock() -> None:
-    for name in ("running_off_clock", "lost_samples"):
+    for name in ("running_off_clock", "lost_samples", "hurried_timer"):
         rig = draw_case(21, {name: CAUSES[name].highest}, size="small")
         seen = reality.as_recorded(rig)
         for e, step in zip(make_campaign(rig), seen.steps, strict=True):
@@ -566,6 +778,13 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("sites_that_keep", {"plateau", "fall", "tail"}, 0.95),
         ("sluggish_lock", {"rise", "fall"}, 0.999),
         ("held_readings", {"rise", "fall"}, 0.95),
+        ("shared_nitrogen", {"plateau", "fall"}, 0.9),
+        ("creeping_regulator", {"fall", "tail"}, 0.999),
+        ("returning_exhaust", {"plateau", "fall", "tail"}, 0.95),
+        ("flipping_cages", {"rise", "plateau", "fall"}, 0.99),
+        ("swinging_column", {"rise", "plateau", "fall"}, 0.99),
+        ("warm_driver", {"plateau", "fall", "tail"}, 0.95),
+        ("hurried_timer", {"rise", "fall"}, 0.95),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

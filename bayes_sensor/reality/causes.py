@@ -13,7 +13,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import pi
+from math import pi, sqrt
 
 import numpy as np
 
@@ -162,7 +162,7 @@ def uneven_air(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
         knobs.valve_factor = float(np.exp(s * np.clip(rng.standard_normal(), -2.0, 2.0)))
 
 
-@cause((), "valve", "s", 0.8, per_experiment=True, reserve=True)
+@cause((), "valve", "s", 0.8, per_experiment=True)
 def mains_dip(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The mains fail for a moment while test gas flows; the valve falls shut and opens again."""
     certain = int(rng.integers(len(case.steps)))
@@ -250,6 +250,67 @@ def corrected_setting(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         rig[step.name].marks.append(at)
 
 
+@cause((), "tail", "share of the test gas", 0.15, reserve=True)
+def creeping_regulator(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The shut valve weeps, and the more, the higher the bottle's regulator lets pressure creep.
+
+    A worn regulator does not hold its pressure without flow: it creeps up as 1 - exp(-t/time).  It
+    is up when a record begins, and y0 holds the leak, from which gas is counted here; there is none
+    while the valve is open, and when it shuts the leak is missing until the pressure is up again.
+    """
+    time = _between(rng, 2.0, 15.0)
+    for step in case.steps:
+        leak = s * step.test_gas_flow
+
+        def missing(t: FloatArray, tf: float = step.tf, leak: float = leak) -> FloatArray:
+            return np.where(t > tf, -leak * np.exp(-np.maximum(t - tf, 0.0) / time), 0.0)
+
+        rig[step.name].seep.append(missing)
+
+
+@cause((), "tail", "share", 0.2, reserve=True)
+def returning_exhaust(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The carrier is air from a compressor, whose intake draws in part of the rig's own exhaust.
+
+    It comes late, blurred by the air about the intake: a second, smaller step behind each step.
+    Less and less goes round more than once, which is left out.
+    """
+    delay, time = _between(rng, 3.0, 9.0), _between(rng, 0.4, 2.0)
+    for knobs in rig.values():
+        knobs.returned, knobs.return_delay, knobs.return_time = s, delay, time
+
+
+@cause((), "plateau", "relative", 0.3, per_experiment=True, reserve=True)
+def shared_nitrogen(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Somebody else draws nitrogen from the house line: the carrier sags for seconds and recovers.
+
+    A controller holds its flow only while its inlet has pressure; with less carrier the test gas is
+    less diluted and stays longer.  Without test gas nobody notices.
+    """
+    sag, back = _between(rng, 0.1, 0.6), _between(rng, 0.5, 3.0)
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        draughts = []
+        for _ in range(int(rng.integers(1, 3))):
+            at = step.t0 + rng.uniform(0.1, 0.9) * (step.tf - step.t0)
+            draughts.append((at, _between(rng, 0.5, 4.0), s * rng.uniform(0.5, 1.0)))
+        if k != certain and rng.random() < 0.4:
+            continue
+
+        def flow(
+            t: FloatArray, draughts: tuple[tuple[float, float, float], ...] = tuple(draughts)
+        ) -> FloatArray:
+            left = np.ones_like(t)
+            for at, lasts, size in draughts:
+                since = np.maximum(t - at, 0.0)
+                drawn = -np.expm1(-np.minimum(since, lasts) / sag)
+                left -= size * drawn * np.exp(-np.maximum(since - lasts, 0.0) / back)
+            return left
+
+        rig[step.name].carrier.append(flow)
+        rig[step.name].marks += [edge for at, lasts, _ in draughts for edge in (at, at + lasts)]
+
+
 # --------------------------------------------------------------------------- manifold
 
 
@@ -308,7 +369,7 @@ def layered_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         rig[step.name].layering = s * heavy * (lowest / step.total_flow) ** power
 
 
-@cause((), "tail", "share of V", 0.3, near=("dead_volume",), reserve=True)
+@cause((), "tail", "share of V", 0.3, near=("dead_volume",))
 def dead_leg(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The shut valve leaves a blind branch full of test gas, which diffuses out of it."""
     time = _between(rng, 1.0, 10.0)
@@ -324,7 +385,7 @@ def dead_leg(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
         rig[step.name].seep.append(out)
 
 
-@cause((), "spike", "share of V", 0.1, reserve=True)
+@cause((), "spike", "share of V", 0.1)
 def trapped_plug(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Test gas trapped in the hose is pushed out ahead of the gas that pushes it."""
     volume, sits, reach = s * case.V, rng.uniform(0.1, 0.6), rng.uniform(0.2, 1.0)
@@ -405,7 +466,7 @@ def sensor_hysteresis(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.backlash = s
 
 
-@cause((), "tail", "share", 0.2, near=("slow_sorption",), per_experiment=True, reserve=True)
+@cause((), "tail", "share", 0.2, near=("slow_sorption",), per_experiment=True)
 def sites_that_keep(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Some sites bind the gas for good; experiment by experiment fewer of them are free."""
     time = _between(rng, 20.0, 200.0)
@@ -437,6 +498,41 @@ def condensation(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
             return -size * grown * np.exp(-np.maximum(t - tf, 0.0) / drying)
 
         rig[step.name].concentration_gain.append(blocked)
+
+
+@cause((), "level", "share of the highest step", 0.3, near=("slow_sorption",), reserve=True)
+def flipping_cages(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Above some concentration the crystal's cages flip open, in their own time, and take up more.
+
+    The gate of ZIF-8 (Fairen-Jimenez et al., J. Am. Chem. Soc. 133, 8900, 2011); the weaker
+    experiments may never reach it.
+    """
+    at, width = rng.uniform(0.35, 0.75), _between(rng, 0.03, 0.08)
+    time = _between(rng, 0.3, 3.0)
+    for knobs in rig.values():
+        knobs.cages, knobs.cages_at, knobs.cages_width, knobs.cages_time = s, at, width, time
+
+
+@cause((), "ripple", "relative", 0.08, fast=True, reserve=True)
+def swinging_column(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Each switch sets the water of the relief bubbler swinging; the ring feels partial pressure.
+
+    A column of length l between two open ends swings at omega^2 = 2 g/l; 5 cm of water are half a
+    per cent of the pressure, and of what the coating takes up.
+    """
+    omega, damping = sqrt(2.0 * 9.81 / rng.uniform(0.2, 0.8)), _between(rng, 1.5, 8.0)
+    largest = max(step.test_gas_flow for step in case.steps)
+    for step in case.steps:
+        size = s * step.test_gas_flow / largest
+
+        def pressure(
+            t: FloatArray, t0: float = step.t0, tf: float = step.tf, size: float = size
+        ) -> FloatArray:
+            up, down = np.maximum(t - t0, 0.0), np.maximum(t - tf, 0.0)
+            rising = np.exp(-up / damping) * np.sin(omega * up)
+            return np.asarray(size * (rising - np.exp(-down / damping) * np.sin(omega * down)))
+
+        rig[step.name].concentration_gain.append(pressure)
 
 
 # --------------------------------------------------------------------------- readout
@@ -608,7 +704,7 @@ def stray_light(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         knobs.fringe_turns = turns * case.relative_concentration(step)
 
 
-@cause((), "drift", "share of the step", 0.06, reserve=True)
+@cause((), "drift", "share of the step", 0.06)
 def thermostat_swings(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A thermostat heats and rests by turns; the resonance follows the temperature up and down."""
     size = _sign(rng) * s * _mean_step(case)
@@ -627,6 +723,54 @@ def thermostat_swings(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
             return size * (2.0 * np.where(turn < hot, settled(turn / hot), rest) - 1.0)
 
         rig[step.name].offset.append(swing)
+
+
+@cause((), "spike", "half-widths", 0.15, per_experiment=True, reserve=True)
+def relocking_laser(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The laser's lock lets go: it is swept off the flank to find the line, and comes back.
+
+    The sweep is a triangle in wavelength; on the flank's bend it is none in voltage.
+    """
+    for step in case.steps:
+        for _ in range(int(rng.integers(1, 4))):
+            at, lasts = rng.uniform(0.05, 0.95) * step.duration, _between(rng, 0.3, 3.0)
+            size = _sign(rng) * s * rng.uniform(0.5, 1.0)
+
+            def sweep(
+                t: FloatArray, at: float = at, lasts: float = lasts, size: float = size
+            ) -> FloatArray:
+                return size * (1.0 - np.abs(2.0 * np.clip((t - at) / lasts, 0.0, 1.0) - 1.0))
+
+            rig[step.name].wander.append(sweep)
+            rig[step.name].marks += [at, at + 0.5 * lasts, at + lasts]
+
+
+@cause((), "drift", "share of the step", 0.1, near=("baseline_drift",), reserve=True)
+def warm_driver(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The valve's driver warms while it drives; through the bench its heat reaches the ring late.
+
+    Two lags in a row: the transistor's, and that of the metal between; silicon rings move by some
+    70 pm/K (Bogaerts et al., Laser Photonics Rev. 6, 47, 2012).
+    """
+    driver, bench = _between(rng, 4.0, 20.0), _between(rng, 0.5, 3.0)
+
+    def warmth(since: FloatArray | float) -> FloatArray:
+        """How far the ring is warmed ``since`` (s) after the driver was switched on."""
+        on = np.maximum(since, 0.0)
+        return np.asarray(
+            1.0 - (driver * np.exp(-on / driver) - bench * np.exp(-on / bench)) / (driver - bench)
+        )
+
+    warmest = float(warmth(max(step.commanded_off - step.commanded_on for step in case.steps)))
+    size = _sign(rng) * s * _mean_step(case) / warmest
+    for step in case.steps:
+
+        def drift(
+            t: FloatArray, on: float = step.commanded_on, off: float = step.commanded_off
+        ) -> FloatArray:
+            return size * (warmth(t - on) - warmth(t - off))
+
+        rig[step.name].offset.append(drift)
 
 
 # --------------------------------------------------------------------------- electronics
@@ -710,7 +854,7 @@ def range_change(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.range_up, knobs.range_down, knobs.range_gap = up, down, gap
 
 
-@cause((), "delay", "times too slow", 2.0, reserve=True)
+@cause((), "delay", "times too slow", 2.0)
 def sluggish_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The laser's lock follows the resonance no faster than its piezo moves: steep parts lag."""
     steepest = 0.0
@@ -723,14 +867,14 @@ def sluggish_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         knobs.fastest = steepest / (1.0 + s)
 
 
-@cause((), "delay", "s", 0.5, reserve=True)
+@cause((), "delay", "s", 0.5)
 def held_readings(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The instrument renews its output now and then only; between, the recorder sees it stand."""
     for knobs in rig.values():
         knobs.hold, knobs.hold_begin = s, s * rng.random()
 
 
-@cause((), "line", "relative", 0.2, per_experiment=True, fast=True, reserve=True)
+@cause((), "line", "relative", 0.2, per_experiment=True, fast=True)
 def loose_contact(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A plug is loose: now and then it crackles, and the signal breaks down for split seconds."""
     for step in case.steps:
@@ -812,6 +956,24 @@ def lost_samples(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
 
         rig[step.name].clock = clock
         rig[step.name].marks += [edge for at, lasts in gaps for edge in (at, at + lasts)]
+
+
+@cause((), "clock", "s", 0.45, per_experiment=True, reserve=True)
+def hurried_timer(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A busy computer reads the converter: it falls behind and catches up, but stamps evenly.
+
+    The true time strays by up to s to either side, with knots a second apart or more, so that no
+    reading overtakes the one before.
+    """
+    apart = _between(rng, 1.0, 2.5)
+    for step in case.steps:
+        times = np.arange(-apart, step.duration + 2.0 * apart, apart)
+        strays = _interpolated(times, s * rng.uniform(-1.0, 1.0, len(times)))
+
+        def clock(t: FloatArray, strays: Course = strays) -> FloatArray:
+            return t + strays(t)
+
+        rig[step.name].clock = clock
 
 
 # --------------------------------------------------------------------------- noise

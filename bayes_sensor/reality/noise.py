@@ -7,18 +7,19 @@ from math import ceil, exp, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
+from scipy.special import gamma, kv
 
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.reality.records import Component, NoiseLaw
 
 OPEN_LAWS = (
     "ar1", "white", "ar1_slow", "arma", "pink", "band_limited", "oscillating", "telegraph",
-    "sliding_mean", "shot", "gusty",
+    "sliding_mean", "shot", "gusty", "double_sampling", "echo", "sparks",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("double_sampling", "echo", "sparks")
+RESERVE_LAWS = ("turbulent", "zeroed_walk", "pulsing")
 """kept out of every run but the last"""
-HEAVY_TAILED = ("shot", "gusty", "sparks")
+HEAVY_TAILED = ("shot", "gusty", "sparks", "pulsing")
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
 loudness"""
 
@@ -100,6 +101,26 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    stirred = own.uniform(0.05, 0.3)
+    parts |= {
+        # density fluctuations of a turbulent stream carried past the ring
+        "turbulent": (
+            Component(1.0 - stirred, short),
+            Component(stirred, exp(own.uniform(np.log(0.02), np.log(0.3))), shape="turbulent"),
+        ),
+        # an instrument that wanders and sets its zero anew by the clock
+        "zeroed_walk": (
+            Component(1.0 - share, short),
+            Component(share, exp(own.uniform(np.log(0.5), np.log(10.0))), shape="zeroed"),
+        ),
+        # a rotating machine nearby: the loudness goes round with it
+        "pulsing": (
+            Component(
+                1.0, short, exp(own.uniform(np.log(0.3), np.log(8.0))), shape="pulsing",
+                depth=own.uniform(0.5, 0.95),
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -107,7 +128,7 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
 
 def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
     """(n,) autocorrelation of the noise at lags 0, 1, .. n - 1 samples."""
-    lags = np.arange(n) * interval
+    lags = np.arange(n, dtype=float) * interval
     total = np.zeros(n)
     for part in law.components:
         if part.time == 0.0:
@@ -129,6 +150,13 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             beyond = np.exp(-(lags + 1.0 / part.frequency) / part.time)
             own = (1.0 + part.depth**2) * own + part.depth * (around + beyond)
             own /= _echo_variance(part)
+        elif part.shape == "turbulent":
+            own = _von_karman(lags / part.time)
+        elif part.shape == "zeroed":
+            own = np.maximum(1.0 - lags / part.time, 0.0) ** 2
+        elif part.shape == "pulsing":
+            swell = 0.5 * part.depth**2
+            own *= (1.0 + swell * np.cos(2.0 * pi * part.frequency * lags)) / (1.0 + swell)
         elif part.frequency:
             own *= np.cos(2.0 * pi * part.frequency * lags)
         total += part.share * own
@@ -181,15 +209,22 @@ def _draw_part(
         return _sparks(part, n, interval, rng)
     if part.shape == "echo":
         return _echo(part, n, interval, rng, tails)
+    if part.shape == "turbulent":
+        return _turbulent(part.time, n, interval, rng)
+    if part.shape == "zeroed":
+        return _zeroed(part.time, n, interval, rng)
     if part.shape == "smooth":
         # exact sampling of the critically damped process (x, v): x'' = -2 x'/T - x/T^2 + noise
         return _smooth(part.time, n, interval, rng)
     e = _innovations(n, rng, tails)
     e[1:] *= sqrt(1.0 - decay**2)
-    if part.frequency == 0.0:
+    if part.frequency == 0.0 or part.shape == "pulsing":
         x: FloatArray = lfilter([1.0], [1.0, -decay], e)
         if part.shape == "gusts":
             x *= np.where(_telegraph(exp(-interval / part.gust_time), n, rng) > 0, *_gusts(part))
+        elif part.shape == "pulsing":
+            turns = part.frequency * interval * np.arange(n) + rng.random()
+            x *= (1.0 + part.depth * np.cos(2.0 * pi * turns)) / sqrt(1.0 + 0.5 * part.depth**2)
         return x
     other = rng.standard_normal(n)
     other[1:] *= sqrt(1.0 - decay**2)
@@ -289,6 +324,47 @@ def _echo(
     echo = first * x + between
     both: FloatArray = x[whole + 1 :] + part.depth * echo[:n]
     return both / sqrt(_echo_variance(part))
+
+
+def _von_karman(lags: FloatArray) -> FloatArray:
+    """Autocorrelation of a turbulent stream's fluctuations along it; lags in units of ``time``.
+
+    2^(2/3)/Gamma(1/3) l^(1/3) K_1/3(l), with the spectrum (1 + (2 pi f)^2)^(-5/6) (von Karman,
+    Proc. Natl. Acad. Sci. 34, 530, 1948).
+    """
+    total = np.ones_like(lags)
+    later = lags > 0
+    total[later] = 2.0 ** (2.0 / 3.0) / gamma(1.0 / 3.0) * np.cbrt(lags[later])
+    total[later] *= kv(1.0 / 3.0, lags[later])
+    return total
+
+
+def _turbulent(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) by circulant embedding, exact as the autocorrelation is convex
+
+    Dietrich and Newsam, SIAM J. Sci. Comput. 18, 1088, 1997.
+    """
+    R = _von_karman(np.arange(n + 1, dtype=float) * interval / time)
+    spectrum = np.fft.rfft(np.concatenate([R, R[-2:0:-1]])).real
+    white = np.fft.rfft(rng.standard_normal(2 * n))
+    x: FloatArray = np.fft.irfft(np.sqrt(np.maximum(spectrum, 0.0)) * white, 2 * n)[:n]
+    return x
+
+
+def _zeroed(period: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) random walk that starts anew from zero every ``period`` (s), the first time anywhere.
+
+    Its variance is the time since then, period/2 in the mean; walks apart do not correlate, hence
+    (1 - lag/period)^2.
+    """
+    at = np.arange(n) * interval + period * rng.random()
+    number = np.floor(at / period)
+    first = np.concatenate([[True], np.diff(number) > 0])
+    steps = np.where(first, np.sqrt(at - number * period), sqrt(interval)) * rng.standard_normal(n)
+    walk = np.cumsum(steps)
+    begun = (walk - steps)[first]
+    x: FloatArray = (walk - begun[np.cumsum(first) - 1]) / sqrt(0.5 * period)
+    return x
 
 
 def _smooth(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

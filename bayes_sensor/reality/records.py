@@ -66,7 +66,10 @@ class Component:
     often and for exponentially distributed times whose correlation lasts ``gust_time``.  With
     ``sparks`` it is damped oscillations that start at random, ``rate`` of them in a ``time``; with
     ``echo`` an Ornstein-Uhlenbeck process and ``depth`` times itself 1/``frequency`` earlier; with
-    ``difference`` (``time`` 0) white noise less ``depth`` times that of the sample before.
+    ``difference`` (``time`` 0) white noise less ``depth`` times that of the sample before.  With
+    ``turbulent`` the spectrum falls as f^-5/3 beyond the corner 1/(2 pi ``time``); with ``zeroed``
+    it is a random walk that is set back to zero every ``time``; with ``pulsing`` an
+    Ornstein-Uhlenbeck process that grows and shrinks by ``depth`` at ``frequency``.
     """
 
     share: float
@@ -75,8 +78,8 @@ class Component:
     frequency: float = 0.0
     """Hz"""
     shape: str = "gauss"
-    """``gauss``, ``telegraph``, ``smooth``, ``shot``, ``window``, ``gusts``, ``sparks``, ``echo``
-    or ``difference``"""
+    """``gauss``, ``telegraph``, ``smooth``, ``shot``, ``window``, ``gusts``, ``sparks``, ``echo``,
+    ``difference``, ``turbulent``, ``zeroed`` or ``pulsing``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

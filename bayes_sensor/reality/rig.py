@@ -67,6 +67,12 @@ class Knobs:
     left_over_times: tuple[float, float] = (4.0, 20.0)
     bypass: float = 0.0
     bypass_delay: float = 1.0
+    returned: float = 0.0
+    """share of what leaves that the carrier's intake draws in again"""
+    return_delay: float = 5.0
+    """s"""
+    return_time: float = 4.0
+    """s in which the air about the intake is renewed"""
     layering: float = 0.0
     """by how much, relatively, the full step of gas slows down the exchange"""
     # sensor
@@ -88,6 +94,13 @@ class Knobs:
     """share of the response that sites which never let go can add"""
     bound_time: float = 30.0
     """s of full response in which those sites fill"""
+    cages: float = 0.0
+    """share of the highest response that cages which flip open add"""
+    cages_at: float = 0.5
+    """concentration at which half of them are open, over the campaign's highest"""
+    cages_width: float = 0.05
+    cages_time: float = 1.0
+    """s"""
     # readout
     shift: float = 0.0
     """resonance shift at the highest concentration in half-widths; 0: straight readout"""
@@ -178,6 +191,11 @@ def voltage(
     opening = _opening(case, step, knobs, t)
     inlet, flow = _flows(step, knobs, t, opening)
     gas = _manifold(case, knobs, t, inlet, flow)
+    if knobs.returned > 0:
+        late = np.interp(t - knobs.return_delay, t, gas, left=0.0)
+        drawn = stages.lag(t, late, np.full(len(t) - 1, knobs.return_time), 0.0)
+        carried = knobs.returned * step.carrier_flow / step.total_flow
+        gas = _manifold(case, knobs, t, inlet + carried * drawn, flow)
     response = _sensor(case, step, knobs, t, gas)
     y = _readout(case, step, knobs, t, response)
     if knobs.filter_time > 0:
@@ -307,6 +325,12 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
     if knobs.bound > 0:
         dose = np.concatenate([[0.0], np.cumsum(0.5 * (x[1:] + x[:-1]) * np.diff(t))])
         x = x - knobs.bound * np.expm1(-dose / knobs.bound_time)
+    if knobs.cages > 0:
+        beyond = (relative * gas - knobs.cages_at) / knobs.cages_width
+        shut = 1.0 / (1.0 + np.exp(knobs.cages_at / knobs.cages_width))  # open without any gas
+        open_ = (1.0 / (1.0 + np.exp(-beyond)) - shut) / (1.0 - shut)
+        times = np.full(len(t) - 1, knobs.cages_time)
+        x = x + knobs.cages / relative * stages.lag(t, open_, times, float(open_[0]))
     return x
 
 
