@@ -260,7 +260,7 @@ def _breusch_pagan(series: list[_Series]) -> dict[str, Any]:
     """Koenker's form of the test of r^2 against concentration, on samples far enough apart.
 
     The test takes observations as independent, so only every m-th sample enters, m being where
-    the correlation has died away (at least one in twenty thousand is kept).
+    the correlation has died away (at least one in 2001 is kept).
     """
     lag = 1
     for s in series:
