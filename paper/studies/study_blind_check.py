@@ -4,6 +4,7 @@ Cases, truths and verdicts are made as ``bayes-sensor blind-check`` makes them, 
 noise laws that no earlier run saw (``reserve``); campaigns are not kept.  Seals can be opened only
 once: ``blind_check_first.csv`` and ``blind_check_first_goals.csv`` keep what was found then, and
 are not written again; what is written here is what the present code finds in the same campaigns.
+``blind_check_earlier_goals.csv`` keeps what the run before, with another reserve and seed, reached.
 """
 
 from __future__ import annotations
@@ -80,10 +81,12 @@ def markdown_table(goals: pd.DataFrame) -> str:
 
 
 def changed(cases: pd.DataFrame, first: pd.DataFrame) -> str:
-    """One sentence: how many verdicts are not those of the first run."""
+    """One sentence: how many verdicts are not those of the day when the seals were opened."""
     both = cases.merge(first, on="case", suffixes=("", "_first"), validate="one_to_one")
     kinds = both["verdict"] != both["verdict_first"]
     names = ~kinds & (both["said"].map(_sorted) != both["said_first"].map(_sorted))
+    if not kinds.any() and not names.any():
+        return f"The present code gives the same {len(both)} verdicts."
     return (
         f"Of {len(both)} verdicts the present code gives {int(kinds.sum())} of another kind and "
         f"{int(names.sum())} with other names."
@@ -102,7 +105,7 @@ def write_readme() -> None:
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
     first = pd.read_csv(TABLES / "blind_check_first.csv", keep_default_na=False)
     said = [
-        changed(cases, first), "What follows counts its verdicts.", named_nulls(cases),
+        changed(cases, first), "What follows counts them.", named_nulls(cases),
         alarmed_nulls(cases), left_out(cases), overlooked(cases), out_of_reach(cases),
     ]  # fmt: skip
     below = textwrap.fill(" ".join(said), 112) + "\n"
