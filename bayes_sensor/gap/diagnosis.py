@@ -851,8 +851,8 @@ def _sentence(
             said = f"{named[0]}, or {other}, whose response is the same, explains the gap{place}."
         elif leads:
             said = (
-                f"Most likely {named[0]} ({100.0 * leading:.0f} %) explains the gap{place}, but a cause "
-                "outside the catalogue that looks the same is not excluded."
+                f"Most likely {named[0]} ({100.0 * leading:.0f} %) explains the gap{place}, but a "
+                "cause outside the catalogue that looks the same is not excluded."
             )
         else:
             said = (
