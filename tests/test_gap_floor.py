@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.gap.bins import PHASES, make_bins
-from bayes_sensor.gap.floor import _bin_cholesky, _correlation, clean, detrended
+from bayes_sensor.gap.floor import _bin_cholesky, _check_memory, _correlation, clean, detrended
 from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.likelihood import simulate
 from bayes_sensor.model import Layout, cascade_response
@@ -196,3 +196,17 @@ def test_the_correlation_that_a_parabola_takes_is_put_back(phi):
     plain = np.mean([x[1:] @ x[:-1] / (x @ x) for x in found])
     assert plain < phi - 0.005
     assert _correlation(found) == pytest.approx(phi, abs=0.006)
+
+
+def test_a_smooth_misfit_is_not_taken_for_a_walk():
+    # neighbours are nearly alike in it, too, but it goes on in one direction
+    rng = np.random.default_rng(6)
+    t = np.linspace(0.0, 1.0, 4000)
+    waves = [np.sin(2.0 * np.pi * (5.0 * t + rng.random())) for _ in range(4)]
+    smooth = [detrended(w + 1e-3 * rng.standard_normal(4000)) for w in waves]
+    walks = [detrended(np.cumsum(rng.standard_normal(4000))) for _ in range(4)]
+    for noises in (smooth, walks):
+        assert np.mean([x[1:] @ x[:-1] / (x @ x) for x in noises]) > 0.99
+    _check_memory(smooth)
+    with pytest.raises(CampaignError, match="the noise wanders"):
+        _check_memory(walks)

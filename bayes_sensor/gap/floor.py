@@ -29,8 +29,8 @@ WANDERING = 0.9999
 """largest correlation from sample to sample: below, noise is stationary"""
 ROOT = 20.0
 """samples in a stretch times (1 - correlation) below which noise may be a random walk"""
-WALK = -0.2
-"""correlation of neighbouring changes above which it looks like one"""
+WALK = 0.2
+"""correlation of neighbouring changes, of either sign, up to which it looks like one"""
 LAGS_PER_BIN = 24.0
 """lags of the covariance within the shortest bin"""
 
@@ -252,17 +252,19 @@ def _check_memory(noises: Sequence[FloatArray]) -> None:
     """Refuse noise that may keep its value for longer than the quiet stretches last.
 
     The test is that for a unit root, n (1 - phi) of stretches of n samples, about 14 for a random
-    walk without its parabola.  It must also look like a walk at the shortest times, where changes
-    follow each other without correlation: those of a smooth misfit under white noise alternate.
+    walk without its parabola.  It must also look like a walk at short times, where changes follow
+    each other without correlation: those of white noise over a smooth misfit alternate, and those
+    of the misfit itself go on in one direction.
     """
     square = max(sum(float(x @ x) for x in noises), 1e-300)
     phi = sum(float(x[1:] @ x[:-1]) for x in noises) / square
     mean_length = sum(len(x) for x in noises) / len(noises)
-    changes = [np.diff(x) for x in noises]
-    whole = max(sum(float(c @ c) for c in changes), 1e-300)
-    if mean_length * (1.0 - phi) < ROOT and sum(float(c[1:] @ c[:-1]) for c in changes) > (
-        WALK * whole
-    ):
+    follow = []
+    for apart in (1, 2, 5):
+        changes = [np.diff(x[::apart]) for x in noises]
+        whole = max(sum(float(c @ c) for c in changes), 1e-300)
+        follow.append(sum(float(c[1:] @ c[:-1]) for c in changes) / whole)
+    if mean_length * (1.0 - phi) < ROOT and follow[0] > -WALK and max(follow) < WALK:
         raise CampaignError(
             f"gap: the noise wanders: its value persists (correlation {phi:.3f} from sample to "
             f"sample) throughout quiet stretches of {mean_length:.0f} samples, so that it cannot "
