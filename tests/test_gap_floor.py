@@ -186,7 +186,7 @@ def test_noise_that_outlasts_the_quiet_stretches_is_refused():
             diagnose_gap(walking, bootstrap=0, hidden=False, separate=False)
 
 
-@pytest.mark.parametrize("phi", [0.5, 0.9, 0.97])
+@pytest.mark.parametrize("phi", [0.8, 0.9, 0.97])
 def test_the_correlation_that_a_parabola_takes_is_put_back(phi):
     rng = np.random.default_rng(5)
     found = []

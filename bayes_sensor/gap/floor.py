@@ -27,6 +27,8 @@ DOF = 60.0
 """degrees of freedom of the floor's level: evidences use a t law with so many"""
 WANDERING = 0.9999
 """largest correlation from sample to sample: below, noise is stationary"""
+SMOOTH = 0.999
+"""the same where the changes tell of a misfit, or of smooth or white noise"""
 ROOT = 20.0
 """samples in a stretch times (1 - correlation) below which noise may be a random walk"""
 WALK = 0.2
@@ -198,10 +200,11 @@ def estimate_floor(
     louder = _louder(campaign, residuals, bins, level_of_bins) if missing else 1.0
     _check_memory(noises)
     shape = _correlated(noises, intervals)
+    below = shape if _like_a_walk(noises) else np.ones_like
     density, dof = _shrunk(power, count, edges, shape(np.sqrt(edges[:-1] * edges[1:])), louder)
     factors = tuple(
         _bin_cholesky(
-            e, b, edges, density[k], level, shape,
+            e, b, edges, density[k], level, below,
             None if fits is None else rounding_bias(e, b, edges, density[k], fits[k]),
         )
         for k, (e, b, level) in enumerate(zip(campaign, bins, level_of_bins, strict=True))
@@ -244,6 +247,8 @@ def _correlation(noises: Sequence[FloatArray]) -> float:
     """From sample to sample, what detrending took of it put back; at most WANDERING."""
     square = max(sum(float(x @ x) for x in noises), 1e-300)
     phi = sum(float(x[1:] @ x[:-1]) for x in noises) / square
+    if not _like_a_walk(noises):  # a smooth misfit is no stationary noise that detrending bent
+        return min(max(phi, 0.0), SMOOTH)
     lost = (3.0 + 5.0 * phi) * len(noises) / sum(len(x) for x in noises)
     return min(max(phi + lost, 0.0), WANDERING)
 
@@ -259,18 +264,23 @@ def _check_memory(noises: Sequence[FloatArray]) -> None:
     square = max(sum(float(x @ x) for x in noises), 1e-300)
     phi = sum(float(x[1:] @ x[:-1]) for x in noises) / square
     mean_length = sum(len(x) for x in noises) / len(noises)
-    follow = []
-    for apart in (1, 2, 5):
-        changes = [np.diff(x[::apart]) for x in noises]
-        whole = max(sum(float(c @ c) for c in changes), 1e-300)
-        follow.append(sum(float(c[1:] @ c[:-1]) for c in changes) / whole)
-    if mean_length * (1.0 - phi) < ROOT and follow[0] > -WALK and max(follow) < WALK:
+    if mean_length * (1.0 - phi) < ROOT and _like_a_walk(noises):
         raise CampaignError(
             f"gap: the noise wanders: its value persists (correlation {phi:.3f} from sample to "
             f"sample) throughout quiet stretches of {mean_length:.0f} samples, so that it cannot "
             "be told from a gap; expected stretches that outlast the noise's memory many times: "
             "record longer baselines and plateaus, or remove what makes the signal wander"
         )
+
+
+def _like_a_walk(noises: Sequence[FloatArray]) -> bool:
+    """Whether neighbouring changes are hardly correlated, at any of the shortest times."""
+    follow = []
+    for apart in (1, 2, 5):
+        changes = [np.diff(x[::apart]) for x in noises]
+        whole = max(sum(float(c @ c) for c in changes), 1e-300)
+        follow.append(sum(float(c[1:] @ c[:-1]) for c in changes) / whole)
+    return follow[0] > -WALK and max(follow) < WALK
 
 
 def _louder(
