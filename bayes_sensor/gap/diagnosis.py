@@ -397,8 +397,7 @@ def _samples(prepared: Prepared) -> list[FullRate]:
     found = [look_at_tails(prepared.raw, step), coarse]
     if rounds_away(stretches, coarse.strength["adc_step"]):
         return found
-    deviations = [q.deviation for q in prepared.quiet]
-    mains = look_for_mains(campaign, prepared.residuals, deviations)
+    mains = look_for_mains(campaign, prepared.residuals, prepared.deviations)
     return [*mains, *look_for_lines(campaign, stretches), *found]
 
 
@@ -419,7 +418,7 @@ def _events(
         look_for_breaks(best.refit),
         look_for_events(campaign, prepared.stretches_of(residuals), heavy),
         look_for_ringing(campaign, residuals, prepared.quiet),
-        *look_for_swings(campaign, residuals, [q.deviation for q in prepared.quiet]),
+        *look_for_swings(campaign, residuals, prepared.deviations),
     ]
 
 
@@ -520,8 +519,7 @@ def _shrink(
 def _of_the_mains(shrink: Shrink, prepared: Prepared, full_rate: Sequence[FullRate]) -> Shrink:
     """The gap that the mains make is one of power at their frequencies, not of the mean."""
     found = next(f for f in full_rate if f.name == "mains_pickup")
-    deviations = [q.deviation for q in prepared.quiet]
-    pieces = pieces_of_records(prepared.sketch.campaign, prepared.residuals, deviations)
+    pieces = pieces_of_records(prepared.sketch.campaign, prepared.residuals, prepared.deviations)
     closed, out = mains_closure(pieces, found)
     return replace(shrink, closure=closed, held_out_fraction_closed=out, explanation="mains_pickup")
 

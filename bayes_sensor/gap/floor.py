@@ -243,10 +243,15 @@ def _correlated(noises: Sequence[FloatArray], intervals: Sequence[float]) -> Sha
     return shape
 
 
+def _from_one_to_the_next(series: Sequence[FloatArray]) -> float:
+    """Correlation of neighbours, all series together."""
+    square = max(sum(float(x @ x) for x in series), 1e-300)
+    return sum(float(x[1:] @ x[:-1]) for x in series) / square
+
+
 def _correlation(noises: Sequence[FloatArray]) -> float:
     """From sample to sample, what detrending took of it put back; at most WANDERING."""
-    square = max(sum(float(x @ x) for x in noises), 1e-300)
-    phi = sum(float(x[1:] @ x[:-1]) for x in noises) / square
+    phi = _from_one_to_the_next(noises)
     if not _like_a_walk(noises):  # a smooth misfit is no stationary noise that detrending bent
         return min(max(phi, 0.0), SMOOTH)
     lost = (3.0 + 5.0 * phi) * len(noises) / sum(len(x) for x in noises)
@@ -261,8 +266,7 @@ def _check_memory(noises: Sequence[FloatArray]) -> None:
     each other without correlation: those of white noise over a smooth misfit alternate, and those
     of the misfit itself go on in one direction.
     """
-    square = max(sum(float(x @ x) for x in noises), 1e-300)
-    phi = sum(float(x[1:] @ x[:-1]) for x in noises) / square
+    phi = _from_one_to_the_next(noises)
     mean_length = sum(len(x) for x in noises) / len(noises)
     if mean_length * (1.0 - phi) < ROOT and _like_a_walk(noises):
         raise CampaignError(
@@ -275,11 +279,7 @@ def _check_memory(noises: Sequence[FloatArray]) -> None:
 
 def _like_a_walk(noises: Sequence[FloatArray]) -> bool:
     """Whether neighbouring changes are hardly correlated, at any of the shortest times."""
-    follow = []
-    for apart in (1, 2, 5):
-        changes = [np.diff(x[::apart]) for x in noises]
-        whole = max(sum(float(c @ c) for c in changes), 1e-300)
-        follow.append(sum(float(c[1:] @ c[:-1]) for c in changes) / whole)
+    follow = [_from_one_to_the_next([np.diff(x[::m]) for x in noises]) for m in (1, 2, 5)]
     return follow[0] > -WALK and max(follow) < WALK
 
 

@@ -119,6 +119,7 @@ def _pieces_of_stretches(campaign: Campaign, stretches: Sequence[Stretch]) -> li
 def pieces_of_records(
     campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
 ) -> list[Piece]:
+    """Whole records without gaps, weighted by the ``deviations`` (n_t,) V of their noise."""
     found = []
     for e, r, d in zip(campaign, residuals, deviations, strict=True):
         for a, b in e.runs:
@@ -244,13 +245,14 @@ def _local_level(power: FloatArray, per_resolution: float, k: int) -> FloatArray
     centres = [1.0]
     while centres[-1] < len(power):
         centres.append(centres[-1] + 0.4 * half_width(centres[-1]))
+    of_noise = float(gamma.median(k) / k)
     levels = []
     for centre in centres:
         half = half_width(centre)
         low, high = int(max(centre - half, 1)), int(min(centre + half, len(power))) + 1
         window = power[low:high]
         step = max(1, len(window) // 400)
-        levels.append(float(np.median(window[::step])) / float(gamma.median(k) / k))
+        levels.append(float(np.median(window[::step])) / of_noise)
     smooth = np.interp(
         np.log(np.maximum(index, 0.5)), np.log(centres), np.log(np.maximum(levels, 1e-300))
     )
@@ -333,7 +335,7 @@ def mains_closure(pieces: Sequence[Piece], found: FullRate) -> tuple[Closure, fl
         return Closure(None, None, None, volts, 0.0, d[0], d[1]), None
     fraction = 1.0 - after[0] / excess
     # an ordinate of the line varies by sqrt(2 P) besides what noise alone leaves
-    of_line = 2.0 * max(excess, 0.0)
+    of_line = 2.0 * excess
     # and the level is a median over at least 20 resolutions of all records together
     of_level = (before[1] * LEVEL_ERROR) ** 2 / len(pieces)
     sd = np.sqrt(after[1] + of_level + (1.0 - fraction) ** 2 * (before[1] + of_line)) / excess

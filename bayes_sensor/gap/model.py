@@ -16,7 +16,7 @@ import numpy as np
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.gap.effect import Effect, Form, RigView, Setting, Strength, check_settings
 from bayes_sensor.gap.effects import CATALOGUE, check_names
-from bayes_sensor.gap.refit import coating_modes
+from bayes_sensor.gap.refit import coating_modes, modes_of
 from bayes_sensor.gap.rig import FIRST, INDEX, NEUTRAL, rig_mean, rig_response
 from bayes_sensor.likelihood import Prior, Problem, as_problem
 from bayes_sensor.model import Cascade, Layout, local_parameters
@@ -222,7 +222,7 @@ class EffectModel:
         order = np.argsort(t, kind="stable")
         at = np.ascontiguousarray(t[order])
         p, own = self.rig(theta, layout, experiment)
-        modes = coating_modes() if p[FIRST + INDEX["coating"]] != 0.0 else _NO_MODES
+        modes = modes_of(p)
         if len(at) == 0:
             return np.zeros(0), np.zeros(0)
         x = rig_response(at, p, *modes)
@@ -264,9 +264,6 @@ class EffectModel:
                 ends.append(after + made.get("step_time", 0.0))
             found.append((min(ends) - experiment.interval, max(ends) + experiment.interval))
         return found
-
-
-_NO_MODES = (np.zeros(0), np.zeros(0))
 
 
 def _view(setting: Setting, p: FloatArray) -> RigView:

@@ -312,7 +312,7 @@ class Plan:
         p, own = self.rig(x, k)
         at = self.sketch.bins[k].times if times is None else times
         if own is None:
-            return np.asarray(rig_mean(at, p, *_modes(p)))
+            return np.asarray(rig_mean(at, p, *modes_of(p)))
         form, values = own
         return self._own_mean(at, p, form, values, self.sketch.settings[k])
 
@@ -404,11 +404,11 @@ class Plan:
         """V (n_bins,), mean of each bin of experiment ``k``."""
         bins = self.sketch.bins[k]
         p, own = self.rig(x, k)
-        if p[STEP] == 0.0 or own is not None:
+        if own is not None:
             return bins.reduce(self.mean(x, k))
         step = step_means(*bins.edges, p)
         p[STEP] = 0.0
-        made: FloatArray = bins.reduce(np.asarray(rig_mean(bins.times, p, *_modes(p)))) + step
+        made: FloatArray = bins.reduce(np.asarray(rig_mean(bins.times, p, *modes_of(p)))) + step
         return made
 
     def columns(self, k: int) -> NDArray[np.int64]:
@@ -486,7 +486,8 @@ class Plan:
 _NO_MODES = (np.zeros(0), np.zeros(0))
 
 
-def _modes(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+def modes_of(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The coating's shares and ratios, none where the rig ``p`` has no coating."""
     return coating_modes() if p[FIRST + INDEX["coating"]] != 0.0 else _NO_MODES
 
 

@@ -79,6 +79,11 @@ class Prepared:
     settle: tuple[float, ...]
     """s after a switch that every experiment's quiet spans leave out"""
 
+    @property
+    def deviations(self) -> list[FloatArray]:
+        """(n_t,) V of every experiment, the noise's standard deviation."""
+        return [q.deviation for q in self.quiet]
+
     def residuals_of(self, found: Refit) -> list[FloatArray]:
         """(n_t,) V of every experiment, spikes replaced, measurement minus a refit's mean."""
         campaign = self.sketch.campaign

@@ -146,8 +146,7 @@ def judge(
     louder = family is not None and of_mean[family] > LOUDER
     if len(on_mean) == 1 and catalogue[on_mean[0]].same_response:
         # one response: whichever is in the catalogue, the other may be the cause
-        family = catalogue[on_mean[0]].family
-        return _family(family, stand, catalogue)
+        return _family(catalogue[on_mean[0]].family, stand, catalogue)
     if on_mean or (on_noise and not louder):
         # an effect of the noise is named alone only where nothing more is likely in the mean
         return _effect([*on_mean, *on_noise], stand, catalogue)
