@@ -145,6 +145,17 @@ def test_readout_terms_add_up():
     assert np.max(np.abs(rig_mean(T, p, *NO_MODES) - wanted)) < 5e-5
 
 
+def test_a_fading_light_takes_the_baseline_with_it():
+    settings = {"gain_drift": 1e-3, "gain_curve": 2e-5, "drift": 1e-3}
+    p = parameters(gain_of_all=1.0, **settings)
+    p[3], p[4] = 0.2, 1.5
+    steady = parameters(drift=0.0)
+    steady[3], steady[4] = p[3], p[4]
+    since = T - 30.0
+    wanted = rig_mean(T, steady, *NO_MODES) * (1 + 1e-3 * since + 2e-5 * since**2) + 1e-3 * since
+    assert np.max(np.abs(rig_mean(T, p, *NO_MODES) - wanted)) < 1e-12
+
+
 def test_a_step_follows_the_fall_and_settles():
     without = rig_mean(T, parameters(), *NO_MODES)
     p = parameters(step=0.05, step_with_fall=1.0, step_time=0.5, step_width=2.0)

@@ -51,6 +51,7 @@ SETTINGS: dict[str, tuple[float, str]] = {
     "gain_drift": (0.0, "1/s, relative change of beta with time"),
     "gain_curve": (0.0, "1/s^2, bend of that change"),
     "gain_twist": (0.0, "1/s^3, change of that bend"),
+    "gain_of_all": (0.0, "1: what changes is the whole voltage, y0 included"),
     "carry_over": (0.0, "share of beta still in the manifold when the record starts"),
     "carry_time": (0.0, "s, in which it leaves; 0: the manifold's own V/Q"),
     "valve_factor": (1.0, "valve time constant over the common one"),
@@ -70,7 +71,7 @@ FIRST = 10
     CLOSING, INERTIA, STROKE, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME, SWITCHING, FLOW,
     POCKET, POCKET_TIME, TANK, RELEASE, SLOW_S, SLOW_S_TIME, COATING, FILTER, CURVATURE,
     DRIFT, DRIFT_CURVE, DRIFT_TWIST, STEP, STEP_TIME, STEP_WITH_FALL, STEP_WIDTH, GAIN,
-    GAIN_CURVE, GAIN_TWIST, CARRY, CARRY_TIME, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING,
+    GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL, CARRY, CARRY_TIME, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING,
 ) = range(FIRST, FIRST + len(SETTINGS))  # fmt: skip
 
 CELLS_PER_TIME_CONSTANT = 14.0
@@ -413,8 +414,9 @@ def rig_mean(
         v = p[BETA] * x[i]
         v *= 1.0 + p[CURVATURE] * v
         since = times[i] - p[MIDDLE]
-        v *= 1.0 + since * (p[GAIN] + since * (p[GAIN_CURVE] + since * p[GAIN_TWIST]))
-        v += p[Y0] + since * (p[DRIFT] + since * (p[DRIFT_CURVE] + since * p[DRIFT_TWIST]))
+        gain = since * (p[GAIN] + since * (p[GAIN_CURVE] + since * p[GAIN_TWIST]))
+        v += v * gain + p[Y0] * (1.0 + p[GAIN_OF_ALL] * gain)
+        v += since * (p[DRIFT] + since * (p[DRIFT_CURVE] + since * p[DRIFT_TWIST]))
         if p[STEP] != 0.0 and times[i] >= step_time:
             settled = 1.0
             if p[STEP_WIDTH] > 0.0:

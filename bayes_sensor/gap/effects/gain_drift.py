@@ -1,4 +1,9 @@
-"""The sensitivity drifts: beta changes linearly in time, ``beta (1 + g (t - middle))``."""
+"""The sensitivity drifts: beta changes in time, ``beta (1 + g (t - middle))``, straight or bent.
+
+Where the light fades, the whole voltage does, the baseline ``y0`` included.
+"""
+
+from collections.abc import Mapping
 
 from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
 
@@ -22,17 +27,27 @@ def _twisted(s: Setting) -> tuple[Strength, ...]:
     return (*_bent(s), twist)
 
 
+def _of_beta(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
+    return dict(v)
+
+
+def _of_the_light(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
+    return {**v, "gain_of_all": 1.0}
+
+
 EFFECT = Effect(
     name="gain_drift",
     family="gain",
     sentence="The sensitivity drifts during the records: {strength}.",
     forms=(
-        Form(
-            lambda s: _gain(s, False), lambda v, s: {"gain_drift": v["gain_drift"]}, name="common"
-        ),
-        Form(lambda s: _gain(s, True), lambda v, s: {"gain_drift": v["gain_drift"]}, name="own"),
-        Form(_bent, lambda v, s: dict(v), name="bent"),
-        Form(_twisted, lambda v, s: dict(v), name="twisted"),
+        Form(lambda s: _gain(s, False), _of_beta, name="common"),
+        Form(lambda s: _gain(s, True), _of_beta, name="own"),
+        Form(_bent, _of_beta, name="bent"),
+        Form(_twisted, _of_beta, name="twisted"),
+        Form(lambda s: _gain(s, False), _of_the_light, name="light, common"),
+        Form(lambda s: _gain(s, True), _of_the_light, name="light, own"),
+        Form(_bent, _of_the_light, name="light, bent"),
+        Form(_twisted, _of_the_light, name="light, twisted"),
     ),
     plausible={"gain_drift": 1e-4},
     null={"gain_drift": 0.0, "gain_curve": 0.0, "gain_twist": 0.0},
