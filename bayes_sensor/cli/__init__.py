@@ -217,7 +217,10 @@ def gap(
         typer.Option(metavar="FILE.py", help="Your own effects; the file is executed."),
     ] = None,
     bootstrap: Annotated[
-        int, typer.Option(min=0, max=100_000, help="Simulated and refitted campaigns; 0: none.")
+        int,
+        typer.Option(
+            min=0, max=100_000, help="Simulated and refitted campaigns behind p-values; 0: none."
+        ),
     ] = 60,
 ) -> None:
     """Where the model misses, and which effect causes it.

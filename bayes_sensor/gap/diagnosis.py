@@ -29,7 +29,7 @@ from bayes_sensor.gap.full_rate import (
     rounds_away,
 )
 from bayes_sensor.gap.hidden import Hidden, what_may_hide
-from bayes_sensor.gap.how_far import Closure, best_discrepancy, closure, held_out
+from bayes_sensor.gap.how_far import Closure, closure, held_out, taken_away
 from bayes_sensor.gap.lines import (
     look_for_lines,
     look_for_mains,
@@ -273,9 +273,9 @@ def diagnose_gap(
     nominal
         Parameters of the simulation before calibration, for the budget.
     bootstrap
-        Simulated and refitted campaigns; 0: linearised p-values and intervals.
+        Simulated and refitted campaigns behind the p-values; 0: linearised ones.
     jobs
-        Processes for the bootstrap and for what may hide; the numbers do not depend on it.
+        Processes for what may hide; the numbers do not depend on it.
     hidden, separate
         Whether to work out what may hide, and what would tell look-alikes apart.
 
@@ -320,8 +320,8 @@ def diagnose_gap(
     tell(0.6, "what is left")
     rounds, _last = _escalate(weighing, best, kind, named, probability, catalogue, seed)
     tell(0.7, "how far")
-    window = best_discrepancy(base, weighing.discrepancies)
-    shrink = _shrink(weighing, best, kind, window, catalogue, seed, bootstrap, jobs)
+    closed = closure(base, best.refit, weighing.discrepancies, seed)
+    shrink = _shrink(weighing, best, closed, catalogue)
     if kind == "effect" and "mains_pickup" in named and not best.effects:
         shrink = _of_the_mains(shrink, prepared, full_rate)
     tell(0.85, "what may hide")
@@ -333,7 +333,7 @@ def diagnose_gap(
         spread = 1.96 * best.sd_log_tau
         envelope = (exp(best.log_tau - spread), exp(best.log_tau + spread))
     tell(0.93, "look-alikes")
-    rows, separations = _rows(weighing, stand, full_rate, catalogue, window, separate, kind, named)
+    rows, separations = _rows(weighing, stand, full_rate, catalogue, closed, separate, kind, named)
     notes = _notes(campaign, sketch.floor.spikes)
     sentence = _sentence(kind, named, family, probability, best, located, catalogue, separations,
                          shrink, full_rate, envelope, campaign.signal_unit,
@@ -478,20 +478,12 @@ def _escalate(
 
 
 def _shrink(
-    weighing: Weighing,
-    best: Hypothesis,
-    kind: str,
-    window: Any,
-    catalogue: Mapping[str, Effect],
-    seed: int,
-    bootstrap: int,
-    jobs: int,
+    weighing: Weighing, best: Hypothesis, closed: Closure, catalogue: Mapping[str, Effect]
 ) -> Shrink:
     base = weighing.base
-    closed = closure(base, best.refit, window, seed, bootstrap if kind == "effect" else 0, jobs)
     out = None
     if best.effects and not closed.withheld:
-        out = held_out(base, best.refit, window)
+        out = held_out(base, best.refit)
     families = {catalogue[n].family for n in best.effects}
     rivals = [
         h
@@ -512,8 +504,13 @@ def _shrink(
         tau_after_high_s=high,
         explanation=best.key,
         rival=rival.key if rival else None,
-        rival_fraction_closed=closure(base, rival.refit, window).fraction if rival else None,
+        rival_fraction_closed=_fraction(base, rival.refit, closed) if rival else None,
     )
+
+
+def _fraction(base: Refit, fitted: Refit, closed: Closure) -> float | None:
+    """What another explanation takes away of the gap whose whole size ``closed`` knows."""
+    return None if closed.withheld else taken_away(base, fitted) / closed.d_before**2
 
 
 def _of_the_mains(shrink: Shrink, prepared: Prepared, full_rate: Sequence[FullRate]) -> Shrink:
@@ -554,7 +551,7 @@ def _rows(
     stand: Standing,
     full_rate: Sequence[FullRate],
     catalogue: Mapping[str, Effect],
-    window: Any,
+    closed: Closure,
     separate: bool,
     kind: str,
     named: Sequence[str],
@@ -585,9 +582,9 @@ def _rows(
             "misfit_left_sd": None,
         }
         if key == "none":
-            row.update(_measures(none, none, base, window), d=0.0)
+            row.update(_measures(none, none, base, closed), d=0.0)
         elif names:
-            _fill(row, names, weighing, none, by_name, catalogue, window)
+            _fill(row, names, weighing, none, by_name, catalogue, closed)
             if separate and len(names) == 1 and names[0] in looked:
                 h = weighing.find(names[0])
                 row["confusable_with"] = [
@@ -612,13 +609,13 @@ def _fill(
     none: Hypothesis,
     by_name: Mapping[str, FullRate],
     catalogue: Mapping[str, Effect],
-    window: Any,
+    closed: Closure,
 ) -> None:
     on_mean = [n for n in names if catalogue[n].on_mean]
     strength: dict[str, Any] = {}
     if on_mean:
         h = weighing.find(*on_mean)
-        row.update(_measures(h, none, weighing.base, window))
+        row.update(_measures(h, none, weighing.base, closed))
         strength.update(h.refit.strength())
     for n in names:
         if n in by_name:
@@ -630,7 +627,7 @@ def _fill(
     row["strength"] = strength
 
 
-def _measures(h: Hypothesis, none: Hypothesis, base: Refit, window: Any) -> dict[str, Any]:
+def _measures(h: Hypothesis, none: Hypothesis, base: Refit, closed: Closure) -> dict[str, Any]:
     sketch = base.plan.sketch
     n = sketch.n_bins
     volts = [
@@ -640,7 +637,7 @@ def _measures(h: Hypothesis, none: Hypothesis, base: Refit, window: Any) -> dict
     return {
         "d": float(np.sqrt(max(none.refit.misfit - h.refit.misfit, 0.0))),
         "tau_s": exp(h.log_tau),
-        "fraction_closed": closure(base, h.refit, window).fraction if h.effects else None,
+        "fraction_closed": _fraction(base, h.refit, closed) if h.effects else None,
         "rss_V2": rss,
         "bic": float(n * np.log(max(rss, 1e-300) / n) + h.refit.plan.size * np.log(n)),
         "log_evidence_ratio": h.log_z - none.log_z,

@@ -30,7 +30,7 @@ from bayes_sensor.gap import CATALOGUE, Effect, RigView, Strength, diagnose_gap,
 from bayes_sensor.gap.bins import PHASES, QUADRATURE, ExperimentBins
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.floor import estimate_floor
-from bayes_sensor.gap.how_far import best_discrepancy, closure
+from bayes_sensor.gap.how_far import closure
 from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, refit
 from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
 from bayes_sensor.gap.verdict import judge, leftover, standing
@@ -427,8 +427,7 @@ def study(name: str, campaign: Campaign, progress: Callable[[str], None]) -> Fou
     stand = standing(weighing, [], catalogue)
     kind, named, _, probability = judge(weighing, stand, catalogue)
     own = weighing.find(effect.name)
-    window = best_discrepancy(base, weighing.discrepancies)
-    inside = closure(base, fitted, window)
+    inside = closure(base, fitted, weighing.discrepancies)
     progress("held out")
     free_base = fit_base(sketches[1])
     before = (base, frozen(sketches[1], free_base, base))

@@ -1,0 +1,116 @@
+"""How far an explanation closes the gap: against dense algebra, and against planted leftovers."""
+
+import numpy as np
+import pytest
+
+from bayes_sensor.gap import CATALOGUE
+from bayes_sensor.gap.discrepancy import Discrepancy, make_discrepancies
+from bayes_sensor.gap.how_far import DRAWS, closure, held_out, taken_away, what_is_left
+from bayes_sensor.gap.refit import Part, Plan, Refit, refit
+from bayes_sensor.gap.sketch import fit_base, prepare
+from bayes_sensor.gap.which import finished
+from bayes_sensor.model import Layout
+from tests.gap_cases import measured, theta
+
+STEP = 0.05
+"""V, a baseline step beside the valve's asymmetry"""
+
+
+def explained(base: Refit, *names: str, form: int = 0) -> Refit:
+    """The refit with effects, each in one of its forms."""
+    parts = tuple(Part(CATALOGUE[n], CATALOGUE[n].forms[form]) for n in names)
+    plan = Plan(base.plan.sketch, parts)
+    starts: dict[str, float] = {}
+    for part in parts:
+        starts |= part.form.starts[0]
+    return finished(refit(plan, plan.start(base.x, starts), most_steps=60))
+
+
+def normalised(base: Refit) -> list[Discrepancy]:
+    """Discrepancies with weights that sum to one, as they are weighed."""
+    made = make_discrepancies(base.plan.sketch, base)
+    total = sum(d.weight for d in made)
+    return [Discrepancy(d.name, d.weight / total, d.basis, d.variance) for d in made]
+
+
+@pytest.fixture(scope="module")
+def alone() -> Refit:
+    """The fit without effects, of a campaign with a slow closing valve."""
+    campaign = measured({"valve_asymmetry": 1.15}, seed=3)
+    return fit_base(prepare(campaign, Layout.of(campaign).flat(theta(campaign))).sketch)
+
+
+@pytest.fixture(scope="module")
+def both() -> Refit:
+    """The same, of one whose baseline steps after the pulse besides."""
+    campaign = measured({"valve_asymmetry": 1.3, "baseline_step": STEP}, seed=5)
+    return fit_base(prepare(campaign, Layout.of(campaign).flat(theta(campaign))).sketch)
+
+
+def test_what_is_left_is_the_dense_posterior(alone):
+    fitted = explained(alone, "dead_volume")
+    plan, j, r = fitted.plan, fitted.jacobian, fitted.residual
+    one = next(d for d in normalised(alone) if d.name == "response 1 0.01")
+    k = (one.basis * one.variance) @ one.basis.T
+    spread = np.linalg.solve(plan.own_prior_matrix, j.T)
+    data = np.eye(len(j)) + k + j @ spread
+    away = r - j @ (plan.prior_centre - fitted.x)
+    mean = k @ np.linalg.solve(data, away)
+    covariance = k - k @ np.linalg.solve(data, k)
+    left = np.eye(len(j)) - j @ np.linalg.solve(j.T @ j + plan.own_prior_matrix, j.T)
+    form = left.T @ left
+    expected = float(np.trace(form @ covariance) + mean @ form @ mean)
+    middle = form @ covariance
+    spread_of = np.sqrt(
+        2.0 * np.trace(middle @ middle) + 4.0 * mean @ form @ covariance @ form @ mean
+    )
+    _, drawn = what_is_left(fitted, [one], seed=2)
+    assert len(drawn) == DRAWS
+    assert drawn.mean() == pytest.approx(expected, abs=4.0 * spread_of / np.sqrt(DRAWS))
+    assert drawn.std() == pytest.approx(spread_of, rel=0.1)
+
+
+def test_what_an_effect_takes_away_is_the_noise_free_misfit(alone):
+    sketch = alone.plan.sketch
+    truth = explained(alone, "valve_asymmetry")
+    noise_free = [truth.plan.binned(truth.x, k) for k in range(len(sketch.bins))]
+    size = refit(alone.plan, alone.x, data=noise_free, most_steps=60).misfit
+    assert size > 50.0
+    assert taken_away(alone, truth) == pytest.approx(size, abs=4.0 * np.sqrt(size))
+    assert taken_away(alone, alone) == 0.0
+
+
+def test_a_right_effect_may_close_everything(alone):
+    found = closure(alone, explained(alone, "valve_asymmetry"), normalised(alone))
+    assert found.fraction > 0.97
+    assert found.high == 1.0
+    assert 0.8 < found.low < found.fraction
+    assert found.d_after < 3.0
+    assert found.d_before**2 * found.fraction == pytest.approx(found.d_before**2 - found.d_after**2)
+
+
+@pytest.mark.parametrize("named", ["valve_asymmetry", "baseline_step"])
+def test_the_interval_holds_what_a_second_cause_leaves(both, named):
+    sketch = both.plan.sketch
+    truth = explained(both, "valve_asymmetry", "baseline_step")
+    noise_free = [truth.plan.binned(truth.x, k) for k in range(len(sketch.bins))]
+    fitted = explained(both, named)
+    before = refit(both.plan, both.x, data=noise_free, most_steps=60).misfit
+    after = refit(fitted.plan, fitted.x, data=noise_free, most_steps=60).misfit
+    found = closure(both, fitted, normalised(both))
+    assert 0.1 < after / before < 0.9
+    assert found.low < 1.0 - after / before < found.high < 1.0
+    assert found.high - found.low < 0.25
+    assert found.d_before == pytest.approx(np.sqrt(before), rel=0.2)
+
+
+def test_no_effect_closes_nothing_and_no_gap_gives_no_fraction(alone):
+    found = closure(alone, alone, normalised(alone))
+    assert (found.low, found.fraction, found.high) == (0.0, 0.0, 0.0)
+    campaign = measured({}, seed=5)
+    quiet = fit_base(prepare(campaign, Layout.of(campaign).flat(theta(campaign))).sketch)
+    assert closure(quiet, explained(quiet, "valve_asymmetry"), normalised(quiet)).withheld
+
+
+def test_what_one_experiment_is_not_used_for_is_predicted(alone):
+    assert held_out(alone, explained(alone, "valve_asymmetry")) == pytest.approx(1.0, abs=0.2)
