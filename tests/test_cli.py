@@ -32,7 +32,7 @@ def run(*arguments: str | Path) -> int:
 def start(*arguments: str | Path) -> subprocess.Popen[str]:
     """A command in a process of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", "bayes_sensor.cli", *map(str, arguments)],
+        [sys.executable, "-m", "bayes_sensor", *map(str, arguments)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT,
     )  # fmt: skip
 
@@ -78,6 +78,14 @@ def test_numerics_are_not_loaded_for_the_help() -> None:
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--version") == 0
     assert capsys.readouterr().out == f"bayes-sensor {bayes_sensor.__version__}\n"
+
+
+def test_the_package_runs_as_a_module() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "bayes_sensor", "--version"],
+        capture_output=True, text=True, env=ENVIRONMENT,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (0, f"bayes-sensor {bayes_sensor.__version__}\n")
 
 
 # --- mistakes: exit 2, one line on stderr, nothing written
@@ -343,7 +351,7 @@ def test_bounds_without_the_posterior(campaign: Path, tmp_path: Path) -> None:
 
 def test_closed_streams_are_no_obstacle(campaign: Path, tmp_path: Path) -> None:
     # as services and the like start a program
-    command = f'"{sys.executable}" -m bayes_sensor.cli posterior "$0" --out "$1"'
+    command = f'"{sys.executable}" -m bayes_sensor posterior "$0" --out "$1"'
     for closed in ("2>&-", "<&- >&- 2>&-"):
         out = tmp_path / f"out {len(closed)}"
         words = [f"{command} --sampler independence {closed}", str(campaign), str(out)]
@@ -441,7 +449,7 @@ def test_an_interruption_is_one_line_and_tells_how_to_go_on(
     config.write_text("[posterior]\nsampler = 'emcee'\ntarget_ess = 1e9\nmax_steps = 100000\n")
     options = ["--out", out, "--config", config, "--jobs", jobs]
     process = subprocess.Popen(
-        [sys.executable, "-m", "bayes_sensor.cli", "posterior", campaign, *options],
+        [sys.executable, "-m", "bayes_sensor", "posterior", campaign, *options],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT,
         start_new_session=True,  # so that the signal reaches its workers too, as from a keyboard
     )  # fmt: skip

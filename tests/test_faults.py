@@ -70,7 +70,7 @@ def test_a_killed_run_resumes_to_the_same_bytes(
     options = ["posterior", place / "c" / "campaign.toml", "--config", place / "quick.toml"]
     arguments = [*map(str, options), "--out", str(out), "--quiet"]
     with subprocess.Popen(
-        [sys.executable, "-m", "bayes_sensor.cli", *arguments],
+        [sys.executable, "-m", "bayes_sensor", *arguments],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     ) as process:  # fmt: skip
         deadline = time.monotonic() + 120

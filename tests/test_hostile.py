@@ -236,7 +236,7 @@ def test_in_a_process_of_its_own_nothing_is_left_behind(tmp_path: Path) -> None:
         path = write(BadInput("csv", "own", toml.encode(), {"a.csv": content}), tmp_path / str(i))
         out = path.parent / "out"
         done = subprocess.run(
-            [sys.executable, "-m", "bayes_sensor.cli", "fit", str(path), "--out", str(out)],
+            [sys.executable, "-m", "bayes_sensor", "fit", str(path), "--out", str(out)],
             capture_output=True, text=True, timeout=120, check=False,
         )  # fmt: skip
         assert done.returncode == 2 and is_clear(done.stderr) == "" and done.stdout == ""

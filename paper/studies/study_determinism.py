@@ -36,7 +36,7 @@ def run_command(
         shutil.rmtree(folder, ignore_errors=True)
     environment = {**os.environ, **dict.fromkeys(THREADS, threads), **variables}
     done = subprocess.run(
-        [python, "-m", "bayes_sensor.cli", *arguments, "--out", str(place), "--quiet"],
+        [python, "-m", "bayes_sensor", *arguments, "--out", str(place), "--quiet"],
         env=environment, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode in (0, 3), done.stderr

@@ -113,7 +113,7 @@ def environment() -> dict[str, str]:
 def start(*arguments: str) -> subprocess.Popen[str]:
     """A command in a process group of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", "bayes_sensor.cli", *arguments],
+        [sys.executable, "-m", "bayes_sensor", *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment(),
         start_new_session=True,
     )  # fmt: skip

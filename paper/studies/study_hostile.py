@@ -102,7 +102,7 @@ def in_own_process(path: Path, fit: bool) -> tuple[int, str, float]:
         environment = {**os.environ, "PYTHONPATH": str(PAPER.parent)}
         with tempfile.TemporaryFile("w+") as told:
             process = subprocess.Popen(
-                [sys.executable, "-m", "bayes_sensor.cli", *command],
+                [sys.executable, "-m", "bayes_sensor", *command],
                 stdout=subprocess.DEVNULL, stderr=told, env=environment, preexec_fn=limit,
             )  # fmt: skip
             _, status, usage = os.wait4(process.pid, 0)
