@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from math import pi, sqrt
 
 import numpy as np
+from scipy.special import erfcx
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.records import Case
@@ -250,7 +251,7 @@ def corrected_setting(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         rig[step.name].marks.append(at)
 
 
-@cause((), "tail", "share of the test gas", 0.15, reserve=True)
+@cause((), "tail", "share of the test gas", 0.15)
 def creeping_regulator(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The shut valve weeps, and the more, the higher the bottle's regulator lets pressure creep.
 
@@ -268,7 +269,7 @@ def creeping_regulator(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].seep.append(missing)
 
 
-@cause((), "tail", "share", 0.2, reserve=True)
+@cause((), "tail", "share", 0.2)
 def returning_exhaust(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The carrier is air from a compressor, whose intake draws in part of the rig's own exhaust.
 
@@ -280,7 +281,7 @@ def returning_exhaust(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.returned, knobs.return_delay, knobs.return_time = s, delay, time
 
 
-@cause((), "plateau", "relative", 0.3, per_experiment=True, reserve=True)
+@cause((), "plateau", "relative", 0.3, per_experiment=True)
 def shared_nitrogen(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Somebody else draws nitrogen from the house line: the carrier sags for seconds and recovers.
 
@@ -309,6 +310,51 @@ def shared_nitrogen(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
 
         rig[step.name].carrier.append(flow)
         rig[step.name].marks += [edge for at, lasts, _ in draughts for edge in (at, at + lasts)]
+
+
+@cause((), "plateau", "relative", 0.3, reserve=True)
+def snapping_regulator(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A dry regulator sticks while gas is drawn: its pressure sags evenly, then snaps back.
+
+    It snaps whenever the same amount of gas has been drawn, the more often the larger the flow.
+    """
+    typical = float(np.median([step.test_gas_flow for step in case.steps]))
+    drawn = typical * _between(rng, 1.5, 8.0)  # mL from snap to snap
+    for step in case.steps:
+        period, begin = drawn / step.test_gas_flow, rng.random()
+
+        def flow(
+            t: FloatArray, t0: float = step.t0, period: float = period, begin: float = begin
+        ) -> FloatArray:
+            turns = np.maximum(t - t0, 0.0) / period + begin
+            return np.where(t >= t0, 1.0 - s * (turns - np.floor(turns)), 1.0)
+
+        rig[step.name].test_gas.append(flow)
+        snaps = np.arange(step.t0 + (1.0 - begin) * period, step.duration, period)
+        rig[step.name].marks += [edge for at in snaps.tolist() for edge in (at - 1e-6, at + 1e-6)]
+
+
+@cause((), "valve", "share of the flow", 0.9, per_experiment=True, reserve=True)
+def pinched_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Somebody steps on the hose that brings both gases and off again: all flow falls meanwhile.
+
+    What the manifold holds stands nearly still; on a plateau nobody would notice, hence it happens
+    while the gas is being exchanged, certainly once.
+    """
+    certain, edge = int(rng.integers(len(case.steps))), _between(rng, 0.03, 0.15)
+    for k, step in enumerate(case.steps):
+        switch = step.t0 if rng.random() < 0.5 else step.tf
+        reach = case.tau_v + case.V / step.total_flow
+        at, lasts = switch + rng.uniform(0.2, 1.2) * reach, _between(rng, 0.4, 2.5)
+        if k != certain and rng.random() < 0.6:
+            continue
+
+        def flow(t: FloatArray, at: float = at, lasts: float = lasts) -> FloatArray:
+            down, up = np.tanh((t - at) / edge), np.tanh((t - at - lasts) / edge)
+            return np.asarray(1.0 - 0.5 * s * (down - up))
+
+        rig[step.name].all_flow.append(flow)
+        rig[step.name].marks += [at - 3.0 * edge, at + lasts - 3.0 * edge]
 
 
 # --------------------------------------------------------------------------- manifold
@@ -400,6 +446,41 @@ def trapped_plug(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
 
         rig[step.name].seep.append(plug)
         rig[step.name].marks += [begin, end]
+
+
+@cause((), "fall", "share of V", 1.0, reserve=True)
+def sticky_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The gas sticks to the hose's wall, less readily the more is there: its front sharpens.
+
+    As in a chromatograph that is overloaded: little gas is held back longer than much, so that the
+    end of a pulse is drawn out.  ``s`` V of gas would be as much as the wall takes up at first.
+    """
+    bend, n_cells = _between(rng, 1.0, 5.0), int(rng.integers(5, 11))
+    for knobs in rig.values():
+        knobs.sticky, knobs.sticky_bend, knobs.sticky_cells = s, bend, n_cells
+
+
+@cause((), "tail", "share of the test gas", 0.3, near=("dead_volume",), reserve=True)
+def permeable_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Gas diffuses into the thick wall of a silicone hose and, for long, out of it again.
+
+    Flux into a half-space through a resistance at its surface, erfcx(sqrt(t/time)): no exponential,
+    in the end it falls as the root of time (Crank, The Mathematics of Diffusion, 1975, Sec. 3.3).
+    """
+    time = _between(rng, 0.2, 4.0)
+
+    def taken(since: FloatArray) -> FloatArray:
+        return np.where(since > 0.0, erfcx(np.sqrt(np.maximum(since, 0.0) / time)), 0.0)
+
+    for step in case.steps:
+        most = s * step.test_gas_flow
+
+        def given(
+            t: FloatArray, t0: float = step.t0, tf: float = step.tf, most: float = most
+        ) -> FloatArray:
+            return np.asarray(most * (taken(t - tf) - taken(t - t0)))
+
+        rig[step.name].seep.append(given)
 
 
 # --------------------------------------------------------------------------- sensor
@@ -500,7 +581,7 @@ def condensation(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         rig[step.name].concentration_gain.append(blocked)
 
 
-@cause((), "level", "share of the highest step", 0.3, near=("slow_sorption",), reserve=True)
+@cause((), "level", "share of the highest step", 0.3, near=("slow_sorption",))
 def flipping_cages(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Above some concentration the crystal's cages flip open, in their own time, and take up more.
 
@@ -513,7 +594,7 @@ def flipping_cages(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.cages, knobs.cages_at, knobs.cages_width, knobs.cages_time = s, at, width, time
 
 
-@cause((), "ripple", "relative", 0.08, fast=True, reserve=True)
+@cause((), "ripple", "relative", 0.08, fast=True)
 def swinging_column(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Each switch sets the water of the relief bubbler swinging; the ring feels partial pressure.
 
@@ -533,6 +614,27 @@ def swinging_column(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
             return np.asarray(size * (rising - np.exp(-down / damping) * np.sin(omega * down)))
 
         rig[step.name].concentration_gain.append(pressure)
+
+
+@cause((), "plateau", "share lost", 0.2, per_experiment=True, reserve=True)
+def peeling_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Swollen with gas, the coating comes off in flakes: each takes a share of the response along.
+
+    It does not come back; the next experiment begins with what is left.
+    """
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        times = np.sort(rng.uniform(0.1, 1.0, int(rng.integers(1, 4))))
+        at = step.t0 + times * (step.tf - step.t0)
+        left = np.append(1.0, np.cumprod(1.0 - s * rng.uniform(0.3, 1.0, len(at))))
+        if k != certain and rng.random() < 0.5:
+            continue
+
+        def lost(t: FloatArray, at: FloatArray = at, left: FloatArray = left) -> FloatArray:
+            return np.asarray(left[np.searchsorted(at, t, side="right")] - 1.0)
+
+        rig[step.name].concentration_gain.append(lost)
+        rig[step.name].marks += [edge for flake in at.tolist() for edge in (flake - 1e-6, flake)]
 
 
 # --------------------------------------------------------------------------- readout
@@ -725,7 +827,7 @@ def thermostat_swings(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         rig[step.name].offset.append(swing)
 
 
-@cause((), "spike", "half-widths", 0.15, per_experiment=True, reserve=True)
+@cause((), "spike", "half-widths", 0.15, per_experiment=True)
 def relocking_laser(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The laser's lock lets go: it is swept off the flank to find the line, and comes back.
 
@@ -745,7 +847,7 @@ def relocking_laser(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
             rig[step.name].marks += [at, at + 0.5 * lasts, at + lasts]
 
 
-@cause((), "drift", "share of the step", 0.1, near=("baseline_drift",), reserve=True)
+@cause((), "drift", "share of the step", 0.1, near=("baseline_drift",))
 def warm_driver(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The valve's driver warms while it drives; through the bench its heat reaches the ring late.
 
@@ -833,6 +935,57 @@ def fluttering_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
             return size * np.sin(2.0 * pi * frequency * t + stray(t))
 
         rig[step.name].offset.append(flutter)
+
+
+@cause((), "line", "share of the step", 0.2, per_experiment=True, fast=True, reserve=True)
+def starting_motor(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A motor with an unbalance starts, runs for a while and coasts: the bench shakes along.
+
+    Its speed passes the bench's resonance on the way up and, more slowly, on the way down; the
+    bench answers as r^2 / sqrt((1 - r^2)^2 + (r/Q)^2) at r times its own frequency.
+    """
+    fastest, Q = _between(rng, 12.0, 35.0), _between(rng, 4.0, 15.0)
+    own = fastest * rng.uniform(0.4, 0.8)  # Hz, of the bench
+    up = _between(rng, 0.5, 2.5)
+    down = up * rng.uniform(1.5, 3.0)
+    largest = Q / sqrt(1.0 - 0.25 / Q**2)
+    size, certain = s * _mean_step(case), int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        at, lasts = rng.uniform(0.05, 0.7) * step.duration, up * rng.uniform(3.0, 10.0)
+        begin = rng.random()
+        if k != certain and rng.random() < 0.4:
+            continue
+
+        def shaking(
+            t: FloatArray, at: float = at, lasts: float = lasts, begin: float = begin
+        ) -> FloatArray:
+            on, off = np.clip(t - at, 0.0, lasts), np.maximum(t - at - lasts, 0.0)
+            coasting = np.exp(-off / down)
+            speed = -fastest * np.expm1(-on / up) * coasting
+            turned = fastest * (on + up * np.expm1(-on / up))
+            turned += -fastest * np.expm1(-lasts / up) * down * (1.0 - coasting)
+            r2 = (speed / own) ** 2
+            answer = r2 / np.sqrt((1.0 - r2) ** 2 + r2 / Q**2) / largest
+            return np.asarray(size * answer * np.sin(2.0 * pi * (turned + begin)))
+
+        rig[step.name].offset.append(shaking)
+
+
+@cause((), "fall", "times too slow", 2.0, reserve=True)
+def diode_detector(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A diode charges the receiver's capacitor at once; it empties through a resistor only.
+
+    The reading follows every rise, but falls no faster than the whole voltage does in the
+    resistor's time, which is 1 + ``s`` times what the steepest fall would need.
+    """
+    steepest = 0.0  # 1/s, of the voltage's logarithm
+    for step in case.steps:
+        reach = 8.0 * (case.tau_v + case.V / step.total_flow)
+        t = step.tf + np.linspace(0.0, reach, 2001)
+        y, _ = voltage(case, step, Knobs(), t)
+        steepest = max(steepest, float(np.max(-np.diff(np.log(y)) / (t[1] - t[0]))))
+    for knobs in rig.values():
+        knobs.detector_time = (1.0 + s) / steepest
 
 
 @cause((), "plateau", "share", 0.4)
@@ -958,7 +1111,7 @@ def lost_samples(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         rig[step.name].marks += [edge for at, lasts in gaps for edge in (at, at + lasts)]
 
 
-@cause((), "clock", "s", 0.45, per_experiment=True, reserve=True)
+@cause((), "clock", "s", 0.45, per_experiment=True)
 def hurried_timer(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A busy computer reads the converter: it falls behind and catches up, but stamps evenly.
 
@@ -972,6 +1125,35 @@ def hurried_timer(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
 
         def clock(t: FloatArray, strays: Course = strays) -> FloatArray:
             return t + strays(t)
+
+        rig[step.name].clock = clock
+
+
+@cause((), "clock", "s", 0.8, per_experiment=True, reserve=True)
+def repeated_buffer(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The driver hands over a full buffer twice and overwrites the one after it unread.
+
+    For as long as a buffer lasts the record shows again what it has just shown; then it goes on as
+    if nothing had been.
+    """
+    reach = case.tau_v + case.V / float(np.mean([p.total_flow for p in case.steps]))
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        again = []
+        for switch in (step.t0, step.tf):
+            lasts = s * rng.uniform(0.5, 1.0)
+            # both buffers after the switch, so that no command is recorded twice
+            at = min(switch + lasts + rng.uniform(0.0, 1.0) * reach, step.duration - 1.0)
+            if k == certain or rng.random() < 0.6:
+                again.append((at, lasts))
+
+        def clock(
+            t: FloatArray, again: tuple[tuple[float, float], ...] = tuple(again)
+        ) -> FloatArray:
+            true = t.copy()
+            for at, lasts in again:
+                true[(t >= at) & (t < at + lasts)] -= lasts
+            return true
 
         rig[step.name].clock = clock
 

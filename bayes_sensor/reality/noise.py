@@ -15,9 +15,10 @@ from bayes_sensor.reality.records import Component, NoiseLaw
 OPEN_LAWS = (
     "ar1", "white", "ar1_slow", "arma", "pink", "band_limited", "oscillating", "telegraph",
     "sliding_mean", "shot", "gusty", "double_sampling", "echo", "sparks",
+    "turbulent", "zeroed_walk", "pulsing",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("turbulent", "zeroed_walk", "pulsing")
+RESERVE_LAWS = ("ac_coupled", "interpolated", "etalon")
 """kept out of every run but the last"""
 HEAVY_TAILED = ("shot", "gusty", "sparks", "pulsing")
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
@@ -121,6 +122,26 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    drawn, fringes = own.uniform(0.3, 0.6), own.uniform(0.03, 0.15)
+    parts |= {
+        # a capacitor between the stages of an amplifier lets nothing slow through
+        "ac_coupled": (
+            Component(1.0, short, 1.0 / exp(own.uniform(np.log(0.3), np.log(8.0))), "coupled"),
+        ),
+        # an instrument slower than the recorder, which draws straight lines between its readings
+        "interpolated": (
+            Component(1.0 - drawn),
+            Component(drawn, exp(own.uniform(np.log(5e-3), np.log(6e-2))), shape="interpolated"),
+        ),
+        # light that goes to and fro between two faces whose distance trembles
+        "etalon": (
+            Component(1.0 - fringes, short),
+            Component(
+                fringes, exp(own.uniform(np.log(0.1), np.log(2.0))), shape="fringes",
+                depth=own.uniform(0.2, 0.7),
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -157,6 +178,13 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
         elif part.shape == "pulsing":
             swell = 0.5 * part.depth**2
             own *= (1.0 + swell * np.cos(2.0 * pi * part.frequency * lags)) / (1.0 + swell)
+        elif part.shape == "coupled":
+            slow = _coupling_time(part)
+            own = (slow * own - part.time * np.exp(-lags / slow)) / (slow - part.time)
+        elif part.shape == "interpolated":
+            own = _hat_with_hat(lags / part.time)
+        elif part.shape == "fringes":
+            own = sum(weight * own ** (k * k) for k, weight in enumerate(_orders(part), start=1))
         elif part.frequency:
             own *= np.cos(2.0 * pi * part.frequency * lags)
         total += part.share * own
@@ -213,6 +241,12 @@ def _draw_part(
         return _turbulent(part.time, n, interval, rng)
     if part.shape == "zeroed":
         return _zeroed(part.time, n, interval, rng)
+    if part.shape == "coupled":
+        return _coupled(part, n, interval, rng, tails)
+    if part.shape == "interpolated":
+        return _drawn_lines(part.time, n, interval, rng)
+    if part.shape == "fringes":
+        return _fringes(part, n, interval, rng)
     if part.shape == "smooth":
         # exact sampling of the critically damped process (x, v): x'' = -2 x'/T - x/T^2 + noise
         return _smooth(part.time, n, interval, rng)
@@ -365,6 +399,76 @@ def _zeroed(period: float, n: int, interval: float, rng: np.random.Generator) ->
     begun = (walk - steps)[first]
     x: FloatArray = (walk - begun[np.cumsum(first) - 1]) / sqrt(0.5 * period)
     return x
+
+
+def _coupling_time(part: Component) -> float:
+    """s of the capacitor; the noise itself is always faster."""
+    return max(1.0 / (2.0 * pi * part.frequency), 1.5 * part.time)
+
+
+def _coupled(
+    part: Component, n: int, interval: float, rng: np.random.Generator, tails: tuple[float, float]
+) -> FloatArray:
+    """(n,) Ornstein-Uhlenbeck process through a high-pass filter of one pole.
+
+    That is a lag of white noise less another, slower lag of the same white noise.
+    """
+    slow = _coupling_time(part)
+    a, b = 1.0 / part.time, 1.0 / slow
+    rates = np.array([a, b])
+    # lags r exp(-r s) of unit white noise: covariance r q/(r + q), and what an interval adds to it
+    sums = np.add.outer(rates, rates)
+    stationary = np.outer(rates, rates) / sums
+    added = stationary * -np.expm1(-sums * interval)
+    e = np.array([_innovations(n, rng, tails), rng.standard_normal(n)])
+    kicks = np.linalg.cholesky(added) @ e
+    kicks[:, 0] = np.linalg.cholesky(stationary) @ e[:, 0]
+    fast: FloatArray = lfilter([1.0], [1.0, -exp(-a * interval)], kicks[0])
+    late: FloatArray = lfilter([1.0], [1.0, -exp(-b * interval)], kicks[1])
+    passed: FloatArray = (fast - late) / sqrt(0.5 * (a - b) ** 2 / (a + b))
+    return passed
+
+
+def _hat_with_hat(lags: FloatArray) -> FloatArray:
+    """Autocorrelation of straight lines between independent values at unit distance.
+
+    The hat function with itself, a cubic B-spline, over its value at 0.
+    """
+    near = 1.0 - 1.5 * lags**2 + 0.75 * lags**3
+    far = 0.25 * np.maximum(2.0 - lags, 0.0) ** 3
+    return np.where(lags < 1.0, near, far)
+
+
+def _drawn_lines(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) straight lines between independent readings ``time`` apart, the first one anywhere.
+
+    Between readings two share the work: the variance is 2/3 of theirs in the mean.
+    """
+    at = np.arange(n) * (interval / time) + rng.random()
+    readings = rng.standard_normal(int(at[-1]) + 2)
+    lines: FloatArray = np.interp(at, np.arange(len(readings)), readings) / sqrt(2.0 / 3.0)
+    return lines
+
+
+def _orders(part: Component) -> FloatArray:
+    """Shares of the variance (30,) of the fringes' harmonics."""
+    weights = part.depth ** (2.0 * np.arange(1, 31))
+    shares: FloatArray = weights / weights.sum()
+    return shares
+
+
+def _fringes(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) sum of depth^k cos(k phase) over k = 1, 2, .., with a phase that walks at random.
+
+    Each passage between the faces adds to the phase and takes its share of the light (Airy).  The
+    phase's variance grows by 2/``time``, hence exp(-k^2 lag/time); the voltage has its bounds.
+    """
+    walk = sqrt(2.0 * interval / part.time) * rng.standard_normal(n)
+    walk[0] = 2.0 * pi * rng.random()
+    r = part.depth
+    light = 0.5 * (1.0 - r**2) / (1.0 - 2.0 * r * np.cos(np.cumsum(walk)) + r**2) - 0.5
+    fringes: FloatArray = light / sqrt(0.5 * r**2 / (1.0 - r**2))
+    return fringes
 
 
 def _smooth(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

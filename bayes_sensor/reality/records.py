@@ -69,7 +69,11 @@ class Component:
     ``difference`` (``time`` 0) white noise less ``depth`` times that of the sample before.  With
     ``turbulent`` the spectrum falls as f^-5/3 beyond the corner 1/(2 pi ``time``); with ``zeroed``
     it is a random walk that is set back to zero every ``time``; with ``pulsing`` an
-    Ornstein-Uhlenbeck process that grows and shrinks by ``depth`` at ``frequency``.
+    Ornstein-Uhlenbeck process that grows and shrinks by ``depth`` at ``frequency``.  With
+    ``coupled`` an Ornstein-Uhlenbeck process has passed a high-pass filter with its corner at
+    ``frequency``; with ``interpolated`` the part is straight lines between independent values a
+    ``time`` apart; with ``fringes`` the interference of light that has passed ever more often, each
+    time with ``depth`` of the amplitude, and whose phase loses its memory in a ``time``.
     """
 
     share: float
@@ -79,7 +83,8 @@ class Component:
     """Hz"""
     shape: str = "gauss"
     """``gauss``, ``telegraph``, ``smooth``, ``shot``, ``window``, ``gusts``, ``sparks``, ``echo``,
-    ``difference``, ``turbulent``, ``zeroed`` or ``pulsing``"""
+    ``difference``, ``turbulent``, ``zeroed``, ``pulsing``, ``coupled``, ``interpolated`` or
+    ``fringes``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

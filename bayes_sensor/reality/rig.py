@@ -55,7 +55,14 @@ class Knobs:
     """test gas from elsewhere, mL/s"""
     flow_factor: float = 1.0
     """true over set flow, both gases"""
-    # manifold
+    all_flow: list[Course] = field(default_factory=list)
+    """factors of the flow of both gases"""
+    # manifold and the hose before it
+    sticky: float = 0.0
+    """gas that the hose's wall takes up, in units of V, where there is little"""
+    sticky_bend: float = 2.0
+    """by how much, relatively, the highest concentration leaves less to take up"""
+    sticky_cells: int = 8
     pocket_fractions: tuple[float, ...] = ()
     pocket_exchange: tuple[float, ...] = ()
     """mL/s"""
@@ -122,6 +129,8 @@ class Knobs:
     offset: list[Course] = field(default_factory=list)
     """V, added"""
     # receiver and recorder
+    detector_time: float = 0.0
+    """s in which a peak detector lets go of the voltage"""
     servo: float = 0.0
     """share of a change that the receiver pulls back"""
     servo_time: float = 30.0
@@ -149,7 +158,8 @@ def on_the_clock(knobs: Knobs, true: float, step: Step) -> float:
     if knobs.clock is None:
         return true
     t = np.linspace(0.0, step.duration, 20001)
-    return float(np.interp(true, knobs.clock(t), t))
+    # of a time that is recorded twice the first
+    return float(np.interp(true, np.maximum.accumulate(knobs.clock(t)), t))
 
 
 def nodes(step: Step, times: FloatArray, marks: list[float], quick: float) -> FloatArray:
@@ -190,6 +200,10 @@ def voltage(
     t = nodes(step, true, marks, quick)
     opening = _opening(case, step, knobs, t)
     inlet, flow = _flows(step, knobs, t, opening)
+    if knobs.sticky > 0:
+        held = knobs.sticky * case.V / (0.5 * (flow[1:] + flow[:-1])) / knobs.sticky_cells
+        bend = knobs.sticky_bend * case.relative_concentration(step)
+        inlet = stages.sticky_wall(t, inlet, held, bend, knobs.sticky_cells)
     gas = _manifold(case, knobs, t, inlet, flow)
     if knobs.returned > 0:
         late = np.interp(t - knobs.return_delay, t, gas, left=0.0)
@@ -263,6 +277,8 @@ def _flows(
     flow = carrier + test + made_up
     for source in knobs.seep:
         inlet = inlet + source(t) / flow / step.concentration
+    for factor in knobs.all_flow:
+        flow = flow * factor(t)
     return inlet, flow * knobs.flow_factor
 
 
@@ -364,6 +380,8 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
         y = y * (1.0 + course(t))
     for course in knobs.offset:
         y = y + course(t)
+    if knobs.detector_time > 0:
+        y = stages.peak_detector(t, y, knobs.detector_time)
     if knobs.servo > 0:
         time = np.full(len(t) - 1, knobs.servo_time)
         y = y - knobs.servo * stages.lag(t, y - y[0], time, 0.0)

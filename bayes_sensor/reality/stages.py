@@ -72,6 +72,32 @@ def layers(
 
 
 @njit(cache=True, error_model="numpy")
+def sticky_wall(
+    t: FloatArray, u: FloatArray, held: FloatArray, bend: float, n_cells: int
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) outlet of ``n_cells`` cells in a row whose wall holds x/(1 + ``bend`` x) at once.
+
+    held x'/(1 + bend x)^2 = u - x in every cell; ``held`` (n - 1,) s holds between nodes.  The gas
+    in a cell is little, and its passage counted elsewhere.
+    """
+    n = len(t)
+    x = u.copy()
+    for _ in range(n_cells):
+        before = x.copy()
+        for i in range(n - 1):
+            h = t[i + 1] - t[i]
+            slope = (before[i + 1] - before[i]) / h
+            middle = x[i]
+            for _ in range(3):  # predictor, correctors of the state that sets the rate
+                local = held[i] / (1.0 + bend * middle) ** 2
+                lead = before[i] - local * slope
+                end = lead + slope * h + (x[i] - lead) * exp(-h / local)
+                middle = 0.5 * (x[i] + end)
+            x[i + 1] = end
+    return x
+
+
+@njit(cache=True, error_model="numpy")
 def valve(
     t: FloatArray, first: FloatArray, last: FloatArray, tau_v: float, closing: float
 ) -> FloatArray:  # pragma: no cover - compiled
@@ -169,6 +195,18 @@ def no_faster(
     for i in range(len(y) - 1):
         reach = fastest * (t[i + 1] - t[i])
         out[i + 1] = out[i] + max(-reach, min(reach, y[i + 1] - out[i]))
+    return out
+
+
+@njit(cache=True)
+def peak_detector(
+    t: FloatArray, y: FloatArray, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``y`` wherever it is above what is left of earlier values after their decay."""
+    out = np.empty(len(y))
+    out[0] = y[0]
+    for i in range(len(y) - 1):
+        out[i + 1] = max(y[i + 1], out[i] * exp(-(t[i + 1] - t[i]) / time))
     return out
 
 
