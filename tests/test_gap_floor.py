@@ -10,7 +10,14 @@ from scipy.signal import lfilter
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.gap.bins import PHASES, make_bins
-from bayes_sensor.gap.floor import _bin_cholesky, _check_memory, _correlation, clean, detrended
+from bayes_sensor.gap.floor import (
+    ROOT,
+    _bin_cholesky,
+    _check_memory,
+    _correlation,
+    clean,
+    detrended,
+)
 from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.likelihood import simulate
 from bayes_sensor.model import Layout, cascade_response
@@ -208,5 +215,22 @@ def test_a_smooth_misfit_is_not_taken_for_a_walk():
     for noises in (smooth, walks):
         assert np.mean([x[1:] @ x[:-1] / (x @ x) for x in noises]) > 0.99
     _check_memory(smooth)
+    with pytest.raises(CampaignError, match="the noise wanders"):
+        _check_memory(walks)
+
+
+def test_a_strong_misfit_beside_slow_noise_is_not_taken_for_a_walk():
+    # as a valve leaves it that shuts much faster than was thought; the noise is AR(1) of 0.8
+    rng = np.random.default_rng(7)
+    t = np.arange(320) * 0.01
+    misfits, walks = [], []
+    for _ in range(6):
+        noise = lfilter([1.0], [1.0, -0.8], rng.standard_normal(420))[100:]
+        misfits.append(detrended(noise + 10.0 * np.sin(2.0 * np.pi * (t / 2.2 + rng.random()))))
+        walks.append(detrended(np.cumsum(rng.standard_normal(320))))
+    for noises in (misfits, walks):
+        phi = np.mean([x[1:] @ x[:-1] / (x @ x) for x in noises])
+        assert 320 * (1.0 - phi) < ROOT
+    _check_memory(misfits)
     with pytest.raises(CampaignError, match="the noise wanders"):
         _check_memory(walks)

@@ -33,6 +33,8 @@ ROOT = 20.0
 """samples in a stretch times (1 - correlation) below which noise may be a random walk"""
 WALK = 0.2
 """correlation of neighbouring changes, of either sign, up to which it looks like one"""
+TURNS = 8.0
+"""share of a stretch, as one over this, at which a walk less its parabola turns back"""
 LAGS_PER_BIN = 24.0
 """lags of the covariance within the shortest bin"""
 
@@ -278,9 +280,23 @@ def _check_memory(noises: Sequence[FloatArray]) -> None:
 
 
 def _like_a_walk(noises: Sequence[FloatArray]) -> bool:
-    """Whether neighbouring changes are hardly correlated, at any of the shortest times."""
-    follow = [_from_one_to_the_next([np.diff(x[::m]) for x in noises]) for m in (1, 2, 5)]
-    return follow[0] > -WALK and max(follow) < WALK
+    """Whether successive changes are hardly correlated at the shortest times, and turn later.
+
+    A walk less its parabola comes back within a stretch; a smooth misfit beside noise goes on in
+    one direction.
+    """
+    whole = sum(len(x) for x in noises) / len(noises)
+    shortest = [_going_on(noises, m) for m in (1, 2, 5)]
+    if shortest[0] <= -WALK or max(shortest) >= WALK:
+        return False
+    return _going_on(noises, max(int(whole / TURNS), 1)) < 0.0
+
+
+def _going_on(noises: Sequence[FloatArray], m: int) -> float:
+    """Correlation of changes over ``m`` samples with those over the next ``m``."""
+    changes = [x[m:] - x[:-m] for x in noises]
+    square = max(sum(float(d @ d) for d in changes), 1e-300)
+    return sum(float(d[m:] @ d[:-m]) for d in changes) / square
 
 
 def _louder(

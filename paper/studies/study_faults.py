@@ -220,7 +220,9 @@ def killed(command: Command, place: Path, tell: Callable[[], None]) -> dict[str,
     for _ in range(2):  # the first compiles what is not in the cache, the second tells the time
         shutil.rmtree(out, ignore_errors=True)
         begin = time.perf_counter()
-        expected, _ = to_the_end(errors, *arguments)
+        expected, said = to_the_end(errors, *arguments)
+        if not out.exists():
+            raise RuntimeError(f"{command.name}, undisturbed, left nothing: {said}")
         spans.append(time.perf_counter() - begin)
         if not whole.exists():
             shutil.copytree(out, whole)
