@@ -172,9 +172,13 @@ def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
             f" The best rival outside the family, {effect_words(shrink['rival'])}, closes "
             f"{100 * shrink['rival_fraction_closed']:.0f} %."
         )
-    return [said, "The fraction is of the squared excess, less what noise leaves in it, so it may "
-            "pass 100 %. A large one alone proves no cause: a wrong effect often closes most "
-            "of a gap. The ranking weighs the explanations against each other."]  # fmt: skip
+    return [
+        said,
+        "The fraction is of the squared excess. The interval reaches 100 % unless there is "
+        "evidence that something is left; held out, where noise is only taken off on average, the "
+        "fraction itself may pass 100 %. A large one alone proves no cause: a wrong effect often "
+        "closes most of a gap. The ranking weighs the explanations against each other.",
+    ]
 
 
 def _envelope(record: Mapping[str, Any], is_limit: bool) -> list[str]:
