@@ -36,8 +36,10 @@ def score_card(card: Part) -> Figure:
     What has no panel stands as sentences beside the last.
     """
     with style():
-        figure = new_figure(8.7)
-        rows: Any = figure.subfigures(4, 1, height_ratios=[2.75, 2.1, 2.05, 1.8])
+        # a line of type for every law of noise
+        top = 0.75 + 0.105 * max(len(card["nulls"]["by_law"]), 16)
+        figure = new_figure(top + 5.95)
+        rows: Any = figure.subfigures(4, 1, height_ratios=[top, 2.1, 2.05, 1.8])
         left, right = rows[0].subplots(1, 2)
         _nulls(left, card["nulls"])
         _wrong(right, card["confident_wrong"])
@@ -197,8 +199,8 @@ def _reliability(axes: Axes, calibration: Part) -> None:
     )  # fmt: skip
     if calibration["ece"] is not None:
         axes.annotate(
-            f"mean error {calibration['ece']:.3f},\nchance: < {calibration['band95']:.3f}",
-            (0.98, 0.03), xycoords="axes fraction", ha="right", va="bottom", fontsize=SMALLEST,
+            f"mean error {calibration['ece']:.4f},\nchance: < {calibration['band95']:.4f}",
+            (0.03, 0.97), xycoords="axes fraction", ha="left", va="top", fontsize=SMALLEST,
         )  # fmt: skip
     axes.set_xlim(0, 1.02)
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])

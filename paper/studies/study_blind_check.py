@@ -76,7 +76,9 @@ def markdown_table(goals: pd.DataFrame) -> str:
     for row in goals.itertuples():
         between = "" if pd.isna(row.lo95) else f" ({row.lo95:.2f} to {row.hi95:.2f})"
         met = "yes" if row.met else "no"
-        lines.append(f"| {row.goal} | {row.wanted} | {row.reached:.3f}{between} | {met} |")
+        # three digits: a goal missed by little must not look as if it was met
+        reached = f"{row.reached:.3f}" if row.reached >= 0.1 else f"{row.reached:.3g}"
+        lines.append(f"| {row.goal} | {row.wanted} | {reached}{between} | {met} |")
     return "\n".join(lines) + "\n"
 
 
@@ -139,9 +141,11 @@ def left_out(cases: pd.DataFrame) -> str:
     cases = cases[cases["kind"] == "withheld"]
     wrong = cases[cases["confident_wrong"].astype(str) == "True"]
     outside = wrong[wrong["wrong_outside_family"].astype(str) == "True"]
+    were = "was" if len(wrong) == 1 else "were"
     return (
-        f"Of {len(cases)} campaigns whose effect was taken out of the catalogue, {len(wrong)} were "
-        f"given another name with more than .9, {len(outside)} of them from outside its family."
+        f"Of {len(cases)} campaigns whose effect was taken out of the catalogue, {len(wrong)} "
+        f"{were} given another name with more than .9, {len(outside)} of them from outside its "
+        "family."
     )
 
 
