@@ -1,5 +1,7 @@
 """How far an explanation closes the gap: against dense algebra, and against planted leftovers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -102,6 +104,16 @@ def test_the_interval_holds_what_a_second_cause_leaves(both, named):
     assert found.low < 1.0 - after / before < found.high < 1.0
     assert found.high - found.low < 0.25
     assert found.d_before == pytest.approx(np.sqrt(before), rel=0.2)
+
+
+def test_what_no_discrepancy_follows_is_left_all_the_same(alone):
+    fitted = explained(alone, "valve_asymmetry")
+    n = len(fitted.residual)
+    for size, seen in ((0.2, False), (1.5, True)):  # from bin to bin up and down
+        rough = replace(fitted, residual=fitted.residual + size * (-1.0) ** np.arange(n))
+        found = closure(alone, rough, normalised(alone))
+        assert (found.high < 1.0) == seen
+        assert (found.d_after**2 > 0.5 * size**2 * n) == seen
 
 
 def test_no_effect_closes_nothing_and_no_gap_gives_no_fraction(alone):

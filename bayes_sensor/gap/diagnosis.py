@@ -861,10 +861,10 @@ def _sentence(
     for n in named:
         strength = fitted if catalogue[n].on_mean else by_name[n].strength
         words.append(_effect_words(catalogue[n], strength, sketch, unit))
-    c = shrink.closure
-    if c.fraction is not None and c.low is not None and c.high is not None:
+    closed = shrink.closure
+    if closed.fraction is not None and closed.low is not None and closed.high is not None:
         words.append(
-            f"It closes {100.0 * c.fraction:.0f} % of the gap (95 % interval {100.0 * c.low:.0f} "
-            f"to {100.0 * c.high:.0f} %)."
+            f"It closes {100.0 * closed.fraction:.0f} % of the gap (95 % interval "
+            f"{100.0 * closed.low:.0f} to {100.0 * closed.high:.0f} %)."
         )
     return " ".join(words)

@@ -21,6 +21,7 @@ from scipy.special import logsumexp
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.discrepancy import Discrepancy
 from bayes_sensor.gap.evidence import Linearised
+from bayes_sensor.gap.floor import DOF
 from bayes_sensor.gap.refit import Plan, Refit, Sketch, refit
 from bayes_sensor.gap.where import Leverage, _mean_square
 
@@ -70,7 +71,8 @@ def what_is_left(
     -------
     The posterior probability of something else beside the effect, at even odds before, and
     :data:`DRAWS` draws of the squared misfit, in units of the noise, that it would be after the
-    refit.
+    refit.  What no discrepancy follows but stands out of the noise and of the floor's own
+    uncertainty is counted as it is.
     """
     rng = np.random.default_rng(seed)
     line = Linearised(fitted)
@@ -86,7 +88,14 @@ def what_is_left(
         for d, n in zip(discrepancies, counts, strict=True)
         if n > 0
     ]
-    return chance, np.concatenate(drawn)
+    sizes = np.concatenate(drawn)
+    rough = fitted.misfit - Leverage.of(fitted).trace() - chance * float(np.mean(sizes))
+    n = len(fitted.residual)
+    spread = np.sqrt(2.0 * n + 2.0 * n**2 / DOF)
+    if rough < VISIBLE * spread:
+        return chance, sizes
+    sizes[rng.random(len(sizes)) > chance] = 0.0
+    return 1.0, sizes + np.maximum(rough + spread * rng.standard_normal(len(sizes)), 0.0)
 
 
 def _squared_sizes(
