@@ -440,6 +440,26 @@ def test_diffusion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert (out / "diffusion.svg").read_text().startswith("<svg")
 
 
+def test_an_interruption_that_a_callback_swallows_is_not_told_twice() -> None:
+    # compilers call back into Python, where an exception is dropped with a message of its own
+    code = (
+        "import ctypes, os, signal, sys, time\n"
+        "from bayes_sensor import cli\n"
+        "called = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGINT))\n"
+        "def app(**_):\n"
+        "    called()\n"
+        "    time.sleep(30.0)\n"
+        "cli.app = app\n"
+        "cli.main(['fit', 'campaign.toml', '--out', 'results'])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=25
+    )
+    lines = [line for line in done.stderr.splitlines() if line]
+    assert done.returncode == 130 and len(lines) == 1, done.stderr
+    assert lines[0].startswith("stopped: interrupted; ")
+
+
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_an_interruption_is_one_line_and_tells_how_to_go_on(
     campaign: Path, tmp_path: Path, jobs: str

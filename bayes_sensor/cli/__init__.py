@@ -581,6 +581,13 @@ def _be_interruptible() -> None:
     signal.signal(signal.SIGINT, _insist)
     if hasattr(signal, "SIGALRM"):
         signal.signal(signal.SIGALRM, _insist)
+    told = sys.unraisablehook
+
+    def tell(lost: Any) -> None:
+        if not issubclass(lost.exc_type, KeyboardInterrupt):  # that one comes again
+            told(lost)
+
+    sys.unraisablehook = tell
 
 
 def _interruption_has_come() -> None:
