@@ -10,8 +10,10 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import time
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any
 
 import typer
@@ -564,23 +566,40 @@ def _advice(arguments: list[str]) -> str:
 
 REPEAT_SECONDS = 1.0
 """after Ctrl-C, how often the interruption is repeated until it has got through"""
+SOON_SECONDS = 0.05
+PATIENCE_SECONDS = 0.5
+"""how often, and for how long, a compiler that is at work is waited for"""
 
 
-def _insist(_signal: int, _frame: Any) -> None:
-    """Raise KeyboardInterrupt, now and again later.
+def _be_interruptible(arguments: list[str]) -> None:
+    """Let Ctrl-C raise KeyboardInterrupt, now and again later.
 
     Python drops an exception that a signal raises inside a destructor or a callback of compiled
-    code; a long run would then go on as if nothing had been pressed.
+    code; a long run would then go on as if nothing had been pressed.  A compiler turns one into
+    errors of its own: it may finish what it is at, and if that takes long the process just ends,
+    as safely as if it had been killed.
     """
-    if hasattr(signal, "setitimer"):
-        signal.setitimer(signal.ITIMER_REAL, REPEAT_SECONDS)
-    raise KeyboardInterrupt
+    pressed: list[float] = []
 
+    def insist(_signal: int, frame: FrameType | None) -> None:
+        if hasattr(signal, "setitimer"):
+            while frame is not None:
+                if str(frame.f_globals.get("__name__")).startswith(("numba.", "llvmlite.")):
+                    pressed.append(time.monotonic())
+                    if pressed[-1] - pressed[0] > PATIENCE_SECONDS:
+                        _complain(f"interrupted; {_advice(arguments)}", kind="stopped")
+                        sys.stdout.flush()
+                        sys.stderr.flush()
+                        os._exit(INTERRUPTED)
+                    signal.setitimer(signal.ITIMER_REAL, SOON_SECONDS)
+                    return
+                frame = frame.f_back
+            signal.setitimer(signal.ITIMER_REAL, REPEAT_SECONDS)
+        raise KeyboardInterrupt
 
-def _be_interruptible() -> None:
-    signal.signal(signal.SIGINT, _insist)
+    signal.signal(signal.SIGINT, insist)
     if hasattr(signal, "SIGALRM"):
-        signal.signal(signal.SIGALRM, _insist)
+        signal.signal(signal.SIGALRM, insist)
     told = sys.unraisablehook
 
     def tell(lost: Any) -> None:
@@ -610,7 +629,7 @@ def main(arguments: list[str] | None = None) -> None:
     """The entry point ``bayes-sensor``; ends the process with the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     _open_streams()
-    _be_interruptible()
+    _be_interruptible(arguments)
     from bayes_sensor.cli.notes import take_notes
 
     take_notes()
