@@ -582,20 +582,18 @@ def _be_interruptible(arguments: list[str]) -> None:
     pressed: list[float] = []
 
     def insist(_signal: int, frame: FrameType | None) -> None:
-        if hasattr(signal, "setitimer"):
-            while frame is not None:
-                if str(frame.f_globals.get("__name__")).startswith(("numba.", "llvmlite.")):
-                    pressed.append(time.monotonic())
-                    if pressed[-1] - pressed[0] > PATIENCE_SECONDS:
-                        _complain(f"interrupted; {_advice(arguments)}", kind="stopped")
-                        sys.stdout.flush()
-                        sys.stderr.flush()
-                        os._exit(INTERRUPTED)
-                    signal.setitimer(signal.ITIMER_REAL, SOON_SECONDS)
-                    return
-                frame = frame.f_back
+        if not hasattr(signal, "setitimer"):
+            raise KeyboardInterrupt
+        if not _is_compiling(frame):
             signal.setitimer(signal.ITIMER_REAL, REPEAT_SECONDS)
-        raise KeyboardInterrupt
+            raise KeyboardInterrupt
+        pressed.append(time.monotonic())
+        if pressed[-1] - pressed[0] > PATIENCE_SECONDS:
+            _complain(f"interrupted; {_advice(arguments)}", kind="stopped")
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(INTERRUPTED)
+        signal.setitimer(signal.ITIMER_REAL, SOON_SECONDS)
 
     signal.signal(signal.SIGINT, insist)
     if hasattr(signal, "SIGALRM"):
@@ -607,6 +605,14 @@ def _be_interruptible(arguments: list[str]) -> None:
             told(lost)
 
     sys.unraisablehook = tell
+
+
+def _is_compiling(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if str(frame.f_globals.get("__name__")).startswith(("numba.", "llvmlite.")):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _interruption_has_come() -> None:

@@ -39,15 +39,15 @@ EFFECT = Effect(
     name="gain_drift",
     family="gain",
     sentence="The sensitivity drifts during the records: {strength}.",
-    forms=(
-        Form(lambda s: _gain(s, False), _of_beta, name="common"),
-        Form(lambda s: _gain(s, True), _of_beta, name="own"),
-        Form(_bent, _of_beta, name="bent"),
-        Form(_twisted, _of_beta, name="twisted"),
-        Form(lambda s: _gain(s, False), _of_the_light, name="light, common"),
-        Form(lambda s: _gain(s, True), _of_the_light, name="light, own"),
-        Form(_bent, _of_the_light, name="light, bent"),
-        Form(_twisted, _of_the_light, name="light, twisted"),
+    forms=tuple(
+        Form(strengths, settings, name=of + name)
+        for of, settings in (("", _of_beta), ("light, ", _of_the_light))
+        for name, strengths in (
+            ("common", lambda s: _gain(s, False)),
+            ("own", lambda s: _gain(s, True)),
+            ("bent", _bent),
+            ("twisted", _twisted),
+        )
     ),
     plausible={"gain_drift": 1e-4},
     null={"gain_drift": 0.0, "gain_curve": 0.0, "gain_twist": 0.0},
