@@ -123,9 +123,9 @@ def run(
             reference = rows.setdefault("reference", found)
             rows[way]["same_as_serial"] = "yes" if found == reference else "no"
         kept.write_text(json.dumps(rows))
-        frame = write(rows)
+        write(rows)
     progress(len(WAYS) + 1, len(WAYS) + 1)
-    return frame
+    return write(rows)
 
 
 def write(rows: dict[str, Any]) -> pd.DataFrame:
