@@ -128,6 +128,33 @@ def test_low_rank_discrepancy_is_the_dense_kernel(sketch, base):
     assert np.allclose(d.precision_times(v), np.linalg.solve(np.eye(n) + made, v))
 
 
+def test_timing_is_the_mean_at_another_time(sketch, base):
+    # a rise that runs late by w(t), smooth in the logarithm of the time since the switch
+    scale = sketch.time_scale
+
+    def late(b):
+        since = np.maximum(b.since, 0.0)
+        return 0.01 * scale * np.where(b.falling, 0.0, np.exp(-0.5 * np.log(since / scale + 0.1) ** 2))
+
+    moved = []
+    for k, b in enumerate(sketch.bins):
+        ends = np.append(b.starts[1:], len(b.times))
+        w = np.repeat(late(b), ends - b.starts)
+        order = np.argsort(b.times - w)
+        mean = np.empty(len(b.times))
+        mean[order] = base.plan.mean(base.x, k, (b.times - w)[order])
+        here = b.reduce(mean) - b.reduce(base.plan.mean(base.x, k, b.times))
+        moved.append(sketch.inverse_factors[k] @ here)
+    wanted = np.concatenate(moved)
+    d = {d.name: d for d in make_discrepancies(sketch, base)}["timing 0.01"]
+    left = d.precision_times(wanted)  # (I + K)^-1: what the process does not take up
+    assert np.linalg.norm(left) < 0.15 * np.linalg.norm(wanted)
+    # and it takes nothing up where nothing moves
+    still = np.concatenate([(b.since > 20.0 * scale) & ~b.falling for b in sketch.bins])
+    assert still.sum() > 10
+    assert np.linalg.norm(d.precision_times(1.0 * still)) > 0.98 * np.sqrt(still.sum())
+
+
 def test_leverage_is_the_projection_of_noise(sketch, base):
     leverage = Leverage.of(base)
     noise = np.random.default_rng(1).standard_normal((sketch.n_bins, 400))
@@ -159,14 +186,16 @@ def test_a_joined_start_keeps_what_was_fitted(sketch, base):
 
 
 def test_a_dependence_that_has_a_name_is_no_rival():
-    def names(catalogue, flows=True, fall=True):
-        return {r.name for r in embedded_rivals(catalogue, flows, fall)}
+    def names(catalogue, flows=True, fall=True, commanded=True):
+        return {r.name for r in embedded_rivals(catalogue, flows, fall, commanded)}
 
     assert "valve by direction" not in names(CATALOGUE)
     fewer = [n for n in CATALOGUE if n != "valve_asymmetry"]
     assert "valve by direction" in names(fewer)
     assert not any("flow" in n for n in names(CATALOGUE, flows=False))
     assert not any("direction" in n for n in names([], fall=False))
+    assert "pulse at commands" in names(CATALOGUE)
+    assert "pulse at commands" not in names(CATALOGUE, commanded=False)
 
 
 @pytest.mark.parametrize(

@@ -122,6 +122,15 @@ def test_every_stage_agrees_with_an_integrator(settings):
     assert np.max(np.abs(rig_mean(T, p, *NO_MODES) - integrated(p))) < 6e-5
 
 
+@pytest.mark.parametrize(("rise", "fall"), [(0.9, 0.9), (0.3, 0.0), (0.0, 6.0), (40.0, 40.0)])
+def test_a_part_that_comes_later_is_a_second_response(rise, fall):
+    x = rig_mean(T, parameters(late_share=0.4, late_rise=rise, late_fall=fall), *NO_MODES)
+    taus = [0.8577, 0.7, 0.0481]
+    late = cascade_response(T, taus, T0 + rise, 1e30) - cascade_response(T, taus, TF + fall, 1e30)
+    exact = 0.6 * cascade_response(T, taus, T0, TF) + 0.4 * late
+    assert np.max(np.abs(x - exact)) < 2e-5
+
+
 def test_the_coating_is_a_sum_of_lags():
     share, ratio = coating_modes()
     assert share.sum() == pytest.approx(1.0, abs=1e-6)

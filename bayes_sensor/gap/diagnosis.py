@@ -337,7 +337,8 @@ def diagnose_gap(
     notes = _notes(campaign, sketch.floor.spikes)
     sentence = _sentence(kind, named, family, probability, best, located, catalogue, separations,
                          shrink, full_rate, envelope, campaign.signal_unit,
-                         stand.effects.get(named[0], 0.0) if named else 0.0)  # fmt: skip
+                         stand.effects.get(named[0], 0.0) if named else 0.0,
+                         _likeness(weighing, campaign.signal_unit))  # fmt: skip
     tell(1.0, "done")
     return Gap(
         verdict=Verdict(kind, named, family, float(min(max(probability, 0.0), 1.0)), sentence),
@@ -745,6 +746,18 @@ def _effect_words(
     return effect.sentence.replace("{strength}", _strength_words(own, units))
 
 
+def _likeness(weighing: Weighing, unit: str) -> str:
+    """What a cause without a name acts like; empty where no such dependence is likely."""
+    shares = weighing.probabilities
+    likely = int(np.argmax(shares))
+    h = weighing.hypotheses[likely]
+    if not h.within or shares[likely] < 0.5:
+        return ""
+    plan = h.refit.plan
+    words = _effect_words(plan.parts[-1].effect, h.refit.strength(), plan.sketch, unit)
+    return f"It acts as if {words}."
+
+
 def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
     """One sentence about something of unlisted origin."""
     s = found.strength
@@ -799,6 +812,7 @@ def _sentence(
     envelope: tuple[float, float],
     unit: str,
     leading: float,
+    likeness: str,
 ) -> str:
     phases: dict[str, float] = {}
     for c in located.cells:
@@ -826,7 +840,7 @@ def _sentence(
             )
         names = [e.name for e in best.refit.plan.sketch.campaign]
         words += [_finding_words(f, names, unit) for f in findings]
-        return " ".join(words)
+        return " ".join([*words, likeness]).rstrip()
     sketch = best.refit.plan.sketch
     if kind == "family":
         helps = next((s for s in separations if s.addition), None)

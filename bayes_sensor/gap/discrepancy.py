@@ -6,6 +6,8 @@ parts:
 
 - *response*: in the logarithm of the time since a switch reached the sensor, scaled by beta;
 - *herald*: in linear time around the switch, scaled by beta: what runs ahead of the gas;
+- *timing*: in the logarithm of the time since a switch, scaled by the slope of the mean: what runs
+  early or late by a part of a time scale, ever more or ever less;
 - *drift*: in linear time, in volts;
 - *switching*: in the logarithm of the time since the command, in volts.
 
@@ -37,6 +39,9 @@ HERALD_SHARES = (0.003, 0.01, 0.03)
 HERALD = (-1.2, 0.5)
 """time scales around a switch"""
 HERALD_LENGTH = 0.15
+TIMING_LENGTH = 1.0
+TIMING_SHARES = (0.01, 0.03, 0.1)
+"""of the time scale"""
 DRIFT_SECONDS = 8.0
 VOLT_SHARES = (0.0005, 0.0015, 0.005, 0.015)
 """of the median step height: 1 to 30 mV for a 2 V step"""
@@ -133,6 +138,9 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
         for share in RESPONSE_SHARES:
             weight = 0.45 / (len(response) * len(RESPONSE_SHARES))
             made.append(_configure(f"response {length:g} {share:g}", weight, factor * share))
+    timing = _timing_part(sketch, base, flow)
+    for share in TIMING_SHARES:
+        made.append(_configure(f"timing {share:g}", 0.2 / len(TIMING_SHARES), timing * share))
     for share in VOLT_SHARES:
         weight = 0.2 / len(VOLT_SHARES)
         made.append(_configure(f"drift {share:g}", weight, drift * share))
@@ -183,6 +191,25 @@ def _herald_part(sketch: Sketch, beta: list[float], flow: FloatArray) -> FloatAr
             since.append(np.clip(at, *HERALD))
             volts.append(np.where(near, size, 0.0))
         blocks.append(_part(sketch, since, volts, flow, HERALD_LENGTH))
+    return np.hstack(blocks)
+
+
+def _timing_part(sketch: Sketch, base: Refit, flow: FloatArray) -> FloatArray:
+    """A time that runs ahead or behind: what moves, moves later by a part of a time scale."""
+    h = 0.02 * sketch.time_scale
+    slopes = []
+    for k, b in enumerate(sketch.bins):
+        before, after = (b.reduce(base.plan.mean(base.x, k, b.times + d)) for d in (-h, h))
+        slopes.append((after - before) / (2.0 * h) * sketch.time_scale)
+    blocks = []
+    for falling in (False, True):
+        if falling and not any(b.falling.any() for b in sketch.bins):
+            continue
+        volts = [
+            np.where(b.falling == falling, s, 0.0) for b, s in zip(sketch.bins, slopes, strict=True)
+        ]
+        since = [_log_time(b.since, sketch.time_scale) for b in sketch.bins]
+        blocks.append(_part(sketch, since, volts, flow, TIMING_LENGTH))
     return np.hstack(blocks)
 
 

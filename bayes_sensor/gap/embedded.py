@@ -3,21 +3,28 @@
 A smooth additive discrepancy sees what is left in the traces.  Many unlisted causes act inside the
 model instead: a lag that depends on the flow, on the concentration, on the direction of the step,
 or that changes from one experiment to the next (embedded discrepancy; Sargsyan, Najm and Ghanem
-2015).  These rivals have no name of their own and count as unlisted.  Where a listed effect is
-just such a dependence, the rival is left out for as long as that effect is in the catalogue: then
-the dependence has a name.
+2015).  Gas that takes two ways, and a valve that moves in two steps, are two delays in place of
+one; a drive that couples into the signal makes pulses too short for a smooth process.  These rivals
+have no name of their own and count as unlisted.  Where a listed effect is just such a dependence,
+the rival is left out for as long as that effect is in the catalogue: then it has a name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
-from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
+import numpy as np
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.gap.effect import Effect, Form, RigView, Setting, Strength
 
 WEIGHT = 0.35
 """share of "something else" that is embedded; the rest is additive"""
 EXPONENT_SD = 0.15
 """spread of the exponent of a dependence on flow or concentration"""
+PULSE_SD = 0.01
+"""spread of a pulse's height over that of the step"""
 RATIO_SD = 0.25
 """spread of the logarithm of a ratio between step down and step up"""
 
@@ -52,6 +59,54 @@ def _by_experiment(target: str, sd: float) -> Form:
     return Form(lambda s: (own,), lambda v, s: {target: v[name]})
 
 
+def _late_strengths(s: Setting) -> tuple[Strength, ...]:
+    return (
+        Strength("late_share", "1", "log_normal", 0.15, 1.2, limits=(1e-4, 0.98)),
+        Strength("lateness", "s", "log_normal", s.time_scale, 1.0),
+    )
+
+
+def _late(name: str, rise: float, fall: float, by_stream: bool = False) -> Form:
+    def settings(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
+        late = v["lateness"] * (1.0 / _by_flow(s) if by_stream else 1.0)
+        return {"late_share": v["late_share"], "late_rise": rise * late, "late_fall": fall * late}
+
+    return Form(_late_strengths, settings, name=name, starts=_LATE_STARTS)
+
+
+_LATE_STARTS = (
+    {"late_share": 0.1, "lateness*": 0.4},
+    {"late_share": 0.1, "lateness*": 1.5},
+    {"late_share": 0.03, "lateness*": 6.0},
+    {"late_share": 0.5, "lateness*": 0.7},
+)
+
+
+def _pulse_strengths(s: Setting) -> tuple[Strength, ...]:
+    size = PULSE_SD * s.signal_scale
+    return (
+        Strength("pulse_on", "V", "normal", 0.0, size, scaled=True),
+        Strength("pulse_off", "V", "normal", 0.0, size, scaled=True),
+        Strength("pulse_time", "s", "log_normal", 0.3 * s.time_scale, 0.8),
+    )
+
+
+def _pulsed(t: FloatArray, v: Mapping[str, float], rig: RigView) -> FloatArray:
+    made = rig.mean(t)
+    e = rig.experiment
+    for at, size in ((e.commanded_on, v["pulse_on"]), (e.commanded_off, v["pulse_off"])):
+        if at is not None:
+            made = made + size * (t >= at) * np.exp(-np.maximum(t - at, 0.0) / v["pulse_time"])
+    return made
+
+
+_PULSE = Form(
+    _pulse_strengths,
+    lambda v, s: {},
+    starts=tuple({"pulse_time*": w} for w in (0.1, 0.4, 1.5)),
+    mean=_pulsed,
+)
+
 _BY_CONCENTRATION = Form(
     lambda s: (_exponent("sensor_by_concentration"),),
     lambda v, s: {
@@ -60,38 +115,89 @@ _BY_CONCENTRATION = Form(
     starts=({"sensor_by_concentration": 0.3}, {"sensor_by_concentration": -0.3}),
 )
 
-# name -> form and the listed effects that are this dependence
-RIVALS: dict[str, tuple[Form, tuple[str, ...]]] = {
-    "valve by flow": (_power("valve_factor", "valve_by_flow"), ()),
-    "volume by flow": (_power("flow_factor", "volume_by_flow"), ()),
-    "sensor by concentration": (_BY_CONCENTRATION, ()),
-    "valve by experiment": (_by_experiment("valve_factor", 0.05), ()),
-    "sensor by experiment": (_by_experiment("sensor_factor", 0.3), ()),
-    "valve by direction": (_direction("closing_ratio"), ("valve_asymmetry",)),
-    "volume by direction": (
-        _direction("emptying_ratio"), ("flow_switching", "valve_asymmetry"),
+
+@dataclass(frozen=True)
+class Rival:
+    """A dependence without a name of its own."""
+
+    forms: tuple[Form, ...]
+    sentence: str
+    """in plain words; may hold ``{strength}``"""
+    named_by: tuple[str, ...] = ()
+    """listed effects that are this dependence"""
+
+
+RIVALS = {
+    "valve by flow": Rival(
+        (_power("valve_factor", "valve_by_flow"),),
+        "the valve's time constant depends on the flow ({strength})",
     ),
-    "sensor by direction": (_direction("release_ratio"), ("sorption_asymmetry",)),
-}  # fmt: skip
+    "volume by flow": Rival(
+        (_power("flow_factor", "volume_by_flow"),),
+        "the manifold's time constant follows another power of the flow ({strength})",
+    ),
+    "sensor by concentration": Rival(
+        (_BY_CONCENTRATION,), "the sensor's time constant depends on the concentration ({strength})"
+    ),
+    "valve by experiment": Rival(
+        (_by_experiment("valve_factor", 0.05),),
+        "the valve's time constant differs from experiment to experiment ({strength})",
+    ),
+    "sensor by experiment": Rival(
+        (_by_experiment("sensor_factor", 0.3),),
+        "the sensor's time constant differs from experiment to experiment ({strength})",
+    ),
+    "valve by direction": Rival(
+        (_direction("closing_ratio"),),
+        "the valve shuts at another speed than it opens ({strength})",
+        ("valve_asymmetry",),
+    ),
+    "volume by direction": Rival(
+        (_direction("emptying_ratio"),),
+        "the manifold empties at another speed than it fills ({strength})",
+        ("flow_switching", "valve_asymmetry"),
+    ),
+    "sensor by direction": Rival(
+        (_direction("release_ratio"),),
+        "the sensor releases at another speed than it takes up ({strength})",
+        ("sorption_asymmetry",),
+    ),
+    "part later": Rival(
+        (
+            _late("by the stream", 1.0, 1.0, by_stream=True),
+            _late("by the clock", 1.0, 1.0),
+            _late("as the gas comes", 1.0, 0.0),
+            _late("as it goes", 0.0, 1.0),
+        ),
+        "a part of the response comes later than the rest ({strength})",
+    ),
+    "pulse at commands": Rival(
+        (_PULSE,), "a pulse that fades follows the valve's commands ({strength})"
+    ),
+}
 
 
-def embedded_rivals(catalogue: Iterable[str], several_flows: bool, has_fall: bool) -> list[Effect]:
+def embedded_rivals(
+    catalogue: Iterable[str], several_flows: bool, has_fall: bool, commanded: bool
+) -> list[Effect]:
     """The rivals that a campaign can have and that no effect of the catalogue names."""
     known = set(catalogue)
     found = []
-    for name, (form, named_by) in RIVALS.items():
-        if known & set(named_by):
+    for name, rival in RIVALS.items():
+        if known & set(rival.named_by):
             continue
         if not several_flows and any(w in name for w in ("flow", "concentration", "experiment")):
             continue
         if "direction" in name and not has_fall:
             continue
+        if "command" in name and not commanded:
+            continue
         found.append(
             Effect(
                 name=name,
                 family="unlisted",
-                sentence="",
-                forms=(form,),
+                sentence=rival.sentence,
+                forms=rival.forms,
                 plausible={},
                 reference="",
                 reveal="",

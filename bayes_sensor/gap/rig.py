@@ -57,6 +57,9 @@ SETTINGS: dict[str, tuple[float, str]] = {
     "valve_factor": (1.0, "valve time constant over the common one"),
     "sensor_factor": (1.0, "sensor time constant over the common one"),
     "emptying_ratio": (1.0, "manifold time constant after the step down over that before"),
+    "late_share": (0.0, "share of the gas that comes later, and goes later, than the rest"),
+    "late_rise": (0.0, "s, by which it comes later"),
+    "late_fall": (0.0, "s, by which it goes later"),
 }
 """name -> (neutral value, what it is)"""
 
@@ -72,6 +75,7 @@ FIRST = 10
     POCKET, POCKET_TIME, TANK, RELEASE, SLOW_S, SLOW_S_TIME, COATING, FILTER, CURVATURE,
     DRIFT, DRIFT_CURVE, DRIFT_TWIST, STEP, STEP_TIME, STEP_WITH_FALL, STEP_WIDTH, GAIN,
     GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL, CARRY, CARRY_TIME, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING,
+    LATE, LATE_RISE, LATE_FALL,
 ) = range(FIRST, FIRST + len(SETTINGS))  # fmt: skip
 
 CELLS_PER_TIME_CONSTANT = 14.0
@@ -115,12 +119,21 @@ def _opening(s: float, tau: float, inertia: float, stroke: float) -> float:  # p
 
 @njit(cache=True)
 def _valve(t: float, p: FloatArray) -> float:  # pragma: no cover
-    # x1 at time t
-    since = t - p[T0]
+    # x1 at time t; a way that is longer for a part of the gas is a valve that opens late for it
+    x = _one_valve(t, p, p[T0], p[TF])
+    if p[LATE] != 0.0:
+        x += p[LATE] * (_one_valve(t, p, p[T0] + p[LATE_RISE], p[TF] + p[LATE_FALL]) - x)
+    return x
+
+
+@njit(cache=True)
+def _one_valve(t: float, p: FloatArray, t0: float, tf: float) -> float:  # pragma: no cover
+    # x1 at time t of a valve commanded at t0 and tf
+    since = t - t0
     if since <= 0.0:
         return 0.0
     tau, share = p[TAU_V] * p[VALVE_FACTOR], p[SLOW_V]
-    after = t - p[TF]
+    after = t - tf
     if p[CLOSING] == 1.0 or after <= 0.0:  # linear: opening minus shutting
         x = _opening(since, tau, p[INERTIA], p[STROKE])
         if after > 0.0:
@@ -131,7 +144,7 @@ def _valve(t: float, p: FloatArray) -> float:  # pragma: no cover
                 slow -= 1.0 - exp(-after / p[SLOW_V_TIME])
             x += share * (slow - x)
     else:
-        x = _opening(p[TF] - p[T0], tau, p[INERTIA], p[STROKE])
+        x = _opening(tf - t0, tau, p[INERTIA], p[STROKE])
         x *= 1.0 - _opening(after, tau * p[CLOSING], p[INERTIA], p[STROKE])
         if share != 0.0:
             slow = exp(-after / p[SLOW_V_TIME]) - exp(-since / p[SLOW_V_TIME])
@@ -296,14 +309,14 @@ def _response(
     if p[SETTLING] != 0.0:
         first = min(first, 2.0 * p[SETTLING_TIME])
     first /= CELLS_PER_TIME_CONSTANT
-    if last > tf:
-        rise = _grid(t0, tf, first)
-        fall = _grid(tf, last, first)
-        t = np.empty(len(rise) + len(fall) - 1)
-        t[: len(rise)] = rise
-        t[len(rise) :] = fall[1:]
-    else:
-        t = _grid(t0, last, first)
+    # the valve's motion breaks off at these times: a new grid begins at each
+    events = np.array([t0, tf, t0 + p[LATE_RISE], tf + p[LATE_FALL]])
+    events = np.sort(events if p[LATE] != 0.0 else events[:2])
+    t = np.array([t0])
+    for i in range(len(events)):
+        until = min(events[i + 1], last) if i + 1 < len(events) else last
+        if until - t[-1] > 1e-3 * first:
+            t = np.concatenate((t, _grid(t[-1], until, first)[1:]))
     n = len(t)
     x1 = np.empty(n)
     x1_mid = np.empty(n - 1)

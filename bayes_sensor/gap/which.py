@@ -243,14 +243,17 @@ def weigh(
         [*catalogue, *(part.effect.name for part in base.plan.parts)],
         several_flows=len(sketch.campaign) > 1 and not sketch.campaign.same_flow,
         has_fall=any(e.has_fall for e in sketch.campaign),
+        commanded=any(e.commanded_on is not None for e in sketch.campaign),
     )
     inside = WEIGHT if rivals else 0.0
     alone = add((), float(np.log(PRIOR_UNLISTED * (1.0 - inside))), [(base, 1.0)], shares)
     for rival in rivals:
-        form = rival.forms[0]
-        fitted = fit_effect(sketch, base, [Part(rival, form)], form.starts, 20)
-        add((), float(np.log(PRIOR_UNLISTED * inside / len(rivals))), [(fitted, 1.0)],
-            within=rival.name)  # fmt: skip
+        made = [
+            (fit_effect(sketch, base, [Part(rival, f)], f.starts, 20), 1.0 / len(rival.forms))
+            for f in rival.forms
+        ]
+        log_prior = float(np.log(PRIOR_UNLISTED * inside / len(rivals)))
+        add((), log_prior, made, within=rival.name)
     fits: dict[str, list[tuple[Refit, float]]] = {}
     on_mean = {n: e for n, e in catalogue.items() if e.on_mean}
     for i, (name, effect) in enumerate(on_mean.items()):
