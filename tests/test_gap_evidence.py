@@ -134,7 +134,9 @@ def test_timing_is_the_mean_at_another_time(sketch, base):
 
     def late(b):
         since = np.maximum(b.since, 0.0)
-        return 0.01 * scale * np.where(b.falling, 0.0, np.exp(-0.5 * np.log(since / scale + 0.1) ** 2))
+        return (
+            0.01 * scale * np.where(b.falling, 0.0, np.exp(-0.5 * np.log(since / scale + 0.1) ** 2))
+        )
 
     moved = []
     for k, b in enumerate(sketch.bins):

@@ -65,7 +65,8 @@ def integrated(p):
         dslow = (u - slow) / get("slow_valve_time")
         open_ = x1 + get("slow_valve_share") * (slow - x1)
         if t > t0:
-            open_ *= 1 - get("settling_share") * np.exp(-(t - t0) / get("settling_time"))
+            swing = np.cos(get("settling_swing") * (t - t0))
+            open_ *= 1 - get("settling_share") * swing * np.exp(-(t - t0) / get("settling_time"))
         lost, a = get("flow_switching") * c, get("tank_share")
         rate = get("flow_factor") / tau_m / (1 - a) / (get("emptying_ratio") if t >= tf else 1.0)
         k = get("pocket_share") / get("pocket_time")
@@ -105,6 +106,7 @@ def integrated(p):
         {"stroke": 0.4},
         {"slow_valve_share": 0.1, "slow_valve_time": 5.0},
         {"settling_share": 0.3, "settling_time": 0.4},
+        {"settling_share": -0.3, "settling_time": 0.8, "settling_swing": 2.0},
         {"pocket_share": 0.2, "pocket_time": 0.5, "flow_switching": 1.0},
         {"tank_share": 0.3},
         {"release_ratio": 3.0},

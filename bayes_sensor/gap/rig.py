@@ -30,6 +30,7 @@ SETTINGS: dict[str, tuple[float, str]] = {
     "slow_valve_time": (1.0, "s, time constant of that share"),
     "settling_share": (0.0, "inlet concentration is low by this share right after opening"),
     "settling_time": (1.0, "s, in which that deficit decays"),
+    "settling_swing": (0.0, "rad/s, with which it swings while it decays"),
     "flow_switching": (0.0, "share of the test-gas flow that stops when the valve shuts"),
     "flow_factor": (1.0, "true total flow over the set one"),
     "pocket_share": (0.0, "volume of a stagnant pocket over V"),
@@ -71,7 +72,8 @@ TAU, TAU_V, TAU_M, Y0, BETA, T0, TF, CONCENTRATION, START, MIDDLE = range(10)
 FIRST = 10
 
 (
-    CLOSING, INERTIA, STROKE, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME, SWITCHING, FLOW,
+    CLOSING, INERTIA, STROKE, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME, SETTLING_SWING,
+    SWITCHING, FLOW,
     POCKET, POCKET_TIME, TANK, RELEASE, SLOW_S, SLOW_S_TIME, COATING, FILTER, CURVATURE,
     DRIFT, DRIFT_CURVE, DRIFT_TWIST, STEP, STEP_TIME, STEP_WITH_FALL, STEP_WIDTH, GAIN,
     GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL, CARRY, CARRY_TIME, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING,
@@ -150,7 +152,7 @@ def _one_valve(t: float, p: FloatArray, t0: float, tf: float) -> float:  # pragm
             slow = exp(-after / p[SLOW_V_TIME]) - exp(-since / p[SLOW_V_TIME])
             x += share * (slow - x)
     if p[SETTLING] != 0.0:
-        x *= 1.0 - p[SETTLING] * exp(-since / p[SETTLING_TIME])
+        x *= 1.0 - p[SETTLING] * exp(-since / p[SETTLING_TIME]) * cos(p[SETTLING_SWING] * since)
     return x
 
 
