@@ -231,7 +231,7 @@ def test_rounding_biases_bins_as_the_covariance_says():
     assert lattice_step(e.values) == pytest.approx(step)
     p = prepared_of(replace(campaign, experiments=(e,)))
     (b,), edges = p.sketch.bins, p.sketch.floor.edges
-    flat = np.full((2, len(edges) - 1), 2.0 * INTERVAL * 0.012**2)
+    flat = np.full((2, len(edges) - 1), 2.0 * INTERVAL * (0.012**2 + step**2 / 12.0))
     factor = rounding_bias(e, b, edges, flat, mean)
     assert factor is not None
     # an independent route: round many noisy copies of the true mean, at any offset of the lattice

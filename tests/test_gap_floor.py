@@ -126,6 +126,20 @@ def test_glitches_are_replaced_and_counted():
     assert clean(r * 0.0, np.ones(5000, dtype=bool))[1] == 0
 
 
+def test_samples_a_converter_step_away_are_no_spikes():
+    # noise of a third of a step around a lattice point: nine of ten samples are equal
+    rng = np.random.default_rng(1)
+    values = np.round(0.35 * rng.standard_normal(5000))
+    residual = values - 1e-3 * np.sin(np.arange(5000) / 300.0)
+    used = np.ones(5000, dtype=bool)
+    assert np.mean(values == 0.0) > 0.8
+    assert clean(residual, used)[1] > 100  # without the step they would be
+    cleaned, n = clean(residual, used, resolution=1.0)
+    assert n == 0 and np.array_equal(cleaned, residual)
+    residual[700] += 9.0
+    assert clean(residual, used, resolution=1.0)[1] == 1
+
+
 def test_detrending_removes_a_parabola_exactly():
     x = np.linspace(-1, 1, 300)
     assert np.max(np.abs(detrended(3.0 + 2.0 * x - 5.0 * x**2))) < 1e-10

@@ -87,8 +87,14 @@ class Floor:
         return float(np.sqrt(np.mean(self.density @ width)))
 
 
-def clean(residual: FloatArray, used: NDArray[np.bool_]) -> tuple[FloatArray, int]:
-    """The residual with unused samples and spikes set to the local median, and how many spikes."""
+def clean(
+    residual: FloatArray, used: NDArray[np.bool_], resolution: float = 0.0
+) -> tuple[FloatArray, int]:
+    """The residual with unused samples and spikes set to the local median, and how many spikes.
+
+    ``resolution`` V: the converter's step.  Where the noise hardly crosses it most samples are
+    equal, and a median would take every sample a step away for a spike.
+    """
     out = np.where(used, residual, 0.0)
     values = out[used]
     if len(values) < 8:
@@ -107,7 +113,7 @@ def clean(residual: FloatArray, used: NDArray[np.bool_]) -> tuple[FloatArray, in
         if len(out) <= 20000
         else _running_median(out, width)
     )
-    away = np.abs(out - local) > SPIKE * max(spread, scale)
+    away = np.abs(out - local) > SPIKE * max(spread, scale, 0.5 * resolution)
     return np.where(away & used, local, out), int(np.sum(away & used))
 
 
@@ -396,12 +402,14 @@ def rounding_bias(
     Gaussian noise of standard deviation sigma around y rounds, on average, to y plus
     sum_m (-1)^m step/(pi m) exp(-2 (pi m sigma/step)^2) sin(2 pi m y/step): nothing where the
     noise crosses several steps, a bias that follows the signal where it does not (Widrow, Kollar
-    and Liu 1996).  The phase is taken for unknown.  None where the bias is negligible.
+    and Liu 1996).  The phase is taken for unknown.  None where the bias is negligible.  ``density``
+    (2, n_bands) V^2/Hz is that of the record, which holds the step^2/12 that rounding adds.
     """
     step = lattice_step(e.values[e.used])
     if step <= 0.0:
         return None
-    sigma = float(np.sqrt(np.min(density @ np.diff(edges))))
+    recorded = float(np.min(density @ np.diff(edges)))
+    sigma = float(np.sqrt(max(recorded - step**2 / 12.0, 0.01 * recorded)))
     columns = []
     for m in (1, 2, 3):
         size = step / (np.pi * m) * np.exp(-2.0 * (np.pi * m * sigma / step) ** 2)

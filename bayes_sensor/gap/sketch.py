@@ -10,7 +10,14 @@ import numpy as np
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.gap.bins import make_bins
 from bayes_sensor.gap.events import Quiet
-from bayes_sensor.gap.floor import Floor, Stretch, clean, estimate_floor, quiet_stretches
+from bayes_sensor.gap.floor import (
+    Floor,
+    Stretch,
+    clean,
+    estimate_floor,
+    lattice_step,
+    quiet_stretches,
+)
 from bayes_sensor.gap.refit import (
     FASTER,
     NUISANCE_SD,
@@ -128,7 +135,7 @@ def prepare(campaign: Campaign, theta: FloatArray) -> Prepared:
     raw = full_rate_residuals(campaign, flat)
     cleaned, spikes = [], 0
     for e, r in zip(campaign, raw, strict=True):
-        values, n = clean(r, e.used)
+        values, n = clean(r, e.used, lattice_step(e.values[e.used]))
         cleaned.append(values)
         spikes += n
     taus = [_taus(flat, e.total_flow) for e in campaign]
