@@ -74,6 +74,10 @@ def integrated(p):
         inlet = tank if a > 0 else x2
         dtank = (x2 - tank) * get("flow_factor") / (tau_m * a) if a > 0 else 0.0
         slower = get("release_ratio") if inlet < x3 else 1.0
+        if get("release_width") > 0:
+            slower = get("release_ratio") ** (
+                0.5 - 0.5 * np.tanh((inlet - x3) / get("release_width"))
+            )
         dx3 = (inlet - x3) / (tau * get("sensor_factor") * slower)
         dsite = (inlet - site) / (get("slow_site_time") * slower)
         total = x3 + get("slow_site_share") * (site - x3)
@@ -122,6 +126,26 @@ def integrated(p):
 def test_every_stage_agrees_with_an_integrator(settings):
     p = parameters(**settings)
     assert np.max(np.abs(rig_mean(T, p, *NO_MODES) - integrated(p))) < 6e-5
+
+
+@pytest.mark.parametrize(("ratio", "width"), [(2.0, 0.05), (3.0, 0.01), (0.4, 0.02)])
+def test_a_release_that_sets_in_gradually_agrees_with_an_integrator(ratio, width):
+    # the rate is constant within a cell of the grid, and follows the state in steps
+    p = parameters(0.2, release_ratio=ratio, release_width=width)
+    x = rig_mean(T, p, *NO_MODES)
+    assert np.max(np.abs(x - integrated(p))) < 4e-4
+    abrupt = rig_mean(T, parameters(0.2, release_ratio=ratio), *NO_MODES)
+    assert np.max(np.abs(x - abrupt)) > 1e-3  # and it matters
+
+
+def test_a_spread_of_slow_sites_is_a_sum_of_lags():
+    slow = {"slow_site_share": 0.2, "slow_site_time": 6.0, "slow_site_spread": 3.0}
+    x = rig_mean(T, parameters(**slow), *NO_MODES)
+    exact = sum(
+        share * cascade_response(T, [0.8577, 0.7, lag], T0, TF)
+        for share, lag in ((0.8, 0.0481), (0.1, 6.0), (0.05, 2.0), (0.05, 18.0))
+    )
+    assert np.max(np.abs(x - exact)) < 2e-5
 
 
 @pytest.mark.parametrize(("rise", "fall"), [(0.9, 0.9), (0.3, 0.0), (0.0, 6.0), (40.0, 40.0)])

@@ -15,7 +15,7 @@ changes; effects on different settings can therefore act together.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import cos, exp, sin, sqrt
+from math import cos, exp, sin, sqrt, tanh
 
 import numpy as np
 from numba import njit
@@ -37,8 +37,10 @@ SETTINGS: dict[str, tuple[float, str]] = {
     "pocket_time": (1.0, "s, exchange time of the pocket"),
     "tank_share": (0.0, "share of V that forms a second tank in series"),
     "release_ratio": (1.0, "sensor time constant of release over that of uptake"),
+    "release_width": (0.0, "distance from equilibrium, of the step, over which that changes"),
     "slow_site_share": (0.0, "share of the sensor's response that follows slowly"),
     "slow_site_time": (1.0, "s, time constant of that share"),
+    "slow_site_spread": (1.0, "half of that share is this much slower or faster, in equal parts"),
     "coating": (0.0, "0 single lag .. 1 diffusion through the layered coating"),
     "filter": (0.0, "s, time constant of a low-pass before the converter"),
     "curvature": (0.0, "1/V, k in v + k v^2 with v = beta x3"),
@@ -73,11 +75,10 @@ FIRST = 10
 
 (
     CLOSING, INERTIA, STROKE, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME, SETTLING_SWING,
-    SWITCHING, FLOW,
-    POCKET, POCKET_TIME, TANK, RELEASE, SLOW_S, SLOW_S_TIME, COATING, FILTER, CURVATURE,
-    DRIFT, DRIFT_CURVE, DRIFT_TWIST, STEP, STEP_TIME, STEP_WITH_FALL, STEP_WIDTH, GAIN,
-    GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL, CARRY, CARRY_TIME, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING,
-    LATE, LATE_RISE, LATE_FALL,
+    SWITCHING, FLOW, POCKET, POCKET_TIME, TANK, RELEASE, RELEASE_WIDTH, SLOW_S, SLOW_S_TIME,
+    SLOW_S_SPREAD, COATING, FILTER, CURVATURE, DRIFT, DRIFT_CURVE, DRIFT_TWIST, STEP, STEP_TIME,
+    STEP_WITH_FALL, STEP_WIDTH, GAIN, GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL, CARRY, CARRY_TIME,
+    VALVE_FACTOR, SENSOR_FACTOR, EMPTYING, LATE, LATE_RISE, LATE_FALL,
 ) = range(FIRST, FIRST + len(SETTINGS))  # fmt: skip
 
 CELLS_PER_TIME_CONSTANT = 14.0
@@ -330,8 +331,8 @@ def _response(
 
     # the sensor's parallel modes: the single lag or the coating's, and slow sites
     n_modes = len(mode_share)
-    share = np.zeros(n_modes + 2)
-    tau = np.ones(n_modes + 2)
+    share = np.zeros(n_modes + 4)
+    tau = np.ones(n_modes + 4)
     share[0] = (1.0 - p[COATING]) * (1.0 - p[SLOW_S])
     own_tau = p[TAU] * p[SENSOR_FACTOR]
     tau[0] = own_tau
@@ -345,6 +346,12 @@ def _response(
         share[used] = p[SLOW_S]
         tau[used] = p[SLOW_S_TIME]
         used += 1
+        if p[SLOW_S_SPREAD] != 1.0:
+            share[used - 1] *= 0.5
+            for factor in (p[SLOW_S_SPREAD], 1.0 / p[SLOW_S_SPREAD]):
+                share[used] = 0.25 * p[SLOW_S]
+                tau[used] = p[SLOW_S_TIME] * factor
+                used += 1
     state = np.zeros(used)
     low_pass = p[FILTER]
     filtered = 0.0
@@ -356,8 +363,12 @@ def _response(
         a, m, b = x2[i], x2_mid[i], x2[i + 1]
         before, middle, after = 0.0, 0.0, 0.0
         slower = 1.0
-        if p[RELEASE] != 1.0 and m < state[0]:
-            slower = p[RELEASE]
+        if p[RELEASE] != 1.0:
+            slower = _slower(m - state[0], p[RELEASE], p[RELEASE_WIDTH])
+            if p[RELEASE_WIDTH] > 0.0:  # the state half a cell on is nearer to what counts
+                half_m = 0.375 * a + 0.75 * m - 0.125 * b
+                half = _advance(state[0], 0.5 * h / (tau[0] * slower), a, half_m, m)
+                slower = _slower(m - half, p[RELEASE], p[RELEASE_WIDTH])
         inside = k
         while inside < len(times) and (times[inside] <= t[i + 1] or i == n - 2):
             inside += 1
@@ -383,6 +394,14 @@ def _response(
                 out[q] = _advance(filtered, part * h / low_pass, before, pm, pb)
             filtered = _advance(filtered, h / low_pass, before, middle, after)
         k = inside
+
+
+@njit(cache=True)
+def _slower(drive: float, ratio: float, width: float) -> float:  # pragma: no cover
+    # factor on the sensor's time constant where what drives it exceeds its state by this much
+    if width > 0.0:
+        return ratio ** (0.5 * (1.0 - tanh(drive / width)))
+    return ratio if drive < 0.0 else 1.0
 
 
 @njit(cache=True, inline="always")

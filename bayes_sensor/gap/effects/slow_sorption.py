@@ -1,27 +1,37 @@
 """A second, slow sorption mode: part of the sensor's response follows late.
 
 Two kinds of sites, or a slow second layer; seen from outside it is one response with the slow
-part of a valve (``two_rate_valve``), and no step experiment separates the two.
+part of a valve (``two_rate_valve``), and no step experiment separates the two.  Sites that differ
+have a spread of time constants.
 """
 
-from bayes_sensor.gap.effect import Effect, Form, Strength
+from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
+
+
+def _strengths(s: Setting) -> tuple[Strength, ...]:
+    return (
+        Strength("slow_site_share", "1", "log_normal", 0.04, 1.0, limits=(1e-6, 0.9)),
+        Strength("slow_site_time", "s", "log_normal", 7.0 * s.time_scale, 1.0),
+    )
+
+
+def _spread(s: Setting) -> tuple[Strength, ...]:
+    spread = Strength("slow_site_spread", "1", "log_normal", 3.0, 0.4, limits=(1.01, 30.0))
+    return (*_strengths(s), spread)
+
+
+_STARTS = (
+    {"slow_site_share": 0.03, "slow_site_time*": 4.0},
+    {"slow_site_share": 0.03, "slow_site_time*": 15.0},
+)
 
 EFFECT = Effect(
     name="slow_sorption",
     family="slow exchange",
     sentence="Part of the sensor's response follows slowly: {strength}.",
     forms=(
-        Form(
-            lambda s: (
-                Strength("slow_site_share", "1", "log_normal", 0.04, 1.0, limits=(1e-6, 0.9)),
-                Strength("slow_site_time", "s", "log_normal", 7.0 * s.time_scale, 1.0),
-            ),
-            lambda v, s: dict(v),
-            starts=(
-                {"slow_site_share": 0.03, "slow_site_time*": 4.0},
-                {"slow_site_share": 0.03, "slow_site_time*": 15.0},
-            ),
-        ),
+        Form(_strengths, lambda v, s: dict(v), starts=_STARTS),
+        Form(_spread, lambda v, s: dict(v), name="spread", weight=0.5, starts=_STARTS),
     ),
     plausible={"slow_site_share": 0.03, "slow_site_time": 10.0},
     null={"slow_site_share": 0.0},
