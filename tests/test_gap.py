@@ -15,6 +15,7 @@ from bayes_sensor.gap.own import read_effects
 from bayes_sensor.gap.simulation import default_strengths, simulate_with_effects
 from bayes_sensor.gap.verdict import NAMED
 from bayes_sensor.likelihood import simulate
+from bayes_sensor.model import cascade_response
 from tests.gap_cases import design, diagnosed, measured, theta
 
 NAMES = (
@@ -107,6 +108,53 @@ def test_an_unlisted_cause_is_not_given_a_name():
     assert gap.verdict.effects == ()
     phases = gap.where.groupby("phase")["share"].sum()
     assert phases["onset"] + phases["fall"] + phases["rise"] > 0.8
+
+
+def beside(extra):
+    """A faultless campaign, and what ``extra(experiment, own parameters)`` (n_t,) V adds."""
+    campaign = measured({}, seed=3)
+    own = theta(campaign)["experiments"]
+    return campaign.with_data({e.name: e.values + extra(e, own[e.name]) for e in campaign})
+
+
+def test_a_part_that_comes_later_is_described():
+    share, lateness = 0.1, 1.1  # s at the median flow: a way of a fixed volume
+    plan = design()
+    reference = np.median([e.total_flow for e in plan])
+
+    def late(e, own):
+        taus = [0.8577, 58.23 / e.total_flow, 0.06]
+        delay = lateness * reference / e.total_flow
+        shift = (
+            cascade_response(e.t, taus, own["t0_s"] + d, own["tf_s"] + d) for d in (delay, 0.0)
+        )
+        return share * own["beta_V"] * (next(shift) - next(shift))
+
+    gap = diagnose_gap(beside(late), seed=1, bootstrap=0, separate=False, hidden=False)
+    assert gap.verdict.kind == "unlisted"
+    assert "It acts as if a part of the response comes later" in gap.verdict.sentence
+    likely = max(gap.weighing.hypotheses, key=lambda h: h.log_weight)
+    assert likely.within == "part later" and likely.refit.plan.parts[0].form.name == "by the stream"
+    strength = likely.refit.strength()
+    assert strength["late_share"] == pytest.approx(share, rel=0.15)
+    assert strength["lateness"] == pytest.approx(lateness, rel=0.1)
+    assert likely.log_tau == pytest.approx(np.log(0.06), abs=3.0 * likely.sd_log_tau)
+
+
+def test_a_pulse_at_the_commands_is_described():
+    def pulse(e, _own):
+        on, off = (np.maximum(e.t - t, 0.0) for t in (e.commanded_on, e.commanded_off))
+        made = 0.03 * (on > 0.0) * np.exp(-on / 0.25) - 0.02 * (off > 0.0) * np.exp(-off / 0.25)
+        return made
+
+    gap = diagnose_gap(beside(pulse), seed=1, bootstrap=0, separate=False, hidden=False)
+    assert gap.verdict.kind == "unlisted"
+    assert "It acts as if a pulse that fades follows the valve's commands" in gap.verdict.sentence
+    likely = max(gap.weighing.hypotheses, key=lambda h: h.log_weight)
+    strength = likely.refit.strength()
+    assert strength["pulse_on"] == pytest.approx(0.03, rel=0.25)
+    assert strength["pulse_off"] == pytest.approx(-0.02, rel=0.4)
+    assert strength["pulse_time"] == pytest.approx(0.25, rel=0.5)
 
 
 def test_a_withheld_effect_is_never_named_with_confidence():
