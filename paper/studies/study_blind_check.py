@@ -3,7 +3,7 @@
 Cases, truths and verdicts are made as ``bayes-sensor blind-check`` makes them, with the causes and
 noise laws that no earlier run saw (``reserve``); campaigns are not kept.  Seals can be opened only
 once: ``blind_check_first.csv`` and ``blind_check_first_goals.csv`` keep what was found then, and
-are not written again; what is written here is what the present code finds in the same campaigns.
+are not written again; what is written here is what the code finds in the same campaigns.
 ``blind_check_earlier_goals.csv`` keeps what the run before, with another reserve and seed, reached.
 """
 
@@ -88,10 +88,10 @@ def changed(cases: pd.DataFrame, first: pd.DataFrame) -> str:
     kinds = both["verdict"] != both["verdict_first"]
     names = ~kinds & (both["said"].map(_sorted) != both["said_first"].map(_sorted))
     if not kinds.any() and not names.any():
-        return f"The present code gives the same {len(both)} verdicts."
+        return f"Run again, the code of that day gives the same {len(both)} verdicts."
     return (
-        f"Of {len(both)} verdicts the present code gives {int(kinds.sum())} of another kind and "
-        f"{int(names.sum())} with other names."
+        f"Of {len(both)} verdicts the code as it was last run gives {int(kinds.sum())} of another "
+        f"kind and {int(names.sum())} with other names."
     )
 
 
