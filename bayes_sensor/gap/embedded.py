@@ -59,27 +59,39 @@ def _by_experiment(target: str, sd: float) -> Form:
     return Form(lambda s: (own,), lambda v, s: {target: v[name]})
 
 
-def _late_strengths(s: Setting) -> tuple[Strength, ...]:
-    return (
-        Strength("late_share", "1", "log_normal", 0.15, 1.2, limits=(1e-4, 0.98)),
-        Strength("lateness", "s", "log_normal", s.time_scale, 1.0),
-    )
+def _another_way(name: str, by_stream: bool) -> Form:
+    """A share of the gas takes a longer way, of a fixed volume or of a fixed time."""
 
+    def strengths(s: Setting) -> tuple[Strength, ...]:
+        return (Strength("late_share", "1", "log_normal", 0.1, 1.2, limits=(1e-4, 0.98)), _late(s))
 
-def _late(name: str, rise: float, fall: float, by_stream: bool = False) -> Form:
     def settings(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
-        late = v["lateness"] * (1.0 / _by_flow(s) if by_stream else 1.0)
-        return {"late_share": v["late_share"], "late_rise": rise * late, "late_fall": fall * late}
+        late = v["lateness"] / (_by_flow(s) if by_stream else 1.0)
+        return {"late_share": v["late_share"], "late_rise": late, "late_fall": late}
 
-    return Form(_late_strengths, settings, name=name, starts=_LATE_STARTS)
+    starts = (
+        {"late_share": 0.1, "lateness*": 0.4},
+        {"late_share": 0.1, "lateness*": 1.5},
+        {"late_share": 0.03, "lateness*": 6.0},
+    )
+    return Form(strengths, settings, name=name, starts=starts)
 
 
-_LATE_STARTS = (
-    {"late_share": 0.1, "lateness*": 0.4},
-    {"late_share": 0.1, "lateness*": 1.5},
-    {"late_share": 0.03, "lateness*": 6.0},
-    {"late_share": 0.5, "lateness*": 0.7},
-)
+def _two_steps(name: str, edge: str) -> Form:
+    """About half of the valve's motion waits: a small rest that does is a flow that settles."""
+
+    def strengths(s: Setting) -> tuple[Strength, ...]:
+        return (Strength("late_share", "1", "log_normal", 0.5, 0.4, limits=(1e-4, 0.98)), _late(s))
+
+    def settings(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
+        return {"late_share": v["late_share"], edge: v["lateness"]}
+
+    starts = ({"late_share": 0.5, "lateness*": 0.4}, {"late_share": 0.5, "lateness*": 1.2})
+    return Form(strengths, settings, name=name, starts=starts)
+
+
+def _late(s: Setting) -> Strength:
+    return Strength("lateness", "s", "log_normal", s.time_scale, 1.0)
 
 
 def _pulse_strengths(s: Setting) -> tuple[Strength, ...]:
@@ -164,10 +176,10 @@ RIVALS = {
     ),
     "part later": Rival(
         (
-            _late("by the stream", 1.0, 1.0, by_stream=True),
-            _late("by the clock", 1.0, 1.0),
-            _late("as the gas comes", 1.0, 0.0),
-            _late("as it goes", 0.0, 1.0),
+            _another_way("by the stream", by_stream=True),
+            _another_way("by the clock", by_stream=False),
+            _two_steps("as the gas comes", "late_rise"),
+            _two_steps("as it goes", "late_fall"),
         ),
         "a part of the response comes later than the rest ({strength})",
     ),
