@@ -18,6 +18,7 @@ from types import FrameType
 from typing import Any
 
 import coverage
+import pluggy
 import pytest
 
 _notes: dict[str, dict[str, Any]] = {}
@@ -48,11 +49,11 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 
 def _within_coverage(frame: FrameType | None) -> bool:
     """Whether what a test runs at the moment is coverage.py itself."""
-    own = os.path.dirname(coverage.__file__)
-    while frame is not None and frame.f_code.co_filename != __file__:
+    own, hooks = (os.path.dirname(module.__file__) for module in (coverage, pluggy))
+    while frame is not None and not frame.f_code.co_filename.startswith(hooks):
         if frame.f_code.co_filename.startswith(own):
             return True
-        frame = frame.f_back
+        frame = frame.f_back  # up to where pytest called the test: below is coverage.py again
     return False
 
 
