@@ -400,7 +400,7 @@ def _response(
 def _slower(drive: float, ratio: float, width: float) -> float:  # pragma: no cover
     # factor on the sensor's time constant where what drives it exceeds its state by this much
     if width > 0.0:
-        return ratio ** (0.5 * (1.0 - tanh(drive / width)))
+        return float(ratio ** (0.5 * (1.0 - tanh(drive / width))))
     return ratio if drive < 0.0 else 1.0
 
 
