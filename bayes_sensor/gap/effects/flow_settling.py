@@ -3,9 +3,8 @@
 The controller sees its line open, overshoots or lags, and settles with a time constant of its
 own: the inlet's concentration is ``x1 (1 - a exp(-s/T) cos(w s))``, s after opening; w is 0 for a
 controller that settles without swinging.  Nothing flows through it once the valve is shut, so that
-the fall is not affected.  With a settling time near the
-valve's it is a valve that opens at another rate than it shuts: no step experiment separates the
-two, so that it belongs to that family.
+the fall is not affected.  With a settling time near the valve's it is a valve that opens at another
+rate than it shuts: no step experiment separates the two, so that it belongs to that family.
 """
 
 from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
