@@ -7,13 +7,11 @@ by the command that needs them, so that ``--help`` answers at once.
 
 from __future__ import annotations
 
-import atexit
 import os
 import signal
 import sys
 import time
 from concurrent.futures import BrokenExecutor
-from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
@@ -641,29 +639,7 @@ def main(arguments: list[str] | None = None) -> None:
     from bayes_sensor.cli.notes import take_notes
 
     take_notes()
-    code = _guarded(arguments)
-    atexit.register(_ignore_interruptions)  # the work is done, and its results are in place
-    if code == INTERRUPTED:
-        _leave_at_once(code)
-    sys.exit(code)
-
-
-def _ignore_interruptions() -> None:
-    """From here on Ctrl-C has nothing left to stop."""
-    _interruption_has_come()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _leave_at_once(code: int) -> None:
-    """End the process without Python's own farewell, which takes most of a second.
-
-    What is registered for the end of the process still runs.
-    """
-    atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError):  # closed, or nobody reads any more
-            stream.flush()
-    os._exit(code)
+    sys.exit(_guarded(arguments))
 
 
 def _guarded(arguments: list[str]) -> int:
