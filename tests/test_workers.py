@@ -66,6 +66,20 @@ def test_ctrl_c_while_the_workers_start_is_no_warning(recwarn: pytest.WarningsRe
     assert not [str(w.message) for w in recwarn if "cancelled" in str(w.message)]
 
 
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be held back")
+def test_workers_do_not_hear_ctrl_c() -> None:
+    # in a process of its own: the first workers of a process start more than themselves
+    code = (
+        "import signal\n"
+        "from bayes_sensor.workers import completed\n"
+        "def deaf(_):\n"
+        "    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())\n"
+        "print([found for _, found in completed(deaf, [0, 1, 2], 2)], deaf(0))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("[True, True, True] False\n", "")
+
+
 def test_a_study_keeps_the_rest_of_what_killed_its_workers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
