@@ -464,6 +464,50 @@ def test_an_interruption_of_a_compiler_waits_until_it_has_finished() -> None:
     assert lines[0].startswith("stopped: interrupted; ") and done.stdout == "7\n"
 
 
+def test_a_compiler_that_takes_long_is_left_with_one_line_even_where_all_is_muted() -> None:
+    # as inside emcee: what is at work then must not swallow how to go on
+    code = (
+        "import os, signal, time\n"
+        "from bayes_sensor import cli\n"
+        "from bayes_sensor.cli.steps import muted\n"
+        "room = {'__name__': 'numba.core', 'os': os, 'signal': signal, 'time': time}\n"
+        "press = 'os.kill(os.getpid(), signal.SIGINT)'\n"
+        "exec(f'def build():\\n {press}\\n while True: time.sleep(0.01)', room)\n"
+        "def app(**_):\n"
+        "    with muted():\n"
+        "        room['build']()\n"
+        "cli.app = app\n"
+        "cli.main(['posterior', 'campaign.toml', '--out', 'results'])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=25
+    )
+    assert done.returncode == 130 and done.stdout == ""
+    expected = "bayes-sensor posterior campaign.toml --out results --resume"
+    assert done.stderr == f"stopped: interrupted; continue with: {expected}\n"
+
+
+@pytest.mark.parametrize("ending", ["return 0", "raise KeyboardInterrupt"])
+def test_ctrl_c_at_the_very_end_changes_nothing(ending: str) -> None:
+    # pressed when the results are in place, or again when the first one has been answered
+    code = (
+        "import atexit, os, signal\n"
+        "from bayes_sensor import cli\n"
+        "deaf = lambda: signal.getsignal(signal.SIGINT) == signal.SIG_IGN\n"
+        "atexit.register(lambda: print('deaf' if deaf() else 'open', flush=True))\n"
+        "atexit.register(os.kill, os.getpid(), signal.SIGINT)\n"
+        f"def app(**_):\n    {ending}\n"
+        "cli.app = app\n"
+        "cli.main(['fit', 'campaign.toml', '--out', 'results'])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=25
+    )
+    assert done.returncode == (0 if ending == "return 0" else 130)
+    assert done.stdout == "deaf\n"  # what is registered for the end runs in any case
+    assert len(done.stderr.splitlines()) == (0 if ending == "return 0" else 1), done.stderr
+
+
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_an_interruption_is_one_line_and_tells_how_to_go_on(
     campaign: Path, tmp_path: Path, jobs: str

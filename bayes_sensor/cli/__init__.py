@@ -7,11 +7,13 @@ by the command that needs them, so that ``--help`` answers at once.
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
 import time
 from concurrent.futures import BrokenExecutor
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
@@ -589,9 +591,9 @@ def _be_interruptible(arguments: list[str]) -> None:
             raise KeyboardInterrupt
         pressed.append(time.monotonic())
         if pressed[-1] - pressed[0] > PATIENCE_SECONDS:
-            _complain(f"interrupted; {_advice(arguments)}", kind="stopped")
-            sys.stdout.flush()
-            sys.stderr.flush()
+            from bayes_sensor.cli.notes import aloud  # the compiler's caller may be muted
+
+            aloud(f"stopped: interrupted; {_advice(arguments)}")
             os._exit(INTERRUPTED)
         signal.setitimer(signal.ITIMER_REAL, SOON_SECONDS)
 
@@ -635,11 +637,33 @@ def main(arguments: list[str] | None = None) -> None:
     """The entry point ``bayes-sensor``; ends the process with the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     _open_streams()
-    _be_interruptible(arguments)
     from bayes_sensor.cli.notes import take_notes
 
     take_notes()
-    sys.exit(_guarded(arguments))
+    _be_interruptible(arguments)
+    code = _guarded(arguments)
+    atexit.register(_ignore_interruptions)  # the work is done, and its results are in place
+    if code == INTERRUPTED:
+        _leave_at_once(code)
+    sys.exit(code)
+
+
+def _ignore_interruptions() -> None:
+    """From here on Ctrl-C has nothing left to stop."""
+    _interruption_has_come()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _leave_at_once(code: int) -> None:
+    """End the process without Python's own farewell, which takes most of a second.
+
+    What is registered for the end of the process still runs.
+    """
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):  # closed, or nobody reads any more
+            stream.flush()
+    os._exit(code)
 
 
 def _guarded(arguments: list[str]) -> int:
