@@ -6,6 +6,7 @@ with the same groups and names.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -15,7 +16,9 @@ ENGINE = "h5netcdf"
 
 
 def _arviz() -> Any:
-    return import_module("arviz")  # slow to import: only where it is used
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # once a day, about its own future
+        return import_module("arviz")  # slow to import: only where it is used
 
 
 def _modern() -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -48,7 +49,9 @@ def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
 
     ``chains`` (n_chain, n_draw, n_theta) in the order of ``names``.
     """
-    import corner as corner_plot
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # ArviZ, once a day, about its own future
+        import corner as corner_plot
 
     words, values = _chosen(list(names), chains, unit)
     draws = values.reshape(-1, values.shape[-1])
