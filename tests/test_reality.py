@@ -40,7 +40,7 @@ from bayes_sensor.reality import (
 from bayes_sensor.reality.noise import draw_noise
 from bayes_sensor.reality.rig import Knobs, dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
-from bayes_sensor.reality.stages import layered_film, modal
+from bayes_sensor.reality.stages import layered_film, modal, oscillating_lag
 
 CONTRACT_NAMES = (
     "flow_switching valve_asymmetry valve_second_order two_rate_valve finite_stroke dead_volume "
@@ -115,7 +115,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (17, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (20, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -805,6 +805,190 @@ def test_a_repeated_buffer_shows_what_was_shown_and_then_goes_on() -> None:
     assert buffers >= 2
 
 
+def test_a_valve_that_sinks_back_and_a_bubbler_that_cools_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    exchange = step.total_flow / rig.V
+
+    def with_both(u: float, x: FloatArray) -> list[float]:
+        inlet = x[0] * np.exp(-x[3])
+        cascade = [(u - x[0]) / rig.tau_v, exchange * (inlet - x[1]), (x[1] - x[2]) / rig.tau]
+        return [*cascade, (0.5 * x[0] * np.exp(-x[3]) - x[3]) / 4.0]
+
+    inputs = [(0.0, 0.0), (step.t0, 1.0), (step.t0 + 2.5, 0.8), (step.tf, 0.0)]
+    t, states = solved(rig, with_both, 4, inputs=inputs)
+    knobs = Knobs(sinking=0.2, sinking_after=2.5, chill=0.5, chill_time=4.0)
+    assert np.abs(voltage(rig, step, knobs, t)[1] - states[:, 2]).max() < 5e-5
+
+    # what is lost in the end: the stated share at the largest flow, less at smaller ones
+    long = replace(
+        rig, steps=tuple(replace(s, tf=s.t0 + 400.0, duration=s.t0 + 401.0) for s in rig.steps)
+    )
+    found = prepared_rig(replace(long, strengths={"cooling_bubbler": 0.25}))
+    lost = {}
+    for step in long.steps:
+        end = np.array([step.t0 - 1.0, step.tf - 1e-3])
+        x = voltage(long, step, found[step.name], end)[1]
+        assert x[0] == 0.0
+        lost[step.test_gas_flow] = 1.0 - x[1]
+    flows = sorted(lost)
+    assert lost[flows[-1]] == pytest.approx(0.25, abs=1e-4)
+    assert all(lost[a] < lost[b] for a, b in pairwise(flows))
+    # heat that evaporation takes, flow times pressure, is heat that comes back: chill, log pressure
+    taken = np.array([flow * (1.0 - lost[flow]) for flow in flows])
+    assert np.ptp(-np.log1p([-lost[flow] for flow in flows]) / taken) < 1e-3 / taken[-1]
+
+    after = {knobs.sinking_after for knobs in prepared_rig(case(weak_holding_current=0.2)).values()}
+    assert len(after) == 1 and 1.0 <= after.pop() <= 8.0
+    found = prepared_rig(replace(long, strengths={"weak_holding_current": 0.2}))
+    for step in long.steps:
+        x = voltage(long, step, found[step.name], np.array([step.tf - 1e-3, step.duration]))[1]
+        assert x[0] == pytest.approx(0.8, abs=1e-9)
+
+
+def test_gas_that_pairs_follows_riccatis_equation() -> None:
+    rig = replace(case(), tau_v=1e-3, tau=1e-3)  # little but the manifold is left
+    step = rig.steps[0]
+    rate, exchange = 1.3, step.total_flow / rig.V
+
+    def with_pairs(u: float, x: FloatArray) -> list[float]:
+        gas = exchange * (x[0] - x[1]) - rate * x[1] ** 2
+        return [(u - x[0]) / rig.tau_v, gas, (x[1] - x[2]) / rig.tau]
+
+    t, states = solved(rig, with_pairs, 3)
+    x = voltage(rig, step, Knobs(pairing=rate), t)[1]
+    settled = states[t < step.tf][-1, 2]
+    assert settled + rate / exchange * settled**2 == pytest.approx(1.0, abs=1e-7)
+    assert np.abs(x * settled - states[:, 2]).max() < 5e-5
+    # in closed form: a hyperbolic tangent up; down, 1/x grows as what is exchanged, and no faster
+    root = np.sqrt(exchange**2 + 4.0 * rate * exchange)
+    up, down = (t > step.t0 + 0.1) & (t < step.tf), t > step.tf + 0.1
+    since = t - step.t0 - rig.tau - rig.tau_v  # the two short lags, to first order
+    rise = 2.0 * exchange / (exchange + root / np.tanh(0.5 * root * since[up]))
+    assert np.abs(x[up] * settled - rise).max() < 2e-3
+    gone = np.exp(exchange * (t - step.tf - rig.tau - rig.tau_v)[down])
+    fall = 1.0 / (gone / settled + rate / exchange * (gone - 1.0))
+    assert np.abs(x[down] * settled - fall).max() < 2e-3
+
+    found = prepared_rig(case(pairing_gas=0.6))
+    typical = np.median([step.total_flow for step in case().steps])
+    for step in case().steps:  # as second order has it
+        share = found[step.name].pairing * rig.V / typical / 0.6
+        assert share == pytest.approx(rig.relative_concentration(step))
+
+
+def test_water_that_gives_way_and_a_ring_that_heats_itself_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    relative, exchange = rig.relative_concentration(step), step.total_flow / rig.V
+    damp, load, slow = 0.3, 2.0, 3.0
+
+    def with_water(u: float, x: FloatArray) -> list[float]:
+        cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+        # x[3] is how much less water there is than at the start
+        water = damp - x[3]
+        gas = (1.0 - water) * load * x[2] / (1.0 + load * x[2])  # on its sites, at once
+        coming = damp / (1.0 - damp) * (1.0 - water - gas)
+        return [*cascade, -(coming - water) / slow]
+
+    t, states = solved(rig, with_water, 4)
+    knobs = Knobs(damp=damp, damp_time=slow, displacing=load)
+    seen = states[:, 2] * (1.0 - damp + states[:, 3]) / (1.0 - damp)
+    assert np.abs(voltage(rig, step, knobs, t)[1] - seen).max() < 5e-5
+    K = damp / (1.0 - damp)
+    least = K / (1.0 + load + K)
+    # on the plateau the water runs down to what the gas leaves it, and the response up
+    assert 1.1 < seen.max() <= (1.0 - least) / (1.0 - damp)
+    for knobs, each in zip(
+        prepared_rig(case(displaced_water=0.2)).values(), rig.steps, strict=True
+    ):
+        assert knobs.damp == 0.2
+        assert 1.0 < knobs.displacing / rig.relative_concentration(each) < 4.0
+
+    detuning, reach = -0.8, 0.3 * relative
+    for warming in (0.4, -0.4):
+
+        def heating(u: float, x: FloatArray, warming=warming) -> list[float]:
+            cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+            absorbed = dip(detuning + reach * x[2] + x[3]) - dip(detuning)
+            return [*cascade, (warming * absorbed - x[3]) / 1.2]
+
+        t, states = solved(rig, heating, 4)
+        y = voltage(rig, step, Knobs(warming=warming, warming_time=1.2), t)[0]
+        at = detuning + reach * states[:, 2]
+        read = (dip(at + states[:, 3]) - dip(at)) / (dip(detuning + reach) - dip(detuning))
+        expected = step.y0 + step.beta * (states[:, 2] + read)
+        assert np.abs(y - expected).max() < 1e-4 * step.beta
+        # towards the line's centre the light runs ahead of the gas, away from it it gives in
+        assert np.sign(read[np.abs(read).argmax()]) == np.sign(warming)
+        last = np.searchsorted(t, step.tf) - 1
+        moved = states[last, 3]
+        assert moved == pytest.approx(warming * (dip(at[last] + moved) - dip(detuning)), abs=1e-3)
+
+
+def test_the_lock_hunts_and_the_two_converters_take_turns() -> None:
+    rig = case()
+    step = rig.steps[0]
+    exchange, own, damping = step.total_flow / rig.V, 0.2, 0.25
+
+    def hunting(u: float, x: FloatArray) -> list[float]:
+        cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+        return [*cascade, x[4] / own, (x[2] - x[3] - 2.0 * damping * x[4]) / own]
+
+    t, states = solved(rig, hunting, 5)
+    y, x = voltage(rig, step, Knobs(lock_time=own, lock_damping=damping), t)
+    assert np.abs((y - step.y0) / step.beta - states[:, 3]).max() < 5e-5
+    assert np.abs(x - states[:, 2]).max() < 5e-5  # the gas does not know
+    # after a sudden step: overshoot exp(-pi damping / sqrt(1 - damping^2)), half a turn later
+    t = np.concatenate([[0.0, 1.0 - 1e-9], np.linspace(1.0, 5.0, 40_001)])
+    rung = oscillating_lag(t, (t >= 1.0).astype(float), own, damping)
+    turn = np.sqrt(1.0 - damping**2)
+    assert rung.max() == pytest.approx(1.0 + np.exp(-np.pi * damping / turn), abs=1e-6)
+    assert t[rung.argmax()] == pytest.approx(1.0 + np.pi * own / turn, abs=2e-4)
+    assert rung[-1] == pytest.approx(1.0, abs=0.01)
+
+    rig = case(paired_converters=0.04)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    lines = []
+    for step in rig.steps:
+        y, ideal = seen[step.name], plain[step.name]
+        assert np.allclose(0.5 * (y[:-1] + y[1:]), 0.5 * (ideal[:-1] + ideal[1:]), atol=0.02)
+        even, odd = (np.polyfit(ideal[k::2], y[k::2], 1) for k in (0, 1))
+        assert np.abs(np.polyval(even, ideal[::2]) - y[::2]).max() < 1e-9  # a straight line each
+        lines.append(odd - even)
+        assert even + odd == pytest.approx([2.0, 0.0], abs=1e-9)
+    gains, zeros = np.array(lines).T
+    assert np.abs(gains) == pytest.approx(0.04) and np.ptp(gains) < 1e-9
+    size = 0.04 * np.mean([step.beta for step in rig.steps])
+    assert np.ptp(zeros) < 1e-9 and np.abs(zeros).max() <= 0.5 * size
+
+
+def test_clouds_of_solvent_pass_by_the_first_passage_law() -> None:
+    strength = 0.1
+    rig = case(neighbours_solvent=strength)
+    found = prepared_rig(rig)
+    clouds = 0
+    for step in rig.steps:
+        for course, at in zip(found[step.name].seep, found[step.name].marks, strict=True):
+            t = at + np.geomspace(1e-4, 600.0, 400_001)
+            gas = course(t)
+            assert np.all(course(np.linspace(0.0, at, 50)) == 0.0) and gas.min() >= 0.0
+            share = gas.max() / (rig.highest_concentration * step.carrier_flow)
+            assert 0.5 * strength - 1e-6 < share <= strength
+            total = np.trapezoid(gas, t)
+            mean = np.trapezoid(gas * (t - at), t) / total
+            spread, lean, tail = (
+                np.trapezoid(gas * (t - at - mean) ** k, t) / total for k in (2, 3, 4)
+            )
+            # cumulants of the inverse Gaussian: skewness 3 v and excess 15 v^2, v = sd over mean
+            v = np.sqrt(spread) / mean
+            assert 1.0 < mean < 5.0 and 0.3 < v < 1.01
+            assert lean / spread**1.5 == pytest.approx(3.0 * v, rel=1e-3)
+            assert tail / spread**2 - 3.0 == pytest.approx(15.0 * v**2, rel=1e-3)
+            clouds += 1
+    assert clouds >= 1
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -955,6 +1139,46 @@ def test_coupled_noise_drawn_lines_and_fringes_are_what_they_say() -> None:
     assert not (coupled.is_ar1 or lines.is_ar1 or etalon.is_ar1)
 
 
+def test_molecules_speckle_and_whistling_are_what_they_say() -> None:
+    rng = np.random.default_rng(14)
+    part = Component(1.0, 0.05, shape="diffusing")
+    molecules = NoiseLaw("molecules", 1.0, components=(part,))
+    z = draw_noise(molecules, 400_000, 1e-3, rng)
+    assert np.mean(z**4) == pytest.approx(3.0, rel=0.05)  # many of them: Gaussian
+    # 1/(1 + lag/T) has no time of its own beyond T: the variance of means over n T falls as
+    # 2 [(1 + n) ln(1 + n) - n] / n^2, far more slowly than 2/n
+    for n in (4, 40):
+        means = z[: 400_000 // (50 * n) * 50 * n].reshape(-1, 50 * n).mean(axis=1)
+        expected = 2.0 * ((1.0 + n) * np.log1p(n) - n) / n**2
+        error = expected * np.sqrt(2.0 / len(means))
+        assert np.mean(means**2) == pytest.approx(expected, abs=5.0 * error)
+
+    speckle = NoiseLaw("speckle", 1.0, components=(Component(1.0, 0.005, shape="speckle"),))
+    z = draw_noise(speckle, 600_000, 1e-3, rng)
+    # exponentially distributed: never below no light at all, lopsided by 2, kurtosis 9
+    assert z.min() >= -1.0 and z.min() == pytest.approx(-1.0, abs=1e-3)
+    assert np.mean(z > 2.0) == pytest.approx(np.exp(-3.0), rel=0.06)
+    assert np.mean(z**3) == pytest.approx(2.0, rel=0.15)
+    assert np.mean(z**4) == pytest.approx(9.0, rel=0.3)
+
+    part = Component(1.0, 0.5, 10.0, shape="whistling", depth=0.5)
+    whistling = NoiseLaw("whistling", 1.0, components=(part,))
+    z = draw_noise(whistling, 400_000, 1e-3, rng)
+    assert np.abs(z).max() <= np.sqrt(2.0)
+    assert np.mean(z**4) == pytest.approx(1.5, rel=0.02)  # of a sine
+    power = np.abs(np.fft.rfft(z.reshape(-1, 4000), axis=1)).mean(axis=0) ** 2
+    frequency = np.fft.rfftfreq(4000, 1e-3)
+    inside = power[(frequency > 6.0) & (frequency < 14.0)]
+    outside = power[(frequency > 20.0) | (frequency < 1.0)]
+    assert inside.min() > 10.0 * outside.max()
+    assert inside.max() < 2.0 * inside.min()  # any pitch as likely
+    # a tone obeys x_(i+1) = 2 cos(w) x_i - x_(i-1) but for its breaks, two of them a second
+    ratio = (z[2:] + z[:-2])[np.abs(z[1:-1]) > 0.3] / z[1:-1][np.abs(z[1:-1]) > 0.3] / 2.0
+    pitch = np.arccos(np.clip(ratio, -1.0, 1.0)) / (2.0 * np.pi * 1e-3)
+    assert np.mean((pitch > 4.99) & (pitch < 15.01)) > 0.99
+    assert not (molecules.is_ar1 or speckle.is_ar1 or whistling.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):
@@ -1049,6 +1273,12 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("peeling_coating", {"plateau", "fall"}, 0.99),
         ("diode_detector", {"fall", "tail"}, 0.999),
         ("repeated_buffer", {"rise", "fall"}, 0.99),
+        ("weak_holding_current", {"rise", "plateau", "fall"}, 0.999),
+        ("cooling_bubbler", {"rise", "plateau", "fall"}, 0.999),
+        ("pairing_gas", {"rise", "fall"}, 0.9),
+        ("displaced_water", {"rise", "plateau", "fall"}, 0.999),
+        ("self_heating_ring", {"rise", "plateau", "fall"}, 0.95),
+        ("hunting_lock", {"rise", "fall"}, 0.9),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

@@ -174,6 +174,17 @@ def mains_dip(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
             rig[step.name].dropped.append((at, lasts))
 
 
+@cause((), "plateau", "share of the stroke", 0.3, reserve=True)
+def weak_holding_current(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The driver pulls the valve in with full current, then saves current and only holds it.
+
+    Held too weakly, the plunger sinks back by part of its stroke until the valve shuts altogether.
+    """
+    after = _between(rng, 1.0, 8.0)
+    for knobs in rig.values():
+        knobs.sinking, knobs.sinking_after = s, after
+
+
 # --------------------------------------------------------------------------- flows
 
 
@@ -312,7 +323,7 @@ def shared_nitrogen(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].marks += [edge for at, lasts, _ in draughts for edge in (at, at + lasts)]
 
 
-@cause((), "plateau", "relative", 0.3, reserve=True)
+@cause((), "plateau", "relative", 0.3)
 def snapping_regulator(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A dry regulator sticks while gas is drawn: its pressure sags evenly, then snaps back.
 
@@ -334,7 +345,7 @@ def snapping_regulator(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].marks += [edge for at in snaps.tolist() for edge in (at - 1e-6, at + 1e-6)]
 
 
-@cause((), "valve", "share of the flow", 0.9, per_experiment=True, reserve=True)
+@cause((), "valve", "share of the flow", 0.9, per_experiment=True)
 def pinched_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Somebody steps on the hose that brings both gases and off again: all flow falls meanwhile.
 
@@ -355,6 +366,66 @@ def pinched_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
 
         rig[step.name].all_flow.append(flow)
         rig[step.name].marks += [at - 3.0 * edge, at + lasts - 3.0 * edge]
+
+
+@cause((), "tail", "share of the vapour", 0.3, near=("flow_settling",), reserve=True)
+def cooling_bubbler(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas takes up its vapour in a bubbler, whose liquid cools as it evaporates.
+
+    Its vapour pressure falls exponentially with its temperature (Clausius-Clapeyron), and with it
+    what evaporates; a bath brings the heat back.  At the largest flow the share ``s`` is lost in
+    the end.
+    """
+    time = _between(rng, 3.0, 20.0)
+    largest = max(step.test_gas_flow for step in case.steps)
+    for step in case.steps:
+        knobs = rig[step.name]
+        # vapour pressure 1 - s = exp(-cold) and cold = chill exp(-cold) in the end
+        knobs.chill = -np.log1p(-s) / (1.0 - s) * step.test_gas_flow / largest
+        knobs.chill_time = time
+
+
+@cause((), "plateau", "share of the highest gas", 0.15, per_experiment=True, reserve=True)
+def neighbours_solvent(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A neighbour opens a bottle of solvent; the compressor that makes the carrier inhales it.
+
+    The cloud spreads on its way to the intake, z^-3/2 exp(-P (z - 1)^2/z) with z the time since,
+    over that of the drift (first passage of diffusion with drift).  The ring does not tell the
+    vapour from the test gas.
+    """
+    certain, highest = int(rng.integers(len(case.steps))), case.highest_concentration
+    for k, step in enumerate(case.steps):
+        clouds = [
+            (
+                rng.uniform(0.0, 0.8) * step.duration,
+                _between(rng, 1.0, 5.0),
+                _between(rng, 0.5, 5.0),
+            )
+            for _ in range(int(rng.integers(1, 3)))
+        ]
+        most = [s * highest * step.carrier_flow * rng.uniform(0.5, 1.0) for _ in clouds]
+        if k != certain and rng.random() < 0.4:
+            continue
+        for (at, drift, spread), size in zip(clouds, most, strict=True):
+            thickest = (np.sqrt(2.25 + 4.0 * spread**2) - 1.5) / (2.0 * spread)
+
+            def cloud(
+                t: FloatArray,
+                at: float = at,
+                drift: float = drift,
+                spread: float = spread,
+                size: float = size,
+                thickest: float = float(thickest),
+            ) -> FloatArray:
+                def log_density(z: FloatArray | float) -> FloatArray:
+                    return np.asarray(-1.5 * np.log(z) - spread * (z - 1.0) ** 2 / z)
+
+                z = np.maximum((t - at) / drift, 1e-3)  # nothing has come so early
+                density = np.exp(log_density(z) - log_density(thickest))
+                return np.where(t > at, size * density, 0.0)
+
+            rig[step.name].seep.append(cloud)
+            rig[step.name].marks.append(at)
 
 
 # --------------------------------------------------------------------------- manifold
@@ -448,7 +519,7 @@ def trapped_plug(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         rig[step.name].marks += [begin, end]
 
 
-@cause((), "fall", "share of V", 1.0, reserve=True)
+@cause((), "fall", "share of V", 1.0)
 def sticky_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The gas sticks to the hose's wall, less readily the more is there: its front sharpens.
 
@@ -460,7 +531,7 @@ def sticky_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         knobs.sticky, knobs.sticky_bend, knobs.sticky_cells = s, bend, n_cells
 
 
-@cause((), "tail", "share of the test gas", 0.3, near=("dead_volume",), reserve=True)
+@cause((), "tail", "share of the test gas", 0.3, near=("dead_volume",))
 def permeable_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Gas diffuses into the thick wall of a silicone hose and, for long, out of it again.
 
@@ -481,6 +552,19 @@ def permeable_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
             return np.asarray(most * (taken(t - tf) - taken(t - t0)))
 
         rig[step.name].seep.append(given)
+
+
+@cause((), "fall", "over the exchange", 1.5, reserve=True)
+def pairing_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Molecules of the test gas react with each other in the manifold: twice the gas, four times.
+
+    What is left settles sooner than the gas is exchanged, and the sooner, the more there is; the
+    last of it leaves as if nothing happened.  At the highest concentration and a middling flow as
+    much as ``s`` times what is flushed would react.
+    """
+    typical = float(np.median([step.total_flow for step in case.steps]))
+    for step in case.steps:
+        rig[step.name].pairing = s * case.relative_concentration(step) * typical / case.V
 
 
 # --------------------------------------------------------------------------- sensor
@@ -616,7 +700,7 @@ def swinging_column(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].concentration_gain.append(pressure)
 
 
-@cause((), "plateau", "share lost", 0.2, per_experiment=True, reserve=True)
+@cause((), "plateau", "share lost", 0.2, per_experiment=True)
 def peeling_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Swollen with gas, the coating comes off in flakes: each takes a share of the response along.
 
@@ -635,6 +719,20 @@ def peeling_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
 
         rig[step.name].concentration_gain.append(lost)
         rig[step.name].marks += [edge for flake in at.tolist() for edge in (flake - 1e-6, flake)]
+
+
+@cause((), "plateau", "share of the sites", 0.4, near=("slow_sorption",), reserve=True)
+def displaced_water(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The carrier is damp: water holds the share ``s`` of the sites until the gas displaces it.
+
+    Both compete for free sites (Langmuir); the gas settles at once with the water, which comes and
+    goes slowly.  While it goes the response grows; without gas nobody sees it come back.
+    """
+    time, load = _between(rng, 2.0, 15.0), _between(rng, 1.0, 4.0)
+    for step in case.steps:
+        knobs = rig[step.name]
+        knobs.damp, knobs.damp_time = s, time
+        knobs.displacing = load * case.relative_concentration(step)
 
 
 # --------------------------------------------------------------------------- readout
@@ -875,6 +973,19 @@ def warm_driver(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         rig[step.name].offset.append(drift)
 
 
+@cause((), "level", "half-widths", 0.5, near=("optical_nonlinearity",), reserve=True)
+def self_heating_ring(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Light that the ring absorbs warms its chip and moves the line: more light, or less, gets in.
+
+    The feedback of Carmon, Yang and Vahala (Opt. Express 12, 4742, 2004), below the strength from
+    which it would be bistable; the chip's own time makes it lag.  ``s`` would be its shift with the
+    laser on the line's centre.
+    """
+    sign, time = _sign(rng), _between(rng, 0.4, 5.0)
+    for knobs in rig.values():
+        knobs.warming, knobs.warming_time = sign * s, time
+
+
 # --------------------------------------------------------------------------- electronics
 
 
@@ -937,7 +1048,7 @@ def fluttering_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].offset.append(flutter)
 
 
-@cause((), "line", "share of the step", 0.2, per_experiment=True, fast=True, reserve=True)
+@cause((), "line", "share of the step", 0.2, per_experiment=True, fast=True)
 def starting_motor(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A motor with an unbalance starts, runs for a while and coasts: the bench shakes along.
 
@@ -971,7 +1082,7 @@ def starting_motor(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         rig[step.name].offset.append(shaking)
 
 
-@cause((), "fall", "times too slow", 2.0, reserve=True)
+@cause((), "fall", "times too slow", 2.0)
 def diode_detector(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A diode charges the receiver's capacitor at once; it empties through a resistor only.
 
@@ -1018,6 +1129,26 @@ def sluggish_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         steepest = max(steepest, float(np.abs(np.diff(y)).max() / (t[1] - t[0])))
     for knobs in rig.values():
         knobs.fastest = steepest / (1.0 + s)
+
+
+@cause((), "delay", "s", 0.25, reserve=True)
+def hunting_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The loop that locks the laser to the line has too much gain: it overshoots and rings down.
+
+    Its own oscillation has the angular frequency 1/``s`` and little damping.
+    """
+    damping = rng.uniform(0.1, 0.4)
+    for knobs in rig.values():
+        knobs.lock_time, knobs.lock_damping = s, damping
+
+
+@cause((), "line", "relative", 0.1, fast=True, reserve=True)
+def paired_converters(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The recorder has two converters that take turns; their gains and zeros do not quite agree."""
+    zero = rng.uniform(-0.5, 0.5) * s * _mean_step(case)
+    sign = _sign(rng)
+    for knobs in rig.values():
+        knobs.pair_gain, knobs.pair_zero = sign * s, zero
 
 
 @cause((), "delay", "s", 0.5)
@@ -1129,7 +1260,7 @@ def hurried_timer(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         rig[step.name].clock = clock
 
 
-@cause((), "clock", "s", 0.8, per_experiment=True, reserve=True)
+@cause((), "clock", "s", 0.8, per_experiment=True)
 def repeated_buffer(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The driver hands over a full buffer twice and overwrites the one after it unread.
 

@@ -15,12 +15,12 @@ from bayes_sensor.reality.records import Component, NoiseLaw
 OPEN_LAWS = (
     "ar1", "white", "ar1_slow", "arma", "pink", "band_limited", "oscillating", "telegraph",
     "sliding_mean", "shot", "gusty", "double_sampling", "echo", "sparks",
-    "turbulent", "zeroed_walk", "pulsing",
+    "turbulent", "zeroed_walk", "pulsing", "ac_coupled", "interpolated", "etalon",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("ac_coupled", "interpolated", "etalon")
+RESERVE_LAWS = ("molecules", "speckle", "whistling")
 """kept out of every run but the last"""
-HEAVY_TAILED = ("shot", "gusty", "sparks", "pulsing")
+HEAVY_TAILED = ("shot", "gusty", "sparks", "pulsing", "speckle")
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
 loudness"""
 
@@ -142,6 +142,25 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    counted, whistled = own.uniform(0.05, 0.3), own.uniform(0.05, 0.2)
+    parts |= {
+        # how many molecules are in the light's spot: they come and go by diffusion
+        "molecules": (
+            Component(1.0 - counted, short),
+            Component(counted, exp(own.uniform(np.log(0.02), np.log(0.3))), shape="diffusing"),
+        ),
+        # the brightness of a grain of laser light that a restless surface scatters
+        "speckle": (Component(1.0, short, shape="speckle"),),
+        # a leak that whistles, every time at another pitch
+        "whistling": (
+            Component(1.0 - whistled, short),
+            Component(
+                whistled, exp(own.uniform(np.log(0.1), np.log(1.0))),
+                exp(own.uniform(np.log(3.0), np.log(20.0))), shape="whistling",
+                depth=own.uniform(0.3, 0.8),
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -185,6 +204,12 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = _hat_with_hat(lags / part.time)
         elif part.shape == "fringes":
             own = sum(weight * own ** (k * k) for k, weight in enumerate(_orders(part), start=1))
+        elif part.shape == "diffusing":
+            own = 1.0 / (1.0 + lags / part.time)
+        elif part.shape == "whistling":
+            # pitches between (1 - depth) and (1 + depth) times the middle one, any as likely
+            own *= np.cos(2.0 * pi * part.frequency * lags)
+            own *= np.sinc(2.0 * part.depth * part.frequency * lags)
         elif part.frequency:
             own *= np.cos(2.0 * pi * part.frequency * lags)
         total += part.share * own
@@ -238,7 +263,15 @@ def _draw_part(
     if part.shape == "echo":
         return _echo(part, n, interval, rng, tails)
     if part.shape == "turbulent":
-        return _turbulent(part.time, n, interval, rng)
+        R = _von_karman(np.arange(n + 1, dtype=float) * interval / part.time)
+        return _embedded(R, rng)
+    if part.shape == "diffusing":
+        R = 1.0 / (1.0 + np.arange(n + 1, dtype=float) * interval / part.time)
+        return _embedded(R, rng)
+    if part.shape == "speckle":
+        return _speckle(part.time, n, interval, rng)
+    if part.shape == "whistling":
+        return _whistling(part, n, interval, rng)
     if part.shape == "zeroed":
         return _zeroed(part.time, n, interval, rng)
     if part.shape == "coupled":
@@ -373,12 +406,12 @@ def _von_karman(lags: FloatArray) -> FloatArray:
     return total
 
 
-def _turbulent(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
-    """(n,) by circulant embedding, exact as the autocorrelation is convex
+def _embedded(R: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """(n,) by circulant embedding, exact as the autocorrelation ``R`` (n + 1,) is convex
 
     Dietrich and Newsam, SIAM J. Sci. Comput. 18, 1088, 1997.
     """
-    R = _von_karman(np.arange(n + 1, dtype=float) * interval / time)
+    n = len(R) - 1
     spectrum = np.fft.rfft(np.concatenate([R, R[-2:0:-1]])).real
     white = np.fft.rfft(rng.standard_normal(2 * n))
     x: FloatArray = np.fft.irfft(np.sqrt(np.maximum(spectrum, 0.0)) * white, 2 * n)[:n]
@@ -469,6 +502,36 @@ def _fringes(part: Component, n: int, interval: float, rng: np.random.Generator)
     light = 0.5 * (1.0 - r**2) / (1.0 - 2.0 * r * np.cos(np.cumsum(walk)) + r**2) - 0.5
     fringes: FloatArray = light / sqrt(0.5 * r**2 / (1.0 - r**2))
     return fringes
+
+
+def _speckle(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) brightness of light whose field is the sum of many waves, less its mean.
+
+    The field is a complex Ornstein-Uhlenbeck process, its square exponentially distributed and
+    correlated as exp(-lag/time) (Goodman, Speckle Phenomena in Optics, 2007).
+    """
+    decay = exp(-0.5 * interval / time)
+    kicks = rng.standard_normal((2, n))
+    kicks[:, 1:] *= sqrt(1.0 - decay**2)
+    field = lfilter([1.0], [1.0, -decay], kicks)
+    brightness: FloatArray = 0.5 * np.sum(field**2, axis=0) - 1.0
+    return brightness
+
+
+def _whistling(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) a tone that breaks off after exponentially distributed times, for one of another pitch.
+
+    The new one begins anywhere in its turn.
+    """
+    breaks = rng.random(n) < -np.expm1(-interval / part.time)
+    breaks[0] = True
+    tone = np.cumsum(breaks) - 1
+    count = int(tone[-1]) + 1
+    pitches = part.frequency * (1.0 + part.depth * rng.uniform(-1.0, 1.0, count))
+    since = (np.arange(n) - np.flatnonzero(breaks)[tone]) * interval
+    turns = pitches[tone] * since + rng.random(count)[tone]
+    whistle: FloatArray = sqrt(2.0) * np.cos(2.0 * pi * turns)
+    return whistle
 
 
 def _smooth(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

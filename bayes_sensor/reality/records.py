@@ -73,7 +73,11 @@ class Component:
     ``coupled`` an Ornstein-Uhlenbeck process has passed a high-pass filter with its corner at
     ``frequency``; with ``interpolated`` the part is straight lines between independent values a
     ``time`` apart; with ``fringes`` the interference of light that has passed ever more often, each
-    time with ``depth`` of the amplitude, and whose phase loses its memory in a ``time``.
+    time with ``depth`` of the amplitude, and whose phase loses its memory in a ``time``.  With
+    ``diffusing`` it is a number of molecules that come and go by diffusion in a plane:
+    ``1/(1 + lag/time)``; with ``speckle`` the squared modulus of a complex Ornstein-Uhlenbeck
+    process; with ``whistling`` a tone that lasts a ``time`` in the mean and is then replaced by one
+    whose frequency is anywhere within ``depth`` of ``frequency``, relatively.
     """
 
     share: float
@@ -83,8 +87,8 @@ class Component:
     """Hz"""
     shape: str = "gauss"
     """``gauss``, ``telegraph``, ``smooth``, ``shot``, ``window``, ``gusts``, ``sparks``, ``echo``,
-    ``difference``, ``turbulent``, ``zeroed``, ``pulsing``, ``coupled``, ``interpolated`` or
-    ``fringes``"""
+    ``difference``, ``turbulent``, ``zeroed``, ``pulsing``, ``coupled``, ``interpolated``,
+    ``fringes``, ``diffusing``, ``speckle`` or ``whistling``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

@@ -42,6 +42,10 @@ class Knobs:
     """(s after the switch, s it lasts): the valve springs back"""
     dropped: list[tuple[float, float]] = field(default_factory=list)
     """(s, s it lasts): the coil lets the valve go"""
+    sinking: float = 0.0
+    """share of the stroke by which the plunger sinks back when it is only held"""
+    sinking_after: float = 3.0
+    """s after the switch"""
     # flows
     following: float = 0.0
     """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
@@ -53,6 +57,10 @@ class Knobs:
     """factors of the test-gas flow"""
     seep: list[Course] = field(default_factory=list)
     """test gas from elsewhere, mL/s"""
+    chill: float = 0.0
+    """log of the vapour pressure that evaporation at full pressure would take away"""
+    chill_time: float = 10.0
+    """s in which a bath warms the evaporating liquid again"""
     flow_factor: float = 1.0
     """true over set flow, both gases"""
     all_flow: list[Course] = field(default_factory=list)
@@ -82,6 +90,8 @@ class Knobs:
     """s in which the air about the intake is renewed"""
     layering: float = 0.0
     """by how much, relatively, the full step of gas slows down the exchange"""
+    pairing: float = 0.0
+    """per s, at which the set concentration reacts with itself"""
     # sensor
     tau_factor: float = 1.0
     film_share: float = 0.0
@@ -108,12 +118,22 @@ class Knobs:
     cages_width: float = 0.05
     cages_time: float = 1.0
     """s"""
+    damp: float = 0.0
+    """share of the sites that water holds where there is no gas"""
+    damp_time: float = 5.0
+    """s in which water leaves its sites"""
+    displacing: float = 0.0
+    """Langmuir's constant times this experiment's concentration, of the gas against water"""
     # readout
     shift: float = 0.0
     """resonance shift at the highest concentration in half-widths; 0: straight readout"""
     detuning: float = -0.8
     wander: list[Course] = field(default_factory=list)
     """half-widths by which the laser strays"""
+    warming: float = 0.0
+    """half-widths by which the light moves the line when all of it is absorbed"""
+    warming_time: float = 1.0
+    """s"""
     gain: list[Course] = field(default_factory=list)
     """relative changes of the optical power"""
     concentration_gain: list[Course] = field(default_factory=list)
@@ -126,6 +146,10 @@ class Knobs:
     """turns"""
     fastest: float = np.inf
     """V/s, which the reading follows at most"""
+    lock_time: float = 0.0
+    """s, one over the angular frequency at which the laser's lock hunts"""
+    lock_damping: float = 0.3
+    """of that oscillation over critical"""
     offset: list[Course] = field(default_factory=list)
     """V, added"""
     # receiver and recorder
@@ -147,6 +171,10 @@ class Knobs:
     """s for which an instrument's output stands still between its readings"""
     hold_begin: float = 0.0
     """s, of one of the readings"""
+    pair_gain: float = 0.0
+    """relative, by which every other sample's converter reads more"""
+    pair_zero: float = 0.0
+    """V, likewise"""
     clock: Course | None = None
     """true time of what the recorder calls ``t``"""
     marks: list[float] = field(default_factory=list)
@@ -196,6 +224,8 @@ def voltage(
             marks.append(switch + knobs.stroke_time)
         if knobs.bypass > 0:
             marks.append(switch + knobs.bypass_delay)
+    if knobs.sinking > 0:
+        marks.append(step.t0 + knobs.sinking_after)
     quick = min(case.tau_v, case.V / step.total_flow)
     t = nodes(step, true, marks, quick)
     opening = _opening(case, step, knobs, t)
@@ -204,12 +234,12 @@ def voltage(
         held = knobs.sticky * case.V / (0.5 * (flow[1:] + flow[:-1])) / knobs.sticky_cells
         bend = knobs.sticky_bend * case.relative_concentration(step)
         inlet = stages.sticky_wall(t, inlet, held, bend, knobs.sticky_cells)
-    gas = _manifold(case, knobs, t, inlet, flow)
+    gas = _manifold(case, step, knobs, t, inlet, flow)
     if knobs.returned > 0:
         late = np.interp(t - knobs.return_delay, t, gas, left=0.0)
         drawn = stages.lag(t, late, np.full(len(t) - 1, knobs.return_time), 0.0)
         carried = knobs.returned * step.carrier_flow / step.total_flow
-        gas = _manifold(case, knobs, t, inlet + carried * drawn, flow)
+        gas = _manifold(case, step, knobs, t, inlet + carried * drawn, flow)
     response = _sensor(case, step, knobs, t, gas)
     y = _readout(case, step, knobs, t, response)
     if knobs.filter_time > 0:
@@ -220,7 +250,11 @@ def voltage(
     if knobs.hold > 0:
         readings = np.floor((true - knobs.hold_begin) / knobs.hold)
         shown = np.maximum(knobs.hold_begin + readings * knobs.hold, t[0])
-    return np.interp(shown, t, y), np.interp(true, t, response)
+    seen = np.interp(shown, t, y)
+    if knobs.pair_gain != 0:
+        turn = np.where(np.rint(times / step.interval) % 2 == 0, -0.5, 0.5)
+        seen = seen * (1.0 + knobs.pair_gain * turn) + knobs.pair_zero * turn
+    return seen, np.interp(true, t, response)
 
 
 def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
@@ -235,6 +269,9 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
     if knobs.stroke_time > 0:
         z = _stroke(t, step, knobs.stroke_time)
         first, last = z[:-1], z[1:]
+    if knobs.sinking > 0:
+        held = (middle > step.t0 + knobs.sinking_after) & (middle < step.tf)
+        first, last = (target * (1.0 - knobs.sinking * held) for target in (first, last))
     tau_v = case.tau_v * knobs.valve_factor
     if knobs.inertia > 0:
         x = stages.heavy_valve(t, first, last, tau_v, knobs.inertia)
@@ -275,6 +312,8 @@ def _flows(
         share = full / (carrier + full)
         inlet = opening * share / step.concentration
     flow = carrier + test + made_up
+    if knobs.chill > 0:
+        inlet = inlet * np.exp(-stages.evaporating(t, opening, knobs.chill, knobs.chill_time))
     for source in knobs.seep:
         inlet = inlet + source(t) / flow / step.concentration
     for factor in knobs.all_flow:
@@ -283,7 +322,7 @@ def _flows(
 
 
 def _manifold(
-    case: Case, knobs: Knobs, t: FloatArray, inlet: FloatArray, flow: FloatArray
+    case: Case, step: Step, knobs: Knobs, t: FloatArray, inlet: FloatArray, flow: FloatArray
 ) -> FloatArray:
     if knobs.pocket_fractions:
         gas = stages.pockets(
@@ -296,6 +335,11 @@ def _manifold(
         passage = case.V / (0.5 * (flow[1:] + flow[:-1]))
         if knobs.layering > 0:
             gas = stages.layers(t, inlet, passage, knobs.layering, 0.0)
+        elif knobs.pairing > 0:
+            gas = stages.pairing(t, inlet, passage, knobs.pairing)
+            # the plateau is what it is: x + kappa x^2 = 1 with kappa the rate over the exchange's
+            kappa = knobs.pairing * case.V / step.total_flow
+            gas = gas * 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * kappa))
         else:
             gas = stages.lag(t, inlet, passage, 0.0)
     if knobs.bypass > 0:
@@ -347,6 +391,9 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         open_ = (1.0 / (1.0 + np.exp(-beyond)) - shut) / (1.0 - shut)
         times = np.full(len(t) - 1, knobs.cages_time)
         x = x + knobs.cages / relative * stages.lag(t, open_, times, float(open_[0]))
+    if knobs.damp > 0:
+        water = stages.displaced(t, knobs.displacing * x, knobs.damp, knobs.damp_time)
+        x = x * (1.0 - water) / (1.0 - knobs.damp)
     return x
 
 
@@ -370,12 +417,20 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
         rest, full = dip(knobs.detuning), dip(knobs.detuning + reach)
         at = knobs.detuning + reach * x
         signal = signal + (dip(at + stray) - dip(at)) / (full - rest)
+    if knobs.warming != 0:
+        reach = 0.3 * relative  # as for a laser that strays
+        rest, full = dip(knobs.detuning), dip(knobs.detuning + reach)
+        at = knobs.detuning + reach * x
+        moved = stages.self_heating(t, at, knobs.detuning, knobs.warming, knobs.warming_time)
+        signal = signal + (dip(at + moved) - dip(at)) / (full - rest)
     y: FloatArray = step.y0 + step.beta * signal
     if knobs.fringe_phase is not None:
         turns = knobs.fringe_turns * x + knobs.fringe_phase(t)
         y = y + knobs.fringe * np.sin(2.0 * pi * turns)
     if np.isfinite(knobs.fastest):
         y = stages.no_faster(t, y, knobs.fastest)
+    if knobs.lock_time > 0:
+        y = stages.oscillating_lag(t, y, knobs.lock_time, knobs.lock_damping)
     for course in knobs.gain:
         y = y * (1.0 + course(t))
     for course in knobs.offset:

@@ -98,6 +98,131 @@ def sticky_wall(
 
 
 @njit(cache=True, error_model="numpy")
+def pairing(
+    t: FloatArray, u: FloatArray, passage: FloatArray, rate: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state of x' = (u - x)/passage - ``rate`` x^2 from 0; ``passage`` (n - 1,) s."""
+    n = len(t)
+    x = np.zeros(n)
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        middle = x[i]
+        for _ in range(2):  # predictor, corrector of the state that sets the rate
+            share = 1.0 / (1.0 + passage[i] * rate * middle)
+            local = passage[i] * share
+            slope = share * (u[i + 1] - u[i]) / h
+            lead = share * u[i] - local * slope
+            end = lead + slope * h + (x[i] - lead) * exp(-h / local)
+            middle = 0.5 * (x[i] + end)
+        x[i + 1] = end
+    return x
+
+
+@njit(cache=True, error_model="numpy")
+def evaporating(
+    t: FloatArray, drawn: FloatArray, chill: float, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state of time x' = ``chill`` drawn exp(-x) - x from 0: how cold the liquid is.
+
+    In units in which its vapour pressure is exp(-x); ``drawn`` (n,) is the flow through it.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    x = 0.0
+    share = (0.0, 0.5, 0.5, 1.0)
+    for i in range(n - 1):
+        steps = max(1, ceil((t[i + 1] - t[i]) * (1.0 + chill) / (0.2 * time)))
+        h = (t[i + 1] - t[i]) / steps
+        for step in range(steps):
+            before, total = 0.0, 0.0
+            for stage in range(4):
+                at = (step + share[stage]) / steps
+                u = drawn[i] + at * (drawn[i + 1] - drawn[i])
+                trial = x + share[stage] * h * before
+                before = (chill * u * exp(-trial) - trial) / time
+                total += before if stage in (0, 3) else 2.0 * before
+            x += h / 6.0 * total
+        out[i + 1] = x
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def displaced(
+    t: FloatArray, load: FloatArray, damp: float, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) share of the sites that water holds, from ``damp`` where there is no gas.
+
+    time w' = K (1 - w)/(1 + load) - w with K = damp/(1 - damp): of the sites without water the
+    share load/(1 + load) is under gas at once; ``load`` (n,) is Langmuir's constant times the gas.
+    """
+    n = len(t)
+    w = np.empty(n)
+    K = damp / (1.0 - damp)
+    w[0] = K / (1.0 + load[0] + K)
+    for i in range(n - 1):
+        back = K / (1.0 + 0.5 * (load[i] + load[i + 1]))
+        level = back / (1.0 + back)
+        w[i + 1] = level + (w[i] - level) * exp(-(t[i + 1] - t[i]) * (1.0 + back) / time)
+    return w
+
+
+@njit(cache=True, error_model="numpy")
+def self_heating(
+    t: FloatArray, at: FloatArray, rest: float, warming: float, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) half-widths x by which absorbed light moves a line that gas moves to ``at`` (n,).
+
+    time x' = warming [L(at + x) - L(rest)] - x with the Lorentzian L(z) = 1/(1 + z^2); x is 0
+    where the line rests.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    dark = 1.0 / (1.0 + rest * rest)
+    x = 0.0
+    share = (0.0, 0.5, 0.5, 1.0)
+    for i in range(n - 1):
+        steps = max(1, ceil((t[i + 1] - t[i]) * (1.0 + abs(warming)) / (0.2 * time)))
+        h = (t[i + 1] - t[i]) / steps
+        for step in range(steps):
+            before, total = 0.0, 0.0
+            for stage in range(4):
+                place = at[i] + (step + share[stage]) / steps * (at[i + 1] - at[i])
+                trial = x + share[stage] * h * before
+                light = 1.0 / (1.0 + (place + trial) ** 2)
+                before = (warming * (light - dark) - trial) / time
+                total += before if stage in (0, 3) else 2.0 * before
+            x += h / 6.0 * total
+        out[i + 1] = x
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def oscillating_lag(
+    t: FloatArray, u: FloatArray, time: float, damping: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state of time^2 x'' + 2 damping time x' + x = u, at rest at ``u[0]``; damping < 1.
+
+    x = u[0] + Im(w)/sqrt(1 - damping^2) with w' = pole w + (u - u[0])/time, followed
+    exactly like :func:`lag`.
+    """
+    n = len(t)
+    x = np.empty(n)
+    x[0] = u[0]
+    turn = np.sqrt(1.0 - damping * damping)
+    pole = complex(-damping, turn) / time
+    w = complex(0.0, 0.0)
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        slope = (u[i + 1] - u[i]) / h / time
+        # a + b t solves w' = pole w + f + slope t where pole b = -slope, pole a = b - f
+        b = -slope / pole
+        a = (b - (u[i] - u[0]) / time) / pole
+        w = a + b * h + (w - a) * np.exp(pole * h)
+        x[i + 1] = u[0] + w.imag / turn
+    return x
+
+
+@njit(cache=True, error_model="numpy")
 def valve(
     t: FloatArray, first: FloatArray, last: FloatArray, tau_v: float, closing: float
 ) -> FloatArray:  # pragma: no cover - compiled
