@@ -447,7 +447,7 @@ def test_an_interruption_of_a_compiler_waits_until_it_has_finished() -> None:
         "from bayes_sensor import cli\n"
         "press = 'os.kill(os.getpid(), signal.SIGINT)'\n"
         "room = {'__name__': 'numba.core', 'os': os, 'signal': signal, 'time': time}\n"
-        "exec(f'def build():\\n {press}\\n time.sleep(0.3)\\n print(7)', room)\n"
+        "exec(f'def build():\\n {press}\\n time.sleep(0.1)\\n print(7)', room)\n"
         "called = ctypes.CFUNCTYPE(None)(lambda: eval(press))\n"
         "def app(**_):\n"
         "    room['build']()\n"

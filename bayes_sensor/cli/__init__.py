@@ -569,7 +569,7 @@ def _advice(arguments: list[str]) -> str:
 REPEAT_SECONDS = 1.0
 """after Ctrl-C, how often the interruption is repeated until it has got through"""
 SOON_SECONDS = 0.05
-PATIENCE_SECONDS = 0.5
+PATIENCE_SECONDS = 0.3
 """how often, and for how long, a compiler that is at work is waited for"""
 
 
