@@ -77,25 +77,27 @@ def test_the_contaminated_floor_does_not_hide_events_that_are_everywhere():
     assert look_for_events(design(), made).log_bayes_factor > 8.0
 
 
-def ringing_case(rng, kind, amplitude):
+def ringing_case(rng, kind, amplitude, hertz=9.0, fades=0.5, early=0.1, sign=1.0, misfit=0.0):
     campaign = design()
     residuals, quiet = [], []
     for e in campaign:
         on, off = e.commanded_on + 0.8, e.commanded_off + 0.5
         r = noise(len(e.t), rng, kind)
-        for at in (on, off):
-            since = np.maximum(e.t - at + 0.1, 0.0)
-            r = r + amplitude * (since > 0) * np.exp(-since / 0.5) * np.sin(2 * np.pi * 9.0 * since)
+        for at, up in ((on, 1.0), (off, sign)):
+            since = np.maximum(e.t - at + early, 0.0)
+            r = r + up * amplitude * np.exp(-since / fades) * np.sin(2 * np.pi * hertz * since)
+            since = np.maximum(e.t - at, 0.0)
+            r = r + misfit * up * since / 0.4 * np.exp(-since / 0.4)
         residuals.append(r)
         spans = ((0.0, on), (on + 6.0, off), (off + 6.0, float(e.t[-1])))
         quiet.append(Quiet((on, off), spans, np.full(len(e.t), float(np.std(r)))))
     return look_for_ringing(campaign, residuals, quiet)
 
 
-@pytest.mark.parametrize("kind", ["white", "ar1", "resonance"])
+@pytest.mark.parametrize("kind", ["white", "ar1", "slow", "resonance"])
 def test_only_a_ringing_that_follows_the_switches_is_one(kind):
     rng = np.random.default_rng(6)
-    values = [ringing_case(rng, kind, 0.0).log_bayes_factor for _ in range(6)]
+    values = [ringing_case(rng, kind, 0.0).log_bayes_factor for _ in range(12)]
     assert max(values) < 3.5 and np.median(values) < 0.0
 
 
@@ -103,6 +105,35 @@ def test_a_ringing_and_its_frequency_are_found():
     found = ringing_case(np.random.default_rng(7), "white", 1.4)
     assert found.log_bayes_factor > 10.0
     assert found.strength["ringing_Hz"] == pytest.approx(9.0, abs=0.5)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_faint_ringing_is_found_by_its_phase(sign):
+    # eight windows with d = 3.9 in each, as after a push on a bubbler's water: none stands out
+    rng = np.random.default_rng(8)
+    swing = {"hertz": 1.1, "fades": 3.0, "early": 0.0, "sign": sign}
+    found = [ringing_case(rng, "white", 0.45, **swing) for _ in range(4)]
+    assert np.median([f.log_bayes_factor for f in found]) > 8.0
+    for f in found:
+        assert f.strength["ringing_Hz"] == pytest.approx(1.1, abs=0.15)
+
+
+@pytest.mark.parametrize("interval", [0.02, 0.06, 0.2])
+def test_slow_records_are_looked_at_as_far_as_they_go(interval):
+    campaign = design(interval=interval)
+    rng = np.random.default_rng(10)
+    residuals = [noise(len(e.t), rng, "white") for e in campaign]
+    quiet = [
+        Quiet((e.commanded_on, e.commanded_off), ((0.0, e.commanded_on),), np.ones(len(e.t)))
+        for e in campaign
+    ]
+    assert look_for_ringing(campaign, residuals, quiet).log_bayes_factor < 2.0
+
+
+def test_a_misfit_of_the_rise_is_no_ringing():
+    rng = np.random.default_rng(9)
+    values = [ringing_case(rng, "white", 0.0, misfit=3.0).log_bayes_factor for _ in range(6)]
+    assert max(values) < 2.0
 
 
 def prepared_of(campaign):

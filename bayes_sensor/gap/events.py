@@ -10,7 +10,7 @@ Both count as unlisted, whatever explains the rest.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -69,6 +69,18 @@ BEGINS = np.arange(-7, 8) * 0.05
 """s, when it may begin, from the fitted switch"""
 RINGING_HZ = (3.5, 60.0)
 RINGING_RATIOS = (0.5, 1.0, 2.5, 6.0, 15.0, 40.0)
+IN_PHASE_BLOCK = 0.01
+"""s"""
+FEWEST_SWITCHES = 6
+IN_PHASE_HZ = (0.7, 25.0)
+IN_PHASE_DAMPING = (0.4, 1.0, 2.5, 6.0)
+"""s, of a ringing that has the same phase after every switch"""
+IN_PHASE_BEGINS = (0.0, 0.3, 0.8, 1.5)
+"""s after the fitted switch; later ones leave out a misfit of the rise itself"""
+IN_PHASE_CYCLES = 1.2
+"""within one damping time, below which an oscillation is only a misfit that fades"""
+IN_PHASE_RATIOS = (4.0, 16.0, 64.0)
+"""a common amplitude's plausible variance over that of its estimate"""
 FEWEST_WINDOWS = 10
 """quiet windows below which the usual power at a frequency is not known"""
 
@@ -83,6 +95,8 @@ class Quiet:
     """s, from settling to the next switch"""
     deviation: FloatArray
     """(n_t,) V, the noise's standard deviation at every sample"""
+    step: float = 1.0
+    """V, height of the plateau over the baseline"""
 
 
 def look_for_events(
@@ -305,7 +319,20 @@ def _changes(falling: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]
 def look_for_ringing(
     campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[Quiet]
 ) -> FullRate:
-    """A damped oscillation that follows the switches.
+    """A damped oscillation that follows the switches, with one phase or with any."""
+    both = (
+        _ringing_of_any_phase(campaign, residuals, quiet),
+        _ringing_in_phase(campaign, residuals, quiet),
+    )
+    value = float(logsumexp([f.log_bayes_factor for f in both]) - np.log(2.0))
+    clearer = max(both, key=lambda f: f.log_bayes_factor)
+    return replace(clearer, log_bayes_factor=value)
+
+
+def _ringing_of_any_phase(
+    campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[Quiet]
+) -> FullRate:
+    """A damped oscillation after the switches, of any phase.
 
     Exponentially fading windows that begin near the switches, Fourier transformed; their power
     over that of the same windows in the quiet spans is exponential under noise of any spectrum
@@ -383,3 +410,100 @@ def look_for_ringing(
         return FullRate("ringing", 0.0, {"ringing_Hz": 0.0}, None)
     value = float(logsumexp(logs) - np.log(len(logs)))
     return FullRate("ringing", value, {"ringing_Hz": frequency}, float(np.sqrt(2.0 * power)))
+
+
+def _ringing_in_phase(
+    campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[Quiet]
+) -> FullRate:
+    """A damped oscillation with one phase after all switches of all records.
+
+    What swings because the valve has moved (a bench, a bubbler's water, a pressure controller)
+    starts anew with every switch.  The Fourier amplitudes ``x_k`` of fading windows are added up
+    with weights ``a_k``, the oscillation's size there; the power of the sum over that of the noise
+    at frequencies beside is exponential without ringing and ``1 + g`` times as large on average
+    with it.  The size is the same in volts or that of the step, with the same sign after opening
+    and shutting or the other.  A misfit in phase at all frequencies is the model's own, and is
+    divided out.
+    """
+    records = []
+    for e, r, q in zip(campaign, residuals, quiet, strict=True):
+        size = max(1, round(IN_PHASE_BLOCK / e.interval))
+        n = len(r) // size
+        y, deviation = (
+            v[: n * size].reshape(n, size).mean(axis=1) for v in (r, np.asarray(q.deviation))
+        )
+        dt = size * e.interval
+        smooth = gaussian_filter1d(y, 0.28 / IN_PHASE_HZ[0] / dt, mode="nearest")
+        records.append(((y - smooth) / deviation, deviation, dt, float(e.t[0])))
+    steps = {round(dt, 9) for _, _, dt, _ in records}
+    nothing = FullRate("ringing", 0.0, {"ringing_Hz": 0.0}, None)
+    if len(steps) != 1:
+        return nothing
+    dt = records[0][2]
+    logs: list[float] = []
+    best, frequency, power = -np.inf, 0.0, 0.0
+    for damping in IN_PHASE_DAMPING:
+        length = round(2.0 * damping / dt)
+        n_fft = 1 << int(np.ceil(np.log2(2 * max(length, 2))))
+        f = np.asarray(np.fft.rfftfreq(n_fft, dt))
+        lowest = max(IN_PHASE_HZ[0], IN_PHASE_CYCLES / damping)
+        keep = (f >= lowest) & (f <= min(IN_PHASE_HZ[1], 0.45 / dt))
+        beside = np.rint(np.array([1.0, 4.0]) / (2.0 * damping) / float(f[1])).astype(np.int64)
+        if int(keep.sum()) < 8 or 2 * beside[1] + 1 > len(f):
+            continue
+        weight = keep / np.maximum(f, IN_PHASE_HZ[0])  # even in ln f
+        fading = np.exp(-np.arange(length) * dt / damping)
+        for begins in IN_PHASE_BEGINS:
+            amplitudes, sizes = [], []
+            for (y, deviation, _, t0), q in zip(records, quiet, strict=True):
+                ends = [*q.switches[1:], np.inf]
+                for which, (switch, end) in enumerate(zip(q.switches, ends, strict=True)):
+                    at = round((switch + begins - t0) / dt)
+                    last = min(at + length, len(y), int(min((end - t0) / dt, 1e9)))
+                    if at < 0 or last - at < 0.7 * length:
+                        continue
+                    spectrum = np.fft.rfft(y[at:last] * fading[: last - at], n_fft)
+                    amplitudes.append(spectrum)
+                    volts = 1.0 / float(deviation[at])
+                    sizes.append((volts, q.step * volts, -1.0 if which else 1.0))
+            if len(amplitudes) < FEWEST_SWITCHES:
+                continue
+            x, (volts_, steps_, signs) = np.array(amplitudes), np.array(sizes).T
+            for a in (volts_, steps_, volts_ * signs, steps_ * signs):
+                if not a.any():
+                    continue
+                value, at_f, found = _in_phase(x, a, beside, weight)
+                logs.append(value)
+                if value > best:
+                    best, frequency, power = value, float(f[at_f]), found
+    if not logs:
+        return nothing
+    value = float(logsumexp(logs) - np.log(len(logs)))
+    return FullRate("ringing", value, {"ringing_Hz": frequency}, float(np.sqrt(2.0 * power)))
+
+
+def _in_phase(
+    x: NDArray[np.complex128], a: FloatArray, beside: NDArray[np.int64], weight: FloatArray
+) -> tuple[float, int, float]:
+    """ln B of one amplitude for all windows, averaged over frequency, where it is largest.
+
+    ``x`` (K, n_f), ``a`` (K,), ``weight`` (n_f,) of the frequencies; ``beside``: how many
+    ordinates away the noise is looked at, which is no smaller than what does not add up here.
+    """
+    k, n_f = x.shape
+    kernel = np.zeros(2 * beside[1] + 1)
+    kernel[: beside[1] - beside[0] + 1] = kernel[beside[1] + beside[0] :] = 1.0
+    usual = np.mean(np.abs(x) ** 2, axis=0)
+    level = np.convolve(usual, kernel, "same") / np.convolve(np.ones(n_f), kernel, "same")
+    added = np.abs(a @ x) ** 2 / np.sum(a**2)
+    level = np.maximum(level, (k * usual - added) / (k - 1))
+    where = np.flatnonzero(weight)
+    power = added[where] / np.maximum(level[where], 1e-300)
+    power /= max(float(np.median(power)) / np.log(2.0), 1.0)
+    g = np.array(IN_PHASE_RATIOS)[:, None]
+    n = 4.0 * k  # ordinates that the level rests on, as far as they are independent
+    usually = np.log1p(power / n) - np.log1p(power / n / (1.0 + g))
+    each = logsumexp((1.0 + n) * usually - np.log1p(g), axis=0) - np.log(len(g))
+    peak = int(np.argmax(each))
+    value = float(logsumexp(each, b=weight[where] / np.sum(weight)))
+    return value, int(where[peak]), float(power[peak])

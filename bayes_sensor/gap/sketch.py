@@ -173,7 +173,7 @@ def prepare(campaign: Campaign, theta: FloatArray) -> Prepared:
         tuple(cleaned),
         tuple(quiet_stretches(campaign, cleaned, bins, settle)),
         tuple(quiet_stretches(campaign, raw, bins, settle)),
-        tuple(_quiet(campaign, floor, switches, taus, settle)),
+        tuple(_quiet(campaign, floor, switches, taus, settle, steps)),
         flat,
         tuple(settle),
     )
@@ -185,6 +185,7 @@ def _quiet(
     switches: list[tuple[float, float | None]],
     taus: list[FloatArray],
     settle: list[float],
+    steps: list[float],
 ) -> list[Quiet]:
     deviation = np.sqrt(floor.density @ np.diff(floor.edges))
     found = []
@@ -198,6 +199,7 @@ def _quiet(
                 switches=(t0,) if tf is None else (t0, tf),
                 spans=tuple(zip(begins, ends, strict=True)),
                 deviation=low + (high - low) * x,
+                step=steps[k],
             )
         )
     return found
