@@ -51,6 +51,11 @@ resamples = 40
 TIME_OF_DAY = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 DURATION = re.compile(r'(TIME</td>(?:(?!</tr>).)*)<td data-v="[^"]*" class="num">[^<]*</td></tr>')
 UNFINISHED = re.compile(r"(^|/)(checkpoint|\w+(-\w+)*-parts|\.[^/]*)(/|$)")
+INTERRUPTED = (
+    "posterior", "bounds (profile, bootstrap)", "gap --bootstrap 60", "analyze", "blind-check",
+    "coverage --jobs 2", "fleet --jobs 2",
+)  # fmt: skip
+"""commands that Ctrl-C is pressed in"""
 LEFT_OUT = "times of day, durations, memory; folders of unfinished parts"
 
 
@@ -470,8 +475,8 @@ def run(
         keep(f"read-only {name}", lambda c=named[name]: read_only(c, place))
     for name in ("posterior", "fleet"):
         keep(f"in use {name}", lambda c=named[name]: in_use(c, place))
-    for name in ("posterior", "analyze", "coverage --jobs 2", "fleet --jobs 2"):
-        keep(f"ctrl-c {name}", lambda c=named[name]: interrupted(c, place, 4))
+    for name in INTERRUPTED:
+        keep(f"ctrl-c {name}", lambda c=named[name]: interrupted(c, place, 8))
     for name in ("posterior --jobs 2", "coverage --jobs 2", "fleet --jobs 2"):
         keep(f"worker {name}", lambda c=named[name]: worker_killed(c, place, 2))
     for c in (c for c in every if c.kills and c not in first):
