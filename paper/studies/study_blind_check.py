@@ -109,6 +109,7 @@ def write_readme() -> None:
     said = [
         changed(cases, first), "What follows counts them.", named_nulls(cases),
         alarmed_nulls(cases), left_out(cases), overlooked(cases), out_of_reach(cases),
+        too_sure(cases),
     ]  # fmt: skip
     below = textwrap.fill(" ".join(said), 112) + "\n"
     write_text(README, text[:begin] + markdown_table(goals) + "\n" + below + text[end:])
@@ -178,6 +179,17 @@ def out_of_reach(cases: pd.DataFrame) -> str:
         )
     joined = "; ".join(words)
     return f"{joined[0].upper()}{joined[1:]}."
+
+
+def too_sure(cases: pd.DataFrame) -> str:
+    """One sentence: how many verdicts with more than .9 are wrong, and what they say."""
+    sure = cases[pd.to_numeric(cases["p_said"]) > 0.9]
+    wrong = sure[sure["verdict_right"].astype(str) == "False"]
+    unlisted = int((wrong["verdict"] == "unlisted").sum())
+    return (
+        f"Of {len(sure)} verdicts with more than .9, {len(wrong)} were wrong, {unlisted} of these "
+        '"unlisted" though nothing or a listed effect was there.'
+    )
 
 
 def keep_figure(figure: Figure, name: str) -> None:
