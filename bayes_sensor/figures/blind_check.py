@@ -314,7 +314,7 @@ def opened_seal(gap: Part, row: Part) -> Figure:
         far.errorbar([1], values[1:], yerr=bar, fmt=MARKERS[0], color=BLUE, elinewidth=0.9)
         if row["tau_true_s"] is not None:
             far.axhline(1e3 * row["tau_true_s"], color=GREEN, lw=1.2, ls="--")
-        far.set_xticks([0, 1], ["without", "with it"])
+        far.set_xticks([0, 1], ["without", "with"])
         far.set_xlim(-0.6, 1.6)
         far.set_ylabel("τ (ms), 95 % interval")
         far.set_title("τ")
