@@ -318,6 +318,8 @@ def test_the_committed_study_survived() -> None:
         pytest.skip("faults.csv is not in this checkout")
     table = pd.read_csv(TABLES / "faults.csv")
     assert (table["survived"] == table["trials"]).all()
+    longest = table.loc[table["fault"] == "Ctrl-C", "note"].str.extract(r"longest ([\d.]+) s")[0]
+    assert len(longest) >= 7 and longest.astype(float).max() < 1.0
     killed = table[table["fault"] == "killed at a random moment"]
     assert killed["trials"].sum() >= 100
     assert set(table["fault"]) >= {
