@@ -643,7 +643,8 @@ def main(arguments: list[str] | None = None) -> None:
     _be_interruptible(arguments)
     code = _guarded(arguments)
     atexit.register(_ignore_interruptions)  # the work is done, and its results are in place
-    if code == INTERRUPTED:
+    # worker processes are left to Python's farewell: loky's tracker tells of what it must tidy up
+    if code == INTERRUPTED and "joblib.externals.loky" not in sys.modules:
         _leave_at_once(code)
     sys.exit(code)
 
