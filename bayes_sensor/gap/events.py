@@ -329,6 +329,20 @@ def look_for_ringing(
     return replace(clearer, log_bayes_factor=value)
 
 
+def _ringing(logs: Sequence[float], frequency: float, power: float) -> FullRate:
+    """What the ``logs``, each ln B of one kind of window, say together."""
+    if not logs:
+        return FullRate("ringing", 0.0, {"ringing_Hz": 0.0}, None)
+    value = float(logsumexp(logs) - np.log(len(logs)))
+    return FullRate("ringing", value, {"ringing_Hz": frequency}, float(np.sqrt(2.0 * power)))
+
+
+def _frequencies(length: int, dt: float) -> tuple[int, FloatArray]:
+    """Length of the transform of a window of ``length`` samples, and its frequencies Hz."""
+    n_fft = 1 << int(np.ceil(np.log2(2 * max(length, 2))))
+    return n_fft, np.asarray(np.fft.rfftfreq(n_fft, dt))
+
+
 def _ringing_of_any_phase(
     campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[Quiet]
 ) -> FullRate:
@@ -349,14 +363,13 @@ def _ringing_of_any_phase(
         records.append((y - smooth, dt, float(e.t[0])))
     steps = {round(dt, 9) for _, dt, _ in records}
     if len(steps) != 1:
-        return FullRate("ringing", 0.0, {"ringing_Hz": 0.0}, None)
+        return _ringing([], 0.0, 0.0)
     dt = records[0][1]
     logs: list[float] = []
     best, frequency, power = -np.inf, 0.0, 0.0
     for damping in DAMPING:
         length = round(3.0 * damping / dt)
-        n_fft = 1 << int(np.ceil(np.log2(2 * max(length, 2))))
-        f = np.asarray(np.fft.rfftfreq(n_fft, dt))
+        n_fft, f = _frequencies(length, dt)
         keep = (f >= RINGING_HZ[0]) & (f <= min(RINGING_HZ[1], 0.45 / dt))
         if int(keep.sum()) < 3:
             continue
@@ -406,10 +419,7 @@ def _ringing_of_any_phase(
             if logs[-1] > best:
                 best, peak = logs[-1], int(np.argmax(each))
                 frequency, power = float(f[keep][peak]), max(float(total[peak]) - k, 0.0)
-    if not logs:
-        return FullRate("ringing", 0.0, {"ringing_Hz": 0.0}, None)
-    value = float(logsumexp(logs) - np.log(len(logs)))
-    return FullRate("ringing", value, {"ringing_Hz": frequency}, float(np.sqrt(2.0 * power)))
+    return _ringing(logs, frequency, power)
 
 
 def _ringing_in_phase(
@@ -436,16 +446,14 @@ def _ringing_in_phase(
         smooth = gaussian_filter1d(y, 0.28 / IN_PHASE_HZ[0] / dt, mode="nearest")
         records.append(((y - smooth) / deviation, deviation, dt, float(e.t[0])))
     steps = {round(dt, 9) for _, _, dt, _ in records}
-    nothing = FullRate("ringing", 0.0, {"ringing_Hz": 0.0}, None)
     if len(steps) != 1:
-        return nothing
+        return _ringing([], 0.0, 0.0)
     dt = records[0][2]
     logs: list[float] = []
     best, frequency, power = -np.inf, 0.0, 0.0
     for damping in IN_PHASE_DAMPING:
         length = round(2.0 * damping / dt)
-        n_fft = 1 << int(np.ceil(np.log2(2 * max(length, 2))))
-        f = np.asarray(np.fft.rfftfreq(n_fft, dt))
+        n_fft, f = _frequencies(length, dt)
         lowest = max(IN_PHASE_HZ[0], IN_PHASE_CYCLES / damping)
         keep = (f >= lowest) & (f <= min(IN_PHASE_HZ[1], 0.45 / dt))
         beside = np.rint(np.array([1.0, 4.0]) / (2.0 * damping) / float(f[1])).astype(np.int64)
@@ -476,10 +484,7 @@ def _ringing_in_phase(
                 logs.append(value)
                 if value > best:
                     best, frequency, power = value, float(f[at_f]), found
-    if not logs:
-        return nothing
-    value = float(logsumexp(logs) - np.log(len(logs)))
-    return FullRate("ringing", value, {"ringing_Hz": frequency}, float(np.sqrt(2.0 * power)))
+    return _ringing(logs, frequency, power)
 
 
 def _in_phase(
