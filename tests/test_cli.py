@@ -440,6 +440,12 @@ def test_diffusion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert (out / "diffusion.svg").read_text().startswith("<svg")
 
 
+def run_code(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=25
+    )
+
+
 def test_an_interruption_of_a_compiler_waits_until_it_has_finished() -> None:
     # it would turn it into errors of its own; its callbacks drop it with a message
     code = (
@@ -456,9 +462,7 @@ def test_an_interruption_of_a_compiler_waits_until_it_has_finished() -> None:
         "cli.app = app\n"
         "cli.main(['fit', 'campaign.toml', '--out', 'results'])\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=25
-    )
+    done = run_code(code)
     lines = [line for line in done.stderr.splitlines() if line]
     assert done.returncode == 130 and len(lines) == 1, done.stderr
     assert lines[0].startswith("stopped: interrupted; ") and done.stdout == "7\n"
@@ -479,9 +483,7 @@ def test_a_compiler_that_takes_long_is_left_with_one_line_even_where_all_is_mute
         "cli.app = app\n"
         "cli.main(['posterior', 'campaign.toml', '--out', 'results'])\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=25
-    )
+    done = run_code(code)
     assert done.returncode == 130 and done.stdout == ""
     expected = "bayes-sensor posterior campaign.toml --out results --resume"
     assert done.stderr == f"stopped: interrupted; continue with: {expected}\n"
@@ -500,9 +502,7 @@ def test_ctrl_c_at_the_very_end_changes_nothing(ending: str) -> None:
         "cli.app = app\n"
         "cli.main(['fit', 'campaign.toml', '--out', 'results'])\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=25
-    )
+    done = run_code(code)
     assert done.returncode == (0 if ending == "return 0" else 130)
     assert done.stdout == "deaf\n"  # what is registered for the end runs in any case
     assert len(done.stderr.splitlines()) == (0 if ending == "return 0" else 1), done.stderr

@@ -593,7 +593,7 @@ def _be_interruptible(arguments: list[str]) -> None:
         if pressed[-1] - pressed[0] > PATIENCE_SECONDS:
             from bayes_sensor.cli.notes import aloud  # the compiler's caller may be muted
 
-            aloud(f"stopped: interrupted; {_advice(arguments)}")
+            aloud(_stopped(arguments))
             os._exit(INTERRUPTED)
         signal.setitimer(signal.ITIMER_REAL, SOON_SECONDS)
 
@@ -690,14 +690,14 @@ def _guarded(arguments: list[str]) -> int:
         return _complain(str(error))
     except (typer.Abort, KeyboardInterrupt):
         _interruption_has_come()
-        _complain(f"interrupted; {_advice(arguments)}", kind="stopped")
+        print(_stopped(arguments), file=sys.stderr)
         return INTERRUPTED
     except SystemError as error:
         # Ctrl-C inside compiled code can come out as the SystemError that it caused
         if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
             raise
         _interruption_has_come()
-        _complain(f"interrupted; {_advice(arguments)}", kind="stopped")
+        print(_stopped(arguments), file=sys.stderr)
         return INTERRUPTED
     except BrokenExecutor as error:  # a worker of a step that is not repeated
         return _complain(
@@ -716,7 +716,10 @@ def _guarded(arguments: list[str]) -> int:
         )
 
 
-def _complain(message: str, kind: str = "error") -> int:
-    line = " ".join(message.split())
-    print(f"{kind}: {line}", file=sys.stderr)
+def _complain(message: str) -> int:
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
     return BAD_INPUT
+
+
+def _stopped(arguments: list[str]) -> str:
+    return " ".join(f"stopped: interrupted; {_advice(arguments)}".split())
