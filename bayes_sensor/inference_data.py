@@ -15,10 +15,15 @@ from typing import Any
 ENGINE = "h5netcdf"
 
 
-def _arviz() -> Any:
+def import_quietly(name: str) -> Any:
+    """A module that imports ArviZ, without what that says once a day about its own future."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # once a day, about its own future
-        return import_module("arviz")  # slow to import: only where it is used
+        warnings.simplefilter("ignore", FutureWarning)
+        return import_module(name)
+
+
+def _arviz() -> Any:
+    return import_quietly("arviz")  # slow to import: only where it is used
 
 
 def _modern() -> bool:

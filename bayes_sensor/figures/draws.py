@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -26,6 +25,7 @@ from bayes_sensor.figures.style import (
     parameter_words,
     style,
 )
+from bayes_sensor.inference_data import import_quietly
 
 
 def main_parameters(names: Sequence[str]) -> list[str]:
@@ -49,10 +49,7 @@ def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
 
     ``chains`` (n_chain, n_draw, n_theta) in the order of ``names``.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # ArviZ, once a day, about its own future
-        import corner as corner_plot
-
+    corner_plot = import_quietly("corner")
     words, values = _chosen(list(names), chains, unit)
     draws = values.reshape(-1, values.shape[-1])
     draws = draws[:: max(1, len(draws) // 20000)]
