@@ -77,6 +77,35 @@ def test_a_line_between_two_ordinates_keeps_its_amplitude():
     assert found.strength["line_V"] == pytest.approx(0.01, rel=0.15)
 
 
+def every_other(rng, size, phi=0.0, n=6):
+    """AR(1) noise of standard deviation .01 V in which every other sample is ``size`` V higher."""
+    turns = size * (0.5 - np.arange(15_000) % 2)
+    scale = 0.01 * np.sqrt(1.0 - phi**2)
+    return [
+        Piece(turns + lfilter([scale], [1.0, -phi], rng.standard_normal(len(turns))),
+              np.ones(len(turns)), 1e-3, k % 2)
+        for k in range(n)
+    ]  # fmt: skip
+
+
+def test_two_converters_that_take_turns_are_a_line_at_half_the_rate():
+    # the ordinate there is real: a difference of 2 A is seen with n A^2 / sigma^2
+    found = _look_for_lines(every_other(np.random.default_rng(8), 6e-4), "line")[0]
+    assert found.strength["line_Hz"] == 500.0 and found.log_bayes_factor > 4.0
+    assert found.strength["line_V"] == pytest.approx(3e-4, rel=0.2)
+    assert found.d == pytest.approx(np.sqrt(6 * 15_000) * 3e-4 / 0.01, rel=0.2)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.95, -0.95])
+def test_noise_alone_is_no_line_at_half_the_rate(phi):
+    rng = np.random.default_rng(9)
+    factors = [_look_for_lines(every_other(rng, 0.0, phi), "line")[0].log_bayes_factor
+               for _ in range(40)]  # fmt: skip
+    assert max(factors) < 3.0
+    # a Bayes factor is on average 1 where there is nothing (Good, J. R. Stat. Soc. B 12, 1950)
+    assert np.mean(np.exp(factors)) < 1.5
+
+
 def humming(rng, fundamental, third=0.0, steady=True, n=6):
     """Records of 30 s at 1 kHz with the mains at 49.98 Hz."""
     t = np.arange(30_000) * 1e-3

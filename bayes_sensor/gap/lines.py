@@ -42,6 +42,10 @@ FASTEST_SWING = 1.0
 """Hz; whole records are looked at below, where stretches are too short"""
 SWING_BLOCK = 0.05
 """s, means over which swings are looked for"""
+HIGHEST_LINE = 0.498
+"""of the sampling rate; closer to half of it an ordinate is neither complex nor real"""
+TAKING_TURNS = 0.05
+"""prior share of the line at half the sampling rate itself, where two converters take turns"""
 RATIOS = (1.0, 2.5, 6.0, 15.0, 40.0)
 """a line's plausible power over the noise's, per stretch and resolution"""
 
@@ -150,26 +154,34 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
     total, level_sum = _sum_over_pieces(used, n, sloping=name == "swing")
     k = len(used)
     c = np.array(RATIOS)[:, None]
-    log_b = logsumexp(total * c / (1.0 + c) - k * np.log1p(c), axis=0) - np.log(len(RATIOS))
     mains = name == "mains_pickup"
     near, nominal, closeness = mains_bands(f, common)
     where = (near if mains else ~near) & (f >= FEWEST_CYCLES / (longest * common))
-    where &= f <= 0.498 / common
+    where &= f <= HIGHEST_LINE / common
     where &= f <= FASTEST_SWING if name == "swing" else f >= LOWEST_LINE
     if not where.any():
         return []
     # the grid keeps its frequency within a few hundredths of a hertz; fundamentals come first
-    weight = closeness[where] if mains else 1.0 / np.maximum(f[where], 1.0)
+    weight = np.zeros(len(f))
+    weight[where] = closeness[where] if mains else 1.0 / np.maximum(f[where], 1.0)
     weight /= weight.sum()
-    value = float(logsumexp(log_b[where] + np.log(weight)))
-    peak = np.flatnonzero(where)[int(np.argmax(log_b[where]))]
+    real = np.ones(len(f))
+    if name == "line":  # every other sample: the ordinate at half the rate is real
+        weight *= 1.0 - TAKING_TURNS
+        weight[-1], real[-1] = TAKING_TURNS, 0.5
+        where[-1] = True
+    log_b = logsumexp(real * (total * c / (1.0 + c) - k * np.log1p(c)), axis=0) - np.log(len(c))
+    weighted = log_b[where] + np.log(weight[where])
+    value = float(logsumexp(weighted))
+    peak = np.flatnonzero(where)[int(np.argmax(weighted))]
     excess = max(float(total[peak]) - k, 0.0)
-    # a line of amplitude A gives |sum w y|^2 = A^2 (sum w)^2 / 4
-    amplitude = 2.0 * np.sqrt(excess / k * level_sum[peak] / k)
+    # a line of amplitude A gives |sum w y|^2 = A^2 (sum w)^2 / 4, and all of it at half the rate
+    halves = 2.0 * float(real[peak])
+    amplitude = halves * np.sqrt(excess / k * level_sum[peak] / k)
     frequency = nominal[peak] if mains else f[peak]
     short = name.removesuffix("_pickup")
     strength = {f"{short}_V": float(amplitude), f"{short}_Hz": float(frequency)}
-    return [FullRate(name, value, strength, float(np.sqrt(2.0 * excess)))]
+    return [FullRate(name, value, strength, float(np.sqrt(halves * excess)))]
 
 
 def _sum_over_pieces(
