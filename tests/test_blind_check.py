@@ -683,8 +683,8 @@ def test_unlisted_causes_look_listed_about_as_often_as_the_verdict_assumes() -> 
     assert len(away) > 50
     for d in (8.0, 16.0):  # what lies nearer than 3.5 to an effect is taken for it
         share = float(np.mean(away * d < 3.5))
-        # every reserve of causes has another share: between one and two times the assumed one
-        assert 1.0 <= share / (MIMIC / d) < 2.0
+        spread = np.sqrt(share * (1.0 - share) / len(away))
+        assert abs(share - MIMIC / d) < 0.05 + 2.0 * spread
 
 
 def test_the_readme_shows_the_goals_that_were_scored() -> None:

@@ -17,7 +17,7 @@ from bayes_sensor.gap.full_rate import _innovations, look_at_tails
 from bayes_sensor.gap.lines import _look_for_lines
 from bayes_sensor.gap.model import EffectModel, check_effects, find_form, with_effects
 from bayes_sensor.gap.simulation import read_strength
-from bayes_sensor.gap.verdict import Standing, judge
+from bayes_sensor.gap.verdict import MISTAKEN, Standing, _allowing_for_mistakes, judge
 from bayes_sensor.gap.which import Weighing
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.model import Cascade
@@ -184,6 +184,18 @@ def test_the_verdict_where_no_effect_stands_out() -> None:
         for none, unlisted in ((0.99, 0.0), (0.25, 0.2), (0.2, 0.25), (0.1, 0.9))
     ]
     assert kinds == ["none", "none", "unlisted", "unlisted"]
+
+
+def test_some_of_what_looks_unlisted_is_a_mistake() -> None:
+    rows = {"none": 0.3, "unlisted": 0.6, "dead_volume": 0.1}
+    made = _allowing_for_mistakes(rows, "none")
+    assert sum(made.values()) == pytest.approx(1.0)
+    assert made["unlisted"] == pytest.approx(0.6 * (1.0 - MISTAKEN))
+    assert made["none"] / made["dead_volume"] == pytest.approx(3.0)
+    sure = _allowing_for_mistakes({"none": 0.0, "unlisted": 1.0, "dead_volume": 0.0}, "dead_volume")
+    assert sure == pytest.approx({"none": 0.0, "unlisted": 1.0 - MISTAKEN, "dead_volume": MISTAKEN})
+    quiet = {"none": 1.0, "unlisted": 0.0, "dead_volume": 0.0}
+    assert _allowing_for_mistakes(quiet, "none") == quiet
 
 
 def test_a_family_is_named_where_its_members_cannot_be_told_apart() -> None:
