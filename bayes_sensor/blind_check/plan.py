@@ -42,8 +42,6 @@ SHARES = {
 }  # fmt: skip
 """kinds of cases; half of the nulls have noise that is not AR(1)"""
 AR1_LAWS = ("ar1", "ar1", "ar1", "white")
-REFITTED_RIVALS = 4
-"""nearest rivals whose distance is settled by a refit of the catalogue's form, times included"""
 HIDING = (
     "layered_coating", "anti_alias_filter", "heavy_plunger", "plunger_stroke", "back_mixing",
     "gated_pores", "controller_settling",
@@ -229,8 +227,7 @@ def _seen_by_an_oracle(case: Case) -> dict[str, Any]:
     seen["visible"] = _as_rows(places_after_refit(case, fit, oracle))
     seen["rivals"] = rival_distances(case, fit, oracle)
     answers = {effect for name in case.strengths for effect in CAUSES[name].listed_as}
-    others = (name for name in seen["rivals"] if name not in answers)
-    for name in sorted(others, key=seen["rivals"].__getitem__)[:REFITTED_RIVALS]:
+    for name in seen["rivals"].keys() - answers:  # settled by a refit of the catalogue's form
         closed = closed_fraction(oracle, target, fit, name)
         if closed is not None:
             seen["rivals"][name] = min(seen["rivals"][name], fit.d * sqrt(1.0 - closed))
