@@ -455,6 +455,13 @@ def _flagged(rows: Sequence[Row], level: float) -> Row:
         "flagged_where_separable": proportion(
             r["verdict"] == "unlisted" for r in at if r["isolability"] >= SEPARABLE_ABOVE
         ),
+        # a family is no name: right where the oracle cannot tell the cause from a listed effect
+        "flagged_or_unnamed": proportion(
+            r["verdict"] == "unlisted"
+            or (r["verdict"] == "family" and r["isolability"] < SEPARABLE_ABOVE)
+            for r in at
+        ),
+        "within_reach": proportion(r["isolability"] >= SEPARABLE_ABOVE for r in at),
         "quiet": proportion(r["verdict"] == "none" for r in at),
     }
 
@@ -584,7 +591,7 @@ def _goals(card: Row) -> list[Row]:
         return next(row for row in table if row["d"] == d)
 
     flagged = card["unlisted"]["flagged"]
-    family = "family_or_abstained"
+    family, fairly = "family_or_abstained", "flagged_or_unnamed"
     wanted: list[tuple[str, str, float, Row]] = [
         ("nulls named", "<=", 0.02, card["nulls"]["all"]["named"]),
         ("confident wrong name, listed", "<=", 0.02, card["confident_wrong"]["listed"]),
@@ -593,6 +600,8 @@ def _goals(card: Row) -> list[Row]:
         ("right family at d = 16", ">=", 0.97, at(card["accuracy"], 16.0)[family]),
         ("unlisted flagged at d = 8", ">=", 0.60, at(flagged, 8.0)["flagged"]),
         ("unlisted flagged at d = 16", ">=", 0.85, at(flagged, 16.0)["flagged"]),
+        ("the same, or rightly unnamed, at d = 8", ">=", 0.60, at(flagged, 8.0)[fairly]),
+        ("the same, or rightly unnamed, at d = 16", ">=", 0.85, at(flagged, 16.0)[fairly]),
     ]
     goals = [_goal(name, sign, bound, part["rate"], part) for name, sign, bound, part in wanted]
     calibration = card["calibration"]["verdict"]
