@@ -96,6 +96,12 @@ def test_two_converters_that_take_turns_are_a_line_at_half_the_rate():
     assert found.d == pytest.approx(np.sqrt(6 * 15_000) * 3e-4 / 0.01, rel=0.2)
 
 
+def test_at_half_a_rate_that_is_near_the_mains_a_line_is_the_mains():
+    slow = [replace(p, interval=0.01) for p in every_other(np.random.default_rng(8), 2e-3)]
+    found = _look_for_lines(slow, "line")[0]
+    assert found.strength["line_Hz"] < 49.8 and found.log_bayes_factor < 0.0
+
+
 @pytest.mark.parametrize("phi", [0.0, 0.95, -0.95])
 def test_noise_alone_is_no_line_at_half_the_rate(phi):
     rng = np.random.default_rng(9)

@@ -166,7 +166,7 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
     weight[where] = closeness[where] if mains else 1.0 / np.maximum(f[where], 1.0)
     weight /= weight.sum()
     real = np.ones(len(f))
-    if name == "line":  # every other sample: the ordinate at half the rate is real
+    if name == "line" and not near[-1]:  # every other sample: a real ordinate, at half the rate
         weight *= 1.0 - TAKING_TURNS
         weight[-1], real[-1] = TAKING_TURNS, 0.5
         where[-1] = True
