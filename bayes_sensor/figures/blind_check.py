@@ -168,6 +168,12 @@ def _flagged(axes: Axes, unlisted: Part) -> None:
             axes, [levels[i] for i in known], [parts[i] for i in known], label, colour, marker,
             shift,
         )  # fmt: skip
+    reach = [row["within_reach"] for row in unlisted["flagged"]]
+    seen = [i for i, part in enumerate(reach) if part["n"]]
+    _line(
+        axes, [levels[i] for i in seen], [reach[i] for i in seen], "oracle's reach", INK,
+        MARKERS[2], 0.0, False,
+    )  # fmt: skip
     _levels(axes, levels)
     axes.set_ylabel("share called unlisted")
     axes.set_title("unlisted cause")
