@@ -182,13 +182,15 @@ def out_of_reach(cases: pd.DataFrame) -> str:
 
 
 def too_sure(cases: pd.DataFrame) -> str:
-    """One sentence: how many verdicts with more than .9 are wrong, and what they say."""
-    sure = cases[pd.to_numeric(cases["p_said"]) > 0.9]
-    wrong = sure[sure["verdict_right"].astype(str) == "False"]
-    unlisted = int((wrong["verdict"] == "unlisted").sum())
+    """One sentence: how many of the surest verdicts are wrong ("unlisted" never exceeds 6/7)."""
+    p = pd.to_numeric(cases["p_said"])
+    wrong = cases["verdict_right"].astype(str) == "False"
+    unlisted = (cases["verdict"] == "unlisted") & (p > 0.8)
+    others = (cases["verdict"] != "unlisted") & (p > 0.9)
     return (
-        f"Of {len(sure)} verdicts with more than .9, {len(wrong)} were wrong, {unlisted} of these "
-        '"unlisted" though nothing or a listed effect was there.'
+        f"Of {unlisted.sum()} campaigns called unlisted with more than .8, "
+        f"{(unlisted & wrong).sum()} had no unlisted cause; of {others.sum()} other verdicts with "
+        f"more than .9, {(others & wrong).sum()} were wrong."
     )
 
 
