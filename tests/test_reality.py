@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
+from scipy.signal import lfilter, welch
+from scipy.special import erf
 
 import bayes_sensor.reality as reality
 from bayes_sensor.campaign import CampaignError, FloatArray
@@ -115,7 +116,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (20, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (23, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -989,6 +990,253 @@ def test_clouds_of_solvent_pass_by_the_first_passage_law() -> None:
     assert clouds >= 1
 
 
+def test_a_valve_on_a_grain_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    ajar, until = 0.15, step.tf + 2.6
+
+    def with_grain(u: tuple[float, float], x: FloatArray) -> list[float]:
+        target, moving = u
+        plunger = moving * (target - x[0]) / rig.tau_v
+        return [plunger, step.total_flow / rig.V * (x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+
+    rests = step.tf + rig.tau_v * np.log(1.0 / ajar)  # where exp(-t/tau_v) has come down to it
+    inputs = [
+        (0.0, (0.0, 1.0)), (step.t0, (1.0, 1.0)), (step.tf, (0.0, 1.0)), (rests, (0.0, 0.0)),
+        (until, (0.0, 1.0)),
+    ]  # fmt: skip
+    t, states = solved(rig, with_grain, 3, inputs=inputs)
+    x = voltage(rig, step, Knobs(ajar=ajar, ajar_until=until), t)[1]
+    assert np.abs(x - states[:, 2]).max() < 5e-5
+    assert np.interp(until, t, x) > 0.9 * ajar
+
+    strength, happened = 0.1, 0
+    rig = draw_case(11, {"grain_in_seat": strength}, size="paper")
+    plain = clean_signals(without_causes(rig))
+    for step, knobs in zip(rig.steps, prepared_rig(rig).values(), strict=True):
+        t = sample_times(step)
+        leak = (voltage(rig, step, knobs, t)[0] - plain[step.name]) / step.beta
+        assert np.abs(leak[t <= step.tf]).max() < 1e-6
+        if knobs.ajar == 0.0:
+            assert np.abs(leak).max() < 1e-9
+            continue
+        happened += 1
+        assert 0.5 * strength <= knobs.ajar <= strength and leak.max() <= knobs.ajar
+        lies = knobs.ajar_until - step.tf
+        assert 2.0 <= lies <= 20.0 and leak[-1] < 1e-3
+        # no volume or lag behind the valve changes how much leaks in all; what the plunger falls
+        # after the grain has gone is what it would have fallen before
+        held = lies - rig.tau_v * np.log(1.0 / knobs.ajar)
+        assert np.trapezoid(leak, t) == pytest.approx(knobs.ajar * held, rel=2e-3)
+    assert 1 <= happened < len(rig.steps)
+
+
+def test_stale_gas_comes_first_and_a_jet_does_not_mix_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    q, V = step.total_flow, rig.V
+    lost, volume, front = 0.4, 6.0, 1.5
+
+    def with_stale_gas(u: float, x: FloatArray) -> list[float]:
+        z = (x[3] - volume) / front
+        inlet = x[0] * (1.0 - lost * 0.5 * (1.0 - erf(z)))
+        cascade = [(u - x[0]) / rig.tau_v, q / V * (inlet - x[1]), (x[1] - x[2]) / rig.tau]
+        return [*cascade, step.test_gas_flow * x[0]]
+
+    t, states = solved(rig, with_stale_gas, 4)
+    knobs = Knobs(stale=lost, stale_volume=volume, stale_front=front)
+    x, plain = (voltage(rig, step, some, t)[1] for some in (knobs, Knobs()))
+    assert np.abs(x - states[:, 2]).max() < 5e-5
+    # what is missing in the end: the lost share of one hose of test gas, passed on by the flow
+    missing = np.trapezoid(plain - x, t) * q * step.concentration
+    assert missing == pytest.approx(lost * volume, rel=0.01)
+
+    found = prepared_rig(case(stale_test_gas=0.5))
+    volumes = []
+    for each in rig.steps:
+        t = sample_times(each)
+        less = voltage(rig, each, Knobs(), t)[1] - voltage(rig, each, found[each.name], t)[1]
+        assert 0.0 < less.max() < 0.5 and less.min() > -1e-9
+        volumes.append(np.trapezoid(less, t) * each.test_gas_flow / 0.5)
+    assert np.ptp(volumes) < 0.01 * np.mean(volumes)  # one hose, at any flow
+    assert 0.08 <= np.mean(volumes) / V <= 0.41
+
+    jet = 0.35
+
+    def with_jet(u: float, x: FloatArray) -> list[float]:
+        mixed = (1.0 - jet) * q / V * (x[0] - x[1])
+        seen = jet * x[0] + (1.0 - jet) * x[1]
+        return [(u - x[0]) / rig.tau_v, mixed, (seen - x[2]) / rig.tau]
+
+    t, states = solved(rig, with_jet, 3)
+    x = voltage(rig, step, Knobs(jet=jet), t)[1]
+    assert np.abs(x - states[:, 2]).max() < 5e-5
+    # a short cut changes no volume: the mean delay stays V over the flow
+    plain = voltage(rig, step, Knobs(), t)[1]
+    up = t < step.tf
+    assert np.trapezoid((x - plain)[up], t[up]) == pytest.approx(0.0, abs=2e-3)
+    assert (x - plain)[up].max() > 0.02
+    jets = {s.total_flow: prepared_rig(case(jet_across=0.3))[s.name].jet for s in rig.steps}
+    flows = np.array(sorted(jets))
+    sizes = np.array([jets[flow] for flow in flows])
+    power = np.diff(np.log(sizes)) / np.diff(np.log(flows))
+    assert np.ptp(power) < 1e-9 and round(float(power[0]), 9) in (0.5, 1.0)
+    assert sizes[-1] == pytest.approx(0.3)
+
+
+def test_a_coating_that_warms_as_it_takes_up_gas_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    heat, cooling = 0.3, 2.0
+
+    def with_heat(u: float, x: FloatArray) -> list[float]:
+        uptake = (x[1] * np.exp(-x[3]) - x[2]) / rig.tau
+        cascade = [(u - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+        return [*cascade, uptake, heat * uptake - x[3] / cooling]
+
+    t, states = solved(rig, with_heat, 4)
+    x = voltage(rig, step, Knobs(sorption_heat=heat, cooling_time=cooling), t)[1]
+    assert np.abs(x - states[:, 2]).max() < 5e-5
+    plain = voltage(rig, step, Knobs(), t)[1]
+    up, down = (t > step.t0 + 0.5) & (t < step.tf), t > step.tf + 0.5
+    assert (x - plain)[up].min() < -0.05 and (x - plain)[down].max() > 0.02
+
+    # a little heat in a coating that is quick: the warmth is heat times the gas through a
+    # high-pass of the cooling time, and takes the gas there is times itself
+    quick, little = replace(rig, tau=1e-3), 1e-3
+
+    def high_pass(u: float, x: FloatArray) -> list[float]:
+        cascade = [(u - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+        return [*cascade, (x[1] - x[2]) / quick.tau, (x[2] - x[3]) / cooling]
+
+    t, states = solved(quick, high_pass, 4)
+    gas, warmth = states[:, 2], states[:, 2] - states[:, 3]
+    knobs = Knobs(sorption_heat=little, cooling_time=cooling)
+    x, plain = (voltage(quick, step, some, t)[1] for some in (knobs, Knobs()))
+    assert np.abs((plain - x) / little - gas * warmth).max() < 5e-3
+
+    found = prepared_rig(case(heat_of_sorption=0.2))
+    for each in rig.steps:
+        knobs = found[each.name]
+        assert knobs.sorption_heat == pytest.approx(0.2 * rig.relative_concentration(each))
+        assert 1.0 <= knobs.cooling_time <= 8.0
+    assert len({knobs.cooling_time for knobs in found.values()}) == 1
+
+
+def test_the_fibre_creeps_back_from_every_click() -> None:
+    strength = 0.1
+    rig = case(jolted_fibre=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    laws = []
+    for step in rig.steps:
+        t = sample_times(step)
+        left = seen[step.name] / plain[step.name] - 1.0
+        assert np.abs(left[t < step.commanded_on - step.interval]).max() < 1e-12
+        (course,) = prepared_rig(rig)[step.name].gain
+        assert np.allclose(left, course(t), atol=1e-9)
+        at = np.array([step.commanded_on, step.commanded_off])
+        jumps = course(at - 1e-9) - course(at)
+        # size/(1 + t/time)^power: its root is a straight line; time and power from three samples
+        since = np.array([0.0, 1.0, 3.0])
+        logs = np.log(course(at[0] + since) / course(at[:1]))
+        powers = np.linspace(0.3, 2.0, 170_001)
+        lines = [np.exp(-log / powers) - 1.0 for log in logs[1:]]
+        power = powers[np.abs(lines[1] - 3.0 * lines[0]).argmin()]
+        laws.append([*jumps, power, 1.0 / np.interp(power, powers, lines[0])])
+        later = step.commanded_on + np.linspace(0.0, 5.0, 50)
+        expected = -jumps[0] * (1.0 + (later - at[0]) / laws[-1][3]) ** -power
+        assert np.allclose(course(later), expected, rtol=1e-3)
+    on, off, power, time_ = np.mean(laws, axis=0)
+    assert np.ptp(np.array(laws)[:, :2], axis=0).max() < 1e-6  # every click alike
+    assert max(on, off) == pytest.approx(strength, abs=1e-6) and 0.5 <= min(on, off) / strength
+    assert 0.5 <= power <= 1.5 and 0.2 <= time_ <= 3.0
+
+
+def test_coarse_and_fine_converters_disagree_by_a_sawtooth() -> None:
+    strength = 0.3
+    rig = case(coarse_and_fine=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    level = np.concatenate([plain[step.name] for step in rig.steps])
+    error = np.concatenate([seen[step.name] for step in rig.steps]) - level
+    order = np.argsort(level)
+    level, error = level[order], error[order]
+    (width,) = {knobs.coarse_step for knobs in prepared_rig(rig).values()}
+    step_ = np.mean([step.beta for step in rig.steps])
+    assert 0.1 <= width / step_ <= 0.35
+    # one curve for all experiments: slope s between jumps back by s times the coarse step
+    jumps = np.flatnonzero(np.abs(np.diff(error)) > 0.5 * strength * width)
+    assert len(jumps) >= 3
+    assert np.diff(level[jumps]) == pytest.approx(width, rel=0.1)
+    sign = -np.sign(np.diff(error)[jumps[0]])
+    for i, j in pairwise([-1, *jumps.tolist(), len(level) - 1]):
+        if level[j] - level[i + 1] < 1e-3 * width:
+            continue
+        slope, _ = np.polyfit(level[i + 1 : j + 1], error[i + 1 : j + 1], 1)
+        assert slope == pytest.approx(sign * strength, rel=1e-6)
+    assert np.abs(error).max() <= 0.5 * strength * width + 1e-12
+
+
+def test_the_flash_lamp_fires_evenly_and_each_shot_dies_out() -> None:
+    strength = 0.2
+    rig = case(neighbours_flashlamp=strength)
+    size = strength * np.mean([step.beta for step in rig.steps])
+    found, runs = prepared_rig(rig), 0
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    for step in rig.steps:
+        assert len(found[step.name].offset) <= 1
+        for course in found[step.name].offset:
+            s = sample_times(step)
+            assert np.allclose(seen[step.name] - plain[step.name], course(s), atol=1e-9)
+            t = np.arange(0.0, step.duration + 1.0, 1e-4)
+            pulses = np.abs(course(t))
+            shots = t[1:][np.diff(pulses) > 0.3 * size]
+            period = np.diff(shots).mean()
+            assert np.abs(np.diff(shots) - period).max() < 1.1e-4
+            assert 2.0 < 1.0 / period < 12.1
+            # each adds one pulse that dies out: undone by the recursion of one decay
+            falling = (pulses[:-1] > 1e-3 * size) & (np.diff(pulses) < 0.0)
+            decay = np.median(pulses[1:][falling] / pulses[:-1][falling])
+            assert 5e-3 < -1e-4 / np.log(decay) < 3e-2
+            struck = pulses[1:] - decay * pulses[:-1]
+            hit = struck > 0.3 * size
+            assert struck[hit].max() <= size * 1.001 and struck[hit].min() > 0.97 * size
+            assert np.abs(struck[~hit]).max() < 1e-6 * size
+            assert shots[0] < 0.5 * step.duration + 1e-3 and shots[-1] < step.duration
+            assert pulses[-1] < 1e-6 * size
+            runs += 1
+    assert runs >= 1
+
+
+def test_packets_that_overtake_come_first_and_nothing_is_lost() -> None:
+    rig = case(overtaking_packets=0.5)
+    swapped = 0
+    for step in rig.steps:
+        clock = prepared_rig(rig)[step.name].clock
+        assert clock is not None
+        t = sample_times(step)
+        true = clock(t)
+        early, late = true > t + 1e-9, true < t - 1e-9
+        assert np.all(t[early | late] >= step.t0)
+        starts = np.flatnonzero(np.diff(np.concatenate([[False], early]).astype(int)) == 1)
+        for i in starts:
+            lasts = true[i] - t[i]
+            assert 0.25 <= lasts <= 0.5
+            first = (t >= t[i]) & early & (t < t[i] + 1.5 * lasts)
+            second = late & (t >= t[i]) & (t < t[i] + 2.5 * lasts)
+            assert np.ptp((true - t)[first]) < 1e-9 and np.ptp((true - t)[second]) < 1e-9
+            n = lasts / step.interval
+            assert abs(first.sum() - n) <= 1.0 and abs(second.sum() - n) <= 1.0
+            both = np.sort(true[first | second])
+            # in the right order they fill the time without a gap of more than two samples
+            assert np.diff(both).max() < 2.01 * step.interval
+            assert both[0] >= t[i] - 1.01 * step.interval
+            swapped += 1
+        assert np.array_equal(true[~(early | late)], t[~(early | late)])
+        expected = voltage(rig, step, Knobs(), true)[0]
+        assert np.array_equal(clean_signals(rig)[step.name], expected)
+    assert swapped >= 2
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -1179,6 +1427,57 @@ def test_molecules_speckle_and_whistling_are_what_they_say() -> None:
     assert not (molecules.is_ar1 or speckle.is_ar1 or whistling.is_ar1)
 
 
+def test_notched_interleaved_and_charging_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(16)
+    h, time_, frequency = 1e-3, 0.1, 12.0
+    part = Component(1.0, time_, frequency, "notched")
+    notched = NoiseLaw("notched", 1.0, components=(part,))
+    z = draw_noise(notched, 1_000_000, h, rng)
+    f, power = welch(z, 1.0 / h, nperseg=20_000, detrend=False)
+    # nothing at its frequency, half at 1/(2 pi time) to either side, all of it far away
+    far = np.median(power[(f > 100.0) & (f < 400.0)])
+    assert power[np.abs(f - frequency).argmin()] < 0.01 * far
+    for side in (-1.0, 1.0):
+        at = frequency + side / (2.0 * np.pi * time_)
+        assert np.mean(power[np.abs(f - at) < 0.16]) == pytest.approx(0.5 * far, rel=0.15)
+    # variance 1: what is taken away is pi/2 times the notch's full width, of the whole band
+    assert 0.5 / h * far == pytest.approx(1.0 + 2.0 * h / time_ / 2.0, rel=0.03)
+    # the closed form of the sampled filter: the spectrum is its autocorrelation's transform
+    R = autocorrelation(notched, 4000, h)
+    grid = np.array([3.0, 8.0, 12.0, 20.0, 100.0])
+    k = np.arange(1, 4000)
+    density = [R[0] + 2.0 * np.sum(R[1:] * np.cos(2.0 * np.pi * x * h * k)) for x in grid]
+    t2 = (np.tan(np.pi * grid * h) ** 2 - np.tan(np.pi * frequency * h) ** 2) ** 2
+    # bilinear transform of (s^2 + w^2)/(s^2 + b s + w^2), the textbook notch
+    r2 = np.exp(-2.0 * h / time_)
+    b = (1.0 - r2) / (1.0 + r2) * (1.0 + np.tan(np.pi * frequency * h) ** 2)
+    expected = t2 / (t2 + (b * np.tan(np.pi * grid * h)) ** 2) * 2.0 / (1.0 + r2)
+    assert density == pytest.approx(expected, abs=2e-3)
+    assert np.mean(z**4) == pytest.approx(3.0, rel=0.03)
+
+    law = NoiseLaw("interleaved", 1.0, components=(Component(1.0, shape="interleaved", depth=0.8),))
+    z = draw_noise(law, 200_000, h, rng)
+    pair = np.sort([z[::2].var(), z[1::2].var()])
+    assert pair == pytest.approx([0.2, 1.8], rel=0.03)
+    assert np.mean(z**4) == pytest.approx(3.0 * 1.64, rel=0.05)
+    for half in (z[::2], z[1::2]):  # each converter by itself is Gaussian
+        assert np.mean(half**4) / half.var() ** 2 == pytest.approx(3.0, rel=0.05)
+    firsts = [np.abs(draw_noise(law, 400, h, rng)[::2]).mean() > 0.6 for _ in range(40)]
+    assert 8 < sum(firsts) < 32  # either begins
+
+    charging = NoiseLaw("charging", 1.0, components=(Component(1.0, 0.05, shape="charging"),))
+    z = draw_noise(charging, 1_000_000, h, rng)
+    # exponentially distributed above the level it falls to: standard deviation, lean and tail
+    assert z.min() >= -1.0 and z.min() == pytest.approx(-1.0, abs=1e-3)
+    assert np.mean(z > 1.0) == pytest.approx(np.exp(-2.0), rel=0.05)
+    assert np.mean(z**3) == pytest.approx(2.0, rel=0.1)
+    falls = np.diff(z) < 0.0
+    # a rise that breaks down within the next interval shows there unless it was so young
+    assert falls.mean() == pytest.approx(-np.expm1(-h / 0.05), rel=0.05)
+    assert np.allclose(np.diff(z)[~falls & (z[:-1] > -1.0 + h / 0.05)], h / 0.05, atol=1e-9)
+    assert not (notched.is_ar1 or law.is_ar1 or charging.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):
@@ -1237,7 +1536,13 @@ def test_a_case_makes_the_same_campaign_again_and_survives_json() -> None:
 
 
 def test_switches_follow_commands_even_on_a_bad_clock() -> None:
-    for name in ("running_off_clock", "lost_samples", "hurried_timer", "repeated_buffer"):
+    for name in (
+        "running_off_clock",
+        "lost_samples",
+        "hurried_timer",
+        "repeated_buffer",
+        "overtaking_packets",
+    ):
         rig = draw_case(21, {name: CAUSES[name].highest}, size="small")
         seen = reality.as_recorded(rig)
         for e, step in zip(make_campaign(rig), seen.steps, strict=True):
@@ -1279,6 +1584,12 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("displaced_water", {"rise", "plateau", "fall"}, 0.999),
         ("self_heating_ring", {"rise", "plateau", "fall"}, 0.95),
         ("hunting_lock", {"rise", "fall"}, 0.9),
+        ("grain_in_seat", {"fall", "tail"}, 0.999),
+        ("stale_test_gas", {"rise", "plateau"}, 0.99),
+        ("jet_across", {"rise", "fall"}, 0.95),
+        ("heat_of_sorption", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("jolted_fibre", {"rise", "plateau", "fall"}, 0.9),
+        ("overtaking_packets", {"rise", "fall"}, 0.95),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

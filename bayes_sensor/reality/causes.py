@@ -174,7 +174,7 @@ def mains_dip(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
             rig[step.name].dropped.append((at, lasts))
 
 
-@cause((), "plateau", "share of the stroke", 0.3, reserve=True)
+@cause((), "plateau", "share of the stroke", 0.3)
 def weak_holding_current(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The driver pulls the valve in with full current, then saves current and only holds it.
 
@@ -183,6 +183,21 @@ def weak_holding_current(rig: Rig, s: float, rng: np.random.Generator, case: Cas
     after = _between(rng, 1.0, 8.0)
     for knobs in rig.values():
         knobs.sinking, knobs.sinking_after = s, after
+
+
+@cause((), "tail", "share of the stroke", 0.2, per_experiment=True, reserve=True)
+def grain_in_seat(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A grain of dust lies in the seat: the valve comes to rest on it, ajar, and test gas leaks.
+
+    Sooner or later the stream carries the grain off and the plunger falls the rest of its way; some
+    grains stay until after the record.
+    """
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        size, lies = s * rng.uniform(0.5, 1.0), _between(rng, 2.0, 20.0)
+        if k != certain and rng.random() < 0.4:
+            continue
+        rig[step.name].ajar, rig[step.name].ajar_until = size, step.tf + lies
 
 
 # --------------------------------------------------------------------------- flows
@@ -368,7 +383,7 @@ def pinched_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         rig[step.name].marks += [at - 3.0 * edge, at + lasts - 3.0 * edge]
 
 
-@cause((), "tail", "share of the vapour", 0.3, near=("flow_settling",), reserve=True)
+@cause((), "tail", "share of the vapour", 0.3, near=("flow_settling",))
 def cooling_bubbler(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The test gas takes up its vapour in a bubbler, whose liquid cools as it evaporates.
 
@@ -385,7 +400,7 @@ def cooling_bubbler(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.chill_time = time
 
 
-@cause((), "plateau", "share of the highest gas", 0.15, per_experiment=True, reserve=True)
+@cause((), "plateau", "share of the highest gas", 0.15, per_experiment=True)
 def neighbours_solvent(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A neighbour opens a bottle of solvent; the compressor that makes the carrier inhales it.
 
@@ -426,6 +441,18 @@ def neighbours_solvent(rig: Rig, s: float, rng: np.random.Generator, case: Case)
 
             rig[step.name].seep.append(cloud)
             rig[step.name].marks.append(at)
+
+
+@cause((), "delay", "share lost", 0.6, reserve=True)
+def stale_test_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Test gas that stood in its hose before the valve has lost part of its vapour to the wall.
+
+    Each experiment gets the stale gas first, whatever time it takes to push the hose's volume out;
+    fresh gas follows behind a front that has spread on its way (Taylor's dispersion).
+    """
+    volume, spread = case.V * _between(rng, 0.08, 0.4), rng.uniform(0.1, 0.4)
+    for knobs in rig.values():
+        knobs.stale, knobs.stale_volume, knobs.stale_front = s, volume, spread * volume
 
 
 # --------------------------------------------------------------------------- manifold
@@ -554,7 +581,7 @@ def permeable_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         rig[step.name].seep.append(given)
 
 
-@cause((), "fall", "over the exchange", 1.5, reserve=True)
+@cause((), "fall", "over the exchange", 1.5)
 def pairing_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Molecules of the test gas react with each other in the manifold: twice the gas, four times.
 
@@ -565,6 +592,19 @@ def pairing_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
     typical = float(np.median([step.total_flow for step in case.steps]))
     for step in case.steps:
         rig[step.name].pairing = s * case.relative_concentration(step) * typical / case.V
+
+
+@cause((), "mixing", "share of the flow", 0.75, reserve=True)
+def jet_across(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The gas enters as a jet, part of which shoots across the manifold to the sensor unmixed.
+
+    What does not take the short cut flushes the manifold, more slowly (Cholette and Cloutier, Can.
+    J. Chem. Eng. 37, 105, 1959).  The jet reaches further at larger flow.
+    """
+    power = rng.choice([0.5, 1.0])
+    largest = max(step.total_flow for step in case.steps)
+    for step in case.steps:
+        rig[step.name].jet = s * (step.total_flow / largest) ** power
 
 
 # --------------------------------------------------------------------------- sensor
@@ -721,7 +761,7 @@ def peeling_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].marks += [edge for flake in at.tolist() for edge in (flake - 1e-6, flake)]
 
 
-@cause((), "plateau", "share of the sites", 0.4, near=("slow_sorption",), reserve=True)
+@cause((), "plateau", "share of the sites", 0.4, near=("slow_sorption",))
 def displaced_water(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The carrier is damp: water holds the share ``s`` of the sites until the gas displaces it.
 
@@ -733,6 +773,19 @@ def displaced_water(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs = rig[step.name]
         knobs.damp, knobs.damp_time = s, time
         knobs.displacing = load * case.relative_concentration(step)
+
+
+@cause((), "tail", "log of the uptake", 0.4, near=("slow_sorption",), reserve=True)
+def heat_of_sorption(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Gas that settles warms the coating, which then holds less; leaving, it cools it and is kept.
+
+    Non-isothermal sorption (Ruthven, Lee and Yucel, AIChE J. 26, 16, 1980): the more gas, the
+    warmer.  The last of the way is as slow as the heat that goes into the chip.
+    """
+    time = _between(rng, 1.0, 8.0)
+    for step in case.steps:
+        knobs = rig[step.name]
+        knobs.sorption_heat, knobs.cooling_time = s * case.relative_concentration(step), time
 
 
 # --------------------------------------------------------------------------- readout
@@ -973,7 +1026,7 @@ def warm_driver(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         rig[step.name].offset.append(drift)
 
 
-@cause((), "level", "half-widths", 0.5, near=("optical_nonlinearity",), reserve=True)
+@cause((), "level", "half-widths", 0.5, near=("optical_nonlinearity",))
 def self_heating_ring(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Light that the ring absorbs warms its chip and moves the line: more light, or less, gets in.
 
@@ -984,6 +1037,30 @@ def self_heating_ring(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
     sign, time = _sign(rng), _between(rng, 0.4, 5.0)
     for knobs in rig.values():
         knobs.warming, knobs.warming_time = sign * s, time
+
+
+@cause((), "spike", "relative", 0.15, reserve=True)
+def jolted_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The valve's click jolts the fibre out of its best place; its soft glue creeps back.
+
+    Less light comes in from the click on, before any gas.  Glue has no single time: what is left
+    falls as a power of time.  The coil and the spring do not click alike.
+    """
+    time, power = _between(rng, 0.2, 3.0), rng.uniform(0.5, 1.5)
+    other = _between(rng, 0.5, 1.0)
+    sizes = (s, other * s) if rng.random() < 0.5 else (other * s, s)
+    for step in case.steps:
+        clicks = tuple(zip((step.commanded_on, step.commanded_off), sizes, strict=True))
+
+        def lost(t: FloatArray, clicks: tuple[tuple[float, float], ...] = clicks) -> FloatArray:
+            total = np.zeros_like(t)
+            for at, size in clicks:
+                back = (1.0 + np.maximum(t - at, 0.0) / time) ** -power
+                total -= np.where(t >= at, size * back, 0.0)
+            return total
+
+        rig[step.name].gain.append(lost)
+        rig[step.name].marks += [edge for at, _ in clicks for edge in (at - 1e-6, at)]
 
 
 # --------------------------------------------------------------------------- electronics
@@ -1131,7 +1208,7 @@ def sluggish_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         knobs.fastest = steepest / (1.0 + s)
 
 
-@cause((), "delay", "s", 0.25, reserve=True)
+@cause((), "delay", "s", 0.25)
 def hunting_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The loop that locks the laser to the line has too much gain: it overshoots and rings down.
 
@@ -1142,13 +1219,51 @@ def hunting_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.lock_time, knobs.lock_damping = s, damping
 
 
-@cause((), "line", "relative", 0.1, fast=True, reserve=True)
+@cause((), "line", "relative", 0.1, fast=True)
 def paired_converters(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The recorder has two converters that take turns; their gains and zeros do not quite agree."""
     zero = rng.uniform(-0.5, 0.5) * s * _mean_step(case)
     sign = _sign(rng)
     for knobs in rig.values():
         knobs.pair_gain, knobs.pair_zero = sign * s, zero
+
+
+@cause((), "level", "of a coarse step", 0.4, reserve=True)
+def coarse_and_fine(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The converter measures in coarse steps, then what is left; the two scales do not match.
+
+    The gain between its stages is off by ``s``: the error is a sawtooth over the voltage and jumps
+    wherever the coarse part takes the next step.
+    """
+    width, sign = _mean_step(case) * _between(rng, 0.1, 0.35), _sign(rng)
+    begin = width * rng.random()
+    for knobs in rig.values():
+        knobs.coarse_step, knobs.coarse_begin, knobs.coarse_gain = width, begin, sign * s
+
+
+@cause((), "line", "share of the step", 0.3, per_experiment=True, fast=True, reserve=True)
+def neighbours_flashlamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A neighbour's pulsed laser: each discharge of its flash lamp gets into the receiver.
+
+    Even pulses, as its quartz makes them, that die out in the receiver's time; in runs, as the
+    neighbour needs them.
+    """
+    period, time = 1.0 / _between(rng, 2.0, 12.0), _between(rng, 5e-3, 3e-2)
+    size, certain = _sign(rng) * s * _mean_step(case), int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        begin = rng.uniform(0.0, 0.5) * step.duration
+        shots = int(rng.uniform(0.3, 0.9) * (step.duration - begin) / period)
+        if k != certain and rng.random() < 0.4:
+            continue
+
+        def pulses(t: FloatArray, begin: float = begin, shots: int = shots) -> FloatArray:
+            # the last shot and, as a geometric series, what is left of those before
+            last = np.clip(np.floor((t - begin) / period), 0.0, shots)
+            since, left = np.maximum(t - begin - last * period, 0.0), np.exp(-period / time)
+            sums = (1.0 - left ** (last + 1.0)) / (1.0 - left)
+            return np.where(t >= begin, size * sums * np.exp(-since / time), 0.0)
+
+        rig[step.name].offset.append(pulses)
 
 
 @cause((), "delay", "s", 0.5)
@@ -1284,6 +1399,35 @@ def repeated_buffer(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
             true = t.copy()
             for at, lasts in again:
                 true[(t >= at) & (t < at + lasts)] -= lasts
+            return true
+
+        rig[step.name].clock = clock
+
+
+@cause((), "clock", "s", 0.6, per_experiment=True, reserve=True)
+def overtaking_packets(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The recorder sends its samples over a network, where one packet overtakes the one before.
+
+    They are filed as they arrive, evenly: what was measured later comes first, and nothing is lost.
+    """
+    reach = case.tau_v + case.V / float(np.mean([p.total_flow for p in case.steps]))
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        pairs = []
+        for switch in (step.t0, step.tf):
+            lasts = s * rng.uniform(0.5, 1.0)
+            # both packets after the switch, so that no command is filed out of turn
+            at = min(switch + rng.uniform(0.0, 1.0) * reach, step.duration - 2.0 * lasts)
+            if k == certain or rng.random() < 0.6:
+                pairs.append((at, lasts))
+
+        def clock(
+            t: FloatArray, pairs: tuple[tuple[float, float], ...] = tuple(pairs)
+        ) -> FloatArray:
+            true = t.copy()
+            for at, lasts in pairs:
+                true[(t >= at) & (t < at + lasts)] += lasts
+                true[(t >= at + lasts) & (t < at + 2.0 * lasts)] -= lasts
             return true
 
         rig[step.name].clock = clock

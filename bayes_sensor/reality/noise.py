@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, exp, pi, sqrt
+from math import ceil, cos, exp, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,12 @@ OPEN_LAWS = (
     "ar1", "white", "ar1_slow", "arma", "pink", "band_limited", "oscillating", "telegraph",
     "sliding_mean", "shot", "gusty", "double_sampling", "echo", "sparks",
     "turbulent", "zeroed_walk", "pulsing", "ac_coupled", "interpolated", "etalon",
+    "molecules", "speckle", "whistling",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("molecules", "speckle", "whistling")
+RESERVE_LAWS = ("notched", "interleaved", "charging")
 """kept out of every run but the last"""
-HEAVY_TAILED = ("shot", "gusty", "sparks", "pulsing", "speckle")
+HEAVY_TAILED = ("shot", "gusty", "sparks", "pulsing", "speckle", "interleaved")
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
 loudness"""
 
@@ -161,6 +162,26 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    lagging = own.uniform(0.05, 0.2)
+    parts |= {
+        # a hum eliminator between receiver and recorder takes out one frequency
+        "notched": (
+            Component(
+                1.0, exp(own.uniform(np.log(0.03), np.log(0.3))),
+                exp(own.uniform(np.log(4.0), np.log(25.0))), shape="notched",
+            ),
+        ),
+        # two converters take turns, and one of them is the noisier
+        "interleaved": (
+            Component(1.0 - lagging, shape="interleaved", depth=own.uniform(0.5, 0.9)),
+            Component(lagging, exp(own.uniform(np.log(0.02), np.log(0.3)))),
+        ),
+        # a plastic hose charges itself evenly and discharges at random
+        "charging": (
+            Component(1.0 - share, short),
+            Component(share, exp(own.uniform(np.log(0.3), np.log(4.0))), shape="charging"),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -206,6 +227,8 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = sum(weight * own ** (k * k) for k, weight in enumerate(_orders(part), start=1))
         elif part.shape == "diffusing":
             own = 1.0 / (1.0 + lags / part.time)
+        elif part.shape == "notched":
+            own = _notched_correlation(part, n, interval)
         elif part.shape == "whistling":
             # pitches between (1 - depth) and (1 + depth) times the middle one, any as likely
             own *= np.cos(2.0 * pi * part.frequency * lags)
@@ -249,6 +272,9 @@ def _draw_part(
     if part.shape == "difference":
         e = _innovations(n + 1, rng, tails)
         return (e[1:] - part.depth * e[:-1]) / sqrt(1.0 + part.depth**2)
+    if part.shape == "interleaved":
+        louder = np.where((np.arange(n) + rng.integers(2)) % 2 == 0, *_gusts(part))
+        return louder * _innovations(n, rng, tails)
     if part.time == 0.0:
         return _innovations(n, rng, tails)
     decay = exp(-interval / part.time)
@@ -272,6 +298,10 @@ def _draw_part(
         return _speckle(part.time, n, interval, rng)
     if part.shape == "whistling":
         return _whistling(part, n, interval, rng)
+    if part.shape == "notched":
+        return _notched(part, n, interval, rng, tails)
+    if part.shape == "charging":
+        return _charging(part.time, n, interval, rng)
     if part.shape == "zeroed":
         return _zeroed(part.time, n, interval, rng)
     if part.shape == "coupled":
@@ -301,7 +331,7 @@ def _draw_part(
 
 
 def _gusts(part: Component) -> tuple[float, float]:
-    """Standard deviations in a gust and out of it."""
+    """Standard deviations where it is loud and where it is not."""
     return sqrt(1.0 + part.depth), sqrt(1.0 - part.depth)
 
 
@@ -532,6 +562,54 @@ def _whistling(part: Component, n: int, interval: float, rng: np.random.Generato
     turns = pitches[tone] * since + rng.random(count)[tone]
     whistle: FloatArray = sqrt(2.0) * np.cos(2.0 * pi * turns)
     return whistle
+
+
+def _all_pass(part: Component, interval: float) -> tuple[list[float], list[float]]:
+    """Coefficients (3,) above and below of a filter that turns ``frequency`` by half a turn.
+
+    It lets all frequencies pass; how soon it forgets is ``time``.
+    """
+    r2 = exp(-2.0 * interval / part.time)
+    middle = -(1.0 + r2) * cos(2.0 * pi * part.frequency * interval)
+    return [r2, middle, 1.0], [1.0, middle, r2]
+
+
+def _notched_correlation(part: Component, n: int, interval: float) -> FloatArray:
+    """(n,) autocorrelation of white noise with what an all-pass filter A makes of it.
+
+    |1 + A|^2 = 2 + A + A* with |A| = 1, hence at lags beyond 0 half the answer of A to one pulse
+    over 1 + its first sample (Regalia, Mitra and Vaidyanathan, Proc. IEEE 76, 19, 1988).
+    """
+    above, below = _all_pass(part, interval)
+    pulse = np.zeros(n)
+    pulse[0] = 1.0
+    R: FloatArray = 0.5 * lfilter(above, below, pulse) / (1.0 + above[0])
+    R[0] = 1.0
+    return R
+
+
+def _notched(
+    part: Component, n: int, interval: float, rng: np.random.Generator, tails: tuple[float, float]
+) -> FloatArray:
+    """(n,) white noise without ``frequency``, where it and what an all-pass makes of it cancel."""
+    above, below = _all_pass(part, interval)
+    before = ceil(20.0 * part.time / interval)
+    e = _innovations(n + before, rng, tails)
+    both: FloatArray = (e + lfilter(above, below, e))[before:]
+    return both / sqrt(2.0 * (1.0 + above[0]))
+
+
+def _charging(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) straight rise since the last of the breakdowns, which come at random, less its mean.
+
+    The time since then is exponentially distributed, and correlated as exp(-lag/time): after a
+    breakdown nothing is known of before.
+    """
+    at = np.arange(n) * interval
+    breakdowns = np.sort(rng.uniform(0.0, n * interval, rng.poisson(n * interval / time)))
+    last = np.concatenate([[-rng.exponential(time)], breakdowns])
+    since: FloatArray = at - last[np.searchsorted(breakdowns, at, side="right")]
+    return since / time - 1.0
 
 
 def _smooth(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

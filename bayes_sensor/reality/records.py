@@ -77,7 +77,11 @@ class Component:
     ``diffusing`` it is a number of molecules that come and go by diffusion in a plane:
     ``1/(1 + lag/time)``; with ``speckle`` the squared modulus of a complex Ornstein-Uhlenbeck
     process; with ``whistling`` a tone that lasts a ``time`` in the mean and is then replaced by one
-    whose frequency is anywhere within ``depth`` of ``frequency``, relatively.
+    whose frequency is anywhere within ``depth`` of ``frequency``, relatively.  With ``notched``
+    white noise has lost what is within some 1/(2 pi ``time``) of ``frequency``; with
+    ``interleaved`` (``time`` 0) white noise is by turns of variance 1 + ``depth`` and 1 -
+    ``depth``; with ``charging`` it rises evenly and falls to the same level at random, every
+    ``time`` in the mean.
     """
 
     share: float
@@ -88,7 +92,8 @@ class Component:
     shape: str = "gauss"
     """``gauss``, ``telegraph``, ``smooth``, ``shot``, ``window``, ``gusts``, ``sparks``, ``echo``,
     ``difference``, ``turbulent``, ``zeroed``, ``pulsing``, ``coupled``, ``interpolated``,
-    ``fringes``, ``diffusing``, ``speckle`` or ``whistling``"""
+    ``fringes``, ``diffusing``, ``speckle``, ``whistling``, ``notched``, ``interleaved`` or
+    ``charging``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

@@ -13,6 +13,7 @@ from math import pi
 from typing import Any
 
 import numpy as np
+from scipy.special import erfc
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality import stages
@@ -46,6 +47,10 @@ class Knobs:
     """share of the stroke by which the plunger sinks back when it is only held"""
     sinking_after: float = 3.0
     """s after the switch"""
+    ajar: float = 0.0
+    """share of the stroke at which the valve comes to rest when it shuts"""
+    ajar_until: float = 0.0
+    """s, when it falls the rest of its way"""
     # flows
     following: float = 0.0
     """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
@@ -61,6 +66,12 @@ class Knobs:
     """log of the vapour pressure that evaporation at full pressure would take away"""
     chill_time: float = 10.0
     """s in which a bath warms the evaporating liquid again"""
+    stale: float = 0.0
+    """share of the vapour that test gas standing in its hose has lost"""
+    stale_volume: float = 10.0
+    """mL of the hose"""
+    stale_front: float = 2.0
+    """mL over which fresh gas follows"""
     flow_factor: float = 1.0
     """true over set flow, both gases"""
     all_flow: list[Course] = field(default_factory=list)
@@ -77,6 +88,8 @@ class Knobs:
     back_flow: float | None = None
     """of ``n_cells`` cells; None: one stirred volume"""
     n_cells: int = 4
+    jet: float = 0.0
+    """share of the flow that crosses the manifold without mixing"""
     left_over: float = 0.0
     """concentration in the manifold at the start, in units of this experiment's"""
     left_over_times: tuple[float, float] = (4.0, 20.0)
@@ -124,6 +137,10 @@ class Knobs:
     """s in which water leaves its sites"""
     displacing: float = 0.0
     """Langmuir's constant times this experiment's concentration, of the gas against water"""
+    sorption_heat: float = 0.0
+    """log of the uptake that the whole response's heat takes away"""
+    cooling_time: float = 3.0
+    """s in which the coating loses that heat"""
     # readout
     shift: float = 0.0
     """resonance shift at the highest concentration in half-widths; 0: straight readout"""
@@ -175,6 +192,12 @@ class Knobs:
     """relative, by which every other sample's converter reads more"""
     pair_zero: float = 0.0
     """V, likewise"""
+    coarse_step: float = 1.0
+    """V between the converter's coarse steps"""
+    coarse_begin: float = 0.0
+    """V, where one of them is"""
+    coarse_gain: float = 0.0
+    """relative, by which what lies above a coarse step reads more"""
     clock: Course | None = None
     """true time of what the recorder calls ``t``"""
     marks: list[float] = field(default_factory=list)
@@ -226,6 +249,10 @@ def voltage(
             marks.append(switch + knobs.bypass_delay)
     if knobs.sinking > 0:
         marks.append(step.t0 + knobs.sinking_after)
+    if knobs.ajar > 0:
+        # where the falling plunger meets the grain, and where it falls on
+        rests = step.tf - case.tau_v * knobs.valve_factor * float(np.log(knobs.ajar))
+        marks += [at for at in (rests, knobs.ajar_until) if at < step.duration]
     quick = min(case.tau_v, case.V / step.total_flow)
     t = nodes(step, true, marks, quick)
     opening = _opening(case, step, knobs, t)
@@ -251,6 +278,9 @@ def voltage(
         readings = np.floor((true - knobs.hold_begin) / knobs.hold)
         shown = np.maximum(knobs.hold_begin + readings * knobs.hold, t[0])
     seen = np.interp(shown, t, y)
+    if knobs.coarse_gain != 0:
+        above = np.mod((seen - knobs.coarse_begin) / knobs.coarse_step, 1.0)
+        seen = seen + knobs.coarse_gain * knobs.coarse_step * (above - 0.5)
     if knobs.pair_gain != 0:
         turn = np.where(np.rint(times / step.interval) % 2 == 0, -0.5, 0.5)
         seen = seen * (1.0 + knobs.pair_gain * turn) + knobs.pair_zero * turn
@@ -284,6 +314,9 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
         x = (1.0 - knobs.slow_opening) * x + knobs.slow_opening * slow
     if knobs.stick_band > 0:
         x = stages.stick_slip(x, knobs.stick_band)
+    if knobs.ajar > 0:
+        falling = np.exp(-np.maximum(t - knobs.ajar_until, 0.0) / tau_v)
+        x = np.where(t > step.tf, np.maximum(x, knobs.ajar * falling), x)
     return x
 
 
@@ -314,6 +347,10 @@ def _flows(
     flow = carrier + test + made_up
     if knobs.chill > 0:
         inlet = inlet * np.exp(-stages.evaporating(t, opening, knobs.chill, knobs.chill_time))
+    if knobs.stale > 0:
+        dosed = np.concatenate([[0.0], np.cumsum(0.5 * (test[1:] + test[:-1]) * np.diff(t))])
+        behind = (dosed - knobs.stale_volume) / knobs.stale_front
+        inlet = inlet * (1.0 - 0.5 * knobs.stale * erfc(behind))
     for source in knobs.seep:
         inlet = inlet + source(t) / flow / step.concentration
     for factor in knobs.all_flow:
@@ -324,6 +361,8 @@ def _flows(
 def _manifold(
     case: Case, step: Step, knobs: Knobs, t: FloatArray, inlet: FloatArray, flow: FloatArray
 ) -> FloatArray:
+    if knobs.jet > 0:
+        flow = (1.0 - knobs.jet) * flow  # what is left to flush the manifold
     if knobs.pocket_fractions:
         gas = stages.pockets(
             t, inlet, flow, case.V, np.array(knobs.pocket_fractions),
@@ -342,6 +381,8 @@ def _manifold(
             gas = gas * 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * kappa))
         else:
             gas = stages.lag(t, inlet, passage, 0.0)
+    if knobs.jet > 0:
+        gas = (1.0 - knobs.jet) * gas + knobs.jet * inlet
     if knobs.bypass > 0:
         late = np.interp(t - knobs.bypass_delay, t, gas, left=0.0)
         gas = (1.0 - knobs.bypass) * gas + knobs.bypass * late
@@ -368,6 +409,8 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
             x = filled * (1.0 + K * relative) / relative
         else:  # a reading that was calibrated against concentration
             x = filled / (1.0 - K * filled) / relative
+    elif knobs.sorption_heat > 0:
+        x = stages.warming_coating(t, gas, tau, knobs.sorption_heat, knobs.cooling_time)
     elif knobs.swelling != 0 or knobs.gate != 0:
         x = stages.langmuir(t, gas, tau, 0.0, knobs.swelling, knobs.gate, knobs.gate_width)
     else:

@@ -167,6 +167,37 @@ def displaced(
 
 
 @njit(cache=True, error_model="numpy")
+def warming_coating(
+    t: FloatArray, g: FloatArray, tau: float, heat: float, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state of tau x' = g exp(-w) - x from 0 with the warmth w' = ``heat`` x' - w/``time``.
+
+    In units in which the warmth takes exp(-w) of the uptake that the gas ``g`` (n,) would have.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    x, w = 0.0, 0.0
+    share = (0.0, 0.5, 0.5, 1.0)
+    for i in range(n - 1):
+        steps = max(1, ceil((t[i + 1] - t[i]) * ((1.0 + heat) / tau + 1.0 / time) / 0.3))
+        h = (t[i + 1] - t[i]) / steps
+        for step in range(steps):
+            dx, dw, total_x, total_w = 0.0, 0.0, 0.0, 0.0
+            for stage in range(4):
+                gas = g[i] + (step + share[stage]) / steps * (g[i + 1] - g[i])
+                at, warm = x + share[stage] * h * dx, w + share[stage] * h * dw
+                dx = (gas * exp(-warm) - at) / tau
+                dw = heat * dx - warm / time
+                weight = 1.0 if stage in (0, 3) else 2.0
+                total_x += weight * dx
+                total_w += weight * dw
+            x += h / 6.0 * total_x
+            w += h / 6.0 * total_w
+        out[i + 1] = x
+    return out
+
+
+@njit(cache=True, error_model="numpy")
 def self_heating(
     t: FloatArray, at: FloatArray, rest: float, warming: float, time: float
 ) -> FloatArray:  # pragma: no cover - compiled
