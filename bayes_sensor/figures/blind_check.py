@@ -206,7 +206,7 @@ def _reliability(axes: Axes, calibration: Part) -> None:
     if calibration["ece"] is not None:
         axes.annotate(
             f"mean error {calibration['ece']:.4f},\nchance: < {calibration['band95']:.4f}",
-            (0.03, 0.97), xycoords="axes fraction", ha="left", va="top", fontsize=SMALLEST,
+            (0.98, 0.04), xycoords="axes fraction", ha="right", va="bottom", fontsize=SMALLEST,
         )  # fmt: skip
     axes.set_xlim(0, 1.02)
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
