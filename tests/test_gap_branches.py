@@ -194,6 +194,8 @@ def test_some_of_what_looks_unlisted_is_a_mistake() -> None:
     assert made["none"] / made["dead_volume"] == pytest.approx(3.0)
     sure = _allowing_for_mistakes({"none": 0.0, "unlisted": 1.0, "dead_volume": 0.0}, "dead_volume")
     assert sure == pytest.approx({"none": 0.0, "unlisted": 1.0 - MISTAKEN, "dead_volume": MISTAKEN})
+    tiny = _allowing_for_mistakes({"none": 5e-324, "unlisted": 1.0, "dead_volume": 0.0}, "none")
+    assert tiny == pytest.approx({"none": MISTAKEN, "unlisted": 1.0 - MISTAKEN, "dead_volume": 0.0})
     quiet = {"none": 1.0, "unlisted": 0.0, "dead_volume": 0.0}
     assert _allowing_for_mistakes(quiet, "none") == quiet
 

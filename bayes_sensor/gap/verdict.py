@@ -125,8 +125,8 @@ def _allowing_for_mistakes(rows: Mapping[str, float], likeliest: str) -> dict[st
     """Rows whose unlisted one gives a share to all others, or to ``likeliest`` where they are 0."""
     mistaken = MISTAKEN * rows["unlisted"]
     rest = sum(p for name, p in rows.items() if name != "unlisted")
-    scale = 1.0 + mistaken / rest if rest > 0.0 else 0.0
-    made = {name: p * scale for name, p in rows.items()}
+    # a ratio of two tiny probabilities is exact, where one over a tiny sum overflows
+    made = {name: p + mistaken * (p / rest) if rest > 0.0 else p for name, p in rows.items()}
     made["unlisted"] = rows["unlisted"] - mistaken
     if rest <= 0.0:
         made[likeliest] = mistaken
