@@ -115,9 +115,27 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
                 f"{where}: no step is seen (it is {step:.3g} {campaign.signal_unit}, with a "
                 f"standard error of {np.hypot(baseline.error, plateau.error):.2g})"
             )
+    remarks += _recorded_twice(campaign)
     if len(campaign) > 1 and campaign.same_flow:
         remarks.append(SAME_FLOW)
     return tuple(remarks)
+
+
+def _recorded_twice(campaign: Campaign) -> list[str]:
+    """Remarks on experiments whose samples another one has, too."""
+    seen: list[Experiment] = []
+    remarks = []
+    for e in campaign:
+        for first in seen:
+            if e.y is not None and first.y is not None and np.array_equal(e.y, first.y):
+                remarks.append(
+                    f"experiment '{e.name}' ({e.source}): has the samples of experiment "
+                    f"'{first.name}' ({first.source}), which then count twice; correct its file, "
+                    "or leave one of them out"
+                )
+                break
+        seen.append(e)
+    return remarks
 
 
 def falls_back(experiment: Experiment) -> bool:

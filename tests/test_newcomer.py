@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.check import campaign_remarks
 from bayes_sensor.cli import _guarded, steps
+from bayes_sensor.gap.diagnosis import _two
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.report import read_results
 from bayes_sensor.report.headline import alerts
@@ -246,6 +248,42 @@ def test_what_is_printed_is_short() -> None:
     assert len(text.splitlines()) == 1 + len(campaign) and max(map(len, text.splitlines())) < 120
     assert f"tau_s {fit.parameters['tau_s']:.4g}" in repr(fit) and fit.status in repr(fit)
     assert repr(bounds) == "Bounds(crlb_iid, crlb_ar1)"
+    gap = bs.diagnose_gap(campaign, fit, bootstrap=0, hidden=False, separate=False)
+    assert repr(gap).startswith(f"Gap({gap.verdict.kind}") and len(repr(gap)) < 200
+    assert f"tau {1e3 * gap.shrink.tau_before_s:.4g} ms without" in repr(gap)
+
+
+def test_a_recording_that_stands_twice_is_remarked_on(tmp_path: Path) -> None:
+    path = written(tmp_path, "a.csv", PLAIN, 'drive = "valve"')
+    once = path.read_text()
+    entry = once[once.index("[[experiment]]") :]
+    (tmp_path / "copy.csv").write_bytes((tmp_path / "a.csv").read_bytes())
+    again = entry.replace("a.csv", "copy.csv").replace('name = "1"', 'name = "2"')
+    path.write_text(once + again)
+    campaign = read_campaign(path)
+    first, second = (e.name for e in campaign)
+    twice = [text for text in campaign_remarks(campaign) if "count twice" in text]
+    assert len(twice) == 1 and twice[0].startswith(f"experiment '{second}' (copy.csv)")
+    assert f"'{first}' (a.csv)" in twice[0]
+
+
+def test_a_command_written_late_is_named_as_what_to_check() -> None:
+    from campaigns import small_problem
+
+    import bayes_sensor as bs
+
+    campaign = small_problem(phi=0.3)[0].campaign
+    late = [replace(e, commanded_off=e.commanded_off + 0.5) for e in campaign]
+    fit = bs.fit_least_squares(replace(campaign, experiments=tuple(late)), seed=1, swarms=1,
+                               euler=False)  # fmt: skip
+    told = [text for text in fit.warnings if text.startswith("tf_s")]
+    assert told and all("the fall seems to begin no later" in text for text in told)
+    assert all("written too late makes tau too small" in text for text in told)
+
+
+@pytest.mark.parametrize(("value", "words"), [(363.4, "363"), (13.2, "13"), (4.26, "4.3")])
+def test_an_envelope_has_no_exponent(value: float, words: str) -> None:
+    assert _two(value) == words
 
 
 # --------------------------------------------------------------------------- commands

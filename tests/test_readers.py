@@ -867,6 +867,9 @@ def test_partly_clipped_plateau_is_masked_with_a_warning(tmp_path: Path) -> None
     (e,) = found
     assert 0 <= (~e.used).sum() - (y > 2.5).sum() <= 10
     assert "are clipped at 2.5 or among clipped ones" in found.warnings[0]
+    y[330:360] -= 0.4  # what dips below the rail is caught among the clipped, and is no rail
+    caught = campaign(tmp_path, rows(T, np.minimum(y, 2.5)))
+    assert "are clipped at 2.5 or among clipped ones" in caught.warnings[0]
 
 
 # --------------------------------------------------------------------------- quantities

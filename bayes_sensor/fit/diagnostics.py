@@ -149,6 +149,12 @@ def at_bounds(
     return names
 
 
+def _unit_of(name: str, unit: str) -> str:
+    """Of a flat name such as ``tf_s[A]``; ``unit`` is the signal's."""
+    kind = name.partition("[")[0].rpartition("_")[2]
+    return unit if kind == "V" else kind
+
+
 def bound_warnings(
     at_bound: list[str],
     box: Mapping[str, tuple[float, float]],
@@ -165,15 +171,18 @@ def bound_warnings(
                 f"tau is at its lower bound ({low * 1e3:.3g} ms): the data give an upper limit "
                 "only; see the posterior's one-sided limits."
             )
-        elif name.startswith("t0_s") and lower:
+        elif name.startswith(("t0_s", "tf_s")) and lower:
+            what = "response" if name.startswith("t0_s") else "fall"
             sentences.append(
-                f"{name} is at its lower bound ({low:.6g} s, the commanded time or the start of "
-                "the record): the response seems to begin no later than the command."
+                f"{name} is at its lower bound ({low:.6g} s, the commanded time or the earliest "
+                f"that was tried): the {what} seems to begin no later than the command. Check "
+                "that time: one written too late makes tau too small."
             )
         else:
-            side = "lower" if lower else "upper"
+            side, unit_here = "lower" if lower else "upper", _unit_of(name, unit)
             sentences.append(
-                f"{name} is at its {side} bound ({low if lower else high:.6g}); widen the bounds "
-                "or distrust it."
+                f"{name} is at its {side} bound ({low if lower else high:.6g} {unit_here}): what "
+                "lies beyond was not looked for, so distrust it; check flows and times, or give "
+                "fit_least_squares other bounds."
             )
     return sentences

@@ -162,6 +162,17 @@ class Gap:
 
         return pd.DataFrame(list(self.rows))
 
+    def __repr__(self) -> str:
+        """Verdict, size of the gap, and tau without and with the explanation."""
+        v, s = self.verdict, self.shrink
+        which = (" and " if v.kind == "effect" else " or ").join(v.effects)
+        before, after = 1e3 * s.tau_before_s, 1e3 * s.tau_after_s
+        return (
+            f"Gap({v.kind} {which}".rstrip()
+            + f", probability {v.probability:.2f}; d {self.budget['excess_d']:.1f}; "
+            f"tau {before:.4g} ms without, {after:.4g} ms with the best explanation)"
+        )
+
     def _repr_html_(self) -> str:
         """What a notebook shows of it: the verdict and the explanations it was chosen from."""
         keys = ("effect", "family", "probability", "d", "fraction_closed", "tau_s")
@@ -798,6 +809,11 @@ def _units(sketch: Any, effect: Effect) -> dict[str, str]:
     return {**found, **UNITS}
 
 
+def _two(value: float) -> str:
+    """Two digits, or the whole number where that has more: never an exponent."""
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
 def _sentence(
     kind: str,
     named: Sequence[str],
@@ -823,7 +839,7 @@ def _sentence(
         low, high = (1e3 * t for t in envelope)
         return (
             "Nothing is missing beyond the noise floor. Effects that this campaign cannot see may "
-            f"still hide: with them tau could lie anywhere from {low:.2g} to {high:.2g} ms."
+            f"still hide: with them tau could lie anywhere from {_two(low)} to {_two(high)} ms."
         )
     if kind == "unlisted" and probability < 0.5:
         return (

@@ -414,8 +414,11 @@ def _check_clipped(
     """Error where too little is left beside the clipped samples, else a note."""
     i = int(np.argmax(clipped))
     share = clipped.sum() / used.sum()
-    finite = clipped & np.isfinite(y)
-    level = f"{np.median(y[finite]):.4g}" if finite.any() else f"{y[i]}"
+    finite = y[clipped & np.isfinite(y)]
+    level = f"{y[i]}"
+    if len(finite):  # the rail that more samples lie at; others were caught among them
+        low, high = (np.count_nonzero(finite == edge) for edge in (finite.min(), finite.max()))
+        level = f"{finite.max() if high >= low else finite.min():.4g}"
     begins = f"{t[i]:.6g} s"
     fix = "record again with a wider input range"
     if on is not None:

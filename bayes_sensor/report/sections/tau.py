@@ -66,10 +66,14 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
         rows = posterior.get("tau_under_priors", [])
         if rows:
             limits = [row["upper95_s"] for row in rows]
-            agree = max(limits) < 1.05 * min(limits)
+            lows = [row["lo95_s"] for row in rows]
+            here = ". "
+            if max(limits) < 1.05 * min(limits):
+                alike = max(lows) < 1.2 * min(lows)
+                here = ", but not here. " if alike else "; here only the lower ends show it. "
             paragraphs.append(
                 "Because the data see τ mainly through its square, the prior matters near zero"
-                + (", but not here. " if agree else ". ")
+                + here
                 + "Under the three priors the one-sided 95 % upper limits are "
                 f"{list_words([_limit(r) for r in rows])}{see('priors-on-tau', 'priors-figure')}."
             )
