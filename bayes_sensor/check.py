@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -86,9 +87,7 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
     for experiment in campaign:
         if experiment.y is None:
             continue
-        where = f"experiment '{experiment.name}'"
-        if experiment.source:
-            where += f" ({experiment.source})"
+        where = _where(experiment)
         fallen = experiment.commanded_off is None and falls_back(experiment)
         end = (
             f"{where}: the record ends where it began, as after a fall, but the command of one is "
@@ -121,20 +120,24 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
     return tuple(remarks)
 
 
+def _where(experiment: Experiment) -> str:
+    file = f" ({experiment.source})" if experiment.source else ""
+    return f"experiment '{experiment.name}'{file}"
+
+
 def _recorded_twice(campaign: Campaign) -> list[str]:
     """Remarks on experiments whose samples another one has, too."""
-    seen: list[Experiment] = []
+    seen: dict[bytes, Experiment] = {}
     remarks = []
     for e in campaign:
-        for first in seen:
-            if e.y is not None and first.y is not None and np.array_equal(e.y, first.y):
-                remarks.append(
-                    f"experiment '{e.name}' ({e.source}): has the samples of experiment "
-                    f"'{first.name}' ({first.source}), which then count twice; correct its file, "
-                    "or leave one of them out"
-                )
-                break
-        seen.append(e)
+        if e.y is None:
+            continue
+        first = seen.setdefault(sha256(e.y.tobytes()).digest(), e)
+        if first is not e:
+            remarks.append(
+                f"{_where(e)}: has the samples of {_where(first)}, which then count twice; correct "
+                "its file, or leave one of them out"
+            )
     return remarks
 
 

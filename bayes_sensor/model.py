@@ -31,9 +31,29 @@ SHARED = ("tau_s", "tau_v_s", "V_mL")
 NOISE = ("phi", "sigma0_V", "sigma1_V")
 SETTLED = 60.0
 """slowest time constants after which a step is over: e^-60 times 60^2 is below rounding"""
+UNITS = {
+    "s": "s", "ms": "ms", "V": "V", "V2": "V^2", "mL": "mL", "Hz": "Hz", "K": "K", "s2": "s^2",
+}  # fmt: skip
+"""at the end of a flat name"""
 
 
 # --------------------------------------------------------------------------- parameters
+
+
+def unit_of(name: str, signal_unit: str) -> str:
+    """The unit at the end of a flat name.
+
+    >>> [unit_of(name, "V") for name in ("tau_s", "drift_V_per_s", "closing_ratio")]
+    ['s', 'V/s', '1']
+    """
+    words = name.split("_")[1:]
+    if not words or words[-1] not in UNITS:
+        return "1"
+    below = UNITS[words[-1]].replace("V", signal_unit)
+    if len(words) > 1 and words[-2] == "per":
+        above = UNITS.get(words[-3], "1") if len(words) > 2 else "1"
+        return f"{above.replace('V', signal_unit)}/{below}"
+    return below
 
 
 @dataclass(frozen=True)

@@ -674,7 +674,7 @@ def test_the_score_card_is_drawn_even_when_nearly_empty() -> None:
     assert "share right" in svg(score_card(full))
 
 
-def test_unlisted_causes_look_listed_about_as_often_as_the_verdict_assumes() -> None:
+def test_unlisted_causes_look_listed_as_often_as_the_verdict_assumes() -> None:
     from bayes_sensor.gap.verdict import MIMIC
 
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)

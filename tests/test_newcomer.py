@@ -11,7 +11,7 @@ import pytest
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.check import campaign_remarks
 from bayes_sensor.cli import _guarded, steps
-from bayes_sensor.gap.diagnosis import _two
+from bayes_sensor.notebook import shown
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.report import read_results
 from bayes_sensor.report.headline import alerts
@@ -283,7 +283,7 @@ def test_a_command_written_late_is_named_as_what_to_check() -> None:
 
 @pytest.mark.parametrize(("value", "words"), [(363.4, "363"), (13.2, "13"), (4.26, "4.3")])
 def test_an_envelope_has_no_exponent(value: float, words: str) -> None:
-    assert _two(value) == words
+    assert shown(value, 2) == words
 
 
 # --------------------------------------------------------------------------- commands

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -28,6 +28,7 @@ from bayes_sensor.reality import (
     Case,
     Component,
     NoiseLaw,
+    Step,
     acting_places,
     autocorrelation,
     clean_signals,
@@ -55,6 +56,15 @@ MEAN_CAUSES = [name for name, cause in CAUSES.items() if not cause.noise]
 def case(**strengths: float) -> Case:
     """A small rig, the same for every call."""
     return replace(draw_case(11, size="small"), strengths=strengths)
+
+
+def on_its_clock(rig: Case) -> Iterator[tuple[Step, FloatArray, FloatArray]]:
+    """Every step with the times (n,) s that its record bears and those when it was measured."""
+    for step in rig.steps:
+        clock = prepared_rig(rig)[step.name].clock
+        assert clock is not None
+        t = sample_times(step)
+        yield step, t, clock(t)
 
 
 def solved(
@@ -575,11 +585,7 @@ def test_the_drivers_warmth_is_two_lags_of_the_command() -> None:
 def test_a_hurried_timer_shows_the_ideal_signal_at_other_times() -> None:
     rig = case(hurried_timer=0.12)
     seen = clean_signals(rig)
-    for step in rig.steps:
-        clock = prepared_rig(rig)[step.name].clock
-        assert clock is not None
-        t = sample_times(step)
-        true = clock(t)
+    for step, t, true in on_its_clock(rig):
         assert np.all(np.diff(true) > 0.0)
         assert 0.06 < np.abs(true - t).max() <= 0.12
         assert np.array_equal(seen[step.name], voltage(rig, step, Knobs(), true)[0])
@@ -784,11 +790,7 @@ def test_a_repeated_buffer_shows_what_was_shown_and_then_goes_on() -> None:
     rig = case(repeated_buffer=0.5)
     seen = clean_signals(rig)
     buffers = 0
-    for step in rig.steps:
-        clock = prepared_rig(rig)[step.name].clock
-        assert clock is not None
-        t = sample_times(step)
-        true = clock(t)
+    for step, t, true in on_its_clock(rig):
         assert np.array_equal(seen[step.name], voltage(rig, step, Knobs(), true)[0])
         late = t - true
         edges = np.flatnonzero(np.diff(np.concatenate([[0.0], late, [0.0]])))
@@ -1210,11 +1212,7 @@ def test_the_flash_lamp_fires_evenly_and_each_shot_dies_out() -> None:
 def test_packets_that_overtake_come_first_and_nothing_is_lost() -> None:
     rig = case(overtaking_packets=0.5)
     swapped = 0
-    for step in rig.steps:
-        clock = prepared_rig(rig)[step.name].clock
-        assert clock is not None
-        t = sample_times(step)
-        true = clock(t)
+    for step, t, true in on_its_clock(rig):
         early, late = true > t + 1e-9, true < t - 1e-9
         assert np.all(t[early | late] >= step.t0)
         starts = np.flatnonzero(np.diff(np.concatenate([[False], early]).astype(int)) == 1)

@@ -449,19 +449,19 @@ def _accuracy(listed: Sequence[Row], level: float) -> Row:
 
 def _flagged(rows: Sequence[Row], level: float) -> Row:
     at = _at(rows, level)
+    apart = [r["isolability"] >= SEPARABLE_ABOVE for r in at]
     return {
         "d": level,
         "flagged": proportion(r["verdict"] == "unlisted" for r in at),
         "flagged_where_separable": proportion(
-            r["verdict"] == "unlisted" for r in at if r["isolability"] >= SEPARABLE_ABOVE
+            r["verdict"] == "unlisted" for r, far in zip(at, apart, strict=True) if far
         ),
         # a family is no name: right where the oracle cannot tell the cause from a listed effect
         "flagged_or_unnamed": proportion(
-            r["verdict"] == "unlisted"
-            or (r["verdict"] == "family" and r["isolability"] < SEPARABLE_ABOVE)
-            for r in at
+            r["verdict"] == "unlisted" or (r["verdict"] == "family" and not far)
+            for r, far in zip(at, apart, strict=True)
         ),
-        "within_reach": proportion(r["isolability"] >= SEPARABLE_ABOVE for r in at),
+        "within_reach": proportion(apart),
         "quiet": proportion(r["verdict"] == "none" for r in at),
     }
 

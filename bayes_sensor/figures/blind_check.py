@@ -158,22 +158,17 @@ def _wrong(axes: Axes, wrong: Part) -> None:
 
 def _flagged(axes: Axes, unlisted: Part) -> None:
     levels = [row["d"] for row in unlisted["flagged"]]
-    for key, label, colour, marker, shift in (
-        ("flagged", "never listed", BLUE, MARKERS[0], -0.06),
-        ("withheld_flagged", "taken out", ORANGE, MARKERS[1], 0.06),
+    for key, share, label, colour, marker, shift, bars in (
+        ("flagged", "flagged", "never listed", BLUE, MARKERS[0], -0.06, True),
+        ("withheld_flagged", "flagged", "taken out", ORANGE, MARKERS[1], 0.06, True),
+        ("flagged", "within_reach", "oracle's reach", INK, MARKERS[2], 0.0, False),
     ):
-        parts = [row["flagged"] for row in unlisted[key]]
+        parts = [row[share] for row in unlisted[key]]
         known = [i for i, part in enumerate(parts) if part["n"]]
         _line(
             axes, [levels[i] for i in known], [parts[i] for i in known], label, colour, marker,
-            shift,
+            shift, bars,
         )  # fmt: skip
-    reach = [row["within_reach"] for row in unlisted["flagged"]]
-    seen = [i for i, part in enumerate(reach) if part["n"]]
-    _line(
-        axes, [levels[i] for i in seen], [reach[i] for i in seen], "oracle's reach", INK,
-        MARKERS[2], 0.0, False,
-    )  # fmt: skip
     _levels(axes, levels)
     axes.set_ylabel("share called unlisted")
     axes.set_title("unlisted cause")

@@ -12,7 +12,7 @@ from bayes_sensor.campaign import Experiment, FloatArray
 from bayes_sensor.fit.identifiability import step_error
 from bayes_sensor.fit.looks import Look
 from bayes_sensor.likelihood import Problem
-from bayes_sensor.model import Layout
+from bayes_sensor.model import Layout, unit_of
 
 
 def local_noise(z: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
@@ -149,12 +149,6 @@ def at_bounds(
     return names
 
 
-def _unit_of(name: str, unit: str) -> str:
-    """Of a flat name such as ``tf_s[A]``; ``unit`` is the signal's."""
-    kind = name.partition("[")[0].rpartition("_")[2]
-    return unit if kind == "V" else kind
-
-
 def bound_warnings(
     at_bound: list[str],
     box: Mapping[str, tuple[float, float]],
@@ -179,9 +173,9 @@ def bound_warnings(
                 "that time: one written too late makes tau too small."
             )
         else:
-            side, unit_here = "lower" if lower else "upper", _unit_of(name, unit)
+            side, own = "lower" if lower else "upper", unit_of(name.partition("[")[0], unit)
             sentences.append(
-                f"{name} is at its {side} bound ({low if lower else high:.6g} {unit_here}): what "
+                f"{name} is at its {side} bound ({low if lower else high:.6g} {own}): what "
                 "lies beyond was not looked for, so distrust it; check flows and times, or give "
                 "fit_least_squares other bounds."
             )

@@ -44,7 +44,7 @@ from bayes_sensor.gap.verdict import NAMED, Standing, Verdict, judge, leftover, 
 from bayes_sensor.gap.where import Map, locate
 from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
 from bayes_sensor.model import Layout, Theta
-from bayes_sensor.notebook import card
+from bayes_sensor.notebook import card, shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -809,11 +809,6 @@ def _units(sketch: Any, effect: Effect) -> dict[str, str]:
     return {**found, **UNITS}
 
 
-def _two(value: float) -> str:
-    """Two digits, or the whole number where that has more: never an exponent."""
-    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
-
-
 def _sentence(
     kind: str,
     named: Sequence[str],
@@ -836,10 +831,10 @@ def _sentence(
     worst = max(phases, key=lambda p: phases[p]) if any(phases.values()) else None
     place = f", mostly in the {worst}" if worst else ""
     if kind == "none":
-        low, high = (1e3 * t for t in envelope)
+        low, high = (shown(1e3 * t, 2) for t in envelope)
         return (
             "Nothing is missing beyond the noise floor. Effects that this campaign cannot see may "
-            f"still hide: with them tau could lie anywhere from {_two(low)} to {_two(high)} ms."
+            f"still hide: with them tau could lie anywhere from {low} to {high} ms."
         )
     if kind == "unlisted" and probability < 0.5:
         return (

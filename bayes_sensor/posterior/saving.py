@@ -11,15 +11,13 @@ import numpy as np
 
 from bayes_sensor import inference_data as idata
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.model import unit_of
 from bayes_sensor.noise import scale_squared
 from bayes_sensor.posterior.record import Posterior
 
 VARIABLES = {
     "tau": "tau_s", "tau_v": "tau_v_s", "V": "V_mL", "phi": "phi", "sigma0": "sigma0_V",
     "sigma1": "sigma1_V", "y0": "y0_V", "beta": "beta_V", "t0": "t0_s", "tf": "tf_s",
-}  # fmt: skip
-UNITS = {
-    "s": "s", "ms": "ms", "V": "V", "V2": "V^2", "mL": "mL", "Hz": "Hz", "K": "K", "s2": "s^2",
 }  # fmt: skip
 
 
@@ -94,22 +92,6 @@ def _contents(posterior: Posterior) -> tuple[dict[str, Any], dict[str, Any]]:
         "observed_data": observed,
     }
     return groups, attributes
-
-
-def unit_of(name: str, signal_unit: str) -> str:
-    """The unit at the end of a flat name.
-
-    >>> [unit_of(name, "V") for name in ("tau_s", "drift_V_per_s", "closing_ratio")]
-    ['s', 'V/s', '1']
-    """
-    words = name.split("_")[1:]
-    if not words or words[-1] not in UNITS:
-        return "1"
-    below = UNITS[words[-1]].replace("V", signal_unit)
-    if len(words) > 1 and words[-2] == "per":
-        above = UNITS.get(words[-3], "1") if len(words) > 2 else "1"
-        return f"{above.replace('V', signal_unit)}/{below}"
-    return below
 
 
 def _predictive(posterior: Posterior, n_times: int = 240, n_draws: int = 120) -> tuple[Any, Any]:

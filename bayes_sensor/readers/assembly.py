@@ -417,8 +417,8 @@ def _check_clipped(
     finite = y[clipped & np.isfinite(y)]
     level = f"{y[i]}"
     if len(finite):  # the rail that more samples lie at; others were caught among them
-        low, high = (np.count_nonzero(finite == edge) for edge in (finite.min(), finite.max()))
-        level = f"{finite.max() if high >= low else finite.min():.4g}"
+        rail = max(finite.max(), finite.min(), key=lambda edge: np.count_nonzero(finite == edge))
+        level = f"{rail:.4g}"
     begins = f"{t[i]:.6g} s"
     fix = "record again with a wider input range"
     if on is not None:

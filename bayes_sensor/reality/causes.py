@@ -11,7 +11,7 @@ first; it is empty for a cause outside the catalogue.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import pi, sqrt
 
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import erfcx
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.reality.records import Case
+from bayes_sensor.reality.records import Case, Step
 from bayes_sensor.reality.rig import Course, Knobs, voltage
 
 Rig = dict[str, Knobs]
@@ -1375,6 +1375,24 @@ def hurried_timer(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         rig[step.name].clock = clock
 
 
+def _blocks_after_switches(
+    rng: np.random.Generator, case: Case, longest: float
+) -> Iterator[tuple[Step, list[tuple[float, float, float]]]]:
+    """Of every experiment: switch, how long a block of samples lasts, how late it comes, all in s.
+
+    Some switches are spared, none of one experiment.
+    """
+    reach = case.tau_v + case.V / float(np.mean([p.total_flow for p in case.steps]))
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        found = []
+        for switch in (step.t0, step.tf):
+            lasts, after = longest * rng.uniform(0.5, 1.0), rng.uniform(0.0, 1.0) * reach
+            if k == certain or rng.random() < 0.6:
+                found.append((switch, lasts, after))
+        yield step, found
+
+
 @cause((), "clock", "s", 0.8, per_experiment=True)
 def repeated_buffer(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The driver hands over a full buffer twice and overwrites the one after it unread.
@@ -1382,16 +1400,12 @@ def repeated_buffer(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
     For as long as a buffer lasts the record shows again what it has just shown; then it goes on as
     if nothing had been.
     """
-    reach = case.tau_v + case.V / float(np.mean([p.total_flow for p in case.steps]))
-    certain = int(rng.integers(len(case.steps)))
-    for k, step in enumerate(case.steps):
-        again = []
-        for switch in (step.t0, step.tf):
-            lasts = s * rng.uniform(0.5, 1.0)
-            # both buffers after the switch, so that no command is recorded twice
-            at = min(switch + lasts + rng.uniform(0.0, 1.0) * reach, step.duration - 1.0)
-            if k == certain or rng.random() < 0.6:
-                again.append((at, lasts))
+    for step, blocks in _blocks_after_switches(rng, case, s):
+        # both buffers after the switch, so that no command is recorded twice
+        again = [
+            (min(switch + lasts + after, step.duration - 1.0), lasts)
+            for switch, lasts, after in blocks
+        ]
 
         def clock(
             t: FloatArray, again: tuple[tuple[float, float], ...] = tuple(again)
@@ -1410,16 +1424,12 @@ def overtaking_packets(rig: Rig, s: float, rng: np.random.Generator, case: Case)
 
     They are filed as they arrive, evenly: what was measured later comes first, and nothing is lost.
     """
-    reach = case.tau_v + case.V / float(np.mean([p.total_flow for p in case.steps]))
-    certain = int(rng.integers(len(case.steps)))
-    for k, step in enumerate(case.steps):
-        pairs = []
-        for switch in (step.t0, step.tf):
-            lasts = s * rng.uniform(0.5, 1.0)
-            # both packets after the switch, so that no command is filed out of turn
-            at = min(switch + rng.uniform(0.0, 1.0) * reach, step.duration - 2.0 * lasts)
-            if k == certain or rng.random() < 0.6:
-                pairs.append((at, lasts))
+    for step, blocks in _blocks_after_switches(rng, case, s):
+        # both packets after the switch, so that no command is filed out of turn
+        pairs = [
+            (min(switch + after, step.duration - 2.0 * lasts), lasts)
+            for switch, lasts, after in blocks
+        ]
 
         def clock(
             t: FloatArray, pairs: tuple[tuple[float, float], ...] = tuple(pairs)
