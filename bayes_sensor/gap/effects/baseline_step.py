@@ -24,23 +24,34 @@ def _step(own: bool, soft: bool = False) -> Callable[[Setting], tuple[Strength, 
     return strengths
 
 
-def _anywhere(s: Setting) -> tuple[Strength, ...]:
+def _anywhere(own: bool) -> Callable[[Setting], tuple[Strength, ...]]:
     place = Strength("step_place", "1", "normal", 0.5, 0.3, limits=(0.005, 0.995))
-    return (*_step(False)(s), place)
+    return lambda s: (*_step(own)(s), _edge(s), place)
 
 
-def _some_time_after(s: Setting) -> tuple[Strength, ...]:
-    delay = Strength("step_delay", "s", "log_normal", 5.0 * s.time_scale, 1.2)
-    return (*_step(False)(s), delay)
+def _some_time_after(own: bool) -> Callable[[Setting], tuple[Strength, ...]]:
+    def strengths(s: Setting) -> tuple[Strength, ...]:
+        delay = Strength("step_delay", "s", "log_normal", 5.0 * s.time_scale, 1.2)
+        return (*_step(own)(s), _edge(s), delay)
+
+    return strengths
+
+
+def _edge(s: Setting) -> Strength:
+    return Strength("step_width", "s", "log_normal", 0.1 * s.time_scale, 1.2)
 
 
 def _at_place(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
     t = s.experiment.t
-    return {"step": v["step"], "step_time": float(t[0] + v["step_place"] * (t[-1] - t[0]))}
+    at = float(t[0] + v["step_place"] * (t[-1] - t[0]))
+    return {"step": v["step"], "step_width": v["step_width"], "step_time": at}
 
 
 def _after_delay(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
-    return {"step": v["step"], "step_with_fall": 1.0, "step_time": v["step_delay"]}
+    at = v["step_delay"]
+    return {
+        "step": v["step"], "step_width": v["step_width"], "step_with_fall": 1.0, "step_time": at,
+    }  # fmt: skip
 
 
 def _after_pulse(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
@@ -56,19 +67,28 @@ EFFECT = Effect(
         Form(_step(True), _after_pulse, name="own", weight=0.3),
         Form(_step(False, soft=True), _after_pulse, name="common, slow", weight=0.1),
         Form(_step(True, soft=True), _after_pulse, name="own, slow", weight=0.1),
-        Form(
-            _anywhere,
-            _at_place,
-            name="at any time",
-            weight=0.1,
-            grid=tuple({"step": 1e-4, "step_place": place} for place in PLACES),
+        *(
+            Form(
+                _anywhere(own),
+                _at_place,
+                name=name,
+                weight=0.05,
+                grid=tuple({"step": 1e-4, "step_place": place} for place in PLACES),
+            )
+            for own, name in ((False, "at any time"), (True, "own, at any time"))
         ),
-        Form(
-            _some_time_after,
-            _after_delay,
-            name="some time after the fall",
-            weight=0.1,
-            grid=tuple({"step": 1e-4, "step_delay*": delay} for delay in DELAYS),
+        *(
+            Form(
+                _some_time_after(own),
+                _after_delay,
+                name=name,
+                weight=0.05,
+                grid=tuple({"step": 1e-4, "step_delay*": delay} for delay in DELAYS),
+            )
+            for own, name in (
+                (False, "some time after the fall"),
+                (True, "own, some time after the fall"),
+            )
         ),
     ),
     plausible={"step": 0.01},
