@@ -48,12 +48,12 @@ def integrated(p):
         return p[FIRST + INDEX[name]]
 
     tau, tau_v, tau_m, _, _, t0, tf, c = p[:8]
-    ramp, kappa = get("stroke"), get("inertia")
+    ramp, bend, kappa = get("stroke"), get("stroke_bend"), get("inertia")
 
     def command(t):
         up = np.clip((t - t0) / ramp, 0, 1) if ramp > 0 else float(t >= t0)
         down = np.clip((t - tf) / ramp, 0, 1) if ramp > 0 else float(t >= tf)
-        return up - down
+        return (1 - bend) * (up - down) + bend * (up**2 - down**2)
 
     def slopes(t, s):
         x1, v1, slow, x2, pocket, tank, x3, site, low = s
@@ -108,6 +108,8 @@ def integrated(p):
         {"inertia": 0.25},
         {"inertia": 0.4},
         {"stroke": 0.4},
+        {"stroke": 0.4, "stroke_bend": 1.0},
+        {"stroke": 1.5, "stroke_bend": 0.4, "closing_ratio": 1.2},
         {"slow_valve_share": 0.1, "slow_valve_time": 5.0},
         {"settling_share": 0.3, "settling_time": 0.4},
         {"settling_share": -0.3, "settling_time": 0.8, "settling_swing": 2.0},

@@ -25,7 +25,8 @@ from bayes_sensor.campaign import FloatArray
 SETTINGS: dict[str, tuple[float, str]] = {
     "closing_ratio": (1.0, "valve time constant when shutting over that when opening"),
     "inertia": (0.0, "kappa in kappa tau_v^2 x'' + tau_v x' + x = u"),
-    "stroke": (0.0, "s, time in which the valve's command ramps from shut to open"),
+    "stroke": (0.0, "s, time in which the valve's command goes from shut to open"),
+    "stroke_bend": (0.0, "0: evenly .. 1: accelerating evenly, from rest"),
     "slow_valve_share": (0.0, "share of the valve's opening that follows slowly"),
     "slow_valve_time": (1.0, "s, time constant of that share"),
     "settling_share": (0.0, "inlet concentration is low by this share right after opening"),
@@ -74,7 +75,7 @@ TAU, TAU_V, TAU_M, Y0, BETA, T0, TF, CONCENTRATION, START, MIDDLE = range(10)
 FIRST = 10
 
 (
-    CLOSING, INERTIA, STROKE, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME, SETTLING_SWING,
+    CLOSING, INERTIA, STROKE, BEND, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME, SETTLING_SWING,
     SWITCHING, FLOW, POCKET, POCKET_TIME, TANK, RELEASE, RELEASE_WIDTH, SLOW_S, SLOW_S_TIME,
     SLOW_S_SPREAD, COATING, FILTER, CURVATURE, DRIFT, DRIFT_CURVE, DRIFT_TWIST, STEP, STEP_TIME,
     STEP_WITH_FALL, STEP_WIDTH, GAIN, GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL, CARRY, CARRY_TIME,
@@ -98,14 +99,20 @@ def settings_vector(settings: Mapping[str, float]) -> FloatArray:
 
 
 @njit(cache=True)
-def _opening(s: float, tau: float, inertia: float, stroke: float) -> float:  # pragma: no cover
+def _opening(
+    s: float, tau: float, inertia: float, stroke: float, bend: float
+) -> float:  # pragma: no cover
     # step response of the valve, s after the command
     if s <= 0.0:
         return 0.0
-    if stroke > 0.0:  # mean of the lag's response over a command that ramps up
-        late = max(s - stroke, 0.0)
-        here = s - tau * (1.0 - exp(-s / tau))
-        return (here - (late - tau * (1.0 - exp(-late / tau)))) / stroke
+    if stroke > 0.0:  # the lag's response to a command (1 - bend) q + bend q^2, q = s/stroke
+        ramping, late = min(s, stroke), max(s - stroke, 0.0)
+        gone = tau * (1.0 - exp(-ramping / tau))
+        x = (ramping - gone) / stroke
+        if bend != 0.0:
+            square = ramping * ramping - 2.0 * tau * (ramping - gone)
+            x += bend * (square / (stroke * stroke) - x)
+        return 1.0 - (1.0 - x) * exp(-late / tau)
     if inertia > 1e-9:
         gap = 1.0 - 4.0 * inertia
         if gap > 1e-6:
@@ -138,17 +145,17 @@ def _one_valve(t: float, p: FloatArray, t0: float, tf: float) -> float:  # pragm
     tau, share = p[TAU_V] * p[VALVE_FACTOR], p[SLOW_V]
     after = t - tf
     if p[CLOSING] == 1.0 or after <= 0.0:  # linear: opening minus shutting
-        x = _opening(since, tau, p[INERTIA], p[STROKE])
+        x = _opening(since, tau, p[INERTIA], p[STROKE], p[BEND])
         if after > 0.0:
-            x -= _opening(after, tau, p[INERTIA], p[STROKE])
+            x -= _opening(after, tau, p[INERTIA], p[STROKE], p[BEND])
         if share != 0.0:
             slow = 1.0 - exp(-since / p[SLOW_V_TIME])
             if after > 0.0:
                 slow -= 1.0 - exp(-after / p[SLOW_V_TIME])
             x += share * (slow - x)
     else:
-        x = _opening(tf - t0, tau, p[INERTIA], p[STROKE])
-        x *= 1.0 - _opening(after, tau * p[CLOSING], p[INERTIA], p[STROKE])
+        x = _opening(tf - t0, tau, p[INERTIA], p[STROKE], p[BEND])
+        x *= 1.0 - _opening(after, tau * p[CLOSING], p[INERTIA], p[STROKE], p[BEND])
         if share != 0.0:
             slow = exp(-after / p[SLOW_V_TIME]) - exp(-since / p[SLOW_V_TIME])
             x += share * (slow - x)
