@@ -8,6 +8,7 @@ parts:
 - *herald*: in linear time around the switch, scaled by beta: what runs ahead of the gas;
 - *timing*: in the logarithm of the time since a switch, scaled by the slope of the mean: what runs
   early or late by a part of a time scale, ever more or ever less;
+- *readout*: in the voltage itself, in volts: what a readout that is not linear does to all alike;
 - *drift*: in linear time, in volts;
 - *switching*: in the logarithm of the time since the command, in volts.
 
@@ -42,6 +43,8 @@ HERALD_LENGTH = 0.15
 TIMING_LENGTH = 1.0
 TIMING_SHARES = (0.01, 0.03, 0.1)
 """of the time scale"""
+READOUT_LENGTHS = (0.05, 0.2)
+"""of the median step height"""
 DRIFT_SECONDS = 8.0
 VOLT_SHARES = (0.0005, 0.0015, 0.005, 0.015)
 """of the median step height: 1 to 30 mV for a 2 V step"""
@@ -141,6 +144,11 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
     timing = _timing_part(sketch, base, flow)
     for share in TIMING_SHARES:
         made.append(_configure(f"timing {share:g}", 0.2 / len(TIMING_SHARES), timing * share))
+    for length in READOUT_LENGTHS:
+        readout = _readout_part(sketch, base, flow, length)
+        for share in VOLT_SHARES:
+            weight = 0.15 / (len(READOUT_LENGTHS) * len(VOLT_SHARES))
+            made.append(_configure(f"readout {length:g} {share:g}", weight, readout * share))
     for share in VOLT_SHARES:
         weight = 0.2 / len(VOLT_SHARES)
         made.append(_configure(f"drift {share:g}", weight, drift * share))
@@ -211,6 +219,13 @@ def _timing_part(sketch: Sketch, base: Refit, flow: FloatArray) -> FloatArray:
         since = [_log_time(b.since, sketch.time_scale) for b in sketch.bins]
         blocks.append(_part(sketch, since, volts, flow, TIMING_LENGTH))
     return np.hstack(blocks)
+
+
+def _readout_part(sketch: Sketch, base: Refit, flow: FloatArray, length: float) -> FloatArray:
+    """A readout that is off by a function of what it reads."""
+    means = [b.reduce(base.plan.mean(base.x, k, b.times)) for k, b in enumerate(sketch.bins)]
+    volts = [np.full(len(m), sketch.signal_scale) for m in means]
+    return _part(sketch, [m / sketch.signal_scale for m in means], volts, flow, length)
 
 
 def _log_time(since: FloatArray, scale: float) -> FloatArray:
