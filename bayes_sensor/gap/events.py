@@ -9,7 +9,7 @@ Both count as unlisted, whatever explains the rest.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
@@ -21,6 +21,7 @@ from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.gap.bins import ExperimentBins
 from bayes_sensor.gap.floor import DOF, Stretch, detrended
 from bayes_sensor.gap.full_rate import FullRate
 from bayes_sensor.gap.refit import Refit
@@ -116,7 +117,7 @@ def look_for_events(
     """
     blocks = [_blocks(campaign, s) for s in stretches]
     use = [(s, *made) for s, made in zip(stretches, blocks, strict=True) if made is not None]
-    found: list[dict[tuple[float, str], float]] = [{} for _ in use]
+    found: list[dict[Hashable, float]] = [{} for _ in use]
     largest, where, when = 0.0, 0, 0.0
     for width in WIDTHS:
         for shape, middle in ((_bump, 2.5), (_jump, 1.0)):
@@ -144,13 +145,7 @@ def look_for_events(
                         stretch, _, dt = use[k]
                         largest, where = clear, stretch.experiment
                         when = stretch.begin + (at + middle * sizes[k]) * dt
-    alone = sum(
-        _struck(float(logsumexp(list(logs.values()))) - np.log(len(logs))) for logs in found if logs
-    )
-    kinds = sorted({kind for logs in found for kind in logs})
-    alike = [sum(_struck(logs[kind]) for logs in found if kind in logs) for kind in kinds]
-    together = float(logsumexp(alike)) - np.log(len(alike)) if alike else 0.0
-    value = float(np.logaddexp(alone, together) - np.log(2.0))
+    value = _alone_or_alike(found)
     strength = {"event_experiment": float(where), "event_s": when, "event_ratio": largest**0.5}
     return FullRate("event", value, strength, float(np.sqrt(largest)))
 
@@ -225,15 +220,36 @@ def _tail_dof(sizes: FloatArray, seconds: float, width: float) -> float:
 
 def _surprise(square: FloatArray, dof: float) -> float:
     """ln of the mean over positions and spreads of the ratio of t densities."""
+    return float(logsumexp(_surprises(square, dof)) - np.log(len(square)))
+
+
+def _surprises(square: FloatArray, dof: float) -> FloatArray:
+    """(n,) ln of the mean over spreads of the ratio of t densities, per position."""
     wider = 1.0 + np.array(EVENT_RATIOS)[:, None]
     logs = 0.5 * (dof + 1.0) * (np.log1p(square / dof) - np.log1p(square / dof / wider))
     logs -= 0.5 * np.log(wider)
-    return float(logsumexp(logs) - np.log(logs.size))
+    return np.asarray(logsumexp(logs, axis=0) - np.log(len(wider)))
 
 
 def _struck(surprise: float) -> float:
     """ln B of a place that an event strikes or spares, from that of one that it strikes."""
     return float(np.logaddexp(np.log1p(-STRUCK), np.log(STRUCK) + surprise))
+
+
+def _alone_or_alike(found: Sequence[Mapping[Hashable, float]]) -> float:
+    """ln B of places (records, switches), each with ln B per kind of what may strike there.
+
+    What strikes has a kind of its own at every place, or the same at all of them.
+    """
+    alone = sum(
+        _struck(float(logsumexp(list(logs.values()))) - np.log(len(logs))) for logs in found if logs
+    )
+    alike: dict[Hashable, float] = {}
+    for logs in found:
+        for kind, value in logs.items():
+            alike[kind] = alike.get(kind, 0.0) + _struck(value)
+    together = float(logsumexp(list(alike.values()))) - np.log(len(alike)) if alike else 0.0
+    return float(np.logaddexp(alone, together) - np.log(2.0))
 
 
 def look_for_patches(found: Refit) -> FullRate:
@@ -242,10 +258,11 @@ def look_for_patches(found: Refit) -> FullRate:
     What goes wrong at one switch and not, or elsewhere, at the next has no common shape, and a
     process that is free at every switch pays for all of them.  Per switch, ``ln B`` averages over
     runs of bins the ratio of densities of their whitened sum, wider against usual, the usual with
-    the floor's degrees of freedom.
+    the floor's degrees of freedom; runs are averaged over for each switch, or for all together.
     """
     sketch = found.plan.sketch
-    value, largest, where = 0.0, 0.0, (0.0, 0.0)
+    largest, where = 0.0, (0.0, 0.0)
+    places: list[dict[Hashable, float]] = []
     for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
         z = found.residual[rows]
         for falling in (False, True):
@@ -262,9 +279,15 @@ def look_for_patches(found: Refit) -> FullRate:
                 if float(square.max()) > largest:
                     largest = float(square.max())
                     where = (float(k), float(b.since[here[int(np.argmax(square))]]))
-            value += _struck(_surprise(np.concatenate(squares), DOF))
+            # bins are counted from the switch: the same number is the same time after it
+            first = np.arange(len(here)) - int(np.sum(b.since[here] < 0.0))
+            places.append({
+                (m, int(at)): value
+                for m, square in zip(PATCH_BINS, squares, strict=True)
+                for at, value in zip(first, _surprises(square, DOF), strict=False)
+            })  # fmt: skip
     strength = {"patch_experiment": where[0], "patch_s": where[1], "patch_ratio": largest**0.5}
-    return FullRate("patch", value, strength, float(np.sqrt(largest)))
+    return FullRate("patch", _alone_or_alike(places), strength, float(np.sqrt(largest)))
 
 
 def look_for_breaks(found: Refit) -> FullRate:
@@ -273,14 +296,16 @@ def look_for_breaks(found: Refit) -> FullRate:
     What happens once has no common shape either, and on a plateau it looks like a drift.  A score
     test per record: a change of so many volts between two edges of bins, what the refit's own
     coordinates would take up of it left out.  ``ln B`` of a record averages over begins and
-    lengths the ratio of t densities, as in :func:`look_for_patches`.
+    lengths the ratio of t densities, as in :func:`look_for_patches`; they are averaged over for
+    each record, or for all together.
     """
     sketch, plan = found.plan.sketch, found.plan
     normal = found.jacobian.T @ found.jacobian + plan.own_prior_matrix
     covariance = np.linalg.inv(normal)
-    value, largest, where = 0.0, 0.0, (0.0, 0.0)
+    largest, where = 0.0, (0.0, 0.0)
+    places: list[dict[Hashable, float]] = []
     for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
-        shapes, begins = _changes(b.falling)
+        shapes, begins, ends = _changes(b.falling)
         templates = sketch.inverse_factors[k] @ shapes
         inside = found.jacobians[k].T @ templates
         columns = plan.columns(k)
@@ -291,17 +316,31 @@ def look_for_breaks(found: Refit) -> FullRate:
         if not np.any(use):
             continue
         square = (found.residual[rows] @ templates[:, use]) ** 2 / left[use]
-        value += _struck(_surprise(square, DOF))
+        # edges are counted from the switch before them, where records differ in length
+        kinds = zip(*(_from_switch(edges[use], b) for edges in (begins, ends)), strict=True)
+        places.append(dict(zip(kinds, _surprises(square, DOF), strict=True)))
         if float(square.max()) > largest:
             largest = float(square.max())
             first = begins[use][int(np.argmax(square))]
             where = (float(k), float(b.experiment.t[b.first[first]]))
     strength = {"break_experiment": where[0], "break_s": where[1], "break_ratio": largest**0.5}
-    return FullRate("break", value, strength, float(np.sqrt(largest)))
+    return FullRate("break", _alone_or_alike(places), strength, float(np.sqrt(largest)))
 
 
-def _changes(falling: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]:
-    """(n_bins, m) ones where a change lasts, and (m,) the bins it begins with."""
+def _from_switch(edges: NDArray[np.int64], b: ExperimentBins) -> list[tuple[str, int]]:
+    """Which switch a bin follows, and as which; ``("end", 0)`` after the last."""
+    n, fall = len(b.falling), int(np.argmax(b.falling))
+    rise = int(np.argmax(b.since >= 0.0))
+    return [
+        ("end", 0) if i == n else ("fall", i - fall) if b.falling[i] else ("rise", i - rise)
+        for i in edges.tolist()
+    ]
+
+
+def _changes(
+    falling: NDArray[np.bool_],
+) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]:
+    """(n_bins, m) ones where a change lasts, and (m,) the bins it begins with and ends before."""
     n = len(falling)
     fall = int(np.argmax(falling)) if np.any(falling) else n
     spans = {
@@ -313,7 +352,7 @@ def _changes(falling: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]
     ordered = np.array(sorted(spans), dtype=np.int64)
     at = np.arange(n)[:, None]
     shapes = (at >= ordered[:, 0]) & (at < ordered[:, 1])
-    return shapes.astype(float), ordered[:, 0]
+    return shapes.astype(float), ordered[:, 0], ordered[:, 1]
 
 
 def look_for_ringing(
