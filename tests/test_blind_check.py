@@ -435,6 +435,7 @@ def test_pairs_are_right_when_both_are_named() -> None:
     said = verdict(rows, "effect", ["dead_volume", "gain_drift"], 0.9)
     row = scored(truth(both, d=16.0), said)
     assert row["kind"] == "pair" and row["top_right"] and not row["wrong_name"]
+    assert row["tau_told_s"] == said["which"][-1]["tau_s"]
     single = scored(truth(both[:1], d=16.0), said)
     assert not single["top_right"] and single["wrong_name"]
 
@@ -447,6 +448,7 @@ def test_places_and_closed_fractions() -> None:
     said = verdict({"none": 0.0, "unlisted": 0.0, "dead_volume": 1.0}, "effect", ["dead_volume"],
                    1.0, fraction_closed=0.9, fraction_closed_lo=0.7, fraction_closed_hi=0.95,
                    held_out_fraction_closed=0.8)  # fmt: skip
+    said["which"][-1]["tau_s"] = 0.044
     row = scored(
         truth([["dead_volume"]], d=16.0, acts=acts, visible=acts, closed={"dead_volume": 0.97},
               tau_s=0.04), said
@@ -455,10 +457,12 @@ def test_places_and_closed_fractions() -> None:
     assert row["closed_oracle"] == 0.97
     assert row["log_error_before"] == pytest.approx(np.log(2.5))
     assert row["log_error_after"] == pytest.approx(np.log(1.25))
+    assert row["log_error_told"] == pytest.approx(np.log(1.1))
     card = make_card([row])
     closed = next(part for part in card["closed_fraction"] if part["d"] == 16.0)
     assert closed["median_error"] == pytest.approx(0.07) and closed["coverage"]["k"] == 0
     assert card["tau"]["ratio"] == pytest.approx(np.log(1.25) / np.log(2.5))
+    assert card["tau"]["ratio_told"] == pytest.approx(np.log(1.1) / np.log(2.5))
     assert card["envelope"]["d_below_3"]["n"] == 0
 
 

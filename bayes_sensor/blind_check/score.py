@@ -90,8 +90,7 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
             return label == "none"
         if outside:
             return label == "unlisted"
-        members = set(label.split("+"))
-        return members <= accepted and len(members) == len(right)
+        return bool(right) and _explains(set(label.split("+")), right)
 
     top_family = max(families, key=families.__getitem__)
     if kind == "null":
@@ -109,6 +108,7 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
     places = _places(truth, verdict)
     envelope = verdict["tau_envelope_s"]
     tau = truth["tau_s"]
+    told = _tau_told(verdict, right)
     row: Row = {
         "case": truth["name"],
         "kind": kind,
@@ -165,9 +165,11 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         "tau_true_s": tau,
         "tau_before_s": shrink.get("tau_before_s"),
         "tau_after_s": shrink.get("tau_after_s"),
+        "tau_told_s": told,
         "tau_refit_s": truth["tau_refit_s"],
         "log_error_before": _log_error(shrink.get("tau_before_s"), tau),
         "log_error_after": _log_error(shrink.get("tau_after_s"), tau),
+        "log_error_told": _log_error(told, tau),
         "envelope_lo_s": envelope[0],
         "envelope_hi_s": envelope[1],
         "envelope_holds": None
@@ -175,6 +177,20 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         else bool(envelope[0] <= tau <= envelope[1]),
     }
     return row
+
+
+def _tau_told(verdict: Mapping[str, Any], right: Sequence[set[str]]) -> float | None:
+    """s, tau of the likeliest explanation by the true causes alone: what being told would give."""
+    true = [
+        row
+        for row in verdict["which"]
+        if right and row.get("tau_s") and _explains(set(row["effect"].split("+")), right)
+    ]
+    return max(true, key=lambda row: row["probability"] or 0.0)["tau_s"] if true else None
+
+
+def _explains(members: set[str], right: Sequence[set[str]]) -> bool:
+    return members <= set().union(*right) and len(members) == len(right)
 
 
 def _without_the_noise_s_own(verdict: Mapping[str, Any], near: set[str]) -> Mapping[str, Any]:
@@ -552,7 +568,8 @@ def _tau(listed: Sequence[Row]) -> Row:
     """Mean error of ln tau before and after the effect is added, where it was seen and named.
 
     Causes that leave the mean alone (hum, tails, steps of the converter) move no estimate of tau
-    and do not count.
+    and do not count.  ``told``: the error where the true effect is given, over those cases in which
+    its own estimate was kept; the rest of it is noise, which no diagnosis takes away.
     """
     named = [
         r
@@ -565,15 +582,23 @@ def _tau(listed: Sequence[Row]) -> Row:
         and r["log_error_after"] is not None
     ]
     if not named:
-        nothing = ("before", "after", "ratio", "ratio_lo95", "ratio_hi95")
+        nothing = ("before", "after", "told", "ratio", "ratio_lo95", "ratio_hi95", "ratio_told")
         return {"n": 0, **dict.fromkeys(nothing)}
     before = np.array([r["log_error_before"] for r in named])
     after = np.array([r["log_error_after"] for r in named])
     rng = np.random.default_rng(20260602)
     pick = rng.integers(len(named), size=(2000, len(named)))
     ratios = after[pick].mean(axis=1) / np.maximum(before[pick].mean(axis=1), 1e-12)
+    pairs = [
+        (r["log_error_told"], r["log_error_before"])
+        for r in named
+        if r.get("log_error_told") is not None
+    ]
+    told, at_first = np.mean(pairs, axis=0).tolist() if pairs else (None, None)
     return {
         "n": len(named),
+        "told": told,
+        "ratio_told": told / max(at_first, 1e-12) if told is not None else None,
         "before": float(before.mean()),
         "after": float(after.mean()),
         "median_before": float(np.median(before)),

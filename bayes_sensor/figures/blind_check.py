@@ -255,6 +255,8 @@ def _sentences(axes: Axes, card: Part) -> None:
                 f". The error of ln τ falls to {100 * tau['ratio']:.0f} % (95 % interval "
                 f"{100 * tau['ratio_lo95']:.0f} to {100 * tau['ratio_hi95']:.0f} %)"
             )
+        if tau.get("ratio_told") is not None:
+            words += f"; where the fit is told the cause, to {100 * tau['ratio_told']:.0f} %"
         said.append(words + ".")
     if places["share"] is not None:
         words = (

@@ -28,7 +28,7 @@ from bayes_sensor.blind_check import (
 )
 from bayes_sensor.blind_check.check import complete_truth, trimmed
 from bayes_sensor.blind_check.oracle import SEPARABLE_ABOVE
-from bayes_sensor.blind_check.score import score_case
+from bayes_sensor.blind_check.score import VISIBLE, score_case
 from bayes_sensor.figures import png, svg
 from bayes_sensor.figures.blind_check import opened_seal, score_card
 from bayes_sensor.gap import diagnose_gap
@@ -109,7 +109,7 @@ def write_readme() -> None:
     said = [
         changed(cases, first), "What follows counts them.", named_nulls(cases),
         alarmed_nulls(cases), left_out(cases), overlooked(cases), out_of_reach(cases),
-        too_sure(cases),
+        too_sure(cases), being_told(cases),
     ]  # fmt: skip
     below = textwrap.fill(" ".join(said), 112) + "\n"
     write_text(README, text[:begin] + markdown_table(goals) + "\n" + below + text[end:])
@@ -191,6 +191,25 @@ def too_sure(cases: pd.DataFrame) -> str:
         f"Of {unlisted.sum()} campaigns called unlisted with more than .8, "
         f"{(unlisted & wrong).sum()} had no unlisted cause; of {others.sum()} other verdicts with "
         f"more than .9, {(others & wrong).sum()} were wrong."
+    )
+
+
+def being_told(cases: pd.DataFrame) -> str:
+    """One sentence: the error of tau where the cause was seen and named, and if told the cause."""
+    named = (cases["kind"] == "listed") & cases["verdict"].isin(["effect", "family"])
+    for column in ("verdict_right", "on_mean"):
+        named &= cases[column].astype(str) == "True"
+    numbers = cases[["d", "log_error_before", "log_error_after", "log_error_told"]].apply(
+        pd.to_numeric, errors="coerce"
+    )
+    errors = numbers[named & (numbers["d"] >= VISIBLE)].dropna()
+    before, after, told = (
+        float(errors[f"log_error_{when}"].mean()) for when in ("before", "after", "told")
+    )
+    return (
+        f"The error of ln tau falls from {before:.2f} to {after:.2f} where the cause was seen and "
+        f"named ({len(errors)} campaigns); a fit that is told the cause has {told:.2f}: the rest "
+        "is noise."
     )
 
 
