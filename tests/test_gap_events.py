@@ -200,6 +200,23 @@ def test_a_level_that_changes_in_one_record_is_found_when_it_does():
     assert found.strength["break_s"] == pytest.approx(at, abs=2.5)
 
 
+@pytest.mark.parametrize("look", [look_for_breaks, look_for_patches])
+def test_what_strikes_again_alike_counts_together(look):
+    # the same small offsets after the falls, for the same time in all records or for its own
+    campaign = measured({}, seed=8)
+
+    def spoilt(begins):
+        struck = [
+            replace(e, y=e.y + 0.013 * (np.abs(e.t - e.commanded_off - at) < 0.45))
+            for e, at in zip(campaign, begins, strict=True)
+        ]
+        changed = replace(campaign, experiments=tuple(struck))
+        return look(fit_base(prepared_of(changed).sketch)).log_bayes_factor
+
+    alike, apart = spoilt([5.0, 5.0, 5.0, 5.0]), spoilt([2.7, 4.1, 5.0, 6.2])
+    assert alike > apart + 2.0 and alike > 4.0, (alike, apart)
+
+
 def test_scores_of_changes_have_unit_variance_where_nothing_changes():
     # the refit's own freedom is left out: over noises the squares average to one
     from bayes_sensor.gap.events import _changes

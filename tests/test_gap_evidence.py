@@ -157,6 +157,25 @@ def test_timing_is_the_mean_at_another_time(sketch, base):
     assert np.linalg.norm(d.precision_times(1.0 * still)) > 0.98 * np.sqrt(still.sum())
 
 
+def test_a_readout_is_off_by_a_function_of_what_it_reads(sketch, base):
+    # a sawtooth over the voltage, as of a converter whose stages do not match
+    def sawtooth(volts):
+        return 0.02 * sketch.signal_scale * ((volts / (0.25 * sketch.signal_scale)) % 1.0 - 0.5)
+
+    def drift(at):
+        return 0.02 * sketch.signal_scale * ((at / 7.0) % 1.0 - 0.5)
+
+    errors, others = [], []
+    for k, b in enumerate(sketch.bins):
+        mean = b.reduce(base.plan.mean(base.x, k, b.times))
+        errors.append(sketch.inverse_factors[k] @ sawtooth(mean))
+        others.append(sketch.inverse_factors[k] @ drift(b.centre))
+    wanted, other = np.concatenate(errors), np.concatenate(others)
+    d = {d.name: d for d in make_discrepancies(sketch, base)}["readout 0.05 0.015"]
+    assert np.linalg.norm(d.precision_times(wanted)) < 0.2 * np.linalg.norm(wanted)
+    assert np.linalg.norm(d.precision_times(other)) > 0.5 * np.linalg.norm(other)
+
+
 def test_leverage_is_the_projection_of_noise(sketch, base):
     leverage = Leverage.of(base)
     noise = np.random.default_rng(1).standard_normal((sketch.n_bins, 400))
