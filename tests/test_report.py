@@ -220,6 +220,40 @@ def test_no_section_contradicts_the_gap(parts: tuple[Saved, list[Section]]) -> N
     assert with_the_effect(replace(plain, gap=hum)) == ""
 
 
+def test_intervals_of_tau_that_differ_are_set_side_by_side(
+    parts: tuple[Saved, list[Section]],
+) -> None:
+    saved = parts[0]
+    assert saved.posterior is not None and saved.bounds is not None
+    row = saved.posterior["parameters"]["tau_s"] | {"q2.5": 0.001, "q97.5": 0.064}
+    posterior = saved.posterior | {"parameters": saved.posterior["parameters"] | {"tau_s": row}}
+    estimate = {
+        "estimate": 0.03,
+        "lo95": 0.0,
+        "hi95": 0.072,
+        "lo68": 0.01,
+        "hi68": 0.05,
+        "sd": 0.02,
+    }
+    profile = {"parameters": {"tau_s": estimate}, "status": "ok", "assumes": "AR(1)"}
+    bounds = saved.bounds | {"methods": saved.bounds["methods"] | {"profile": profile}}
+    shrink = {"withheld": True, "tau_after_s": 0.04, "tau_after_lo_s": 0.031,
+              "tau_after_hi_s": 0.052}  # fmt: skip
+    gap = {"verdict": {"kind": "none", "effects": []}, "shrink": shrink, "hidden": {}}
+
+    def said(saved: Saved) -> str:
+        section = time_constant(saved, Pictures())
+        assert section is not None
+        return " ".join(p for p in section.paragraphs if p.startswith("The intervals of τ"))
+
+    alone = replace(saved, posterior=posterior, bounds=None, gap=None)
+    assert said(alone) == ""
+    both = said(replace(alone, bounds=bounds))
+    assert "[1, 64] ms counts the prior" in both and "[0, 72] ms has no prior" in both
+    assert "diagnosis" not in both
+    assert "[31, 52] ms averages over what may be wrong" in said(replace(alone, gap=gap))
+
+
 def test_a_noise_law_whose_replicas_differ_is_not_called_adequate(
     parts: tuple[Saved, list[Section]],
 ) -> None:
