@@ -42,7 +42,7 @@ from bayes_sensor.reality import (
 from bayes_sensor.reality.noise import draw_noise
 from bayes_sensor.reality.rig import Knobs, dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
-from bayes_sensor.reality.stages import layered_film, modal, oscillating_lag
+from bayes_sensor.reality.stages import layered_film, modal, oscillating_lag, splitting
 
 CONTRACT_NAMES = (
     "flow_switching valve_asymmetry valve_second_order two_rate_valve finite_stroke dead_volume "
@@ -126,7 +126,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (23, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (26, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -1235,6 +1235,249 @@ def test_packets_that_overtake_come_first_and_nothing_is_lost() -> None:
     assert swapped >= 2
 
 
+def test_a_hose_that_throttles_and_a_needle_that_sticks_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    q, V = step.total_flow, rig.V
+    lost = 0.7
+
+    def with_throttle(u: float, x: FloatArray) -> list[float]:
+        # flow^2 times (what the valve resists, open 1 - lost, and what the hose resists) is 1
+        passed = ((1.0 - lost) / max(x[0], 1e-12) ** 2 + lost) ** -0.5
+        return [(u - x[0]) / rig.tau_v, q / V * (passed - x[1]), (x[1] - x[2]) / rig.tau]
+
+    t, states = solved(rig, with_throttle, 3)
+    x, plain = (voltage(rig, step, some, t)[1] for some in (Knobs(authority_lost=lost), Knobs()))
+    assert np.abs(x - states[:, 2]).max() < 5e-5
+    # ahead of the ideal valve all the way up, behind it all the way down
+    moving = (plain > 0.02) & (plain < 0.98)
+    assert np.all((x > plain)[moving]) and (x - plain).max() > 0.1
+    assert {k.authority_lost for k in prepared_rig(case(throttling_hose=0.3)).values()} == {0.3}
+
+    strength = 0.2
+    rig = case(sticking_needle=strength)
+    turns, begins = [], []
+    for k, step in enumerate(rig.steps):
+        (course,) = prepared_rig(rig)[step.name].test_gas
+        fine = np.arange(0.0, step.duration, 1e-4)
+        factor = course(fine)
+        low, high = np.unique(np.round(factor, 12))
+        assert high - low == pytest.approx(2.0 * strength)
+        jumps = fine[1:][np.diff(factor) != 0.0]
+        ups = fine[1:][np.diff(factor) > 0.0]
+        turns.append(np.diff(ups).mean())
+        assert np.ptp(np.diff(ups)) < 2.1e-4
+        begins.append(ups[0] / turns[-1])
+        whole = (fine >= ups[0]) & (fine < ups[-1])
+        assert factor[whole].mean() == pytest.approx(1.0, abs=1e-3)  # the loop holds the mean
+
+        def with_needle(u: tuple[float, float], x: FloatArray, step=step) -> list[float]:
+            most = u[1] * step.test_gas_flow
+            flow = step.carrier_flow + most * x[0] + step.test_gas_flow * (1.0 - x[0])
+            inlet = x[0] * most / (step.carrier_flow + most) / step.concentration
+            gas = flow / rig.V * (inlet - x[1])
+            return [(u[0] - x[0]) / rig.tau_v, gas, (x[1] - x[2]) / rig.tau]
+
+        inputs = [
+            (at, (float(step.t0 <= at < step.tf), float(course(np.array([at + 1e-4]))[0])))
+            for at in sorted([0.0, step.t0, step.tf, *jumps.tolist()])
+        ]
+        t, states = solved(rig, with_needle, 3, k, inputs)
+        x = voltage(rig, step, prepared_rig(rig)[step.name], t)[1]
+        assert np.abs(x - states[:, 2]).max() < 2e-4  # jumps are found to 0.1 ms
+        assert np.abs(x - voltage(rig, step, Knobs(), t)[1]).max() > 0.05
+    assert np.ptp(turns) < 1e-3 and 1.5 < np.mean(turns) < 8.0
+    assert np.ptp(np.mod(begins, 1.0)) > 0.01
+
+
+def test_vapour_condenses_in_a_cold_spot_and_dries_again() -> None:
+    rig = case()
+    k = int(np.argmax([step.concentration for step in rig.steps]))
+    step = rig.steps[k]
+    level, patch = 0.93, 0.08
+    knobs = Knobs(saturated=level, film_time=patch)
+
+    def behind(u: float, film: float) -> float:
+        covered = 1.0 - np.exp(-max(film, 0.0) / patch)
+        return level if u > level else u + (level - u) * covered
+
+    def with_film(u: float, x: FloatArray) -> list[float]:
+        out = behind(x[0], x[3])
+        exchange = step.total_flow / rig.V * (out - x[1])
+        return [(u - x[0]) / rig.tau_v, exchange, (x[1] - x[2]) / rig.tau, x[0] - out]
+
+    t, states = solved(rig, with_film, 4, k)
+    x, plain = (voltage(rig, step, some, t)[1] for some in (knobs, Knobs()))
+    assert np.abs(x - states[:, 2]).max() < 1e-4
+    # never beyond saturation; all that condensed comes back, as a shelf at saturation
+    assert x.max() <= level + 1e-9
+    assert np.trapezoid(x - plain, t) == pytest.approx(0.0, abs=2e-3)
+    assert states[:, 3].max() > 5.0 * patch
+    # balance of a valve that follows exp(-t/tau_v): what condensed while more than saturation came
+    # dries at that rate, besides what the shutting valve still brings
+    condensing = step.tf - step.t0 - rig.tau_v * np.log(1.0 / (1.0 - level))
+    gone = step.tf + rig.tau_v + condensing * (1.0 - level) / level
+    half = t[(t > step.tf) & (x > 0.5 * level)][-1]
+    assert half == pytest.approx(gone + rig.V / step.total_flow * np.log(2.0) + rig.tau, abs=0.05)
+    assert half - t[(t > step.tf) & (plain > 0.5)][-1] > 0.5
+
+    rig = case(cold_spot=0.05)
+    found, times = prepared_rig(rig), []
+    for each in rig.steps:
+        t, knobs = sample_times(each), found[each.name]
+        assert knobs.saturated == pytest.approx(0.95)
+        x, plain = (voltage(rig, each, some, t)[1] for some in (knobs, Knobs()))
+        relative = rig.relative_concentration(each)
+        if relative < 0.95:
+            assert np.abs(x - plain).max() < 1e-5
+        else:
+            assert x[t < each.tf].max() * relative == pytest.approx(0.95, abs=1e-4)
+        times.append(knobs.film_time * each.total_flow)
+    assert np.ptp(times) < 1e-9 and 0.02 < times[0] / rig.V < 0.2
+
+
+def test_a_streak_goes_round_and_molecules_split_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    exchange, relative = step.total_flow / rig.V, rig.relative_concentration(step)
+    share, turns, narrow, begin = 0.5, 2.5, 3.0, 0.3
+
+    # two more states turn with the gas that passes: the cosine and sine of the streak's place
+    angle = 2.0 * np.pi * (begin - turns * exchange * step.t0)
+
+    def with_streak(u: float, x: FloatArray) -> list[float]:
+        cosine = np.cos(angle) + x[3]
+        sine = np.sin(angle) + x[4]
+        rate = 2.0 * np.pi * turns * exchange
+        seen = x[1] + share * np.exp(narrow * (cosine - 1.0)) * (x[0] - x[1])
+        cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1]), (seen - x[2]) / rig.tau]
+        return [*cascade, -rate * sine, rate * cosine]
+
+    t, states = solved(rig, with_streak, 5)
+    marks = np.concatenate([at + np.arange(0.0, 6.0, 0.01) for at in (step.t0, step.tf)])
+    knobs = Knobs(swirl=share, swirl_turns=turns, swirl_narrow=narrow, swirl_begin=begin,
+                  marks=marks.tolist())  # fmt: skip
+    x, plain = (voltage(rig, step, some, t)[1] for some in (knobs, Knobs()))
+    assert np.abs(x - states[:, 2]).max() < 2e-4
+    # fresh gas only: ahead on the way up, ahead on the way down, nothing on the plateau
+    assert (x - plain)[t < step.tf].min() > -1e-6 and (x - plain)[t > step.tf].max() < 1e-6
+    assert (x - plain).max() > 0.05 and abs((x - plain)[np.searchsorted(t, step.tf) - 1]) < 1e-5
+    found = prepared_rig(case(swirling_gas=0.3))
+    assert len({(k.swirl, k.swirl_turns, k.swirl_narrow) for k in found.values()}) == 1
+    assert len({k.swirl_begin for k in found.values()}) == len(found)
+
+    split, time_ = 0.3, 0.8
+
+    def with_halves(u: float, x: FloatArray) -> list[float]:
+        cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+        return [*cascade, (relative * x[1] - x[3] ** 2) / time_]
+
+    t, states = solved(rig, with_halves, 4)
+    x = voltage(rig, step, Knobs(split=split, split_time=time_), t)[1]
+    seen = (1.0 - split) * states[:, 2] + split * states[:, 3] / np.sqrt(relative)
+    assert np.abs(x - seen).max() < 5e-5
+    # gas at once: a hyperbolic tangent up, and down one over time
+    root = np.sqrt(0.4)
+    at = np.concatenate([[0.0, 1.0 - 1e-9], np.linspace(1.0, 4.0, 301)])
+    at = np.concatenate([at, [4.0 + 1e-9], np.linspace(4.01, 40.0, 301)])
+    halves = splitting(at, np.where((at >= 1.0) & (at <= 4.0), 0.4, 0.0), time_)
+    up, down = (at >= 1.0) & (at <= 4.0), at > 4.0
+    assert np.abs(halves[up] - root * np.tanh(root * (at[up] - 1.0) / time_)).max() < 1e-7
+    top = halves[at <= 4.0][-1]
+    assert np.abs(halves[down] - top / (1.0 + top * (at[down] - 4.0) / time_)).max() < 1e-7
+
+    found = prepared_rig(case(splitting_molecules=0.2))
+    for each in rig.steps:  # linear and root parts, 0.8 and 0.2 at the highest concentration
+        c = rig.relative_concentration(each)
+        expected = 0.2 * np.sqrt(c) / (0.8 * c + 0.2 * np.sqrt(c))
+        assert found[each.name].split == pytest.approx(expected)
+        assert 0.2 < found[each.name].split_time < 2.0
+
+
+def test_the_second_modes_line_is_crossed_at_one_concentration() -> None:
+    strength = 0.15
+    rig = case(second_mode=strength)
+    size = strength * np.mean([step.beta for step in rig.steps])
+    seen, places, widths, reached = clean_signals(rig), [], [], 0
+    for step in rig.steps:
+        t = sample_times(step)
+        plain, x = voltage(rig, step, Knobs(), t)
+        c, lost = rig.relative_concentration(step) * x, plain - seen[step.name]
+        # one over what is lost is a parabola in the concentration, but for what was lost at rest
+        knobs = prepared_rig(rig)[step.name]
+        rest = size / (1.0 + (knobs.mode_at / knobs.mode_width) ** 2)
+        inside = lost + rest > 0.2 * size
+        if c.max() < knobs.mode_at - 3.0 * knobs.mode_width:  # too weak to come so far
+            assert np.abs(lost).max() < 0.1 * size
+        if inside.sum() < 20:
+            continue
+        a, b, d = np.polyfit(c[inside], size / (lost + rest)[inside], 2)
+        places.append(-0.5 * b / a)
+        widths.append(a**-0.5)
+        assert d - 0.25 * b**2 / a == pytest.approx(1.0, abs=1e-4)  # all of it on the line
+        reached += bool(inside[t < step.tf].any() and inside[t > step.tf].any())
+        assert seen[step.name][0] == pytest.approx(step.y0)
+    assert reached >= 1
+    assert np.ptp(places) < 1e-4 and 0.15 < places[0] < 0.6
+    assert np.ptp(widths) < 1e-4 and 0.03 < widths[0] < 0.12
+
+
+def test_the_output_stage_warms_most_at_half_the_supply() -> None:
+    rig = case()
+    step = rig.steps[0]
+    supply, time_, size = 1.3 * (step.y0 + step.beta), 2.5, 0.12
+
+    def with_heat(u: float, x: FloatArray) -> list[float]:
+        y = step.y0 + step.beta * x[2]
+        watts = y * (supply - y) - step.y0 * (supply - step.y0)  # current times voltage left
+        cascade = [(u - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+        return [*cascade, (x[1] - x[2]) / rig.tau, (watts / (0.25 * supply**2) - x[3]) / time_]
+
+    t, states = solved(rig, with_heat, 4)
+    y, x = voltage(rig, step, Knobs(heat=size, heat_supply=supply, heat_time=time_), t)
+    expected = step.y0 + step.beta * states[:, 2] + size * states[:, 3]
+    assert np.abs(y - expected).max() < 5e-5 * step.beta
+    assert np.abs(x - states[:, 2]).max() < 5e-5  # the gas does not know
+    assert np.ptp(states[:, 3]) > 0.3
+
+    rig = case(hot_output_stage=0.1)
+    (heat,), (supply,), (time_,) = (
+        {getattr(knobs, name) for knobs in prepared_rig(rig).values()}
+        for name in ("heat", "heat_supply", "heat_time")
+    )
+    assert abs(heat) == pytest.approx(0.1 * np.mean([each.beta for each in rig.steps]))
+    assert 1.05 < supply / max(each.y0 + each.beta for each in rig.steps) < 1.8
+    assert 1.0 < time_ < 10.0
+
+
+def test_a_sparse_logger_is_right_at_its_readings_and_straight_between() -> None:
+    rig = case(sparse_logger=0.6)
+    seen, early = clean_signals(rig), 0
+    for step in rig.steps:
+        readings = prepared_rig(rig)[step.name].readings
+        assert readings is not None and readings[0] <= 0.0 and readings[-1] > step.duration
+        assert 0.3 <= np.diff(readings).min() and np.diff(readings).max() <= 0.6
+        t = np.sort(np.concatenate([sample_times(step), readings[1:]]))
+        t = t[(t >= 0.0) & (t < step.duration)]
+        y = clean_signals(rig, {s.name: t for s in rig.steps})[step.name]
+        plain = voltage(rig, step, Knobs(), t)[0]
+        asked = np.isin(t, readings)
+        assert np.abs(y - plain)[asked].max() < 1e-5 * step.beta
+        # within each gap the same slope everywhere
+        gaps = np.searchsorted(readings, t, side="right")
+        for gap in np.unique(gaps):
+            inside = (gaps == gap) & ~asked
+            if inside.sum() > 3:
+                line = np.polyfit(t[inside], y[inside], 1)
+                assert np.abs(np.polyval(line, t[inside]) - y[inside]).max() < 1e-9
+        before = (t < step.t0 - 2.0 * step.interval) & (y - step.y0 > 1e-4 * step.beta)
+        early += int(before.sum())
+        assert np.all(t[before] > step.t0 - 0.6)
+        both = y[np.isin(t, sample_times(step))]
+        assert np.abs(seen[step.name] - both).max() < 1e-5 * step.beta
+    assert early > 0
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -1476,6 +1719,67 @@ def test_notched_interleaved_and_charging_noise_are_what_they_say() -> None:
     assert not (notched.is_ar1 or law.is_ar1 or charging.is_ar1)
 
 
+def test_shaped_noise_motes_and_rollers_are_what_they_say() -> None:
+    rng = np.random.default_rng(18)
+    h = 1e-3
+    shaping = NoiseLaw("noise_shaping", 1.0, components=(Component(1.0, shape="shaped"),))
+    z = draw_noise(shaping, 400_000, h, rng)
+    # what is passed on twice nearly cancels: a sum over any stretch has the variance 4/6 only
+    for n in (20, 200):
+        sums = z.reshape(-1, n).sum(axis=1)
+        assert sums.var() == pytest.approx(4.0 / 6.0, rel=5.0 * np.sqrt(2.0 / len(sums)))
+    f, power = welch(z, 1.0 / h, nperseg=400, detrend=False)
+    grid = (f > 20.0) & (f < 480.0)
+    assert power[grid] == pytest.approx(2.0 * h / 6.0 * (2.0 * np.sin(np.pi * f[grid] * h)) ** 4,
+                                        rel=0.25, abs=2e-6)  # fmt: skip
+    assert autocorrelation(shaping, 5, h) == pytest.approx([1.0, -4 / 6, 1 / 6, 0.0, 0.0])
+    assert len(autocorrelation(shaping, 1, h)) == 1
+
+    part = Component(1.0, 0.1, shape="motes", rate=0.5)
+    dusty = NoiseLaw("dusty", 1.0, components=(part,))
+    z = draw_noise(dusty, 1_000_000, h, rng)
+    # Poisson's numbers with the mean rate times a disc's mean chord over its diameter
+    mean = 0.5 * np.pi / 4.0
+    count = mean - z * np.sqrt(mean)
+    assert np.abs(count - np.rint(count)).max() < 1e-9 and count.min() > -0.5
+    for k, share in enumerate(np.exp(-mean) * np.array([1.0, mean, mean**2 / 2.0])):
+        assert np.mean(np.rint(count) == k) == pytest.approx(share, abs=0.015)
+    assert np.mean(z**3) == pytest.approx(-(mean**-0.5), rel=0.1)
+    # so few that they hardly meet: chords longer than u diameters are sqrt(1 - u^2) of all
+    alone = NoiseLaw("dusty", 1.0, components=(replace(part, rate=0.02),))
+    dark = draw_noise(alone, 4_000_000, h, rng) < 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], dark, [False]]).astype(int)))
+    assert len(edges) > 1000
+    lasts = (edges[1::2] - edges[::2]) * h / 0.1
+    assert np.mean(lasts > 1.01) < 0.03
+    for u in (0.3, 0.6, 0.9):
+        error = np.sqrt(u**2 * (1.0 - u**2) / len(lasts))
+        assert np.mean(lasts > u) == pytest.approx(np.sqrt(1.0 - u**2), abs=5.0 * error + 0.02)
+    # two discs a diameter and more apart do not meet
+    assert np.all(autocorrelation(dusty, 300, h)[100:] == 0.0)
+
+    part = Component(1.0, 20.0, 5.0, "strokes", depth=0.5)
+    rollers = NoiseLaw("roller_pump", 1.0, components=(part,))
+    z = draw_noise(rollers, 400_000, h, rng)
+    bounds = np.array([-0.5 / 1.5, 0.5 / 0.5]) / np.sqrt(0.5 * 0.25 / 0.75)
+    assert [z.min(), z.max()] == pytest.approx(bounds, abs=0.01)
+    f, power = welch(z, 1.0 / h, nperseg=20_000, detrend=False)
+    lines = [power[np.abs(f - k * 5.0) < 2.0].sum() for k in (1, 2, 3)]
+    # a quarter of the power from each harmonic to the next, and nothing between
+    assert lines[1] / lines[0] == pytest.approx(0.25, rel=0.05)
+    assert lines[2] / lines[1] == pytest.approx(0.25, rel=0.05)
+    assert lines[0] * (f[1] - f[0]) == pytest.approx(0.75, rel=0.05)
+    assert power[(f > 2.0) & (f < 3.0)].max() < 0.02 * power.max()
+    strokes = np.sum((z[1:] > 1.0) & (z[:-1] <= 1.0))
+    assert strokes == pytest.approx(5.0 * 400.0, abs=60)  # its phase walks by some turns only
+    # how soon lines forget: after a fifth of the time exp(-1/5) and exp(-4/5) of them are left
+    R = autocorrelation(rollers, 4001, h)
+    first, second = 0.75 * np.exp(-0.2), 0.75 / 4.0 * np.exp(-0.8)
+    later = 0.75 / 16.0 * np.exp(-1.8) + 0.75 / 64.0 * np.exp(-3.2)
+    assert R[4000] == pytest.approx(first + second + later, abs=1e-3)  # whole turns of all of them
+    assert not (shaping.is_ar1 or dusty.is_ar1 or rollers.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):
@@ -1588,6 +1892,14 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("heat_of_sorption", {"rise", "plateau", "fall", "tail"}, 0.999),
         ("jolted_fibre", {"rise", "plateau", "fall"}, 0.9),
         ("overtaking_packets", {"rise", "fall"}, 0.95),
+        ("throttling_hose", {"rise", "fall"}, 0.9),
+        ("sticking_needle", {"rise", "plateau", "fall"}, 0.99),
+        ("cold_spot", {"plateau", "fall"}, 0.95),
+        ("swirling_gas", {"rise", "fall"}, 0.99),
+        ("splitting_molecules", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("second_mode", {"rise", "plateau", "fall"}, 0.95),
+        ("hot_output_stage", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("sparse_logger", {"rise", "fall"}, 0.8),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

@@ -185,7 +185,7 @@ def weak_holding_current(rig: Rig, s: float, rng: np.random.Generator, case: Cas
         knobs.sinking, knobs.sinking_after = s, after
 
 
-@cause((), "tail", "share of the stroke", 0.2, per_experiment=True, reserve=True)
+@cause((), "tail", "share of the stroke", 0.2, per_experiment=True)
 def grain_in_seat(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A grain of dust lies in the seat: the valve comes to rest on it, ajar, and test gas leaks.
 
@@ -198,6 +198,18 @@ def grain_in_seat(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         if k != certain and rng.random() < 0.4:
             continue
         rig[step.name].ajar, rig[step.name].ajar_until = size, step.tf + lies
+
+
+@cause((), "fall", "authority lost", 0.8, near=("valve_asymmetry",), reserve=True)
+def throttling_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The hose behind the valve throttles, too: with the valve half open most of the gas flows.
+
+    Both share one pressure, which falls with the square of the flow; the valve's authority, its
+    part of that when it is open, is 1 - ``s``.  Its last half of the way up changes little, as does
+    its first half of the way down.
+    """
+    for knobs in rig.values():
+        knobs.authority_lost = s
 
 
 # --------------------------------------------------------------------------- flows
@@ -443,7 +455,7 @@ def neighbours_solvent(rig: Rig, s: float, rng: np.random.Generator, case: Case)
             rig[step.name].marks.append(at)
 
 
-@cause((), "delay", "share lost", 0.6, reserve=True)
+@cause((), "delay", "share lost", 0.6)
 def stale_test_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Test gas that stood in its hose before the valve has lost part of its vapour to the wall.
 
@@ -453,6 +465,29 @@ def stale_test_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
     volume, spread = case.V * _between(rng, 0.08, 0.4), rng.uniform(0.1, 0.4)
     for knobs in rig.values():
         knobs.stale, knobs.stale_volume, knobs.stale_front = s, volume, spread * volume
+
+
+@cause((), "plateau", "relative", 0.25, reserve=True)
+def sticking_needle(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The needle of the test gas's controller sticks: its loop pushes ever harder until it jumps.
+
+    It jumps too far, sticks again and is pushed back: the flow goes to and fro between two values,
+    whose mean the loop holds at the set point (Choudhury, Thornhill and Shah, Control Eng. Pract.
+    13, 641, 2005).  Friction is not the same both ways, nor is how long it sticks.
+    """
+    period, high = _between(rng, 1.5, 8.0), rng.uniform(0.3, 0.7)
+    for step in case.steps:
+        begin = rng.random()
+
+        def flow(t: FloatArray, begin: float = begin) -> FloatArray:
+            above = np.mod(t / period + begin, 1.0) < high
+            return np.asarray(1.0 + 2.0 * s * (above - high), dtype=float)
+
+        rig[step.name].test_gas.append(flow)
+        turns = np.arange(1.0, step.duration / period + 1.0)
+        jumps = np.concatenate([turns - begin, turns - begin + high - 1.0]) * period
+        inside = jumps[(jumps > 0.0) & (jumps < step.duration)].tolist()
+        rig[step.name].marks += [edge for at in inside for edge in (at - 1e-6, at + 1e-6)]
 
 
 # --------------------------------------------------------------------------- manifold
@@ -594,7 +629,7 @@ def pairing_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         rig[step.name].pairing = s * case.relative_concentration(step) * typical / case.V
 
 
-@cause((), "mixing", "share of the flow", 0.75, reserve=True)
+@cause((), "mixing", "share of the flow", 0.75)
 def jet_across(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The gas enters as a jet, part of which shoots across the manifold to the sensor unmixed.
 
@@ -605,6 +640,44 @@ def jet_across(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
     largest = max(step.total_flow for step in case.steps)
     for step in case.steps:
         rig[step.name].jet = s * (step.total_flow / largest) ** power
+
+
+@cause((), "fall", "share condensed", 0.1, reserve=True)
+def cold_spot(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The hose passes a cold spot, where the vapour is saturated below the highest concentration.
+
+    What is beyond saturation condenses: ``s`` of the gas at the highest concentration, nothing
+    where there is less than it takes.  When the test gas stops, the film keeps the gas at
+    saturation until it has dried; towards its end it breaks up into droplets.
+    """
+    patch = case.V * _between(rng, 0.02, 0.2)
+    for step in case.steps:
+        knobs, relative = rig[step.name], case.relative_concentration(step)
+        knobs.saturated, knobs.film_time = 1.0 - s, patch / step.total_flow
+        beyond = relative - knobs.saturated
+        if beyond > 0.0:
+            # what condenses until the valve shuts is what has dried when the film is gone
+            lasts = step.tf - step.t0 - case.tau_v * np.log(relative / beyond)
+            gone = step.tf + case.tau_v + max(lasts, 0.0) * beyond / knobs.saturated
+            knobs.marks.append(max(step.tf, gone - 3.0 * knobs.film_time))
+
+
+@cause((), "mixing", "share of the gas", 0.6, fast=True, reserve=True)
+def swirling_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The gas enters off the chamber's axis and swirls: a streak not yet mixed goes round.
+
+    It passes the ring once a turn, and shows for as long as fresh gas differs from what is there.
+    The swirl turns the faster the larger the flow.
+    """
+    turns, narrow = _between(rng, 1.0, 4.0), _between(rng, 1.0, 5.0)
+    for step in case.steps:
+        knobs, exchange = rig[step.name], case.V / step.total_flow
+        knobs.swirl, knobs.swirl_turns, knobs.swirl_narrow = s, turns, narrow
+        knobs.swirl_begin = rng.random()
+        reach = 10.0 * (case.tau_v + exchange)
+        for switch in (step.t0, step.tf):
+            marks = np.arange(switch, min(switch + reach, step.duration), 0.1 * exchange / turns)
+            knobs.marks += marks.tolist()[1:]
 
 
 # --------------------------------------------------------------------------- sensor
@@ -775,7 +848,7 @@ def displaced_water(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.displacing = load * case.relative_concentration(step)
 
 
-@cause((), "tail", "log of the uptake", 0.4, near=("slow_sorption",), reserve=True)
+@cause((), "tail", "log of the uptake", 0.4, near=("slow_sorption",))
 def heat_of_sorption(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Gas that settles warms the coating, which then holds less; leaving, it cools it and is kept.
 
@@ -786,6 +859,20 @@ def heat_of_sorption(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
     for step in case.steps:
         knobs = rig[step.name]
         knobs.sorption_heat, knobs.cooling_time = s * case.relative_concentration(step), time
+
+
+@cause((), "tail", "share", 0.3, near=("slow_sorption",), reserve=True)
+def splitting_molecules(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """On some sites the molecules split; the halves must meet again before they can leave.
+
+    They settle at the root of the concentration (Sieverts' law) and leave in pairs: what is left
+    falls as one over time, and fills the more slowly, the less gas there is.  At the highest
+    concentration such sites make the share ``s`` of the response.
+    """
+    time = _between(rng, 0.2, 2.0)
+    for step in case.steps:
+        knobs, root = rig[step.name], sqrt(case.relative_concentration(step))
+        knobs.split, knobs.split_time = s / ((1.0 - s) * root + s), time
 
 
 # --------------------------------------------------------------------------- readout
@@ -1039,7 +1126,7 @@ def self_heating_ring(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.warming, knobs.warming_time = sign * s, time
 
 
-@cause((), "spike", "relative", 0.15, reserve=True)
+@cause((), "spike", "relative", 0.15)
 def jolted_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The valve's click jolts the fibre out of its best place; its soft glue creeps back.
 
@@ -1061,6 +1148,18 @@ def jolted_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
 
         rig[step.name].gain.append(lost)
         rig[step.name].marks += [edge for at, _ in clicks for edge in (at - 1e-6, at)]
+
+
+@cause((), "level", "share of the step", 0.25, near=("optical_nonlinearity",), reserve=True)
+def second_mode(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The ring carries a second mode, and its line crosses the laser's wavelength on the way.
+
+    There it takes light away, on the way up and on the way down, always at the same concentration;
+    experiments that do not come so far never see it.
+    """
+    at, width = rng.uniform(0.15, 0.6), _between(rng, 0.03, 0.12)
+    for knobs in rig.values():
+        knobs.mode_depth, knobs.mode_at, knobs.mode_width = s * _mean_step(case), at, width
 
 
 # --------------------------------------------------------------------------- electronics
@@ -1228,7 +1327,7 @@ def paired_converters(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.pair_gain, knobs.pair_zero = sign * s, zero
 
 
-@cause((), "level", "of a coarse step", 0.4, reserve=True)
+@cause((), "level", "of a coarse step", 0.4)
 def coarse_and_fine(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The converter measures in coarse steps, then what is left; the two scales do not match.
 
@@ -1241,7 +1340,20 @@ def coarse_and_fine(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.coarse_step, knobs.coarse_begin, knobs.coarse_gain = width, begin, sign * s
 
 
-@cause((), "line", "share of the step", 0.3, per_experiment=True, fast=True, reserve=True)
+@cause((), "tail", "share of the step", 0.15, reserve=True)
+def hot_output_stage(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The amplifier's output transistor warms its input, which shifts the zero with temperature.
+
+    What the transistor turns into heat is its current times the voltage that is left of the supply:
+    most at half the supply, little at either end.  The package follows in its own time.
+    """
+    supply = max(step.y0 + step.beta for step in case.steps) * rng.uniform(1.05, 1.8)
+    time, size = _between(rng, 1.0, 10.0), _sign(rng) * s * _mean_step(case)
+    for knobs in rig.values():
+        knobs.heat, knobs.heat_supply, knobs.heat_time = size, supply, time
+
+
+@cause((), "line", "share of the step", 0.3, per_experiment=True, fast=True)
 def neighbours_flashlamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A neighbour's pulsed laser: each discharge of its flash lamp gets into the receiver.
 
@@ -1418,7 +1530,7 @@ def repeated_buffer(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].clock = clock
 
 
-@cause((), "clock", "s", 0.6, per_experiment=True, reserve=True)
+@cause((), "clock", "s", 0.6, per_experiment=True)
 def overtaking_packets(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The recorder sends its samples over a network, where one packet overtakes the one before.
 
@@ -1441,6 +1553,18 @@ def overtaking_packets(rig: Rig, s: float, rng: np.random.Generator, case: Case)
             return true
 
         rig[step.name].clock = clock
+
+
+@cause((), "delay", "s", 0.8, reserve=True)
+def sparse_logger(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The logger asks for a reading whenever the bus is free, and exports lines drawn between them.
+
+    Readings are up to ``s`` apart, and right; between them bends are cut, and what happens after
+    one shows before it happens.
+    """
+    for step, own in zip(case.steps, rng.spawn(len(case.steps)), strict=True):
+        apart = s * own.uniform(0.5, 1.0, int(2.0 * step.duration / s) + 3)
+        rig[step.name].readings = np.cumsum(apart) - apart[0] * (1.0 + rng.random())
 
 
 # --------------------------------------------------------------------------- noise

@@ -16,12 +16,12 @@ OPEN_LAWS = (
     "ar1", "white", "ar1_slow", "arma", "pink", "band_limited", "oscillating", "telegraph",
     "sliding_mean", "shot", "gusty", "double_sampling", "echo", "sparks",
     "turbulent", "zeroed_walk", "pulsing", "ac_coupled", "interpolated", "etalon",
-    "molecules", "speckle", "whistling",
+    "molecules", "speckle", "whistling", "notched", "interleaved", "charging",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("notched", "interleaved", "charging")
+RESERVE_LAWS = ("noise_shaping", "dusty", "roller_pump")
 """kept out of every run but the last"""
-HEAVY_TAILED = ("shot", "gusty", "sparks", "pulsing", "speckle", "interleaved")
+HEAVY_TAILED = ("shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty")
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
 loudness"""
 
@@ -182,6 +182,31 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             Component(share, exp(own.uniform(np.log(0.3), np.log(4.0))), shape="charging"),
         ),
     }  # fmt: skip
+    shaped, dimmed, pumped = own.uniform(0.4, 0.8), own.uniform(0.5, 0.8), own.uniform(0.05, 0.2)
+    parts |= {
+        # a converter that passes its rounding on, twice, to the readings that follow
+        "noise_shaping": (
+            Component(1.0 - shaped, exp(own.uniform(np.log(2e-3), np.log(3e-2)))),
+            Component(shaped, shape="shaped"),
+        ),
+        # specks of dust that the stream carries through a beam
+        "dusty": (
+            Component(1.0 - dimmed),
+            Component(
+                dimmed, exp(own.uniform(np.log(5e-3), np.log(5e-2))), shape="motes",
+                rate=exp(own.uniform(np.log(0.1), np.log(0.4))),
+            ),
+        ),
+        # a pump squeezes its hose with one roller after the other, as evenly as its motor turns
+        "roller_pump": (
+            Component(1.0 - pumped, short),
+            Component(
+                pumped, exp(own.uniform(np.log(0.5), np.log(8.0))),
+                exp(own.uniform(np.log(1.0), np.log(8.0))), shape="strokes",
+                depth=own.uniform(0.3, 0.6),
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -196,6 +221,8 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             total[0] += part.share
             if part.shape == "difference" and n > 1:
                 total[1] -= part.share * part.depth / (1.0 + part.depth**2)
+            elif part.shape == "shaped":
+                total[1:3] += part.share * np.array([-4.0, 1.0])[: n - 1] / 6.0
             continue
         own = np.exp(-lags / part.time)
         if part.shape == "smooth":
@@ -225,6 +252,14 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = _hat_with_hat(lags / part.time)
         elif part.shape == "fringes":
             own = sum(weight * own ** (k * k) for k, weight in enumerate(_orders(part), start=1))
+        elif part.shape == "strokes":
+            turn = 2.0 * pi * part.frequency * lags
+            own = sum(
+                weight * own ** (k * k) * np.cos(k * turn)
+                for k, weight in enumerate(_orders(part), start=1)
+            )
+        elif part.shape == "motes":
+            own = _discs(lags / part.time)
         elif part.shape == "diffusing":
             own = 1.0 / (1.0 + lags / part.time)
         elif part.shape == "notched":
@@ -272,6 +307,8 @@ def _draw_part(
     if part.shape == "difference":
         e = _innovations(n + 1, rng, tails)
         return (e[1:] - part.depth * e[:-1]) / sqrt(1.0 + part.depth**2)
+    if part.shape == "shaped":
+        return np.diff(_innovations(n + 2, rng, tails), 2) / sqrt(6.0)
     if part.shape == "interleaved":
         louder = np.where((np.arange(n) + rng.integers(2)) % 2 == 0, *_gusts(part))
         return louder * _innovations(n, rng, tails)
@@ -310,6 +347,10 @@ def _draw_part(
         return _drawn_lines(part.time, n, interval, rng)
     if part.shape == "fringes":
         return _fringes(part, n, interval, rng)
+    if part.shape == "motes":
+        return _motes(part, n, interval, rng)
+    if part.shape == "strokes":
+        return _strokes(part, n, interval, rng)
     if part.shape == "smooth":
         # exact sampling of the critically damped process (x, v): x'' = -2 x'/T - x/T^2 + noise
         return _smooth(part.time, n, interval, rng)
@@ -526,12 +567,57 @@ def _fringes(part: Component, n: int, interval: float, rng: np.random.Generator)
     Each passage between the faces adds to the phase and takes its share of the light (Airy).  The
     phase's variance grows by 2/``time``, hence exp(-k^2 lag/time); the voltage has its bounds.
     """
+    return _all_orders(_walking_phase(part, n, interval, rng), part.depth)
+
+
+def _walking_phase(
+    part: Component, n: int, interval: float, rng: np.random.Generator
+) -> FloatArray:
+    """(n,) rad, a random walk from anywhere whose variance grows by 2 in a ``time``."""
     walk = sqrt(2.0 * interval / part.time) * rng.standard_normal(n)
     walk[0] = 2.0 * pi * rng.random()
-    r = part.depth
-    light = 0.5 * (1.0 - r**2) / (1.0 - 2.0 * r * np.cos(np.cumsum(walk)) + r**2) - 0.5
-    fringes: FloatArray = light / sqrt(0.5 * r**2 / (1.0 - r**2))
-    return fringes
+    return np.cumsum(walk)
+
+
+def _all_orders(phase: FloatArray, r: float) -> FloatArray:
+    """(n,) sum of r^k cos(k phase) over k = 1, 2, .., of unit variance over all phases."""
+    light = 0.5 * (1.0 - r**2) / (1.0 - 2.0 * r * np.cos(phase) + r**2) - 0.5
+    orders: FloatArray = light / sqrt(0.5 * r**2 / (1.0 - r**2))
+    return orders
+
+
+def _strokes(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) pulses at ``frequency``, all alike, whose phase walks at random besides.
+
+    The k-th harmonic loses its memory k^2 times as soon.
+    """
+    even = 2.0 * pi * part.frequency * interval * np.arange(n)
+    return _all_orders(even + _walking_phase(part, n, interval, rng), part.depth)
+
+
+def _discs(distance: FloatArray) -> FloatArray:
+    """Area that two discs share whose centres are ``distance`` diameters apart, over one disc's."""
+    d = np.minimum(distance, 1.0)
+    shared: FloatArray = (np.arccos(d) - d * np.sqrt(1.0 - d**2)) * 2.0 / pi
+    return shared
+
+
+def _motes(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) less the number of specks in a round beam, which each cross on a straight line.
+
+    Where they cross is anywhere: their ways through the beam are a disc's chords, and their number
+    is Poisson's, of mean and variance pi/4 times ``rate``; at two times it is correlated as two
+    discs overlap.
+    """
+    lasting = n * interval + part.time
+    enter = rng.uniform(-part.time, n * interval, rng.poisson(part.rate * lasting / part.time))
+    leave = enter + part.time * np.sqrt(1.0 - rng.random(len(enter)) ** 2)
+    # the first sample that sees each of them, and the first that no longer does
+    edges = [np.clip(np.ceil(at / interval), 0, n).astype(int) for at in (enter, leave)]
+    come, gone = (np.bincount(edge, minlength=n + 1)[:n] for edge in edges)
+    mean = 0.25 * pi * part.rate
+    dimmed: FloatArray = (mean - np.cumsum(come - gone)) / sqrt(mean)
+    return dimmed
 
 
 def _speckle(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

@@ -81,7 +81,10 @@ class Component:
     white noise has lost what is within some 1/(2 pi ``time``) of ``frequency``; with
     ``interleaved`` (``time`` 0) white noise is by turns of variance 1 + ``depth`` and 1 -
     ``depth``; with ``charging`` it rises evenly and falls to the same level at random, every
-    ``time`` in the mean.
+    ``time`` in the mean.  With ``shaped`` (``time`` 0) it is the second difference of white noise;
+    with ``motes`` light that specks take away while they cross a round beam, at the longest a
+    ``time``, ``rate`` of them in a ``time``; with ``strokes`` a row of pulses at ``frequency``,
+    each harmonic ``depth`` of the one before, whose phase loses its memory in a ``time``.
     """
 
     share: float
@@ -92,8 +95,8 @@ class Component:
     shape: str = "gauss"
     """``gauss``, ``telegraph``, ``smooth``, ``shot``, ``window``, ``gusts``, ``sparks``, ``echo``,
     ``difference``, ``turbulent``, ``zeroed``, ``pulsing``, ``coupled``, ``interpolated``,
-    ``fringes``, ``diffusing``, ``speckle``, ``whistling``, ``notched``, ``interleaved`` or
-    ``charging``"""
+    ``fringes``, ``diffusing``, ``speckle``, ``whistling``, ``notched``, ``interleaved``,
+    ``charging``, ``shaped``, ``motes`` or ``strokes``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

@@ -51,6 +51,8 @@ class Knobs:
     """share of the stroke at which the valve comes to rest when it shuts"""
     ajar_until: float = 0.0
     """s, when it falls the rest of its way"""
+    authority_lost: float = 0.0
+    """share of the pressure that the hose takes when the valve is open"""
     # flows
     following: float = 0.0
     """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
@@ -77,6 +79,10 @@ class Knobs:
     all_flow: list[Course] = field(default_factory=list)
     """factors of the flow of both gases"""
     # manifold and the hose before it
+    saturated: float = np.inf
+    """concentration, over the campaign's highest, above which vapour condenses"""
+    film_time: float = 0.1
+    """s in which the highest concentration brings as much as makes a closed film"""
     sticky: float = 0.0
     """gas that the hose's wall takes up, in units of V, where there is little"""
     sticky_bend: float = 2.0
@@ -90,6 +96,14 @@ class Knobs:
     n_cells: int = 4
     jet: float = 0.0
     """share of the flow that crosses the manifold without mixing"""
+    swirl: float = 0.0
+    """share of gas not yet mixed in a streak that goes round"""
+    swirl_turns: float = 2.0
+    """turns while the manifold's volume is exchanged once"""
+    swirl_narrow: float = 2.0
+    """how narrow the streak is: it passes as exp(swirl_narrow (cos - 1))"""
+    swirl_begin: float = 0.0
+    """turns at t0"""
     left_over: float = 0.0
     """concentration in the manifold at the start, in units of this experiment's"""
     left_over_times: tuple[float, float] = (4.0, 20.0)
@@ -141,6 +155,10 @@ class Knobs:
     """log of the uptake that the whole response's heat takes away"""
     cooling_time: float = 3.0
     """s in which the coating loses that heat"""
+    split: float = 0.0
+    """share of the response from molecules that split"""
+    split_time: float = 1.0
+    """s in which half of them are gone from the highest concentration's"""
     # readout
     shift: float = 0.0
     """resonance shift at the highest concentration in half-widths; 0: straight readout"""
@@ -161,6 +179,12 @@ class Knobs:
     """by which the full response turns its phase"""
     fringe_phase: Course | None = None
     """turns"""
+    mode_depth: float = 0.0
+    """V that a second mode's line takes away"""
+    mode_at: float = 0.4
+    """concentration at which it does, over the campaign's highest"""
+    mode_width: float = 0.05
+    """half of its width, likewise"""
     fastest: float = np.inf
     """V/s, which the reading follows at most"""
     lock_time: float = 0.0
@@ -172,6 +196,12 @@ class Knobs:
     # receiver and recorder
     detector_time: float = 0.0
     """s in which a peak detector lets go of the voltage"""
+    heat: float = 0.0
+    """V by which the amplifier's zero shifts at the most heat it can make"""
+    heat_supply: float = 5.0
+    """V, of the amplifier"""
+    heat_time: float = 3.0
+    """s"""
     servo: float = 0.0
     """share of a change that the receiver pulls back"""
     servo_time: float = 30.0
@@ -188,6 +218,8 @@ class Knobs:
     """s for which an instrument's output stands still between its readings"""
     hold_begin: float = 0.0
     """s, of one of the readings"""
+    readings: FloatArray | None = None
+    """(m,) s, the only times at which a logger reads; it draws lines between them"""
     pair_gain: float = 0.0
     """relative, by which every other sample's converter reads more"""
     pair_zero: float = 0.0
@@ -261,6 +293,9 @@ def voltage(
         held = knobs.sticky * case.V / (0.5 * (flow[1:] + flow[:-1])) / knobs.sticky_cells
         bend = knobs.sticky_bend * case.relative_concentration(step)
         inlet = stages.sticky_wall(t, inlet, held, bend, knobs.sticky_cells)
+    if np.isfinite(knobs.saturated):
+        relative = case.relative_concentration(step)
+        inlet = stages.condensing(t, inlet, knobs.saturated / relative, knobs.film_time / relative)
     gas = _manifold(case, step, knobs, t, inlet, flow)
     if knobs.returned > 0:
         late = np.interp(t - knobs.return_delay, t, gas, left=0.0)
@@ -278,6 +313,8 @@ def voltage(
         readings = np.floor((true - knobs.hold_begin) / knobs.hold)
         shown = np.maximum(knobs.hold_begin + readings * knobs.hold, t[0])
     seen = np.interp(shown, t, y)
+    if knobs.readings is not None:
+        seen = np.interp(true, knobs.readings, np.interp(knobs.readings, t, y))
     if knobs.coarse_gain != 0:
         above = np.mod((seen - knobs.coarse_begin) / knobs.coarse_step, 1.0)
         seen = seen + knobs.coarse_gain * knobs.coarse_step * (above - 0.5)
@@ -317,6 +354,9 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
     if knobs.ajar > 0:
         falling = np.exp(-np.maximum(t - knobs.ajar_until, 0.0) / tau_v)
         x = np.where(t > step.tf, np.maximum(x, knobs.ajar * falling), x)
+    if knobs.authority_lost > 0:
+        # pressure over the valve (flow/x)^2, over the hose flow^2, in the ratio of 1 - lost to lost
+        x = x / np.sqrt(1.0 - knobs.authority_lost * (1.0 - x**2))
     return x
 
 
@@ -383,6 +423,12 @@ def _manifold(
             gas = stages.lag(t, inlet, passage, 0.0)
     if knobs.jet > 0:
         gas = (1.0 - knobs.jet) * gas + knobs.jet * inlet
+    if knobs.swirl > 0:
+        passed = np.concatenate([[0.0], np.cumsum(0.5 * (flow[1:] + flow[:-1]) * np.diff(t))])
+        exchanged = (passed - np.interp(step.t0, t, passed)) / case.V
+        turned = knobs.swirl_turns * exchanged + knobs.swirl_begin
+        streak = np.exp(knobs.swirl_narrow * (np.cos(2.0 * pi * turned) - 1.0))
+        gas = gas + knobs.swirl * streak * (inlet - gas)
     if knobs.bypass > 0:
         late = np.interp(t - knobs.bypass_delay, t, gas, left=0.0)
         gas = (1.0 - knobs.bypass) * gas + knobs.bypass * late
@@ -423,6 +469,9 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
             site = stages.langmuir(t, relative * gas, time, K, 0.0, 0.0, 1.0)
             slow += 0.5 * site * (1.0 + K * relative) / relative
         x = (1.0 - knobs.slow_sites) * x + knobs.slow_sites * slow
+    if knobs.split > 0:
+        halves = stages.splitting(t, relative * gas, knobs.split_time)
+        x = (1.0 - knobs.split) * x + knobs.split * halves / np.sqrt(relative)
     if knobs.backlash > 0:
         x = x + knobs.backlash * (stages.play(x, 0.25) - x)
     if knobs.bound > 0:
@@ -470,6 +519,9 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
     if knobs.fringe_phase is not None:
         turns = knobs.fringe_turns * x + knobs.fringe_phase(t)
         y = y + knobs.fringe * np.sin(2.0 * pi * turns)
+    if knobs.mode_depth > 0:
+        away = (relative * x - knobs.mode_at) / knobs.mode_width
+        y = y - knobs.mode_depth * (dip(away) - dip(knobs.mode_at / knobs.mode_width))
     if np.isfinite(knobs.fastest):
         y = stages.no_faster(t, y, knobs.fastest)
     if knobs.lock_time > 0:
@@ -480,6 +532,11 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
         y = y + course(t)
     if knobs.detector_time > 0:
         y = stages.peak_detector(t, y, knobs.detector_time)
+    if knobs.heat != 0:
+        used = y / knobs.heat_supply
+        power = 4.0 * used * (1.0 - used)
+        time = np.full(len(t) - 1, knobs.heat_time)
+        y = y + knobs.heat * stages.lag(t, power - power[0], time, 0.0)
     if knobs.servo > 0:
         time = np.full(len(t) - 1, knobs.servo_time)
         y = y - knobs.servo * stages.lag(t, y - y[0], time, 0.0)

@@ -97,6 +97,32 @@ def sticky_wall(
     return x
 
 
+@njit(cache=True)
+def condensing(
+    t: FloatArray, u: FloatArray, level: float, patch: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) gas behind a spot where it is saturated at ``level``: what is beyond makes a film.
+
+    The film m' = u - out grows by all that is too much, and gives back what is missing where it
+    covers the wall: out = u + (level - u) (1 - exp(-m/patch)).  With E = exp(m/patch) - 1 drying is
+    E' = -(level - u) E/patch.
+    """
+    n = len(t)
+    out = np.empty(n)
+    m = 0.0
+    for i in range(n):
+        if i > 0:
+            h = t[i] - t[i - 1]
+            missing = level - 0.5 * (u[i - 1] + u[i])
+            if missing <= 0.0:
+                m -= missing * h
+            elif m > 0.0:
+                left = (m - missing * h) / patch + np.log(-np.expm1(-m / patch))  # log E
+                m = patch * (max(left, 0.0) + np.log1p(exp(-abs(left))))
+        out[i] = level if u[i] > level else u[i] - (level - u[i]) * np.expm1(-m / patch)
+    return out
+
+
 @njit(cache=True, error_model="numpy")
 def pairing(
     t: FloatArray, u: FloatArray, passage: FloatArray, rate: float
@@ -195,6 +221,25 @@ def warming_coating(
             w += h / 6.0 * total_w
         out[i + 1] = x
     return out
+
+
+@njit(cache=True)
+def splitting(
+    t: FloatArray, g: FloatArray, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state of time x' = g - x^2 from 0: gas ``g`` (n,) that splits and leaves in pairs.
+
+    Riccati's equation, followed exactly with the mean of g between nodes.
+    """
+    n = len(t)
+    x = np.zeros(n)
+    for i in range(n - 1):
+        h = (t[i + 1] - t[i]) / time
+        gas = max(0.5 * (g[i] + g[i + 1]), 0.0)
+        root = np.sqrt(gas)
+        reach = tanh(root * h) / root if root > 1e-9 else h
+        x[i + 1] = (x[i] + gas * reach) / (1.0 + x[i] * reach)
+    return x
 
 
 @njit(cache=True, error_model="numpy")
