@@ -371,9 +371,9 @@ def make_card(rows: Sequence[Row]) -> Row:
             ),
         },
         "calibration": {
-            "verdict": _calibration([r for r in rows if r["kind"] != "hidden"], "p_said",
+            "verdict": calibration([r for r in rows if r["kind"] != "hidden"], "p_said",
                                     "verdict_right"),
-            "top_answer": _calibration([r for r in rows if r["kind"] not in ("hidden", "pair")],
+            "top_answer": calibration([r for r in rows if r["kind"] not in ("hidden", "pair")],
                                        "p_top", "top_right"),
         },
         "scores": {
@@ -499,7 +499,7 @@ def _roc(positive: Sequence[Row], negative: Sequence[Row]) -> Row:
     return {"area": area, "se": sqrt(max(variance, 0.0) / (n * m)), "false": false, "true": true}
 
 
-def _calibration(rows: Sequence[Row], stated: str, right: str) -> Row:
+def calibration(rows: Sequence[Row], stated: str, right: str) -> Row:
     """Reliability in ten bins, expected calibration error and its band under calibration.
 
     The band: 95 % of what the error would be if each answer were right with just the probability
