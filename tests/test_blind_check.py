@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.text import Text
 
 from bayes_sensor.blind_check import (
     LEVELS,
@@ -689,6 +690,16 @@ def test_unlisted_causes_look_listed_as_often_as_the_verdict_assumes() -> None:
         share = float(np.mean(away * d < 3.5))
         spread = np.sqrt(share * (1.0 - share) / len(away))
         assert abs(share - MIMIC / d) < 0.05 + 2.0 * spread
+
+
+def test_the_sentences_of_the_card_stand_inside_its_page() -> None:
+    card = json.loads((TABLES / "blind_check.json").read_text(encoding="utf-8"))
+    figure = score_card(card)
+    figure.draw_without_rendering()
+    words = [t for t in figure.findobj(Text) if "What hides" in t.get_text()]
+    (box,) = (t.get_window_extent() for t in words)
+    assert box.y0 > 0.0 and box.x1 < figure.bbox.width
+    assert "\n%" not in words[0].get_text()
 
 
 def test_the_readme_shows_the_goals_that_were_scored() -> None:

@@ -38,8 +38,8 @@ def score_card(card: Part) -> Figure:
     with style():
         # a line of type for every law of noise
         top = 0.75 + 0.105 * max(len(card["nulls"]["by_law"]), 16)
-        figure = new_figure(top + 5.95)
-        rows: Any = figure.subfigures(4, 1, height_ratios=[top, 2.1, 2.05, 1.8])
+        figure = new_figure(top + 6.25)
+        rows: Any = figure.subfigures(4, 1, height_ratios=[top, 2.1, 2.05, 2.1])
         left, right = rows[0].subplots(1, 2)
         _nulls(left, card["nulls"])
         _wrong(right, card["confident_wrong"])
@@ -273,7 +273,8 @@ def _sentences(axes: Axes, card: Part) -> None:
             "gives for it."
         )
     axes.set_axis_off()
-    text = "\n\n".join(textwrap.fill(words, 66) for words in said)
+    # no line may begin with a sign of percent
+    text = "\n\n".join(textwrap.fill(words.replace(" %", "\u00a0%"), 66) for words in said)
     axes.text(0.02, 1.0, text, transform=axes.transAxes, va="top", fontsize=7.5)
 
 
