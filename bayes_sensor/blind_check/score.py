@@ -589,16 +589,16 @@ def _tau(listed: Sequence[Row]) -> Row:
     rng = np.random.default_rng(20260602)
     pick = rng.integers(len(named), size=(2000, len(named)))
     ratios = after[pick].mean(axis=1) / np.maximum(before[pick].mean(axis=1), 1e-12)
-    pairs = [
-        (r["log_error_told"], r["log_error_before"])
-        for r in named
-        if r.get("log_error_told") is not None
-    ]
-    told, at_first = np.mean(pairs, axis=0).tolist() if pairs else (None, None)
+    known = [r for r in named if r.get("log_error_told") is not None]
+    told = ratio_told = None
+    if known:
+        told = float(np.mean([r["log_error_told"] for r in known]))
+        at_first = float(np.mean([r["log_error_before"] for r in known]))
+        ratio_told = told / max(at_first, 1e-12)
     return {
         "n": len(named),
         "told": told,
-        "ratio_told": told / max(at_first, 1e-12) if told is not None else None,
+        "ratio_told": ratio_told,
         "before": float(before.mean()),
         "after": float(after.mean()),
         "median_before": float(np.median(before)),
