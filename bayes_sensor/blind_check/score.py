@@ -90,7 +90,7 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
             return label == "none"
         if outside:
             return label == "unlisted"
-        return bool(right) and _explains(set(label.split("+")), right)
+        return _explains(label, right)
 
     top_family = max(families, key=families.__getitem__)
     if kind == "null":
@@ -181,15 +181,13 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
 
 def _tau_told(verdict: Mapping[str, Any], right: Sequence[set[str]]) -> float | None:
     """s, tau of the likeliest explanation by the true causes alone: what being told would give."""
-    true = [
-        row
-        for row in verdict["which"]
-        if right and row.get("tau_s") and _explains(set(row["effect"].split("+")), right)
-    ]
+    which = verdict["which"]
+    true = [row for row in which if row.get("tau_s") and _explains(row["effect"], right)]
     return max(true, key=lambda row: row["probability"] or 0.0)["tau_s"] if true else None
 
 
-def _explains(members: set[str], right: Sequence[set[str]]) -> bool:
+def _explains(label: str, right: Sequence[set[str]]) -> bool:
+    members = set(label.split("+"))
     return members <= set().union(*right) and len(members) == len(right)
 
 
@@ -372,9 +370,9 @@ def make_card(rows: Sequence[Row]) -> Row:
         },
         "calibration": {
             "verdict": calibration([r for r in rows if r["kind"] != "hidden"], "p_said",
-                                    "verdict_right"),
+                                   "verdict_right"),
             "top_answer": calibration([r for r in rows if r["kind"] not in ("hidden", "pair")],
-                                       "p_top", "top_right"),
+                                      "p_top", "top_right"),
         },
         "scores": {
             kind: {"brier": _mean(_of(rows, kind), "brier"),
@@ -589,7 +587,7 @@ def _tau(listed: Sequence[Row]) -> Row:
     rng = np.random.default_rng(20260602)
     pick = rng.integers(len(named), size=(2000, len(named)))
     ratios = after[pick].mean(axis=1) / np.maximum(before[pick].mean(axis=1), 1e-12)
-    known = [r for r in named if r.get("log_error_told") is not None]
+    known = [r for r in named if r["log_error_told"] is not None]
     told = ratio_told = None
     if known:
         told = float(np.mean([r["log_error_told"] for r in known]))

@@ -144,11 +144,11 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
     timing = _timing_part(sketch, base, flow)
     for share in TIMING_SHARES:
         made.append(_configure(f"timing {share:g}", 0.2 / len(TIMING_SHARES), timing * share))
-    for length in READOUT_LENGTHS:
-        readout = _readout_part(sketch, base, flow, length)
+    readout = _readout_parts(sketch, base, flow)
+    for length, factor in readout.items():
         for share in VOLT_SHARES:
-            weight = 0.15 / (len(READOUT_LENGTHS) * len(VOLT_SHARES))
-            made.append(_configure(f"readout {length:g} {share:g}", weight, readout * share))
+            weight = 0.15 / (len(readout) * len(VOLT_SHARES))
+            made.append(_configure(f"readout {length:g} {share:g}", weight, factor * share))
     for share in VOLT_SHARES:
         weight = 0.2 / len(VOLT_SHARES)
         made.append(_configure(f"drift {share:g}", weight, drift * share))
@@ -221,11 +221,12 @@ def _timing_part(sketch: Sketch, base: Refit, flow: FloatArray) -> FloatArray:
     return np.hstack(blocks)
 
 
-def _readout_part(sketch: Sketch, base: Refit, flow: FloatArray, length: float) -> FloatArray:
+def _readout_parts(sketch: Sketch, base: Refit, flow: FloatArray) -> dict[float, FloatArray]:
     """A readout that is off by a function of what it reads."""
     means = [b.reduce(base.plan.mean(base.x, k, b.times)) for k, b in enumerate(sketch.bins)]
+    read = [m / sketch.signal_scale for m in means]
     volts = [np.full(len(m), sketch.signal_scale) for m in means]
-    return _part(sketch, [m / sketch.signal_scale for m in means], volts, flow, length)
+    return {length: _part(sketch, read, volts, flow, length) for length in READOUT_LENGTHS}
 
 
 def _log_time(since: FloatArray, scale: float) -> FloatArray:

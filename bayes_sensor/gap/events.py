@@ -305,7 +305,7 @@ def look_for_breaks(found: Refit) -> FullRate:
     largest, where = 0.0, (0.0, 0.0)
     places: list[dict[Hashable, float]] = []
     for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
-        shapes, begins, ends = _changes(b.falling)
+        shapes, spans = _changes(b.falling)
         templates = sketch.inverse_factors[k] @ shapes
         inside = found.jacobians[k].T @ templates
         columns = plan.columns(k)
@@ -316,31 +316,31 @@ def look_for_breaks(found: Refit) -> FullRate:
         if not np.any(use):
             continue
         square = (found.residual[rows] @ templates[:, use]) ** 2 / left[use]
-        # edges are counted from the switch before them, where records differ in length
-        kinds = zip(*(_from_switch(edges[use], b) for edges in (begins, ends)), strict=True)
+        edges = _edges(b)
+        kinds = [(edges[i], edges[j]) for i, j in spans[use].tolist()]
         places.append(dict(zip(kinds, _surprises(square, DOF), strict=True)))
         if float(square.max()) > largest:
             largest = float(square.max())
-            first = begins[use][int(np.argmax(square))]
+            first = spans[use][int(np.argmax(square)), 0]
             where = (float(k), float(b.experiment.t[b.first[first]]))
     strength = {"break_experiment": where[0], "break_s": where[1], "break_ratio": largest**0.5}
     return FullRate("break", _alone_or_alike(places), strength, float(np.sqrt(largest)))
 
 
-def _from_switch(edges: NDArray[np.int64], b: ExperimentBins) -> list[tuple[str, int]]:
-    """Which switch a bin follows, and as which; ``("end", 0)`` after the last."""
-    n, fall = len(b.falling), int(np.argmax(b.falling))
-    rise = int(np.argmax(b.since >= 0.0))
-    return [
-        ("end", 0) if i == n else ("fall", i - fall) if b.falling[i] else ("rise", i - rise)
-        for i in edges.tolist()
+def _edges(b: ExperimentBins) -> list[tuple[str, int]]:
+    """Where each bin begins, counted from the switch before, since records differ in length.
+
+    After the last bin the record's end, ``("end", 0)``.
+    """
+    rise, fall = int(np.argmax(b.since >= 0.0)), int(np.argmax(b.falling))
+    begins = [
+        ("fall", i - fall) if down else ("rise", i - rise) for i, down in enumerate(b.falling)
     ]
+    return [*begins, ("end", 0)]
 
 
-def _changes(
-    falling: NDArray[np.bool_],
-) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]:
-    """(n_bins, m) ones where a change lasts, and (m,) the bins it begins with and ends before."""
+def _changes(falling: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]:
+    """(n_bins, m) ones where a change lasts, and (m, 2) the bins it begins with and ends before."""
     n = len(falling)
     fall = int(np.argmax(falling)) if np.any(falling) else n
     spans = {
@@ -352,7 +352,7 @@ def _changes(
     ordered = np.array(sorted(spans), dtype=np.int64)
     at = np.arange(n)[:, None]
     shapes = (at >= ordered[:, 0]) & (at < ordered[:, 1])
-    return shapes.astype(float), ordered[:, 0], ordered[:, 1]
+    return shapes.astype(float), ordered
 
 
 def look_for_ringing(

@@ -250,9 +250,7 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = (slow * own - part.time * np.exp(-lags / slow)) / (slow - part.time)
         elif part.shape == "interpolated":
             own = _hat_with_hat(lags / part.time)
-        elif part.shape == "fringes":
-            own = sum(weight * own ** (k * k) for k, weight in enumerate(_orders(part), start=1))
-        elif part.shape == "strokes":
+        elif part.shape in ("fringes", "strokes"):
             turn = 2.0 * pi * part.frequency * lags
             own = sum(
                 weight * own ** (k * k) * np.cos(k * turn)
@@ -345,12 +343,10 @@ def _draw_part(
         return _coupled(part, n, interval, rng, tails)
     if part.shape == "interpolated":
         return _drawn_lines(part.time, n, interval, rng)
-    if part.shape == "fringes":
+    if part.shape in ("fringes", "strokes"):
         return _fringes(part, n, interval, rng)
     if part.shape == "motes":
         return _motes(part, n, interval, rng)
-    if part.shape == "strokes":
-        return _strokes(part, n, interval, rng)
     if part.shape == "smooth":
         # exact sampling of the critically damped process (x, v): x'' = -2 x'/T - x/T^2 + noise
         return _smooth(part.time, n, interval, rng)
@@ -566,33 +562,15 @@ def _fringes(part: Component, n: int, interval: float, rng: np.random.Generator)
 
     Each passage between the faces adds to the phase and takes its share of the light (Airy).  The
     phase's variance grows by 2/``time``, hence exp(-k^2 lag/time); the voltage has its bounds.
+    With ``frequency`` the phase turns evenly besides: pulses, all alike.
     """
-    return _all_orders(_walking_phase(part, n, interval, rng), part.depth)
-
-
-def _walking_phase(
-    part: Component, n: int, interval: float, rng: np.random.Generator
-) -> FloatArray:
-    """(n,) rad, a random walk from anywhere whose variance grows by 2 in a ``time``."""
     walk = sqrt(2.0 * interval / part.time) * rng.standard_normal(n)
     walk[0] = 2.0 * pi * rng.random()
-    return np.cumsum(walk)
-
-
-def _all_orders(phase: FloatArray, r: float) -> FloatArray:
-    """(n,) sum of r^k cos(k phase) over k = 1, 2, .., of unit variance over all phases."""
+    phase = 2.0 * pi * part.frequency * interval * np.arange(n) + np.cumsum(walk)
+    r = part.depth
     light = 0.5 * (1.0 - r**2) / (1.0 - 2.0 * r * np.cos(phase) + r**2) - 0.5
-    orders: FloatArray = light / sqrt(0.5 * r**2 / (1.0 - r**2))
-    return orders
-
-
-def _strokes(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
-    """(n,) pulses at ``frequency``, all alike, whose phase walks at random besides.
-
-    The k-th harmonic loses its memory k^2 times as soon.
-    """
-    even = 2.0 * pi * part.frequency * interval * np.arange(n)
-    return _all_orders(even + _walking_phase(part, n, interval, rng), part.depth)
+    fringes: FloatArray = light / sqrt(0.5 * r**2 / (1.0 - r**2))
+    return fringes
 
 
 def _discs(distance: FloatArray) -> FloatArray:

@@ -388,7 +388,7 @@ def _flows(
     if knobs.chill > 0:
         inlet = inlet * np.exp(-stages.evaporating(t, opening, knobs.chill, knobs.chill_time))
     if knobs.stale > 0:
-        dosed = np.concatenate([[0.0], np.cumsum(0.5 * (test[1:] + test[:-1]) * np.diff(t))])
+        dosed = _integral(t, test)
         behind = (dosed - knobs.stale_volume) / knobs.stale_front
         inlet = inlet * (1.0 - 0.5 * knobs.stale * erfc(behind))
     for source in knobs.seep:
@@ -424,7 +424,7 @@ def _manifold(
     if knobs.jet > 0:
         gas = (1.0 - knobs.jet) * gas + knobs.jet * inlet
     if knobs.swirl > 0:
-        passed = np.concatenate([[0.0], np.cumsum(0.5 * (flow[1:] + flow[:-1]) * np.diff(t))])
+        passed = _integral(t, flow)
         exchanged = (passed - np.interp(step.t0, t, passed)) / case.V
         turned = knobs.swirl_turns * exchanged + knobs.swirl_begin
         streak = np.exp(knobs.swirl_narrow * (np.cos(2.0 * pi * turned) - 1.0))
@@ -475,7 +475,7 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
     if knobs.backlash > 0:
         x = x + knobs.backlash * (stages.play(x, 0.25) - x)
     if knobs.bound > 0:
-        dose = np.concatenate([[0.0], np.cumsum(0.5 * (x[1:] + x[:-1]) * np.diff(t))])
+        dose = _integral(t, x)
         x = x - knobs.bound * np.expm1(-dose / knobs.bound_time)
     if knobs.cages > 0:
         beyond = (relative * gas - knobs.cages_at) / knobs.cages_width
@@ -487,6 +487,11 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         water = stages.displaced(t, knobs.displacing * x, knobs.damp, knobs.damp_time)
         x = x * (1.0 - water) / (1.0 - knobs.damp)
     return x
+
+
+def _integral(t: FloatArray, rate: FloatArray) -> FloatArray:
+    """(n,) what has come by ``t`` (n,) at a rate (n,) that is straight between."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
 
 
 def dip(z: FloatArray | float) -> Any:

@@ -9,7 +9,15 @@ from typing import Any
 
 from bayes_sensor.figures import effect_words
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import list_words, ms, number, sentence, typeset, with_spread
+from bayes_sensor.report.words import (
+    interval,
+    list_words,
+    ms,
+    number,
+    sentence,
+    typeset,
+    with_spread,
+)
 from bayes_sensor.results import of_other_data
 
 
@@ -45,8 +53,8 @@ def headline(
         if not posterior.get("converged", True):
             noise += "; NOT CONVERGED, do not quote"
         text = (
-            f"{with_spread(mid, hi - lo)} ms, 95 % interval [{with_spread(lo, hi - lo)}, "
-            f"{with_spread(hi, hi - lo)}] ms (posterior, {noise})"
+            f"{with_spread(mid, hi - lo)} ms, 95 % interval {interval(lo, hi)} ms "
+            f"(posterior, {noise})"
         )
         half_normal = next(
             (r for r in posterior.get("tau_under_priors", []) if r["prior"] == "half_normal"), None
@@ -155,9 +163,8 @@ def with_the_effect(saved: Saved) -> str:
         return ""
     return (
         f"With {list_words([effect_words(name) for name in verdict['effects']])} in the model "
-        f"τ is {with_spread(mid, high - low)} ms, 95 % interval [{with_spread(low, high - low)}, "
-        f"{with_spread(high, high - low)}] ms: quote that, not the interval without it, or sample "
-        "it with bayes-sensor posterior --with-effect "
+        f"τ is {with_spread(mid, high - low)} ms, 95 % interval {interval(low, high)} ms: quote "
+        "that, not the interval without it, or sample it with bayes-sensor posterior --with-effect "
         f"{' --with-effect '.join(verdict['effects'])}."
     )
 

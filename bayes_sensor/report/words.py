@@ -51,6 +51,15 @@ def with_spread(value: float | None, spread: float | None) -> str:
     return f"{value:.{min(decimals, 9)}f}"
 
 
+def interval(low: float, high: float) -> str:
+    """Both ends, rounded to two digits of what lies between.
+
+    >>> interval(30.96, 52.04)
+    '[31, 52]'
+    """
+    return f"[{with_spread(low, high - low)}, {with_spread(high, high - low)}]"
+
+
 def p_words(p: float | None) -> str:
     """A p-value in words that do not pretend.
 

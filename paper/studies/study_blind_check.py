@@ -28,7 +28,7 @@ from bayes_sensor.blind_check import (
 )
 from bayes_sensor.blind_check.check import complete_truth, trimmed
 from bayes_sensor.blind_check.oracle import SEPARABLE_ABOVE
-from bayes_sensor.blind_check.score import VISIBLE, calibration, score_case
+from bayes_sensor.blind_check.score import calibration, score_case
 from bayes_sensor.figures import png, svg
 from bayes_sensor.figures.blind_check import opened_seal, score_card
 from bayes_sensor.gap import diagnose_gap
@@ -61,8 +61,8 @@ def run(
     pd.DataFrame(card["goals"]).to_csv(
         TABLES / "blind_check_goals.csv", index=False, float_format="%.4g"
     )
-    write_readme()
     write_json(TABLES / "blind_check.json", card)
+    write_readme()
     keep_figure(score_card(card), "blind_check")
     both = compare_settings(place, frame, jobs, scheduler, progress)
     both.to_csv(TABLES / "blind_check_settings.csv", index=False, float_format="%.4g")
@@ -109,8 +109,7 @@ def write_readme() -> None:
     said = [
         changed(cases, first), "What follows counts them.", named_nulls(cases),
         alarmed_nulls(cases), left_out(cases), overlooked(cases), out_of_reach(cases),
-        too_sure(cases), but_for_one_law(cases),
-        being_told(cases),
+        too_sure(cases), but_for_one_law(cases), being_told(),
     ]  # fmt: skip
     below = textwrap.fill(" ".join(sentence for sentence in said if sentence), 112) + "\n"
     write_text(README, text[:begin] + markdown_table(goals) + "\n" + below + text[end:])
@@ -213,22 +212,13 @@ def but_for_one_law(cases: pd.DataFrame) -> str:
     )
 
 
-def being_told(cases: pd.DataFrame) -> str:
+def being_told() -> str:
     """One sentence: the error of tau where the cause was seen and named, and if told the cause."""
-    named = (cases["kind"] == "listed") & cases["verdict"].isin(["effect", "family"])
-    for column in ("verdict_right", "on_mean"):
-        named &= cases[column].astype(str) == "True"
-    numbers = cases[["d", "log_error_before", "log_error_after", "log_error_told"]].apply(
-        pd.to_numeric, errors="coerce"
-    )
-    errors = numbers[named & (numbers["d"] >= VISIBLE)].dropna()
-    before, after, told = (
-        float(errors[f"log_error_{when}"].mean()) for when in ("before", "after", "told")
-    )
+    tau = read_json(TABLES / "blind_check.json")["tau"]
     return (
-        f"The error of ln tau falls from {before:.2f} to {after:.2f} where the cause was seen and "
-        f"named ({len(errors)} campaigns); a fit that is told the cause has {told:.2f}: the rest "
-        "is noise."
+        f"The error of ln tau falls from {tau['before']:.2f} to {tau['after']:.2f} where the cause "
+        f"was seen and named ({tau['n']} campaigns); a fit that is told the cause has "
+        f"{tau['told']:.2f}: the rest is noise."
     )
 
 

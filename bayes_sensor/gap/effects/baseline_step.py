@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 
 from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
 
-PLACES = tuple(0.02 + 0.02 * i for i in range(49))
+PLACES = tuple({"step_place": 0.02 + 0.02 * i} for i in range(49))
 """where in the record a common jump is looked for first, as a share of its length"""
-DELAYS = tuple(0.3 * 1.3**i for i in range(20))
+DELAYS = tuple({"step_delay*": 0.3 * 1.3**i} for i in range(20))
 """time scales after the fall where one is looked for first"""
 
 
@@ -69,26 +69,17 @@ EFFECT = Effect(
         Form(_step(True, soft=True), _after_pulse, name="own, slow", weight=0.1),
         *(
             Form(
-                _anywhere(own),
-                _at_place,
-                name=name,
+                strengths(own),
+                settings,
+                name=f"own, {name}" if own else name,
                 weight=0.05,
-                grid=tuple({"step": 1e-4, "step_place": place} for place in PLACES),
+                grid=tuple({"step": 1e-4, **begin} for begin in begins),
             )
-            for own, name in ((False, "at any time"), (True, "own, at any time"))
-        ),
-        *(
-            Form(
-                _some_time_after(own),
-                _after_delay,
-                name=name,
-                weight=0.05,
-                grid=tuple({"step": 1e-4, "step_delay*": delay} for delay in DELAYS),
+            for strengths, settings, name, begins in (
+                (_anywhere, _at_place, "at any time", PLACES),
+                (_some_time_after, _after_delay, "some time after the fall", DELAYS),
             )
-            for own, name in (
-                (False, "some time after the fall"),
-                (True, "own, some time after the fall"),
-            )
+            for own in (False, True)
         ),
     ),
     plausible={"step": 0.01},

@@ -8,7 +8,7 @@ from bayes_sensor import figures
 from bayes_sensor.report.headline import with_the_effect
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import number, powers, with_spread
+from bayes_sensor.report.words import interval, number, powers, with_spread
 
 TOLERANCE_WORDS = {
     "d_pdms": "diffusivity of PDMS",
@@ -71,10 +71,7 @@ def coating(saved: Saved, pictures: Pictures) -> Section | None:
 
 def _time(row: dict[str, Any], name: str, factor: float) -> str:
     low, middle, high = (factor * row[f"{name}{end}_s"] for end in ("_lo", "", "_hi"))
-    spread = high - low
-    return (
-        f"{with_spread(middle, spread)} [{with_spread(low, spread)}, {with_spread(high, spread)}]"
-    )
+    return f"{with_spread(middle, high - low)} {interval(low, high)}"
 
 
 def _times_table(rows: list[dict[str, Any]]) -> Table:

@@ -15,7 +15,7 @@ from bayes_sensor.report.headline import (
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see, to_spread
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections.draws import posterior_table
-from bayes_sensor.report.words import list_words, ms, number, typeset, with_spread
+from bayes_sensor.report.words import interval, list_words, ms, number, typeset
 
 PUBLISHED_3SD = {"tau_s": 0.0056049, "tau_v_s": 0.0086029, "V_mL": 0.6817}
 """the paper's Table III"""
@@ -238,33 +238,29 @@ def _why_they_differ(saved: Saved) -> list[str]:
     if saved.posterior is not None:
         row = saved.posterior["parameters"]["tau_s"]
         found.append(
-            f"the posterior's {_interval(row['q2.5'], row['q97.5'])} counts the prior on τ and "
-            f"averages over all other parameters{see('posterior-shared')}"
+            f"the posterior's {interval(1e3 * row['q2.5'], 1e3 * row['q97.5'])} ms counts "
+            f"the prior on τ and averages over all other parameters{see('posterior-shared')}"
         )
     methods = (saved.bounds or {}).get("methods") or {}
     row = (methods.get("profile") or {}).get("parameters", {}).get("tau_s") or {}
     if row.get("lo95") is not None and row.get("hi95") is not None:
         found.append(
-            f"the profile likelihood's {_interval(row['lo95'], row['hi95'])} has no prior and "
-            f"takes the best value of all others at every τ{see('methods')}"
+            f"the profile likelihood's {interval(1e3 * row['lo95'], 1e3 * row['hi95'])} ms has "
+            f"no prior and takes the best value of all others at every τ{see('methods')}"
         )
     shrink = (saved.gap or {}).get("shrink") or {}
     low, high = shrink.get("tau_after_lo_s"), shrink.get("tau_after_hi_s")
     if low is not None and high is not None:
         found.append(
-            f"the diagnosis's {_interval(low, high)} averages over what may be wrong with the "
-            "model, sees the records in bins over a noise floor that was taken without the model, "
+            f"the diagnosis's {interval(1e3 * low, 1e3 * high)} ms averages over what may be wrong "
+            "with the model, sees the records in bins over a noise floor that was taken without "
+            "the model, "
             f"and has a log-normal prior on τ{see('which')}"
         )
     if len(found) < 2:
         return []
-    return [f"The intervals of τ on this page differ because they assume different things: "
+    return ["The intervals of τ on this page differ because they assume different things: "
             f"{'; '.join(found)}."]  # fmt: skip
-
-
-def _interval(low: float, high: float) -> str:
-    spread = 1e3 * (high - low)
-    return f"[{with_spread(1e3 * low, spread)}, {with_spread(1e3 * high, spread)}] ms"
 
 
 def _method_table(bounds: Mapping[str, Any]) -> Table:
