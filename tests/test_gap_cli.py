@@ -257,7 +257,8 @@ def test_the_posterior_with_the_effect_recovers_its_strength(
     [
         (["heavy_tails"], "heavy_tails acts on the noise, not on the mean"),
         (["valve_asymetry"], "--with-effect: no effect 'valve_asymetry' in the catalogue; did you"),
-        (["valve_asymmetry:slow"], "no form 'slow'; it has one only: give valve_asymmetry alone"),
+        (["two_rate_valve:fast"], "no form 'fast'; it has one only: give two_rate_valve alone"),
+        (["valve_asymmetry:slow"], "no form 'slow'; known are 'spring' and, given alone, valve_as"),
         (["baseline_step:slow"], "no form 'slow'; known are 'common', 'own', 'common, slow'"),
         (["carry_over", "carry_over"], "carry_over is given twice"),
     ],

@@ -58,7 +58,9 @@ def integrated(p):
     def slopes(t, s):
         x1, v1, slow, x2, pocket, tank, x3, site, low = s
         u = command(t)
-        lag = tau_v * get("valve_factor") * (get("closing_ratio") if t >= tf else 1.0)
+        lag = tau_v * get("valve_factor")
+        if t >= tf:
+            lag *= get("closing_ratio") * (1 + get("closing_bend") * (x1 / open_at_tf - 0.5))
         dx1, dv1 = (
             (v1, (u - x1 - lag * v1) / (kappa * lag**2)) if kappa > 0 else ((u - x1) / lag, 0)
         )
@@ -70,7 +72,8 @@ def integrated(p):
         lost, a = get("flow_switching") * c, get("tank_share")
         rate = get("flow_factor") / tau_m / (1 - a) / (get("emptying_ratio") if t >= tf else 1.0)
         k = get("pocket_share") / get("pocket_time")
-        dx2 = rate * (open_ - (1 - lost + lost * open_) * x2) + k * (pocket - x2)
+        flow = 1 - lost + lost * open_
+        dx2 = rate * (open_ * (flow if get("premixed") else 1) - flow * x2) + k * (pocket - x2)
         inlet = tank if a > 0 else x2
         dtank = (x2 - tank) * get("flow_factor") / (tau_m * a) if a > 0 else 0.0
         slower = get("release_ratio") if inlet < x3 else 1.0
@@ -84,7 +87,7 @@ def integrated(p):
         dlow = (total - low) / get("filter") if get("filter") > 0 else 0.0
         return [dx1, dv1, dslow, dx2, (x2 - pocket) / get("pocket_time"), dtank, dx3, dsite, dlow]
 
-    state, out = np.zeros(9), np.zeros_like(T)
+    state, out, open_at_tf = np.zeros(9), np.zeros_like(T), 1.0
     for start, end in ((t0, tf), (tf, T[-1])):
         inside = (start < T) & (end >= T)
         at = np.append(T[inside], end)
@@ -93,6 +96,7 @@ def integrated(p):
             rtol=1e-9, atol=1e-11, max_step=0.05,
         )  # fmt: skip
         state = solved.y[:, -1]
+        open_at_tf = state[0]
         y = solved.y[:, : inside.sum()]
         total = y[6] + get("slow_site_share") * (y[7] - y[6])
         out[inside] = y[8] if get("filter") > 0 else total
@@ -103,7 +107,10 @@ def integrated(p):
     "settings",
     [
         {"flow_switching": 1.0},
+        {"flow_switching": 0.6, "premixed": 1.0},
         {"closing_ratio": 1.5},
+        {"closing_ratio": 1.3, "closing_bend": 0.4},
+        {"closing_bend": -1.2},
         {"inertia": 0.1},
         {"inertia": 0.25},
         {"inertia": 0.4},

@@ -58,7 +58,12 @@ def find_form(effect: Effect, name: str | None = None) -> Form:
         if form.name == name:
             return form
     known = ", ".join(f"'{f.name}'" for f in effect.forms if f.name)
-    hint = f"known are {known}" if known else f"it has one only: give {effect.name} alone"
+    if not known:
+        hint = f"it has one only: give {effect.name} alone"
+    elif all(f.name for f in effect.forms):
+        hint = f"known are {known}"
+    else:
+        hint = f"known are {known} and, given alone, {effect.name}"
     raise CampaignError(f"effect {effect.name} has no form '{name}'; {hint}")
 
 

@@ -15,7 +15,7 @@ changes; effects on different settings can therefore act together.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import cos, exp, sin, sqrt, tanh
+from math import cos, exp, log, sin, sqrt, tanh
 
 import numpy as np
 from numba import njit
@@ -24,6 +24,7 @@ from bayes_sensor.campaign import FloatArray
 
 SETTINGS: dict[str, tuple[float, str]] = {
     "closing_ratio": (1.0, "valve time constant when shutting over that when opening"),
+    "closing_bend": (0.0, "how much that constant falls from the first of the way to the last"),
     "inertia": (0.0, "kappa in kappa tau_v^2 x'' + tau_v x' + x = u"),
     "stroke": (0.0, "s, time in which the valve's command goes from shut to open"),
     "stroke_bend": (0.0, "0: evenly .. 1: accelerating evenly, from rest"),
@@ -33,6 +34,7 @@ SETTINGS: dict[str, tuple[float, str]] = {
     "settling_time": (1.0, "s, in which that deficit decays"),
     "settling_swing": (0.0, "rad/s, with which it swings while it decays"),
     "flow_switching": (0.0, "share of the test-gas flow that stops when the valve shuts"),
+    "premixed": (0.0, "1: what then enters keeps the concentration that the valve gives it"),
     "flow_factor": (1.0, "true total flow over the set one"),
     "pocket_share": (0.0, "volume of a stagnant pocket over V"),
     "pocket_time": (1.0, "s, exchange time of the pocket"),
@@ -75,11 +77,11 @@ TAU, TAU_V, TAU_M, Y0, BETA, T0, TF, CONCENTRATION, START, MIDDLE = range(10)
 FIRST = 10
 
 (
-    CLOSING, INERTIA, STROKE, BEND, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME, SETTLING_SWING,
-    SWITCHING, FLOW, POCKET, POCKET_TIME, TANK, RELEASE, RELEASE_WIDTH, SLOW_S, SLOW_S_TIME,
-    SLOW_S_SPREAD, COATING, FILTER, CURVATURE, DRIFT, DRIFT_CURVE, DRIFT_TWIST, STEP, STEP_TIME,
-    STEP_WITH_FALL, STEP_WIDTH, GAIN, GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL, CARRY, CARRY_TIME,
-    VALVE_FACTOR, SENSOR_FACTOR, EMPTYING, LATE, LATE_RISE, LATE_FALL,
+    CLOSING, CLOSING_BEND, INERTIA, STROKE, BEND, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME,
+    SETTLING_SWING, SWITCHING, PREMIXED, FLOW, POCKET, POCKET_TIME, TANK, RELEASE, RELEASE_WIDTH,
+    SLOW_S, SLOW_S_TIME, SLOW_S_SPREAD, COATING, FILTER, CURVATURE, DRIFT, DRIFT_CURVE, DRIFT_TWIST,
+    STEP, STEP_TIME, STEP_WITH_FALL, STEP_WIDTH, GAIN, GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL, CARRY,
+    CARRY_TIME, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING, LATE, LATE_RISE, LATE_FALL,
 ) = range(FIRST, FIRST + len(SETTINGS))  # fmt: skip
 
 CELLS_PER_TIME_CONSTANT = 14.0
@@ -137,6 +139,23 @@ def _valve(t: float, p: FloatArray) -> float:  # pragma: no cover
 
 
 @njit(cache=True)
+def _still_open(even: float, bend: float) -> float:  # pragma: no cover
+    # y of tau (1 + bend (y - 1/2)) y' = -y where without the bend it would be ``even``:
+    # (1 - bend/2) ln y + bend (y - 1) = ln even, by Newton's method
+    if bend == 0.0 or even <= 1e-12:
+        return even
+    end = log(even)
+    u = end
+    for _ in range(30):
+        y = exp(u)
+        step = ((1.0 - 0.5 * bend) * u + bend * (y - 1.0) - end) / (1.0 - 0.5 * bend + bend * y)
+        u = min(u - step, 0.0)
+        if abs(step) < 1e-12:
+            break
+    return exp(u)
+
+
+@njit(cache=True)
 def _one_valve(t: float, p: FloatArray, t0: float, tf: float) -> float:  # pragma: no cover
     # x1 at time t of a valve commanded at t0 and tf
     since = t - t0
@@ -144,7 +163,8 @@ def _one_valve(t: float, p: FloatArray, t0: float, tf: float) -> float:  # pragm
         return 0.0
     tau, share = p[TAU_V] * p[VALVE_FACTOR], p[SLOW_V]
     after = t - tf
-    if p[CLOSING] == 1.0 or after <= 0.0:  # linear: opening minus shutting
+    if (p[CLOSING] == 1.0 and p[CLOSING_BEND] == 0.0) or after <= 0.0:
+        # linear: opening minus shutting
         x = _opening(since, tau, p[INERTIA], p[STROKE], p[BEND])
         if after > 0.0:
             x -= _opening(after, tau, p[INERTIA], p[STROKE], p[BEND])
@@ -155,7 +175,9 @@ def _one_valve(t: float, p: FloatArray, t0: float, tf: float) -> float:  # pragm
             x += share * (slow - x)
     else:
         x = _opening(tf - t0, tau, p[INERTIA], p[STROKE], p[BEND])
-        x *= 1.0 - _opening(after, tau * p[CLOSING], p[INERTIA], p[STROKE], p[BEND])
+        x *= _still_open(
+            1.0 - _opening(after, tau * p[CLOSING], p[INERTIA], p[STROKE], p[BEND]), p[CLOSING_BEND]
+        )
         if share != 0.0:
             slow = exp(-after / p[SLOW_V_TIME]) - exp(-since / p[SLOW_V_TIME])
             x += share * (slow - x)
@@ -226,11 +248,14 @@ def _manifold(
     for i in range(n - 1):
         h = t[i + 1] - t[i]
         rate0 = filling if t[i] < p[TF] else filling / p[EMPTYING]
-        # the flow through the manifold follows the valve; what enters is Q x1 either way
+        # the flow through the manifold follows the valve; what enters is Q x1 where the valve is
+        # in the test gas's line, and of concentration x1 where the gases are mixed before it
         ra = rate0 * (1.0 - lost + lost * x1[i])
         rm = rate0 * (1.0 - lost + lost * x1_mid[i])
         rb = rate0 * (1.0 - lost + lost * x1[i + 1])
-        a, m, b = rate0 * x1[i] / ra, rate0 * x1_mid[i] / rm, rate0 * x1[i + 1] / rb
+        a, m, b = x1[i], x1_mid[i], x1[i + 1]
+        if p[PREMIXED] == 0.0:
+            a, m, b = a * rate0 / ra, m * rate0 / rm, b * rate0 / rb
         rate = (ra + 4.0 * rm + rb) / 6.0
         if share <= 0.0:
             x2[i + 1] = _advance(x2[i], rate * h, a, m, b)
@@ -310,6 +335,8 @@ def _response(
     first = min(p[TAU_V] * p[VALVE_FACTOR], p[TAU_M] / p[FLOW] * min(1.0, p[EMPTYING]))
     if p[CLOSING] < 1.0:
         first = min(first, p[CLOSING] * p[TAU_V])
+    if p[CLOSING_BEND] != 0.0:
+        first = min(first, p[CLOSING] * p[TAU_V] * (1.0 - 0.5 * abs(p[CLOSING_BEND])))
     if p[INERTIA] > 0.0:
         first = min(first, 2.0 * p[TAU_V] * sqrt(p[INERTIA]) + 0.2 * p[TAU_V])
     if p[STROKE] > 0.0:
