@@ -176,6 +176,52 @@ def test_a_readout_is_off_by_a_function_of_what_it_reads(sketch, base):
     assert np.linalg.norm(d.precision_times(other)) > 0.5 * np.linalg.norm(other)
 
 
+def test_own_strengths_that_are_alike_have_a_correlated_prior(sketch):
+    effect = CATALOGUE["baseline_step"]
+    form = next(f for f in effect.forms if f.name == "own")
+    plan = Plan(sketch, (Part(effect, form),))
+    widths = np.full(plan.size, 1.0)
+    at = [end - 1 for end in plan.local[1:]]
+    widths[at] = 3.0
+    alike = plan.own[0].alike
+    n = len(at)
+    covariance = 9.0 * ((1.0 - alike) * np.eye(n) + alike)
+    matrix = plan.prior_matrix(widths)
+    assert alike > 0.5
+    assert np.allclose(np.linalg.inv(matrix[np.ix_(at, at)]), covariance)
+    assert not matrix[np.ix_(at, np.setdiff1d(np.arange(plan.size), at))].any()
+    sign, exact = np.linalg.slogdet(matrix)
+    assert sign > 0
+    assert plan.log_prior_determinant(widths) == pytest.approx(exact, rel=1e-9)
+
+
+def test_what_repeats_itself_is_common_or_follows_flow_or_concentration(sketch, base):
+    # a misfit of the same form in all, one that goes with the flow, one with the concentration
+    def bump(b):
+        return np.exp(-0.5 * (np.log(np.maximum(b.since, 1e-3) / sketch.time_scale) - 0.3) ** 2)
+
+    def best(size):
+        wanted = np.concatenate([
+            sketch.inverse_factors[k] @ (0.02 * size[k] * sketch.signal_scale * bump(b))
+            for k, b in enumerate(sketch.bins)
+        ])  # fmt: skip
+        fitted = replace(base, residual=base.residual + wanted)
+        found = {d.name: Linearised(fitted).evidence(d).log_z for d in discrepancies}
+        return max((n for n in found if n.startswith("response")), key=found.__getitem__)
+
+    discrepancies = make_discrepancies(sketch, base)
+    logs = np.log([[e.total_flow, e.concentration] for e in sketch.campaign])
+    flow, concentration = ((logs - logs.mean(axis=0)) / logs.std(axis=0)).T
+    told_apart = abs(flow @ concentration) < 0.9 * len(flow)
+    assert any("by concentration" in d.name for d in discrepancies) == told_apart
+    assert sum(d.weight for d in discrepancies) == pytest.approx(
+        3 * 0.03 + 0.45 + 0.2 + 0.15 + 0.2 + 4 * 0.05
+        + (0.15 if any(d.name.startswith("switching") for d in discrepancies) else 0.0)
+    )  # fmt: skip
+    assert " alike " in best(np.ones(len(flow)))
+    assert " alike " not in best(1.0 + 0.9 * flow)
+
+
 def test_leverage_is_the_projection_of_noise(sketch, base):
     leverage = Leverage.of(base)
     noise = np.random.default_rng(1).standard_normal((sketch.n_bins, 400))

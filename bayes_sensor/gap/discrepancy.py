@@ -12,8 +12,9 @@ parts:
 - *drift*: in linear time, in volts;
 - *switching*: in the logarithm of the time since the command, in volts.
 
-Each is a common function of all experiments, one that follows the flow, and a small own one.
-Kernels are factored once per campaign; evidences then need only small matrices.
+Each is a common function of all experiments, one that follows their flow (or, in configurations of
+their own, their concentration), and a small own one; or common to all and nothing else.  Kernels
+are factored once per campaign; evidences then need only small matrices.
 """
 
 from __future__ import annotations
@@ -29,8 +30,10 @@ from bayes_sensor.gap.refit import Refit, Sketch
 
 OWN = 0.1
 """standard deviation of an experiment's own part beside the common one"""
-FLOW_TREND = 0.5
-"""of the part that follows the logarithm of the flow, for one standard deviation of it"""
+TREND = 0.5
+"""of the part that follows the logarithm of flow or concentration, for one standard deviation"""
+ALIKE = 0.9
+"""correlation of flow and concentration from which there is no telling which of them it follows"""
 NEGLIGIBLE = 1e-3
 """variance in units of the noise below which a direction of the discrepancy is dropped"""
 
@@ -99,71 +102,104 @@ def _features(position: list[FloatArray], length: float, resolution: float) -> l
     return found
 
 
-def _spread_over_experiments(
-    features: list[FloatArray], scale: list[FloatArray], flow: FloatArray
-) -> FloatArray:
-    """(n_bins in all, m): common, flow-following and own copies of the features."""
-    n = sum(len(f) for f in features)
-    rank = features[0].shape[1]
-    n_e = len(features)
-    one = n_e == 1
-    made = np.zeros((n, rank * (1 if one else 2 + n_e)))
-    row = 0
-    for k, (f, s) in enumerate(zip(features, scale, strict=True)):
-        rows = slice(row, row + len(f))
-        scaled = f * s[:, None]
-        made[rows, :rank] = scaled
-        if not one:
-            made[rows, rank : 2 * rank] = FLOW_TREND * flow[k] * scaled
-            made[rows, (2 + k) * rank : (3 + k) * rank] = OWN * scaled
-        row += len(f)
+@dataclass(frozen=True)
+class _Spread:
+    """How much of a function experiments share; standard deviations beside the common part's 1."""
+
+    trend: FloatArray
+    """(n_experiments,) of the part that goes with a condition"""
+    own: float
+    """of every experiment's own part"""
+
+    def over(self, features: list[FloatArray], scale: list[FloatArray]) -> FloatArray:
+        """(n_bins in all, m): common, following and own copies of the features."""
+        ends = np.cumsum([len(f) for f in features])
+        rank = features[0].shape[1]
+        follows = bool(np.any(self.trend))
+        own_from = 2 * rank if follows else rank
+        made = np.zeros((int(ends[-1]), own_from + (rank * len(features) if self.own > 0 else 0)))
+        for k, (f, s) in enumerate(zip(features, scale, strict=True)):
+            rows = slice(ends[k] - len(f), ends[k])
+            scaled = f * s[:, None]
+            made[rows, :rank] = scaled
+            if follows:
+                made[rows, rank : 2 * rank] = self.trend[k] * scaled
+            if self.own > 0:
+                made[rows, own_from + k * rank : own_from + (k + 1) * rank] = self.own * scaled
+        return made
+
+
+def _spreads(sketch: Sketch) -> dict[str, tuple[float, _Spread]]:
+    """Weights and spreads of what comes again in every experiment, by name."""
+    flow = _standardised([e.total_flow for e in sketch.campaign])
+    concentration = _standardised([e.concentration for e in sketch.campaign])
+    if len(flow) == 1:
+        return {"": (1.0, _Spread(flow, 0.0))}
+    found = {"": (0.5, _Spread(TREND * flow, OWN)), " alike": (0.25, _Spread(0.0 * flow, 0.0))}
+    if np.any(concentration) and abs(float(flow @ concentration)) < ALIKE * len(flow):
+        found[" by concentration"] = (0.25, _Spread(TREND * concentration, OWN))
+    whole = sum(weight for weight, _ in found.values())
+    return {name: (weight / whole, spread) for name, (weight, spread) in found.items()}
+
+
+def _standardised(values: list[float]) -> FloatArray:
+    """(n,) logarithms with mean 0 and standard deviation 1; zeros where all are the same."""
+    logs = np.log(values)
+    spread = float(np.std(logs))
+    made: FloatArray = (logs - logs.mean()) / spread if spread > 1e-6 else np.zeros(len(logs))
     return made
 
 
 def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
     """All configurations for a campaign, around the fit without effects."""
-    flows = np.log([e.total_flow for e in sketch.campaign])
-    spread = float(np.std(flows))
-    flow = (flows - flows.mean()) / spread if spread > 1e-6 else np.zeros(len(flows))
     beta = [abs(float(base.x[base.plan.local[k] + 1])) for k in range(len(sketch.campaign))]
-    response = _response_parts(sketch, beta, flow)
+    spreads = _spreads(sketch)
+    usual = spreads[""][1]
+    made = []
+    herald = _herald_part(sketch, beta, usual)
+    for share in HERALD_SHARES:
+        made.append(_configure(f"herald {share:g}", 0.03, herald * share))
     drift = _part(
         sketch,
         [b.centre - float(b.experiment.t[0]) for b in sketch.bins],
         [np.full(len(b.first), sketch.signal_scale) for b in sketch.bins],
-        flow, DRIFT_SECONDS, own=1.0,
+        _Spread(usual.trend, 1.0 if len(sketch.campaign) > 1 else 0.0), DRIFT_SECONDS,
     )  # fmt: skip
-    made = []
-    herald = _herald_part(sketch, beta, flow)
-    for share in HERALD_SHARES:
-        made.append(_configure(f"herald {share:g}", 0.03, herald * share))
-    for length, factor in response.items():
-        for share in RESPONSE_SHARES:
-            weight = 0.45 / (len(response) * len(RESPONSE_SHARES))
-            made.append(_configure(f"response {length:g} {share:g}", weight, factor * share))
-    timing = _timing_part(sketch, base, flow)
-    for share in TIMING_SHARES:
-        made.append(_configure(f"timing {share:g}", 0.2 / len(TIMING_SHARES), timing * share))
-    readout = _readout_parts(sketch, base, flow)
-    for length, factor in readout.items():
-        for share in VOLT_SHARES:
-            weight = 0.15 / (len(readout) * len(VOLT_SHARES))
-            made.append(_configure(f"readout {length:g} {share:g}", weight, factor * share))
     for share in VOLT_SHARES:
-        weight = 0.2 / len(VOLT_SHARES)
-        made.append(_configure(f"drift {share:g}", weight, drift * share))
-    commanded = _switching_part(sketch, flow)
-    if commanded is not None:
-        for share in VOLT_SHARES:
-            weight = 0.15 / len(VOLT_SHARES)
-            made.append(_configure(f"switching {share:g}", weight, commanded * share))
-    for share, volts in ((0.003, 0.0015), (0.01, 0.0015), (0.01, 0.005), (0.03, 0.005)):
-        joined = np.hstack([response[1.0] * share, drift * volts])
-        made.append(_configure(f"response {share:g} and drift {volts:g}", 0.05, joined))
+        made.append(_configure(f"drift {share:g}", 0.2 / len(VOLT_SHARES), drift * share))
+    for name, (weight, spread) in spreads.items():
+        parts = _repeating(sketch, base, beta, spread)
+        for family, (share_of_all, factors, sizes) in parts.items():
+            each = share_of_all * weight / (len(factors) * len(sizes))
+            for length, factor in factors.items():
+                for size in sizes:
+                    label = f"{family}{length}{name} {size:g}"
+                    made.append(_configure(label, each, factor * size))
+        if spread is usual:
+            response = parts["response"][1][" 1"]
+            for size, volts in ((0.003, 0.0015), (0.01, 0.0015), (0.01, 0.005), (0.03, 0.005)):
+                joined = np.hstack([response * size, drift * volts])
+                made.append(_configure(f"response {size:g} and drift {volts:g}", 0.05, joined))
     return made
 
 
-def _response_parts(sketch: Sketch, beta: list[float], flow: FloatArray) -> dict[float, FloatArray]:
+Repeating = dict[str, tuple[float, dict[str, FloatArray], tuple[float, ...]]]
+
+
+def _repeating(sketch: Sketch, base: Refit, beta: list[float], spread: _Spread) -> Repeating:
+    """What comes again in every experiment: weight, factors by length, and sizes, by name."""
+    found: Repeating = {
+        "response": (0.45, _response_parts(sketch, beta, spread), RESPONSE_SHARES),
+        "timing": (0.2, {"": _timing_part(sketch, base, spread)}, TIMING_SHARES),
+        "readout": (0.15, _readout_parts(sketch, base, spread), VOLT_SHARES),
+    }
+    commanded = _switching_part(sketch, spread)
+    if commanded is not None:
+        found["switching"] = (0.15, {"": commanded}, VOLT_SHARES)
+    return found
+
+
+def _response_parts(sketch: Sketch, beta: list[float], spread: _Spread) -> dict[str, FloatArray]:
     found = {}
     for length in RESPONSE_LENGTHS:
         blocks = []
@@ -180,14 +216,14 @@ def _response_parts(sketch: Sketch, beta: list[float], flow: FloatArray) -> dict
                     sketch,
                     [_log_time(b.since, sketch.time_scale) for b in sketch.bins],
                     [amplitude(k) for k in range(len(sketch.bins))],
-                    flow, length,
+                    spread, length,
                 )
             )  # fmt: skip
-        found[length] = np.hstack(blocks)
+        found[f" {length:g}"] = np.hstack(blocks)
     return found
 
 
-def _herald_part(sketch: Sketch, beta: list[float], flow: FloatArray) -> FloatArray:
+def _herald_part(sketch: Sketch, beta: list[float], spread: _Spread) -> FloatArray:
     blocks = []
     for falling in (False, True):
         if falling and not any(b.falling.any() for b in sketch.bins):
@@ -198,11 +234,11 @@ def _herald_part(sketch: Sketch, beta: list[float], flow: FloatArray) -> FloatAr
             near = (at > HERALD[0]) & (at < HERALD[1])
             since.append(np.clip(at, *HERALD))
             volts.append(np.where(near, size, 0.0))
-        blocks.append(_part(sketch, since, volts, flow, HERALD_LENGTH))
+        blocks.append(_part(sketch, since, volts, spread, HERALD_LENGTH))
     return np.hstack(blocks)
 
 
-def _timing_part(sketch: Sketch, base: Refit, flow: FloatArray) -> FloatArray:
+def _timing_part(sketch: Sketch, base: Refit, spread: _Spread) -> FloatArray:
     """A time that runs ahead or behind: what moves, moves later by a part of a time scale."""
     h = 0.02 * sketch.time_scale
     slopes = []
@@ -217,23 +253,23 @@ def _timing_part(sketch: Sketch, base: Refit, flow: FloatArray) -> FloatArray:
             np.where(b.falling == falling, s, 0.0) for b, s in zip(sketch.bins, slopes, strict=True)
         ]
         since = [_log_time(b.since, sketch.time_scale) for b in sketch.bins]
-        blocks.append(_part(sketch, since, volts, flow, TIMING_LENGTH))
+        blocks.append(_part(sketch, since, volts, spread, TIMING_LENGTH))
     return np.hstack(blocks)
 
 
-def _readout_parts(sketch: Sketch, base: Refit, flow: FloatArray) -> dict[float, FloatArray]:
+def _readout_parts(sketch: Sketch, base: Refit, spread: _Spread) -> dict[str, FloatArray]:
     """A readout that is off by a function of what it reads."""
     means = [b.reduce(base.plan.mean(base.x, k, b.times)) for k, b in enumerate(sketch.bins)]
     read = [m / sketch.signal_scale for m in means]
     volts = [np.full(len(m), sketch.signal_scale) for m in means]
-    return {length: _part(sketch, read, volts, flow, length) for length in READOUT_LENGTHS}
+    return {f" {w:g}": _part(sketch, read, volts, spread, w) for w in READOUT_LENGTHS}
 
 
 def _log_time(since: FloatArray, scale: float) -> FloatArray:
     return np.log(np.maximum(since, 0.0) / scale + 0.06)
 
 
-def _switching_part(sketch: Sketch, flow: FloatArray) -> FloatArray | None:
+def _switching_part(sketch: Sketch, spread: _Spread) -> FloatArray | None:
     blocks = []
     for command, falling in (("commanded_on", False), ("commanded_off", True)):
         times = [getattr(b.experiment, command) for b in sketch.bins]
@@ -248,7 +284,7 @@ def _switching_part(sketch: Sketch, flow: FloatArray) -> FloatArray | None:
             for s, b, u in zip(since, sketch.bins, until, strict=True)
         ]
         blocks.append(
-            _part(sketch, [_log_time(s, sketch.time_scale) for s in since], volts, flow, 1.0)
+            _part(sketch, [_log_time(s, sketch.time_scale) for s in since], volts, spread, 1.0)
         )
     return np.hstack(blocks) if blocks else None
 
@@ -257,17 +293,13 @@ def _part(
     sketch: Sketch,
     position: list[FloatArray],
     scale: list[FloatArray],
-    flow: FloatArray,
+    spread: _Spread,
     length: float,
-    own: float = OWN,
 ) -> FloatArray:
-    features = _features(position, length, 0.35)
-    spread = _spread_over_experiments(features, scale, flow)
-    if own != OWN and len(features) > 1:
-        spread[:, 2 * features[0].shape[1] :] *= own / OWN
+    made = spread.over(_features(position, length, 0.35), scale)
     for k, rows in enumerate(sketch.rows):
-        spread[rows] = sketch.inverse_factors[k] @ spread[rows]
-    return spread
+        made[rows] = sketch.inverse_factors[k] @ made[rows]
+    return made
 
 
 def _configure(name: str, weight: float, factor: FloatArray) -> Discrepancy:

@@ -46,11 +46,19 @@ class Strength:
     scaled: bool = False
     """an amplitude whose plausible size is itself uncertain: its evidence is averaged over
     spreads a third, one and three times as wide"""
+    alike: float = 0.0
+    """correlation, between experiments, of a strength that each has for itself: what happens to all
+    records of a day is of one sign and size rather than not"""
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise CampaignError(
                 f"strength {self.name}: kind must be one of {', '.join(KINDS)}, not '{self.kind}'"
+            )
+        if not 0.0 <= self.alike < 1.0:
+            raise CampaignError(
+                f"strength {self.name}: expected a correlation between 0 and 1 (1 excluded), "
+                f"got {self.alike:g}"
             )
         if not self.sd > 0 or (self.kind == "log_normal" and not self.centre > 0):
             raise CampaignError(

@@ -133,7 +133,7 @@ def _laplace(
     log_z = (
         -0.5 * (DOF + n) * np.log1p(misfit / DOF)
         - 0.5 * float(moved @ prior @ moved)
-        + 0.5 * _log_prior_determinant(plan.prior[1], widths, plan.sketch.sd)
+        + 0.5 * plan.log_prior_determinant(widths)
         - 0.5 * log_matrix
         - 0.5 * log_det
         + cut
@@ -143,8 +143,3 @@ def _laplace(
     spread = float(np.sqrt(direction @ covariance @ direction))
     log_tau = float(np.log(refit.tau) + direction @ step)
     return Evidence(float(log_z), misfit, log_tau, spread)
-
-
-def _log_prior_determinant(precision: FloatArray, widths: FloatArray, sd: FloatArray) -> float:
-    proper = precision > 0
-    return float(np.sum(np.log((precision / widths**2)[proper])) - 2.0 * np.log(sd[0]))

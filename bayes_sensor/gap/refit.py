@@ -247,7 +247,33 @@ class Plan:
         matrix[1, 1] += tau
         matrix[0, 1] -= tau
         matrix[1, 0] -= tau
+        for index, alike in self._alike:
+            # the inverse of (1 - alike) I + alike 1 1', in units of the spreads
+            n = len(index)
+            inverse = np.eye(n) - alike / (1.0 + (n - 1.0) * alike)
+            scale = np.ones(n) if widths is None else widths[index]
+            matrix[np.ix_(index, index)] = inverse / (1.0 - alike) / np.outer(scale, scale)
         return matrix
+
+    def log_prior_determinant(self, widths: FloatArray) -> float:
+        """ln of the determinant of :meth:`prior_matrix`."""
+        _, precision = self.prior
+        proper = precision > 0
+        total = np.sum(np.log((precision / widths**2)[proper])) - 2.0 * np.log(self.sketch.sd[0])
+        for index, alike in self._alike:
+            n = len(index)
+            total -= (n - 1) * np.log1p(-alike) + np.log1p((n - 1) * alike)
+        return float(total)
+
+    @cached_property
+    def _alike(self) -> list[tuple[NDArray[np.int64], float]]:
+        """Coordinates and correlation of every own strength that experiments have alike."""
+        n = len(self.own)
+        return [
+            (np.array([end - n + i for end in self.local[1:]], dtype=np.int64), s.alike)
+            for i, s in enumerate(self.own)
+            if s.alike > 0.0
+        ]
 
     @cached_property
     def own_prior_matrix(self) -> FloatArray:

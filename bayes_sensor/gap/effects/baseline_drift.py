@@ -6,25 +6,28 @@ alike, a slope of its own in each where it wanders.
 
 from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
 
+ALIKE = 0.5
+"""correlation between the records: a room warms up once a day"""
+
 
 def _drift(s: Setting, own: bool) -> tuple[Strength, ...]:
     return (
         Strength("drift", "V/s", "normal", 0.0, 0.01 * s.signal_scale / s.duration,
-                 per_experiment=own, scaled=True),
+                 per_experiment=own, scaled=True, alike=ALIKE if own else 0.0),
     )  # fmt: skip
 
 
 def _bent(s: Setting) -> tuple[Strength, ...]:
     curve = Strength("drift_curve", "V/s^2", "normal", 0.0,
                      0.01 * s.signal_scale / s.duration**2, per_experiment=True,
-                     scaled=True)  # fmt: skip
+                     scaled=True, alike=ALIKE)  # fmt: skip
     return (*_drift(s, True), curve)
 
 
 def _twisted(s: Setting) -> tuple[Strength, ...]:
     twist = Strength("drift_twist", "V/s^3", "normal", 0.0,
                      0.02 * s.signal_scale / s.duration**3, per_experiment=True,
-                     scaled=True)  # fmt: skip
+                     scaled=True, alike=ALIKE)  # fmt: skip
     return (*_bent(s), twist)
 
 

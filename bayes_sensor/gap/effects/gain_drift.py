@@ -7,23 +7,26 @@ from collections.abc import Mapping
 
 from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
 
+ALIKE = 0.5
+"""correlation between the records: lamps and films age one way"""
+
 
 def _gain(s: Setting, own: bool) -> tuple[Strength, ...]:
     return (
         Strength("gain_drift", "1/s", "normal", 0.0, 0.02 / s.duration, per_experiment=own,
-                 scaled=True),
+                 scaled=True, alike=ALIKE if own else 0.0),
     )  # fmt: skip
 
 
 def _bent(s: Setting) -> tuple[Strength, ...]:
     curve = Strength("gain_curve", "1/s^2", "normal", 0.0, 0.02 / s.duration**2,
-                     per_experiment=True, scaled=True)  # fmt: skip
+                     per_experiment=True, scaled=True, alike=ALIKE)  # fmt: skip
     return (*_gain(s, True), curve)
 
 
 def _twisted(s: Setting) -> tuple[Strength, ...]:
     twist = Strength("gain_twist", "1/s^3", "normal", 0.0, 0.04 / s.duration**3,
-                     per_experiment=True, scaled=True)  # fmt: skip
+                     per_experiment=True, scaled=True, alike=ALIKE)  # fmt: skip
     return (*_bent(s), twist)
 
 
