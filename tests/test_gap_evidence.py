@@ -196,7 +196,7 @@ def test_own_strengths_that_are_alike_have_a_correlated_prior(sketch):
 
 
 def test_what_repeats_itself_is_common_or_follows_flow_or_concentration(sketch, base):
-    # a misfit of the same form in all, one that goes with the flow, one with the concentration
+    # a misfit of one form: alike in all, or going with the flow, or with the concentration
     def bump(b):
         return np.exp(-0.5 * (np.log(np.maximum(b.since, 1e-3) / sketch.time_scale) - 0.3) ** 2)
 
@@ -210,16 +210,31 @@ def test_what_repeats_itself_is_common_or_follows_flow_or_concentration(sketch, 
         return max((n for n in found if n.startswith("response")), key=found.__getitem__)
 
     discrepancies = make_discrepancies(sketch, base)
-    logs = np.log([[e.total_flow, e.concentration] for e in sketch.campaign])
-    flow, concentration = ((logs - logs.mean(axis=0)) / logs.std(axis=0)).T
-    told_apart = abs(flow @ concentration) < 0.9 * len(flow)
-    assert any("by concentration" in d.name for d in discrepancies) == told_apart
+    logs = np.log([e.total_flow for e in sketch.campaign])
+    flow = (logs - logs.mean()) / logs.std()
     assert sum(d.weight for d in discrepancies) == pytest.approx(
         3 * 0.03 + 0.45 + 0.2 + 0.15 + 0.2 + 4 * 0.05
         + (0.15 if any(d.name.startswith("switching") for d in discrepancies) else 0.0)
     )  # fmt: skip
     assert " alike " in best(np.ones(len(flow)))
     assert " alike " not in best(1.0 + 0.9 * flow)
+
+    def dosed(tenths):
+        experiments = tuple(
+            replace(
+                e, test_gas_flow=0.1 * q * e.total_flow, carrier_flow=(1 - 0.1 * q) * e.total_flow
+            )
+            for e, q in zip(sketch.campaign, tenths, strict=True)
+        )
+        return replace(sketch, campaign=replace(sketch.campaign, experiments=experiments))
+
+    tenths = np.array([1.0, 3.0, 2.0, 3.0, 1.0, 3.0, 2.0])[: len(flow)]
+    discrepancies = make_discrepancies(dosed(tenths), base)
+    trend = np.log(tenths) - np.log(tenths).mean()
+    assert "by concentration" in best(1.0 + 0.9 * trend / trend.std())
+    for told_nothing in (np.full(len(flow), 2.0), 4.0 * np.exp(-logs) / np.exp(-logs).max()):
+        discrepancies = make_discrepancies(dosed(told_nothing), base)
+        assert not any("by concentration" in d.name for d in discrepancies)
 
 
 def test_leverage_is_the_projection_of_noise(sketch, base):
