@@ -34,6 +34,8 @@ from bayes_sensor.blind_check.oracle import (
     bin_covariance,
     detectability,
     fast_detectability,
+    listed_rivals,
+    pair_distance,
     refitted,
     rival_distances,
     strength_for,
@@ -174,7 +176,9 @@ def test_the_truth_is_nearest_to_itself(rig: Case) -> None:
     oracle = Oracle(case)
     target = oracle.signal(case)
     fit = oracle.refit(target, oracle.several_starts(oracle.start()))
-    distances = rival_distances(case, fit, oracle)
+    rivals = listed_rivals(case, fit, oracle)
+    distances = rival_distances(fit, rivals)
+    assert 0.0 <= pair_distance(fit, rivals) <= min(distances.values()) + 1e-9
     assert min(distances, key=distances.__getitem__) == "baseline_step"
     assert distances["baseline_step"] < 0.2 * d
     assert all(0.0 <= value <= d * 1.001 for value in distances.values())
@@ -183,6 +187,24 @@ def test_the_truth_is_nearest_to_itself(rig: Case) -> None:
     assert right is not None and wrong is not None
     assert right > 0.6 > 0.3 > wrong
     assert closed_fraction(oracle, target, fit, "heavy_tails") is None
+
+
+def test_two_causes_are_nearest_to_their_pair(rig: Case) -> None:
+    strengths = {name: strength_for(rig, name, 12.0)[0] for name in ("knocked_fibre", "residue")}
+    case = replace(rig, strengths=strengths)
+    oracle = Oracle(case)
+    fit = oracle.refit(oracle.signal(case), oracle.several_starts(oracle.start()))
+    rivals = listed_rivals(case, fit, oracle)
+    both = [r for r in rivals if r.effect in ("baseline_step", "carry_over")]
+    assert pair_distance(fit, rivals) <= pair_distance(fit, both) + 1e-9
+    assert pair_distance(fit, both) < 0.4 * min(rival_distances(fit, both).values())
+    # by least squares on every two together
+    best = min(
+        np.linalg.norm(fit.residual - x @ np.linalg.lstsq(x, fit.residual, rcond=None)[0])
+        for a in both for b in both if a.family != b.family
+        for x in [np.hstack([a.basis, b.basis])]
+    )  # fmt: skip
+    assert pair_distance(fit, both) == pytest.approx(best, rel=1e-6)
 
 
 # --------------------------------------------------------------------------- the plan

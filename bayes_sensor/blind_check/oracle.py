@@ -363,23 +363,32 @@ def strength_for(case: Case, name: str, d: float) -> tuple[float, float]:
     return strength, at(strength, 3)
 
 
-def rival_distances(case: Case, fit: Refit, oracle: Oracle, seeds: int = 2) -> dict[str, float]:
-    """How far every listed explanation stays from the true signal, in units of d, by effect name.
+@dataclass(frozen=True)
+class Rival:
+    """What a listed cause could explain of a misfit, by its secant."""
 
-    The difference that a rival cause makes on the same rig (at a weak and a strong strength, with
-    ``seeds`` draws of its own choices) is freed of what the cascade can mimic and scaled to fit the
-    true misfit best; a rival that differs between experiments is scaled in each.  The least
-    distance found counts.  Secants, not refits: good to some tens of per cent for strong effects.
+    effect: str
+    """its name in the catalogue"""
+    family: str
+    """the cause's"""
+    basis: FloatArray
+    """(n_bins, k) orthonormal, without what the cascade can mimic"""
+
+
+def listed_rivals(case: Case, fit: Refit, oracle: Oracle, seeds: int = 2) -> list[Rival]:
+    """The differences that every listed cause makes on the same rig.
+
+    At a weak and a strong strength, with ``seeds`` draws of its own choices; one direction, or one
+    an experiment where the cause differs between them.  Secants, not refits: good to some tens of
+    per cent for strong effects.
     """
     ideal_case = replace(case, strengths={}, steps=oracle.steps)
     ideal = oracle.signal(ideal_case)
-    residual = fit.residual
     spans = oracle.spans()
-    distances: dict[str, float] = {}
+    found = []
     for cause in CAUSES.values():
         if not cause.listed or cause.noise or cause.fast:
             continue
-        best = float(residual @ residual)
         for share in (0.08, 0.6):
             for seed in range(seeds):
                 rival = replace(
@@ -395,15 +404,39 @@ def rival_distances(case: Case, fit: Refit, oracle: Oracle, seeds: int = 2) -> d
                         columns.append(own)
                 free = fit.projected(np.column_stack(columns))
                 size = np.linalg.norm(free, axis=0)
-                keep = size > 1e-6 * max(float(size.max()), 1e-12)
-                if not keep.any() or size.max() <= 1e-9:
-                    continue
+                keep = size > max(1e-6 * float(size.max()), 1e-9)
                 basis, _ = np.linalg.qr(free[:, keep] / size[keep])
-                left = residual - basis @ (basis.T @ residual)
-                best = min(best, float(left @ left))
-        for name in cause.listed_as[:1]:
-            distances[name] = min(distances.get(name, np.inf), float(np.sqrt(best)))
+                found.append(Rival(cause.listed_as[0], cause.family, basis))
+    return found
+
+
+def rival_distances(fit: Refit, rivals: Sequence[Rival]) -> dict[str, float]:
+    """How far every listed explanation stays from the true signal, in units of d, by effect name.
+
+    Each is scaled to fit the true misfit best; the least distance found counts.
+    """
+    distances: dict[str, float] = {}
+    for rival in rivals:
+        left = fit.residual - rival.basis @ (rival.basis.T @ fit.residual)
+        distance = min(float(np.linalg.norm(left)), fit.d)
+        distances[rival.effect] = min(distances.get(rival.effect, np.inf), distance)
     return distances
+
+
+def pair_distance(fit: Refit, rivals: Sequence[Rival]) -> float:
+    """How far the nearest two listed explanations of different families stay from it, together."""
+    best = fit.d
+    for i, one in enumerate(rivals):
+        left = fit.residual - one.basis @ (one.basis.T @ fit.residual)
+        for other in rivals[i + 1 :]:
+            if other.family == one.family or not other.basis.size:
+                continue
+            beside = other.basis - one.basis @ (one.basis.T @ other.basis)
+            basis, size, _ = np.linalg.svd(beside, full_matrices=False)
+            basis = basis[:, size > 1e-6]
+            gone = basis.T @ left
+            best = min(best, float(np.sqrt(max(float(left @ left - gone @ gone), 0.0))))
+    return best
 
 
 def places_after_refit(case: Case, fit: Refit, oracle: Oracle) -> dict[tuple[str, str], float]:

@@ -17,6 +17,8 @@ from bayes_sensor.blind_check.oracle import (
     HIDDEN_BELOW,
     Oracle,
     detectability,
+    listed_rivals,
+    pair_distance,
     places_after_refit,
     rival_distances,
     strength_for,
@@ -175,8 +177,9 @@ def draw_truth(entry: Entry) -> dict[str, Any]:
     """Everything about a case that is to be sealed, as plain values.
 
     ``recipe`` makes the campaign; ``d`` is what an oracle sees; ``rivals`` how far each listed
-    explanation stays behind the truth; ``acts`` where the causes act; ``closed`` what share of the
-    gap the right effects of the catalogue could close.
+    explanation stays behind the truth, and ``pair_rival`` the nearest two together where none is
+    right; ``acts`` where the causes act; ``closed`` what share of the gap the right effects of the
+    catalogue could close.
     """
     case = draw_case(entry.seed, law=entry.law, size=entry.size)
     strengths: dict[str, float] = {}
@@ -225,12 +228,15 @@ def _seen_by_an_oracle(case: Case) -> dict[str, Any]:
     fit = oracle.refit(target, oracle.several_starts(oracle.start()))
     seen["tau_refit_s"] = fit.tau
     seen["visible"] = _as_rows(places_after_refit(case, fit, oracle))
-    seen["rivals"] = rival_distances(case, fit, oracle)
+    rivals = listed_rivals(case, fit, oracle)
+    seen["rivals"] = rival_distances(fit, rivals)
     answers = {effect for name in case.strengths for effect in CAUSES[name].listed_as}
     for name in seen["rivals"].keys() - answers:  # settled by a refit of the catalogue's form
         closed = closed_fraction(oracle, target, fit, name)
         if closed is not None:
             seen["rivals"][name] = min(seen["rivals"][name], fit.d * sqrt(1.0 - closed))
+    if not answers:
+        seen["pair_rival"] = min(pair_distance(fit, rivals), *seen["rivals"].values())
     if len(case.strengths) == 1 and fit.d >= HIDDEN_BELOW:
         name = next(iter(case.strengths))
         seen["closed"] = {

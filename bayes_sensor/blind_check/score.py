@@ -140,6 +140,7 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         "family_right": family_right,
         "isolability": apart,
         "isolability_family": apart_family,
+        "isolability_pair": truth.get("pair_rival", None if rivals else float("inf")),
         "top_or_abstained": answer_is_right(top)
         or (abstains and not outside and apart < SEPARABLE_ABOVE),
         "family_or_abstained": family_right
@@ -476,6 +477,11 @@ def _flagged(rows: Sequence[Row], level: float) -> Row:
             for r, far in zip(at, apart, strict=True)
         ),
         "within_reach": proportion(apart),
+        "beyond_pairs": proportion(
+            r["isolability_pair"] >= SEPARABLE_ABOVE
+            for r in at
+            if r["isolability_pair"] is not None
+        ),
         "quiet": proportion(r["verdict"] == "none" for r in at),
     }
 
