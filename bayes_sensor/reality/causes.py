@@ -13,6 +13,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from math import pi, sqrt
 
 import numpy as np
@@ -200,7 +201,7 @@ def grain_in_seat(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         rig[step.name].ajar, rig[step.name].ajar_until = size, step.tf + lies
 
 
-@cause((), "fall", "authority lost", 0.8, near=("valve_asymmetry",), reserve=True)
+@cause((), "fall", "authority lost", 0.8, near=("valve_asymmetry",))
 def throttling_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The hose behind the valve throttles, too: with the valve half open most of the gas flows.
 
@@ -210,6 +211,18 @@ def throttling_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
     """
     for knobs in rig.values():
         knobs.authority_lost = s
+
+
+@cause((), "delay", "times the drag", 6.0, near=("valve_second_order",), reserve=True)
+def stiff_grease(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The valve's grease sets while it rests and yields as it is sheared (thixotropy).
+
+    Each way begins against 1 + ``s`` times the drag, or less if the rest before it was short, and
+    ends against hardly more than none of it.
+    """
+    time, stroke = _between(rng, 5.0, 60.0), _between(rng, 0.15, 0.6)
+    for knobs in rig.values():
+        knobs.grease, knobs.grease_time, knobs.grease_stroke = s, time, stroke
 
 
 # --------------------------------------------------------------------------- flows
@@ -467,7 +480,7 @@ def stale_test_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.stale, knobs.stale_volume, knobs.stale_front = s, volume, spread * volume
 
 
-@cause((), "plateau", "relative", 0.25, reserve=True)
+@cause((), "plateau", "relative", 0.25)
 def sticking_needle(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The needle of the test gas's controller sticks: its loop pushes ever harder until it jumps.
 
@@ -488,6 +501,21 @@ def sticking_needle(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         jumps = np.concatenate([turns - begin, turns - begin + high - 1.0]) * period
         inside = jumps[(jumps > 0.0) & (jumps < step.duration)].tolist()
         rig[step.name].marks += [edge for at in inside for edge in (at - 1e-6, at + 1e-6)]
+
+
+@cause((), "plateau", "share dissolved", 0.4, near=("flow_settling",), reserve=True)
+def washing_bottle(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas bubbles through water before its valve, which dissolves it until saturated.
+
+    A stirred bottle: at first it takes the share ``s``, and exp(-gas passed/volume) of that later.
+    It stays as loaded while the valve is shut, so that each experiment finds it as the one before
+    has left it.
+    """
+    typical = float(np.median([p.test_gas_flow * (p.tf - p.t0) for p in case.steps]))
+    volume, takes = typical * _between(rng, 0.3, 2.0), s
+    for step in case.steps:
+        rig[step.name].dissolved, rig[step.name].dissolved_volume = takes, volume
+        takes *= float(np.exp(-step.test_gas_flow * (step.tf - step.t0) / volume))
 
 
 # --------------------------------------------------------------------------- manifold
@@ -642,7 +670,7 @@ def jet_across(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
         rig[step.name].jet = s * (step.total_flow / largest) ** power
 
 
-@cause((), "fall", "share condensed", 0.1, reserve=True)
+@cause((), "fall", "share condensed", 0.1)
 def cold_spot(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The hose passes a cold spot, where the vapour is saturated below the highest concentration.
 
@@ -662,7 +690,7 @@ def cold_spot(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
             knobs.marks.append(max(step.tf, gone - 3.0 * knobs.film_time))
 
 
-@cause((), "mixing", "share of the gas", 0.6, fast=True, reserve=True)
+@cause((), "mixing", "share of the gas", 0.6, fast=True)
 def swirling_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The gas enters off the chamber's axis and swirls: a streak not yet mixed goes round.
 
@@ -678,6 +706,21 @@ def swirling_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         for switch in (step.t0, step.tf):
             marks = np.arange(switch, min(switch + reach, step.duration), 0.1 * exchange / turns)
             knobs.marks += marks.tolist()[1:]
+
+
+@cause((), "tail", "share of V", 0.4, near=("dead_volume",), reserve=True)
+def heavy_gas_in_pit(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Below the stream the manifold has a pit: heavy gas falls in, and must be lifted out again.
+
+    It falls as fast as the root of its concentration; carrier above it lies at rest, and eddies
+    bring up little, the more the larger the flow.
+    """
+    fast, slow = _between(rng, 0.15, 1.0), _between(rng, 2.0, 12.0)
+    typical = float(np.median([step.total_flow for step in case.steps]))
+    for step in case.steps:
+        knobs, heavy = rig[step.name], sqrt(case.relative_concentration(step))
+        knobs.pit, knobs.pit_falling = s, s * case.V / fast * heavy
+        knobs.pit_lifted = s * case.V / slow * step.total_flow / typical
 
 
 # --------------------------------------------------------------------------- sensor
@@ -861,7 +904,7 @@ def heat_of_sorption(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         knobs.sorption_heat, knobs.cooling_time = s * case.relative_concentration(step), time
 
 
-@cause((), "tail", "share", 0.3, near=("slow_sorption",), reserve=True)
+@cause((), "tail", "share", 0.3, near=("slow_sorption",))
 def splitting_molecules(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """On some sites the molecules split; the halves must meet again before they can leave.
 
@@ -873,6 +916,50 @@ def splitting_molecules(rig: Rig, s: float, rng: np.random.Generator, case: Case
     for step in case.steps:
         knobs, root = rig[step.name], sqrt(case.relative_concentration(step))
         knobs.split, knobs.split_time = s / ((1.0 - s) * root + s), time
+
+
+@cause((), "tail", "share of the highest step", 0.3, near=("slow_sorption",), reserve=True)
+def converting_film(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Above some concentration the coating turns into another phase, below it back again.
+
+    As a hydride does: behind a sharp front, which gas must reach through what has turned already.
+    It goes as the root of time and stops at the bottom; the way back starts at the surface anew.
+    """
+    level, time = rng.uniform(0.1, 0.35), _between(rng, 3.0, 30.0)
+    for knobs in rig.values():
+        knobs.converting, knobs.converting_at, knobs.converting_time = s, level, time
+
+
+@cause((), "plateau", "log of the uptake", 0.25, near=("gain_drift",), per_experiment=True,
+       reserve=True)  # fmt: skip
+def sun_on_the_cell(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The sun shines on the cell whenever no cloud is before it; warm, the coating takes up less.
+
+    Uptake falls exponentially with temperature (van 't Hoff), which follows the sun in the cell's
+    time.  Without gas nobody notices.
+    """
+    time, lasting = _between(rng, 2.0, 15.0), _between(rng, 4.0, 20.0)
+    for step in case.steps:
+        edges, sun = [0.0, lasting * rng.random()], [float(rng.random() < 0.5)]
+        while edges[-1] < step.duration:
+            edges.append(edges[-1] + lasting * rng.uniform(0.3, 1.7))
+        warmth = [sun[0]]  # at every edge
+        for begin, end in pairwise(edges):
+            warmth.append(sun[-1] + (warmth[-1] - sun[-1]) * float(np.exp((begin - end) / time)))
+            sun.append(1.0 - sun[-1])
+
+        def less(
+            t: FloatArray,
+            edges: tuple[float, ...] = tuple(edges),
+            sun: tuple[float, ...] = tuple(sun),
+            warmth: tuple[float, ...] = tuple(warmth),
+        ) -> FloatArray:
+            k = np.maximum(np.searchsorted(edges, t, side="right") - 1, 0)
+            left = np.exp(-np.maximum(t - np.take(edges, k), 0.0) / time)
+            level = np.take(sun, k)
+            return np.asarray(np.expm1(-s * (level + (np.take(warmth, k) - level) * left)))
+
+        rig[step.name].concentration_gain.append(less)
 
 
 # --------------------------------------------------------------------------- readout
@@ -1150,7 +1237,7 @@ def jolted_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         rig[step.name].marks += [edge for at, _ in clicks for edge in (at - 1e-6, at)]
 
 
-@cause((), "level", "share of the step", 0.25, near=("optical_nonlinearity",), reserve=True)
+@cause((), "level", "share of the step", 0.25, near=("optical_nonlinearity",))
 def second_mode(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The ring carries a second mode, and its line crosses the laser's wavelength on the way.
 
@@ -1160,6 +1247,18 @@ def second_mode(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
     at, width = rng.uniform(0.15, 0.6), _between(rng, 0.03, 0.12)
     for knobs in rig.values():
         knobs.mode_depth, knobs.mode_at, knobs.mode_width = s * _mean_step(case), at, width
+
+
+@cause((), "plateau", "share of the response", 0.4, reserve=True)
+def leaking_reference(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A second ring under a polymer cap is subtracted, and the gas gets through the cap.
+
+    By diffusion across a slab: nothing at first, then the reading sinks, and when the gas has gone
+    it is too low until the cap is empty.
+    """
+    time = _between(rng, 8.0, 80.0)
+    for knobs in rig.values():
+        knobs.reference, knobs.reference_time = s, time
 
 
 # --------------------------------------------------------------------------- electronics
@@ -1275,6 +1374,16 @@ def diode_detector(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.detector_time = (1.0 + s) / steepest
 
 
+@cause((), "fall", "s", 0.8, near=("daq_filter",), reserve=True)
+def rms_receiver(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The light is chopped and the receiver shows its rms: it squares, averages, takes the root.
+
+    A rise is ahead of what the average of the voltage would show, a fall takes up to twice as long.
+    """
+    for knobs in rig.values():
+        knobs.rms_time = s
+
+
 @cause((), "plateau", "share", 0.4)
 def zero_servo(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A servo in the receiver takes part of any change for drift and slowly pulls it to zero."""
@@ -1327,6 +1436,32 @@ def paired_converters(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.pair_gain, knobs.pair_zero = sign * s, zero
 
 
+@cause((), "line", "share of the step", 0.08, fast=True, reserve=True)
+def beating_supply(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Ripple of a switching supply, near a multiple of the sampling rate, beats with the converter.
+
+    The beat is slow where the two agree: it passes through zero as the supply warms, and is pulled
+    to another frequency while the supply feeds the valve's coil.
+    """
+    size, pulled = s * _mean_step(case), _sign(rng) * _between(rng, 0.2, 3.0)
+    first, last = _between(rng, 2.0, 12.0), -_between(rng, 0.5, 6.0)  # Hz
+    for step in case.steps:
+        time, begin = step.duration * rng.uniform(0.2, 0.8), rng.random()
+
+        def beat(
+            t: FloatArray,
+            on: float = step.commanded_on,
+            off: float = step.commanded_off,
+            time: float = time,
+            begin: float = begin,
+        ) -> FloatArray:
+            turns = begin + last * t - (first - last) * time * np.expm1(-t / time)
+            turns = turns + pulled * (np.clip(t, on, off) - on)
+            return np.asarray(size * np.sin(2.0 * pi * turns))
+
+        rig[step.name].offset.append(beat)
+
+
 @cause((), "level", "of a coarse step", 0.4)
 def coarse_and_fine(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The converter measures in coarse steps, then what is left; the two scales do not match.
@@ -1340,7 +1475,7 @@ def coarse_and_fine(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.coarse_step, knobs.coarse_begin, knobs.coarse_gain = width, begin, sign * s
 
 
-@cause((), "tail", "share of the step", 0.15, reserve=True)
+@cause((), "tail", "share of the step", 0.15)
 def hot_output_stage(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The amplifier's output transistor warms its input, which shifts the zero with temperature.
 
@@ -1555,7 +1690,7 @@ def overtaking_packets(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].clock = clock
 
 
-@cause((), "delay", "s", 0.8, reserve=True)
+@cause((), "delay", "s", 0.8)
 def sparse_logger(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The logger asks for a reading whenever the bus is free, and exports lines drawn between them.
 

@@ -17,11 +17,14 @@ OPEN_LAWS = (
     "sliding_mean", "shot", "gusty", "double_sampling", "echo", "sparks",
     "turbulent", "zeroed_walk", "pulsing", "ac_coupled", "interpolated", "etalon",
     "molecules", "speckle", "whistling", "notched", "interleaved", "charging",
+    "noise_shaping", "dusty", "roller_pump",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("noise_shaping", "dusty", "roller_pump")
+RESERVE_LAWS = ("beam_crossing", "one_bit", "intermittent")
 """kept out of every run but the last"""
-HEAVY_TAILED = ("shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty")
+HEAVY_TAILED = (
+    "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
+)  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
 loudness"""
 
@@ -207,6 +210,26 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    crossing, stepping = own.uniform(0.05, 0.3), own.uniform(0.5, 0.85)
+    parts |= {
+        # clouds in the stream that are carried through a beam of Gaussian profile
+        "beam_crossing": (
+            Component(1.0 - crossing, short),
+            Component(crossing, exp(own.uniform(np.log(0.01), np.log(0.2))), shape="bell"),
+        ),
+        # a converter of one bit, which goes up or down by one step, and leaks
+        "one_bit": (
+            Component(1.0 - stepping),
+            Component(stepping, exp(own.uniform(np.log(1e-3), np.log(3e-2))), shape="bits"),
+        ),
+        # a loudness that is the product of many influences
+        "intermittent": (
+            Component(
+                1.0, short, shape="lognormal", depth=own.uniform(0.4, 0.7),
+                gust_time=exp(own.uniform(np.log(0.05), np.log(2.0))),
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -233,6 +256,10 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             strong, calm = _gusts(part)
             mean, swing = 0.5 * (strong + calm), 0.5 * (strong - calm)
             own *= mean**2 + swing**2 * np.exp(-lags / part.gust_time)
+        elif part.shape == "lognormal":
+            own *= np.exp(part.depth**2 * np.expm1(-lags / part.gust_time))
+        elif part.shape == "bell":
+            own = np.exp(-((lags / part.time) ** 2))
         elif part.shape == "echo":
             around = np.exp(-np.abs(lags - 1.0 / part.frequency) / part.time)
             beyond = np.exp(-(lags + 1.0 / part.frequency) / part.time)
@@ -329,6 +356,10 @@ def _draw_part(
     if part.shape == "diffusing":
         R = 1.0 / (1.0 + np.arange(n + 1, dtype=float) * interval / part.time)
         return _embedded(R, rng)
+    if part.shape == "bell":
+        return _bell(part.time, n, interval, rng)
+    if part.shape == "bits":
+        return _bits(decay, n, rng)
     if part.shape == "speckle":
         return _speckle(part.time, n, interval, rng)
     if part.shape == "whistling":
@@ -356,6 +387,8 @@ def _draw_part(
         x: FloatArray = lfilter([1.0], [1.0, -decay], e)
         if part.shape == "gusts":
             x *= np.where(_telegraph(exp(-interval / part.gust_time), n, rng) > 0, *_gusts(part))
+        elif part.shape == "lognormal":
+            x *= _loudness(part, n, interval, rng)
         elif part.shape == "pulsing":
             turns = part.frequency * interval * np.arange(n) + rng.random()
             x *= (1.0 + part.depth * np.cos(2.0 * pi * turns)) / sqrt(1.0 + 0.5 * part.depth**2)
@@ -376,6 +409,33 @@ def _telegraph(decay: float, n: int, rng: np.random.Generator) -> FloatArray:
     """(n,) 1 or -1; ``decay`` is its correlation from sample to sample."""
     flips = rng.random(n) < 0.5 * (1.0 - decay)
     return np.where((np.cumsum(flips) + rng.integers(2)) % 2 == 0, 1.0, -1.0)
+
+
+def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) exponential of an Ornstein-Uhlenbeck process of rms ``depth``, of unit mean square."""
+    decay = exp(-interval / part.gust_time)
+    e = rng.standard_normal(n)
+    e[1:] *= sqrt(1.0 - decay**2)
+    loudness: FloatArray = np.exp(part.depth * lfilter([1.0], [1.0, -decay], e) - part.depth**2)
+    return loudness
+
+
+def _bits(decay: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) sum of steps up or down of equal size, of which ``decay`` is left a sample later."""
+    before = ceil(20.0 / -np.log(decay)) if decay > 0.0 else 0
+    steps = np.where(rng.random(n + before) < 0.5, 1.0, -1.0)
+    x: FloatArray = lfilter([sqrt(1.0 - decay**2)], [1.0, -decay], steps)[before:]
+    return x
+
+
+def _bell(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) of autocorrelation exp(-(lag/``time``)^2), by circulant embedding.
+
+    On a stretch so long that nothing is left of it at the end, where the embedding is exact but for
+    rounding.
+    """
+    lags = np.arange(max(n, ceil(8.0 * time / interval)) + 1, dtype=float) * interval
+    return _embedded(np.exp(-((lags / time) ** 2)), rng)[:n]
 
 
 def _window(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

@@ -84,7 +84,10 @@ class Component:
     ``time`` in the mean.  With ``shaped`` (``time`` 0) it is the second difference of white noise;
     with ``motes`` light that specks take away while they cross a round beam, at the longest a
     ``time``, ``rate`` of them in a ``time``; with ``strokes`` a row of pulses at ``frequency``,
-    each harmonic ``depth`` of the one before, whose phase loses its memory in a ``time``.
+    each harmonic ``depth`` of the one before, whose phase loses its memory in a ``time``.  With
+    ``bell`` its autocorrelation is ``exp(-(lag/time)^2)``; with ``bits`` an Ornstein-Uhlenbeck
+    process is driven by steps of one size, up or down; with ``lognormal`` one is multiplied by the
+    exponential of another one of rms ``depth`` that lasts a ``gust_time``.
     """
 
     share: float
@@ -96,7 +99,7 @@ class Component:
     """``gauss``, ``telegraph``, ``smooth``, ``shot``, ``window``, ``gusts``, ``sparks``, ``echo``,
     ``difference``, ``turbulent``, ``zeroed``, ``pulsing``, ``coupled``, ``interpolated``,
     ``fringes``, ``diffusing``, ``speckle``, ``whistling``, ``notched``, ``interleaved``,
-    ``charging``, ``shaped``, ``motes`` or ``strokes``"""
+    ``charging``, ``shaped``, ``motes``, ``strokes``, ``bell``, ``bits`` or ``lognormal``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

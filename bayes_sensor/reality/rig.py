@@ -53,6 +53,12 @@ class Knobs:
     """s, when it falls the rest of its way"""
     authority_lost: float = 0.0
     """share of the pressure that the hose takes when the valve is open"""
+    grease: float = 0.0
+    """drag that grease adds once it has set, in units of the valve's own"""
+    grease_time: float = 20.0
+    """s in which it sets"""
+    grease_stroke: float = 0.2
+    """share of the stroke over which it yields"""
     # flows
     following: float = 0.0
     """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
@@ -74,6 +80,10 @@ class Knobs:
     """mL of the hose"""
     stale_front: float = 2.0
     """mL over which fresh gas follows"""
+    dissolved: float = 0.0
+    """share of the test gas that water takes up when the valve opens"""
+    dissolved_volume: float = 500.0
+    """mL of test gas after which it takes up 1/e of that"""
     flow_factor: float = 1.0
     """true over set flow, both gases"""
     all_flow: list[Course] = field(default_factory=list)
@@ -104,6 +114,12 @@ class Knobs:
     """how narrow the streak is: it passes as exp(swirl_narrow (cos - 1))"""
     swirl_begin: float = 0.0
     """turns at t0"""
+    pit: float = 0.0
+    """share of V that lies below the stream"""
+    pit_falling: float = 10.0
+    """mL/s that would fall into it from the set concentration above none"""
+    pit_lifted: float = 1.0
+    """mL/s that the stream brings out of it"""
     left_over: float = 0.0
     """concentration in the manifold at the start, in units of this experiment's"""
     left_over_times: tuple[float, float] = (4.0, 20.0)
@@ -159,6 +175,16 @@ class Knobs:
     """share of the response from molecules that split"""
     split_time: float = 1.0
     """s in which half of them are gone from the highest concentration's"""
+    converting: float = 0.0
+    """share of the highest response that another phase of the whole coating adds"""
+    converting_at: float = 0.2
+    """concentration at which both phases are stable, over the campaign's highest"""
+    converting_time: float = 10.0
+    """s, twice what the highest concentration beyond that would need for all of it"""
+    reference: float = 0.0
+    """share of the response that a reference ring under its cap takes away"""
+    reference_time: float = 30.0
+    """s, the cap's thickness squared over its diffusivity"""
     # readout
     shift: float = 0.0
     """resonance shift at the highest concentration in half-widths; 0: straight readout"""
@@ -196,6 +222,8 @@ class Knobs:
     # receiver and recorder
     detector_time: float = 0.0
     """s in which a peak detector lets go of the voltage"""
+    rms_time: float = 0.0
+    """s over which the receiver averages the square of the voltage"""
     heat: float = 0.0
     """V by which the amplifier's zero shifts at the most heat it can make"""
     heat_supply: float = 5.0
@@ -342,6 +370,9 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
     tau_v = case.tau_v * knobs.valve_factor
     if knobs.inertia > 0:
         x = stages.heavy_valve(t, first, last, tau_v, knobs.inertia)
+    elif knobs.grease > 0:
+        sets, yields = knobs.grease_time, knobs.grease_stroke
+        x = stages.greased_valve(t, first, last, tau_v, knobs.grease, sets, yields)
     else:
         x = stages.valve(t, first, last, tau_v, knobs.closing)
     if knobs.slow_opening > 0:
@@ -391,6 +422,9 @@ def _flows(
         dosed = _integral(t, test)
         behind = (dosed - knobs.stale_volume) / knobs.stale_front
         inlet = inlet * (1.0 - 0.5 * knobs.stale * erfc(behind))
+    if knobs.dissolved > 0:
+        passed = _integral(t, test)
+        inlet = inlet * (1.0 - knobs.dissolved * np.exp(-passed / knobs.dissolved_volume))
     for source in knobs.seep:
         inlet = inlet + source(t) / flow / step.concentration
     for factor in knobs.all_flow:
@@ -408,6 +442,8 @@ def _manifold(
             t, inlet, flow, case.V, np.array(knobs.pocket_fractions),
             np.array(knobs.pocket_exchange), 0.0,
         )  # fmt: skip
+    elif knobs.pit > 0:
+        gas = stages.pit(t, inlet, flow, case.V, knobs.pit, knobs.pit_falling, knobs.pit_lifted)
     elif knobs.back_flow is not None:
         gas = stages.cells(t, inlet, flow, case.V, knobs.n_cells, knobs.back_flow)
     else:
@@ -486,6 +522,13 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
     if knobs.damp > 0:
         water = stages.displaced(t, knobs.displacing * x, knobs.damp, knobs.damp_time)
         x = x * (1.0 - water) / (1.0 - knobs.damp)
+    if knobs.converting > 0:
+        turned = stages.moving_fronts(
+            t, relative * gas - knobs.converting_at, knobs.converting_time
+        )
+        x = x + knobs.converting / relative * turned
+    if knobs.reference > 0:
+        x = x - knobs.reference * stages.modal(t, gas, *stages.slab(knobs.reference_time))
     return x
 
 
@@ -537,6 +580,9 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
         y = y + course(t)
     if knobs.detector_time > 0:
         y = stages.peak_detector(t, y, knobs.detector_time)
+    if knobs.rms_time > 0:
+        time = np.full(len(t) - 1, knobs.rms_time)
+        y = np.sqrt(stages.lag(t, y * y, time, float(y[0] ** 2)))
     if knobs.heat != 0:
         used = y / knobs.heat_supply
         power = 4.0 * used * (1.0 - used)

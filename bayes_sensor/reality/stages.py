@@ -8,7 +8,7 @@ Runge-Kutta steps inside, as many as stability wants.
 
 from __future__ import annotations
 
-from math import ceil, exp, tanh
+from math import ceil, exp, pi, tanh
 
 import numpy as np
 from numba import njit
@@ -242,6 +242,38 @@ def splitting(
     return x
 
 
+@njit(cache=True)
+def moving_fronts(
+    t: FloatArray, drive: FloatArray, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) share of a film that has turned, under a ``drive`` (n,) at its surface of either sign.
+
+    Whatever the drive's sign is, a front goes down from the surface, the film behind it turned or
+    turned back: depth p with ``time`` p p' = |drive|.  Where it meets the front before it, both
+    are gone and the one before those goes on; at depth 1 the film ends.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    fronts = np.zeros(64)  # the deepest one first; every other one turns back
+    count = 0
+    for i in range(n - 1):
+        middle = 0.5 * (drive[i] + drive[i + 1])
+        forth = count % 2 == 1
+        if (middle > 0.0) != forth and (count > 0 or middle > 0.0) and count < 64:
+            fronts[count] = 0.0
+            count += 1
+        if count > 0:
+            step = 2.0 * abs(middle) * (t[i + 1] - t[i]) / time
+            fronts[count - 1] = min(np.sqrt(fronts[count - 1] ** 2 + step), 1.0)
+            if count > 1 and fronts[count - 1] >= fronts[count - 2]:
+                count -= 2
+        turned = 0.0
+        for k in range(count):
+            turned += fronts[k] if k % 2 == 0 else -fronts[k]
+        out[i + 1] = turned
+    return out
+
+
 @njit(cache=True, error_model="numpy")
 def self_heating(
     t: FloatArray, at: FloatArray, rest: float, warming: float, time: float
@@ -321,6 +353,44 @@ def valve(
             end = last[i] - tau * slope + (x[i] - first[i] + tau * slope) * exp(-h / tau)
             middle = 0.5 * (x[i] + end)
         x[i + 1] = end
+    return x
+
+
+@njit(cache=True, error_model="numpy")
+def greased_valve(
+    t: FloatArray,
+    first: FloatArray,
+    last: FloatArray,
+    tau_v: float,
+    grease: float,
+    sets: float,
+    yields: float,
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) opening of a valve whose grease has set to the share w, which is 1 at first.
+
+    tau_v (1 + ``grease`` w) x' = u - x and w' = (1 - w)/``sets`` - w |x'|/``yields``; targets as in
+    :func:`valve`.
+    """
+    n = len(t)
+    x = np.zeros(n)
+    w, old_h, e = 1.0, -1.0, 0.0
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        slope = (last[i] - first[i]) / h
+        if first[i] == last[i] and abs(last[i] - x[i]) < 1e-6:  # at rest
+            if abs(h - old_h) > 1e-13:
+                old_h, e = h, exp(-h / sets)
+            x[i + 1], w = last[i], 1.0 + (w - 1.0) * e
+            continue
+        stiff, end, end_w = w, x[i], w
+        for _ in range(2):  # predictor, corrector of the state that sets the rate
+            tau = tau_v * (1.0 + grease * stiff)
+            end = last[i] - tau * slope + (x[i] - first[i] + tau * slope) * exp(-h / tau)
+            rate = 1.0 / sets + abs(end - x[i]) / (h * yields)
+            level = 1.0 / (sets * rate)
+            end_w = level + (w - level) * exp(-h * rate)
+            stiff = 0.5 * (w + end_w)
+        x[i + 1], w = end, end_w
     return x
 
 
@@ -472,6 +542,51 @@ def pockets(
 
 
 @njit(cache=True, error_model="numpy")
+def pit(
+    t: FloatArray,
+    u: FloatArray,
+    flow: FloatArray,
+    V: float,
+    fraction: float,
+    falling: float,
+    lifted: float,
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) concentration of a manifold with a pit, part of its volume V (mL), for heavy gas.
+
+    V (1 - f) x' = flow (u - x) - e,   f V p' = e with e = ``falling`` (x - p)^(3/2) where x > p,
+    ``lifted`` (x - p) else (mL/s): a current as fast as the root of what drives it carries that in,
+    and only the stream's eddies bring it out.
+    """
+    n = len(t)
+    main, lower = V * (1.0 - fraction), V * fraction
+    fastest = (flow.max() + 1.5 * falling) / main + max(1.5 * falling, lifted) / lower
+    out = np.zeros(n)
+    x, p = 0.0, 0.0
+    share = (0.0, 0.5, 0.5, 1.0)
+    for i in range(n - 1):
+        steps = max(1, ceil((t[i + 1] - t[i]) * fastest / 0.5))
+        h = (t[i + 1] - t[i]) / steps
+        for step in range(steps):
+            dx, dp, total_x, total_p = 0.0, 0.0, 0.0, 0.0
+            for stage in range(4):
+                at = (step + share[stage]) / steps
+                inlet = u[i] + at * (u[i + 1] - u[i])
+                q = flow[i] + at * (flow[i + 1] - flow[i])
+                above, below = x + share[stage] * h * dx, p + share[stage] * h * dp
+                gap = above - below
+                exchange = falling * gap * np.sqrt(gap) if gap > 0.0 else lifted * gap
+                dx = (q * (inlet - above) - exchange) / main
+                dp = exchange / lower
+                weight = 1.0 if stage in (0, 3) else 2.0
+                total_x += weight * dx
+                total_p += weight * dp
+            x += h / 6.0 * total_x
+            p += h / 6.0 * total_p
+        out[i + 1] = x
+    return out
+
+
+@njit(cache=True, error_model="numpy")
 def cells(
     t: FloatArray, u: FloatArray, flow: FloatArray, V: float, n_cells: int, back: float
 ) -> FloatArray:  # pragma: no cover - compiled
@@ -573,6 +688,19 @@ def layered_film(mean_time: float, n_cells: int = 18) -> tuple[FloatArray, Float
     weights = modes[probe] * (modes.T @ inflow) / rates
     times = 1.0 / rates
     return times * mean_time / float(weights @ times), weights
+
+
+def slab(time: float, n_modes: int = 8) -> tuple[FloatArray, FloatArray]:
+    """Time constants (n,) s and weights (n,) of diffusion to the sealed face of a slab.
+
+    ``time`` (s) is its thickness squared over the diffusivity (Crank, The Mathematics of Diffusion,
+    1975, Sec. 2.3); the last mode stands for all faster ones.
+    """
+    odd = 2.0 * np.arange(n_modes, dtype=float) + 1.0
+    weights = 4.0 / pi * np.cos(pi * np.arange(n_modes)) / odd
+    weights[-1] += 1.0 - weights.sum()
+    times: FloatArray = 4.0 * time / (pi * odd) ** 2
+    return times, weights
 
 
 def modal(t: FloatArray, u: FloatArray, times: FloatArray, weights: FloatArray) -> FloatArray:
