@@ -1,6 +1,7 @@
 """Refits, evidences and the discrepancy against independent routes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.floor import DOF
 from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, refit
 from bayes_sensor.gap.sketch import coordinates, fit_base, flat_theta, prepare
+from bayes_sensor.gap.verdict import Standing, judge
 from bayes_sensor.gap.where import Leverage
 from bayes_sensor.gap.which import _most_promising, family_priors, joined_start, with_start
 from bayes_sensor.model import Layout
@@ -245,6 +247,34 @@ def test_leverage_is_the_projection_of_noise(sketch, base):
     rows = np.arange(5, 40)
     sample = left[rows] @ left[rows].T / noise.shape[1]
     assert np.max(np.abs(np.diag(sample) - np.diag(leverage.block(rows)))) < 0.35
+
+
+@pytest.mark.parametrize(
+    ("rows", "kind", "said"),
+    [
+        # the noise alone is named where the mean may well be in order
+        ({"heavy_tails": 0.6, "flow_settling+heavy_tails": 0.2, "unlisted": 0.2}, "effect",
+         ("heavy_tails",)),
+        # .. not where it is not, although no family reaches what it takes to be named beside it
+        ({"flow_settling+heavy_tails": 0.45, "valve_asymmetry+heavy_tails": 0.2, "unlisted": 0.35},
+         "family", None),
+        ({"flow_settling+heavy_tails": 0.95, "unlisted": 0.05}, "effect",
+         ("flow_settling", "heavy_tails")),
+    ],
+)  # fmt: skip
+def test_an_effect_of_the_noise_does_not_hide_the_mean(rows, kind, said):
+    effects = dict.fromkeys(CATALOGUE, 0.0)
+    families = {}
+    for row, p in rows.items():
+        for name in row.split("+") if row != "unlisted" else ():
+            effects[name] += p
+            families[CATALOGUE[name].family] = families.get(CATALOGUE[name].family, 0.0) + p
+    effects["heavy_tails"] = 1.0
+    stand = Standing({"none": 0.0, **rows}, effects, families, 0.0, rows["unlisted"])
+    nothing = SimpleNamespace(probabilities=np.zeros(0), hypotheses=())
+    found, members, family, _ = judge(nothing, stand, CATALOGUE)
+    assert found == kind
+    assert members == said if said else family == "asymmetry"
 
 
 def test_priors_go_over_families_first():

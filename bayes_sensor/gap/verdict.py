@@ -162,7 +162,8 @@ def judge(
     }  # fmt: skip
     family = max(of_mean, key=lambda f: of_mean[f]) if of_mean else None
     likely = family is not None and of_mean[family] > max(0.5, stand.unlisted)
-    louder = family is not None and of_mean[family] > LOUDER
+    unmoved = sum(p for row, p in stand.rows.items() if _leaves_the_mean_alone(row, catalogue))
+    louder = (family is not None and of_mean[family] > LOUDER) or (likely and unmoved < QUIET)
     if len(on_mean) == 1 and catalogue[on_mean[0]].same_response:
         # one response: whichever is in the catalogue, the other may be the cause
         return _family(catalogue[on_mean[0]].family, stand, catalogue)
@@ -176,6 +177,12 @@ def judge(
     if stand.none >= stand.unlisted:
         return "none", (), None, stand.none
     return "unlisted", (), None, stand.unlisted
+
+
+def _leaves_the_mean_alone(row: str, catalogue: Mapping[str, Effect]) -> bool:
+    return row == "none" or (
+        row != "unlisted" and not any(catalogue[name].on_mean for name in row.split("+"))
+    )
 
 
 def _family(
