@@ -35,7 +35,7 @@ from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.results import read_json, write_json, write_text
 
-N, SEED = 600, 20261127
+N, SEED = 600, 20261128
 """the seed was never used before the run that is reported"""
 N_FULL = 60
 FIGURES = TABLES.parent / "figures"
@@ -167,18 +167,22 @@ def _counted(some: pd.DataFrame, of: pd.DataFrame, by: str) -> str:
 def out_of_reach(cases: pd.DataFrame) -> str:
     """How many unlisted causes no method can flag: they look like an effect of the catalogue."""
     unlisted = cases[cases["kind"] == "unlisted"]
-    words = []
+    words, reach = [], []
     for level in (8.0, 16.0):
         here = unlisted[unlisted["d_level"].astype(float) == level]
         apart = here[here["isolability"].astype(float) >= SEPARABLE_ABOVE]
         flagged = int((apart["verdict"] == "unlisted").sum())
         words.append(
             f"of {len(here)} unlisted causes at d = {level:g}, {len(here) - len(apart)} lie nearer "
-            f"than {SEPARABLE_ABOVE:g} to an effect of the catalogue, and of the other "
-            f"{len(apart)} {flagged} were flagged"
+            f"than {SEPARABLE_ABOVE:g} to an effect of the catalogue, and {flagged} of the other "
+            f"{len(apart)} were flagged"
         )
+        reach.append(f"{len(apart) / max(len(here), 1):.2f}")
     joined = "; ".join(words)
-    return f"{joined[0].upper()}{joined[1:]}."
+    return (
+        f"{joined[0].upper()}{joined[1:]}. An oracle that flags just what it can tell apart would "
+        f"reach {' and '.join(reach)}."
+    )
 
 
 def too_sure(cases: pd.DataFrame) -> str:
