@@ -374,6 +374,10 @@ class Rival:
     basis: FloatArray
     """(n_bins, k) orthonormal, without what the cascade can mimic"""
 
+    def leaves(self, columns: FloatArray) -> FloatArray:
+        """``columns`` (n_bins, ..) without what it explains."""
+        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
+
 
 def listed_rivals(case: Case, fit: Refit, oracle: Oracle, seeds: int = 2) -> list[Rival]:
     """The differences that every listed cause makes on the same rig.
@@ -417,8 +421,7 @@ def rival_distances(fit: Refit, rivals: Sequence[Rival]) -> dict[str, float]:
     """
     distances: dict[str, float] = {}
     for rival in rivals:
-        left = fit.residual - rival.basis @ (rival.basis.T @ fit.residual)
-        distance = min(float(np.linalg.norm(left)), fit.d)
+        distance = min(float(np.linalg.norm(rival.leaves(fit.residual))), fit.d)
         distances[rival.effect] = min(distances.get(rival.effect, np.inf), distance)
     return distances
 
@@ -427,12 +430,11 @@ def pair_distance(fit: Refit, rivals: Sequence[Rival]) -> float:
     """How far the nearest two listed explanations of different families stay from it, together."""
     best = fit.d
     for i, one in enumerate(rivals):
-        left = fit.residual - one.basis @ (one.basis.T @ fit.residual)
+        left = one.leaves(fit.residual)
         for other in rivals[i + 1 :]:
             if other.family == one.family or not other.basis.size:
                 continue
-            beside = other.basis - one.basis @ (one.basis.T @ other.basis)
-            basis, size, _ = np.linalg.svd(beside, full_matrices=False)
+            basis, size, _ = np.linalg.svd(one.leaves(other.basis), full_matrices=False)
             basis = basis[:, size > 1e-6]
             gone = basis.T @ left
             best = min(best, float(np.sqrt(max(float(left @ left - gone @ gone), 0.0))))

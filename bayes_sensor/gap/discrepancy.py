@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.refit import Refit, Sketch
@@ -102,6 +103,10 @@ def _features(position: list[FloatArray], length: float, resolution: float) -> l
     return found
 
 
+Parts = list[list[FloatArray]]
+"""whitened features (n_bins, rank) of every experiment: of rise and fall apart, or of both"""
+
+
 @dataclass(frozen=True)
 class _Spread:
     """How much of a function experiments share; standard deviations beside the common part's 1."""
@@ -111,22 +116,16 @@ class _Spread:
     own: float
     """of every experiment's own part"""
 
-    def over(self, features: list[FloatArray], scale: list[FloatArray]) -> FloatArray:
-        """(n_bins in all, m): common, following and own copies of the features."""
-        ends = np.cumsum([len(f) for f in features])
-        rank = features[0].shape[1]
-        follows = bool(np.any(self.trend))
-        own_from = 2 * rank if follows else rank
-        made = np.zeros((int(ends[-1]), own_from + (rank * len(features) if self.own > 0 else 0)))
-        for k, (f, s) in enumerate(zip(features, scale, strict=True)):
-            rows = slice(ends[k] - len(f), ends[k])
-            scaled = f * s[:, None]
-            made[rows, :rank] = scaled
-            if follows:
-                made[rows, rank : 2 * rank] = self.trend[k] * scaled
+    def over(self, parts: Parts) -> FloatArray:
+        """(n_bins in all, m): common, following and own copies of every part's features."""
+        made = []
+        for features in parts:
+            made.append(np.vstack(features))
+            if np.any(self.trend):
+                made.append(np.vstack([w * f for w, f in zip(self.trend, features, strict=True)]))
             if self.own > 0:
-                made[rows, own_from + k * rank : own_from + (k + 1) * rank] = self.own * scaled
-        return made
+                made.append(block_diag(*(self.own * f for f in features)))
+        return np.hstack(made)
 
 
 def _spreads(sketch: Sketch) -> dict[str, tuple[float, _Spread]]:
@@ -156,56 +155,61 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
     spreads = _spreads(sketch)
     usual = spreads[""][1]
     made = []
-    herald = _herald_part(sketch, beta, usual)
+    herald = usual.over(_herald_parts(sketch, beta))
     for share in HERALD_SHARES:
         made.append(_configure(f"herald {share:g}", 0.03, herald * share))
-    drift = _part(
-        sketch,
-        [b.centre - float(b.experiment.t[0]) for b in sketch.bins],
-        [np.full(len(b.first), sketch.signal_scale) for b in sketch.bins],
-        _Spread(usual.trend, 1.0 if len(sketch.campaign) > 1 else 0.0), DRIFT_SECONDS,
+    drift = _Spread(usual.trend, 1.0 if len(sketch.campaign) > 1 else 0.0).over(
+        [_part(
+            sketch,
+            [b.centre - float(b.experiment.t[0]) for b in sketch.bins],
+            [np.full(len(b.first), sketch.signal_scale) for b in sketch.bins],
+            DRIFT_SECONDS,
+        )]
     )  # fmt: skip
     for share in VOLT_SHARES:
         made.append(_configure(f"drift {share:g}", 0.2 / len(VOLT_SHARES), drift * share))
+    repeating = _repeating(sketch, base, beta)
     for name, (weight, spread) in spreads.items():
-        parts = _repeating(sketch, base, beta, spread)
-        for family, (share_of_all, factors, sizes) in parts.items():
-            each = share_of_all * weight / (len(factors) * len(sizes))
-            for length, factor in factors.items():
+        for family, (share_of_all, by_length, sizes) in repeating.items():
+            each = share_of_all * weight / (len(by_length) * len(sizes))
+            for length, parts in by_length.items():
+                factor = spread.over(parts)
                 for size in sizes:
                     label = f"{family}{length}{name} {size:g}"
                     made.append(_configure(label, each, factor * size))
-        if spread is usual:
-            response = parts["response"][1][" 1"]
-            for size, volts in ((0.003, 0.0015), (0.01, 0.0015), (0.01, 0.005), (0.03, 0.005)):
-                joined = np.hstack([response * size, drift * volts])
-                made.append(_configure(f"response {size:g} and drift {volts:g}", 0.05, joined))
+    response = usual.over(repeating["response"][1][" 1"])
+    for size, volts in ((0.003, 0.0015), (0.01, 0.0015), (0.01, 0.005), (0.03, 0.005)):
+        joined = np.hstack([response * size, drift * volts])
+        made.append(_configure(f"response {size:g} and drift {volts:g}", 0.05, joined))
     return made
 
 
-Repeating = dict[str, tuple[float, dict[str, FloatArray], tuple[float, ...]]]
+Repeating = dict[str, tuple[float, dict[str, Parts], tuple[float, ...]]]
 
 
-def _repeating(sketch: Sketch, base: Refit, beta: list[float], spread: _Spread) -> Repeating:
-    """What comes again in every experiment: weight, factors by length, and sizes, by name."""
+def _repeating(sketch: Sketch, base: Refit, beta: list[float]) -> Repeating:
+    """What comes again in every experiment: weight, parts by length, and sizes, by name."""
     found: Repeating = {
-        "response": (0.45, _response_parts(sketch, beta, spread), RESPONSE_SHARES),
-        "timing": (0.2, {"": _timing_part(sketch, base, spread)}, TIMING_SHARES),
-        "readout": (0.15, _readout_parts(sketch, base, spread), VOLT_SHARES),
+        "response": (0.45, _response_parts(sketch, beta), RESPONSE_SHARES),
+        "timing": (0.2, {"": _timing_parts(sketch, base)}, TIMING_SHARES),
+        "readout": (0.15, _readout_parts(sketch, base), VOLT_SHARES),
     }
-    commanded = _switching_part(sketch, spread)
-    if commanded is not None:
+    commanded = _switching_parts(sketch)
+    if commanded:
         found["switching"] = (0.15, {"": commanded}, VOLT_SHARES)
     return found
 
 
-def _response_parts(sketch: Sketch, beta: list[float], spread: _Spread) -> dict[str, FloatArray]:
+def _sides(sketch: Sketch) -> tuple[bool, ...]:
+    """Whether falling: the rise, and the fall where one was recorded."""
+    return (False, True) if any(b.falling.any() for b in sketch.bins) else (False,)
+
+
+def _response_parts(sketch: Sketch, beta: list[float]) -> dict[str, Parts]:
     found = {}
     for length in RESPONSE_LENGTHS:
         blocks = []
-        for falling in (False, True):
-            if falling and not any(b.falling.any() for b in sketch.bins):
-                continue
+        for falling in _sides(sketch):
 
             def amplitude(k: int, falling: bool = falling) -> FloatArray:
                 b = sketch.bins[k]
@@ -216,29 +220,27 @@ def _response_parts(sketch: Sketch, beta: list[float], spread: _Spread) -> dict[
                     sketch,
                     [_log_time(b.since, sketch.time_scale) for b in sketch.bins],
                     [amplitude(k) for k in range(len(sketch.bins))],
-                    spread, length,
+                    length,
                 )
             )  # fmt: skip
-        found[f" {length:g}"] = np.hstack(blocks)
+        found[f" {length:g}"] = blocks
     return found
 
 
-def _herald_part(sketch: Sketch, beta: list[float], spread: _Spread) -> FloatArray:
+def _herald_parts(sketch: Sketch, beta: list[float]) -> Parts:
     blocks = []
-    for falling in (False, True):
-        if falling and not any(b.falling.any() for b in sketch.bins):
-            continue
+    for falling in _sides(sketch):
         since, volts = [], []
         for b, size, setting in zip(sketch.bins, beta, sketch.settings, strict=True):
             at = (b.centre - (setting.tf if falling else setting.t0)) / sketch.time_scale
             near = (at > HERALD[0]) & (at < HERALD[1])
             since.append(np.clip(at, *HERALD))
             volts.append(np.where(near, size, 0.0))
-        blocks.append(_part(sketch, since, volts, spread, HERALD_LENGTH))
-    return np.hstack(blocks)
+        blocks.append(_part(sketch, since, volts, HERALD_LENGTH))
+    return blocks
 
 
-def _timing_part(sketch: Sketch, base: Refit, spread: _Spread) -> FloatArray:
+def _timing_parts(sketch: Sketch, base: Refit) -> Parts:
     """A time that runs ahead or behind: what moves, moves later by a part of a time scale."""
     h = 0.02 * sketch.time_scale
     slopes = []
@@ -246,30 +248,28 @@ def _timing_part(sketch: Sketch, base: Refit, spread: _Spread) -> FloatArray:
         before, after = (b.reduce(base.plan.mean(base.x, k, b.times + d)) for d in (-h, h))
         slopes.append((after - before) / (2.0 * h) * sketch.time_scale)
     blocks = []
-    for falling in (False, True):
-        if falling and not any(b.falling.any() for b in sketch.bins):
-            continue
+    for falling in _sides(sketch):
         volts = [
             np.where(b.falling == falling, s, 0.0) for b, s in zip(sketch.bins, slopes, strict=True)
         ]
         since = [_log_time(b.since, sketch.time_scale) for b in sketch.bins]
-        blocks.append(_part(sketch, since, volts, spread, TIMING_LENGTH))
-    return np.hstack(blocks)
+        blocks.append(_part(sketch, since, volts, TIMING_LENGTH))
+    return blocks
 
 
-def _readout_parts(sketch: Sketch, base: Refit, spread: _Spread) -> dict[str, FloatArray]:
+def _readout_parts(sketch: Sketch, base: Refit) -> dict[str, Parts]:
     """A readout that is off by a function of what it reads."""
     means = [b.reduce(base.plan.mean(base.x, k, b.times)) for k, b in enumerate(sketch.bins)]
     read = [m / sketch.signal_scale for m in means]
     volts = [np.full(len(m), sketch.signal_scale) for m in means]
-    return {f" {w:g}": _part(sketch, read, volts, spread, w) for w in READOUT_LENGTHS}
+    return {f" {w:g}": [_part(sketch, read, volts, w)] for w in READOUT_LENGTHS}
 
 
 def _log_time(since: FloatArray, scale: float) -> FloatArray:
     return np.log(np.maximum(since, 0.0) / scale + 0.06)
 
 
-def _switching_part(sketch: Sketch, spread: _Spread) -> FloatArray | None:
+def _switching_parts(sketch: Sketch) -> Parts:
     blocks = []
     for command, falling in (("commanded_on", False), ("commanded_off", True)):
         times = [getattr(b.experiment, command) for b in sketch.bins]
@@ -283,23 +283,21 @@ def _switching_part(sketch: Sketch, spread: _Spread) -> FloatArray | None:
             )
             for s, b, u in zip(since, sketch.bins, until, strict=True)
         ]
-        blocks.append(
-            _part(sketch, [_log_time(s, sketch.time_scale) for s in since], volts, spread, 1.0)
-        )
-    return np.hstack(blocks) if blocks else None
+        blocks.append(_part(sketch, [_log_time(s, sketch.time_scale) for s in since], volts, 1.0))
+    return blocks
 
 
 def _part(
     sketch: Sketch,
     position: list[FloatArray],
     scale: list[FloatArray],
-    spread: _Spread,
     length: float,
-) -> FloatArray:
-    made = spread.over(_features(position, length, 0.35), scale)
-    for k, rows in enumerate(sketch.rows):
-        made[rows] = sketch.inverse_factors[k] @ made[rows]
-    return made
+) -> list[FloatArray]:
+    features = _features(position, length, 0.35)
+    return [
+        whiten @ (f * s[:, None])
+        for whiten, f, s in zip(sketch.inverse_factors, features, scale, strict=True)
+    ]
 
 
 def _configure(name: str, weight: float, factor: FloatArray) -> Discrepancy:

@@ -240,7 +240,8 @@ class Plan:
     def prior_matrix(self, widths: FloatArray | None = None) -> FloatArray:
         """(n, n) precision of the prior; ``widths`` (n,) scale the strengths' spreads."""
         _, precision = self.prior
-        matrix = np.diag(precision if widths is None else precision / widths**2)
+        widths = np.ones(self.size) if widths is None else widths
+        matrix = np.diag(precision / widths**2)
         tau = 1.0 / self.sketch.sd[0] ** 2
         # ln tau = x1 - FASTER - x0
         matrix[0, 0] += tau
@@ -251,8 +252,8 @@ class Plan:
             # the inverse of (1 - alike) I + alike 1 1', in units of the spreads
             n = len(index)
             inverse = np.eye(n) - alike / (1.0 + (n - 1.0) * alike)
-            scale = np.ones(n) if widths is None else widths[index]
-            matrix[np.ix_(index, index)] = inverse / (1.0 - alike) / np.outer(scale, scale)
+            spread = np.outer(widths[index], widths[index])
+            matrix[np.ix_(index, index)] = inverse / (1.0 - alike) / spread
         return matrix
 
     def log_prior_determinant(self, widths: FloatArray) -> float:

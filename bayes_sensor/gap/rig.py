@@ -333,9 +333,7 @@ def _response(
     if last <= t0:
         return
     first = min(p[TAU_V] * p[VALVE_FACTOR], p[TAU_M] / p[FLOW] * min(1.0, p[EMPTYING]))
-    if p[CLOSING] < 1.0:
-        first = min(first, p[CLOSING] * p[TAU_V])
-    if p[CLOSING_BEND] != 0.0:
+    if p[CLOSING] < 1.0 or p[CLOSING_BEND] != 0.0:
         first = min(first, p[CLOSING] * p[TAU_V] * (1.0 - 0.5 * abs(p[CLOSING_BEND])))
     if p[INERTIA] > 0.0:
         first = min(first, 2.0 * p[TAU_V] * sqrt(p[INERTIA]) + 0.2 * p[TAU_V])

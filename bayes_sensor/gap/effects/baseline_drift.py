@@ -13,7 +13,7 @@ ALIKE = 0.5
 def _drift(s: Setting, own: bool) -> tuple[Strength, ...]:
     return (
         Strength("drift", "V/s", "normal", 0.0, 0.01 * s.signal_scale / s.duration,
-                 per_experiment=own, scaled=True, alike=ALIKE if own else 0.0),
+                 per_experiment=own, scaled=True, alike=ALIKE),
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ DELAYS = tuple({"step_delay*": 0.3 * 1.3**i} for i in range(20))
 def _step(own: bool, soft: bool = False) -> Callable[[Setting], tuple[Strength, ...]]:
     def strengths(s: Setting) -> tuple[Strength, ...]:
         size = Strength("step", "V", "normal", 0.0, 0.01 * s.signal_scale, per_experiment=own,
-                        scaled=True, alike=0.8 if own else 0.0)  # fmt: skip
+                        scaled=True, alike=0.8)  # fmt: skip
         width = Strength("step_width", "s", "log_normal", s.time_scale, 0.8)
         return (size, width) if soft else (size,)
 

@@ -9,7 +9,7 @@ from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
 def _carry(s: Setting, own: bool, slow: bool) -> tuple[Strength, ...]:
     found: tuple[Strength, ...] = (
         Strength("carry_over", "1", "normal", 0.0, 0.03, per_experiment=own,
-                 limits=(-1.0, 2.0), scaled=True, alike=0.5 if own else 0.0),
+                 limits=(-1.0, 2.0), scaled=True, alike=0.5),
     )  # fmt: skip
     if slow:
         found += (

@@ -14,7 +14,7 @@ ALIKE = 0.5
 def _gain(s: Setting, own: bool) -> tuple[Strength, ...]:
     return (
         Strength("gain_drift", "1/s", "normal", 0.0, 0.02 / s.duration, per_experiment=own,
-                 scaled=True, alike=ALIKE if own else 0.0),
+                 scaled=True, alike=ALIKE),
     )  # fmt: skip
 
 

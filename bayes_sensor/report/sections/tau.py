@@ -254,8 +254,7 @@ def _why_they_differ(saved: Saved) -> list[str]:
         found.append(
             f"the diagnosis's {interval(1e3 * low, 1e3 * high)} ms averages over what may be wrong "
             "with the model, sees the records in bins over a noise floor that was taken without "
-            "the model, "
-            f"and has a log-normal prior on τ{see('which')}"
+            f"the model, and has a log-normal prior on τ{see('which')}"
         )
     if len(found) < 2:
         return []
