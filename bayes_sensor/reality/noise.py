@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import ceil, cos, exp, pi, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -382,9 +383,8 @@ def _draw_part(
         # exact sampling of the critically damped process (x, v): x'' = -2 x'/T - x/T^2 + noise
         return _smooth(part.time, n, interval, rng)
     e = _innovations(n, rng, tails)
-    e[1:] *= sqrt(1.0 - decay**2)
     if part.frequency == 0.0 or part.shape == "pulsing":
-        x: FloatArray = lfilter([1.0], [1.0, -decay], e)
+        x: FloatArray = _remembering(e, decay)
         if part.shape == "gusts":
             x *= np.where(_telegraph(exp(-interval / part.gust_time), n, rng) > 0, *_gusts(part))
         elif part.shape == "lognormal":
@@ -393,11 +393,16 @@ def _draw_part(
             turns = part.frequency * interval * np.arange(n) + rng.random()
             x *= (1.0 + part.depth * np.cos(2.0 * pi * turns)) / sqrt(1.0 + 0.5 * part.depth**2)
         return x
-    other = rng.standard_normal(n)
-    other[1:] *= sqrt(1.0 - decay**2)
-    turn = decay * np.exp(2j * pi * part.frequency * interval)
-    turning: FloatArray = lfilter([1.0], [1.0, -turn], e + 1j * other).real
+    turn = np.exp(2j * pi * part.frequency * interval)
+    turning: FloatArray = _remembering(e + 1j * rng.standard_normal(n), decay, turn).real
     return turning
+
+
+def _remembering(e: Any, decay: float, turn: complex = 1.0) -> Any:
+    """First-order recursion, stationary from the first sample, on independent ``e`` (.., n)."""
+    kicks = np.array(e)
+    kicks[..., 1:] *= sqrt(1.0 - decay**2)
+    return lfilter([1.0], [1.0, -decay * turn], kicks)
 
 
 def _gusts(part: Component) -> tuple[float, float]:
@@ -414,9 +419,8 @@ def _telegraph(decay: float, n: int, rng: np.random.Generator) -> FloatArray:
 def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
     """(n,) exponential of an Ornstein-Uhlenbeck process of rms ``depth``, of unit mean square."""
     decay = exp(-interval / part.gust_time)
-    e = rng.standard_normal(n)
-    e[1:] *= sqrt(1.0 - decay**2)
-    loudness: FloatArray = np.exp(part.depth * lfilter([1.0], [1.0, -decay], e) - part.depth**2)
+    level = _remembering(rng.standard_normal(n), decay)
+    loudness: FloatArray = np.exp(part.depth * level - part.depth**2)
     return loudness
 
 
@@ -664,10 +668,7 @@ def _speckle(time: float, n: int, interval: float, rng: np.random.Generator) -> 
     The field is a complex Ornstein-Uhlenbeck process, its square exponentially distributed and
     correlated as exp(-lag/time) (Goodman, Speckle Phenomena in Optics, 2007).
     """
-    decay = exp(-0.5 * interval / time)
-    kicks = rng.standard_normal((2, n))
-    kicks[:, 1:] *= sqrt(1.0 - decay**2)
-    field = lfilter([1.0], [1.0, -decay], kicks)
+    field = _remembering(rng.standard_normal((2, n)), exp(-0.5 * interval / time))
     brightness: FloatArray = 0.5 * np.sum(field**2, axis=0) - 1.0
     return brightness
 

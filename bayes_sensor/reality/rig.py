@@ -334,8 +334,7 @@ def voltage(
     y = _readout(case, step, knobs, t, response)
     if knobs.filter_time > 0:
         for _ in range(4):
-            pole = np.full(len(t) - 1, 0.25 * knobs.filter_time)
-            y = stages.lag(t, y, pole, float(y[0]))
+            y = stages.steady_lag(t, y, 0.25 * knobs.filter_time)
     shown = true
     if knobs.hold > 0:
         readings = np.floor((true - knobs.hold_begin) / knobs.hold)
@@ -496,7 +495,7 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
     elif knobs.swelling != 0 or knobs.gate != 0:
         x = stages.langmuir(t, gas, tau, 0.0, knobs.swelling, knobs.gate, knobs.gate_width)
     else:
-        x = stages.lag(t, gas, np.full(len(t) - 1, tau), float(gas[0]))
+        x = stages.steady_lag(t, gas, tau)
     if knobs.slow_sites > 0:
         slow = np.zeros_like(x)
         for factor in (0.5, 1.8):
@@ -517,8 +516,7 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         beyond = (relative * gas - knobs.cages_at) / knobs.cages_width
         shut = 1.0 / (1.0 + np.exp(knobs.cages_at / knobs.cages_width))  # open without any gas
         open_ = (1.0 / (1.0 + np.exp(-beyond)) - shut) / (1.0 - shut)
-        times = np.full(len(t) - 1, knobs.cages_time)
-        x = x + knobs.cages / relative * stages.lag(t, open_, times, float(open_[0]))
+        x = x + knobs.cages / relative * stages.steady_lag(t, open_, knobs.cages_time)
     if knobs.damp > 0:
         water = stages.displaced(t, knobs.displacing * x, knobs.damp, knobs.damp_time)
         x = x * (1.0 - water) / (1.0 - knobs.damp)
@@ -581,16 +579,13 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
     if knobs.detector_time > 0:
         y = stages.peak_detector(t, y, knobs.detector_time)
     if knobs.rms_time > 0:
-        time = np.full(len(t) - 1, knobs.rms_time)
-        y = np.sqrt(stages.lag(t, y * y, time, float(y[0] ** 2)))
+        y = np.sqrt(stages.steady_lag(t, y * y, knobs.rms_time))
     if knobs.heat != 0:
         used = y / knobs.heat_supply
         power = 4.0 * used * (1.0 - used)
-        time = np.full(len(t) - 1, knobs.heat_time)
-        y = y + knobs.heat * stages.lag(t, power - power[0], time, 0.0)
+        y = y + knobs.heat * stages.steady_lag(t, power - power[0], knobs.heat_time)
     if knobs.servo > 0:
-        time = np.full(len(t) - 1, knobs.servo_time)
-        y = y - knobs.servo * stages.lag(t, y - y[0], time, 0.0)
+        y = y - knobs.servo * stages.steady_lag(t, y - y[0], knobs.servo_time)
     if knobs.range_gap != 0:
         y = stages.two_ranges(y, knobs.range_up, knobs.range_down, knobs.range_gap)
     return y

@@ -703,9 +703,14 @@ def slab(time: float, n_modes: int = 8) -> tuple[FloatArray, FloatArray]:
     return times, weights
 
 
+def steady_lag(t: FloatArray, u: FloatArray, tau: float) -> FloatArray:
+    """(n,) :func:`lag` of one time constant (s), from rest at ``u[0]``."""
+    return np.asarray(lag(t, u, np.full(len(t) - 1, tau), float(u[0])))
+
+
 def modal(t: FloatArray, u: FloatArray, times: FloatArray, weights: FloatArray) -> FloatArray:
     """(n,) weighted sum of first-order lags from rest at ``u[0]``."""
     out = np.zeros(len(t))
     for tau, weight in zip(times, weights, strict=True):
-        out += weight * lag(t, u, np.full(len(t) - 1, tau), float(u[0]))
+        out += weight * steady_lag(t, u, tau)
     return out
