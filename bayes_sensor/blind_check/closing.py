@@ -35,6 +35,10 @@ from bayes_sensor.gap.rig import (
 )
 from bayes_sensor.reality import sample_times
 
+MOST_STEPS = 60
+"""of a refit; stopped too early, the right effect seems to leave something"""
+FEW_STEPS = 15
+"""enough for a wrong one, where a few hundredths of a standard deviation do not matter"""
 RIDGE = 1e-2
 """penalty on the standard coordinates of the strengths, so that idle ones stay where they are"""
 
@@ -138,7 +142,9 @@ class _Fit:
         return total
 
 
-def closed_fraction(oracle: Oracle, target: FloatArray, base: Refit, effect: str) -> float | None:
+def closed_fraction(
+    oracle: Oracle, target: FloatArray, base: Refit, effect: str, most_steps: int = MOST_STEPS
+) -> float | None:
     """1 - d_effect^2/d^2: the share of a noise-free gap that ``effect`` of the catalogue closes.
 
     None where the effect does not act on the mean or there is no gap.
@@ -163,7 +169,7 @@ def closed_fraction(oracle: Oracle, target: FloatArray, base: Refit, effect: str
                 np.clip(first, low + 1e-12, high - 1e-12),
                 fit.jacobian,
                 x_scale="jac",
-                max_nfev=15,
+                max_nfev=most_steps,
                 bounds=(low, high),
             )
             best = min(best, float(np.sum(found.fun[:n] ** 2)))
