@@ -178,6 +178,26 @@ def test_a_readout_is_off_by_a_function_of_what_it_reads(sketch, base):
     assert np.linalg.norm(d.precision_times(other)) > 0.5 * np.linalg.norm(other)
 
 
+def test_a_gain_that_wanders_takes_another_course_in_every_experiment(sketch, base):
+    # a sun behind clouds, another laser power every time: nothing without gas
+    def course(k, b):
+        return 0.02 * np.sin(2.0 * np.pi * (b.centre / (11.0 + 3.0 * k) + 0.3 * k))
+
+    gains, drifts = [], []
+    for k, b in enumerate(sketch.bins):
+        above = b.reduce(base.plan.mean(base.x, k, b.times)) - base.x[base.plan.local[k]]
+        gains.append(sketch.inverse_factors[k] @ (course(k, b) * above))
+        drifts.append(sketch.inverse_factors[k] @ (course(k, b) * sketch.signal_scale))
+    wanted, other = np.concatenate(gains), np.concatenate(drifts)
+    found = {d.name: d for d in make_discrepancies(sketch, base)}
+    slow = found["gain 8 s 0.015"]
+    assert np.linalg.norm(slow.precision_times(wanted)) < 0.1 * np.linalg.norm(wanted)
+    assert np.linalg.norm(slow.precision_times(other)) > 0.5 * np.linalg.norm(other)
+    fitted = Linearised(replace(base, residual=base.residual + wanted))
+    logs = {d.name: fitted.evidence(d).log_z for d in found.values()}
+    assert max(logs, key=logs.__getitem__).startswith("gain")
+
+
 def test_own_strengths_that_are_alike_have_a_correlated_prior(sketch):
     effect = CATALOGUE["baseline_step"]
     form = next(f for f in effect.forms if f.name == "own")

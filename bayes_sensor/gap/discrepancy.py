@@ -10,10 +10,12 @@ parts:
   early or late by a part of a time scale, ever more or ever less;
 - *readout*: in the voltage itself, in volts: what a readout that is not linear does to all alike;
 - *drift*: in linear time, in volts;
+- *gain*: in linear time, scaled by what the signal stands above its baseline;
 - *switching*: in the logarithm of the time since the command, in volts.
 
 Each is a common function of all experiments, one that follows their flow (or, in configurations of
-their own, their concentration), and a small own one; or common to all and nothing else.  Kernels
+their own, their concentration), and a small own one; or common to all and nothing else.  Drift and
+gain, which no switch sets off, take a course of their own in every experiment.  Kernels
 are factored once per campaign; evidences then need only small matrices.
 """
 
@@ -50,6 +52,7 @@ TIMING_SHARES = (0.01, 0.03, 0.1)
 READOUT_LENGTHS = (0.05, 0.2)
 """of the median step height"""
 DRIFT_SECONDS = 8.0
+GAIN_SECONDS = (8.0, 2.0)
 VOLT_SHARES = (0.0005, 0.0015, 0.005, 0.015)
 """of the median step height: 1 to 30 mV for a 2 V step"""
 
@@ -158,16 +161,15 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
     herald = usual.over(_herald_parts(sketch, beta))
     for share in HERALD_SHARES:
         made.append(_configure(f"herald {share:g}", 0.03, herald * share))
-    drift = _Spread(usual.trend, 1.0 if len(sketch.campaign) > 1 else 0.0).over(
-        [_part(
-            sketch,
-            [b.centre - float(b.experiment.t[0]) for b in sketch.bins],
-            [np.full(len(b.first), sketch.signal_scale) for b in sketch.bins],
-            DRIFT_SECONDS,
-        )]
-    )  # fmt: skip
-    for share in VOLT_SHARES:
-        made.append(_configure(f"drift {share:g}", 0.2 / len(VOLT_SHARES), drift * share))
+    apart = _Spread(usual.trend, 1.0 if len(sketch.campaign) > 1 else 0.0)
+    wandering = {
+        name: (weight, apart.over([parts]))
+        for name, (weight, parts) in _wandering(sketch, base).items()
+    }
+    for name, (weight, factor) in wandering.items():
+        for share in VOLT_SHARES:
+            made.append(_configure(f"{name} {share:g}", weight / len(VOLT_SHARES), factor * share))
+    drift = wandering["drift"][1]
     repeating = _repeating(sketch, base, beta)
     for name, (weight, spread) in spreads.items():
         for family, (share_of_all, by_length, sizes) in repeating.items():
@@ -182,6 +184,20 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
         joined = np.hstack([response * size, drift * volts])
         made.append(_configure(f"response {size:g} and drift {volts:g}", 0.05, joined))
     return made
+
+
+def _wandering(sketch: Sketch, base: Refit) -> dict[str, tuple[float, list[FloatArray]]]:
+    """What takes another course in every experiment, in its time: weight and part, by name."""
+    at = [b.centre - float(b.experiment.t[0]) for b in sketch.bins]
+    means = [b.reduce(base.plan.mean(base.x, k, b.times)) for k, b in enumerate(sketch.bins)]
+    volts = [np.full(len(m), sketch.signal_scale) for m in means]
+    above = [m - base.x[base.plan.local[k]] for k, m in enumerate(means)]
+    slow, fast = GAIN_SECONDS
+    return {
+        "drift": (0.12, _part(sketch, at, volts, DRIFT_SECONDS)),
+        f"gain {slow:g} s": (0.04, _part(sketch, at, above, slow)),
+        f"gain {fast:g} s": (0.04, _part(sketch, at, above, fast)),
+    }
 
 
 Repeating = dict[str, tuple[float, dict[str, Parts], tuple[float, ...]]]
