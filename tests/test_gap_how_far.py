@@ -4,10 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
 from bayes_sensor.gap import CATALOGUE
 from bayes_sensor.gap.discrepancy import Discrepancy, make_discrepancies
-from bayes_sensor.gap.how_far import DRAWS, closure, held_out, taken_away, what_is_left
+from bayes_sensor.gap.how_far import (
+    DRAWS,
+    INEXACT,
+    INEXACT_DOF,
+    VISIBLE,
+    closure,
+    held_out,
+    taken_away,
+    what_is_left,
+)
 from bayes_sensor.gap.refit import Part, Plan, Refit, refit
 from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.gap.which import finished
@@ -89,6 +99,38 @@ def test_a_right_effect_may_close_everything(alone):
     assert 0.8 < found.low < found.fraction
     assert found.d_after < 3.0
     assert found.d_before**2 * found.fraction == pytest.approx(found.d_before**2 - found.d_after**2)
+
+
+@pytest.mark.parametrize("closing", [1.06, 1.15])
+def test_a_right_effect_is_allowed_what_its_form_lacks(closing):
+    campaign = measured({"valve_asymmetry": closing}, seed=3)
+    base = fit_base(prepare(campaign, Layout.of(campaign).flat(theta(campaign))).sketch)
+    fitted, others = explained(base, "valve_asymmetry"), normalised(base)
+    taken = taken_away(base, fitted)
+    chance, _sizes = what_is_left(fitted, others)
+    assert chance < 0.04
+    # one-sided: among 95 of 100, the chance of something else counted among the other five
+    lacking = INEXACT * t.isf(0.5 * (0.05 - chance) / (1.0 - chance), INEXACT_DOF)
+    seen = VISIBLE**2 / taken
+    low = closure(base, fitted, others).low
+    assert 1.0 - low <= 1.1 * min(lacking**2, seen)
+    assert 1.0 - low >= 0.9 * min((INEXACT * t.isf(0.025, INEXACT_DOF)) ** 2, seen)
+
+
+def test_what_may_be_right_in_its_place_counts_with_its_odds(alone):
+    fitted, rival = explained(alone, "valve_asymmetry"), explained(alone, "dead_volume")
+    others, taken = normalised(alone), taken_away(alone, fitted)
+    between = float(np.sum((fitted.residual - rival.residual) ** 2))
+    assert between > 20.0
+    certain = closure(alone, fitted, others)
+    for odds in (1e-6, 1.0):
+        found = closure(alone, fitted, others, others=[(rival, odds)])
+        assert found.fraction == certain.fraction
+        if odds < 1e-3:
+            assert found.low == pytest.approx(certain.low, abs=1e-3)
+        else:
+            assert found.low == pytest.approx(taken / (taken + between), rel=0.1)
+            assert found.low < certain.low - 0.01
 
 
 @pytest.mark.parametrize("named", ["valve_asymmetry", "baseline_step"])

@@ -331,7 +331,7 @@ def diagnose_gap(
     tell(0.6, "what is left")
     rounds, _last = _escalate(weighing, best, kind, named, probability, catalogue, seed)
     tell(0.7, "how far")
-    closed = closure(base, best.refit, weighing.discrepancies, seed)
+    closed = closure(base, best.refit, weighing.discrepancies, seed, _others(weighing, best))
     shrink = _shrink(weighing, best, closed, catalogue)
     if kind == "effect" and "mains_pickup" in named and not best.effects:
         shrink = _of_the_mains(shrink, prepared, full_rate)
@@ -453,6 +453,15 @@ def _best(
     if not fitting:  # what was named acts on the noise: the mean is the model's own
         fitting = [h for h in complete if not h.effects]
     return max(fitting, key=lambda h: h.log_weight)
+
+
+def _others(weighing: Weighing, best: Hypothesis) -> list[tuple[Refit, float]]:
+    """Every other complete explanation with its odds against ``best``."""
+    return [
+        (h.refit, exp(min(h.log_weight - best.log_weight, 30.0)))
+        for h in weighing.hypotheses
+        if not h.incomplete and h is not best
+    ]
 
 
 def _escalate(
