@@ -16,7 +16,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, welch
-from scipy.special import erf, erfc
+from scipy.special import erf, erfc, erfcx
 
 import bayes_sensor.reality as reality
 from bayes_sensor.campaign import CampaignError, FloatArray
@@ -43,7 +43,9 @@ from bayes_sensor.reality.noise import draw_noise
 from bayes_sensor.reality.rig import Knobs, dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
+    glassy,
     layered_film,
+    log_amplifier,
     modal,
     moving_fronts,
     oscillating_lag,
@@ -134,7 +136,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (29, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (32, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -1732,6 +1734,312 @@ def test_clouds_warm_the_cell_and_a_beat_passes_through_zero() -> None:
     assert 0.15 < min(pulls) and max(pulls) < 3.1
 
 
+def test_two_valves_take_turns_unequally_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    test, carrier = step.test_gas_flow, step.carrier_flow
+    for on, off in ((0.9, 1.6), (-0.7, -1.1)):
+        # each valve has a command of its own, and follows it in the same time
+        inputs = [(0.0, (0.0, 0.0))]
+        for at, valve, up in sorted(
+            [(step.t0, 0, 1.0), (step.tf, 0, 0.0), (step.t0 + on, 1, 1.0), (step.tf + off, 1, 0.0)]
+        ):
+            both = list(inputs[-1][1])
+            both[valve] = up
+            inputs.append((at, (both[0], both[1])))
+
+        def with_two(u: Any, x: FloatArray) -> list[float]:
+            flow = carrier + test * x[0] + test * (1.0 - x[3])
+            inlet = test * x[0] / flow / step.concentration
+            gas = [flow / rig.V * (inlet - x[1]), (x[1] - x[2]) / rig.tau]
+            return [(u[0] - x[0]) / rig.tau_v, *gas, (u[1] - x[3]) / rig.tau_v]
+
+        t, states = solved(rig, with_two, 4, inputs=inputs)
+        marks = [step.t0 + on, step.tf + off]
+        knobs = Knobs(made_up_late=(on, off), mixing=True, marks=marks)
+        x, plain = (voltage(rig, step, some, t)[1] for some in (knobs, Knobs()))
+        assert np.abs(x - states[:, 2]).max() < 1e-4
+        # late: thinner on the way up and kept on the way down; early: the other way round
+        up, down = (x - plain)[t < step.tf - 2.0], (x - plain)[t > step.tf]
+        late = on > 0.0
+        assert (up.min() < -0.01) == late and (up.max() > 0.01) == (not late)
+        assert (down.max() > 0.01) == late and (down.min() < -0.01) == (not late)
+        # in the end both are where they belong
+        assert abs(x[t < step.tf - 2.0][-1] - plain[t < step.tf - 2.0][-1]) < 1e-3
+    found = {knobs.made_up_late for knobs in prepared_rig(case(unequal_valves=1.0)).values()}
+    ((first, second),) = found
+    assert first * second > 0.0
+    assert 0.4 <= min(abs(first), abs(second)) <= max(abs(first), abs(second)) <= 1.0
+
+
+def test_drops_boil_off_as_their_diameter() -> None:
+    strength, largest, slopes = 0.3, [], []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"spitting_bottle": strength})
+        found = 0
+        for step in rig.steps:
+            courses = prepared_rig(rig)[step.name].test_gas
+            if not courses:
+                continue
+            found += 1
+            marks = np.sort(prepared_rig(rig)[step.name].marks)
+            t = np.linspace(0.0, step.duration, 300_001)
+            more = courses[0](t) - 1.0
+            assert more.min() == 0.0 and np.all(more[t < marks[0]] == 0.0)
+            # between edges with one drop there the square falls in a straight line, to zero
+            drops = np.sum(np.diff(marks) < 1e-5)
+            assert 1 <= drops <= 3
+            if drops > 1:
+                continue
+            inside = (t > marks[1]) & (t < marks[2])
+            line = np.polyfit(t[inside], more[inside] ** 2, 1)
+            assert np.abs(np.polyval(line, t[inside]) - more[inside] ** 2).max() < 1e-9
+            assert -line[1] / line[0] == pytest.approx(marks[2], abs=1e-6)
+            slopes.append((seed, -(strength**2) / line[0]))  # s, of the largest drop there can be
+            largest.append(float(more.max()))
+            assert np.all(more[t > marks[2] + 1e-3] == 0.0)
+        assert found >= 1
+    assert len(largest) >= 2 and max(largest) <= strength
+    assert all(1.5 <= longest <= 10.0 for _, longest in slopes)
+    for seed in (11, 12, 13):  # all drops of one bottle boil alike
+        one = [longest for name, longest in slopes if name == seed]
+        assert not one or np.ptp(one) < 1e-6
+    # the gas that a slow drop adds: full/(carrier + full) of the inlet, as the mixing rule has it
+    rig = case()
+    step = rig.steps[0]
+    t = sample_times(step)
+    y = voltage(rig, step, Knobs(test_gas=[lambda t: np.full_like(t, 1.2)]), t)[1]
+    more = 1.2 * step.test_gas_flow
+    at = np.searchsorted(t, step.tf) - 1
+    expected = more / (more + step.carrier_flow) / step.concentration
+    assert y[at] == pytest.approx(expected, rel=2e-3)
+
+
+def test_streaks_stray_at_random_and_are_right_in_the_mean() -> None:
+    strength, strays, apart = 0.2, [], []
+    for seed in range(11, 21):
+        rig = replace(draw_case(seed, size="small"), strengths={"streaky_inlet": strength})
+        own = []
+        for step in rig.steps:
+            (course,) = prepared_rig(rig)[step.name].unmixed
+            t = np.linspace(0.0, step.duration, 30_001)
+            stray = (course(t) - 1.0) / strength
+            strays.append(stray)
+            # straight between knots that are evenly apart: bends there and nowhere else
+            bends = t[1:-1][np.abs(np.diff(stray, 2)) > 1e-7]
+            first = bends[np.concatenate([[True], np.diff(bends) > 2e-3])]
+            own.append(float(np.median(np.diff(first))) * step.total_flow)
+            assert np.abs(np.diff(first) * step.total_flow / own[-1] - 1.0).max() < 0.05
+        assert np.ptp(own) < 0.02 * max(own)  # an eddy of one volume
+        apart.append(own[0] / np.median([step.total_flow for step in rig.steps]))
+    assert 0.29 < min(apart) < max(apart) < 2.05 and max(apart) > 2.0 * min(apart)
+    every = np.concatenate(strays)
+    assert abs(every.mean()) < 0.1 and every.std() == pytest.approx(1.0, abs=0.1)
+
+    # the same strays through the cascade by an ODE solver
+    rig = case(streaky_inlet=strength)
+    knobs, step = prepared_rig(rig)["1"], rig.steps[0]
+    (course,) = knobs.unmixed
+
+    def with_streaks(u: float, x: FloatArray) -> list[float]:
+        fed = x[0] * float(course(x[3:])[0])
+        gas = step.total_flow / rig.V * (fed - x[1])
+        return [(u - x[0]) / rig.tau_v, gas, (x[1] - x[2]) / rig.tau, 1.0]
+
+    knots = sorted(knobs.marks)
+    commands = [(0.0, 0.0), *[(at, float(step.t0 < at < step.tf)) for at in knots]]
+    commands = sorted([*commands, (step.t0, 1.0), (step.tf, 0.0)])
+    t, states = solved(rig, with_streaks, 4, inputs=commands)
+    x, plain = (voltage(rig, step, some, t)[1] for some in (knobs, Knobs()))
+    assert np.abs(x - states[:, 2]).max() < 5e-5
+    assert np.array_equal(x[t < step.t0], plain[t < step.t0])
+    assert np.abs(x - plain).max() > 0.03
+
+
+def test_a_front_eats_its_way_evenly_into_the_glass() -> None:
+    t = np.linspace(0.0, 40.0, 40_001)
+    gas = np.where((t >= 5.0) & (t < 20.0), 0.6, 0.0)
+    m = glassy(t, gas, 0.25, 1.5)
+    up = np.minimum(0.6 * 0.25 * (t - 5.0), 0.6)  # through after 4 s
+    expected = np.where(t < 5.0, 0.0, np.where(t < 20.0, up, 0.6 * np.exp(-(t - 20.0) / 1.5)))
+    assert np.abs(m - expected).max() < 5e-4
+    # weaker gas needs as much longer as it is weaker when the speed goes with the concentration
+    half = glassy(t, np.where(t >= 5.0, 1.0, 0.0), 0.1, 1.5)
+    assert t[half >= 1.0 - 1e-9][0] == pytest.approx(15.0, abs=0.01)
+
+    strength = 0.2
+    rig = case(glassy_rim=strength)
+    found = prepared_rig(rig)
+    assert len({(k.rim, k.rim_time, k.rim_back) for k in found.values()}) == 1
+    assert 1.0 < found["1"].rim_time < 8.0
+    assert 0.1 < found["1"].rim_back / found["1"].rim_time < 0.5
+    for step in rig.steps:
+        t, relative = sample_times(step), rig.relative_concentration(step)
+        knobs = Knobs(rim=strength, rim_time=4.0, rim_back=1.0)
+        x, plain = (voltage(rig, step, some, t)[1] for some in (knobs, Knobs()))
+        rim = (x - (1.0 - strength) * plain) / strength
+        settled = (t > step.t0 + 4.0) & (t < step.tf) & (rim < 0.99)
+        if settled.sum() > 10:
+            slope = np.polyfit(t[settled], rim[settled], 1)[0]
+            assert slope == pytest.approx(relative / 4.0, rel=0.02)
+        through = step.t0 + rig.tau_v + rig.V / step.total_flow + 4.0 / relative
+        if through + 0.5 < step.tf:
+            assert np.abs(x - plain)[(t > through + 0.5) & (t < step.tf)].max() < 5e-3
+        down = t > step.tf + 4.5
+        if rim[down][0] > 1e-3:
+            rate = np.polyfit(t[down], np.log(np.maximum(rim[down], 1e-12)), 1)[0]
+            assert rate < -0.5
+
+
+def test_the_ring_pulses_within_a_range_of_concentrations() -> None:
+    strength = 0.1
+    rig = case(pulsing_ring=strength)
+    found, seen = prepared_rig(rig), clean_signals(rig)
+    size, begins = strength * np.mean([step.beta for step in rig.steps]), set()
+    for step in rig.steps:
+        knobs, t = found[step.name], sample_times(step)
+        begins.add(knobs.pulsing_begin)
+        assert knobs.pulsing == pytest.approx(size)
+        plain, x = voltage(rig, step, Knobs(), t)
+        pulse = seen[step.name] - plain
+        away = (rig.relative_concentration(step) * x - knobs.pulsing_at) / knobs.pulsing_width
+        inside = np.abs(away) < 1.0
+        assert np.abs(pulse[~inside]).max() < 1e-6
+        # a circle: the amplitude squared and the distance from the middle squared make 1
+        most = size * np.sqrt(1.0 - away[inside] ** 2) * (1.0 + knobs.pulsing_second)
+        assert np.all(np.abs(pulse[inside]) <= most + 1e-9)
+    assert len(begins) == len(rig.steps)
+    assert 0.35 < knobs.pulsing_at < 0.75 and 0.12 < knobs.pulsing_width < 0.3
+
+    # held at a concentration it is a sine of the pulled frequency
+    step = max(rig.steps, key=lambda each: each.concentration)
+    still = Knobs(pulsing=0.1, pulsing_at=0.9, pulsing_width=0.2, pulsing_rate=3.0,
+                  pulsing_pull=0.4, pulsing_begin=0.3)  # fmt: skip
+    t = np.arange(step.tf - 4.0, step.tf, 1e-3)
+    pulse = (voltage(rig, step, still, t)[0] - voltage(rig, step, Knobs(), t)[0]) / 0.1
+    assert pulse.max() == pytest.approx(np.sqrt(0.75), abs=2e-3)
+    ups = t[1:][(pulse[1:] > 0.0) & (pulse[:-1] <= 0.0)]
+    assert np.diff(ups) == pytest.approx(1.0 / (3.0 * 1.2), abs=2e-3)
+    # both harmonics: the mean square is half of 1 + share^2 of the first's
+    both = replace(still, pulsing_second=0.4)
+    pulse = (voltage(rig, step, both, t)[0] - voltage(rig, step, Knobs(), t)[0]) / 0.1
+    turns = (t >= ups[0]) & (t < ups[-1])
+    assert np.mean(pulse[turns] ** 2) == pytest.approx(0.5 * 0.75 * 1.16, rel=0.01)
+
+
+def test_the_lift_passes_as_a_dipole() -> None:
+    strength, asides = 0.1, []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"passing_lift": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        for step in rig.steps:
+            courses = prepared_rig(rig)[step.name].gain
+            if not courses:
+                assert np.array_equal(seen[step.name], plain[step.name])
+                continue
+            t = np.linspace(0.0, 4.0 * step.duration, 200_001)
+            gain = courses[0](t)
+            assert gain[0] == 0.0 and np.all(gain[t < 0.05 * step.duration] == 0.0)
+            assert gain.max() <= strength and gain.min() >= -strength
+            assert np.abs(np.diff(gain)).max() < 2e-3  # it starts and stops softly
+            # the least light when it is right here, and at rest that of floors 3.5 m apart
+            rest = gain[1:][np.diff(gain) == 0.0]
+            first = 1.0 + gain.min() / strength  # the field where it stood, of that here
+            possible = set()
+            for floor in (1, 2, 3):
+                aside = 3.5 * floor / np.sqrt(first ** (-2.0 / 3.0) - 1.0)
+                fields = (1.0 + (3.5 * np.arange(4) / aside) ** 2) ** -1.5
+                away = np.abs((first - rest / strength)[:, None] - fields)
+                if 2.0 <= aside <= 6.0 and away.min(axis=1).max() < 1e-4:
+                    possible.add(round(float(aside), 2))
+            asides.append((seed, possible))
+            s = sample_times(step)
+            moved = seen[step.name] / plain[step.name] - 1.0
+            assert np.abs(moved - courses[0](s)).max() < 1e-9
+    assert len(asides) >= 6
+    for seed in (11, 12, 13, 14):  # of all records of a rig one
+        assert set.intersection(*(some for name, some in asides if name == seed))
+
+
+def test_a_logarithmic_amplifier_is_as_quick_as_its_light() -> None:
+    # a step of light from a to b: the logistic curve, up and down
+    t = np.linspace(0.0, 20.0, 20_001)
+    for a, b in ((0.1, 2.0), (2.0, 0.1)):
+        v = log_amplifier(t, np.where(t >= 1.0, b, a), 0.3)
+        since = np.maximum(t - 0.9995, 0.0)  # between two nodes
+        expected = np.where(t < 1.0, a, b / (1.0 + (b / a - 1.0) * np.exp(-b * since / 0.3)))
+        assert np.abs(v - expected).max() < 2e-3
+
+    rig = case()
+    step = rig.steps[0]
+    dark, time_ = 0.1, 0.25
+
+    def with_amplifier(u: float, x: FloatArray) -> list[float]:
+        light = step.y0 + step.beta * x[2] + dark
+        own = step.y0 + dark + x[3]
+        cascade = [(u - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+        return [*cascade, (x[1] - x[2]) / rig.tau, own * (light - own) / time_]
+
+    t, states = solved(rig, with_amplifier, 4)
+    y, x = voltage(rig, step, Knobs(log_time=time_, log_dark=dark), t)
+    assert np.abs(y - step.y0 - states[:, 3]).max() < 5e-5 * step.beta
+    assert np.abs(x - states[:, 2]).max() < 5e-5
+    plain = voltage(rig, step, Knobs(), t)[0]
+    assert np.all((plain - y)[t < step.tf] > -1e-6) and np.all((y - plain)[t > step.tf] > -1e-6)
+    strength, full = 0.1, max(each.y0 + each.beta for each in rig.steps)
+    ((time_, dark),) = {
+        (k.log_time, k.log_dark) for k in prepared_rig(case(log_receiver=strength)).values()
+    }
+    assert 0.03 < dark / np.mean([each.y0 for each in rig.steps]) < 1.0
+    assert time_ == pytest.approx(strength * (full + dark))
+
+
+def test_a_meter_that_runs_down_takes_longer_far_from_its_zero() -> None:
+    strength = 0.3
+    rig = case(running_down_meter=strength)
+    highest, zeros = max(step.beta for step in rig.steps), []
+    plain = {step.name: voltage(rig, step, Knobs(), sample_times(step))[0] for step in rig.steps}
+    seen = clean_signals(rig)
+    for step, t, true in on_its_clock(rig):
+        assert np.all(np.diff(true) > 0.0) and abs(true[0]) < 1e-9
+        assert np.abs(true - t)[t < step.t0].max() < 1e-9  # right in the baseline
+        # how long a reading took, as the voltage was then: a vee about one zero
+        y = voltage(rig, step, Knobs(), true)[0]
+        longer = (np.diff(true) / np.diff(t) - 1.0) / strength
+        middle = 0.5 * (y[1:] + y[:-1])
+        up = (middle > step.y0 + 0.4 * highest) & (t[1:] < step.tf)
+        if up.any():
+            # |y - zero| - |y0 - zero| with zero between: y + y0 - 2 zero
+            zeros.append(float(np.mean(0.5 * (middle + step.y0 - longer * highest)[up])))
+            spread = (middle + step.y0 - longer * highest)[up]
+            if zeros[-1] > step.y0:
+                assert np.ptp(spread) < 2e-3 * highest
+        assert np.abs(seen[step.name] - y).max() < 1e-6
+        assert not np.allclose(seen[step.name], plain[step.name], atol=0.02)
+        at = np.searchsorted(true, step.tf)
+        assert t[at] < step.tf  # filed too early: the pulse looks short
+    assert zeros
+
+    # in its own time every rate of the rig is as many times what it was
+    zero = float(np.median(zeros))
+    assert np.ptp(zeros) < 2e-3 * highest
+    assert 0.0 <= zero - np.mean([step.y0 for step in rig.steps]) <= 0.35 * highest
+    step = rig.steps[0]
+
+    def rates(u: float, x: FloatArray) -> list[float]:
+        away = abs(step.y0 + step.beta * x[2] - zero) - abs(step.y0 - zero)
+        own = [u - x[0], x[0] - x[1], x[1] - x[2]]
+        taus = (rig.tau_v, rig.V / step.total_flow, rig.tau)
+        faster = 1.0 + strength * away / highest
+        return [faster * rate / tau for rate, tau in zip(own, taus, strict=True)]
+
+    t, states = solved(rig, rates, 3, inputs=[(0.0, 0.0), (step.t0, 1.0)])
+    rising = t < step.tf - strength * (step.tf - step.t0) - 0.5
+    y = (seen[step.name] - step.y0) / step.beta
+    assert np.abs(y - states[:, 2])[rising].max() < 1e-3
+    assert np.abs(y - (plain[step.name] - step.y0) / step.beta)[rising].max() > 0.01
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -2084,6 +2392,53 @@ def test_bells_bits_and_intermittent_noise_are_what_they_say() -> None:
     assert not (bell.is_ar1 or bits.is_ar1 or law.is_ar1)
 
 
+def test_conducted_latched_and_waning_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(22)
+    h = 1e-3
+    bar = NoiseLaw("conducting", 1.0, components=(Component(1.0, 0.1, shape="conducting"),))
+    z = draw_noise(bar, 1_000_000, h, rng)
+    assert np.mean(z**4) / z.var() ** 2 == pytest.approx(3.0, rel=0.05)
+    # a bar's impedance 1/(1 + sqrt(i w T)): its real part is the spectrum but for w itself,
+    # rough as the root of the lag when near, and 1/sqrt(pi lag) when far
+    for lag, expected in ((1, erfcx(0.1)), (100, erfcx(1.0)), (2000, 1.0 / np.sqrt(20.0 * np.pi))):
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(expected, abs=0.06)
+    f, power = welch(z, 1.0 / h, nperseg=50_000, detrend=False)
+    w = 2.0 * np.pi * f[1:] * 0.1
+    # transform of erfcx(sqrt(t)): 1/(s + sqrt(s))
+    density = 4.0 * 0.1 * np.real(1.0 / (1j * w + np.sqrt(1j * w)))
+    for low, high in ((0.1, 0.5), (0.5, 5.0), (5.0, 50.0)):
+        band = (f[1:] > low) & (f[1:] < high)
+        assert power[1:][band].mean() == pytest.approx(density[band].mean(), rel=0.2)
+
+    latch = NoiseLaw("latching", 1.0, components=(Component(1.0, 0.05, shape="latching"),))
+    z = draw_noise(latch, 1_000_000, h, rng)
+    assert np.all(np.abs(z) == 1.0) and abs(z.mean()) < 0.05
+    # dwells of two exponentials in a row: mean twice, variance twice the square of their time
+    edges = np.flatnonzero(np.diff(z) != 0.0)
+    dwells = np.diff(edges) * h / 0.05
+    assert dwells.mean() == pytest.approx(2.0, rel=0.05)
+    assert dwells.std() == pytest.approx(np.sqrt(2.0), rel=0.05)
+    for u in (0.5, 2.0, 5.0):
+        assert np.mean(dwells > u) == pytest.approx((1.0 + u) * np.exp(-u), abs=0.02)
+    # a quarter of a turn later it has forgotten, and then it is rather on the other side
+    for lag, expected in ((79, 0.0), (118, np.exp(-0.75 * np.pi) * np.cos(0.75 * np.pi))):
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(expected, abs=0.02)
+
+    waning = NoiseLaw("waning", 1.0, components=(Component(1.0, 2e-3, shape="waning", depth=0.9),))
+    records = np.array([draw_noise(waning, 20_000, h, rng) for _ in range(40)])
+    assert np.mean(records**2) == pytest.approx(1.0, rel=0.02)
+    up = np.mean(records[:, 10_000:] ** 2, axis=1) > np.mean(records[:, :10_000] ** 2, axis=1)
+    assert 8 < up.sum() < 32  # either way
+    course = np.mean(np.where(up[:, None], records, records[:, ::-1]) ** 2, axis=0)
+    tenths = course.reshape(10, -1).mean(axis=1)
+    assert tenths == pytest.approx(1.0 + 0.9 * (np.arange(10) - 4.5) / 5.0, abs=0.06)
+    # Gaussian of a variance between 0.1 and 1.9, any as likely
+    assert np.mean(records**4) == pytest.approx(3.0 * (1.0 + 0.81 / 3.0), rel=0.05)
+    after = [float(np.mean(records[:, lag:] * records[:, :-lag])) for lag in (1, 4)]
+    assert after == pytest.approx(np.exp([-0.5, -2.0]), abs=0.02)
+    assert not (bar.is_ar1 or latch.is_ar1 or waning.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):
@@ -2148,6 +2503,7 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         "hurried_timer",
         "repeated_buffer",
         "overtaking_packets",
+        "running_down_meter",
     ):
         rig = draw_case(21, {name: CAUSES[name].highest}, size="small")
         seen = reality.as_recorded(rig)
@@ -2211,6 +2567,13 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("sun_on_the_cell", {"rise", "plateau", "fall"}, 0.99),
         ("leaking_reference", {"plateau", "fall", "tail"}, 0.99),
         ("rms_receiver", {"rise", "fall"}, 0.95),
+        ("unequal_valves", {"onset", "rise", "plateau", "fall"}, 0.99),
+        ("spitting_bottle", {"rise", "plateau", "fall"}, 0.999),
+        ("streaky_inlet", {"rise", "plateau", "fall"}, 0.999),
+        ("glassy_rim", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("pulsing_ring", {"rise", "plateau", "fall"}, 0.99),
+        ("log_receiver", {"rise", "fall", "tail"}, 0.95),
+        ("running_down_meter", {"rise", "fall"}, 0.95),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

@@ -213,7 +213,7 @@ def throttling_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.authority_lost = s
 
 
-@cause((), "delay", "times the drag", 6.0, near=("valve_second_order",), reserve=True)
+@cause((), "delay", "times the drag", 6.0, near=("valve_second_order",))
 def stiff_grease(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The valve's grease sets while it rests and yields as it is sheared (thixotropy).
 
@@ -223,6 +223,21 @@ def stiff_grease(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
     time, stroke = _between(rng, 5.0, 60.0), _between(rng, 0.15, 0.6)
     for knobs in rig.values():
         knobs.grease, knobs.grease_time, knobs.grease_stroke = s, time, stroke
+
+
+@cause((), "fall", "s", 2.0, near=("flow_switching",), reserve=True)
+def unequal_valves(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Two valves take turns, for the test gas and for the carrier gas in its place; one is slower.
+
+    If that is the carrier's, both flow for a while when the test gas comes, which thins it, and
+    neither when it goes, when little flushes the manifold; if it is the test gas's, the other way
+    round.  A coil pulls in and drops out with unequal delays.
+    """
+    sign, on, off = _sign(rng), rng.uniform(0.4, 1.0), rng.uniform(0.4, 1.0)
+    for step in case.steps:
+        knobs, late = rig[step.name], (sign * s * on, sign * s * off)
+        knobs.made_up_late, knobs.mixing = late, True
+        knobs.marks += [step.t0 + late[0], step.tf + late[1]]
 
 
 # --------------------------------------------------------------------------- flows
@@ -503,7 +518,7 @@ def sticking_needle(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].marks += [edge for at in inside for edge in (at - 1e-6, at + 1e-6)]
 
 
-@cause((), "plateau", "share dissolved", 0.4, near=("flow_settling",), reserve=True)
+@cause((), "plateau", "share dissolved", 0.4, near=("flow_settling",))
 def washing_bottle(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The test gas bubbles through water before its valve, which dissolves it until saturated.
 
@@ -516,6 +531,34 @@ def washing_bottle(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
     for step in case.steps:
         rig[step.name].dissolved, rig[step.name].dissolved_volume = takes, volume
         takes *= float(np.exp(-step.test_gas_flow * (step.tf - step.t0) / volume))
+
+
+@cause((), "plateau", "relative", 0.5, per_experiment=True, reserve=True)
+def spitting_bottle(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A bottle of liquefied gas, overfilled, spits: drops boil off in the hose before the valve.
+
+    A drop's surface, diameter squared, shrinks evenly, and the vapour that it adds goes as its
+    diameter (Spalding, 4th Symp. Combust. 847, 1953): at once as much as it will ever be, falling
+    ever faster, and suddenly none.  Larger drops give more, for longer.
+    """
+    longest, certain = _between(rng, 1.5, 10.0), int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        count = int(rng.integers(1, 4))
+        begin = step.t0 + rng.uniform(0.1, 0.9, count) * (step.tf - step.t0)
+        lasts = longest * rng.uniform(0.2, 1.0, count)
+        if k != certain and rng.random() < 0.4:
+            continue
+
+        def flow(t: FloatArray, begin: FloatArray = begin, lasts: FloatArray = lasts) -> FloatArray:
+            more = np.ones_like(t)
+            for at, life in zip(begin, lasts, strict=True):
+                surface = np.where(t >= at, life - (t - at), 0.0) / longest
+                more += s * np.sqrt(np.maximum(surface, 0.0))
+            return more
+
+        rig[step.name].test_gas.append(flow)
+        edges = [(at - 1e-6, at, at + life) for at, life in zip(begin, lasts, strict=True)]
+        rig[step.name].marks += [float(edge) for some in edges for edge in some]
 
 
 # --------------------------------------------------------------------------- manifold
@@ -708,7 +751,7 @@ def swirling_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
             knobs.marks += marks.tolist()[1:]
 
 
-@cause((), "tail", "share of V", 0.4, near=("dead_volume",), reserve=True)
+@cause((), "tail", "share of V", 0.4, near=("dead_volume",))
 def heavy_gas_in_pit(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Below the stream the manifold has a pit: heavy gas falls in, and must be lifted out again.
 
@@ -721,6 +764,26 @@ def heavy_gas_in_pit(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         knobs, heavy = rig[step.name], sqrt(case.relative_concentration(step))
         knobs.pit, knobs.pit_falling = s, s * case.V / fast * heavy
         knobs.pit_lifted = s * case.V / slow * step.total_flow / typical
+
+
+@cause((), "plateau", "relative", 0.3, per_experiment=True, reserve=True)
+def streaky_inlet(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Test gas and carrier meet in a tee too close to the manifold and arrive as streaks.
+
+    Their eddies let in too much of one and then of the other, of no regularity: what gets in
+    strays by ``s`` rms for as long as an eddy takes to pass, which is shorter at larger flow.  In
+    the mean it is right.
+    """
+    typical = float(np.median([step.total_flow for step in case.steps]))
+    lasting = _between(rng, 0.3, 2.0)
+    for step in case.steps:
+        apart = lasting * typical / step.total_flow
+        times = np.arange(-apart * (1.0 + rng.random()), step.duration + 2.0 * apart, apart)
+        # straight lines between values at random have two thirds of their variance
+        strays = sqrt(1.5) * np.clip(rng.standard_normal(len(times)), -2.5, 2.5)
+        rig[step.name].unmixed.append(_interpolated(times, 1.0 + s * strays))
+        inside = times[(times > step.t0) & (times < step.duration)]
+        rig[step.name].marks += inside.tolist()
 
 
 # --------------------------------------------------------------------------- sensor
@@ -918,7 +981,7 @@ def splitting_molecules(rig: Rig, s: float, rng: np.random.Generator, case: Case
         knobs.split, knobs.split_time = s / ((1.0 - s) * root + s), time
 
 
-@cause((), "tail", "share of the highest step", 0.3, near=("slow_sorption",), reserve=True)
+@cause((), "tail", "share of the highest step", 0.3, near=("slow_sorption",))
 def converting_film(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Above some concentration the coating turns into another phase, below it back again.
 
@@ -930,8 +993,7 @@ def converting_film(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.converting, knobs.converting_at, knobs.converting_time = s, level, time
 
 
-@cause((), "plateau", "log of the uptake", 0.25, near=("gain_drift",), per_experiment=True,
-       reserve=True)  # fmt: skip
+@cause((), "plateau", "log of the uptake", 0.25, near=("gain_drift",), per_experiment=True)
 def sun_on_the_cell(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The sun shines on the cell whenever no cloud is before it; warm, the coating takes up less.
 
@@ -960,6 +1022,19 @@ def sun_on_the_cell(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
             return np.asarray(np.expm1(-s * (level + (np.take(warmth, k) - level) * left)))
 
         rig[step.name].concentration_gain.append(less)
+
+
+@cause((), "tail", "share", 0.3, near=("slow_sorption",), reserve=True)
+def glassy_rim(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The coating has dried to a thick glassy rim, into which the gas eats its way evenly.
+
+    Case II transport (Thomas and Windle, Polymer 23, 529, 1982): the front's speed is the
+    swelling's, which goes with the concentration, so that this share of the response rises in a
+    straight line and stops when the rim is through.  From the soft rim the gas leaves by diffusion.
+    """
+    time, quicker = _between(rng, 1.0, 8.0), rng.uniform(0.1, 0.5)
+    for knobs in rig.values():
+        knobs.rim, knobs.rim_time, knobs.rim_back = s, time, quicker * time
 
 
 # --------------------------------------------------------------------------- readout
@@ -1249,7 +1324,7 @@ def second_mode(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         knobs.mode_depth, knobs.mode_at, knobs.mode_width = s * _mean_step(case), at, width
 
 
-@cause((), "plateau", "share of the response", 0.4, reserve=True)
+@cause((), "plateau", "share of the response", 0.4)
 def leaking_reference(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A second ring under a polymer cap is subtracted, and the gas gets through the cap.
 
@@ -1259,6 +1334,56 @@ def leaking_reference(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
     time = _between(rng, 8.0, 80.0)
     for knobs in rig.values():
         knobs.reference, knobs.reference_time = s, time
+
+
+@cause((), "ripple", "share of the step", 0.2, fast=True, reserve=True)
+def pulsing_ring(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Light warms the ring's core and its polymer coating, which move the line opposite ways.
+
+    The coating is the slower one, and where the line lies right for the laser the two chase each
+    other without end (He, Xiao, Zhu, Ozdemir and Yang, Opt. Express 17, 9571, 2009): within a range
+    of concentrations the reading pulses, with an amplitude that is the root of the way in.
+    """
+    at, width = rng.uniform(0.35, 0.75), rng.uniform(0.12, 0.3)
+    rate, pull, second = _between(rng, 1.5, 8.0), rng.uniform(-0.4, 0.4), rng.uniform(0.0, 0.4)
+    for knobs in rig.values():
+        knobs.pulsing, knobs.pulsing_at, knobs.pulsing_width = s * _mean_step(case), at, width
+        knobs.pulsing_rate, knobs.pulsing_pull, knobs.pulsing_second = rate, pull, second
+        knobs.pulsing_begin = rng.random()
+
+
+@cause((), "drift", "relative", 0.15, per_experiment=True, reserve=True)
+def passing_lift(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The building's lift passes: its iron pulls at the isolator's magnet, and less light comes.
+
+    The field of a dipole at a distance, less that where it stood at first; the lift starts and
+    stops softly, and may stop right here.  Every ride leads to this floor or past it.
+    """
+    aside, certain = _between(rng, 2.0, 6.0), int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        at, floor = rng.uniform(0.05, 0.6) * step.duration, int(rng.choice([-3, -2, -1, 1, 2, 3]))
+        rides: list[tuple[float, float, float, float]] = []
+        for _ in range(int(rng.integers(1, 4))):
+            above = floor < 0 if floor != 0 else rng.random() < 0.5
+            to = int(rng.integers(1 if floor == 0 else 0, 4)) * (1 if above else -1)
+            metres = 3.5 * abs(to - floor)
+            lasts = 1.5 + metres / rng.uniform(1.0, 2.5)
+            rides.append((at, lasts, 3.5 * floor, 3.5 * to))
+            at, floor = at + lasts + _between(rng, 1.0, 15.0), to
+        if k != certain and rng.random() < 0.4:
+            continue
+
+        def lost(
+            t: FloatArray, rides: tuple[tuple[float, float, float, float], ...] = tuple(rides)
+        ) -> FloatArray:
+            height = np.full_like(t, rides[0][2])
+            for at, lasts, low, high in rides:
+                done = np.clip((t - at) / lasts, 0.0, 1.0)
+                height += (high - low) * done**2 * (3.0 - 2.0 * done)
+            field = (1.0 + (height / aside) ** 2) ** -1.5
+            return np.asarray(s * ((1.0 + (rides[0][2] / aside) ** 2) ** -1.5 - field))
+
+        rig[step.name].gain.append(lost)
 
 
 # --------------------------------------------------------------------------- electronics
@@ -1374,7 +1499,7 @@ def diode_detector(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.detector_time = (1.0 + s) / steepest
 
 
-@cause((), "fall", "s", 0.8, near=("daq_filter",), reserve=True)
+@cause((), "fall", "s", 0.8, near=("daq_filter",))
 def rms_receiver(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The light is chopped and the receiver shows its rms: it squares, averages, takes the root.
 
@@ -1382,6 +1507,19 @@ def rms_receiver(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
     """
     for knobs in rig.values():
         knobs.rms_time = s
+
+
+@cause((), "fall", "s", 0.15, near=("daq_filter",), reserve=True)
+def log_receiver(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The receiver is a logarithmic amplifier, as quick as its photocurrent is large.
+
+    ``s`` is by how much it lags at the campaign's highest voltage; in the dim it is many times as
+    slow, and a fall never seems to end.  A current in the dark, which helps, is subtracted.
+    """
+    full = max(step.y0 + step.beta for step in case.steps)
+    dark = float(np.mean([step.y0 for step in case.steps])) * _between(rng, 0.03, 1.0)
+    for knobs in rig.values():
+        knobs.log_time, knobs.log_dark = s * (full + dark), dark
 
 
 @cause((), "plateau", "share", 0.4)
@@ -1436,7 +1574,7 @@ def paired_converters(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.pair_gain, knobs.pair_zero = sign * s, zero
 
 
-@cause((), "line", "share of the step", 0.08, fast=True, reserve=True)
+@cause((), "line", "share of the step", 0.08, fast=True)
 def beating_supply(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Ripple of a switching supply, near a multiple of the sampling rate, beats with the converter.
 
@@ -1620,6 +1758,25 @@ def hurried_timer(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
             return t + strays(t)
 
         rig[step.name].clock = clock
+
+
+@cause((), "clock", "relative", 0.8, reserve=True)
+def running_down_meter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A dual-slope converter runs freely: the further its input from its zero, the longer it takes.
+
+    It charges a capacitor with the input and counts how long that takes to run down; the recorder
+    files the readings evenly, at the rate that it finds in the baseline.  Its zero may lie anywhere
+    in the lower part of the range.  ``s``: over the range of the highest step.
+    """
+    highest = max(step.beta for step in case.steps)
+    zero = float(np.mean([step.y0 for step in case.steps])) + rng.uniform(0.0, 0.35) * highest
+    for step in case.steps:
+        true = np.linspace(0.0, (1.0 + s) * step.duration + 1.0, 20001)
+        y, _ = voltage(case, step, Knobs(), true)
+        longer = (np.abs(y - zero) - abs(step.y0 - zero)) / highest
+        rate = 1.0 / (1.0 + s * longer)
+        filed = np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(true))
+        rig[step.name].clock = _interpolated(np.append(0.0, filed), true)
 
 
 def _blocks_after_switches(

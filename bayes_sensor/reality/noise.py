@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
-from scipy.special import gamma, kv
+from scipy.special import erfcx, gamma, kv
 
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.reality.records import Component, NoiseLaw
@@ -18,13 +18,14 @@ OPEN_LAWS = (
     "sliding_mean", "shot", "gusty", "double_sampling", "echo", "sparks",
     "turbulent", "zeroed_walk", "pulsing", "ac_coupled", "interpolated", "etalon",
     "molecules", "speckle", "whistling", "notched", "interleaved", "charging",
-    "noise_shaping", "dusty", "roller_pump",
+    "noise_shaping", "dusty", "roller_pump", "beam_crossing", "one_bit", "intermittent",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("beam_crossing", "one_bit", "intermittent")
+RESERVE_LAWS = ("conducting", "latching", "waning")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
+    "waning",
 )  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
 loudness"""
@@ -231,6 +232,23 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    conducted, latched = own.uniform(0.05, 0.25), own.uniform(0.02, 0.06)
+    parts |= {
+        # warmth that comes and goes along a bar, at whose end the light is read
+        "conducting": (
+            Component(1.0 - conducted, short),
+            Component(
+                conducted, exp(own.uniform(np.log(0.05), np.log(1.0))), shape="conducting"
+            ),
+        ),
+        # a defect that needs two knocks to switch, either way
+        "latching": (
+            Component(1.0 - latched, short),
+            Component(latched, exp(own.uniform(np.log(0.1), np.log(1.5))), shape="latching"),
+        ),
+        # a receiver that is not yet as quiet, or no longer, as it will be, or was
+        "waning": (Component(1.0, short, shape="waning", depth=own.uniform(0.75, 0.95)),),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -286,6 +304,10 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             )
         elif part.shape == "motes":
             own = _discs(lags / part.time)
+        elif part.shape == "conducting":
+            own = erfcx(np.sqrt(lags / part.time))
+        elif part.shape == "latching":
+            own *= np.cos(lags / part.time)
         elif part.shape == "diffusing":
             own = 1.0 / (1.0 + lags / part.time)
         elif part.shape == "notched":
@@ -357,6 +379,10 @@ def _draw_part(
     if part.shape == "diffusing":
         R = 1.0 / (1.0 + np.arange(n + 1, dtype=float) * interval / part.time)
         return _embedded(R, rng)
+    if part.shape == "conducting":
+        return _embedded(erfcx(np.sqrt(np.arange(n + 1, dtype=float) * interval / part.time)), rng)
+    if part.shape == "latching":
+        return _latching(interval / part.time, n, rng)
     if part.shape == "bell":
         return _bell(part.time, n, interval, rng)
     if part.shape == "bits":
@@ -389,6 +415,8 @@ def _draw_part(
             x *= np.where(_telegraph(exp(-interval / part.gust_time), n, rng) > 0, *_gusts(part))
         elif part.shape == "lognormal":
             x *= _loudness(part, n, interval, rng)
+        elif part.shape == "waning":
+            x *= _waning(part.depth, n, rng)
         elif part.shape == "pulsing":
             turns = part.frequency * interval * np.arange(n) + rng.random()
             x *= (1.0 + part.depth * np.cos(2.0 * pi * turns)) / sqrt(1.0 + 0.5 * part.depth**2)
@@ -414,6 +442,22 @@ def _telegraph(decay: float, n: int, rng: np.random.Generator) -> FloatArray:
     """(n,) 1 or -1; ``decay`` is its correlation from sample to sample."""
     flips = rng.random(n) < 0.5 * (1.0 - decay)
     return np.where((np.cumsum(flips) + rng.integers(2)) % 2 == 0, 1.0, -1.0)
+
+
+def _latching(knocks: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) 1 or -1, the other one after every second of the ``knocks`` that come in an interval.
+
+    Four states in a ring, two of them up: of the ring's modes the two that turn by a quarter are
+    seen, hence exp(-lag/time) cos(lag/time) with the mean time from knock to knock.
+    """
+    state = rng.integers(4) + np.cumsum(rng.poisson(knocks, n))
+    return np.where(state % 4 < 2, 1.0, -1.0)
+
+
+def _waning(depth: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) loudness whose square runs evenly from 1 + ``depth`` to 1 - ``depth``, or back."""
+    course = depth * (1.0 - (2.0 * np.arange(n) + 1.0) / n)
+    return np.sqrt(1.0 + (course if rng.random() < 0.5 else -course))
 
 
 def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

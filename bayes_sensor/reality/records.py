@@ -87,7 +87,11 @@ class Component:
     each harmonic ``depth`` of the one before, whose phase loses its memory in a ``time``.  With
     ``bell`` its autocorrelation is ``exp(-(lag/time)^2)``; with ``bits`` an Ornstein-Uhlenbeck
     process is driven by steps of one size, up or down; with ``lognormal`` one is multiplied by the
-    exponential of another one of rms ``depth`` that lasts a ``gust_time``.
+    exponential of another one of rms ``depth`` that lasts a ``gust_time``.  With ``conducting`` it
+    is the temperature at the end of a long bar: ``erfcx(sqrt(lag/time))``; with ``latching`` a
+    process of two levels that goes to the other one at every second of the events that come at
+    random, every ``time`` in the mean; with ``waning`` the variance of an Ornstein-Uhlenbeck
+    process runs evenly between 1 + ``depth`` and 1 - ``depth`` in the course of a record.
     """
 
     share: float
@@ -99,7 +103,8 @@ class Component:
     """``gauss``, ``telegraph``, ``smooth``, ``shot``, ``window``, ``gusts``, ``sparks``, ``echo``,
     ``difference``, ``turbulent``, ``zeroed``, ``pulsing``, ``coupled``, ``interpolated``,
     ``fringes``, ``diffusing``, ``speckle``, ``whistling``, ``notched``, ``interleaved``,
-    ``charging``, ``shaped``, ``motes``, ``strokes``, ``bell``, ``bits`` or ``lognormal``"""
+    ``charging``, ``shaped``, ``motes``, ``strokes``, ``bell``, ``bits``, ``lognormal``,
+    ``conducting``, ``latching`` or ``waning``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

@@ -62,12 +62,16 @@ class Knobs:
     # flows
     following: float = 0.0
     """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
+    made_up_late: tuple[float, float] = (0.0, 0.0)
+    """s by which the carrier gas that makes up for the test gas is late, on and off"""
     mixing: bool = False
     """whether the inlet's concentration follows from the two flows while the valve moves"""
     carrier: list[Course] = field(default_factory=list)
     """factors of the carrier flow"""
     test_gas: list[Course] = field(default_factory=list)
     """factors of the test-gas flow"""
+    unmixed: list[Course] = field(default_factory=list)
+    """factors of the inlet's concentration"""
     seep: list[Course] = field(default_factory=list)
     """test gas from elsewhere, mL/s"""
     chill: float = 0.0
@@ -181,6 +185,12 @@ class Knobs:
     """concentration at which both phases are stable, over the campaign's highest"""
     converting_time: float = 10.0
     """s, twice what the highest concentration beyond that would need for all of it"""
+    rim: float = 0.0
+    """share of the response from a glassy rim"""
+    rim_time: float = 3.0
+    """s in which the highest concentration's front goes through it"""
+    rim_back: float = 1.0
+    """s in which gas leaves it"""
     reference: float = 0.0
     """share of the response that a reference ring under its cap takes away"""
     reference_time: float = 30.0
@@ -211,6 +221,20 @@ class Knobs:
     """concentration at which it does, over the campaign's highest"""
     mode_width: float = 0.05
     """half of its width, likewise"""
+    pulsing: float = 0.0
+    """V, the largest amplitude at which the ring pulses by itself"""
+    pulsing_at: float = 0.5
+    """concentration at which it does so most, over the campaign's highest"""
+    pulsing_width: float = 0.2
+    """half the width of where it does, likewise"""
+    pulsing_rate: float = 3.0
+    """Hz in the middle"""
+    pulsing_pull: float = 0.0
+    """by how much more, relatively, at the upper end"""
+    pulsing_second: float = 0.0
+    """share of its second harmonic"""
+    pulsing_begin: float = 0.0
+    """turns"""
     fastest: float = np.inf
     """V/s, which the reading follows at most"""
     lock_time: float = 0.0
@@ -222,6 +246,10 @@ class Knobs:
     # receiver and recorder
     detector_time: float = 0.0
     """s in which a peak detector lets go of the voltage"""
+    log_time: float = 0.0
+    """s V, by which a logarithmic amplifier lags, over its input"""
+    log_dark: float = 0.0
+    """V, of its input in the dark"""
     rms_time: float = 0.0
     """s over which the receiver averages the square of the voltage"""
     heat: float = 0.0
@@ -408,7 +436,11 @@ def _flows(
         full = full * factor(t)
     # what does not pass the valve's branch while it is shut is made up by as much carrier gas
     test = full * opening
-    made_up = (1.0 - knobs.following) * (step.test_gas_flow * (1.0 - opening))
+    other = opening  # of the valve that the carrier gas in place of the test gas comes through
+    if any(knobs.made_up_late):
+        on, off = (np.interp(t - late, t, opening) for late in knobs.made_up_late)
+        other = np.where(t < 0.5 * (step.t0 + step.tf), on, off)
+    made_up = (1.0 - knobs.following) * (step.test_gas_flow * (1.0 - other))
     if knobs.mixing:
         inlet = test / (carrier + test + made_up) / step.concentration
     else:
@@ -424,6 +456,8 @@ def _flows(
     if knobs.dissolved > 0:
         passed = _integral(t, test)
         inlet = inlet * (1.0 - knobs.dissolved * np.exp(-passed / knobs.dissolved_volume))
+    for factor in knobs.unmixed:
+        inlet = inlet * factor(t)
     for source in knobs.seep:
         inlet = inlet + source(t) / flow / step.concentration
     for factor in knobs.all_flow:
@@ -507,6 +541,9 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
     if knobs.split > 0:
         halves = stages.splitting(t, relative * gas, knobs.split_time)
         x = (1.0 - knobs.split) * x + knobs.split * halves / np.sqrt(relative)
+    if knobs.rim > 0:
+        rim = stages.glassy(t, gas, relative / knobs.rim_time, knobs.rim_back)
+        x = (1.0 - knobs.rim) * x + knobs.rim * rim
     if knobs.backlash > 0:
         x = x + knobs.backlash * (stages.play(x, 0.25) - x)
     if knobs.bound > 0:
@@ -568,6 +605,12 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
     if knobs.mode_depth > 0:
         away = (relative * x - knobs.mode_at) / knobs.mode_width
         y = y - knobs.mode_depth * (dip(away) - dip(knobs.mode_at / knobs.mode_width))
+    if knobs.pulsing > 0:
+        away = np.clip((relative * x - knobs.pulsing_at) / knobs.pulsing_width, -1.0, 1.0)
+        rate = knobs.pulsing_rate * (1.0 + knobs.pulsing_pull * away)
+        angle = 2.0 * pi * (knobs.pulsing_begin + _integral(t, rate))
+        wave = np.sin(angle) + knobs.pulsing_second * np.sin(2.0 * angle)
+        y = y + knobs.pulsing * np.sqrt(1.0 - away**2) * wave
     if np.isfinite(knobs.fastest):
         y = stages.no_faster(t, y, knobs.fastest)
     if knobs.lock_time > 0:
@@ -578,6 +621,9 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
         y = y + course(t)
     if knobs.detector_time > 0:
         y = stages.peak_detector(t, y, knobs.detector_time)
+    if knobs.log_time > 0:
+        light = np.maximum(y + knobs.log_dark, 1e-6)  # it has no logarithm below
+        y = stages.log_amplifier(t, light, knobs.log_time) - knobs.log_dark
     if knobs.rms_time > 0:
         y = np.sqrt(stages.steady_lag(t, y * y, knobs.rms_time))
     if knobs.heat != 0:

@@ -661,6 +661,44 @@ def langmuir(
     return r
 
 
+@njit(cache=True)
+def glassy(
+    t: FloatArray, g: FloatArray, speed: float, back: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) uptake m of a glassy film, from 0: m' = ``speed`` g while m < g, then m = g.
+
+    Where there is more than the gas ``g`` (n,) would hold it leaves the softened film as a lag of
+    ``back`` (s).
+    """
+    n = len(t)
+    m = np.zeros(n)
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        grown = m[i] + speed * h * max(0.5 * (g[i] + g[i + 1]), 0.0)
+        left = g[i + 1] + (m[i] - g[i + 1]) * exp(-h / back)
+        m[i + 1] = left if m[i] > g[i + 1] else min(grown, g[i + 1])
+    return m
+
+
+@njit(cache=True)
+def log_amplifier(
+    t: FloatArray, y: FloatArray, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state of v' = v (y - v)/``time`` from y[0]: a lag as fast as the level is high.
+
+    Bernoulli's equation, followed exactly with the mean of y > 0 between nodes; ``time`` is that at
+    level 1.
+    """
+    n = len(t)
+    v = np.empty(n)
+    v[0] = y[0]
+    for i in range(n - 1):
+        level = 0.5 * (y[i] + y[i + 1])
+        e = exp(-level * (t[i + 1] - t[i]) / time)
+        v[i + 1] = level * v[i] / (v[i] + (level - v[i]) * e)
+    return v
+
+
 def layered_film(mean_time: float, n_cells: int = 18) -> tuple[FloatArray, FloatArray]:
     """Time constants (n,) s and weights (n,) of a two-layer film, seen near its bottom.
 
