@@ -5,11 +5,13 @@ The catalogue's form differs from the cause, so even the right effect need not c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from math import exp
+from operator import itemgetter
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from bayes_sensor.blind_check.oracle import Oracle, Refit
@@ -39,6 +41,8 @@ MOST_STEPS = 60
 """of a refit; stopped too early, the right effect seems to leave something"""
 FEW_STEPS = 15
 """enough for a wrong one, where a few hundredths of a standard deviation do not matter"""
+PROMISING = 3
+"""starts of a form's grid that are followed"""
 RIDGE = 1e-2
 """penalty on the standard coordinates of the strengths, so that idle ones stay where they are"""
 
@@ -157,13 +161,10 @@ def closed_fraction(
             continue
         fit = _Fit(oracle, form)
         # the refit may lie at tau = 0, far from where the effect leaves the truth
-        origins = (base.theta, oracle.start())
-        starts = [fit.start(origin, chosen) for origin in origins for chosen in form.starts]
-        costs = [float(np.sum(fit.residual(x, target) ** 2)) for x in starts]
+        starts = _promising(fit, (base.theta, oracle.start()), target)
         low, high = _limits(fit)
-        n, half = oracle.spans()[-1].stop, len(form.starts)
-        for group in (range(half), range(half, 2 * half)):
-            first = starts[min(group, key=costs.__getitem__)]
+        n = oracle.spans()[-1].stop
+        for first in starts:
             found = least_squares(
                 partial(fit.residual, target=target),
                 np.clip(first, low + 1e-12, high - 1e-12),
@@ -174,6 +175,38 @@ def closed_fraction(
             )
             best = min(best, float(np.sum(found.fun[:n] ** 2)))
     return max(0.0, 1.0 - best / base.d**2) if np.isfinite(best) else None
+
+
+def _promising(fit: _Fit, origins: Sequence[FloatArray], target: FloatArray) -> list[FloatArray]:
+    """From every origin the start of the least misfit; of the form's grid what a linear step gains.
+
+    The starts of a grid have next to no size: one step of it, with the cascade refitted, shows what
+    each may become.
+    """
+    found = []
+    for origin in origins:
+        starts = [fit.start(origin, chosen) for chosen in fit.form.starts]
+        found.append(min(starts, key=lambda x: float(np.sum(fit.residual(x, target) ** 2))))
+    if not fit.form.grid:
+        return found
+    own = any(s.scaled for s in fit.own)
+    spans, left = fit.oracle.spans(), []
+    for origin in origins:
+        without = fit.start(origin, {})
+        rows = spans[-1].stop
+        r, cascade = (
+            fit.residual(without, target)[:rows],
+            fit.jacobian(without)[:rows, : fit.n_base],
+        )
+        for chosen in fit.form.grid:
+            x = fit.start(origin, chosen)
+            template = fit.residual(x, target)[:rows] - r
+            if not np.any(template):  # it would act after the records' end
+                continue
+            sizes = block_diag(*(template[s, None] for s in spans)) if own else template[:, None]
+            j = np.hstack([cascade, sizes / np.linalg.norm(template)])
+            left.append((float(np.sum((r - j @ np.linalg.lstsq(j, r)[0]) ** 2)), x))
+    return found + [x for _, x in sorted(left, key=itemgetter(0))[:PROMISING]]
 
 
 def _limits(fit: _Fit) -> tuple[FloatArray, FloatArray]:
