@@ -147,11 +147,12 @@ class _Fit:
 
 
 def closed_fraction(
-    oracle: Oracle, target: FloatArray, base: Refit, effect: str, most_steps: int = MOST_STEPS
+    oracle: Oracle, target: FloatArray, base: Refit, effect: str, thorough: bool = True
 ) -> float | None:
     """1 - d_effect^2/d^2: the share of a noise-free gap that ``effect`` of the catalogue closes.
 
-    None where the effect does not act on the mean or there is no gap.
+    None where the effect does not act on the mean or there is no gap.  ``thorough``: refits go on
+    until they settle, and begin wherever the form may; else they tell a wrong effect's distance.
     """
     if effect not in CATALOGUE or not CATALOGUE[effect].on_mean or base.d < 1e-6:
         return None
@@ -161,7 +162,7 @@ def closed_fraction(
             continue
         fit = _Fit(oracle, form)
         # the refit may lie at tau = 0, far from where the effect leaves the truth
-        starts = _promising(fit, (base.theta, oracle.start()), target)
+        starts = _promising(fit, (base.theta, oracle.start()), target, form.grid * thorough)
         low, high = _limits(fit)
         n = oracle.spans()[-1].stop
         for first in starts:
@@ -170,24 +171,29 @@ def closed_fraction(
                 np.clip(first, low + 1e-12, high - 1e-12),
                 fit.jacobian,
                 x_scale="jac",
-                max_nfev=most_steps,
+                max_nfev=MOST_STEPS if thorough else FEW_STEPS,
                 bounds=(low, high),
             )
             best = min(best, float(np.sum(found.fun[:n] ** 2)))
     return max(0.0, 1.0 - best / base.d**2) if np.isfinite(best) else None
 
 
-def _promising(fit: _Fit, origins: Sequence[FloatArray], target: FloatArray) -> list[FloatArray]:
-    """From every origin the start of the least misfit; of the form's grid what a linear step gains.
+def _promising(
+    fit: _Fit,
+    origins: Sequence[FloatArray],
+    target: FloatArray,
+    grid: Sequence[Mapping[str, float]],
+) -> list[FloatArray]:
+    """From every origin the start of the least misfit, and of a grid what a linear step gains.
 
-    The starts of a grid have next to no size: one step of it, with the cascade refitted, shows what
-    each may become.
+    The starts of the grid have next to no size: one step of it, with the cascade refitted, shows
+    what each may become.
     """
     found = []
     for origin in origins:
         starts = [fit.start(origin, chosen) for chosen in fit.form.starts]
         found.append(min(starts, key=lambda x: float(np.sum(fit.residual(x, target) ** 2))))
-    if not fit.form.grid:
+    if not grid:
         return found
     own = any(s.scaled for s in fit.own)
     spans, left = fit.oracle.spans(), []
@@ -198,7 +204,7 @@ def _promising(fit: _Fit, origins: Sequence[FloatArray], target: FloatArray) -> 
             fit.residual(without, target)[:rows],
             fit.jacobian(without)[:rows, : fit.n_base],
         )
-        for chosen in fit.form.grid:
+        for chosen in grid:
             x = fit.start(origin, chosen)
             template = fit.residual(x, target)[:rows] - r
             if not np.any(template):  # it would act after the records' end

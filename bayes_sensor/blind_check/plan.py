@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.blind_check.closing import FEW_STEPS, closed_fraction
+from bayes_sensor.blind_check.closing import closed_fraction
 from bayes_sensor.blind_check.oracle import (
     HIDDEN_BELOW,
     Oracle,
@@ -232,7 +232,7 @@ def _seen_by_an_oracle(case: Case) -> dict[str, Any]:
     seen["rivals"] = rival_distances(fit, rivals)
     answers = {effect for name in case.strengths for effect in CAUSES[name].listed_as}
     for name in seen["rivals"].keys() - answers:  # settled by a refit of the catalogue's form
-        closed = closed_fraction(oracle, target, fit, name, FEW_STEPS)
+        closed = closed_fraction(oracle, target, fit, name, thorough=False)
         if closed is not None:
             seen["rivals"][name] = min(seen["rivals"][name], fit.d * sqrt(1.0 - closed))
     if not answers:
