@@ -189,6 +189,20 @@ def test_the_truth_is_nearest_to_itself(rig: Case) -> None:
     assert closed_fraction(oracle, target, fit, "heavy_tails") is None
 
 
+@pytest.mark.parametrize("seed", [13, 31, 37])
+def test_an_oracle_looks_for_a_step_wherever_it_may_be(seed: int) -> None:
+    rig = draw_case(seed, size="small")  # its fibre is knocked in the middle of a record
+    strength, _ = strength_for(rig, "knocked_fibre", 16.0)
+    case = replace(rig, strengths={"knocked_fibre": strength})
+    oracle = Oracle(case)
+    target = oracle.signal(case)
+    fit = oracle.refit(target, oracle.several_starts(oracle.start()))
+    quick = closed_fraction(oracle, target, fit, "baseline_step", thorough=False)
+    settled = closed_fraction(oracle, target, fit, "baseline_step")
+    assert quick is not None and settled is not None
+    assert quick < 0.9 and settled > 0.99
+
+
 def test_two_causes_are_nearest_to_their_pair(rig: Case) -> None:
     strengths = {name: strength_for(rig, name, 12.0)[0] for name in ("knocked_fibre", "residue")}
     case = replace(rig, strengths=strengths)
