@@ -162,7 +162,8 @@ def closed_fraction(
             continue
         fit = _Fit(oracle, form)
         # the refit may lie at tau = 0, far from where the effect leaves the truth
-        starts = _promising(fit, (base.theta, oracle.start()), target, form.grid * thorough)
+        grid = form.grid if thorough else ()
+        starts = _promising(fit, (base.theta, oracle.start()), target, grid)
         low, high = _limits(fit)
         n = oracle.spans()[-1].stop
         for first in starts:
@@ -197,16 +198,14 @@ def _promising(
         return found
     own = any(s.scaled for s in fit.own)
     spans, left = fit.oracle.spans(), []
+    n = spans[-1].stop
     for origin in origins:
         without = fit.start(origin, {})
-        rows = spans[-1].stop
-        r, cascade = (
-            fit.residual(without, target)[:rows],
-            fit.jacobian(without)[:rows, : fit.n_base],
-        )
+        r = fit.residual(without, target)[:n]
+        cascade = fit.jacobian(without)[:n, : fit.n_base]
         for chosen in grid:
             x = fit.start(origin, chosen)
-            template = fit.residual(x, target)[:rows] - r
+            template = fit.residual(x, target)[:n] - r
             if not np.any(template):  # it would act after the records' end
                 continue
             sizes = block_diag(*(template[s, None] for s in spans)) if own else template[:, None]

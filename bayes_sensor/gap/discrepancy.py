@@ -189,7 +189,7 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
 def _wandering(sketch: Sketch, base: Refit) -> dict[str, tuple[float, list[FloatArray]]]:
     """What takes another course in every experiment, in its time: weight and part, by name."""
     at = [b.centre - float(b.experiment.t[0]) for b in sketch.bins]
-    means = [b.reduce(base.plan.mean(base.x, k, b.times)) for k, b in enumerate(sketch.bins)]
+    means = _means(sketch, base)
     volts = [np.full(len(m), sketch.signal_scale) for m in means]
     above = [m - base.x[base.plan.local[k]] for k, m in enumerate(means)]
     slow, fast = GAIN_SECONDS
@@ -256,6 +256,11 @@ def _herald_parts(sketch: Sketch, beta: list[float]) -> Parts:
     return blocks
 
 
+def _means(sketch: Sketch, base: Refit) -> list[FloatArray]:
+    """V (n_bins,) of every experiment: what the fit without effects says."""
+    return [b.reduce(base.plan.mean(base.x, k, b.times)) for k, b in enumerate(sketch.bins)]
+
+
 def _timing_parts(sketch: Sketch, base: Refit) -> Parts:
     """A time that runs ahead or behind: what moves, moves later by a part of a time scale."""
     h = 0.02 * sketch.time_scale
@@ -275,7 +280,7 @@ def _timing_parts(sketch: Sketch, base: Refit) -> Parts:
 
 def _readout_parts(sketch: Sketch, base: Refit) -> dict[str, Parts]:
     """A readout that is off by a function of what it reads."""
-    means = [b.reduce(base.plan.mean(base.x, k, b.times)) for k, b in enumerate(sketch.bins)]
+    means = _means(sketch, base)
     read = [m / sketch.signal_scale for m in means]
     volts = [np.full(len(m), sketch.signal_scale) for m in means]
     return {f" {w:g}": [_part(sketch, read, volts, w)] for w in READOUT_LENGTHS}

@@ -83,9 +83,10 @@ def what_is_left(
     line = Linearised(fitted)
     logs = np.array([line.evidence(d).log_z + np.log(d.weight) for d in discrepancies])
     complete = line.evidence(None).log_z + np.log1p(-INCOMPLETE)
-    some = float(logsumexp(logs)) + np.log(INCOMPLETE)
+    any_of_them = float(logsumexp(logs))
+    some = any_of_them + np.log(INCOMPLETE)
     chance = float(np.exp(some - np.logaddexp(some, complete)))
-    weights = np.exp(logs - logsumexp(logs))
+    weights = np.exp(logs - any_of_them)
     weights[weights < NEGLIGIBLE] = 0.0
     counts = rng.multinomial(DRAWS, weights / weights.sum())
     drawn = [
