@@ -40,6 +40,7 @@ from bayes_sensor.gap.lines import (
 from bayes_sensor.gap.refit import Refit
 from bayes_sensor.gap.separate import Separation, confusable, what_would_separate
 from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
+from bayes_sensor.gap.unsteady import look_for_unsteadiness
 from bayes_sensor.gap.verdict import NAMED, Standing, Verdict, judge, leftover, standing
 from bayes_sensor.gap.where import Map, locate
 from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
@@ -425,12 +426,14 @@ def _events(
     complete = [h for h in weighing.hypotheses if not h.incomplete]
     best = max(complete, key=lambda h: h.log_weight)
     residuals = prepared.residuals_of(best.refit)
+    stretches = prepared.stretches_of(residuals)
     return [
         look_for_patches(best.refit),
         look_for_breaks(best.refit),
-        look_for_events(campaign, prepared.stretches_of(residuals), heavy),
+        look_for_events(campaign, stretches, heavy),
         look_for_ringing(campaign, residuals, prepared.quiet),
         *look_for_swings(campaign, residuals, prepared.deviations),
+        *look_for_unsteadiness(campaign, stretches),
     ]
 
 
@@ -798,6 +801,12 @@ def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
             f"In experiment {names[int(s['event_experiment'])]} something happens once, near "
             f"{s['event_s']:.4g} s: {s['event_ratio']:.2g} times the noise's usual size at that "
             "time scale."
+        )
+    if found.name == "unsteady":
+        return (
+            "With gas the signal is less steady than its noise on the baseline lets expect: below "
+            f"about {s['unsteady_Hz']:.2g} Hz it has {1.0 + s['unsteady_excess']:.2g} times the "
+            "power."
         )
     if found.name == "break":
         return (

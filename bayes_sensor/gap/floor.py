@@ -198,7 +198,7 @@ def estimate_floor(
     intervals = [campaign.experiments[s.experiment].interval for s in stretches]
     noises = [detrended(s.samples) for s in stretches]
     for s, h, noise in zip(stretches, intervals, noises, strict=True):
-        f, p = _periodogram(noise, h)
+        f, p = periodogram(noise, h)
         keep = f >= 1.6 / (len(s.samples) * h)
         band = np.searchsorted(edges, f[keep], side="right") - 1
         inside = (band >= 0) & (band < n_b)
@@ -220,7 +220,8 @@ def estimate_floor(
     return Floor(edges, density, dof, factors, spikes)
 
 
-def _periodogram(noise: FloatArray, interval: float) -> tuple[FloatArray, FloatArray]:
+def periodogram(noise: FloatArray, interval: float) -> tuple[FloatArray, FloatArray]:
+    """Frequencies Hz above 0, and the one-sided spectral density V^2/Hz of tapered samples (n,)."""
     n = len(noise)
     taper = windows.tukey(n, 0.2)
     spectrum = np.fft.rfft(noise * taper)

@@ -30,6 +30,7 @@ TOO_COARSE = 1.0
 PRIOR = {
     "mains_pickup": 0.03, "heavy_tails": 0.03, "quantisation": 0.03,
     "line": 0.02, "swing": 0.02, "event": 0.025, "patch": 0.025, "break": 0.025, "ringing": 0.01,
+    "unsteady": 0.04,
 }  # fmt: skip
 AROUND = 400
 """samples over which the size of the innovations is taken"""
@@ -38,10 +39,10 @@ HARDLY_CROSSED = 0.7
 UNITS = {
     "mains_V": "V", "mains_Hz": "Hz", "adc_step": "V", "tail_dof": "1", "line_V": "V",
     "line_Hz": "Hz", "swing_V": "V", "swing_Hz": "Hz", "ringing_Hz": "Hz", "patch_s": "s",
-    "break_s": "s", "event_s": "s",
+    "break_s": "s", "event_s": "s", "unsteady_excess": "1", "unsteady_Hz": "Hz",
 }  # fmt: skip
 """of the strengths that are found here"""
-OF_UNLISTED_ORIGIN = ("line", "swing", "event", "patch", "break", "ringing")
+OF_UNLISTED_ORIGIN = ("line", "swing", "event", "patch", "break", "ringing", "unsteady")
 """findings that have no name in the catalogue"""
 
 

@@ -1,0 +1,159 @@
+"""Something else, on the plateaus: gas, or what reads it, that is not steady.
+
+The plateaus' own noise is the floor by which a misfit is judged, so drops that boil off, streaks,
+eddies or sunshine on the cell pass for noise there.  But noise of the light and of the receiver is
+on the baseline, too, with the same spectrum, however much louder or quieter.  What comes and goes
+with the gas passes the manifold and the sensor, and is slow: the plateaus then have more at low
+frequencies than the baseline, as measured by what both have at higher ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.gap.floor import SHRINK, Stretch, detrended, periodogram
+from bayes_sensor.gap.full_rate import FullRate
+
+EDGES = np.array([0.0, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
+"""Hz, bands of the baseline's spectrum"""
+REFERENCE = (8.0, 16.0)
+"""Hz, where baseline and plateaus are compared"""
+FEWEST = 8
+"""ordinates in the reference band below which a record's level is not known"""
+FIRST = 2.6
+"""periods in a stretch from which detrending leaves a frequency alone"""
+INDEPENDENT = 0.85
+"""share of a tapered spectrum's ordinates that are independent"""
+EXCESSES = np.array([0.6, 1.2, 2.5, 5.0, 10.0, 20.0, 40.0])
+"""plausible excess of power at the lowest frequencies, over the noise's"""
+CUTOFFS = np.array([0.1, 0.2, 0.4, 0.8])
+"""Hz, above which the excess falls off as the square of the frequency"""
+STRUCK = 0.5
+"""plausible share of records with an excess, where it differs between them"""
+BASELINE_SD = 0.12
+"""of the logarithm of the baseline's spectrum below a hertz or so, besides its ordinates' own"""
+RECORD_SD = 0.4
+"""of the logarithm of noise below a hertz in one record, as noise that is not stationary has it"""
+SLOW = 1.0
+"""Hz, up to which a record's noise wanders by that"""
+_NODES, _WEIGHTS = hermegauss(5)
+_LOG_WEIGHTS = np.log(_WEIGHTS / _WEIGHTS.sum())
+
+
+@dataclass(frozen=True)
+class _Ordinates:
+    frequency: FloatArray
+    """(n,) Hz"""
+    power: FloatArray
+    """(n,) over the mean in the reference band of the same record and level"""
+
+    @property
+    def band(self) -> NDArray[np.int64]:
+        """(n,) indices among the bands."""
+        found: NDArray[np.int64] = np.searchsorted(EDGES, self.frequency, side="right") - 1
+        return found
+
+
+def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRate]:
+    """Slow power on the plateaus that the baseline has not; nothing where one of them is short.
+
+    Ordinates of the spectra are exponential about their mean (Whittle).  ``ln B`` averages over the
+    excess and its cutoff, alike in all records or different in each; with and without it, over
+    how far off the baseline's spectrum is, and each record's own slow noise.  ``strength``: excess
+    over the noise's power, and the cutoff in Hz, at the likeliest.
+    """
+    carrier, plateaus = _ordinates(campaign, stretches)
+    if carrier is None or not plateaus:
+        return []
+    spectrum, spread = _baseline(carrier)
+    without, alike, apart = [], [], []
+    for node, log_weight in zip(_NODES, _LOG_WEIGHTS, strict=True):
+        level = spectrum * np.exp(node * spread)
+        told = [_record(o, level[o.band]) for o in plateaus]
+        nothing = float(log_weight) + sum(n for n, _ in told)
+        gains = np.array([g for _, g in told])  # (n_records, n_excesses, n_cutoffs)
+        without.append(nothing)
+        alike.append(nothing + gains.sum(axis=0))
+        in_each = np.logaddexp(
+            np.log(STRUCK) + logsumexp(gains, axis=1) - np.log(len(EXCESSES)), np.log1p(-STRUCK)
+        )
+        apart.append(nothing + in_each.sum(axis=0))
+    same = logsumexp(alike, axis=0)
+    value = np.logaddexp(_mean(same), _mean(logsumexp(apart, axis=0))) - np.log(2.0)
+    i, j = np.unravel_index(int(np.argmax(same)), same.shape)
+    strength = {"unsteady_excess": float(EXCESSES[i]), "unsteady_Hz": float(CUTOFFS[j])}
+    return [FullRate("unsteady", float(value - logsumexp(without)), strength, None)]
+
+
+def _mean(logs: FloatArray) -> float:
+    return float(logsumexp(logs) - np.log(logs.size))
+
+
+def _ordinates(
+    campaign: Campaign, stretches: Sequence[Stretch]
+) -> tuple[_Ordinates | None, list[_Ordinates]]:
+    """Of the carrier gas alone, all records together, and of every record's plateau."""
+    spectra: dict[tuple[int, int], list[tuple[FloatArray, FloatArray, float]]] = {}
+    for s in stretches:
+        interval = campaign.experiments[s.experiment].interval
+        f, power = periodogram(detrended(s.samples, 4), interval)
+        seconds = len(s.samples) * interval
+        spectra.setdefault((s.level, s.experiment), []).append((f, power, FIRST / seconds))
+    carrier: list[_Ordinates] = []
+    plateaus: list[_Ordinates] = []
+    for (level, _), found in sorted(spectra.items()):
+        high = np.concatenate([p[(f >= REFERENCE[0]) & (f < REFERENCE[1])] for f, p, _ in found])
+        if len(high) < FEWEST or high.mean() <= 0.0:
+            continue
+        low = [(f >= first) & (f < EDGES[-1]) for f, _, first in found]
+        made = _Ordinates(
+            np.concatenate([f[m] for (f, _, _), m in zip(found, low, strict=True)]),
+            np.concatenate([p[m] for (_, p, _), m in zip(found, low, strict=True)]) / high.mean(),
+        )
+        (plateaus if level else carrier).append(made)
+    if not carrier:
+        return None, plateaus
+    return (
+        _Ordinates(
+            np.concatenate([o.frequency for o in carrier]),
+            np.concatenate([o.power for o in carrier]),
+        ),
+        plateaus,
+    )
+
+
+def _baseline(carrier: _Ordinates) -> tuple[FloatArray, FloatArray]:
+    """(n_bands,) the baseline's spectrum, and the standard deviation of its logarithm.
+
+    Where a band holds few ordinates it leans on the one above it.
+    """
+    n = len(EDGES) - 1
+    count = np.bincount(carrier.band, minlength=n)
+    power = np.bincount(carrier.band, carrier.power, minlength=n)
+    spectrum, above = np.ones(n), 1.0
+    for b in reversed(range(n)):
+        above = spectrum[b] = (power[b] + SHRINK * above) / (count[b] + SHRINK)
+    return spectrum, np.sqrt(1.0 / (count + SHRINK) + BASELINE_SD**2)
+
+
+def _record(o: _Ordinates, expected: FloatArray) -> tuple[float, FloatArray]:
+    """ln likelihood of one plateau without an excess, and what each excess and cutoff adds."""
+    shape = 1.0 / (1.0 + (o.frequency[:, None] / CUTOFFS) ** 2)
+    more = 1.0 + EXCESSES[None, :, None] * shape[:, None, :]
+    without, within = [], []
+    for node, log_weight in zip(_NODES, _LOG_WEIGHTS, strict=True):
+        mean = expected * np.exp(node * RECORD_SD / (1.0 + (o.frequency / SLOW) ** 2))
+        ratio = o.power / mean
+        here = float(log_weight) - INDEPENDENT * float(np.sum(np.log(mean) + ratio))
+        gained = np.tensordot(ratio, 1.0 - 1.0 / more, axes=1) - np.log(more).sum(axis=0)
+        without.append(here)
+        within.append(here + INDEPENDENT * gained)
+    nothing = float(logsumexp(without))
+    return nothing, logsumexp(within, axis=0) - nothing
