@@ -238,6 +238,12 @@ def test_what_repeats_itself_is_common_or_follows_flow_or_concentration(sketch, 
         3 * 0.03 + 0.45 + 0.2 + 0.15 + 0.2 + 4 * 0.05
         + (0.15 if any(d.name.startswith("switching") for d in discrepancies) else 0.0)
     )  # fmt: skip
+    assert sum(d.alone for d in discrepancies) == pytest.approx(
+        0.03 + 0.25 + 0.28 + 0.25 + (0.03 + 0.07 + 0.01) + 0.02
+        + (0.06 if any(d.name.startswith("switching") for d in discrepancies) else 0.0)
+    )  # fmt: skip
+    # of another size in every experiment, with neither flow nor concentration: as much an own part
+    assert " each " in best(np.array([1.0, -2.0, 3.0, -0.5, 2.5, -3.0, 1.0])[: len(flow)])
     assert " alike " in best(np.ones(len(flow)))
     assert " alike " not in best(1.0 + 0.9 * flow)
 

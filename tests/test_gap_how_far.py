@@ -42,7 +42,7 @@ def normalised(base: Refit) -> list[Discrepancy]:
     """Discrepancies with weights that sum to one, as they are weighed."""
     made = make_discrepancies(base.plan.sketch, base)
     total = sum(d.weight for d in made)
-    return [Discrepancy(d.name, d.weight / total, d.basis, d.variance) for d in made]
+    return [replace(d, weight=d.weight / total) for d in made if d.weight]
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.gap.floor import SHRINK, Stretch, detrended, periodogram
+from bayes_sensor.gap.floor import Stretch, detrended, periodogram
 from bayes_sensor.gap.full_rate import FullRate
 
 EDGES = np.array([0.0, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
@@ -37,6 +37,8 @@ CUTOFFS = np.array([0.1, 0.2, 0.4, 0.8])
 """Hz, above which the excess falls off as the square of the frequency"""
 STRUCK = 0.5
 """plausible share of records with an excess, where it differs between them"""
+LEAN = 6.0
+"""ordinates that the band above is worth in a band of the baseline's spectrum"""
 BASELINE_SD = 0.12
 """of the logarithm of the baseline's spectrum below a hertz or so, besides its ordinates' own"""
 RECORD_SD = 0.4
@@ -139,8 +141,8 @@ def _baseline(carrier: _Ordinates) -> tuple[FloatArray, FloatArray]:
     power = np.bincount(carrier.band, carrier.power, minlength=n)
     spectrum, above = np.ones(n), 1.0
     for b in reversed(range(n)):
-        above = spectrum[b] = (power[b] + SHRINK * above) / (count[b] + SHRINK)
-    return spectrum, np.sqrt(1.0 / (count + SHRINK) + BASELINE_SD**2)
+        above = spectrum[b] = (power[b] + LEAN * above) / (count[b] + LEAN)
+    return spectrum, np.sqrt(1.0 / (count + LEAN) + BASELINE_SD**2)
 
 
 def _record(o: _Ordinates, expected: FloatArray) -> tuple[float, FloatArray]:

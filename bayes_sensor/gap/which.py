@@ -9,7 +9,7 @@ are nearly the same effect.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -220,8 +220,9 @@ def weigh(
     """Probabilities of every hypothesis for one campaign."""
     tell = progress or (lambda _share, _text: None)
     discrepancies = make_discrepancies(sketch, base)
-    total = sum(d.weight for d in discrepancies)
-    shares = [Discrepancy(d.name, d.weight / total, d.basis, d.variance) for d in discrepancies]
+    shares = _shares(discrepancies, [d.weight for d in discrepancies])
+    # in later rounds what was named is beside whatever is left
+    by_itself = [d.weight if base.plan.parts else d.alone for d in discrepancies]
     priors = family_priors(catalogue)
     hypotheses: list[Hypothesis] = []
 
@@ -246,7 +247,8 @@ def weigh(
         commanded=any(e.commanded_on is not None for e in sketch.campaign),
     )
     inside = WEIGHT if rivals else 0.0
-    alone = add((), float(np.log(PRIOR_UNLISTED * (1.0 - inside))), [(base, 1.0)], shares)
+    log_prior = float(np.log(PRIOR_UNLISTED * (1.0 - inside)))
+    alone = add((), log_prior, [(base, 1.0)], _shares(discrepancies, by_itself))
     for rival in rivals:
         made = [
             (fit_effect(sketch, base, [Part(rival, f)], f.starts, 20), 1.0 / len(rival.forms))
@@ -277,6 +279,12 @@ def weigh(
         _add_pairs(sketch, base, on_mean, fits, singles, hypotheses, priors, add, tell)
     tell(1.0, "weighed")
     return Weighing(sketch, base, tuple(hypotheses), catalogue, tuple(shares))
+
+
+def _shares(discrepancies: Sequence[Discrepancy], weights: Sequence[float]) -> list[Discrepancy]:
+    """Those with a weight, the weights summing to 1."""
+    whole = sum(weights)
+    return [replace(d, weight=w / whole) for d, w in zip(discrepancies, weights, strict=True) if w]
 
 
 def _leading(fits: Sequence[tuple[Refit, float]]) -> list[tuple[Refit, float]]:

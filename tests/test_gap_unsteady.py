@@ -1,0 +1,135 @@
+"""Slow power on the plateaus that the baseline has not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import expon
+
+from bayes_sensor.gap import diagnose_gap, unsteady
+from bayes_sensor.gap.floor import Stretch
+from bayes_sensor.gap.unsteady import look_for_unsteadiness
+from tests.gap_cases import design, measured
+
+INTERVAL = 0.01
+NOISES = ("white", "ar1", "slow", "walk")
+
+
+def noise(n, rng, kind):
+    e = rng.standard_normal(n)
+    if kind == "white":
+        return e
+    if kind == "ar1":
+        return lfilter([1.0], [1.0, -0.9], e)
+    if kind == "slow":
+        return e + lfilter([0.1], [1.0, -0.99], rng.standard_normal(n))
+    return e + 0.02 * np.cumsum(rng.standard_normal(n))
+
+
+def gusts(n, rng):
+    """Of half a second, with a standard deviation of one."""
+    made = lfilter([1.0], [1.0, -0.98], rng.standard_normal(n))
+    return made / made.std()
+
+
+def stretches(rng, kind="white", louder=1.0, plateau=0.0, carrier=0.0, records=(0, 1, 2, 3)):
+    made = []
+    for k in range(4):
+        for level in (0, 1, 0):
+            samples = noise(2000, rng, kind) * (louder if level else 1.0)
+            size = (plateau if level else carrier) if k in records else 0.0
+            made.append(Stretch(k, level, samples + size * gusts(2000, rng), 20.0 * len(made)))
+    return made
+
+
+def log_bayes_factor(some):
+    return look_for_unsteadiness(design(), some)[0].log_bayes_factor
+
+
+@pytest.mark.parametrize("kind", NOISES)
+def test_noise_of_any_spectrum_is_steady(kind):
+    rng = np.random.default_rng(3)
+    values = np.array([log_bayes_factor(stretches(rng, kind)) for _ in range(24)])
+    # odds of one in e^3 turn up once in e^3 times; the prior is one in 24
+    assert np.median(values) < -1.0 and np.sum(values > 3.0) <= 2 and values.max() < 5.0
+
+
+@pytest.mark.parametrize("louder", [0.3, 5.0])
+def test_how_loud_the_plateaus_are_does_not_matter(louder):
+    alike, other = (stretches(np.random.default_rng(3), "ar1", x) for x in (1.0, louder))
+    assert log_bayes_factor(other) == pytest.approx(log_bayes_factor(alike), abs=1e-6)
+
+
+@pytest.mark.parametrize("records", [(0, 1, 2, 3), (2,)])
+@pytest.mark.parametrize("kind", ["white", "ar1"])
+def test_what_comes_with_the_gas_in_all_or_one_of_the_records_is_found(kind, records):
+    size = (0.3 if kind == "white" else 2.0) * (1.0 if len(records) > 1 else 3.0)
+    rng = np.random.default_rng(4)
+    values = [
+        log_bayes_factor(stretches(rng, kind, 2.0, 2.0 * size, records=records)) for _ in range(4)
+    ]
+    assert min(values) > 4.0
+
+
+def test_what_is_on_the_baseline_too_is_noise():
+    rng = np.random.default_rng(5)
+    same = [log_bayes_factor(stretches(rng, "white", 1.0, 0.5, 0.5)) for _ in range(8)]
+    only = [log_bayes_factor(stretches(rng, "white", 1.0, 0.0, 0.5)) for _ in range(8)]
+    assert max(same) < 2.0 and max(only) < 0.0
+
+
+def test_strength_tells_the_excess_and_how_fast_it_is():
+    rng = np.random.default_rng(6)
+    found = look_for_unsteadiness(design(), stretches(rng, "white", 1.0, 0.5))[0]
+    # white noise has 2 h in V^2/Hz, and gusts 4 T of theirs below 1/(2 pi T), T half a second
+    assert found.strength["unsteady_Hz"] == pytest.approx(1.0 / np.pi, rel=0.5)
+    assert found.strength["unsteady_excess"] == pytest.approx(4 * 0.5 * 0.25 / 0.02, rel=0.7)
+
+
+def test_gains_are_those_of_exponential_ordinates():
+    rng = np.random.default_rng(7)
+    f = np.arange(1, 40) * 0.2
+    power, expected = rng.exponential(2.0, len(f)), np.linspace(1.6, 1.1, len(f))
+    nothing, gains = unsteady._record(unsteady._Ordinates(f, power), expected)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(5)
+    weights = weights / weights.sum()
+
+    def likelihood(more):
+        # averaged over the record's own slow level
+        slow = unsteady.RECORD_SD / (1.0 + (f / unsteady.SLOW) ** 2)
+        each = [
+            np.prod(expon.pdf(power, scale=expected * np.exp(z * slow) * more)
+                    ** unsteady.INDEPENDENT)
+            for z in nodes
+        ]  # fmt: skip
+        return float(weights @ each)
+
+    assert nothing == pytest.approx(np.log(likelihood(1.0)), rel=1e-9)
+    for i, excess in enumerate(unsteady.EXCESSES):
+        for j, cutoff in enumerate(unsteady.CUTOFFS):
+            direct = likelihood(1.0 + excess / (1.0 + (f / cutoff) ** 2))
+            assert nothing + gains[i, j] == pytest.approx(np.log(direct), rel=1e-9)
+
+
+def test_records_too_coarse_in_time_or_without_a_baseline_tell_nothing():
+    rng = np.random.default_rng(8)
+    some = stretches(rng)
+    slow = design(interval=0.1)
+    assert look_for_unsteadiness(slow, some) == []
+    assert look_for_unsteadiness(design(), [s for s in some if s.level]) == []
+    assert look_for_unsteadiness(design(), [s for s in some if not s.level]) == []
+
+
+def test_streaks_of_gas_are_something_unlisted():
+    campaign = measured({}, seed=14)
+    rng = np.random.default_rng(15)
+    experiments = []
+    for e in campaign:
+        on = (e.t > e.commanded_on + 0.8) & (e.t < e.commanded_off + 0.5)
+        experiments.append(replace(e, y=e.y + 0.008 * on * gusts(len(e.t), rng)))
+    gap = diagnose_gap(replace(campaign, experiments=tuple(experiments)), bootstrap=0,
+                       separate=False, hidden=False)  # fmt: skip
+    found = next(f for f in gap.full_rate if f.name == "unsteady")
+    assert found.probability > 0.9 and gap.verdict.kind == "unlisted"
+    assert "less steady" in gap.verdict.sentence
