@@ -25,6 +25,7 @@ import study_published_bounds
 import study_real
 import study_reproduction
 import study_sbc
+import study_unlisted
 
 STUDIES = {
     "published-bounds": study_published_bounds.run,
@@ -35,6 +36,7 @@ STUDIES = {
     "bounds": study_bounds.run,
     "coating": study_coating.run,
     "gap": study_gap.run,
+    "unlisted": study_unlisted.run,
     "blind-check": study_blind_check.run,
     "extremes": study_extremes.run,
     "hostile": study_hostile.run,

@@ -1,0 +1,149 @@
+"""What causes outside the catalogue look like: the weights of the gap's discrepancies.
+
+Campaigns of the blind check's generator with an unlisted cause, none of them in reserve, and what
+every configuration of the smooth discrepancy and every embedded rival says of each.  The weights
+that make these campaigns likeliest are found by expectation-maximisation, as a product of a weight
+of the part and one of what experiments share, and stand beside those that the diagnosis takes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from drawing import TABLES
+from scipy.special import logsumexp
+
+from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
+from bayes_sensor.calibration import run_chunks, study_key
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.fit import fit_least_squares
+from bayes_sensor.gap.discrepancy import Discrepancy, make_discrepancies
+from bayes_sensor.gap.evidence import Linearised
+from bayes_sensor.gap.sketch import fit_base, prepare
+from bayes_sensor.model import Layout
+from bayes_sensor.reality import Case, make_campaign
+
+SEED = 71
+PLANNED = 1200
+"""cases of a plan; those with an unlisted cause that can be seen are taken"""
+VISIBLE = (8.0, 16.0)
+"""detectabilities"""
+STEPS = 200
+HELD_BACK = 4.0
+"""campaigns that even weights count for"""
+SHARED = (" alike", " each", " by concentration")
+"""what the names of configurations say; the others follow the flow, if anything"""
+
+
+@dataclass(frozen=True)
+class LookingAlike:
+    """The task: what every configuration says of one campaign."""
+
+    entries: tuple[Entry, ...]
+
+    @property
+    def key(self) -> str:
+        """Everything that the numbers depend on."""
+        return study_key("unlisted", [asdict(e) for e in self.entries], SEED)
+
+    def __call__(self, i: int) -> dict[str, Any]:
+        """``log_z``: JSON, ln evidence over that of nothing."""
+        line, made = discrepancies_of(self.entries[i])
+        nothing = line.evidence(None).log_z
+        return {"log_z": json.dumps({d.name: line.evidence(d).log_z - nothing for d in made})}
+
+
+def discrepancies_of(entry: Entry) -> tuple[Linearised, list[Discrepancy]]:
+    """The fit without effects of an entry's campaign, and all configurations around it."""
+    campaign = make_campaign(Case.from_json(draw_truth(entry)["recipe"]))
+    fit = fit_least_squares(campaign, seed=entry.diagnosis_seed, euler=False, swarms=1)
+    sketch = prepare(campaign, Layout.of(campaign).flat(fit.theta_hat)).sketch
+    base = fit_base(sketch)
+    return Linearised(base), make_discrepancies(sketch, base)
+
+
+def run(folder: Path, jobs: int, scheduler: str | None, progress: Callable[..., None]) -> None:
+    """Evidences of all campaigns, the weights that fit them best, and the table."""
+    entries = tuple(
+        e for e in make_plan(PLANNED, SEED) if e.kind == "unlisted" and e.level in VISIBLE
+    )
+    task = LookingAlike(entries)
+    found = run_chunks(task, len(entries), folder, task.key, jobs, 2, scheduler, progress)
+    said = [json.loads(text) for text in found["log_z"].tolist()]
+    usual = next(e for e in entries if e.size == "paper")
+    write_table(said, {d.name: d.alone for d in discrepancies_of(usual)[1]})
+
+
+def parts_of(name: str) -> tuple[str, str]:
+    """A configuration's part and what experiments share of it; its size is left out."""
+    if " and drift" in name:
+        return "response and drift", ""
+    words = name.rsplit(" ", 1)[0]
+    for shared in SHARED:
+        if words.endswith(shared):
+            return words.removesuffix(shared), shared.strip()
+    return words, "" if words.startswith(("drift", "gain", "herald")) else "by flow"
+
+
+def likeliest(said: Sequence[dict[str, float]]) -> tuple[dict[str, float], dict[str, float]]:
+    """Weights of parts and of what is shared, summing to 1 each."""
+    names = sorted({name for each in said for name in each})
+    logs = np.array([[each.get(name, -np.inf) for name in names] for each in said])
+    parts, shared = zip(*map(parts_of, names), strict=True)
+    siblings = np.array([
+        sum(p == parts[j] and s == shared[j] for p, s in zip(parts, shared, strict=True))
+        for j in range(len(names))
+    ])  # fmt: skip
+    of_part = {p: 1.0 / len(set(parts)) for p in parts}
+    of_shared = {s: 1.0 / len({x for x in shared if x}) for s in shared if s}
+    for _ in range(STEPS):
+        weights = np.array([
+            of_part[p] * of_shared.get(s, 1.0) for p, s in zip(parts, shared, strict=True)
+        ]) / siblings  # fmt: skip
+        count = _responsible(logs, weights)
+        of_part = _even(of_part, parts, count)
+        of_shared = _even(of_shared, shared, count)
+    return of_part, of_shared
+
+
+def _responsible(logs: FloatArray, weights: FloatArray) -> FloatArray:
+    """(n_configurations,) campaigns that each accounts for."""
+    share = logs + np.log(weights)
+    count: FloatArray = np.exp(share - logsumexp(share, axis=1, keepdims=True)).sum(axis=0)
+    return count
+
+
+def _even(before: dict[str, float], labels: Sequence[str], count: FloatArray) -> dict[str, float]:
+    """New weights by label, leaning on even ones."""
+    made = {
+        name: HELD_BACK / len(before) + float(count[[x == name for x in labels]].sum())
+        for name in before
+    }
+    whole = sum(made.values())
+    return {name: value / whole for name, value in made.items()}
+
+
+def write_table(said: Sequence[dict[str, float]], taken: dict[str, float]) -> None:
+    """The learned weights beside those that the diagnosis takes."""
+    of_part, of_shared = likeliest(said)
+    now: dict[str, float] = {}
+    for name, weight in taken.items():
+        part, shared = parts_of(name)
+        now[part] = now.get(part, 0.0) + weight
+        if shared:
+            now[shared] = now.get(shared, 0.0) + weight
+    rows = [
+        {"of": label, "name": name, "learned": weight, "taken": now[name] / whole}
+        for label, weights in (("part", of_part), ("shared", of_shared))
+        for whole in [sum(now[name] for name in weights)]
+        for name, weight in sorted(weights.items())
+    ]
+    frame = pd.DataFrame(rows)
+    frame["campaigns"] = len(said)
+    frame.to_csv(TABLES / "unlisted_weights.csv", index=False, float_format="%.3f")
