@@ -171,8 +171,8 @@ def _spreads(sketch: Sketch) -> dict[str, tuple[_Weight, _Spread]]:
     if np.any(concentration) and abs(float(flow @ concentration)) < ALIKE * len(flow):
         trend = _Spread(TREND * concentration, OWN)
         found[" by concentration"] = (_Weight(0.25, 0.07), trend)
-    beside, alone = (sum(w) for w in zip(*((w.beside, w.alone) for w, _ in found.values())))
-    whole = _Weight(1.0 / beside, 1.0 / alone)
+    weights = [weight for weight, _ in found.values()]
+    whole = _Weight(1.0 / sum(w.beside for w in weights), 1.0 / sum(w.alone for w in weights))
     return {name: (weight * whole, spread) for name, (weight, spread) in found.items()}
 
 
