@@ -51,7 +51,7 @@ def log_bayes_factor(some):
 def test_noise_of_any_spectrum_is_steady(kind):
     rng = np.random.default_rng(3)
     values = np.array([log_bayes_factor(stretches(rng, kind)) for _ in range(24)])
-    # odds of one in e^3 turn up once in e^3 times; the prior is one in 24
+    # odds of e^3 to one turn up once in e^3 times; the prior is far below
     assert np.median(values) < -1.0 and np.sum(values > 3.0) <= 2 and values.max() < 5.0
 
 
