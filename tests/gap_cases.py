@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from scipy.signal import lfilter
 
 from bayes_sensor.campaign import Campaign, Experiment
 from bayes_sensor.gap import Gap, diagnose_gap
@@ -12,6 +13,22 @@ from bayes_sensor.gap.simulation import simulate_with_effects
 
 FLOWS = ((4.0, 0.5), (2.5, 0.5), (8.0, 1.0), (5.0, 1.0))
 """L/min: carrier and test gas"""
+
+
+def noise(n: int, rng: np.random.Generator, kind: str, slow: float = 0.3) -> np.ndarray:
+    """(n,) of some spectrum, at a hundred samples a second; ``slow``: size of a slow part."""
+    e = rng.standard_normal(n)
+    if kind == "white":
+        return e
+    if kind == "ar1":
+        return lfilter([1.0], [1.0, -0.9], e)
+    if kind == "slow":
+        return e + slow * lfilter([0.1], [1.0, -0.99], rng.standard_normal(n))
+    if kind == "walk":
+        return e + 0.02 * np.cumsum(rng.standard_normal(n))
+    # a resonance at 6 Hz
+    root = 0.97 * np.exp(2j * np.pi * 6.0 * 0.01)
+    return lfilter([0.1], [1.0, -2.0 * root.real, abs(root) ** 2], e) + 0.2 * e
 
 
 def design(n: int = 4, interval: float = 0.01, fall: bool = True) -> Campaign:

@@ -20,22 +20,9 @@ from bayes_sensor.gap.full_rate import look_at_tails, rounds_away
 from bayes_sensor.gap.lines import look_for_lines
 from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.model import Layout
-from tests.gap_cases import design, measured, theta
+from tests.gap_cases import design, measured, noise, theta
 
 INTERVAL = 0.01
-
-
-def noise(n, rng, kind):
-    e = rng.standard_normal(n)
-    if kind == "white":
-        return e
-    if kind == "ar1":
-        return lfilter([1.0], [1.0, -0.9], e)
-    if kind == "slow":
-        return e + 0.3 * lfilter([0.1], [1.0, -0.99], rng.standard_normal(n))
-    # a resonance of the noise at 6 Hz
-    root = 0.97 * np.exp(2j * np.pi * 6.0 * INTERVAL)
-    return lfilter([0.1], [1.0, -2.0 * root.real, abs(root) ** 2], e) + 0.2 * e
 
 
 def stretches(rng, kind="white", n=2000):

@@ -20,7 +20,7 @@ from bayes_sensor.gap.how_far import (
 )
 from bayes_sensor.gap.refit import Part, Plan, Refit, refit
 from bayes_sensor.gap.sketch import fit_base, prepare
-from bayes_sensor.gap.which import finished
+from bayes_sensor.gap.which import _shares, finished
 from bayes_sensor.model import Layout
 from tests.gap_cases import measured, theta
 
@@ -41,8 +41,7 @@ def explained(base: Refit, *names: str, form: int = 0) -> Refit:
 def normalised(base: Refit) -> list[Discrepancy]:
     """Discrepancies with weights that sum to one, as they are weighed."""
     made = make_discrepancies(base.plan.sketch, base)
-    total = sum(d.weight for d in made)
-    return [replace(d, weight=d.weight / total) for d in made if d.weight]
+    return _shares(made, [d.weight for d in made])
 
 
 @pytest.fixture(scope="module")

@@ -10,21 +10,9 @@ from scipy.stats import expon
 from bayes_sensor.gap import diagnose_gap, unsteady
 from bayes_sensor.gap.floor import Stretch
 from bayes_sensor.gap.unsteady import look_for_unsteadiness
-from tests.gap_cases import design, measured
+from tests.gap_cases import design, measured, noise
 
-INTERVAL = 0.01
 NOISES = ("white", "ar1", "slow", "walk")
-
-
-def noise(n, rng, kind):
-    e = rng.standard_normal(n)
-    if kind == "white":
-        return e
-    if kind == "ar1":
-        return lfilter([1.0], [1.0, -0.9], e)
-    if kind == "slow":
-        return e + lfilter([0.1], [1.0, -0.99], rng.standard_normal(n))
-    return e + 0.02 * np.cumsum(rng.standard_normal(n))
 
 
 def gusts(n, rng):
@@ -37,7 +25,7 @@ def stretches(rng, kind="white", louder=1.0, plateau=0.0, carrier=0.0, records=(
     made = []
     for k in range(4):
         for level in (0, 1, 0):
-            samples = noise(2000, rng, kind) * (louder if level else 1.0)
+            samples = noise(2000, rng, kind, slow=1.0) * (louder if level else 1.0)
             size = (plateau if level else carrier) if k in records else 0.0
             made.append(Stretch(k, level, samples + size * gusts(2000, rng), 20.0 * len(made)))
     return made

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
@@ -56,10 +57,17 @@ class _Ordinates:
     power: FloatArray
     """(n,) over the mean in the reference band of the same record and level"""
 
-    @property
+    @cached_property
     def band(self) -> NDArray[np.int64]:
         """(n,) indices among the bands."""
         found: NDArray[np.int64] = np.searchsorted(EDGES, self.frequency, side="right") - 1
+        return found
+
+    @cached_property
+    def more(self) -> FloatArray:
+        """(n, n_excesses, n_cutoffs) power with each excess over that without."""
+        shape = 1.0 / (1.0 + (self.frequency[:, None] / CUTOFFS) ** 2)
+        found: FloatArray = 1.0 + EXCESSES[None, :, None] * shape[:, None, :]
         return found
 
 
@@ -72,7 +80,7 @@ def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> l
     over the noise's power, and the cutoff in Hz, at the likeliest.
     """
     carrier, plateaus = _ordinates(campaign, stretches)
-    if carrier is None or not plateaus:
+    if not carrier or not plateaus:
         return []
     spectrum, spread = _baseline(carrier)
     without, alike, apart = [], [], []
@@ -100,8 +108,8 @@ def _mean(logs: FloatArray) -> float:
 
 def _ordinates(
     campaign: Campaign, stretches: Sequence[Stretch]
-) -> tuple[_Ordinates | None, list[_Ordinates]]:
-    """Of the carrier gas alone, all records together, and of every record's plateau."""
+) -> tuple[list[_Ordinates], list[_Ordinates]]:
+    """Of the carrier gas alone and of the plateaus, record by record."""
     spectra: dict[tuple[int, int], list[tuple[FloatArray, FloatArray, float]]] = {}
     for s in stretches:
         interval = campaign.experiments[s.experiment].interval
@@ -120,25 +128,18 @@ def _ordinates(
             np.concatenate([p[m] for (_, p, _), m in zip(found, low, strict=True)]) / high.mean(),
         )
         (plateaus if level else carrier).append(made)
-    if not carrier:
-        return None, plateaus
-    return (
-        _Ordinates(
-            np.concatenate([o.frequency for o in carrier]),
-            np.concatenate([o.power for o in carrier]),
-        ),
-        plateaus,
-    )
+    return carrier, plateaus
 
 
-def _baseline(carrier: _Ordinates) -> tuple[FloatArray, FloatArray]:
+def _baseline(carrier: Sequence[_Ordinates]) -> tuple[FloatArray, FloatArray]:
     """(n_bands,) the baseline's spectrum, and the standard deviation of its logarithm.
 
     Where a band holds few ordinates it leans on the one above it.
     """
     n = len(EDGES) - 1
-    count = np.bincount(carrier.band, minlength=n)
-    power = np.bincount(carrier.band, carrier.power, minlength=n)
+    band = np.concatenate([o.band for o in carrier])
+    each = np.concatenate([o.power for o in carrier])
+    count, power = np.bincount(band, minlength=n), np.bincount(band, each, minlength=n)
     spectrum, above = np.ones(n), 1.0
     for b in reversed(range(n)):
         above = spectrum[b] = (power[b] + LEAN * above) / (count[b] + LEAN)
@@ -147,14 +148,12 @@ def _baseline(carrier: _Ordinates) -> tuple[FloatArray, FloatArray]:
 
 def _record(o: _Ordinates, expected: FloatArray) -> tuple[float, FloatArray]:
     """ln likelihood of one plateau without an excess, and what each excess and cutoff adds."""
-    shape = 1.0 / (1.0 + (o.frequency[:, None] / CUTOFFS) ** 2)
-    more = 1.0 + EXCESSES[None, :, None] * shape[:, None, :]
     without, within = [], []
     for node, log_weight in zip(_NODES, _LOG_WEIGHTS, strict=True):
         mean = expected * np.exp(node * RECORD_SD / (1.0 + (o.frequency / SLOW) ** 2))
         ratio = o.power / mean
         here = float(log_weight) - INDEPENDENT * float(np.sum(np.log(mean) + ratio))
-        gained = np.tensordot(ratio, 1.0 - 1.0 / more, axes=1) - np.log(more).sum(axis=0)
+        gained = np.tensordot(ratio, 1.0 - 1.0 / o.more, axes=1) - np.log(o.more).sum(axis=0)
         without.append(here)
         within.append(here + INDEPENDENT * gained)
     nothing = float(logsumexp(without))

@@ -1,9 +1,9 @@
 """What causes outside the catalogue look like: the weights of the gap's discrepancies.
 
 Campaigns of the blind check's generator with an unlisted cause, none of them in reserve, and what
-every configuration of the smooth discrepancy and every embedded rival says of each.  The weights
-that make these campaigns likeliest are found by expectation-maximisation, as a product of a weight
-of the part and one of what experiments share, and stand beside those that the diagnosis takes.
+every configuration of the smooth discrepancy says of each.  The weights that make these campaigns
+likeliest are found by expectation-maximisation, as a product of a weight of the part and one of
+what experiments share, and stand beside those that the diagnosis takes.
 """
 
 from __future__ import annotations
