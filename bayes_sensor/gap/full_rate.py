@@ -30,7 +30,7 @@ TOO_COARSE = 1.0
 PRIOR = {
     "mains_pickup": 0.03, "heavy_tails": 0.03, "quantisation": 0.03,
     "line": 0.02, "swing": 0.02, "event": 0.025, "patch": 0.025, "break": 0.025, "ringing": 0.01,
-    "unsteady": 0.015,
+    "unsteady": 0.04,
 }  # fmt: skip
 AROUND = 400
 """samples over which the size of the innovations is taken"""

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial.hermite_e import hermegauss
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
@@ -39,15 +38,16 @@ CUTOFFS = np.array([0.1, 0.2, 0.4, 0.8])
 STRUCK = 0.5
 """plausible share of records with an excess, where it differs between them"""
 LEAN = 6.0
-"""ordinates that the band above is worth in a band of the baseline's spectrum"""
+"""ordinates that the bands above are worth in a band of the baseline's spectrum"""
 BASELINE_SD = 0.12
 """of the logarithm of the baseline's spectrum below a hertz or so, besides its ordinates' own"""
 RECORD_SD = 0.4
 """of the logarithm of noise below a hertz in one record, as noise that is not stationary has it"""
 SLOW = 1.0
 """Hz, up to which a record's noise wanders by that"""
-_NODES, _WEIGHTS = hermegauss(5)
-_LOG_WEIGHTS = np.log(_WEIGHTS / _WEIGHTS.sum())
+# close enough together for spectra of hundreds of ordinates, between which Gauss's nodes would fall
+_NODES = np.linspace(-3.0, 3.0, 9)
+_LOG_WEIGHTS = -0.5 * _NODES**2 - logsumexp(-0.5 * _NODES**2)
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,8 @@ def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> l
     over the noise's power, and the cutoff in Hz, at the likeliest.
     """
     carrier, plateaus = _ordinates(campaign, stretches)
-    if not carrier or not plateaus:
+    plateaus = _as_slow_as(carrier, plateaus)
+    if not plateaus:
         return []
     spectrum, spread = _baseline(carrier)
     without, alike, apart = [], [], []
@@ -131,19 +132,34 @@ def _ordinates(
     return carrier, plateaus
 
 
+def _as_slow_as(carrier: Sequence[_Ordinates], plateaus: Sequence[_Ordinates]) -> list[_Ordinates]:
+    """The plateaus as far down as the baseline shows: below, its noise may rise."""
+    lowest = min((float(o.frequency.min()) for o in carrier if len(o.frequency)), default=np.inf)
+    shown = [o.frequency >= lowest for o in plateaus]
+    return [
+        _Ordinates(o.frequency[m], o.power[m])
+        for o, m in zip(plateaus, shown, strict=True) if m.any()
+    ]  # fmt: skip
+
+
 def _baseline(carrier: Sequence[_Ordinates]) -> tuple[FloatArray, FloatArray]:
     """(n_bands,) the baseline's spectrum, and the standard deviation of its logarithm.
 
-    Where a band holds few ordinates it leans on the one above it.
+    Where a band holds few ordinates it leans on those above it, continued at their slope: noise
+    with a 1/f spectrum rises further, while noise that is correlated for a while has levelled off.
     """
     n = len(EDGES) - 1
     band = np.concatenate([o.band for o in carrier])
     each = np.concatenate([o.power for o in carrier])
     count, power = np.bincount(band, minlength=n), np.bincount(band, each, minlength=n)
-    spectrum, above = np.ones(n), 1.0
+    spectrum, variance = np.ones(n), np.zeros(n)
+    above, slope, uncertain = 1.0, 1.0, 0.0
     for b in reversed(range(n)):
-        above = spectrum[b] = (power[b] + LEAN * above) / (count[b] + LEAN)
-    return spectrum, np.sqrt(1.0 / (count + LEAN) + BASELINE_SD**2)
+        lean = 1.0 / (1.0 / LEAN + uncertain)
+        spectrum[b] = (power[b] + lean * above * slope) / (count[b] + lean)
+        uncertain = variance[b] = 1.0 / (count[b] + lean)
+        above, slope = spectrum[b], max(spectrum[b] / above, 1.0)
+    return spectrum, np.sqrt(variance + BASELINE_SD**2)
 
 
 def _record(o: _Ordinates, expected: FloatArray) -> tuple[float, FloatArray]:
