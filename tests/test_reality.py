@@ -44,6 +44,7 @@ from bayes_sensor.reality.rig import Knobs, dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
     glassy,
+    islands,
     layered_film,
     log_amplifier,
     modal,
@@ -52,6 +53,7 @@ from bayes_sensor.reality.stages import (
     pit,
     slab,
     splitting,
+    windowed_average,
 )
 
 CONTRACT_NAMES = (
@@ -136,7 +138,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (32, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (35, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -2040,6 +2042,335 @@ def test_a_meter_that_runs_down_takes_longer_far_from_its_zero() -> None:
     assert np.abs(y - (plain[step.name] - step.y0) / step.beta)[rising].max() > 0.01
 
 
+def test_a_wound_up_controller_is_wide_open_until_it_is_unwound() -> None:
+    strength, rests, wide = 0.4, [], []
+    rig = case(wound_up_controller=strength)
+    found, seen = prepared_rig(rig), clean_signals(rig)
+    for k, step in enumerate(rig.steps):
+        (flow,), (settles,) = found[step.name].test_gas, found[step.name].marks
+        before = rig.steps[k - 1].duration - rig.steps[k - 1].tf if k > 0 else 0.0
+        rests.append(before + step.t0)
+        wide.append(settles - step.t0)
+        t = np.linspace(0.0, step.duration, 60_001)
+        excess = flow(t) / strength - 1.0 / strength
+        assert np.all(excess[t < step.t0] == 0.0)
+        at_stop = (t > step.t0) & (t < settles)
+        assert at_stop.any() and np.allclose(excess[at_stop], 1.0)
+        # beyond that one exponential, of one time for all
+        later = t > settles
+        rate = np.diff(np.log(excess[later][:2000])) / (t[1] - t[0])
+        assert np.ptp(rate) < 1e-6
+        assert 0.3 < -1.0 / rate[0] < 2.0
+    # the longer it rested, the longer
+    assert np.allclose(np.array(wide) / rests, wide[0] / rests[0]) and np.ptp(rests) > 1.0
+    assert 0.8 < max(wide) < 6.0
+
+    step, knobs = rig.steps[1], found["2"]
+    full, settles = step.test_gas_flow, knobs.marks[0]
+    (flow,) = knobs.test_gas
+
+    def wound_up(u: float, x: FloatArray) -> list[float]:
+        more = full * float(flow(x[3:])[0])
+        inlet = x[0] * more / (step.carrier_flow + more) / step.concentration
+        total = step.carrier_flow + more * x[0] + full * (1.0 - x[0])
+        gas = total / rig.V * (inlet - x[1])
+        return [(u - x[0]) / rig.tau_v, gas, (x[1] - x[2]) / rig.tau, 1.0]
+
+    inputs = [(0.0, 0.0), (step.t0, 1.0), (settles, 1.0), (step.tf, 0.0)]
+    t, states = solved(rig, wound_up, 4, k=1, inputs=inputs)
+    assert np.abs((seen["2"] - step.y0) / step.beta - states[:, 2]).max() < 5e-5
+    assert states[:, 2].max() > 1.05
+
+
+def test_dryers_take_turns_and_moisture_breaks_through() -> None:
+    strength = 0.1
+    rig = case(alternating_dryers=strength)
+    found, turns = prepared_rig(rig), []
+    for step in rig.steps:
+        (moist,) = found[step.name].seep
+        marks = np.sort(found[step.name].marks)
+        most = strength * rig.highest_concentration * step.carrier_flow
+        changes = 0.5 * (marks[::2] + marks[1::2])
+        turns += np.diff(changes).tolist()
+        assert changes[0] <= 0.0 and changes[-1] < step.duration
+        assert moist(changes - 1e-7) == pytest.approx(most, rel=1e-4)
+        assert np.all(moist(changes + 1e-7) < 0.2 * most)  # a fresh column
+        t = np.linspace(0.0, step.duration, 20_001)
+        assert moist(t).max() <= most * (1.0 + 1e-12) and moist(t).min() > 0.0
+        # a logistic curve: its inverse falls by a constant ratio to what is all of it
+        s = np.linspace(changes[-1] + 1e-3, min(changes[-1] + 4.0, step.duration), 7)
+        inverse = most / moist(s)
+        ratios = np.diff(inverse)[1:] / np.diff(inverse)[:-1]
+        assert np.ptp(ratios) < 1e-6 and 0.0 < ratios[0] < 1.0
+    turn = turns[0]
+    assert np.ptp(turns) < 1e-6 and 5.0 < turn < 30.0
+    for knobs in found.values():
+        (moist,) = knobs.seep
+        t = np.linspace(0.0, 60.0, 3011)
+        assert np.allclose(moist(t + 3.0 * turn), moist(t))
+    assert len({round(min(knobs.marks) % turn, 6) for knobs in found.values()}) == len(rig.steps)
+
+    # through the cascade, with a first turn that begins before the record
+    step, knobs = rig.steps[0], prepared_rig(rig)["1"]
+    (moist,) = knobs.seep
+
+    def with_moisture(u: float, x: FloatArray) -> list[float]:
+        inlet = x[0] + float(moist(x[3:])[0]) / step.total_flow / step.concentration
+        gas = step.total_flow / rig.V * (inlet - x[1])
+        return [(u - x[0]) / rig.tau_v, gas, (x[1] - x[2]) / rig.tau, 1.0]
+
+    changes = [at for at in knobs.marks[1::2] if 0.0 < at < step.duration]
+    commands = [(0.0, 0.0), (step.t0, 1.0), (step.tf, 0.0)]
+    commands += [(at, float(step.t0 < at < step.tf)) for at in changes]
+    t, states = solved(rig, with_moisture, 4, inputs=sorted(commands))
+    x = voltage(rig, step, knobs, t)[1]
+    after = t > 12.0 * rig.V / step.total_flow  # what the oracle of zero does not know is forgotten
+    assert after.mean() > 0.3
+    assert np.abs(x - states[:, 2])[after].max() < 1e-4
+
+
+def test_gas_gurgles_past_the_water_in_gulps_of_one_volume() -> None:
+    strength, gulps, begins = 0.6, [], []
+    rig = case(gurgling_hose=strength)
+    found, seen = prepared_rig(rig), clean_signals(rig)
+    for step in rig.steps:
+        (flow,) = found[step.name].all_flow
+        t = np.linspace(0.0, step.duration, 600_001)
+        part = flow(t)
+        assert part.min() == pytest.approx(1.0 - strength)
+        ups = t[1:][np.diff(part) > 0.5]
+        period = np.diff(ups).mean()
+        assert np.abs(np.diff(ups) / period - 1.0).max() < 0.01
+        gulps.append(period * step.total_flow / rig.V)
+        begins.append(ups[0] / period)
+        # what is held back comes later: over whole periods nothing is lost
+        whole = (t >= ups[0]) & (t < ups[-1])
+        assert part[whole].mean() == pytest.approx(1.0, abs=2e-3)
+        shut = np.mean(part[whole] == part.min())
+        assert 0.65 < shut < 0.9
+        # a burst falls to exp(-3) of what it was, and its volume is the share of a period's
+        burst = part[whole] - part.min()
+        assert burst[burst > 0.0].max() / burst[burst > 0.0].min() == pytest.approx(
+            np.exp(3.0), rel=0.05
+        )
+        plain = voltage(rig, step, Knobs(), sample_times(step))[0]
+        last = (sample_times(step) > step.tf - 0.5) & (sample_times(step) < step.tf)
+        assert np.abs(seen[step.name] - plain)[last].max() < 1e-3 * step.beta
+    assert np.ptp(gulps) < 1e-3 and 0.3 < gulps[0] < 1.5
+    assert np.ptp(begins) > 0.01
+
+    # the time of the exchange is the gas that has passed: an ODE solver, burst by burst
+    step = min(rig.steps, key=lambda each: each.total_flow)
+    k, (flow,) = rig.steps.index(step), found[step.name].all_flow
+
+    def in_gulps(u: float, x: FloatArray) -> list[float]:
+        gas = step.total_flow * float(flow(x[3:])[0]) / rig.V * (x[0] - x[1])
+        return [(u - x[0]) / rig.tau_v, gas, (x[1] - x[2]) / rig.tau, 1.0]
+
+    edges = [0.5 * (low + high) for low, high in zip(*[iter(sorted(found[step.name].marks))] * 2)]
+    commands = [(at, float(step.t0 < at < step.tf)) for at in edges]
+    commands = sorted([(0.0, 0.0), (step.t0, 1.0), (step.tf, 0.0), *commands])
+    t, states = solved(rig, in_gulps, 4, k=k, inputs=commands)
+    x = (seen[step.name] - step.y0) / step.beta
+    assert np.abs(x - states[:, 2]).max() < 2e-4
+    plain = voltage(rig, step, Knobs(), t)[1]
+    assert np.abs(x - plain).max() > 0.02
+
+
+def test_breaths_come_in_a_row_and_end() -> None:
+    strength, periods = 0.15, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"breathing_operator": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        found = 0
+        for step in rig.steps:
+            courses, marks = prepared_rig(rig)[step.name].seep, prepared_rig(rig)[step.name].marks
+            if not courses:
+                assert np.array_equal(seen[step.name], plain[step.name])
+                continue
+            found += 1
+            t = np.linspace(0.0, 2.0 * step.duration, 200_001)
+            breath = courses[0](t) / (strength * rig.highest_concentration * step.total_flow)
+            out = breath > 1e-9
+            begins, ends = t[1:][np.diff(out.astype(int)) > 0], t[1:][np.diff(out.astype(int)) < 0]
+            assert 2 <= len(begins) == len(ends) <= 7
+            assert np.allclose(marks[::2], begins[begins < step.duration], atol=2e-3)
+            periods += [(seed, gap) for gap in np.diff(begins)]
+            for begin, end in zip(begins, ends, strict=True):
+                own = breath[(t >= begin - 1e-3) & (t <= end + 1e-3)]
+                assert 0.6 - 1e-6 <= own.max() <= 1.0
+                # half a sine: its mean is 2/pi of its height
+                assert own.mean() / own.max() == pytest.approx(2.0 / np.pi, rel=0.01)
+            # all that was breathed in passes the sensor: an integral over the flow
+            if ends[-1] < step.duration - 15.0 * (rig.V / step.total_flow + rig.tau):
+                s = sample_times(step)
+                extra = (seen[step.name] - plain[step.name]) / step.beta
+                fed = np.trapezoid(courses[0](t), t) / step.total_flow / step.concentration
+                assert np.trapezoid(extra, s) == pytest.approx(fed, rel=2e-3)
+        assert found >= 1
+    for seed in (11, 12, 13):
+        own = [gap for name, gap in periods if name == seed]
+        assert max(own) / min(own) < 1.15 / 0.85 + 1e-2 and 2.1 < min(own) and max(own) < 5.8
+
+
+def test_islands_spread_evenly_and_shrink_again() -> None:
+    t = np.linspace(0.0, 60.0, 60_001)
+    gas = np.where((t >= 5.0) & (t < 15.0), 0.8, 0.0)
+    covered = islands(t, gas - 0.3, 4.0)
+    r = np.clip(0.5 / 4.0 * (t - 5.0), 0.0, None)
+    r = np.where(t < 15.0, r, np.maximum(1.25 - 0.3 / 4.0 * (t - 15.0), 0.0))
+    assert np.abs(covered - (1.0 - np.exp(-(r**2)))).max() < 1e-3
+    assert np.all(covered[t < 5.0] == 0.0) and np.all(covered[t > 32.0] == 0.0)
+    assert np.all(islands(t, np.full(len(t), -0.1), 1.0) == 0.0)
+    # they meet: after any time above their vapour pressure they take as long to go
+    for end in (15.0, 30.0):
+        met = islands(t, np.where(t < end, 0.7, -0.3), 1.0)
+        assert met.max() == pytest.approx(1.0 - np.exp(-4.0))
+        assert t[met > 0.0].max() - end == pytest.approx(2.0 / 0.3, abs=0.01)
+
+    strength = 0.2
+    rig = case(spreading_islands=strength)
+    ((vapour, time_),) = {
+        (knobs.islands_vapour, knobs.islands_time) for knobs in prepared_rig(rig).values()
+    }
+    assert 0.1 < vapour < 0.35 and 0.2 < time_ < 2.0
+    for step in rig.steps:
+        t, relative = sample_times(step), rig.relative_concentration(step)
+        fine = np.linspace(0.0, step.duration, 60_001)
+        # without the sensor's own delay the response is the gas
+        quick = replace(rig, tau=1e-9)
+        gas = voltage(quick, step, Knobs(), fine)[1]
+        r, radius = 0.0, []
+        for drive in (relative * gas - vapour) / time_ * (fine[1] - fine[0]):
+            radius.append(r)
+            r = min(max(r + drive, 0.0), 2.0)
+        expected = strength / relative * (1.0 - np.exp(-np.square(radius)))
+        x, plain = (
+            voltage(rig, step, some, t)[1] for some in (prepared_rig(rig)[step.name], Knobs())
+        )
+        assert np.abs(x - plain - np.interp(t, fine, expected)).max() < 5e-3
+        below = relative * gas.max() < vapour
+        assert (np.abs(x - plain).max() == 0.0) == below
+
+
+def test_the_table_is_levelled_evenly_and_tilts_back() -> None:
+    strength, rates = 0.1, []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"leaning_visitor": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        for step in rig.steps:
+            courses, marks = prepared_rig(rig)[step.name].gain, prepared_rig(rig)[step.name].marks
+            if not courses:
+                assert np.array_equal(seen[step.name], plain[step.name])
+                continue
+            t = np.linspace(0.0, 100.0, 400_001)
+            gain = 1.0 + courses[0](t)
+            assert gain[0] == 1.0 and gain[-1] == 1.0 and gain.min() >= 1.0 - strength - 1e-12
+            tilt = np.sqrt(np.log(gain) / np.log(1.0 - strength))
+            slope = np.diff(tilt) / (t[1] - t[0])
+            jumps = np.flatnonzero(np.abs(np.diff(tilt)) > 0.05)
+            assert len(jumps) in (2, 4)
+            # between, never anything but rest and one rate
+            steady = slope[slope < -1e-6]
+            steady = steady[steady > -1.1]
+            rates.append((seed, -1.0 / float(np.median(steady))))
+            moves = np.delete(slope, jumps)
+            at_rest, even = np.abs(moves) < 1e-6, np.abs(moves * rates[-1][1] + 1.0) < 1e-4
+            assert np.sum(~(at_rest | even)) <= 2 * len(jumps)  # where it comes to rest
+            first, back = jumps[0], jumps[1]
+            weight = tilt[first + 1]
+            assert 0.5 <= weight <= 1.0
+            # letting go is a push of the same weight the other way
+            assert tilt[back + 1] == pytest.approx(weight - tilt[back], abs=1e-3)
+            edges = np.array([at for at in t[jumps + 1] if at < step.duration])
+            assert np.allclose(np.asarray(marks)[1::2], edges, atol=1e-3)
+            s = sample_times(step)
+            away = np.min(np.abs(s[:, None] - edges), axis=1) > 1e-5 if len(edges) else s >= 0.0
+            shown = seen[step.name] / plain[step.name] - 1.0
+            assert np.abs(shown - courses[0](s))[away].max() < 1e-6
+    assert len({seed for seed, _ in rates}) == 4
+    for seed in (11, 12, 13, 14):
+        own = [rate for name, rate in rates if name == seed]
+        assert np.ptp(own) < 1e-3 * own[0] and 1.0 < own[0] < 8.0
+
+
+def test_an_undecided_laser_hesitates_near_its_border_only() -> None:
+    strength = 0.1
+    rig = case(undecided_laser=strength)
+    found, seen = prepared_rig(rig), clean_signals(rig)
+    size = strength * np.mean([step.beta for step in rig.steps])
+    borders = np.concatenate([knobs.borders for knobs in found.values()])
+    for step in rig.steps:
+        knobs, t = found[step.name], sample_times(step)
+        gap = knobs.border_gap
+        assert abs(gap) == pytest.approx(size)
+        plain, x = voltage(rig, step, Knobs(), t)
+        more = (seen[step.name] - plain) / gap
+        upper = more > 0.5
+        assert np.abs(more - upper).max() < 1e-9
+        at = rig.relative_concentration(step) * x
+        assert not upper[at < borders.min()].any() and upper[at > borders.max()].all()
+        # between two decisions the mode depends on the response alone
+        for low, high in pairwise(knobs.decisions):
+            inside = (t >= low) & (t < high)
+            if upper[inside].any() and not upper[inside].all():
+                assert at[inside][upper[inside]].min() >= at[inside][~upper[inside]].max()
+    # how often it is the upper mode, held at the middle and to either side: 1/(1 + exp(-away))
+    drawn = prepared_rig(replace(draw_case(7), strengths={"undecided_laser": strength})).values()
+    every = np.concatenate([knobs.borders for knobs in drawn])
+    apart = np.concatenate([np.diff(knobs.decisions) for knobs in drawn])
+    middle, width = np.median(every), every.std() / (np.pi / np.sqrt(3.0))
+    assert 0.25 < middle < 0.85 and 0.025 < width < 0.14
+    for away in (-2.0, -1.0, 1.0, 2.0):
+        share = np.mean(every < middle + away * width)
+        assert share == pytest.approx(1.0 / (1.0 + np.exp(-away)), abs=0.06)
+    assert 0.08 < apart.mean() < 1.2 and apart.std() == pytest.approx(apart.mean(), rel=0.15)
+    held = Knobs(border_gap=0.2, borders=np.array([0.2, 2.0]), decisions=np.array([0.0, 15.0]))
+    rig = case()
+    step = max(rig.steps, key=lambda each: each.concentration)
+    t = np.array([0.5, 14.99, 15.01])
+    more = voltage(rig, step, held, t)[0] - voltage(rig, step, Knobs(), t)[0]
+    assert step.t0 < 12.0 and step.tf > 16.0
+    assert more == pytest.approx([0.0, 0.2, 0.0], abs=1e-9)
+
+
+def test_a_meter_begins_its_average_anew_outside_its_window() -> None:
+    t = np.linspace(0.0, 30.0, 30_001)
+    # a step beyond the window is followed at once, one within it as a lag
+    high = windowed_average(t, np.where(t >= 1.0, 1.0, 0.0), 2.0, 0.4)
+    assert np.all(high[t < 0.999] == 0.0) and np.all(np.abs(high[t > 1.001] - 1.0) < 1e-3)
+    low = windowed_average(t, np.where(t >= 1.0, 0.3, 0.0), 2.0, 0.4)
+    expected = np.where(t > 1.0, -0.3 * np.expm1(-np.maximum(t - 0.9995, 0.0) / 2.0), 0.0)
+    assert np.abs(low - expected).max() < 5e-4
+    # along a ramp it falls behind by v T (1 - exp(-s/T)) and starts anew when that is the window
+    ramp = windowed_average(t, 0.5 * t, 2.0, 0.4)
+    resets = t[1:][np.diff(ramp) > 0.2]
+    assert np.diff(resets) == pytest.approx(-2.0 * np.log(1.0 - 0.4 / (0.5 * 2.0)), abs=3e-3)
+    assert np.abs(ramp - 0.5 * t).max() <= 0.4
+    slow = windowed_average(t, 0.1 * t, 2.0, 0.4)  # never out of the window
+    assert np.abs(slow - 0.1 * (t - 2.0 * -np.expm1(-t / 2.0))).max() < 1e-9
+
+    strength = 0.15
+    rig = case(averaging_meter=strength)
+    found, seen = prepared_rig(rig), clean_signals(rig)
+    window = strength * np.mean([step.beta for step in rig.steps])
+    ((own, time_),) = {(knobs.average_window, knobs.average_time) for knobs in found.values()}
+    assert own == pytest.approx(window) and 0.5 < time_ < 6.0
+    for step in rig.steps:
+        t = sample_times(step)
+        plain = voltage(rig, step, Knobs(), t)[0]
+        behind = plain - seen[step.name]
+        assert np.abs(behind).max() <= window * (1.0 + 1e-9)
+        assert np.abs(behind[t < step.t0]).max() < 1e-9
+        up, down = (t > step.t0) & (t < step.tf), t > step.tf
+        assert behind[up].max() > 0.5 * window and behind[down].min() < -0.5 * window
+        # the last of the way, once nothing else moves: an exponential
+        settled = up & (t > step.tf - 2.0) & (behind > 1e-6)
+        if settled.sum() > 50 and behind[settled].max() < 0.9 * window:
+            rate = np.diff(np.log(behind[settled]))
+            assert np.median(rate) == pytest.approx(-step.interval / time_, rel=0.05)
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -2439,6 +2770,74 @@ def test_conducted_latched_and_waning_noise_are_what_they_say() -> None:
     assert not (bar.is_ar1 or latch.is_ar1 or waning.is_ar1)
 
 
+def test_rattling_coded_and_two_paced_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(24)
+    h = 1e-3
+    rattle = NoiseLaw("rattling", 1.0, components=(Component(1.0, 0.1, shape="stops"),))
+    z = draw_noise(rattle, 1_000_000, h, rng)
+    # anywhere between its stops as likely, and never beyond
+    assert np.abs(z).max() <= np.sqrt(3.0) and np.abs(z).max() > 1.73
+    shares = np.histogram(z, np.linspace(-np.sqrt(3.0), np.sqrt(3.0), 11))[0] / len(z)
+    assert shares == pytest.approx(0.1, abs=0.01)
+    # in the middle it walks freely: steps of one variance, pi^2 D = 1/time for a distance of 1
+    middle = np.abs(z[:-1]) < 1.0
+    steps = np.diff(z)[middle]
+    assert steps.var() == pytest.approx(12.0 * 2.0 * h / (np.pi**2 * 0.1), rel=0.02)
+    assert np.mean(steps**4) / steps.var() ** 2 == pytest.approx(3.0, rel=0.03)
+    R, near = autocorrelation(rattle, 501, h), autocorrelation(rattle, 3, 1e-5)
+    assert R[0] == near[0] == pytest.approx(1.0, abs=1e-5)
+    # near: half the mean squared step; far: the slowest mode alone
+    assert 1.0 - near[2] == pytest.approx(2.0 * 12.0 * 1e-5 / (np.pi**2 * 0.1), rel=0.02)
+    assert R[500] / R[400] == pytest.approx(np.exp(-1.0), rel=1e-6)
+
+    bus = NoiseLaw("coded", 1.0, components=(Component(1.0, 0.02, shape="coded"),))
+    z = draw_noise(bus, 500_000, h, rng)
+    assert np.all(np.abs(z) == 1.0)
+    # level for half a bit, or for a whole one where a half is followed by its like
+    dwells = np.diff(np.flatnonzero(np.diff(z) != 0.0))
+    assert set(dwells.tolist()) <= {9, 10, 11, 19, 20, 21}
+    assert np.mean(dwells > 15) == pytest.approx(1.0 / 3.0, abs=0.02)
+    # over whole bits nothing is left, wherever they begin but for one half at either end
+    assert np.abs(np.cumsum(z)).max() <= 22.0
+    # no line: of one half-bit pulse and its opposite, 4 sin^4(x)/(x^2) at x = pi f T/2
+    f, power = welch(z, 1.0 / h, nperseg=10_000, detrend=False)
+    x = 0.5 * np.pi * f[1:] * 0.02
+    density = 2.0 * 0.02 * np.sin(x) ** 4 / x**2
+    band = (f[1:] > 5.0) & (f[1:] < 90.0)
+    smooth = np.convolve(power[1:][band] - density[band], np.ones(21) / 21.0, "valid")
+    assert np.abs(smooth).max() < 0.15 * density.max()
+    assert power.max() < 2.0 * density.max()
+    firsts = np.array([draw_noise(bus, 3, h, rng)[0] for _ in range(400)])
+    assert abs(firsts.mean()) < 0.25
+
+    part = Component(1.0, 0.1, shape="paces", depth=0.1, gust_time=0.5)
+    paced = NoiseLaw("two_paced", 1.0, components=(part,))
+    z = draw_noise(paced, 1_000_000, h, rng)
+    # one Gaussian all the time, of which the steps alone tell how quick it is
+    assert np.mean(z**2) == pytest.approx(1.0, rel=0.05)
+    assert np.mean(z**4) / z.var() ** 2 == pytest.approx(3.0, rel=0.1)
+    steps = np.diff(z)
+    slow, quick = 2.0 * -np.expm1(-h / 0.1), 2.0 * -np.expm1(-h / 0.01)
+    assert np.mean(steps**2) == pytest.approx(0.5 * (slow + quick), rel=0.05)
+    ratio = 1.0 + ((quick - slow) / (quick + slow)) ** 2
+    assert np.mean(steps**4) / np.mean(steps**2) ** 2 == pytest.approx(3.0 * ratio, rel=0.07)
+    loud = np.mean(steps[:999_900].reshape(-1, 50) ** 2, axis=1)
+    pace = np.where(loud > np.sqrt(slow * quick), 1.0, -1.0)
+    # paces are kept: the telegraph's own memory, a tenth of a second and one later
+    for lag in (2, 10):
+        kept = np.mean(pace[lag:] * pace[:-lag])
+        assert kept == pytest.approx(np.exp(-lag * 0.05 / 0.5), abs=0.1)
+    # limits: paces that last for ever, and paces that change at once
+    lags = np.arange(200) * h
+    for gust_time, expected in (
+        (1e6, 0.5 * (np.exp(-lags / 0.1) + np.exp(-lags / 0.01))),
+        (1e-8, np.exp(-0.5 * lags * (10.0 + 100.0))),
+    ):
+        law = NoiseLaw("two_paced", 1.0, components=(replace(part, gust_time=gust_time),))
+        assert np.abs(autocorrelation(law, 200, h) - expected).max() < 1e-4
+    assert not (rattle.is_ar1 or bus.is_ar1 or paced.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):
@@ -2574,6 +2973,12 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("pulsing_ring", {"rise", "plateau", "fall"}, 0.99),
         ("log_receiver", {"rise", "fall", "tail"}, 0.95),
         ("running_down_meter", {"rise", "fall"}, 0.95),
+        ("wound_up_controller", {"rise", "plateau"}, 0.999),
+        ("alternating_dryers", {"baseline", "plateau", "tail"}, 0.5),
+        ("gurgling_hose", {"rise", "fall"}, 0.99),
+        ("spreading_islands", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("undecided_laser", {"rise", "plateau", "fall"}, 0.99),
+        ("averaging_meter", {"rise", "fall"}, 0.95),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

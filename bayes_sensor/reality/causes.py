@@ -225,7 +225,7 @@ def stiff_grease(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.grease, knobs.grease_time, knobs.grease_stroke = s, time, stroke
 
 
-@cause((), "fall", "s", 2.0, near=("flow_switching",), reserve=True)
+@cause((), "fall", "s", 2.0, near=("flow_switching",))
 def unequal_valves(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Two valves take turns, for the test gas and for the carrier gas in its place; one is slower.
 
@@ -533,7 +533,7 @@ def washing_bottle(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         takes *= float(np.exp(-step.test_gas_flow * (step.tf - step.t0) / volume))
 
 
-@cause((), "plateau", "relative", 0.5, per_experiment=True, reserve=True)
+@cause((), "plateau", "relative", 0.5, per_experiment=True)
 def spitting_bottle(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A bottle of liquefied gas, overfilled, spits: drops boil off in the hose before the valve.
 
@@ -559,6 +559,51 @@ def spitting_bottle(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].test_gas.append(flow)
         edges = [(at - 1e-6, at, at + life) for at, life in zip(begin, lasts, strict=True)]
         rig[step.name].marks += [float(edge) for some in edges for edge in some]
+
+
+@cause((), "tail", "relative", 0.5, near=("flow_settling",), reserve=True)
+def wound_up_controller(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas's controller integrates its error while the line is shut, and winds itself up.
+
+    When the line opens its needle stands at its stop, 1 + ``s`` times the set point, until the
+    integral is unwound, which takes the longer, the longer it rested; only then it settles (Astrom
+    and Rundqwist, Proc. Am. Control Conf., 1693, 1989).
+    """
+    longest, time = _between(rng, 0.8, 6.0), _between(rng, 0.3, 2.0)
+    rests = [case.steps[0].t0]
+    rests += [before.duration - before.tf + step.t0 for before, step in pairwise(case.steps)]
+    for step, rest in zip(case.steps, rests, strict=True):
+        settles = step.t0 + longest * rest / max(rests)
+
+        def flow(t: FloatArray, t0: float = step.t0, settles: float = settles) -> FloatArray:
+            left = np.exp(-np.maximum(t - settles, 0.0) / time)
+            return np.where(t >= t0, 1.0 + s * left, 1.0)
+
+        rig[step.name].test_gas.append(flow)
+        rig[step.name].marks.append(settles)
+
+
+@cause((), "drift", "share of the highest gas", 0.15, reserve=True)
+def alternating_dryers(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The carrier is dried in two columns that take turns, each a little longer than it lasts.
+
+    Moisture breaks through ever faster, as a logistic curve (Thomas, J. Am. Chem. Soc. 66, 1664,
+    1944), until the other column, fresh again, takes over.  The ring does not tell it from the test
+    gas.
+    """
+    turn, half, width = _between(rng, 5.0, 30.0), rng.uniform(0.6, 1.1), rng.uniform(0.04, 0.15)
+    for step in case.steps:
+        begin, most = rng.random(), s * case.highest_concentration * step.carrier_flow
+
+        def moist(t: FloatArray, begin: float = begin, most: float = most) -> FloatArray:
+            used = np.mod(t / turn + begin, 1.0)
+            through = (1.0 + np.exp((half - 1.0) / width)) / (1.0 + np.exp((half - used) / width))
+            return np.asarray(most * through)
+
+        rig[step.name].seep.append(moist)
+        # from the turn on that the record finds begun
+        turns = np.arange(-begin * turn, step.duration, turn).tolist()
+        rig[step.name].marks += [edge for at in turns for edge in (at - 1e-6, at + 1e-6)]
 
 
 # --------------------------------------------------------------------------- manifold
@@ -766,7 +811,7 @@ def heavy_gas_in_pit(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         knobs.pit_lifted = s * case.V / slow * step.total_flow / typical
 
 
-@cause((), "plateau", "relative", 0.3, per_experiment=True, reserve=True)
+@cause((), "plateau", "relative", 0.3, per_experiment=True)
 def streaky_inlet(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Test gas and carrier meet in a tee too close to the manifold and arrive as streaks.
 
@@ -784,6 +829,68 @@ def streaky_inlet(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         rig[step.name].unmixed.append(_interpolated(times, 1.0 + s * strays))
         inside = times[(times > step.t0) & (times < step.duration)]
         rig[step.name].marks += inside.tolist()
+
+
+@cause((), "valve", "share of the flow", 0.9, reserve=True)
+def gurgling_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Water stands where the hose before the manifold sags, and both gases get past it in gulps.
+
+    Behind it pressure builds up until it gives way and falls back: the share ``s`` of the flow
+    comes in bursts that die out, each of the same volume, the more often the larger the flow.  On a
+    plateau nobody notices.
+    """
+    volume, opens, fall = case.V * _between(rng, 0.3, 1.5), rng.uniform(0.1, 0.35), 3.0
+    for step in case.steps:
+        period, begin = volume / step.total_flow, rng.random()
+
+        def flow(t: FloatArray, period: float = period, begin: float = begin) -> FloatArray:
+            opened = np.mod(t / period + begin, 1.0) / opens  # from 0 to 1 while it is
+            burst = fall / (opens * -np.expm1(-fall)) * np.exp(-fall * opened)
+            return np.asarray(1.0 - s + s * np.where(opened < 1.0, burst, 0.0))
+
+        rig[step.name].all_flow.append(flow)
+        for switch in (step.t0, step.tf):
+            end = min(switch + 10.0 * (case.tau_v + case.V / step.total_flow), step.duration)
+            first = np.ceil(switch / period + begin) - begin
+            gulps = np.arange(first * period, end, period)
+            edges = np.concatenate([gulps, gulps + opens * period]).tolist()
+            inside = [at for at in edges if at < step.duration]
+            rig[step.name].marks += [edge for at in inside for edge in (at - 1e-6, at + 1e-6)]
+
+
+@cause((), "spike", "share of the highest gas", 0.2, per_experiment=True, reserve=True)
+def breathing_operator(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The operator bends over the cell to look after it; its seal leaks, and his breath gets in.
+
+    Exhaled air is rich in carbon dioxide and vapour.  He breathes some times, not quite evenly, and
+    goes away; a breath flows out as half a sine.
+    """
+    period, out = _between(rng, 2.5, 5.0), rng.uniform(0.35, 0.55)
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        at = rng.uniform(0.02, 0.7) * step.duration
+        breaths = []
+        for _ in range(int(rng.integers(2, 8))):
+            lasts = period * rng.uniform(0.85, 1.15)
+            breaths.append((at, out * lasts, rng.uniform(0.6, 1.0)))
+            at += lasts
+        most = s * case.highest_concentration * step.total_flow
+        if k != certain and rng.random() < 0.4:
+            continue
+
+        def breath(
+            t: FloatArray,
+            breaths: tuple[tuple[float, float, float], ...] = tuple(breaths),
+            most: float = most,
+        ) -> FloatArray:
+            total = np.zeros_like(t)
+            for at, lasts, depth in breaths:
+                total += depth * np.sin(pi * np.clip((t - at) / lasts, 0.0, 1.0))
+            return most * total
+
+        rig[step.name].seep.append(breath)
+        edges = [edge for at, lasts, _ in breaths for edge in (at, at + lasts)]
+        rig[step.name].marks += [edge for edge in edges if edge < step.duration]
 
 
 # --------------------------------------------------------------------------- sensor
@@ -1024,7 +1131,7 @@ def sun_on_the_cell(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].concentration_gain.append(less)
 
 
-@cause((), "tail", "share", 0.3, near=("slow_sorption",), reserve=True)
+@cause((), "tail", "share", 0.3, near=("slow_sorption",))
 def glassy_rim(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The coating has dried to a thick glassy rim, into which the gas eats its way evenly.
 
@@ -1035,6 +1142,19 @@ def glassy_rim(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
     time, quicker = _between(rng, 1.0, 8.0), rng.uniform(0.1, 0.5)
     for knobs in rig.values():
         knobs.rim, knobs.rim_time, knobs.rim_back = s, time, quicker * time
+
+
+@cause((), "tail", "share of the highest step", 0.3, near=("slow_sorption",), reserve=True)
+def spreading_islands(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """On the coating the gas condenses in islands, which spread evenly until they have met.
+
+    Above their vapour pressure they grow, below it they shrink, each in proportion to what is too
+    much or missing; 1 - exp(-radius^2) is covered (Avrami, J. Chem. Phys. 8, 212, 1940).  So little
+    comes at first, and when the gas has gone most of it stays for a while.
+    """
+    vapour, time = _between(rng, 0.1, 0.35), _between(rng, 0.2, 2.0)
+    for knobs in rig.values():
+        knobs.islands, knobs.islands_vapour, knobs.islands_time = s, vapour, time
 
 
 # --------------------------------------------------------------------------- readout
@@ -1336,7 +1456,7 @@ def leaking_reference(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.reference, knobs.reference_time = s, time
 
 
-@cause((), "ripple", "share of the step", 0.2, fast=True, reserve=True)
+@cause((), "ripple", "share of the step", 0.2, fast=True)
 def pulsing_ring(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Light warms the ring's core and its polymer coating, which move the line opposite ways.
 
@@ -1352,7 +1472,7 @@ def pulsing_ring(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.pulsing_begin = rng.random()
 
 
-@cause((), "drift", "relative", 0.15, per_experiment=True, reserve=True)
+@cause((), "drift", "relative", 0.15, per_experiment=True)
 def passing_lift(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The building's lift passes: its iron pulls at the isolator's magnet, and less light comes.
 
@@ -1384,6 +1504,60 @@ def passing_lift(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
             return np.asarray(s * ((1.0 + (rides[0][2] / aside) ** 2) ** -1.5 - field))
 
         rig[step.name].gain.append(lost)
+
+
+@cause((), "spike", "relative", 0.15, per_experiment=True, reserve=True)
+def leaning_visitor(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A visitor leans on the floating table, and later lets go: it tilts, then the other way.
+
+    Its valves let air in or out at an even rate until it is level again.  Of the light, a Gaussian
+    beam before a fibre, the share 1 - (1 - ``s``)^(tilt^2) is lost.
+    """
+    levelling, certain = _between(rng, 1.0, 8.0), int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        at = rng.uniform(0.02, 0.7) * step.duration
+        pushes = []
+        for _ in range(int(rng.integers(1, 3))):
+            weight, stays = _sign(rng) * rng.uniform(0.5, 1.0), _between(rng, 1.0, 15.0)
+            pushes += [(at, weight), (at + stays, -weight)]
+            at += stays + _between(rng, 3.0, 20.0)
+        if k != certain and rng.random() < 0.4:
+            continue
+        times, tilts = [0.0], [0.0]
+        for at, weight in pushes:
+            left = max(abs(tilts[-1]) - (at - times[-1]) / levelling, 0.0)
+            tilts.append(float(np.copysign(left, tilts[-1])) + weight)
+            times.append(at)
+
+        def lost(
+            t: FloatArray,
+            times: tuple[float, ...] = tuple(times),
+            tilts: tuple[float, ...] = tuple(tilts),
+        ) -> FloatArray:
+            i = np.maximum(np.searchsorted(times, t, side="right") - 1, 0)
+            left = np.abs(np.take(tilts, i)) - np.maximum(t - np.take(times, i), 0.0) / levelling
+            return np.asarray(np.expm1(np.log1p(-s) * np.maximum(left, 0.0) ** 2))
+
+        rig[step.name].gain.append(lost)
+        inside = [at for at in times[1:] if at < step.duration]
+        rig[step.name].marks += [edge for at in inside for edge in (at - 1e-6, at)]
+
+
+@cause((), "level", "share of the step", 0.2, fast=True, reserve=True)
+def undecided_laser(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Light that the ring sends back decides between two modes of the laser, of unequal power.
+
+    How much it is goes with the response: far below the border it is one mode, far above the other,
+    and about it chance decides, again and again.
+    """
+    at, width = rng.uniform(0.3, 0.8), _between(rng, 0.03, 0.12)
+    gap, lasting = _sign(rng) * s * _mean_step(case), _between(rng, 0.1, 1.0)
+    for step in case.steps:
+        knobs, decisions = rig[step.name], [0.0]
+        while decisions[-1] < step.duration:
+            decisions.append(decisions[-1] + float(rng.exponential(lasting)))
+        knobs.border_gap, knobs.decisions = gap, np.array(decisions)
+        knobs.borders = at + width * rng.logistic(size=len(decisions))
 
 
 # --------------------------------------------------------------------------- electronics
@@ -1509,7 +1683,7 @@ def rms_receiver(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.rms_time = s
 
 
-@cause((), "fall", "s", 0.15, near=("daq_filter",), reserve=True)
+@cause((), "fall", "s", 0.15, near=("daq_filter",))
 def log_receiver(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The receiver is a logarithmic amplifier, as quick as its photocurrent is large.
 
@@ -1651,6 +1825,18 @@ def neighbours_flashlamp(rig: Rig, s: float, rng: np.random.Generator, case: Cas
         rig[step.name].offset.append(pulses)
 
 
+@cause((), "delay", "share of the step", 0.3, near=("daq_filter",), reserve=True)
+def averaging_meter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The meter shows a running average, and begins it anew when a reading is out of its window.
+
+    So it keeps up where the signal is steep, in jumps as high as the window ``s``, and creeps along
+    the last part of the way, which lies within.
+    """
+    window, time = s * _mean_step(case), _between(rng, 0.5, 6.0)
+    for knobs in rig.values():
+        knobs.average_window, knobs.average_time = window, time
+
+
 @cause((), "delay", "s", 0.5)
 def held_readings(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The instrument renews its output now and then only; between, the recorder sees it stand."""
@@ -1760,7 +1946,7 @@ def hurried_timer(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         rig[step.name].clock = clock
 
 
-@cause((), "clock", "relative", 0.8, reserve=True)
+@cause((), "clock", "relative", 0.8)
 def running_down_meter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A dual-slope converter runs freely: the further its input from its zero, the longer it takes.
 

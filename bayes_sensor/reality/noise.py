@@ -6,6 +6,7 @@ from math import ceil, cos, exp, pi, sqrt
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.special import erfcx, gamma, kv
@@ -19,13 +20,14 @@ OPEN_LAWS = (
     "turbulent", "zeroed_walk", "pulsing", "ac_coupled", "interpolated", "etalon",
     "molecules", "speckle", "whistling", "notched", "interleaved", "charging",
     "noise_shaping", "dusty", "roller_pump", "beam_crossing", "one_bit", "intermittent",
+    "conducting", "latching", "waning",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("conducting", "latching", "waning")
+RESERVE_LAWS = ("rattling", "coded", "two_paced")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
-    "waning",
+    "waning", "two_paced",
 )  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
 loudness"""
@@ -249,6 +251,27 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
         # a receiver that is not yet as quiet, or no longer, as it will be, or was
         "waning": (Component(1.0, short, shape="waning", depth=own.uniform(0.75, 0.95)),),
     }  # fmt: skip
+    rattled, coded = own.uniform(0.05, 0.25), own.uniform(0.15, 0.3)
+    parts |= {
+        # a fibre that lies loose in its groove and wanders from wall to wall
+        "rattling": (
+            Component(1.0 - rattled, short),
+            Component(rattled, exp(own.uniform(np.log(0.05), np.log(1.0))), shape="stops"),
+        ),
+        # the bus of the room's lamps, whose every bit goes up and down or down and up
+        "coded": (
+            Component(1.0 - coded, short),
+            Component(coded, exp(own.uniform(np.log(1.5e-3), np.log(6e-3))), shape="coded"),
+        ),
+        # a stream whose eddies are as strong, but many times as quick, by turns
+        "two_paced": (
+            Component(
+                1.0, exp(own.uniform(np.log(0.06), np.log(0.2))), shape="paces",
+                depth=own.uniform(0.05, 0.12),
+                gust_time=exp(own.uniform(np.log(0.2), np.log(3.0))),
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -308,6 +331,13 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = erfcx(np.sqrt(lags / part.time))
         elif part.shape == "latching":
             own *= np.cos(lags / part.time)
+        elif part.shape == "stops":
+            own = _stopped_correlation(lags / part.time)
+        elif part.shape == "coded":
+            bits = lags / part.time
+            own = np.where(bits < 0.5, 1.0 - 3.0 * bits, np.minimum(bits - 1.0, 0.0))
+        elif part.shape == "paces":
+            own = _paced_correlation(part, lags)
         elif part.shape == "diffusing":
             own = 1.0 / (1.0 + lags / part.time)
         elif part.shape == "notched":
@@ -383,6 +413,12 @@ def _draw_part(
         return _embedded(erfcx(np.sqrt(np.arange(n + 1, dtype=float) * interval / part.time)), rng)
     if part.shape == "latching":
         return _latching(interval / part.time, n, rng)
+    if part.shape == "stops":
+        return _between_stops(interval / part.time, n, rng)
+    if part.shape == "coded":
+        return _coded(interval / part.time, n, rng)
+    if part.shape == "paces":
+        return _paced(part, n, interval, rng, tails)
     if part.shape == "bell":
         return _bell(part.time, n, interval, rng)
     if part.shape == "bits":
@@ -452,6 +488,79 @@ def _latching(knocks: float, n: int, rng: np.random.Generator) -> FloatArray:
     """
     state = rng.integers(4) + np.cumsum(rng.poisson(knocks, n))
     return np.where(state % 4 < 2, 1.0, -1.0)
+
+
+def _stopped_correlation(lags: FloatArray) -> FloatArray:
+    """Of a random walk between two stops; lags in units of its slowest mode's time."""
+    total = np.zeros_like(lags)
+    for k in range(1, 60, 2):
+        total += 96.0 / (pi * k) ** 4 * np.exp(-(k**2) * lags)
+    return total
+
+
+def _between_stops(interval: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) random walk between two stops that throw it back, anywhere as likely.
+
+    A free walk, folded; with ``interval`` in units of its time the distance of its stops has the
+    modes exp(-k^2 lag) of odd k, in shares of 96/(pi k)^4.
+    """
+    walk = sqrt(2.0 * interval) / pi * rng.standard_normal(n)
+    walk[0] = 2.0 * rng.random()
+    folded = np.abs(np.mod(np.cumsum(walk), 2.0) - 1.0)  # of stops at 0 and 1
+    place: FloatArray = sqrt(12.0) * (folded - 0.5)
+    return place
+
+
+def _coded(bits: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) 1 or -1: bits at random, ``bits`` of them an interval, the other sign in second halves.
+
+    Manchester's code; the first sample lies anywhere in its bit.
+    """
+    at = np.arange(n) * bits + rng.random()
+    number = at.astype(np.int64)
+    signs = np.where(rng.random(int(number[-1]) + 1) < 0.5, 1.0, -1.0)
+    return np.where(at - number < 0.5, 1.0, -1.0) * signs[number]
+
+
+def _paces(part: Component) -> tuple[float, float, float]:
+    """(mean of both rates, half their difference, changes to the other one) per s."""
+    slow, quick = 1.0 / part.time, 1.0 / (part.depth * part.time)
+    return 0.5 * (quick + slow), 0.5 * (quick - slow), 0.5 / part.gust_time
+
+
+def _paced_correlation(part: Component, lags: FloatArray) -> FloatArray:
+    """Mean of exp(-(own time passed)): two states, of which the quick one forgets more."""
+    mean, half, change = _paces(part)
+    root = sqrt(half**2 + change**2)
+    late, soon = np.exp(-(mean + change - root) * lags), np.exp(-(mean + change + root) * lags)
+    own: FloatArray = 0.5 * ((1.0 + change / root) * late + (1.0 - change / root) * soon)
+    return own
+
+
+def _paced(
+    part: Component, n: int, interval: float, rng: np.random.Generator, tails: tuple[float, float]
+) -> FloatArray:
+    """(n,) Ornstein-Uhlenbeck process whose own time passes quickly or slowly, by turns."""
+    mean, half, change = _paces(part)
+    changes = np.sort(rng.uniform(0.0, n * interval, rng.poisson(change * n * interval)))
+    edges = np.concatenate([[0.0], changes, [n * interval]])
+    sign = 1.0 if rng.random() < 0.5 else -1.0
+    rates = mean + half * sign * np.where(np.arange(len(edges) - 1) % 2 == 0, 1.0, -1.0)
+    passed = np.concatenate([[0.0], np.cumsum(rates * np.diff(edges))])
+    own = np.diff(np.interp(np.arange(n) * interval, edges, passed), prepend=0.0)
+    kicks = _innovations(n, rng, tails)
+    kicks[1:] *= np.sqrt(-np.expm1(-2.0 * own[1:]))
+    x: FloatArray = _forgetting(np.exp(-own), kicks)
+    return x
+
+
+@njit(cache=True)
+def _forgetting(decays: FloatArray, kicks: FloatArray) -> FloatArray:  # pragma: no cover
+    """(n,) first-order recursion whose ``decays`` (n,) differ; the first one does not count."""
+    x = kicks.copy()
+    for i in range(1, len(x)):
+        x[i] += decays[i] * x[i - 1]
+    return x
 
 
 def _waning(depth: float, n: int, rng: np.random.Generator) -> FloatArray:

@@ -91,7 +91,11 @@ class Component:
     is the temperature at the end of a long bar: ``erfcx(sqrt(lag/time))``; with ``latching`` a
     process of two levels that goes to the other one at every second of the events that come at
     random, every ``time`` in the mean; with ``waning`` the variance of an Ornstein-Uhlenbeck
-    process runs evenly between 1 + ``depth`` and 1 - ``depth`` in the course of a record.
+    process runs evenly between 1 + ``depth`` and 1 - ``depth`` in the course of a record.  With
+    ``stops`` it is a random walk between two stops, whose slowest mode lasts a ``time``; with
+    ``coded`` two levels, each ``time`` at random one half after the other or the other way round;
+    with ``paces`` an Ornstein-Uhlenbeck process whose own time is ``time`` or ``depth`` times that,
+    equally often and for times whose correlation lasts ``gust_time``.
     """
 
     share: float
@@ -104,7 +108,7 @@ class Component:
     ``difference``, ``turbulent``, ``zeroed``, ``pulsing``, ``coupled``, ``interpolated``,
     ``fringes``, ``diffusing``, ``speckle``, ``whistling``, ``notched``, ``interleaved``,
     ``charging``, ``shaped``, ``motes``, ``strokes``, ``bell``, ``bits``, ``lognormal``,
-    ``conducting``, ``latching`` or ``waning``"""
+    ``conducting``, ``latching``, ``waning``, ``stops``, ``coded`` or ``paces``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

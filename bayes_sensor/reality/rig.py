@@ -185,6 +185,12 @@ class Knobs:
     """concentration at which both phases are stable, over the campaign's highest"""
     converting_time: float = 10.0
     """s, twice what the highest concentration beyond that would need for all of it"""
+    islands: float = 0.0
+    """share of the highest response that a closed film of islands adds"""
+    islands_vapour: float = 0.2
+    """concentration at which islands neither grow nor shrink, over the campaign's highest"""
+    islands_time: float = 1.0
+    """s in which the highest concentration beyond that makes their radius 1"""
     rim: float = 0.0
     """share of the response from a glassy rim"""
     rim_time: float = 3.0
@@ -221,6 +227,12 @@ class Knobs:
     """concentration at which it does, over the campaign's highest"""
     mode_width: float = 0.05
     """half of its width, likewise"""
+    border_gap: float = 0.0
+    """V by which the laser's mode above its border reads more"""
+    borders: FloatArray = field(default_factory=lambda: np.zeros(1))
+    """(m,) concentrations above which it takes that, over the campaign's highest"""
+    decisions: FloatArray = field(default_factory=lambda: np.zeros(1))
+    """(m,) s, from which on each of them holds"""
     pulsing: float = 0.0
     """V, the largest amplitude at which the ring pulses by itself"""
     pulsing_at: float = 0.5
@@ -270,6 +282,10 @@ class Knobs:
     """V by which the upper range reads more"""
     filter_time: float = 0.0
     """s, total delay of a four-pole anti-alias filter"""
+    average_window: float = 0.0
+    """V by which a reading may be off a meter's running average before that begins anew"""
+    average_time: float = 2.0
+    """s of that average"""
     hold: float = 0.0
     """s for which an instrument's output stands still between its readings"""
     hold_begin: float = 0.0
@@ -363,6 +379,8 @@ def voltage(
     if knobs.filter_time > 0:
         for _ in range(4):
             y = stages.steady_lag(t, y, 0.25 * knobs.filter_time)
+    if knobs.average_window > 0:
+        y = stages.windowed_average(t, y, knobs.average_time, knobs.average_window)
     shown = true
     if knobs.hold > 0:
         readings = np.floor((true - knobs.hold_begin) / knobs.hold)
@@ -562,6 +580,9 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
             t, relative * gas - knobs.converting_at, knobs.converting_time
         )
         x = x + knobs.converting / relative * turned
+    if knobs.islands > 0:
+        drive = relative * gas - knobs.islands_vapour
+        x = x + knobs.islands / relative * stages.islands(t, drive, knobs.islands_time)
     if knobs.reference > 0:
         x = x - knobs.reference * stages.modal(t, gas, *stages.slab(knobs.reference_time))
     return x
@@ -605,6 +626,9 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
     if knobs.mode_depth > 0:
         away = (relative * x - knobs.mode_at) / knobs.mode_width
         y = y - knobs.mode_depth * (dip(away) - dip(knobs.mode_at / knobs.mode_width))
+    if knobs.border_gap != 0:
+        border = knobs.borders[np.maximum(np.searchsorted(knobs.decisions, t, "right") - 1, 0)]
+        y = y + knobs.border_gap * (relative * x > border)
     if knobs.pulsing > 0:
         away = np.clip((relative * x - knobs.pulsing_at) / knobs.pulsing_width, -1.0, 1.0)
         rate = knobs.pulsing_rate * (1.0 + knobs.pulsing_pull * away)

@@ -681,6 +681,41 @@ def glassy(
 
 
 @njit(cache=True)
+def islands(
+    t: FloatArray, drive: FloatArray, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) share 1 - exp(-r^2) that islands cover, with ``time`` r' = ``drive`` (n,) from r = 0.
+
+    At r = 2 hardly a gap is left between them: they grow no further.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    r = 0.0
+    for i in range(n - 1):
+        r += 0.5 * (drive[i] + drive[i + 1]) * (t[i + 1] - t[i]) / time
+        r = min(max(r, 0.0), 2.0)
+        out[i + 1] = -np.expm1(-r * r)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def windowed_average(
+    t: FloatArray, y: FloatArray, time: float, window: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``y`` through a lag of ``time`` that starts anew at y where it is off by the window."""
+    n = len(t)
+    out = np.empty(n)
+    out[0] = y[0]
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        behind = time * (y[i + 1] - y[i]) / h
+        out[i + 1] = y[i + 1] - behind + (out[i] - y[i] + behind) * exp(-h / time)
+        if abs(out[i + 1] - y[i + 1]) > window:
+            out[i + 1] = y[i + 1]
+    return out
+
+
+@njit(cache=True)
 def log_amplifier(
     t: FloatArray, y: FloatArray, time: float
 ) -> FloatArray:  # pragma: no cover - compiled
