@@ -26,6 +26,13 @@ def noise(n: int, rng: np.random.Generator, kind: str, slow: float = 0.3) -> np.
         return e + slow * lfilter([0.1], [1.0, -0.99], rng.standard_normal(n))
     if kind == "walk":
         return e + 0.02 * np.cumsum(rng.standard_normal(n))
+    if kind == "paced":
+        # as strong but ten times as slow by turns, for some seconds each
+        turns = np.cumsum(rng.random(n) < 1.0 / 250.0) % 2 == int(rng.integers(2))
+        made = np.zeros(n)
+        for i, phi in enumerate(np.where(turns, 0.95, 0.55)[1:], start=1):
+            made[i] = phi * made[i - 1] + np.sqrt(1.0 - phi**2) * e[i]
+        return made
     # a resonance at 6 Hz
     root = 0.97 * np.exp(2j * np.pi * 6.0 * 0.01)
     return lfilter([0.1], [1.0, -2.0 * root.real, abs(root) ** 2], e) + 0.2 * e

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import expon
+from scipy.stats import expon, norm
 
 from bayes_sensor.gap import diagnose_gap, unsteady
 from bayes_sensor.gap.floor import Stretch
 from bayes_sensor.gap.unsteady import look_for_unsteadiness
 from tests.gap_cases import design, measured, noise
 
-NOISES = ("white", "ar1", "slow", "walk")
+NOISES = ("white", "ar1", "slow", "walk", "paced")
 
 
 def gusts(n, rng):
@@ -98,19 +98,20 @@ def test_strength_tells_the_excess_and_how_fast_it_is():
     assert found.strength["unsteady_excess"] == pytest.approx(4 * 0.5 * 0.25 / 0.02, rel=0.7)
 
 
-def test_gains_are_those_of_exponential_ordinates():
+@pytest.mark.parametrize(("sd", "slow", "_"), unsteady.RECORDS)
+def test_gains_are_those_of_exponential_ordinates(sd, slow, _):
     rng = np.random.default_rng(7)
     f = np.arange(1, 40) * 0.2
     power, expected = rng.exponential(2.0, len(f)), np.linspace(1.6, 1.1, len(f))
-    nothing, gains = unsteady._record(unsteady._Ordinates(f, power), expected)
-    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
-    weights = weights / weights.sum()
+    nothing, gains = unsteady._record(unsteady._Ordinates(f, power), expected, sd, slow)
+    nodes = np.linspace(-6.0, 6.0, 1201)
+    weights = norm.pdf(nodes) / norm.pdf(nodes).sum()
 
     def likelihood(more):
         # averaged over the record's own slow level
-        slow = unsteady.RECORD_SD / (1.0 + (f / unsteady.SLOW) ** 2)
+        lift = sd / (1.0 + (f / slow) ** 2)
         each = [
-            np.prod(expon.pdf(power, scale=expected * np.exp(z * slow) * more)
+            np.prod(expon.pdf(power, scale=expected * np.exp(z * lift) * more)
                     ** unsteady.INDEPENDENT)
             for z in nodes
         ]  # fmt: skip

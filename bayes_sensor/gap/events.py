@@ -70,6 +70,8 @@ BEGINS = np.arange(-7, 8) * 0.05
 """s, when it may begin, from the fitted switch"""
 RINGING_HZ = (3.5, 60.0)
 RINGING_RATIOS = (0.5, 1.0, 2.5, 6.0, 15.0, 40.0)
+TILT = 1.0
+"""Hz, over which the slope of a spectrum may change from one window to the next"""
 IN_PHASE_BLOCK = 0.01
 """s"""
 FEWEST_SWITCHES = 6
@@ -119,6 +121,7 @@ def look_for_events(
     use = [(s, *made) for s, made in zip(stretches, blocks, strict=True) if made is not None]
     found: list[dict[Hashable, float]] = [{} for _ in use]
     largest, where, when = 0.0, 0, 0.0
+    tails: dict[tuple[str, int], float] = {}
     for width in WIDTHS:
         for shape, middle in ((_bump, 2.5), (_jump, 1.0)):
             sizes = [max(1, round(width / dt)) for _, _, dt in use]
@@ -132,8 +135,11 @@ def look_for_events(
                     continue
                 seconds = sum(len(made[k]) * use[k][2] for k in here)
                 sizes_here = np.abs(np.concatenate([made[k] for k in here])) / usual
-                dof = max(MEDIAN_EFFICIENCY * seconds / width, 3.0)
-                dof = min(dof, _tail_dof(sizes_here, seconds, width))
+                measured = _tail_dof(sizes_here, seconds, width)
+                # where records are too short to tell, tails are those of the widest that is told
+                tail = tails.get((shape.__name__, level), np.inf) if measured is None else measured
+                tails[shape.__name__, level] = tail
+                dof = min(max(MEDIAN_EFFICIENCY * seconds / width, 3.0), tail)
                 dof = min(dof, HEAVY_DOF) if heavy_tailed else dof
                 for k in here:
                     square = (made[k] / usual) ** 2
@@ -190,29 +196,34 @@ def _jump(x: FloatArray, changes: FloatArray, m: int) -> FloatArray:
 
 
 def _local(changes: FloatArray, begins: NDArray[np.int64], length: int) -> FloatArray:
-    """Root mean square of the changes within ``length`` blocks, at least LOCAL of them."""
+    """Root mean square of the changes within ``length`` blocks, at least LOCAL of them.
+
+    At least that of the whole stretch, too: where noise moves more slowly for a while its changes
+    are small and its means are not.
+    """
     total = np.concatenate([[0.0], np.cumsum(changes)])
     wider = max(LOCAL - length, 0) // 2
     low = np.maximum(begins - wider, 0)
     high = np.minimum(begins + length + wider, len(changes))
-    local: FloatArray = np.sqrt(np.maximum((total[high] - total[low]) / (high - low), 1e-12))
+    local: FloatArray = np.sqrt(np.maximum((total[high] - total[low]) / (high - low), 1.0))
     return local
 
 
-def _tail_dof(sizes: FloatArray, seconds: float, width: float) -> float:
+def _tail_dof(sizes: FloatArray, seconds: float, width: float) -> float | None:
     """Degrees of freedom of the t law that is as long-tailed as ``sizes`` (n,), median .6745.
 
     Gusts and shots lengthen the tails at every time scale they act on; without that, each of them
     would be an event.  From ratios of quantiles to the median, less what the number of independent
-    values leaves open, and none that a single event would move.
+    values leaves open, and none that a single event would move; None where no quantile is left.
     """
-    found = np.inf
+    found = None
     for level, ratios, slope in zip(TAIL_LEVELS, _RATIOS, _SLOPES, strict=True):
         if FOOTPRINT * width > SPARE * (1.0 - level) * seconds:
             continue
         ratio = float(np.quantile(sizes, level)) / 0.6745
         error = sqrt(level * (1.0 - level) / max(seconds / width, 1.0)) / slope
         ratio *= 1.0 - TAIL_CAUTION * error
+        found = np.inf if found is None else found
         if ratio > ratios[-1]:
             found = min(found, float(np.interp(-ratio, -ratios, TAIL_DOFS)))
     return found
@@ -438,6 +449,8 @@ def _ringing_of_any_phase(
         # smoothed within the windows' own resolution only: a resonance of the noise stays one
         native = 0.25 / (np.pi * damping) / float(f[1])
         level = gaussian_filter1d(np.concatenate(usual).mean(axis=0), native)
+        as_usual = _over_its_median(np.concatenate(usual) / np.maximum(level, 1e-300))
+        wild = _wildness(as_usual, TILT / float(f[1]))
         for begins in BEGINS:
             made = [
                 spectra(y, np.rint((np.array(q.switches) + begins - t0) / dt).astype(np.int64))
@@ -446,19 +459,37 @@ def _ringing_of_any_phase(
             ratio = np.concatenate(made) / np.maximum(level, 1e-300)
             if len(ratio) == 0:
                 continue
-            # noise that is stronger while the gas changes is stronger at all frequencies
-            ratio /= np.maximum(np.median(ratio, axis=1, keepdims=True) / np.log(2.0), 0.3)
-            total, k = ratio.sum(axis=0), len(ratio)
+            ratio = _over_its_median(ratio)
+            # windows whose power varies more than by chance say as much as fewer of them
+            total = ratio.sum(axis=0) / wild
+            k, rest = len(ratio) / wild, n_usual / wild
             c = np.array(RINGING_RATIOS)[:, None]
             # ratio of F densities: the usual power is a mean over windows, too
-            usually = np.log1p(total / n_usual) - np.log1p(total / n_usual / (1.0 + c))
-            each = logsumexp((k + n_usual) * usually - k * np.log1p(c), axis=0)
+            usually = np.log1p(total / rest) - np.log1p(total / rest / (1.0 + c))
+            each = logsumexp((k + rest) * usually - k * np.log1p(c), axis=0)
             each = each - np.log(len(RINGING_RATIOS))
             logs.append(float(logsumexp(each) - np.log(len(each))))
             if logs[-1] > best:
                 best, peak = logs[-1], int(np.argmax(each))
-                frequency, power = float(f[keep][peak]), max(float(total[peak]) - k, 0.0)
+                frequency = float(f[keep][peak])
+                power = max(float(wild[peak] * (total[peak] - k[peak])), 0.0)
     return _ringing(logs, frequency, power)
+
+
+def _wildness(ratio: FloatArray, smooth: float) -> FloatArray:
+    """(n_f,) variance of power ``ratio`` (n, n_f) over that of exponential ordinates, at least one.
+
+    ``smooth``: ordinates over which it is averaged.
+    """
+    first, second = (gaussian_filter1d(np.mean(ratio**p, axis=0), smooth) for p in (1, 2))
+    return np.asarray(np.maximum(second / np.maximum(first, 1e-300) ** 2 - 1.0, 1.0))
+
+
+def _over_its_median(ratio: FloatArray) -> FloatArray:
+    """``ratio`` (n, n_f) of power: what is stronger for a while is so at all frequencies."""
+    return np.asarray(
+        ratio / np.maximum(np.median(ratio, axis=1, keepdims=True) / np.log(2.0), 0.3)
+    )
 
 
 def _ringing_in_phase(

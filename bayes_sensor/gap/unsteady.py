@@ -41,10 +41,11 @@ LEAN = 6.0
 """ordinates that the bands above are worth in a band of the baseline's spectrum"""
 BASELINE_SD = 0.12
 """of the logarithm of the baseline's spectrum below a hertz or so, besides its ordinates' own"""
-RECORD_SD = 0.4
-"""of the logarithm of noise below a hertz in one record, as noise that is not stationary has it"""
-SLOW = 1.0
-"""Hz, up to which a record's noise wanders by that"""
+RECORDS = ((0.4, 1.0, 0.8), (1.0, 1.0, 0.05), (2.0, 1.0, 0.05), (1.0, 4.0, 0.05), (2.0, 4.0, 0.05))
+"""how noise that is not stationary differs from record to record: standard deviation of its
+logarithm, Hz below which it does, and how plausible that is"""
+STEP = 0.35
+"""of the logarithm of a record's slow noise, from node to node"""
 # close enough together for spectra of hundreds of ordinates, between which Gauss's nodes would fall
 _NODES = np.linspace(-3.0, 3.0, 9)
 _LOG_WEIGHTS = -0.5 * _NODES**2 - logsumexp(-0.5 * _NODES**2)
@@ -76,8 +77,9 @@ def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> l
 
     Ordinates of the spectra are exponential about their mean (Whittle).  ``ln B`` averages over the
     excess and its cutoff, alike in all records or different in each; with and without it, over
-    how far off the baseline's spectrum is, and each record's own slow noise.  ``strength``: excess
-    over the noise's power, and the cutoff in Hz, at the likeliest.
+    how far off the baseline's spectrum is, over each record's own slow noise, and over how unlike
+    records are, of which the baseline has its say.  ``strength``: excess over the noise's power,
+    and the cutoff in Hz, at the likeliest.
     """
     carrier, plateaus = _ordinates(campaign, stretches)
     plateaus = _as_slow_as(carrier, plateaus)
@@ -85,17 +87,21 @@ def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> l
         return []
     spectrum, spread = _baseline(carrier)
     without, alike, apart = [], [], []
-    for node, log_weight in zip(_NODES, _LOG_WEIGHTS, strict=True):
-        level = spectrum * np.exp(node * spread)
-        told = [_record(o, level[o.band]) for o in plateaus]
-        nothing = float(log_weight) + sum(n for n, _ in told)
-        gains = np.array([g for _, g in told])  # (n_records, n_excesses, n_cutoffs)
-        without.append(nothing)
-        alike.append(nothing + gains.sum(axis=0))
-        in_each = np.logaddexp(
-            np.log(STRUCK) + logsumexp(gains, axis=1) - np.log(len(EXCESSES)), np.log1p(-STRUCK)
-        )
-        apart.append(nothing + in_each.sum(axis=0))
+    for sd, slow, plausible in RECORDS:
+        # the baseline tells how unlike records are
+        usual = np.log(plausible) + sum(_record(o, spectrum[o.band], sd, slow)[0] for o in carrier)
+        for node, log_weight in zip(_NODES, _LOG_WEIGHTS, strict=True):
+            level = spectrum * np.exp(node * spread)
+            told = [_record(o, level[o.band], sd, slow) for o in plateaus]
+            nothing = float(usual + log_weight) + sum(n for n, _ in told)
+            gains = np.array([g for _, g in told])  # (n_records, n_excesses, n_cutoffs)
+            without.append(nothing)
+            alike.append(nothing + gains.sum(axis=0))
+            in_each = np.logaddexp(
+                np.log(STRUCK) + logsumexp(gains, axis=1) - np.log(len(EXCESSES)),
+                np.log1p(-STRUCK),
+            )
+            apart.append(nothing + in_each.sum(axis=0))
     same = logsumexp(alike, axis=0)
     value = np.logaddexp(_mean(same), _mean(logsumexp(apart, axis=0))) - np.log(2.0)
     i, j = np.unravel_index(int(np.argmax(same)), same.shape)
@@ -162,15 +168,21 @@ def _baseline(carrier: Sequence[_Ordinates]) -> tuple[FloatArray, FloatArray]:
     return spectrum, np.sqrt(variance + BASELINE_SD**2)
 
 
-def _record(o: _Ordinates, expected: FloatArray) -> tuple[float, FloatArray]:
-    """ln likelihood of one plateau without an excess, and what each excess and cutoff adds."""
-    without, within = [], []
-    for node, log_weight in zip(_NODES, _LOG_WEIGHTS, strict=True):
-        mean = expected * np.exp(node * RECORD_SD / (1.0 + (o.frequency / SLOW) ** 2))
-        ratio = o.power / mean
-        here = float(log_weight) - INDEPENDENT * float(np.sum(np.log(mean) + ratio))
-        gained = np.tensordot(ratio, 1.0 - 1.0 / o.more, axes=1) - np.log(o.more).sum(axis=0)
-        without.append(here)
-        within.append(here + INDEPENDENT * gained)
-    nothing = float(logsumexp(without))
-    return nothing, logsumexp(within, axis=0) - nothing
+def _record(
+    o: _Ordinates, expected: FloatArray, sd: float, slow: float
+) -> tuple[float, FloatArray]:
+    """ln likelihood of one record without an excess, and what each excess and cutoff adds.
+
+    ``expected`` (n,); its noise below ``slow`` Hz has another size, by a normal law of ``sd`` for
+    the logarithm.
+    """
+    nodes = np.linspace(-4.0, 4.0, 2 * int(np.ceil(4.0 * sd / STEP)) + 1)
+    log_weights = -0.5 * nodes**2 - logsumexp(-0.5 * nodes**2)
+    lifts = nodes[:, None] * sd / (1.0 + (o.frequency / slow) ** 2)  # (n_nodes, n)
+    ratio = o.power / expected * np.exp(-lifts)
+    here = log_weights - INDEPENDENT * np.sum(np.log(expected) + lifts + ratio, axis=1)
+    taken = (1.0 - 1.0 / o.more).reshape(len(o.power), -1)
+    gained = ratio @ taken - np.log(o.more).sum(axis=0).ravel()  # (n_nodes, n_more)
+    nothing = float(logsumexp(here))
+    within = logsumexp(here[:, None] + INDEPENDENT * gained, axis=0) - nothing
+    return nothing, within.reshape(o.more.shape[1:])
