@@ -281,8 +281,8 @@ def compare_settings(
     full = table(rows)[[*keys, "closed"]]
     quick = frame[frame["case"].isin(names)][[*keys, "kind", "d", "closed"]]
     both = quick.merge(full, on="case", suffixes=("_study", "_full"))
-    same = both["verdict_study"] == both["verdict_full"]
-    both["same_verdict"] = same & (both["said_study"] == both["said_full"])
+    alike = both["said_study"].map(_sorted) == both["said_full"].map(_sorted)
+    both["same_verdict"] = alike & (both["verdict_study"] == both["verdict_full"])
     return both
 
 
