@@ -718,14 +718,12 @@ def test_the_score_card_is_drawn_even_when_nearly_empty() -> None:
 def test_unlisted_causes_look_listed_as_often_as_the_verdict_assumes() -> None:
     from bayes_sensor.gap.verdict import MIMIC
 
-    cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
-    outside = cases[(cases["kind"] == "unlisted") & (cases["d"].astype(float) > 4.0)]
-    away = outside["isolability"].astype(float) / outside["d"].astype(float)
-    assert len(away) > 50
-    for d in (8.0, 16.0):  # what lies nearer than 3.5 to an effect is taken for it
-        share = float(np.mean(away * d < 3.5))
-        spread = np.sqrt(share * (1.0 - share) / len(away))
-        assert abs(share - MIMIC / d) < 0.05 + 2.0 * spread
+    runs = pd.read_csv(TABLES / "blind_check_look_alikes.csv")
+    assert len(runs) >= 6 and runs["campaigns"].min() > 50
+    for d in (8, 16):  # causes differ from run to run more than campaigns of one cause do
+        shares = runs[f"share_d{d}"]
+        spread = shares.std() / np.sqrt(len(shares))
+        assert abs(shares.mean() - MIMIC / d) < 0.05 + 2.0 * spread < 0.16
 
 
 def test_the_sentences_of_the_card_stand_inside_its_page() -> None:

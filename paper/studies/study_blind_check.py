@@ -38,6 +38,8 @@ from bayes_sensor.results import read_json, write_json, write_text
 N, SEED = 600, 20261130
 """the seed was never used before the run that is reported"""
 N_FULL = 60
+ALIKE = 3.5
+"""standard deviations; what lies nearer to an effect is taken for it"""
 FIGURES = TABLES.parent / "figures"
 README = PAPER.parent / "README.md"
 OPENS, CLOSES = "<!-- blind check: study_blind_check.py -->\n", "<!-- end of blind check -->\n"
@@ -62,12 +64,29 @@ def run(
         TABLES / "blind_check_goals.csv", index=False, float_format="%.4g"
     )
     write_json(TABLES / "blind_check.json", card)
+    write_look_alikes(frame)
     write_readme()
     keep_figure(score_card(card), "blind_check")
     both = compare_settings(place, frame, jobs, scheduler, progress)
     both.to_csv(TABLES / "blind_check_settings.csv", index=False, float_format="%.4g")
     draw_settings(both)
     keep_figure(withheld(), "opened_seal")
+
+
+def write_look_alikes(cases: pd.DataFrame) -> None:
+    """Put this run's row into blind_check_look_alikes.csv, one for every run that was opened.
+
+    The share of unlisted causes of d > 4 that would lie nearer than ``ALIKE`` to an effect of the
+    catalogue at d = 8 and at 16: what ``MIMIC`` of the verdict rests on.
+    """
+    seen = cases[(cases["kind"] == "unlisted") & (cases["d"].astype(float) > 4.0)]
+    away = seen["isolability"].astype(float) / seen["d"].astype(float)
+    row = {"seed": SEED, "campaigns": len(away)}
+    row |= {f"share_d{d}": float((away * d < ALIKE).mean()) for d in (8, 16)}
+    path = TABLES / "blind_check_look_alikes.csv"
+    others = pd.read_csv(path).query("seed != @SEED") if path.exists() else pd.DataFrame()
+    both = pd.concat([others, pd.DataFrame([row])]).sort_values("seed")
+    both.to_csv(path, index=False, float_format="%.4g")
 
 
 def markdown_table(goals: pd.DataFrame) -> str:
