@@ -216,17 +216,16 @@ def _tail_dof(sizes: FloatArray, seconds: float, width: float) -> float | None:
     would be an event.  From ratios of quantiles to the median, less what the number of independent
     values leaves open, and none that a single event would move; None where no quantile is left.
     """
-    found = None
+    found = []
     for level, ratios, slope in zip(TAIL_LEVELS, _RATIOS, _SLOPES, strict=True):
         if FOOTPRINT * width > SPARE * (1.0 - level) * seconds:
             continue
         ratio = float(np.quantile(sizes, level)) / 0.6745
         error = sqrt(level * (1.0 - level) / max(seconds / width, 1.0)) / slope
         ratio *= 1.0 - TAIL_CAUTION * error
-        found = np.inf if found is None else found
-        if ratio > ratios[-1]:
-            found = min(found, float(np.interp(-ratio, -ratios, TAIL_DOFS)))
-    return found
+        longer = ratio > ratios[-1]
+        found.append(float(np.interp(-ratio, -ratios, TAIL_DOFS)) if longer else np.inf)
+    return min(found, default=None)
 
 
 def _surprise(square: FloatArray, dof: float) -> float:
@@ -448,18 +447,17 @@ def _ringing_of_any_phase(
             continue
         # smoothed within the windows' own resolution only: a resonance of the noise stays one
         native = 0.25 / (np.pi * damping) / float(f[1])
-        level = gaussian_filter1d(np.concatenate(usual).mean(axis=0), native)
-        as_usual = _over_its_median(np.concatenate(usual) / np.maximum(level, 1e-300))
-        wild = _wildness(as_usual, TILT / float(f[1]))
+        powers = np.concatenate(usual)
+        level = np.maximum(gaussian_filter1d(powers.mean(axis=0), native), 1e-300)
+        wild = _wildness(_over_its_median(powers / level), TILT / float(f[1]))
         for begins in BEGINS:
             made = [
                 spectra(y, np.rint((np.array(q.switches) + begins - t0) / dt).astype(np.int64))
                 for (y, _, t0), q in zip(records, quiet, strict=True)
             ]
-            ratio = np.concatenate(made) / np.maximum(level, 1e-300)
+            ratio = _over_its_median(np.concatenate(made) / level)
             if len(ratio) == 0:
                 continue
-            ratio = _over_its_median(ratio)
             # windows whose power varies more than by chance say as much as fewer of them
             total = ratio.sum(axis=0) / wild
             k, rest = len(ratio) / wild, n_usual / wild

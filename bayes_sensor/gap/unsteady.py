@@ -38,7 +38,7 @@ CUTOFFS = np.array([0.1, 0.2, 0.4, 0.8])
 STRUCK = 0.5
 """plausible share of records with an excess, where it differs between them"""
 LEAN = 6.0
-"""ordinates that the bands above are worth in a band of the baseline's spectrum"""
+"""ordinates that known bands above are worth in a band of the baseline's spectrum"""
 BASELINE_SD = 0.12
 """of the logarithm of the baseline's spectrum below a hertz or so, besides its ordinates' own"""
 RECORDS = ((0.4, 1.0, 0.8), (1.0, 1.0, 0.05), (2.0, 1.0, 0.05), (1.0, 4.0, 0.05), (2.0, 4.0, 0.05))
@@ -71,6 +71,12 @@ class _Ordinates:
         found: FloatArray = 1.0 + EXCESSES[None, :, None] * shape[:, None, :]
         return found
 
+    @cached_property
+    def explained(self) -> tuple[FloatArray, FloatArray]:
+        """(n, n_more) share of the power that each excess makes up, (n_more,) what it costs."""
+        flat = self.more.reshape(len(self.power), -1)
+        return 1.0 - 1.0 / flat, np.log(flat).sum(axis=0)
+
 
 def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRate]:
     """Slow power on the plateaus that the baseline has not; nothing where one of them is short.
@@ -89,7 +95,9 @@ def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> l
     without, alike, apart = [], [], []
     for sd, slow, plausible in RECORDS:
         # the baseline tells how unlike records are
-        usual = np.log(plausible) + sum(_record(o, spectrum[o.band], sd, slow)[0] for o in carrier)
+        usual = np.log(plausible) + sum(
+            float(logsumexp(_without(o, spectrum[o.band], sd, slow)[0])) for o in carrier
+        )
         for node, log_weight in zip(_NODES, _LOG_WEIGHTS, strict=True):
             level = spectrum * np.exp(node * spread)
             told = [_record(o, level[o.band], sd, slow) for o in plateaus]
@@ -159,7 +167,7 @@ def _baseline(carrier: Sequence[_Ordinates]) -> tuple[FloatArray, FloatArray]:
     each = np.concatenate([o.power for o in carrier])
     count, power = np.bincount(band, minlength=n), np.bincount(band, each, minlength=n)
     spectrum, variance = np.ones(n), np.zeros(n)
-    above, slope, uncertain = 1.0, 1.0, 0.0
+    above, slope, uncertain = 1.0, 1.0, 0.0  # of the band above
     for b in reversed(range(n)):
         lean = 1.0 / (1.0 / LEAN + uncertain)
         spectrum[b] = (power[b] + lean * above * slope) / (count[b] + lean)
@@ -168,21 +176,28 @@ def _baseline(carrier: Sequence[_Ordinates]) -> tuple[FloatArray, FloatArray]:
     return spectrum, np.sqrt(variance + BASELINE_SD**2)
 
 
-def _record(
+def _without(
     o: _Ordinates, expected: FloatArray, sd: float, slow: float
-) -> tuple[float, FloatArray]:
-    """ln likelihood of one record without an excess, and what each excess and cutoff adds.
+) -> tuple[FloatArray, FloatArray]:
+    """(n_nodes,) ln likelihood of a record and each size of its slow noise, (n_nodes, n) ratios.
 
     ``expected`` (n,); its noise below ``slow`` Hz has another size, by a normal law of ``sd`` for
-    the logarithm.
+    the logarithm.  Ratios are of its power to what is then expected.
     """
     nodes = np.linspace(-4.0, 4.0, 2 * int(np.ceil(4.0 * sd / STEP)) + 1)
     log_weights = -0.5 * nodes**2 - logsumexp(-0.5 * nodes**2)
     lifts = nodes[:, None] * sd / (1.0 + (o.frequency / slow) ** 2)  # (n_nodes, n)
     ratio = o.power / expected * np.exp(-lifts)
     here = log_weights - INDEPENDENT * np.sum(np.log(expected) + lifts + ratio, axis=1)
-    taken = (1.0 - 1.0 / o.more).reshape(len(o.power), -1)
-    gained = ratio @ taken - np.log(o.more).sum(axis=0).ravel()  # (n_nodes, n_more)
+    return here, ratio
+
+
+def _record(
+    o: _Ordinates, expected: FloatArray, sd: float, slow: float
+) -> tuple[float, FloatArray]:
+    """ln likelihood of one record without an excess, and what each excess and cutoff adds."""
+    here, ratio = _without(o, expected, sd, slow)
+    share, cost = o.explained
     nothing = float(logsumexp(here))
-    within = logsumexp(here[:, None] + INDEPENDENT * gained, axis=0) - nothing
+    within = logsumexp(here[:, None] + INDEPENDENT * (ratio @ share - cost), axis=0) - nothing
     return nothing, within.reshape(o.more.shape[1:])
