@@ -100,6 +100,40 @@ def test_at_half_a_rate_that_is_near_the_mains_a_line_is_the_mains():
     slow = [replace(p, interval=0.01) for p in every_other(np.random.default_rng(8), 2e-3)]
     found = _look_for_lines(slow, "line")[0]
     assert found.strength["line_Hz"] < 49.8 and found.log_bayes_factor < 0.0
+    found = _look_for_lines(slow, "mains_pickup")[0]
+    assert found.strength["mains_Hz"] == 50.0 and found.log_bayes_factor > 4.0
+
+
+def folded(rng, frequency, size, n=6):
+    """Records of 48 s at 100 Hz: 50 Hz folds onto half that rate, where the samples hardly see
+    one of a sine's two phases."""
+    t = np.arange(4800) * 0.01
+    return [
+        Piece(size * np.sin(2.0 * np.pi * frequency * t + rng.uniform(0.0, 2.0 * np.pi))
+              + 0.05 * rng.standard_normal(len(t)), np.ones(len(t)), 0.01, 0)
+        for _ in range(n)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("frequency", [49.97, 50.0, 50.01, 50.05])
+def test_the_mains_are_found_and_closed_where_they_fold_onto_half_the_rate(frequency):
+    for seed in range(4):
+        pieces = folded(np.random.default_rng(seed), frequency, 0.02)
+        found = _look_for_lines(pieces, "mains_pickup")[0]
+        assert found.strength["mains_Hz"] == 50.0 and found.log_bayes_factor > 20.0
+        closed, out = mains_closure(pieces, found)
+        # a sine fitted as if its phases were orthogonal would be taken off twice
+        assert closed.fraction == pytest.approx(1.0, abs=0.08)
+        assert closed.low < 1.01 and closed.high > 0.99
+        # on half the rate itself a sine's other phase is unknown, and so is its other half
+        assert out is None if frequency == 50.0 else out == pytest.approx(1.0, abs=0.1)
+
+
+def test_noise_at_half_the_rate_is_not_the_mains():
+    rng = np.random.default_rng(12)
+    factors = [_look_for_lines(folded(rng, 50.0, 0.0), "mains_pickup")[0].log_bayes_factor
+               for _ in range(60)]  # fmt: skip
+    assert max(factors) < 3.0 and np.mean(np.exp(factors)) < 1.5
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.95, -0.95])
@@ -156,3 +190,12 @@ def test_a_diagnosis_that_names_the_mains_says_how_far_they_are_closed():
     assert shrink["held_out_fraction_closed"] == pytest.approx(1.0, abs=0.15)
     assert shrink["before_excess_rms_V"] == pytest.approx(0.006 / np.sqrt(2.0), rel=0.15)
     assert "closes" in gap.verdict.sentence
+
+
+def test_a_diagnosis_names_the_mains_where_they_fold_onto_half_the_rate():
+    campaign = measured({"mains_pickup": 0.006}, seed=10, interval=0.01)
+    gap = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)
+    assert gap.verdict.kind == "effect" and gap.verdict.effects == ("mains_pickup",)
+    shrink = gap.to_json()["shrink"]
+    assert shrink["fraction_closed"] == pytest.approx(1.0, abs=0.1)
+    assert shrink["held_out_fraction_closed"] is None

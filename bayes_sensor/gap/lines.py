@@ -44,6 +44,10 @@ SWING_BLOCK = 0.05
 """s, means over which swings are looked for"""
 HIGHEST_LINE = 0.498
 """of the sampling rate; closer to half of it an ordinate is neither complex nor real"""
+FOLDED = 2.0
+"""native resolutions from half the sampling rate within which an ordinate counts as real"""
+UNTOLD = 0.1
+"""of the larger eigenvalue, below which samples do not tell a sine's other phase"""
 TAKING_TURNS = 0.05
 """prior share of the line at half the sampling rate itself, where two converters take turns"""
 RATIOS = (1.0, 2.5, 6.0, 15.0, 40.0)
@@ -157,7 +161,11 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
     mains = name == "mains_pickup"
     near, nominal, closeness = mains_bands(f, common)
     where = (near if mains else ~near) & (f >= FEWEST_CYCLES / (longest * common))
-    where &= f <= HIGHEST_LINE / common
+    real = np.ones(len(f))
+    if mains:  # may fold onto half the rate itself, as 50 Hz do at 100 samples a second
+        real[f > 0.5 / common - FOLDED / (longest * common)] = 0.5
+    else:
+        where &= f <= HIGHEST_LINE / common
     where &= f <= FASTEST_SWING if name == "swing" else f >= LOWEST_LINE
     if not where.any():
         return []
@@ -165,7 +173,6 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
     weight = np.zeros(len(f))
     weight[where] = closeness[where] if mains else 1.0 / np.maximum(f[where], 1.0)
     weight /= weight.sum()
-    real = np.ones(len(f))
     if name == "line" and not near[-1]:  # every other sample: a real ordinate, at half the rate
         weight *= 1.0 - TAKING_TURNS
         weight[-1], real[-1] = TAKING_TURNS, 0.5
@@ -307,8 +314,8 @@ def mains_closure(pieces: Sequence[Piece], found: FullRate) -> tuple[Closure, fl
 
     ``pieces`` are whole records, ``found`` the mains as the test at full rate reports them.  In
     sample a sine with the record's own amplitude and phase is taken off every record; held out,
-    the sine of one half of the record is taken off the other.  The interval is that of
-    exponential ordinates around their expectation.
+    the sine of one half of the record is taken off the other, unless half a record does not tell
+    its phase.  The interval is that of exponential ordinates around their expectation.
     """
     n = 1 << int(np.ceil(np.log2(max(len(p.samples) for p in pieces))))
     levels = _levels(pieces, n)
@@ -323,23 +330,26 @@ def mains_closure(pieces: Sequence[Piece], found: FullRate) -> tuple[Closure, fl
     )
     harmonics = frequency / order * np.arange(1.0, HARMONICS + 1.0)
     before, after = np.zeros(2), np.zeros(2)
-    amplitudes, apart, noise = [], [], []
+    amplitudes, apart, noise, told = [], [], [], True
     for p, own in zip(pieces, level, strict=True):
         t = np.arange(len(p.samples), dtype=float) * p.interval
-        a, _ = _amplitude(p, t, frequency, own)
+        a = _fitted_sine(p, t, frequency, own).amplitude
         amplitudes.append(abs(a))
         sine = a.real * np.cos(2.0 * np.pi * frequency * t)
         sine -= a.imag * np.sin(2.0 * np.pi * frequency * t)
         before += _power_near(p, p.samples, own, harmonics)
         after += _power_near(p, p.samples - sine, own, harmonics)
         half = len(t) // 2
-        parts = [
-            _amplitude(Piece(p.samples[s], p.weights[s], p.interval, p.group), t[s], frequency, own)
+        one, two = (
+            _fitted_sine(
+                replace(p, samples=p.samples[s], weights=p.weights[s]), t[s], frequency, own
+            )
             for s in (slice(0, half), slice(half, None))
-        ]
-        (a1, v1), (a2, v2) = parts
-        apart.append(2.0 * (abs(a1 - a2) ** 2 - v1 - v2))
-        noise.append(abs(a1) ** 2 + abs(a2) ** 2 - v1 - v2)
+        )
+        uncertain = one.variance + two.variance
+        apart.append(2.0 * (abs(one.amplitude - two.amplitude) ** 2 - uncertain))
+        noise.append(abs(one.amplitude) ** 2 + abs(two.amplitude) ** 2 - uncertain)
+        told = told and one.told and two.told
     volts = float(np.sqrt(np.mean(np.square(amplitudes)) / 2.0))
     excess, spread = before[0], float(np.sqrt(before[1]))
     d = [float(np.sqrt(max(2.0 * x, 0.0))) for x in (before[0], after[0])]
@@ -351,23 +361,58 @@ def mains_closure(pieces: Sequence[Piece], found: FullRate) -> tuple[Closure, fl
     # and the level is a median over at least 20 resolutions of all records together
     of_level = (before[1] * LEVEL_ERROR) ** 2 / len(pieces)
     sd = np.sqrt(after[1] + of_level + (1.0 - fraction) ** 2 * (before[1] + of_line)) / excess
-    out = 1.0 - float(np.sum(apart)) / float(np.sum(noise)) if np.sum(noise) > 0 else None
+    known = told and np.sum(noise) > 0
+    out = 1.0 - float(np.sum(apart)) / float(np.sum(noise)) if known else None
     left = volts * float(np.sqrt(max(1.0 - fraction, 0.0)))
     low, high = float(fraction - 1.96 * sd), float(fraction + 1.96 * sd)
     return Closure(float(fraction), low, high, volts, left, d[0], d[1]), out
 
 
-def _amplitude(
+@dataclass(frozen=True)
+class _Sine:
+    """Re(A exp(2 pi i f t)) fitted to samples."""
+
+    amplitude: complex
+    """A in V; the smallest that explains the samples where they do not tell its phase"""
+    variance: float
+    """V^2, of A under noise"""
+    power: float
+    """what it explains, over the mean of that under noise"""
+    told: bool = True
+    """whether the samples tell A's phase"""
+
+
+def _fitted_sine(
     p: Piece, t: FloatArray, frequency: float, level: tuple[FloatArray, FloatArray]
-) -> tuple[complex, float]:
-    """Least-squares amplitude A of Re(A exp(2 pi i f t)) V, and its variance V^2 under noise."""
+) -> _Sine:
+    """The sine of a ``frequency`` Hz that comes nearest to the samples at ``t`` (n,) s.
+
+    Where the line folds onto half the sampling rate, sine and cosine are not orthogonal there.
+    """
     w = p.weights
-    total = float(np.sum(w))
-    a = 2.0 * complex(np.sum(w * p.samples * np.exp(-2j * np.pi * frequency * t))) / total
-    # the level is that of |sum w y e|^2 for the whole record: scaled to these samples
-    f, power = level
-    own = float(np.interp(frequency, f, power)) * float(np.sum(w**2))
-    return a, 4.0 * own / total**2
+    rate = 1.0 / p.interval
+    folded = abs(frequency - rate * round(frequency / rate))
+    density = float(np.interp(folded, *level))
+    if folded <= 0.5 * rate - FOLDED / (len(t) * p.interval):
+        total = float(np.sum(w))
+        a = 2.0 * complex(np.sum(w * p.samples * np.exp(-2j * np.pi * frequency * t))) / total
+        # the level is that of |sum w y e|^2 for the whole record: scaled to these samples
+        variance = 4.0 * density * float(np.sum(w**2)) / total**2
+        return _Sine(a, variance, abs(a) ** 2 / variance)
+    angle = 2.0 * np.pi * frequency * t
+    X = np.column_stack([np.cos(angle), -np.sin(angle)])
+    seen = X.T @ (w * p.samples)
+    noise = density * (X.T @ (w[:, None] ** 2 * X))
+    normal = X.T @ (w[:, None] * X)
+    solve = np.linalg.pinv(normal, rcond=UNTOLD, hermitian=True)
+    real, imaginary = solve @ seen
+    told = np.linalg.pinv(noise, rcond=UNTOLD, hermitian=True)
+    return _Sine(
+        complex(real, imaginary),
+        float(np.trace(solve @ noise @ solve)),
+        0.5 * float(seen @ told @ seen),
+        bool(np.linalg.cond(normal) < 1.0 / UNTOLD),
+    )
 
 
 def _power_near(
@@ -394,10 +439,8 @@ def _sharpened(
     def less(frequency: float) -> float:
         total = 0.0
         for p, own in zip(pieces, level, strict=True):
-            a, v = _amplitude(
-                p, np.arange(len(p.samples), dtype=float) * p.interval, frequency, own
-            )
-            total -= abs(a) ** 2 / v
+            t = np.arange(len(p.samples), dtype=float) * p.interval
+            total -= _fitted_sine(p, t, frequency, own).power
         return total
 
     grid = nominal + np.arange(-0.15, 0.15, 0.4 / longest)
