@@ -43,14 +43,19 @@ from bayes_sensor.reality.noise import draw_noise
 from bayes_sensor.reality.rig import Knobs, dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
+    decades,
     glassy,
     islands,
+    kept,
+    laminar,
     layered_film,
     log_amplifier,
     modal,
     moving_fronts,
     oscillating_lag,
+    overloaded,
     pit,
+    retarded,
     slab,
     splitting,
     windowed_average,
@@ -138,7 +143,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (35, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (38, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -2371,6 +2376,307 @@ def test_a_meter_begins_its_average_anew_outside_its_window() -> None:
             assert np.median(rate) == pytest.approx(-step.interval / time_, rel=0.05)
 
 
+def test_a_chromatograph_sips_the_same_volume_each_time() -> None:
+    strength, aparts, begins = 0.2, [], []
+    rig = case(sipping_chromatograph=strength)
+    found, seen = prepared_rig(rig), clean_signals(rig)
+    for step in rig.steps:
+        (thinned,), (more,) = found[step.name].unmixed, found[step.name].all_flow
+        t = np.linspace(0.0, 5.0 * step.duration, 1_500_001)
+        air = step.total_flow * (more(t) - 1.0)  # mL/s
+        # what comes in besides is air
+        assert np.allclose(thinned(t) * more(t), 1.0)
+        on = np.flatnonzero(np.diff((air > 0.0).astype(int)) > 0)
+        assert len(on) >= 6
+        aparts += np.diff(t[on]).tolist()
+        begins.append(t[on[0]] / aparts[0])
+        volumes = np.add.reduceat(air, on + 1)[:-1] * (t[1] - t[0])
+        assert np.allclose(volumes, strength * rig.V, rtol=2e-3)
+        plain = voltage(rig, step, Knobs(), sample_times(step))[0]
+        assert np.abs(seen[step.name] - plain)[sample_times(step) < step.t0].max() < 1e-9
+        assert (seen[step.name] - plain).min() < -0.05 * step.beta
+        assert (seen[step.name] - plain).max() < 1e-6
+    assert np.ptp(aparts) < 1e-3 and 4.0 < aparts[0] < 20.0
+    assert np.ptp(begins) > 0.01
+
+    step = min(rig.steps, key=lambda each: each.total_flow)
+    k, marks = rig.steps.index(step), sorted(found[step.name].marks)
+    (more,) = found[step.name].all_flow
+
+    def sipping(u: tuple[float, float], x: FloatArray) -> list[float]:
+        gas = (step.total_flow * x[0] - (step.total_flow + u[1]) * x[1]) / rig.V
+        return [(u[0] - x[0]) / rig.tau_v, gas, (x[1] - x[2]) / rig.tau]
+
+    edges = sorted([0.0, step.t0, step.tf, *(0.5 * (a + b) for a, b in zip(*[iter(marks)] * 2))])
+    inputs = []
+    for at in edges:
+        air = step.total_flow * float(more(np.array([at + 2e-6]))[0] - 1.0)
+        inputs.append((at, (float(step.t0 <= at < step.tf), air)))
+    assert len(inputs) >= 5
+    _, states = solved(rig, sipping, 3, k=k, inputs=inputs)
+    assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-4
+
+
+def test_a_laminar_stream_leaves_the_wall_behind() -> None:
+    passed = np.linspace(-20.0, 400.0, 42_001)
+    out = laminar(passed, (passed >= 0.0).astype(float), 30.0, 4000)
+    # Poiseuille: behind the axis, which comes after half the volume
+    expected = np.where(passed > 0.0, 1.0 - (15.0 / (np.maximum(passed, 0.0) + 15.0)) ** 2, 0.0)
+    assert np.abs(out - expected).max() < 2e-3
+    # on the whole it is late by the volume, of which the axis's half is not counted here
+    ramp = laminar(passed, passed, 3.0)
+    assert (passed - ramp)[-1] == pytest.approx(0.5 * 3.0, rel=1e-9)
+
+    strength = 0.8
+    rig = case(laminar_hose=strength)
+    seen = clean_signals(rig)
+    for step in rig.steps:
+        q, half = step.total_flow, 0.5 * strength * rig.V
+        t = sample_times(step)
+        h = 2e-3
+        fine = np.arange(0.0, step.duration, h)
+        opening = np.where(
+            fine < step.tf,
+            -np.expm1(-np.maximum(fine - step.t0, 0.0) / rig.tau_v),
+            -np.expm1(-(step.tf - step.t0) / rig.tau_v)
+            * np.exp(-np.maximum(fine - step.tf, 0.0) / rig.tau_v),
+        )
+        # what has left by then: a convolution with 2 half^2/(half + volume)^3
+        arrived = 1.0 - (half / (half + q * fine)) ** 2
+        inlet = np.convolve(opening, np.diff(arrived, prepend=0.0))[: len(fine)]
+        x = inlet
+        for tau in (rig.V / q, rig.tau):
+            x = lfilter([-np.expm1(-h / tau)], [1.0, -np.exp(-h / tau)], x)
+        expected = np.interp(t, fine, x)
+        shown = (seen[step.name] - step.y0) / step.beta
+        assert np.abs(shown - expected).max() < 6e-3
+        assert np.abs(shown - voltage(rig, step, Knobs(), t)[1]).max() > 0.05
+
+
+def test_an_impurity_comes_late_and_takes_its_share() -> None:
+    t = np.linspace(0.0, 40.0, 40_001)
+    one = np.ones(len(t))
+    # n equal cells that are flushed at a constant flow: a gamma distribution of their passage
+    out = retarded(t, one, 3.0 * one, 24.0, 12)
+    rate = t * 3.0 / 24.0 * 12.0
+    terms = np.cumprod(np.vstack([one, rate / np.arange(1, 12)[:, None]]), axis=0)
+    assert np.abs(out - (1.0 - np.exp(-rate) * terms.sum(axis=0))).max() < 1e-6
+    late = np.trapezoid(1.0 - out, t)
+    assert late == pytest.approx(24.0 / 3.0, rel=1e-3)
+
+    strength, passed = 0.25, []
+    rig = case(late_impurity=strength)
+    # so that it comes through everywhere
+    long = replace(rig, steps=tuple(replace(p, tf=2e3 + p.t0, duration=2.1e3) for p in rig.steps))
+    for step, own in zip(rig.steps, long.steps, strict=True):
+        t = sample_times(step)
+        knobs = prepared_rig(rig)[step.name]
+        x, plain = (voltage(rig, step, some, t)[1] for some in (knobs, Knobs()))
+        assert np.all(x <= plain + 1e-12)
+        early = (t > step.t0) & ((t - step.t0) * step.total_flow < 0.2 * knobs.impurity_volume)
+        assert early.sum() > 5 and np.all((plain - x)[early] <= 0.01 * plain[early])
+        # Langmuir: what is left in the end at the set concentration
+        s = np.linspace(step.t0, step.t0 + 400.0, 40_001)
+        x, plain = (voltage(long, own, some, s)[1] for some in (knobs, Knobs()))
+        full = strength / (1.0 - strength) * rig.relative_concentration(step)
+        assert x[-1] == pytest.approx(1.0 / (1.0 + full), rel=1e-6)
+        if rig.relative_concentration(step) == 1.0:
+            assert x[-1] == pytest.approx(1.0 - strength, rel=1e-6)
+        # the area above its front is the mean delay: the valve's, the manifold's and the filter's
+        arrived = (plain[plain > 1e-3] / x[plain > 1e-3] - 1.0) / full
+        late = np.sum(plain <= 1e-3) * 0.01 + np.trapezoid(1.0 - arrived, dx=0.01)
+        passed.append((late - rig.tau_v - rig.V / step.total_flow) * step.total_flow)
+    # the same volume everywhere, though not the same time
+    assert passed == pytest.approx([knobs.impurity_volume] * len(passed), rel=0.01)
+
+
+def test_a_piezo_creeps_as_the_logarithm_of_time() -> None:
+    times, weights = decades(0.1)
+    assert times[0] == pytest.approx(0.1) and times[-1] == pytest.approx(1000.0)
+    s = np.array([0.5, 5.0, 50.0])
+    crept = [float(weights @ -np.expm1(-since / times)) for since in s]
+    assert np.diff(crept) == pytest.approx([1.0, 1.0], abs=0.03)
+
+    strength = 0.06
+    rig = case(creeping_piezo=strength)
+    seen = clean_signals(rig)
+    ((first,),) = {(knobs.creep_first,) for knobs in prepared_rig(rig).values()}
+    assert 0.05 < first < 0.5
+    for step in rig.steps:
+        t = sample_times(step)
+        plain = voltage(rig, step, Knobs(), t)[0]
+        missing = (plain - seen[step.name]) / step.beta
+        assert np.abs(missing[t < step.t0]).max() < 1e-9
+        assert missing.min() > -1e-9
+        # a superposition of what each small rise has let creep since: a sum over the past
+        expected, h = np.zeros(len(t)), step.interval
+        moves = np.diff((plain - step.y0) / step.beta, prepend=0.0)
+        for k in range(13):
+            tau = first * 10.0 ** (k / 3.0)
+            expected += lfilter([1.0], [1.0], np.cumsum(moves)) / 3.0
+            expected -= lfilter([1.0], [1.0, -np.exp(-h / tau)], moves) / 3.0
+        assert np.abs(missing - strength * expected).max() < 2e-3
+        # on the plateau and on the way back it still goes on, by some of a decade
+        late = (t > 0.5 * (step.t0 + step.tf)) & (t < step.tf)
+        assert np.all(np.diff(missing[late]) > 0.0)
+        assert missing[-1] > 0.01
+
+
+def test_the_warmth_of_a_hand_diffuses_to_the_ring() -> None:
+    strength, depths = 0.1, []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"touching_hand": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        size, touched = strength * np.mean([step.beta for step in rig.steps]), 0
+        for step in rig.steps:
+            courses, marks = prepared_rig(rig)[step.name].offset, prepared_rig(rig)[step.name].marks
+            s = sample_times(step)
+            if not courses:
+                assert np.array_equal(seen[step.name], plain[step.name])
+                continue
+            touched += 1
+            assert np.allclose(seen[step.name] - plain[step.name], courses[0](s), atol=1e-7)
+            on = marks[0]
+            off = marks[1] if len(marks) > 1 else step.duration
+            t = np.linspace(on, min(off, step.duration), 2001)
+            warm = np.abs(courses[0](t)) / size
+            assert warm[0] < 1e-12 and warm.max() < 1.0 and np.all(np.diff(warm) >= -1e-12)
+            assert np.all(courses[0](np.linspace(0.0, on, 50)) == 0.0)
+            # erfc(sqrt(a/t)): the ratio at two times has but one root in a
+            a = np.geomspace(0.05, 4.0, 4001)
+            ratio = erfc(np.sqrt(a / (0.4 * (t[-1] - on)))) / erfc(np.sqrt(a / (t[-1] - on)))
+            depth = float(
+                np.interp(-np.interp(0.4, np.linspace(0, 1, 2001), warm) / warm[-1], -ratio, a)
+            )
+            depths.append((seed, depth))
+            own = warm[-1] / erfc(np.sqrt(depth / (t[-1] - on)))
+            assert 0.5 - 1e-3 < own < 1.0 + 1e-3
+            assert np.abs(warm[1:] - own * erfc(np.sqrt(depth / (t[1:] - on)))).max() < 1e-4
+            # long after, what is left falls as time^-3/2
+            late = np.abs(courses[0](np.array([4e4, 1.6e5])))
+            assert late[0] / late[1] == pytest.approx(8.0, rel=0.01)
+        assert touched >= 1
+    for seed in (11, 12, 13, 14):
+        each = [depth for name, depth in depths if name == seed]
+        assert np.ptp(each) < 5e-3 * each[0] and 0.1 < each[0] < 2.0
+
+
+def test_footsteps_come_near_and_go_away() -> None:
+    strength, once, closest = 0.2, 0, 0.0
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"passing_footsteps": strength})
+        size = strength * np.mean([step.beta for step in rig.steps])
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        assert any(knobs.offset for knobs in prepared_rig(rig).values())
+        for step in rig.steps:
+            courses, s = prepared_rig(rig)[step.name].offset, sample_times(step)
+            if not courses:
+                assert np.array_equal(seen[step.name], plain[step.name])
+                continue
+            assert np.allclose(seen[step.name] - plain[step.name], courses[0](s), atol=1e-9)
+            t = np.arange(-60.0, step.duration + 60.0, 5e-4)
+            y = courses[0](t) / size
+            # each foot sets off e^(-t/T) sin(wt), where two samples tell the next one
+            live = np.abs(y) > 1e-4
+            rows = np.flatnonzero(live[2:] & live[1:-1] & live[:-2])
+            design = np.column_stack([y[rows + 1], -y[rows]])
+            half = np.abs(y[rows + 2] - design @ np.linalg.lstsq(design, y[rows + 2])[0])
+            rows = rows[half < np.quantile(half, 0.9)]
+            design = np.column_stack([y[rows + 1], -y[rows]])
+            a, b = np.linalg.lstsq(design, y[rows + 2])[0]
+            struck = np.abs(np.convolve(y, [1.0, -a, b])[: len(y)])
+            damping = -5e-4 / (0.5 * np.log(b))
+            frequency = np.arccos(a / (2.0 * np.sqrt(b))) / (2.0 * np.pi * 5e-4)
+            assert 0.04 < damping < 0.2 and 6.0 < frequency < 25.0
+            hits = struck / np.sin(2.0 * np.pi * frequency * 5e-4)
+            feet = t[hits > 3e-4 * hits.max()]
+            feet = feet[np.diff(feet, prepend=-1e3) > 2e-3]
+            assert 20 <= len(feet) <= 82
+            # walked once: one foot after the other, nearly evenly
+            if len(feet) <= 41:
+                once += 1
+                assert 1.0 / 2.3 / 1.1 < np.median(np.diff(feet)) < 1.1 / 1.5
+                assert np.ptp(np.diff(feet)) < 0.2 * np.median(np.diff(feet))
+            ends = np.abs(y[(t < feet[0] + 1.0) | (t > feet[-1] - 1.0)]).max()
+            assert ends < 0.25 * np.abs(y).max()
+            closest = max(closest, np.abs(y).max())
+    assert once >= 2 and 0.3 < closest < 2.0
+
+
+def test_an_overloaded_amplifier_stays_at_its_rail_until_its_charge_is_gone() -> None:
+    t = np.linspace(0.0, 20.0, 20_001)
+    y = np.interp(t, [0.0, 2.0, 4.0, 10.0, 14.0, 20.0], [0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
+    shown = overloaded(t, y, 0.8, 0.5, 0.1)
+    assert np.array_equal(shown[y <= 0.8][:3600], y[y <= 0.8][:3600])  # on the way up
+    # falls below at 10.8 s at 0.25 per s: the charge is gone when 0.125 since^2/0.5 = 0.1
+    gone = 10.8 + np.sqrt(0.1 * 0.5 / 0.125)
+    at_rail = (t > 3.6) & (t < gone - 2e-3)
+    assert np.all(shown[at_rail] == 0.8)
+    assert np.array_equal(shown[t > gone + 2e-3], y[t > gone + 2e-3])
+    # a charge that had no time to fill up: 0.05 s of 0.2
+    short = overloaded(t, np.where((t >= 5.0) & (t < 5.05), 1.0, 0.6), 0.8, 0.5, 0.1)
+    assert np.sum(short == 0.8) == pytest.approx(100, abs=3)
+
+    strength = 0.2
+    rig = case(overloaded_amplifier=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    rail = max(p.y0 + p.beta for p in rig.steps) - strength * np.mean([p.beta for p in rig.steps])
+    over = 0
+    for step in rig.steps:
+        s, high = sample_times(step), plain[step.name]
+        if high.max() < rail:
+            assert np.array_equal(seen[step.name], high)
+            continue
+        over += 1
+        assert seen[step.name].max() == pytest.approx(rail)
+        last = s[high > rail].max()
+        before, after = s <= last, s > last
+        assert np.allclose(seen[step.name][before], np.minimum(high[before], rail), atol=1e-6)
+        stays = after & (np.abs(seen[step.name] - rail) < 1e-9)
+        assert 0.02 < stays.sum() * step.interval < 6.0
+        freed = s > s[stays].max() + 2.0 * step.interval
+        assert np.allclose(seen[step.name][freed], high[freed], atol=1e-6)
+    assert 1 <= over < len(rig.steps)
+
+
+def test_a_historian_keeps_what_differs_and_draws_lines() -> None:
+    t = np.linspace(0.0, 20.0, 2001)
+    y = np.where(t < 10.0, 0.0, 0.5 * (t - 10.0))
+    mask = kept(t, y, 0.2, 7.0, 3.0)
+    assert mask[0] and mask[-1]
+    times = t[mask]
+    # by its own clock at 3, 10 and 17 s; every 0.4 s of the ramp from the last one kept on
+    assert np.isin([3.0, 10.0, 17.0], np.round(times, 6)).all()
+    ramp = times[(times > 10.0) & (times < 17.0)]
+    assert np.diff(ramp) == pytest.approx(0.4, abs=0.011)
+    assert len(times[times < 10.0]) == 2
+
+    strength = 0.2
+    rig = case(thrifty_historian=strength)
+    seen, found = clean_signals(rig), prepared_rig(rig)
+    band = strength * np.mean([step.beta for step in rig.steps])
+    begins = {knobs.kept_begin for knobs in found.values()}
+    assert len(begins) == len(rig.steps)
+    ((longest,),) = {(knobs.kept_longest,) for knobs in found.values()}
+    assert 2.0 < longest < 20.0
+    for step in rig.steps:
+        s = sample_times(step)
+        plain = voltage(rig, step, Knobs(), s)[0]
+        shown = seen[step.name]
+        # lines: few bends
+        bends = np.abs(np.diff(shown, 2)) > 1e-7 * step.beta
+        assert 3 <= bends.sum() <= 2 * (2 * step.beta / band + step.duration / longest + 6)
+        # a reading differs by less than the band while nothing is kept, and so does the line
+        assert np.abs(shown - plain).max() < 1.2 * band
+        # before the gas it rises already, from the last one that the clock had it keep
+        phase = (step.t0 - found[step.name].kept_begin) % longest
+        rising = (s > max(step.t0 - phase, 0.0) + 0.1) & (s < step.t0)
+        if phase > 0.3:
+            assert np.all(np.diff(shown[rising]) > 0.0)
+            slope = np.diff(shown[rising])
+            assert np.ptp(slope) < 1e-6 * slope.mean() + 1e-12
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -2838,6 +3144,61 @@ def test_rattling_coded_and_two_paced_noise_are_what_they_say() -> None:
     assert not (rattle.is_ar1 or bus.is_ar1 or paced.is_ar1)
 
 
+def test_decimated_hopping_and_drilling_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(26)
+    h = 1e-3
+    steep = NoiseLaw("decimated", 1.0, components=(Component(1.0, 0.01, shape="cut_off"),))
+    z = draw_noise(steep, 500_000, h, rng)
+    assert z.var() == pytest.approx(1.0, rel=0.03)
+    assert np.mean(z**4) / z.var() ** 2 == pytest.approx(3.0, rel=0.05)
+    # white up to 50 Hz, nothing beyond
+    f, power = welch(z, 1.0 / h, nperseg=5000, detrend=False)
+    assert power[(f > 1.0) & (f < 48.0)].mean() == pytest.approx(1.0 / 50.0, rel=0.03)
+    for low in (1.0, 16.0, 32.0):
+        assert power[(f > low) & (f < low + 15.0)].mean() == pytest.approx(1.0 / 50.0, rel=0.08)
+    assert power[f > 52.0].max() < 1e-3 / 50.0
+    # a recorder that is slower sees white at 0.01 s, and turns of the other sign between
+    slow = np.array([draw_noise(steep, 400, 0.025, rng) for _ in range(100)])
+    for lag, expected in ((0, 1.0), (1, np.sin(2.5 * np.pi) / (2.5 * np.pi)), (2, 0.0)):
+        own = slow[:, lag:] * slow[:, : 400 - lag]
+        assert own.mean() == pytest.approx(expected, abs=0.03)
+    short = np.array([draw_noise(steep, 5, h, rng)[[0, -1]] for _ in range(4000)])
+    assert np.mean(short**2) == pytest.approx(1.0, abs=0.08)
+    assert np.mean(short[:, 0] * short[:, 1]) == pytest.approx(np.sinc(0.4), abs=0.08)
+
+    part = Component(1.0, 0.05, shape="settling", depth=0.7)
+    hops = NoiseLaw("mode_hopping", 1.0, components=(part,))
+    z = draw_noise(hops, 2_000_000, h, rng)
+    edges = np.flatnonzero(np.diff(z) != 0.0)
+    assert np.mean(z[edges[1:]] ** 2) == pytest.approx(1.0, rel=0.05)
+    assert abs(np.mean(z[edges[1:]] * z[edges[:-1]])) < 0.05  # of levels one after the other
+    # the longer it has stayed, the longer it stays
+    dwells = np.diff(edges) * h
+    for at in (0.02, 0.1, 0.5):
+        assert np.mean(dwells > at) == pytest.approx((1.0 + at / 0.05) ** -1.7, abs=0.02)
+    assert np.mean(dwells[dwells > 0.1] > 0.2) > 1.4 * np.mean(dwells > 0.1)
+    # the first one is no exception: at any instant the wait is the longer one's
+    firsts = np.array([draw_noise(hops, 200, h, rng)[[0, 50, 150]] for _ in range(3000)])
+    for k, at in ((1, 0.05), (2, 0.15)):
+        held = np.mean(firsts[:, 0] == firsts[:, k])
+        assert held == pytest.approx((1.0 + at / 0.05) ** -0.7, abs=0.03)
+
+    part = Component(1.0, 2e-3, shape="drilled", rate=0.25, depth=0.8)
+    drill = NoiseLaw("drilling", 1.0, components=(part,))
+    records = np.array([draw_noise(drill, 20_000, h, rng) for _ in range(40)])
+    assert np.mean(records**2) == pytest.approx(1.0, rel=0.03)
+    loudness = np.mean(records.reshape(40, 200, 100) ** 2, axis=2)
+    loud = loudness > 1.0
+    # 0.2 most of the time and 1 + 0.8 * 3 for a quarter of it, at one stretch
+    assert np.mean(loud, axis=1) == pytest.approx(np.full(40, 0.25), abs=0.02)
+    turns = np.sum(loud != np.roll(loud, 1, axis=1), axis=1)
+    assert np.mean(turns == 2) > 0.8
+    assert np.median(loudness[loud]) == pytest.approx(3.4, rel=0.1)
+    assert np.median(loudness[~loud]) == pytest.approx(0.2, rel=0.1)
+    assert np.ptp(np.mean(loud.reshape(40, 4, 50), axis=(0, 2))) < 0.3  # anywhere
+    assert not (steep.is_ar1 or hops.is_ar1 or drill.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):
@@ -2979,6 +3340,12 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("spreading_islands", {"rise", "plateau", "fall", "tail"}, 0.999),
         ("undecided_laser", {"rise", "plateau", "fall"}, 0.99),
         ("averaging_meter", {"rise", "fall"}, 0.95),
+        ("sipping_chromatograph", {"rise", "plateau", "fall"}, 0.999),
+        ("laminar_hose", {"rise", "fall"}, 0.99),
+        ("late_impurity", {"plateau", "fall"}, 0.95),
+        ("creeping_piezo", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("overloaded_amplifier", {"rise", "plateau", "fall"}, 0.999),
+        ("thrifty_historian", {"baseline", "onset", "plateau", "tail"}, 0.6),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

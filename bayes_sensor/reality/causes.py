@@ -17,7 +17,7 @@ from itertools import pairwise
 from math import pi, sqrt
 
 import numpy as np
-from scipy.special import erfcx
+from scipy.special import erfc, erfcx
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.records import Case, Step
@@ -561,7 +561,7 @@ def spitting_bottle(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].marks += [float(edge) for some in edges for edge in some]
 
 
-@cause((), "tail", "relative", 0.5, near=("flow_settling",), reserve=True)
+@cause((), "tail", "relative", 0.5, near=("flow_settling",))
 def wound_up_controller(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The test gas's controller integrates its error while the line is shut, and winds itself up.
 
@@ -583,7 +583,7 @@ def wound_up_controller(rig: Rig, s: float, rng: np.random.Generator, case: Case
         rig[step.name].marks.append(settles)
 
 
-@cause((), "drift", "share of the highest gas", 0.15, reserve=True)
+@cause((), "drift", "share of the highest gas", 0.15)
 def alternating_dryers(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The carrier is dried in two columns that take turns, each a little longer than it lasts.
 
@@ -831,7 +831,7 @@ def streaky_inlet(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         rig[step.name].marks += inside.tolist()
 
 
-@cause((), "valve", "share of the flow", 0.9, reserve=True)
+@cause((), "valve", "share of the flow", 0.9)
 def gurgling_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Water stands where the hose before the manifold sags, and both gases get past it in gulps.
 
@@ -858,7 +858,7 @@ def gurgling_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
             rig[step.name].marks += [edge for at in inside for edge in (at - 1e-6, at + 1e-6)]
 
 
-@cause((), "spike", "share of the highest gas", 0.2, per_experiment=True, reserve=True)
+@cause((), "spike", "share of the highest gas", 0.2, per_experiment=True)
 def breathing_operator(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The operator bends over the cell to look after it; its seal leaks, and his breath gets in.
 
@@ -891,6 +891,48 @@ def breathing_operator(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].seep.append(breath)
         edges = [edge for at, lasts, _ in breaths for edge in (at, at + lasts)]
         rig[step.name].marks += [edge for edge in edges if edge < step.duration]
+
+
+@cause((), "plateau", "share of V", 0.3, reserve=True)
+def sipping_chromatograph(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A gas chromatograph on the same cell sucks in its sample now and then, as its program says.
+
+    It takes more than the stream brings, and as much air as is missing, ``s`` V a sip, comes back
+    through the exhaust.  That thins what is there, which recovers as the manifold is exchanged;
+    without test gas nobody notices.
+    """
+    apart, lasts, air = _between(rng, 4.0, 20.0), _between(rng, 0.15, 1.0), s * case.V
+    for step in case.steps:
+        begin = apart * rng.random()
+        sips = np.arange(begin, step.duration - lasts, apart)
+
+        def drawn_in(
+            t: FloatArray, begin: float = begin, flow: float = step.total_flow
+        ) -> FloatArray:
+            sipping = (t >= begin) & (np.mod(t - begin, apart) < lasts)
+            return np.asarray(air / lasts / flow * sipping)
+
+        def thinned(t: FloatArray, drawn_in: Course = drawn_in) -> FloatArray:
+            return 1.0 / (1.0 + drawn_in(t))
+
+        def more(t: FloatArray, drawn_in: Course = drawn_in) -> FloatArray:
+            return 1.0 + drawn_in(t)
+
+        rig[step.name].unmixed.append(thinned)
+        rig[step.name].all_flow.append(more)
+        edges = np.concatenate([sips, sips + lasts]).tolist()
+        rig[step.name].marks += [edge for at in edges for edge in (at - 1e-6, at + 1e-6)]
+
+
+@cause((), "mixing", "share of V", 1.0, near=("axial_dispersion",), reserve=True)
+def laminar_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The hose before the manifold is wide and short: the stream in it is laminar and never mixes.
+
+    In the middle it is twice as fast as in the mean, at the wall it stands (Poiseuille): the share
+    (volume of the hose/2/volume passed)^2 of a step is still on its way.  ``s`` V is that volume.
+    """
+    for knobs in rig.values():
+        knobs.laminar = s
 
 
 # --------------------------------------------------------------------------- sensor
@@ -1144,7 +1186,7 @@ def glassy_rim(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
         knobs.rim, knobs.rim_time, knobs.rim_back = s, time, quicker * time
 
 
-@cause((), "tail", "share of the highest step", 0.3, near=("slow_sorption",), reserve=True)
+@cause((), "tail", "share of the highest step", 0.3, near=("slow_sorption",))
 def spreading_islands(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """On the coating the gas condenses in islands, which spread evenly until they have met.
 
@@ -1155,6 +1197,22 @@ def spreading_islands(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
     vapour, time = _between(rng, 0.1, 0.35), _between(rng, 0.2, 2.0)
     for knobs in rig.values():
         knobs.islands, knobs.islands_vapour, knobs.islands_time = s, vapour, time
+
+
+@cause((), "plateau", "share displaced", 0.35, reserve=True)
+def late_impurity(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas brings an impurity along, which a filter before the ring holds back for long.
+
+    As in a chromatograph it comes through after the same volume of gas, sooner at larger flow, or
+    not at all while the test gas lasts.  On the ring it competes for the sites (Langmuir): ``s`` of
+    the response is gone at the highest concentration once all of it has arrived.
+    """
+    typical = float(np.median([p.total_flow * (p.tf - p.t0) for p in case.steps]))
+    volume, n_cells = typical * _between(rng, 0.12, 0.6), int(rng.integers(10, 31))
+    for step in case.steps:
+        knobs = rig[step.name]
+        knobs.impurity = s / (1.0 - s) * case.relative_concentration(step)
+        knobs.impurity_volume, knobs.impurity_cells = volume, n_cells
 
 
 # --------------------------------------------------------------------------- readout
@@ -1506,7 +1564,7 @@ def passing_lift(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         rig[step.name].gain.append(lost)
 
 
-@cause((), "spike", "relative", 0.15, per_experiment=True, reserve=True)
+@cause((), "spike", "relative", 0.15, per_experiment=True)
 def leaning_visitor(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A visitor leans on the floating table, and later lets go: it tilts, then the other way.
 
@@ -1543,7 +1601,7 @@ def leaning_visitor(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].marks += [edge for at in inside for edge in (at - 1e-6, at)]
 
 
-@cause((), "level", "share of the step", 0.2, fast=True, reserve=True)
+@cause((), "level", "share of the step", 0.2, fast=True)
 def undecided_laser(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Light that the ring sends back decides between two modes of the laser, of unequal power.
 
@@ -1558,6 +1616,89 @@ def undecided_laser(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
             decisions.append(decisions[-1] + float(rng.exponential(lasting)))
         knobs.border_gap, knobs.decisions = gap, np.array(decisions)
         knobs.borders = at + width * rng.logistic(size=len(decisions))
+
+
+@cause((), "tail", "share a decade of time", 0.1, reserve=True)
+def creeping_piezo(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A piezo tunes the laser after the line, and its voltage is what is read; but a piezo creeps.
+
+    It goes on in the direction it was sent in, by the share ``s`` of the way in each tenfold of
+    time, and the lock takes the voltage back: after a rise the reading sinks as the logarithm of
+    time, after a fall it comes up again from too low (Jung and Gweon, Rev. Sci. Instrum. 71, 1896,
+    2000).
+    """
+    first = _between(rng, 0.05, 0.5)
+    for knobs in rig.values():
+        knobs.creep, knobs.creep_first = s, first
+
+
+@cause((), "drift", "share of the step", 0.15, per_experiment=True, reserve=True)
+def touching_hand(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Somebody holds on to the cell for a while, and the warmth of the hand creeps to the ring.
+
+    Of a wall whose surface is warm it reaches the depth d as erfc(sqrt(d^2/4Dt)): nothing at first,
+    and long after the hand is gone still some, which dies away as a power of time.
+    """
+    depth, size = _between(rng, 0.1, 2.0), _sign(rng) * s * _mean_step(case)  # d^2/4D in s
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        at, touches = rng.uniform(0.02, 0.6) * step.duration, []
+        for _ in range(int(rng.integers(1, 4))):
+            lasts = _between(rng, 1.0, 8.0)
+            touches.append((at, at + lasts, rng.uniform(0.5, 1.0)))
+            at += lasts + _between(rng, 2.0, 15.0)
+        if k != certain and rng.random() < 0.4:
+            continue
+
+        def warmth(
+            t: FloatArray, touches: tuple[tuple[float, float, float], ...] = tuple(touches)
+        ) -> FloatArray:
+            total = np.zeros_like(t)
+            for on, off, warm in touches:
+                for edge, sign in ((on, 1.0), (off, -1.0)):
+                    since = np.maximum(t - edge, 1e-3 * depth)  # nothing has come so early
+                    total += sign * warm * erfc(np.sqrt(depth / since))
+            return size * total
+
+        rig[step.name].offset.append(warmth)
+        edges = [edge for on, off, _ in touches for edge in (on, off)]
+        rig[step.name].marks += [edge for edge in edges if edge < step.duration]
+
+
+@cause((), "line", "share of the step", 0.3, per_experiment=True, fast=True, reserve=True)
+def passing_footsteps(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Somebody walks past the bench: at every step the floor quivers, and the fibre with it.
+
+    Steps follow each other almost evenly, one foot the harder; each sets off a few damped swings of
+    the floor, the stronger the nearer it falls.  He may come back.
+    """
+    pace, aside, other = 1.0 / _between(rng, 1.5, 2.3), _between(rng, 1.0, 3.0), rng.uniform(0.4, 1)
+    frequency, damping = _between(rng, 6.0, 25.0), _between(rng, 0.04, 0.2)
+    size, certain = s * _mean_step(case), int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        steps: list[tuple[float, float]] = []
+        for _ in range(int(rng.integers(1, 3))):
+            nearest, beside = rng.uniform(0.05, 0.95) * step.duration, rng.uniform(-0.5, 0.5)
+            for number in range(-20, 21):
+                away = 0.75 * (number + beside)  # m along his way
+                foot = 1.0 if number % 2 == 0 else other
+                at = nearest + pace * (number + beside + 0.04 * rng.uniform(-1.0, 1.0))
+                steps.append((at, foot / (1.0 + (away / aside) ** 2)))
+        if k != certain and rng.random() < 0.4:
+            continue
+
+        def quiver(
+            t: FloatArray, steps: tuple[tuple[float, float], ...] = tuple(steps)
+        ) -> FloatArray:
+            total = np.zeros_like(t)
+            for at, strong in steps:
+                live = (t > at) & (t < at + 20.0 * damping)
+                since = t[live] - at
+                swings = np.sin(2.0 * pi * frequency * since)
+                total[live] += strong * np.exp(-since / damping) * swings
+            return size * total
+
+        rig[step.name].offset.append(quiver)
 
 
 # --------------------------------------------------------------------------- electronics
@@ -1704,6 +1845,20 @@ def zero_servo(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
         knobs.servo, knobs.servo_time = s, time
 
 
+@cause((), "fall", "share of the step", 0.3, near=("optical_nonlinearity",), reserve=True)
+def overloaded_amplifier(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The highest plateaus drive the amplifier to its rail, by ``s`` too far, and it must recover.
+
+    What it cannot follow charges a capacitor of its loop up to a diode's voltage.  When the signal
+    falls below the rail, the output stays there until that charge is gone, then jumps to where the
+    signal is.  Weaker experiments never come near.
+    """
+    step = _mean_step(case)
+    rail, time = max(p.y0 + p.beta for p in case.steps) - s * step, _between(rng, 0.1, 1.5)
+    for knobs in rig.values():
+        knobs.rail, knobs.rail_time, knobs.rail_charge = rail, time, s * step
+
+
 @cause((), "level", "share of the step", 0.15)
 def range_change(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The recorder changes its range on the way up, and back lower down; the two do not agree."""
@@ -1825,7 +1980,7 @@ def neighbours_flashlamp(rig: Rig, s: float, rng: np.random.Generator, case: Cas
         rig[step.name].offset.append(pulses)
 
 
-@cause((), "delay", "share of the step", 0.3, near=("daq_filter",), reserve=True)
+@cause((), "delay", "share of the step", 0.3, near=("daq_filter",))
 def averaging_meter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The meter shows a running average, and begins it anew when a reading is out of its window.
 
@@ -1835,6 +1990,19 @@ def averaging_meter(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
     window, time = s * _mean_step(case), _between(rng, 0.5, 6.0)
     for knobs in rig.values():
         knobs.average_window, knobs.average_time = window, time
+
+
+@cause((), "delay", "share of the step", 0.3, reserve=True)
+def thrifty_historian(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The plant's historian keeps a reading only if it differs by ``s`` from the last one it kept.
+
+    Besides it keeps one every so often; the export draws lines between.  So a step seems to begin
+    with a slow rise, from the last reading kept before it, and a plateau is crossed aslant.
+    """
+    longest = _between(rng, 2.0, 20.0)
+    for knobs in rig.values():
+        knobs.kept_band, knobs.kept_longest = s * _mean_step(case), longest
+        knobs.kept_begin = longest * rng.random()
 
 
 @cause((), "delay", "s", 0.5)

@@ -20,14 +20,14 @@ OPEN_LAWS = (
     "turbulent", "zeroed_walk", "pulsing", "ac_coupled", "interpolated", "etalon",
     "molecules", "speckle", "whistling", "notched", "interleaved", "charging",
     "noise_shaping", "dusty", "roller_pump", "beam_crossing", "one_bit", "intermittent",
-    "conducting", "latching", "waning",
+    "conducting", "latching", "waning", "rattling", "coded", "two_paced",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("rattling", "coded", "two_paced")
+RESERVE_LAWS = ("decimated", "mode_hopping", "drilling")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
-    "waning", "two_paced",
+    "waning", "two_paced", "drilling",
 )  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
 loudness"""
@@ -272,6 +272,28 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    decimated, hopping = own.uniform(0.3, 0.7), own.uniform(0.05, 0.15)
+    parts |= {
+        # a receiver whose digital filter is steep, before a recorder that is faster
+        "decimated": (
+            Component(1.0 - decimated),
+            Component(decimated, exp(own.uniform(np.log(4e-3), np.log(3e-2))), shape="cut_off"),
+        ),
+        # a laser of many modes: the longer it has kept to one, the longer it will
+        "mode_hopping": (
+            Component(1.0 - hopping),
+            Component(
+                hopping, exp(own.uniform(np.log(0.05), np.log(0.4))), shape="settling",
+                depth=own.uniform(0.5, 0.9),
+            ),
+        ),
+        # somebody drills into the wall next door, once for a while
+        "drilling": (
+            Component(
+                1.0, short, shape="drilled", rate=own.uniform(0.1, 0.4), depth=own.uniform(0.6, 0.9)
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -338,6 +360,10 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = np.where(bits < 0.5, 1.0 - 3.0 * bits, np.minimum(bits - 1.0, 0.0))
         elif part.shape == "paces":
             own = _paced_correlation(part, lags)
+        elif part.shape == "cut_off":
+            own = np.sinc(lags / part.time)
+        elif part.shape == "settling":
+            own = (1.0 + lags / part.time) ** -part.depth
         elif part.shape == "diffusing":
             own = 1.0 / (1.0 + lags / part.time)
         elif part.shape == "notched":
@@ -419,6 +445,10 @@ def _draw_part(
         return _coded(interval / part.time, n, rng)
     if part.shape == "paces":
         return _paced(part, n, interval, rng, tails)
+    if part.shape == "cut_off":
+        return _cut_off(interval / part.time, n, rng)
+    if part.shape == "settling":
+        return _settling(part, n, interval, rng)
     if part.shape == "bell":
         return _bell(part.time, n, interval, rng)
     if part.shape == "bits":
@@ -453,6 +483,8 @@ def _draw_part(
             x *= _loudness(part, n, interval, rng)
         elif part.shape == "waning":
             x *= _waning(part.depth, n, rng)
+        elif part.shape == "drilled":
+            x *= _drilled(part, n, rng)
         elif part.shape == "pulsing":
             turns = part.frequency * interval * np.arange(n) + rng.random()
             x *= (1.0 + part.depth * np.cos(2.0 * pi * turns)) / sqrt(1.0 + 0.5 * part.depth**2)
@@ -567,6 +599,47 @@ def _waning(depth: float, n: int, rng: np.random.Generator) -> FloatArray:
     """(n,) loudness whose square runs evenly from 1 + ``depth`` to 1 - ``depth``, or back."""
     course = depth * (1.0 - (2.0 * np.arange(n) + 1.0) / n)
     return np.sqrt(1.0 + (course if rng.random() < 0.5 else -course))
+
+
+def _drilled(part: Component, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) loudness, larger in one stretch: the record's end goes on at its beginning.
+
+    So every sample is as likely to be within, and of unit mean square.
+    """
+    within = np.mod(np.arange(n) / n + rng.random(), 1.0) < part.rate
+    loud = 1.0 + part.depth * (1.0 - part.rate) / part.rate
+    return np.sqrt(np.where(within, loud, 1.0 - part.depth))
+
+
+def _cut_off(step: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) white noise of which nothing is left beyond ``step``/2 turns a sample.
+
+    From sines on a stretch several times as long, whose repetition is out of reach; the last of
+    them counts in part.  A recorder that is too slow for them sees only some of the samples.
+    """
+    finer = 1 + int(step)
+    total = 1 << ceil(np.log2(8.0 * n * finer + 400.0 * finer / step))
+    last = 0.5 * step / finer * total  # in turns a stretch
+    power = np.clip(last + 0.5 - np.arange(total // 2 + 1), 0.0, 1.0)
+    white = np.fft.rfft(rng.standard_normal(total))
+    x: FloatArray = np.fft.irfft(np.sqrt(power) * white, total)[: n * finer : finer]
+    return x * sqrt(total / (power[0] + 2.0 * power[1:].sum()))
+
+
+def _settling(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) independent levels; the share (1 + t/time)^-(1 + ``depth``) of them lasts beyond t.
+
+    At any instant the share (1 + t/time)^-depth lasts another t (renewal theory), which is the
+    autocorrelation, as a new level has nothing of the one before.
+    """
+    length = n * interval / part.time
+    edges = [float(rng.random() ** (-1.0 / part.depth) - 1.0)]
+    while edges[-1] < length:
+        more = rng.random(256) ** (-1.0 / (1.0 + part.depth)) - 1.0
+        edges += (edges[-1] + np.cumsum(more)).tolist()
+    at = np.arange(n) * (interval / part.time)
+    levels: FloatArray = rng.standard_normal(len(edges) + 1)
+    return levels[np.searchsorted(edges, at, side="right")]
 
 
 def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

@@ -95,7 +95,11 @@ class Component:
     ``stops`` it is a random walk between two stops, whose slowest mode lasts a ``time``; with
     ``coded`` two levels, each ``time`` at random one half after the other or the other way round;
     with ``paces`` an Ornstein-Uhlenbeck process whose own time is ``time`` or ``depth`` times that,
-    equally often and for times whose correlation lasts ``gust_time``.
+    equally often and for times whose correlation lasts ``gust_time``.  With ``cut_off`` it is white
+    below 1/(2 ``time``) and nothing beyond: ``sin(pi lag/time)/(pi lag/time)``; with ``settling``
+    levels that are each held the longer, the longer they have been: ``(1 + lag/time)^-depth``; with
+    ``drilled`` an Ornstein-Uhlenbeck process is louder for the share ``rate`` of a record, at one
+    stretch, and of variance 1 - ``depth`` else.
     """
 
     share: float
@@ -108,7 +112,8 @@ class Component:
     ``difference``, ``turbulent``, ``zeroed``, ``pulsing``, ``coupled``, ``interpolated``,
     ``fringes``, ``diffusing``, ``speckle``, ``whistling``, ``notched``, ``interleaved``,
     ``charging``, ``shaped``, ``motes``, ``strokes``, ``bell``, ``bits``, ``lognormal``,
-    ``conducting``, ``latching``, ``waning``, ``stops``, ``coded`` or ``paces``"""
+    ``conducting``, ``latching``, ``waning``, ``stops``, ``coded``, ``paces``, ``cut_off``,
+    ``settling`` or ``drilled``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

@@ -102,6 +102,8 @@ class Knobs:
     sticky_bend: float = 2.0
     """by how much, relatively, the highest concentration leaves less to take up"""
     sticky_cells: int = 8
+    laminar: float = 0.0
+    """volume of a hose whose stream is laminar, in units of V"""
     pocket_fractions: tuple[float, ...] = ()
     pocket_exchange: tuple[float, ...] = ()
     """mL/s"""
@@ -191,6 +193,12 @@ class Knobs:
     """concentration at which islands neither grow nor shrink, over the campaign's highest"""
     islands_time: float = 1.0
     """s in which the highest concentration beyond that makes their radius 1"""
+    impurity: float = 0.0
+    """Langmuir's constant times an impurity, where all of it has come through its filter"""
+    impurity_volume: float = 1000.0
+    """mL of gas after which it comes through"""
+    impurity_cells: int = 16
+    """the more, the steeper is its front"""
     rim: float = 0.0
     """share of the response from a glassy rim"""
     rim_time: float = 3.0
@@ -253,6 +261,10 @@ class Knobs:
     """s, one over the angular frequency at which the laser's lock hunts"""
     lock_damping: float = 0.3
     """of that oscillation over critical"""
+    creep: float = 0.0
+    """share of its way by which the laser's piezo creeps on in a decade of time"""
+    creep_first: float = 0.1
+    """s, the first of four decades of that"""
     offset: list[Course] = field(default_factory=list)
     """V, added"""
     # receiver and recorder
@@ -270,6 +282,12 @@ class Knobs:
     """V, of the amplifier"""
     heat_time: float = 3.0
     """s"""
+    rail: float = np.inf
+    """V, the most that the amplifier gives"""
+    rail_time: float = 1.0
+    """s in which what is too much charges its loop"""
+    rail_charge: float = 0.0
+    """V, the most of that charge"""
     servo: float = 0.0
     """share of a change that the receiver pulls back"""
     servo_time: float = 30.0
@@ -286,6 +304,12 @@ class Knobs:
     """V by which a reading may be off a meter's running average before that begins anew"""
     average_time: float = 2.0
     """s of that average"""
+    kept_band: float = 0.0
+    """V by which a reading must differ from the last one that a historian kept, to be kept"""
+    kept_longest: float = 10.0
+    """s from one to the next of those that it keeps anyway"""
+    kept_begin: float = 0.0
+    """s, of one of them"""
     hold: float = 0.0
     """s for which an instrument's output stands still between its readings"""
     hold_begin: float = 0.0
@@ -365,6 +389,8 @@ def voltage(
         held = knobs.sticky * case.V / (0.5 * (flow[1:] + flow[:-1])) / knobs.sticky_cells
         bend = knobs.sticky_bend * case.relative_concentration(step)
         inlet = stages.sticky_wall(t, inlet, held, bend, knobs.sticky_cells)
+    if knobs.laminar > 0:
+        inlet = stages.laminar(_integral(t, flow), inlet, knobs.laminar * case.V)
     if np.isfinite(knobs.saturated):
         relative = case.relative_concentration(step)
         inlet = stages.condensing(t, inlet, knobs.saturated / relative, knobs.film_time / relative)
@@ -375,12 +401,18 @@ def voltage(
         carried = knobs.returned * step.carrier_flow / step.total_flow
         gas = _manifold(case, step, knobs, t, inlet + carried * drawn, flow)
     response = _sensor(case, step, knobs, t, gas)
+    if knobs.impurity > 0:
+        late = stages.retarded(t, gas, flow, knobs.impurity_volume, knobs.impurity_cells)
+        response = response / (1.0 + knobs.impurity * late)
     y = _readout(case, step, knobs, t, response)
     if knobs.filter_time > 0:
         for _ in range(4):
             y = stages.steady_lag(t, y, 0.25 * knobs.filter_time)
     if knobs.average_window > 0:
         y = stages.windowed_average(t, y, knobs.average_time, knobs.average_window)
+    if knobs.kept_band > 0:
+        kept = stages.kept(t, y, knobs.kept_band, knobs.kept_longest, knobs.kept_begin)
+        y = np.interp(t, t[kept], y[kept])
     shown = true
     if knobs.hold > 0:
         readings = np.floor((true - knobs.hold_begin) / knobs.hold)
@@ -639,6 +671,8 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
         y = stages.no_faster(t, y, knobs.fastest)
     if knobs.lock_time > 0:
         y = stages.oscillating_lag(t, y, knobs.lock_time, knobs.lock_damping)
+    if knobs.creep > 0:
+        y = y - knobs.creep * stages.modal(t, y - y[0], *stages.decades(knobs.creep_first))
     for course in knobs.gain:
         y = y * (1.0 + course(t))
     for course in knobs.offset:
@@ -654,6 +688,8 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
         used = y / knobs.heat_supply
         power = 4.0 * used * (1.0 - used)
         y = y + knobs.heat * stages.steady_lag(t, power - power[0], knobs.heat_time)
+    if np.isfinite(knobs.rail):
+        y = stages.overloaded(t, y, knobs.rail, knobs.rail_time, knobs.rail_charge)
     if knobs.servo > 0:
         y = y - knobs.servo * stages.steady_lag(t, y - y[0], knobs.servo_time)
     if knobs.range_gap != 0:

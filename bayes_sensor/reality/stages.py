@@ -12,6 +12,7 @@ from math import ceil, exp, pi, tanh
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
 
@@ -716,6 +717,45 @@ def windowed_average(
 
 
 @njit(cache=True)
+def kept(
+    t: FloatArray, y: FloatArray, band: float, longest: float, begin: float
+) -> NDArray[np.bool_]:  # pragma: no cover - compiled
+    """(n,) whether a reading is kept: where ``y`` is off by the ``band`` from the last one kept.
+
+    Kept are also the first and the last one, and those next after ``begin`` and every ``longest``
+    (s) from there.
+    """
+    n = len(t)
+    out = np.zeros(n, dtype=np.bool_)
+    out[0] = out[n - 1] = True
+    last = y[0]
+    for i in range(1, n):
+        turn = np.floor((t[i] - begin) / longest) > np.floor((t[i - 1] - begin) / longest)
+        if turn or abs(y[i] - last) >= band:
+            out[i] = True
+            last = y[i]
+    return out
+
+
+@njit(cache=True)
+def overloaded(
+    t: FloatArray, y: FloatArray, rail: float, time: float, most: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``y``, but the ``rail`` where y is above it and until the charge q of that is gone.
+
+    ``time`` q' = y - rail, between 0 and ``most``.
+    """
+    out = y.copy()
+    charge = 0.0
+    for i in range(1, len(t)):
+        over = 0.5 * (y[i - 1] + y[i]) - rail
+        charge = min(max(charge + over * (t[i] - t[i - 1]) / time, 0.0), most)
+        if charge > 0.0 or y[i] > rail:
+            out[i] = rail
+    return out
+
+
+@njit(cache=True)
 def log_amplifier(
     t: FloatArray, y: FloatArray, time: float
 ) -> FloatArray:  # pragma: no cover - compiled
@@ -774,6 +814,40 @@ def slab(time: float, n_modes: int = 8) -> tuple[FloatArray, FloatArray]:
     weights[-1] += 1.0 - weights.sum()
     times: FloatArray = 4.0 * time / (pi * odd) ** 2
     return times, weights
+
+
+def decades(first: float, n_decades: int = 4) -> tuple[FloatArray, FloatArray]:
+    """Time constants (n,) s and weights (n,) of a creep as the logarithm of time, 1 a decade."""
+    times: FloatArray = first * 10.0 ** (np.arange(3 * n_decades + 1, dtype=float) / 3.0)
+    return times, np.full(len(times), 1.0 / 3.0)
+
+
+def laminar(passed: FloatArray, u: FloatArray, volume: float, n_tubes: int = 80) -> FloatArray:
+    """(n,) outlet of a hose of ``volume`` (mL) in laminar flow, less the delay on its axis.
+
+    ``passed`` (n,) mL have flowed by then.  In tubes of equal flow: behind the share F of it a step
+    is late by volume/2 (1/sqrt(1 - F) - 1); each tube takes the mean of its own.
+    """
+    root = np.sqrt(1.0 - np.arange(n_tubes + 1) / n_tubes)
+    late = 0.5 * volume * (2.0 * n_tubes * (root[:-1] - root[1:]) - 1.0)
+    out = np.zeros(len(u))
+    for behind in late:
+        out += np.interp(passed - behind, passed, u) / n_tubes
+    return out
+
+
+def retarded(
+    t: FloatArray, u: FloatArray, flow: FloatArray, volume: float, n_cells: int
+) -> FloatArray:
+    """(n,) ``u`` behind ``n_cells`` cells in a row that are each exchanged by the same volume.
+
+    All of them together hold as much as ``volume`` (mL) brings; ``flow`` (n,) mL/s.
+    """
+    held = volume / n_cells / (0.5 * (flow[1:] + flow[:-1]))
+    out = u
+    for _ in range(n_cells):
+        out = lag(t, out, held, 0.0)
+    return out
 
 
 def steady_lag(t: FloatArray, u: FloatArray, tau: float) -> FloatArray:
