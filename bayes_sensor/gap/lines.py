@@ -406,11 +406,11 @@ def _fitted_sine(
     normal = X.T @ (w[:, None] * X)
     solve = np.linalg.pinv(normal, rcond=UNTOLD, hermitian=True)
     real, imaginary = solve @ seen
-    told = np.linalg.pinv(noise, rcond=UNTOLD, hermitian=True)
+    per_noise = np.linalg.pinv(noise, rcond=UNTOLD, hermitian=True)
     return _Sine(
         complex(real, imaginary),
         float(np.trace(solve @ noise @ solve)),
-        0.5 * float(seen @ told @ seen),
+        0.5 * float(seen @ per_noise @ seen),
         bool(np.linalg.cond(normal) < 1.0 / UNTOLD),
     )
 

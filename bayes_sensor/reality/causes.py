@@ -11,7 +11,7 @@ first; it is empty for a cause outside the catalogue.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from math import pi, sqrt
@@ -99,6 +99,11 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
 def _mean_step(case: Case) -> float:
     """V, the campaign's mean step."""
     return float(np.mean([abs(step.beta) for step in case.steps]))
+
+
+def _both_sides(edges: Iterable[float]) -> list[float]:
+    """s, just before and after each of the ``edges``, where what acts is cut off sharply."""
+    return [side for at in edges for side in (at - 1e-6, at + 1e-6)]
 
 
 # --------------------------------------------------------------------------- valve
@@ -397,7 +402,7 @@ def snapping_regulator(rig: Rig, s: float, rng: np.random.Generator, case: Case)
 
         rig[step.name].test_gas.append(flow)
         snaps = np.arange(step.t0 + (1.0 - begin) * period, step.duration, period)
-        rig[step.name].marks += [edge for at in snaps.tolist() for edge in (at - 1e-6, at + 1e-6)]
+        rig[step.name].marks += _both_sides(snaps.tolist())
 
 
 @cause((), "valve", "share of the flow", 0.9, per_experiment=True)
@@ -515,7 +520,7 @@ def sticking_needle(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         turns = np.arange(1.0, step.duration / period + 1.0)
         jumps = np.concatenate([turns - begin, turns - begin + high - 1.0]) * period
         inside = jumps[(jumps > 0.0) & (jumps < step.duration)].tolist()
-        rig[step.name].marks += [edge for at in inside for edge in (at - 1e-6, at + 1e-6)]
+        rig[step.name].marks += _both_sides(inside)
 
 
 @cause((), "plateau", "share dissolved", 0.4, near=("flow_settling",))
@@ -603,7 +608,7 @@ def alternating_dryers(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].seep.append(moist)
         # from the turn on that the record finds begun
         turns = np.arange(-begin * turn, step.duration, turn).tolist()
-        rig[step.name].marks += [edge for at in turns for edge in (at - 1e-6, at + 1e-6)]
+        rig[step.name].marks += _both_sides(turns)
 
 
 # --------------------------------------------------------------------------- manifold
@@ -855,7 +860,7 @@ def gurgling_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
             gulps = np.arange(first * period, end, period)
             edges = np.concatenate([gulps, gulps + opens * period]).tolist()
             inside = [at for at in edges if at < step.duration]
-            rig[step.name].marks += [edge for at in inside for edge in (at - 1e-6, at + 1e-6)]
+            rig[step.name].marks += _both_sides(inside)
 
 
 @cause((), "spike", "share of the highest gas", 0.2, per_experiment=True)
@@ -921,7 +926,7 @@ def sipping_chromatograph(rig: Rig, s: float, rng: np.random.Generator, case: Ca
         rig[step.name].unmixed.append(thinned)
         rig[step.name].all_flow.append(more)
         edges = np.concatenate([sips, sips + lasts]).tolist()
-        rig[step.name].marks += [edge for at in edges for edge in (at - 1e-6, at + 1e-6)]
+        rig[step.name].marks += _both_sides(edges)
 
 
 @cause((), "mixing", "share of V", 1.0, near=("axial_dispersion",), reserve=True)
