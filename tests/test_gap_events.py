@@ -20,6 +20,7 @@ from bayes_sensor.gap.full_rate import look_at_tails, rounds_away
 from bayes_sensor.gap.lines import look_for_lines
 from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.model import Layout
+from bayes_sensor.reality import draw_case, make_campaign
 from tests.gap_cases import design, measured, noise, theta
 
 INTERVAL = 0.01
@@ -37,7 +38,7 @@ def test_noise_of_any_spectrum_holds_no_event(kind):
     # how unlike spells of noise are shows only in many of them
     n = 4000 if kind == "paced" else 2000
     values = [
-        look_for_events(design(), stretches(rng, kind, n)).log_bayes_factor for _ in range(12)
+        look_for_events(design(), stretches(rng, kind, n)).found.log_bayes_factor for _ in range(12)
     ]
     assert max(values) < 2.0 and np.median(values) < -0.5
 
@@ -50,7 +51,7 @@ def test_one_event_in_one_stretch_is_found_where_it_is(shape):
     size = 12.0 * np.sqrt(INTERVAL / 1.2)
     added = size * ((t >= 7.0) & (t < 8.2)) if shape == "bump" else 1.5 * size * (t > 12.0)
     spoilt = [*some[:5], replace(some[5], samples=some[5].samples + added), *some[6:]]
-    before, after = (look_for_events(design(), x) for x in (some, spoilt))
+    before, after = (look_for_events(design(), x).found for x in (some, spoilt))
     assert before.log_bayes_factor < 0.0 and after.log_bayes_factor > 5.0
     assert after.strength["event_experiment"] == some[5].experiment
     assert after.strength["event_s"] == pytest.approx(30.0 + (7.6 if shape == "bump" else 12.0),
@@ -65,7 +66,7 @@ def test_the_contaminated_floor_does_not_hide_events_that_are_everywhere():
     for s in stretches(rng):
         at = rng.uniform(4.0, 14.0)
         made.append(replace(s, samples=s.samples + 1.0 * s.level * ((t > at) & (t < at + 1.5))))
-    assert look_for_events(design(), made).log_bayes_factor > 8.0
+    assert look_for_events(design(), made).found.log_bayes_factor > 8.0
 
 
 def ringing_case(rng, kind, amplitude, hertz=9.0, fades=0.5, early=0.1, sign=1.0, misfit=0.0):
@@ -158,9 +159,49 @@ def test_shots_and_gusts_are_no_events():
         return lfilter([1.0], [1.0, -0.9], pulses)
 
     made = [Stretch(k, level, shots(4000), 0.0) for k in range(4) for level in (0, 1)]
-    plain = look_for_events(design(), made)
-    assert look_for_events(design(), made, heavy_tailed=True).log_bayes_factor < 2.0
+    plain = look_for_events(design(), made).found
+    assert look_for_events(design(), made, heavy_tailed=True).found.log_bayes_factor < 2.0
     assert plain.log_bayes_factor < 8.0  # the tails' length alone takes most of it
+
+
+def levels(rng, n, least=5.0, tail=1.4):
+    """(n,) samples of levels, of which the share (length/``least``)^-``tail`` lasts longer."""
+    lengths = np.ceil(least * rng.random(n) ** (-1.0 / tail)).astype(int)
+    return np.repeat(rng.standard_normal(n), lengths)[:n]
+
+
+def test_means_have_long_tails_where_levels_last_very_differently():
+    rng = np.random.default_rng(17)
+
+    def tails(*loudness):
+        return look_for_events(design(), [
+            replace(s, samples=s.samples + loudness[s.level] * levels(rng, len(s.samples)))
+            for s in stretches(rng, n=12_000)
+        ]).tails  # fmt: skip
+
+    for kind in ("white", "ar1", "slow", "resonance"):
+        assert look_for_events(design(), stretches(rng, kind, 6000)).lasting == np.inf
+    everywhere, plateaus = tails(1.0, 1.0), tails(0.0, 1.0)
+    assert max(everywhere) < 6.0
+    assert plateaus[0] == np.inf and plateaus[1] < 6.0  # something is wrong with the gas
+
+
+def test_levels_that_last_are_no_breaks_no_patches_and_not_unsteady():
+    # a laser of many modes: white noise, of which a tenth keeps its level for power-law times
+    case = draw_case(7020161, law="mode_hopping")
+    campaign = make_campaign(case)
+    prepared = prepared_of(campaign)
+    base = fit_base(prepared.sketch)
+    events = look_for_events(campaign, prepared.stretches)
+    assert events.found.log_bayes_factor < 0.0 and events.lasting < 3.0
+    for look in (look_for_breaks, look_for_patches):
+        as_if_gaussian, as_it_is = look(base), look(base, events.lasting)
+        assert as_if_gaussian.log_bayes_factor > 4.0
+        assert as_it_is.log_bayes_factor < 0.0
+        assert as_it_is.d == as_if_gaussian.d
+    found = diagnose_gap(campaign, bootstrap=0, separate=False, hidden=False)
+    assert found.verdict.kind == "none"
+    assert "unsteady" not in [f.name for f in found.full_rate]
 
 
 @pytest.mark.parametrize("n", [250, 400, 800])

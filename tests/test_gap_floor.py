@@ -8,8 +8,10 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.gap import diagnose_gap
+from bayes_sensor.fit import fit_least_squares
+from bayes_sensor.gap import diagnose_gap, floor
 from bayes_sensor.gap.bins import PHASES, make_bins
+from bayes_sensor.gap.events import look_for_breaks
 from bayes_sensor.gap.floor import (
     ROOT,
     _bin_cholesky,
@@ -17,10 +19,12 @@ from bayes_sensor.gap.floor import (
     _correlation,
     clean,
     detrended,
+    loudness,
 )
 from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.likelihood import simulate
 from bayes_sensor.model import Layout, cascade_response
+from bayes_sensor.reality import draw_case, make_campaign
 from tests.gap_cases import design, theta
 
 TAUS = np.array([0.8577, 0.7, 0.06])
@@ -116,6 +120,50 @@ def test_pure_noise_whitens_to_one(kind):
     assert max(ratios) < 1.45
 
 
+@pytest.mark.parametrize("phi", [0.0, 0.9])
+@pytest.mark.parametrize("interval", [1e-3, 1e-2])
+def test_noise_counts_less_where_it_is_louder_for_a_while(interval, phi):
+    campaign = design(6, interval=interval)
+    rng = np.random.default_rng(5)
+    bins, switches = bins_of(campaign)
+    alarms = 0
+    for e, b, (t0, tf) in zip(campaign, bins, switches, strict=True):
+        n = len(e.t)
+        x = lfilter([1.0], [1.0, -phi], rng.standard_normal(n + 500))[500:]
+        on = (e.t > t0) & (e.t < tf)
+        x *= np.where(on, 1.5, 1.0)  # gas makes it louder, which is no spell of noise
+        level = b.average(on.astype(float))
+        alarms += np.any(loudness(e, x, b, level) > 1.0)
+        middle = 0.5 * (t0 + tf)
+        loud = np.abs(e.t - middle) < 3.0
+        found = loudness(e, x * np.where(loud, 3.0, 1.0), b, level)
+        inside = loud[b.first] & loud[b.last - 1]
+        away = np.abs(b.centre - middle) > 6.0
+        expected = 3.0 / np.sqrt(np.mean(np.where(loud, 9.0, 1.0)[on]))
+        assert np.mean(found[away] > 1.0) < 0.1 and np.max(found[away]) < 1.2
+        assert np.median(found[inside]) == pytest.approx(expected, rel=0.1)
+    assert alarms <= 1
+
+
+def test_a_drill_next_door_breaks_nothing_and_is_told(monkeypatch):
+    campaign = make_campaign(draw_case(7088915, law="drilling"))
+    gap = diagnose_gap(campaign, bootstrap=0, separate=False, hidden=False)
+    assert gap.verdict.kind == "none"
+    (told,) = (note for note in gap.notes if "louder for a while" in note)
+    assert " times)" in told and "counts less" in told
+    parameters = Layout.of(campaign).flat(fit_least_squares(campaign, euler=False).theta_hat)
+
+    def found():
+        base = fit_base(prepare(campaign, parameters).sketch)
+        return look_for_breaks(base).log_bayes_factor, base.misfit / base.plan.sketch.n_bins
+
+    counted, ratio = found()
+    assert counted < 1.0 and ratio < 1.2
+    monkeypatch.setattr(floor, "loudness", lambda _e, _r, _b, level: np.ones(len(level)))
+    as_usual, ratio = found()
+    assert as_usual > 20.0 and ratio > 1.3
+
+
 def test_glitches_are_replaced_and_counted():
     rng = np.random.default_rng(1)
     r = rng.standard_normal(5000)
@@ -124,6 +172,16 @@ def test_glitches_are_replaced_and_counted():
     assert n == 3
     assert np.max(np.abs(cleaned)) < 6.0
     assert clean(r * 0.0, np.ones(5000, dtype=bool))[1] == 0
+
+
+def test_noise_that_is_louder_for_a_while_holds_no_glitches_but_its_own():
+    rng = np.random.default_rng(2)
+    r = rng.standard_normal(10_000)
+    r[4000:6000] *= 6.0
+    r[[1000, 5000]] += 60.0
+    cleaned, n = clean(r, np.ones(10_000, dtype=bool))
+    assert n == 2
+    assert np.array_equal(np.flatnonzero(cleaned != r), [1000, 5000])
 
 
 def test_samples_a_converter_step_away_are_no_spikes():

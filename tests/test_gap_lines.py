@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import lfilter, windows
 
 from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.gap.full_rate import FullRate
@@ -62,6 +62,28 @@ def test_ripples_that_an_echo_makes_in_the_spectrum_are_no_lines():
     found = _look_for_lines(humming, "line")[0]
     assert found.log_bayes_factor > 5.0
     assert found.strength["line_Hz"] == pytest.approx(431.0, abs=0.1)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7])
+def test_the_edge_of_a_filter_is_no_line(share):
+    # part of the noise has passed a steep filter before a recorder that is faster
+    rng = np.random.default_rng(6)
+    n = 20_000
+    f = np.fft.rfftfreq(n, 1e-3)
+    pieces = []
+    for _ in range(14):
+        kept = np.fft.irfft(np.fft.rfft(rng.standard_normal(n)) * (f < 80.0), n)
+        y = np.sqrt(share / 0.16) * kept + np.sqrt(1.0 - share) * rng.standard_normal(n)
+        pieces.append(Piece(y, windows.tukey(n, 0.2), 1e-3, 0))
+    assert _look_for_lines(pieces, "line")[0].log_bayes_factor < 1.0
+    t = np.arange(n) * 1e-3
+    for hertz in (71.3, 88.7):  # a line on either side of the edge is still found
+        humming = [
+            replace(p, samples=p.samples + 0.1 * np.sin(2.0 * np.pi * hertz * t)) for p in pieces
+        ]
+        found = _look_for_lines(humming, "line")[0]
+        assert found.log_bayes_factor > 5.0
+        assert found.strength["line_Hz"] == pytest.approx(hertz, abs=0.1)
 
 
 def test_a_line_between_two_ordinates_keeps_its_amplitude():

@@ -14,6 +14,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.effects import CATALOGUE, check_names
 from bayes_sensor.gap.events import (
+    HEAVY_DOF,
     look_for_breaks,
     look_for_events,
     look_for_patches,
@@ -37,7 +38,7 @@ from bayes_sensor.gap.lines import (
     mains_closure,
     pieces_of_records,
 )
-from bayes_sensor.gap.refit import Refit
+from bayes_sensor.gap.refit import Refit, Sketch
 from bayes_sensor.gap.separate import Separation, confusable, what_would_separate
 from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
 from bayes_sensor.gap.unsteady import look_for_unsteadiness
@@ -58,6 +59,8 @@ MOST_ROUNDS = 3
 """effects added one after the other before the search ends"""
 MOSTLY = 0.7
 """share of a family's probability from which its leading member is stated alone"""
+TELLING = 1.2
+"""times its usual size from which noise that is louder for a while is worth a note"""
 LIKELY = 0.02
 """probability from which an effect's look-alikes are listed"""
 
@@ -346,7 +349,7 @@ def diagnose_gap(
         envelope = (exp(best.log_tau - spread), exp(best.log_tau + spread))
     tell(0.93, "look-alikes")
     rows, separations = _rows(weighing, stand, full_rate, catalogue, closed, separate, kind, named)
-    notes = _notes(campaign, sketch.floor.spikes)
+    notes = _notes(sketch)
     sentence = _sentence(kind, named, family, probability, best, located, catalogue, separations,
                          shrink, full_rate, envelope, campaign.signal_unit,
                          stand.effects.get(named[0], 0.0) if named else 0.0,
@@ -427,13 +430,14 @@ def _events(
     best = max(complete, key=lambda h: h.log_weight)
     residuals = prepared.residuals_of(best.refit)
     stretches = prepared.stretches_of(residuals)
+    events = look_for_events(campaign, stretches, heavy)
     return [
-        look_for_patches(best.refit),
-        look_for_breaks(best.refit),
-        look_for_events(campaign, stretches, heavy),
+        look_for_patches(best.refit, events.lasting),
+        look_for_breaks(best.refit, events.lasting),
+        events.found,
         look_for_ringing(campaign, residuals, prepared.quiet),
         *look_for_swings(campaign, residuals, prepared.deviations),
-        *look_for_unsteadiness(campaign, stretches),
+        *(look_for_unsteadiness(campaign, stretches) if events.tails[0] >= HEAVY_DOF else []),
     ]
 
 
@@ -718,7 +722,8 @@ def ar1_whiteness(residuals: Sequence[FloatArray], lags: int = 20) -> float:
 # --------------------------------------------------------------------------- words
 
 
-def _notes(campaign: Campaign, spikes: int) -> list[str]:
+def _notes(sketch: Sketch) -> list[str]:
+    campaign, spikes = sketch.campaign, sketch.floor.spikes
     notes = []
     if not any(e.has_fall for e in campaign):
         notes.append(
@@ -740,10 +745,29 @@ def _notes(campaign: Campaign, spikes: int) -> list[str]:
         )
     if spikes:
         notes.append(f"{spikes} samples beyond 6.5 standard deviations were taken for spikes.")
+    spells = _louder_spells(sketch)
+    if spells:
+        more = f" and {len(spells) - 3} more" if len(spells) > 3 else ""
+        notes.append(
+            f"Noise is louder for a while in experiment {', '.join(spells[:3])}{more}: what stands "
+            "out there counts less."
+        )
     notes.append(
         "The sensor is taken to be faster than the valve: a cascade cannot tell them apart."
     )
     return notes
+
+
+def _louder_spells(sketch: Sketch) -> list[str]:
+    """Every experiment whose noise is louder for a while: when, and by how much."""
+    found = []
+    for b, times in zip(sketch.bins, sketch.floor.loudness, strict=True):
+        loud = times > TELLING
+        if np.any(loud):
+            begins, ends = b.edges
+            span = f"from {begins[loud][0]:.0f} to {ends[loud][-1]:.0f} s"
+            found.append(f"{b.experiment.name} ({span} up to {times.max():.1f} times)")
+    return found
 
 
 def _strength_words(strength: Mapping[str, Any], units: Mapping[str, str]) -> str:

@@ -102,9 +102,24 @@ class Quiet:
     """V, height of the plateau over the baseline"""
 
 
+@dataclass(frozen=True)
+class Events:
+    """What befalls single stretches, and how much the noise alone makes look like it."""
+
+    found: FullRate
+    tails: tuple[float, float]
+    """degrees of freedom of means over as long a time as is told, at carrier and plateau; inf for
+    those of a Gaussian, or where nothing is told"""
+
+    @property
+    def lasting(self) -> float:
+        """Degrees of freedom where both gases have long tails: then the noise itself has them."""
+        return max(self.tails)
+
+
 def look_for_events(
     campaign: Campaign, stretches: Sequence[Stretch], heavy_tailed: bool = False
-) -> FullRate:
+) -> Events:
     """Bumps and jumps in single stretches.
 
     Differences of means (a bump against both its sides, after against before) are taken in units
@@ -153,7 +168,9 @@ def look_for_events(
                         when = stretch.begin + (at + middle * sizes[k]) * dt
     value = _alone_or_alike(found)
     strength = {"event_experiment": float(where), "event_s": when, "event_ratio": largest**0.5}
-    return FullRate("event", value, strength, float(np.sqrt(largest)))
+    found_event = FullRate("event", value, strength, float(np.sqrt(largest)))
+    longest = [min((d for (_, at), d in tails.items() if at == g), default=np.inf) for g in (0, 1)]
+    return Events(found_event, (longest[0], longest[1]))
 
 
 def _blocks(campaign: Campaign, s: Stretch) -> tuple[tuple[FloatArray, FloatArray], float] | None:
@@ -262,14 +279,16 @@ def _alone_or_alike(found: Sequence[Mapping[Hashable, float]]) -> float:
     return float(np.logaddexp(alone, together) - np.log(2.0))
 
 
-def look_for_patches(found: Refit) -> FullRate:
+def look_for_patches(found: Refit, tail: float = np.inf) -> FullRate:
     """Runs of bins around single switches that lie on one side of a refit.
 
     What goes wrong at one switch and not, or elsewhere, at the next has no common shape, and a
     process that is free at every switch pays for all of them.  Per switch, ``ln B`` averages over
     runs of bins the ratio of densities of their whitened sum, wider against usual, the usual with
-    the floor's degrees of freedom; runs are averaged over for each switch, or for all together.
+    the floor's degrees of freedom, or with those of the noise's own ``tail``; runs are averaged
+    over for each switch, or for all together.
     """
+    dof = min(DOF, tail)
     sketch = found.plan.sketch
     largest, where = 0.0, (0.0, 0.0)
     places: list[dict[Hashable, float]] = []
@@ -294,13 +313,13 @@ def look_for_patches(found: Refit) -> FullRate:
             places.append({
                 (m, int(at)): value
                 for m, square in zip(PATCH_BINS, squares, strict=True)
-                for at, value in zip(first, _surprises(square, DOF), strict=False)
+                for at, value in zip(first, _surprises(square, dof), strict=False)
             })  # fmt: skip
     strength = {"patch_experiment": where[0], "patch_s": where[1], "patch_ratio": largest**0.5}
     return FullRate("patch", _alone_or_alike(places), strength, float(np.sqrt(largest)))
 
 
-def look_for_breaks(found: Refit) -> FullRate:
+def look_for_breaks(found: Refit, tail: float = np.inf) -> FullRate:
     """Changes that begin at any time in single records: passing, until the fall, or to stay.
 
     What happens once has no common shape either, and on a plateau it looks like a drift.  A score
@@ -309,6 +328,7 @@ def look_for_breaks(found: Refit) -> FullRate:
     lengths the ratio of t densities, as in :func:`look_for_patches`; they are averaged over for
     each record, or for all together.
     """
+    dof = min(DOF, tail)
     sketch, plan = found.plan.sketch, found.plan
     normal = found.jacobian.T @ found.jacobian + plan.own_prior_matrix
     covariance = np.linalg.inv(normal)
@@ -328,7 +348,7 @@ def look_for_breaks(found: Refit) -> FullRate:
         square = (found.residual[rows] @ templates[:, use]) ** 2 / left[use]
         edges = _edges(b)
         kinds = [(edges[i], edges[j]) for i, j in spans[use].tolist()]
-        places.append(dict(zip(kinds, _surprises(square, DOF), strict=True)))
+        places.append(dict(zip(kinds, _surprises(square, dof), strict=True)))
         if float(square.max()) > largest:
             largest = float(square.max())
             first = spans[use][int(np.argmax(square)), 0]

@@ -21,6 +21,10 @@ from bayes_sensor.gap.bins import ExperimentBins
 
 SPIKE = 6.5
 """robust standard deviations beyond which a sample is taken for a glitch"""
+SPELL = 200
+"""samples in a row that tell whether all of them are large, and none of them a glitch"""
+MUCH = 1.5
+"""times the usual spread from which they are"""
 SHRINK = 20.0
 """degrees of freedom of the neighbouring band, or of the common shape, in a band's estimate"""
 DOF = 60.0
@@ -37,6 +41,16 @@ TURNS = 8.0
 """share of a stretch, as one over this, at which a walk less its parabola turns back"""
 LAGS_PER_BIN = 24.0
 """lags of the covariance within the shortest bin"""
+LOUD_BLOCK = (0.25, 50)
+"""s, and samples: at least so much tells how loud a record is somewhere"""
+LOUD_BLOCKS = (6, 12, 24, 48, 96)
+"""blocks in a row that are asked whether they are louder than the record usually is"""
+LOUDER = 1.25
+"""times the usual power from which noise may be called louder"""
+LOUD_ERRORS = 5.0
+"""standard errors above the usual from which it is"""
+LOUD_EDGE = 2
+"""blocks on either side over which power is averaged to say how much louder"""
 
 
 Shape = Callable[[FloatArray], FloatArray]
@@ -70,6 +84,8 @@ class Floor:
     """(n_bins, n_bins) V, lower factor of each experiment's covariance of bin means"""
     spikes: int
     """samples replaced"""
+    loudness: tuple[FloatArray, ...] = ()
+    """(n_bins,) of each experiment: times by which its noise is louder there than usual, or one"""
 
     def whiten(self, k: int, values: FloatArray) -> FloatArray:
         """Bin values (n_bins,) or (n_bins, m) of experiment ``k`` in standard deviations."""
@@ -113,8 +129,20 @@ def clean(
         if len(out) <= 20000
         else _running_median(out, width)
     )
-    away = np.abs(out - local) > SPIKE * max(spread, scale, 0.5 * resolution)
+    usual = max(spread, scale, 0.5 * resolution)
+    away = np.abs(out - local) > SPIKE * np.maximum(usual, _spread_nearby(out, spread))
     return np.where(away & used, local, out), int(np.sum(away & used))
+
+
+def _spread_nearby(values: FloatArray, usual: float) -> FloatArray:
+    """(n,) V, spread of the noise where it is much louder than ``usual`` for a while; or zero."""
+    n = len(values) // SPELL
+    if n < 2:
+        return np.zeros(len(values))
+    steps = np.abs(np.diff(values, append=values[-1]))[: n * SPELL].reshape(n, SPELL)
+    nearby = 1.4826 * np.median(steps, axis=1) / np.sqrt(2.0)
+    nearby = np.where(nearby > MUCH * usual, nearby, 0.0)
+    return np.asarray(nearby[np.minimum(np.arange(len(values)) // SPELL, n - 1)], dtype=float)
 
 
 def _running_median(values: FloatArray, width: int) -> FloatArray:
@@ -210,14 +238,18 @@ def estimate_floor(
     shape = _correlated(noises, intervals)
     below = shape if _like_a_walk(noises) else np.ones_like
     density, dof = _shrunk(power, count, edges, shape(np.sqrt(edges[:-1] * edges[1:])), louder)
+    louder_bins = tuple(
+        loudness(e, r, b, level)
+        for e, r, b, level in zip(campaign, residuals, bins, level_of_bins, strict=True)
+    )
     factors = tuple(
-        _bin_cholesky(
+        louder_bins[k][:, None] * _bin_cholesky(
             e, b, edges, density[k], level, below,
             None if fits is None else rounding_bias(e, b, edges, density[k], fits[k]),
         )
         for k, (e, b, level) in enumerate(zip(campaign, bins, level_of_bins, strict=True))
     )  # fmt: skip
-    return Floor(edges, density, dof, factors, spikes)
+    return Floor(edges, density, dof, factors, spikes, louder_bins)
 
 
 def periodogram(noise: FloatArray, interval: float) -> tuple[FloatArray, FloatArray]:
@@ -328,6 +360,66 @@ def _louder(
             n[int(share >= 0.9)] += len(change)
     carrier, plateau = square / np.maximum(n, 1.0)
     return float(plateau / carrier) if carrier > 0.0 and plateau > 0.0 else 1.0
+
+
+def loudness(
+    e: Experiment, residual: FloatArray, bins: ExperimentBins, level: FloatArray
+) -> FloatArray:
+    """(n_bins,) times by which noise exceeds the floor where it is louder for a while; else one.
+
+    Somebody drills next door, a pump runs for a minute: the floor is the mean of a whole record,
+    and what stands out of it there is noise.  Changes of the ``residual`` (n_t,) V from sample to
+    sample tell, being the noise's alone, block by block and at the bins' ``level`` (n_bins,) of the
+    gas.  Blocks usually have the median's power, give or take what neighbours differ by; runs of
+    them that have clearly more are louder.  That noise is quieter somewhere is not relied upon.
+    """
+    size = max(round(LOUD_BLOCK[0] / e.interval), LOUD_BLOCK[1])
+    power = _power_of_changes(e, residual, size)
+    n, known = len(power), np.isfinite(power)
+    at = np.interp((np.arange(n) + 0.5) * size, 0.5 * (bins.first + bins.last), level)
+    usual, mean = (_over_levels(power, at, of) for of in (np.median, np.mean))
+    if int(known.sum()) < 2 * LOUD_BLOCKS[0] or np.min(usual) <= 0.0:
+        return np.ones(len(level))
+    relative = np.where(known, power / usual, 1.0)
+    scatter = float(np.median(np.abs(np.diff(relative[known])))) / 0.6745 / np.sqrt(2.0)
+    total = np.concatenate([[0.0], np.cumsum(relative)])
+    loud = np.zeros(n, dtype=bool)
+    for m in (m for m in LOUD_BLOCKS if 2 * m <= n):
+        enough = max(LOUDER, 1.0 + LOUD_ERRORS * scatter / np.sqrt(m))
+        for i in np.flatnonzero(total[m:] - total[:-m] > enough * m):
+            loud[i : i + m] = True
+    locally, times = (_smoothed(np.where(known, power / x, 1.0)) for x in (usual, mean))
+    times = np.where(loud & (locally > LOUDER), np.maximum(times, 1.0), 1.0)
+    block = np.minimum(np.arange(len(residual)) // size, n - 1)
+    return np.asarray(np.sqrt(bins.average(times[block])), dtype=float)
+
+
+def _power_of_changes(e: Experiment, residual: FloatArray, size: int) -> FloatArray:
+    """(n,) V^2, mean squared change from sample to sample of blocks of ``size``; NaN where unknown.
+
+    A block is unknown where most of its samples are unused.
+    """
+    n = max(len(residual) // size, 1)
+    both = np.append(e.used[1:] & e.used[:-1], False)[: n * size]
+    square = np.where(both, np.diff(residual, append=0.0)[: n * size] ** 2, 0.0)
+    of_block = np.arange(len(both)) // size
+    count, power = np.bincount(of_block, both), np.bincount(of_block, square)
+    return np.where(count > 0.5 * size, power / np.maximum(count, 1), np.nan)
+
+
+def _smoothed(blocks: FloatArray) -> FloatArray:
+    """(n,) means over a block and LOUD_EDGE on either side."""
+    width = 2 * LOUD_EDGE + 1
+    return np.convolve(np.pad(blocks, LOUD_EDGE, mode="edge"), np.ones(width) / width, "valid")
+
+
+def _over_levels(
+    power: FloatArray, at: FloatArray, of: Callable[[FloatArray], np.floating]
+) -> FloatArray:
+    """(n,) median or mean ``power`` at the carrier and on the plateau, and between the two."""
+    sides = [power[here & np.isfinite(power)] for here in (at < 0.1, at > 0.9)]
+    found = [float(of(some)) for some in sides if len(some)] or [0.0]
+    return np.asarray(found[0] + (found[-1] - found[0]) * np.clip(at, 0.0, 1.0), dtype=float)
 
 
 def _shrunk(

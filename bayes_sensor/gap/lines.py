@@ -28,6 +28,8 @@ HARMONICS = 9
 """of the mains that are looked at"""
 SIDE = 3.0
 """native resolutions around a line that hold its power"""
+EDGE = 2.0
+"""times the level around from which that of one side alone is taken"""
 LEVEL_ERROR = 0.25
 """relative, of the level that 20 resolutions of one record give"""
 NEAR_MAINS = 0.15
@@ -271,7 +273,11 @@ def _local_level(power: FloatArray, per_resolution: float, k: int) -> FloatArray
         low, high = int(max(centre - half, 1)), int(min(centre + half, len(power))) + 1
         window = power[low:high]
         step = max(1, len(window) // 400)
-        levels.append(float(np.median(window[::step])) / of_noise)
+        middle = float(np.median(window[::step]))
+        # where a filter cuts the noise off, the louder side is no line above the quieter one
+        sides = np.split(window, [int(centre) - low])
+        louder = max(float(np.median(side)) for side in sides if len(side) > 0.5 * half)
+        levels.append((louder if louder > EDGE * middle else middle) / of_noise)
     smooth = np.interp(
         np.log(np.maximum(index, 0.5)), np.log(centres), np.log(np.maximum(levels, 1e-300))
     )

@@ -141,7 +141,12 @@ class Sketch:
             campaign=replace(self.campaign, experiments=experiments),
             bins=tuple(self.bins[k].restricted(keep[k]) for k in stay),
             data=tuple(self.data[k][keep[k]] for k in stay),
-            floor=replace(self.floor, cholesky=tuple(factors), density=self.floor.density[stay]),
+            floor=replace(
+                self.floor,
+                cholesky=tuple(factors),
+                density=self.floor.density[stay],
+                loudness=tuple(self.floor.loudness[k][keep[k]] for k in stay),
+            ),
             base=self.local_coordinates(self.base, stay),
         )
 

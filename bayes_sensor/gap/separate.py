@@ -134,6 +134,7 @@ def _second_flow(sketch: Sketch, factor: float) -> Sketch:
             sketch.floor,
             cholesky=sketch.floor.cholesky * 2,
             density=np.concatenate([sketch.floor.density] * 2),
+            loudness=sketch.floor.loudness * 2,
         ),
     )
 
