@@ -8,7 +8,7 @@ from campaigns import small_design, small_problem
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.gap import which
-from bayes_sensor.gap.diagnosis import ar1_whiteness
+from bayes_sensor.gap.diagnosis import _family_words, ar1_whiteness
 from bayes_sensor.gap.effect import Effect, Strength, own_effect
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.events import _blocks
@@ -207,6 +207,30 @@ def test_a_family_is_named_where_its_members_cannot_be_told_apart() -> None:
     kind, effects, found, p = judge(NOTHING, stand, CATALOGUE)
     assert (kind, found, p) == ("family", family, 0.8)
     assert effects[0] == name and all(CATALOGUE[n].family == family for n in effects)
+
+
+def test_of_several_that_are_each_unlikely_the_likeliest_is_stated() -> None:
+    families = {"slow exchange": 0.45, "baseline": 0.35}
+    kind, effects, found, p = judge(NOTHING, standing(0.05, 0.15, families), CATALOGUE)
+    assert (kind, found, p) == ("family", "slow exchange", 0.45)
+    assert all(CATALOGUE[n].family == "slow exchange" for n in effects)
+    # what nothing at all is as likely as, and what less is known of than of an unlisted cause
+    assert judge(NOTHING, standing(0.16, 0.15, families), CATALOGUE)[0] == "none"
+    assert judge(NOTHING, standing(0.05, 0.4, {"slow exchange": 0.35}), CATALOGUE)[0] == "unlisted"
+
+
+@pytest.mark.parametrize(
+    ("probability", "leading", "other", "said"),
+    [
+        (0.45, 0.4, "", "No cause is likelier than not in the rise; the likeliest is a (45 %)."),
+        (0.45, 0.2, "", "in the rise; the likeliest is one of a, B (45 %)."),
+        (0.8, 0.7, "", "Most likely a (70 %) explains the gap in the rise, but a cause outside"),
+        (0.8, 0.7, "b", "a, or b, whose response is the same, explains the gap in the rise."),
+        (0.8, 0.4, "", "One of a, B explains the gap in the rise; this campaign does not tell"),
+    ],
+)
+def test_of_a_family_no_more_is_said_than_is_known(probability, leading, other, said) -> None:
+    assert said in _family_words(["a", "B"], probability, leading, " in the rise", other)
 
 
 def test_an_effect_of_the_noise_is_named_beside_an_empty_mean() -> None:

@@ -758,6 +758,28 @@ def _notes(sketch: Sketch) -> list[str]:
     return notes
 
 
+def _family_words(
+    named: Sequence[str], probability: float, leading: float, place: str, other: str
+) -> str:
+    """What is said of a family; ``leading``: probability of its likeliest member."""
+    leads = leading > MOSTLY * probability
+    names = ", ".join(named)
+    if probability < 0.5:
+        one = named[0] if leads else f"one of {names}"
+        return (
+            f"No cause is likelier than not{place}; the likeliest is {one} "
+            f"({100.0 * probability:.0f} %)."
+        )
+    if leads and other:
+        return f"{named[0]}, or {other}, whose response is the same, explains the gap{place}."
+    if leads:
+        return (
+            f"Most likely {named[0]} ({100.0 * leading:.0f} %) explains the gap{place}, but a "
+            "cause outside the catalogue that looks the same is not excluded."
+        )
+    return f"One of {names} explains the gap{place}; this campaign does not tell them apart."
+
+
 def _louder_spells(sketch: Sketch) -> list[str]:
     """Every experiment whose noise is louder for a while: when, and by how much."""
     found = []
@@ -908,19 +930,7 @@ def _sentence(
             if f.name in catalogue and f.probability > NAMED
         ]
         other = catalogue[named[0]].same_response
-        leads = leading > MOSTLY * probability
-        if leads and other:
-            said = f"{named[0]}, or {other}, whose response is the same, explains the gap{place}."
-        elif leads:
-            said = (
-                f"Most likely {named[0]} ({100.0 * leading:.0f} %) explains the gap{place}, but a "
-                "cause outside the catalogue that looks the same is not excluded."
-            )
-        else:
-            said = (
-                f"One of {', '.join(named)} explains the gap{place}; this campaign does not tell "
-                "them apart."
-            )
+        said = _family_words(named, probability, leading, place, other)
         return "".join([said, advice, *beside])
     words = []
     by_name = {f.name: f for f in full_rate}

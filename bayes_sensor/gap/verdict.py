@@ -176,6 +176,8 @@ def judge(
         return _family(family, stand, catalogue)
     if stand.none >= stand.unlisted:
         return "none", (), None, stand.none
+    if family is not None and of_mean[family] > stand.unlisted:  # the likeliest of several
+        return _family(family, stand, catalogue)
     return "unlisted", (), None, stand.unlisted
 
 
