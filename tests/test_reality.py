@@ -16,7 +16,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, welch
-from scipy.special import erf, erfc, erfcx
+from scipy.special import erf, erfc, erfcx, j0
 
 import bayes_sensor.reality as reality
 from bayes_sensor.campaign import CampaignError, FloatArray
@@ -43,7 +43,10 @@ from bayes_sensor.reality.noise import draw_noise
 from bayes_sensor.reality.rig import Knobs, dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
+    blind,
+    capillary,
     decades,
+    envelope,
     glassy,
     islands,
     kept,
@@ -143,7 +146,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (38, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (41, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -2677,6 +2680,295 @@ def test_a_historian_keeps_what_differs_and_draws_lines() -> None:
             assert np.ptp(slope) < 1e-6 * slope.mean() + 1e-12
 
 
+def test_a_soft_start_is_a_ramp_and_a_purge_a_faster_end_against_an_ode_solver() -> None:
+    strength, slopes = 2.0, []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"soft_start": strength})
+        lasts = [prepared_rig(rig)[p.name].marks[0] - p.t0 for p in rig.steps]
+        gas = np.array([p.test_gas_flow for p in rig.steps])
+        even = np.allclose(lasts, strength)
+        assert even or np.allclose(lasts, strength * gas / gas.max())
+        slopes.append(not even)
+        seen = clean_signals(rig)
+        k = int(np.argmin(gas))
+        step = rig.steps[k]
+
+        def ramped(
+            u: tuple[float, float, float], x: FloatArray, step: Step = step, rig: Case = rig
+        ) -> list[float]:
+            # the ramp as a state of its own; what the valve does not let pass is carrier
+            full = step.test_gas_flow * min(x[3], 1.0)
+            inlet = x[0] * full / (step.carrier_flow + full) / step.concentration
+            flow = step.carrier_flow + full * x[0] + step.test_gas_flow * (1.0 - x[0])
+            gas = flow * (inlet - x[1]) / rig.V
+            return [(u[0] - x[0]) / rig.tau_v, gas, (x[1] - x[2]) / rig.tau, u[1]]
+
+        inputs = [
+            (0.0, (0.0, 0.0)), (step.t0, (1.0, 1.0 / lasts[k])),
+            (step.t0 + lasts[k], (1.0, 0.0)), (step.tf, (0.0, 0.0)),
+        ]  # fmt: skip
+        _, states = solved(rig, ramped, 4, k=k, inputs=inputs)
+        assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-4
+    assert 0 < sum(slopes) < 5
+
+    strength, purged = 2.0, 0
+    rig = replace(draw_case(11, size="varied"), strengths={"hasty_purge": strength})
+    found, seen, plain = prepared_rig(rig), clean_signals(rig), clean_signals(without_causes(rig))
+    for k, step in enumerate(rig.steps):
+        if not found[step.name].carrier:
+            assert np.array_equal(seen[step.name], plain[step.name])
+            continue
+        purged += 1
+        (carrier,), (at,) = found[step.name].carrier, found[step.name].marks
+        reach = rig.tau_v + rig.V / step.total_flow
+        assert step.tf + 0.19 * reach < at < step.tf + 1.21 * reach
+        time_ = -0.2 / np.log(1.0 - (carrier(np.array([at + 0.2]))[0] - 1.0) / strength)
+        assert 0.1 < time_ < 0.6
+        if purged > 1:
+            continue
+
+        def flushed(
+            u: tuple[float, float], x: FloatArray, step: Step = step, time_: float = time_
+        ) -> list[float]:
+            carrier = step.carrier_flow * (1.0 + strength * x[3])
+            inlet = x[0] * step.test_gas_flow / (carrier + step.test_gas_flow) / step.concentration
+            gas = (carrier + step.test_gas_flow) * (inlet - x[1]) / rig.V
+            more = (u[1] - x[3]) / time_
+            return [(u[0] - x[0]) / rig.tau_v, gas, (x[1] - x[2]) / rig.tau, more]
+
+        inputs = [(0.0, (0.0, 0.0)), (step.t0, (1.0, 0.0)), (step.tf, (0.0, 0.0)), (at, (0.0, 1.0))]
+        _, states = solved(rig, flushed, 4, k=k, inputs=inputs)
+        assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-4
+    assert 1 <= purged < len(rig.steps)
+
+
+def test_pores_empty_at_the_square_of_the_pressure_at_which_they_filled() -> None:
+    # up to 0.6, some way back, and down: full up to 0.6 until the root is below
+    pressure = np.concatenate([np.linspace(0.0, 0.6, 601), np.linspace(0.6, 0.0, 601)])
+    reach = capillary(pressure)
+    assert np.array_equal(reach[:601], pressure[:601])
+    down = pressure[601:]
+    assert np.allclose(reach[601:], np.where(down > 0.36, 0.6, np.sqrt(down)))
+    # a small turn within the loop changes nothing
+    turn = np.array([0.0, 0.6, 0.4, 0.55, 0.4, 0.25, 0.4, 0.6])
+    assert capillary(turn) == pytest.approx([0.0, 0.6, 0.6, 0.6, 0.6, 0.5, 0.5, 0.6])
+
+    strength, late = 0.3, 0
+    rig = case(capillary_condensation=strength)
+    seen = clean_signals(rig)
+    for step in rig.steps:
+        t, relative = sample_times(step), rig.relative_concentration(step)
+        knobs = prepared_rig(rig)[step.name]
+        assert 0.5 < knobs.pores_vapour < 0.9 and 0.05 < knobs.pores_width < 0.2
+        plain = (voltage(rig, step, Knobs(), t)[0] - step.y0) / step.beta
+        more = ((seen[step.name] - step.y0) / step.beta - plain) * relative / strength
+        assert more.min() > -1e-9 and more.max() < 1.0
+        # on the plateau a log-normal share of the pores is full, for the pressure that is there
+        z = np.log(knobs.pores_vapour * relative / knobs.pores_at) / knobs.pores_width
+        full = 0.5 * erfc(-z / np.sqrt(2.0))
+        end = t < step.tf
+        assert more[end][-1] == pytest.approx(full, abs=1e-3)
+        if full < 0.2:
+            continue
+        late += 1
+        # half of it comes and goes at pressures of which one is the other's square, or as little
+        # as there was when it was left
+        half, rises, falls = 0.5 * full, end & (t > step.t0), t > step.tf
+        top = knobs.pores_vapour * relative
+        up = top * np.interp(half, more[rises], plain[rises])
+        down = top * np.interp(-half, -more[falls], plain[falls])
+        assert down == pytest.approx(up**2, rel=0.25)
+        assert down < 0.8 * up
+    assert late >= 1
+
+
+def test_a_line_on_dead_pixels_is_found_where_it_was() -> None:
+    y = np.array([0.0, 0.2, 0.35, 0.45, 0.55, 0.9, 0.52, 0.41, 0.45, 0.3, 0.5, 0.1])
+    shown = blind(y, 0.4, 0.2)
+    assert shown == pytest.approx([0.0, 0.2, 0.35, 0.35, 0.35, 0.9, 0.9, 0.9, 0.9, 0.3, 0.3, 0.1])
+
+    strength, crossed = 0.2, 0
+    rig = case(dead_pixels=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    for step in rig.steps:
+        at = prepared_rig(rig)[step.name].dead_from
+        assert 0.1 <= at <= 0.6
+        t, relative = sample_times(step), rig.relative_concentration(step)
+        place, shown = (
+            relative * (some[step.name] - step.y0) / step.beta for some in (plain, seen)
+        )
+        within = (place > at + 1e-6) & (place < at + strength - 1e-6)
+        outside = (place < at - 1e-6) | (place > at + strength + 1e-6)
+        assert np.allclose(shown[outside], place[outside], atol=1e-9)
+        up, down = within & (t < step.tf), within & (t > step.tf)
+        assert up.sum() > 1 and np.allclose(shown[up], at, atol=5e-3)
+        if place.max() > at + strength:
+            crossed += 1
+            assert np.allclose(shown[down], at + strength, atol=5e-3)
+    assert crossed >= 1
+
+
+def test_a_tube_lamp_flashes_until_it_burns_and_then_grows_brighter() -> None:
+    strength, lit, counts = 0.1, 0, set()
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"flickering_tube_lamp": strength})
+        size = strength * np.mean([step.beta for step in rig.steps])
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        for step in rig.steps:
+            courses, s = prepared_rig(rig)[step.name].offset, sample_times(step)
+            if not courses:
+                assert np.array_equal(seen[step.name], plain[step.name])
+                continue
+            lit += 1
+            assert np.allclose(seen[step.name] - plain[step.name], courses[0](s), atol=5e-6)
+            t = np.arange(0.0, 400.0, 5e-4)
+            light = courses[0](t) / size
+            edges = np.flatnonzero(np.diff((light > 0.0).astype(int)))
+            assert light[0] == 0.0 and len(edges) % 2 == 1  # on for good in the end
+            lengths, gaps = np.diff(t[edges])[::2], np.diff(t[edges][::2])
+            counts.add(len(lengths))
+            assert 2 <= len(lengths) <= 7
+            assert np.all((lengths > 0.049) & (lengths < 0.251))
+            assert np.all((gaps > 0.39) & (gaps < 1.31))
+            # of its hundred or so swings a second, whole tenths of a second know nothing
+            burns = light[edges[-1] + 1 :]
+            mean = burns[: len(burns) // 200 * 200].reshape(-1, 200).mean(axis=1)
+            swing = burns[-20_000:] / mean[-1] - 1.0
+            assert 0.15 < swing.max() < 0.4 and swing.min() == pytest.approx(-swing.max(), rel=0.05)
+            f, power = welch(swing, 2000.0, nperseg=20_000)
+            assert f[power.argmax()] == pytest.approx(100.0, abs=0.2) or f[
+                power.argmax()
+            ] == pytest.approx(120.0, abs=0.2)
+            # from 0.4 to 0.7 of its light to all of it, as one exponential
+            assert 0.38 < mean[0] < 0.73 and mean[-1] == pytest.approx(1.0, abs=1e-3)
+            left = np.log(1.0 - mean[:50])
+            time_ = -0.1 / np.diff(left).mean()
+            assert 4.9 < time_ < 30.5 and np.ptp(np.diff(left)) < 1e-3
+    assert lit >= 3 and len(counts) > 1
+
+
+def test_an_automatic_gain_turns_down_quickly_and_up_slowly() -> None:
+    t = np.linspace(0.0, 60.0, 6001)
+    level = envelope(t, np.where((t >= 10.0) & (t < 30.0), 5.0, 1.0), 2.0, 8.0)
+    on, off = (t > 10.01) & (t < 29.99), t > 30.01
+    assert level[on] == pytest.approx(5.0 - 4.0 * np.exp(-(t[on] - 10.0) / 2.0), abs=0.02)
+    high = 5.0 - 4.0 * np.exp(-10.0)
+    assert level[off] == pytest.approx(
+        1.0 + (high - 1.0) * np.exp(-(t[off] - 30.0) / 8.0), abs=0.02
+    )
+
+    strength = 0.15
+    rig = case(automatic_gain=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    for step in rig.steps:
+        t, knobs = sample_times(step), prepared_rig(rig)[step.name]
+        attack, release = knobs.gain_attack, knobs.gain_release
+        assert 0.5 < attack < 4.0 and 5.0 < release < 30.0
+        ideal, gain = plain[step.name], seen[step.name] / plain[step.name]
+        assert np.allclose(gain[t < step.t0], 1.0)
+
+        def follow(
+            s: float,
+            x: FloatArray,
+            t: FloatArray = t,
+            ideal: FloatArray = ideal,
+            times: tuple[float, float] = (attack, release),
+        ) -> Any:
+            y = np.interp(s, t, ideal)
+            return (y - x) / times[0 if y > x[0] else 1]
+
+        found = solve_ivp(
+            follow, (0.0, t[-1]), [step.y0], t_eval=t, rtol=1e-8, atol=1e-10, max_step=0.02
+        )
+        expected = (step.y0 / found.y[0]) ** strength
+        assert np.abs(gain - expected).max() < 2e-3
+        # it overshoots, and is too low long after
+        shown = seen[step.name]
+        assert shown.max() > 1.03 * shown[t < step.tf][-1]
+        assert shown[t > step.tf + 4.0].min() < step.y0 * (1.0 - 0.3 * strength)
+
+
+def test_the_channel_before_shines_in_run_after_run() -> None:
+    strength, checked, h = 0.08, 0, 5e-3
+    t = np.arange(0.0, 130.0, h)
+    for seed in range(11, 23):
+        rig = replace(draw_case(seed, size="small"), strengths={"ghosting_multiplexer": strength})
+        size = strength * np.mean([step.beta for step in rig.steps])
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        found, begins = prepared_rig(rig), []
+        for step in rig.steps:
+            (course,) = found[step.name].offset
+            shone = course(sample_times(step))
+            assert np.allclose(seen[step.name] - plain[step.name], shone, atol=1e-9)
+            begins.append(t[np.argmax(course(t)[: int(40.0 / h)])])
+        assert np.ptp(begins) > 0.05  # it knows nothing of the experiments
+        y = course(t) / size
+        assert y.min() >= 0.0 and 0.999 < y.max() < 3.0
+        logs = np.log(np.maximum(y, 1e-12))
+        tops = np.flatnonzero((y[1:-1] > y[:-2]) & (y[1:-1] >= y[2:]) & (y[1:-1] > 0.1)) + 1
+        bends = (logs[tops + 1] - 2.0 * logs[tops] + logs[tops - 1]) / h**2
+        at = t[tops] - (logs[tops + 1] - logs[tops - 1]) / (2.0 * h * bends)
+        widths = np.sqrt(-1.0 / bends)
+        # the tallest one comes again in every run
+        tallest = at[y[tops] > y[tops].max() - 1e-3]
+        run = float(np.diff(tallest).min())
+        assert 8.0 < run < 40.0
+        assert np.allclose(course(t), course(t + run), atol=2e-3 * size)
+        # Gaussians as wide as they are late: with those that stand alone, all by one factor
+        gaps = np.minimum(np.diff(at, prepend=-1e3), np.diff(at, append=1e3))
+        alone = (gaps > 8.0 * np.median(widths)) & (gaps > 8.0 * widths)
+        alone &= (at > 0.02 * run) & (at < 1.02 * run)
+        if alone.sum() < 3:
+            continue
+        order = np.argsort(widths[alone])
+        at, widths = at[alone][order], widths[alone][order]
+        behind = np.mod(at - at[0], run)[1:]
+        root = float(behind @ (widths[1:] - widths[0]) / np.sum((widths[1:] - widths[0]) ** 2))
+        assert np.abs(behind - root * (widths[1:] - widths[0])).max() < 0.02 * run
+        assert 300.0 * 0.9 < root**2 < 3000.0 * 1.1
+        checked += 1
+    assert checked >= 3
+
+
+def test_a_mobile_phone_sends_four_slots_in_a_row_and_then_twenty_five_of_twenty_six() -> None:
+    strength, frame, signalled, talked = 0.2, 60e-3 / 13.0, 0, 0
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"calling_mobile_phone": strength})
+        size = strength * np.mean([step.beta for step in rig.steps])
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        for step in rig.steps:
+            courses, s = prepared_rig(rig)[step.name].offset, sample_times(step)
+            if not courses:
+                assert np.array_equal(seen[step.name], plain[step.name])
+                continue
+            assert np.allclose(seen[step.name] - plain[step.name], courses[0](s), atol=5e-6)
+            h = 2e-5
+            t = np.arange(0.0, step.duration, h)
+            y = courses[0](t) / size
+            on = np.abs(y) > 0.5
+            assert np.allclose(np.abs(y[on]), 1.0) and np.ptp(y[on]) == 0.0
+            begins = t[1:][on[1:] & ~on[:-1]]
+            lengths = np.sum(on) * h / len(begins)
+            assert lengths == pytest.approx(15e-3 / 26.0, rel=0.05)
+            frames = np.rint(np.diff(begins) / frame).astype(int)
+            assert np.diff(begins) == pytest.approx(frames * frame, abs=2.5 * h)
+            if len(frames) < 60:
+                continue
+            # three neighbours, then a pause of 48 frames; in the call every 26th is missing
+            pauses = np.flatnonzero(frames == 48)
+            if len(pauses) > 2:
+                signalled += 1
+                assert np.all(np.diff(pauses) == 4) and pauses[0] == 3
+                assert 1.0 < begins[pauses[-1] + 1] - begins[0] < 4.0
+            call = frames[pauses[-1] + 4 :] if len(pauses) else frames
+            if len(call) > 80:
+                talked += 1
+                missing = np.flatnonzero(call[1:] == 2)
+                assert np.all(np.diff(missing) == 25)
+                assert set(call[1:].tolist()) == {1, 2}
+    assert signalled >= 2 and talked >= 2
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -3199,6 +3491,65 @@ def test_decimated_hopping_and_drilling_noise_are_what_they_say() -> None:
     assert not (steep.is_ar1 or hops.is_ar1 or drill.is_ar1)
 
 
+def test_hunting_chattering_and_replugged_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(28)
+    h = 1e-3
+    part = Component(1.0, 50.0, 20.0, "hunting", depth=0.2, gust_time=2.0)
+    fan = NoiseLaw("hunting_fan", 1.0, components=(part,))
+    z = draw_noise(fan, 400_000, h, rng)
+    assert np.abs(z).max() == pytest.approx(np.sqrt(2.0), abs=1e-3)  # a tone, all the time as loud
+    assert z.var() == pytest.approx(1.0, rel=0.01)
+    # how fast its phase turns, by pairs of ups through zero: between 16 and 24 Hz and back in 2 s
+    ups = np.flatnonzero((z[1:] > 0.0) & (z[:-1] <= 0.0))
+    exact = (ups - z[ups] / (z[ups + 1] - z[ups])) * h
+    pitch = np.interp(
+        np.arange(1.0, 399.0, 0.05), 0.5 * (exact[1:] + exact[:-1]), 1 / np.diff(exact)
+    )
+    lines = np.abs(np.fft.rfft(pitch - pitch.mean()))
+    f = np.fft.rfftfreq(len(pitch), 0.05)
+    assert f[lines.argmax()] == pytest.approx(0.5, abs=0.01)
+    assert pitch.mean() == pytest.approx(20.0, abs=0.1)
+    assert 2.0 * lines.max() / len(pitch) == pytest.approx(4.0, rel=0.05)
+    # half a swing later the turns that it is ahead or behind decide: Bessel's function
+    R = autocorrelation(fan, 2001, h)
+    assert R[1000] == pytest.approx(np.exp(-0.02) * j0(2.0 * 0.2 * 20.0 * 2.0), abs=1e-9)
+    assert R[2000] == pytest.approx(np.exp(-0.04), abs=1e-9)
+    for lag in (5, 400, 1000, 2000):
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.05)
+
+    relay = NoiseLaw("chattering_relay", 1.0, components=(Component(1.0, 0.1, shape="chattering"),))
+    z = draw_noise(relay, 1_000_000, h, rng)
+    assert np.all(np.abs(z) == 1.0) and abs(z.mean()) < 0.06
+    for lag in (1, 20, 100, 300):
+        expected = 2.0 / np.pi * np.arcsin(np.exp(-lag * h / 0.1))
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(expected, abs=0.05)
+    # it chatters: most stays are over in a few samples, and a few last for most of the time
+    stays = np.diff(np.flatnonzero(np.diff(z) != 0.0)) * h
+    assert np.median(stays) < 0.2 * stays.mean()
+    assert stays[stays > 0.1].sum() > 0.5 * stays.sum()
+    # an excursion's length goes as t^-1/2 while it is short
+    ratio = np.mean(stays > 0.008) / np.mean(stays > 0.032)
+    assert ratio == pytest.approx(2.0, rel=0.2)
+
+    part = Component(1.0, 2e-3, shape="replugged", depth=0.8)
+    fibre = NoiseLaw("replugged_fibre", 1.0, components=(part,))
+    records = np.array([draw_noise(fibre, 10_000, h, rng) for _ in range(300)])
+    loud = np.mean(records**2, axis=1)
+    assert loud.mean() == pytest.approx(1.0, abs=0.1)
+    assert 0.15 < loud.min() < 0.3 and 1.65 < loud.max() < 2.1
+    quarters = np.histogram(loud, bins=[0.0, 0.6, 1.0, 1.4, 3.0])[0]  # any as likely
+    assert np.all(np.abs(quarters - 75) < 35)
+    # a Gaussian within each, as loud at its end as at its beginning
+    own = records / np.sqrt(loud)[:, None]
+    assert np.mean(own**4) == pytest.approx(3.0, rel=0.03)
+    halves = np.mean(records[:, :5000] ** 2, axis=1) / np.mean(records[:, 5000:] ** 2, axis=1)
+    assert np.abs(np.log(halves)).max() < 0.5
+    for lag in (1, 4):
+        expected = np.exp(-lag * h / 2e-3)
+        assert np.mean(own[:, lag:] * own[:, :-lag]) == pytest.approx(expected, abs=0.02)
+    assert not (fan.is_ar1 or relay.is_ar1 or fibre.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):
@@ -3346,6 +3697,11 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("creeping_piezo", {"rise", "plateau", "fall", "tail"}, 0.999),
         ("overloaded_amplifier", {"rise", "plateau", "fall"}, 0.999),
         ("thrifty_historian", {"baseline", "onset", "plateau", "tail"}, 0.6),
+        ("soft_start", {"rise", "plateau"}, 0.999),
+        ("hasty_purge", {"fall"}, 0.99),
+        ("capillary_condensation", {"rise", "plateau", "fall"}, 0.99),
+        ("dead_pixels", {"rise", "plateau", "fall"}, 0.999),
+        ("automatic_gain", {"rise", "plateau", "fall", "tail"}, 0.999),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

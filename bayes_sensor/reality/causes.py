@@ -611,6 +611,44 @@ def alternating_dryers(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].marks += _both_sides(turns)
 
 
+@cause((), "delay", "s", 4.0, near=("flow_settling",), reserve=True)
+def soft_start(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas's controller ramps its set point up evenly when the line opens: a soft start.
+
+    The ramp lasts ``s`` in every experiment, or has one slope and lasts ``s`` at the largest flow.
+    The valve shuts as ever, so that the fall knows nothing of it.
+    """
+    largest, one_slope = max(step.test_gas_flow for step in case.steps), rng.random() < 0.5
+    for step in case.steps:
+        lasts = s * (step.test_gas_flow / largest if one_slope else 1.0)
+
+        def flow(t: FloatArray, t0: float = step.t0, lasts: float = lasts) -> FloatArray:
+            return np.where(t >= t0, np.minimum((t - t0) / lasts, 1.0), 1.0)
+
+        rig[step.name].test_gas.append(flow)
+        rig[step.name].marks.append(step.t0 + lasts)
+
+
+@cause((), "fall", "times the carrier flow", 4.0, per_experiment=True, reserve=True)
+def hasty_purge(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The operator cannot wait for the gas to go and turns the carrier up by ``s`` to purge.
+
+    He does so a moment after the valve has shut, in most experiments, and leaves it until the
+    record ends: from there the fall goes faster.
+    """
+    certain, time = int(rng.integers(len(case.steps))), _between(rng, 0.1, 0.6)
+    for k, step in enumerate(case.steps):
+        at = step.tf + rng.uniform(0.2, 1.2) * (case.tau_v + case.V / step.total_flow)
+        if k != certain and rng.random() < 0.3:
+            continue
+
+        def flow(t: FloatArray, at: float = at) -> FloatArray:
+            return 1.0 - s * np.expm1(-np.maximum(t - at, 0.0) / time)
+
+        rig[step.name].carrier.append(flow)
+        rig[step.name].marks.append(at)
+
+
 # --------------------------------------------------------------------------- manifold
 
 
@@ -898,7 +936,7 @@ def breathing_operator(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].marks += [edge for edge in edges if edge < step.duration]
 
 
-@cause((), "plateau", "share of V", 0.3, reserve=True)
+@cause((), "plateau", "share of V", 0.3)
 def sipping_chromatograph(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A gas chromatograph on the same cell sucks in its sample now and then, as its program says.
 
@@ -929,7 +967,7 @@ def sipping_chromatograph(rig: Rig, s: float, rng: np.random.Generator, case: Ca
         rig[step.name].marks += _both_sides(edges)
 
 
-@cause((), "mixing", "share of V", 1.0, near=("axial_dispersion",), reserve=True)
+@cause((), "mixing", "share of V", 1.0, near=("axial_dispersion",))
 def laminar_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The hose before the manifold is wide and short: the stream in it is laminar and never mixes.
 
@@ -1204,7 +1242,7 @@ def spreading_islands(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.islands, knobs.islands_vapour, knobs.islands_time = s, vapour, time
 
 
-@cause((), "plateau", "share displaced", 0.35, reserve=True)
+@cause((), "plateau", "share displaced", 0.35)
 def late_impurity(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The test gas brings an impurity along, which a filter before the ring holds back for long.
 
@@ -1218,6 +1256,21 @@ def late_impurity(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         knobs = rig[step.name]
         knobs.impurity = s / (1.0 - s) * case.relative_concentration(step)
         knobs.impurity_volume, knobs.impurity_cells = volume, n_cells
+
+
+@cause((), "fall", "share of the highest step", 0.4, near=("sorption_asymmetry",), reserve=True)
+def capillary_condensation(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """In the coating's pores vapour condenses, in narrow ones first, and leaves them far later.
+
+    An open pore fills from its wall, a full one empties from its ends, whose meniscus is the more
+    bent: at the square of the relative pressure at which it filled (Cohan, J. Am. Chem. Soc. 60,
+    433, 1938).  All of them together add the share ``s`` of the highest response.
+    """
+    vapour, width = rng.uniform(0.5, 0.9), _between(rng, 0.05, 0.2)
+    at = vapour * rng.uniform(0.3, 0.75)
+    for knobs in rig.values():
+        knobs.pores, knobs.pores_vapour = s, vapour
+        knobs.pores_at, knobs.pores_width = at, width
 
 
 # --------------------------------------------------------------------------- readout
@@ -1623,7 +1676,7 @@ def undecided_laser(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.borders = at + width * rng.logistic(size=len(decisions))
 
 
-@cause((), "tail", "share a decade of time", 0.1, reserve=True)
+@cause((), "tail", "share a decade of time", 0.1)
 def creeping_piezo(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A piezo tunes the laser after the line, and its voltage is what is read; but a piezo creeps.
 
@@ -1637,7 +1690,7 @@ def creeping_piezo(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.creep, knobs.creep_first = s, first
 
 
-@cause((), "drift", "share of the step", 0.15, per_experiment=True, reserve=True)
+@cause((), "drift", "share of the step", 0.15, per_experiment=True)
 def touching_hand(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Somebody holds on to the cell for a while, and the warmth of the hand creeps to the ring.
 
@@ -1670,7 +1723,7 @@ def touching_hand(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         rig[step.name].marks += [edge for edge in edges if edge < step.duration]
 
 
-@cause((), "line", "share of the step", 0.3, per_experiment=True, fast=True, reserve=True)
+@cause((), "line", "share of the step", 0.3, per_experiment=True, fast=True)
 def passing_footsteps(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Somebody walks past the bench: at every step the floor quivers, and the fibre with it.
 
@@ -1704,6 +1757,56 @@ def passing_footsteps(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
             return size * total
 
         rig[step.name].offset.append(quiver)
+
+
+@cause((), "level", "share of the highest shift", 0.3, reserve=True)
+def dead_pixels(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A spectrometer's camera follows the line, and a row of its pixels is dead.
+
+    While the line lies on them the peak finder keeps what it found last: the reading stands still,
+    then jumps to where the line comes out, on the way up from below and on the way down from above.
+    """
+    at = rng.uniform(0.1, 0.6)
+    for knobs in rig.values():
+        knobs.dead_from, knobs.dead_width = at, s
+
+
+@cause(
+    (), "drift", "share of the step", 0.15, near=("baseline_step", "mains_pickup"),
+    per_experiment=True, fast=True, reserve=True,
+)  # fmt: skip
+def flickering_tube_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Somebody turns on the room's tube lamp, which flashes some times until it burns.
+
+    Its light gets into the photodiode: at first part of it, more as the mercury evaporates, and
+    with twice the frequency of the mains.  It is off again when the next record begins.
+    """
+    certain, mains = int(rng.integers(len(case.steps))), float(rng.choice([50.0, 60.0]))
+    size, ripple = s * _mean_step(case), rng.uniform(0.15, 0.4)
+    cold, time = rng.uniform(0.3, 0.6), _between(rng, 5.0, 30.0)
+    for k, step in enumerate(case.steps):
+        at, begin = rng.uniform(0.05, 0.8) * step.duration, rng.random()
+        count = int(rng.integers(2, 8))
+        flashes = at + np.cumsum(rng.uniform(0.4, 1.3, count + 1)) - 0.4
+        lasts = rng.uniform(0.05, 0.25, count)
+        if k != certain and rng.random() < 0.4:
+            continue
+
+        def light(
+            t: FloatArray,
+            begin: float = begin,
+            flashes: FloatArray = flashes,
+            lasts: FloatArray = lasts,
+        ) -> FloatArray:
+            burning = 1.0 - cold * np.exp(-np.maximum(t - flashes[-1], 0.0) / time)
+            bright = np.where(t >= flashes[-1], burning, 0.0)
+            for on, long in zip(flashes[:-1], lasts, strict=True):
+                bright = np.where((t >= on) & (t < on + long), 1.0 - cold, bright)
+            return size * bright * (1.0 + ripple * np.cos(2.0 * pi * (2.0 * mains * t + begin)))
+
+        rig[step.name].offset.append(light)
+        edges = np.concatenate([flashes, flashes[:-1] + lasts])
+        rig[step.name].marks += _both_sides(edges[edges < step.duration].tolist())
 
 
 # --------------------------------------------------------------------------- electronics
@@ -1850,7 +1953,7 @@ def zero_servo(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
         knobs.servo, knobs.servo_time = s, time
 
 
-@cause((), "fall", "share of the step", 0.3, near=("optical_nonlinearity",), reserve=True)
+@cause((), "fall", "share of the step", 0.3, near=("optical_nonlinearity",))
 def overloaded_amplifier(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The highest plateaus drive the amplifier to its rail, by ``s`` too far, and it must recover.
 
@@ -1997,7 +2100,7 @@ def averaging_meter(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.average_window, knobs.average_time = window, time
 
 
-@cause((), "delay", "share of the step", 0.3, reserve=True)
+@cause((), "delay", "share of the step", 0.3)
 def thrifty_historian(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The plant's historian keeps a reading only if it differs by ``s`` from the last one it kept.
 
@@ -2216,6 +2319,69 @@ def sparse_logger(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
     for step, own in zip(case.steps, rng.spawn(len(case.steps)), strict=True):
         apart = s * own.uniform(0.5, 1.0, int(2.0 * step.duration / s) + 3)
         rig[step.name].readings = np.cumsum(apart) - apart[0] * (1.0 + rng.random())
+
+
+@cause((), "plateau", "of the logarithm", 0.25, reserve=True)
+def automatic_gain(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The receiver has an automatic gain, which turns down when the level is high.
+
+    It follows the level quickly upwards and slowly downwards, and takes the share ``s`` off its
+    logarithm: a rise overshoots for a moment, and after a fall the reading is too low for long.
+    """
+    attack, release = _between(rng, 0.5, 4.0), _between(rng, 5.0, 30.0)
+    for knobs in rig.values():
+        knobs.gain_control, knobs.gain_attack, knobs.gain_release = s, attack, release
+
+
+@cause((), "spike", "share of the step", 0.1, reserve=True)
+def ghosting_multiplexer(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The recorder's multiplexer has not settled yet when it reads: the channel before shines in.
+
+    There a chromatograph's detector is recorded, which runs by itself: the same peaks run after
+    run, Gaussian, and as wide as they are late (a column of so many plates).
+    """
+    run, count = _between(rng, 8.0, 40.0), int(rng.integers(3, 7))
+    at, size = rng.uniform(0.1, 0.9, count) * run, s * _mean_step(case)
+    width, heights = at / sqrt(_between(rng, 300.0, 3000.0)), rng.uniform(0.2, 1.0, count)
+    heights /= heights.max()
+    for step in case.steps:
+        begin = run * rng.random()
+
+        def chromatogram(t: FloatArray, begin: float = begin) -> FloatArray:
+            total = np.zeros_like(t)
+            for late, wide, height in zip(at, width, heights, strict=True):
+                away = np.mod(t + begin - late + 0.5 * run, run) - 0.5 * run
+                total += height * np.exp(-0.5 * (away / wide) ** 2)
+            return size * total
+
+        rig[step.name].offset.append(chromatogram)
+
+
+@cause((), "line", "share of the step", 0.4, per_experiment=True, fast=True, reserve=True)
+def calling_mobile_phone(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A mobile phone next to the amplifier gets a call; each of its bursts is rectified there.
+
+    Time slots of 15/26 ms in frames eight times as long (GSM): while it signals four in a row every
+    51 frames, and while somebody talks one a frame, but every 26th.
+    """
+    frame, size, sign = 60e-3 / 13.0, s * _mean_step(case), _sign(rng)
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        at, rings = rng.uniform(0.02, 0.9) * step.duration, int(rng.uniform(1.0, 4.0) / frame)
+        talks = int(rng.uniform(1.0, 6.0) / frame) if rng.random() < 0.6 else 0
+        if k != certain and rng.random() < 0.4:
+            continue
+        first, later = np.arange(rings), np.arange(talks)
+        sent = np.concatenate([first[first % 51 < 4], rings + later[later % 26 < 25]])
+        slots = at + frame * sent[sent * frame < step.duration - at]
+
+        def bursts(t: FloatArray, slots: FloatArray = slots) -> FloatArray:
+            last = np.maximum(np.searchsorted(slots, t, side="right") - 1, 0)
+            since = t - slots[last]
+            return np.asarray(sign * size * ((since >= 0.0) & (since < frame / 8.0)))
+
+        rig[step.name].offset.append(bursts)
+        rig[step.name].marks += _both_sides(np.concatenate([slots, slots + frame / 8.0]).tolist())
 
 
 # --------------------------------------------------------------------------- noise

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
-from scipy.special import erfcx, gamma, kv
+from scipy.special import erfcx, gamma, j0, kv
 
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.reality.records import Component, NoiseLaw
@@ -21,9 +21,10 @@ OPEN_LAWS = (
     "molecules", "speckle", "whistling", "notched", "interleaved", "charging",
     "noise_shaping", "dusty", "roller_pump", "beam_crossing", "one_bit", "intermittent",
     "conducting", "latching", "waning", "rattling", "coded", "two_paced",
+    "decimated", "mode_hopping", "drilling",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("decimated", "mode_hopping", "drilling")
+RESERVE_LAWS = ("hunting_fan", "chattering_relay", "replugged_fibre")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
@@ -294,6 +295,29 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    fanned, chattering = own.uniform(0.05, 0.2), own.uniform(0.05, 0.2)
+    parts |= {
+        # a fan whose speed swings about what it is set to: its hum goes up and down
+        "hunting_fan": (
+            Component(1.0 - fanned, short),
+            Component(
+                fanned, exp(own.uniform(np.log(0.5), np.log(5.0))),
+                exp(own.uniform(np.log(5.0), np.log(30.0))), shape="hunting",
+                depth=own.uniform(0.05, 0.3), gust_time=exp(own.uniform(np.log(0.7), np.log(6.0))),
+            ),
+        ),
+        # a relay without hysteresis, whose coil current is near where it lets go
+        "chattering_relay": (
+            Component(1.0 - chattering),
+            Component(
+                chattering, exp(own.uniform(np.log(0.03), np.log(1.0))), shape="chattering"
+            ),
+        ),
+        # a fibre that is plugged in anew before each record, better or worse
+        "replugged_fibre": (
+            Component(1.0, short, shape="replugged", depth=own.uniform(0.6, 0.9)),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -364,6 +388,12 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = np.sinc(lags / part.time)
         elif part.shape == "settling":
             own = (1.0 + lags / part.time) ** -part.depth
+        elif part.shape == "hunting":
+            swing = 2.0 * part.depth * part.frequency * part.gust_time
+            own *= np.cos(2.0 * pi * part.frequency * lags)
+            own *= j0(swing * np.sin(pi * lags / part.gust_time))
+        elif part.shape == "chattering":
+            own = 2.0 / pi * np.arcsin(own)
         elif part.shape == "diffusing":
             own = 1.0 / (1.0 + lags / part.time)
         elif part.shape == "notched":
@@ -449,6 +479,10 @@ def _draw_part(
         return _cut_off(interval / part.time, n, rng)
     if part.shape == "settling":
         return _settling(part, n, interval, rng)
+    if part.shape == "hunting":
+        return _hunting(part, n, interval, rng)
+    if part.shape == "chattering":
+        return np.where(_remembering(rng.standard_normal(n), decay) > 0.0, 1.0, -1.0)
     if part.shape == "bell":
         return _bell(part.time, n, interval, rng)
     if part.shape == "bits":
@@ -485,6 +519,8 @@ def _draw_part(
             x *= _waning(part.depth, n, rng)
         elif part.shape == "drilled":
             x *= _drilled(part, n, rng)
+        elif part.shape == "replugged":
+            x *= sqrt(1.0 + part.depth * rng.uniform(-1.0, 1.0))
         elif part.shape == "pulsing":
             turns = part.frequency * interval * np.arange(n) + rng.random()
             x *= (1.0 + part.depth * np.cos(2.0 * pi * turns)) / sqrt(1.0 + 0.5 * part.depth**2)
@@ -640,6 +676,21 @@ def _settling(part: Component, n: int, interval: float, rng: np.random.Generator
     at = np.arange(n) * (interval / part.time)
     levels: FloatArray = rng.standard_normal(len(edges) + 1)
     return levels[np.searchsorted(edges, at, side="right")]
+
+
+def _hunting(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) a tone whose frequency swings evenly by the share ``depth``, once in ``gust_time``.
+
+    Its phase walks at random besides, so that of the tone exp(-lag/time) is remembered; of the
+    swing, begun anywhere, Bessel's J0 is (Abramowitz and Stegun, 1964, Eq. 9.1.18).
+    """
+    walk = sqrt(2.0 * interval / part.time) * rng.standard_normal(n)
+    walk[0] = 2.0 * pi * rng.random()
+    at = interval * np.arange(n)
+    swing = np.sin(2.0 * pi * (at / part.gust_time + rng.random()))
+    phase = 2.0 * pi * part.frequency * at + part.depth * part.frequency * part.gust_time * swing
+    tone: FloatArray = sqrt(2.0) * np.cos(phase + np.cumsum(walk))
+    return tone
 
 
 def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

@@ -99,7 +99,11 @@ class Component:
     below 1/(2 ``time``) and nothing beyond: ``sin(pi lag/time)/(pi lag/time)``; with ``settling``
     levels that are each held the longer, the longer they have been: ``(1 + lag/time)^-depth``; with
     ``drilled`` an Ornstein-Uhlenbeck process is louder for the share ``rate`` of a record, at one
-    stretch, and of variance 1 - ``depth`` else.
+    stretch, and of variance 1 - ``depth`` else.  With ``hunting`` it is a tone whose frequency
+    swings about ``frequency`` by ``depth`` of it, once in a ``gust_time``, and whose phase loses
+    its memory in a ``time``; with ``chattering`` the sign of an Ornstein-Uhlenbeck process:
+    ``2/pi arcsin(exp(-lag/time))``; with ``replugged`` an Ornstein-Uhlenbeck process has another
+    variance in each record, anywhere between 1 - ``depth`` and 1 + ``depth``.
     """
 
     share: float
@@ -113,7 +117,7 @@ class Component:
     ``fringes``, ``diffusing``, ``speckle``, ``whistling``, ``notched``, ``interleaved``,
     ``charging``, ``shaped``, ``motes``, ``strokes``, ``bell``, ``bits``, ``lognormal``,
     ``conducting``, ``latching``, ``waning``, ``stops``, ``coded``, ``paces``, ``cut_off``,
-    ``settling`` or ``drilled``"""
+    ``settling``, ``drilled``, ``hunting``, ``chattering`` or ``replugged``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

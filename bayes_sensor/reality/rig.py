@@ -205,6 +205,14 @@ class Knobs:
     """s in which the highest concentration's front goes through it"""
     rim_back: float = 1.0
     """s in which gas leaves it"""
+    pores: float = 0.0
+    """share of the highest response that full pores add"""
+    pores_vapour: float = 0.7
+    """relative pressure of the highest concentration"""
+    pores_at: float = 0.4
+    """relative pressure at which half of the pores have filled"""
+    pores_width: float = 0.1
+    """standard deviation of its logarithm among them"""
     reference: float = 0.0
     """share of the response that a reference ring under its cap takes away"""
     reference_time: float = 30.0
@@ -235,6 +243,10 @@ class Knobs:
     """concentration at which it does, over the campaign's highest"""
     mode_width: float = 0.05
     """half of its width, likewise"""
+    dead_from: float = 0.0
+    """concentration at which the line comes to lie on dead pixels, over the campaign's highest"""
+    dead_width: float = 0.0
+    """of them, likewise"""
     border_gap: float = 0.0
     """V by which the laser's mode above its border reads more"""
     borders: FloatArray = field(default_factory=lambda: np.zeros(1))
@@ -288,6 +300,12 @@ class Knobs:
     """s in which what is too much charges its loop"""
     rail_charge: float = 0.0
     """V, the most of that charge"""
+    gain_control: float = 0.0
+    """share of the level's logarithm that an automatic gain takes off"""
+    gain_attack: float = 1.0
+    """s in which it follows upwards"""
+    gain_release: float = 10.0
+    """s in which it follows downwards"""
     servo: float = 0.0
     """share of a change that the receiver pulls back"""
     servo_time: float = 30.0
@@ -615,6 +633,11 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
     if knobs.islands > 0:
         drive = relative * gas - knobs.islands_vapour
         x = x + knobs.islands / relative * stages.islands(t, drive, knobs.islands_time)
+    if knobs.pores > 0:
+        pressure = np.maximum(knobs.pores_vapour * relative * gas, 0.0)
+        filled = np.log(np.maximum(stages.capillary(pressure), 1e-9) / knobs.pores_at)
+        share = 0.5 * erfc(-filled / (np.sqrt(2.0) * knobs.pores_width))
+        x = x + knobs.pores / relative * stages.steady_lag(t, share, case.tau)
     if knobs.reference > 0:
         x = x - knobs.reference * stages.modal(t, gas, *stages.slab(knobs.reference_time))
     return x
@@ -634,6 +657,8 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
     relative = case.relative_concentration(step)
     for course in knobs.concentration_gain:
         x = x * (1.0 + course(t))
+    if knobs.dead_width > 0:
+        x = stages.blind(relative * x, knobs.dead_from, knobs.dead_width) / relative
     if knobs.shift > 0:
         rest, full = dip(knobs.detuning), dip(knobs.detuning + knobs.shift * relative)
         signal = (dip(knobs.detuning + knobs.shift * relative * x) - rest) / (full - rest)
@@ -690,6 +715,9 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
         y = y + knobs.heat * stages.steady_lag(t, power - power[0], knobs.heat_time)
     if np.isfinite(knobs.rail):
         y = stages.overloaded(t, y, knobs.rail, knobs.rail_time, knobs.rail_charge)
+    if knobs.gain_control > 0:
+        level = stages.envelope(t, np.maximum(y, 1e-6), knobs.gain_attack, knobs.gain_release)
+        y = y * (level[0] / level) ** knobs.gain_control
     if knobs.servo > 0:
         y = y - knobs.servo * stages.steady_lag(t, y - y[0], knobs.servo_time)
     if knobs.range_gap != 0:

@@ -699,6 +699,44 @@ def islands(
     return out
 
 
+@njit(cache=True)
+def capillary(pressure: FloatArray) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) relative pressure up to which pores have filled: those that fill at x empty at x^2.
+
+    So it is at least the ``pressure`` (n,), at most its root, and else stays what it was.
+    """
+    out = np.empty(len(pressure))
+    x = pressure[0]
+    for i, p in enumerate(pressure):
+        x = min(max(x, p), np.sqrt(p))
+        out[i] = x
+    return out
+
+
+@njit(cache=True)
+def blind(y: FloatArray, begin: float, width: float) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``y``, but what it was last outside while it is within ``width`` from ``begin`` on."""
+    out = y.copy()
+    for i in range(1, len(y)):
+        if begin < y[i] < begin + width:
+            out[i] = out[i - 1]
+    return out
+
+
+@njit(cache=True)
+def envelope(
+    t: FloatArray, y: FloatArray, attack: float, release: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) lag of ``y`` (n,) that takes ``attack`` (s) upwards and ``release`` downwards."""
+    out = np.empty(len(y))
+    out[0] = y[0]
+    for i in range(1, len(y)):
+        middle = 0.5 * (y[i - 1] + y[i])
+        time = attack if middle > out[i - 1] else release
+        out[i] = middle + (out[i - 1] - middle) * exp(-(t[i] - t[i - 1]) / time)
+    return out
+
+
 @njit(cache=True, error_model="numpy")
 def windowed_average(
     t: FloatArray, y: FloatArray, time: float, window: float
