@@ -84,7 +84,7 @@ class Floor:
     """(n_bins, n_bins) V, lower factor of each experiment's covariance of bin means"""
     spikes: int
     """samples replaced"""
-    loudness: tuple[FloatArray, ...] = ()
+    loudness: tuple[FloatArray, ...]
     """(n_bins,) of each experiment: times by which its noise is louder there than usual, or one"""
 
     def whiten(self, k: int, values: FloatArray) -> FloatArray:
