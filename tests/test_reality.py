@@ -40,7 +40,7 @@ from bayes_sensor.reality import (
     without_causes,
 )
 from bayes_sensor.reality.noise import draw_noise
-from bayes_sensor.reality.rig import Knobs, dip, voltage
+from bayes_sensor.reality.rig import Course, Knobs, dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
     blind,
@@ -76,6 +76,22 @@ MEAN_CAUSES = [name for name, cause in CAUSES.items() if not cause.noise]
 def case(**strengths: float) -> Case:
     """A small rig, the same for every call."""
     return replace(draw_case(11, size="small"), strengths=strengths)
+
+
+def offsets(rig: Case, atol: float) -> Iterator[tuple[Step, Course]]:
+    """Every step with an offset of its own, which is what is added to the signal, to ``atol`` V.
+
+    The other steps' signals must be those without the cause.
+    """
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    for step in rig.steps:
+        courses = prepared_rig(rig)[step.name].offset
+        if courses:
+            added = courses[0](sample_times(step))
+            assert np.allclose(seen[step.name] - plain[step.name], added, atol=atol)
+            yield step, courses[0]
+        else:
+            assert np.array_equal(seen[step.name], plain[step.name])
 
 
 def on_its_clock(rig: Case) -> Iterator[tuple[Step, FloatArray, FloatArray]]:
@@ -2529,22 +2545,16 @@ def test_the_warmth_of_a_hand_diffuses_to_the_ring() -> None:
     strength, depths = 0.1, []
     for seed in (11, 12, 13, 14):
         rig = replace(draw_case(seed, size="small"), strengths={"touching_hand": strength})
-        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
         size, touched = strength * np.mean([step.beta for step in rig.steps]), 0
-        for step in rig.steps:
-            courses, marks = prepared_rig(rig)[step.name].offset, prepared_rig(rig)[step.name].marks
-            s = sample_times(step)
-            if not courses:
-                assert np.array_equal(seen[step.name], plain[step.name])
-                continue
+        for step, course in offsets(rig, atol=1e-7):
+            marks = prepared_rig(rig)[step.name].marks
             touched += 1
-            assert np.allclose(seen[step.name] - plain[step.name], courses[0](s), atol=1e-7)
             on = marks[0]
             off = marks[1] if len(marks) > 1 else step.duration
             t = np.linspace(on, min(off, step.duration), 2001)
-            warm = np.abs(courses[0](t)) / size
+            warm = np.abs(course(t)) / size
             assert warm[0] < 1e-12 and warm.max() < 1.0 and np.all(np.diff(warm) >= -1e-12)
-            assert np.all(courses[0](np.linspace(0.0, on, 50)) == 0.0)
+            assert np.all(course(np.linspace(0.0, on, 50)) == 0.0)
             # erfc(sqrt(a/t)): the ratio at two times has but one root in a
             a = np.geomspace(0.05, 4.0, 4001)
             ratio = erfc(np.sqrt(a / (0.4 * (t[-1] - on)))) / erfc(np.sqrt(a / (t[-1] - on)))
@@ -2556,7 +2566,7 @@ def test_the_warmth_of_a_hand_diffuses_to_the_ring() -> None:
             assert 0.5 - 1e-3 < own < 1.0 + 1e-3
             assert np.abs(warm[1:] - own * erfc(np.sqrt(depth / (t[1:] - on)))).max() < 1e-4
             # long after, what is left falls as time^-3/2
-            late = np.abs(courses[0](np.array([4e4, 1.6e5])))
+            late = np.abs(course(np.array([4e4, 1.6e5])))
             assert late[0] / late[1] == pytest.approx(8.0, rel=0.01)
         assert touched >= 1
     for seed in (11, 12, 13, 14):
@@ -2569,16 +2579,10 @@ def test_footsteps_come_near_and_go_away() -> None:
     for seed in (11, 12, 13, 14):
         rig = replace(draw_case(seed, size="small"), strengths={"passing_footsteps": strength})
         size = strength * np.mean([step.beta for step in rig.steps])
-        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
         assert any(knobs.offset for knobs in prepared_rig(rig).values())
-        for step in rig.steps:
-            courses, s = prepared_rig(rig)[step.name].offset, sample_times(step)
-            if not courses:
-                assert np.array_equal(seen[step.name], plain[step.name])
-                continue
-            assert np.allclose(seen[step.name] - plain[step.name], courses[0](s), atol=1e-9)
+        for step, course in offsets(rig, atol=1e-9):
             t = np.arange(-60.0, step.duration + 60.0, 5e-4)
-            y = courses[0](t) / size
+            y = course(t) / size
             # each foot sets off e^(-t/T) sin(wt), where two samples tell the next one
             live = np.abs(y) > 1e-4
             rows = np.flatnonzero(live[2:] & live[1:-1] & live[:-2])
@@ -2813,16 +2817,10 @@ def test_a_tube_lamp_flashes_until_it_burns_and_then_grows_brighter() -> None:
     for seed in (11, 12, 13):
         rig = replace(draw_case(seed, size="small"), strengths={"flickering_tube_lamp": strength})
         size = strength * np.mean([step.beta for step in rig.steps])
-        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
-        for step in rig.steps:
-            courses, s = prepared_rig(rig)[step.name].offset, sample_times(step)
-            if not courses:
-                assert np.array_equal(seen[step.name], plain[step.name])
-                continue
+        for _, course in offsets(rig, atol=5e-6):
             lit += 1
-            assert np.allclose(seen[step.name] - plain[step.name], courses[0](s), atol=5e-6)
             t = np.arange(0.0, 400.0, 5e-4)
-            light = courses[0](t) / size
+            light = course(t) / size
             edges = np.flatnonzero(np.diff((light > 0.0).astype(int)))
             assert light[0] == 0.0 and len(edges) % 2 == 1  # on for good in the end
             lengths, gaps = np.diff(t[edges])[::2], np.diff(t[edges][::2])
@@ -2935,16 +2933,10 @@ def test_a_mobile_phone_sends_four_slots_in_a_row_and_then_twenty_five_of_twenty
     for seed in (11, 12, 13, 14):
         rig = replace(draw_case(seed, size="small"), strengths={"calling_mobile_phone": strength})
         size = strength * np.mean([step.beta for step in rig.steps])
-        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
-        for step in rig.steps:
-            courses, s = prepared_rig(rig)[step.name].offset, sample_times(step)
-            if not courses:
-                assert np.array_equal(seen[step.name], plain[step.name])
-                continue
-            assert np.allclose(seen[step.name] - plain[step.name], courses[0](s), atol=5e-6)
+        for step, course in offsets(rig, atol=5e-6):
             h = 2e-5
             t = np.arange(0.0, step.duration, h)
-            y = courses[0](t) / size
+            y = course(t) / size
             on = np.abs(y) > 0.5
             assert np.allclose(np.abs(y[on]), 1.0) and np.ptp(y[on]) == 0.0
             begins = t[1:][on[1:] & ~on[:-1]]

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import windows
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
@@ -118,7 +119,7 @@ def clean(
     centre = np.median(values)
     # differences see spikes even where the model misses the trace
     step = np.diff(values)
-    spread = 1.4826 * np.median(np.abs(step)) / np.sqrt(2.0)
+    spread = float(_spread_of(step))
     scale = 1.4826 * np.median(np.abs(values - centre))
     if scale <= 0.0 or spread <= 0.0:
         return out, 0
@@ -134,20 +135,25 @@ def clean(
     return np.where(away & used, local, out), int(np.sum(away & used))
 
 
+def _spread_of(steps: FloatArray) -> FloatArray:
+    """(..,) standard deviation of values that differ by ``steps`` (.., n) from their neighbours.
+
+    By the median, which neither glitches nor a misfit move.
+    """
+    return np.asarray(1.4826 * np.median(np.abs(steps), axis=-1) / np.sqrt(2.0), dtype=float)
+
+
 def _spread_nearby(values: FloatArray, usual: float) -> FloatArray:
     """(n,) V, spread of the noise where it is much louder than ``usual`` for a while; or zero."""
     n = len(values) // SPELL
     if n < 2:
         return np.zeros(len(values))
-    steps = np.abs(np.diff(values, append=values[-1]))[: n * SPELL].reshape(n, SPELL)
-    nearby = 1.4826 * np.median(steps, axis=1) / np.sqrt(2.0)
+    nearby = _spread_of(np.diff(values, append=values[-1])[: n * SPELL].reshape(n, SPELL))
     nearby = np.where(nearby > MUCH * usual, nearby, 0.0)
     return np.asarray(nearby[np.minimum(np.arange(len(values)) // SPELL, n - 1)], dtype=float)
 
 
 def _running_median(values: FloatArray, width: int) -> FloatArray:
-    from scipy.ndimage import median_filter
-
     median: FloatArray = median_filter(values, size=2 * width + 1, mode="nearest")
     return median
 
@@ -381,14 +387,18 @@ def loudness(
     if int(known.sum()) < 2 * LOUD_BLOCKS[0] or np.min(usual) <= 0.0:
         return np.ones(len(level))
     relative = np.where(known, power / usual, 1.0)
-    scatter = float(np.median(np.abs(np.diff(relative[known])))) / 0.6745 / np.sqrt(2.0)
+    scatter = float(_spread_of(np.diff(relative[known])))
     total = np.concatenate([[0.0], np.cumsum(relative)])
     loud = np.zeros(n, dtype=bool)
     for m in (m for m in LOUD_BLOCKS if 2 * m <= n):
         enough = max(LOUDER, 1.0 + LOUD_ERRORS * scatter / np.sqrt(m))
         for i in np.flatnonzero(total[m:] - total[:-m] > enough * m):
             loud[i : i + m] = True
-    locally, times = (_smoothed(np.where(known, power / x, 1.0)) for x in (usual, mean))
+    width = 2 * LOUD_EDGE + 1
+    locally, times = (
+        uniform_filter1d(np.where(known, power / x, 1.0), width, mode="nearest")
+        for x in (usual, mean)
+    )
     times = np.where(loud & (locally > LOUDER), np.maximum(times, 1.0), 1.0)
     block = np.minimum(np.arange(len(residual)) // size, n - 1)
     return np.asarray(np.sqrt(bins.average(times[block])), dtype=float)
@@ -405,12 +415,6 @@ def _power_of_changes(e: Experiment, residual: FloatArray, size: int) -> FloatAr
     of_block = np.arange(len(both)) // size
     count, power = np.bincount(of_block, both), np.bincount(of_block, square)
     return np.where(count > 0.5 * size, power / np.maximum(count, 1), np.nan)
-
-
-def _smoothed(blocks: FloatArray) -> FloatArray:
-    """(n,) means over a block and LOUD_EDGE on either side."""
-    width = 2 * LOUD_EDGE + 1
-    return np.convolve(np.pad(blocks, LOUD_EDGE, mode="edge"), np.ones(width) / width, "valid")
 
 
 def _over_levels(
