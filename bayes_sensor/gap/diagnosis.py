@@ -34,6 +34,7 @@ from bayes_sensor.gap.how_far import Closure, closure, held_out, taken_away
 from bayes_sensor.gap.lines import (
     look_for_lines,
     look_for_mains,
+    look_for_passing_lines,
     look_for_swings,
     mains_closure,
     pieces_of_records,
@@ -437,6 +438,7 @@ def _events(
         events.found,
         look_for_ringing(campaign, residuals, prepared.quiet),
         *look_for_swings(campaign, residuals, prepared.deviations),
+        *look_for_passing_lines(campaign, residuals, prepared.deviations),
         *(look_for_unsteadiness(campaign, stretches) if events.tails[0] >= HEAVY_DOF else []),
     ]
 
@@ -839,6 +841,12 @@ def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
         return (
             f"The signal swings slowly, once in {1.0 / s['swing_Hz']:.3g} s, with an amplitude of "
             f"{1e3 * s['swing_V']:.3g} m{unit}."
+        )
+    if found.name == "passing":
+        return (
+            f"In experiment {names[int(s['passing_experiment'])]} there is, for a while or "
+            f"throughout, a line at {s['passing_Hz']:.4g} Hz that others lack, with an amplitude "
+            f"of {1e3 * s['passing_V']:.3g} m{unit}."
         )
     if found.name == "ringing":
         return f"After the switches the signal rings at about {s['ringing_Hz']:.3g} Hz."

@@ -23,7 +23,7 @@ from scipy.stats import t as student_t
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.gap.bins import ExperimentBins
 from bayes_sensor.gap.floor import DOF, Stretch, detrended
-from bayes_sensor.gap.full_rate import FullRate
+from bayes_sensor.gap.full_rate import FullRate, struck
 from bayes_sensor.gap.refit import Refit
 
 BLOCK = 0.05
@@ -258,23 +258,17 @@ def _surprises(square: FloatArray, dof: float) -> FloatArray:
     return np.asarray(logsumexp(logs, axis=0) - np.log(len(wider)))
 
 
-def _struck(surprise: float) -> float:
-    """ln B of a place that an event strikes or spares, from that of one that it strikes."""
-    return float(np.logaddexp(np.log1p(-STRUCK), np.log(STRUCK) + surprise))
-
-
 def _alone_or_alike(found: Sequence[Mapping[Hashable, float]]) -> float:
     """ln B of places (records, switches), each with ln B per kind of what may strike there.
 
     What strikes has a kind of its own at every place, or the same at all of them.
     """
-    alone = sum(
-        _struck(float(logsumexp(list(logs.values()))) - np.log(len(logs))) for logs in found if logs
-    )
+    means = [logsumexp(list(logs.values())) - np.log(len(logs)) for logs in found if logs]
+    alone = float(struck(np.array(means), STRUCK).sum())
     alike: dict[Hashable, float] = {}
     for logs in found:
         for kind, value in logs.items():
-            alike[kind] = alike.get(kind, 0.0) + _struck(value)
+            alike[kind] = alike.get(kind, 0.0) + float(struck(np.array(value), STRUCK))
     together = float(logsumexp(list(alike.values()))) - np.log(len(alike)) if alike else 0.0
     return float(np.logaddexp(alone, together) - np.log(2.0))
 

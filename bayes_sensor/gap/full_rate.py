@@ -30,7 +30,7 @@ TOO_COARSE = 1.0
 PRIOR = {
     "mains_pickup": 0.03, "heavy_tails": 0.03, "quantisation": 0.03,
     "line": 0.02, "swing": 0.02, "event": 0.025, "patch": 0.025, "break": 0.025, "ringing": 0.01,
-    "unsteady": 0.04,
+    "unsteady": 0.04, "passing": 0.02,
 }  # fmt: skip
 AROUND = 400
 """samples over which the size of the innovations is taken"""
@@ -40,9 +40,10 @@ UNITS = {
     "mains_V": "V", "mains_Hz": "Hz", "adc_step": "V", "tail_dof": "1", "line_V": "V",
     "line_Hz": "Hz", "swing_V": "V", "swing_Hz": "Hz", "ringing_Hz": "Hz", "patch_s": "s",
     "break_s": "s", "event_s": "s", "unsteady_excess": "1", "unsteady_Hz": "Hz",
+    "passing_V": "V", "passing_Hz": "Hz",
 }  # fmt: skip
 """of the strengths that are found here"""
-OF_UNLISTED_ORIGIN = ("line", "swing", "event", "patch", "break", "ringing", "unsteady")
+OF_UNLISTED_ORIGIN = ("line", "swing", "event", "patch", "break", "ringing", "unsteady", "passing")
 """findings that have no name in the catalogue"""
 
 
@@ -63,6 +64,14 @@ class FullRate:
         prior = PRIOR[self.name]
         odds = np.log(prior / (1.0 - prior)) + self.log_bayes_factor
         return float(1.0 / (1.0 + np.exp(-np.clip(odds, -60.0, 60.0))))
+
+
+def struck(log_b: FloatArray, share: float) -> FloatArray:
+    """ln B of places that something strikes or spares, from those (..,) where it strikes.
+
+    ``share`` of them are struck, where there is anything.
+    """
+    return np.asarray(np.logaddexp(np.log1p(-share), np.log(share) + log_b))
 
 
 def rounds_away(stretches: Sequence[Stretch], step: float) -> bool:
