@@ -1,4 +1,4 @@
-"""Lines in the spectrum: slow swings, those that pass, the mains; echoes and gusts are none."""
+"""Lines in the spectrum: slow swings, the mains and how far they are closed; echoes are none."""
 
 from dataclasses import replace
 
@@ -11,10 +11,8 @@ from bayes_sensor.gap.full_rate import FullRate
 from bayes_sensor.gap.lines import (
     Piece,
     _look_for_lines,
-    look_for_passing_lines,
     look_for_swings,
     mains_closure,
-    pieces_of_records,
 )
 from tests.gap_cases import design, measured
 
@@ -223,80 +221,3 @@ def test_a_diagnosis_names_the_mains_where_they_fold_onto_half_the_rate():
     shrink = gap.to_json()["shrink"]
     assert shrink["fraction_closed"] == pytest.approx(1.0, abs=0.1)
     assert shrink["held_out_fraction_closed"] is None
-
-
-def passing(rng, add, n=6, size=1.0, gusts=0.0):
-    """AR(1) noise of .01 V in records of 60 s, plus what ``add(k, t)`` V says of record k."""
-    campaign = design(n, interval=0.002)
-    found = []
-    for k, e in enumerate(campaign):
-        phi = np.exp(-e.interval / 0.005)
-        y = 0.01 * lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], rng.standard_normal(len(e.t)))
-        gust = (e.t > 20.0 + 3.0 * k) & (e.t < 25.0 + 3.0 * k)
-        found.append(y * np.where(gust, 1.0 + gusts, 1.0) + size * add(k, e.t))
-    return campaign, found, [np.full(len(y), 0.01) for y in found]
-
-
-def call(k, t):
-    """A line that two of the records have for six seconds."""
-    return 0.004 * np.sin(2.0 * np.pi * 83.3 * t) * ((t > 31.0) & (t < 37.0) & (k in (1, 4)))
-
-
-def flutter(k, t):
-    """A line at a frequency of its own in every record, whose phase wanders."""
-    phase = np.cumsum(0.7 * np.sqrt(t[1] - t[0]) * np.random.default_rng(k).standard_normal(len(t)))
-    return 0.0018 * np.sin(2.0 * np.pi * (9.0 + 2.3 * k) * t + phase)
-
-
-@pytest.mark.parametrize(("add", "hertz"), [(call, [83.3]), (flutter, 9.0 + 2.3 * np.arange(6))])
-def test_a_line_that_passes_or_differs_from_record_to_record_is_found(add, hertz):
-    rng = np.random.default_rng(11)
-    found = look_for_passing_lines(*passing(rng, add))[0]
-    assert found.name == "passing" and found.log_bayes_factor > 6.0
-    assert np.min(np.abs(found.strength["passing_Hz"] - np.asarray(hertz))) < 0.2
-    assert found.strength["passing_V"] == pytest.approx(0.004 if add is call else 0.0018, rel=0.3)
-    if add is call:
-        assert found.strength["passing_experiment"] in (1.0, 4.0)
-    # over all stretches it adds up to nothing
-    spread = pieces_of_records(*passing(rng, add))
-    assert _look_for_lines(spread, "line")[0].log_bayes_factor < found.log_bayes_factor - 5.0
-
-
-def test_what_all_records_have_and_gusts_are_no_passing_line():
-    rng = np.random.default_rng(12)
-
-    def resonance(k, t):  # of the noise, a few tenths of a hertz wide
-        angle, radius = 2.0 * np.pi * 23.0 * (t[1] - t[0]), 1.0 - 1.0 * (t[1] - t[0])
-        return lfilter([3e-4], [1.0, -2.0 * radius * np.cos(angle), radius**2],
-                       rng.standard_normal(len(t)))  # fmt: skip
-
-    quiet = [
-        look_for_passing_lines(*passing(rng, lambda k, t: 0.0 * t, gusts=gusts))[0]
-        for gusts in (0.0, 0.0, 0.0, 1.5, 4.0)
-    ]
-    everywhere = look_for_passing_lines(*passing(rng, resonance))[0]
-    mains = look_for_passing_lines(
-        *passing(rng, lambda k, t: 0.01 * np.sin(2.0 * np.pi * 50.1 * t) * (t > 10.0 * k))
-    )[0]
-    assert max(f.log_bayes_factor for f in (*quiet, everywhere, mains)) < 1.0
-
-
-def test_a_share_of_many_windows_tells_what_is_usual(monkeypatch):
-    campaign, found, deviations = passing(np.random.default_rng(13), call)
-    whole = look_for_passing_lines(campaign, found, deviations)[0]
-    monkeypatch.setattr("bayes_sensor.gap.lines.MOST_PASSED", 60)  # every third window tells
-    some = look_for_passing_lines(campaign, found, deviations)[0]
-    assert some.log_bayes_factor == pytest.approx(whole.log_bayes_factor, rel=0.2)
-    assert some.strength["passing_Hz"] == whole.strength["passing_Hz"]
-
-
-def test_records_too_short_for_a_window_tell_of_no_passing_line():
-    campaign, found, deviations = passing(np.random.default_rng(14), call)
-    for seconds, told in ((2.0, 0), (8.0, 1)):
-        n = round(seconds / 0.002)
-        short = replace(
-            campaign,
-            experiments=tuple(replace(e, t=e.t[:n], mask=None) for e in campaign.experiments),
-        )
-        parts = look_for_passing_lines(short, [y[:n] for y in found], [d[:n] for d in deviations])
-        assert len(parts) == told

@@ -34,11 +34,11 @@ from bayes_sensor.gap.how_far import Closure, closure, held_out, taken_away
 from bayes_sensor.gap.lines import (
     look_for_lines,
     look_for_mains,
-    look_for_passing_lines,
     look_for_swings,
     mains_closure,
     pieces_of_records,
 )
+from bayes_sensor.gap.passing import look_for_passing_lines
 from bayes_sensor.gap.refit import Refit, Sketch
 from bayes_sensor.gap.separate import Separation, confusable, what_would_separate
 from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
