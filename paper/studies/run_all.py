@@ -26,6 +26,7 @@ import study_real
 import study_reproduction
 import study_sbc
 import study_unlisted
+import study_unlisted_kinds
 
 STUDIES = {
     "published-bounds": study_published_bounds.run,
@@ -37,6 +38,7 @@ STUDIES = {
     "coating": study_coating.run,
     "gap": study_gap.run,
     "unlisted": study_unlisted.run,
+    "unlisted-kinds": study_unlisted_kinds.run,
     "blind-check": study_blind_check.run,
     "extremes": study_extremes.run,
     "hostile": study_hostile.run,
