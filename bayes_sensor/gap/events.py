@@ -10,7 +10,7 @@ Both count as unlisted, whatever explains the rest.
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
@@ -23,7 +23,7 @@ from scipy.stats import t as student_t
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.gap.bins import ExperimentBins
 from bayes_sensor.gap.floor import DOF, Stretch, detrended
-from bayes_sensor.gap.full_rate import FullRate, struck
+from bayes_sensor.gap.full_rate import FullRate, any_of, struck
 from bayes_sensor.gap.refit import Refit
 
 BLOCK = 0.05
@@ -383,13 +383,10 @@ def look_for_ringing(
     campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[Quiet]
 ) -> FullRate:
     """A damped oscillation that follows the switches, with one phase or with any."""
-    both = (
+    return any_of([
         _ringing_of_any_phase(campaign, residuals, quiet),
         _ringing_in_phase(campaign, residuals, quiet),
-    )
-    value = float(logsumexp([f.log_bayes_factor for f in both]) - np.log(2.0))
-    clearer = max(both, key=lambda f: f.log_bayes_factor)
-    return replace(clearer, log_bayes_factor=value)
+    ])  # fmt: skip
 
 
 def _ringing(logs: Sequence[float], frequency: float, power: float) -> FullRate:

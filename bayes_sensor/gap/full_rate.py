@@ -7,7 +7,7 @@ its own on the quiet stretches, and each adds its probability to whatever explai
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -72,6 +72,15 @@ def struck(log_b: FloatArray, share: float) -> FloatArray:
     ``share`` of them are struck, where there is anything.
     """
     return np.asarray(np.logaddexp(np.log1p(-share), np.log(share) + log_b))
+
+
+def any_of(found: Sequence[FullRate]) -> FullRate:
+    """What tests that look for the same in several ways say together: the clearest, their mean B.
+
+    ``found``: one at least.
+    """
+    value = float(logsumexp([f.log_bayes_factor for f in found]) - np.log(len(found)))
+    return replace(max(found, key=lambda f: f.log_bayes_factor), log_bayes_factor=value)
 
 
 def rounds_away(stretches: Sequence[Stretch], step: float) -> bool:

@@ -19,7 +19,7 @@ from scipy.stats import gamma
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.gap.floor import Stretch, detrended
-from bayes_sensor.gap.full_rate import FullRate
+from bayes_sensor.gap.full_rate import FullRate, any_of
 from bayes_sensor.gap.how_far import VISIBLE, Closure
 
 MAINS = (50.0, 60.0)
@@ -89,10 +89,7 @@ def look_for_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[Ful
     plateaus = _look_for_lines([p for p in pieces if p.group == 1], "line")
     if not everywhere or not plateaus:
         return everywhere or plateaus
-    both = (everywhere[0], plateaus[0])
-    value = float(logsumexp([f.log_bayes_factor for f in both]) - np.log(2.0))
-    clearer = max(both, key=lambda f: f.log_bayes_factor)
-    return [replace(clearer, log_bayes_factor=value)]
+    return [any_of([everywhere[0], plateaus[0]])]
 
 
 def look_for_swings(

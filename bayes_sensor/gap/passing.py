@@ -8,7 +8,6 @@ looks.  Windows of seconds show it, beside what others have at its frequency.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import sqrt
 
 import numpy as np
@@ -17,7 +16,7 @@ from scipy.signal import windows
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.gap.full_rate import FullRate, struck
+from bayes_sensor.gap.full_rate import FullRate, any_of, struck
 from bayes_sensor.gap.lines import HIGHEST_LINE, RATIOS, Piece, mains_bands, pieces_of_records
 
 LENGTHS = (2.5, 5.0, 10.0)
@@ -29,7 +28,7 @@ SLOWEST = 4.0
 ROUGHLY = 60
 """native resolutions that tell how loud a window is there"""
 FEWEST = 12
-"""windows of all stretches together below which the usual power is not known"""
+"""windows of all records together below which the usual power is not known"""
 MOST = 1000
 """windows that tell the usual power"""
 LARGEST = 600.0
@@ -51,17 +50,13 @@ def look_for_passing_lines(
     overlapping windows of ``residuals`` (n_t,) V over the ``deviations`` (n_t,) V of the noise, in
     units of what is usual at their frequency, which a line or a resonance that all records have is
     part of, and of what the window has around it, so that a gust is no line.  ``ln B`` of a record
-    averages over its windows what :func:`look_for_lines` says of one, or takes all together;
-    the records that are struck share the frequency, or have their own.
+    averages over its windows what :func:`~bayes_sensor.gap.lines.look_for_lines` says of one, or
+    takes all together; the records that are struck share the frequency, or have their own.
     """
     pieces = pieces_of_records(campaign, residuals, deviations)
     told = [_passing_through(pieces, seconds) for seconds in LENGTHS]
     found = [f for f in told if f is not None]
-    if not found:
-        return []
-    value = float(logsumexp([f.log_bayes_factor for f in found]) - np.log(len(found)))
-    clearer = max(found, key=lambda f: f.log_bayes_factor)
-    return [replace(clearer, log_bayes_factor=value)]
+    return [any_of(found)] if found else []
 
 
 def _passing_through(pieces: Sequence[Piece], seconds: float) -> FullRate | None:

@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.gap.floor import Stretch, detrended, periodogram
-from bayes_sensor.gap.full_rate import FullRate
+from bayes_sensor.gap.full_rate import FullRate, struck
 
 EDGES = np.array([0.0, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 """Hz, bands of the baseline's spectrum"""
@@ -105,10 +105,7 @@ def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> l
             gains = np.array([g for _, g in told])  # (n_records, n_excesses, n_cutoffs)
             without.append(nothing)
             alike.append(nothing + gains.sum(axis=0))
-            in_each = np.logaddexp(
-                np.log(STRUCK) + logsumexp(gains, axis=1) - np.log(len(EXCESSES)),
-                np.log1p(-STRUCK),
-            )
+            in_each = struck(logsumexp(gains, axis=1) - np.log(len(EXCESSES)), STRUCK)
             apart.append(nothing + in_each.sum(axis=0))
     same = logsumexp(alike, axis=0)
     value = np.logaddexp(_mean(same), _mean(logsumexp(apart, axis=0))) - np.log(2.0)
