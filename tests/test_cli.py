@@ -446,6 +446,25 @@ def run_code(code: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.parametrize("module", ["typer", "numpy"])
+def test_an_interruption_while_the_command_is_loaded_is_one_line(
+    tmp_path: Path, module: str
+) -> None:
+    # found first, it presses Ctrl-C in the midst of an import
+    (tmp_path / f"{module}.py").write_text(
+        "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(10.0)\n"
+    )
+    path = os.pathsep.join([str(tmp_path), ENVIRONMENT.get("PYTHONPATH", "")])
+    environment = {**ENVIRONMENT, "PYTHONPATH": path}
+    done = subprocess.run(
+        [sys.executable, "-m", "bayes_sensor", "check", "campaign.toml"],
+        capture_output=True, text=True, env=environment, timeout=25,
+    )  # fmt: skip
+    assert done.returncode == 130 and done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert done.stderr.startswith("stopped: interrupted before anything was begun; ")
+
+
 def test_an_interruption_of_a_compiler_waits_until_it_has_finished() -> None:
     # it would turn it into errors of its own; its callbacks drop it with a message
     code = (

@@ -640,6 +640,8 @@ def main(arguments: list[str] | None = None) -> None:
     from bayes_sensor.cli.notes import take_notes
 
     take_notes()
+    import bayes_sensor.campaign  # noqa: F401  before Ctrl-C is an exception, see _guarded
+
     _be_interruptible(arguments)
     code = _guarded(arguments)
     atexit.register(_ignore_interruptions)  # the work is done, and its results are in place
