@@ -21,6 +21,13 @@ SAME_FLOW = (
 )
 SEEN = 4.0
 """standard errors above which a step counts as seen"""
+LARGER = 1.1
+"""ratio from which on one flow counts as larger than another"""
+QUIET = 0.04
+"""share of the step that the noise may have where a rise is timed"""
+SLOWER = 0.1
+"""share by which a rise at the larger flow must be the longer one to be remarked on: causes other
+than a wrong flow, such as a valve that varies, rarely do as much"""
 
 
 @dataclass(frozen=True)
@@ -115,6 +122,7 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
                 f"standard error of {np.hypot(baseline.error, plateau.error):.2g})"
             )
     remarks += _recorded_twice(campaign)
+    remarks += _flows_exchanged(campaign)
     if len(campaign) > 1 and campaign.same_flow:
         remarks.append(SAME_FLOW)
     return tuple(remarks)
@@ -139,6 +147,76 @@ def _recorded_twice(campaign: Campaign) -> list[str]:
                 "its file, or leave one of them out"
             )
     return remarks
+
+
+def _flows_exchanged(campaign: Campaign) -> list[str]:
+    """A remark if records rise more slowly than others though their flow is larger.
+
+    Only where one exchange of two flows would put everything right: a rig whose rises do not follow
+    the flow at all has another fault.
+    """
+    timed = [(e, *rise_time(e)) for e in campaign]
+    timed = [(e, rise, error) for e, rise, error in timed if np.isfinite(rise)]
+    flow = np.array([e.total_flow for e, _, _ in timed])
+    rise = np.array([rise for _, rise, _ in timed])
+    error = np.array([error for _, _, error in timed])
+    longer = rise[:, None] - rise > SLOWER * rise + SEEN * np.hypot(error[:, None], error)
+
+    def wrong(flow: FloatArray) -> int:
+        return int((longer & (flow[:, None] > LARGER * flow)).sum())
+
+    def exchanged(pair: tuple[int, int]) -> int:
+        other = flow.copy()
+        other[list(pair)] = flow[list(pair[::-1])]
+        return wrong(other)
+
+    pairs = np.argwhere(longer & (flow[:, None] > LARGER * flow)).tolist()
+    right = [(i, j) for i, j in pairs if exchanged((i, j)) == 0]
+    if not right:
+        return []
+    i, j = max(right, key=lambda pair: float(flow[pair[0]] / flow[pair[1]]))
+    return [
+        f"{_where(timed[i][0])}: takes longer from a quarter to three quarters of its step "
+        f"({rise[i]:.3g} s) than {_where(timed[j][0])} ({rise[j]:.3g} s), though its total flow is "
+        f"larger ({0.06 * flow[i]:.3g} against {0.06 * flow[j]:.3g} L/min); check that their flows "
+        "are not exchanged"
+    ]
+
+
+def rise_time(experiment: Experiment) -> tuple[float, float]:
+    """Time from a quarter to three quarters of the step after the command (s), standard error.
+
+    The signal is averaged until its noise is small beside the step.  NaN where no command, level
+    or step is known, and where the average would be longer than half of the rise.
+    """
+    nothing = float("nan"), float("nan")
+    if experiment.y is None or experiment.commanded_on is None:
+        return nothing
+    baseline, plateau = levels(experiment)
+    step = plateau.median - baseline.median
+    if not abs(step) > SEEN * np.hypot(baseline.error, plateau.error):
+        return nothing
+    t, used, on = experiment.t, experiment.used, experiment.commanded_on
+    off = experiment.commanded_off
+    end = off if off is not None else float(t[-1]) + experiment.interval
+    after = (t >= on) & (t < end)
+    height = (np.interp(t[after], t[used], experiment.y[used]) - baseline.median) / step
+    total = np.concatenate([[0.0], np.cumsum(height)])
+    found = nothing
+    h = 1
+    while h <= len(height) // 20:
+        smooth = (total[h:] - total[:-h]) / h
+        late = smooth[len(smooth) // 2 :: len(smooth) // 40_000 + 1]  # enough for a median
+        noise = 1.4826 * float(np.median(np.abs(late - np.median(late))))
+        inside = int(((smooth >= 0.25) & (smooth < 0.75)).sum())
+        if noise <= QUIET and inside >= 2 * h:
+            rise = inside * experiment.interval
+            # an error of the height is one of time by the rise's mean slope, at either end
+            found = rise, float(np.sqrt(2.0) * 2.0 * noise * rise)
+        if noise <= QUIET and inside < 16 * h:  # a longer average would widen the rise itself
+            break
+        h *= 2
+    return found
 
 
 def falls_back(experiment: Experiment) -> bool:

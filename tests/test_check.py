@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayes_sensor.campaign import Campaign, Experiment
-from bayes_sensor.check import campaign_remarks, check_campaign, levels
+from bayes_sensor.check import campaign_remarks, check_campaign, levels, rise_time
 
 T = np.arange(12_000) * 0.01
 
@@ -87,3 +87,53 @@ def test_missing_baseline_and_plateau() -> None:
     remarks = campaign_remarks(Campaign("x", (before, after)))
     assert "no baseline is recorded" in remarks[0]
     assert "no plateau is recorded" in remarks[1]
+
+
+def rising(name: str, lag: float, flow: float, **changes: object) -> Experiment:
+    """A step at 24 s that settles with one lag, recorded at ``flow`` L/min of carrier gas."""
+    noise = 0.03 * np.random.default_rng(int(100 * lag)).standard_normal(len(T))
+    y = 0.3 + 1.8 * (1 - np.exp(-np.clip(T - 24, 0, None) / lag)) + noise
+    fields = {"y": y, "carrier_flow": flow / 0.06, "commanded_off": None} | changes
+    return experiment(name, **fields)  # type: ignore[arg-type]
+
+
+def test_a_rise_is_timed_between_its_quarters() -> None:
+    # an exponential takes lag ln 3; the delay of the step has no part in it
+    for lag in (0.5, 2.0):
+        rise, error = rise_time(rising("1", lag, 4.0))
+        assert rise == pytest.approx(lag * np.log(3), abs=3 * error) and 0 < error < 0.05 * lag
+        assert rise_time(rising("1", lag, 4.0, commanded_on=15.0))[0] == pytest.approx(rise)
+    # gaps are bridged, and another sampling interval tells the same
+    gaps = np.ones(len(T), dtype=bool)
+    gaps[2420:2440] = False
+    assert rise_time(rising("1", 2.0, 4.0, mask=gaps))[0] == pytest.approx(
+        2.0 * np.log(3), rel=0.05
+    )
+
+
+def test_no_rise_is_timed_where_none_is_seen() -> None:
+    assert np.isnan(rise_time(experiment(commanded_on=None, commanded_off=None))).all()
+    assert np.isnan(rise_time(experiment(y=None))).all()
+    assert np.isnan(rise_time(experiment(step=0.0))).all()
+    assert np.isnan(rise_time(experiment(noise=20.0))).all()
+    quick = 0.3 + 1.8 * (T >= 24.0) + 0.3 * np.random.default_rng(2).standard_normal(len(T))
+    assert np.isnan(rise_time(experiment(y=quick, commanded_off=None))).all()
+
+
+def test_exchanged_flows_are_remarked_on() -> None:
+    lags, flows = (0.6, 0.9, 1.6, 2.5), (8.0, 5.0, 3.0, 2.0)
+
+    def remarks(flows: tuple[float, ...]) -> list[str]:
+        experiments = [
+            rising(str(k), lag, q) for k, (lag, q) in enumerate(zip(lags, flows, strict=True), 1)
+        ]
+        found = campaign_remarks(Campaign("x", tuple(experiments)))
+        return [text for text in found if "exchanged" in text]
+
+    assert remarks(flows) == []
+    (said,) = remarks((8.0, 2.0, 3.0, 5.0))
+    assert said.startswith("experiment '4': takes longer ") and "experiment '2'" in said
+    assert "larger (5.5 against 2.5 L/min)" in said
+    # flows that hardly differ, and an order that no single exchange puts right
+    assert remarks((8.0, 5.0, 2.0, 2.05)) == []
+    assert remarks((2.0, 3.0, 5.0, 8.0)) == []
