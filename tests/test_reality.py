@@ -57,6 +57,7 @@ from bayes_sensor.reality.stages import (
     moving_fronts,
     oscillating_lag,
     overloaded,
+    parabola,
     pit,
     retarded,
     slab,
@@ -162,7 +163,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (41, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (44, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -2961,6 +2962,241 @@ def test_a_mobile_phone_sends_four_slots_in_a_row_and_then_twenty_five_of_twenty
     assert signalled >= 2 and talked >= 2
 
 
+def test_a_filter_clogs_and_a_float_bobs_against_an_ode_solver() -> None:
+    strength = 1.0
+    rig = case(clogging_filter=strength)
+    seen = clean_signals(rig)
+    k_cake = 1.5 / sum(step.total_flow * step.duration for step in rig.steps)
+    passed = 0.0
+    for k, step in enumerate(rig.steps):
+
+        def clogging(
+            u: float, x: FloatArray, step: Step = step, passed: float = passed
+        ) -> list[float]:
+            # the flow that the pressure drives through what has grown so far
+            flow = step.total_flow / (1.0 + k_cake * (passed + x[3]))
+            cascade = [
+                (u - x[0]) / rig.tau_v,
+                flow / rig.V * (x[0] - x[1]),
+                (x[1] - x[2]) / rig.tau,
+            ]
+            return [*cascade, flow]
+
+        t, states = solved(rig, clogging, 4, k=k)
+        assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-4
+        flow = step.total_flow / (1.0 + k_cake * (passed + states[-1, 3]))
+        passed += states[-1, 3] + (step.duration - t[-1]) * flow
+    assert k_cake * passed == pytest.approx(strength, rel=1e-4)
+
+    strength, times = 0.4, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"bobbing_float": strength})
+        seen, found = clean_signals(rig), prepared_rig(rig)
+        for k, step in enumerate(rig.steps):
+            (flow,) = found[step.name].test_gas
+            since = np.arange(0.0, 6.0, 1e-4)
+            away = flow(step.t0 + since) - 1.0
+            assert np.all(flow(np.array([0.0, step.t0])) == 1.0)
+            zeros = since[1:][np.diff(np.sign(away)) != 0]
+            half = float(np.diff(zeros[zeros > 1e-3]).mean())
+            fades = half / np.log(-away[1000] / np.interp(0.1 + half, since, away))
+            assert 0.3 < 0.5 / half < 1.2 and 2.0 < fades < 10.0
+            times.append((round(half, 3), round(fades, 1)))
+            if k > 0:
+                continue
+            turn, fade = np.pi / half, 1.0 / fades
+
+            def bobbing(
+                u: float,
+                x: FloatArray,
+                step: Step = step,
+                rig: Case = rig,
+                spring: float = turn**2 + fade**2,
+                fade: float = fade,
+            ) -> list[float]:
+                full = step.test_gas_flow * (1.0 + x[3])
+                inlet = x[0] * full / (step.carrier_flow + full) / step.concentration
+                total = step.carrier_flow + x[0] * full + (1.0 - x[0]) * step.test_gas_flow
+                cascade = [(u - x[0]) / rig.tau_v, total / rig.V * (inlet - x[1])]
+                return [*cascade, (x[1] - x[2]) / rig.tau, x[4], -spring * x[3] - 2.0 * fade * x[4]]
+
+            t = sample_times(step)
+            inside = (t >= step.t0) & (t < step.tf)
+            result = solve_ivp(
+                lambda s, x, bobbing=bobbing: bobbing(1.0, x), (step.t0, step.tf),
+                [0.0, 0.0, 0.0, 0.0, strength * turn], rtol=1e-9, atol=1e-11, dense_output=True,
+            )  # fmt: skip
+            x = (seen[step.name] - step.y0) / step.beta
+            assert np.abs(x[inside] - result.sol(t[inside])[2]).max() < 2e-3
+            assert x[inside].max() > 1.01
+    assert len(set(times)) >= 3
+
+
+def test_a_wet_hose_dries_once_and_for_all() -> None:
+    strength, lasted = 0.1, set()
+    for seed in range(11, 19):
+        rig = replace(draw_case(seed, size="small"), strengths={"wet_hose": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        plain = clean_signals(without_causes(rig))
+        wet = [step for step in rig.steps if found[step.name].seep]
+        lasted.add(len(wet))
+        assert wet == list(rig.steps[: len(wet)])
+        for step in rig.steps[len(wet) :]:
+            assert np.array_equal(seen[step.name], plain[step.name])
+        end, slope = None, None
+        for step in wet:
+            (vapour,) = found[step.name].seep
+            most = strength * rig.highest_concentration * step.total_flow
+            t = np.linspace(0.0, step.duration, 3001)
+            left = np.clip(vapour(t) / most, 1e-12, 1.0 - 1e-12)
+            odds = np.log(left / (1.0 - left))
+            some = np.abs(odds) < 10.0
+            if some.sum() > 10:
+                slopes = np.diff(odds[some]) / (t[1] * step.total_flow)
+                own = float(slopes.mean())
+                assert (
+                    own < 0.0
+                    and np.ptp(slopes) < 1e-6 * abs(own)
+                    and (slope is None or own == pytest.approx(slope, rel=1e-3))
+                )
+                # the film gives off what it still covers: m' = -(1 - exp(-m)) a patch's volume
+                film = -np.log1p(-left[some])
+                speed = np.gradient(film, t[some])[1:-1]
+                rate = own * step.total_flow * left[some][1:-1]
+                assert np.abs(speed - rate).max() < 2e-2 * np.abs(own * step.total_flow)
+                if end is not None and abs(end) < 10.0:  # it goes on where it was
+                    assert odds[0] == pytest.approx(end, abs=1e-6)
+                slope = own
+            end = float(odds[-1])
+            # it is there before the record begins: a moist baseline, and no rise to it
+            added = (seen[step.name] - plain[step.name]) / step.beta
+            full = strength / rig.relative_concentration(step)
+            if left[:300].min() > 0.999:
+                assert np.allclose(added[:100], full, rtol=2e-3)
+        assert left[-1] < 0.5 < left[0]
+        at = t[np.argmin(np.abs(left - 0.5))] / step.duration
+        assert 0.14 < at < 0.86
+    assert lasted == {1, 2}
+
+
+def test_bubbles_of_nearly_one_volume_leave_the_exhaust() -> None:
+    strength, means = 0.06, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"bubbling_exhaust": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        plain, volumes, widest = clean_signals(without_causes(rig)), [], []
+        for step in rig.steps:
+            (pressure,) = found[step.name].concentration_gain
+            s = sample_times(step)
+            moved = (plain[step.name] - step.y0) * (1.0 + pressure(s))
+            assert np.allclose(seen[step.name] - step.y0, moved, atol=1e-9)
+            t = np.arange(0.0, step.duration, 2e-4)
+            y = pressure(t) / strength
+            assert y.min() == pytest.approx(-0.5, abs=0.02) and y.max() == pytest.approx(
+                0.5, abs=0.02
+            )
+            falls = np.diff(y) < 0.0
+            begins = t[1:-1][falls[1:] & ~falls[:-1]]  # of a bubble's end
+            assert 0.08 < falls.mean() < 0.32
+            own = np.diff(begins) * step.total_flow
+            volumes.append(own.mean())
+            widest.append(np.ptp(own) / own.mean())
+        assert np.ptp(volumes) < 0.15 * np.mean(volumes)  # the same at any flow
+        assert 0.05 < min(widest) and max(widest) < 0.6
+        means.append(np.median([step.total_flow for step in rig.steps]) / np.mean(volumes))
+    assert min(means) > 1.8 and max(means) < 11.0 and np.ptp(means) > 0.5
+
+
+def test_a_poisoned_coating_loses_sites_with_the_dose_against_an_ode_solver() -> None:
+    strength = 0.5
+    rig = case(poisoned_coating=strength)
+    seen, alive = clean_signals(rig), 1.0
+    doses = [rig.relative_concentration(step) * (step.tf - step.t0) for step in rig.steps]
+    for k, step in enumerate(rig.steps):
+        rate = np.log(2.0) / sum(doses) * rig.relative_concentration(step)
+
+        def dying(u: float, x: FloatArray, step: Step = step, rate: float = rate) -> list[float]:
+            cascade = [(u - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+            return [*cascade, (x[1] - x[2]) / rig.tau, -rate * x[2] * (1.0 + x[3])]
+
+        _, states = solved(rig, dying, 4, k=k)  # x[3]: what has died in this record
+        x = alive * states[:, 2] * (1.0 + states[:, 3])
+        assert np.abs((seen[step.name] - step.y0) / step.beta - x).max() < 1e-3
+        alive *= 1.0 + states[-1, 3]
+    assert alive == pytest.approx(1.0 - strength, abs=2e-3)
+
+
+def test_a_parabola_shows_a_step_before_it_comes() -> None:
+    t = np.sort(np.random.default_rng(3).uniform(0.0, 10.0, 20_001))
+    inside = (t > 1.0) & (t < 9.0)
+    cubic = 1.0 + t - 0.3 * t**2 + 0.02 * t**3
+    assert np.allclose(parabola(t, cubic, 2.0)[inside], cubic[inside], atol=1e-5)
+    # what is too quick for it fades, as a fit of its own says
+    quick = np.cos(3.0 * t)
+    around = np.linspace(4.0, 6.0, 4001)
+    middle = np.polyval(np.polyfit(around - 5.0, np.cos(3.0 * around), 2), 0.0)
+    assert np.interp(5.0, t, parabola(t, quick, 2.0)) == pytest.approx(middle, abs=1e-3)
+    assert abs(middle - np.cos(15.0)) > 0.05
+
+    strength = 3.0
+    rig = case(smoothing_parabola=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    for step in rig.steps:
+        s = sample_times(step)
+        for at in (step.t0 - 0.8, step.t0 + 0.5, step.t0 + 1.5, step.tf + 0.4, step.tf + 2.0):
+            i = int(at / step.interval)
+            near = np.abs(s - s[i]) < 0.5 * strength
+            fitted = np.polyfit(s[near] - s[i], plain[step.name][near], 2)[-1]
+            assert seen[step.name][i] == pytest.approx(fitted, abs=5e-3 * step.beta)
+        before = (seen[step.name] - step.y0) / step.beta
+        assert before[s < step.t0].min() < -0.01
+        assert np.abs(before[s < step.t0 - 0.5 * strength]).max() < 1e-12
+
+
+def test_an_uncleared_screen_shows_the_record_before() -> None:
+    strength = 0.1
+    rig = case(uncleared_screen=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    first = rig.steps[0].name
+    assert np.array_equal(seen[first], plain[first])
+    for before, step in pairwise(rig.steps):
+        both = (1.0 - strength) * plain[step.name] + strength * plain[before.name]
+        assert np.abs(seen[step.name] - both).max() < 1e-4
+        assert np.abs(seen[step.name] - plain[step.name]).max() > 0.03 * step.beta
+
+
+def test_a_heaters_bursts_are_whole_periods_of_the_mains() -> None:
+    strength, kinds, shares = 0.05, set(), []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"burst_fired_heater": strength})
+        size, cycles = strength * np.mean([step.beta for step in rig.steps]), set()
+        for step, hum in offsets(rig, 1e-9):
+            t = np.arange(0.0, step.duration, 2e-4)
+            y = hum(t) / size
+            assert 0.99 < np.abs(y).max() <= 1.0
+            quiet = np.convolve(y == 0.0, np.ones(10), "same") > 9.5
+            quiet[:10], quiet[-10:] = quiet[10], quiet[-11]  # where the record is cut off
+            begins = t[1:][quiet[:-1] & ~quiet[1:]]
+            ends = t[1:][~quiet[:-1] & quiet[1:]]
+            f, power = welch(y[~quiet], 5000.0, nperseg=5000)
+            mains = 50.0 if f[power.argmax()] < 55.0 else 60.0
+            assert f[power.argmax()] == pytest.approx(mains, abs=1.0)
+            kinds.add(mains)
+            ends = ends[ends > begins[0]]
+            lasts = (ends - begins[: len(ends)]) * mains
+            every = np.diff(begins) * mains
+            assert np.ptp(lasts) < 0.3 and np.ptp(every) < 0.3
+            cycles.add(round(float(every.mean())))
+            assert every.mean() == pytest.approx(np.rint(every.mean()), abs=0.1)
+            shares.append(lasts.mean() / every.mean())
+            # it begins from zero, upwards, and stops there
+            assert abs(np.mean(y)) < 5e-3
+            assert np.all(np.interp(begins + 0.2 / mains, t, y) > 0.5)
+        assert len(cycles) == 1
+    assert kinds == {50.0, 60.0} and min(shares) > 0.1 and max(shares) < 0.75
+    assert np.ptp(shares) > 0.1
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -3542,6 +3778,51 @@ def test_hunting_chattering_and_replugged_noise_are_what_they_say() -> None:
     assert not (fan.is_ar1 or relay.is_ar1 or fibre.is_ar1)
 
 
+def test_beating_held_and_crackling_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(29)
+    h = 1e-3
+    part = Component(1.0, 200.0, 20.0, "beating", depth=0.05)
+    fans = NoiseLaw("two_fans", 1.0, components=(part,))
+    z = draw_noise(fans, 400_000, h, rng)
+    assert np.abs(z).max() == pytest.approx(2.0, abs=0.01)
+    assert z.var() == pytest.approx(1.0, abs=0.02)
+    f, power = welch(z, 1.0 / h, nperseg=40_000)
+    assert np.sort(f[np.argsort(power)[-2:]]) == pytest.approx([19.0, 21.0], abs=0.03)
+    # the hum swells and fades twice a second: a twentieth of a second is a whole turn
+    loud = (z**2).reshape(-1, 50).mean(axis=1)
+    assert loud.min() < 0.05 and loud.max() > 1.9
+    swell = np.abs(np.fft.rfft(loud - loud.mean()))
+    assert np.fft.rfftfreq(len(loud), 0.05)[swell.argmax()] == pytest.approx(2.0, abs=0.02)
+
+    meter = NoiseLaw("slow_meter", 1.0, components=(Component(1.0, 0.025, shape="held"),))
+    z = draw_noise(meter, 400_000, h, rng)
+    changes = np.flatnonzero(np.diff(z) != 0.0)
+    assert np.all(np.diff(changes) == 25)
+    levels = z[changes]
+    assert levels.var() == pytest.approx(1.0, abs=0.05)
+    assert np.mean(levels**4) == pytest.approx(3.0, abs=0.3)
+    assert abs(np.mean(levels[1:] * levels[:-1])) < 0.04
+    firsts = {int(np.flatnonzero(np.diff(draw_noise(meter, 100, h, rng)))[0]) for _ in range(60)}
+    assert len(firsts) > 15  # the recorder begins anywhere
+
+    part = Component(1.0, 0.01, shape="trains", rate=0.5, depth=50.0, gust_time=0.05)
+    cable = NoiseLaw("crackling_cable", 1.0, components=(part,))
+    z = draw_noise(cable, 1_000_000, h, rng)
+    # 10 trains a second, 500 pulses, of 5 in the mean at a time; variance 5 and 5 50/12 besides
+    mean, alone, together = 5.0, 5.0, 5.0 * 25.0 * 0.01 / 0.06
+    assert z.min() == pytest.approx(-mean / np.sqrt(alone + together), abs=1e-3)
+    assert abs(z.mean()) < 0.05 and z.var() == pytest.approx(1.0, abs=0.08)
+    assert np.mean(z**3) > 0.5  # to one side
+    R = autocorrelation(cable, 400, h)
+    for lag in (5, 20, 60, 150):
+        # the mean course of a train is a lag of 10 ms after one of 50 ms
+        train = (0.05 * np.exp(-lag * h / 0.05) - 0.01 * np.exp(-lag * h / 0.01)) / 0.04
+        stated = (alone * np.exp(-lag * h / 0.01) + together * train) / (alone + together)
+        assert R[lag] == pytest.approx(stated, abs=1e-9)
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.06)
+    assert not (fans.is_ar1 or meter.is_ar1 or cable.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):
@@ -3694,6 +3975,11 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("capillary_condensation", {"rise", "plateau", "fall"}, 0.99),
         ("dead_pixels", {"rise", "plateau", "fall"}, 0.999),
         ("automatic_gain", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("clogging_filter", {"rise", "fall"}, 0.99),
+        ("bobbing_float", {"rise", "plateau"}, 0.99),
+        ("bubbling_exhaust", {"rise", "plateau", "fall"}, 0.99),
+        ("poisoned_coating", {"rise", "plateau", "fall"}, 0.99),
+        ("smoothing_parabola", {"baseline", "onset", "rise", "plateau", "fall"}, 0.99),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

@@ -17,7 +17,7 @@ from itertools import pairwise
 from math import pi, sqrt
 
 import numpy as np
-from scipy.special import erfc, erfcx
+from scipy.special import erfc, erfcx, expit
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.records import Case, Step
@@ -611,7 +611,7 @@ def alternating_dryers(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].marks += _both_sides(turns)
 
 
-@cause((), "delay", "s", 4.0, near=("flow_settling",), reserve=True)
+@cause((), "delay", "s", 4.0, near=("flow_settling",))
 def soft_start(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The test gas's controller ramps its set point up evenly when the line opens: a soft start.
 
@@ -629,7 +629,7 @@ def soft_start(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
         rig[step.name].marks.append(step.t0 + lasts)
 
 
-@cause((), "fall", "times the carrier flow", 4.0, per_experiment=True, reserve=True)
+@cause((), "fall", "times the carrier flow", 4.0, per_experiment=True)
 def hasty_purge(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The operator cannot wait for the gas to go and turns the carrier up by ``s`` to purge.
 
@@ -647,6 +647,41 @@ def hasty_purge(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
 
         rig[step.name].carrier.append(flow)
         rig[step.name].marks.append(at)
+
+
+@cause((), "fall", "relative", 1.5, near=("flow_error",), reserve=True)
+def clogging_filter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A dust filter before the manifold clogs: a cake grows with all the gas that comes through.
+
+    Its resistance grows evenly with the volume that has passed and the pressure stays, so that the
+    flow falls as 1/sqrt(1 + 2 k volume), of both gases alike (Ruth, Ind. Eng. Chem. 27, 708, 1935).
+    At the end of the campaign the resistance has grown by ``s``.
+    """
+    k = 0.5 * ((1.0 + s) ** 2 - 1.0) / sum(step.total_flow * step.duration for step in case.steps)
+    passed = 0.0  # as much as would have without a cake
+    for step in case.steps:
+
+        def flow(t: FloatArray, passed: float = passed, q: float = step.total_flow) -> FloatArray:
+            return np.asarray(1.0 / np.sqrt(1.0 + 2.0 * k * (passed + q * np.maximum(t, 0.0))))
+
+        rig[step.name].all_flow.append(flow)
+        passed += step.total_flow * step.duration
+
+
+@cause((), "plateau", "relative", 0.6, near=("flow_settling",), reserve=True)
+def bobbing_float(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas comes through a rotameter, whose float bobs up and down when the line opens.
+
+    Its flow passes by what is set, and swings about it until the float stands still.
+    """
+    rate, time = _between(rng, 0.3, 1.2), _between(rng, 2.0, 10.0)
+    for step in case.steps:
+
+        def flow(t: FloatArray, t0: float = step.t0) -> FloatArray:
+            since = np.maximum(t - t0, 0.0)
+            return 1.0 + s * np.exp(-since / time) * np.sin(2.0 * pi * rate * since)
+
+        rig[step.name].test_gas.append(flow)
 
 
 # --------------------------------------------------------------------------- manifold
@@ -978,6 +1013,61 @@ def laminar_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.laminar = s
 
 
+@cause(
+    (), "drift", "share of the highest gas", 0.15, near=("baseline_step",),
+    per_experiment=True, reserve=True,
+)  # fmt: skip
+def wet_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The hose was rinsed, and water is left in it, which the stream takes up until it is dry.
+
+    The ring does not tell its vapour from the test gas.  The film m gives off ``s`` (1 - exp(-m))
+    where the wall is still covered, so that its end is a logistic curve of the volume passed.  It
+    dries in the course of the first record, or of the second one.
+    """
+    last = 0 if rng.random() < 0.6 else min(1, len(case.steps) - 1)
+    ending = case.steps[last]
+    dry = rng.uniform(0.15, 0.85) * ending.duration * ending.total_flow
+    patch = dry * _between(rng, 0.02, 0.2)
+    dry += sum(step.total_flow * step.duration for step in case.steps[:last])
+    passed = 0.0
+    for step in case.steps[: last + 1]:
+        q, most = step.total_flow, s * case.highest_concentration * step.total_flow
+
+        def vapour(
+            t: FloatArray, q: float = q, most: float = most, passed: float = passed
+        ) -> FloatArray:
+            return np.asarray(most * expit((dry - passed - q * t) / patch))
+
+        rig[step.name].seep.append(vapour)
+        rig[step.name].marks.append(-15.0 * case.V / q)  # the stream is moist before the record
+        passed += q * step.duration
+
+
+@cause((), "ripple", "relative", 0.08, fast=True, reserve=True)
+def bubbling_exhaust(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The exhaust hose hangs in a bucket of water: the gas leaves it bubble by bubble.
+
+    While a bubble grows the pressure rises, and when it is gone it falls, by ``s`` of all of it;
+    the coating takes up what the partial pressure is.  Bubbles are of nearly one volume, hence they
+    come the more often, the larger the flow.
+    """
+    typical = float(np.median([step.total_flow for step in case.steps]))
+    volume, grows = typical / _between(rng, 2.0, 10.0), rng.uniform(0.7, 0.9)
+    uneven = rng.uniform(0.05, 0.25)
+    for step in case.steps:
+        count = int(step.total_flow * (step.duration + 6.0) / (volume * (1.0 - uneven))) + 2
+        volumes = volume * (1.0 + uneven * rng.uniform(-1.0, 1.0, count))
+        gone = np.cumsum(volumes) - 4.0 * step.total_flow - volumes[0] * rng.random()
+
+        def pressure(
+            t: FloatArray, gone: FloatArray = gone, q: float = step.total_flow
+        ) -> FloatArray:
+            bubble = np.mod(np.interp(q * t, gone, np.arange(len(gone))), 1.0)
+            return np.asarray(s * np.interp(bubble, [0.0, grows, 1.0], [-0.5, 0.5, -0.5]))
+
+        rig[step.name].concentration_gain.append(pressure)
+
+
 # --------------------------------------------------------------------------- sensor
 
 
@@ -1258,7 +1348,7 @@ def late_impurity(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         knobs.impurity_volume, knobs.impurity_cells = volume, n_cells
 
 
-@cause((), "fall", "share of the highest step", 0.4, near=("sorption_asymmetry",), reserve=True)
+@cause((), "fall", "share of the highest step", 0.4, near=("sorption_asymmetry",))
 def capillary_condensation(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """In the coating's pores vapour condenses, in narrow ones first, and leaves them far later.
 
@@ -1271,6 +1361,21 @@ def capillary_condensation(rig: Rig, s: float, rng: np.random.Generator, case: C
     for knobs in rig.values():
         knobs.pores, knobs.pores_vapour = s, vapour
         knobs.pores_at, knobs.pores_width = at, width
+
+
+@cause((), "plateau", "share lost", 0.6, reserve=True)
+def poisoned_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Something in the test gas poisons the coating: sites that hold it die, and do not come back.
+
+    Each as likely at any time, so that what is left falls exponentially with the dose; all
+    experiments together cost the share ``s``.
+    """
+    doses = [case.relative_concentration(step) * (step.tf - step.t0) for step in case.steps]
+    rate = -np.log1p(-s) / sum(doses)
+    had = 0.0
+    for step, dose in zip(case.steps, doses, strict=True):
+        rig[step.name].poisoning, rig[step.name].alive = float(rate), float(np.exp(-rate * had))
+        had += dose
 
 
 # --------------------------------------------------------------------------- readout
@@ -1759,7 +1864,7 @@ def passing_footsteps(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         rig[step.name].offset.append(quiver)
 
 
-@cause((), "level", "share of the highest shift", 0.3, reserve=True)
+@cause((), "level", "share of the highest shift", 0.3)
 def dead_pixels(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A spectrometer's camera follows the line, and a row of its pixels is dead.
 
@@ -1773,7 +1878,7 @@ def dead_pixels(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
 
 @cause(
     (), "drift", "share of the step", 0.15, near=("baseline_step", "mains_pickup"),
-    per_experiment=True, fast=True, reserve=True,
+    per_experiment=True, fast=True,
 )  # fmt: skip
 def flickering_tube_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Somebody turns on the room's tube lamp, which flashes some times until it burns.
@@ -2321,7 +2426,7 @@ def sparse_logger(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         rig[step.name].readings = np.cumsum(apart) - apart[0] * (1.0 + rng.random())
 
 
-@cause((), "plateau", "of the logarithm", 0.25, reserve=True)
+@cause((), "plateau", "of the logarithm", 0.25)
 def automatic_gain(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The receiver has an automatic gain, which turns down when the level is high.
 
@@ -2333,7 +2438,7 @@ def automatic_gain(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.gain_control, knobs.gain_attack, knobs.gain_release = s, attack, release
 
 
-@cause((), "spike", "share of the step", 0.1, reserve=True)
+@cause((), "spike", "share of the step", 0.1)
 def ghosting_multiplexer(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The recorder's multiplexer has not settled yet when it reads: the channel before shines in.
 
@@ -2357,7 +2462,7 @@ def ghosting_multiplexer(rig: Rig, s: float, rng: np.random.Generator, case: Cas
         rig[step.name].offset.append(chromatogram)
 
 
-@cause((), "line", "share of the step", 0.4, per_experiment=True, fast=True, reserve=True)
+@cause((), "line", "share of the step", 0.4, per_experiment=True, fast=True)
 def calling_mobile_phone(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A mobile phone next to the amplifier gets a call; each of its bursts is rectified there.
 
@@ -2382,6 +2487,55 @@ def calling_mobile_phone(rig: Rig, s: float, rng: np.random.Generator, case: Cas
 
         rig[step.name].offset.append(bursts)
         rig[step.name].marks += _both_sides(np.concatenate([slots, slots + frame / 8.0]).tolist())
+
+
+@cause((), "delay", "s", 4.0, near=("daq_filter",), reserve=True)
+def smoothing_parabola(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The meter smooths: it shows the middle of a parabola through its readings of the last ``s``.
+
+    (Savitzky and Golay, Anal. Chem. 36, 1627, 1964.)  Its delay of half of that is known and taken
+    off, so that a step shows before it comes, first the wrong way.  The noise comes behind it.
+    """
+    for knobs in rig.values():
+        knobs.parabola = s
+
+
+@cause((), "drift", "share of the record before", 0.15, per_experiment=True, reserve=True)
+def uncleared_screen(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The oscilloscope averages its sweeps, and nobody clears its screen between the experiments.
+
+    So each record holds the share ``s`` of the one before, whose valve was switched at other times.
+    """
+    for before, step in pairwise(case.steps):
+
+        def ghost(t: FloatArray, before: Step = before) -> FloatArray:
+            return s * voltage(case, before, Knobs(), t)[0]
+
+        rig[step.name].gain.append(lambda t: np.full_like(t, -s))
+        rig[step.name].offset.append(ghost)
+        rig[step.name].marks += [before.t0, before.tf]
+
+
+@cause(
+    (), "line", "share of the step", 0.08, near=("mains_pickup",),
+    per_experiment=True, fast=True, reserve=True,
+)  # fmt: skip
+def burst_fired_heater(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A heating tape's controller lets through whole periods of the mains, some of every so many.
+
+    The more heat is wanted, the more of them; the cable hums into the receiver as long as they are.
+    """
+    mains = float(rng.choice([50.0, 60.0]) + 0.03 * rng.standard_normal())
+    every, size = int(mains * _between(rng, 0.5, 3.0)), s * _mean_step(case)
+    for step in case.steps:
+        heated, begin = int(every * rng.uniform(0.15, 0.7)), every * rng.random()
+
+        def hum(t: FloatArray, heated: int = heated, begin: float = begin) -> FloatArray:
+            periods = mains * t + begin
+            on = np.mod(np.floor(periods), every) < heated
+            return np.asarray(size * on * np.sin(2.0 * pi * periods))
+
+        rig[step.name].offset.append(hum)
 
 
 # --------------------------------------------------------------------------- noise

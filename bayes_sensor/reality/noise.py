@@ -22,13 +22,14 @@ OPEN_LAWS = (
     "noise_shaping", "dusty", "roller_pump", "beam_crossing", "one_bit", "intermittent",
     "conducting", "latching", "waning", "rattling", "coded", "two_paced",
     "decimated", "mode_hopping", "drilling",
+    "hunting_fan", "chattering_relay", "replugged_fibre",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("hunting_fan", "chattering_relay", "replugged_fibre")
+RESERVE_LAWS = ("two_fans", "slow_meter", "crackling_cable")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
-    "waning", "two_paced", "drilling",
+    "waning", "two_paced", "drilling", "crackling_cable",
 )  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
 loudness"""
@@ -318,6 +319,32 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             Component(1.0, short, shape="replugged", depth=own.uniform(0.6, 0.9)),
         ),
     }  # fmt: skip
+    beating, held, crackling = own.uniform(0.05, 0.2), own.uniform(0.1, 0.25), own.uniform(0.4, 0.7)
+    parts |= {
+        # two fans of one make, which never turn quite as fast: their hum swells and fades
+        "two_fans": (
+            Component(1.0 - beating, short),
+            Component(
+                beating, exp(own.uniform(np.log(1.0), np.log(10.0))),
+                exp(own.uniform(np.log(4.0), np.log(25.0))), shape="beating",
+                depth=own.uniform(0.01, 0.08),
+            ),
+        ),
+        # a meter that renews its output more seldom than the recorder reads it
+        "slow_meter": (
+            Component(1.0 - held),
+            Component(held, exp(own.uniform(np.log(0.02), np.log(0.25))), shape="held"),
+        ),
+        # a high-voltage cable of bad insulation: discharges in trains
+        "crackling_cable": (
+            Component(1.0 - crackling),
+            Component(
+                crackling, short, shape="trains", rate=exp(own.uniform(np.log(0.1), np.log(0.5))),
+                depth=exp(own.uniform(np.log(5.0), np.log(20.0))),
+                gust_time=exp(own.uniform(np.log(0.1), np.log(1.0))),
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -392,6 +419,15 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             swing = 2.0 * part.depth * part.frequency * part.gust_time
             own *= np.cos(2.0 * pi * part.frequency * lags)
             own *= j0(swing * np.sin(pi * lags / part.gust_time))
+        elif part.shape == "beating":
+            turn = 2.0 * pi * part.frequency * lags
+            own *= np.cos(turn) * np.cos(part.depth * turn)
+        elif part.shape == "held":
+            own = np.maximum(1.0 - lags / part.time, 0.0)
+        elif part.shape == "trains":
+            alone, together = _train_shares(part)
+            train = part.gust_time * np.exp(-lags / part.gust_time) - part.time * own
+            own = alone * own + together * train / (part.gust_time - part.time)
         elif part.shape == "chattering":
             own = 2.0 / pi * np.arcsin(own)
         elif part.shape == "diffusing":
@@ -481,6 +517,14 @@ def _draw_part(
         return _settling(part, n, interval, rng)
     if part.shape == "hunting":
         return _hunting(part, n, interval, rng)
+    if part.shape == "beating":
+        return _beating(part, n, interval, rng)
+    if part.shape == "held":
+        at = np.arange(n) * (interval / part.time) + rng.random()
+        levels: FloatArray = rng.standard_normal(int(at[-1]) + 1)
+        return levels[at.astype(np.int64)]
+    if part.shape == "trains":
+        return _trains(part, n, interval, rng)
     if part.shape == "chattering":
         return np.where(_remembering(rng.standard_normal(n), decay) > 0.0, 1.0, -1.0)
     if part.shape == "bell":
@@ -691,6 +735,43 @@ def _hunting(part: Component, n: int, interval: float, rng: np.random.Generator)
     phase = 2.0 * pi * part.frequency * at + part.depth * part.frequency * part.gust_time * swing
     tone: FloatArray = sqrt(2.0) * np.cos(phase + np.cumsum(walk))
     return tone
+
+
+def _beating(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) sum of two tones as loud, whose phases walk at random, each for itself."""
+    walks = sqrt(2.0 * interval / part.time) * rng.standard_normal((2, n))
+    walks[:, 0] = 2.0 * pi * rng.random(2)
+    pitches = part.frequency * (1.0 + part.depth * np.array([[-1.0], [1.0]]))
+    phases = 2.0 * pi * pitches * interval * np.arange(n) + np.cumsum(walks, axis=1)
+    both: FloatArray = np.cos(phases).sum(axis=0)
+    return both
+
+
+def _train_shares(part: Component) -> tuple[float, float]:
+    """Of the variance: of pulses on their own, and of their coming together."""
+    together = 0.5 * part.depth * part.time / (part.time + part.gust_time)
+    return 1.0 / (1.0 + together), together / (1.0 + together)
+
+
+def _trains(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) trains of pulses, less their mean: heights, and times since the begin, exponential.
+
+    The variance is that of as many pulses at random (Campbell's theorem), and that of the trains'
+    mean courses besides (Neyman and Scott, J. R. Stat. Soc. B 20, 1, 1958).
+    """
+    early = 12.0 * part.gust_time + 20.0 * part.time
+    before = ceil(early / interval)
+    lasting = (before + n) * interval
+    begins = rng.uniform(0.0, lasting, rng.poisson(part.rate * lasting / part.gust_time))
+    at = np.repeat(begins, rng.poisson(part.depth, len(begins)))
+    at = (at + rng.exponential(part.gust_time, len(at))) / interval  # in samples
+    at = at[at < before + n - 1]
+    seen = at.astype(np.int64) + 1
+    heights = rng.exponential(size=len(at)) * np.exp(-(seen - at) * interval / part.time)
+    arriving = np.bincount(seen, heights, before + n)
+    x: FloatArray = lfilter([1.0], [1.0, -exp(-interval / part.time)], arriving)[before:]
+    mean = part.rate * part.depth * part.time / part.gust_time
+    return (x - mean) / sqrt(mean / _train_shares(part)[0])
 
 
 def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

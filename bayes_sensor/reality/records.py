@@ -103,7 +103,11 @@ class Component:
     swings about ``frequency`` by ``depth`` of it, once in a ``gust_time``, and whose phase loses
     its memory in a ``time``; with ``chattering`` the sign of an Ornstein-Uhlenbeck process:
     ``2/pi arcsin(exp(-lag/time))``; with ``replugged`` an Ornstein-Uhlenbeck process has another
-    variance in each record, anywhere between 1 - ``depth`` and 1 + ``depth``.
+    variance in each record, anywhere between 1 - ``depth`` and 1 + ``depth``.  With ``beating`` it
+    is two tones as loud, at ``frequency`` times 1 - ``depth`` and 1 + ``depth``, whose phases lose
+    their memory in a ``time``; with ``held`` independent levels that each stand for a ``time``;
+    with ``trains`` one-sided pulses that die out in a ``time`` and come in trains, ``depth`` of
+    them in the mean in the ``gust_time`` after a train's begin, of which there are ``rate`` in it.
     """
 
     share: float
@@ -117,7 +121,8 @@ class Component:
     ``fringes``, ``diffusing``, ``speckle``, ``whistling``, ``notched``, ``interleaved``,
     ``charging``, ``shaped``, ``motes``, ``strokes``, ``bell``, ``bits``, ``lognormal``,
     ``conducting``, ``latching``, ``waning``, ``stops``, ``coded``, ``paces``, ``cut_off``,
-    ``settling``, ``drilled``, ``hunting``, ``chattering`` or ``replugged``"""
+    ``settling``, ``drilled``, ``hunting``, ``chattering``, ``replugged``, ``beating``, ``held`` or
+    ``trains``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

@@ -213,6 +213,10 @@ class Knobs:
     """relative pressure at which half of the pores have filled"""
     pores_width: float = 0.1
     """standard deviation of its logarithm among them"""
+    poisoning: float = 0.0
+    """per s, at which sites die that the highest concentration has taken"""
+    alive: float = 1.0
+    """share of the sites that are left when the record begins"""
     reference: float = 0.0
     """share of the response that a reference ring under its cap takes away"""
     reference_time: float = 30.0
@@ -318,6 +322,8 @@ class Knobs:
     """V by which the upper range reads more"""
     filter_time: float = 0.0
     """s, total delay of a four-pole anti-alias filter"""
+    parabola: float = 0.0
+    """s of readings through which a meter draws a parabola, whose middle it shows"""
     average_window: float = 0.0
     """V by which a reading may be off a meter's running average before that begins anew"""
     average_time: float = 2.0
@@ -426,6 +432,8 @@ def voltage(
     if knobs.filter_time > 0:
         for _ in range(4):
             y = stages.steady_lag(t, y, 0.25 * knobs.filter_time)
+    if knobs.parabola > 0:
+        y = stages.parabola(t, y, knobs.parabola)
     if knobs.average_window > 0:
         y = stages.windowed_average(t, y, knobs.average_time, knobs.average_window)
     if knobs.kept_band > 0:
@@ -638,6 +646,9 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         filled = np.log(np.maximum(stages.capillary(pressure), 1e-9) / knobs.pores_at)
         share = 0.5 * erfc(-filled / (np.sqrt(2.0) * knobs.pores_width))
         x = x + knobs.pores / relative * stages.steady_lag(t, share, case.tau)
+    if knobs.poisoning > 0:
+        held = relative * _integral(t, x)
+        x = knobs.alive * x * np.exp(-knobs.poisoning * held)
     if knobs.reference > 0:
         x = x - knobs.reference * stages.modal(t, gas, *stages.slab(knobs.reference_time))
     return x

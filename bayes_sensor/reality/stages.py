@@ -874,6 +874,19 @@ def laminar(passed: FloatArray, u: FloatArray, volume: float, n_tubes: int = 80)
     return out
 
 
+def parabola(t: FloatArray, y: FloatArray, window: float, n_readings: int = 32) -> FloatArray:
+    """(n,) middle of the parabola that fits ``y`` (n,) best within half a ``window`` (s) around.
+
+    Least squares weigh what is off the middle by u half windows by (9 - 15 u^2)/8; before the first
+    and after the last time there is what is there.
+    """
+    off, shares = np.polynomial.legendre.leggauss(n_readings)
+    out = np.zeros(len(t))
+    for u, share in zip(off, shares, strict=True):
+        out += share * (9.0 - 15.0 * u**2) / 8.0 * np.interp(t + 0.5 * window * u, t, y)
+    return out
+
+
 def retarded(
     t: FloatArray, u: FloatArray, flow: FloatArray, volume: float, n_cells: int
 ) -> FloatArray:
