@@ -35,7 +35,7 @@ from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.results import read_json, write_json, write_text
 
-N, SEED = 600, 20261202
+N, SEED = 600, 20261203
 """the seed was never used before the run that is reported"""
 N_FULL = 60
 ALIKE = 3.5
@@ -234,7 +234,10 @@ def too_sure(cases: pd.DataFrame) -> str:
 
 
 def but_for_one_law(cases: pd.DataFrame) -> str:
-    """One sentence: the calibration without the law under which most nulls were called unlisted."""
+    """One sentence: calibration and alarm without the law that raised the most false alarms.
+
+    A cause outside the catalogue is flagged for the wrong reason where the noise alone would be.
+    """
     alarmed = cases[(cases["kind"] == "null") & (cases["verdict"] == "unlisted")]
     if alarmed.empty:
         return ""
@@ -245,9 +248,14 @@ def but_for_one_law(cases: pd.DataFrame) -> str:
         for p, right in left[["p_said", "verdict_right"]].to_numpy()
     ]
     found = calibration(rest, "p", "right")
+    flagged = []
+    for level in (8.0, 16.0):
+        at = left[(left["kind"] == "unlisted") & (pd.to_numeric(left["d_level"]) == level)]
+        flagged.append(f"{(at['verdict'] == 'unlisted').sum()} of {len(at)} at d = {level:.0f}")
     return (
         f"Without the {(cases['law'] == law).sum()} campaigns under {law} the calibration error is "
-        f"{found['ece']:.3f}, where chance allows {found['band95']:.3f}."
+        f"{found['ece']:.3f}, where chance allows {found['band95']:.3f}, and the unlisted causes "
+        f"flagged are {' and '.join(flagged)}."
     )
 
 
