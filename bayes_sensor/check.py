@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, Experiment, FloatArray
+from bayes_sensor.campaign import BoolArray, Campaign, Experiment, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -162,16 +162,16 @@ def _flows_exchanged(campaign: Campaign) -> list[str]:
     error = np.array([error for _, _, error in timed])
     longer = rise[:, None] - rise > SLOWER * rise + SEEN * np.hypot(error[:, None], error)
 
-    def wrong(flow: FloatArray) -> int:
-        return int((longer & (flow[:, None] > LARGER * flow)).sum())
+    def wrong(flow: FloatArray) -> BoolArray:
+        return np.asarray(longer & (flow[:, None] > LARGER * flow))
 
-    def exchanged(pair: tuple[int, int]) -> int:
+    def exchanged(i: int, j: int) -> FloatArray:
         other = flow.copy()
-        other[list(pair)] = flow[list(pair[::-1])]
-        return wrong(other)
+        other[[i, j]] = flow[[j, i]]
+        return other
 
-    pairs = np.argwhere(longer & (flow[:, None] > LARGER * flow)).tolist()
-    right = [(i, j) for i, j in pairs if exchanged((i, j)) == 0]
+    pairs = np.argwhere(wrong(flow)).tolist()
+    right = [(i, j) for i, j in pairs if not wrong(exchanged(i, j)).any()]
     if not right:
         return []
     i, j = max(right, key=lambda pair: float(flow[pair[0]] / flow[pair[1]]))
@@ -196,10 +196,8 @@ def rise_time(experiment: Experiment) -> tuple[float, float]:
     step = plateau.median - baseline.median
     if not abs(step) > SEEN * np.hypot(baseline.error, plateau.error):
         return nothing
-    t, used, on = experiment.t, experiment.used, experiment.commanded_on
-    off = experiment.commanded_off
-    end = off if off is not None else float(t[-1]) + experiment.interval
-    after = (t >= on) & (t < end)
+    t, used = experiment.t, experiment.used
+    after = (t >= experiment.commanded_on) & (t < _end(experiment))
     height = (np.interp(t[after], t[used], experiment.y[used]) - baseline.median) / step
     total = np.concatenate([[0.0], np.cumsum(height)])
     found = nothing
@@ -207,7 +205,7 @@ def rise_time(experiment: Experiment) -> tuple[float, float]:
     while h <= len(height) // 20:
         smooth = (total[h:] - total[:-h]) / h
         late = smooth[len(smooth) // 2 :: len(smooth) // 40_000 + 1]  # enough for a median
-        noise = 1.4826 * float(np.median(np.abs(late - np.median(late))))
+        noise = _spread(late)
         inside = int(((smooth >= 0.25) & (smooth < 0.75)).sum())
         if noise <= QUIET and inside >= 2 * h:
             rise = inside * experiment.interval
@@ -235,14 +233,26 @@ def levels(experiment: Experiment) -> tuple[Level, Level]:
     if experiment.y is None:
         return _level(np.empty(0)), _level(np.empty(0))
     t, used = experiment.t, experiment.used
-    on, off = experiment.commanded_on, experiment.commanded_off
+    on = experiment.commanded_on
     if on is None:
         first = max(len(t) // 20, 2)
         return _level(experiment.y[:first][used[:first]]), _level(np.empty(0))
-    end = off if off is not None else float(t[-1]) + experiment.interval
+    end = _end(experiment)
     before = used & (t < on)
     late = used & (t >= (on + end) / 2) & (t < end)
     return _level(experiment.y[before]), _level(experiment.y[late])
+
+
+def _end(experiment: Experiment) -> float:
+    """When the plateau ends (s): at the command of the fall, or with the record."""
+    if experiment.commanded_off is not None:
+        return experiment.commanded_off
+    return float(experiment.t[-1]) + experiment.interval
+
+
+def _spread(y: FloatArray) -> float:
+    """Standard deviation as the median deviation from the median tells it."""
+    return 1.4826 * float(np.median(np.abs(y - np.median(y))))
 
 
 def _level(y: FloatArray) -> Level:
@@ -251,7 +261,7 @@ def _level(y: FloatArray) -> Level:
         return Level(float("nan"), float("nan"), float("nan"))
     blocks = [block for block in np.array_split(y, BLOCKS) if len(block) >= 5]
     if len(blocks) < 2:
-        spread = 1.4826 * float(np.median(np.abs(y - np.median(y))))
+        spread = _spread(y)
         return Level(float(np.median(y)), spread, spread / np.sqrt(len(y)))
     residuals = []
     for block in blocks:
