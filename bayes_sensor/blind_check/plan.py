@@ -6,6 +6,7 @@ The plan depends on the number of cases and the seed alone.  Cases are drawn by
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from math import floor, sqrt
 from typing import Any
@@ -38,6 +39,8 @@ from bayes_sensor.reality import (
 
 LEVELS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """detectabilities asked for"""
+DEALT = (2.0, 4.0, 8.0, 8.0, 16.0, 16.0, 32.0)
+"""the same as often as they are asked for: goals are set for 8 and 16, which need the cases"""
 SHARES = {
     "null": 0.335, "listed": 0.265, "unlisted": 0.205, "withheld": 0.1, "pair": 0.055,
     "hidden": 0.04,
@@ -76,12 +79,19 @@ def counts(n: int) -> dict[str, int]:
     return whole
 
 
-def make_plan(n: int, seed: int, reserve: bool = False, size: str = "mixed") -> list[Entry]:
+def make_plan(
+    n: int,
+    seed: int,
+    reserve: bool = False,
+    size: str = "mixed",
+    levels: Sequence[float] = DEALT,
+) -> list[Entry]:
     """``n`` cases.
 
     ``reserve`` also takes the causes and noise laws that are kept for a final run.  ``size``:
     ``mixed`` (two thirds like the paper's campaign, one third of other lengths and intervals) or
-    one of :data:`bayes_sensor.reality.SIZES`.
+    one of :data:`bayes_sensor.reality.SIZES`.  ``levels``: detectabilities that every listed and
+    every unlisted cause is drawn with.
 
     Raises
     ------
@@ -101,13 +111,16 @@ def make_plan(n: int, seed: int, reserve: bool = False, size: str = "mixed") -> 
     if reserve:  # as often as the others together
         other_laws += [RESERVE_LAWS[i % len(RESERVE_LAWS)] for i in range(len(other_laws))]
     listed = _pairs_of(
-        [c for c in CAUSES.values() if c.listed and c.name not in HIDING[:2]], rng, number["listed"]
+        [c for c in CAUSES.values() if c.listed and c.name not in HIDING[:2]],
+        rng,
+        number["listed"],
+        levels,
     )
     outside = [c for c in CAUSES.values() if not c.listed and not c.reserve]
     kept = [c for c in CAUSES.values() if not c.listed and c.reserve]
-    unlisted = _pairs_of(outside, rng, number["unlisted"])
+    unlisted = _pairs_of(outside, rng, number["unlisted"], levels)
     if reserve:
-        unlisted[::2] = _pairs_of(kept, rng, len(unlisted[::2]))
+        unlisted[::2] = _pairs_of(kept, rng, len(unlisted[::2]), levels)
 
     def one(kind: str, i: int, causes: tuple[str, ...], level: float, law: str) -> Entry:
         which = size
@@ -133,7 +146,7 @@ def make_plan(n: int, seed: int, reserve: bool = False, size: str = "mixed") -> 
         if visible:
             twin = visible[i % len(visible)]
         else:
-            cause, level = _pairs_of([c for c in CAUSES.values() if c.listed], rng, 1)[0]
+            cause, level = _pairs_of([c for c in CAUSES.values() if c.listed], rng, 1, levels)[0]
             twin = one("withheld", i, (cause.name,), max(level, 8.0), any_law())
         entries.append(
             replace(twin, kind="withheld", diagnosis_seed=int(seeds[2 * len(entries) + 1]))
@@ -149,16 +162,18 @@ def make_plan(n: int, seed: int, reserve: bool = False, size: str = "mixed") -> 
     return [replace(entries[j], name=f"case-{i + 1:0{digits}d}") for i, j in enumerate(order)]
 
 
-def _pairs_of(causes: list[Cause], rng: np.random.Generator, n: int) -> list[tuple[Cause, float]]:
+def _pairs_of(
+    causes: list[Cause], rng: np.random.Generator, n: int, levels: Sequence[float]
+) -> list[tuple[Cause, float]]:
     """``n`` (cause, level), every combination once before any comes again."""
-    every = [(cause, level) for cause in causes for level in LEVELS]
+    every = [(cause, level) for cause in causes for level in levels]
     found: list[tuple[Cause, float]] = []
     while len(found) < n:
         # deal the causes round by round, so that a short list holds many of them
-        columns = [rng.permutation(len(LEVELS)) for _ in causes]
-        for round_ in range(len(LEVELS)):
+        columns = [rng.permutation(len(levels)) for _ in causes]
+        for round_ in range(len(levels)):
             for k in rng.permutation(len(causes)):
-                found.append(every[k * len(LEVELS) + columns[k][round_]])
+                found.append(every[k * len(levels) + columns[k][round_]])
     return found[:n]
 
 

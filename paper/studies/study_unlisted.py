@@ -19,7 +19,7 @@ import pandas as pd
 from drawing import TABLES
 from scipy.special import logsumexp
 
-from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
+from bayes_sensor.blind_check.plan import LEVELS, Entry, draw_truth, make_plan
 from bayes_sensor.calibration import run_chunks, study_key
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.fit import fit_least_squares
@@ -71,7 +71,9 @@ def discrepancies_of(entry: Entry) -> tuple[Linearised, list[Discrepancy]]:
 def run(folder: Path, jobs: int, scheduler: str | None, progress: Callable[..., None]) -> None:
     """Evidences of all campaigns, the weights that fit them best, and the table."""
     entries = tuple(
-        e for e in make_plan(PLANNED, SEED) if e.kind == "unlisted" and e.level in VISIBLE
+        e
+        for e in make_plan(PLANNED, SEED, levels=LEVELS)
+        if e.kind == "unlisted" and e.level in VISIBLE
     )
     task = LookingAlike(entries)
     found = run_chunks(task, len(entries), folder, task.key, jobs, 2, scheduler, progress)
