@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from bayes_sensor.campaign import Campaign
 from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.events import (
@@ -16,12 +17,13 @@ from bayes_sensor.gap.events import (
     look_for_ringing,
 )
 from bayes_sensor.gap.floor import Stretch, lattice_step, rounding_bias
-from bayes_sensor.gap.full_rate import look_at_tails, rounds_away
+from bayes_sensor.gap.full_rate import FullRate, look_at_tails, rounds_away
 from bayes_sensor.gap.lines import look_for_lines
 from bayes_sensor.gap.sketch import fit_base, prepare
+from bayes_sensor.gap.verdict import standing
 from bayes_sensor.model import Layout
 from bayes_sensor.reality import draw_case, make_campaign
-from tests.gap_cases import design, measured, noise, theta
+from tests.gap_cases import design, diagnosed, measured, noise, theta
 
 INTERVAL = 0.01
 
@@ -296,6 +298,43 @@ def test_the_mains_are_a_line_where_they_have_no_name():
         campaign, bootstrap=0, separate=False, hidden=False, without=["mains_pickup"]
     )
     assert other.verdict.kind == "unlisted" and "line of unlisted origin" in other.verdict.sentence
+
+
+def humming(effects: dict[str, float | None], hertz: float, volts: float) -> Campaign:
+    """A measured campaign with a line that runs on through all records."""
+    campaign = measured(effects, seed=3)
+    experiments = tuple(
+        replace(e, y=e.y + volts * np.sin(2.0 * np.pi * hertz * e.t + float(e.name)))
+        for e in campaign
+    )
+    return replace(campaign, experiments=experiments)
+
+
+def test_a_line_stands_beside_an_effect_on_the_mean_and_is_unlisted_by_itself():
+    alone = diagnose_gap(humming({}, 17.3, 0.004), bootstrap=0, separate=False, hidden=False)
+    assert alone.verdict.kind == "unlisted" and "line of unlisted origin" in alone.verdict.sentence
+    quiet, hum = (
+        diagnose_gap(humming({"flow_error": 1.15}, 17.3, volts), bootstrap=0, separate=False,
+                     hidden=False)
+        for volts in (0.0, 0.004)
+    )  # fmt: skip
+    assert quiet.verdict.effects == hum.verdict.effects == ("flow_error",)
+    assert hum.standing.unlisted == pytest.approx(quiet.standing.unlisted, abs=0.02)
+    assert "17.3" in hum.verdict.sentence and "Hz" not in quiet.verdict.sentence
+    # tau is that of the effect, as without the hum
+    assert hum.shrink.tau_after_s == pytest.approx(quiet.shrink.tau_after_s, rel=0.05)
+
+
+def test_a_line_that_moves_the_bins_is_a_rival_of_the_effects():
+    line = FullRate("line", 20.0, {"line_V": 0.004, "line_Hz": 17.3}, 10.0)
+    assert line.beside_the_mean
+    assert not replace(line, strength={"line_V": 0.004, "line_Hz": 0.6}).beside_the_mean
+    assert not replace(line, name="swing", strength={"swing_Hz": 17.3}).beside_the_mean
+    weighing = diagnosed("flow_error").weighing
+    fast = standing(weighing, [line], CATALOGUE)
+    slow = standing(weighing, [replace(line, strength={"line_Hz": 0.6})], CATALOGUE)
+    assert fast.unlisted < 0.3 and slow.unlisted > 0.8
+    assert sum(fast.rows.values()) == pytest.approx(sum(slow.rows.values())) == pytest.approx(1.0)
 
 
 def test_rounding_biases_bins_as_the_covariance_says():

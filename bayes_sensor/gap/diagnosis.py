@@ -913,33 +913,34 @@ def _sentence(
             f"Something may be missing{place}, but neither that nothing is, nor any family of "
             "effects, nor an unlisted cause is likelier than not."
         )
+    names = [e.name for e in best.refit.plan.sketch.campaign]
+    findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > 0.5]
     if kind == "unlisted":
         words = []
-        findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > 0.5]
         if worst is not None or not findings:
             words.append(
                 f"The model misses the measurement{place}, and no effect of the catalogue "
                 "explains it well: the cause is not listed."
             )
-        names = [e.name for e in best.refit.plan.sketch.campaign]
         words += [_finding_words(f, names, unit) for f in findings]
         return " ".join([*words, likeness]).rstrip()
     sketch = best.refit.plan.sketch
+    besides = [_finding_words(f, names, unit) for f in findings if f.beside_the_mean]
     if kind == "family":
         helps = next((s for s in separations if s.addition), None)
         advice = (
-            f" To tell {helps.effect} from {helps.rival}: {helps.addition}."
+            f"To tell {helps.effect} from {helps.rival}: {helps.addition}."
             if helps
-            else f" What would show it: {catalogue[named[0]].reveal}."
+            else f"What would show it: {catalogue[named[0]].reveal}."
         )
         beside = [
-            " " + _effect_words(catalogue[f.name], f.strength, sketch, unit)
+            _effect_words(catalogue[f.name], f.strength, sketch, unit)
             for f in full_rate
             if f.name in catalogue and f.probability > NAMED
         ]
         other = catalogue[named[0]].same_response
         said = _family_words(named, probability, leading, place, other)
-        return "".join([said, advice, *beside])
+        return " ".join([said, advice, *beside, *besides])
     words = []
     by_name = {f.name: f for f in full_rate}
     fitted = best.refit.strength()
@@ -952,4 +953,4 @@ def _sentence(
             f"It closes {100.0 * closed.fraction:.0f} % of the gap (95 % interval "
             f"{100.0 * closed.low:.0f} to {100.0 * closed.high:.0f} %)."
         )
-    return " ".join(words)
+    return " ".join([*words, *besides])

@@ -45,6 +45,8 @@ UNITS = {
 """of the strengths that are found here"""
 OF_UNLISTED_ORIGIN = ("line", "swing", "event", "patch", "break", "ringing", "unsteady", "passing")
 """findings that have no name in the catalogue"""
+FASTER_THAN_BINS = 1.0
+"""Hz from which a line averages out of the bins: what explains the mean has no part in it"""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,12 @@ class FullRate:
         prior = PRIOR[self.name]
         odds = np.log(prior / (1.0 - prior)) + self.log_bayes_factor
         return float(1.0 / (1.0 + np.exp(-np.clip(odds, -60.0, 60.0))))
+
+    @property
+    def beside_the_mean(self) -> bool:
+        """Whether it is a line that adds to the signal and leaves its mean alone."""
+        hertz = self.strength.get(f"{self.name}_Hz", 0.0)
+        return self.name in ("line", "passing") and hertz >= FASTER_THAN_BINS
 
 
 def struck(log_b: FloatArray, share: float) -> FloatArray:

@@ -60,13 +60,19 @@ class Standing:
 def standing(
     weighing: Weighing, full_rate: Sequence[FullRate], catalogue: Mapping[str, Effect]
 ) -> Standing:
-    """Join what explains the mean with what the samples say; the two are independent."""
+    """Join what explains the mean with what the samples say; the two are independent.
+
+    A line of unlisted origin (a pump's, a fan's) is no rival of an effect on the mean, which it
+    leaves alone: it stays beside the effect, and is the unlisted cause where nothing else is.
+    """
     rows: dict[str, float] = {"none": 0.0, "unlisted": 0.0}
     rows.update({name: 0.0 for name in catalogue})
     on_noise = {f.name: f.probability for f in full_rate if f.name in catalogue}
     silent = float(np.prod([1.0 - p for p in on_noise.values()]))
-    other = 1.0 - float(
-        np.prod([1.0 - f.probability for f in full_rate if f.name in OF_UNLISTED_ORIGIN])
+    unlisted = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN]
+    rivals = [f for f in unlisted if not f.beside_the_mean]
+    other, rival = (
+        1.0 - float(np.prod([1.0 - f.probability for f in some])) for some in (unlisted, rivals)
     )
     likely = max(on_noise, key=lambda n: on_noise[n]) if on_noise else ""
     alike = np.array([_look_alike(weighing, h) for h in weighing.hypotheses])
@@ -76,8 +82,9 @@ def standing(
         if h.incomplete:
             rows["unlisted"] += float(p)
             continue
-        rows["unlisted"] += float(p) * other
-        rest = float(p) * (1.0 - other)
+        taken = rival if h.effects else other
+        rows["unlisted"] += float(p) * taken
+        rest = float(p) * (1.0 - taken)
         name = "+".join(h.effects) or "none"
         rows[name] = rows.get(name, 0.0) + rest * silent
         # some effect of the noise is there: the likeliest stands for it
