@@ -8,7 +8,7 @@ from campaigns import small_design, small_problem
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.gap import which
-from bayes_sensor.gap.diagnosis import _family_words, ar1_whiteness
+from bayes_sensor.gap.diagnosis import ar1_whiteness
 from bayes_sensor.gap.effect import Effect, Strength, own_effect
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.events import _blocks
@@ -19,6 +19,7 @@ from bayes_sensor.gap.model import EffectModel, check_effects, find_form, with_e
 from bayes_sensor.gap.simulation import read_strength
 from bayes_sensor.gap.verdict import MISTAKEN, Standing, _allowing_for_mistakes, judge
 from bayes_sensor.gap.which import Weighing
+from bayes_sensor.gap.words import family_words
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.model import Cascade
 
@@ -230,7 +231,7 @@ def test_of_several_that_are_each_unlikely_the_likeliest_is_stated() -> None:
     ],
 )
 def test_of_a_family_no_more_is_said_than_is_known(probability, leading, other, said) -> None:
-    assert said in _family_words(["a", "B"], probability, leading, " in the rise", other)
+    assert said in family_words(["a", "B"], probability, leading, " in the rise", other)
 
 
 def test_an_effect_of_the_noise_is_named_beside_an_empty_mean() -> None:

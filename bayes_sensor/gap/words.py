@@ -1,0 +1,259 @@
+"""What the diagnosis says in sentences: of a verdict, its findings and what could not be told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.gap.effect import Effect
+from bayes_sensor.gap.full_rate import OF_UNLISTED_ORIGIN, UNITS, FullRate
+from bayes_sensor.gap.how_far import Closure
+from bayes_sensor.gap.refit import Sketch
+from bayes_sensor.gap.separate import Separation
+from bayes_sensor.gap.verdict import NAMED, Standing
+from bayes_sensor.gap.where import Map
+from bayes_sensor.gap.which import Hypothesis, Weighing
+from bayes_sensor.notebook import shown
+
+MOSTLY = 0.7
+"""share of a family's probability from which its leading member is stated alone"""
+TELLING = 1.2
+"""times its usual size from which noise that is louder for a while is worth a note"""
+
+
+def notes_on(sketch: Sketch) -> list[str]:
+    """What the campaign cannot tell, in sentences."""
+    campaign, spikes = sketch.campaign, sketch.floor.spikes
+    notes = []
+    if not any(e.has_fall for e in campaign):
+        notes.append(
+            "No step down was recorded: effects that differ between rise and fall cannot be seen."
+        )
+    if len(campaign) == 1:
+        notes.append(
+            "One experiment: nothing can be held out, and effects that depend on the flow look "
+            "like those that do not."
+        )
+    elif campaign.same_flow:
+        notes.append(
+            "All experiments share one total flow: valve and manifold cannot be told apart."
+        )
+    if any(e.commanded_on is None for e in campaign):
+        notes.append(
+            "Not every experiment has a commanded time: misfits locked to the command, not to the "
+            "response, are not looked for."
+        )
+    if spikes:
+        notes.append(f"{spikes} samples beyond 6.5 standard deviations were taken for spikes.")
+    spells = _louder_spells(sketch)
+    if spells:
+        more = f" and {len(spells) - 3} more" if len(spells) > 3 else ""
+        notes.append(
+            f"Noise is louder for a while in experiment {', '.join(spells[:3])}{more}: what stands "
+            "out there counts less."
+        )
+    notes.append(
+        "The sensor is taken to be faster than the valve: a cascade cannot tell them apart."
+    )
+    return notes
+
+
+def family_words(
+    named: Sequence[str], probability: float, leading: float, place: str, other: str
+) -> str:
+    """What is said of a family; ``leading``: probability of its likeliest member."""
+    leads = leading > MOSTLY * probability
+    names = ", ".join(named)
+    if probability < 0.5:
+        one = named[0] if leads else f"one of {names}"
+        return (
+            f"No cause is likelier than not{place}; the likeliest is {one} "
+            f"({100.0 * probability:.0f} %)."
+        )
+    if leads and other:
+        return f"{named[0]}, or {other}, whose response is the same, explains the gap{place}."
+    if leads:
+        return (
+            f"Most likely {named[0]} ({100.0 * leading:.0f} %) explains the gap{place}, but a "
+            "cause outside the catalogue that looks the same is not excluded."
+        )
+    return f"One of {names} explains the gap{place}; this campaign does not tell them apart."
+
+
+def _louder_spells(sketch: Sketch) -> list[str]:
+    """Every experiment whose noise is louder for a while: when, and by how much."""
+    found = []
+    for b, times in zip(sketch.bins, sketch.floor.loudness, strict=True):
+        loud = times > TELLING
+        if np.any(loud):
+            begins, ends = b.edges
+            span = f"from {begins[loud][0]:.0f} to {ends[loud][-1]:.0f} s"
+            found.append(f"{b.experiment.name} ({span} up to {times.max():.1f} times)")
+    return found
+
+
+def _strength_words(strength: Mapping[str, Any], units: Mapping[str, str]) -> str:
+    parts = []
+    for name, value in strength.items():
+        label = name.replace("_", " ")
+        unit = units.get(name, "")
+        unit = "" if unit in ("1", "") else f" {unit}"
+        if isinstance(value, Mapping):
+            low, high = min(value.values()), max(value.values())
+            parts.append(f"{label} {low:.3g} to {high:.3g}{unit}")
+        else:
+            parts.append(f"{label} {value:.3g}{unit}")
+    return ", ".join(parts)
+
+
+def _effect_words(
+    effect: Effect, strength: Mapping[str, Any], sketch: Any, signal_unit: str
+) -> str:
+    """The effect's sentence with those of the strengths that are its own."""
+    units = {k: u.replace("V", signal_unit) for k, u in _units(sketch, effect).items()}
+    own = {k: v for k, v in strength.items() if k in units}
+    return effect.sentence.replace("{strength}", _strength_words(own, units))
+
+
+def _likeness(weighing: Weighing, unit: str) -> str:
+    """What a cause without a name acts like; empty where no such dependence is likely."""
+    shares = weighing.probabilities
+    likely = int(np.argmax(shares))
+    h = weighing.hypotheses[likely]
+    if not h.within or shares[likely] < 0.5:
+        return ""
+    plan = h.refit.plan
+    words = _effect_words(plan.parts[-1].effect, h.refit.strength(), plan.sketch, unit)
+    return f"It acts as if {words}."
+
+
+def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
+    """One sentence about something of unlisted origin."""
+    s = found.strength
+    if found.name == "line":
+        return (
+            f"There is a line of unlisted origin at {s['line_Hz']:.4g} Hz with an amplitude "
+            f"of {1e3 * s['line_V']:.3g} m{unit}."
+        )
+    if found.name == "swing":
+        return (
+            f"The signal swings slowly, once in {1.0 / s['swing_Hz']:.3g} s, with an amplitude of "
+            f"{1e3 * s['swing_V']:.3g} m{unit}."
+        )
+    if found.name == "passing":
+        return (
+            f"In experiment {names[int(s['passing_experiment'])]} there is, for a while or "
+            f"throughout, a line at {s['passing_Hz']:.4g} Hz that others lack, with an amplitude "
+            f"of {1e3 * s['passing_V']:.3g} m{unit}."
+        )
+    if found.name == "ringing":
+        return f"After the switches the signal rings at about {s['ringing_Hz']:.3g} Hz."
+    if found.name == "event":
+        return (
+            f"In experiment {names[int(s['event_experiment'])]} something happens once, near "
+            f"{s['event_s']:.4g} s: {s['event_ratio']:.2g} times the noise's usual size at that "
+            "time scale."
+        )
+    if found.name == "unsteady":
+        return (
+            "With gas the signal is less steady than its noise on the baseline lets expect: below "
+            f"about {s['unsteady_Hz']:.2g} Hz it has {1.0 + s['unsteady_excess']:.2g} times the "
+            "power."
+        )
+    if found.name == "break":
+        return (
+            f"In experiment {names[int(s['break_experiment'])]} the level changes at about "
+            f"{s['break_s']:.4g} s in a way of its own"
+            f" ({s['break_ratio']:.2g} standard deviations)."
+        )
+    side = "after" if s["patch_s"] >= 0.0 else "before"
+    return (
+        "Single switches leave the model for moments, clearest in experiment "
+        f"{names[int(s['patch_experiment'])]}, {abs(s['patch_s']):.2g} s {side} a switch."
+    )
+
+
+def _units(sketch: Any, effect: Effect) -> dict[str, str]:
+    setting = sketch.settings[0]
+    found = {s.name: s.unit for form in effect.forms for s in form.strengths(setting)}
+    return {**found, **UNITS}
+
+
+def sentence(
+    kind: str,
+    named: Sequence[str],
+    probability: float,
+    weighing: Weighing,
+    stand: Standing,
+    best: Hypothesis,
+    located: Map,
+    catalogue: Mapping[str, Effect],
+    separations: Sequence[Separation],
+    closed: Closure,
+    full_rate: Sequence[FullRate],
+    envelope: tuple[float, float],
+    unit: str,
+) -> str:
+    """What a verdict says: what explains the gap, how sure that is, and what would show it.
+
+    ``best``: the explanation that the verdict stands for; ``envelope`` s: of tau, where nothing is
+    named; ``unit``: of the signal.
+    """
+    phases: dict[str, float] = {}
+    for c in located.cells:
+        phases[c.phase] = phases.get(c.phase, 0.0) + c.share
+    worst = max(phases, key=lambda p: phases[p]) if any(phases.values()) else None
+    place = f", mostly in the {worst}" if worst else ""
+    if kind == "none":
+        low, high = (shown(1e3 * t, 2) for t in envelope)
+        return (
+            "Nothing is missing beyond the noise floor. Effects that this campaign cannot see may "
+            f"still hide: with them tau could lie anywhere from {low} to {high} ms."
+        )
+    if kind == "unlisted" and probability < 0.5:
+        return (
+            f"Something may be missing{place}, but neither that nothing is, nor any family of "
+            "effects, nor an unlisted cause is likelier than not."
+        )
+    names = [e.name for e in best.refit.plan.sketch.campaign]
+    findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > 0.5]
+    if kind == "unlisted":
+        words = []
+        if worst is not None or not findings:
+            words.append(
+                f"The model misses the measurement{place}, and no effect of the catalogue "
+                "explains it well: the cause is not listed."
+            )
+        words += [_finding_words(f, names, unit) for f in findings]
+        return " ".join([*words, _likeness(weighing, unit)]).rstrip()
+    sketch = best.refit.plan.sketch
+    besides = [_finding_words(f, names, unit) for f in findings if f.beside_the_mean]
+    if kind == "family":
+        helps = next((s for s in separations if s.addition), None)
+        advice = (
+            f"To tell {helps.effect} from {helps.rival}: {helps.addition}."
+            if helps
+            else f"What would show it: {catalogue[named[0]].reveal}."
+        )
+        beside = [
+            _effect_words(catalogue[f.name], f.strength, sketch, unit)
+            for f in full_rate
+            if f.name in catalogue and f.probability > NAMED
+        ]
+        other = catalogue[named[0]].same_response
+        said = family_words(named, probability, stand.effects[named[0]], place, other)
+        return " ".join([said, advice, *beside, *besides])
+    words = []
+    by_name = {f.name: f for f in full_rate}
+    fitted = best.refit.strength()
+    for n in named:
+        strength = fitted if catalogue[n].on_mean else by_name[n].strength
+        words.append(_effect_words(catalogue[n], strength, sketch, unit))
+    if closed.fraction is not None and closed.low is not None and closed.high is not None:
+        words.append(
+            f"It closes {100.0 * closed.fraction:.0f} % of the gap (95 % interval "
+            f"{100.0 * closed.low:.0f} to {100.0 * closed.high:.0f} %)."
+        )
+    return " ".join([*words, *besides])
