@@ -40,7 +40,7 @@ from bayes_sensor.reality import (
     without_causes,
 )
 from bayes_sensor.reality.noise import draw_noise
-from bayes_sensor.reality.rig import Course, Knobs, dip, voltage
+from bayes_sensor.reality.rig import Course, Knobs, centre_of_mass, dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
     blind,
@@ -163,7 +163,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (44, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (47, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -3197,6 +3197,200 @@ def test_a_heaters_bursts_are_whole_periods_of_the_mains() -> None:
     assert np.ptp(shares) > 0.1
 
 
+def test_a_pilot_hole_opens_first_and_a_click_lets_a_whiff_through() -> None:
+    strength, holes = 1.5, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"late_main_stage": strength})
+        pilot = prepared_rig(rig)["1"].pilot
+        holes.append(pilot)
+        step, seen = rig.steps[0], clean_signals(rig)["1"]
+        taus = rig.tau_v, rig.V / step.total_flow, rig.tau
+
+        def cascade(u: float, x: FloatArray, taus: tuple[float, ...] = taus) -> list[float]:
+            return [(a - b) / tau for a, b, tau in zip((u, *x[:2]), x, taus, strict=True)]
+
+        inputs = [(0.0, 0.0), (step.t0, pilot), (step.t0 + strength, 1.0), (step.tf, 0.0)]
+        _, states = solved(rig, cascade, 3, inputs=inputs)
+        assert np.abs((seen - step.y0) / step.beta - states[:, 2]).max() < 1e-4
+    assert 0.06 < min(holes) < max(holes) < 0.25
+
+    strength, clicked, all_ = 0.6, 0, 0
+    for seed in range(11, 17):
+        rig = replace(draw_case(seed, size="small"), strengths={"trial_click": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        plain = clean_signals(without_causes(rig))
+        for step in rig.steps:
+            all_ += 1
+            if not found[step.name].tried:
+                assert np.array_equal(seen[step.name], plain[step.name])
+                continue
+            clicked += 1
+            ((at, lasts),) = found[step.name].tried
+            assert 0.6 * strength <= lasts <= strength and 0.0 < at < 0.7 * step.commanded_on
+            # what comes is as much as the switch was on for, of which each lag keeps the area
+            added = (seen[step.name] - plain[step.name]) / step.beta
+            if step.t0 - at > 12.0 * rig.tau_v:
+                early = sample_times(step) < step.t0
+                assert added[early].sum() * step.interval == pytest.approx(lasts, rel=5e-3)
+                assert added[early].max() < 1.0 - np.exp(-lasts / rig.tau_v)
+            assert np.abs(added[sample_times(step) < at]).max() == 0.0
+    assert len(rig.steps) <= clicked < all_
+
+
+def test_a_dammed_hose_empties_against_an_ode_solver() -> None:
+    strength, times = 1.2, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"dammed_test_gas": strength})
+        found, seen, brings = prepared_rig(rig), clean_signals(rig), []
+        for k, step in enumerate(rig.steps):
+            (flow,) = found[step.name].test_gas
+            assert flow(np.array([step.t0]))[0] == pytest.approx(1.0 + strength)
+            # pressure falls by what leaves more than comes: its slope gives the hose's content
+            t = step.t0 + np.linspace(0.0, 1e-4, 2)
+            fallen = -np.diff(flow(t) ** 2)[0] / 1e-4
+            brings.append(step.test_gas_flow * strength / fallen)
+            times.append(brings[-1] / step.test_gas_flow)
+            if k > 0:
+                continue
+
+            def emptying(
+                u: float, x: FloatArray, step: Step = step, rig: Case = rig, mL: float = brings[0]
+            ) -> list[float]:
+                q = np.sqrt(x[3])
+                test = step.test_gas_flow * q
+                inlet = x[0] * test / (step.carrier_flow + test) / step.concentration
+                total = step.total_flow + x[0] * (test - step.test_gas_flow)
+                cascade = [(u - x[0]) / rig.tau_v, total / rig.V * (inlet - x[1])]
+                return [*cascade, (x[1] - x[2]) / rig.tau, (1.0 - q) * step.test_gas_flow / mL]
+
+            t = sample_times(step)
+            inside = (t >= step.t0) & (t < step.tf)
+            result = solve_ivp(
+                lambda s, x, emptying=emptying: emptying(1.0, x), (step.t0, step.tf),
+                [0.0, 0.0, 0.0, (1.0 + strength) ** 2], rtol=1e-9, atol=1e-11, dense_output=True,
+            )  # fmt: skip
+            x = (seen[step.name] - step.y0) / step.beta
+            assert np.abs(x[inside] - result.sol(t[inside])[2]).max() < 2e-3
+            assert x[inside].max() > 1.01
+        assert np.ptp(brings) < 1e-2 * np.mean(brings)  # one hose
+    assert np.ptp(times) > 0.2
+
+
+def test_a_trap_and_walls_that_hold_water_against_an_ode_solver() -> None:
+    strength = 0.5
+    rig = case(condensate_trap=strength)
+    seen = clean_signals(rig)
+    for k, step in enumerate(rig.steps):
+        exchange = step.total_flow / rig.V
+
+        def trapped(u: float, x: FloatArray, exchange: float = exchange) -> list[float]:
+            cascade = [(u - x[0]) / rig.tau_v, exchange * (x[3] - x[1]), (x[1] - x[2]) / rig.tau]
+            return [*cascade, exchange / strength * (x[0] - x[3])]
+
+        _, states = solved(rig, trapped, 4, k=k)
+        assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-4
+
+    strength, rows = 0.3, set()
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"dry_test_gas": strength})
+        knobs, seen = prepared_rig(rig)["1"], clean_signals(rig)
+        rows.add(n := knobs.dried_cells)
+        for k, step in enumerate(rig.steps):
+            exchange, wall = step.total_flow / rig.V, n * step.total_flow / knobs.dried_volume
+
+            def drying(
+                u: float, x: FloatArray, rig: Case = rig, exchange: float = exchange,
+                wall: float = wall,
+            ) -> list[float]:  # fmt: skip
+                cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1])]
+                water = [wall * (a - b) for a, b in pairwise((x[1], *x[3:]))]
+                # gas is taken up, and water that has gone is missed, by one and the same coating
+                return [*cascade, (x[1] - strength * x[-1] - x[2]) / rig.tau, *water]
+
+            _, states = solved(rig, drying, 3 + n, k=k)
+            assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-4
+            late = knobs.dried_volume / step.total_flow
+            assert 0.2 < late < 30.0
+    assert len(rows) > 1 and rows <= {1, 2, 3, 4}
+
+
+def test_a_centre_of_mass_lags_at_the_edge_of_its_window() -> None:
+    for z, window in ((0.0, 4.0), (1.3, 4.0), (-3.5, 5.0)):
+        u = np.linspace(-window, window, 400_001)
+        line = dip(u - z)
+        expected = (u * line).sum() / line.sum()
+        assert centre_of_mass(z, window) == pytest.approx(expected, abs=1e-4)
+
+    strength, directions = 0.7, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"fixed_window": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        knobs = prepared_rig(rig)["1"]
+        assert 3.0 < knobs.window < 10.0 and abs(knobs.window_begin) < 0.3 * knobs.window
+        u = np.linspace(-knobs.window, knobs.window, 20_001)
+        for step in rig.steps:
+            x = (plain[step.name] - step.y0) / step.beta
+
+            shift = strength * knobs.window * rig.relative_concentration(step)
+
+            def middle(
+                x: float, u: FloatArray = u, begin: float = knobs.window_begin, shift: float = shift
+            ) -> Any:
+                line = dip(u - begin - shift * x)
+                return (u * line).sum() / line.sum()
+
+            some = np.arange(0, len(x), 97)
+            found = np.array([middle(x[i]) for i in some])
+            expected = (found - middle(0.0)) / (middle(1.0) - middle(0.0))
+            assert np.abs((seen[step.name][some] - step.y0) / step.beta - expected).max() < 2e-3
+            directions.append(float(np.max((seen[step.name] - plain[step.name]) / step.beta)))
+    assert max(directions) > 0.02  # ahead of the straight line below the plateau
+
+
+def test_a_fibre_between_polarisers_turns_its_phase_evenly() -> None:
+    strength, turned = 0.2, []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"birefringent_fibre": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        plain = clean_signals(without_causes(rig))
+        for step in rig.steps:
+            (light,) = found[step.name].gain
+            y = seen[step.name] / plain[step.name]
+            assert y[0] == pytest.approx(1.0, abs=1e-12)
+            assert np.allclose(y, 1.0 + light(sample_times(step)), atol=1e-9)
+            # crossed axes: 1 + s cos over 1 + s cos at first; beyond its mean it is a sine
+            t = np.linspace(0.0, 20.0 * step.duration, 40_001)
+            wave = 1.0 + light(t)
+            low, high = wave.min(), wave.max()
+            assert (high - low) / (high + low) == pytest.approx(strength, rel=1e-3)
+            phase = np.unwrap(np.angle(np.exp(1j * np.arccos(
+                np.clip((2.0 * wave - high - low) / (high - low), -1.0, 1.0)
+            ))))  # fmt: skip
+            ways = np.abs(np.diff(phase))
+            turned.append(np.median(ways) * 2000.0 / (2.0 * np.pi))
+            assert np.mean(np.abs(ways - np.median(ways)) < 0.02 * np.median(ways)) > 0.9
+    assert 0.29 < min(turned) and max(turned) < 3.1 and max(turned) > 2.0 * min(turned)
+
+
+def test_averaged_repeats_are_a_stair_where_one_switch_was() -> None:
+    strength, counts = 0.8, set()
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"averaged_repeats": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        for step in rig.steps:
+            late = found[step.name].repeats
+            assert late is not None and late.std() == pytest.approx(strength)
+            assert late.mean() == pytest.approx(0.0, abs=1e-12)
+            counts.add(len(late))
+            # each repeat on its own: the same rig, its valve switched at another time
+            records = []
+            for d in late.tolist():
+                own = replace(step, t0=step.t0 + d, tf=step.tf + d)
+                records.append(voltage(rig, own, Knobs(), sample_times(step))[0])
+            assert np.abs(seen[step.name] - np.mean(records, axis=0)).max() < 1e-3 * step.beta
+    assert counts <= {3, 4, 5, 6} and len(counts) > 1
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -3823,6 +4017,49 @@ def test_beating_held_and_crackling_noise_are_what_they_say() -> None:
     assert not (fans.is_ar1 or meter.is_ar1 or cable.is_ar1)
 
 
+def test_sparkling_weighed_and_dimmed_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(31)
+    h = 1e-3
+    part = Component(1.0, shape="sparkling", rate=0.01)
+    codes = NoiseLaw("sparkling_codes", 1.0, components=(part,))
+    z = draw_noise(codes, 400_000, h, rng)
+    assert set(np.round(z, 9).tolist()) == {-10.0, 0.0, 10.0}
+    assert np.mean(z != 0.0) == pytest.approx(0.01, rel=0.08)
+    assert np.mean(z > 0.0) == pytest.approx(0.005, rel=0.12)
+    both = (z[1:] != 0.0) & (z[:-1] != 0.0)
+    assert both.mean() == pytest.approx(1e-4, rel=0.7)  # they come alone
+
+    readings = NoiseLaw("weighed_readings", 1.0, components=(Component(1.0, shape="binomial"),))
+    z = draw_noise(readings, 400_000, h, rng)
+    R = [float(np.mean(z[lag:] * z[: len(z) - lag])) for lag in range(4)]
+    assert pytest.approx([1.0, 2.0 / 3.0, 1.0 / 6.0, 0.0], abs=0.02) == R
+    assert autocorrelation(readings, 4, h) == pytest.approx([1.0, 2.0 / 3.0, 1.0 / 6.0, 0.0])
+    assert autocorrelation(readings, 2, h) == pytest.approx([1.0, 2.0 / 3.0])
+    f, power = welch(z, 1.0 / h, nperseg=1000)
+    # cos^4 of a quarter turn at the highest frequency: next to nothing is left there
+    expected = 8.0 / 3.0 * np.cos(0.5 * np.pi * f / f[-1]) ** 4 / f[-1]
+    assert np.abs(power - expected)[1:-1].max() < 0.25 * expected.max()
+    assert power[-20:-1].mean() < 1e-3 * power[1:20].mean()
+
+    part = Component(1.0, 0.05, shape="dimmed")
+    lamps = NoiseLaw("dimmed_lamps", 1.0, components=(part,))
+    z = draw_noise(lamps, 500_000, h, rng)
+    assert set(z.tolist()) == {-1.0, 1.0}
+    begins = np.flatnonzero((z[1:] > 0.0) & (z[:-1] < 0.0))
+    assert np.mean(np.diff(begins) % 50 == 0) > 0.99  # by the clock, but for pulses unseen
+    first = int(np.median(begins % 50)) + 1
+    lit = (z[first : first + 50 * 9998].reshape(-1, 50) > 0.0).mean(axis=1)
+    assert lit.mean() == pytest.approx(0.5, abs=0.02)
+    assert lit.var() == pytest.approx(1.0 / 12.0, abs=0.005)  # any length as likely
+    assert abs(np.corrcoef(lit[1:], lit[:-1])[0, 1]) < 0.05
+    R = autocorrelation(lamps, 200, h)
+    assert R[50] == pytest.approx(1.0 / 3.0) and R[150] == pytest.approx(R[50])
+    assert R[75] == pytest.approx(-1.0 / 6.0)
+    for lag in (5, 25, 40, 60, 75, 100):
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.03)
+    assert not (codes.is_ar1 or readings.is_ar1 or lamps.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):
@@ -3980,6 +4217,13 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("bubbling_exhaust", {"rise", "plateau", "fall"}, 0.99),
         ("poisoned_coating", {"rise", "plateau", "fall"}, 0.99),
         ("smoothing_parabola", {"baseline", "onset", "rise", "plateau", "fall"}, 0.99),
+        ("late_main_stage", {"rise", "plateau"}, 0.99),
+        ("trial_click", {"baseline", "onset"}, 0.99),
+        ("dammed_test_gas", {"rise", "plateau"}, 0.99),
+        ("condensate_trap", {"rise", "fall"}, 0.99),
+        ("dry_test_gas", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("fixed_window", {"rise", "fall"}, 0.99),
+        ("averaged_repeats", {"baseline", "onset", "rise", "plateau", "fall"}, 0.99),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

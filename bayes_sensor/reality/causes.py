@@ -17,7 +17,7 @@ from itertools import pairwise
 from math import pi, sqrt
 
 import numpy as np
-from scipy.special import erfc, erfcx, expit
+from scipy.special import erfc, erfcx, expit, lambertw
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.records import Case, Step
@@ -243,6 +243,31 @@ def unequal_valves(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs, late = rig[step.name], (sign * s * on, sign * s * off)
         knobs.made_up_late, knobs.mixing = late, True
         knobs.marks += [step.t0 + late[0], step.tf + late[1]]
+
+
+@cause((), "delay", "s", 2.0, near=("finite_stroke",), reserve=True)
+def late_main_stage(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A servo valve opens its pilot hole first, and ``s`` later, its chamber empty, the main seat.
+
+    Until then the pilot hole passes what its cross-section is of the whole.  Shut, the spring
+    throws both onto their seats at once.
+    """
+    pilot = rng.uniform(0.06, 0.25)
+    for knobs in rig.values():
+        knobs.pilot, knobs.pilot_alone = pilot, s
+
+
+@cause((), "spike", "s", 0.8, per_experiment=True, reserve=True)
+def trial_click(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The operator clicks the valve's switch to hear that it works, before the experiment begins.
+
+    A whiff of test gas comes, as long as the click of up to ``s`` lets it.
+    """
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        at, lasts = step.commanded_on * rng.uniform(0.1, 0.7), s * rng.uniform(0.6, 1.0)
+        if k == certain or rng.random() < 0.5:
+            rig[step.name].tried.append((at, lasts))
 
 
 # --------------------------------------------------------------------------- flows
@@ -649,7 +674,7 @@ def hasty_purge(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         rig[step.name].marks.append(at)
 
 
-@cause((), "fall", "relative", 1.5, near=("flow_error",), reserve=True)
+@cause((), "fall", "relative", 1.5, near=("flow_error",))
 def clogging_filter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A dust filter before the manifold clogs: a cake grows with all the gas that comes through.
 
@@ -668,7 +693,7 @@ def clogging_filter(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         passed += step.total_flow * step.duration
 
 
-@cause((), "plateau", "relative", 0.6, near=("flow_settling",), reserve=True)
+@cause((), "plateau", "relative", 0.6, near=("flow_settling",))
 def bobbing_float(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The test gas comes through a rotameter, whose float bobs up and down when the line opens.
 
@@ -680,6 +705,26 @@ def bobbing_float(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         def flow(t: FloatArray, t0: float = step.t0) -> FloatArray:
             since = np.maximum(t - t0, 0.0)
             return 1.0 + s * np.exp(-since / time) * np.sin(2.0 * pi * rate * since)
+
+        rig[step.name].test_gas.append(flow)
+
+
+@cause((), "tail", "relative", 2.0, near=("flow_settling",), reserve=True)
+def dammed_test_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The controller has pumped up the hose before the shut valve, which lets go when it opens.
+
+    Through the valve's seat the flow goes as the root of the pressure; it is 1 + ``s`` times what
+    is set at first, and comes down as the hose empties, sooner at larger flow.
+    """
+    typical = float(np.median([step.test_gas_flow for step in case.steps]))
+    brings = typical * _between(rng, 0.2, 2.0)  # mL that the set flow's pressure keeps in the hose
+    for step in case.steps:
+        time = 2.0 * brings / step.test_gas_flow
+
+        def flow(t: FloatArray, t0: float = step.t0, time: float = time) -> FloatArray:
+            # 2 q q' = (1 - q) flow/brings, hence (q - 1) exp(q - 1) falls exponentially
+            left = s * np.exp(s - np.maximum(t - t0, 0.0) / time)
+            return np.asarray(1.0 + lambertw(left).real)
 
         rig[step.name].test_gas.append(flow)
 
@@ -1013,10 +1058,7 @@ def laminar_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.laminar = s
 
 
-@cause(
-    (), "drift", "share of the highest gas", 0.15, near=("baseline_step",),
-    per_experiment=True, reserve=True,
-)  # fmt: skip
+@cause((), "drift", "share of the highest gas", 0.15, near=("baseline_step",), per_experiment=True)
 def wet_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The hose was rinsed, and water is left in it, which the stream takes up until it is dry.
 
@@ -1043,7 +1085,7 @@ def wet_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
         passed += q * step.duration
 
 
-@cause((), "ripple", "relative", 0.08, fast=True, reserve=True)
+@cause((), "ripple", "relative", 0.08, fast=True)
 def bubbling_exhaust(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The exhaust hose hangs in a bucket of water: the gas leaves it bubble by bubble.
 
@@ -1066,6 +1108,26 @@ def bubbling_exhaust(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
             return np.asarray(s * np.interp(bubble, [0.0, grows, 1.0], [-0.5, 0.5, -0.5]))
 
         rig[step.name].concentration_gain.append(pressure)
+
+
+@cause((), "mixing", "of V", 0.6, near=("axial_dispersion",), reserve=True)
+def condensate_trap(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Both gases pass a trap for condensate on their way, a second stirred volume of ``s`` V."""
+    for knobs in rig.values():
+        knobs.trap = s
+
+
+@cause((), "plateau", "share of the response", 0.4, near=("slow_sorption",), reserve=True)
+def dry_test_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The carrier is damp, the test gas is dry and thins its water, which the ring sees as well.
+
+    Walls hold water: each change of humidity comes behind the gas, by as much volume as frees them
+    of it, and takes ``s`` of the response in the end.
+    """
+    typical = float(np.median([step.total_flow for step in case.steps]))
+    volume, n_cells = typical * _between(rng, 1.0, 6.0), int(rng.integers(1, 5))
+    for knobs in rig.values():
+        knobs.dried, knobs.dried_volume, knobs.dried_cells = s, volume, n_cells
 
 
 # --------------------------------------------------------------------------- sensor
@@ -1363,7 +1425,7 @@ def capillary_condensation(rig: Rig, s: float, rng: np.random.Generator, case: C
         knobs.pores_at, knobs.pores_width = at, width
 
 
-@cause((), "plateau", "share lost", 0.6, reserve=True)
+@cause((), "plateau", "share lost", 0.6)
 def poisoned_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Something in the test gas poisons the coating: sites that hold it die, and do not come back.
 
@@ -1912,6 +1974,37 @@ def flickering_tube_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Cas
         rig[step.name].offset.append(light)
         edges = np.concatenate([flashes, flashes[:-1] + lasts])
         rig[step.name].marks += _both_sides(edges[edges < step.duration].tolist())
+
+
+@cause((), "level", "of half the window", 0.8, near=("optical_nonlinearity",), reserve=True)
+def fixed_window(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A spectrometer takes the line's centre of mass within a window that does not move along.
+
+    The nearer the line is to the window's edge, the more of its wing is cut off and the less the
+    centre of mass moves.  ``s`` is how far the highest concentration shifts the line.
+    """
+    window, begin = _between(rng, 3.0, 10.0), rng.uniform(-0.3, 0.15)
+    for knobs in rig.values():
+        knobs.window, knobs.window_begin = window, begin * window
+        knobs.window_shift = s * window
+
+
+@cause((), "drift", "contrast", 0.3, near=("gain_drift",), per_experiment=True, reserve=True)
+def birefringent_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The fibre carries both polarisations at unequal speeds; the chip takes only one of its own.
+
+    As the fibre warms evenly, their phase turns, and the light that gets in goes up and down as
+    1 + ``s`` cos(phase): a fibre between polarisers.
+    """
+    for step in case.steps:
+        turns = _sign(rng) * _between(rng, 0.3, 3.0) / step.duration
+        begin = rng.random()
+
+        def light(t: FloatArray, turns: float = turns, begin: float = begin) -> FloatArray:
+            first = 1.0 + s * np.cos(2.0 * pi * begin)
+            return np.asarray((1.0 + s * np.cos(2.0 * pi * (begin + turns * t))) / first - 1.0)
+
+        rig[step.name].gain.append(light)
 
 
 # --------------------------------------------------------------------------- electronics
@@ -2489,7 +2582,7 @@ def calling_mobile_phone(rig: Rig, s: float, rng: np.random.Generator, case: Cas
         rig[step.name].marks += _both_sides(np.concatenate([slots, slots + frame / 8.0]).tolist())
 
 
-@cause((), "delay", "s", 4.0, near=("daq_filter",), reserve=True)
+@cause((), "delay", "s", 4.0, near=("daq_filter",))
 def smoothing_parabola(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The meter smooths: it shows the middle of a parabola through its readings of the last ``s``.
 
@@ -2500,7 +2593,7 @@ def smoothing_parabola(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         knobs.parabola = s
 
 
-@cause((), "drift", "share of the record before", 0.15, per_experiment=True, reserve=True)
+@cause((), "drift", "share of the record before", 0.15, per_experiment=True)
 def uncleared_screen(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The oscilloscope averages its sweeps, and nobody clears its screen between the experiments.
 
@@ -2518,7 +2611,7 @@ def uncleared_screen(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
 
 @cause(
     (), "line", "share of the step", 0.08, near=("mains_pickup",),
-    per_experiment=True, fast=True, reserve=True,
+    per_experiment=True, fast=True,
 )  # fmt: skip
 def burst_fired_heater(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A heating tape's controller lets through whole periods of the mains, some of every so many.
@@ -2536,6 +2629,20 @@ def burst_fired_heater(rig: Rig, s: float, rng: np.random.Generator, case: Case)
             return np.asarray(size * on * np.sin(2.0 * pi * periods))
 
         rig[step.name].offset.append(hum)
+
+
+@cause((), "delay", "s", 1.2, near=("daq_filter",), reserve=True)
+def averaged_repeats(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """What is exported is the mean of some repeats, whose records were all started by hand.
+
+    So one and the same switch lies elsewhere in each of them, by ``s`` rms.
+    """
+    for step in case.steps:
+        early = rng.standard_normal(int(rng.integers(3, 7)))
+        early -= early.mean()
+        knobs = rig[step.name]
+        knobs.repeats = s * early / float(np.sqrt(np.mean(early**2)))
+        knobs.marks += [at + late for at in (step.t0, step.tf) for late in knobs.repeats.tolist()]
 
 
 # --------------------------------------------------------------------------- noise

@@ -23,13 +23,14 @@ OPEN_LAWS = (
     "conducting", "latching", "waning", "rattling", "coded", "two_paced",
     "decimated", "mode_hopping", "drilling",
     "hunting_fan", "chattering_relay", "replugged_fibre",
+    "two_fans", "slow_meter", "crackling_cable",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("two_fans", "slow_meter", "crackling_cable")
+RESERVE_LAWS = ("sparkling_codes", "weighed_readings", "dimmed_lamps")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
-    "waning", "two_paced", "drilling", "crackling_cable",
+    "waning", "two_paced", "drilling", "crackling_cable", "sparkling_codes",
 )  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
 loudness"""
@@ -345,6 +346,27 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    sparkling, weighed = own.uniform(0.3, 0.6), own.uniform(0.5, 0.9)
+    dimmed = own.uniform(0.05, 0.2)
+    parts |= {
+        # a converter that now and then misreads one of its bits
+        "sparkling_codes": (
+            Component(1.0 - sparkling, short),
+            Component(
+                sparkling, shape="sparkling", rate=exp(own.uniform(np.log(1e-3), np.log(0.02)))
+            ),
+        ),
+        # a driver that smooths its readings by weights of 1, 2 and 1
+        "weighed_readings": (
+            Component(1.0 - weighed, exp(own.uniform(np.log(0.01), np.log(0.1)))),
+            Component(weighed, shape="binomial"),
+        ),
+        # lamps that a dimmer turns on and off, for a pulse's length that never stays
+        "dimmed_lamps": (
+            Component(1.0 - dimmed),
+            Component(dimmed, exp(own.uniform(np.log(5e-3), np.log(0.1))), shape="dimmed"),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -361,6 +383,8 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
                 total[1] -= part.share * part.depth / (1.0 + part.depth**2)
             elif part.shape == "shaped":
                 total[1:3] += part.share * np.array([-4.0, 1.0])[: n - 1] / 6.0
+            elif part.shape == "binomial":
+                total[1:3] += part.share * np.array([4.0, 1.0])[: n - 1] / 6.0
             continue
         own = np.exp(-lags / part.time)
         if part.shape == "smooth":
@@ -428,6 +452,8 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             alone, together = _train_shares(part)
             train = part.gust_time * np.exp(-lags / part.gust_time) - part.time * own
             own = alone * own + together * train / (part.gust_time - part.time)
+        elif part.shape == "dimmed":
+            own = _dimmed_correlation(lags / part.time)
         elif part.shape == "chattering":
             own = 2.0 / pi * np.arcsin(own)
         elif part.shape == "diffusing":
@@ -479,6 +505,11 @@ def _draw_part(
         return (e[1:] - part.depth * e[:-1]) / sqrt(1.0 + part.depth**2)
     if part.shape == "shaped":
         return np.diff(_innovations(n + 2, rng, tails), 2) / sqrt(6.0)
+    if part.shape == "binomial":
+        return np.convolve(_innovations(n + 2, rng, tails), [1.0, 2.0, 1.0], "valid") / sqrt(6.0)
+    if part.shape == "sparkling":
+        off = np.where(rng.random(n) < part.rate, 1.0 / sqrt(part.rate), 0.0)
+        return np.where(rng.random(n) < 0.5, off, -off)
     if part.shape == "interleaved":
         louder = np.where((np.arange(n) + rng.integers(2)) % 2 == 0, *_gusts(part))
         return louder * _innovations(n, rng, tails)
@@ -525,6 +556,8 @@ def _draw_part(
         return levels[at.astype(np.int64)]
     if part.shape == "trains":
         return _trains(part, n, interval, rng)
+    if part.shape == "dimmed":
+        return _dimmed(interval / part.time, n, rng)
     if part.shape == "chattering":
         return np.where(_remembering(rng.standard_normal(n), decay) > 0.0, 1.0, -1.0)
     if part.shape == "bell":
@@ -772,6 +805,27 @@ def _trains(part: Component, n: int, interval: float, rng: np.random.Generator) 
     x: FloatArray = lfilter([1.0], [1.0, -exp(-interval / part.time)], arriving)[before:]
     mean = part.rate * part.depth * part.time / part.gust_time
     return (x - mean) / sqrt(mean / _train_shares(part)[0])
+
+
+def _dimmed_correlation(lags: FloatArray) -> FloatArray:
+    """Of pulses that begin evenly and last anything up to a period; lags in periods.
+
+    Both of two instants a < b of one period are lit in 1 - b of all cases, those of two periods in
+    (1 - a)(1 - b); a is anywhere, half is the mean and a quarter the variance.
+    """
+    f = np.mod(lags, 1.0)
+    same = np.where(lags < 1.0, 0.5 * (1.0 - f) ** 2, (1.0 - f**3) / 3.0 - 0.5 * f * (1.0 - f**2))
+    return np.asarray(4.0 * (same + 0.5 * f**2 * (1.0 - f) + f**3 / 3.0) - 1.0)
+
+
+def _dimmed(periods: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) 1 or -1: ``periods`` of them an interval, each lit from its begin for a time at random.
+
+    The first sample lies anywhere in its period.
+    """
+    at = np.arange(n) * periods + rng.random()
+    number = at.astype(np.int64)
+    return np.where(at - number < rng.random(int(number[-1]) + 1)[number], 1.0, -1.0)
 
 
 def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

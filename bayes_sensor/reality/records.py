@@ -108,6 +108,10 @@ class Component:
     their memory in a ``time``; with ``held`` independent levels that each stand for a ``time``;
     with ``trains`` one-sided pulses that die out in a ``time`` and come in trains, ``depth`` of
     them in the mean in the ``gust_time`` after a train's begin, of which there are ``rate`` in it.
+    With ``sparkling`` (``time`` 0) a share ``rate`` of the samples is off by one and the same step,
+    up or down; with ``binomial`` (``time`` 0) white noise is weighed 1, 2, 1; with ``dimmed`` it is
+    a square wave of period ``time``, each of whose pulses is as long as chance will have it:
+    anything from none to all of the period.
     """
 
     share: float
@@ -121,8 +125,8 @@ class Component:
     ``fringes``, ``diffusing``, ``speckle``, ``whistling``, ``notched``, ``interleaved``,
     ``charging``, ``shaped``, ``motes``, ``strokes``, ``bell``, ``bits``, ``lognormal``,
     ``conducting``, ``latching``, ``waning``, ``stops``, ``coded``, ``paces``, ``cut_off``,
-    ``settling``, ``drilled``, ``hunting``, ``chattering``, ``replugged``, ``beating``, ``held`` or
-    ``trains``"""
+    ``settling``, ``drilled``, ``hunting``, ``chattering``, ``replugged``, ``beating``, ``held``,
+    ``trains``, ``sparkling``, ``binomial`` or ``dimmed``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

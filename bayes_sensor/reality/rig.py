@@ -59,6 +59,12 @@ class Knobs:
     """s in which it sets"""
     grease_stroke: float = 0.2
     """share of the stroke over which it yields"""
+    pilot: float = 1.0
+    """share of the stroke that a servo valve's pilot hole is worth"""
+    pilot_alone: float = 0.0
+    """s for which it is open by itself"""
+    tried: list[tuple[float, float]] = field(default_factory=list)
+    """(s, s it lasts): the valve is opened out of turn"""
     # flows
     following: float = 0.0
     """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
@@ -104,6 +110,8 @@ class Knobs:
     sticky_cells: int = 8
     laminar: float = 0.0
     """volume of a hose whose stream is laminar, in units of V"""
+    trap: float = 0.0
+    """stirred volume before the manifold, in units of V"""
     pocket_fractions: tuple[float, ...] = ()
     pocket_exchange: tuple[float, ...] = ()
     """mL/s"""
@@ -199,6 +207,12 @@ class Knobs:
     """mL of gas after which it comes through"""
     impurity_cells: int = 16
     """the more, the steeper is its front"""
+    dried: float = 0.0
+    """share of the response that is lost with the water which the test gas thins"""
+    dried_volume: float = 500.0
+    """mL of gas by which that comes later"""
+    dried_cells: int = 2
+    """the more, the steeper is its front"""
     rim: float = 0.0
     """share of the response from a glassy rim"""
     rim_time: float = 3.0
@@ -225,6 +239,12 @@ class Knobs:
     shift: float = 0.0
     """resonance shift at the highest concentration in half-widths; 0: straight readout"""
     detuning: float = -0.8
+    window: float = 0.0
+    """half-widths, half of the window whose centre of mass is read"""
+    window_begin: float = 0.0
+    """half-widths from its middle to the line without gas"""
+    window_shift: float = 0.0
+    """half-widths by which the highest concentration shifts the line in it"""
     wander: list[Course] = field(default_factory=list)
     """half-widths by which the laser strays"""
     warming: float = 0.0
@@ -324,6 +344,8 @@ class Knobs:
     """s, total delay of a four-pole anti-alias filter"""
     parabola: float = 0.0
     """s of readings through which a meter draws a parabola, whose middle it shows"""
+    repeats: FloatArray | None = None
+    """(m,) s by which the records that are averaged are late"""
     average_window: float = 0.0
     """V by which a reading may be off a meter's running average before that begins anew"""
     average_time: float = 2.0
@@ -391,7 +413,9 @@ def voltage(
 ) -> tuple[FloatArray, FloatArray]:
     """Signal (n,) V and normalised response (n,) at recorder times ``times`` (n,) s, no noise."""
     true = times if knobs.clock is None else knobs.clock(times)
-    marks = knobs.marks + [edge for at, lasts in knobs.dropped for edge in (at, at + lasts)]
+    marks = knobs.marks + [
+        edge for at, lasts in knobs.dropped + knobs.tried for edge in (at, at + lasts)
+    ]
     for switch in (step.t0, step.tf):
         marks += [switch + after for after, _ in knobs.bounces]
         marks += [switch + after + lasts for after, lasts in knobs.bounces]
@@ -399,6 +423,8 @@ def voltage(
             marks.append(switch + knobs.stroke_time)
         if knobs.bypass > 0:
             marks.append(switch + knobs.bypass_delay)
+    if knobs.pilot_alone > 0:
+        marks.append(step.t0 + knobs.pilot_alone)
     if knobs.sinking > 0:
         marks.append(step.t0 + knobs.sinking_after)
     if knobs.ajar > 0:
@@ -415,6 +441,8 @@ def voltage(
         inlet = stages.sticky_wall(t, inlet, held, bend, knobs.sticky_cells)
     if knobs.laminar > 0:
         inlet = stages.laminar(_integral(t, flow), inlet, knobs.laminar * case.V)
+    if knobs.trap > 0:
+        inlet = stages.lag(t, inlet, knobs.trap * case.V / (0.5 * (flow[1:] + flow[:-1])), 0.0)
     if np.isfinite(knobs.saturated):
         relative = case.relative_concentration(step)
         inlet = stages.condensing(t, inlet, knobs.saturated / relative, knobs.film_time / relative)
@@ -428,12 +456,17 @@ def voltage(
     if knobs.impurity > 0:
         late = stages.retarded(t, gas, flow, knobs.impurity_volume, knobs.impurity_cells)
         response = response / (1.0 + knobs.impurity * late)
+    if knobs.dried > 0:
+        late = stages.retarded(t, gas, flow, knobs.dried_volume, knobs.dried_cells)
+        response = response - knobs.dried * stages.steady_lag(t, late, case.tau)
     y = _readout(case, step, knobs, t, response)
     if knobs.filter_time > 0:
         for _ in range(4):
             y = stages.steady_lag(t, y, 0.25 * knobs.filter_time)
     if knobs.parabola > 0:
         y = stages.parabola(t, y, knobs.parabola)
+    if knobs.repeats is not None:
+        y = np.mean([np.interp(t - late, t, y) for late in knobs.repeats], axis=0)
     if knobs.average_window > 0:
         y = stages.windowed_average(t, y, knobs.average_time, knobs.average_window)
     if knobs.kept_band > 0:
@@ -463,10 +496,15 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
         up |= (middle > step.tf + after) & (middle < step.tf + after + lasts)
     for at, lasts in knobs.dropped:
         up &= ~((middle > at) & (middle < at + lasts))
+    for at, lasts in knobs.tried:
+        up |= (middle > at) & (middle < at + lasts)
     first = last = up.astype(float)
     if knobs.stroke_time > 0:
         z = _stroke(t, step, knobs.stroke_time)
         first, last = z[:-1], z[1:]
+    if knobs.pilot_alone > 0:
+        alone = (middle > step.t0) & (middle < step.t0 + knobs.pilot_alone)
+        first, last = (np.where(alone, knobs.pilot * target, target) for target in (first, last))
     if knobs.sinking > 0:
         held = (middle > step.t0 + knobs.sinking_after) & (middle < step.tf)
         first, last = (target * (1.0 - knobs.sinking * held) for target in (first, last))
@@ -664,6 +702,13 @@ def dip(z: FloatArray | float) -> Any:
     return 1.0 / (1.0 + np.square(z))
 
 
+def centre_of_mass(z: FloatArray | float, window: float) -> Any:
+    """Of the Lorentzian at ``z`` half-widths, as far as it lies between -/+ ``window``."""
+    area = np.arctan(window - z) + np.arctan(window + z)
+    cut = 0.5 * np.log((1.0 + np.square(window - z)) / (1.0 + np.square(window + z)))
+    return z + cut / area
+
+
 def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray) -> FloatArray:
     relative = case.relative_concentration(step)
     for course in knobs.concentration_gain:
@@ -673,6 +718,11 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
     if knobs.shift > 0:
         rest, full = dip(knobs.detuning), dip(knobs.detuning + knobs.shift * relative)
         signal = (dip(knobs.detuning + knobs.shift * relative * x) - rest) / (full - rest)
+    elif knobs.window > 0:
+        ends = knobs.window_begin + knobs.window_shift * np.array([0.0, relative])
+        rest, full = centre_of_mass(ends, knobs.window)
+        at = knobs.window_begin + knobs.window_shift * relative * x
+        signal = (centre_of_mass(at, knobs.window) - rest) / (full - rest)
     else:
         signal = x
     if knobs.wander:
