@@ -3,8 +3,9 @@
 Cases, truths and verdicts are made as ``bayes-sensor blind-check`` makes them, with the causes and
 noise laws that no earlier run saw (``reserve``); campaigns are not kept.  Seals can be opened only
 once: ``blind_check_first.csv`` and ``blind_check_first_goals.csv`` keep what was found then, and
-are not written again; what is written here is what the code finds in the same campaigns.
-``blind_check_earlier_goals.csv`` keeps what the run before, with another reserve and seed, reached.
+are not written again until another seed is run; the other tables say what the code finds in the
+same campaigns.  ``blind_check_runs.csv`` keeps what every run reached when its seals were opened,
+each with a reserve, a seed and a diagnosis of its own; ``blind_check_over_runs.csv`` sums it up.
 """
 
 from __future__ import annotations
@@ -64,6 +65,7 @@ def run(
         TABLES / "blind_check_goals.csv", index=False, float_format="%.4g"
     )
     write_json(TABLES / "blind_check.json", card)
+    keep_first(frame, pd.DataFrame(card["goals"]))
     write_look_alikes(frame)
     write_readme()
     keep_figure(score_card(card), "blind_check")
@@ -71,6 +73,38 @@ def run(
     both.to_csv(TABLES / "blind_check_settings.csv", index=False, float_format="%.4g")
     draw_settings(both)
     keep_figure(withheld(), "opened_seal")
+
+
+def keep_first(cases: pd.DataFrame, goals: pd.DataFrame) -> None:
+    """Keep verdicts and goals of the day on which a seed's seals are opened, and of all runs."""
+    path = TABLES / "blind_check_runs.csv"
+    runs = pd.read_csv(path) if path.exists() else pd.DataFrame({"seed": []})
+    if SEED not in set(runs["seed"]):
+        verdicts = cases[["case", "verdict", "said", "p_said", "p_none", "p_unlisted"]]
+        verdicts.to_csv(TABLES / "blind_check_first.csv", index=False, float_format="%.5g")
+        goals.to_csv(TABLES / "blind_check_first_goals.csv", index=False, float_format="%.4g")
+        runs = pd.concat([runs, goals.assign(seed=SEED)]) if len(runs) else goals.assign(seed=SEED)
+        runs[["seed", *goals]].to_csv(path, index=False, float_format="%.4g")
+    over_runs(runs).to_csv(TABLES / "blind_check_over_runs.csv", index=False, float_format="%.4g")
+
+
+def over_runs(runs: pd.DataFrame) -> pd.DataFrame:
+    """One row a goal: in how many sealed runs it was counted and met, and what they reached.
+
+    The bound of the calibration error is another in every run.
+    """
+    rows = []
+    last = runs[runs["seed"] == runs["seed"].max()]
+    for goal in last["goal"]:
+        some = runs[runs["goal"] == goal]
+        row = {"goal": goal, "wanted": some["wanted"].iloc[-1]}
+        if some["wanted"].nunique() > 1:
+            row["wanted"] = "inside"
+        row |= {"runs": len(some), "runs_met": int(some["met"].astype(bool).sum())}
+        reached = some["reached"].astype(float)
+        rows.append(row | {"lowest": reached.min(), "median": reached.median(),
+                           "highest": reached.max()})  # fmt: skip
+    return pd.DataFrame(rows)
 
 
 def write_look_alikes(cases: pd.DataFrame) -> None:
@@ -128,10 +162,22 @@ def write_readme() -> None:
     said = [
         changed(cases, first), "What follows counts them.", named_nulls(cases),
         alarmed_nulls(cases), left_out(cases), overlooked(cases), out_of_reach(cases),
-        too_sure(cases), but_for_one_law(cases), being_told(), since_then(),
+        too_sure(cases), but_for_one_law(cases), being_told(), since_then(), in_all_runs(),
     ]  # fmt: skip
     below = textwrap.fill(" ".join(sentence for sentence in said if sentence), 112) + "\n"
     write_text(README, text[:begin] + markdown_table(goals) + "\n" + below + text[end:])
+
+
+def in_all_runs() -> str:
+    """One sentence: what the sealed runs reached of families and unlisted causes, all in all."""
+    over = pd.read_csv(TABLES / "blind_check_over_runs.csv").set_index("goal")
+    words = [
+        f"{goal} {row['median']:.2f} in median ({row['lowest']:.2f} to {row['highest']:.2f}), "
+        f"met in {row['runs_met']} of {row['runs']}"
+        for goal, row in over.iterrows()
+        if goal.startswith(("right family", "unlisted flagged"))
+    ]
+    return f"Over all sealed runs, each with the diagnosis of its day: {'; '.join(words)}."
 
 
 def since_then() -> str:
