@@ -210,6 +210,14 @@ def test_the_bound_of_the_page_is_wider_by_its_factor(examples: dict[str, Any]) 
     assert wide / narrow == pytest.approx(np.sqrt((1 + phi) / (1 - phi)))
 
 
+def test_files_that_are_named_in_words_exist() -> None:
+    named = set()
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+        named |= set(re.findall(r"`((?:paper|data|docs)/[\w/.]+\.\w+)`", page.read_text("utf-8")))
+    assert len(named) > 10
+    assert not [name for name in sorted(named) if not (ROOT / name).exists()]
+
+
 def test_the_readme_says_what_the_tables_say() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
 
