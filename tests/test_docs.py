@@ -23,6 +23,7 @@ from bayes_sensor.readers.campaign_file import SIDE_INFORMATION, Entry
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
+FILES = r"`((?:bayes_sensor|tests|paper|notebooks|data|docs)/[\w./-]*)`"
 TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
 
 
@@ -67,7 +68,7 @@ def test_names_files_and_links_exist(page: str) -> None:
     for module, names in re.findall(r"^from (bayes_sensor[\w.]*) import ([^(\n]+)$", text, re.M):
         for name in names.split(","):
             resolve(f"{module}.{name.strip()}")
-    for path in re.findall(r"`((?:bayes_sensor|tests|paper|notebooks)/[\w./-]*)`", text):
+    for path in re.findall(FILES, text):
         assert (ROOT / path).exists(), path
     for path in re.findall(r"`(\w+\.ipynb)`", text):
         assert (ROOT / "notebooks" / path).exists(), path
@@ -210,12 +211,10 @@ def test_the_bound_of_the_page_is_wider_by_its_factor(examples: dict[str, Any]) 
     assert wide / narrow == pytest.approx(np.sqrt((1 + phi) / (1 - phi)))
 
 
-def test_files_that_are_named_in_words_exist() -> None:
-    named = set()
-    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
-        named |= set(re.findall(r"`((?:paper|data|docs)/[\w/.]+\.\w+)`", page.read_text("utf-8")))
+def test_files_that_the_readme_names_exist() -> None:
+    named = re.findall(FILES, (ROOT / "README.md").read_text(encoding="utf-8"))
     assert len(named) > 10
-    assert not [name for name in sorted(named) if not (ROOT / name).exists()]
+    assert [path for path in named if not (ROOT / path).exists()] == []
 
 
 def test_the_readme_says_what_the_tables_say() -> None:

@@ -39,7 +39,7 @@ from bayes_sensor.reality import (
 
 LEVELS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """detectabilities asked for"""
-DEALT = (2.0, 4.0, 8.0, 8.0, 16.0, 16.0, 32.0)
+DEALT = tuple(sorted((*LEVELS, 8.0, 16.0)))
 """the same as often as they are asked for: goals are set for 8 and 16, which need the cases"""
 SHARES = {
     "null": 0.335, "listed": 0.265, "unlisted": 0.205, "withheld": 0.1, "pair": 0.055,

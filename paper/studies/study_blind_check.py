@@ -78,12 +78,12 @@ def run(
 def keep_first(cases: pd.DataFrame, goals: pd.DataFrame) -> None:
     """Keep verdicts and goals of the day on which a seed's seals are opened, and of all runs."""
     path = TABLES / "blind_check_runs.csv"
-    runs = pd.read_csv(path) if path.exists() else pd.DataFrame({"seed": []})
+    runs = pd.read_csv(path)
     if SEED not in set(runs["seed"]):
         verdicts = cases[["case", "verdict", "said", "p_said", "p_none", "p_unlisted"]]
         verdicts.to_csv(TABLES / "blind_check_first.csv", index=False, float_format="%.5g")
         goals.to_csv(TABLES / "blind_check_first_goals.csv", index=False, float_format="%.4g")
-        runs = pd.concat([runs, goals.assign(seed=SEED)]) if len(runs) else goals.assign(seed=SEED)
+        runs = pd.concat([runs, goals.assign(seed=SEED)])
         runs[["seed", *goals]].to_csv(path, index=False, float_format="%.4g")
     over_runs(runs).to_csv(TABLES / "blind_check_over_runs.csv", index=False, float_format="%.4g")
 
@@ -97,13 +97,12 @@ def over_runs(runs: pd.DataFrame) -> pd.DataFrame:
     last = runs[runs["seed"] == runs["seed"].max()]
     for goal in last["goal"]:
         some = runs[runs["goal"] == goal]
-        row = {"goal": goal, "wanted": some["wanted"].iloc[-1]}
-        if some["wanted"].nunique() > 1:
-            row["wanted"] = "inside"
-        row |= {"runs": len(some), "runs_met": int(some["met"].astype(bool).sum())}
-        reached = some["reached"].astype(float)
-        rows.append(row | {"lowest": reached.min(), "median": reached.median(),
-                           "highest": reached.max()})  # fmt: skip
+        wanted, reached = some["wanted"].unique(), some["reached"].astype(float)
+        rows.append({
+            "goal": goal, "wanted": wanted[0] if len(wanted) == 1 else "inside",
+            "runs": len(some), "runs_met": int(some["met"].astype(bool).sum()),
+            "lowest": reached.min(), "median": reached.median(), "highest": reached.max(),
+        })  # fmt: skip
     return pd.DataFrame(rows)
 
 
