@@ -52,6 +52,8 @@ HIDING = (
     "gated_pores", "controller_settling",
 )  # fmt: skip
 """causes that can act strongly and leave next to nothing"""
+NEAREST = 3
+"""rivals, nearest first, whose refits go on until they settle and begin wherever they may"""
 
 
 @dataclass(frozen=True)
@@ -246,10 +248,12 @@ def _seen_by_an_oracle(case: Case) -> dict[str, Any]:
     rivals = listed_rivals(case, fit, oracle)
     seen["rivals"] = rival_distances(fit, rivals)
     answers = {effect for name in case.strengths for effect in CAUSES[name].listed_as}
-    for name in seen["rivals"].keys() - answers:  # settled by a refit of the catalogue's form
-        closed = closed_fraction(oracle, target, fit, name, thorough=False)
-        if closed is not None:
-            seen["rivals"][name] = min(seen["rivals"][name], fit.d * sqrt(1.0 - closed))
+    others = seen["rivals"].keys() - answers
+    for thorough in (False, True):  # settled by refits of the catalogue's forms
+        for name in sorted(others, key=seen["rivals"].__getitem__)[: NEAREST if thorough else None]:
+            closed = closed_fraction(oracle, target, fit, name, thorough=thorough)
+            if closed is not None:
+                seen["rivals"][name] = min(seen["rivals"][name], fit.d * sqrt(1.0 - closed))
     if not answers:
         seen["pair_rival"] = min(pair_distance(fit, rivals), *seen["rivals"].values())
     if len(case.strengths) == 1 and fit.d >= HIDDEN_BELOW:
