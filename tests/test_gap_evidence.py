@@ -154,7 +154,7 @@ def test_timing_is_the_mean_at_another_time(sketch, base):
         here = b.reduce(mean) - b.reduce(base.plan.mean(base.x, k, b.times))
         moved.append(sketch.inverse_factors[k] @ here)
     wanted = np.concatenate(moved)
-    d = {d.name: d for d in make_discrepancies(sketch, base)}["timing 0.01"]
+    d = {d.name: d for d in make_discrepancies(sketch, base)}["timing 1 0.01"]
     left = d.precision_times(wanted)  # (I + K)^-1: what the process does not take up
     assert np.linalg.norm(left) < 0.15 * np.linalg.norm(wanted)
     # and it takes nothing up where nothing moves
@@ -265,6 +265,31 @@ def test_what_repeats_itself_is_common_or_follows_flow_or_concentration(sketch, 
         assert not any("by concentration" in d.name for d in discrepancies)
 
 
+def test_what_something_else_does_to_rise_and_fall(sketch, base):
+    # a misfit of the response, in time or in gas that has passed, of both switches or of one
+    discrepancies = make_discrepancies(sketch, base)
+    scale = sketch.time_scale
+    flow = [e.total_flow / sketch.reference_flow for e in sketch.campaign]
+
+    def best(rise, fall, by_volume=False):
+        wanted = []
+        for k, b in enumerate(sketch.bins):
+            since = np.maximum(b.since, 1e-3) * (flow[k] if by_volume else 1.0) / scale
+            bump = np.exp(-0.5 * ((np.log(since) - 0.3) / 0.5) ** 2) * (b.since > 0.0)
+            beta = base.x[base.plan.local[k] + 1]
+            size = beta * np.where(b.falling, fall, rise)
+            wanted.append(sketch.inverse_factors[k] @ (0.01 * size * bump))
+        line = Linearised(replace(base, residual=np.concatenate(wanted)))
+        found = {d.name: line.evidence(d).log_z for d in discrepancies}
+        return max(found, key=found.__getitem__)
+
+    assert " mirrored " in best(1.0, -1.0)
+    assert " mirrored" not in best(1.0, 1.0)
+    assert " rise " in best(1.0, 0.0)
+    assert " fall " in best(0.0, 1.0)
+    assert "by volume mirrored" in best(2.0, -2.0, by_volume=True)
+
+
 def test_weights_alone_are_those_of_the_study(sketch, base):
     table = pd.read_csv(TABLES / "unlisted_weights.csv").set_index(["of", "name"])
     assert (abs(table["learned"] - table["taken"]) < 0.08).all()
@@ -309,7 +334,9 @@ def test_an_effect_of_the_noise_does_not_hide_the_mean(rows, kind, said):
             effects[name] += p
             families[CATALOGUE[name].family] = families.get(CATALOGUE[name].family, 0.0) + p
     effects["heavy_tails"] = 1.0
-    stand = Standing({"none": 0.0, **rows}, effects, families, 0.0, rows["unlisted"])
+    stand = Standing(
+        {"none": 0.0, **rows}, effects, families, 0.0, rows["unlisted"], rows["unlisted"]
+    )
     nothing = SimpleNamespace(probabilities=np.zeros(0), hypotheses=())
     found, members, family, _ = judge(nothing, stand, CATALOGUE)
     assert found == kind

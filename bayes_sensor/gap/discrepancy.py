@@ -16,8 +16,11 @@ parts:
 Each is a common function of all experiments, one that follows their flow (or, in configurations of
 their own, their concentration), and a small own one; or common to all and nothing else; or as much
 another one in each as common.  Drift and gain, which no switch sets off, take a course of their own
-in every experiment.  Kernels are factored once per campaign; evidences then need only small
-matrices.
+in every experiment.  Response and timing are of rise and fall apart; or of one of the two alone; or
+one course for both, upside down at the fall, as everything linear has it; or follow the volume of
+gas that has flowed in place of the time, as what happens on the way of the gas does.  A misfit that
+has such a form is explained with half the freedom, and gains by it.  Kernels are factored once per
+campaign; evidences then need only small matrices.
 
 What an effect leaves, whose form is not quite right, is not what a cause leaves that nobody listed:
 configurations have one weight beside an effect and another where they stand alone.  The latter are
@@ -28,7 +31,7 @@ half of them go to what is the same in all experiments.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -46,13 +49,16 @@ ALIKE = 0.9
 NEGLIGIBLE = 1e-3
 """variance in units of the noise below which a direction of the discrepancy is dropped"""
 
+MIRRORED, RISE, FALL, VOLUME = " mirrored", " rise", " fall", " by volume"
+"""what the names of configurations say where rise and fall do not take courses of their own"""
+
 RESPONSE_LENGTHS = (0.3, 1.0, 2.5)
 RESPONSE_SHARES = (0.001, 0.003, 0.01, 0.03, 0.1)
 HERALD_SHARES = (0.003, 0.01, 0.03)
 HERALD = (-1.2, 0.5)
 """time scales around a switch"""
 HERALD_LENGTH = 0.15
-TIMING_LENGTH = 1.0
+TIMING_LENGTHS = (0.5, 1.0)
 TIMING_SHARES = (0.01, 0.03, 0.1)
 """of the time scale"""
 READOUT_LENGTHS = (0.05, 0.2)
@@ -189,33 +195,26 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
     beta = [abs(float(base.x[base.plan.local[k] + 1])) for k in range(len(sketch.campaign))]
     spreads = _spreads(sketch)
     usual = spreads[""][1]
-    made = []
-    herald = usual.over(_herald_parts(sketch, beta))
-    for share in HERALD_SHARES:
-        weight = _Weight(0.09, 0.04).shared(len(HERALD_SHARES))
-        made.append(_configure(f"herald {share:g}", weight, herald * share))
+    made: list[Discrepancy] = []
+
+    def add(name: str, weight: _Weight, factor: FloatArray, sizes: tuple[float, ...]) -> None:
+        made.extend(_configurations(name, weight, factor, sizes))
+
+    add("herald", _Weight(0.09, 0.03), usual.over(_herald_parts(sketch, beta)), HERALD_SHARES)
     apart = _Spread(usual.trend, 1.0 if len(sketch.campaign) > 1 else 0.0)
-    wandering = {
-        name: (weight, apart.over([parts]))
-        for name, (weight, parts) in _wandering(sketch, base).items()
-    }
-    for name, (weight, factor) in wandering.items():
-        for share in VOLT_SHARES:
-            each = weight.shared(len(VOLT_SHARES))
-            made.append(_configure(f"{name} {share:g}", each, factor * share))
-    drift = wandering["drift"][1]
+    wandering = _wandering(sketch, base)
+    for name, (weight, part) in wandering.items():
+        add(name, weight, apart.over([part]), VOLT_SHARES)
     repeating = _repeating(sketch, base, beta)
-    for name, (weight, spread) in spreads.items():
-        for family, (of_all, parts, sizes) in repeating.items():
-            each = (of_all * weight).shared(len(sizes))
-            if each:
-                factor = spread.over(parts)
-                made += [_configure(f"{family}{name} {s:g}", each, factor * s) for s in sizes]
-    response = usual.over(repeating["response 1"][1])
+    for shared, (weight, spread) in spreads.items():
+        for name, (of_all, parts, sizes) in repeating.items():
+            if weight * of_all:
+                add(f"{name}{shared}", weight * of_all, spread.over(parts), sizes)
+    response, drift = usual.over(repeating["response 1"][1]), apart.over([wandering["drift"][1]])
     for size, volts in ((0.003, 0.0015), (0.01, 0.0015), (0.01, 0.005), (0.03, 0.005)):
         joined = np.hstack([response * size, drift * volts])
-        weight = _Weight(0.2, 0.0).shared(4)
-        made.append(_configure(f"response {size:g} and drift {volts:g}", weight, joined))
+        found = _configurations("", _Weight(0.2, 0.0).shared(4), joined, (1.0,))
+        made += [replace(d, name=f"response {size:g} and drift {volts:g}") for d in found]
     return made
 
 
@@ -228,7 +227,7 @@ def _wandering(sketch: Sketch, base: Refit) -> dict[str, tuple[_Weight, list[Flo
     slow, fast = GAIN_SECONDS
     return {
         "drift": (_Weight(0.12, 0.02), _part(sketch, at, volts, DRIFT_SECONDS)),
-        f"gain {slow:g} s": (_Weight(0.04, 0.06), _part(sketch, at, above, slow)),
+        f"gain {slow:g} s": (_Weight(0.04, 0.04), _part(sketch, at, above, slow)),
         f"gain {fast:g} s": (_Weight(0.04, 0.01), _part(sketch, at, above, fast)),
     }
 
@@ -238,19 +237,71 @@ Repeating = dict[str, tuple[_Weight, Parts, tuple[float, ...]]]
 
 def _repeating(sketch: Sketch, base: Refit, beta: list[float]) -> Repeating:
     """What comes again in every experiment: weight, parts and sizes, by name and length."""
-    response, readout = _response_parts(sketch, beta), _readout_parts(sketch, base)
+    readout = _readout_parts(sketch, base)
     found: Repeating = {
-        "response 0.3": (_Weight(0.15, 0.02), response[0], RESPONSE_SHARES),
-        "response 1": (_Weight(0.15, 0.09), response[1], RESPONSE_SHARES),
-        "response 2.5": (_Weight(0.15, 0.11), response[2], RESPONSE_SHARES),
-        "timing": (_Weight(0.2, 0.27), _timing_parts(sketch, base), TIMING_SHARES),
         "readout 0.05": (_Weight(0.075, 0.05), readout[0], VOLT_SHARES),
-        "readout 0.2": (_Weight(0.075, 0.21), readout[1], VOLT_SHARES),
+        "readout 0.2": (_Weight(0.075, 0.19), readout[1], VOLT_SHARES),
     }
+    courses = _courses(sketch)
+    whole = sum(weight.alone for weight in courses.values())
+    response, timing = _after_a_switch(sketch, beta), _slopes(sketch, base)
+    for course, weight in courses.items():
+        each = weight * _Weight(1.0, 1.0 / whole)
+        by_volume = VOLUME in course
+        for length, alone in zip(RESPONSE_LENGTHS, (0.01, 0.09, 0.17), strict=True):
+            parts = _along(sketch, course, response, length)
+            found[f"response {length:g}{course}"] = (
+                each * _Weight(0.15, alone), parts, RESPONSE_SHARES
+            )  # fmt: skip
+        volts = [s / _flow(sketch, k) if by_volume else s for k, s in enumerate(timing)]
+        for length, usual, alone in zip(TIMING_LENGTHS, (0.0, 0.2), (0.03, 0.3), strict=True):
+            parts = _along(sketch, course, volts, length)
+            found[f"timing {length:g}{course}"] = (
+                each * _Weight(usual, alone), parts, TIMING_SHARES
+            )  # fmt: skip
     commanded = _switching_parts(sketch)
     if commanded:
-        found["switching"] = (_Weight(0.15, 0.12), commanded, VOLT_SHARES)
+        found["switching"] = (_Weight(0.15, 0.06), commanded, VOLT_SHARES)
     return found
+
+
+def _courses(sketch: Sketch) -> dict[str, _Weight]:
+    """How rise and fall belong together, with weights.
+
+    Each its own course; or one course for both, the fall's upside down, as of everything linear,
+    in time or in the volume that has flowed; or one of the two alone.
+    """
+    if _sides(sketch) == (False,):
+        return {"": _Weight(1.0, 1.0)}
+    found = {
+        "": _Weight(1.0, 0.15),
+        MIRRORED: _Weight(0.0, 0.2),
+        RISE: _Weight(0.0, 0.3),
+        FALL: _Weight(0.0, 0.15),
+    }
+    if not sketch.campaign.same_flow:
+        found[VOLUME] = _Weight(0.0, 0.1)
+        found[VOLUME + MIRRORED] = _Weight(0.0, 0.1)
+    return found
+
+
+def _flow(sketch: Sketch, k: int) -> float:
+    """Of experiment ``k``, over the campaign's."""
+    return sketch.campaign.experiments[k].total_flow / sketch.reference_flow
+
+
+def _along(sketch: Sketch, course: str, volts: list[FloatArray], length: float) -> Parts:
+    """A function of the logarithm of the time since a switch, scaled by ``volts``."""
+    since = []
+    for k, b in enumerate(sketch.bins):
+        passed = b.since * _flow(sketch, k) if VOLUME in course else b.since
+        since.append(_log_time(passed, sketch.time_scale))
+    rise = [np.where(b.falling, 0.0, v) for b, v in zip(sketch.bins, volts, strict=True)]
+    fall = [np.where(b.falling, v, 0.0) for b, v in zip(sketch.bins, volts, strict=True)]
+    if MIRRORED in course:
+        return [_part(sketch, since, volts, length)]
+    blocks = {RISE: [rise], FALL: [fall]}.get(course, [rise, fall][: len(_sides(sketch))])
+    return [_part(sketch, since, v, length) for v in blocks]
 
 
 def _sides(sketch: Sketch) -> tuple[bool, ...]:
@@ -258,27 +309,12 @@ def _sides(sketch: Sketch) -> tuple[bool, ...]:
     return (False, True) if any(b.falling.any() for b in sketch.bins) else (False,)
 
 
-def _response_parts(sketch: Sketch, beta: list[float]) -> list[Parts]:
-    """For each of the lengths."""
-    found = []
-    for length in RESPONSE_LENGTHS:
-        blocks = []
-        for falling in _sides(sketch):
-
-            def amplitude(k: int, falling: bool = falling) -> FloatArray:
-                b = sketch.bins[k]
-                return np.where((b.falling == falling) & (b.since > 0.0), beta[k], 0.0)
-
-            blocks.append(
-                _part(
-                    sketch,
-                    [_log_time(b.since, sketch.time_scale) for b in sketch.bins],
-                    [amplitude(k) for k in range(len(sketch.bins))],
-                    length,
-                )
-            )  # fmt: skip
-        found.append(blocks)
-    return found
+def _after_a_switch(sketch: Sketch, beta: list[float]) -> list[FloatArray]:
+    """V (n_bins,) of every experiment: the step's height, negative at the fall."""
+    return [
+        np.where(b.since > 0.0, np.where(b.falling, -v, v), 0.0)
+        for b, v in zip(sketch.bins, beta, strict=True)
+    ]
 
 
 def _herald_parts(sketch: Sketch, beta: list[float]) -> Parts:
@@ -299,21 +335,14 @@ def _means(sketch: Sketch, base: Refit) -> list[FloatArray]:
     return [b.reduce(base.plan.mean(base.x, k, b.times)) for k, b in enumerate(sketch.bins)]
 
 
-def _timing_parts(sketch: Sketch, base: Refit) -> Parts:
-    """A time that runs ahead or behind: what moves, moves later by a part of a time scale."""
+def _slopes(sketch: Sketch, base: Refit) -> list[FloatArray]:
+    """V (n_bins,) in a time scale: what a time that runs ahead or behind does where it moves."""
     h = 0.02 * sketch.time_scale
-    slopes = []
+    found = []
     for k, b in enumerate(sketch.bins):
         before, after = (b.reduce(base.plan.mean(base.x, k, b.times + d)) for d in (-h, h))
-        slopes.append((after - before) / (2.0 * h) * sketch.time_scale)
-    blocks = []
-    for falling in _sides(sketch):
-        volts = [
-            np.where(b.falling == falling, s, 0.0) for b, s in zip(sketch.bins, slopes, strict=True)
-        ]
-        since = [_log_time(b.since, sketch.time_scale) for b in sketch.bins]
-        blocks.append(_part(sketch, since, volts, TIMING_LENGTH))
-    return blocks
+        found.append((after - before) / (2.0 * h) * sketch.time_scale)
+    return found
 
 
 def _readout_parts(sketch: Sketch, base: Refit) -> list[Parts]:
@@ -359,19 +388,27 @@ def _part(
     ]
 
 
-def _configure(name: str, weight: _Weight, factor: FloatArray) -> Discrepancy:
-    # K = F F'; its eigenvectors from the smaller of the two Gram matrices
-    w = (weight.beside, weight.alone)
+def _configurations(
+    name: str, weight: _Weight, factor: FloatArray, sizes: tuple[float, ...]
+) -> list[Discrepancy]:
+    """One for each of the sizes; they share the weight, and the directions of K = F F'."""
+    each = weight.shared(len(sizes))
     factor = factor[:, np.any(factor != 0.0, axis=0)]
-    if factor.shape[1] == 0:
-        return Discrepancy(name, *w, np.zeros((len(factor), 0)), np.zeros(0))
+    # eigenvectors from the smaller of the two Gram matrices
     if factor.shape[0] < factor.shape[1]:
         values, basis = np.linalg.eigh(factor @ factor.T)
-        keep = values > NEGLIGIBLE
-        return Discrepancy(name, *w, basis[:, keep], values[keep])
-    values, vectors = np.linalg.eigh(factor.T @ factor)
-    keep = values > NEGLIGIBLE
-    return Discrepancy(name, *w, factor @ vectors[:, keep] / np.sqrt(values[keep]), values[keep])
+    else:
+        values, vectors = np.linalg.eigh(factor.T @ factor)
+        seen = values > NEGLIGIBLE / max(sizes) ** 2
+        values, basis = values[seen], factor @ vectors[:, seen] / np.sqrt(values[seen])
+    made = []
+    for size in sizes:
+        variance = values * size**2
+        keep = variance > NEGLIGIBLE
+        made.append(
+            Discrepancy(f"{name} {size:g}", each.beside, each.alone, basis[:, keep], variance[keep])
+        )
+    return made
 
 
 Progress = Callable[[float, str], None]

@@ -2,8 +2,9 @@
 
 Campaigns of the blind check's generator with an unlisted cause, none of them in reserve, and what
 every configuration of the smooth discrepancy says of each.  The weights that make these campaigns
-likeliest are found by expectation-maximisation, as a product of a weight of the part and one of
-what experiments share, and stand beside those that the diagnosis takes.
+likeliest are found by expectation-maximisation, as a product of weights of the part, of how rise
+and fall belong together and of what experiments share, and stand beside those that the diagnosis
+takes.
 """
 
 from __future__ import annotations
@@ -23,7 +24,14 @@ from bayes_sensor.blind_check.plan import LEVELS, Entry, draw_truth, make_plan
 from bayes_sensor.calibration import run_chunks, study_key
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.gap.discrepancy import Discrepancy, make_discrepancies
+from bayes_sensor.gap.discrepancy import (
+    FALL,
+    MIRRORED,
+    RISE,
+    VOLUME,
+    Discrepancy,
+    make_discrepancies,
+)
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.model import Layout
@@ -39,6 +47,8 @@ HELD_BACK = 4.0
 """campaigns that even weights count for"""
 SHARED = (" alike", " each", " by concentration")
 """what the names of configurations say; the others follow the flow, if anything"""
+COURSES = (VOLUME + MIRRORED, VOLUME, MIRRORED, RISE, FALL)
+"""what they say of rise and fall; the others let either take its own course"""
 
 
 @dataclass(frozen=True)
@@ -76,42 +86,45 @@ def run(folder: Path, jobs: int, scheduler: str | None, progress: Callable[..., 
         if e.kind == "unlisted" and e.level in VISIBLE
     )
     task = LookingAlike(entries)
-    found = run_chunks(task, len(entries), folder, task.key, jobs, 2, scheduler, progress)
+    found = run_chunks(
+        task, len(entries), folder / "unlisted", task.key, jobs, 2, scheduler, progress
+    )
     said = [json.loads(text) for text in found["log_z"].tolist()]
     usual = next(e for e in entries if e.size == "paper")
     write_table(said, {d.name: d.alone for d in discrepancies_of(usual)[1]})
 
 
-def parts_of(name: str) -> tuple[str, str]:
-    """A configuration's part and what experiments share of it; its size is left out."""
+def parts_of(name: str) -> tuple[str, str, str]:
+    """A configuration's part, its course and what experiments share of it; not its size."""
     if " and drift" in name:
-        return "response and drift", ""
+        return "response and drift", "", ""
     words = name.rsplit(" ", 1)[0]
-    for shared in SHARED:
-        if words.endswith(shared):
-            return words.removesuffix(shared), shared.strip()
-    return words, "" if words.startswith(("drift", "gain", "herald")) else "by flow"
+    if words.startswith(("drift", "gain", "herald")):
+        return words, "", ""
+    shared = next((s for s in SHARED if words.endswith(s)), "")
+    words = words.removesuffix(shared)
+    course = next((c for c in COURSES if words.endswith(c)), "")
+    words = words.removesuffix(course)
+    if words.startswith(("response", "timing")):
+        course = course or "apart"
+    return words, course.strip(), shared.strip() or "by flow"
 
 
-def likeliest(said: Sequence[dict[str, float]]) -> tuple[dict[str, float], dict[str, float]]:
-    """Weights of parts and of what is shared, summing to 1 each."""
+def likeliest(said: Sequence[dict[str, float]]) -> list[dict[str, float]]:
+    """Weights of parts, of courses and of what is shared, summing to 1 each."""
     names = sorted({name for each in said for name in each})
     logs = np.array([[each.get(name, -np.inf) for name in names] for each in said])
-    parts, shared = zip(*map(parts_of, names), strict=True)
-    siblings = np.array([
-        sum(p == parts[j] and s == shared[j] for p, s in zip(parts, shared, strict=True))
-        for j in range(len(names))
-    ])  # fmt: skip
-    of_part = {p: 1.0 / len(set(parts)) for p in parts}
-    of_shared = {s: 1.0 / len({x for x in shared if x}) for s in shared if s}
+    kinds = [parts_of(name) for name in names]
+    siblings = np.array([kinds.count(kind) for kind in kinds])
+    labels = list(zip(*kinds, strict=True))
+    weights = [{x: 1.0 / len(set(of) - {""}) for x in of if x} for of in labels]
     for _ in range(STEPS):
-        weights = np.array([
-            of_part[p] * of_shared.get(s, 1.0) for p, s in zip(parts, shared, strict=True)
-        ]) / siblings  # fmt: skip
-        count = _responsible(logs, weights)
-        of_part = _even(of_part, parts, count)
-        of_shared = _even(of_shared, shared, count)
-    return of_part, of_shared
+        product = np.array([
+            np.prod([w.get(x, 1.0) for w, x in zip(weights, kind, strict=True)]) for kind in kinds
+        ])  # fmt: skip
+        count = _responsible(logs, product / siblings)
+        weights = [_even(w, of, count) for w, of in zip(weights, labels, strict=True)]
+    return weights
 
 
 def _responsible(logs: FloatArray, weights: FloatArray) -> FloatArray:
@@ -133,17 +146,16 @@ def _even(before: dict[str, float], labels: Sequence[str], count: FloatArray) ->
 
 def write_table(said: Sequence[dict[str, float]], taken: dict[str, float]) -> None:
     """The learned weights beside those that the diagnosis takes."""
-    of_part, of_shared = likeliest(said)
-    now: dict[str, float] = {}
+    learned = likeliest(said)
+    now: list[dict[str, float]] = [{} for _ in learned]
     for name, weight in taken.items():
-        part, shared = parts_of(name)
-        now[part] = now.get(part, 0.0) + weight
-        if shared:
-            now[shared] = now.get(shared, 0.0) + weight
+        for found, label in zip(now, parts_of(name), strict=True):
+            if label:
+                found[label] = found.get(label, 0.0) + weight
     rows = [
-        {"of": label, "name": name, "learned": weight, "taken": now[name] / whole}
-        for label, weights in (("part", of_part), ("shared", of_shared))
-        for whole in [sum(now[name] for name in weights)]
+        {"of": of, "name": name, "learned": weight, "taken": found[name] / whole}
+        for of, weights, found in zip(("part", "course", "shared"), learned, now, strict=True)
+        for whole in [sum(found[name] for name in weights)]
         for name, weight in sorted(weights.items())
     ]
     frame = pd.DataFrame(rows)
