@@ -30,7 +30,6 @@ half of them go to what is the same in all experiments.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import sqrt
 
@@ -296,10 +295,10 @@ def _along(sketch: Sketch, course: str, volts: list[FloatArray], length: float) 
     for k, b in enumerate(sketch.bins):
         passed = b.since * _flow(sketch, k) if VOLUME in course else b.since
         since.append(_log_time(passed, sketch.time_scale))
-    rise = [np.where(b.falling, 0.0, v) for b, v in zip(sketch.bins, volts, strict=True)]
-    fall = [np.where(b.falling, v, 0.0) for b, v in zip(sketch.bins, volts, strict=True)]
     if MIRRORED in course:
         return [_part(sketch, since, volts, length)]
+    rise = [np.where(b.falling, 0.0, v) for b, v in zip(sketch.bins, volts, strict=True)]
+    fall = [np.where(b.falling, v, 0.0) for b, v in zip(sketch.bins, volts, strict=True)]
     blocks = {RISE: [rise], FALL: [fall]}.get(course, [rise, fall][: len(_sides(sketch))])
     return [_part(sketch, since, v, length) for v in blocks]
 
@@ -409,6 +408,3 @@ def _configurations(
             Discrepancy(f"{name} {size:g}", each.beside, each.alone, basis[:, keep], variance[keep])
         )
     return made
-
-
-Progress = Callable[[float, str], None]
