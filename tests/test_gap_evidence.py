@@ -1,5 +1,6 @@
 """Refits, evidences and the discrepancy against independent routes."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -290,17 +291,31 @@ def test_what_something_else_does_to_rise_and_fall(sketch, base):
     assert "by volume mirrored" in best(2.0, -2.0, by_volume=True)
 
 
+NAMED = re.compile(
+    r"(?P<part>[a-z]+( [\d.]+( s)?)??)( (?P<course>mirrored|rise|fall|by volume( mirrored)?))?"
+    r"( (?P<shared>alike|each|by concentration))?( [\d.]+)?(?P<drift> and drift [\d.]+)?"
+)
+"""a configuration's part, course, what experiments share of it, and size"""
+
+
 def test_weights_alone_are_those_of_the_study(sketch, base):
     table = pd.read_csv(TABLES / "unlisted_weights.csv").set_index(["of", "name"])
     assert (abs(table["learned"] - table["taken"]) < 0.08).all()
-    taken = table.loc["part"]["taken"]
-    found = dict.fromkeys(taken.index, 0.0)
+    found = {row: 0.0 for row in table.index}
     for d in make_discrepancies(sketch, base):
-        joined = " and drift" in d.name
-        part = next((p for p in found if d.name.startswith(p)), "")
-        found["response and drift" if joined else part] += d.alone
-    assert sum(found.values()) == pytest.approx(1.0)
-    assert [found[p] for p in taken.index] == pytest.approx(list(taken), abs=6e-4)
+        words = NAMED.fullmatch(d.name)
+        assert words is not None
+        part = "response and drift" if words["drift"] else words["part"]
+        found["part", part] += d.alone
+        if part.startswith(("response", "timing")) and not words["drift"]:
+            found["course", words["course"] or "apart"] += d.alone
+        if not part.startswith(("drift", "gain", "herald")) and not words["drift"]:
+            found["shared", words["shared"] or "by flow"] += d.alone
+    for of in ("part", "course", "shared"):
+        taken = table.loc[of]["taken"]
+        weights = pd.Series({name: found[of, name] for name in taken.index})
+        assert list(weights / weights.sum()) == pytest.approx(list(taken), abs=6e-4)
+        assert of != "part" or weights.sum() == pytest.approx(1.0)
 
 
 def test_leverage_is_the_projection_of_noise(sketch, base):
