@@ -186,7 +186,7 @@ NOTHING = SimpleNamespace(probabilities=np.zeros(0), hypotheses=())
 
 def standing(none: float, unlisted: float, families=None, effects=None) -> Standing:
     each = dict.fromkeys(CATALOGUE, 0.0) | (effects or {})
-    return Standing({}, each, families or {}, none, unlisted, unlisted)
+    return Standing({}, each, families or {}, none, unlisted, unlisted, unlisted)
 
 
 def test_the_verdict_where_no_effect_stands_out() -> None:

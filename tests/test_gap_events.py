@@ -315,6 +315,8 @@ def test_a_line_stands_beside_an_effect_on_the_mean_and_is_unlisted_by_itself():
     assert alone.verdict.kind == "unlisted" and "line of unlisted origin" in alone.verdict.sentence
     # it may be the noise of the place: almost half of it is given back
     assert alone.standing.looks_unlisted > 0.9
+    said = alone.to_json()["unlisted"]  # a line tells it, not the mean
+    assert said["looks"] == alone.standing.looks_unlisted and said["by_mean"] < 0.5
     assert alone.verdict.probability == pytest.approx(1.0 - MISTAKEN_BY_SAMPLES, abs=0.05)
     quiet, hum = (
         diagnose_gap(humming({"flow_error": 1.15}, 17.3, volts), bootstrap=0, separate=False,

@@ -74,6 +74,7 @@ def trimmed(gap: Mapping[str, Any]) -> dict[str, Any]:
         if v is None or isinstance(v, bool | int | float | str)
     }
     kept["families"] = dict(gap.get("families") or {})
+    kept["unlisted"] = dict(gap.get("unlisted") or {})
     kept["budget"] = {k: gap["budget"].get(k) for k in ("excess_d", "p_value")}
     kept["tau_envelope_s"] = gap["hidden"]["tau_envelope_s"]
     kept["whiteness_p"] = gap.get("whiteness_p")

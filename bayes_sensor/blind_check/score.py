@@ -128,6 +128,8 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         "p_top": rows[top],
         "p_none": rows.get("none", 0.0),
         "p_unlisted": rows.get("unlisted", 0.0),
+        "looks_unlisted": _looks_unlisted(verdict, "looks"),
+        "unlisted_by_mean": _looks_unlisted(verdict, "by_mean"),
         "p_right": p_right,
         "named": bool(named),
         "named_confidently": bool(named) and said["probability"] > CONFIDENT,
@@ -178,6 +180,12 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         else bool(envelope[0] <= tau <= envelope[1]),
     }
     return row
+
+
+def _looks_unlisted(verdict: Mapping[str, Any], how: str) -> float | None:
+    """Before any share is given back; None where the verdict does not say, as those of users."""
+    said = verdict.get("unlisted") or {}
+    return None if said.get(how) is None else float(said[how])
 
 
 def _tau_told(verdict: Mapping[str, Any], right: Sequence[set[str]]) -> float | None:

@@ -195,7 +195,7 @@ class Gap:
         }
 
     def to_json(self) -> dict[str, Any]:
-        """The content of gap.json; further keys: `where_scales`, `rounds`, `separate`, ..."""
+        """The content of gap.json; further keys: `where_scales`, `unlisted`, `rounds`, ..."""
         v = self.verdict
         record = {
             "budget": self.budget,
@@ -211,6 +211,10 @@ class Gap:
                 "sentence": v.sentence,
             },
             "families": self.standing.families,
+            "unlisted": {
+                "looks": self.standing.looks_unlisted,
+                "by_mean": self.standing.looks_by_mean,
+            },
             "shrink": self.shrink.to_json(),
             "hidden": {
                 "effects": [vars(h) for h in self.hidden.effects],

@@ -61,6 +61,8 @@ class Standing:
     unlisted: float
     looks_unlisted: float
     """the last, before the share of what only looks so is given back"""
+    looks_by_mean: float
+    """the same by the mean alone, without what single samples tell"""
 
 
 def standing(
@@ -105,6 +107,7 @@ def standing(
     complete = [h for h in weighing.hypotheses if not h.incomplete]
     best = max(complete, key=lambda h: h.log_weight)
     mistaken = MISTAKEN * rows["unlisted"] + MISTAKEN_BY_SAMPLES * of_samples
+    looks_by_mean = rows["unlisted"]
     rows["unlisted"] += of_samples
     looks_unlisted = rows["unlisted"]
     rows = _giving_back(rows, mistaken, "+".join(best.effects) or "none")
@@ -122,7 +125,9 @@ def standing(
     for n, p in on_noise.items():
         effects[n] = max(effects[n], p)
         families[catalogue[n].family] = max(families.get(catalogue[n].family, 0.0), p)
-    return Standing(rows, effects, families, rows["none"], rows["unlisted"], looks_unlisted)
+    return Standing(
+        rows, effects, families, rows["none"], rows["unlisted"], looks_unlisted, looks_by_mean
+    )
 
 
 def _look_alike(weighing: Weighing, h: Hypothesis) -> float:

@@ -39,6 +39,8 @@ from bayes_sensor.results import read_json, write_json, write_text
 N, SEED = 600, 20261204
 """the seed was never used before the run that is reported"""
 N_FULL = 60
+SURE = 0.9
+"""probability of looking unlisted from which a campaign counts for the shares given back"""
 ALIKE = 3.5
 """standard deviations; what lies nearer to an effect is taken for it"""
 FIGURES = TABLES.parent / "figures"
@@ -67,6 +69,7 @@ def run(
     write_json(TABLES / "blind_check.json", card)
     keep_first(frame, pd.DataFrame(card["goals"]))
     write_look_alikes(frame)
+    write_alarms(frame)
     write_readme()
     keep_figure(score_card(card), "blind_check")
     both = compare_settings(place, frame, jobs, scheduler, progress)
@@ -120,6 +123,23 @@ def write_look_alikes(cases: pd.DataFrame) -> None:
     others = pd.read_csv(path).query("seed != @SEED") if path.exists() else pd.DataFrame()
     both = pd.concat([others, pd.DataFrame([row])]).sort_values("seed")
     both.to_csv(path, index=False, float_format="%.4g")
+
+
+def write_alarms(cases: pd.DataFrame) -> None:
+    """Put this run's rows into blind_check_alarms.csv: what surely looked unlisted, and by what.
+
+    How many of them have no unlisted cause is what ``MISTAKEN`` of the verdict rests on.  Runs
+    from before the verdicts held it were diagnosed anew.
+    """
+    seen = cases[(cases["kind"] != "withheld") & (cases["looks_unlisted"].astype(float) > SURE)]
+    by_mean = seen["unlisted_by_mean"].astype(float) > SURE
+    rows = seen[["case", "kind", "causes", "law", "looks_unlisted"]].assign(
+        seed=SEED, by=by_mean.map({True: "mean", False: "samples"})
+    )
+    path = TABLES / "blind_check_alarms.csv"
+    others = pd.read_csv(path, keep_default_na=False).query("seed != @SEED")
+    both = pd.concat([others, rows])[others.columns].sort_values(["seed", "case"])
+    both.to_csv(path, index=False, float_format="%.3f")
 
 
 def markdown_table(goals: pd.DataFrame) -> str:
@@ -266,7 +286,7 @@ def out_of_reach(cases: pd.DataFrame) -> str:
 
 
 def too_sure(cases: pd.DataFrame) -> str:
-    """One sentence: how many of the surest verdicts are wrong ("unlisted" never exceeds 6/7)."""
+    """One sentence: how many of the surest verdicts are wrong."""
     p = pd.to_numeric(cases["p_said"])
     wrong = cases["verdict_right"].astype(str) == "False"
     unlisted = (cases["verdict"] == "unlisted") & (p > 0.8)
