@@ -43,7 +43,9 @@ from bayes_sensor.reality.noise import draw_noise
 from bayes_sensor.reality.rig import Course, Knobs, centre_of_mass, dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
+    blanked,
     blind,
+    burning,
     capillary,
     decades,
     envelope,
@@ -53,6 +55,7 @@ from bayes_sensor.reality.stages import (
     laminar,
     layered_film,
     log_amplifier,
+    looped,
     modal,
     moving_fronts,
     oscillating_lag,
@@ -163,7 +166,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (47, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (50, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -3391,6 +3394,284 @@ def test_averaged_repeats_are_a_stair_where_one_switch_was() -> None:
     assert counts <= {3, 4, 5, 6} and len(counts) > 1
 
 
+def test_a_diaphragm_snaps_through_and_back_against_an_ode_solver() -> None:
+    strength, ways = 0.8, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"snapping_diaphragm": strength})
+        knobs, step, seen = prepared_rig(rig)["1"], rig.steps[0], clean_signals(rig)["1"]
+        taus = rig.tau_v, rig.V / step.total_flow, rig.tau
+
+        def snapping(
+            u: tuple[float, float], x: FloatArray, taus: tuple[float, ...] = taus
+        ) -> list[float]:
+            pressure, through = u
+            opening = (1.0 - strength) * x[0] + strength * through
+            first = (pressure - x[0]) / taus[0]
+            return [first, (opening - x[1]) / taus[1], (x[1] - x[2]) / taus[2]]
+
+        # a lag has come up to the share a after -log(1 - a) of its time, down to it after -log a
+        through = step.t0 - rig.tau_v * np.log(1.0 - knobs.snap_up)
+        back = step.tf - rig.tau_v * np.log(knobs.snap_down)
+        inputs = [
+            (0.0, (0.0, 0.0)), (step.t0, (1.0, 0.0)), (through, (1.0, 1.0)),
+            (step.tf, (0.0, 1.0)), (back, (0.0, 0.0)),
+        ]  # fmt: skip
+        _, states = solved(rig, snapping, 3, inputs=inputs)
+        assert np.abs((seen - step.y0) / step.beta - states[:, 2]).max() < 1e-3
+        ways.append(knobs.snap_up - knobs.snap_down)
+    assert 0.2 < min(ways) < max(ways) < 0.7
+
+
+def test_a_carrier_that_yields_to_the_test_gas_against_an_ode_solver() -> None:
+    strength, times = 0.5, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"yielding_carrier": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        largest = max(step.test_gas_flow for step in rig.steps)
+        for k, step in enumerate(rig.steps):
+            (flow,) = found[step.name].carrier
+            t = np.linspace(0.0, step.tf, 200_001)
+            deepest = strength * step.test_gas_flow / largest
+            time = float(t[np.argmin(flow(t))] - step.t0)
+            times.append(time)
+            assert flow(t).min() == pytest.approx(1.0 - deepest)
+            assert flow(t).max() == 1.0  # it yields first and gives too much at the end only
+            # then as much too much, but for what is left of the first
+            late = np.array([step.tf + time])
+            left = (late - step.t0) / time
+            expected = 1.0 + deepest * (1.0 - left * np.exp(1.0 - left))
+            assert flow(late) == pytest.approx(expected, abs=1e-5)
+            if k > 0:
+                continue
+
+            def upset(at: float, time: float = time) -> float:
+                return max(at, 0.0) / time * float(np.exp(1.0 - max(at, 0.0) / time))
+
+            def yielding(
+                at: float, x: FloatArray, u: float, step: Step = step, rig: Case = rig,
+                deepest: float = deepest, upset: Any = upset,
+            ) -> list[float]:  # fmt: skip
+                factor = 1.0 - deepest * (upset(at - step.t0) - upset(at - step.tf))
+                total = step.carrier_flow * factor + step.test_gas_flow
+                inlet = x[0] * step.test_gas_flow / total / step.concentration
+                gas = total / rig.V * (inlet - x[1])
+                return [(u - x[0]) / rig.tau_v, gas, (x[1] - x[2]) / rig.tau]
+
+            y, t = np.zeros(3), sample_times(step)
+            for low, high, u in ((step.t0, step.tf, 1.0), (step.tf, step.duration, 0.0)):
+                inside = (t >= low) & (t < high)
+                result = solve_ivp(
+                    yielding, (low, high), y, rtol=1e-9, atol=1e-11, dense_output=True,
+                    max_step=0.1, args=(u,),
+                )  # fmt: skip
+                y = result.y[:, -1]
+                x = (seen[step.name] - step.y0) / step.beta
+                assert np.abs(x[inside] - result.sol(t[inside])[2]).max() < 1e-3
+        assert np.ptp(times[-len(rig.steps) :]) < 2e-3  # one controller
+    assert 0.39 < min(times) < max(times) < 3.01
+
+
+def test_what_an_analyser_pumps_comes_back_as_it_went() -> None:
+    # round and round: each time through a lag and late by the way, less what the stream took
+    strength = 0.8
+    for seed in (11, 12):
+        rig = replace(draw_case(seed, size="small"), strengths={"analyser_loop": strength})
+        seen, pumped = clean_signals(rig), prepared_rig(rig)["1"].loop_pumped
+        late = strength * rig.V / pumped
+        for k, step in enumerate(rig.steps):
+            both, rounds = step.total_flow + pumped, 50
+
+            def turning(
+                u: float, x: FloatArray, q: float = step.total_flow, r: float = pumped,
+                rig: Case = rig,
+            ) -> list[float]:  # fmt: skip
+                change = [(u - x[0]) / rig.tau_v]
+                change.append((q * x[0] - (q + r) * x[1]) / rig.V)
+                change += ((r * x[1:-1] - (q + r) * x[2:]) / rig.V).tolist()
+                return change
+
+            t, states = solved(rig, turning, rounds + 1, k=k)
+            gas = sum(
+                np.interp(t - turn * late, t, states[:, 1 + turn], left=0.0)
+                for turn in range(rounds)
+            )
+            assert (pumped / both) ** rounds < 1e-4
+            x = lagged(t, gas, rig.tau)
+            assert np.abs((seen[step.name] - step.y0) / step.beta - x).max() < 2e-3
+    # the loop's volume delays a step by as much as if it lay in the stream
+    t = np.linspace(0.0, 60.0, 60_001)
+    x = looped(t, np.ones_like(t), np.full(len(t), 40.0), 30.0, 25.0, 0.7)
+    assert np.trapezoid(1.0 - x, t) == pytest.approx((30.0 + 25.0 * 0.7) / 40.0, rel=1e-4)
+    # and a way that takes no time is none, even on steps that are longer
+    coarse = np.linspace(0.0, 5.0, 101)
+    short = looped(coarse, np.ones(101), np.full(101, 40.0), 30.0, 25.0, 1e-4)
+    assert short == pytest.approx(1.0 - np.exp(-coarse * 40.0 / 30.0), abs=2e-3)
+
+
+def lagged(t: FloatArray, u: FloatArray, tau: float) -> FloatArray:
+    """(n,) first-order lag of straight lines between even samples, from 0."""
+    h = t[1] - t[0]
+    e = np.exp(-h / tau)
+    # what an interval adds: of the sample before, and of the one at its end
+    last = 1.0 - tau / h * (1.0 - e)
+    first = 1.0 - e - last
+    return np.asarray(lfilter([last, first], [1.0, -e], u))
+
+
+def test_a_coating_ignites_and_goes_on_burning_below() -> None:
+    strength, borders = 0.3, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"igniting_coating": strength})
+        knobs, seen = prepared_rig(rig)["1"], clean_signals(rig)
+        burns, brought, time = knobs.glow_burns, knobs.glow_brought, knobs.glow_time
+
+        def steady(w: FloatArray, burns: float = burns, brought: float = brought) -> FloatArray:
+            return w * (np.exp(-w) / burns + 1.0 / brought)  # the gas that keeps it as warm
+
+        w = np.linspace(0.0, 2.0 * brought, 400_001)
+        slopes = np.sign(np.diff(steady(w)))
+        (up,) = np.flatnonzero((slopes[1:] < 0) & (slopes[:-1] > 0)) + 1
+        (down,) = np.flatnonzero((slopes[1:] > 0) & (slopes[:-1] < 0)) + 1
+        ignites, dies = float(steady(w)[up]), float(steady(w)[down])
+        borders.append(ignites)
+        assert dies < ignites
+        # all of it at the highest concentration
+        assert knobs.glow * np.interp(1.0, steady(w)[down:], w[down:]) == pytest.approx(
+            strength, rel=1e-4
+        )
+        # slowly up and down again: it jumps where it must, and elsewhere on the way back
+        t = np.linspace(0.0, 4000.0 * time, 400_001)
+        g = 1.0 - np.abs(t / (2000.0 * time) - 1.0)
+        warmth = burning(t, g, burns, brought, time)
+        hot = warmth > 0.5 * (w[up] + w[down])
+        assert g[np.argmax(hot)] == pytest.approx(ignites, abs=0.03)
+        assert g[len(hot) - 1 - np.argmax(hot[::-1])] == pytest.approx(dies, abs=0.03)
+
+        for k, step in enumerate(rig.steps):
+            relative, exchange = rig.relative_concentration(step), step.total_flow / rig.V
+
+            def glowing(
+                u: float, x: FloatArray, rig: Case = rig, relative: float = relative,
+                exchange: float = exchange, burns: float = burns, brought: float = brought,
+                time: float = time,
+            ) -> list[float]:  # fmt: skip
+                heat = relative * x[1] / (np.exp(-x[3]) / burns + 1.0 / brought)
+                cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1])]
+                return [*cascade, (x[1] - x[2]) / rig.tau, (heat - x[3]) / time]
+
+            _, states = solved(rig, glowing, 4, k=k)
+            x = states[:, 2] + knobs.glow / relative * states[:, 3]
+            assert np.abs((seen[step.name] - step.y0) / step.beta - x).max() < 1e-3
+    assert 0.3 < min(borders) < max(borders) < 0.7
+
+
+def test_a_beam_is_bent_while_fresh_gas_lies_beside_old() -> None:
+    strength = 0.4
+    rig = case(bent_beam=strength)
+    seen, darkest = clean_signals(rig), []
+    for k, step in enumerate(rig.steps):
+        exchange = step.total_flow / rig.V
+
+        def cascade(u: float, x: FloatArray, exchange: float = exchange) -> list[float]:
+            return [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+
+        t, states = solved(rig, cascade, 3, k=k)
+        differs = rig.relative_concentration(step) * (states[:, 0] - states[:, 1])
+        light = np.exp(np.log(1.0 - strength) * differs**2)  # a Gaussian in the way it goes off
+        y = (step.y0 + step.beta * states[:, 2]) * light
+        assert np.abs(seen[step.name] - y).max() < 1e-4 * step.beta
+        darkest.append(light.min())
+        # less light both ways, and all of it where the gas is mixed
+        mixed = (t < step.t0) | ((t > step.tf - 0.5) & (t < step.tf))
+        assert light[mixed].min() > 0.999
+    # the more of it, the stronger the gas
+    relative = [rig.relative_concentration(step) for step in rig.steps]
+    assert np.argmin(darkest) == np.argmax(relative) and min(darkest) < 0.97
+
+
+def test_a_choppers_openings_go_round_with_its_wheel() -> None:
+    strength, wheels = 0.07, []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"uneven_chopper": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        plain, turns = clean_signals(without_causes(rig)), []
+        for step in rig.steps:
+            (light,) = found[step.name].gain
+            at = sample_times(step)
+            assert np.allclose(seen[step.name], plain[step.name] * (1.0 + light(at)), atol=1e-9)
+            t = np.linspace(0.0, 60.0, 600_001)
+            w = light(t)
+            assert np.abs(w).max() == pytest.approx(strength, rel=1e-2)
+            assert abs(w.mean()) < 0.02 * strength
+            # the opening that is most off passes once a turn
+            sharp = np.flatnonzero(np.abs(w) > 0.98 * np.abs(w).max())
+            passes = np.split(t[sharp], np.flatnonzero(np.diff(sharp) > 1) + 1)
+            middles = np.array([part.mean() for part in passes[1:-1]])
+            each = np.diff(middles)
+            turns.append(1.0 / each.mean())
+            assert 1e-3 < np.ptp(each) / each.mean() < 0.06  # hardly even
+            # turn for turn the same openings
+            quarter = middles[:-1, None] + np.outer(each, np.linspace(0.05, 0.95, 19))
+            assert np.ptp(light(quarter[3:8]), axis=0).max() < 0.15 * strength
+        assert np.ptp(turns) < 0.01 * np.mean(turns)
+        wheels.append(np.mean(turns))
+    assert 1.9 < min(wheels) and max(wheels) < 12.1 and max(wheels) > 1.3 * min(wheels)
+
+
+def test_a_meter_that_looks_for_its_range_shows_its_last_reading() -> None:
+    t = np.arange(1000) * 0.01
+    y = 5.0 - np.abs(t - 5.0)
+    out = blanked(t, y, 3.004, 2.496, 1.0)
+    up, down = (t > 3.005) & (t < 4.005), (t > 7.505) & (t < 8.505)
+    assert out[up] == pytest.approx(3.0) and out[down] == pytest.approx(2.5)
+    assert np.array_equal(out[~(up | down)], y[~(up | down)])
+
+    strength, stood = 0.9, 0
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"blanked_ranging": strength})
+        knobs, seen = prepared_rig(rig)["1"], clean_signals(rig)
+        plain = clean_signals(without_causes(rig))
+        assert knobs.blank_down < knobs.blank_up
+        for step in rig.steps:
+            t, y, shown = sample_times(step), plain[step.name], seen[step.name]
+            blank = np.zeros(len(t), dtype=bool)
+            if y.max() > knobs.blank_up:
+                # between samples the meter has gone on, by a step of the grid at most
+                rises = t[np.argmax(y > knobs.blank_up)]
+                falls = t[len(y) - np.argmax(y[::-1] > knobs.blank_down)]
+                for at, level in ((rises, knobs.blank_up), (falls, knobs.blank_down)):
+                    inside = (t > at + 0.01) & (t < at + strength - 0.02)
+                    assert np.ptp(shown[inside]) < 1e-12
+                    assert shown[inside][0] == pytest.approx(level, abs=0.03 * step.beta)
+                    blank |= (t > at - 0.02) & (t < at + strength + 0.02)
+                    stood += 1
+            assert np.abs(shown - y)[~blank].max() < 1e-12
+    assert stood >= 2 * len(rig.steps)
+
+
+def test_a_display_in_a_hurry_goes_too_far() -> None:
+    strength, shorts = 1.2, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"hurried_display": strength})
+        seen, short = clean_signals(rig), prepared_rig(rig)["1"].lead_lag
+        shorts.append(short / strength)
+        for k, step in enumerate(rig.steps):
+            exchange = step.total_flow / rig.V
+
+            def hurried(
+                u: float, x: FloatArray, rig: Case = rig, exchange: float = exchange,
+                short: float = short,
+            ) -> list[float]:  # fmt: skip
+                cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1])]
+                return [*cascade, (x[1] - x[2]) / rig.tau, (x[2] - x[3]) / short]
+
+            _, states = solved(rig, hurried, 4, k=k)
+            shown = states[:, 2] + strength * (states[:, 2] - states[:, 3]) / short
+            assert np.abs((seen[step.name] - step.y0) / step.beta - shown).max() < 1e-3
+            assert shown.max() > 1.02 and shown.min() < -0.02
+    assert 0.05 < min(shorts) < max(shorts) < 0.25
+
+
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
     times, weights = layered_film(0.05)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
@@ -4060,6 +4341,63 @@ def test_sparkling_weighed_and_dimmed_noise_are_what_they_say() -> None:
     assert not (codes.is_ar1 or readings.is_ar1 or lamps.is_ar1)
 
 
+def test_overcorrected_rectified_and_stretched_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(37)
+    h = 1e-3
+    part = Component(1.0, shape="overcorrected", depth=0.7)
+    zero = NoiseLaw("overcorrecting_zero", 1.0, components=(part,))
+    z = draw_noise(zero, 400_000, h, rng)
+    R = [float(np.mean(z[lag:] * z[: len(z) - lag])) for lag in range(5)]
+    assert pytest.approx([1.0, -0.7, 0.49, -0.343, 0.2401], abs=0.02) == R
+    assert autocorrelation(zero, 4, h) == pytest.approx([1.0, -0.7, 0.49, -0.343])
+    assert autocorrelation(zero, 1, h) == pytest.approx([1.0])
+    # with the share taken back given back nothing is left but what is new, from the first sample
+    new = z[1:] + 0.7 * z[:-1]
+    assert new.std() == pytest.approx(np.sqrt(1.0 - 0.49), rel=0.01)
+    assert abs(np.mean(new[1:] * new[:-1])) < 0.01
+    first = [draw_noise(zero, 2, h, rng)[0] for _ in range(4000)]
+    assert np.std(first) == pytest.approx(1.0, abs=0.05)
+
+    part = Component(1.0, 0.02, shape="rectified")
+    pickup = NoiseLaw("rectified_pickup", 1.0, components=(part,))
+    z = draw_noise(pickup, 1_000_000, h, rng)
+    lowest = -1.0 / np.sqrt(0.5 * np.pi - 1.0)
+    assert lowest - 1e-9 <= z.min() < lowest + 0.01
+    # a half-normal distribution
+    skewness = np.sqrt(2.0) * (4.0 - np.pi) / (np.pi - 2.0) ** 1.5
+    assert np.mean(z) == pytest.approx(0.0, abs=0.03)
+    assert np.mean(z**2) == pytest.approx(1.0, abs=0.05)
+    assert np.mean(z**3) == pytest.approx(skewness, abs=0.15)
+    assert np.mean(z < lowest * (1.0 - 0.6745 / np.sqrt(2.0 / np.pi))) == pytest.approx(
+        0.5, abs=0.02
+    )
+    R = autocorrelation(pickup, 100, h)
+    assert R[0] == pytest.approx(1.0) and (np.diff(R) < 0.0).all()
+    for lag in (1, 5, 14, 40):
+        r = np.exp(-lag * h / 0.02)
+        # of two moduli: polar coordinates of the half plane in which both have one sign, and not
+        angle = np.linspace(0.0, 0.5 * np.pi, 20_001)
+        mean = sum(
+            np.trapezoid(
+                np.sin(2.0 * angle) / (1.0 - sign * r * np.sin(2.0 * angle)) ** 2, angle
+            ) for sign in (1.0, -1.0)
+        ) * (1.0 - r**2) ** 1.5 / np.pi  # fmt: skip
+        assert R[lag] == pytest.approx((mean - 2.0 / np.pi) / (1.0 - 2.0 / np.pi), abs=1e-4)
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.04)
+
+    part = Component(1.0, 0.02, shape="stretched", depth=0.4)
+    insulation = NoiseLaw("glassy_dielectric", 1.0, components=(part,))
+    z = draw_noise(insulation, 2_000_000, h, rng)
+    R = autocorrelation(insulation, 1001, h)
+    assert R[20] == pytest.approx(np.exp(-1.0))
+    # ten times as late, 10^0.4 times as much of the logarithm is gone
+    assert np.log(R[1000]) / np.log(R[100]) == pytest.approx(10.0**0.4)
+    for lag in (1, 5, 20, 100, 400):
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.04)
+    assert np.mean(z**4) / np.mean(z**2) ** 2 == pytest.approx(3.0, abs=0.15)
+    assert not (zero.is_ar1 or pickup.is_ar1 or insulation.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):
@@ -4224,6 +4562,13 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("dry_test_gas", {"rise", "plateau", "fall", "tail"}, 0.999),
         ("fixed_window", {"rise", "fall"}, 0.99),
         ("averaged_repeats", {"baseline", "onset", "rise", "plateau", "fall"}, 0.99),
+        ("snapping_diaphragm", {"rise", "fall"}, 0.99),
+        ("yielding_carrier", {"rise", "plateau", "fall"}, 0.999),
+        ("analyser_loop", {"rise", "fall"}, 0.99),
+        ("igniting_coating", {"plateau", "fall"}, 0.98),
+        ("bent_beam", {"rise", "fall"}, 0.999),
+        ("blanked_ranging", {"rise", "fall"}, 0.99),
+        ("hurried_display", {"rise", "fall"}, 0.99),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

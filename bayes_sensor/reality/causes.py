@@ -245,7 +245,7 @@ def unequal_valves(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.marks += [step.t0 + late[0], step.tf + late[1]]
 
 
-@cause((), "delay", "s", 2.0, near=("finite_stroke",), reserve=True)
+@cause((), "delay", "s", 2.0, near=("finite_stroke",))
 def late_main_stage(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A servo valve opens its pilot hole first, and ``s`` later, its chamber empty, the main seat.
 
@@ -257,7 +257,7 @@ def late_main_stage(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.pilot, knobs.pilot_alone = pilot, s
 
 
-@cause((), "spike", "s", 0.8, per_experiment=True, reserve=True)
+@cause((), "spike", "s", 0.8, per_experiment=True)
 def trial_click(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The operator clicks the valve's switch to hear that it works, before the experiment begins.
 
@@ -268,6 +268,18 @@ def trial_click(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         at, lasts = step.commanded_on * rng.uniform(0.1, 0.7), s * rng.uniform(0.6, 1.0)
         if k == certain or rng.random() < 0.5:
             rig[step.name].tried.append((at, lasts))
+
+
+@cause((), "delay", "share of the stroke", 0.9, near=("finite_stroke",), reserve=True)
+def snapping_diaphragm(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The valve's diaphragm is bowed like an oil can's lid: it gives a little, then snaps through.
+
+    What drives it comes and goes as ever; the share ``s`` of the stroke is done at once, and on the
+    way back at a lower pressure than on the way there.
+    """
+    up, down = rng.uniform(0.6, 0.85), rng.uniform(0.15, 0.4)
+    for knobs in rig.values():
+        knobs.snap, knobs.snap_up, knobs.snap_down = s, up, down
 
 
 # --------------------------------------------------------------------------- flows
@@ -709,7 +721,7 @@ def bobbing_float(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         rig[step.name].test_gas.append(flow)
 
 
-@cause((), "tail", "relative", 2.0, near=("flow_settling",), reserve=True)
+@cause((), "tail", "relative", 2.0, near=("flow_settling",))
 def dammed_test_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The controller has pumped up the hose before the shut valve, which lets go when it opens.
 
@@ -727,6 +739,32 @@ def dammed_test_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
             return np.asarray(1.0 + lambertw(left).real)
 
         rig[step.name].test_gas.append(flow)
+
+
+@cause((), "tail", "relative", 0.6, near=("flow_settling",), reserve=True)
+def yielding_carrier(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The carrier's controller yields to the pressure that comes with the test gas, and recovers.
+
+    Pressed back, it lets less through until its loop has found the set flow again; when the test
+    gas stops, the pressure falls and it lets too much through.  Both go as t exp(-t), and with the
+    test gas's flow, at most by ``s``.
+    """
+    time = _between(rng, 0.4, 3.0)
+    largest = max(step.test_gas_flow for step in case.steps)
+
+    def upset(since: FloatArray) -> FloatArray:
+        past = np.maximum(since, 0.0) / time
+        return np.asarray(past * np.exp(1.0 - past))
+
+    for step in case.steps:
+        size = s * step.test_gas_flow / largest
+
+        def flow(
+            t: FloatArray, t0: float = step.t0, tf: float = step.tf, size: float = size
+        ) -> FloatArray:
+            return 1.0 - size * (upset(t - t0) - upset(t - tf))
+
+        rig[step.name].carrier.append(flow)
 
 
 # --------------------------------------------------------------------------- manifold
@@ -1110,14 +1148,14 @@ def bubbling_exhaust(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         rig[step.name].concentration_gain.append(pressure)
 
 
-@cause((), "mixing", "of V", 0.6, near=("axial_dispersion",), reserve=True)
+@cause((), "mixing", "of V", 0.6, near=("axial_dispersion",))
 def condensate_trap(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Both gases pass a trap for condensate on their way, a second stirred volume of ``s`` V."""
     for knobs in rig.values():
         knobs.trap = s
 
 
-@cause((), "plateau", "share of the response", 0.4, near=("slow_sorption",), reserve=True)
+@cause((), "plateau", "share of the response", 0.4, near=("slow_sorption",))
 def dry_test_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The carrier is damp, the test gas is dry and thins its water, which the ring sees as well.
 
@@ -1128,6 +1166,18 @@ def dry_test_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
     volume, n_cells = typical * _between(rng, 1.0, 6.0), int(rng.integers(1, 5))
     for knobs in rig.values():
         knobs.dried, knobs.dried_volume, knobs.dried_cells = s, volume, n_cells
+
+
+@cause((), "tail", "of V", 1.0, near=("dead_volume",), reserve=True)
+def analyser_loop(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """An analyser on the same cell pumps gas out, through its hoses, and back in again.
+
+    It comes back as it went out, as much later as its pump needs for the hoses' volume of ``s`` V,
+    whatever the stream is.
+    """
+    pumped = float(np.median([step.total_flow for step in case.steps])) * _between(rng, 0.3, 1.5)
+    for knobs in rig.values():
+        knobs.loop, knobs.loop_pumped = s, pumped
 
 
 # --------------------------------------------------------------------------- sensor
@@ -1438,6 +1488,29 @@ def poisoned_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
     for step, dose in zip(case.steps, doses, strict=True):
         rig[step.name].poisoning, rig[step.name].alive = float(rate), float(np.exp(-rate * had))
         had += dose
+
+
+@cause((), "level", "share of the highest step", 0.4, near=("slow_sorption",), reserve=True)
+def igniting_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The coating is a catalyst on which the gas burns: beyond some concentration it ignites.
+
+    Burning goes exponentially with its warmth until it takes all that diffusion brings (Frank-
+    Kamenetskii, Diffusion and Heat Transfer in Chemical Kinetics, 1969).  Just beyond, the heat
+    takes long to run away; once hot it goes on burning below.  Heat moves the line, at the highest
+    concentration by ``s`` of the response.
+    """
+    ignites, time = rng.uniform(0.3, 0.7), _between(rng, 0.5, 4.0)
+    brought = rng.uniform(4.5, 8.0) / ignites
+    # with warmth = gas/(exp(-warmth)/burns + 1/brought) the gas is at its most where it ignites
+    product = ignites * brought
+    warmth = 0.5 * (product - sqrt(product**2 - 4.0 * product))
+    burns = brought * (warmth - 1.0) * float(np.exp(-warmth))
+    hottest = brought
+    for _ in range(100):
+        hottest = 1.0 / (float(np.exp(-hottest)) / burns + 1.0 / brought)
+    for knobs in rig.values():
+        knobs.glow, knobs.glow_time = s / hottest, time
+        knobs.glow_burns, knobs.glow_brought = burns, brought
 
 
 # --------------------------------------------------------------------------- readout
@@ -1976,7 +2049,7 @@ def flickering_tube_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Cas
         rig[step.name].marks += _both_sides(edges[edges < step.duration].tolist())
 
 
-@cause((), "level", "of half the window", 0.8, near=("optical_nonlinearity",), reserve=True)
+@cause((), "level", "of half the window", 0.8, near=("optical_nonlinearity",))
 def fixed_window(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A spectrometer takes the line's centre of mass within a window that does not move along.
 
@@ -1989,7 +2062,7 @@ def fixed_window(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.window_shift = s * window
 
 
-@cause((), "drift", "contrast", 0.3, near=("gain_drift",), per_experiment=True, reserve=True)
+@cause((), "drift", "contrast", 0.3, near=("gain_drift",), per_experiment=True)
 def birefringent_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The fibre carries both polarisations at unequal speeds; the chip takes only one of its own.
 
@@ -2003,6 +2076,42 @@ def birefringent_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         def light(t: FloatArray, turns: float = turns, begin: float = begin) -> FloatArray:
             first = 1.0 + s * np.cos(2.0 * pi * begin)
             return np.asarray((1.0 + s * np.cos(2.0 * pi * (begin + turns * t))) / first - 1.0)
+
+        rig[step.name].gain.append(light)
+
+
+@cause((), "fall", "share lost", 0.7, reserve=True)
+def bent_beam(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The light crosses the cell on its way to the chip; fresh gas beside old gas bends it.
+
+    As the air over a hot road does: it goes off as far as the inlet's gas differs from what is in
+    the cell, and of a Gaussian beam before a fibre 1 - (1 - ``s``)^(difference^2) is lost, a whole
+    one that of the highest concentration.  Once the gas is mixed nobody notices.
+    """
+    for knobs in rig.values():
+        knobs.bending = s
+
+
+@cause((), "line", "relative", 0.1, fast=True, reserve=True)
+def uneven_chopper(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The light is chopped, and the wheel's openings are not of one width: each lets through more.
+
+    Of all the light, not of the step: the reading goes up and down with the wheel's turns, whose
+    motor never keeps quite one speed.
+    """
+    openings, turns = int(rng.integers(3, 9)), _between(rng, 2.0, 12.0)
+    width = rng.uniform(-1.0, 1.0, openings)
+    width -= width.mean()
+    width /= np.abs(width).max()
+    strays, period = _between(rng, 0.002, 0.02), _between(rng, 5.0, 20.0)
+    for step in case.steps:
+        begin, phase = rng.random(), 2.0 * pi * rng.random()
+
+        def light(t: FloatArray, begin: float = begin, phase: float = phase) -> FloatArray:
+            # the integral of turns (1 + strays cos)
+            swing = strays * period / (2.0 * pi) * np.sin(2.0 * pi * t / period + phase)
+            place = np.mod(begin + turns * (t + swing), 1.0) * openings
+            return np.asarray(s * np.interp(place, np.arange(openings + 1), [*width, width[0]]))
 
         rig[step.name].gain.append(light)
 
@@ -2631,7 +2740,7 @@ def burst_fired_heater(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].offset.append(hum)
 
 
-@cause((), "delay", "s", 1.2, near=("daq_filter",), reserve=True)
+@cause((), "delay", "s", 1.2, near=("daq_filter",))
 def averaged_repeats(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """What is exported is the mean of some repeats, whose records were all started by hand.
 
@@ -2643,6 +2752,32 @@ def averaged_repeats(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         knobs = rig[step.name]
         knobs.repeats = s * early / float(np.sqrt(np.mean(early**2)))
         knobs.marks += [at + late for at in (step.t0, step.tf) for late in knobs.repeats.tolist()]
+
+
+@cause((), "level", "s", 1.5, reserve=True)
+def blanked_ranging(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The meter looks for its range by itself, and while its relays settle it shows nothing new.
+
+    Its last reading stands for ``s`` where the signal leaves the lower range, and where it comes
+    back into it, which is a little lower.  Both ranges are right.
+    """
+    step = _mean_step(case)
+    up = float(np.mean([each.y0 for each in case.steps])) + rng.uniform(0.3, 0.7) * step
+    down = up - rng.uniform(0.02, 0.15) * step
+    for knobs in rig.values():
+        knobs.blank_up, knobs.blank_down, knobs.blank_lasts = up, down, s
+
+
+@cause((), "delay", "s", 1.5, reserve=True)
+def hurried_display(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The meter adds ``s`` times the slope, to show at once where a slow probe would end up.
+
+    It was made for another probe; with this one a step comes too early and goes too far.  The slope
+    is that behind a short lag, and the noise comes behind it.
+    """
+    short = rng.uniform(0.05, 0.25)
+    for knobs in rig.values():
+        knobs.lead, knobs.lead_lag = s, short * s
 
 
 # --------------------------------------------------------------------------- noise

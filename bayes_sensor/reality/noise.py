@@ -24,9 +24,10 @@ OPEN_LAWS = (
     "decimated", "mode_hopping", "drilling",
     "hunting_fan", "chattering_relay", "replugged_fibre",
     "two_fans", "slow_meter", "crackling_cable",
+    "sparkling_codes", "weighed_readings", "dimmed_lamps",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("sparkling_codes", "weighed_readings", "dimmed_lamps")
+RESERVE_LAWS = ("overcorrecting_zero", "rectified_pickup", "glassy_dielectric")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
@@ -367,6 +368,30 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             Component(dimmed, exp(own.uniform(np.log(5e-3), np.log(0.1))), shape="dimmed"),
         ),
     }  # fmt: skip
+    corrected, rectified = own.uniform(0.4, 0.8), own.uniform(0.1, 0.35)
+    dielectric = own.uniform(0.05, 0.3)
+    parts |= {
+        # a converter that sets its zero anew after each reading, by more than it was off
+        "overcorrecting_zero": (
+            Component(1.0 - corrected, exp(own.uniform(np.log(0.01), np.log(0.1)))),
+            Component(corrected, shape="overcorrected", depth=own.uniform(0.4, 0.9)),
+        ),
+        # pickup that a poor contact rectifies: it goes one way only
+        "rectified_pickup": (
+            Component(1.0 - rectified),
+            Component(
+                rectified, exp(own.uniform(np.log(0.02), np.log(0.3))), shape="rectified"
+            ),
+        ),
+        # a cable's insulation, whose dipoles turn after fluctuations of every pace
+        "glassy_dielectric": (
+            Component(1.0 - dielectric, short),
+            Component(
+                dielectric, exp(own.uniform(np.log(0.01), np.log(0.3))), shape="stretched",
+                depth=own.uniform(0.3, 0.5),
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -385,6 +410,8 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
                 total[1:3] += part.share * np.array([-4.0, 1.0])[: n - 1] / 6.0
             elif part.shape == "binomial":
                 total[1:3] += part.share * np.array([4.0, 1.0])[: n - 1] / 6.0
+            elif part.shape == "overcorrected":
+                total[1:] += part.share * (-part.depth) ** np.arange(1.0, n)
             continue
         own = np.exp(-lags / part.time)
         if part.shape == "smooth":
@@ -454,6 +481,10 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = alone * own + together * train / (part.gust_time - part.time)
         elif part.shape == "dimmed":
             own = _dimmed_correlation(lags / part.time)
+        elif part.shape == "rectified":
+            own = _rectified_correlation(own)
+        elif part.shape == "stretched":
+            own = np.exp(-((lags / part.time) ** part.depth))
         elif part.shape == "chattering":
             own = 2.0 / pi * np.arcsin(own)
         elif part.shape == "diffusing":
@@ -507,6 +538,9 @@ def _draw_part(
         return np.diff(_innovations(n + 2, rng, tails), 2) / sqrt(6.0)
     if part.shape == "binomial":
         return np.convolve(_innovations(n + 2, rng, tails), [1.0, 2.0, 1.0], "valid") / sqrt(6.0)
+    if part.shape == "overcorrected":
+        alternating: FloatArray = _remembering(_innovations(n, rng, tails), -part.depth)
+        return alternating
     if part.shape == "sparkling":
         off = np.where(rng.random(n) < part.rate, 1.0 / sqrt(part.rate), 0.0)
         return np.where(rng.random(n) < 0.5, off, -off)
@@ -558,6 +592,13 @@ def _draw_part(
         return _trains(part, n, interval, rng)
     if part.shape == "dimmed":
         return _dimmed(interval / part.time, n, rng)
+    if part.shape == "rectified":
+        modulus: FloatArray = np.abs(_remembering(rng.standard_normal(n), decay))
+        return (modulus - sqrt(2.0 / pi)) / sqrt(1.0 - 2.0 / pi)
+    if part.shape == "stretched":
+        # convex, as a mixture of exponentials is
+        lags = np.arange(n + 1, dtype=float) * interval
+        return _embedded(np.exp(-((lags / part.time) ** part.depth)), rng)
     if part.shape == "chattering":
         return np.where(_remembering(rng.standard_normal(n), decay) > 0.0, 1.0, -1.0)
     if part.shape == "bell":
@@ -826,6 +867,14 @@ def _dimmed(periods: float, n: int, rng: np.random.Generator) -> FloatArray:
     at = np.arange(n) * periods + rng.random()
     number = at.astype(np.int64)
     return np.where(at - number < rng.random(int(number[-1]) + 1)[number], 1.0, -1.0)
+
+
+def _rectified_correlation(r: FloatArray) -> FloatArray:
+    """Of the modulus of Gaussian noise whose own correlation is ``r``.
+
+    The mean of |x y| is 2/pi (sqrt(1 - r^2) + r arcsin r), of |x| it is sqrt(2/pi).
+    """
+    return np.asarray((np.sqrt(1.0 - r**2) + r * np.arcsin(r) - 1.0) / (0.5 * pi - 1.0))
 
 
 def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

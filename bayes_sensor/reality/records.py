@@ -111,7 +111,9 @@ class Component:
     With ``sparkling`` (``time`` 0) a share ``rate`` of the samples is off by one and the same step,
     up or down; with ``binomial`` (``time`` 0) white noise is weighed 1, 2, 1; with ``dimmed`` it is
     a square wave of period ``time``, each of whose pulses is as long as chance will have it:
-    anything from none to all of the period.
+    anything from none to all of the period.  With ``overcorrected`` (``time`` 0) each sample takes
+    back ``depth`` of the one before; with ``rectified`` it is the modulus of an Ornstein-Uhlenbeck
+    process; with ``stretched`` its autocorrelation is ``exp(-(lag/time)^depth)``.
     """
 
     share: float
@@ -126,7 +128,8 @@ class Component:
     ``charging``, ``shaped``, ``motes``, ``strokes``, ``bell``, ``bits``, ``lognormal``,
     ``conducting``, ``latching``, ``waning``, ``stops``, ``coded``, ``paces``, ``cut_off``,
     ``settling``, ``drilled``, ``hunting``, ``chattering``, ``replugged``, ``beating``, ``held``,
-    ``trains``, ``sparkling``, ``binomial`` or ``dimmed``"""
+    ``trains``, ``sparkling``, ``binomial``, ``dimmed``, ``overcorrected``, ``rectified`` or
+    ``stretched``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

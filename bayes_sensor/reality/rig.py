@@ -65,6 +65,12 @@ class Knobs:
     """s for which it is open by itself"""
     tried: list[tuple[float, float]] = field(default_factory=list)
     """(s, s it lasts): the valve is opened out of turn"""
+    snap: float = 0.0
+    """share of the stroke that a bowed diaphragm does at once"""
+    snap_up: float = 0.7
+    """share of the pressure at which it snaps through"""
+    snap_down: float = 0.3
+    """likewise back"""
     # flows
     following: float = 0.0
     """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
@@ -134,6 +140,10 @@ class Knobs:
     """mL/s that would fall into it from the set concentration above none"""
     pit_lifted: float = 1.0
     """mL/s that the stream brings out of it"""
+    loop: float = 0.0
+    """volume of hoses that lead from the manifold back into it, in units of V"""
+    loop_pumped: float = 50.0
+    """mL/s that are pumped through them"""
     left_over: float = 0.0
     """concentration in the manifold at the start, in units of this experiment's"""
     left_over_times: tuple[float, float] = (4.0, 20.0)
@@ -227,6 +237,14 @@ class Knobs:
     """relative pressure at which half of the pores have filled"""
     pores_width: float = 0.1
     """standard deviation of its logarithm among them"""
+    glow: float = 0.0
+    """share of the highest response a unit of warmth, in which burning grows by e"""
+    glow_burns: float = 0.1
+    """warmth that the highest concentration would make by burning if it stayed cold"""
+    glow_brought: float = 10.0
+    """likewise by burning all that diffusion brings"""
+    glow_time: float = 1.0
+    """s in which the coating loses its warmth"""
     poisoning: float = 0.0
     """per s, at which sites die that the highest concentration has taken"""
     alive: float = 1.0
@@ -253,6 +271,8 @@ class Knobs:
     """s"""
     gain: list[Course] = field(default_factory=list)
     """relative changes of the optical power"""
+    bending: float = 0.0
+    """share of the light that is lost where the highest concentration meets none"""
     concentration_gain: list[Course] = field(default_factory=list)
     """relative changes of the response alone"""
     fringe: float = 0.0
@@ -340,6 +360,16 @@ class Knobs:
     """V, below which it goes back"""
     range_gap: float = 0.0
     """V by which the upper range reads more"""
+    blank_up: float = 0.0
+    """V, above which a meter takes its upper range"""
+    blank_down: float = 0.0
+    """V, below which it goes back"""
+    blank_lasts: float = 0.0
+    """s for which its reading stands meanwhile"""
+    lead: float = 0.0
+    """s, by which a meter multiplies the slope that it adds"""
+    lead_lag: float = 0.1
+    """s behind which it takes the slope"""
     filter_time: float = 0.0
     """s, total delay of a four-pole anti-alias filter"""
     parabola: float = 0.0
@@ -425,6 +455,12 @@ def voltage(
             marks.append(switch + knobs.bypass_delay)
     if knobs.pilot_alone > 0:
         marks.append(step.t0 + knobs.pilot_alone)
+    if knobs.snap > 0:
+        # just before and after the driving pressure, a lag, has come to either
+        tau_v = case.tau_v * knobs.valve_factor
+        through = step.t0 - tau_v * float(np.log1p(-knobs.snap_up))
+        back = step.tf - tau_v * float(np.log(knobs.snap_down))
+        marks += [side for at in (through, back) for side in (at - 1e-6, at + 1e-6)]
     if knobs.sinking > 0:
         marks.append(step.t0 + knobs.sinking_after)
     if knobs.ajar > 0:
@@ -459,7 +495,12 @@ def voltage(
     if knobs.dried > 0:
         late = stages.retarded(t, gas, flow, knobs.dried_volume, knobs.dried_cells)
         response = response - knobs.dried * stages.steady_lag(t, late, case.tau)
-    y = _readout(case, step, knobs, t, response)
+    y = _readout(case, step, knobs, t, response, case.relative_concentration(step) * (inlet - gas))
+    if knobs.blank_lasts > 0:
+        y = stages.blanked(t, y, knobs.blank_up, knobs.blank_down, knobs.blank_lasts)
+    if knobs.lead > 0:
+        slope = (y - stages.steady_lag(t, y, knobs.lead_lag)) / knobs.lead_lag
+        y = y + knobs.lead * slope
     if knobs.filter_time > 0:
         for _ in range(4):
             y = stages.steady_lag(t, y, 0.25 * knobs.filter_time)
@@ -523,6 +564,9 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
         x = (1.0 - knobs.slow_opening) * x + knobs.slow_opening * slow
     if knobs.stick_band > 0:
         x = stages.stick_slip(x, knobs.stick_band)
+    if knobs.snap > 0:
+        snapped = stages.two_ranges(x, knobs.snap_up, knobs.snap_down, 1.0) - x
+        x = (1.0 - knobs.snap) * x + knobs.snap * snapped
     if knobs.ajar > 0:
         falling = np.exp(-np.maximum(t - knobs.ajar_until, 0.0) / tau_v)
         x = np.where(t > step.tf, np.maximum(x, knobs.ajar * falling), x)
@@ -593,6 +637,9 @@ def _manifold(
         gas = stages.pit(t, inlet, flow, case.V, knobs.pit, knobs.pit_falling, knobs.pit_lifted)
     elif knobs.back_flow is not None:
         gas = stages.cells(t, inlet, flow, case.V, knobs.n_cells, knobs.back_flow)
+    elif knobs.loop > 0:
+        round_trip = knobs.loop * case.V / knobs.loop_pumped
+        gas = stages.looped(t, inlet, flow, case.V, knobs.loop_pumped, round_trip)
     else:
         passage = case.V / (0.5 * (flow[1:] + flow[:-1]))
         if knobs.layering > 0:
@@ -684,6 +731,10 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         filled = np.log(np.maximum(stages.capillary(pressure), 1e-9) / knobs.pores_at)
         share = 0.5 * erfc(-filled / (np.sqrt(2.0) * knobs.pores_width))
         x = x + knobs.pores / relative * stages.steady_lag(t, share, case.tau)
+    if knobs.glow > 0:
+        burns, brought = knobs.glow_burns, knobs.glow_brought
+        warmth = stages.burning(t, relative * gas, burns, brought, knobs.glow_time)
+        x = x + knobs.glow / relative * warmth
     if knobs.poisoning > 0:
         held = relative * _integral(t, x)
         x = knobs.alive * x * np.exp(-knobs.poisoning * held)
@@ -709,7 +760,10 @@ def centre_of_mass(z: FloatArray | float, window: float) -> Any:
     return z + cut / area
 
 
-def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray) -> FloatArray:
+def _readout(
+    case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray, uneven: FloatArray
+) -> FloatArray:
+    """(n,) V; ``uneven`` (n,): concentration at the inlet less the manifold's, over the highest."""
     relative = case.relative_concentration(step)
     for course in knobs.concentration_gain:
         x = x * (1.0 + course(t))
@@ -761,6 +815,8 @@ def _readout(case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray)
         y = y - knobs.creep * stages.modal(t, y - y[0], *stages.decades(knobs.creep_first))
     for course in knobs.gain:
         y = y * (1.0 + course(t))
+    if knobs.bending > 0:
+        y = y * (1.0 - knobs.bending) ** (uneven**2)
     for course in knobs.offset:
         y = y + course(t)
     if knobs.detector_time > 0:

@@ -629,6 +629,39 @@ def cells(
 
 
 @njit(cache=True, error_model="numpy")
+def looped(
+    t: FloatArray, u: FloatArray, flow: FloatArray, V: float, pumped: float, late: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state of V x' = flow (u - x) + ``pumped`` (x(t - ``late``) - x) from 0.
+
+    A stirred volume V (mL) some of whose gas comes back ``late`` (s); flows in mL/s.
+    """
+    n = len(t)
+    x = np.zeros(n)
+    j, old = 0, 0.0  # what comes back at the node before
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        at = t[i + 1] - late
+        while j < i and t[j + 1] <= at:
+            j += 1
+        share = min(max((at - t[j]) / (t[j + 1] - t[j]), 0.0), 1.0)
+        a = (flow[i] * u[i] + pumped * old) / (flow[i] + pumped)
+        time = V / (0.5 * (flow[i] + flow[i + 1]) + pumped)
+        e = exp(-h / time)
+        back, end = old, x[i]
+        for _ in range(4):  # of a step longer than the way round the end itself comes back
+            if j == i:
+                back = x[i] + share * (end - x[i])
+            else:
+                back = x[j] + share * (x[j + 1] - x[j])
+            b = (flow[i + 1] * u[i + 1] + pumped * back) / (flow[i + 1] + pumped)
+            behind = time * (b - a) / h
+            end = b - behind + (x[i] - a + behind) * e
+        x[i + 1], old = end, back
+    return x
+
+
+@njit(cache=True, error_model="numpy")
 def langmuir(
     t: FloatArray, g: FloatArray, tau: float, K: float, bend: float, gate: float, width: float
 ) -> FloatArray:  # pragma: no cover - compiled
@@ -660,6 +693,33 @@ def langmuir(
             middle = 0.5 * (r[i] + end)
         r[i + 1] = end
     return r
+
+
+@njit(cache=True, error_model="numpy")
+def burning(
+    t: FloatArray, g: FloatArray, burns: float, brought: float, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) warmth w from 0 of a catalyst: time w' = g/(exp(-w)/``burns`` + 1/``brought``) - w.
+
+    What burns of the gas ``g`` (n,) grows as exp(w), until it is all that is brought.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    w = 0.0
+    share = (0.0, 0.5, 0.5, 1.0)
+    for i in range(n - 1):
+        steps = max(1, ceil((t[i + 1] - t[i]) * (1.0 + 0.25 * brought) / (0.3 * time)))
+        h = (t[i + 1] - t[i]) / steps
+        for step in range(steps):
+            before, total = 0.0, 0.0
+            for stage in range(4):
+                gas = g[i] + (step + share[stage]) / steps * (g[i + 1] - g[i])
+                trial = w + share[stage] * h * before
+                before = (gas / (exp(-trial) / burns + 1.0 / brought) - trial) / time
+                total += before if stage in (0, 3) else 2.0 * before
+            w += h / 6.0 * total
+        out[i + 1] = w
+    return out
 
 
 @njit(cache=True)
@@ -719,6 +779,25 @@ def blind(y: FloatArray, begin: float, width: float) -> FloatArray:  # pragma: n
     out = y.copy()
     for i in range(1, len(y)):
         if begin < y[i] < begin + width:
+            out[i] = out[i - 1]
+    return out
+
+
+@njit(cache=True)
+def blanked(
+    t: FloatArray, y: FloatArray, up: float, down: float, lasts: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``y``, but for ``lasts`` (s) what it was just before it rose above ``up``.
+
+    Likewise where it then falls below ``down``, and so on by turns.
+    """
+    out = y.copy()
+    upper, until = y[0] > up, t[0]
+    for i in range(1, len(y)):
+        if t[i] < until:
+            out[i] = out[i - 1]
+        elif (y[i] < down) if upper else (y[i] > up):
+            upper, until = not upper, t[i] + lasts
             out[i] = out[i - 1]
     return out
 
