@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -777,6 +778,16 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     if kinds or f"the same {len(cases)} verdicts" not in shown:
         assert f"gives {kinds} of another kind" in shown
     text = " ".join(shown.split())
+    level = cases["d_level"].astype(float)
+    strong = cases[(cases["kind"] == "unlisted") & level.isin([8.0, 16.0])]
+    counted = re.search(
+        r"no run had seen, (\d+) of (\d+) were flagged, of those of earlier runs (\d+) of (\d+)",
+        text,
+    )
+    assert counted is not None
+    new, of_new, others, of_others = (int(n) for n in counted.groups())
+    assert new + others == (strong["verdict"] == "unlisted").sum()
+    assert of_new + of_others == len(strong) and min(of_new, of_others) > 10
     unlisted = nulls[nulls["verdict"] == "unlisted"]
     assert f"Nulls called unlisted: {len(unlisted)} of {len(nulls)}" in text
     card = json.loads((TABLES / "blind_check.json").read_text(encoding="utf-8"))

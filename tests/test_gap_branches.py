@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from campaigns import small_design, small_problem
+from scipy.stats import binom
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.gap import which
@@ -211,11 +212,20 @@ def test_some_of_what_looks_unlisted_is_a_mistake() -> None:
     assert _giving_back(quiet, 0.0, "none") == quiet
 
 
+LEARNED = 20261204
+"""the last sealed run whose alarms the shares were counted from"""
+
+
 def test_shares_given_back_are_those_of_the_alarms_that_were_wrong() -> None:
     seen = pd.read_csv(TABLES / "blind_check_alarms.csv", keep_default_na=False)
     assert (seen["looks_unlisted"] > 0.9).all()
-    wrong = seen["kind"] != "unlisted"
-    by_mean = seen["by"] == "mean"
+    seen["wrong"] = seen["kind"] != "unlisted"
+    # sealed runs since have not moved the shares: by the mean they agree within what chance allows
+    since = seen[(seen["seed"] > LEARNED) & (seen["by"] == "mean")]["wrong"]
+    assert len(since) >= 40
+    assert 0.025 < binom.cdf(since.sum(), len(since), MISTAKEN) < 0.975
+    seen = seen[seen["seed"] <= LEARNED]
+    wrong, by_mean = seen["wrong"], seen["by"] == "mean"
     assert wrong[by_mean].mean() == pytest.approx(MISTAKEN, abs=0.01)
     alarms = seen[~by_mean & wrong].groupby("seed")["law"]
     loudest = alarms.agg(lambda laws: laws.value_counts().index[0])
