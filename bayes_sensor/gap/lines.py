@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import windows
@@ -265,23 +266,35 @@ def _local_level(power: FloatArray, per_resolution: float, k: int) -> FloatArray
     centres = [1.0]
     while centres[-1] < len(power):
         centres.append(centres[-1] + 0.4 * half_width(centres[-1]))
-    of_noise = float(gamma.median(k) / k)
-    levels = []
-    for centre in centres:
-        half = half_width(centre)
-        low, high = int(max(centre - half, 1)), int(min(centre + half, len(power))) + 1
-        window = power[low:high]
-        step = max(1, len(window) // 400)
-        middle = float(np.median(window[::step]))
-        # where a filter cuts the noise off, the louder side is no line above the quieter one
-        sides = np.split(window, [int(centre) - low])
-        louder = max(float(np.median(side)) for side in sides if len(side) > 0.5 * half)
-        levels.append((louder if louder > EDGE * middle else middle) / of_noise)
+    levels = _medians(power, np.array(centres), np.array([half_width(c) for c in centres]))
+    levels /= float(gamma.median(k) / k)
     smooth = np.interp(
         np.log(np.maximum(index, 0.5)), np.log(centres), np.log(np.maximum(levels, 1e-300))
     )
     expected: FloatArray = np.maximum(np.exp(smooth), 1e-300)
     return expected
+
+
+@njit(cache=True)
+def _medians(
+    power: FloatArray, centres: FloatArray, halves: FloatArray
+) -> FloatArray:  # pragma: no cover
+    # (n_centres,) of the power around each centre, to half a width on both sides
+    found = np.empty(len(centres))
+    for i in range(len(centres)):
+        centre, half = centres[i], halves[i]
+        low, high = int(max(centre - half, 1.0)), int(min(centre + half, float(len(power)))) + 1
+        window = power[low:high]
+        step = max(1, len(window) // 400)
+        middle = np.median(window[::step])
+        # where a filter cuts the noise off, the louder side is no line above the quieter one
+        louder = 0.0
+        at = int(centre) - low
+        for side in (window[:at], window[at:]):
+            if len(side) > 0.5 * half:
+                louder = max(louder, np.median(side))
+        found[i] = louder if louder > EDGE * middle else middle
+    return found
 
 
 def mains_bands(
