@@ -28,7 +28,6 @@ from bayes_sensor.gap.rig import (
     MIDDLE,
     NEUTRAL,
     START,
-    STEP,
     T0,
     TAU,
     TAU_M,
@@ -38,7 +37,6 @@ from bayes_sensor.gap.rig import (
     rig_mean,
     rig_means,
     rig_response,
-    step_means,
 )
 
 FASTER = 0.3
@@ -344,7 +342,7 @@ class Plan:
         p, own = self.rig(x, k)
         at = self.sketch.bins[k].times if times is None else times
         if own is None:
-            return np.asarray(rig_mean(at, p, *modes_of(p)))
+            return np.asarray(rig_mean(at, p, *coating_modes()))
         form, values = own
         return self._own_mean(at, p, form, values, self.sketch.settings[k])
 
@@ -434,13 +432,18 @@ class Plan:
 
     def binned(self, x: FloatArray, k: int) -> FloatArray:
         """V (n_bins,), mean of each bin of experiment ``k``."""
-        bins = self.sketch.bins[k]
         p, own = self.rig(x, k)
         if own is not None:
-            return bins.reduce(self.mean(x, k))
-        step = step_means(*bins.edges, p)
-        p[STEP] = 0.0
-        made: FloatArray = bins.reduce(np.asarray(rig_mean(bins.times, p, *modes_of(p)))) + step
+            return self.sketch.bins[k].reduce(self.mean(x, k))
+        made: FloatArray = self._means(p[None, :], k)[0]
+        return made
+
+    def _means(self, rigs: FloatArray, k: int) -> FloatArray:
+        """V (n_rigs, n_bins), mean of each bin of experiment ``k`` for every row of ``rigs``."""
+        bins = self.sketch.bins[k]
+        made: FloatArray = rig_means(
+            bins.times, bins.weights, bins.starts, *bins.edges, rigs, *coating_modes()
+        )
         return made
 
     def columns(self, k: int) -> NDArray[np.int64]:
@@ -477,50 +480,57 @@ class Plan:
             most[at + 2 : at + (4 if fall else 3)] = self.sketch.time_scale
         return most
 
+    @cached_property
+    def switch_times(self) -> NDArray[np.int64]:
+        """Coordinates t0 and tf of all experiments."""
+        found = []
+        for at, fall in zip(self.local[:-1], self._falls, strict=True):
+            found += [at + 2, at + 3] if fall else [at + 2]
+        return np.array(found, dtype=np.int64)
+
     def jacobian(self, x: FloatArray, k: int, here: FloatArray, finer: float = 1.0) -> FloatArray:
         """(n_bins, n_columns) whitened derivatives of experiment ``k``'s bin means.
 
         ``finer``: factor on the steps of the differences.
         """
         columns = self.columns(k)
-        made = np.empty((len(here), len(columns)))
-        bins = self.sketch.bins[k]
         steps = finer * self.steps
-        moved = np.array(x)
-        rigs, own = [], False
-        for c in columns:
-            moved[c] += steps[c]
-            p, mean = self.rig(moved, k)
-            own = own or mean is not None
-            rigs.append(p)
-            moved[c] = x[c]
-        if own:
+        p, own = self.rig(x, k)
+        if own is None:
+            means = self._means(self._moved(x, k, p, steps), k)[1:]
+        else:
+            moved = np.array(x)
+            means = np.empty((len(columns), len(here)))
             for i, c in enumerate(columns):
                 moved[c] += steps[c]
-                made[:, i] = (self.binned(moved, k) - here) / steps[c]
+                means[i] = self.binned(moved, k)
                 moved[c] = x[c]
-        else:
-            table = np.array(rigs)
-            coated = bool(np.any(table[:, FIRST + INDEX["coating"]] != 0.0))
-            shares, ratios = coating_modes() if coated else _NO_MODES
-            stepped = [step_means(*bins.edges, p) for p in table if p[STEP] != 0.0]
-            if stepped:
-                which = np.flatnonzero(table[:, STEP])
-                table[:, STEP] = 0.0
-            means = rig_means(bins.times, table, shares, ratios)
-            reduced = np.add.reduceat(means * bins.weights, bins.starts, axis=1)
-            if stepped:
-                reduced[which] += stepped
-            made[:] = ((reduced - here) / steps[columns][:, None]).T
-        return self.sketch.inverse_factors[k] @ made
+        return self.sketch.inverse_factors[k] @ ((means - here) / steps[columns][:, None]).T
 
-
-_NO_MODES = (np.zeros(0), np.zeros(0))
-
-
-def modes_of(p: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The coating's shares and ratios, none where the rig ``p`` has no coating."""
-    return coating_modes() if p[FIRST + INDEX["coating"]] != 0.0 else _NO_MODES
+    def _moved(self, x: FloatArray, k: int, p: FloatArray, steps: FloatArray) -> FloatArray:
+        """(1 + n_columns, n_parameters): rig ``p`` at ``x``, and with each coordinate moved."""
+        columns = self.columns(k)
+        rigs = np.empty((1 + len(columns), len(p)))
+        rigs[:] = p
+        n = len(self.shared)
+        (x0, x1, x2), (h0, h1, h2) = x[:SHARED].tolist(), steps[:SHARED].tolist()
+        rigs[1, TAU] = exp(max(x1 - FASTER - (x0 + h0), -60.0))
+        rigs[2, TAU] = exp(max(x1 + h1 - FASTER - x0, -60.0))
+        rigs[2, TAU_V] = exp(min(x1 + h1, 40.0))
+        rigs[3, TAU_M] = exp(min(x2 + h2, 60.0)) / self._flows[k]
+        first = 1 + SHARED + n
+        for i, name in enumerate((Y0, BETA, T0, TF)[: 4 if self._falls[k] else 3]):
+            at = columns[first - 1 + i]
+            rigs[first + i, name] = x[at] + steps[at]
+        # what depends on strengths is theirs to say
+        last = 1 + len(columns)
+        moved = np.array(x)
+        for row in (*range(1 + SHARED, first), *range(last - len(self.own), last)):
+            c = columns[row - 1]
+            moved[c] += steps[c]
+            rigs[row] = self.rig(moved, k)[0]
+            moved[c] = x[c]
+        return rigs
 
 
 @dataclass(frozen=True, eq=False)
@@ -531,8 +541,6 @@ class Refit:
     x: FloatArray
     residual: FloatArray
     """(n_bins in all,) whitened"""
-    jacobians: tuple[FloatArray, ...]
-    """whitened derivatives of each experiment by its columns"""
     objective: float
     """residual'residual + prior"""
     converged: bool
@@ -541,6 +549,15 @@ class Refit:
     def misfit(self) -> float:
         """Q, squared whitened residual."""
         return float(self.residual @ self.residual)
+
+    @cached_property
+    def jacobians(self) -> tuple[FloatArray, ...]:
+        """Whitened derivatives of each experiment by its columns, worked out when asked for.
+
+        Always by the usual differences, which smooth over the bins' nodes: evidences rest on them.
+        """
+        plan, x = self.plan, self.x
+        return tuple(plan.jacobian(x, k, plan.binned(x, k)) for k in range(len(plan.sketch.bins)))
 
     @cached_property
     def jacobian(self) -> FloatArray:
@@ -622,11 +639,10 @@ def refit(
 
     means, residual, objective = evaluate(x)
     damping, converged, finer = 1e-3, False, 1.0
-    jacobians: tuple[FloatArray, ...] = ()
     for _ in range(most_steps):
-        jacobians = tuple(plan.jacobian(x, k, means[k], finer) for k in range(n_e))
         normal, gradient = np.zeros((plan.size, plan.size)), np.zeros(plan.size)
-        for k, j in enumerate(jacobians):
+        for k in range(n_e):
+            j = plan.jacobian(x, k, means[k], finer)
             columns = plan.columns(k)
             normal[np.ix_(columns, columns)] += j.T @ j
             gradient[columns] += j.T @ residual[sketch.rows[k]]
@@ -646,9 +662,7 @@ def refit(
             except np.linalg.LinAlgError:
                 damping = max(damping, 1e-6) * 10.0
                 continue
-            trial = x.copy()
-            trial[index] += _limited(step, index, plan)
-            trial[0] = max(trial[0], 0.0)
+            trial = _stepped(plan, x, index, step)
             t_means, t_residual, t_objective = evaluate(trial)
             if t_objective < objective:
                 accepted = True
@@ -666,16 +680,26 @@ def refit(
         damping = max(damping * 0.2, 1e-9)
         if gained < tolerance:
             converged = True
-            jacobians = tuple(plan.jacobian(x, k, means[k]) for k in range(n_e))
             break
-    if finer != 1.0:  # evidences rest on the usual differences, which smooth over the bins' nodes
-        jacobians = tuple(plan.jacobian(x, k, means[k]) for k in range(n_e))
-    return Refit(plan, x, residual, jacobians, objective, converged)
+    return Refit(plan, x, residual, objective, converged)
 
 
-def _limited(step: FloatArray, index: NDArray[np.int64], plan: Plan) -> FloatArray:
+def _stepped(plan: Plan, x: FloatArray, index: NDArray[np.int64], step: FloatArray) -> FloatArray:
+    """Coordinates (n,) after a ``step`` of those in ``index``, none of them too long.
+
+    A lag of tau delays the response by tau, so that what tau gains the switch times lose.  Tau is
+    exponential in the coordinates: the switch times make up for what it gains beyond the linear.
+    """
     most = plan.longest_steps[index]
-    return np.clip(step, -most, most)
+    moved = x.copy()
+    moved[index] += np.clip(step, -most, most)
+    moved[0] = max(moved[0], 0.0)
+    before, by = x[1] - FASTER - x[0], (moved[1] - x[1]) - (moved[0] - x[0])
+    bent = exp(max(before, -60.0)) * (exp(by) - 1.0 - by)
+    movable = np.zeros(plan.size, dtype=bool)
+    movable[index] = True
+    moved[plan.switch_times[movable[plan.switch_times]]] -= bent
+    return moved
 
 
 def base_starts(sketch: Sketch, base: FloatArray) -> list[FloatArray]:

@@ -19,6 +19,7 @@ from math import cos, exp, log, sin, sqrt, tanh
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
 
@@ -84,6 +85,17 @@ FIRST = 10
     CARRY_TIME, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING, LATE, LATE_RISE, LATE_FALL,
 ) = range(FIRST, FIRST + len(SETTINGS))  # fmt: skip
 
+OF_THE_READOUT = [
+    Y0, BETA, MIDDLE, CURVATURE, DRIFT, DRIFT_CURVE, DRIFT_TWIST, STEP, STEP_TIME, STEP_WITH_FALL,
+    STEP_WIDTH, GAIN, GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL,
+]  # fmt: skip
+OF_THE_SENSOR = [
+    TAU, START, RELEASE, RELEASE_WIDTH, SLOW_S, SLOW_S_TIME, SLOW_S_SPREAD, COATING, FILTER, CARRY,
+    CARRY_TIME, SENSOR_FACTOR,
+]  # fmt: skip
+_of_the_gas = np.setdiff1d(np.arange(FIRST + len(SETTINGS)), OF_THE_READOUT + OF_THE_SENSOR)
+_before_the_readout = np.setdiff1d(np.arange(FIRST + len(SETTINGS)), OF_THE_READOUT)
+
 CELLS_PER_TIME_CONSTANT = 14.0
 GROWTH = 1.06
 """each cell is this much longer than the one before"""
@@ -130,15 +142,6 @@ def _opening(
 
 
 @njit(cache=True)
-def _valve(t: float, p: FloatArray) -> float:  # pragma: no cover
-    # x1 at time t; a way that is longer for a part of the gas is a valve that opens late for it
-    x = _one_valve(t, p, p[T0], p[TF])
-    if p[LATE] != 0.0:
-        x += p[LATE] * (_one_valve(t, p, p[T0] + p[LATE_RISE], p[TF] + p[LATE_FALL]) - x)
-    return x
-
-
-@njit(cache=True)
 def _still_open(even: float, bend: float) -> float:  # pragma: no cover
     # y of tau (1 + bend (y - 1/2)) y' = -y where without the bend it would be ``even``:
     # (1 - bend/2) ln y + bend (y - 1) = ln even, by Newton's method
@@ -156,33 +159,50 @@ def _still_open(even: float, bend: float) -> float:  # pragma: no cover
 
 
 @njit(cache=True)
-def _one_valve(t: float, p: FloatArray, t0: float, tf: float) -> float:  # pragma: no cover
-    # x1 at time t of a valve commanded at t0 and tf
-    since = t - t0
-    if since <= 0.0:
-        return 0.0
+def _valve(t: FloatArray, p: FloatArray) -> FloatArray:  # pragma: no cover
+    # x1 (n,) at times (n,); a way that is longer for a part of the gas is a valve that opens late
+    # for it
+    x = _one_valve(t, p, p[T0], p[TF])
+    if p[LATE] != 0.0:
+        x += p[LATE] * (_one_valve(t, p, p[T0] + p[LATE_RISE], p[TF] + p[LATE_FALL]) - x)
+    return x
+
+
+@njit(cache=True)
+def _one_valve(
+    t: FloatArray, p: FloatArray, t0: float, tf: float
+) -> FloatArray:  # pragma: no cover
+    # x1 (n,) at times (n,) of a valve commanded at t0 and tf
+    x = np.zeros(len(t))
     tau, share = p[TAU_V] * p[VALVE_FACTOR], p[SLOW_V]
-    after = t - tf
-    if (p[CLOSING] == 1.0 and p[CLOSING_BEND] == 0.0) or after <= 0.0:
-        # linear: opening minus shutting
-        x = _opening(since, tau, p[INERTIA], p[STROKE], p[BEND])
-        if after > 0.0:
-            x -= _opening(after, tau, p[INERTIA], p[STROKE], p[BEND])
-        if share != 0.0:
-            slow = 1.0 - exp(-since / p[SLOW_V_TIME])
-            if after > 0.0:
-                slow -= 1.0 - exp(-after / p[SLOW_V_TIME])
-            x += share * (slow - x)
+    alike = p[CLOSING] == 1.0 and p[CLOSING_BEND] == 0.0
+    if alike and p[INERTIA] <= 1e-9 and p[STROKE] <= 0.0:  # one exponential up, one down
+        reached = 1.0 - exp(-max(tf - t0, 0.0) / tau)
+        for i in range(len(t)):
+            if t[i] > tf:
+                x[i] = reached * exp((tf - t[i]) / tau)
+            elif t[i] > t0:
+                x[i] = 1.0 - exp((t0 - t[i]) / tau)
     else:
-        x = _opening(tf - t0, tau, p[INERTIA], p[STROKE], p[BEND])
-        x *= _still_open(
-            1.0 - _opening(after, tau * p[CLOSING], p[INERTIA], p[STROKE], p[BEND]), p[CLOSING_BEND]
-        )
-        if share != 0.0:
-            slow = exp(-after / p[SLOW_V_TIME]) - exp(-since / p[SLOW_V_TIME])
-            x += share * (slow - x)
-    if p[SETTLING] != 0.0:
-        x *= 1.0 - p[SETTLING] * exp(-since / p[SETTLING_TIME]) * cos(p[SETTLING_SWING] * since)
+        reached = _opening(tf - t0, tau, p[INERTIA], p[STROKE], p[BEND])
+        for i in range(len(t)):
+            since, after = t[i] - t0, t[i] - tf
+            if alike or after <= 0.0:  # linear: opening minus shutting
+                x[i] = _opening(since, tau, p[INERTIA], p[STROKE], p[BEND])
+                if after > 0.0:
+                    x[i] -= _opening(after, tau, p[INERTIA], p[STROKE], p[BEND])
+            else:
+                shut = _opening(after, tau * p[CLOSING], p[INERTIA], p[STROKE], p[BEND])
+                x[i] = reached * _still_open(1.0 - shut, p[CLOSING_BEND])
+    for i in range(len(t)):
+        since, after = t[i] - t0, t[i] - tf
+        if share != 0.0 and since > 0.0:
+            slow = -exp(-since / p[SLOW_V_TIME])
+            slow += exp(-after / p[SLOW_V_TIME]) if after > 0.0 else 1.0
+            x[i] += share * (slow - x[i])
+        if p[SETTLING] != 0.0 and since > 0.0:
+            gone = exp(-since / p[SETTLING_TIME])
+            x[i] *= 1.0 - p[SETTLING] * gone * cos(p[SETTLING_SWING] * since)
     return x
 
 
@@ -197,8 +217,9 @@ def _weights(r: float) -> tuple[float, float, float, float]:  # pragma: no cover
         m1 = r * (0.5 - r / 6.0 * (1.0 - 0.25 * r))
         m2 = r * (1.0 / 3.0 - r / 12.0 * (1.0 - 0.2 * r))
     else:
-        m1 = 1.0 - (1.0 - decay) / r
-        m2 = 1.0 - 2.0 * m1 / r
+        per = 1.0 / r
+        m1 = 1.0 - (1.0 - decay) * per
+        m2 = 1.0 - 2.0 * m1 * per
     # input a + (4m - 3a - b) q + (2a - 4m + 2b) q^2
     return decay, 1.0 - decay - 3.0 * m1 + 2.0 * m2, 4.0 * (m1 - m2), 2.0 * m2 - m1
 
@@ -245,9 +266,15 @@ def _manifold(
     if share > 0.0:
         exchange = 1.0 / p[POCKET_TIME]
     pocket = 0.0
+    after_fall = filling / p[EMPTYING]
     for i in range(n - 1):
         h = t[i + 1] - t[i]
-        rate0 = filling if t[i] < p[TF] else filling / p[EMPTYING]
+        rate0 = filling if t[i] < p[TF] else after_fall
+        if lost == 0.0 and share <= 0.0:  # a lag
+            x2[i + 1] = _advance(x2[i], rate0 * h, x1[i], x1_mid[i], x1[i + 1])
+            slope_a[i] = rate0 * (x1[i] - x2[i])
+            slope_b[i] = rate0 * (x1[i + 1] - x2[i + 1])
+            continue
         # the flow through the manifold follows the valve; what enters is Q x1 where the valve is
         # in the test gas's line, and of concentration x1 where the gases are mixed before it
         ra = rate0 * (1.0 - lost + lost * x1[i])
@@ -319,19 +346,11 @@ def _lag(
 
 
 @njit(cache=True)
-def _response(
-    times: FloatArray,
-    p: FloatArray,
-    mode_share: FloatArray,
-    mode_ratio: FloatArray,
-    out: FloatArray,
-) -> None:  # pragma: no cover
-    # x3 at sorted times
+def _gas(
+    last: float, p: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # pragma: no cover
+    # a grid (n,) s from t0 to the last time, x2 (n,) on it and (n - 1,) in the middles of its cells
     t0, tf = p[T0], p[TF]
-    last = times[-1]
-    out[:] = 0.0
-    if last <= t0:
-        return
     first = min(p[TAU_V] * p[VALVE_FACTOR], p[TAU_M] / p[FLOW] * min(1.0, p[EMPTYING]))
     if p[CLOSING] < 1.0 or p[CLOSING_BEND] != 0.0:
         first = min(first, p[CLOSING] * p[TAU_V] * (1.0 - 0.5 * abs(p[CLOSING_BEND])))
@@ -352,15 +371,41 @@ def _response(
         until = min(events[i + 1], last) if i + 1 < len(events) else last
         if until - t[-1] > 1e-3 * first:
             t = np.concatenate((t, _grid(t[-1], until, first)[1:]))
-    n = len(t)
-    x1 = np.empty(n)
-    x1_mid = np.empty(n - 1)
-    for i in range(n):
-        x1[i] = _valve(t[i], p)
-        if i < n - 1:
-            x1_mid[i] = _valve(0.5 * (t[i] + t[i + 1]), p)
+    x1, x1_mid = _valve(t, p), _valve(0.5 * (t[:-1] + t[1:]), p)
     x2, x2_mid = _manifold(t, x1, x1_mid, p)
+    return t, x2, x2_mid
 
+
+@njit(cache=True)
+def _sensed(
+    times: FloatArray,
+    p: FloatArray,
+    t: FloatArray,
+    x2: FloatArray,
+    x2_mid: FloatArray,
+    mode_share: FloatArray,
+    mode_ratio: FloatArray,
+) -> FloatArray:  # pragma: no cover
+    # x3 at sorted times, of the gas x2 on the grid t
+    out = np.zeros(len(times))
+    if times[-1] > p[T0]:
+        _add_response(times, p, t, x2, x2_mid, mode_share, mode_ratio, out)
+    if p[CARRY] != 0.0:
+        _add_carried(times, p, out)
+    return out
+
+
+@njit(cache=True)
+def _add_response(
+    times: FloatArray,
+    p: FloatArray,
+    t: FloatArray,
+    x2: FloatArray,
+    x2_mid: FloatArray,
+    mode_share: FloatArray,
+    mode_ratio: FloatArray,
+    out: FloatArray,
+) -> None:  # pragma: no cover
     # the sensor's parallel modes: the single lag or the coating's, and slow sites
     n_modes = len(mode_share)
     share = np.zeros(n_modes + 4)
@@ -388,8 +433,9 @@ def _response(
     low_pass = p[FILTER]
     filtered = 0.0
     k = 0
-    while k < len(times) and times[k] <= t0:
+    while k < len(times) and times[k] <= p[T0]:
         k += 1
+    n = len(t)
     for i in range(n - 1):
         h = t[i + 1] - t[i]
         a, m, b = x2[i], x2_mid[i], x2[i + 1]
@@ -405,18 +451,19 @@ def _response(
         while inside < len(times) and (times[inside] <= t[i + 1] or i == n - 2):
             inside += 1
         for j in range(used):
-            lag = tau[j] * slower
+            rate = 1.0 / (tau[j] * slower)
             if low_pass > 0.0:
                 half_m = 0.375 * a + 0.75 * m - 0.125 * b
                 before += share[j] * state[j]
-                middle += share[j] * _advance(state[j], 0.5 * h / lag, a, half_m, m)
+                middle += share[j] * _advance(state[j], 0.5 * h * rate, a, half_m, m)
             else:
                 for q in range(k, inside):
-                    part = (times[q] - t[i]) / h
+                    since = times[q] - t[i]
+                    part = since / h
                     pb = _quadratic(part, a, m, b)
                     pm = _quadratic(0.5 * part, a, m, b)
-                    out[q] += share[j] * _advance(state[j], part * h / lag, a, pm, pb)
-            state[j] = _advance(state[j], h / lag, a, m, b)
+                    out[q] += share[j] * _advance(state[j], since * rate, a, pm, pb)
+            state[j] = _advance(state[j], h * rate, a, m, b)
             after += share[j] * state[j]
         if low_pass > 0.0:
             for q in range(k, inside):
@@ -446,11 +493,8 @@ def rig_response(
     times: FloatArray, p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
 ) -> FloatArray:  # pragma: no cover
     """x3 (n_t,), the concentration that the readout sees, at sorted ``times`` (n_t,) s."""
-    out = np.empty(len(times))
-    _response(times, p, mode_share, mode_ratio, out)
-    if p[CARRY] != 0.0:
-        _add_carried(times, p, out)
-    return out
+    t, x2, x2_mid = _gas(times[-1], p)
+    return _sensed(times, p, t, x2, x2_mid, mode_share, mode_ratio)
 
 
 @njit(cache=True)
@@ -474,10 +518,16 @@ def rig_mean(
     times: FloatArray, p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
 ) -> FloatArray:  # pragma: no cover
     """The mean voltage (n_t,) at sorted ``times`` (n_t,) s."""
-    x = rig_response(times, p, mode_share, mode_ratio)
+    return _read(times, p, rig_response(times, p, mode_share, mode_ratio))
+
+
+@njit(cache=True)
+def _read(times: FloatArray, p: FloatArray, response: FloatArray) -> FloatArray:  # pragma: no cover
+    # V at the times of a response x3
+    volts = np.empty(len(times))
     step_time = p[STEP_TIME] + (p[TF] if p[STEP_WITH_FALL] > 0.0 else 0.0)
     for i in range(len(times)):
-        v = p[BETA] * x[i]
+        v = p[BETA] * response[i]
         v *= 1.0 + p[CURVATURE] * v
         since = times[i] - p[MIDDLE]
         gain = since * (p[GAIN] + since * (p[GAIN_CURVE] + since * p[GAIN_TWIST]))
@@ -488,8 +538,8 @@ def rig_mean(
             if p[STEP_WIDTH] > 0.0:
                 settled -= exp(-(times[i] - step_time) / p[STEP_WIDTH])
             v += p[STEP] * settled
-        x[i] = v
-    return x
+        volts[i] = v
+    return volts
 
 
 @njit(cache=True)
@@ -516,10 +566,48 @@ def step_means(low: FloatArray, high: FloatArray, p: FloatArray) -> FloatArray: 
 
 @njit(cache=True)
 def rig_means(
-    times: FloatArray, p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
+    times: FloatArray,
+    weights: FloatArray,
+    starts: NDArray[np.int64],
+    low: FloatArray,
+    high: FloatArray,
+    p: FloatArray,
+    mode_share: FloatArray,
+    mode_ratio: FloatArray,
 ) -> FloatArray:  # pragma: no cover
-    """(n_rigs, n_t) V: :func:`rig_mean` for every row of ``p`` (n_rigs, n_parameters)."""
-    out = np.empty((len(p), len(times)))
+    """(n_rigs, n_bins) V: means of bins for every row of ``p`` (n_rigs, n_parameters).
+
+    Of each bin, from ``low`` to ``high`` (n_bins,) s, the voltage at its ``times`` (n_t,) s, the
+    first of them at ``starts`` (n_bins,), is summed with the ``weights`` (n_t,).  What a rig has in
+    common with that of the first row is computed once.
+    """
+    made = np.empty((len(p), len(starts)))
+    t, x2, x2_mid = _gas(times[-1], p[0])
+    response = _sensed(times, p[0], t, x2, x2_mid, mode_share, mode_ratio)
     for i in range(len(p)):
-        out[i] = rig_mean(times, p[i], mode_share, mode_ratio)
-    return out
+        if _same(p[i], p[0], _before_the_readout):
+            x3 = response
+        elif _same(p[i], p[0], _of_the_gas):
+            x3 = _sensed(times, p[i], t, x2, x2_mid, mode_share, mode_ratio)
+        else:
+            x3 = rig_response(times, p[i], mode_share, mode_ratio)
+        without_step = p[i].copy()
+        without_step[STEP] = 0.0
+        volts = _read(times, without_step, x3)
+        for b in range(len(starts)):
+            end = starts[b + 1] if b + 1 < len(starts) else len(times)
+            total = 0.0
+            for k in range(starts[b], end):
+                total += weights[k] * volts[k]
+            made[i, b] = total
+        if p[i, STEP] != 0.0:
+            made[i] += step_means(low, high, p[i])
+    return made
+
+
+@njit(cache=True)
+def _same(p: FloatArray, q: FloatArray, which: NDArray[np.int64]) -> bool:  # pragma: no cover
+    for i in which:
+        if p[i] != q[i]:
+            return False
+    return True
