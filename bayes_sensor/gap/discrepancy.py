@@ -86,13 +86,10 @@ class Discrepancy:
         """ln |I + K|."""
         return float(np.sum(np.log1p(self.variance)))
 
-    def precision_times(self, values: FloatArray) -> FloatArray:
-        """(I + K)^-1 times values (n, m)."""
-        inner = self.basis.T @ values
-        shrink = self.variance / (1.0 + self.variance)
-        return values - self.basis @ (
-            shrink[:, None] * inner if values.ndim > 1 else shrink * inner
-        )
+    def absorbed(self, values: FloatArray) -> FloatArray:
+        """(m, m) by how much values' (I + K)^-1 values is less than values' values; (n, m)."""
+        inner = np.sqrt(self.variance / (1.0 + self.variance))[:, None] * (self.basis.T @ values)
+        return np.asarray(inner.T @ inner)
 
 
 def matern32(distance: FloatArray, length: float) -> FloatArray:
@@ -402,9 +399,8 @@ def _configurations(
         values, basis = values[seen], factor @ vectors[:, seen] / np.sqrt(values[seen])
     made = []
     for size in sizes:
-        variance = values * size**2
-        keep = variance > NEGLIGIBLE
-        made.append(
-            Discrepancy(f"{name} {size:g}", each.beside, each.alone, basis[:, keep], variance[keep])
-        )
+        variance = values * size**2  # ascending
+        first = int(np.searchsorted(variance, NEGLIGIBLE, side="right"))
+        kept = (basis[:, first:], variance[first:])
+        made.append(Discrepancy(f"{name} {size:g}", each.beside, each.alone, *kept))
     return made

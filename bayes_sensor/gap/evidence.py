@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import log_ndtr
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.discrepancy import Discrepancy
@@ -42,8 +42,14 @@ class Linearised:
     refit: Refit
 
     @cached_property
-    def jacobian(self) -> FloatArray:
-        return self.refit.jacobian
+    def both(self) -> FloatArray:
+        """(n_bins in all, 1 + n) the residual, and the derivatives of the mean."""
+        return np.column_stack([self.refit.residual, self.refit.jacobian])
+
+    @cached_property
+    def gram(self) -> FloatArray:
+        """(1 + n, 1 + n) of these with each other."""
+        return np.asarray(self.both.T @ self.both)
 
     @cached_property
     def widths(self) -> list[FloatArray]:
@@ -62,6 +68,12 @@ class Linearised:
         return made
 
     @cached_property
+    def priors(self) -> list[tuple[FloatArray, float]]:
+        """Per considered width, the precision (n, n) of the prior and ln of its determinant."""
+        plan = self.refit.plan
+        return [(plan.prior_matrix(w), plan.log_prior_determinant(w)) for w in self.widths]
+
+    @cached_property
     def promised(self) -> FloatArray | None:
         """(n,) the step by which the linearisation would still gain; None at an optimum.
 
@@ -70,34 +82,30 @@ class Linearised:
         """
         plan, x = self.refit.plan, self.refit.x
         prior = plan.own_prior_matrix
-        slope = self.jacobian.T @ self.refit.residual - prior @ (x - plan.prior_centre)
+        slope = self.gram[1:, 0] - prior @ (x - plan.prior_centre)
         free = np.ones(plan.size, dtype=bool)
         free[0] = x[0] > 0.0 or slope[0] > 0.0
-        normal = (self.jacobian.T @ self.jacobian + prior)[np.ix_(free, free)]
+        normal = (self.gram[1:, 1:] + prior)[np.ix_(free, free)]
         step = np.zeros(plan.size)
         step[free] = np.linalg.solve(normal, slope[free])
         return step if float(slope @ step) > AT_REST else None
 
     def evidence(self, discrepancy: Discrepancy | None) -> Evidence:
         """Average over the prior widths."""
-        residual, jacobian = self.refit.residual, self.jacobian
-        if discrepancy is None:
-            mr, mj, log_det = residual, jacobian, 0.0
-        else:
-            both = discrepancy.precision_times(np.column_stack([residual, jacobian]))
-            mr, mj, log_det = both[:, 0], both[:, 1:], discrepancy.log_determinant()
-        normal = jacobian.T @ mj
-        gradient = jacobian.T @ mr
+        gram, log_det = self.gram, 0.0
+        if discrepancy is not None:
+            gram = gram - discrepancy.absorbed(self.both)
+            log_det = discrepancy.log_determinant()
+        square, gradient, normal = float(gram[0, 0]), gram[1:, 0], gram[1:, 1:]
         if self.promised is not None:
             gradient = gradient - normal @ self.promised
-        square = float(residual @ mr)
         found = [
-            _laplace(self.refit, normal, gradient, square, log_det, widths)
-            for widths in self.widths
+            _laplace(self.refit, normal, gradient, square, log_det, prior, log_prior_det)
+            for prior, log_prior_det in self.priors
         ]
         logs = np.array([f.log_z for f in found])
         best = found[int(np.argmax(logs))]
-        total = float(logsumexp(logs) - np.log(len(logs)))
+        total = float(np.logaddexp.reduce(logs) - np.log(len(logs)))
         return Evidence(total, best.misfit, best.log_tau, best.sd_log_tau)
 
 
@@ -107,16 +115,15 @@ def _laplace(
     gradient: FloatArray,
     square: float,
     log_det: float,
-    widths: FloatArray,
+    prior: FloatArray,
+    log_prior_det: float,
 ) -> Evidence:
-    plan = refit.plan
-    prior = plan.prior_matrix(widths)
-    away = refit.x - plan.prior_centre
+    away = refit.x - refit.plan.prior_centre
+    pulled = prior @ away
     n = len(refit.residual)
-    scale, step, misfit = 1.0, np.zeros(plan.size), square
+    scale, misfit = 1.0, square
     for _ in range(3):
-        matrix = scale * normal + prior
-        step[:] = np.linalg.solve(matrix, scale * gradient - prior @ away)
+        step = np.linalg.solve(scale * normal + prior, scale * gradient - pulled)
         misfit = square - 2.0 * float(step @ gradient) + float(step @ normal @ step)
         misfit = max(misfit, 1e-9)
         scale = (DOF + n) / (DOF + misfit)
@@ -125,7 +132,8 @@ def _laplace(
     sign, log_matrix = np.linalg.slogdet(matrix)
     if sign <= 0:
         return Evidence(-np.inf, misfit, 0.0, np.inf)
-    covariance = np.linalg.inv(matrix)
+    # the covariance of the first two coordinates, in which ln tau is the second minus the first
+    covariance = np.linalg.solve(matrix, np.eye(len(step), 2))[:2]
     # ln tau <= ln tau_v - FASTER cuts the Gaussian
     inside = refit.x[0] + step[0]
     sd = float(np.sqrt(covariance[0, 0]))
@@ -133,13 +141,12 @@ def _laplace(
     log_z = (
         -0.5 * (DOF + n) * np.log1p(misfit / DOF)
         - 0.5 * float(moved @ prior @ moved)
-        + 0.5 * plan.log_prior_determinant(widths)
+        + 0.5 * log_prior_det
         - 0.5 * log_matrix
         - 0.5 * log_det
         + cut
     )
-    direction = np.zeros(plan.size)
-    direction[0], direction[1] = -1.0, 1.0
+    direction = np.array([-1.0, 1.0])
     spread = float(np.sqrt(direction @ covariance @ direction))
-    log_tau = float(np.log(refit.tau) + direction @ step)
+    log_tau = float(np.log(refit.tau) + direction @ step[:2])
     return Evidence(float(log_z), misfit, log_tau, spread)
