@@ -155,9 +155,6 @@ class _Weight:
         """One of ``n`` equal shares."""
         return _Weight(self.beside / n, self.alone / n)
 
-    def __bool__(self) -> bool:
-        return self.beside > 0.0 or self.alone > 0.0
-
 
 def _spreads(sketch: Sketch) -> dict[str, tuple[_Weight, _Spread]]:
     """Weights and spreads of what comes again in every experiment, by name."""
@@ -187,7 +184,10 @@ def _standardised(values: list[float]) -> FloatArray:
 
 
 def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
-    """All configurations for a campaign, around the fit without effects."""
+    """All configurations for a campaign, around the fit without effects.
+
+    Where that fit has effects already, only those with a weight beside an effect.
+    """
     beta = [abs(float(base.x[base.plan.local[k] + 1])) for k in range(len(sketch.campaign))]
     spreads = _spreads(sketch)
     usual = spreads[""][1]
@@ -204,7 +204,7 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
     repeating = _repeating(sketch, base, beta)
     for shared, (weight, spread) in spreads.items():
         for name, (of_all, parts, sizes) in repeating.items():
-            if weight * of_all:
+            if _counts(weight * of_all, base):
                 add(f"{name}{shared}", weight * of_all, spread.over(parts), sizes)
     response, drift = usual.over(repeating["response 1"][1]), apart.over([wandering["drift"][1]])
     for size, volts in ((0.003, 0.0015), (0.01, 0.0015), (0.01, 0.005), (0.03, 0.005)):
@@ -228,6 +228,10 @@ def _wandering(sketch: Sketch, base: Refit) -> dict[str, tuple[_Weight, list[Flo
     }
 
 
+def _counts(weight: _Weight, base: Refit) -> bool:
+    return weight.beside > 0.0 or (weight.alone > 0.0 and not base.plan.parts)
+
+
 Repeating = dict[str, tuple[_Weight, Parts, tuple[float, ...]]]
 
 
@@ -242,6 +246,8 @@ def _repeating(sketch: Sketch, base: Refit, beta: list[float]) -> Repeating:
     whole = sum(weight.alone for weight in courses.values())
     response, timing = _after_a_switch(sketch, beta), _slopes(sketch, base)
     for course, weight in courses.items():
+        if not _counts(weight, base):
+            continue
         each = weight * _Weight(1.0, 1.0 / whole)
         by_volume = VOLUME in course
         for length, alone in zip(RESPONSE_LENGTHS, (0.01, 0.09, 0.17), strict=True):

@@ -75,7 +75,7 @@ class Strength:
             if self.kind == "normal"
             else (self.centre * exp(min(max(self.sd * q, -60.0), 60.0)))
         )
-        return min(max(raw, low), high)
+        return low if raw < low else high if raw > high else raw
 
     def coordinate(self, value: float) -> float:
         """The standard coordinate of a strength, held within +-8.

@@ -292,22 +292,31 @@ class Plan:
         centre[0] = centre[1] - FASTER - self.sketch.centre[0]
         return centre
 
+    @cached_property
+    def _fitted(self) -> list[list[tuple[int, Strength, int]]]:
+        """Per experiment, every fitted strength: its part, itself and its coordinate."""
+        made = []
+        for k in range(len(self.sketch.bins)):
+            i, j = SHARED, self.local[k + 1] - len(self.own)
+            found = []
+            for part, strengths in enumerate(self.strengths):
+                for s in strengths:
+                    if s.name in self.held:
+                        continue
+                    if s.per_experiment:
+                        found.append((part, s, j))
+                        j += 1
+                    else:
+                        found.append((part, s, i))
+                        i += 1
+            made.append(found)
+        return made
+
     def values(self, x: FloatArray, k: int) -> list[dict[str, float]]:
         """Per part, the strengths of experiment ``k``."""
-        found = []
-        i, j = SHARED, self.local[k + 1] - len(self.own)
-        for part in self.strengths:
-            made = {}
-            for s in part:
-                if s.name in self.held:
-                    made[s.name] = self.held[s.name]
-                elif s.per_experiment:
-                    made[s.name] = s.value(float(x[j]))
-                    j += 1
-                else:
-                    made[s.name] = s.value(float(x[i]))
-                    i += 1
-            found.append(made)
+        found = [{s.name: self.held.get(s.name, 0.0) for s in part} for part in self.strengths]
+        for part, s, at in self._fitted[k]:
+            found[part][s.name] = s.value(float(x[at]))
         return found
 
     def start(self, base: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
@@ -398,15 +407,19 @@ class Plan:
         p[Y0], p[BETA], p[T0] = x[at], x[at + 1], x[at + 2]
         if self._falls[k]:
             p[TF] = x[at + 3]
-        own = None
-        if self.parts:
-            setting = self.sketch.settings[k]
-            for part, values in zip(self.parts, self.values(x, k), strict=True):
-                for name, value in part.form.settings(values, setting).items():
-                    p[FIRST + INDEX[name]] = value
-                if part.form.mean is not None:
-                    own = (part.form, values)
-        return p, own
+        return p, self._set(p, self.values(x, k), k) if self.parts else None
+
+    def _set(
+        self, p: FloatArray, strengths: Sequence[Mapping[str, float]], k: int
+    ) -> tuple[Form, Mapping[str, float]] | None:
+        # the settings of ``p`` that go with the parts' strengths; a user's own mean is returned
+        own, setting = None, self.sketch.settings[k]
+        for part, values in zip(self.parts, strengths, strict=True):
+            for name, value in part.form.settings(values, setting).items():
+                p[FIRST + INDEX[name]] = value
+            if part.form.mean is not None:
+                own = (part.form, values)
+        return own
 
     @cached_property
     def _flows(self) -> list[float]:
@@ -522,14 +535,14 @@ class Plan:
         for i, name in enumerate((Y0, BETA, T0, TF)[: 4 if self._falls[k] else 3]):
             at = columns[first - 1 + i]
             rigs[first + i, name] = x[at] + steps[at]
-        # what depends on strengths is theirs to say
-        last = 1 + len(columns)
-        moved = np.array(x)
-        for row in (*range(1 + SHARED, first), *range(last - len(self.own), last)):
-            c = columns[row - 1]
-            moved[c] += steps[c]
-            rigs[row] = self.rig(moved, k)[0]
-            moved[c] = x[c]
+        strengths = self.values(x, k)
+        for part, s, c in self._fitted[k]:
+            row = 1 + c if c < SHARED + n else first + c - self.local[k]
+            here = strengths[part][s.name]
+            strengths[part][s.name] = s.value(float(x[c] + steps[c]))
+            rigs[row, FIRST:] = NEUTRAL  # what depends on strengths is theirs to say
+            self._set(rigs[row], strengths, k)
+            strengths[part][s.name] = here
         return rigs
 
 
