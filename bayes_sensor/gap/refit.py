@@ -47,6 +47,8 @@ NUISANCE_SD = {"tau": 1.0, "tau_v": 0.7, "V": 0.3}
 """sd of the logarithms around plausible values"""
 WIDE = 100.0
 """step heights; spread of the priors of y0 and beta"""
+STRAIGHT = 0.25
+"""share of the promised gain that a step must make for the derivatives to be carried on"""
 FINER = 0.01
 """factor on the differences' steps where the usual ones lead nowhere"""
 TAU_OVER_TAU_V = 0.07
@@ -471,6 +473,11 @@ class Plan:
         ]
 
     @cached_property
+    def blocks(self) -> list[tuple[NDArray[np.int64], ...]]:
+        """Where the products of each experiment's :meth:`columns` stand in an (n, n) matrix."""
+        return [np.ix_(columns, columns) for columns in self._columns]
+
+    @cached_property
     def steps(self) -> FloatArray:
         """(n,) steps of the derivatives."""
         steps = np.full(self.size, 0.02)
@@ -652,12 +659,15 @@ def refit(
 
     means, residual, objective = evaluate(x)
     damping, converged, finer = 1e-3, False, 1.0
+    jacobians: list[FloatArray] = []
     for _ in range(most_steps):
+        fresh = not jacobians
+        if fresh:
+            jacobians = [plan.jacobian(x, k, means[k], finer) for k in range(n_e)]
         normal, gradient = np.zeros((plan.size, plan.size)), np.zeros(plan.size)
-        for k in range(n_e):
-            j = plan.jacobian(x, k, means[k], finer)
-            columns = plan.columns(k)
-            normal[np.ix_(columns, columns)] += j.T @ j
+        for k, j in enumerate(jacobians):
+            block, columns = plan.blocks[k], plan.columns(k)
+            normal[block] += j.T @ j
             gradient[columns] += j.T @ residual[sketch.rows[k]]
         _, slope, matrix = _penalty(plan, x)
         gradient -= slope
@@ -680,18 +690,33 @@ def refit(
             if t_objective < objective:
                 accepted = True
                 break
+            if not fresh:
+                break
             damping = max(damping, 1e-6) * 8.0
         if not accepted:
+            if not fresh:
+                jacobians = []
+                continue
             if finer == 1.0 and float(step @ gradient[index]) > 0.1 * tolerance:
                 # where the model bends within the steps of the differences, they mislead
-                finer, damping = FINER, 1e-3
+                finer, damping, jacobians = FINER, 1e-3, []
                 continue
             converged = True
             break
-        gained = objective - t_objective
+        gained, moved = objective - t_objective, trial - x
+        promised = float(moved @ (2.0 * gradient - normal @ moved))
+        if gained > STRAIGHT * promised:
+            weights = np.diag(normal) * moved
+            for k, j in enumerate(jacobians):
+                rows, columns = sketch.rows[k], plan.columns(k)
+                by, w = moved[columns], weights[columns]
+                missed = residual[rows] - t_residual[rows] - j @ by
+                jacobians[k] = j + np.outer(missed, w / float(w @ by))
+        else:
+            jacobians = []
         x, means, residual, objective = trial, t_means, t_residual, t_objective
         damping = max(damping * 0.2, 1e-9)
-        if gained < tolerance:
+        if gained < tolerance and (fresh or promised < 2.0 * tolerance):
             converged = True
             break
     return Refit(plan, x, residual, objective, converged)
