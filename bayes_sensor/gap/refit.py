@@ -49,6 +49,10 @@ WIDE = 100.0
 """step heights; spread of the priors of y0 and beta"""
 STRAIGHT = 0.25
 """share of the promised gain that a step must make for the derivatives to be carried on"""
+ALIKE = 0.5
+"""distance, squared and in standard deviations, below which two optima are taken for one"""
+PATIENCE, FAR = 4, 60.0
+"""steps after which a refit that expects to end so far above another one is given up"""
 FINER = 0.01
 """factor on the differences' steps where the usual ones lead nowhere"""
 TAU_OVER_TAU_V = 0.07
@@ -634,11 +638,16 @@ def refit(
     most_steps: int = 30,
     tolerance: float = 0.02,
     free: NDArray[np.bool_] | None = None,
+    known: Sequence[Refit] = (),
 ) -> Refit:
     """Levenberg-Marquardt from ``start`` (n,) until the objective falls by < ``tolerance``.
 
     ``data``: bin means (n_bins,) V of each experiment in place of the measured ones.  ``free``
-    (n,): coordinates that may move.  The first coordinate stays at or above 0.
+    (n,): coordinates that may move.  The first coordinate stays at or above 0.  ``known``: other
+    refits of the same plan to the same data; one of them is returned where this one is on the way
+    to its optimum, and this one as it stands where it remains far above the best of them.
+
+    The derivatives are carried on by Broyden's rule as long as steps gain about what they promise.
     """
     sketch = plan.sketch
     measured = sketch.data if data is None else data
@@ -660,7 +669,8 @@ def refit(
     means, residual, objective = evaluate(x)
     damping, converged, finer = 1e-3, False, 1.0
     jacobians: list[FloatArray] = []
-    for _ in range(most_steps):
+    least = min((other.objective for other in known), default=inf)
+    for taken in range(most_steps):
         fresh = not jacobians
         if fresh:
             jacobians = [plan.jacobian(x, k, means[k], finer) for k in range(n_e)]
@@ -685,6 +695,16 @@ def refit(
             except np.linalg.LinAlgError:
                 damping = max(damping, 1e-6) * 10.0
                 continue
+            if damping <= 1e-3:
+                ahead = objective - float(step @ gradient[index])
+                if taken >= PATIENCE and ahead > least + FAR:
+                    return Refit(plan, x, residual, objective, False)
+                for other in known:
+                    if other.converged and abs(ahead - other.objective) < ALIKE:
+                        apart = x - other.x
+                        apart[index] += step
+                        if float(apart @ normal @ apart) < ALIKE:
+                            return other
             trial = _stepped(plan, x, index, step)
             t_means, t_residual, t_objective = evaluate(trial)
             if t_objective < objective:

@@ -125,11 +125,14 @@ def fit_effect(
     plan = Plan(sketch, (*base.plan.parts, *parts))
     begun = joined_start(plan, base)
     starts = [*starts, *_most_promising(plan, begun, base, parts[-1].form.grid)]
-    found = [refit(plan, with_start(plan, begun, start), most_steps=most_steps) for start in starts]
+    begins = [with_start(plan, begun, start) for start in starts]
     usual = _with_usual_tau(plan, begun)
     if usual is not None and not base.plan.parts:
         # the fit without the effect may have bent tau far away to do the effect's work
-        found += [refit(plan, with_start(plan, usual, s), most_steps=most_steps) for s in starts]
+        begins += [with_start(plan, usual, start) for start in starts]
+    found: list[Refit] = []
+    for x in begins:
+        found.append(refit(plan, x, most_steps=most_steps, known=found))
     return finished(min(found, key=lambda r: r.objective))
 
 
@@ -339,7 +342,8 @@ def _add_pairs(
             fitted = fit_effect(sketch, first, [part], form.starts[:3], 15)
             if not base.plan.parts:  # what the first effect has swallowed may belong to the second
                 plan = fitted.plan
-                afresh = refit(plan, plan.start(base.x, form.starts[0]), most_steps=15)
+                start = plan.start(base.x, form.starts[0])
+                afresh = refit(plan, start, most_steps=15, known=[fitted])
                 fitted = finished(min(fitted, afresh, key=lambda r: r.objective))
             made.append((fitted, form.weight))
         weight = sum(w for _, w in made)
