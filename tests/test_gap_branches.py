@@ -281,8 +281,8 @@ def test_forms_are_averaged_by_their_evidence(monkeypatch) -> None:
     forms = {"near": (2.0, -3.0, 0.1), "far": (0.5, -2.0, 0.3)}  # ln evidence, ln tau, its sd
     monkeypatch.setattr(
         which, "Linearised",
-        lambda name: SimpleNamespace(evidence=lambda _: SimpleNamespace(
-            **dict(zip(("log_z", "log_tau", "sd_log_tau"), forms[name])))),
+        lambda name: SimpleNamespace(evidences=lambda beside: len(beside) * [SimpleNamespace(
+            **dict(zip(("log_z", "log_tau", "sd_log_tau"), forms[name])))]),
     )  # fmt: skip
     log_z, best, mean, sd = which._average([("near", 0.25), ("far", 0.75)], None)
     shares = np.array([0.25 * np.exp(2.0), 0.75 * np.exp(0.5)])

@@ -30,6 +30,7 @@ half of them go to what is the same in all experiments.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
@@ -47,6 +48,8 @@ ALIKE = 0.9
 """correlation of flow and concentration from which there is no telling which of them it follows"""
 NEGLIGIBLE = 1e-3
 """variance in units of the noise below which a direction of the discrepancy is dropped"""
+MANY = 250
+"""bins and features beyond which what experiments hold is brought together first"""
 
 MIRRORED, RISE, FALL, VOLUME = " mirrored", " rise", " fall", " by volume"
 """what the names of configurations say where rise and fall do not take courses of their own"""
@@ -194,7 +197,7 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
     made: list[Discrepancy] = []
 
     def add(name: str, weight: _Weight, factor: FloatArray, sizes: tuple[float, ...]) -> None:
-        made.extend(_configurations(name, weight, factor, sizes))
+        made.extend(_configurations(name, weight, factor, sizes, sketch.rows))
 
     add("herald", _Weight(0.09, 0.03), usual.over(_herald_parts(sketch, beta)), HERALD_SHARES)
     apart = _Spread(usual.trend, 1.0 if len(sketch.campaign) > 1 else 0.0)
@@ -209,7 +212,7 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
     response, drift = usual.over(repeating["response 1"][1]), apart.over([wandering["drift"][1]])
     for size, volts in ((0.003, 0.0015), (0.01, 0.0015), (0.01, 0.005), (0.03, 0.005)):
         joined = np.hstack([response * size, drift * volts])
-        found = _configurations("", _Weight(0.2, 0.0).shared(4), joined, (1.0,))
+        found = _configurations("", _Weight(0.2, 0.0).shared(4), joined, (1.0,), sketch.rows)
         made += [replace(d, name=f"response {size:g} and drift {volts:g}") for d in found]
     return made
 
@@ -391,18 +394,24 @@ def _part(
 
 
 def _configurations(
-    name: str, weight: _Weight, factor: FloatArray, sizes: tuple[float, ...]
+    name: str,
+    weight: _Weight,
+    factor: FloatArray,
+    sizes: tuple[float, ...],
+    rows: Sequence[slice],
 ) -> list[Discrepancy]:
     """One for each of the sizes; they share the weight, and the directions of K = F F'."""
     each = weight.shared(len(sizes))
     factor = factor[:, np.any(factor != 0.0, axis=0)]
-    # eigenvectors from the smaller of the two Gram matrices
-    if factor.shape[0] < factor.shape[1]:
-        values, basis = np.linalg.eigh(factor @ factor.T)
+    least = NEGLIGIBLE / max(sizes) ** 2
+    if len(rows) > 1 and min(factor.shape) > MANY:
+        within = _within(factor, rows, 1e-3 * least)
+        core = np.vstack([q.T @ factor[at] for q, at in zip(within, rows, strict=True)])
+        values, inner = _directions(core, least)
+        parts = np.split(inner, np.cumsum([q.shape[1] for q in within])[:-1])
+        basis = np.vstack([q @ part for q, part in zip(within, parts, strict=True)])
     else:
-        values, vectors = np.linalg.eigh(factor.T @ factor)
-        seen = values > NEGLIGIBLE / max(sizes) ** 2
-        values, basis = values[seen], factor @ vectors[:, seen] / np.sqrt(values[seen])
+        values, basis = _directions(factor, least)
     made = []
     for size in sizes:
         variance = values * size**2  # ascending
@@ -410,3 +419,29 @@ def _configurations(
         kept = (basis[:, first:], variance[first:])
         made.append(Discrepancy(f"{name} {size:g}", each.beside, each.alone, *kept))
     return made
+
+
+def _directions(factor: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues of F F' above ``least``, ascending, and their eigenvectors (n, rank)."""
+    # from the smaller of the two Gram matrices
+    if factor.shape[0] < factor.shape[1]:
+        values, basis = np.linalg.eigh(factor @ factor.T)
+        seen = values > least
+        return values[seen], basis[:, seen]
+    values, vectors = np.linalg.eigh(factor.T @ factor)
+    seen = values > least
+    return values[seen], factor @ vectors[:, seen] / np.sqrt(values[seen])
+
+
+def _within(factor: FloatArray, rows: Sequence[slice], least: float) -> list[FloatArray]:
+    """(n_bins, rank) directions of every experiment alone, which hold all that is in F.
+
+    The whole has far fewer of them than bins where it acts in a part of the time only.
+    """
+    found = []
+    for at in rows:
+        part = factor[at]
+        part = part[:, np.any(part != 0.0, axis=0)]
+        values, vectors = np.linalg.eigh(part @ part.T)
+        found.append(vectors[:, values > least])
+    return found

@@ -7,8 +7,10 @@ where the floor is right and keeps nulls quiet where it is low.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -92,61 +94,88 @@ class Linearised:
 
     def evidence(self, discrepancy: Discrepancy | None) -> Evidence:
         """Average over the prior widths."""
-        gram, log_det = self.gram, 0.0
-        if discrepancy is not None:
-            gram = gram - discrepancy.absorbed(self.both)
-            log_det = discrepancy.log_determinant()
-        square, gradient, normal = float(gram[0, 0]), gram[1:, 0], gram[1:, 1:]
+        return self.evidences([discrepancy])[0]
+
+    def evidences(self, discrepancies: Sequence[Discrepancy | None]) -> list[Evidence]:
+        """Average over the prior widths, with every discrepancy in turn."""
+        # (n_discrepancies, n_widths) and what each is of; at once, as the matrices are small
+        gram = np.array(
+            [self.gram if d is None else self.gram - d.absorbed(self.both) for d in discrepancies]
+        )
+        log_det = np.array([0.0 if d is None else d.log_determinant() for d in discrepancies])
+        square, gradient, normal = gram[:, 0, 0], gram[:, 1:, 0], gram[:, 1:, 1:]
         if self.promised is not None:
             gradient = gradient - normal @ self.promised
-        found = [
-            _laplace(self.refit, normal, gradient, square, log_det, prior, log_prior_det)
-            for prior, log_prior_det in self.priors
+        found = _laplace(self.refit, normal, gradient, square, log_det, self.priors)
+        best = np.argmax(found.log_z, axis=1)
+        total = np.logaddexp.reduce(found.log_z, axis=1) - np.log(len(self.priors))
+        return [
+            Evidence(*map(float, (log_z, found.misfit[k, i], found.log_tau[k, i], found.sd[k, i])))
+            for k, (i, log_z) in enumerate(zip(best, total, strict=True))
         ]
-        logs = np.array([f.log_z for f in found])
-        best = found[int(np.argmax(logs))]
-        total = float(np.logaddexp.reduce(logs) - np.log(len(logs)))
-        return Evidence(total, best.misfit, best.log_tau, best.sd_log_tau)
+
+
+class _Laplace(NamedTuple):
+    """What :class:`Evidence` says, (n_discrepancies, n_widths) each."""
+
+    log_z: FloatArray
+    misfit: FloatArray
+    log_tau: FloatArray
+    sd: FloatArray
 
 
 def _laplace(
     refit: Refit,
     normal: FloatArray,
     gradient: FloatArray,
-    square: float,
-    log_det: float,
-    prior: FloatArray,
-    log_prior_det: float,
-) -> Evidence:
+    square: FloatArray,
+    log_det: FloatArray,
+    priors: Sequence[tuple[FloatArray, float]],
+) -> _Laplace:
+    # axes: discrepancies, prior widths, coordinates
+    prior = np.array([matrix for matrix, _ in priors])
+    log_prior_det = np.array([log for _, log in priors])
     away = refit.x - refit.plan.prior_centre
     pulled = prior @ away
     n = len(refit.residual)
-    scale, misfit = 1.0, square
+    normal, gradient = normal[:, None], gradient[:, None]
+    square = square[:, None]
+    scale = np.ones((len(square), len(priors)))
     for _ in range(3):
-        step = np.linalg.solve(scale * normal + prior, scale * gradient - pulled)
-        misfit = square - 2.0 * float(step @ gradient) + float(step @ normal @ step)
-        misfit = max(misfit, 1e-9)
+        matrix = scale[..., None, None] * normal + prior
+        step = np.linalg.solve(matrix, (scale[..., None] * gradient - pulled)[..., None])[..., 0]
+        bent = (normal @ step[..., None])[..., 0]
+        misfit = square + np.sum(step * (bent - 2.0 * gradient), axis=-1)
+        misfit = np.maximum(misfit, 1e-9)
         scale = (DOF + n) / (DOF + misfit)
-    matrix = scale * normal + prior
+    matrix = scale[..., None, None] * normal + prior
     moved = away + step
     sign, log_matrix = np.linalg.slogdet(matrix)
-    if sign <= 0:
-        return Evidence(-np.inf, misfit, 0.0, np.inf)
+    sound = sign > 0
     # the covariance of the first two coordinates, in which ln tau is the second minus the first
-    covariance = np.linalg.solve(matrix, np.eye(len(step), 2))[:2]
+    first_two = np.broadcast_to(np.eye(len(away), 2), (*matrix.shape[:-1], 2))
+    covariance = np.linalg.solve(matrix, first_two)[..., :2, :]
     # ln tau <= ln tau_v - FASTER cuts the Gaussian
-    inside = refit.x[0] + step[0]
-    sd = float(np.sqrt(covariance[0, 0]))
-    cut = float(log_ndtr(inside / sd))
+    inside = refit.x[0] + step[..., 0]
+    with np.errstate(invalid="ignore"):  # of a matrix that is not positive definite
+        sd = np.sqrt(covariance[..., 0, 0])
+        spread = np.sqrt(
+            covariance[..., 0, 0] - 2.0 * covariance[..., 0, 1] + covariance[..., 1, 1]
+        )
+        cut = log_ndtr(inside / sd)
+    drawn = np.sum(moved * (prior @ moved[..., None])[..., 0], axis=-1)
     log_z = (
         -0.5 * (DOF + n) * np.log1p(misfit / DOF)
-        - 0.5 * float(moved @ prior @ moved)
+        - 0.5 * drawn
         + 0.5 * log_prior_det
         - 0.5 * log_matrix
-        - 0.5 * log_det
+        - 0.5 * log_det[:, None]
         + cut
     )
-    direction = np.array([-1.0, 1.0])
-    spread = float(np.sqrt(direction @ covariance @ direction))
-    log_tau = float(np.log(refit.tau) + direction @ step[:2])
-    return Evidence(float(log_z), misfit, log_tau, spread)
+    log_tau = np.log(refit.tau) + step[..., 1] - step[..., 0]
+    return _Laplace(
+        np.where(sound, log_z, -np.inf),
+        misfit,
+        np.where(sound, log_tau, 0.0),
+        np.where(sound, spread, np.inf),
+    )

@@ -81,7 +81,8 @@ def what_is_left(
     """
     rng = np.random.default_rng(seed)
     line = Linearised(fitted)
-    logs = np.array([line.evidence(d).log_z + np.log(d.weight) for d in discrepancies])
+    each = zip(line.evidences(discrepancies), discrepancies, strict=True)
+    logs = np.array([e.log_z + np.log(d.weight) for e, d in each])
     complete = line.evidence(None).log_z + np.log1p(-INCOMPLETE)
     any_of_them = float(logsumexp(logs))
     some = any_of_them + np.log(INCOMPLETE)

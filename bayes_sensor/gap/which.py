@@ -19,7 +19,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.discrepancy import Discrepancy, make_discrepancies
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.embedded import WEIGHT, embedded_rivals
-from bayes_sensor.gap.evidence import Evidence, Linearised
+from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, Sketch, refit
 
 PRIOR_NONE = 0.5
@@ -198,9 +198,8 @@ def _average(
     """ln evidence averaged over forms (and discrepancies), the best form, ln tau and its sd."""
     logs, weights, found, owners = [], [], [], []
     for fitted, weight in fits:
-        line = Linearised(fitted)
-        for d in [None] if discrepancies is None else discrepancies:
-            made: Evidence = line.evidence(d)
+        beside = [None] if discrepancies is None else discrepancies
+        for d, made in zip(beside, Linearised(fitted).evidences(beside), strict=True):
             logs.append(made.log_z)
             weights.append(weight * (1.0 if d is None else d.weight))
             found.append(made)
@@ -298,8 +297,7 @@ def _leading(fits: Sequence[tuple[Refit, float]]) -> list[tuple[Refit, float]]:
 
 def _promising(base: Refit, discrepancies: Sequence[Discrepancy]) -> list[Discrepancy]:
     # discrepancies that are not hopeless; their weights stay what they were
-    line = Linearised(base)
-    logs = np.array([line.evidence(d).log_z for d in discrepancies])
+    logs = np.array([e.log_z for e in Linearised(base).evidences(discrepancies)])
     order = np.argsort(-logs)
     small = [i for i, d in enumerate(discrepancies) if d.name.split()[-1] in ("0.001", "0.0005")]
     keep = sorted({*order[:8].tolist(), *small})
