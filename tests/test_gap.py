@@ -200,6 +200,9 @@ def test_two_effects_of_different_families_are_found():
     assert families == {"asymmetry", "baseline"}
     assert "+" in gap.which.effect.iloc[0]
     assert gap.rounds[0].p_left > 0.01
+    at_once = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False, follow=False)
+    assert at_once.rounds == ()
+    assert at_once.to_json() | {"rounds": gap.to_json()["rounds"]} == gap.to_json()
 
 
 def test_an_effect_of_the_mean_and_one_of_the_noise_stand_together():

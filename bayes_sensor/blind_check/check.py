@@ -54,7 +54,9 @@ def diagnose(campaign: Campaign, seed: int, without: Sequence[str], setting: str
         gap = diagnose_gap(campaign, fit, seed=seed, without=without)
     else:
         fit = fit_least_squares(campaign, seed=seed, euler=False, swarms=1)
-        gap = diagnose_gap(campaign, fit, seed=seed, without=without, bootstrap=0, separate=False)
+        gap = diagnose_gap(
+            campaign, fit, seed=seed, without=without, bootstrap=0, separate=False, follow=False
+        )
     record = gap.to_json()
     record["whiteness_p"] = whiteness_p_value(campaign, fit.theta_hat)
     return record

@@ -271,6 +271,7 @@ def diagnose_gap(
     jobs: int = 1,
     hidden: bool = True,
     separate: bool = True,
+    follow: bool = True,
     progress: Progress | None = None,
 ) -> Gap:
     """Where the model misses the measurement, which effect causes it, how far that closes it.
@@ -294,6 +295,8 @@ def diagnose_gap(
         Processes for what may hide; the numbers do not depend on it.
     hidden, separate
         Whether to work out what may hide, and what would tell look-alikes apart.
+    follow
+        Whether to look again after what was named has been added; the verdict does not rest on it.
 
     Raises
     ------
@@ -334,7 +337,9 @@ def diagnose_gap(
     kind, named, family, probability = judge(weighing, stand, catalogue)
     best = _best(weighing, kind, named, catalogue)
     tell(0.6, "what is left")
-    rounds, _last = _escalate(weighing, best, kind, named, probability, catalogue, seed)
+    rounds: list[Round] = []
+    if follow and kind == "effect" and best.effects:
+        rounds = _look_again(weighing, best, probability, catalogue, seed)
     tell(0.7, "how far")
     closed = closure(base, best.refit, weighing.discrepancies, seed, _others(weighing, best))
     shrink = _shrink(weighing, best, closed, catalogue)
@@ -471,19 +476,15 @@ def _others(weighing: Weighing, best: Hypothesis) -> list[tuple[Refit, float]]:
     ]
 
 
-def _escalate(
+def _look_again(
     weighing: Weighing,
     best: Hypothesis,
-    kind: str,
-    named: Sequence[str],
     probability: float,
     catalogue: Mapping[str, Effect],
     seed: int,
-) -> tuple[list[Round], Hypothesis]:
+) -> list[Round]:
     """Add what was named and look again, until nothing is left or the rest is unlisted."""
     rounds: list[Round] = []
-    if kind != "effect" or not best.effects:
-        return rounds, best
     sketch = weighing.sketch
     added, p = best.effects, probability
     while True:
@@ -500,7 +501,7 @@ def _escalate(
             or len(rounds) >= MOST_ROUNDS
             or left.p_value > 0.05
         ):
-            return rounds, best
+            return rounds
         best = again.find(name)
         added, p = (name,), stand.effects[name]
 
