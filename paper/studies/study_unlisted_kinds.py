@@ -101,7 +101,9 @@ class Telling:
 def run(folder: Path, jobs: int, scheduler: str | None, progress: Callable[..., None]) -> None:
     """All campaigns, the table of them and the one by kind."""
     task = Telling(entries())
-    found = run_chunks(task, len(task.entries), folder, task.key, jobs, 2, scheduler, progress)
+    found = run_chunks(
+        task, len(task.entries), folder / "unlisted-kinds", task.key, jobs, 2, scheduler, progress
+    )
     cases = pd.DataFrame({name: np.asarray(values) for name, values in found.items()})
     cases.to_csv(TABLES / "unlisted_kinds_cases.csv", index=False, float_format="%.4g")
     by_kind(cases).to_csv(TABLES / "unlisted_kinds.csv", index=False, float_format="%.3f")
