@@ -617,7 +617,9 @@ def test_opening_the_seal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.slow
-def test_a_small_blind_check_from_the_command_line(tmp_path: Path) -> None:
+def test_a_small_blind_check_from_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     # the real diagnosis on small campaigns: everything is drawn, sealed, diagnosed, scored
     out = tmp_path / "out"
     command = ["blind-check", "--out", str(out), "--cases", "20", "--seed", "6", "--size", "small",
@@ -637,6 +639,18 @@ def test_a_small_blind_check_from_the_command_line(tmp_path: Path) -> None:
     before = (out / "score.json").read_text()
     assert _guarded(["blind-check", "--out", str(out), "--score-only", "--quiet"]) == 0
     assert (out / "score.json").read_text() == before
+    # the report, made with the score and again from what is saved
+    page = (out / "report.html").read_text(encoding="utf-8")
+    met = [goal["met"] for goal in card["goals"] if goal["met"] is not None]
+    assert f"{sum(met)} of the {len(met)} goals that these cases can judge were met" in page
+    assert 'id="f-blind-card"' in page and 'id="measured"' not in page
+    assert all(f">{row['case']}<" in page for row in rows)
+    (out / "report.html").unlink()
+    assert _guarded(["report", str(out), "--quiet"]) == 0
+    assert (out / "report.html").read_text(encoding="utf-8") == page
+    (out / "cases.csv").write_text("case,kind\ncase-0001,null\n")
+    assert _guarded(["report", str(out)]) == 2
+    assert "cases.csv: expected the cases of a blind check" in capsys.readouterr().err
     # strong causes that are listed stand out against nothing at all
     strong = [r["p_none"] for r in rows if r["kind"] == "listed" and r["d"] > 12]
     assert strong and max(strong) < 0.5
@@ -763,6 +777,12 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
         if row.wanted[:2] in ("<=", ">="):  # the rounded number must not tell another story
             bound = float(row.wanted[3:])
             assert (reached <= bound if row.wanted[0] == "<" else reached >= bound) == row.met
+    # and so does every report of a gap
+    place = ROOT / "bayes_sensor" / "templates" / "blind_check.json"
+    shipped = json.loads(place.read_text(encoding="utf-8"))
+    kept = pd.DataFrame(shipped["goals"], dtype=object)[list(goals)]
+    pd.testing.assert_frame_equal(kept.infer_objects(), goals, rtol=1e-12)
+    assert shipped["campaigns"] == len(pd.read_csv(TABLES / "blind_check_first.csv"))
     # every sealed run is counted, the last one as it stands above
     runs = pd.read_csv(TABLES / "blind_check_runs.csv")
     last = runs[runs["seed"] == runs["seed"].max()].drop(columns="seed").reset_index(drop=True)

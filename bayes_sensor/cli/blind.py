@@ -20,7 +20,7 @@ from bayes_sensor.blind_check import (
 )
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli.notes import noted
-from bayes_sensor.cli.steps import progress_bar, say
+from bayes_sensor.cli.steps import progress_bar, say, stage_report
 from bayes_sensor.figures.blind_check import score_card
 from bayes_sensor.results import Results, Stage, now, read_json, run_record
 
@@ -98,10 +98,14 @@ def blind_check(
                     warnings=noted(),
                 ),
             )  # fmt: skip
+        if card is not None:  # from the whole folder, which may hold an analysis as well
+            with results.writing() as stage, progress_bar("report", quiet) as tell:
+                stage_report(results.folder, stage, tell)
         shutil.rmtree(parts, ignore_errors=True)
     if card is not None:
         say(summary(card), quiet)
         say(f"score card: {results.path('score_card.png')}", quiet)
+        say(f"report: {results.path('report.html')}", quiet)
     elif only == "diagnose":
         count = len(read_json(results.path("verdicts.json")))
         say(f"verdicts of {count} campaigns: {results.path('verdicts')}", quiet)

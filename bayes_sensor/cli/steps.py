@@ -570,7 +570,7 @@ def run(
             stage.json("run.json", {**entry, "signal_unit": campaign.signal_unit})
             if "report" in SAVES[command]:
                 with job.timed("report") as tell:
-                    _write_report(stage.inside, stage, tell)
+                    stage_report(stage.inside, stage, tell)
         if code == 0 and job.posterior is not None:
             import shutil
 
@@ -622,7 +622,8 @@ def _warnings(job: Job, remarks: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def _write_report(source: Path, stage: Stage, tell: Progress, form: str = "html") -> None:
+def stage_report(source: Path, stage: Stage, tell: Progress, form: str = "html") -> None:
+    """Write the report of the results in ``source``, and its figures, to the stage."""
     from bayes_sensor.report import write_report
 
     write_report(source, stage.inside, form, tell)
@@ -707,7 +708,7 @@ def rebuild_report(folder: Path, quiet: bool, form: str = "html") -> None:
     read_results(folder)
     results = Results(folder)
     with results.locked(), results.writing() as stage, progress_bar("report", quiet) as tell:
-        _write_report(folder, stage, tell, form)
+        stage_report(folder, stage, tell, form)
     say(f"report: {results.path(FORMATS[form])}", quiet)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +11,10 @@ from typing import Any
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.results import Results, Trace, load_traces
 from bayes_sensor.samples import Samples, load_samples
+
+OF_A_CASE = ("case", "kind", "causes", "law", "d", "verdict", "said", "p_said", "confident_wrong",
+             "verdict_right")  # fmt: skip
+"""what the report shows of a case of a blind check"""
 
 
 @dataclass
@@ -28,6 +33,10 @@ class Saved:
     delays: dict[str, Any] | None = None
     gap: dict[str, Any] | None = None
     coating: dict[str, Any] | None = None
+    score: dict[str, Any] | None = None
+    """of a blind check"""
+    cases: list[dict[str, str]] | None = None
+    """its cases: :data:`OF_A_CASE` as they stand in cases.csv"""
     traces: list[Trace] | None = None
     samples: list[Samples] | None = None
     chains: tuple[list[str], Any] | None = None
@@ -89,22 +98,40 @@ def read_results(folder: str | Path) -> Saved:
             f"{folder}: there is no such folder; expected a results folder: "
             "run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
         )
-    if not results.has("campaign.json") or not results.has("run.json"):
+    score = results.json("score.json")
+    campaign = results.json("campaign.json")
+    if (campaign is None and score is None) or not results.has("run.json"):
         raise CampaignError(
-            f"{folder}: expected a results folder with campaign.json and run.json; "
-            "run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
+            f"{folder}: expected a results folder with run.json and campaign.json (or score.json, "
+            "of a blind check); run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
         )
     parts = ("fit", "residuals", "posterior", "posterior_without_effects", "predictive", "bounds",
              "delays", "gap", "coating")  # fmt: skip
     found = {name: results.json(f"{name}.json") for name in parts}
     return Saved(
-        campaign=results.json("campaign.json"),
+        campaign=campaign or {"title": "Blind check of the diagnosis", "experiments": []},
         run=results.json("run.json"),
         traces=load_traces(results.path("traces.npz")) if results.has("traces.npz") else None,
         samples=load_samples(results.path("samples.npz")) if results.has("samples.npz") else None,
+        score=score,
+        cases=_cases(results.path("cases.csv")) if results.has("cases.csv") else None,
         chains=_chains(results.path("posterior.nc")) if results.has("posterior.nc") else None,
         **found,
     )
+
+
+def _cases(path: Path) -> list[dict[str, str]]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = [{name: row[name] for name in OF_A_CASE} for row in csv.DictReader(file)]
+        if any(value is None for row in rows for value in row.values()):
+            raise ValueError("a row is cut off")
+    except (OSError, KeyError, ValueError) as error:
+        raise CampaignError(
+            f"{path}: expected the cases of a blind check, but they cannot be read "
+            f"({type(error).__name__}: {error}); run bayes-sensor blind-check --score-only again"
+        ) from None
+    return rows
 
 
 def _chains(path: Path) -> tuple[list[str], Any]:

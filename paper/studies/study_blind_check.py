@@ -45,6 +45,8 @@ SURE = 0.9
 ALIKE = 3.5
 """standard deviations; what lies nearer to an effect is taken for it"""
 FIGURES = TABLES.parent / "figures"
+IN_REPORTS = PAPER.parent / "bayes_sensor" / "templates" / "blind_check.json"
+"""the goals of the day, which every report of a gap shows"""
 README = PAPER.parent / "README.md"
 OPENS, CLOSES = "<!-- blind check: study_blind_check.py -->\n", "<!-- end of blind check -->\n"
 
@@ -87,9 +89,20 @@ def keep_first(cases: pd.DataFrame, goals: pd.DataFrame) -> None:
         verdicts = cases[["case", "verdict", "said", "p_said", "p_none", "p_unlisted"]]
         verdicts.to_csv(TABLES / "blind_check_first.csv", index=False, float_format="%.5g")
         goals.to_csv(TABLES / "blind_check_first_goals.csv", index=False, float_format="%.4g")
+        in_reports(len(cases), goals)
         runs = pd.concat([runs, goals.assign(seed=SEED)])
         runs[["seed", *goals]].to_csv(path, index=False, float_format="%.4g")
     over_runs(runs).to_csv(TABLES / "blind_check_over_runs.csv", index=False, float_format="%.4g")
+
+
+def in_reports(campaigns: int, goals: pd.DataFrame) -> None:
+    """Keep the goals with the package, to the digits of the table."""
+    rows = json.loads(goals.to_json(orient="records", double_precision=15))
+    for row in rows:
+        row |= {
+            k: float(f"{row[k]:.4g}") for k in ("reached", "lo95", "hi95") if row[k] is not None
+        }
+    write_json(IN_REPORTS, {"campaigns": campaigns, "seed": SEED, "goals": rows})
 
 
 def over_runs(runs: pd.DataFrame) -> pd.DataFrame:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bayes_sensor.report.parts import Pictures, Section
 from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.sections.blind_check import blind_check
 from bayes_sensor.report.sections.coating import coating
 from bayes_sensor.report.sections.computed import computed
 from bayes_sensor.report.sections.delays import switching
@@ -25,6 +26,7 @@ SECTIONS = (
     switching,
     coating,
     measure_next,
+    blind_check,
     computed,
 )
 

@@ -10,6 +10,7 @@ from bayes_sensor.figures import effect_words
 from bayes_sensor.report.headline import gap_sentence, headline
 from bayes_sensor.report.parts import Part, Pictures, Section, see
 from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.sections.blind_check import published_goals
 from bayes_sensor.report.sections.gap_tables import (
     UNSEEN,
     budget_table,
@@ -45,14 +46,19 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
         if verdict["kind"] == "effect":
             paragraphs.append(
                 f"Named: {who}, with a probability of {number(verdict['probability'], 2)}"
-                f"{see('which')}. How often such a verdict is right was counted on campaigns with "
-                "a sealed cause; the documentation holds the score card."
+                f"{see('which')}."
             )
         paragraphs += _left_out(record)
     paragraphs += _shrink(record, shown, factor)
     paragraphs += _more(record)
     paragraphs += _envelope(record, is_limit)
     paragraphs += [sentence(note) for note in record.get("notes") or []]
+    how_often, n = published_goals()
+    paragraphs.append(
+        f"How often such a verdict is right was counted on {n} campaigns of an independent "
+        f"simulator with sealed causes{see('gap-right')}. What nobody listed is the weak side: "
+        "it may pass for noise, or for an effect that looks like it."
+    )
     content: list[Part] = [
         pictures.add(
             "gap-budget",
@@ -91,7 +97,7 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
             ),
             hidden_table(record, saved.unit),
         ]
-    content += other_tables(record, saved.unit)
+    content += [*other_tables(record, saved.unit), how_often]
     return Section("gap", "Where is the gap, and what causes it", answer, paragraphs, content)
 
 
