@@ -1,0 +1,184 @@
+"""The valve and what drives it: how it opens and shuts, and how tightly."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayes_sensor.reality.causes.cause import Causes, Rig, _between, _sign
+from bayes_sensor.reality.records import Case
+
+CAUSES = Causes()
+cause = CAUSES.cause
+
+
+@cause(("flow_switching",), "fall", "share of the test gas", 1.0)
+def flow_follows_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas stops when its valve shuts, gradually as the valve does; so does its flow."""
+    mixing = rng.random() < 0.5
+    for knobs in rig.values():
+        knobs.following, knobs.mixing = s, mixing
+
+
+@cause(("valve_asymmetry",), "fall", "relative", 0.6)
+def closing_spring(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A spring that weakens as it relaxes shuts the valve more slowly (or faster) than it opens."""
+    sign = 1.0 if rng.random() < 0.7 else -1.0
+    for knobs in rig.values():
+        knobs.closing = sign * s
+
+
+@cause(("valve_second_order",), "delay", "tau_v squared", 0.6)
+def heavy_plunger(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The plunger and the gas it pushes have mass, and their drag grows with speed."""
+    for knobs in rig.values():
+        knobs.inertia = s
+
+
+@cause(("two_rate_valve",), "tail", "share", 0.25)
+def seat_creep(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The last part of the valve's opening creeps, with a spread of times."""
+    slow = _between(rng, 2.0, 8.0)
+    for knobs in rig.values():
+        knobs.slow_opening, knobs.slow_opening_time = s, slow
+
+
+@cause(("finite_stroke",), "delay", "s", 0.8)
+def plunger_stroke(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The plunger accelerates evenly from stop to stop."""
+    for knobs in rig.values():
+        knobs.stroke_time = s
+
+
+@cause((), "valve", "share of the stroke", 0.4)
+def sticking_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The valve sticks and slips: it moves in jumps."""
+    for knobs in rig.values():
+        knobs.stick_band = s * _between(rng, 0.7, 1.4)
+
+
+@cause((), "valve", "s", 0.6)
+def bouncing_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The valve springs back once, at either end."""
+    after = rng.uniform(0.1, 0.8)
+    for knobs in rig.values():
+        knobs.bounces = [(after, s)]
+
+
+@cause((), "valve", "log of the time", 0.6, per_experiment=True)
+def uneven_air(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Compressed air drives the valve; its pressure, and the valve's speed, differ each time."""
+    for knobs in rig.values():
+        knobs.valve_factor = float(np.exp(s * np.clip(rng.standard_normal(), -2.0, 2.0)))
+
+
+@cause((), "valve", "s", 0.8, per_experiment=True)
+def mains_dip(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The mains fail for a moment while test gas flows; the valve falls shut and opens again."""
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        at = step.t0 + rng.uniform(0.2, 0.9) * (step.tf - step.t0)
+        lasts = s * rng.uniform(0.5, 1.0)
+        if k == certain or rng.random() < 0.6:
+            rig[step.name].dropped.append((at, lasts))
+
+
+@cause((), "plateau", "share of the stroke", 0.3)
+def weak_holding_current(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The driver pulls the valve in with full current, then saves current and only holds it.
+
+    Held too weakly, the plunger sinks back by part of its stroke until the valve shuts altogether.
+    """
+    after = _between(rng, 1.0, 8.0)
+    for knobs in rig.values():
+        knobs.sinking, knobs.sinking_after = s, after
+
+
+@cause((), "tail", "share of the stroke", 0.2, per_experiment=True)
+def grain_in_seat(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A grain of dust lies in the seat: the valve comes to rest on it, ajar, and test gas leaks.
+
+    Sooner or later the stream carries the grain off and the plunger falls the rest of its way; some
+    grains stay until after the record.
+    """
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        size, lies = s * rng.uniform(0.5, 1.0), _between(rng, 2.0, 20.0)
+        if k != certain and rng.random() < 0.4:
+            continue
+        rig[step.name].ajar, rig[step.name].ajar_until = size, step.tf + lies
+
+
+@cause((), "fall", "authority lost", 0.8, near=("valve_asymmetry",))
+def throttling_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The hose behind the valve throttles, too: with the valve half open most of the gas flows.
+
+    Both share one pressure, which falls with the square of the flow; the valve's authority, its
+    part of that when it is open, is 1 - ``s``.  Its last half of the way up changes little, as does
+    its first half of the way down.
+    """
+    for knobs in rig.values():
+        knobs.authority_lost = s
+
+
+@cause((), "delay", "times the drag", 6.0, near=("valve_second_order",))
+def stiff_grease(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The valve's grease sets while it rests and yields as it is sheared (thixotropy).
+
+    Each way begins against 1 + ``s`` times the drag, or less if the rest before it was short, and
+    ends against hardly more than none of it.
+    """
+    time, stroke = _between(rng, 5.0, 60.0), _between(rng, 0.15, 0.6)
+    for knobs in rig.values():
+        knobs.grease, knobs.grease_time, knobs.grease_stroke = s, time, stroke
+
+
+@cause((), "fall", "s", 2.0, near=("flow_switching",))
+def unequal_valves(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Two valves take turns, for the test gas and for the carrier gas in its place; one is slower.
+
+    If that is the carrier's, both flow for a while when the test gas comes, which thins it, and
+    neither when it goes, when little flushes the manifold; if it is the test gas's, the other way
+    round.  A coil pulls in and drops out with unequal delays.
+    """
+    sign, on, off = _sign(rng), rng.uniform(0.4, 1.0), rng.uniform(0.4, 1.0)
+    for step in case.steps:
+        knobs, late = rig[step.name], (sign * s * on, sign * s * off)
+        knobs.made_up_late, knobs.mixing = late, True
+        knobs.marks += [step.t0 + late[0], step.tf + late[1]]
+
+
+@cause((), "delay", "s", 2.0, near=("finite_stroke",))
+def late_main_stage(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A servo valve opens its pilot hole first, and ``s`` later, its chamber empty, the main seat.
+
+    Until then the pilot hole passes what its cross-section is of the whole.  Shut, the spring
+    throws both onto their seats at once.
+    """
+    pilot = rng.uniform(0.06, 0.25)
+    for knobs in rig.values():
+        knobs.pilot, knobs.pilot_alone = pilot, s
+
+
+@cause((), "spike", "s", 0.8, per_experiment=True)
+def trial_click(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The operator clicks the valve's switch to hear that it works, before the experiment begins.
+
+    A whiff of test gas comes, as long as the click of up to ``s`` lets it.
+    """
+    certain = int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        at, lasts = step.commanded_on * rng.uniform(0.1, 0.7), s * rng.uniform(0.6, 1.0)
+        if k == certain or rng.random() < 0.5:
+            rig[step.name].tried.append((at, lasts))
+
+
+@cause((), "delay", "share of the stroke", 0.9, near=("finite_stroke",), reserve=True)
+def snapping_diaphragm(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The valve's diaphragm is bowed like an oil can's lid: it gives a little, then snaps through.
+
+    What drives it comes and goes as ever; the share ``s`` of the stroke is done at once, and on the
+    way back at a lower pressure than on the way there.
+    """
+    up, down = rng.uniform(0.6, 0.85), rng.uniform(0.15, 0.4)
+    for knobs in rig.values():
+        knobs.snap, knobs.snap_up, knobs.snap_down = s, up, down
