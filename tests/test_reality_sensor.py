@@ -1,0 +1,474 @@
+"""Causes of the coating against closed forms, an ODE solver and their own promises."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.special import erfc
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.reality import Case, Step, clean_signals, draw_case, sample_times, without_causes
+from bayes_sensor.reality.rig import Knobs, dip, voltage
+from bayes_sensor.reality.simulator import prepared_rig
+from bayes_sensor.reality.stages import (
+    burning,
+    capillary,
+    glassy,
+    islands,
+    layered_film,
+    modal,
+    moving_fronts,
+    retarded,
+)
+from tests.reality_cases import case, solved
+
+
+def test_the_swinging_column_obeys_its_length_and_stops() -> None:
+    strength = 0.05
+    rig = case(swinging_column=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    largest = max(step.test_gas_flow for step in rig.steps)
+    for step in rig.steps:
+        t = sample_times(step)
+        (course,) = prepared_rig(rig)[step.name].concentration_gain
+        swing = course(t)
+        expected = (plain[step.name] - step.y0) * (1.0 + swing) + step.y0
+        assert np.allclose(seen[step.name], expected, atol=2e-4 * step.beta)
+        assert np.all(swing[t <= step.t0] == 0.0)
+        assert np.abs(swing).max() <= strength * step.test_gas_flow / largest
+        fine = step.t0 + np.linspace(1e-3, step.tf - step.t0 - 1e-3, 400_001)
+        free = course(fine)
+        turns = fine[1:][np.diff(np.sign(free)) != 0]
+        half = np.diff(turns)
+        assert np.ptp(half) < 1e-3  # damped, its period stays
+        length = 2.0 * 9.81 * (half.mean() / np.pi) ** 2
+        assert 0.2 < length < 0.8
+        peaks = [np.abs(free[(fine > a) & (fine < b)]).max() for a, b in pairwise(turns)]
+        decay = -half.mean() / np.diff(np.log(peaks))
+        assert np.ptp(decay) < 0.02 * decay.mean() and 1.5 < decay.mean() < 8.0
+
+
+def test_water_that_gives_way_and_a_ring_that_heats_itself_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    relative, exchange = rig.relative_concentration(step), step.total_flow / rig.V
+    damp, load, slow = 0.3, 2.0, 3.0
+
+    def with_water(u: float, x: FloatArray) -> list[float]:
+        cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+        # x[3] is how much less water there is than at the start
+        water = damp - x[3]
+        gas = (1.0 - water) * load * x[2] / (1.0 + load * x[2])  # on its sites, at once
+        coming = damp / (1.0 - damp) * (1.0 - water - gas)
+        return [*cascade, -(coming - water) / slow]
+
+    t, states = solved(rig, with_water, 4)
+    knobs = Knobs(damp=damp, damp_time=slow, displacing=load)
+    seen = states[:, 2] * (1.0 - damp + states[:, 3]) / (1.0 - damp)
+    assert np.abs(voltage(rig, step, knobs, t)[1] - seen).max() < 5e-5
+    K = damp / (1.0 - damp)
+    least = K / (1.0 + load + K)
+    # on the plateau the water runs down to what the gas leaves it, and the response up
+    assert 1.1 < seen.max() <= (1.0 - least) / (1.0 - damp)
+    for knobs, each in zip(
+        prepared_rig(case(displaced_water=0.2)).values(), rig.steps, strict=True
+    ):
+        assert knobs.damp == 0.2
+        assert 1.0 < knobs.displacing / rig.relative_concentration(each) < 4.0
+
+    detuning, reach = -0.8, 0.3 * relative
+    for warming in (0.4, -0.4):
+
+        def heating(u: float, x: FloatArray, warming=warming) -> list[float]:
+            cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+            absorbed = dip(detuning + reach * x[2] + x[3]) - dip(detuning)
+            return [*cascade, (warming * absorbed - x[3]) / 1.2]
+
+        t, states = solved(rig, heating, 4)
+        y = voltage(rig, step, Knobs(warming=warming, warming_time=1.2), t)[0]
+        at = detuning + reach * states[:, 2]
+        read = (dip(at + states[:, 3]) - dip(at)) / (dip(detuning + reach) - dip(detuning))
+        expected = step.y0 + step.beta * (states[:, 2] + read)
+        assert np.abs(y - expected).max() < 1e-4 * step.beta
+        # towards the line's centre the light runs ahead of the gas, away from it it gives in
+        assert np.sign(read[np.abs(read).argmax()]) == np.sign(warming)
+        last = np.searchsorted(t, step.tf) - 1
+        moved = states[last, 3]
+        assert moved == pytest.approx(warming * (dip(at[last] + moved) - dip(detuning)), abs=1e-3)
+
+
+def test_a_coating_that_warms_as_it_takes_up_gas_against_an_ode_solver() -> None:
+    rig = case()
+    step = rig.steps[0]
+    heat, cooling = 0.3, 2.0
+
+    def with_heat(u: float, x: FloatArray) -> list[float]:
+        uptake = (x[1] * np.exp(-x[3]) - x[2]) / rig.tau
+        cascade = [(u - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+        return [*cascade, uptake, heat * uptake - x[3] / cooling]
+
+    t, states = solved(rig, with_heat, 4)
+    x = voltage(rig, step, Knobs(sorption_heat=heat, cooling_time=cooling), t)[1]
+    assert np.abs(x - states[:, 2]).max() < 5e-5
+    plain = voltage(rig, step, Knobs(), t)[1]
+    up, down = (t > step.t0 + 0.5) & (t < step.tf), t > step.tf + 0.5
+    assert (x - plain)[up].min() < -0.05 and (x - plain)[down].max() > 0.02
+
+    # a little heat in a coating that is quick: the warmth is heat times the gas through a
+    # high-pass of the cooling time, and takes the gas there is times itself
+    quick, little = replace(rig, tau=1e-3), 1e-3
+
+    def high_pass(u: float, x: FloatArray) -> list[float]:
+        cascade = [(u - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+        return [*cascade, (x[1] - x[2]) / quick.tau, (x[2] - x[3]) / cooling]
+
+    t, states = solved(quick, high_pass, 4)
+    gas, warmth = states[:, 2], states[:, 2] - states[:, 3]
+    knobs = Knobs(sorption_heat=little, cooling_time=cooling)
+    x, plain = (voltage(quick, step, some, t)[1] for some in (knobs, Knobs()))
+    assert np.abs((plain - x) / little - gas * warmth).max() < 5e-3
+
+    found = prepared_rig(case(heat_of_sorption=0.2))
+    for each in rig.steps:
+        knobs = found[each.name]
+        assert knobs.sorption_heat == pytest.approx(0.2 * rig.relative_concentration(each))
+        assert 1.0 <= knobs.cooling_time <= 8.0
+    assert len({knobs.cooling_time for knobs in found.values()}) == 1
+
+
+def test_fronts_go_down_as_the_root_of_time_and_meet() -> None:
+    t = np.linspace(0.0, 60.0, 60_001)
+    time_ = 10.0
+
+    def turned(*pieces: tuple[float, float]) -> FloatArray:
+        drive = np.full_like(t, -0.3)
+        for begin, value in pieces:
+            drive[t >= begin] = value
+        return moving_fronts(t, drive, time_)
+
+    # alone: root of 2 drive t / time, whole at time / (2 drive); then back from the surface on
+    x = turned((2.0, 0.5), (20.0, -0.25))
+    expected = np.sqrt(np.clip((t - 2.0) / 10.0, 0.0, 1.0))
+    expected -= np.sqrt(np.clip((t - 20.0) / 20.0, 0.0, 1.0))
+    assert np.abs(x - expected)[(t < 1.99) | (t > 2.1)].max() < 0.01
+    assert x[t < 2.0].max() == 0.0 and x[-1] == 0.0
+    # given up halfway: a second front follows and catches up with the first, and all is gone
+    x = turned((2.0, 0.5), (4.5, -0.5))
+    at = (t > 4.6) & (t < 6.9)
+    assert np.abs(x[at] - (0.5 - np.sqrt((t[at] - 4.5) / 10.0))).max() < 0.01
+    assert np.all(x[t > 7.01] == 0.0)
+    # and on again before it has: the third front meets the second, then the first goes on as if
+    # nothing had been, its way being held up for as long as the two were there
+    x = turned((2.0, 0.5), (4.5, -0.5), (5.0, 0.5))
+    assert np.all(x >= 0.0)
+    after = (t > 5.6) & (t < 12.9)
+    assert np.abs(x[after] ** 2 - (t[after] - 3.0) / 10.0).max() < 0.01
+    assert np.all(x[t > 13.1] == 1.0)
+
+    rig = case(converting_film=0.2)
+    ideal = clean_signals(without_causes(rig))
+    for step in rig.steps:
+        knobs = prepared_rig(rig)[step.name]
+        relative = rig.relative_concentration(step)
+        gained = (clean_signals(rig)[step.name] - ideal[step.name]) / step.beta * relative
+        assert gained.min() > -1e-9 and gained.max() <= 0.2 + 1e-9
+        assert 0.1 < knobs.converting_at < 0.35 and 3.0 < knobs.converting_time < 30.0
+        # on the plateau the square of the depth is straight; too little gas turns nothing
+        t, plain = sample_times(step), voltage(rig, step, Knobs(), sample_times(step))[1]
+        slow = Knobs(converting=0.2, converting_at=0.15, converting_time=60.0)
+        depth = (voltage(rig, step, slow, t)[1] - plain) * relative / 0.2
+        flat = (t > step.t0 + 8.0) & (t < step.tf)
+        slope, _ = np.polyfit(t[flat], depth[flat] ** 2, 1)
+        assert slope == pytest.approx(2.0 * (relative - 0.15) / 60.0, rel=0.01)
+        none = Knobs(converting=0.2, converting_at=relative + 0.01)
+        assert np.array_equal(voltage(rig, step, none, t)[1], plain)
+
+
+def test_clouds_warm_the_cell_and_a_beat_passes_through_zero() -> None:
+    strength = 0.2
+    rig = case(sun_on_the_cell=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    times = []
+    for step in rig.steps:
+        (course,) = prepared_rig(rig)[step.name].concentration_gain
+        t = np.arange(0.0, step.duration, 1e-3)
+        warmth = -np.log1p(course(t)) / strength
+        assert warmth.min() >= -1e-12 and warmth.max() <= 1.0 + 1e-12
+        # warming towards 1 or cooling towards 0 at one rate, and nothing else
+        rate, middle = np.diff(warmth) / 1e-3, 0.5 * (warmth[1:] + warmth[:-1])
+        rising, falling = rate > 1e-6, rate < -1e-6
+        found = np.concatenate(
+            [(1.0 - middle[rising]) / rate[rising], -middle[falling] / rate[falling]]
+        )
+        times.append(np.median(found))
+        assert np.mean(np.abs(found / times[-1] - 1.0) < 1e-3) > 0.99
+        assert np.abs(np.diff(warmth)).max() < 1e-3 / 2.0  # it never jumps
+        s = sample_times(step)
+        gain = (seen[step.name] - step.y0) / (plain[step.name] - step.y0 + 1e-12)
+        on = (s > step.t0 + 0.5) & (s < step.tf)
+        assert np.abs(gain - 1.0 - course(s))[on].max() < 1e-6
+        assert np.abs(seen[step.name] - plain[step.name])[s < step.t0].max() == 0.0
+    assert np.ptp(times) < 1e-3 and 2.0 < times[0] < 15.0
+
+    rig = case(beating_supply=0.05)
+    size = 0.05 * np.mean([step.beta for step in rig.steps])
+    rates, pulls, begins = [], [], []
+    for step in rig.steps:
+        (course,) = prepared_rig(rig)[step.name].offset
+        t = np.arange(0.0, step.duration, 1e-4)
+        y = course(t) / size
+        assert 0.99 < np.abs(y).max() <= 1.0 + 1e-12
+        # sin'' = -(angle')^2 sin + angle'' cos: where the sine is 0, its slope is the frequency
+        zero = np.flatnonzero(np.diff(np.sign(y)) != 0)
+        f = np.abs(np.diff(y))[zero] / 1e-4 / (2.0 * np.pi)
+        first = f[:2].mean()
+        assert 1.5 < first < 16.0
+        assert f.min() < 0.5 * f.max() or f.min() < 1.0
+        # its only jumps of frequency are at the commands, of one size either way
+        jumps = []
+        for command in (step.commanded_on, step.commanded_off):
+            h = 1e-4
+            fine = np.array([command - 2 * h, command - h, command, command + h, command + 2 * h])
+            angle = np.unwrap(np.arcsin(np.clip(course(fine) / size, -1.0, 1.0)))
+            slopes = np.diff(angle) / h / (2.0 * np.pi)
+            jumps.append(abs(abs(slopes[2]) - abs(slopes[1])))
+        pulls.append(max(jumps))
+        rates.append(first)
+        begins.append(y[0])
+        s = sample_times(step)
+        moved = clean_signals(rig)[step.name] - clean_signals(without_causes(rig))[step.name]
+        assert np.allclose(moved, course(s), atol=1e-9)
+    assert np.ptp(begins) > 0.01
+    assert 0.15 < min(pulls) and max(pulls) < 3.1
+
+
+def test_a_front_eats_its_way_evenly_into_the_glass() -> None:
+    t = np.linspace(0.0, 40.0, 40_001)
+    gas = np.where((t >= 5.0) & (t < 20.0), 0.6, 0.0)
+    m = glassy(t, gas, 0.25, 1.5)
+    up = np.minimum(0.6 * 0.25 * (t - 5.0), 0.6)  # through after 4 s
+    expected = np.where(t < 5.0, 0.0, np.where(t < 20.0, up, 0.6 * np.exp(-(t - 20.0) / 1.5)))
+    assert np.abs(m - expected).max() < 5e-4
+    # weaker gas needs as much longer as it is weaker when the speed goes with the concentration
+    half = glassy(t, np.where(t >= 5.0, 1.0, 0.0), 0.1, 1.5)
+    assert t[half >= 1.0 - 1e-9][0] == pytest.approx(15.0, abs=0.01)
+
+    strength = 0.2
+    rig = case(glassy_rim=strength)
+    found = prepared_rig(rig)
+    assert len({(k.rim, k.rim_time, k.rim_back) for k in found.values()}) == 1
+    assert 1.0 < found["1"].rim_time < 8.0
+    assert 0.1 < found["1"].rim_back / found["1"].rim_time < 0.5
+    for step in rig.steps:
+        t, relative = sample_times(step), rig.relative_concentration(step)
+        knobs = Knobs(rim=strength, rim_time=4.0, rim_back=1.0)
+        x, plain = (voltage(rig, step, some, t)[1] for some in (knobs, Knobs()))
+        rim = (x - (1.0 - strength) * plain) / strength
+        settled = (t > step.t0 + 4.0) & (t < step.tf) & (rim < 0.99)
+        if settled.sum() > 10:
+            slope = np.polyfit(t[settled], rim[settled], 1)[0]
+            assert slope == pytest.approx(relative / 4.0, rel=0.02)
+        through = step.t0 + rig.tau_v + rig.V / step.total_flow + 4.0 / relative
+        if through + 0.5 < step.tf:
+            assert np.abs(x - plain)[(t > through + 0.5) & (t < step.tf)].max() < 5e-3
+        down = t > step.tf + 4.5
+        if rim[down][0] > 1e-3:
+            rate = np.polyfit(t[down], np.log(np.maximum(rim[down], 1e-12)), 1)[0]
+            assert rate < -0.5
+
+
+def test_islands_spread_evenly_and_shrink_again() -> None:
+    t = np.linspace(0.0, 60.0, 60_001)
+    gas = np.where((t >= 5.0) & (t < 15.0), 0.8, 0.0)
+    covered = islands(t, gas - 0.3, 4.0)
+    r = np.clip(0.5 / 4.0 * (t - 5.0), 0.0, None)
+    r = np.where(t < 15.0, r, np.maximum(1.25 - 0.3 / 4.0 * (t - 15.0), 0.0))
+    assert np.abs(covered - (1.0 - np.exp(-(r**2)))).max() < 1e-3
+    assert np.all(covered[t < 5.0] == 0.0) and np.all(covered[t > 32.0] == 0.0)
+    assert np.all(islands(t, np.full(len(t), -0.1), 1.0) == 0.0)
+    # they meet: after any time above their vapour pressure they take as long to go
+    for end in (15.0, 30.0):
+        met = islands(t, np.where(t < end, 0.7, -0.3), 1.0)
+        assert met.max() == pytest.approx(1.0 - np.exp(-4.0))
+        assert t[met > 0.0].max() - end == pytest.approx(2.0 / 0.3, abs=0.01)
+
+    strength = 0.2
+    rig = case(spreading_islands=strength)
+    ((vapour, time_),) = {
+        (knobs.islands_vapour, knobs.islands_time) for knobs in prepared_rig(rig).values()
+    }
+    assert 0.1 < vapour < 0.35 and 0.2 < time_ < 2.0
+    for step in rig.steps:
+        t, relative = sample_times(step), rig.relative_concentration(step)
+        fine = np.linspace(0.0, step.duration, 60_001)
+        # without the sensor's own delay the response is the gas
+        quick = replace(rig, tau=1e-9)
+        gas = voltage(quick, step, Knobs(), fine)[1]
+        r, radius = 0.0, []
+        for drive in (relative * gas - vapour) / time_ * (fine[1] - fine[0]):
+            radius.append(r)
+            r = min(max(r + drive, 0.0), 2.0)
+        expected = strength / relative * (1.0 - np.exp(-np.square(radius)))
+        x, plain = (
+            voltage(rig, step, some, t)[1] for some in (prepared_rig(rig)[step.name], Knobs())
+        )
+        assert np.abs(x - plain - np.interp(t, fine, expected)).max() < 5e-3
+        below = relative * gas.max() < vapour
+        assert (np.abs(x - plain).max() == 0.0) == below
+
+
+def test_an_impurity_comes_late_and_takes_its_share() -> None:
+    t = np.linspace(0.0, 40.0, 40_001)
+    one = np.ones(len(t))
+    # n equal cells that are flushed at a constant flow: a gamma distribution of their passage
+    out = retarded(t, one, 3.0 * one, 24.0, 12)
+    rate = t * 3.0 / 24.0 * 12.0
+    terms = np.cumprod(np.vstack([one, rate / np.arange(1, 12)[:, None]]), axis=0)
+    assert np.abs(out - (1.0 - np.exp(-rate) * terms.sum(axis=0))).max() < 1e-6
+    late = np.trapezoid(1.0 - out, t)
+    assert late == pytest.approx(24.0 / 3.0, rel=1e-3)
+
+    strength, passed = 0.25, []
+    rig = case(late_impurity=strength)
+    # so that it comes through everywhere
+    long = replace(rig, steps=tuple(replace(p, tf=2e3 + p.t0, duration=2.1e3) for p in rig.steps))
+    for step, own in zip(rig.steps, long.steps, strict=True):
+        t = sample_times(step)
+        knobs = prepared_rig(rig)[step.name]
+        x, plain = (voltage(rig, step, some, t)[1] for some in (knobs, Knobs()))
+        assert np.all(x <= plain + 1e-12)
+        early = (t > step.t0) & ((t - step.t0) * step.total_flow < 0.2 * knobs.impurity_volume)
+        assert early.sum() > 5 and np.all((plain - x)[early] <= 0.01 * plain[early])
+        # Langmuir: what is left in the end at the set concentration
+        s = np.linspace(step.t0, step.t0 + 400.0, 40_001)
+        x, plain = (voltage(long, own, some, s)[1] for some in (knobs, Knobs()))
+        full = strength / (1.0 - strength) * rig.relative_concentration(step)
+        assert x[-1] == pytest.approx(1.0 / (1.0 + full), rel=1e-6)
+        if rig.relative_concentration(step) == 1.0:
+            assert x[-1] == pytest.approx(1.0 - strength, rel=1e-6)
+        # the area above its front is the mean delay: the valve's, the manifold's and the filter's
+        arrived = (plain[plain > 1e-3] / x[plain > 1e-3] - 1.0) / full
+        late = np.sum(plain <= 1e-3) * 0.01 + np.trapezoid(1.0 - arrived, dx=0.01)
+        passed.append((late - rig.tau_v - rig.V / step.total_flow) * step.total_flow)
+    # the same volume everywhere, though not the same time
+    assert passed == pytest.approx([knobs.impurity_volume] * len(passed), rel=0.01)
+
+
+def test_pores_empty_at_the_square_of_the_pressure_at_which_they_filled() -> None:
+    # up to 0.6, some way back, and down: full up to 0.6 until the root is below
+    pressure = np.concatenate([np.linspace(0.0, 0.6, 601), np.linspace(0.6, 0.0, 601)])
+    reach = capillary(pressure)
+    assert np.array_equal(reach[:601], pressure[:601])
+    down = pressure[601:]
+    assert np.allclose(reach[601:], np.where(down > 0.36, 0.6, np.sqrt(down)))
+    # a small turn within the loop changes nothing
+    turn = np.array([0.0, 0.6, 0.4, 0.55, 0.4, 0.25, 0.4, 0.6])
+    assert capillary(turn) == pytest.approx([0.0, 0.6, 0.6, 0.6, 0.6, 0.5, 0.5, 0.6])
+
+    strength, late = 0.3, 0
+    rig = case(capillary_condensation=strength)
+    seen = clean_signals(rig)
+    for step in rig.steps:
+        t, relative = sample_times(step), rig.relative_concentration(step)
+        knobs = prepared_rig(rig)[step.name]
+        assert 0.5 < knobs.pores_vapour < 0.9 and 0.05 < knobs.pores_width < 0.2
+        plain = (voltage(rig, step, Knobs(), t)[0] - step.y0) / step.beta
+        more = ((seen[step.name] - step.y0) / step.beta - plain) * relative / strength
+        assert more.min() > -1e-9 and more.max() < 1.0
+        # on the plateau a log-normal share of the pores is full, for the pressure that is there
+        z = np.log(knobs.pores_vapour * relative / knobs.pores_at) / knobs.pores_width
+        full = 0.5 * erfc(-z / np.sqrt(2.0))
+        end = t < step.tf
+        assert more[end][-1] == pytest.approx(full, abs=1e-3)
+        if full < 0.2:
+            continue
+        late += 1
+        # half of it comes and goes at pressures of which one is the other's square, or as little
+        # as there was when it was left
+        half, rises, falls = 0.5 * full, end & (t > step.t0), t > step.tf
+        top = knobs.pores_vapour * relative
+        up = top * np.interp(half, more[rises], plain[rises])
+        down = top * np.interp(-half, -more[falls], plain[falls])
+        assert down == pytest.approx(up**2, rel=0.25)
+        assert down < 0.8 * up
+    assert late >= 1
+
+
+def test_a_poisoned_coating_loses_sites_with_the_dose_against_an_ode_solver() -> None:
+    strength = 0.5
+    rig = case(poisoned_coating=strength)
+    seen, alive = clean_signals(rig), 1.0
+    doses = [rig.relative_concentration(step) * (step.tf - step.t0) for step in rig.steps]
+    for k, step in enumerate(rig.steps):
+        rate = np.log(2.0) / sum(doses) * rig.relative_concentration(step)
+
+        def dying(u: float, x: FloatArray, step: Step = step, rate: float = rate) -> list[float]:
+            cascade = [(u - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+            return [*cascade, (x[1] - x[2]) / rig.tau, -rate * x[2] * (1.0 + x[3])]
+
+        _, states = solved(rig, dying, 4, k=k)  # x[3]: what has died in this record
+        x = alive * states[:, 2] * (1.0 + states[:, 3])
+        assert np.abs((seen[step.name] - step.y0) / step.beta - x).max() < 1e-3
+        alive *= 1.0 + states[-1, 3]
+    assert alive == pytest.approx(1.0 - strength, abs=2e-3)
+
+
+def test_a_coating_ignites_and_goes_on_burning_below() -> None:
+    strength, borders = 0.3, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"igniting_coating": strength})
+        knobs, seen = prepared_rig(rig)["1"], clean_signals(rig)
+        burns, brought, time = knobs.glow_burns, knobs.glow_brought, knobs.glow_time
+
+        def steady(w: FloatArray, burns: float = burns, brought: float = brought) -> FloatArray:
+            return w * (np.exp(-w) / burns + 1.0 / brought)  # the gas that keeps it as warm
+
+        w = np.linspace(0.0, 2.0 * brought, 400_001)
+        slopes = np.sign(np.diff(steady(w)))
+        (up,) = np.flatnonzero((slopes[1:] < 0) & (slopes[:-1] > 0)) + 1
+        (down,) = np.flatnonzero((slopes[1:] > 0) & (slopes[:-1] < 0)) + 1
+        ignites, dies = float(steady(w)[up]), float(steady(w)[down])
+        borders.append(ignites)
+        assert dies < ignites
+        # all of it at the highest concentration
+        assert knobs.glow * np.interp(1.0, steady(w)[down:], w[down:]) == pytest.approx(
+            strength, rel=1e-4
+        )
+        # slowly up and down again: it jumps where it must, and elsewhere on the way back
+        t = np.linspace(0.0, 4000.0 * time, 400_001)
+        g = 1.0 - np.abs(t / (2000.0 * time) - 1.0)
+        warmth = burning(t, g, burns, brought, time)
+        hot = warmth > 0.5 * (w[up] + w[down])
+        assert g[np.argmax(hot)] == pytest.approx(ignites, abs=0.03)
+        assert g[len(hot) - 1 - np.argmax(hot[::-1])] == pytest.approx(dies, abs=0.03)
+
+        for k, step in enumerate(rig.steps):
+            relative, exchange = rig.relative_concentration(step), step.total_flow / rig.V
+
+            def glowing(
+                u: float, x: FloatArray, rig: Case = rig, relative: float = relative,
+                exchange: float = exchange, burns: float = burns, brought: float = brought,
+                time: float = time,
+            ) -> list[float]:  # fmt: skip
+                heat = relative * x[1] / (np.exp(-x[3]) / burns + 1.0 / brought)
+                cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1])]
+                return [*cascade, (x[1] - x[2]) / rig.tau, (heat - x[3]) / time]
+
+            _, states = solved(rig, glowing, 4, k=k)
+            x = states[:, 2] + knobs.glow / relative * states[:, 3]
+            assert np.abs((seen[step.name] - step.y0) / step.beta - x).max() < 1e-3
+    assert 0.3 < min(borders) < max(borders) < 0.7
+
+
+def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:
+    times, weights = layered_film(0.05)
+    assert weights.sum() == pytest.approx(1.0, abs=1e-12)  # settles at the gas's concentration
+    assert weights @ times == pytest.approx(0.05)
+    t = np.concatenate([[-1e-6], np.linspace(0.0, 1.0, 4001)])
+    x = modal(t, (t >= 0).astype(float), times, weights)
+    assert np.all(np.diff(x) > -1e-10)  # rounding of the modes' sum
+    # a film holds back at first: far less than the lag's 1 - exp(-0.1) after a tenth of its mean
+    assert np.interp(0.005, t, x) < 0.3 * (1.0 - np.exp(-0.1))
