@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import bayes_sensor.reality as reality
+import bayes_sensor.reality.causes as causes
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.reality import (
     CAUSES,
@@ -63,6 +64,13 @@ def test_reality_imports_nothing_but_the_campaign_and_numerics() -> None:
                     f"{file.name}:{node.lineno}: {name}"
                 )
     assert "bayes_sensor.campaign" in seen  # the walk did look at imports
+
+
+def test_no_two_causes_share_a_name() -> None:
+    # the mapping of all would keep the last of them without a word
+    files = sorted(Path(causes.__file__).parent.glob("*.py"))
+    places = [getattr(causes, f.stem) for f in files if f.stem not in ("__init__", "cause")]
+    assert sum(len(place.CAUSES) for place in places) == len(reality.CAUSES)
 
 
 def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no_name() -> None:
