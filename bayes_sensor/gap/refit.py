@@ -639,6 +639,7 @@ def refit(
     tolerance: float = 0.02,
     free: NDArray[np.bool_] | None = None,
     known: Sequence[Refit] = (),
+    enough: float = inf,
 ) -> Refit:
     """Levenberg-Marquardt from ``start`` (n,) until the objective falls by < ``tolerance``.
 
@@ -646,6 +647,8 @@ def refit(
     (n,): coordinates that may move.  The first coordinate stays at or above 0.  ``known``: other
     refits of the same plan to the same data; one of them is returned where this one is on the way
     to its optimum, and this one as it stands where it remains far above the best of them.
+    ``enough``: objective above which an optimum does not matter; a refit that expects to end there
+    is given up, too.
 
     The derivatives are carried on by Broyden's rule as long as steps gain about what they promise.
     """
@@ -669,7 +672,7 @@ def refit(
     means, residual, objective = evaluate(x)
     damping, converged, finer = 1e-3, False, 1.0
     jacobians: list[FloatArray] = []
-    least = min((other.objective for other in known), default=inf)
+    hopeless = min([enough, *(other.objective + FAR for other in known)])
     for taken in range(most_steps):
         fresh = not jacobians
         if fresh:
@@ -697,7 +700,7 @@ def refit(
                 continue
             if damping <= 1e-3:
                 ahead = objective - float(step @ gradient[index])
-                if taken >= PATIENCE and ahead > least + FAR:
+                if taken >= PATIENCE and ahead > hopeless:
                     return Refit(plan, x, residual, objective, False)
                 for other in known:
                     if other.converged and abs(ahead - other.objective) < ALIKE:

@@ -36,6 +36,8 @@ ABSORBED = 1e-3
 """share of a start's signature that the refit without it must leave, for it to be followed"""
 MOST_FURTHER = 60
 """further steps of a refit that had not converged"""
+LITTLE = 3.0
+"""ln of evidence that pairs with the best single effect gain at least where there is a second"""
 HOPELESS = 0.2
 """share of what something else explains better that a first pair must explain"""
 NEAR = 14.0
@@ -120,8 +122,12 @@ def fit_effect(
     parts: Sequence[Part],
     starts: Sequence[Mapping[str, float]],
     most_steps: int = 30,
+    enough: float = np.inf,
 ) -> Refit:
-    """The best refit of the base's parts and further ones, over the starts of the last part."""
+    """The best refit of the base's parts and further ones, over the starts of the last part.
+
+    ``enough``: objective above which it does not matter how good it is.
+    """
     plan = Plan(sketch, (*base.plan.parts, *parts))
     begun = joined_start(plan, base)
     starts = [*starts, *_most_promising(plan, begun, base, parts[-1].form.grid)]
@@ -132,8 +138,8 @@ def fit_effect(
         begins += [with_start(plan, usual, start) for start in starts]
     found: list[Refit] = []
     for x in begins:
-        found.append(refit(plan, x, most_steps=most_steps, known=found))
-    return finished(min(found, key=lambda r: r.objective))
+        found.append(refit(plan, x, most_steps=most_steps, known=found, enough=enough))
+    return finished(min(found, key=lambda r: r.objective), enough)
 
 
 def _most_promising(
@@ -170,9 +176,12 @@ def _most_promising(
     ]
 
 
-def finished(fitted: Refit) -> Refit:
-    """The refit carried on where it had not converged: an evidence is that of an optimum."""
-    if fitted.converged:
+def finished(fitted: Refit, enough: float = np.inf) -> Refit:
+    """The refit carried on where it had not converged: an evidence is that of an optimum.
+
+    Above the objective ``enough`` it does not matter, and stays as it is.
+    """
+    if fitted.converged or fitted.objective > enough:
         return fitted
     return refit(fitted.plan, fitted.x, most_steps=MOST_FURTHER)
 
@@ -328,6 +337,11 @@ def _add_pairs(
         return
     done: set[frozenset[str]] = set()
     found: list[Hypothesis] = []
+    best = max(singles.values(), key=lambda h: h.log_z)
+    single, other = best.log_z, max(h.log_z for h in hypotheses if h.incomplete)
+
+    def gained() -> float:
+        return max((h.log_z for h in found), default=single) - single
 
     def attempt(a: str, b: str) -> None:
         if on_mean[a].family == on_mean[b].family or frozenset((a, b)) in done:
@@ -335,40 +349,41 @@ def _add_pairs(
         done.add(frozenset((a, b)))
         made = []
         first = min(fits[a], key=lambda f: f[0].objective)[0]
+        # a refit gains at most half of what the objective loses: further up it weighs nothing
+        enough = best.refit.objective - 2.0 * (max(other - single, gained(), 0.0) - NEAR)
         for form in on_mean[b].forms:
             part = Part(on_mean[b], form)
-            fitted = fit_effect(sketch, first, [part], form.starts[:3], 15)
+            fitted = fit_effect(sketch, first, [part], form.starts[:3], 15, enough)
             if not base.plan.parts:  # what the first effect has swallowed may belong to the second
                 plan = fitted.plan
                 start = plan.start(base.x, form.starts[0])
-                afresh = refit(plan, start, most_steps=15, known=[fitted])
-                fitted = finished(min(fitted, afresh, key=lambda r: r.objective))
+                afresh = refit(plan, start, most_steps=15, known=[fitted], enough=enough)
+                fitted = finished(min(fitted, afresh, key=lambda r: r.objective), enough)
             made.append((fitted, form.weight))
         weight = sum(w for _, w in made)
         log_prior = priors[a] + priors[b] - np.log(PRIOR_NONE)
         names = tuple(sorted((a, b), key=list(on_mean).index))
         found.append(add(names, float(log_prior), [(f, w / weight) for f, w in made]))
 
-    single = max(h.log_z for h in singles.values())
-    other = max(h.log_z for h in hypotheses if h.incomplete)
     for i, a in enumerate(leading):
         for j, b in enumerate(on_mean):
             share = (i + j / len(on_mean)) / len(leading)
             tell(0.75 + 0.2 * share, f"{a} with {b}")
             attempt(a, b)
-        gained = max((h.log_z for h in found), default=single) - single
-        if gained < HOPELESS * (other - single):
-            return  # no pair comes near what something else explains
+        if other < single and gained() < LITTLE:
+            return  # one effect explains it all, and better than anything else does
+    if gained() < HOPELESS * (other - single):
+        return  # no pair comes near what something else explains
     # the leading single effects need not be the two that go together: follow the best pair
     followed: set[str] = set(leading)
     for _ in range(MOST_FOLLOWED):
-        best = max(found, key=lambda h: h.log_z, default=None)
-        if best is None or best.log_z < none.log_z:
+        pair = max(found, key=lambda h: h.log_z, default=None)
+        if pair is None or pair.log_z < none.log_z:
             return
-        new = [name for name in best.effects if name not in followed]
+        new = [name for name in pair.effects if name not in followed]
         if not new:
             return
-        tell(0.97, f"look-alikes of {' and '.join(best.effects)}")
+        tell(0.97, f"look-alikes of {' and '.join(pair.effects)}")
         for kept in new:
             followed.add(kept)
             for b in on_mean:
