@@ -5,6 +5,12 @@ import signal
 import sys
 from types import FrameType
 
+THREADS = (
+    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
+)  # fmt: skip
+"""what numpy's linear algebra reads when it is loaded.  Matrices are small here: more threads than
+one only wait for each other, and where something else is running, ten times as long"""
+
 
 def run() -> None:
     """Load the command and run it; Ctrl-C is answered in one line from here on.
@@ -12,6 +18,8 @@ def run() -> None:
     The command brings its own answer to Ctrl-C, but loading it takes a few tenths of a second.
     """
     signal.signal(signal.SIGINT, _stop_at_once)
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
     from bayes_sensor.cli import main
 
     main()

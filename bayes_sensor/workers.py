@@ -18,7 +18,8 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
-from typing import Any
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
 from bayes_sensor.campaign import CampaignError
 
@@ -29,6 +30,27 @@ NO_WORKER_SECONDS = 120.0
 """how long to wait for a Dask cluster that has lost all its workers"""
 PARENT_SECONDS = 0.25
 """how often a worker looks whether the process that it works for is still there"""
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def one_thread(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, with linear algebra in one thread while it runs.
+
+    Matrices are small here: threads only wait for each other, and where something else is running,
+    ten times as long.  The command says so before numpy is loaded; scripts and notebooks cannot.
+    """
+
+    @wraps(function)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited
 
 
 class WorkerDied(BrokenExecutor):

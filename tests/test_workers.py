@@ -17,7 +17,36 @@ from dying import Dying, DyingStudy
 
 from bayes_sensor.calibration import run_chunks
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.workers import WorkerDied, completed, dask_client, in_order
+from bayes_sensor.workers import WorkerDied, completed, dask_client, in_order, one_thread
+
+
+def test_linear_algebra_is_done_in_one_thread() -> None:
+    from threadpoolctl import threadpool_info, threadpool_limits
+
+    def threads() -> set[int]:
+        """Threads of every library of linear algebra."""
+        return {found["num_threads"] for found in threadpool_info() if found["user_api"] == "blas"}
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        assert threads() == {2}
+        limited = one_thread(threads)
+        assert limited() == {1} and limited.__doc__ == threads.__doc__
+        assert threads() == {2}  # and is the caller's own again
+
+
+def test_the_command_asks_for_one_thread_unless_told_otherwise() -> None:
+    code = (
+        "import os, sys, bayes_sensor.cli as cli, bayes_sensor.__main__ as entry\n"
+        "assert 'numpy' not in sys.modules, 'too late to say it'\n"
+        "cli.main = lambda: print(*[os.environ[name] for name in entry.THREADS])\n"
+        "entry.run()\n"
+    )
+    kept = {k: v for k, v in os.environ.items() if not k.endswith("_THREADS")}
+    for given, said in (({}, "1 1 1 1"), ({"OPENBLAS_NUM_THREADS": "3"}, "1 3 1 1")):
+        done = subprocess.run(
+            [sys.executable, "-c", code], env={**kept, **given}, capture_output=True, text=True
+        )
+        assert done.stdout.split() == said.split(), done.stderr
 
 
 def test_a_dead_worker_is_replaced_and_reported(

@@ -25,6 +25,7 @@ from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.fit import Fit
 from bayes_sensor.fit.identifiability import coloured_noise, slow_noise
 from bayes_sensor.likelihood import Problem, as_problem
+from bayes_sensor.workers import one_thread
 
 Method = Callable[[Evidence], Bound]
 
@@ -120,6 +121,7 @@ def without_roles(bound: Bound, reason: str) -> Bound:
     )
 
 
+@one_thread
 def compare_bounds(
     campaign: Campaign | Problem,
     fit: Fit,

@@ -23,6 +23,7 @@ from bayes_sensor.fit.starts import guess, limits, swarm_problem
 from bayes_sensor.fit.swarm import particle_swarm
 from bayes_sensor.likelihood import Problem, as_problem, mean_and_variance
 from bayes_sensor.model import Cascade
+from bayes_sensor.workers import one_thread
 
 # Starts along the valley, as fractions of the rise time (10, 60, 200, 500 ms at the published rig).
 TAU_STARTS = (0.005, 0.03, 0.1, 0.25)
@@ -60,6 +61,7 @@ class Count:
     n: int = field(default=0)
 
 
+@one_thread
 def fit_least_squares(
     campaign: Campaign | Problem,
     seed: int = 1,

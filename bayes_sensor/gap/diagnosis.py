@@ -48,6 +48,7 @@ from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
 from bayes_sensor.gap.words import notes_on, sentence
 from bayes_sensor.model import Layout, Theta
 from bayes_sensor.notebook import card
+from bayes_sensor.workers import one_thread
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -259,6 +260,7 @@ def _finite(value: Any) -> Any:
     return value
 
 
+@one_thread
 def diagnose_gap(
     campaign: Campaign,
     fit: Fit | None = None,

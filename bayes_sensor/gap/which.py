@@ -27,7 +27,8 @@ PRIOR_UNLISTED = 0.15
 INCOMPLETE = 0.15
 """prior share of an effect's probability for "it is there, and something else with it" """
 UNUSUAL = 1.2
-"""distance of ln tau from its plausible value from which fits also start at that value"""
+"""distance of ln tau from its plausible value from which fits also start at that value, and as far
+below it: the faster optimum of an effect that slows the rise is not reached from elsewhere"""
 MOST_FOLLOWED = 3
 """times the search for a pair follows the best one found"""
 MOST_PROMISING = 3
@@ -132,10 +133,12 @@ def fit_effect(
     begun = joined_start(plan, base)
     starts = [*starts, *_most_promising(plan, begun, base, parts[-1].form.grid)]
     begins = [with_start(plan, begun, start) for start in starts]
-    usual = _with_usual_tau(plan, begun)
-    if usual is not None and not base.plan.parts:
+    usual = float(sketch.centre[0])
+    now = float(begun[1]) - FASTER - float(begun[0])
+    if abs(now - usual) >= UNUSUAL and not base.plan.parts:
         # the fit without the effect may have bent tau far away to do the effect's work
-        begins += [with_start(plan, usual, start) for start in starts]
+        begins += [with_start(plan, _with_tau(plan, begun, usual), start) for start in starts]
+        begins.append(with_start(plan, _with_tau(plan, begun, usual - UNUSUAL), starts[0]))
     found: list[Refit] = []
     for x in begins:
         found.append(refit(plan, x, most_steps=most_steps, known=found, enough=enough))
@@ -186,16 +189,12 @@ def finished(fitted: Refit, enough: float = np.inf) -> Refit:
     return refit(fitted.plan, fitted.x, most_steps=MOST_FURTHER)
 
 
-def _with_usual_tau(plan: Plan, x: FloatArray) -> FloatArray | None:
-    """``x`` with tau at its plausible value and switch times to match; None where it is near."""
-    sketch = plan.sketch
-    now = float(x[1]) - FASTER - float(x[0])
-    if abs(now - float(sketch.centre[0])) < UNUSUAL:
-        return None
+def _with_tau(plan: Plan, x: FloatArray, log_tau: float) -> FloatArray:
+    """``x`` with another ``log_tau`` (of s) and switch times to match."""
     made = x.copy()
-    made[0] = max(float(x[1]) - FASTER - float(sketch.centre[0]), 0.0)
-    moved = np.exp(x[1] - FASTER - made[0]) - np.exp(now)
-    for k, e in enumerate(sketch.campaign):
+    made[0] = max(float(x[1]) - FASTER - log_tau, 0.0)
+    moved = np.exp(x[1] - FASTER - made[0]) - np.exp(x[1] - FASTER - x[0])
+    for k, e in enumerate(plan.sketch.campaign):
         at = plan.local[k] + 2
         made[at : at + (2 if e.has_fall else 1)] -= moved
     return made

@@ -19,6 +19,8 @@ from bayes_sensor.notebook import shown
 
 MOSTLY = 0.7
 """share of a family's probability from which its leading member is stated alone"""
+SURELY = 0.7
+"""probability from which an unlisted cause is stated without saying how likely it is"""
 TELLING = 1.2
 """times its usual size from which noise that is louder for a while is worth a note"""
 
@@ -213,18 +215,17 @@ def sentence(
             f"still hide: with them tau could lie anywhere from {low} to {high} ms."
         )
     if kind == "unlisted" and probability < 0.5:
-        return (
-            f"Something may be missing{place}, but neither that nothing is, nor any family of "
-            "effects, nor an unlisted cause is likelier than not."
-        )
+        return _undecided(place, stand)
     names = [e.name for e in best.refit.plan.sketch.campaign]
     findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > 0.5]
     if kind == "unlisted":
         words = []
         if worst is not None or not findings:
+            seems = "misses" if probability > SURELY else "seems to miss"
+            sure = "" if probability > SURELY else f" ({100.0 * probability:.0f} %)"
             words.append(
-                f"The model misses the measurement{place}, and no effect of the catalogue "
-                "explains it well: the cause is not listed."
+                f"The model {seems} the measurement{place}, and no effect of the catalogue "
+                f"explains it well: the cause is not listed{sure}."
             )
         words += [_finding_words(f, names, unit) for f in findings]
         return " ".join([*words, _likeness(weighing, unit)]).rstrip()
@@ -256,4 +257,35 @@ def sentence(
             f"It closes {100.0 * closed.fraction:.0f} % of the gap (95 % interval "
             f"{100.0 * closed.low:.0f} to {100.0 * closed.high:.0f} %)."
         )
-    return " ".join([*words, *besides])
+    return " ".join([*words, *_second(named, stand, catalogue), *besides])
+
+
+def _second(named: Sequence[str], stand: Standing, catalogue: Mapping[str, Effect]) -> list[str]:
+    """What is likely beside the effects that are named: the likeliest of the other families."""
+    own = {catalogue[n].family for n in named}
+    others = {f: p for f, p in stand.families.items() if f not in own}
+    other = max(others, key=lambda f: others[f], default=None)
+    if other is None or others[other] < 0.5:
+        return []
+    members = [n for n in catalogue if catalogue[n].family == other]
+    leading = max(members, key=lambda n: stand.effects[n])
+    return [
+        f"Beside it something else is likely, of the family {other} ({100.0 * others[other]:.0f} "
+        f"%), most likely {leading}."
+    ]
+
+
+def _undecided(place: str, stand: Standing) -> str:
+    """What is said where nothing is likelier than not, or only several families each."""
+    likely = [f for f, p in stand.families.items() if p > 0.5]
+    if likely:
+        each = ", ".join(f"{f} {100.0 * stand.families[f]:.0f} %" for f in likely)
+        return (
+            f"Something is missing{place}, but which is not clear: an effect of the family is "
+            f"likely ({each}), and so nearly is that a cause outside the catalogue has a part in "
+            f"it ({100.0 * stand.unlisted:.0f} %)."
+        )
+    return (
+        f"Something may be missing{place}, but neither that nothing is, nor any family of "
+        "effects, nor an unlisted cause is likelier than not."
+    )

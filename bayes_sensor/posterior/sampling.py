@@ -24,11 +24,13 @@ from bayes_sensor.posterior.hmc import run_hmc
 from bayes_sensor.posterior.independence import run_independence
 from bayes_sensor.posterior.record import Posterior
 from bayes_sensor.posterior.settings import SAMPLERS, Progress, Settings
+from bayes_sensor.workers import one_thread
 
 MESHES = 3
 """how often a run may be repeated with narrower blocks, should the mesh prove too coarse"""
 
 
+@one_thread
 def sample_posterior(
     campaign: Campaign | Problem,
     fit: Any = None,
