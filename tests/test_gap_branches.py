@@ -28,7 +28,7 @@ from bayes_sensor.gap.verdict import (
     judge,
 )
 from bayes_sensor.gap.which import Weighing
-from bayes_sensor.gap.words import family_words
+from bayes_sensor.gap.words import family_words, second_words, undecided_words
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.model import Cascade
 
@@ -264,6 +264,22 @@ def test_of_several_that_are_each_unlikely_the_likeliest_is_stated() -> None:
 )
 def test_of_a_family_no_more_is_said_than_is_known(probability, leading, other, said) -> None:
     assert said in family_words(["a", "B"], probability, leading, " in the rise", other)
+
+
+def test_what_is_likely_beside_a_name_is_said() -> None:
+    effects = {"flow_switching": 0.95, "baseline_step": 0.1, "baseline_drift": 0.7}
+    stand = standing(0.0, 0.05, {"asymmetry": 0.95, "baseline": 0.79, "gain": 0.6}, effects)
+    said = "".join(second_words(["flow_switching"], stand, CATALOGUE))
+    assert "the family baseline (79 %), most likely baseline_drift" in said
+    alone = standing(0.0, 0.05, {"asymmetry": 0.95, "baseline": 0.4}, effects)
+    assert second_words(["flow_switching"], alone, CATALOGUE) == []
+
+
+def test_families_that_are_likely_are_not_denied() -> None:
+    said = undecided_words(" in the fall", standing(0.0, 0.44, {"baseline": 0.56, "gain": 0.1}))
+    assert "baseline 56 %" in said and "44 %" in said and "gain" not in said
+    said = undecided_words("", standing(0.2, 0.4, {"baseline": 0.4}))
+    assert "nor any family" in said and "may be missing" in said
 
 
 def test_an_effect_of_the_noise_is_named_beside_an_empty_mean() -> None:

@@ -215,7 +215,7 @@ def sentence(
             f"still hide: with them tau could lie anywhere from {low} to {high} ms."
         )
     if kind == "unlisted" and probability < 0.5:
-        return _undecided(place, stand)
+        return undecided_words(place, stand)
     names = [e.name for e in best.refit.plan.sketch.campaign]
     findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > 0.5]
     if kind == "unlisted":
@@ -257,10 +257,12 @@ def sentence(
             f"It closes {100.0 * closed.fraction:.0f} % of the gap (95 % interval "
             f"{100.0 * closed.low:.0f} to {100.0 * closed.high:.0f} %)."
         )
-    return " ".join([*words, *_second(named, stand, catalogue), *besides])
+    return " ".join([*words, *second_words(named, stand, catalogue), *besides])
 
 
-def _second(named: Sequence[str], stand: Standing, catalogue: Mapping[str, Effect]) -> list[str]:
+def second_words(
+    named: Sequence[str], stand: Standing, catalogue: Mapping[str, Effect]
+) -> list[str]:
     """What is likely beside the effects that are named: the likeliest of the other families."""
     own = {catalogue[n].family for n in named}
     others = {f: p for f, p in stand.families.items() if f not in own}
@@ -275,7 +277,7 @@ def _second(named: Sequence[str], stand: Standing, catalogue: Mapping[str, Effec
     ]
 
 
-def _undecided(place: str, stand: Standing) -> str:
+def undecided_words(place: str, stand: Standing) -> str:
     """What is said where nothing is likelier than not, or only several families each."""
     likely = [f for f, p in stand.families.items() if p > 0.5]
     if likely:
