@@ -64,6 +64,27 @@ def test_ripples_that_an_echo_makes_in_the_spectrum_are_no_lines():
     assert found.strength["line_Hz"] == pytest.approx(431.0, abs=0.1)
 
 
+def test_what_strong_mains_leak_to_their_sides_is_no_line():
+    rng = np.random.default_rng(5)
+    t = np.arange(6000) * 2e-3
+
+    def pieces(size: float) -> list[Piece]:
+        return [
+            Piece(
+                rng.standard_normal(len(t))
+                + 2.0 * np.sin(2.0 * np.pi * (60.0 * t + rng.random()))
+                + size * np.sin(2.0 * np.pi * (63.0 * t + rng.random())),
+                windows.tukey(len(t), 0.2), 2e-3, 0,
+            )
+            for _ in range(8)
+        ]  # fmt: skip
+
+    assert _look_for_lines(pieces(0.0), "line")[0].log_bayes_factor < 0.0
+    found = _look_for_lines(pieces(0.15), "line")[0]
+    assert found.log_bayes_factor > 5.0
+    assert found.strength["line_Hz"] == pytest.approx(63.0, abs=0.1)
+
+
 @pytest.mark.parametrize("share", [0.3, 0.7])
 def test_the_edge_of_a_filter_is_no_line(share):
     # part of the noise has passed a steep filter before a recorder that is faster

@@ -35,6 +35,8 @@ LEVEL_ERROR = 0.25
 """relative, of the level that 20 resolutions of one record give"""
 NEAR_MAINS = 0.15
 """Hz; a line this close to the mains or a harmonic is the mains"""
+LOUD, FARTHEST = 10.0, 2.0
+"""power over the noise's from which the mains are expected to leak, and Hz to which at most"""
 MAINS_SPREAD = 0.05
 """Hz; spread of the mains' frequency, and of a harmonic's in proportion"""
 LOWEST_LINE = 0.2
@@ -162,6 +164,10 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
     c = np.array(RATIOS)[:, None]
     mains = name == "mains_pickup"
     near, nominal, closeness = mains_bands(f, common)
+    if not mains and near.any() and (leak := float(total[near].max()) / k) > LOUD:
+        # a window spreads a line r resolutions away to at most 1/(pi r)^2 of its power
+        away = np.sqrt(leak) / (np.pi * longest * common)
+        near = mains_bands(f, common, min(away, FARTHEST))[0]
     where = (near if mains else ~near) & (f >= FEWEST_CYCLES / (longest * common))
     real = np.ones(len(f))
     if mains:  # may fold onto half the rate itself, as 50 Hz do at 100 samples a second
