@@ -124,10 +124,12 @@ def fit_effect(
     starts: Sequence[Mapping[str, float]],
     most_steps: int = 30,
     enough: float = np.inf,
+    faster: bool = True,
 ) -> Refit:
     """The best refit of the base's parts and further ones, over the starts of the last part.
 
-    ``enough``: objective above which it does not matter how good it is.
+    ``enough``: objective above which it does not matter how good it is.  ``faster``: whether to
+    begin from a faster sensor than usual, too, where the base has a much slower or faster one.
     """
     plan = Plan(sketch, (*base.plan.parts, *parts))
     begun = joined_start(plan, base)
@@ -138,7 +140,8 @@ def fit_effect(
     if abs(now - usual) >= UNUSUAL and not base.plan.parts:
         # the fit without the effect may have bent tau far away to do the effect's work
         begins += [with_start(plan, _with_tau(plan, begun, usual), start) for start in starts]
-        begins.append(with_start(plan, _with_tau(plan, begun, usual - UNUSUAL), starts[0]))
+        if faster:
+            begins.append(with_start(plan, _with_tau(plan, begun, usual - UNUSUAL), starts[0]))
     found: list[Refit] = []
     for x in begins:
         found.append(refit(plan, x, most_steps=most_steps, known=found, enough=enough))
@@ -261,7 +264,10 @@ def weigh(
     alone = add((), log_prior, [(base, 1.0)], _shares(discrepancies, by_itself))
     for rival in rivals:
         made = [
-            (fit_effect(sketch, base, [Part(rival, f)], f.starts, 20), 1.0 / len(rival.forms))
+            (
+                fit_effect(sketch, base, [Part(rival, f)], f.starts, 20, faster=False),
+                1.0 / len(rival.forms),
+            )
             for f in rival.forms
         ]
         log_prior = float(np.log(PRIOR_UNLISTED * inside / len(rivals)))
@@ -371,7 +377,7 @@ def _add_pairs(
             attempt(a, b)
         if other < single and gained() < LITTLE:
             return  # one effect explains it all, and better than anything else does
-    if gained() < HOPELESS * (other - single):
+    if gained() < max(LITTLE, HOPELESS * (other - single)):
         return  # no pair comes near what something else explains
     # the leading single effects need not be the two that go together: follow the best pair
     followed: set[str] = set(leading)
