@@ -137,7 +137,8 @@ def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
     """
     verdict = gap["verdict"]
     words = verdict["sentence"]
-    for name in verdict["effects"]:
+    rows = [row["effect"] for row in gap.get("which") or []]
+    for name in {*verdict["effects"], *(row for row in rows if "_" in row and "+" not in row)}:
         words = words.replace(name, effect_words(name))
     low, high = gap["hidden"].get("tau_envelope_s") or (None, None)
     if verdict["kind"] == "none" and low is not None and high is not None:
