@@ -763,23 +763,19 @@ def _stepped(plan: Plan, x: FloatArray, index: NDArray[np.int64], step: FloatArr
     return moved
 
 
-def base_starts(sketch: Sketch, base: FloatArray) -> list[FloatArray]:
-    """Starts of the fit without effects: tau moved over two decades, t0 and tf moved back.
+def with_tau(plan: Plan, x: FloatArray, log_tau: float) -> FloatArray:
+    """Coordinates (n,) with another ``log_tau`` (of s), and the switch times moved back by it.
 
     A lag of tau delays the response by tau, so that what tau gains the switch times lose.
     """
-    found = [base.copy()]
-    tau_v = exp(base[1])
-    tau = exp(base[1] - FASTER - base[0])
-    for ratio in (0.012, 0.07, 0.23, 0.58):
-        other = base.copy()
-        moved = min(ratio, exp(-FASTER) * 0.999) * tau_v
-        other[0] = base[1] - FASTER - log(moved)
-        plan = Plan(sketch)
-        for k, e in enumerate(sketch.campaign):
-            at = plan.local[k] + 2
-            other[at] -= moved - tau
-            if e.has_fall:
-                other[at + 1] -= moved - tau
-        found.append(other)
-    return found
+    made = x.copy()
+    made[0] = max(float(x[1]) - FASTER - log_tau, 0.0)
+    made[plan.switch_times] -= exp(x[1] - FASTER - made[0]) - exp(x[1] - FASTER - x[0])
+    return made
+
+
+def base_starts(sketch: Sketch, base: FloatArray) -> list[FloatArray]:
+    """Starts of the fit without effects: tau moved over two decades, t0 and tf with it."""
+    plan, log_tau_v = Plan(sketch), float(base[1])
+    ratios = (min(ratio, exp(-FASTER) * 0.999) for ratio in (0.012, 0.07, 0.23, 0.58))
+    return [base.copy(), *(with_tau(plan, base, log_tau_v + log(ratio)) for ratio in ratios)]

@@ -20,7 +20,7 @@ from bayes_sensor.gap.discrepancy import Discrepancy, make_discrepancies
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.embedded import WEIGHT, embedded_rivals
 from bayes_sensor.gap.evidence import Linearised
-from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, Sketch, refit
+from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, Sketch, refit, with_tau
 
 PRIOR_NONE = 0.5
 PRIOR_UNLISTED = 0.15
@@ -139,9 +139,9 @@ def fit_effect(
     now = float(begun[1]) - FASTER - float(begun[0])
     if abs(now - usual) >= UNUSUAL and not base.plan.parts:
         # the fit without the effect may have bent tau far away to do the effect's work
-        begins += [with_start(plan, _with_tau(plan, begun, usual), start) for start in starts]
+        begins += [with_start(plan, with_tau(plan, begun, usual), start) for start in starts]
         if faster:
-            begins.append(with_start(plan, _with_tau(plan, begun, usual - UNUSUAL), starts[0]))
+            begins.append(with_start(plan, with_tau(plan, begun, usual - UNUSUAL), starts[0]))
     found: list[Refit] = []
     for x in begins:
         found.append(refit(plan, x, most_steps=most_steps, known=found, enough=enough))
@@ -190,17 +190,6 @@ def finished(fitted: Refit, enough: float = np.inf) -> Refit:
     if fitted.converged or fitted.objective > enough:
         return fitted
     return refit(fitted.plan, fitted.x, most_steps=MOST_FURTHER)
-
-
-def _with_tau(plan: Plan, x: FloatArray, log_tau: float) -> FloatArray:
-    """``x`` with another ``log_tau`` (of s) and switch times to match."""
-    made = x.copy()
-    made[0] = max(float(x[1]) - FASTER - log_tau, 0.0)
-    moved = np.exp(x[1] - FASTER - made[0]) - np.exp(x[1] - FASTER - x[0])
-    for k, e in enumerate(plan.sketch.campaign):
-        at = plan.local[k] + 2
-        made[at : at + (2 if e.has_fall else 1)] -= moved
-    return made
 
 
 def _average(

@@ -88,20 +88,17 @@ def keep_first(cases: pd.DataFrame, goals: pd.DataFrame) -> None:
     if SEED not in set(runs["seed"]):
         verdicts = cases[["case", "verdict", "said", "p_said", "p_none", "p_unlisted"]]
         verdicts.to_csv(TABLES / "blind_check_first.csv", index=False, float_format="%.5g")
-        goals.to_csv(TABLES / "blind_check_first_goals.csv", index=False, float_format="%.4g")
-        in_reports(len(cases), goals)
+        table_of_the_day = TABLES / "blind_check_first_goals.csv"
+        goals.to_csv(table_of_the_day, index=False, float_format="%.4g")
+        in_reports(len(cases), pd.read_csv(table_of_the_day))
         runs = pd.concat([runs, goals.assign(seed=SEED)])
         runs[["seed", *goals]].to_csv(path, index=False, float_format="%.4g")
     over_runs(runs).to_csv(TABLES / "blind_check_over_runs.csv", index=False, float_format="%.4g")
 
 
 def in_reports(campaigns: int, goals: pd.DataFrame) -> None:
-    """Keep the goals with the package, to the digits of the table."""
+    """Keep the goals with the package, as they stand in the table."""
     rows = json.loads(goals.to_json(orient="records", double_precision=15))
-    for row in rows:
-        row |= {
-            k: float(f"{row[k]:.4g}") for k in ("reached", "lo95", "hi95") if row[k] is not None
-        }
     write_json(IN_REPORTS, {"campaigns": campaigns, "seed": SEED, "goals": rows})
 
 
