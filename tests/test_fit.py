@@ -436,6 +436,7 @@ def test_what_is_warned_of_does_not_depend_on_the_clock():
         unseen = [replace(first_look(e), rise=None) for e in campaign]
         found.append(warn(Problem(campaign), vector, residuals, unseen, "V"))
     assert found[0] == found[1] and "does not describe" in found[0][0]
+    assert "more than AR(1) noise explains" in found[0][0]
 
 
 def test_given_bounds_are_kept_and_reported(measured):

@@ -278,6 +278,19 @@ def test_look_alikes_are_listed_with_what_would_separate_them():
     assert gap.verdict.kind == "family" and len(gap.verdict.effects) <= 5
 
 
+def test_no_measurement_is_advised_that_tells_one_response_from_itself():
+    # a volume far from the plausible one: knowing it better says nothing of two lags behind it
+    plan = design()
+    rig = {**theta(plan), "V_mL": 95.0}
+    campaign, _ = simulate_with_effects(plan, rig, {"slow_sorption": 0.06}, seed=1)
+    gap = diagnose_gap(campaign, bootstrap=0, hidden=False, follow=False)
+    assert {"slow_sorption", "two_rate_valve"} <= set(gap.verdict.effects)
+    pair, *others = gap.separations
+    assert {pair.effect, pair.rival} == {"slow_sorption", "two_rate_valve"}
+    assert pair.isolability < 0.3 and pair.addition == ""
+    assert all(s.rival != pair.rival for s in others)
+
+
 def test_nominal_parameters_fill_the_budget():
     campaign = measured({}, seed=1)
     nominal = {**theta(campaign), "V_mL": 80.0}
@@ -296,6 +309,20 @@ def test_hidden_effects_shift_tau_without_a_trace():
     assert table.d["sensor_diffusion"] < 3 and table.d["daq_filter"] < 3
     assert table.d["slow_sorption"] > 3
     assert table.tau_shift_s["valve_second_order"] > 0.01  # inertia looks like a slower sensor
+
+
+def test_the_envelope_holds_tau_where_what_hides_is_stronger_than_plausible():
+    # a valve near its critical damping: the fit has no misfit and calls the inertia a slow sensor
+    gap = diagnose_gap(measured({"valve_second_order": 0.25}, seed=2), bootstrap=0, separate=False)
+    assert gap.shrink.tau_before_s > 0.2
+    low, high = gap.hidden.tau_envelope_s
+    assert low < 0.06 < gap.shrink.tau_before_s < high
+    table = gap.hidden.table.set_index("effect")
+    valve = table.loc["valve_second_order"]
+    assert valve.tau_free_low_s < 0.06 < valve.tau_free_high_s
+    # what the data speak against has no such interval
+    loud = diagnosed("flow_switching", 1.0).hidden.table.set_index("effect")
+    assert loud.tau_free_low_s.isna().any()
 
 
 # --- robustness

@@ -1,5 +1,6 @@
 """The diagnosis at its edges: what it refuses, and records that hold nothing to look at."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,12 +12,12 @@ from scipy.stats import binom
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.gap import which
-from bayes_sensor.gap.diagnosis import ar1_whiteness
+from bayes_sensor.gap.diagnosis import ar1_whiteness, diagnose_gap
 from bayes_sensor.gap.effect import Effect, Strength, own_effect
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.events import _blocks
 from bayes_sensor.gap.floor import Stretch, clean, lattice_step
-from bayes_sensor.gap.full_rate import _innovations, look_at_tails
+from bayes_sensor.gap.full_rate import FullRate, _innovations, look_at_tails
 from bayes_sensor.gap.lines import _look_for_lines
 from bayes_sensor.gap.model import EffectModel, check_effects, find_form, with_effects
 from bayes_sensor.gap.simulation import read_strength
@@ -28,9 +29,10 @@ from bayes_sensor.gap.verdict import (
     judge,
 )
 from bayes_sensor.gap.which import Weighing
-from bayes_sensor.gap.words import family_words, second_words, undecided_words
+from bayes_sensor.gap.words import family_words, looks_most, second_words, undecided_words
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.model import Cascade
+from tests.gap_cases import measured
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 
@@ -307,3 +309,26 @@ def test_forms_are_averaged_by_their_evidence(monkeypatch) -> None:
     assert mean == pytest.approx(shares @ [-3.0, -2.0])
     spread = shares @ [0.1**2 + (-3.0 - mean) ** 2, 0.3**2 + (-2.0 - mean) ** 2]
     assert sd == pytest.approx(np.sqrt(spread))
+
+
+def test_what_comes_nearest_to_an_unlisted_cause_is_told_where_none_was_stated():
+    event = FullRate(
+        "event", 1.0, {"event_experiment": 1.0, "event_s": 47.4, "event_ratio": 5.4}, 5.4
+    )
+    listed = FullRate("mains_pickup", 1.5, {"mains_V": 1e-3, "mains_Hz": 50.0}, None)
+    (told,) = looks_most([listed, event], ["a", "b"], "V")
+    assert "experiment b" in told and "47.4 s" in told and "5.4 times" in told
+    assert f"put down to the noise ({100.0 * (1.0 - event.probability):.0f} %)" in told
+    # what data do not speak for is no news, nor is a listed cause of the noise
+    assert looks_most([replace(event, log_bayes_factor=0.5), listed], ["a", "b"], "V") == []
+    assert looks_most([], ["a", "b"], "V") == []
+
+
+def test_a_bump_that_passes_for_noise_is_in_the_notes_of_none():
+    campaign = measured({}, seed=2)
+    e = campaign.experiments[1]
+    bump = np.where((e.t > 25.0) & (e.t < 27.0), 0.016, 0.0)
+    campaign = campaign.with_data({e.name: e.values + bump})
+    gap = diagnose_gap(campaign, bootstrap=0, separate=False, hidden=False, follow=False)
+    assert gap.verdict.kind == "none"
+    assert any("put down to the noise" in note for note in gap.notes)

@@ -1,5 +1,6 @@
 """Bins and the noise floor: bin means, their covariance, the whitened residual of pure noise."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -151,6 +152,8 @@ def test_a_drill_next_door_breaks_nothing_and_is_told(monkeypatch):
     assert gap.verdict.kind == "none"
     (told,) = (note for note in gap.notes if "louder for a while" in note)
     assert " times)" in told and "counts less" in told
+    spans = re.findall(r"from (\d+) to (\d+) s", told)
+    assert spans and all(int(begin) < int(end) for begin, end in spans)
     parameters = Layout.of(campaign).flat(fit_least_squares(campaign, euler=False).theta_hat)
 
     def found():

@@ -166,4 +166,37 @@ def test_no_effect_closes_nothing_and_no_gap_gives_no_fraction(alone):
 
 
 def test_what_one_experiment_is_not_used_for_is_predicted(alone):
-    assert held_out(alone, explained(alone, "valve_asymmetry")) == pytest.approx(1.0, abs=0.2)
+    right = held_out(alone, explained(alone, "valve_asymmetry"))
+    assert right.fraction == pytest.approx(1.0, abs=0.2)
+    assert 0.5 < right.low < right.fraction <= right.high == max(1.0, right.fraction)
+    wrong = held_out(alone, explained(alone, "baseline_step"))
+    assert wrong.high < right.low
+
+
+def test_a_held_out_interval_holds_the_fraction_that_closes_without_noise(alone):
+    # half the asymmetry taken for all of it: held, so that noise decides nothing about it
+    plan = explained(alone, "valve_asymmetry").plan
+    held = Plan(plan.sketch, plan.parts, {"closing_ratio": 1.07})
+    half = refit(held, held.start(alone.x, {}), most_steps=60)
+    truth = Plan(plan.sketch, plan.parts, {"closing_ratio": 1.15})
+    exact = refit(truth, truth.start(alone.x, {}), most_steps=60)
+    mean = [exact.plan.binned(exact.x, k) for k in range(len(plan.sketch.bins))]
+    rng = np.random.default_rng(7)
+    factors = plan.sketch.floor.cholesky
+
+    def seen(noise):
+        data = tuple(m + noise * c @ rng.standard_normal(len(m)) for m, c in zip(mean, factors))
+        sketch = replace(plan.sketch, data=data)
+        pair = [
+            refit(Plan(sketch, r.plan.parts, r.plan.held), r.x, most_steps=30)
+            for r in (alone, half)
+        ]
+        return held_out(*pair), pair
+
+    _, (before, after) = seen(0.0)
+    n = len(before.residual)
+    true = 1.0 - after.misfit / before.misfit
+    assert n > 50 and 0.3 < true < 0.95
+    found = [seen(1.0)[0] for _ in range(12)]
+    inside = [f.low <= true <= f.high for f in found if f is not None]
+    assert len(inside) > 8 and sum(inside) >= len(inside) - 1

@@ -250,7 +250,8 @@ def gap_hidden(hidden: Mapping[str, Any], tau: float | None = None) -> Figure:
     """What may hide: how visible each effect would be, and what tau would be with it.
 
     ``hidden`` of ``gap.json``; ``tau`` in s draws a line.  Effects left of the line at three could
-    not have been seen; the envelope of tau over them is shaded.
+    not have been seen; the envelope of tau over them is shaded.  Dotted lines are the intervals
+    with the strength left free.
     """
     rows = [r for r in hidden["effects"] if r["d"] is not None and r["tau_shift_s"] is not None]
     rows.sort(key=lambda row: row["d"])
@@ -278,10 +279,14 @@ def gap_hidden(hidden: Mapping[str, Any], tau: float | None = None) -> Figure:
         left.axvline(VISIBLE, color=INK, lw=0.9, ls="--")
         left.set_xlabel("detectability d (sd)")
         if whole:
+            label: str | None = "strength left free"
             for i, row in enumerate(rows):
-                right.plot(
-                    [1e3 * row["tau_low_s"], 1e3 * row["tau_high_s"]], [i, i], color=MIDDLE, lw=1.1
-                )
+                ends = [1e3 * row["tau_low_s"], 1e3 * row["tau_high_s"]]
+                right.plot(ends, [i, i], color=MIDDLE, lw=1.1)
+                if row.get("tau_free_low_s") is not None:
+                    ends = [1e3 * row["tau_free_low_s"], 1e3 * row["tau_free_high_s"]]
+                    right.plot(ends, [i + 0.25, i + 0.25], color=INK, lw=1.0, ls=":", label=label)
+                    label = None
             right.set_xlabel("τ with it (ms), 95 % intervals")
         else:
             right.hlines(place, 0.0, 1e3 * np.array(shift), color=MIDDLE, lw=0.7)

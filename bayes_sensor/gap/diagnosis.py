@@ -45,7 +45,7 @@ from bayes_sensor.gap.unsteady import look_for_unsteadiness
 from bayes_sensor.gap.verdict import Standing, Verdict, judge, leftover, standing
 from bayes_sensor.gap.where import Map, locate
 from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
-from bayes_sensor.gap.words import notes_on, sentence
+from bayes_sensor.gap.words import looks_most, notes_on, sentence
 from bayes_sensor.model import Layout, Theta
 from bayes_sensor.notebook import card
 from bayes_sensor.workers import one_thread
@@ -80,10 +80,13 @@ class Shrink:
     rival: str | None
     """the best explanation outside the family"""
     rival_fraction_closed: float | None
+    held_out_interval: tuple[float, float] | None = None
+    """95 %; None where nothing was held out, and for the mains"""
 
     def to_json(self) -> dict[str, Any]:
         """The keys of gap.json."""
         c = self.closure
+        low, high = self.held_out_interval or (None, None)
         return {
             "before_excess_rms_V": c.before_V,
             "after_excess_rms_V": c.after_V,
@@ -91,6 +94,8 @@ class Shrink:
             "fraction_closed_lo": c.low,
             "fraction_closed_hi": c.high,
             "held_out_fraction_closed": self.held_out_fraction_closed,
+            "held_out_fraction_closed_lo": low,
+            "held_out_fraction_closed_hi": high,
             "tau_before_s": self.tau_before_s,
             "tau_after_s": self.tau_after_s,
             "tau_after_lo_s": self.tau_after_low_s,
@@ -344,22 +349,23 @@ def diagnose_gap(
         rounds = _look_again(weighing, best, probability, catalogue, seed)
     tell(0.7, "how far")
     closed = closure(base, best.refit, weighing.discrepancies, seed, _others(weighing, best))
-    shrink = _shrink(weighing, best, closed, catalogue)
+    shrink = _shrink(weighing, best, closed, catalogue, seed)
     if kind == "effect" and "mains_pickup" in named and not best.effects:
         shrink = _of_the_mains(shrink, prepared, full_rate)
     tell(0.85, "what may hide")
     accepted = best.refit if kind == "effect" else base
     found: list[Hidden] = []
     if hidden:
-        found, envelope = what_may_hide(sketch, accepted, catalogue, jobs)
+        found, envelope = what_may_hide(weighing, accepted, catalogue, jobs)
     else:
         spread = 1.96 * best.sd_log_tau
         envelope = (exp(best.log_tau - spread), exp(best.log_tau + spread))
     tell(0.93, "look-alikes")
     rows, separations = _rows(weighing, stand, full_rate, catalogue, closed, separate, kind, named)
+    names, unit = [e.name for e in campaign], campaign.signal_unit
     said = sentence(kind, named, probability, weighing, stand, best, located, catalogue,
-                    separations, shrink.closure, full_rate, envelope,
-                    campaign.signal_unit)  # fmt: skip
+                    separations, shrink.closure, full_rate, envelope, unit)  # fmt: skip
+    beside = looks_most(full_rate, names, unit) if kind == "none" else []
     tell(1.0, "done")
     return Gap(
         verdict=Verdict(kind, named, family, float(min(max(probability, 0.0), 1.0)), said),
@@ -373,8 +379,8 @@ def diagnose_gap(
         weighing=weighing,
         standing=stand,
         rows=tuple(rows),
-        signal_unit=campaign.signal_unit,
-        notes=tuple(notes_on(sketch)),
+        signal_unit=unit,
+        notes=(*notes_on(sketch), *beside),
     )
 
 
@@ -509,12 +515,16 @@ def _look_again(
 
 
 def _shrink(
-    weighing: Weighing, best: Hypothesis, closed: Closure, catalogue: Mapping[str, Effect]
+    weighing: Weighing,
+    best: Hypothesis,
+    closed: Closure,
+    catalogue: Mapping[str, Effect],
+    seed: int,
 ) -> Shrink:
     base = weighing.base
     out = None
     if best.effects and not closed.withheld:
-        out = held_out(base, best.refit)
+        out = held_out(base, best.refit, seed)
     families = {catalogue[n].family for n in best.effects}
     rivals = [
         h
@@ -528,7 +538,8 @@ def _shrink(
     tau, low, high = _averaged_tau(weighing)
     return Shrink(
         closure=closed,
-        held_out_fraction_closed=out,
+        held_out_fraction_closed=out.fraction if out else None,
+        held_out_interval=(out.low, out.high) if out else None,
         tau_before_s=exp(none.log_tau),
         tau_after_s=tau,
         tau_after_low_s=low,
@@ -549,7 +560,13 @@ def _of_the_mains(shrink: Shrink, prepared: Prepared, full_rate: Sequence[FullRa
     found = next(f for f in full_rate if f.name == "mains_pickup")
     pieces = pieces_of_records(prepared.sketch.campaign, prepared.residuals, prepared.deviations)
     closed, out = mains_closure(pieces, found)
-    return replace(shrink, closure=closed, held_out_fraction_closed=out, explanation="mains_pickup")
+    return replace(
+        shrink,
+        closure=closed,
+        held_out_fraction_closed=out,
+        held_out_interval=None,
+        explanation="mains_pickup",
+    )
 
 
 def _averaged_tau(weighing: Weighing) -> tuple[float, float, float]:
@@ -627,8 +644,11 @@ def _rows(
         if first is not None and first in looked:
             alike = next(r["confusable_with"] for r in made if r["effect"] == first)
             h = weighing.find(first)
+            # nothing tells what is one response apart: the next in likeness is worth a look, too
+            most = 2 if alike[:1] == [catalogue[first].same_response] else 1
             separations = [
-                what_would_separate(sketch, h.refit, first, rival, catalogue) for rival in alike[:1]
+                what_would_separate(sketch, h.refit, first, rival, catalogue)
+                for rival in alike[:most]
             ]
     return made, separations
 

@@ -2,14 +2,15 @@
 
 Fast effects are absorbed by the switch times and tau, leave almost no residual and may double
 tau.  For each effect at plausible strength: its detectability after the refit, the shift of the
-refitted tau, and tau refitted with the effect in place; the envelope is the union over everything
-that could not have been seen.
+refitted tau, and tau refitted with the effect in place.  What is absorbed so well may be many times
+as strong as is plausible, so tau is stated for each effect with its strength left free, too.  The
+envelope is the union over everything that could not have been seen.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, log
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from bayes_sensor.gap.effect import Effect, Form, Strength
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, base_starts, refit
+from bayes_sensor.gap.which import Weighing, joined_start
 from bayes_sensor.workers import in_order
 
 UNSEEN = 3.0
@@ -44,6 +46,10 @@ class Hidden:
     """its 95 % interval"""
     contradicted: bool
     """whether the measurement speaks against the effect at this strength"""
+    tau_free_low_s: float | None = None
+    tau_free_high_s: float | None = None
+    """the 95 % interval of tau with the effect alone in the model, its strength left to data and
+    prior; None where another explanation fits the data clearly better"""
 
 
 def plausible(effect: Effect, sketch: Sketch) -> dict[str, float]:
@@ -83,12 +89,13 @@ def _all_strengths(effect: Effect, sketch: Sketch) -> list[Strength]:
 
 
 def what_may_hide(
-    sketch: Sketch, base: Refit, catalogue: Mapping[str, Effect], jobs: int = 1
+    weighing: Weighing, base: Refit, catalogue: Mapping[str, Effect], jobs: int = 1
 ) -> tuple[list[Hidden], tuple[float, float]]:
     """Every effect on the mean at plausible strength, and the envelope of tau, s.
 
     ``base``: the explanation that was accepted, with or without effects.
     """
+    sketch = weighing.sketch
     exact = [base.plan.binned(base.x, k) for k in range(len(sketch.bins))]
     none = refit(base.plan, base.x, data=exact, most_steps=10)
     line = Linearised(base).evidence(None)
@@ -100,12 +107,32 @@ def what_may_hide(
         for name, effect in catalogue.items()
         if effect.on_mean and effect.family not in already
     ]
-    found: list[Hidden] = in_order(one_hidden, each, jobs)
-    for made in found:
+    free = _with_strength_free(weighing)
+    found = []
+    for made in in_order(one_hidden, each, jobs):
         if made.d < UNSEEN and not made.contradicted:
             low = min(low, log(max(made.tau_low_s, 1e-12)))
             high = max(high, log(max(made.tau_high_s, 1e-12)))
+        if made.effect in free:
+            begin, end = free[made.effect]
+            low, high = min(low, begin), max(high, end)
+            made = replace(made, tau_free_low_s=exp(begin), tau_free_high_s=exp(end))
+        found.append(made)
     return found, (exp(low), exp(high))
+
+
+def _with_strength_free(weighing: Weighing) -> dict[str, tuple[float, float]]:
+    """95 % interval of ln tau for every single effect that the data do not contradict.
+
+    They do where the likeliest explanation fits them better by ``CONTRADICTED``.
+    """
+    complete = [h for h in weighing.hypotheses if not h.incomplete]
+    best = max(complete, key=lambda h: h.log_weight).refit.misfit
+    return {
+        h.effects[0]: (h.log_tau - 1.96 * h.sd_log_tau, h.log_tau + 1.96 * h.sd_log_tau)
+        for h in complete
+        if len(h.effects) == 1 and h.refit.misfit - best <= CONTRADICTED
+    }
 
 
 def one_hidden(
@@ -124,7 +151,7 @@ def one_hidden(
     own = {s.name for s in _all_strengths(effect, sketch) if s.per_experiment}
     part = Part(effect, form)
     held = Plan(sketch, (*base.plan.parts, part), {**base.plan.held, **given})
-    x = held.start(base.x, {}) if not base.plan.parts else _joined(held, base)
+    x = held.start(base.x, {}) if not base.plan.parts else joined_start(held, base)
     data = []
     for k in range(len(sketch.bins)):
         plan = held
@@ -157,12 +184,6 @@ def one_hidden(
         tau_high_s=exp(line.log_tau + 1.96 * line.sd_log_tau),
         contradicted=bool(with_it.misfit - base.misfit > CONTRADICTED),
     )
-
-
-def _joined(plan: Plan, base: Refit) -> np.ndarray:
-    from bayes_sensor.gap.which import joined_start
-
-    return joined_start(plan, base)
 
 
 def _starts(plan: Plan, x: np.ndarray, sketch: Sketch) -> list[np.ndarray]:

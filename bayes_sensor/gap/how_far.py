@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import FloatArray
@@ -184,7 +185,20 @@ def _mean_volts(sketch: Sketch, fitted: Refit) -> float:
     return sum(v * n for v, n in pairs) / count
 
 
-def held_out(base: Refit, fitted: Refit) -> float | None:
+@dataclass(frozen=True)
+class HeldOut:
+    """Closed fraction of data that were not fitted to, with its 95 % interval.
+
+    The fraction may pass one, since noise is only taken off on average; nothing closes more than
+    a gap, so that the interval ends at one then, or at the fraction.
+    """
+
+    fraction: float
+    low: float
+    high: float
+
+
+def held_out(base: Refit, fitted: Refit, seed: int = 1) -> HeldOut | None:
     """Closed fraction of experiments predicted without having been used.
 
     The shared parameters and strengths are frozen at a fit to the others; only y0, beta, t0 and
@@ -197,21 +211,48 @@ def held_out(base: Refit, fitted: Refit) -> float | None:
     local = bool(fitted.plan.own)
     if n_e < 2:
         return None
-    before = after = spread = 0.0
+    before = after = 0.0
+    n = 0
+    unsure: list[list[FloatArray]] = [[], []]
     for k in range(n_e):
         if local and not sketch.bins[k].falling.any():
             continue
         pair = [_predicted(r, k, local) for r in (base, fitted)]
-        before += pair[0][0]
-        after += pair[1][0]
-        spread += pair[0][1] ** 2
-    if before < VISIBLE * np.sqrt(spread) or before <= 0.0:
+        before += pair[0].excess
+        after += pair[1].excess
+        n += pair[0].freedom
+        for found, one in zip(unsure, pair, strict=True):
+            found.append(one.unsure)
+    if before < VISIBLE * np.sqrt(2.0 * n) or before <= 0.0:
         return None
-    return float(1.0 - after / before)
+    fraction = 1.0 - after / before
+    rng = np.random.default_rng(seed)
+    # noise and an error of its floor are in both, so that they leave the difference alone, but for
+    # the noise beside what the effect takes away; and either was predicted with some error
+    both = np.sqrt(2.0 * n + 2.0 * n**2 / DOF) * rng.standard_normal(DRAWS)
+    error = [rng.chisquare(1.0, (DRAWS, len(u))) @ u for u in map(np.concatenate, unsure)]
+    taken = before - after
+    taken = taken + 2.0 * np.sqrt(max(taken, 0.0)) * rng.standard_normal(DRAWS)
+    taken = np.maximum(taken - error[0] + error[1], 0.0)
+    shares = taken / np.maximum(taken + np.maximum(after + both - error[1], 0.0), 1e-300)
+    low, high = np.quantile(shares, [0.025, 0.975])
+    return HeldOut(float(fraction), min(float(low), fraction), max(float(high), fraction))
 
 
-def _predicted(fitted: Refit, k: int, local: bool) -> tuple[float, float]:
-    """Excess misfit of experiment ``k`` predicted from the others, and its sd under noise."""
+@dataclass(frozen=True)
+class _Prediction:
+    """Of one experiment, from the others."""
+
+    excess: float
+    """misfit beyond that of noise"""
+    freedom: int
+    unsure: FloatArray
+    """(m,) what errors of the predicting parameters add to it: squares of standard normals with
+    these weights"""
+
+
+def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
+    """Experiment ``k`` predicted from the others; with ``local`` its fall from all before it."""
     sketch, plan = fitted.plan.sketch, fitted.plan
     n_e = len(sketch.bins)
     others = [j for j in range(n_e) if j != k]
@@ -231,21 +272,33 @@ def _predicted(fitted: Refit, k: int, local: bool) -> tuple[float, float]:
     start[:n_shared] = rest.x[:n_shared]
     free = np.zeros(one.size, dtype=bool)
     free[n_shared:] = True
+    covariance = np.zeros((one.size, one.size))
+    covariance[:n_shared, :n_shared] = _covariance(rest)[:n_shared, :n_shared]
     if not local:
         made = refit(one, start, most_steps=10, tolerance=0.2, free=free)
-        j = made.jacobian[:, n_shared:]
-        return _excess(made.residual, j)
+        return _prediction(made, free, covariance)
     # strengths of its own: everything before the fall decides them, the fall judges
     falling = alone.bins[0].falling
     rise = Plan(alone.restricted([~falling]), plan.parts, plan.held)
     first = refit(rise, start, most_steps=10, tolerance=0.2, free=free)
+    covariance[n_shared:, n_shared:] = _covariance(first)[n_shared:, n_shared:]
     free[:] = False
     free[n_shared + 3] = True  # tf
     fall = Plan(alone.restricted([falling]), plan.parts, plan.held)
     made = refit(fall, first.x, most_steps=10, tolerance=0.2, free=free)
-    return _excess(made.residual, made.jacobian[:, [n_shared + 3]])
+    return _prediction(made, free, covariance)
 
 
-def _excess(residual: FloatArray, jacobian: FloatArray) -> tuple[float, float]:
-    n = len(residual) - jacobian.shape[1]
-    return float(residual @ residual) - n, float(np.sqrt(2.0 * max(n, 1)))
+def _covariance(fitted: Refit) -> FloatArray:
+    normal = fitted.jacobian.T @ fitted.jacobian + fitted.plan.own_prior_matrix
+    return np.asarray(np.linalg.inv(normal))
+
+
+def _prediction(made: Refit, free: NDArray[np.bool_], covariance: FloatArray) -> _Prediction:
+    """``covariance`` (n, n) of the coordinates that were not ``free``."""
+    loose, given = made.jacobian[:, free], made.jacobian[:, ~free]
+    given = given - loose @ np.linalg.lstsq(loose, given, rcond=None)[0]
+    n = len(made.residual) - loose.shape[1]
+    seen = given @ covariance[np.ix_(~free, ~free)] @ given.T
+    unsure = np.linalg.eigvalsh(seen)[-given.shape[1] :]
+    return _Prediction(float(made.residual @ made.residual) - n, max(n, 1), np.maximum(unsure, 0.0))

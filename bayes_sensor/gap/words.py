@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import ceil, floor, log
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ SURELY = 0.7
 """probability from which an unlisted cause is stated without saying how likely it is"""
 TELLING = 1.2
 """times its usual size from which noise that is louder for a while is worth a note"""
+WORTH_A_LOOK = log(2.0)
+"""ln Bayes factor from which a finding is worth a note where nothing is said to be missing"""
 
 
 def notes_on(sketch: Sketch) -> list[str]:
@@ -62,6 +65,25 @@ def notes_on(sketch: Sketch) -> list[str]:
     return notes
 
 
+def looks_most(full_rate: Sequence[FullRate], names: Sequence[str], unit: str) -> list[str]:
+    """What comes nearest to an unlisted cause where none was stated, if it is worth a look.
+
+    Events are rare, so that one that the data speak for may still pass for noise; whoever plots
+    the residual will see it.
+    """
+    nearest = max(
+        (f for f in full_rate if f.name in OF_UNLISTED_ORIGIN),
+        key=lambda f: f.probability,
+        default=None,
+    )
+    if nearest is None or nearest.log_bayes_factor < WORTH_A_LOOK:
+        return []
+    return [
+        f"{_finding_words(nearest, names, unit)} That is put down to the noise "
+        f"({100.0 * (1.0 - nearest.probability):.0f} %), but worth a look."
+    ]
+
+
 def family_words(
     named: Sequence[str], probability: float, leading: float, place: str, other: str
 ) -> str:
@@ -91,7 +113,7 @@ def _louder_spells(sketch: Sketch) -> list[str]:
         loud = times > TELLING
         if np.any(loud):
             begins, ends = b.edges
-            span = f"from {begins[loud][0]:.0f} to {ends[loud][-1]:.0f} s"
+            span = f"from {floor(begins[loud][0])} to {ceil(ends[loud][-1])} s"
             found.append(f"{b.experiment.name} ({span} up to {times.max():.1f} times)")
     return found
 

@@ -93,7 +93,8 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
                 figures.gap_hidden(record["hidden"], tau),
                 "What may hide: how visible each effect would be at its plausible strength, and "
                 "what τ would be with it in the model. Left of the dashed line this campaign could "
-                "not have seen it; shaded, the envelope of τ over all that may hide.",
+                "not have seen it; dotted, τ with the strength left to the data; shaded, the envelope "
+                "of τ over all that may hide.",
             ),
             hidden_table(record, saved.unit),
         ]
@@ -165,6 +166,11 @@ def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
         )
     if shrink.get("held_out_fraction_closed") is not None:
         said += f", and {100 * shrink['held_out_fraction_closed']:.0f} % on data that were left out"
+        if shrink.get("held_out_fraction_closed_lo") is not None:
+            said += (
+                f" ({100 * shrink['held_out_fraction_closed_lo']:.0f} to "
+                f"{100 * shrink['held_out_fraction_closed_hi']:.0f} %)"
+            )
     said += see("budget-table") + "."
     before, after = shrink.get("tau_before_s"), shrink.get("tau_after_s")
     if before is not None and after is not None and not mains:

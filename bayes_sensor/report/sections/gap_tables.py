@@ -44,6 +44,8 @@ def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
         ["fraction closed, 95 % low", shrink.get("fraction_closed_lo")],
         ["fraction closed, 95 % high", shrink.get("fraction_closed_hi")],
         ["fraction closed, held out", shrink.get("held_out_fraction_closed")],
+        ["fraction closed, held out, 95 % low", shrink.get("held_out_fraction_closed_lo")],
+        ["fraction closed, held out, 95 % high", shrink.get("held_out_fraction_closed_hi")],
         ["τ without the effect (ms)", ms(shrink.get("tau_before_s"))],
     ]
     if not shrink.get("withheld"):
@@ -195,16 +197,18 @@ def hidden_table(record: Mapping[str, Any], unit: str) -> Table:
         "What may hide: detectability d after refitting, the error of τ when the effect is there "
         "and left out, and the τ of this campaign with it in the model, at plausible strength. "
         f"Below d = {UNSEEN:g} an effect could be there unseen, unless the data contradict it: "
-        "with it in the model no value of τ fits them.",
+        "with it in the model no value of τ fits them. What is hidden so well may be stronger than "
+        "plausible: the last interval of τ leaves the strength to the data.",
         [
             "effect", "strength", "d", "error of τ (ms)", "τ with it (ms)", "95 % low",
-            "95 % high", "could hide",
+            "95 % high", "could hide", "strength free: low", "strength free: high",
         ],
         [
             [
                 effect_words(row["effect"]), strength_words(row.get("strength"), unit), row["d"],
                 ms(row["tau_shift_s"]), ms(row.get("tau_with_it_s")), ms(row.get("tau_low_s")),
-                ms(row.get("tau_high_s")), _hides(row),
+                ms(row.get("tau_high_s")), _hides(row), ms(row.get("tau_free_low_s")),
+                ms(row.get("tau_free_high_s")),
             ]
             for row in rows
         ],
