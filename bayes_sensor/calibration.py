@@ -18,7 +18,9 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import logging
 import os
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -41,6 +43,10 @@ IntArray = np.ndarray
 Task = Callable[[int], Mapping[str, Any]]
 """number of the campaign to its result: named numbers and arrays of one shape for all campaigns"""
 
+LOG = logging.getLogger(__name__)
+PACKAGE = Path(__file__).parent
+NO_NUMBERS = ("figures", "report")
+"""rooms of the package that no result of a task depends on; messages of cli are such results"""
 LEVELS = (0.68, 0.95, 0.997)
 TAU_COLUMNS = (
     "lo95_s", "hi95_s", "hdi_lo95_s", "hdi_hi95_s", "upper95_s", "upper99_s", "n_effective",
@@ -406,9 +412,11 @@ def run_chunks(
     """The results of ``task(0) .. task(n - 1)``, stacked along a first axis, by name.
 
     Every ``chunk`` of tasks becomes one small file in ``folder``, written whole or not at all; a
-    later call with the same ``key`` goes on from those files.  Files of another key are removed.
-    ``jobs`` processes of this machine, or with ``scheduler`` (``tcp://host:port``) a Dask cluster;
-    the numbers depend on neither.  What a process that died was doing is done again.
+    later call with the same ``key`` and the same code (see :func:`code_digest`) goes on from those
+    files.  Files of another key or of other code are removed; the log has a warning then, and where
+    the code was changed while it ran.  ``jobs`` processes of this machine, or with ``scheduler``
+    (``tcp://host:port``) a Dask cluster; the numbers depend on neither.  What a process that died
+    was doing is done again.
 
     Raises CampaignError where a part ended one process after the other.
     """
@@ -420,7 +428,11 @@ def run_chunks(
         folder.mkdir(parents=True, exist_ok=True)
         for rest in folder.glob(".chunk-*"):  # of a run that was killed
             rest.unlink(missing_ok=True)
-        _claim(folder, {"key": key, "chunk": chunk})
+        code = code_digest(task)
+        begun = _BEGUN.setdefault(task.__module__, code)
+        # this process may have loaded what was there before: never to be taken for either alone
+        label = code if code == begun else f"{begun}+{code}"
+        _claim(folder, {"key": key, "chunk": chunk, "code": label})
         spans = [(a, min(a + chunk, n)) for a in range(0, n, chunk)]
         parts = {span: part for span in spans if (part := _load(_file(folder, span))) is not None}
         todo = [span for span in spans if span not in parts]
@@ -441,7 +453,30 @@ def run_chunks(
             tell(done, n)
     if lost:
         raise CampaignError(lost)
+    if code_digest(task) != begun:
+        LOG.warning(
+            "%s: the code was changed while this ran, and the results may be of both states; "
+            "run it again", folder,
+        )  # fmt: skip
     return {name: np.concatenate([parts[s][name] for s in spans]) for name in parts[spans[0]]}
+
+
+_BEGUN: dict[str, str] = {}
+"""module of a task to the digest of the code when this process first ran one of it"""
+
+
+def code_digest(task: Task) -> str:
+    """A digest of the sources that decide the results of ``task``: the package's and its own."""
+    hasher = hashlib.sha256()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        place = path.relative_to(PACKAGE)
+        # editors leave links of hidden names that lead nowhere
+        if place.parts[0] not in NO_NUMBERS and not place.name.startswith("."):
+            hasher.update(f"{place.as_posix()}\0".encode() + path.read_bytes())
+    own = getattr(sys.modules.get(task.__module__), "__file__", None)
+    if own is not None:  # typed at a prompt it has none
+        hasher.update(Path(own).read_bytes())
+    return hasher.hexdigest()[:16]
 
 
 def _claim(folder: Path, settings: dict[str, Any]) -> None:
@@ -452,8 +487,15 @@ def _claim(folder: Path, settings: dict[str, Any]) -> None:
     except (FileNotFoundError, ValueError):
         known = None
     if known != settings:
-        for old in folder.glob("chunk-*.npz"):
+        parts = list(folder.glob("chunk-*.npz"))
+        for old in parts:
             old.unlink()
+        if parts:
+            code = known.get("code") if isinstance(known, dict) else None
+            LOG.warning(
+                "%s: %d finished parts are of other %s and are not used; all is computed anew",
+                folder, len(parts), "settings" if code == settings["code"] else "code",
+            )  # fmt: skip
         _write(marker, json.dumps(settings).encode())
 
 

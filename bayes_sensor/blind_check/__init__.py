@@ -10,9 +10,11 @@ from bayes_sensor.blind_check.check import (
     diagnose_cases,
     draw_cases,
     open_seals,
+    sealed_late,
 )
 from bayes_sensor.blind_check.plan import LEVELS, Entry, draw_truth, make_plan
-from bayes_sensor.blind_check.score import card_table, make_card, score, table, wilson
+from bayes_sensor.blind_check.score import card_table, make_card, read_rows, score, table
+from bayes_sensor.blind_check.statistics import wilson
 
 __all__ = [
     "LEVELS",
@@ -26,7 +28,9 @@ __all__ = [
     "make_card",
     "make_plan",
     "open_seals",
+    "read_rows",
     "score",
+    "sealed_late",
     "table",
     "wilson",
 ]

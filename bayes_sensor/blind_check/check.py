@@ -6,13 +6,19 @@ A folder holds::
     campaigns/NAME/           a campaign as a user has it
     sealed/NAME.json          its truth; sealed.json: SHA-256 of every one, written first
     verdicts/NAME.json        what the diagnosis said; verdicts.json: SHA-256 of every one
+    campaigns.json            what each was made from: "files" or "recipe", and its SHA-256
+    seconds.json              processor time of each; no part of what is hashed
     score.json, cases.csv     the card and one row a case, written once the seals are open
+
+A truth of the user's own is sealed when the diagnosis begins.  One that is put in later counts,
+too, but nothing can show that it was not written to fit: ``sealed_late`` names it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -31,8 +37,9 @@ from bayes_sensor.results import json_text, plain, read_json, sha256, write_json
 Diagnose = Callable[[Campaign, int, Sequence[str], str], Mapping[str, Any]]
 """campaign, seed, effects taken out, setting -> content of gap.json"""
 Progress = Callable[[int, int], None]
+LOG = logging.getLogger(__name__)
 SETTINGS = ("full", "study")
-PLAN, SEALED, VERDICTS = "plan.json", "sealed", "verdicts"
+PLAN, SEALED, VERDICTS, CAMPAIGNS = "plan.json", "sealed", "verdicts", "campaigns"
 KEPT = {
     "where": ("experiment", "phase", "share", "p_value"),
     "which": ("effect", "family", "probability", "d", "tau_s", "fraction_closed", "rss_V2", "bic"),
@@ -111,7 +118,7 @@ class Sealing:
 
     @property
     def key(self) -> str:
-        """Everything that the truths depend on."""
+        """Everything that the truths depend on, beside the code."""
         return _key("sealing", [asdict(entry) for entry in self.entries])
 
     def __call__(self, i: int) -> dict[str, Any]:
@@ -137,7 +144,7 @@ class Diagnosing:
 
     @property
     def key(self) -> str:
-        """Everything that the verdicts depend on."""
+        """Everything that the verdicts depend on, beside the code."""
         name = getattr(self.diagnose, "__qualname__", repr(self.diagnose))
         return _key("diagnosing", self.cases, self.setting, self.digest, name)
 
@@ -213,7 +220,7 @@ def draw_cases(
         from bayes_sensor.writers import write_campaign
 
         for truth in truths:
-            target = folder / "campaigns" / truth["name"]
+            target = folder / CAMPAIGNS / truth["name"]
             if not (target / "campaign.toml").is_file():
                 case = Case.from_json(truth["recipe"])
                 write_campaign(make_campaign(case), target, "npz")
@@ -224,17 +231,85 @@ def _write_hashes(folder: Path, what: str) -> None:
     write_json(folder / f"{what}.json", hashes)
 
 
-def _check_hashes(folder: Path, what: str) -> None:
+def _hashes(folder: Path, what: str) -> dict[str, Any]:
     path = folder / f"{what}.json"
-    if not path.is_file():
-        return  # a user's own truths, sealed elsewhere
-    for name, expected in read_json(path).items():
+    return dict(read_json(path)) if path.is_file() else {}
+
+
+def seal_truths(folder: Path) -> None:
+    """Record the hash of every truth that has none yet; a recorded one is never replaced.
+
+    Raises CampaignError where a truth has not the form of one: it could not be mended any more.
+    """
+    known = _hashes(folder, SEALED)
+    new = {
+        path.stem: path
+        for path in sorted((folder / SEALED).glob("*.json"))
+        if path.stem not in known
+    }
+    for name, path in new.items():
+        complete_truth(read_json(path), name)
+    if new:
+        hashes = {name: sha256(path) for name, path in new.items()}
+        write_json(folder / f"{SEALED}.json", {**known, **hashes})
+
+
+def sealed_late(folder: Path) -> list[str]:
+    """Names of the truths that had no hash yet when their verdicts were recorded."""
+    known = _hashes(folder, SEALED)
+    names = (path.stem for path in sorted((folder / VERDICTS).glob("*.json")))
+    return [n for n in names if n not in known and (folder / SEALED / f"{n}.json").is_file()]
+
+
+def _check_hashes(folder: Path, what: str) -> None:
+    hashes = _hashes(folder, what)
+    for name, expected in hashes.items():
         file = folder / what / f"{name}.json"
         found = sha256(file) if file.is_file() else "nothing"
         if found != expected:
             raise CampaignError(
                 f"{what}/{name}.json: expected the file whose SHA-256 was recorded before "
                 f"({expected[:12]}..), but found {found[:12]}..; put the original back"
+            )
+    for path in sorted((folder / what).glob("*.json")):
+        if what == VERDICTS and path.stem not in hashes:  # truths may come late, see sealed_late
+            raise CampaignError(
+                f"{what}/{path.name}: expected verdicts whose SHA-256 is in {what}.json, but this "
+                "is not there; remove it, or diagnose again"
+            )
+
+
+def _files_digest(toml: Path) -> str:
+    """SHA-256 over a campaign file and the data files that it names, in its order."""
+    from bayes_sensor.readers.campaign_file import read_sheet, read_toml
+
+    label = f"{CAMPAIGNS}/{toml.parent.name}/{toml.name}"
+    tables = read_sheet(read_toml(toml.read_bytes(), label), label).experiment
+    named = [toml.parent / str(table["file"]) for table in tables if table.get("file")]
+    # what is missing is told by whoever reads it
+    found = [sha256(path) if path.is_file() else "nothing" for path in (toml, *named)]
+    return hashlib.sha256("".join(found).encode()).hexdigest()
+
+
+def _recipe_digest(recipe: Any) -> str:
+    return hashlib.sha256(json.dumps(recipe).encode()).hexdigest()
+
+
+def _check_campaigns(folder: Path) -> None:
+    """CampaignError where a campaign that is still there is not what its verdict was made from."""
+    for name, recorded in _hashes(folder, CAMPAIGNS).items():
+        toml = folder / CAMPAIGNS / name / "campaign.toml"
+        truth = folder / SEALED / f"{name}.json"
+        if recorded["of"] == "files":
+            found = _files_digest(toml) if toml.is_file() else None
+        else:  # cases drawn anew have other recipes under the same names
+            recipe = read_json(truth).get("recipe") if truth.is_file() else None
+            found = _recipe_digest(recipe) if recipe is not None else None
+        if found not in (None, recorded["sha256"]):
+            raise CampaignError(
+                f"{CAMPAIGNS}/{name}: expected the campaign that its verdict was made from "
+                f"(SHA-256 {recorded['sha256'][:12]}..), but its {recorded['of']} changed since "
+                f"({found[:12]}..); put the original back, or diagnose again"
             )
 
 
@@ -255,19 +330,20 @@ def diagnose_cases(
 ) -> np.ndarray:
     """Diagnose every case of the plan and every campaign found; returns the seconds of each (n,).
 
-    Verdicts and their hashes go to ``target``.  Campaigns that a user put into ``campaigns/`` are
-    diagnosed with the full catalogue unless plan.json says otherwise.
+    Before that the truths in ``folder`` that have no hash yet get one.  Verdicts, their hashes,
+    those of the campaigns and the seconds go to ``target``.  Campaigns that a user put into
+    ``campaigns/`` are diagnosed with the full catalogue unless plan.json says otherwise.
 
     Raises
     ------
     CampaignError
-        If there is nothing to diagnose, or the setting is not known.
+        If there is nothing to diagnose, the setting is not known or a truth is none.
     """
     if setting not in SETTINGS:
         raise CampaignError(f"--setting: expected one of {', '.join(SETTINGS)}, got '{setting}'")
     planned = read_json(folder / PLAN)["cases"] if (folder / PLAN).is_file() else []
     names = {case["case"] for case in planned}
-    found = sorted((folder / "campaigns").glob("*/campaign.toml"))
+    found = sorted((folder / CAMPAIGNS).glob("*/campaign.toml"))
     planned += [
         {"case": path.parent.name, "seed": 1, "without": []}
         for path in found
@@ -278,12 +354,14 @@ def diagnose_cases(
             f"{folder}: expected cases to diagnose, but there is neither {PLAN} nor "
             "campaigns/NAME/campaign.toml; draw cases with --cases-only or put campaigns there"
         )
-    sources, digests = [], []
+    seal_truths(folder)
+    sources: list[str] = []
+    made_from: dict[str, dict[str, str]] = {}
     for case in planned:
-        toml = folder / "campaigns" / case["case"] / "campaign.toml"
+        toml = folder / CAMPAIGNS / case["case"] / "campaign.toml"
         if toml.is_file():
             sources.append(str(toml))
-            digests += [sha256(path) for path in sorted(toml.parent.iterdir()) if path.is_file()]
+            made_from[case["case"]] = {"of": "files", "sha256": _files_digest(toml)}
         else:
             truth = read_json(folder / SEALED / f"{case['case']}.json")
             if "recipe" not in truth:
@@ -292,10 +370,11 @@ def diagnose_cases(
                     "truth has no recipe to make the campaign from; put the campaign back"
                 )
             sources.append(json.dumps(truth["recipe"]))
-            digests.append(sources[-1])
+            digest = _recipe_digest(truth["recipe"])
+            made_from[case["case"]] = {"of": "recipe", "sha256": digest}
     task = Diagnosing(
         tuple((case["case"], int(case["seed"]), tuple(case["without"])) for case in planned),
-        tuple(sources), setting, diagnosis, hashlib.sha256("".join(digests).encode()).hexdigest(),
+        tuple(sources), setting, diagnosis, _recipe_digest(made_from),
     )  # fmt: skip
     done = run_chunks(
         task, len(planned), parts / "diagnosing", task.key, jobs, chunk, scheduler, progress
@@ -305,7 +384,11 @@ def diagnose_cases(
     for case, text in zip(planned, done["verdict"].tolist(), strict=True):
         write_text(verdicts / f"{case['case']}.json", text)
     _write_hashes(target, VERDICTS)
-    return np.asarray(done["seconds"], dtype=float)
+    write_json(target / f"{CAMPAIGNS}.json", made_from)
+    seconds = np.asarray(done["seconds"], dtype=float)
+    each = {case["case"]: s for case, s in zip(planned, seconds, strict=True)}
+    write_json(target / "seconds.json", {"setting": setting, "seconds": each})
+    return seconds
 
 
 # --------------------------------------------------------------------------- opening
@@ -314,6 +397,8 @@ def diagnose_cases(
 def open_seals(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     """(truth, verdict) of every case with both, after their hashes were found unchanged.
 
+    Truths that were not sealed before their verdicts are named in a warning in the log.
+
     Raises
     ------
     CampaignError
@@ -321,6 +406,12 @@ def open_seals(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     """
     _check_hashes(folder, SEALED)
     _check_hashes(folder, VERDICTS)
+    _check_campaigns(folder)
+    if late := sealed_late(folder):
+        LOG.warning(
+            "not sealed before the verdicts were recorded, so that nothing shows that they were "
+            "not written to fit: the truths of %s", ", ".join(late),
+        )  # fmt: skip
     both = []
     for path in sorted((folder / VERDICTS).glob("*.json")):
         truth = folder / SEALED / path.name
@@ -340,13 +431,14 @@ def complete_truth(content: Any, name: str) -> dict[str, Any]:
     ``listed_as``: for each cause the names that are a right answer; ``[]`` for no cause at all and
     ``[[]]`` for one that the catalogue does not list.
     """
-    if not isinstance(content, Mapping) or not isinstance(content.get("listed_as"), list):
+    listed = content.get("listed_as") if isinstance(content, Mapping) else None
+    if not isinstance(listed, list) or not all(isinstance(n, str | list) for n in listed):
         raise CampaignError(
             f'sealed/{name}.json: expected {{"listed_as": [["effect"], ..]}}, one list of right '
             "names for each cause; [] where nothing is wrong"
         )
     truth = dict(content)
-    listed = [[names] if isinstance(names, str) else list(names) for names in truth["listed_as"]]
+    listed = [[names] if isinstance(names, str) else list(names) for names in listed]
     kind = "null" if not listed else "pair" if len(listed) > 1 else "listed"
     if listed and not any(listed):
         kind = "unlisted"

@@ -1,20 +1,31 @@
 """The score card: verdicts against opened truths, with an oracle and simple methods beside them.
 
-Every proportion comes with Wilson's 95 % interval.  ``d`` of a case is what the oracle found, put
-to the nearest of 2, 4, 8, 16, 32.
+Every proportion comes with Wilson's 95 % interval, everything else with one from the bootstrap over
+cases.  ``d`` of a case is what the oracle found, put to the nearest of 2, 4, 8, 16, 32.  The card
+is made from the rows of the cases alone, so that it can be made again from their table.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import log, sqrt
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import ndtr
 
 from bayes_sensor.blind_check.baselines import WHITENESS_ALARM, by_bic, by_rss
 from bayes_sensor.blind_check.oracle import HIDDEN_BELOW, SEPARABLE_ABOVE
 from bayes_sensor.blind_check.plan import LEVELS
+from bayes_sensor.blind_check.statistics import (
+    Row,
+    average,
+    calibration,
+    drawn_anew,
+    proportion,
+    roc,
+)
 from bayes_sensor.gap.effects import CATALOGUE
 
 if TYPE_CHECKING:
@@ -25,29 +36,17 @@ VISIBLE = 4.0
 """detectability from which localisation and tau are scored"""
 ACTING = 0.95
 """share of the true difference that the places hold which count as those where a cause acts"""
-Row = dict[str, Any]
-
-
-def wilson(k: int, n: int, z: float = 1.959963984540054) -> tuple[float, float]:
-    """95 % interval of a proportion after ``k`` of ``n`` (Wilson, J. Am. Stat. Assoc. 22, 1927).
-
-    >>> [round(v, 4) for v in wilson(0, 200)]
-    [0.0, 0.0188]
-    """
-    if n == 0:
-        return 0.0, 1.0
-    p = k / n
-    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return max(0.0, centre - half), min(1.0, centre + half)
-
-
-def proportion(values: Iterable[Any]) -> dict[str, Any]:
-    """k of n with its interval; values that are None do not count."""
-    known = [bool(v) for v in values if v is not None]
-    k, n = sum(known), len(known)
-    low, high = wilson(k, n)
-    return {"k": k, "n": n, "rate": k / n if n else None, "lo95": low, "hi95": high}
+GOALS_AT = (8.0, 16.0)
+"""detectabilities that goals are set for"""
+OUTSIDE = ("unlisted", "withheld")
+"""kinds whose cause is not in the catalogue"""
+HIDES_BELOW = 3.0
+"""detectability under which a cause may hide: what the envelope of tau is stated for"""
+TEXTS = (
+    "case", "kind", "causes", "listed_as", "law", "size", "verdict", "said", "top", "rss_says",
+    "bic_says",
+)  # fmt: skip
+"""columns of the table of cases that hold words"""
 
 
 def level_of(d: float | None) -> float | None:
@@ -67,7 +66,7 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
     kind = truth["kind"]
     right = [set(names) for names in truth["listed_as"]]
     answers = set().union(*right) if right else set()
-    outside = kind in ("unlisted", "withheld")
+    outside = kind in OUTSIDE
     accepted = set() if outside else answers
     near = set(truth["near"])
     verdict = _without_the_noise_s_own(verdict, near - answers)
@@ -101,7 +100,7 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         )
     else:
         family_right = top_family in right_families
-    abstains = said["kind"] != "effect"
+    abstains = said["kind"] not in ("effect", "failed")
     p_right = _probability_of(rows, answer_is_right)
     shrink = verdict["shrink"]
     closed = truth["closed"].get(shrink.get("explanation") or (named[0] if named else ""))
@@ -153,9 +152,6 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         "brier": _brier(rows, p_right, answer_is_right),
         "log_score": -log(max(p_right, 1e-3)),
         "on_mean": any(CATALOGUE[name].on_mean for name in answers if name in CATALOGUE),
-        "oracle_right": None
-        if not rivals or kind in ("null", "pair") or outside
-        else min(rivals, key=rivals.__getitem__) in answers,
         "rss_says": by_rss(verdict["which"]),
         "bic_says": by_bic(verdict["which"]),
         "whiteness_p": verdict.get("whiteness_p"),
@@ -163,6 +159,8 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         "closed_lo": shrink.get("fraction_closed_lo"),
         "closed_hi": shrink.get("fraction_closed_hi"),
         "closed_held_out": shrink.get("held_out_fraction_closed"),
+        "closed_held_out_lo": shrink.get("held_out_fraction_closed_lo"),
+        "closed_held_out_hi": shrink.get("held_out_fraction_closed_hi"),
         "closed_oracle": closed,
         **places,
         "tau_true_s": tau,
@@ -341,66 +339,74 @@ def score(cases: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> tuple
 def make_card(rows: Sequence[Row]) -> Row:
     """Everything the card says, from the rows of the cases."""
     kinds = list(dict.fromkeys(row["kind"] for row in rows))
-    nulls = _of(rows, "null")
+    nulls, pairs = _of(rows, "null"), _of(rows, "pair")
     listed, unlisted = _of(rows, "listed"), _of(rows, "unlisted")
     withheld, hidden = _of(rows, "withheld"), _of(rows, "hidden")
+    drawn_to_hide = [r for r in rows if r["kind"] == "hidden"]
+    visible = [r for r in rows if r["kind"] != "hidden"]
+    strong = [r for r in unlisted if (r["d_level"] or 0.0) > 0.0]
+    others = [*nulls, *listed, *drawn_to_hide]
     card: Row = {
         "n": len(rows),
-        "kinds": {kind: len(_of(rows, kind)) for kind in kinds},
+        "kinds": {kind: sum(row["kind"] == kind for row in rows) for kind in kinds},
         "failed": proportion(r["verdict"] == "failed" for r in rows),
         "nulls": _null_part(nulls),
         "accuracy": [_accuracy(listed, level) for level in LEVELS],
         "confident_wrong": {
-            "listed": proportion(r["confident_wrong"] for r in listed),
-            "pair": proportion(r["confident_wrong"] for r in _of(rows, "pair")),
-            "unlisted": proportion(r["confident_wrong"] for r in unlisted),
-            "withheld": proportion(r["confident_wrong"] for r in withheld),
+            **{kind: proportion(r["confident_wrong"] for r in some)
+               for kind, some in (("listed", listed), ("pair", pairs), ("unlisted", unlisted),
+                                  ("withheld", withheld), ("hidden", hidden))},
             "withheld_outside_family": proportion(
                 r["confident_wrong"] and r["wrong_outside_family"] for r in withheld
             ),
-            "hidden": proportion(r["confident_wrong"] for r in hidden),
-            "bic_listed": proportion(_bic_wrong(r) for r in listed),
-            "bic_unlisted": proportion(r["bic_says"] != "none" for r in unlisted),
-            "bic_withheld": proportion(r["bic_says"] != "none" for r in withheld),
+            **{f"{kind}_without_near": proportion(_confident_other(r) for r in some)
+               for kind, some in (("listed", listed), ("pair", pairs), ("unlisted", unlisted))},
+            **{f"bic_{kind}": proportion(_bic_wrong(r) for r in some)
+               for kind, some in (("listed", listed), ("pair", pairs), ("unlisted", unlisted),
+                                  ("withheld", withheld), ("hidden", hidden))},
+            "bic_withheld_outside_family": proportion(
+                _bic_wrong(r) and not _of_its_family(r["bic_says"], r) for r in withheld
+            ),
         },
         "unlisted": {
             "flagged": [_flagged(unlisted, level) for level in LEVELS],
             "withheld_flagged": [_flagged(withheld, level) for level in LEVELS],
             "withheld_flagged_or_family": proportion(r["verdict_right"] for r in withheld),
-            "roc": _roc(unlisted, [*nulls, *listed, *hidden]),
+            "roc": roc(*([r["p_unlisted"] for r in some] for some in (strong, others))),
+            "roc_whiteness": roc(*(map(_not_white, some) for some in (strong, others))),
         },
         "pairs": {
-            "both_right": proportion(r["top_right"] for r in _of(rows, "pair")),
-            "nothing_wrong_named": proportion(not r["wrong_name"] for r in _of(rows, "pair")),
+            "both_right": proportion(r["top_right"] for r in pairs),
+            "nothing_wrong_named": proportion(not r["wrong_name"] for r in pairs),
             "one_of_them_said": proportion(
-                bool(set(r["said"].split("+")) & set(r["listed_as"].replace("|", "+").split("+")))
-                for r in _of(rows, "pair")
+                bool(set(r["said"].split("+")) & _answers(r)) for r in pairs
             ),
         },
         "calibration": {
-            "verdict": calibration([r for r in rows if r["kind"] != "hidden"], "p_said",
-                                   "verdict_right"),
-            "top_answer": calibration([r for r in rows if r["kind"] not in ("hidden", "pair")],
+            "verdict": calibration(visible, "p_said", "verdict_right"),
+            "top_answer": calibration([r for r in visible if r["kind"] != "pair"],
                                       "p_top", "top_right"),
         },
         "scores": {
-            kind: {"brier": _mean(_of(rows, kind), "brier"),
-                   "log_score": _mean(_of(rows, kind), "log_score")}
-            for kind in kinds
+            "all": _scores(visible),
+            **{kind: _scores(_of(rows, kind)) for kind in kinds},
         },
         "set95": {
-            "coverage": proportion(r["in_set"] for r in rows if r["kind"] != "hidden"),
-            "mean_size": _mean(rows, "set_size"),
-            "by_kind": {kind: proportion(r["in_set"] for r in _of(rows, kind)) for kind in kinds},
+            "coverage": proportion(r["in_set"] for r in visible),
+            **average("mean_size", (r["set_size"] for r in visible)),
+            "by_kind": {kind: _set_part(_of(rows, kind)) for kind in kinds},
+            "listed": [{"d": level, **_set_part(_at(listed, level))} for level in LEVELS],
         },
         "closed_fraction": [_closed(rows, level) for level in LEVELS[1:]],
         "localisation": _localisation(rows),
         "tau": _tau(listed),
         "envelope": {
             "hidden": proportion(r["envelope_holds"] for r in hidden),
+            "drawn_to_hide": len(drawn_to_hide),
+            "drawn_stronger": len(drawn_to_hide) - len(hidden),
             "null": proportion(r["envelope_holds"] for r in nulls),
             "d_below_3": proportion(
-                r["envelope_holds"] for r in rows if r["d"] is not None and r["d"] < 3.0
+                r["envelope_holds"] for r in rows if r["d"] is not None and r["d"] < HIDES_BELOW
             ),
         },
     }  # fmt: skip
@@ -409,16 +415,30 @@ def make_card(rows: Sequence[Row]) -> Row:
 
 
 def _of(rows: Sequence[Row], kind: str) -> list[Row]:
-    return [row for row in rows if row["kind"] == kind]
+    """The rows of a kind; of those drawn to hide, the ones that do."""
+    of_kind = [row for row in rows if row["kind"] == kind]
+    if kind != "hidden":
+        return of_kind
+    return [row for row in of_kind if (row["d"] or 0.0) < HIDES_BELOW]
 
 
 def _at(rows: Sequence[Row], level: float) -> list[Row]:
     return [row for row in rows if row["d_level"] == level]
 
 
-def _mean(rows: Sequence[Row], key: str) -> float | None:
-    values = [row[key] for row in rows if row[key] is not None]
-    return float(np.mean(values)) if values else None
+def _scores(rows: Sequence[Row]) -> Row:
+    return {
+        **average("brier", (r["brier"] for r in rows)),
+        **average("log_score", (r["log_score"] for r in rows)),
+    }
+
+
+def _set_part(rows: Sequence[Row]) -> Row:
+    """How often the 95 % set holds the right answer, and how many it holds in all."""
+    return {
+        "coverage": proportion(r["in_set"] for r in rows),
+        **average("mean_size", (r["set_size"] for r in rows)),
+    }
 
 
 def _null_part(nulls: Sequence[Row]) -> Row:
@@ -446,26 +466,78 @@ def _whiteness(rows: Sequence[Row]) -> dict[str, Any]:
     )
 
 
-def _is_right(says: str, row: Row) -> bool:
-    return says in set(row["listed_as"].replace("|", "+").split("+"))
+def _not_white(row: Row) -> float | None:
+    """What the whiteness test alone would flag by: higher where the residuals are less white."""
+    return None if row["whiteness_p"] is None else -row["whiteness_p"]
+
+
+def _answers(row: Row) -> set[str]:
+    """Every name that is right for one of the causes; none outside the catalogue."""
+    if row["kind"] in OUTSIDE:
+        return set()
+    return set(row["listed_as"].replace("|", "+").split("+")) - {""}
+
+
+def _of_its_family(says: str, row: Row) -> bool:
+    """Whether an effect is of the family of a cause that is listed, or was before it was taken."""
+    names = row["listed_as"].replace("|", "+").split("+")
+    families = {CATALOGUE[name].family for name in names if name in CATALOGUE}
+    return says in CATALOGUE and CATALOGUE[says].family in families
 
 
 def _bic_wrong(row: Row) -> bool:
-    return row["bic_says"] != "none" and not _is_right(row["bic_says"], row)
+    return row["bic_says"] != "none" and row["bic_says"] not in _answers(row)
+
+
+def _confident_other(row: Row) -> bool:
+    """A confident name that is no cause's own, be it as near to one as may be."""
+    return bool(row["named_confidently"]) and not set(row["said"].split("+")) <= _answers(row)
+
+
+def oracle_share(d: float | None, apart: float) -> float | None:
+    """How often a reader who knows noise and alternatives names the right one of two.
+
+    ``d``: distance of the cause from no cause at all, ``apart``: from its nearest rival, both in
+    standard deviations of the noise.  Between two known signals that far apart the likelihood
+    ratio errs with probability Phi(-distance/2), and no method errs less (Neyman and Pearson).  The
+    nearest alternative alone counts: with all of them the oracle would be right less often, so this
+    is a bound from above.  It must choose: it never abstains.
+
+    >>> oracle_share(8.0, 0.0), round(oracle_share(2.0, 5.0), 3)
+    (0.5, 0.841)
+    """
+    return None if d is None else float(ndtr(0.5 * min(d, apart)))
+
+
+def _or_quiet(row: Row, right: str, apart: str) -> bool:
+    """Right, or the verdict is that there is nothing where the oracle cannot separate either."""
+    return bool(row[right] or (row["verdict"] == "none" and row[apart] < SEPARABLE_ABOVE))
 
 
 def _accuracy(listed: Sequence[Row], level: float) -> Row:
+    """Shares that are right at a level of d.
+
+    ``.._or_abstained``: every verdict that gives no name abstains, as the goals count;
+    ``.._or_quiet``: only one of "none" does, since a family and "unlisted" are claims.
+    """
     rows = _at(listed, level)
     return {
         "d": level,
         "top": proportion(r["top_right"] for r in rows),
         "top_or_abstained": proportion(r["top_or_abstained"] for r in rows),
+        "top_or_quiet": proportion(_or_quiet(r, "top_right", "isolability") for r in rows),
         "family": proportion(r["family_right"] for r in rows),
         "family_or_abstained": proportion(r["family_or_abstained"] for r in rows),
+        "family_or_quiet": proportion(
+            _or_quiet(r, "family_right", "isolability_family") for r in rows
+        ),
         "quiet": proportion(r["verdict"] == "none" for r in rows),
-        "oracle": proportion(r["oracle_right"] for r in rows),
-        "rss": proportion(_is_right(r["rss_says"], r) for r in rows),
-        "bic": proportion(_is_right(r["bic_says"], r) for r in rows),
+        **average("top_oracle", (oracle_share(r["d"], r["isolability"]) for r in rows)),
+        **average("family_oracle", (oracle_share(r["d"], r["isolability_family"]) for r in rows)),
+        "top_rss": proportion(r["rss_says"] in _answers(r) for r in rows),
+        "top_bic": proportion(r["bic_says"] in _answers(r) for r in rows),
+        "family_rss": proportion(_of_its_family(r["rss_says"], r) for r in rows),
+        "family_bic": proportion(_of_its_family(r["bic_says"], r) for r in rows),
         "whiteness_alarmed": _whiteness(rows),
     }
 
@@ -494,86 +566,51 @@ def _flagged(rows: Sequence[Row], level: float) -> Row:
     }
 
 
-def _roc(positive: Sequence[Row], negative: Sequence[Row]) -> Row:
-    """Curve of P(unlisted), its area and the area's standard error (Hanley and McNeil 1982)."""
-    yes = np.array([r["p_unlisted"] for r in positive if (r["d"] or 0.0) >= HIDDEN_BELOW])
-    no = np.array([r["p_unlisted"] for r in negative])
-    if len(yes) == 0 or len(no) == 0:
-        return {"area": None, "se": None, "false": [], "true": []}
-    cuts = np.unique(np.concatenate([yes, no, [0.0]]))[::-1]
-    true = [float(np.mean(yes >= cut)) for cut in cuts]
-    false = [float(np.mean(no >= cut)) for cut in cuts]
-    above = (yes[:, None] > no[None, :]).mean() + 0.5 * (yes[:, None] == no[None, :]).mean()
-    area = float(above)
-    q1, q2 = area / (2.0 - area), 2.0 * area**2 / (1.0 + area)
-    n, m = len(yes), len(no)
-    variance = area * (1 - area) + (n - 1) * (q1 - area**2) + (m - 1) * (q2 - area**2)
-    return {"area": area, "se": sqrt(max(variance, 0.0) / (n * m)), "false": false, "true": true}
-
-
-def calibration(rows: Sequence[Row], stated: str, right: str) -> Row:
-    """Reliability in ten bins, expected calibration error and its band under calibration.
-
-    The band: 95 % of what the error would be if each answer were right with just the probability
-    stated (4000 draws).
-    """
-    known = [r for r in rows if r[stated] is not None]
-    if not known:
-        return {"n": 0, "ece": None, "band95": None, "inside": None, "bins": []}
-    p = np.array([float(r[stated]) for r in known])
-    hit = np.array([bool(r[right]) for r in known])
-    bins = np.minimum((p * 10).astype(int), 9)
-
-    def error(outcome: np.ndarray) -> np.ndarray:
-        total = np.zeros(outcome.shape[:-1])
-        for b in np.unique(bins):
-            inside = bins == b
-            total += np.abs((outcome[..., inside] - p[inside]).sum(axis=-1))
-        return total / len(p)
-
-    rng = np.random.default_rng(20260601)
-    drawn = error((rng.random((4000, len(p))) < p).astype(float))
-    ece, band = float(error(hit.astype(float))), float(np.quantile(drawn, 0.95))
-    table = [
-        {"stated": float(p[bins == b].mean()), "right": proportion(hit[bins == b])}
-        for b in np.unique(bins)
-    ]
-    return {"n": len(p), "ece": ece, "band95": band, "inside": ece <= band, "bins": table}
-
-
 def _closed(rows: Sequence[Row], level: float) -> Row:
     at = [
         r for r in _at(rows, level)
         if r["closed"] is not None and r["closed_oracle"] is not None and r["kind"] == "listed"
     ]  # fmt: skip
-    errors = [abs(r["closed"] - r["closed_oracle"]) for r in at]
-    held = [
-        abs(r["closed_held_out"] - r["closed_oracle"])
-        for r in at
-        if r["closed_held_out"] is not None
-    ]
-    return {
+    held = [r for r in at if r["closed_held_out"] is not None]
+    bounds = "closed_held_out_lo", "closed_held_out_hi"
+    part = {
         "d": level,
         "n": len(at),
-        "median_error": float(np.median(errors)) if errors else None,
-        "median_error_held_out": float(np.median(held)) if held else None,
-        "coverage": proportion(
-            r["closed_lo"] <= r["closed_oracle"] <= r["closed_hi"]
-            for r in at
-            if r["closed_lo"] is not None and r["closed_hi"] is not None
+        **average("median_error", (abs(r["closed"] - r["closed_oracle"]) for r in at), median=True),
+        **average(
+            "median_error_held_out",
+            (abs(r["closed_held_out"] - r["closed_oracle"]) for r in held),
+            median=True,
         ),
+        "coverage": proportion(_holds(r, "closed_lo", "closed_hi") for r in at),
     }
+    if any(r.get(bound) is not None for r in rows for bound in bounds):
+        part["coverage_held_out"] = proportion(_holds(r, *bounds) for r in held)
+    return part
+
+
+def _holds(row: Row, low: str, high: str) -> bool | None:
+    """Whether an interval holds the oracle's closed fraction; None where none was stated."""
+    if row.get(low) is None or row.get(high) is None:
+        return None
+    return bool(row[low] <= row["closed_oracle"] <= row[high])
 
 
 def _localisation(rows: Sequence[Row]) -> Row:
     seen = [r for r in rows if r["located"] is not None]
     return {
         "n": len(seen),
-        "share": _mean(seen, "located"),
-        "share_oracle": _mean(seen, "located_oracle"),
-        "precision": _mean(seen, "place_precision"),
-        "recall": _mean(seen, "place_recall"),
+        **average("share", (r["located"] for r in seen)),
+        **average("share_oracle", (r["located_oracle"] for r in seen)),
+        **average("precision", (r["place_precision"] for r in seen)),
+        **average("recall", (r["place_recall"] for r in seen)),
+        **average("f1", (_f1(r["place_precision"], r["place_recall"]) for r in seen)),
     }
+
+
+def _f1(precision: float | None, recall: float) -> float:
+    """Harmonic mean; 0 where no place was flagged, or none of the right ones."""
+    return 2.0 * precision * recall / (precision + recall) if precision and recall else 0.0
 
 
 def _tau(listed: Sequence[Row]) -> Row:
@@ -598,23 +635,22 @@ def _tau(listed: Sequence[Row]) -> Row:
         return {"n": 0, **dict.fromkeys(nothing)}
     before = np.array([r["log_error_before"] for r in named])
     after = np.array([r["log_error_after"] for r in named])
-    rng = np.random.default_rng(20260602)
-    pick = rng.integers(len(named), size=(2000, len(named)))
+    pick = drawn_anew(len(named))
     ratios = after[pick].mean(axis=1) / np.maximum(before[pick].mean(axis=1), 1e-12)
     known = [r for r in named if r["log_error_told"] is not None]
-    told = ratio_told = None
+    told = average("told", (r["log_error_told"] for r in known))
+    ratio_told = None
     if known:
-        told = float(np.mean([r["log_error_told"] for r in known]))
         at_first = float(np.mean([r["log_error_before"] for r in known]))
-        ratio_told = told / max(at_first, 1e-12)
+        ratio_told = told["told"] / max(at_first, 1e-12)
     return {
         "n": len(named),
-        "told": told,
+        **told,
         "ratio_told": ratio_told,
-        "before": float(before.mean()),
-        "after": float(after.mean()),
-        "median_before": float(np.median(before)),
-        "median_after": float(np.median(after)),
+        **average("before", before),
+        **average("after", after),
+        **average("median_before", before, median=True),
+        **average("median_after", after, median=True),
         "ratio": float(after.mean() / max(before.mean(), 1e-12)),
         "ratio_lo95": float(np.quantile(ratios, 0.025)),
         "ratio_hi95": float(np.quantile(ratios, 0.975)),
@@ -691,24 +727,54 @@ def table(rows: Sequence[Row]) -> pd.DataFrame:
     return frame.sort_values("case", ignore_index=True) if len(frame) else frame
 
 
+def read_rows(path: Path) -> list[Row]:
+    """The rows of a table of cases, as :func:`make_card` takes them."""
+    import pandas as pd
+
+    words = {"True": True, "False": False, "": None}
+
+    def value(column: str, cell: str) -> Any:
+        if column in TEXTS:
+            return cell
+        return words[cell] if cell in words else float(cell)
+
+    frame = pd.read_csv(path, dtype=str, keep_default_na=False)
+    columns = list(frame)
+    return [
+        {column: value(column, cell) for column, cell in zip(columns, cells, strict=True)}
+        for cells in frame.itertuples(index=False)
+    ]
+
+
 def card_table(card: Row) -> pd.DataFrame:
-    """Every proportion of the card, one a row: where it stands, k, n, rate and interval."""
+    """Every number of the card, one a row: where it stands, of how many cases, and its interval.
+
+    Proportions have ``k`` and ``rate``, everything else ``value``; what is no mean of cases (the
+    band of the calibration error, the ratio of a told fit) has no interval.
+    """
     import pandas as pd
 
     found: list[Row] = []
 
-    def walk(value: Any, path: str) -> None:
-        if isinstance(value, Mapping):
-            if {"k", "n", "rate"} <= set(value):
-                found.append({"quantity": path, **value})
-                return
-            label = f" at d = {value['d']:g}" if isinstance(value.get("d"), float) else ""
-            for key, inner in value.items():
-                if key not in ("d", "bins", "goals", "kinds"):
-                    walk(inner, f"{path}{label}.{key}" if path else str(key))
-        elif isinstance(value, list):
-            for inner in value:
-                walk(inner, path)
+    def walk(value: Row, path: str) -> None:
+        if {"k", "n", "rate"} <= set(value):
+            found.append({"quantity": path, **value})
+            return
+        label = f" at d = {value['d']:g}" if "d" in value else ""
+        for key, inner in value.items():
+            name = f"{path}{label}.{key}" if path else key
+            if key in ("d", "n", "goals", "kinds", "bins", "inside", "se", "true", "false"):
+                continue
+            if isinstance(inner, Mapping):
+                walk(dict(inner), name)
+            elif isinstance(inner, list):
+                for part in inner:
+                    if isinstance(part, Mapping):
+                        walk(dict(part), name)
+            elif not key.endswith(("_n", "_lo95", "_hi95")):
+                bounds = {end: value.get(f"{key}_{end}") for end in ("lo95", "hi95")}
+                n = value.get(f"{key}_n", value.get("n"))
+                found.append({"quantity": name, "n": n, "value": inner, **bounds})
 
-    walk(card, "")
-    return pd.DataFrame(found)
+    walk(dict(card), "")
+    return pd.DataFrame(found, columns=["quantity", "k", "n", "rate", "value", "lo95", "hi95"])

@@ -406,6 +406,12 @@ def blind_check(
     """Score card of the gap diagnosis on withheld effects.
 
     The campaigns come from a simulator that shares nothing with the diagnosis.
+
+    Campaigns of your own go into DIR/campaigns/NAME/, their truths into DIR/sealed/NAME.json.
+    --diagnose-only seals the truths that are there before it begins: their SHA-256 goes into
+    sealed.json, that of every campaign into campaigns.json, and --score-only refuses what was
+    changed since. A truth put in after the verdicts is scored, too, but cannot be sealed any more;
+    score.json lists it as sealed_late.
     """
     _read_settings(config)
     from bayes_sensor.cli import blind

@@ -16,6 +16,7 @@ from bayes_sensor.blind_check import (
     draw_cases,
     open_seals,
     score,
+    sealed_late,
     table,
 )
 from bayes_sensor.campaign import CampaignError
@@ -52,7 +53,10 @@ def blind_check(
             f"--setting: expected one of {', '.join(SETTINGS)}, but got '{setting}'; correct it"
         )
     results = Results(out)
-    own = (out / "campaigns").is_dir() and not results.has("plan.json")
+    plan = results.json("plan.json")
+    drawn = {case["case"] for case in plan["cases"]} if plan else set()
+    found = {path.parent.name for path in (out / "campaigns").glob("*/campaign.toml")}
+    own = bool(found - drawn) or ((out / "campaigns").is_dir() and not plan)
     if own and only in (None, "cases"):
         raise CampaignError(
             f"--out {out}: campaigns/ there holds campaigns of your own, which drawn cases would "
@@ -104,11 +108,16 @@ def blind_check(
         shutil.rmtree(parts, ignore_errors=True)
     if card is not None:
         say(summary(card), quiet)
+        if card["sealed_late"]:
+            say(f"truths not sealed before the verdicts: {', '.join(card['sealed_late'])}", quiet)
         say(f"score card: {results.path('score_card.png')}", quiet)
         say(f"report: {results.path('report.html')}", quiet)
     elif only == "diagnose":
-        count = len(read_json(results.path("verdicts.json")))
-        say(f"verdicts of {count} campaigns: {results.path('verdicts')}", quiet)
+        names = read_json(results.path("verdicts.json"))
+        say(f"verdicts of {len(names)} campaigns: {results.path('verdicts')}", quiet)
+        sealed = results.json("sealed.json") or {}
+        if missing := [name for name in names if name not in sealed]:
+            say(f"no truth yet, and too late to seal one: {', '.join(missing)}", quiet)
     else:
         say(f"{cases} cases, truths sealed: {results.path('sealed.json')}", quiet)
     return 0
@@ -116,6 +125,7 @@ def blind_check(
 
 def _write_card(stage: Stage, folder: Path) -> dict[str, Any]:
     card, rows = score(open_seals(folder))
+    card["sealed_late"] = sealed_late(folder)
     stage.json("score.json", card)
     stage.text("cases.csv", table(rows).to_csv(index=False, lineterminator="\n"))
     stage.text("score.csv", card_table(card).to_csv(index=False, lineterminator="\n"))
