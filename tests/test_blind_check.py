@@ -24,6 +24,7 @@ from bayes_sensor.blind_check import (
     make_card,
     make_plan,
     open_seals,
+    read_rows,
     score,
     wilson,
 )
@@ -42,7 +43,8 @@ from bayes_sensor.blind_check.oracle import (
     strength_for,
 )
 from bayes_sensor.blind_check.plan import HIDING, SHARES, Entry, counts, draw_truth
-from bayes_sensor.blind_check.score import Row, card_table, level_of, score_case, table
+from bayes_sensor.blind_check.score import card_table, level_of, score_case, table
+from bayes_sensor.blind_check.statistics import Row
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.cli import _guarded
 from bayes_sensor.figures import svg
@@ -747,7 +749,7 @@ def test_unlisted_causes_look_listed_as_often_as_the_verdict_assumes() -> None:
 
 
 def test_the_sentences_of_the_card_stand_inside_its_page() -> None:
-    card = json.loads((TABLES / "blind_check.json").read_text(encoding="utf-8"))
+    card = json.loads((TABLES / "blind_check_first.json").read_text(encoding="utf-8"))
     figure = score_card(card)
     figure.draw_without_rendering()
     words = [t for t in figure.findobj(Text) if "What hides" in t.get_text()]
@@ -765,6 +767,11 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     goals = pd.read_csv(TABLES / "blind_check_first_goals.csv")
     lines = [line for line in shown.splitlines() if line.startswith("|")]
     assert len(goals) == len(lines) - 2
+    # the day's figure stands under its table, that of the code as it is below the marks
+    assert shown.index("(paper/figures/blind_check_first.png)") > shown.index(lines[-1])
+    after = readme.partition("<!-- end of blind check -->")[2]
+    assert after.strip().startswith("![") and "(paper/figures/blind_check.png)" in after[:99]
+    assert shown.rstrip().endswith("by the code as it was last run:")
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
     nulls = cases[cases["kind"] == "null"]
     for law, some in nulls.groupby("law"):
@@ -785,6 +792,10 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     assert shipped["campaigns"] == len(pd.read_csv(TABLES / "blind_check_first.csv"))
     # every sealed run is counted, the last one as it stands above
     runs = pd.read_csv(TABLES / "blind_check_runs.csv")
+    over = pd.read_csv(TABLES / "blind_check_over_runs.csv").set_index("goal")
+    for line in lines[2:]:
+        goal, *_, met = (cell.strip() for cell in line.strip("|").split("|"))
+        assert met == f"{over.runs_met[goal]} of {over.runs[goal]}"
     last = runs[runs["seed"] == runs["seed"].max()].drop(columns="seed").reset_index(drop=True)
     pd.testing.assert_frame_equal(last, goals)
     for row in pd.read_csv(TABLES / "blind_check_over_runs.csv").itertuples():
@@ -810,7 +821,10 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     assert of_new + of_others == len(strong) and min(of_new, of_others) > 10
     unlisted = nulls[nulls["verdict"] == "unlisted"]
     assert f"Nulls called unlisted: {len(unlisted)} of {len(nulls)}" in text
-    card = json.loads((TABLES / "blind_check.json").read_text(encoding="utf-8"))
+    card = make_card(read_rows(TABLES / "blind_check_cases.csv"))
+    hidden = cases[(cases["kind"] == "hidden") & (cases["d"].astype(float) < 3.0)]
+    held = (hidden["envelope_holds"].astype(str) == "True").sum()
+    assert f"holds the true tau in {held} of {len(hidden)} (" in text
     wrong = card["confident_wrong"]
     withheld, outside = wrong["withheld"], wrong["withheld_outside_family"]
     assert f"Of {withheld['n']} campaigns whose effect was taken out" in text

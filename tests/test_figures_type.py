@@ -101,7 +101,7 @@ MORE: dict[str, Callable[[], Figure]] = {
           "p_value": 0.01} for k in range(30)]
     ),
     "score_card": lambda: score_card(
-        json.loads((PAPER / "tables" / "blind_check.json").read_text(encoding="utf-8"))
+        json.loads((PAPER / "tables" / "blind_check_first.json").read_text(encoding="utf-8"))
     ),
     "opened_seal": seal,
     "coating": lambda: figures.diffusion_figure(

@@ -11,6 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from bayes_sensor.blind_check.score import GOALS_AT
+from bayes_sensor.blind_check.statistics import proportion
 from bayes_sensor.figures.gap import effect_words
 from bayes_sensor.figures.style import (
     BLUE,
@@ -28,30 +30,39 @@ from bayes_sensor.figures.style import (
 )
 
 Part = Mapping[str, Any]
+FEW = 3
+"""campaigns under which a law of noise without an alarm has no bar of its own"""
+ALONE = {"bic_named": "all, by BIC", "whiteness_alarmed": "all, by whiteness"}
+"""methods beside the diagnosis that tell a null from something"""
 
 
 def score_card(card: Part) -> Figure:
-    """Nine panels from ``score.json``: is anything seen, named, flagged, calibrated, mended.
+    """Ten panels from ``score.json``: is anything seen, named, flagged, calibrated, mended.
 
-    What has no panel stands as sentences beside the last.
+    What has no panel stands as sentences beside the last two.
     """
     with style():
-        # a line of type for every law of noise
-        top = 0.75 + 0.105 * max(len(card["nulls"]["by_law"]), 16)
-        figure = new_figure(top + 6.25)
-        rows: Any = figure.subfigures(4, 1, height_ratios=[top, 2.1, 2.05, 2.1])
+        shown = _laws(card["nulls"]["by_law"])
+        # a line of type for every bar
+        top = 0.75 + 0.105 * max(len(shown) + len(ALONE), 16)
+        heights = [top, 2.35, 2.05, 4.0]
+        figure = new_figure(sum(heights))
+        rows: Any = figure.subfigures(4, 1, height_ratios=heights)
         left, right = rows[0].subplots(1, 2)
-        _nulls(left, card["nulls"])
+        _nulls(left, card["nulls"]["all"], shown)
         _wrong(right, card["confident_wrong"])
         effect, family, unknown = rows[1].subplots(1, 3)
-        _against_d(effect, card["accuracy"], "top_or_abstained", "right effect")
-        _against_d(family, card["accuracy"], "family_or_abstained", "right family")
+        _against_d(effect, card["accuracy"], "top", "right effect")
+        _against_d(family, card["accuracy"], "family", "right family")
         _flagged(unknown, card["unlisted"])
         roc, stated, closed = rows[2].subplots(1, 3)
-        _roc(roc, card["unlisted"]["roc"])
+        _roc(roc, card["unlisted"])
         _reliability(stated, card["calibration"]["verdict"])
         _closed(closed, card["closed_fraction"])
-        tau, words = rows[3].subplots(1, 2, width_ratios=[1, 2])
+        panels, text = rows[3].subfigures(1, 2, width_ratios=[1, 2])
+        held, tau = panels.subplots(2, 1)
+        words = text.subplots()
+        _set95(held, card["set95"]["listed"])
         _tau(tau, card["tau"])
         _sentences(words, card)
     return figure
@@ -85,16 +96,30 @@ def _bars(axes: Axes, names: Sequence[str], parts: Sequence[Part], colour: str) 
     axes.set_xlim(0.0, None)
 
 
-def _nulls(axes: Axes, nulls: Part) -> None:
-    laws = list(nulls["by_law"])
-    names = [
-        "all",
-        *(law.replace("ar1_", "ar1 + ").replace("_", "-").replace("ar1", "AR(1)") for law in laws),
-    ]
-    parts = [nulls["all"], *(nulls["by_law"][law] for law in laws)]
-    _bars(axes, names, [part["alarmed"] for part in parts], PALE)
-    y = np.arange(len(names))
-    axes.barh(y, [_rate(part["named"]) for part in parts], 0.6, color=MODEL, lw=0)
+def _laws(by_law: Mapping[str, Part]) -> dict[str, Part]:
+    """The laws of noise that have a bar; those of a few campaigns without an alarm share one."""
+    few = [law for law, part in by_law.items()
+           if part["alarmed"]["n"] < FEW and not part["alarmed"]["k"]]  # fmt: skip
+    shown = {
+        law.replace("ar1_", "ar1 + ").replace("_", "-").replace("ar1", "AR(1)"): part
+        for law, part in by_law.items()
+        if law not in few
+    }
+    if few:
+        n = sum(by_law[law]["alarmed"]["n"] for law in few)
+        none = proportion([False] * n)
+        shown[f"{len(few)} other laws"] = {"alarmed": none, "named": none}
+    return shown
+
+
+def _nulls(axes: Axes, every: Part, laws: Mapping[str, Part]) -> None:
+    alone = [every[key] for key in ALONE]
+    alarmed = [every["alarmed"], *alone, *(part["alarmed"] for part in laws.values())]
+    _bars(axes, ["all", *ALONE.values(), *laws], alarmed, PALE)
+    # the whiteness test names nothing
+    named = {0: every["named"], 1: every["bic_named"]}
+    named |= {1 + len(alone) + i: part["named"] for i, part in enumerate(laws.values())}
+    axes.barh(list(named), [_rate(part) for part in named.values()], 0.6, color=MODEL, lw=0)
     axes.set_title("nothing wrong, by noise")
     axes.set_xlabel("share of false alarms\n(red: a cause is named)")
 
@@ -124,13 +149,19 @@ def _line(
     )  # fmt: skip
 
 
-def _against_d(axes: Axes, table: Sequence[Part], key: str, title: str) -> None:
+def _against_d(axes: Axes, table: Sequence[Part], what: str, title: str) -> None:
+    """``what``: ``top`` or ``family``; the oracle must choose, as "no abstaining" does."""
     levels = [row["d"] for row in table]
-    _line(axes, levels, [row[key] for row in table], "this diagnosis", BLUE, MARKERS[0], 0.0)
-    if key.startswith("top"):
-        _line(axes, levels, [row["oracle"] for row in table], "oracle", INK, MARKERS[1], 0.1, False)
-        _line(axes, levels, [row["bic"] for row in table], "BIC", ORANGE, MARKERS[2], 0.0, False)
-        _line(axes, levels, [row["rss"] for row in table], "RSS", GREEN, MARKERS[3], -0.1, False)
+    for key, label, colour, marker, shift in (
+        ("_or_quiet", "this diagnosis", BLUE, MARKERS[0], 0.0),
+        ("", "no abstaining", MIDDLE, MARKERS[4], 0.1),
+        ("_bic", "BIC", ORANGE, MARKERS[2], 0.0),
+        ("_rss", "RSS", GREEN, MARKERS[3], -0.1),
+    ):
+        parts = [row[what + key] for row in table]
+        _line(axes, levels, parts, label, colour, marker, shift, bars=key == "_or_quiet")
+    oracle = [np.nan if row[f"{what}_oracle"] is None else row[f"{what}_oracle"] for row in table]
+    axes.plot(levels, oracle, "--", color=INK, marker=MARKERS[1], ms=4, lw=0.8, label="oracle")
     _legend(axes)
     _levels(axes, levels)
     axes.set_ylabel("share of campaigns")
@@ -175,18 +206,25 @@ def _flagged(axes: Axes, unlisted: Part) -> None:
     _legend(axes)
 
 
-def _roc(axes: Axes, roc: Part) -> None:
+def _roc(axes: Axes, unlisted: Part) -> None:
     axes.plot([0, 1], [0, 1], color=MIDDLE, lw=0.7, ls=":")
-    axes.plot([0.0, *roc["false"], 1.0], [0.0, *roc["true"], 1.0], color=BLUE)
+    said = []
+    for key, label, colour, style_ in (
+        ("roc", "area", BLUE, "-"),
+        ("roc_whiteness", "whiteness", ORANGE, "--"),
+    ):
+        roc = unlisted[key]
+        axes.plot([0.0, *roc["false"], 1.0], [0.0, *roc["true"], 1.0], style_, color=colour, lw=1.2)
+        if roc["area"] is not None:
+            said.append(f"{label} {roc['area']:.2f} ± {1.96 * roc['se']:.2f}")
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
     _shares(axes)
     axes.set_xlabel("share of others flagged")
     axes.set_ylabel("share of unlisted flagged")
-    if roc["area"] is not None:
-        axes.annotate(
-            f"area {roc['area']:.2f} ± {1.96 * roc['se']:.2f}", (0.97, 0.05),
-            xycoords="axes fraction", ha="right", fontsize=SMALLEST,
-        )  # fmt: skip
+    axes.annotate(
+        "\n".join(said), (0.99, 0.03), xycoords="axes fraction", ha="right", va="bottom",
+        fontsize=SMALLEST,
+    )  # fmt: skip
     axes.set_title("unlisted or not")
 
 
@@ -219,15 +257,31 @@ def _closed(axes: Axes, table: Sequence[Part]) -> None:
     ):
         values = [np.nan if row[key] is None else row[key] for row in table]
         axes.plot(levels, values, color=colour, marker=marker, ms=4, label=label)
-    coverage = [_rate(row["coverage"]) for row in table]
-    axes.errorbar(
-        levels, coverage, yerr=_errors([row["coverage"] for row in table]), color=MIDDLE,
-        marker=MARKERS[2], ms=4, lw=0.8, elinewidth=0.8, ls="--", label="interval holds",
-    )  # fmt: skip
+    for key, label, colour, marker, shift in (
+        ("coverage", "interval holds", MIDDLE, MARKERS[2], 1.0),
+        ("coverage_held_out", "held out, holds", GREEN, MARKERS[3], 1.05),
+    ):
+        parts = [row[key] for row in table if key in row]
+        if not parts:  # verdicts that state no interval of what was held out
+            continue
+        axes.errorbar(
+            [shift * level for level in levels], [_rate(part) for part in parts],
+            yerr=_errors(parts), color=colour, marker=marker, ms=4, lw=0.8, elinewidth=0.8,
+            ls="--", label=label,
+        )  # fmt: skip
     _levels(axes, levels)
     axes.set_ylabel("error, or share")
     axes.set_title("how much closes")
     _legend(axes)
+
+
+def _set95(axes: Axes, table: Sequence[Part]) -> None:
+    levels = [row["d"] for row in table]
+    _line(axes, levels, [row["coverage"] for row in table], "", BLUE, MARKERS[0], 0.0)
+    axes.axhline(0.95, color=MIDDLE, lw=0.7, ls=":")
+    _levels(axes, levels)
+    axes.set_ylabel("share that hold it")
+    axes.set_title("95 % set, listed causes")
 
 
 def _tau(axes: Axes, tau: Part) -> None:
@@ -240,41 +294,134 @@ def _tau(axes: Axes, tau: Part) -> None:
     axes.set_title("is τ mended")
 
 
-def _sentences(axes: Axes, card: Part) -> None:
-    """What the panel of tau means, where the gap lies, and what hides, in words."""
-    tau, places, cover = card["tau"], card["localisation"], card["envelope"]["d_below_3"]
+def in_words(card: Part) -> list[str]:
+    """What the card says of tau, places, hidden causes, closed fractions, sets and scores."""
+    said = [_of_tau(card["tau"]), _of_places(card["localisation"]), *_of_hidden(card["envelope"])]
+    said += [_of_closing(card["closed_fraction"]), _of_sets(card["set95"])]
+    said += [_of_scores(card["scores"]), _of_rules(card)]
+    return [words for words in said if words]
+
+
+def _between(part: Part, key: str, digits: int = 2) -> str:
+    """A value with its interval, if it has one."""
+    words = f"{part[key]:.{digits}f}"
+    if part[f"{key}_lo95"] is not None:
+        words += f" ({part[f'{key}_lo95']:.{digits}f} to {part[f'{key}_hi95']:.{digits}f})"
+    return words
+
+
+def _k_of_n(part: Part) -> str:
+    return f"{part['k']} of {part['n']}"
+
+
+def _of_tau(tau: Part) -> str:
+    if tau["before"] is None or tau["after"] is None:
+        return ""
+    words = (
+        f"τ: in the {tau['n']} campaigns in which the cause was named, the estimate of τ is "
+        f"wrong by a factor of {np.exp(tau['before']):.2f} on average before the cause is in "
+        f"the model, and of {np.exp(tau['after']):.2f} after"
+    )
+    if tau["ratio_lo95"] is not None:
+        words += (
+            f". The error of ln τ falls to {100 * tau['ratio']:.0f} % (95 % interval "
+            f"{100 * tau['ratio_lo95']:.0f} to {100 * tau['ratio_hi95']:.0f} %)"
+        )
+    if tau["ratio_told"] is not None:
+        words += f"; where the fit is told the cause, to {100 * tau['ratio_told']:.0f} %"
+    return words + "."
+
+
+def _of_places(places: Part) -> str:
+    if places["share"] is None:
+        return ""
+    words = (
+        f"Where: of the misfit that the diagnosis finds, {100 * places['share']:.0f} % on "
+        "average lies in the phases in which the cause acts"
+    )
+    if places["share_oracle"] is not None:
+        words += f"; with the cause known it would be {100 * places['share_oracle']:.0f} %"
+    words += ". As flags of phases"
+    if places["precision"] is not None:
+        words += f": precision {places['precision']:.2f}, recall {places['recall']:.2f},"
+    return f"{words} F1 {_between(places, 'f1')}."
+
+
+def _of_hidden(envelope: Part) -> list[str]:
+    hidden, nulls = envelope["hidden"], envelope["null"]
     said = []
-    if tau["before"] is not None and tau["after"] is not None:
+    if hidden["n"]:
         words = (
-            f"τ: in the {tau['n']} campaigns in which the cause was named, the estimate of τ is "
-            f"wrong by a factor of {np.exp(tau['before']):.2f} on average before the cause is in "
-            f"the model, and of {np.exp(tau['after']):.2f} after"
+            f"What hides: with a strong cause that leaves next to nothing (d < 3) the true τ lies "
+            f"within the range that the diagnosis gives for it in {_k_of_n(hidden)} campaigns "
+            f"(95 % interval {100 * hidden['lo95']:.0f} to {100 * hidden['hi95']:.0f} %)"
         )
-        if tau.get("ratio_lo95") is not None:
-            words += (
-                f". The error of ln τ falls to {100 * tau['ratio']:.0f} % (95 % interval "
-                f"{100 * tau['ratio_lo95']:.0f} to {100 * tau['ratio_hi95']:.0f} %)"
-            )
-        if tau.get("ratio_told") is not None:
-            words += f"; where the fit is told the cause, to {100 * tau['ratio_told']:.0f} %"
+        if envelope["drawn_stronger"]:
+            words += f"; drawn to hide, but too strong: {envelope['drawn_stronger']} more"
         said.append(words + ".")
-    if places["share"] is not None:
-        words = (
-            f"Where: of the misfit that the diagnosis finds, {100 * places['share']:.0f} % on "
-            "average lies in the phases in which the cause acts"
-        )
-        if places["share_oracle"] is not None:
-            words += f"; with the cause known it would be {100 * places['share_oracle']:.0f} %"
-        said.append(words + ".")
-    if cover["rate"] is not None:
-        said.append(
-            f"What hides: in {cover['k']} of {cover['n']} campaigns with no cause, or with one "
-            "too weak to be seen (d < 3), the true τ lies within the range that the diagnosis "
-            "gives for it."
-        )
+    if nulls["n"]:
+        said.append(f"With nothing wrong it does in {_k_of_n(nulls)}.")
+    return [" ".join(said)] if said else []
+
+
+def _of_closing(table: Sequence[Part]) -> str:
+    known = [row for row in table if row["median_error_held_out"] is not None]
+    if not known:
+        return ""
+    each = [f"{_between(row, 'median_error_held_out')} at d = {row['d']:g}" for row in known]
+    return f"How far, held out: the closed fraction is off by, in median, {', '.join(each)}."
+
+
+def _of_sets(sets: Part) -> str:
+    if sets["mean_size"] is None:
+        return ""
+    listed = sets["by_kind"].get("listed")
+    words = (
+        f"The 95 % set, of {_between(sets, 'mean_size', 1)} explanations on average, holds the "
+        f"right one in {_k_of_n(sets['coverage'])} campaigns"
+    )
+    if listed and listed["coverage"]["n"]:
+        words += f", of listed causes in {_k_of_n(listed['coverage'])}"
+        small = [row for row in sets["listed"][:2] if row["coverage"]["n"]]
+        words += "".join(f", at d = {row['d']:g} in {_k_of_n(row['coverage'])}" for row in small)
+    return words + "."
+
+
+def _of_scores(scores: Part) -> str:
+    if scores["all"]["brier"] is None:
+        return ""
+    return (
+        f"Probabilities: Brier score {_between(scores['all'], 'brier')}, log score "
+        f"{_between(scores['all'], 'log_score')} nat, hidden causes apart."
+    )
+
+
+def _of_rules(card: Part) -> str:
+    """How the goals count the right family, beside the figure's count."""
+    at = [row for row in card["accuracy"] if row["d"] in GOALS_AT and row["family"]["n"]]
+    each = [
+        f"{row['family_or_quiet']['rate']:.3f} instead of {row['family_or_abstained']['rate']:.3f} "
+        f"at d = {row['d']:g}"
+        for row in at
+    ]
+    if not each:
+        return ""
+    return (
+        "Abstaining: only a verdict of none does here, the goals count every one without a name: "
+        f"right family {', '.join(each)}."
+    )
+
+
+def _sentences(axes: Axes, card: Part) -> None:
     axes.set_axis_off()
-    # no line may begin with a sign of percent
-    text = "\n\n".join(textwrap.fill(words.replace(" %", "\u00a0%"), 66) for words in said)
+    # no line may begin with a sign of percent, or end within "d = 8"
+    said = (
+        words.replace(" %", "\u00a0%")
+        .replace("d = ", "d\u00a0=\u00a0")
+        .replace("d < ", "d\u00a0<\u00a0")
+        for words in in_words(card)
+    )
+    text = "\n\n".join(textwrap.fill(words, 66) for words in said)
     axes.text(0.02, 1.0, text, transform=axes.transAxes, va="top", fontsize=7.5)
 
 

@@ -320,10 +320,15 @@ class Plan:
 
     def values(self, x: FloatArray, k: int) -> list[dict[str, float]]:
         """Per part, the strengths of experiment ``k``."""
-        found = [{s.name: self.held.get(s.name, 0.0) for s in part} for part in self.strengths]
+        found = [part.copy() for part in self._given]
         for part, s, at in self._fitted[k]:
             found[part][s.name] = s.value(float(x[at]))
         return found
+
+    @cached_property
+    def _given(self) -> list[dict[str, float]]:
+        # per part, the strengths that are held, and zeros in place of the fitted ones
+        return [{s.name: self.held.get(s.name, 0.0) for s in part} for part in self.strengths]
 
     def start(self, base: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
         """Coordinates from the base fit's, strengths at ``chosen`` or at their centres.
@@ -407,12 +412,12 @@ class Plan:
         """The kernel's parameters for experiment ``k``, and a user's own mean if there is one."""
         at = self.local[k]
         p = self._fixed[k].copy()
-        p[TAU] = exp(max(x[1] - FASTER - x[0], -60.0))
-        p[TAU_V] = exp(min(x[1], 40.0))
-        p[TAU_M] = exp(min(x[2], 60.0)) / self._flows[k]
-        p[Y0], p[BETA], p[T0] = x[at], x[at + 1], x[at + 2]
-        if self._falls[k]:
-            p[TF] = x[at + 3]
+        x0, x1, x2 = x[:SHARED].tolist()
+        p[TAU] = exp(max(x1 - FASTER - x0, -60.0))
+        p[TAU_V] = exp(min(x1, 40.0))
+        p[TAU_M] = exp(min(x2, 60.0)) / self._flows[k]
+        m = 4 if self._falls[k] else 3
+        p[Y0 : Y0 + m] = x[at : at + m]
         return p, self._set(p, self.values(x, k), k) if self.parts else None
 
     def _set(

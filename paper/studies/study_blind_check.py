@@ -2,18 +2,20 @@
 
 Cases, truths and verdicts are made as ``bayes-sensor blind-check`` makes them, with the causes and
 noise laws that no earlier run saw (``reserve``); campaigns are not kept.  Seals can be opened only
-once: ``blind_check_first.csv`` and ``blind_check_first_goals.csv`` keep what was found then, and
-are not written again until another seed is run; the other tables say what the code finds in the
-same campaigns.  ``blind_check_runs.csv`` keeps what every run reached when its seals were opened,
-each with a reserve, a seed and a diagnosis of its own; ``blind_check_over_runs.csv`` sums it up.
+once: ``blind_check_first.csv`` (every case) and ``blind_check_first_goals.csv`` keep what was found
+then, and are not written again until another seed is run; ``blind_check_first.json`` and the figure
+of that name are the card of that table.  The other tables say what the code finds in the same
+campaigns.  ``blind_check_runs.csv`` keeps what every run reached when its seals were opened, each
+with a reserve, a seed and a diagnosis of its own; ``blind_check_over_runs.csv`` sums it up.
 """
 
 from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from drawing import PAPER, TABLES, plt, save
@@ -23,13 +25,16 @@ from bayes_sensor.blind_check import (
     card_table,
     diagnose_cases,
     draw_cases,
+    make_card,
     open_seals,
+    read_rows,
     score,
     table,
 )
 from bayes_sensor.blind_check.check import complete_truth, trimmed
 from bayes_sensor.blind_check.oracle import SEPARABLE_ABOVE
-from bayes_sensor.blind_check.score import calibration, score_case
+from bayes_sensor.blind_check.score import GOALS_AT, score_case
+from bayes_sensor.blind_check.statistics import calibration, proportion
 from bayes_sensor.figures import png, svg
 from bayes_sensor.figures.blind_check import opened_seal, score_card
 from bayes_sensor.gap import diagnose_gap
@@ -44,6 +49,8 @@ SURE = 0.9
 """probability of looking unlisted from which a campaign counts for the shares given back"""
 ALIKE = 3.5
 """standard deviations; what lies nearer to an effect is taken for it"""
+LIMITS = {"study": 10.0, "full": 60.0}
+"""s of one processor that a diagnosis may take at each setting"""
 FIGURES = TABLES.parent / "figures"
 IN_REPORTS = PAPER.parent / "bayes_sensor" / "templates" / "blind_check.json"
 """the goals of the day, which every report of a gap shows"""
@@ -54,7 +61,7 @@ OPENS, CLOSES = "<!-- blind check: study_blind_check.py -->\n", "<!-- end of bli
 def run(
     folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
 ) -> None:
-    """Compute, then write blind_check*.csv, blind_check.json and the score card."""
+    """Compute, then write blind_check*.csv, blind_check*.json and both score cards."""
     place = folder / "blind-check"
     parts = place / "parts"
     draw_cases(
@@ -62,6 +69,19 @@ def run(
         progress=progress,
     )  # fmt: skip
     diagnose_cases(place, place, parts, "study", jobs=jobs, scheduler=scheduler, progress=progress)
+    frame = write_card(place)
+    both = compare_settings(place, frame, jobs, scheduler, progress)
+    both.to_csv(TABLES / "blind_check_settings.csv", index=False, float_format="%.4g")
+    write_alike(both)
+    draw_settings(both)
+    write_seconds(place, place / "full")
+    write_first()
+    write_readme()
+    keep_figure(withheld(), "opened_seal")
+
+
+def write_card(place: Path) -> pd.DataFrame:
+    """Open the seals of a folder and write what they say; returns the table of cases."""
     card, rows = score(open_seals(place))
     frame = table(rows)
     frame.to_csv(TABLES / "blind_check_cases.csv", index=False, float_format="%.5g")
@@ -73,21 +93,86 @@ def run(
     keep_first(frame, pd.DataFrame(card["goals"]))
     write_look_alikes(frame)
     write_alarms(frame)
-    write_readme()
     keep_figure(score_card(card), "blind_check")
-    both = compare_settings(place, frame, jobs, scheduler, progress)
-    both.to_csv(TABLES / "blind_check_settings.csv", index=False, float_format="%.4g")
-    draw_settings(both)
-    keep_figure(withheld(), "opened_seal")
+    return frame
+
+
+def write_first() -> None:
+    """Write the card of the day on which the seals were opened, from the table that it left.
+
+    Intervals of the closed fraction held out are not in the table of every day, nor what is drawn
+    of them; all else is.
+    """
+    card = make_card(read_rows(TABLES / "blind_check_first.csv"))
+    write_json(TABLES / "blind_check_first.json", card)
+    rules(card).to_csv(TABLES / "blind_check_rules.csv", index=False, float_format="%.4g")
+    keep_figure(score_card(card), "blind_check_first")
+
+
+def rules(card: Mapping[str, Any]) -> pd.DataFrame:
+    """What the rules of the scoring let pass: shares as the goals count, and without the rule.
+
+    An abstaining verdict is right where the oracle cannot separate: the goals take every one
+    without a name for it, strictly only "none" is.  A listed effect that an unlisted cause comes
+    near to is not charged as a wrong name; strictly it is.
+    """
+    pairs = [
+        (f"right {word} at d = {row['d']:g}", row[f"{key}_or_abstained"], row[f"{key}_or_quiet"])
+        for word, key in (("effect", "top"), ("family", "family"))
+        for row in card["accuracy"]
+        if row["d"] in GOALS_AT
+    ]
+    wrong = card["confident_wrong"]
+    pairs += [
+        (f"confident wrong name, {kind}", wrong[kind], wrong[f"{kind}_without_near"])
+        for kind in ("listed", "unlisted")
+    ]
+    return pd.DataFrame([
+        {"share": name, "n": loose["n"], "by_the_rule": loose["rate"], "strictly": strict["rate"],
+         "lo95": strict["lo95"], "hi95": strict["hi95"]}
+        for name, loose, strict in pairs
+    ])  # fmt: skip
+
+
+def write_seconds(*places: Path) -> None:
+    """Write blind_check_seconds.csv from what every setting left in its folder.
+
+    Verdicts from before the seconds were kept have none.
+    """
+    rows = []
+    for place in places:
+        if not (place / "seconds.json").is_file():
+            continue
+        found = read_json(place / "seconds.json")
+        seconds, limit = pd.Series(found["seconds"], dtype=float), LIMITS[found["setting"]]
+        rows.append({
+            "setting": found["setting"], "cases": len(seconds), "median_s": seconds.median(),
+            "q95_s": seconds.quantile(0.95), "largest_s": seconds.max(), "limit_s": limit,
+            "above_limit": int((seconds > limit).sum()),
+        })  # fmt: skip
+    if rows:
+        pd.DataFrame(rows).to_csv(
+            TABLES / "blind_check_seconds.csv", index=False, float_format="%.4g"
+        )
+
+
+def write_alike(both: pd.DataFrame) -> None:
+    """Write blind_check_alike.csv: in how many cases both settings say the same."""
+    alike = proportion(both["same_verdict"])
+    apart = (both["p_right_study"].astype(float) - both["p_right_full"].astype(float)).abs()
+    row = {
+        "cases": alike["n"], "alike": alike["k"], "lo95": alike["lo95"], "hi95": alike["hi95"],
+        "median_change": apart.median(), "largest_change": apart.max(),
+    }  # fmt: skip
+    pd.DataFrame([row]).to_csv(TABLES / "blind_check_alike.csv", index=False, float_format="%.4g")
 
 
 def keep_first(cases: pd.DataFrame, goals: pd.DataFrame) -> None:
-    """Keep verdicts and goals of the day on which a seed's seals are opened, and of all runs."""
+    """Keep cases and goals of the day on which a seed's seals are opened, and of all runs."""
     path = TABLES / "blind_check_runs.csv"
     runs = pd.read_csv(path)
     if SEED not in set(runs["seed"]):
-        verdicts = cases[["case", "verdict", "said", "p_said", "p_none", "p_unlisted"]]
-        verdicts.to_csv(TABLES / "blind_check_first.csv", index=False, float_format="%.5g")
+        cases.to_csv(TABLES / "blind_check_first.csv", index=False, float_format="%.5g")
         table_of_the_day = TABLES / "blind_check_first_goals.csv"
         goals.to_csv(table_of_the_day, index=False, float_format="%.4g")
         in_reports(len(cases), pd.read_csv(table_of_the_day))
@@ -153,15 +238,27 @@ def write_alarms(cases: pd.DataFrame) -> None:
     both.to_csv(path, index=False, float_format="%.3f")
 
 
-def markdown_table(goals: pd.DataFrame) -> str:
-    """Every goal beside what was reached, in Markdown; intervals are Wilson's at 95 %."""
-    lines = ["| claim | goal | reached | met |", "|---|---|---|---|"]
+def markdown_table(goals: pd.DataFrame, over: pd.DataFrame) -> str:
+    """Every goal beside what was reached that day and over all sealed runs, in Markdown.
+
+    Intervals are Wilson's at 95 %.
+    """
+    lines = [
+        "| claim | goal | reached | met | all sealed runs: median (lowest to highest) | met in |",
+        "|---|---|---|---|---|---|",
+    ]
+    runs = over.set_index("goal")
     for row in goals.itertuples():
         between = "" if pd.isna(row.lo95) else f" ({row.lo95:.2f} to {row.hi95:.2f})"
         met = "yes" if row.met else "no"
         # three digits: a goal missed by little must not look as if it was met
         reached = f"{row.reached:.3f}" if row.reached >= 0.1 else f"{row.reached:.3g}"
-        lines.append(f"| {row.goal} | {row.wanted} | {reached}{between} | {met} |")
+        every = runs.loc[row.goal]
+        sizes = f"{every['median']:.3g} ({every['lowest']:.3g} to {every['highest']:.3g})"
+        counted = f"{every['runs_met']} of {every['runs']}"
+        lines.append(
+            f"| {row.goal} | {row.wanted} | {reached}{between} | {met} | {sizes} | {counted} |"
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -183,32 +280,121 @@ def _sorted(said: str) -> str:
 
 
 def write_readme() -> None:
-    """Put the table of goals between its marks in the README."""
+    """Put the goals, the card of the day and the counts between their marks in the README."""
     text = README.read_text(encoding="utf-8")
     begin, end = text.index(OPENS) + len(OPENS), text.index(CLOSES)
-    goals = pd.read_csv(TABLES / "blind_check_first_goals.csv")
+    goals, over, alike = (
+        pd.read_csv(TABLES / f"blind_check_{name}.csv")
+        for name in ("first_goals", "over_runs", "alike")
+    )
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
     first = pd.read_csv(TABLES / "blind_check_first.csv", keep_default_na=False)
-    said = [
+    card = make_card(read_rows(TABLES / "blind_check_cases.csv"))
+    of_the_day = [strictly(), excused()]
+    since = [
         changed(cases, first), "What follows counts them.", named_nulls(cases),
         alarmed_nulls(cases), left_out(cases), overlooked(cases), of_the_reserve(cases),
-        out_of_reach(cases), too_sure(cases), but_for_one_law(cases), being_told(), since_then(),
-        in_all_runs(),
+        out_of_reach(cases), too_sure(cases), but_for_one_law(cases), being_told(card["tau"]),
+        hiding(card["envelope"]), weak_ones(card), since_then(), at_both_settings(alike.iloc[0]),
+        in_time(), "The card of these verdicts, by the code as it was last run:",
     ]  # fmt: skip
-    below = textwrap.fill(" ".join(sentence for sentence in said if sentence), 112) + "\n"
-    write_text(README, text[:begin] + markdown_table(goals) + "\n" + below + text[end:])
-
-
-def in_all_runs() -> str:
-    """One sentence: what the sealed runs reached of families and unlisted causes, all in all."""
-    over = pd.read_csv(TABLES / "blind_check_over_runs.csv").set_index("goal")
-    words = [
-        f"{goal} {row['median']:.2f} in median ({row['lowest']:.2f} to {row['highest']:.2f}), "
-        f"met in {row['runs_met']} of {row['runs']}"
-        for goal, row in over.iterrows()
-        if goal.startswith(("right family", "unlisted flagged"))
+    made = [
+        markdown_table(goals, over),
+        "![The score card of the day on which the seals were opened]"
+        "(paper/figures/blind_check_first.png)\n",
+        *(
+            textwrap.fill(" ".join(words for words in said if words), 112) + "\n"
+            for said in (of_the_day, since)
+        ),
     ]
-    return f"Over all sealed runs, each with the diagnosis of its day: {'; '.join(words)}."
+    write_text(README, text[:begin] + "\n".join(made) + text[end:])
+
+
+def strictly() -> str:
+    """One sentence: the right family where only a verdict of none abstains."""
+    found = pd.read_csv(TABLES / "blind_check_rules.csv").set_index("share")
+    goals = pd.read_csv(TABLES / "blind_check_first_goals.csv").set_index("goal")
+    words = []
+    for level in GOALS_AT:
+        name = f"right family at d = {level:g}"
+        share, bound = found.strictly[name], float(goals.wanted[name].split()[1])
+        words.append(f"{share:.3f} at d = {level:g} ({'met' if share >= bound else 'not met'})")
+    return (
+        "The last two columns are over all sealed runs, each with the diagnosis of its day; the "
+        "figure is of the same day as the table. The goals take every verdict without a name for "
+        "abstaining; if only one of none is, which is how the figure counts, the right family is "
+        f"found in {' and '.join(words)}."
+    )
+
+
+def excused() -> str:
+    """One sentence: what is not charged as a wrong name because it comes near to the cause."""
+    card = read_json(TABLES / "blind_check_first.json")["confident_wrong"]
+    unlisted = [cause for cause in CAUSES.values() if not cause.listed]
+    near = sum(bool(cause.near) for cause in unlisted)
+    loose, strict = card["unlisted"], card["unlisted_without_near"]
+    return (
+        f"For {near} of the {len(unlisted)} unlisted causes of the simulator a listed effect that "
+        f"they come near to is not charged as a wrong name: {loose['k']} of {loose['n']} were "
+        f"given one with confidence, {strict['k']} if that is charged as well."
+    )
+
+
+def hiding(envelope: Mapping[str, Any]) -> str:
+    """One sentence: how often the envelope of tau holds the truth where the cause hides."""
+    hidden, nulls, below = (envelope[key] for key in ("hidden", "null", "d_below_3"))
+    stronger = envelope["drawn_stronger"]
+    return (
+        f"Hidden causes: strong ones that leave less than d = 3 can shift tau, and the envelope "
+        f"that comes with the verdict holds the true tau in {hidden['k']} of {hidden['n']} "
+        f"({hidden['lo95']:.2f} to {hidden['hi95']:.2f}"
+        + (f"; {stronger} more drawn to hide turned out stronger" if stronger else "")
+        + f"), on faultless campaigns in {nulls['k']} of {nulls['n']}, and over everything weaker "
+        f"than d = 3 in {below['k']} of {below['n']}."
+    )
+
+
+def weak_ones(card: Mapping[str, Any]) -> str:
+    """One sentence: what the 95 % sets hold, and how far off the held-out fraction is."""
+    sets, closed = card["set95"], card["closed_fraction"]
+    small = sets["listed"][0]
+    far = [
+        f"{row['median_error_held_out']:.2f} at d = {row['d']:g}"
+        for row in closed
+        if row["median_error_held_out"] is not None
+    ]
+    return (
+        f"The 95 % set holds the right explanation in {_share(sets['coverage'])}, a listed cause "
+        f"in {_share(sets['by_kind']['listed']['coverage'])}, at d = {small['d']:g} in "
+        f"{_share(small['coverage'])}. Held out, the closed fraction is off by {', '.join(far)} in "
+        f"median. Of the phases in which a cause acts {card['localisation']['recall']:.2f} are "
+        f"flagged (F1 {card['localisation']['f1']:.2f})."
+    )
+
+
+def _share(part: Mapping[str, Any]) -> str:
+    return f"{part['k']} of {part['n']}"
+
+
+def at_both_settings(alike: pd.Series) -> str:
+    """One sentence: how many verdicts the full setting shares with the quick one."""
+    return (
+        f"Of {alike['cases']:.0f} campaigns diagnosed at the full setting as well, "
+        f"{alike['alike']:.0f} have the same verdict at both."
+    )
+
+
+def in_time() -> str:
+    """One sentence: how long diagnoses took, where that was kept."""
+    path = TABLES / "blind_check_seconds.csv"
+    if not path.is_file():
+        return ""
+    words = [
+        f"{row.median_s:.1f} s in median and {row.largest_s:.1f} s at most at the {row.setting} "
+        f"setting ({row.above_limit} of {row.cases} above {row.limit_s:g} s)"
+        for row in pd.read_csv(path).itertuples()
+    ]
+    return f"On one processor a diagnosis takes {', '.join(words)}."
 
 
 def since_then() -> str:
@@ -272,7 +458,7 @@ def overlooked(cases: pd.DataFrame) -> str:
 def of_the_reserve(cases: pd.DataFrame) -> str:
     """One sentence: how many unlisted causes were flagged, new ones and others, at the goals' d."""
     unlisted = cases[cases["kind"] == "unlisted"]
-    unlisted = unlisted[unlisted["d_level"].astype(float).isin([8.0, 16.0])]
+    unlisted = unlisted[unlisted["d_level"].astype(float).isin(GOALS_AT)]
     unseen = unlisted["causes"].map(lambda name: CAUSES[name].reserve)
     if not unseen.any():
         return ""
@@ -297,7 +483,7 @@ def out_of_reach(cases: pd.DataFrame) -> str:
     """How many unlisted causes no method can flag: they look like an effect of the catalogue."""
     unlisted = cases[cases["kind"] == "unlisted"]
     words, reach = [], []
-    for level in (8.0, 16.0):
+    for level in GOALS_AT:
         here = unlisted[unlisted["d_level"].astype(float) == level]
         apart = here[here["isolability"].astype(float) >= SEPARABLE_ABOVE]
         flagged = int((apart["verdict"] == "unlisted").sum())
@@ -343,7 +529,7 @@ def but_for_one_law(cases: pd.DataFrame) -> str:
     ]
     found = calibration(rest, "p", "right")
     flagged = []
-    for level in (8.0, 16.0):
+    for level in GOALS_AT:
         at = left[(left["kind"] == "unlisted") & (pd.to_numeric(left["d_level"]) == level)]
         flagged.append(f"{(at['verdict'] == 'unlisted').sum()} of {len(at)} at d = {level:.0f}")
     return (
@@ -353,9 +539,8 @@ def but_for_one_law(cases: pd.DataFrame) -> str:
     )
 
 
-def being_told() -> str:
+def being_told(tau: Mapping[str, Any]) -> str:
     """One sentence: the error of tau where the cause was seen and named, and if told the cause."""
-    tau = read_json(TABLES / "blind_check.json")["tau"]
     return (
         f"The error of ln tau falls from {tau['before']:.2f} to {tau['after']:.2f} where the cause "
         f"was seen and named ({tau['n']} campaigns); a fit that is told the cause has "
@@ -394,6 +579,8 @@ def compare_settings(
     names = [case["case"] for case in plan["cases"]]
     for name in names:
         write_text(few / "sealed" / f"{name}.json", (place / "sealed" / f"{name}.json").read_text())
+    seals = read_json(place / "sealed.json")
+    write_json(few / "sealed.json", {name: seals[name] for name in names})
     diagnose_cases(
         few, few, few / "parts", "full", jobs=jobs, scheduler=scheduler, progress=progress
     )

@@ -54,10 +54,12 @@ def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
                 score_card(card),
                 "The score card, with 95 % intervals. Top: false alarms on faultless campaigns by "
                 "the kind of their noise, and wrong names given with confidence. Second row, "
-                "against the size d: how often the right effect or family is said, or nothing "
-                "where an oracle cannot tell either, and how often something unlisted is flagged. "
-                "Third row: flagged against flagged wrongly, stated against true probabilities, "
-                "and the closed fraction.",
+                "against the size d: how often the right effect or family is the likeliest, or "
+                "nothing is said where an oracle cannot tell either, and how often something "
+                "unlisted is flagged. The oracle knows the noise, the cause and its nearest rival "
+                "and must choose between the two. Third row: flagged against flagged wrongly, "
+                "stated against true probabilities, and the closed fraction. Last row: how often "
+                "the 95 % set holds a listed cause, and the error of tau.",
             ),
             *_cases(saved.cases or []),
         ],

@@ -93,8 +93,8 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
                 figures.gap_hidden(record["hidden"], tau),
                 "What may hide: how visible each effect would be at its plausible strength, and "
                 "what τ would be with it in the model. Left of the dashed line this campaign could "
-                "not have seen it; dotted, τ with the strength left to the data; shaded, the envelope "
-                "of τ over all that may hide.",
+                "not have seen it; dotted, τ with the strength left to the data; shaded, the "
+                "envelope of τ over all that may hide.",
             ),
             hidden_table(record, saved.unit),
         ]
