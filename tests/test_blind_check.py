@@ -771,7 +771,7 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     assert shown.index("(paper/figures/blind_check_first.png)") > shown.index(lines[-1])
     after = readme.partition("<!-- end of blind check -->")[2]
     assert after.strip().startswith("![") and "(paper/figures/blind_check.png)" in after[:99]
-    assert shown.rstrip().endswith("by the code as it was last run:")
+    assert " ".join(shown.split()).endswith("by the code as it was last run:")
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
     nulls = cases[cases["kind"] == "null"]
     for law, some in nulls.groupby("law"):

@@ -11,6 +11,7 @@ import io
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import PlaceHolderLayoutEngine
@@ -104,7 +105,7 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
 
 
 def settle(figure: Figure) -> None:
-    """Lay out once and round the places of the axes.
+    """Lay out once and round the places of the axes, and of the figures inside the figure.
 
     The layout's solver is exact to rounding only, which would otherwise show in the bytes.
     """
@@ -113,6 +114,10 @@ def settle(figure: Figure) -> None:
         return  # placed by hand, or settled before
     engine.execute(figure)
     figure.set_layout_engine("none")
+    inside = list(figure.subfigs)
+    for part in inside:  # grows by what is inside of each
+        part.bbox_relative.set_points(np.round(part.bbox_relative.get_points(), 5))
+        inside += part.subfigs
     for axes in figure.axes:
         left, bottom, width, height = (round(float(v), 5) for v in axes.get_position().bounds)
         axes.set_position((left, bottom, width, height))
