@@ -23,13 +23,16 @@ def wilson(k: int, n: int, z: float = 1.959963984540054) -> tuple[float, float]:
 
     >>> [round(v, 4) for v in wilson(0, 200)]
     [0.0, 0.0188]
+    >>> wilson(0, 7)[0], wilson(7, 7)[1]
+    (0.0, 1.0)
     """
     if n == 0:
         return 0.0, 1.0
     p = k / n
     centre = (p + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return max(0.0, centre - half), min(1.0, centre + half)
+    # at either end the bound is exact, which rounding would miss
+    return 0.0 if k == 0 else centre - half, 1.0 if k == n else centre + half
 
 
 def proportion(values: Iterable[Any]) -> Row:
