@@ -291,8 +291,8 @@ def _files_digest(toml: Path) -> str:
     return hashlib.sha256("".join(found).encode()).hexdigest()
 
 
-def _recipe_digest(recipe: Any) -> str:
-    return hashlib.sha256(json.dumps(recipe).encode()).hexdigest()
+def _digest(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
 def _check_campaigns(folder: Path) -> None:
@@ -304,7 +304,7 @@ def _check_campaigns(folder: Path) -> None:
             found = _files_digest(toml) if toml.is_file() else None
         else:  # cases drawn anew have other recipes under the same names
             recipe = read_json(truth).get("recipe") if truth.is_file() else None
-            found = _recipe_digest(recipe) if recipe is not None else None
+            found = _digest(recipe) if recipe is not None else None
         if found not in (None, recorded["sha256"]):
             raise CampaignError(
                 f"{CAMPAIGNS}/{name}: expected the campaign that its verdict was made from "
@@ -370,11 +370,11 @@ def diagnose_cases(
                     "truth has no recipe to make the campaign from; put the campaign back"
                 )
             sources.append(json.dumps(truth["recipe"]))
-            digest = _recipe_digest(truth["recipe"])
+            digest = _digest(truth["recipe"])
             made_from[case["case"]] = {"of": "recipe", "sha256": digest}
     task = Diagnosing(
         tuple((case["case"], int(case["seed"]), tuple(case["without"])) for case in planned),
-        tuple(sources), setting, diagnosis, _recipe_digest(made_from),
+        tuple(sources), setting, diagnosis, _digest(made_from),
     )  # fmt: skip
     done = run_chunks(
         task, len(planned), parts / "diagnosing", task.key, jobs, chunk, scheduler, progress

@@ -27,6 +27,7 @@ from bayes_sensor.blind_check.statistics import (
     roc,
 )
 from bayes_sensor.gap.effects import CATALOGUE
+from bayes_sensor.gap.hidden import UNSEEN
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,8 +41,6 @@ GOALS_AT = (8.0, 16.0)
 """detectabilities that goals are set for"""
 OUTSIDE = ("unlisted", "withheld")
 """kinds whose cause is not in the catalogue"""
-HIDES_BELOW = 3.0
-"""detectability under which a cause may hide: what the envelope of tau is stated for"""
 TEXTS = (
     "case", "kind", "causes", "listed_as", "law", "size", "verdict", "said", "top", "rss_says",
     "bic_says",
@@ -346,6 +345,8 @@ def make_card(rows: Sequence[Row]) -> Row:
     visible = [r for r in rows if r["kind"] != "hidden"]
     strong = [r for r in unlisted if (r["d_level"] or 0.0) > 0.0]
     others = [*nulls, *listed, *drawn_to_hide]
+    at_fault = [("listed", listed), ("pair", pairs), ("unlisted", unlisted),
+                ("withheld", withheld), ("hidden", hidden)]  # fmt: skip
     card: Row = {
         "n": len(rows),
         "kinds": {kind: sum(row["kind"] == kind for row in rows) for kind in kinds},
@@ -353,17 +354,13 @@ def make_card(rows: Sequence[Row]) -> Row:
         "nulls": _null_part(nulls),
         "accuracy": [_accuracy(listed, level) for level in LEVELS],
         "confident_wrong": {
-            **{kind: proportion(r["confident_wrong"] for r in some)
-               for kind, some in (("listed", listed), ("pair", pairs), ("unlisted", unlisted),
-                                  ("withheld", withheld), ("hidden", hidden))},
+            **{kind: proportion(r["confident_wrong"] for r in some) for kind, some in at_fault},
             "withheld_outside_family": proportion(
                 r["confident_wrong"] and r["wrong_outside_family"] for r in withheld
             ),
             **{f"{kind}_without_near": proportion(_confident_other(r) for r in some)
-               for kind, some in (("listed", listed), ("pair", pairs), ("unlisted", unlisted))},
-            **{f"bic_{kind}": proportion(_bic_wrong(r) for r in some)
-               for kind, some in (("listed", listed), ("pair", pairs), ("unlisted", unlisted),
-                                  ("withheld", withheld), ("hidden", hidden))},
+               for kind, some in at_fault if kind in ("listed", "pair", "unlisted")},
+            **{f"bic_{kind}": proportion(_bic_wrong(r) for r in some) for kind, some in at_fault},
             "bic_withheld_outside_family": proportion(
                 _bic_wrong(r) and not _of_its_family(r["bic_says"], r) for r in withheld
             ),
@@ -406,7 +403,7 @@ def make_card(rows: Sequence[Row]) -> Row:
             "drawn_stronger": len(drawn_to_hide) - len(hidden),
             "null": proportion(r["envelope_holds"] for r in nulls),
             "d_below_3": proportion(
-                r["envelope_holds"] for r in rows if r["d"] is not None and r["d"] < HIDES_BELOW
+                r["envelope_holds"] for r in rows if r["d"] is not None and r["d"] < UNSEEN
             ),
         },
     }  # fmt: skip
@@ -419,7 +416,7 @@ def _of(rows: Sequence[Row], kind: str) -> list[Row]:
     of_kind = [row for row in rows if row["kind"] == kind]
     if kind != "hidden":
         return of_kind
-    return [row for row in of_kind if (row["d"] or 0.0) < HIDES_BELOW]
+    return [row for row in of_kind if (row["d"] or 0.0) < UNSEEN]
 
 
 def _at(rows: Sequence[Row], level: float) -> list[Row]:
@@ -473,15 +470,17 @@ def _not_white(row: Row) -> float | None:
 
 def _answers(row: Row) -> set[str]:
     """Every name that is right for one of the causes; none outside the catalogue."""
-    if row["kind"] in OUTSIDE:
-        return set()
+    return set() if row["kind"] in OUTSIDE else _listed_as(row)
+
+
+def _listed_as(row: Row) -> set[str]:
+    """Every name that is right for one of the causes, or was before it was taken out."""
     return set(row["listed_as"].replace("|", "+").split("+")) - {""}
 
 
 def _of_its_family(says: str, row: Row) -> bool:
     """Whether an effect is of the family of a cause that is listed, or was before it was taken."""
-    names = row["listed_as"].replace("|", "+").split("+")
-    families = {CATALOGUE[name].family for name in names if name in CATALOGUE}
+    families = {CATALOGUE[name].family for name in _listed_as(row) if name in CATALOGUE}
     return says in CATALOGUE and CATALOGUE[says].family in families
 
 

@@ -560,13 +560,7 @@ def _of_the_mains(shrink: Shrink, prepared: Prepared, full_rate: Sequence[FullRa
     found = next(f for f in full_rate if f.name == "mains_pickup")
     pieces = pieces_of_records(prepared.sketch.campaign, prepared.residuals, prepared.deviations)
     closed, out = mains_closure(pieces, found)
-    return replace(
-        shrink,
-        closure=closed,
-        held_out_fraction_closed=out,
-        held_out_interval=None,
-        explanation="mains_pickup",
-    )
+    return replace(shrink, closure=closed, held_out_fraction_closed=out, explanation="mains_pickup")
 
 
 def _averaged_tau(weighing: Weighing) -> tuple[float, float, float]:

@@ -324,8 +324,7 @@ def look_for_breaks(found: Refit, tail: float = np.inf) -> FullRate:
     """
     dof = min(DOF, tail)
     sketch, plan = found.plan.sketch, found.plan
-    normal = found.jacobian.T @ found.jacobian + plan.own_prior_matrix
-    covariance = np.linalg.inv(normal)
+    covariance = np.linalg.inv(found.normal)
     largest, where = 0.0, (0.0, 0.0)
     places: list[dict[Hashable, float]] = []
     for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):

@@ -273,7 +273,7 @@ def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
     free = np.zeros(one.size, dtype=bool)
     free[n_shared:] = True
     covariance = np.zeros((one.size, one.size))
-    covariance[:n_shared, :n_shared] = _covariance(rest)[:n_shared, :n_shared]
+    covariance[:n_shared, :n_shared] = np.linalg.inv(rest.normal)[:n_shared, :n_shared]
     if not local:
         made = refit(one, start, most_steps=10, tolerance=0.2, free=free)
         return _prediction(made, free, covariance)
@@ -281,17 +281,12 @@ def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
     falling = alone.bins[0].falling
     rise = Plan(alone.restricted([~falling]), plan.parts, plan.held)
     first = refit(rise, start, most_steps=10, tolerance=0.2, free=free)
-    covariance[n_shared:, n_shared:] = _covariance(first)[n_shared:, n_shared:]
+    covariance[n_shared:, n_shared:] = np.linalg.inv(first.normal)[n_shared:, n_shared:]
     free[:] = False
     free[n_shared + 3] = True  # tf
     fall = Plan(alone.restricted([falling]), plan.parts, plan.held)
     made = refit(fall, first.x, most_steps=10, tolerance=0.2, free=free)
     return _prediction(made, free, covariance)
-
-
-def _covariance(fitted: Refit) -> FloatArray:
-    normal = fitted.jacobian.T @ fitted.jacobian + fitted.plan.own_prior_matrix
-    return np.asarray(np.linalg.inv(normal))
 
 
 def _prediction(made: Refit, free: NDArray[np.bool_], covariance: FloatArray) -> _Prediction:

@@ -597,6 +597,12 @@ class Refit:
         return made
 
     @property
+    def normal(self) -> FloatArray:
+        """(n, n) normal matrix, of the data and of the priors at their stated spreads."""
+        made: FloatArray = self.jacobian.T @ self.jacobian + self.plan.own_prior_matrix
+        return made
+
+    @property
     def tau(self) -> float:
         """s"""
         return exp(max(self.x[1] - FASTER - self.x[0], -60.0))

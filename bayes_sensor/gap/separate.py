@@ -14,7 +14,7 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.effect import Effect
-from bayes_sensor.gap.refit import FASTER, SHARED, Part, Plan, Refit, Sketch, refit
+from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, refit
 from bayes_sensor.gap.which import fit_effect
 
 ISOLATED = 3.0
@@ -39,19 +39,13 @@ def isolability(sketch: Sketch, truth: Refit, rival: Effect, given: Sequence[Par
     """Detectability left when ``truth``'s noise-free mean is refitted with ``rival``."""
     data = tuple(truth.plan.binned(truth.x, k) for k in range(len(sketch.bins)))
     # priors lie where the truth is, or its own distance from them would count against every rival
-    exact = replace(sketch, data=data, centre=_rig(truth))
+    exact = replace(sketch, data=data, centre=np.log([truth.tau, truth.tau_v, truth.V]))
     base = refit(Plan(exact, tuple(given)), _bare(truth, len(given)), most_steps=15)
     best = min(
         fit_effect(exact, base, [Part(rival, form)], form.starts[:2], 12).misfit
         for form in rival.forms[:2]
     )
     return float(np.sqrt(max(best, 0.0)))
-
-
-def _rig(fitted: Refit) -> FloatArray:
-    """(3,) ln tau, ln tau_v, ln V of a refit."""
-    x0, x1, x2 = fitted.x[:SHARED]
-    return np.array([x1 - FASTER - x0, x1, x2])
 
 
 def _bare(fitted: Refit, n_parts: int) -> FloatArray:

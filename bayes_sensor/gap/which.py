@@ -158,7 +158,7 @@ def _most_promising(
     """
     if not grid:
         return []
-    normal = base.jacobian.T @ base.jacobian + base.plan.own_prior_matrix
+    normal = base.normal
     sketch = plan.sketch
     here = [base.plan.binned(base.x, k) for k in range(len(sketch.bins))]
     amplitudes = {s.name for s in plan.strengths[-1] if s.scaled}

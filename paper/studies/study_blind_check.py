@@ -289,7 +289,7 @@ def write_readme() -> None:
     )
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
     first = pd.read_csv(TABLES / "blind_check_first.csv", keep_default_na=False)
-    card = make_card(read_rows(TABLES / "blind_check_cases.csv"))
+    card = read_json(TABLES / "blind_check.json")
     of_the_day = [strictly(), excused()]
     since = [
         changed(cases, first), "What follows counts them.", named_nulls(cases),
