@@ -47,6 +47,35 @@ def test_coordinates_and_theta_are_inverse(sketch):
     assert np.allclose(coordinates(sketch.campaign, swapped), x)
 
 
+@pytest.mark.parametrize("name", ["valve_asymmetry", "baseline_step", "flow_error", "gain_drift"])
+def test_means_of_all_experiments_at_once_are_those_of_each(sketch, name):
+    # each with its own conditions and the first without its fall; and the voltage at the bins'
+    # times, averaged here, where no step of the baseline falls into a bin
+    effect = CATALOGUE[name]
+    rows = [np.full(len(d), True) for d in sketch.data]
+    rows[0] = ~sketch.bins[0].falling
+    some = sketch.restricted(rows)
+    e, cut = some.campaign.experiments[0], int(some.bins[0].last[-1])
+    e = replace(e, commanded_off=None, t=e.t[:cut], y=e.y[:cut], mask=None)
+    first = replace(some.bins[0], experiment=e)
+    some = replace(
+        some,
+        campaign=replace(some.campaign, experiments=(e, *some.campaign.experiments[1:])),
+        bins=(first, *some.bins[1:]),
+        base=np.delete(some.base, 6),  # its tf
+    )
+    for form in effect.forms:
+        plan = Plan(some, (Part(effect, form),))
+        x = plan.start(some.base, form.starts[0])
+        together = plan.means(x)
+        assert [len(m) for m in together] == [len(d) for d in some.data]
+        for k, b in enumerate(some.bins):
+            assert np.allclose(together[k], plan.binned(x, k), rtol=0.0, atol=1e-12)
+            if name != "baseline_step":
+                read = b.reduce(plan.mean(x, k))
+                assert np.allclose(together[k], read, rtol=0.0, atol=1e-12)
+
+
 def test_a_noise_free_refit_finds_the_truth(sketch):
     effect = CATALOGUE["valve_asymmetry"]
     plan = Plan(sketch, (Part(effect, effect.forms[0]),))

@@ -8,8 +8,10 @@ compared with the model's mean over the same samples, computed from a few quadra
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +101,39 @@ class ExperimentBins:
     def reduce(self, at_times: FloatArray) -> FloatArray:
         """(n_bins,) bin means of a function given at ``times`` (n_times,)."""
         return np.add.reduceat(at_times * self.weights, self.starts)
+
+
+class AllBins(NamedTuple):
+    """The bins of all experiments, one after the other, as the kernel takes them."""
+
+    times: FloatArray
+    """(n_times,) s"""
+    weights: FloatArray
+    """(n_times,)"""
+    starts: NDArray[np.int64]
+    """(n_bins,) first time of each bin, counted from its experiment's first"""
+    low: FloatArray
+    """(n_bins,) s, begins of the bins"""
+    high: FloatArray
+    """(n_bins,) s, their ends"""
+    of_times: NDArray[np.int64]
+    """(n_experiments + 1,) first time of each experiment, and how many there are"""
+    of_bins: NDArray[np.int64]
+    """(n_experiments + 1,) first bin of each experiment, and how many there are"""
+
+    @classmethod
+    def of(cls, bins: Sequence[ExperimentBins]) -> AllBins:
+        """The bins of these experiments."""
+        low, high = zip(*(b.edges for b in bins), strict=True)
+        return cls(
+            np.concatenate([b.times for b in bins]),
+            np.concatenate([b.weights for b in bins]),
+            np.concatenate([b.starts for b in bins]),
+            np.concatenate(low),
+            np.concatenate(high),
+            np.cumsum([0, *(len(b.times) for b in bins)]),
+            np.cumsum([0, *(len(b.starts) for b in bins)]),
+        )
 
 
 def make_bins(

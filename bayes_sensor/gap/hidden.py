@@ -96,7 +96,7 @@ def what_may_hide(
     ``base``: the explanation that was accepted, with or without effects.
     """
     sketch = weighing.sketch
-    exact = [base.plan.binned(base.x, k) for k in range(len(sketch.bins))]
+    exact = base.plan.means(base.x)
     none = refit(base.plan, base.x, data=exact, most_steps=10)
     line = Linearised(base).evidence(None)
     low = line.log_tau - 1.96 * line.sd_log_tau

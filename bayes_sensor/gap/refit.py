@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
-from bayes_sensor.gap.bins import ExperimentBins
+from bayes_sensor.gap.bins import AllBins, ExperimentBins
 from bayes_sensor.gap.effect import Effect, Form, RigView, Setting, Strength, check_settings
 from bayes_sensor.gap.floor import Floor
 from bayes_sensor.gap.rig import (
@@ -34,6 +34,7 @@ from bayes_sensor.gap.rig import (
     TAU_V,
     TF,
     Y0,
+    campaign_means,
     rig_mean,
     rig_means,
     rig_response,
@@ -101,6 +102,16 @@ class Sketch:
     def n_bins(self) -> int:
         """Bins in all experiments."""
         return sum(len(d) for d in self.data)
+
+    @cached_property
+    def all_bins(self) -> AllBins:
+        """The bins of all experiments, one after the other."""
+        return AllBins.of(self.bins)
+
+    def whitened(self, differences: Sequence[FloatArray]) -> FloatArray:
+        """(n_bins in all,) differences V (n_bins,) of every experiment over the floor."""
+        pairs = zip(self.inverse_factors, differences, strict=True)
+        return np.concatenate([factor @ d for factor, d in pairs])
 
     @cached_property
     def rows(self) -> list[slice]:
@@ -433,25 +444,28 @@ class Plan:
         return own
 
     @cached_property
-    def _flows(self) -> list[float]:
-        return [e.total_flow for e in self.sketch.campaign]
+    def _flows(self) -> FloatArray:
+        return np.array([e.total_flow for e in self.sketch.campaign])
 
     @cached_property
-    def _falls(self) -> list[bool]:
-        return [e.has_fall for e in self.sketch.campaign]
+    def _falls(self) -> NDArray[np.bool_]:
+        return np.array([e.has_fall for e in self.sketch.campaign])
 
     @cached_property
-    def _fixed(self) -> list[FloatArray]:
-        # the kernel's parameters that no coordinate changes
-        found = []
-        for e in self.sketch.campaign:
-            p = np.empty(FIRST + len(NEUTRAL))
-            p[FIRST:] = NEUTRAL
-            p[TF] = 1e30
+    def _first(self) -> NDArray[np.int64]:
+        # (n_experiments,) coordinate y0 of each
+        return np.array(self.local[:-1], dtype=np.int64)
+
+    @cached_property
+    def _fixed(self) -> FloatArray:
+        # (n_experiments, n_parameters) the kernel's parameters that no coordinate changes
+        found = np.zeros((len(self.sketch.bins), FIRST + len(NEUTRAL)))
+        found[:, FIRST:] = NEUTRAL
+        found[:, TF] = 1e30
+        for p, e in zip(found, self.sketch.campaign, strict=True):
             p[CONCENTRATION] = e.concentration
             p[START] = e.t[0] - 0.5 * e.interval
             p[MIDDLE] = 0.5 * (e.t[0] + e.t[-1])
-            found.append(p)
         return found
 
     def binned(self, x: FloatArray, k: int) -> FloatArray:
@@ -459,16 +473,28 @@ class Plan:
         p, own = self.rig(x, k)
         if own is not None:
             return self.sketch.bins[k].reduce(self.mean(x, k))
-        made: FloatArray = self._means(p[None, :], k)[0]
+        bins = self.sketch.bins[k]
+        made: FloatArray = _means(bins, np.stack((p, p)))[0]
         return made
 
-    def _means(self, rigs: FloatArray, k: int) -> FloatArray:
-        """V (n_rigs, n_bins), mean of each bin of experiment ``k`` for every row of ``rigs``."""
-        bins = self.sketch.bins[k]
-        made: FloatArray = rig_means(
-            bins.times, bins.weights, bins.starts, *bins.edges, rigs, *coating_modes()
-        )
-        return made
+    def means(self, x: FloatArray) -> list[FloatArray]:
+        """V (n_bins,) of every experiment, mean of each of its bins."""
+        n = len(self.sketch.bins)
+        rigs = self._fixed.copy()
+        x0, x1, x2 = x[:SHARED].tolist()
+        rigs[:, TAU] = exp(max(x1 - FASTER - x0, -60.0))
+        rigs[:, TAU_V] = exp(min(x1, 40.0))
+        rigs[:, TAU_M] = exp(min(x2, 60.0)) / self._flows
+        first = self._first
+        for i, name in enumerate((Y0, BETA, T0)):
+            rigs[:, name] = x[first + i]
+        rigs[self._falls, TF] = x[first[self._falls] + 3]
+        for k in range(n) if self.parts else ():
+            if self._set(rigs[k], self.values(x, k), k) is not None:
+                return [self.binned(x, k) for k in range(n)]
+        bins = self.sketch.all_bins
+        made = campaign_means(*bins, rigs, *coating_modes())
+        return [made[rows] for rows in self.sketch.rows]
 
     def columns(self, k: int) -> NDArray[np.int64]:
         """Coordinates that experiment ``k`` depends on."""
@@ -526,7 +552,7 @@ class Plan:
         steps = finer * self.steps
         p, own = self.rig(x, k)
         if own is None:
-            means = self._means(self._moved(x, k, p, steps), k)[1:]
+            means = _means(self.sketch.bins[k], self._moved(x, k, p, steps))
         else:
             moved = np.array(x)
             means = np.empty((len(columns), len(here)))
@@ -562,6 +588,14 @@ class Plan:
         return rigs
 
 
+def _means(bins: ExperimentBins, rigs: FloatArray) -> FloatArray:
+    # V (n_rigs - 1, n_bins), mean of each bin for every row of ``rigs`` but the first
+    made: FloatArray = rig_means(
+        bins.times, bins.weights, bins.starts, *bins.edges, rigs, *coating_modes()
+    )
+    return made
+
+
 @dataclass(frozen=True, eq=False)
 class Refit:
     """The optimum of one hypothesis, with its linearisation."""
@@ -586,7 +620,7 @@ class Refit:
         Always by the usual differences, which smooth over the bins' nodes: evidences rest on them.
         """
         plan, x = self.plan, self.x
-        return tuple(plan.jacobian(x, k, plan.binned(x, k)) for k in range(len(plan.sketch.bins)))
+        return tuple(plan.jacobian(x, k, here) for k, here in enumerate(plan.means(x)))
 
     @cached_property
     def jacobian(self) -> FloatArray:
@@ -670,13 +704,8 @@ def refit(
     x[0] = max(x[0], 0.0)
 
     def evaluate(at: FloatArray) -> tuple[list[FloatArray], FloatArray, float]:
-        means = [plan.binned(at, k) for k in range(n_e)]
-        residual = np.concatenate(
-            [
-                sketch.inverse_factors[k] @ (y - m)
-                for k, (y, m) in enumerate(zip(measured, means, strict=True))
-            ]
-        )
+        means = plan.means(at)
+        residual = sketch.whitened([y - m for y, m in zip(measured, means, strict=True)])
         total = float(residual @ residual) + _penalty(plan, at)[0]
         return means, residual, total if np.isfinite(total) else inf
 

@@ -210,8 +210,9 @@ def _one_valve(
 
 
 @njit(cache=True, inline="always")
-def _weights(r: float) -> tuple[float, float, float, float]:  # pragma: no cover
-    # decay and weights of an input's start, middle and end over a step of r time constants
+def _moments(r: float) -> tuple[float, float, float]:  # pragma: no cover
+    # decay over a step of r time constants, and what a lag makes of inputs q and q^2, q the part
+    # of the step
     decay = exp(-r)
     if r < 1e-3:
         m1 = r * (0.5 - r / 6.0 * (1.0 - 0.25 * r))
@@ -220,15 +221,20 @@ def _weights(r: float) -> tuple[float, float, float, float]:  # pragma: no cover
         per = 1.0 / r
         m1 = 1.0 - (1.0 - decay) * per
         m2 = 1.0 - 2.0 * m1 * per
-    # input a + (4m - 3a - b) q + (2a - 4m + 2b) q^2
-    return decay, 1.0 - decay - 3.0 * m1 + 2.0 * m2, 4.0 * (m1 - m2), 2.0 * m2 - m1
+    return decay, m1, m2
 
 
 @njit(cache=True, inline="always")
 def _advance(x: float, r: float, a: float, m: float, b: float) -> float:  # pragma: no cover
     # a lag's state after r time constants under an input that passes a, m, b
-    decay, wa, wm, wb = _weights(r)
-    return decay * x + wa * a + wm * m + wb * b
+    return _driven(x, r, a, 4.0 * m - 3.0 * a - b, 2.0 * a - 4.0 * m + 2.0 * b)
+
+
+@njit(cache=True, inline="always")
+def _driven(x: float, r: float, a: float, rise: float, bend: float) -> float:  # pragma: no cover
+    # a lag's state after r time constants under an input a + rise q + bend q^2
+    decay, m1, m2 = _moments(r)
+    return a + decay * (x - a) + m1 * rise + m2 * bend
 
 
 @njit(cache=True)
@@ -450,20 +456,19 @@ def _add_response(
         inside = k
         while inside < len(times) and (times[inside] <= t[i + 1] or i == n - 2):
             inside += 1
+        rise, bend = 4.0 * m - 3.0 * a - b, 2.0 * a - 4.0 * m + 2.0 * b
         for j in range(used):
             rate = 1.0 / (tau[j] * slower)
             if low_pass > 0.0:
-                half_m = 0.375 * a + 0.75 * m - 0.125 * b
                 before += share[j] * state[j]
-                middle += share[j] * _advance(state[j], 0.5 * h * rate, a, half_m, m)
+                middle += share[j] * _driven(state[j], 0.5 * h * rate, a, 0.5 * rise, 0.25 * bend)
             else:
                 for q in range(k, inside):
                     since = times[q] - t[i]
                     part = since / h
-                    pb = _quadratic(part, a, m, b)
-                    pm = _quadratic(0.5 * part, a, m, b)
-                    out[q] += share[j] * _advance(state[j], since * rate, a, pm, pb)
-            state[j] = _advance(state[j], h * rate, a, m, b)
+                    here = _driven(state[j], since * rate, a, part * rise, part * part * bend)
+                    out[q] += share[j] * here
+            state[j] = _driven(state[j], h * rate, a, rise, bend)
             after += share[j] * state[j]
         if low_pass > 0.0:
             for q in range(k, inside):
@@ -524,21 +529,25 @@ def rig_mean(
 @njit(cache=True)
 def _read(times: FloatArray, p: FloatArray, response: FloatArray) -> FloatArray:  # pragma: no cover
     # V at the times of a response x3
+    y0, beta, curvature, middle = p[Y0], p[BETA], p[CURVATURE], p[MIDDLE]
+    gain, gain_curve, gain_twist, of_all = p[GAIN], p[GAIN_CURVE], p[GAIN_TWIST], p[GAIN_OF_ALL]
+    drift, drift_curve, drift_twist = p[DRIFT], p[DRIFT_CURVE], p[DRIFT_TWIST]
     volts = np.empty(len(times))
-    step_time = p[STEP_TIME] + (p[TF] if p[STEP_WITH_FALL] > 0.0 else 0.0)
     for i in range(len(times)):
-        v = p[BETA] * response[i]
-        v *= 1.0 + p[CURVATURE] * v
-        since = times[i] - p[MIDDLE]
-        gain = since * (p[GAIN] + since * (p[GAIN_CURVE] + since * p[GAIN_TWIST]))
-        v += v * gain + p[Y0] * (1.0 + p[GAIN_OF_ALL] * gain)
-        v += since * (p[DRIFT] + since * (p[DRIFT_CURVE] + since * p[DRIFT_TWIST]))
-        if p[STEP] != 0.0 and times[i] >= step_time:
-            settled = 1.0
-            if p[STEP_WIDTH] > 0.0:
-                settled -= exp(-(times[i] - step_time) / p[STEP_WIDTH])
-            v += p[STEP] * settled
-        volts[i] = v
+        v = beta * response[i]
+        v *= 1.0 + curvature * v
+        since = times[i] - middle
+        gained = since * (gain + since * (gain_curve + since * gain_twist))
+        v += v * gained + y0 * (1.0 + of_all * gained)
+        volts[i] = v + since * (drift + since * (drift_curve + since * drift_twist))
+    if p[STEP] != 0.0:
+        step_time = p[STEP_TIME] + (p[TF] if p[STEP_WITH_FALL] > 0.0 else 0.0)
+        for i in range(len(times)):
+            if times[i] >= step_time:
+                settled = 1.0
+                if p[STEP_WIDTH] > 0.0:
+                    settled -= exp(-(times[i] - step_time) / p[STEP_WIDTH])
+                volts[i] += p[STEP] * settled
     return volts
 
 
@@ -575,34 +584,79 @@ def rig_means(
     mode_share: FloatArray,
     mode_ratio: FloatArray,
 ) -> FloatArray:  # pragma: no cover
-    """(n_rigs, n_bins) V: means of bins for every row of ``p`` (n_rigs, n_parameters).
+    """(n_rigs - 1, n_bins) V: means of bins for every row of ``p`` but the first.
 
     Of each bin, from ``low`` to ``high`` (n_bins,) s, the voltage at its ``times`` (n_t,) s, the
-    first of them at ``starts`` (n_bins,), is summed with the ``weights`` (n_t,).  What a rig has in
-    common with that of the first row is computed once.
+    first of them at ``starts`` (n_bins,), is summed with the ``weights`` (n_t,).  What a rig
+    (n_parameters,) has in common with that of the first row of ``p`` is computed once.
     """
-    made = np.empty((len(p), len(starts)))
+    made = np.empty((len(p) - 1, len(starts)))
     t, x2, x2_mid = _gas(times[-1], p[0])
     response = _sensed(times, p[0], t, x2, x2_mid, mode_share, mode_ratio)
-    for i in range(len(p)):
+    for i in range(1, len(p)):
         if _same(p[i], p[0], _before_the_readout):
             x3 = response
         elif _same(p[i], p[0], _of_the_gas):
             x3 = _sensed(times, p[i], t, x2, x2_mid, mode_share, mode_ratio)
         else:
             x3 = rig_response(times, p[i], mode_share, mode_ratio)
-        without_step = p[i].copy()
-        without_step[STEP] = 0.0
-        volts = _read(times, without_step, x3)
-        for b in range(len(starts)):
-            end = starts[b + 1] if b + 1 < len(starts) else len(times)
-            total = 0.0
-            for k in range(starts[b], end):
-                total += weights[k] * volts[k]
-            made[i, b] = total
-        if p[i, STEP] != 0.0:
-            made[i] += step_means(low, high, p[i])
+        _average(times, weights, starts, low, high, p[i], x3, made[i - 1])
     return made
+
+
+@njit(cache=True)
+def campaign_means(
+    times: FloatArray,
+    weights: FloatArray,
+    starts: NDArray[np.int64],
+    low: FloatArray,
+    high: FloatArray,
+    of_times: NDArray[np.int64],
+    of_bins: NDArray[np.int64],
+    p: FloatArray,
+    mode_share: FloatArray,
+    mode_ratio: FloatArray,
+) -> FloatArray:  # pragma: no cover
+    """(n_bins,) V: means of the bins of all experiments, each with its own row of ``p``.
+
+    The other arguments are those of :func:`rig_means`, of one experiment after the other:
+    ``of_times`` and ``of_bins`` (n_experiments + 1,) say where each begins and the last ends, and
+    ``starts`` counts from the first time of an experiment.
+    """
+    made = np.empty(len(starts))
+    for k in range(len(p)):
+        here = slice(of_bins[k], of_bins[k + 1])
+        at = times[of_times[k] : of_times[k + 1]]
+        weight = weights[of_times[k] : of_times[k + 1]]
+        x3 = rig_response(at, p[k], mode_share, mode_ratio)
+        _average(at, weight, starts[here], low[here], high[here], p[k], x3, made[here])
+    return made
+
+
+@njit(cache=True)
+def _average(
+    times: FloatArray,
+    weights: FloatArray,
+    starts: NDArray[np.int64],
+    low: FloatArray,
+    high: FloatArray,
+    p: FloatArray,
+    response: FloatArray,
+    made: FloatArray,
+) -> None:  # pragma: no cover
+    # means (n_bins,) of the voltage of a response x3, into ``made``
+    step, p = p[STEP], p.copy()
+    p[STEP] = 0.0
+    volts = _read(times, p, response)
+    for b in range(len(starts)):
+        end = starts[b + 1] if b + 1 < len(starts) else len(times)
+        total = 0.0
+        for k in range(starts[b], end):
+            total += weights[k] * volts[k]
+        made[b] = total
+    if step != 0.0:
+        p[STEP] = step
+        made += step_means(low, high, p)
 
 
 @njit(cache=True)

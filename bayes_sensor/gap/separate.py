@@ -37,7 +37,7 @@ class Separation:
 
 def isolability(sketch: Sketch, truth: Refit, rival: Effect, given: Sequence[Part] = ()) -> float:
     """Detectability left when ``truth``'s noise-free mean is refitted with ``rival``."""
-    data = tuple(truth.plan.binned(truth.x, k) for k in range(len(sketch.bins)))
+    data = tuple(truth.plan.means(truth.x))
     # priors lie where the truth is, or its own distance from them would count against every rival
     exact = replace(sketch, data=data, centre=np.log([truth.tau, truth.tau_v, truth.V]))
     base = refit(Plan(exact, tuple(given)), _bare(truth, len(given)), most_steps=15)

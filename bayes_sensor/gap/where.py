@@ -221,7 +221,7 @@ def _stretch(
     if bootstrap < 10:
         return 1.0
     plan = base.plan
-    means = [plan.binned(base.x, k) for k in range(len(sketch.bins))]
+    means = plan.means(base.x)
     found = []
     blocks = [leverage.block(rows) for _, _, rows in groups]
     for _ in range(bootstrap):

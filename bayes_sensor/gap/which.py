@@ -160,14 +160,12 @@ def _most_promising(
         return []
     normal = base.normal
     sketch = plan.sketch
-    here = [base.plan.binned(base.x, k) for k in range(len(sketch.bins))]
+    here = base.plan.means(base.x)
     amplitudes = {s.name for s in plan.strengths[-1] if s.scaled}
     gains, sizes = np.zeros(len(grid)), np.zeros(len(grid))
     for i, start in enumerate(grid):
-        x = with_start(plan, begun, start)
-        template = np.concatenate([
-            sketch.inverse_factors[k] @ (plan.binned(x, k) - mean) for k, mean in enumerate(here)
-        ])  # fmt: skip
+        moved = plan.means(with_start(plan, begun, start))
+        template = sketch.whitened([b - a for a, b in zip(here, moved, strict=True)])
         inside = base.jacobian.T @ template
         whole = float(template @ template)
         left = whole - float(inside @ np.linalg.solve(normal, inside))
