@@ -10,7 +10,10 @@ from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.gap.full_rate import FullRate
 from bayes_sensor.gap.lines import (
     Piece,
+    _bursts,
     _look_for_lines,
+    look_for_bursts,
+    look_for_mains,
     look_for_swings,
     mains_closure,
 )
@@ -170,6 +173,69 @@ def test_the_mains_are_found_and_closed_where_they_fold_onto_half_the_rate(frequ
         assert closed.low < 1.01 and closed.high > 0.99
         # on half the rate itself a sine's other phase is unknown, and so is its other half
         assert out is None if frequency == 50.0 else out == pytest.approx(1.0, abs=0.1)
+
+
+def of_mains(rng, size, share=1.0, every=67, seconds=0.0):
+    """Records of 60 s with mains, ``share`` of every so many of whose periods there are.
+
+    Or, with ``seconds``, whose size and phase wander in that time.
+    """
+    campaign, found, deviations = residuals(rng)
+    for e, y in zip(campaign, found, strict=True):
+        periods = 50.02 * e.t + every * rng.random()
+        there = np.mod(np.floor(periods), every) < share * every
+        phase = 0.0
+        if seconds:
+            phi = np.exp(-e.interval / seconds)
+            slow = lfilter([np.sqrt(1 - phi**2)], [1.0, -phi], rng.standard_normal((2, len(y))))
+            there, phase = 1.0 + 0.2 * slow[0], 0.2 * slow[1]
+        hum = np.sin(2.0 * np.pi * periods + phase) + 0.3 * np.sin(6.0 * np.pi * periods)
+        y += size * there * hum
+    return campaign, found, deviations
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_mains_that_come_and_go_are_told_from_steady_ones(share):
+    for seed in range(4):
+        records = of_mains(np.random.default_rng(seed), 0.004, share)
+        mains = look_for_mains(*records)[0]
+        assert mains.probability > 0.99
+        found = look_for_bursts(*records, mains)[0]
+        assert found.probability > 0.9 and found.beside_the_mean
+        assert found.strength["bursts_Hz"] == pytest.approx(50.02 / 67, abs=0.05)
+
+
+@pytest.mark.parametrize("size", [0.0006, 0.002, 0.02, 0.2])
+@pytest.mark.parametrize("seconds", [0.0, 60.0])
+def test_steady_mains_are_no_bursts(size, seconds):
+    # however loud; nor those whose size and phase wander over a minute
+    factors = []
+    for seed in range(12):
+        records = of_mains(np.random.default_rng(100 + seed), size, seconds=seconds)
+        found = look_for_bursts(*records, look_for_mains(*records)[0])
+        factors += [f.log_bayes_factor for f in found]
+    assert max(factors, default=-1.0) < (2.0 if seconds == 0.0 else 4.0)
+    assert len(factors) == 12 or size == 0.0006
+
+
+def test_harmonics_that_fold_beside_the_mains_are_no_bursts():
+    # at 200 samples a second the third of 50.07 Hz folds to 49.79 Hz, and the fifth to 50.35 Hz
+    rng = np.random.default_rng(5)
+    t = np.arange(12_000) * 0.005
+    found = []
+    for _ in range(4):
+        whole = 2.0 * np.pi * (50.07 * t + rng.random())
+        hum = sum(np.sin(h * whole) for h in (1, 3, 5, 7, 9))
+        found.append(Piece(0.004 * hum + 0.012 * rng.standard_normal(len(t)), np.ones(len(t)),
+                           0.005, 0))  # fmt: skip
+    mains = _look_for_lines(found, "mains_pickup")[0]
+    assert mains.log_bayes_factor > 20.0
+    assert _bursts(found)[0].log_bayes_factor < 1.0
+
+
+def test_bursts_are_looked_for_where_mains_are():
+    records = residuals(np.random.default_rng(3))
+    assert look_for_bursts(*records, look_for_mains(*records)[0]) == []
 
 
 def test_noise_at_half_the_rate_is_not_the_mains():

@@ -21,6 +21,7 @@ from bayes_sensor.gap.events import (
     look_for_ringing,
 )
 from bayes_sensor.gap.full_rate import (
+    FOUND,
     LUMPY,
     OF_UNLISTED_ORIGIN,
     FullRate,
@@ -31,6 +32,7 @@ from bayes_sensor.gap.full_rate import (
 from bayes_sensor.gap.hidden import Hidden, what_may_hide
 from bayes_sensor.gap.how_far import Closure, closure, held_out, taken_away
 from bayes_sensor.gap.lines import (
+    look_for_bursts,
     look_for_lines,
     look_for_mains,
     look_for_swings,
@@ -425,8 +427,10 @@ def _samples(prepared: Prepared) -> list[FullRate]:
     found = [look_at_tails(prepared.raw, step), coarse]
     if rounds_away(stretches, coarse.strength["adc_step"]):
         return found
-    mains = look_for_mains(campaign, prepared.residuals, prepared.deviations)
-    return [*mains, *look_for_lines(campaign, stretches), *found]
+    records = (campaign, prepared.residuals, prepared.deviations)
+    mains = look_for_mains(*records)
+    bursts = [b for found_there in mains for b in look_for_bursts(*records, found_there)]
+    return [*mains, *bursts, *look_for_lines(campaign, stretches), *found]
 
 
 def _events(
@@ -435,7 +439,7 @@ def _events(
     """Events and ringing in what the best complete explanation leaves."""
     campaign = prepared.sketch.campaign
     step = max((f.strength.get("adc_step", 0.0) for f in full_rate), default=0.0)
-    heavy = any(f.name == "heavy_tails" and f.probability > 0.5 for f in full_rate)
+    heavy = any(f.name == "heavy_tails" and f.probability > FOUND for f in full_rate)
     if rounds_away(prepared.stretches, step):
         return []
     complete = [h for h in weighing.hypotheses if not h.incomplete]

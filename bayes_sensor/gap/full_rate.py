@@ -30,8 +30,10 @@ TOO_COARSE = 1.0
 PRIOR = {
     "mains_pickup": 0.03, "heavy_tails": 0.03, "quantisation": 0.03,
     "line": 0.02, "swing": 0.02, "event": 0.025, "patch": 0.025, "break": 0.025, "ringing": 0.01,
-    "unsteady": 0.04, "passing": 0.02,
+    "unsteady": 0.04, "passing": 0.02, "bursts": 0.01,
 }  # fmt: skip
+FOUND = 0.5
+"""probability from which a finding is there for what rests on it"""
 AROUND = 400
 """samples over which the size of the innovations is taken"""
 HARDLY_CROSSED = 0.7
@@ -40,10 +42,12 @@ UNITS = {
     "mains_V": "V", "mains_Hz": "Hz", "adc_step": "V", "tail_dof": "1", "line_V": "V",
     "line_Hz": "Hz", "swing_V": "V", "swing_Hz": "Hz", "ringing_Hz": "Hz", "patch_s": "s",
     "break_s": "s", "event_s": "s", "unsteady_excess": "1", "unsteady_Hz": "Hz",
-    "passing_V": "V", "passing_Hz": "Hz",
+    "passing_V": "V", "passing_Hz": "Hz", "bursts_Hz": "Hz",
 }  # fmt: skip
 """of the strengths that are found here"""
-OF_UNLISTED_ORIGIN = ("line", "swing", "event", "patch", "break", "ringing", "unsteady", "passing")
+OF_UNLISTED_ORIGIN = (
+    "line", "swing", "event", "patch", "break", "ringing", "unsteady", "passing", "bursts"
+)  # fmt: skip
 """findings that have no name in the catalogue"""
 FASTER_THAN_BINS = 1.0
 """Hz from which a line averages out of the bins: what explains the mean has no part in it"""
@@ -71,7 +75,8 @@ class FullRate:
     def beside_the_mean(self) -> bool:
         """Whether it is a line that adds to the signal and leaves its mean alone."""
         hertz = self.strength.get(f"{self.name}_Hz", 0.0)
-        return self.name in ("line", "passing") and hertz >= FASTER_THAN_BINS
+        fast = self.name in ("line", "passing") and hertz >= FASTER_THAN_BINS
+        return fast or self.name == "bursts"
 
 
 def struck(log_b: FloatArray, share: float) -> FloatArray:

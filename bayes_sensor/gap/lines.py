@@ -20,7 +20,7 @@ from scipy.stats import gamma
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.gap.floor import Stretch, detrended
-from bayes_sensor.gap.full_rate import FullRate, any_of
+from bayes_sensor.gap.full_rate import FOUND, FullRate, any_of
 from bayes_sensor.gap.how_far import VISIBLE, Closure
 
 MAINS = (50.0, 60.0)
@@ -55,6 +55,12 @@ UNTOLD = 0.1
 """of the larger eigenvalue, below which samples do not tell a sine's other phase"""
 TAKING_TURNS = 0.05
 """prior share of the line at half the sampling rate itself, where two converters take turns"""
+ALL_HARMONICS = 20
+"""of the mains that are no sign of bursts"""
+BURSTS = (0.2, 5.0)
+"""Hz; how often the mains may come and go"""
+LEAKED = 0.1
+"""of the noise's power; what a window may leave of the mains where their bursts are looked for"""
 RATIOS = (1.0, 2.5, 6.0, 15.0, 40.0)
 """a line's plausible power over the noise's, per stretch and resolution"""
 
@@ -83,6 +89,69 @@ def look_for_mains(
     ``deviations`` (n_t,) V: of the noise.
     """
     return _look_for_lines(pieces_of_records(campaign, residuals, deviations), "mains_pickup")
+
+
+def look_for_bursts(
+    campaign: Campaign,
+    residuals: Sequence[FloatArray],
+    deviations: Sequence[FloatArray],
+    mains: FullRate,
+) -> list[FullRate]:
+    """Whether the ``mains`` that were found come and go, as a heater's do that is fired in bursts.
+
+    Whatever comes and goes has a line as far above the mains as below: as in :func:`look_for_mains`
+    for every distance, of both together, averaged with the weight 1/distance.  None where no mains
+    were found or records are too short.
+    """
+    pieces = pieces_of_records(campaign, residuals, deviations)
+    return _bursts(pieces) if pieces and mains.probability >= FOUND else []
+
+
+def _bursts(pieces: Sequence[Piece]) -> list[FullRate]:
+    used, n, f = _transformed(pieces)
+    total, _ = _sum_over_pieces(used, n)
+    near, nominal, _ = mains_bands(f, used[0].interval)
+    k = len(used)
+    at = int(np.argmax(np.where(near, total, 0.0)))
+    seconds = max(len(p.samples) for p in used) * used[0].interval
+    # a window spreads a line r resolutions away to at most 1/(pi r)^2 of its power
+    leaks = np.sqrt(total[at] / k / LEAKED) / (np.pi * seconds)
+    least = max(2.0 / seconds, leaks)
+    first = max(BURSTS[0], FEWEST_CYCLES / seconds, least)
+    away = np.arange(int(np.ceil(first / f[1])), int(BURSTS[1] / f[1]) + 1)
+    away = away[away < at]
+    below, above = at - away, at + away
+    above = np.where(above < len(f), above, 2 * (len(f) - 1) - above)  # folded at half the rate
+    rate = 1.0 / used[0].interval
+    harmonics = _harmonics(float(f[at]), float(nominal[at]), rate)
+    clear = [np.abs(f[there, None] - harmonics) > least for there in (below, above)]
+    seen = np.all(clear[0] & clear[1], axis=1)
+    away, below, above = away[seen], below[seen], above[seen]
+    if not len(away):
+        return []
+    apart = np.abs(above - below) * f[1] * seconds > 1.0  # where they fold onto each other, one
+    # one alone would be another line
+    power = np.where(apart, 2.0 * np.minimum(total[below], total[above]), total[below])
+    count = k * (1 + apart)
+    c = np.array(RATIOS)[:, None]
+    each = logsumexp(power * c / (1.0 + c) - count * np.log1p(c), axis=0) - np.log(len(c))
+    weight = (1.0 / away) / np.sum(1.0 / away)
+    value, most = float(logsumexp(each, b=weight)), int(np.argmax(each + np.log(weight)))
+    return [FullRate("bursts", value, {"bursts_Hz": float(f[away[most]])}, None)]
+
+
+def _harmonics(found: float, nominal: float, rate: float) -> FloatArray:
+    """Hz (n,) where the mains and their harmonics fold at half the sampling ``rate`` Hz.
+
+    ``found``: Hz of the line that is at ``nominal`` Hz where the mains are at 50 or 60 Hz.
+    """
+    turns = round(nominal / rate)
+    line = rate * turns + (found if nominal >= rate * turns else -found)
+    made = [line * h / round(nominal / m) for m in MAINS for h in range(1, ALL_HARMONICS + 1)
+            if nominal % m == 0.0]  # fmt: skip
+    true = np.array(made)
+    folded: FloatArray = np.abs(true - rate * np.round(true / rate))
+    return folded
 
 
 def look_for_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRate]:
@@ -152,13 +221,10 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
     """
     if not pieces:
         return []
-    common = float(np.median([p.interval for p in pieces]))
-    used = [p for p in pieces if abs(p.interval - common) < 1e-9 * common]
+    used, n, f = _transformed(pieces)
     if not used:
         return []
-    longest = max(len(p.samples) for p in used)
-    n = 1 << int(np.ceil(np.log2(2 * longest)))  # twice: a line between two ordinates is seen
-    f = np.asarray(np.fft.rfftfreq(n, common), dtype=float)
+    common, longest = used[0].interval, max(len(p.samples) for p in used)
     total, level_sum = _sum_over_pieces(used, n, sloping=name == "swing")
     k = len(used)
     c = np.array(RATIOS)[:, None]
@@ -197,6 +263,15 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
     short = name.removesuffix("_pickup")
     strength = {f"{short}_V": float(amplitude), f"{short}_Hz": float(frequency)}
     return [FullRate(name, value, strength, float(np.sqrt(halves * excess)))]
+
+
+def _transformed(pieces: Sequence[Piece]) -> tuple[list[Piece], int, FloatArray]:
+    """Pieces of the commonest interval, samples to pad them to, and the ordinates' Hz (n_f,)."""
+    common = float(np.median([p.interval for p in pieces]))
+    used = [p for p in pieces if abs(p.interval - common) < 1e-9 * common]
+    longest = max((len(p.samples) for p in used), default=1)
+    n = 1 << int(np.ceil(np.log2(2 * longest)))  # twice: a line between two ordinates is seen
+    return used, n, np.asarray(np.fft.rfftfreq(n, common), dtype=float)
 
 
 def _sum_over_pieces(

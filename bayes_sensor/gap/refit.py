@@ -489,8 +489,11 @@ class Plan:
         for i, name in enumerate((Y0, BETA, T0)):
             rigs[:, name] = x[first + i]
         rigs[self._falls, TF] = x[first[self._falls] + 3]
+        strengths = self.values(x, 0) if self.parts else []
         for k in range(n) if self.parts else ():
-            if self._set(rigs[k], self.values(x, k), k) is not None:
+            if k and self.own:
+                strengths = self.values(x, k)
+            if self._set(rigs[k], strengths, k) is not None:
                 return [self.binned(x, k) for k in range(n)]
         bins = self.sketch.all_bins
         made = campaign_means(*bins, rigs, *coating_modes())

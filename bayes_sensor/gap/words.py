@@ -172,6 +172,11 @@ def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
             f"throughout, a line at {s['passing_Hz']:.4g} Hz that others lack, with an amplitude "
             f"of {1e3 * s['passing_V']:.3g} m{unit}."
         )
+    if found.name == "bursts":
+        return (
+            f"The mains come and go, once in {1.0 / s['bursts_Hz']:.3g} s, as of a heater that is "
+            "fired in bursts."
+        )
     if found.name == "ringing":
         return f"After the switches the signal rings at about {s['ringing_Hz']:.3g} Hz."
     if found.name == "event":
