@@ -100,7 +100,7 @@ def look_for_bursts(
     """Whether the ``mains`` that were found come and go, as a heater's do that is fired in bursts.
 
     Whatever comes and goes has a line as far above the mains as below: as in :func:`look_for_mains`
-    for every distance, of both together, averaged with the weight 1/distance.  None where no mains
+    for every distance, of both together, averaged with the weight 1/distance.  Empty where no mains
     were found or records are too short.
     """
     pieces = pieces_of_records(campaign, residuals, deviations)
