@@ -103,8 +103,9 @@ def look_for_bursts(
     for every distance, of both together, averaged with the weight 1/distance.  Empty where no mains
     were found or records are too short.
     """
-    pieces = pieces_of_records(campaign, residuals, deviations)
-    return _bursts(pieces) if pieces and mains.probability >= FOUND else []
+    if mains.probability < FOUND:
+        return []
+    return _bursts(pieces_of_records(campaign, residuals, deviations))
 
 
 def _bursts(pieces: Sequence[Piece]) -> list[FullRate]:
@@ -114,9 +115,7 @@ def _bursts(pieces: Sequence[Piece]) -> list[FullRate]:
     k = len(used)
     at = int(np.argmax(np.where(near, total, 0.0)))
     seconds = max(len(p.samples) for p in used) * used[0].interval
-    # a window spreads a line r resolutions away to at most 1/(pi r)^2 of its power
-    leaks = np.sqrt(total[at] / k / LEAKED) / (np.pi * seconds)
-    least = max(2.0 / seconds, leaks)
+    least = max(2.0 / seconds, _leaks(float(total[at]) / k / LEAKED, seconds))
     first = max(BURSTS[0], FEWEST_CYCLES / seconds, least)
     away = np.arange(int(np.ceil(first / f[1])), int(BURSTS[1] / f[1]) + 1)
     away = away[away < at]
@@ -133,8 +132,7 @@ def _bursts(pieces: Sequence[Piece]) -> list[FullRate]:
     # one alone would be another line
     power = np.where(apart, 2.0 * np.minimum(total[below], total[above]), total[below])
     count = k * (1 + apart)
-    c = np.array(RATIOS)[:, None]
-    each = logsumexp(power * c / (1.0 + c) - count * np.log1p(c), axis=0) - np.log(len(c))
+    each = _log_b(power, count)
     weight = (1.0 / away) / np.sum(1.0 / away)
     value, most = float(logsumexp(each, b=weight)), int(np.argmax(each + np.log(weight)))
     return [FullRate("bursts", value, {"bursts_Hz": float(f[away[most]])}, None)]
@@ -227,13 +225,10 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
     common, longest = used[0].interval, max(len(p.samples) for p in used)
     total, level_sum = _sum_over_pieces(used, n, sloping=name == "swing")
     k = len(used)
-    c = np.array(RATIOS)[:, None]
     mains = name == "mains_pickup"
     near, nominal, closeness = mains_bands(f, common)
     if not mains and near.any() and (leak := float(total[near].max()) / k) > LOUD:
-        # a window spreads a line r resolutions away to at most 1/(pi r)^2 of its power
-        away = np.sqrt(leak) / (np.pi * longest * common)
-        near = mains_bands(f, common, min(away, FARTHEST))[0]
+        near = mains_bands(f, common, min(_leaks(leak, longest * common), FARTHEST))[0]
     where = (near if mains else ~near) & (f >= FEWEST_CYCLES / (longest * common))
     real = np.ones(len(f))
     if mains:  # may fold onto half the rate itself, as 50 Hz do at 100 samples a second
@@ -251,7 +246,7 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
         weight *= 1.0 - TAKING_TURNS
         weight[-1], real[-1] = TAKING_TURNS, 0.5
         where[-1] = True
-    log_b = logsumexp(real * (total * c / (1.0 + c) - k * np.log1p(c)), axis=0) - np.log(len(c))
+    log_b = _log_b(real * total, real * k)
     weighted = log_b[where] + np.log(weight[where])
     value = float(logsumexp(weighted))
     peak = np.flatnonzero(where)[int(np.argmax(weighted))]
@@ -263,6 +258,21 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
     short = name.removesuffix("_pickup")
     strength = {f"{short}_V": float(amplitude), f"{short}_Hz": float(frequency)}
     return [FullRate(name, value, strength, float(np.sqrt(halves * excess)))]
+
+
+def _log_b(power: FloatArray, count: FloatArray) -> FloatArray:
+    """ln B (n_f,) of a line, from sums (n_f,) of ``count`` ordinates over the noise level."""
+    c = np.array(RATIOS)[:, None]
+    each = power * c / (1.0 + c) - count * np.log1p(c)
+    return np.asarray(logsumexp(each, axis=0) - np.log(len(c)))
+
+
+def _leaks(ratio: float, seconds: float) -> float:
+    """Hz away from a line of so many times the noise's power where it leaks no more than that.
+
+    A window of ``seconds`` spreads a line r resolutions away to at most 1/(pi r)^2 of its power.
+    """
+    return float(np.sqrt(ratio) / (np.pi * seconds))
 
 
 def _transformed(pieces: Sequence[Piece]) -> tuple[list[Piece], int, FloatArray]:

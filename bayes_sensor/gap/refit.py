@@ -423,10 +423,8 @@ class Plan:
         """The kernel's parameters for experiment ``k``, and a user's own mean if there is one."""
         at = self.local[k]
         p = self._fixed[k].copy()
-        x0, x1, x2 = x[:SHARED].tolist()
-        p[TAU] = exp(max(x1 - FASTER - x0, -60.0))
-        p[TAU_V] = exp(min(x1, 40.0))
-        p[TAU_M] = exp(min(x2, 60.0)) / self._flows[k]
+        p[TAU], p[TAU_V], volume = _lags(*x[:SHARED].tolist())
+        p[TAU_M] = volume / self._flows[k]
         m = 4 if self._falls[k] else 3
         p[Y0 : Y0 + m] = x[at : at + m]
         return p, self._set(p, self.values(x, k), k) if self.parts else None
@@ -481,10 +479,8 @@ class Plan:
         """V (n_bins,) of every experiment, mean of each of its bins."""
         n = len(self.sketch.bins)
         rigs = self._fixed.copy()
-        x0, x1, x2 = x[:SHARED].tolist()
-        rigs[:, TAU] = exp(max(x1 - FASTER - x0, -60.0))
-        rigs[:, TAU_V] = exp(min(x1, 40.0))
-        rigs[:, TAU_M] = exp(min(x2, 60.0)) / self._flows
+        rigs[:, TAU], rigs[:, TAU_V], volume = _lags(*x[:SHARED].tolist())
+        rigs[:, TAU_M] = volume / self._flows
         first = self._first
         for i, name in enumerate((Y0, BETA, T0)):
             rigs[:, name] = x[first + i]
@@ -572,10 +568,9 @@ class Plan:
         rigs[:] = p
         n = len(self.shared)
         (x0, x1, x2), (h0, h1, h2) = x[:SHARED].tolist(), steps[:SHARED].tolist()
-        rigs[1, TAU] = exp(max(x1 - FASTER - (x0 + h0), -60.0))
-        rigs[2, TAU] = exp(max(x1 + h1 - FASTER - x0, -60.0))
-        rigs[2, TAU_V] = exp(min(x1 + h1, 40.0))
-        rigs[3, TAU_M] = exp(min(x2 + h2, 60.0)) / self._flows[k]
+        rigs[1, TAU], _, _ = _lags(x0 + h0, x1, x2)
+        rigs[2, TAU], rigs[2, TAU_V], _ = _lags(x0, x1 + h1, x2)
+        rigs[3, TAU_M] = _lags(x0, x1, x2 + h2)[2] / self._flows[k]
         first = 1 + SHARED + n
         for i, name in enumerate((Y0, BETA, T0, TF)[: 4 if self._falls[k] else 3]):
             at = columns[first - 1 + i]
@@ -589,6 +584,11 @@ class Plan:
             self._set(rigs[row], strengths, k)
             strengths[part][s.name] = here
         return rigs
+
+
+def _lags(x0: float, x1: float, x2: float) -> tuple[float, float, float]:
+    # tau s, tau_v s and V mL of the shared coordinates, kept within what the kernel can bear
+    return exp(max(x1 - FASTER - x0, -60.0)), exp(min(x1, 40.0)), exp(min(x2, 60.0))
 
 
 def _means(bins: ExperimentBins, rigs: FloatArray) -> FloatArray:

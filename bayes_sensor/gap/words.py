@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.gap.effect import Effect
-from bayes_sensor.gap.full_rate import OF_UNLISTED_ORIGIN, UNITS, FullRate
+from bayes_sensor.gap.full_rate import FOUND, OF_UNLISTED_ORIGIN, UNITS, FullRate
 from bayes_sensor.gap.how_far import Closure
 from bayes_sensor.gap.refit import Sketch
 from bayes_sensor.gap.separate import Separation
@@ -244,7 +244,7 @@ def sentence(
     if kind == "unlisted" and probability < 0.5:
         return undecided_words(place, stand)
     names = [e.name for e in best.refit.plan.sketch.campaign]
-    findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > 0.5]
+    findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > FOUND]
     if kind == "unlisted":
         words = []
         if worst is not None or not findings:
