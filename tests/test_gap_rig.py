@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.gap import CATALOGUE
 from bayes_sensor.gap.effect import check_settings
+from bayes_sensor.gap.exponential import HIGHEST, LOWEST, exponentials
 from bayes_sensor.gap.model import with_effects
 from bayes_sensor.gap.refit import coating_modes
 from bayes_sensor.gap.rig import FIRST, INDEX, rig_mean, settings_vector
@@ -22,6 +23,18 @@ NO_MODES = (np.zeros(0), np.zeros(0))
 def parameters(tau=0.0481, tau_v=0.8577, tau_m=0.7, concentration=0.15, **settings):
     first = [tau, tau_v, tau_m, 0.0, 1.0, T0, TF, concentration, 0.0, 30.0]
     return np.concatenate([first, settings_vector(settings)])
+
+
+def test_exponentials_are_right_to_their_last_bits():
+    small = np.geomspace(1e-300, 1.0, 301)
+    x = np.concatenate([np.linspace(LOWEST, HIGHEST, 20001), small, -small, [0.0, -0.0]])
+    made = x.copy()
+    exponentials(made)
+    assert np.max(np.abs(made / np.exp(x) - 1.0)) < 4.5e-16
+    assert (made[-2:] == 1.0).all()
+    beyond = np.array([-1e300, -np.inf, -709.0, 710.0, np.inf])
+    exponentials(beyond)
+    np.testing.assert_allclose(beyond, np.exp([LOWEST] * 3 + [HIGHEST] * 2), rtol=4.5e-16)
 
 
 @pytest.mark.parametrize(

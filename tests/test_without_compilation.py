@@ -105,6 +105,35 @@ for seed, (name, cause) in enumerate(sorted(CAUSES.items())):
     clean = clean_signals(case, {s.name: np.linspace(0.0, s.duration, 25) for s in case.steps})
     say(*clean.values())
 """,
+    "rig": """
+from bayes_sensor.gap import CATALOGUE
+from bayes_sensor.gap.model import with_effects
+from bayes_sensor.gap.refit import coating_modes
+from bayes_sensor.gap.rig import FIRST, INDEX, campaign_means, rig_mean, rig_means, settings_vector
+times = np.sort(np.random.default_rng(1).uniform(0.0, 20.0, 24))
+first = [0.05, 0.8, 0.6, 0.1, 1.5, 2.0, 9.0, 0.3, 0.0, 10.0]
+neutral = np.concatenate([first, settings_vector({})])
+rigs = [neutral, *(neutral.copy() for _ in range(4))]
+for rig, (name, value) in zip(rigs[1:], [("late_share", 0.2), ("release_ratio", 1.5)]):
+    rig[FIRST + INDEX[name]] = value
+rigs[3][6] = 1e30
+rigs[4][5] = 30.0
+bins = times[::3] - 0.01, times[2::3] + 0.01
+weights, starts = np.full(24, 1.0 / 3.0), np.arange(0, 24, 3)
+say(rig_means(times, weights, starts, *bins, np.stack([neutral, *rigs]), *coating_modes()))
+twice = np.concatenate([times, times]), np.concatenate([weights, weights]), np.tile(starts, 2)
+ends = np.array([0, 24, 48]), np.array([0, 8, 16])
+say(campaign_means(*twice, *(np.tile(b, 2) for b in bins), *ends, np.stack(rigs[:2]), *coating_modes()))
+for name, effect in CATALOGUE.items():
+    for form in effect.forms:
+        text = f"{name}:{form.name}" if form.name else name
+        problem, theta = small_problem(n=1, interval=0.5)
+        other = with_effects(problem, [text])
+        strengths = [effect.plausible.get(key.split("[")[0], 0.2) for key in other.layout.extra]
+        experiment = other.campaign.experiments[0]
+        full = np.concatenate([theta, strengths])
+        say(*other.model.mean_and_response(experiment.t, full, other.layout, experiment))
+""",
     "mixing": """
 from bayes_sensor.mixing import diagnostics
 say(*diagnostics(np.random.default_rng(1).standard_normal((2, 40, 9))))

@@ -15,13 +15,14 @@ changes; effects on different settings can therefore act together.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import cos, exp, log, sin, sqrt, tanh
+from math import cos, exp, log, sqrt
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.gap.exponential import exponentials
 
 SETTINGS: dict[str, tuple[float, str]] = {
     "closing_ratio": (1.0, "valve time constant when shutting over that when opening"),
@@ -112,33 +113,44 @@ def settings_vector(settings: Mapping[str, float]) -> FloatArray:
 # --------------------------------------------------------------------------- the valve
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _opening(
-    s: float, tau: float, inertia: float, stroke: float, bend: float
-) -> float:  # pragma: no cover
-    # step response of the valve, s after the command
-    if s <= 0.0:
-        return 0.0
+    since: FloatArray, tau: float, inertia: float, stroke: float, bend: float
+) -> FloatArray:  # pragma: no cover
+    # step response (n,) of the valve, s after the command; 0 before it
+    s = np.maximum(since, 0.0)
     if stroke > 0.0:  # the lag's response to a command (1 - bend) q + bend q^2, q = s/stroke
-        ramping, late = min(s, stroke), max(s - stroke, 0.0)
-        gone = tau * (1.0 - exp(-ramping / tau))
-        x = (ramping - gone) / stroke
-        if bend != 0.0:
-            square = ramping * ramping - 2.0 * tau * (ramping - gone)
+        ramping = np.minimum(s, stroke)
+        late = (ramping - s) / tau
+        exponentials(late)
+        gone = -ramping / tau
+        exponentials(gone)
+        for i in range(len(s)):
+            left = ramping[i] - tau * (1.0 - gone[i])
+            x = left / stroke
+            square = ramping[i] * ramping[i] - 2.0 * tau * left
             x += bend * (square / (stroke * stroke) - x)
-        return 1.0 - (1.0 - x) * exp(-late / tau)
+            s[i] = 1.0 - (1.0 - x) * late[i]
+        return s
     if inertia > 1e-9:
         gap = 1.0 - 4.0 * inertia
         if gap > 1e-6:
             slow = 0.5 * tau * (1.0 + sqrt(gap))
             fast = inertia * tau * tau / slow
-            return 1.0 - (slow * exp(-s / slow) - fast * exp(-s / fast)) / (slow - fast)
+            slowly, quickly = -s / slow, -s / fast
+            exponentials(slowly)
+            exponentials(quickly)
+            return 1.0 - (slow * slowly - fast * quickly) / (slow - fast)
         rate = 0.5 / (inertia * tau)
+        decay = -rate * s
+        exponentials(decay)
         if gap < -1e-6:
             omega = rate * sqrt(-gap)
-            return 1.0 - exp(-rate * s) * (cos(omega * s) + rate / omega * sin(omega * s))
-        return 1.0 - exp(-rate * s) * (1.0 + rate * s)
-    return 1.0 - exp(-s / tau)
+            return 1.0 - decay * (np.cos(omega * s) + rate / omega * np.sin(omega * s))
+        return 1.0 - decay * (1.0 + rate * s)
+    decay = -s / tau
+    exponentials(decay)
+    return 1.0 - decay
 
 
 @njit(cache=True)
@@ -173,27 +185,28 @@ def _one_valve(
     t: FloatArray, p: FloatArray, t0: float, tf: float
 ) -> FloatArray:  # pragma: no cover
     # x1 (n,) at times (n,) of a valve commanded at t0 and tf
-    x = np.zeros(len(t))
     tau, share = p[TAU_V] * p[VALVE_FACTOR], p[SLOW_V]
+    inertia, stroke, bend = p[INERTIA], p[STROKE], p[BEND]
     alike = p[CLOSING] == 1.0 and p[CLOSING_BEND] == 0.0
-    if alike and p[INERTIA] <= 1e-9 and p[STROKE] <= 0.0:  # one exponential up, one down
+    if alike and inertia <= 1e-9 and stroke <= 0.0:  # one exponential up, one down
         reached = 1.0 - exp(-max(tf - t0, 0.0) / tau)
+        x = np.empty(len(t))
+        rate = 1.0 / tau
         for i in range(len(t)):
-            if t[i] > tf:
-                x[i] = reached * exp((tf - t[i]) / tau)
-            elif t[i] > t0:
-                x[i] = 1.0 - exp((t0 - t[i]) / tau)
+            x[i] = rate * (tf - t[i] if t[i] > tf else min(t0 - t[i], 0.0))
+        exponentials(x)
+        for i in range(len(t)):
+            x[i] = reached * x[i] if t[i] > tf else 1.0 - x[i]
     else:
-        reached = _opening(tf - t0, tau, p[INERTIA], p[STROKE], p[BEND])
-        for i in range(len(t)):
-            since, after = t[i] - t0, t[i] - tf
-            if alike or after <= 0.0:  # linear: opening minus shutting
-                x[i] = _opening(since, tau, p[INERTIA], p[STROKE], p[BEND])
-                if after > 0.0:
-                    x[i] -= _opening(after, tau, p[INERTIA], p[STROKE], p[BEND])
-            else:
-                shut = _opening(after, tau * p[CLOSING], p[INERTIA], p[STROKE], p[BEND])
-                x[i] = reached * _still_open(1.0 - shut, p[CLOSING_BEND])
+        x = _opening(t - t0, tau, inertia, stroke, bend)
+        if alike:  # linear: opening minus shutting
+            x -= _opening(t - tf, tau, inertia, stroke, bend)
+        else:
+            reached = _opening(np.array([tf - t0]), tau, inertia, stroke, bend)[0]
+            shut = _opening(t - tf, tau * p[CLOSING], inertia, stroke, bend)
+            for i in range(len(t)):
+                if t[i] > tf:
+                    x[i] = reached * _still_open(1.0 - shut[i], p[CLOSING_BEND])
     for i in range(len(t)):
         since, after = t[i] - t0, t[i] - tf
         if share != 0.0 and since > 0.0:
@@ -210,31 +223,91 @@ def _one_valve(
 
 
 @njit(cache=True, inline="always")
-def _moments(r: float) -> tuple[float, float, float]:  # pragma: no cover
-    # decay over a step of r time constants, and what a lag makes of inputs q and q^2, q the part
-    # of the step
-    decay = exp(-r)
+def _moments(r: float, decay: float) -> tuple[float, float]:  # pragma: no cover
+    # what a lag makes, over a step of r time constants in which it decays by the factor ``decay``,
+    # of inputs q and q^2, q the part of the step
+    per = 1.0 / max(r, 1e-3)
+    m1 = 1.0 - (1.0 - decay) * per
+    m2 = 1.0 - 2.0 * m1 * per
     if r < 1e-3:
         m1 = r * (0.5 - r / 6.0 * (1.0 - 0.25 * r))
         m2 = r * (1.0 / 3.0 - r / 12.0 * (1.0 - 0.2 * r))
-    else:
-        per = 1.0 / r
-        m1 = 1.0 - (1.0 - decay) * per
-        m2 = 1.0 - 2.0 * m1 * per
-    return decay, m1, m2
+    return m1, m2
+
+
+@njit(cache=True, inline="always")
+def _curve(a: float, m: float, b: float) -> tuple[float, float]:  # pragma: no cover
+    # rise and bend of the quadratic a + rise q + bend q^2 that passes a, m, b at q = 0, 1/2, 1
+    return 4.0 * m - 3.0 * a - b, 2.0 * a - 4.0 * m + 2.0 * b
 
 
 @njit(cache=True, inline="always")
 def _advance(x: float, r: float, a: float, m: float, b: float) -> float:  # pragma: no cover
     # a lag's state after r time constants under an input that passes a, m, b
-    return _driven(x, r, a, 4.0 * m - 3.0 * a - b, 2.0 * a - 4.0 * m + 2.0 * b)
-
-
-@njit(cache=True, inline="always")
-def _driven(x: float, r: float, a: float, rise: float, bend: float) -> float:  # pragma: no cover
-    # a lag's state after r time constants under an input a + rise q + bend q^2
-    decay, m1, m2 = _moments(r)
+    decay = exp(-r)
+    m1, m2 = _moments(r, decay)
+    rise, bend = _curve(a, m, b)
     return a + decay * (x - a) + m1 * rise + m2 * bend
+
+
+@njit(cache=True, error_model="numpy")
+def _lag(
+    h: FloatArray, a: FloatArray, m: FloatArray, b: FloatArray, rates: FloatArray
+) -> FloatArray:  # pragma: no cover
+    # a lag's states (n + 1,) at the ends of n cells, h long, in which its input passes a, m, b;
+    # its rate is another one in every cell
+    n = len(h)
+    decay = -rates * h
+    exponentials(decay)
+    driven = np.empty(n)
+    for i in range(n):
+        m1, m2 = _moments(rates[i] * h[i], decay[i])
+        rise, bend = _curve(a[i], m[i], b[i])
+        driven[i] = a[i] * (1.0 - decay[i]) + m1 * rise + m2 * bend
+    states = np.zeros(n + 1)
+    for i in range(n):
+        states[i + 1] = decay[i] * states[i] + driven[i]
+    return states
+
+
+@njit(cache=True, error_model="numpy")
+def _add_within(
+    share: float,
+    cells: NDArray[np.int64],
+    since: FloatArray,
+    h: FloatArray,
+    a: FloatArray,
+    m: FloatArray,
+    b: FloatArray,
+    rates: FloatArray,
+    states: FloatArray,
+    out: FloatArray,
+) -> None:  # pragma: no cover
+    # adds a share of the states that a lag (see :func:`_lag`) has at times (n_t,) ``since`` the
+    # begin of the cells in which they lie
+    n = len(h)
+    of_cell = np.empty((n, 6))
+    for i in range(n):
+        rise, bend = _curve(a[i], m[i], b[i])
+        per = 1.0 / h[i]
+        of_cell[i, 0] = share * a[i]
+        of_cell[i, 1] = share * (states[i] - a[i])
+        of_cell[i, 2] = share * rise * per
+        of_cell[i, 3] = share * bend * per * per
+        of_cell[i, 4] = rates[i]
+        of_cell[i, 5] = 1.0 / rates[i]
+    decay = -rates[cells] * since
+    exponentials(decay)
+    for q in range(len(cells)):
+        start, away, rise, bend, rate, tau = of_cell[cells[q]]
+        s = since[q]
+        r = rate * s
+        s1 = s - (1.0 - decay[q]) * tau  # what the lag makes of inputs s and s^2
+        s2 = s * s - 2.0 * s1 * tau
+        if r < 1e-3:
+            s1 = s * r * (0.5 - r / 6.0 * (1.0 - 0.25 * r))
+            s2 = s * s * r * (1.0 / 3.0 - r / 12.0 * (1.0 - 0.2 * r))
+        out[q] += start + decay[q] * away + rise * s1 + bend * s2
 
 
 @njit(cache=True)
@@ -262,90 +335,90 @@ def _manifold(
     t: FloatArray, x1: FloatArray, x1_mid: FloatArray, p: FloatArray
 ) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
     # x2 (n,) and its middles (n - 1,) on the grid
-    n = len(t)
-    x2 = np.zeros(n)
-    slope_a = np.zeros(n)  # dx2/dt at the start and the end of cells (it may jump at a switch)
-    slope_b = np.zeros(n)
+    h = t[1:] - t[:-1]
+    a, m, b = x1[:-1], x1_mid, x1[1:]
     filling = p[FLOW] / (p[TAU_M] * (1.0 - p[TANK]))
+    rates = np.full(len(h), filling)
+    rates[np.searchsorted(t[:-1], p[TF]) :] /= p[EMPTYING]
+    rates_a, rates_b = rates, rates
     lost = p[SWITCHING] * p[CONCENTRATION]
-    share, exchange = p[POCKET], 0.0
-    if share > 0.0:
-        exchange = 1.0 / p[POCKET_TIME]
-    pocket = 0.0
-    after_fall = filling / p[EMPTYING]
-    for i in range(n - 1):
-        h = t[i + 1] - t[i]
-        rate0 = filling if t[i] < p[TF] else after_fall
-        if lost == 0.0 and share <= 0.0:  # a lag
-            x2[i + 1] = _advance(x2[i], rate0 * h, x1[i], x1_mid[i], x1[i + 1])
-            slope_a[i] = rate0 * (x1[i] - x2[i])
-            slope_b[i] = rate0 * (x1[i + 1] - x2[i + 1])
-            continue
+    if lost != 0.0:
         # the flow through the manifold follows the valve; what enters is Q x1 where the valve is
         # in the test gas's line, and of concentration x1 where the gases are mixed before it
-        ra = rate0 * (1.0 - lost + lost * x1[i])
-        rm = rate0 * (1.0 - lost + lost * x1_mid[i])
-        rb = rate0 * (1.0 - lost + lost * x1[i + 1])
-        a, m, b = x1[i], x1_mid[i], x1[i + 1]
+        rates_a = rates * (1.0 - lost + lost * a)
+        rates_m = rates * (1.0 - lost + lost * m)
+        rates_b = rates * (1.0 - lost + lost * b)
         if p[PREMIXED] == 0.0:
-            a, m, b = a * rate0 / ra, m * rate0 / rm, b * rate0 / rb
-        rate = (ra + 4.0 * rm + rb) / 6.0
-        if share <= 0.0:
-            x2[i + 1] = _advance(x2[i], rate * h, a, m, b)
-            slope_a[i] = ra * (a - x2[i])
-            slope_b[i] = rb * (b - x2[i + 1])
-        else:
-            # x2' = rate (g - x2) + k (pocket - x2), pocket' = (x2 - pocket)/T, k = share/T:
-            # two decaying modes, both driven by g
-            k = share * exchange
-            trace = rate + k + exchange
-            root = sqrt(trace * trace - 4.0 * rate * exchange)
-            fast, slow = 0.5 * (trace + root), 2.0 * rate * exchange / (trace + root)
-            # left eigenvectors (1, v): v = k/(lambda - exchange) of x2, pocket
-            vf = -k / (fast - exchange)
-            vs = -k / (slow - exchange)
-            zf = x2[i] + vf * pocket
-            zs = x2[i] + vs * pocket
-            zf = _advance(zf, fast * h, rate / fast * a, rate / fast * m, rate / fast * b)
-            zs = _advance(zs, slow * h, rate / slow * a, rate / slow * m, rate / slow * b)
-            slope_a[i] = ra * (a - x2[i]) + k * (pocket - x2[i])
-            pocket = (zf - zs) / (vf - vs)
-            x2[i + 1] = zf - vf * pocket
-            slope_b[i] = rb * (b - x2[i + 1]) + k * (pocket - x2[i + 1])
-    mid = _middles(t, x2, slope_a, slope_b)
+            a, m, b = a * rates / rates_a, m * rates / rates_m, b * rates / rates_b
+        rates = (rates_a + 4.0 * rates_m + rates_b) / 6.0
+    if p[POCKET] <= 0.0:
+        x2 = _lag(h, a, m, b, rates)
+    else:  # what the pocket gives back is a second input
+        x2, pocket = _with_pocket(h, a, m, b, rates, p[POCKET], p[POCKET_TIME])
+        k = p[POCKET] / p[POCKET_TIME]
+        a = (rates_a * a + k * pocket[:-1]) / (rates_a + k)
+        b = (rates_b * b + k * pocket[1:]) / (rates_b + k)
+        rates_a, rates_b = rates_a + k, rates_b + k
+    mid = _middles(h, x2, a, b, rates_a, rates_b)
     if p[TANK] > 0.0:
-        return _lag(t, x2, mid, p[TAU_M] * p[TANK] / p[FLOW])
+        rates = np.full(len(h), p[FLOW] / (p[TAU_M] * p[TANK]))
+        a, b = x2[:-1], x2[1:]
+        x2 = _lag(h, a, mid, b, rates)
+        mid = _middles(h, x2, a, b, rates, rates)
     return x2, mid
 
 
 @njit(cache=True)
-def _middles(
-    t: FloatArray, x: FloatArray, slope_a: FloatArray, slope_b: FloatArray
-) -> FloatArray:  # pragma: no cover
-    # values at the middles of the cells, by the cubic through values and slopes; the slopes are
-    # limited where a lag is much faster than the cell
-    mid = np.empty(len(t) - 1)
-    for i in range(len(t) - 1):
-        h = t[i + 1] - t[i]
-        step = x[i + 1] - x[i]
-        bend = 0.125 * h * (slope_a[i] - slope_b[i])
-        limit = 0.5 * abs(step)
-        mid[i] = 0.5 * (x[i] + x[i + 1]) + min(max(bend, -limit), limit)
-    return mid
+def _with_pocket(
+    h: FloatArray,
+    a: FloatArray,
+    m: FloatArray,
+    b: FloatArray,
+    rates: FloatArray,
+    share: float,
+    time: float,
+) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    # x2 (n + 1,) and the concentration in a stagnant pocket (n + 1,) at the ends of n cells:
+    # x2' = rate (g - x2) + k (pocket - x2), pocket' = (x2 - pocket)/time, k = share/time:
+    # two decaying modes, both driven by g
+    x2, pocket = np.zeros(len(h) + 1), np.zeros(len(h) + 1)
+    exchange = 1.0 / time
+    k = share * exchange
+    for i in range(len(h)):
+        rate = rates[i]
+        trace = rate + k + exchange
+        root = sqrt(trace * trace - 4.0 * rate * exchange)
+        fast, slow = 0.5 * (trace + root), 2.0 * rate * exchange / (trace + root)
+        # left eigenvectors (1, v): v = k/(lambda - exchange) of x2, pocket
+        vf, vs = -k / (fast - exchange), -k / (slow - exchange)
+        zf, zs = x2[i] + vf * pocket[i], x2[i] + vs * pocket[i]
+        gf, gs = rate / fast, rate / slow
+        zf = _advance(zf, fast * h[i], gf * a[i], gf * m[i], gf * b[i])
+        zs = _advance(zs, slow * h[i], gs * a[i], gs * m[i], gs * b[i])
+        pocket[i + 1] = (zf - zs) / (vf - vs)
+        x2[i + 1] = zf - vf * pocket[i + 1]
+    return x2, pocket
 
 
 @njit(cache=True)
-def _lag(
-    t: FloatArray, x: FloatArray, mid: FloatArray, tau: float
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
-    n = len(t)
-    out = np.zeros(n)
-    slope_a, slope_b = np.zeros(n), np.zeros(n)
-    for i in range(n - 1):
-        out[i + 1] = _advance(out[i], (t[i + 1] - t[i]) / tau, x[i], mid[i], x[i + 1])
-        slope_a[i] = (x[i] - out[i]) / tau
-        slope_b[i] = (x[i + 1] - out[i + 1]) / tau
-    return out, _middles(t, out, slope_a, slope_b)
+def _middles(
+    h: FloatArray,
+    x: FloatArray,
+    a: FloatArray,
+    b: FloatArray,
+    rates_a: FloatArray,
+    rates_b: FloatArray,
+) -> FloatArray:  # pragma: no cover
+    # states (n,) of a lag in the middles of n cells, from those at their ends (n + 1,): by the
+    # cubic through values and slopes, which jump where input (a, b) or rate do at a switch; the
+    # slopes are limited where the lag is much faster than the cell
+    mid = np.empty(len(h))
+    for i in range(len(h)):
+        step = x[i + 1] - x[i]
+        slopes = rates_a[i] * (a[i] - x[i]) - rates_b[i] * (b[i] - x[i + 1])
+        bend, limit = 0.125 * h[i] * slopes, 0.5 * abs(step)
+        mid[i] = 0.5 * (x[i] + x[i + 1]) + min(max(bend, -limit), limit)
+    return mid
 
 
 # --------------------------------------------------------------------------- from gas to volts
@@ -412,18 +485,51 @@ def _add_response(
     mode_ratio: FloatArray,
     out: FloatArray,
 ) -> None:  # pragma: no cover
-    # the sensor's parallel modes: the single lag or the coating's, and slow sites
+    if len(t) < 2:
+        return
+    share, tau = _modes(p, mode_share, mode_ratio)
+    h = t[1:] - t[:-1]
+    a, m, b = x2[:-1], x2_mid, x2[1:]
+    speed = _speed(h, a, m, b, tau[0], p[RELEASE], p[RELEASE_WIDTH])
+    k = 0
+    while times[k] <= p[T0]:
+        k += 1
+    cells, since = _places(times[k:], t)
+    low_pass = p[FILTER]
+    if low_pass <= 0.0:
+        for j in range(len(share)):
+            rates = speed / tau[j]
+            states = _lag(h, a, m, b, rates)
+            _add_within(share[j], cells, since, h, a, m, b, rates, states, out[k:])
+        return
+    x3, x3_mid = np.zeros(len(t)), np.zeros(len(h))
+    all_cells, half = np.arange(len(h)), 0.5 * h
+    for j in range(len(share)):
+        rates = speed / tau[j]
+        states = _lag(h, a, m, b, rates)
+        x3 += share[j] * states
+        _add_within(share[j], all_cells, half, h, a, m, b, rates, states, x3_mid)
+    a, m, b = x3[:-1], x3_mid, x3[1:]
+    rates = np.full(len(h), 1.0 / low_pass)
+    filtered = _lag(h, a, m, b, rates)
+    _add_within(1.0, cells, since, h, a, m, b, rates, filtered, out[k:])
+
+
+@njit(cache=True)
+def _modes(
+    p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
+) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    # shares (n_modes,) and time constants (n_modes,) s of the sensor's parallel lags: the single
+    # one, those of the coating, and slow sites
     n_modes = len(mode_share)
-    share = np.zeros(n_modes + 4)
-    tau = np.ones(n_modes + 4)
+    share, tau = np.zeros(n_modes + 4), np.ones(n_modes + 4)
     share[0] = (1.0 - p[COATING]) * (1.0 - p[SLOW_S])
-    own_tau = p[TAU] * p[SENSOR_FACTOR]
-    tau[0] = own_tau
+    tau[0] = p[TAU] * p[SENSOR_FACTOR]
     used = 1
     if p[COATING] != 0.0:
         for j in range(n_modes):
             share[used] = p[COATING] * (1.0 - p[SLOW_S]) * mode_share[j]
-            tau[used] = own_tau * mode_ratio[j]
+            tau[used] = tau[0] * mode_ratio[j]
             used += 1
     if p[SLOW_S] != 0.0:
         share[used] = p[SLOW_S]
@@ -435,62 +541,58 @@ def _add_response(
                 share[used] = 0.25 * p[SLOW_S]
                 tau[used] = p[SLOW_S_TIME] * factor
                 used += 1
-    state = np.zeros(used)
-    low_pass = p[FILTER]
-    filtered = 0.0
-    k = 0
-    while k < len(times) and times[k] <= p[T0]:
-        k += 1
-    n = len(t)
-    for i in range(n - 1):
-        h = t[i + 1] - t[i]
-        a, m, b = x2[i], x2_mid[i], x2[i + 1]
-        before, middle, after = 0.0, 0.0, 0.0
-        slower = 1.0
-        if p[RELEASE] != 1.0:
-            slower = _slower(m - state[0], p[RELEASE], p[RELEASE_WIDTH])
-            if p[RELEASE_WIDTH] > 0.0:  # the state half a cell on is nearer to what counts
-                half_m = 0.375 * a + 0.75 * m - 0.125 * b
-                half = _advance(state[0], 0.5 * h / (tau[0] * slower), a, half_m, m)
-                slower = _slower(m - half, p[RELEASE], p[RELEASE_WIDTH])
-        inside = k
-        while inside < len(times) and (times[inside] <= t[i + 1] or i == n - 2):
-            inside += 1
-        rise, bend = 4.0 * m - 3.0 * a - b, 2.0 * a - 4.0 * m + 2.0 * b
-        for j in range(used):
-            rate = 1.0 / (tau[j] * slower)
-            if low_pass > 0.0:
-                before += share[j] * state[j]
-                middle += share[j] * _driven(state[j], 0.5 * h * rate, a, 0.5 * rise, 0.25 * bend)
-            else:
-                for q in range(k, inside):
-                    since = times[q] - t[i]
-                    part = since / h
-                    here = _driven(state[j], since * rate, a, part * rise, part * part * bend)
-                    out[q] += share[j] * here
-            state[j] = _driven(state[j], h * rate, a, rise, bend)
-            after += share[j] * state[j]
-        if low_pass > 0.0:
-            for q in range(k, inside):
-                part = (times[q] - t[i]) / h
-                pb = _quadratic(part, before, middle, after)
-                pm = _quadratic(0.5 * part, before, middle, after)
-                out[q] = _advance(filtered, part * h / low_pass, before, pm, pb)
-            filtered = _advance(filtered, h / low_pass, before, middle, after)
-        k = inside
+    return share[:used], tau[:used]
 
 
 @njit(cache=True)
-def _slower(drive: float, ratio: float, width: float) -> float:  # pragma: no cover
-    # factor on the sensor's time constant where what drives it exceeds its state by this much
-    if width > 0.0:
-        return float(ratio ** (0.5 * (1.0 - tanh(drive / width))))
-    return ratio if drive < 0.0 else 1.0
+def _places(
+    times: FloatArray, t: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray]:  # pragma: no cover
+    # the cell of the grid t in which each of the sorted times (n_t,) lies, what is after the last
+    # in the last, and the time since its begin
+    cells, since = np.empty(len(times), dtype=np.int64), np.empty(len(times))
+    i, last = 0, len(t) - 2
+    for q in range(len(times)):
+        while i < last and times[q] > t[i + 1]:
+            i += 1
+        cells[q] = i
+        since[q] = times[q] - t[i]
+    return cells, since
+
+
+@njit(cache=True)
+def _speed(
+    h: FloatArray,
+    a: FloatArray,
+    m: FloatArray,
+    b: FloatArray,
+    tau: float,
+    ratio: float,
+    width: float,
+) -> FloatArray:  # pragma: no cover
+    # (n,) factor on the sensor's rates in each cell: what it releases is slower by ``ratio``
+    speed = np.ones(len(h))
+    if ratio == 1.0:
+        return speed
+    state, log_ratio = 0.0, log(ratio)
+    for i in range(len(h)):
+        slower = _slower(m[i] - state, log_ratio, width)
+        if width > 0.0:  # the state half a cell on is nearer to what counts
+            half_m = 0.375 * a[i] + 0.75 * m[i] - 0.125 * b[i]
+            half = _advance(state, 0.5 * h[i] / (tau * slower), a[i], half_m, m[i])
+            slower = _slower(m[i] - half, log_ratio, width)
+        state = _advance(state, h[i] / (tau * slower), a[i], m[i], b[i])
+        speed[i] = 1.0 / slower
+    return speed
 
 
 @njit(cache=True, inline="always")
-def _quadratic(q: float, a: float, m: float, b: float) -> float:  # pragma: no cover
-    return a + q * ((4.0 * m - 3.0 * a - b) + q * (2.0 * a - 4.0 * m + 2.0 * b))
+def _slower(drive: float, log_ratio: float, width: float) -> float:  # pragma: no cover
+    # factor on the sensor's time constant where what drives it exceeds its state by this much:
+    # the ratio to the power (1 - tanh(drive/width))/2
+    if width > 0.0:
+        return exp(log_ratio / (1.0 + exp(min(2.0 * drive / width, 700.0))))
+    return exp(log_ratio) if drive < 0.0 else 1.0
 
 
 @njit(cache=True)
