@@ -25,7 +25,7 @@ from bayes_sensor.gap.model import (
 )
 from bayes_sensor.gap.refit import Part, Plan
 from bayes_sensor.gap.sketch import prepare
-from bayes_sensor.likelihood import Problem
+from bayes_sensor.likelihood import Prior, Problem
 from bayes_sensor.readers import read_campaign
 from tests.gap_cases import design, measured, theta
 
@@ -368,6 +368,8 @@ def test_names_carry_units_and_priors_are_the_effects(
 def test_priors_of_limited_and_of_free_strengths() -> None:
     assert prior_of(Strength("a", "1", "normal", 0.0, 0.5, limits=(0.0, 1.3))).law.ppf(1) == 1.0
     assert prior_of(Strength("b", "V", "normal", 0.1, 0.5)).law.mean() == pytest.approx(0.1)
+    never_negative = prior_of(Strength("c", "1", "normal", 0.0, 0.03, limits=(0.0, 2.0)))
+    assert never_negative == Prior("half_normal", 0.03)
 
 
 def test_the_model_travels_to_other_processes(

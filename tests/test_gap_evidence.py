@@ -115,6 +115,25 @@ def test_the_sensor_stays_the_faster_lag(sketch):
     assert found.tau <= found.tau_v * np.exp(-FASTER) * (1 + 1e-12)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_less_gas_than_none_is_not_left_over(sketch, sign):
+    effect = CATALOGUE["carry_over"]
+    plan = Plan(sketch, (Part(effect, effect.forms[1]),))
+    nothing, left = plan.start(sketch.base, {}), plan.start(sketch.base, {"carry_over": 0.04})
+    data = [
+        m + sign * (more - m)
+        for m, more in zip(plan.means(nothing), plan.means(left), strict=True)
+    ]  # fmt: skip
+    found = refit(plan, nothing, data=data, most_steps=60, tolerance=1e-6)
+    assert found.converged
+    carried = found.strength()["carry_over"].values()
+    if sign > 0:
+        assert np.allclose(list(carried), 0.04, atol=0.002)
+    else:
+        assert max(carried) == 0.0
+        assert Linearised(found).promised is None  # held strengths are no promise
+
+
 def test_evidence_is_the_multivariate_t_where_the_model_fits():
     """Laplace against the dense t density of the data, the linearised parameters integrated out."""
     campaign = measured({}, seed=5)

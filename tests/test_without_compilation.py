@@ -123,7 +123,8 @@ weights, starts = np.full(24, 1.0 / 3.0), np.arange(0, 24, 3)
 say(rig_means(times, weights, starts, *bins, np.stack([neutral, *rigs]), *coating_modes()))
 twice = np.concatenate([times, times]), np.concatenate([weights, weights]), np.tile(starts, 2)
 ends = np.array([0, 24, 48]), np.array([0, 8, 16])
-say(campaign_means(*twice, *(np.tile(b, 2) for b in bins), *ends, np.stack(rigs[:2]), *coating_modes()))
+twice = (*twice, *(np.tile(b, 2) for b in bins))
+say(campaign_means(*twice, *ends, np.stack(rigs[:2]), *coating_modes()))
 for name, effect in CATALOGUE.items():
     for form in effect.forms:
         text = f"{name}:{form.name}" if form.name else name

@@ -42,6 +42,8 @@ def prior_of(strength: Strength) -> Prior:
         return Prior("log_normal", strength.centre, strength.sd)
     if np.isfinite([low, high]).all() and high - low < 6.0 * strength.sd:
         return Prior("uniform", low, min(high, 1.0) if low == 0.0 else high)
+    if low == strength.centre == 0.0:
+        return Prior("half_normal", strength.sd)
     return Prior("normal", strength.centre, strength.sd)
 
 

@@ -535,6 +535,18 @@ class Plan:
         return most
 
     @cached_property
+    def lowest(self) -> FloatArray:
+        """(n,) what coordinates may not go below: the sensor stays the faster lag, and strengths
+        that cannot be negative stay at or above 0."""
+        least = np.full(self.size, -inf)
+        least[0] = 0.0
+        for fitted in self._fitted:
+            for _, s, at in fitted:
+                if s.kind == "normal" and s.limits[0] > -inf:
+                    least[at] = (s.limits[0] - s.centre) / s.sd
+        return least
+
+    @cached_property
     def switch_times(self) -> NDArray[np.int64]:
         """Coordinates t0 and tf of all experiments."""
         found = []
@@ -692,7 +704,7 @@ def refit(
     """Levenberg-Marquardt from ``start`` (n,) until the objective falls by < ``tolerance``.
 
     ``data``: bin means (n_bins,) V of each experiment in place of the measured ones.  ``free``
-    (n,): coordinates that may move.  The first coordinate stays at or above 0.  ``known``: other
+    (n,): coordinates that may move.  None goes below :attr:`Plan.lowest`.  ``known``: other
     refits of the same plan to the same data; one of them is returned where this one is on the way
     to its optimum, and this one as it stands where it remains far above the best of them.
     ``enough``: objective above which an optimum does not matter; a refit that expects to end there
@@ -704,7 +716,7 @@ def refit(
     measured = sketch.data if data is None else data
     n_e = len(measured)
     x = np.array(start, dtype=float)
-    x[0] = max(x[0], 0.0)
+    x = np.maximum(x, plan.lowest)
 
     def evaluate(at: FloatArray) -> tuple[list[FloatArray], FloatArray, float]:
         means = plan.means(at)
@@ -729,8 +741,7 @@ def refit(
         gradient -= slope
         normal += matrix
         movable = np.ones(plan.size, dtype=bool) if free is None else free.copy()
-        if x[0] <= 0.0 and gradient[0] < 0.0:
-            movable[0] = False
+        movable &= (x > plan.lowest) | (gradient > 0.0)
         index = np.flatnonzero(movable)
         diagonal = np.diag(normal)[index]
         accepted = False
@@ -797,7 +808,7 @@ def _stepped(plan: Plan, x: FloatArray, index: NDArray[np.int64], step: FloatArr
     most = plan.longest_steps[index]
     moved = x.copy()
     moved[index] += np.clip(step, -most, most)
-    moved[0] = max(moved[0], 0.0)
+    moved = np.maximum(moved, plan.lowest)
     before, by = x[1] - FASTER - x[0], (moved[1] - x[1]) - (moved[0] - x[0])
     bent = exp(max(before, -60.0)) * (exp(by) - 1.0 - by)
     movable = np.zeros(plan.size, dtype=bool)

@@ -1,6 +1,7 @@
 """Test gas is left from before: the record does not start from an empty manifold.
 
-What is left leaves with the manifold's V/Q, or slowly where it comes off the walls.
+What is left leaves with the manifold's V/Q, or slowly where it comes off the walls.  It cannot be
+less than nothing: a record that begins too low has another cause, such as a drift.
 """
 
 from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
@@ -9,7 +10,7 @@ from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
 def _carry(s: Setting, own: bool, slow: bool) -> tuple[Strength, ...]:
     found: tuple[Strength, ...] = (
         Strength("carry_over", "1", "normal", 0.0, 0.03, per_experiment=own,
-                 limits=(-1.0, 2.0), scaled=True, alike=0.5),
+                 limits=(0.0, 2.0), scaled=True, alike=0.5),
     )  # fmt: skip
     if slow:
         found += (
