@@ -232,6 +232,12 @@ def test_gap_json_has_the_contract_keys():
     for row in record["which"]:
         assert {"effect", "family", "probability", "d", "strength", "tau_s", "fraction_closed",
                 "confusable_with"} <= set(row)  # fmt: skip
+    strengths = [row["strength"] for row in record["which"] + record["full_rate"]]
+    strengths += [row["strength"] for row in record["hidden"]["effects"]]
+    assert {name for strength in strengths for name in strength} <= set(record["strength_units"])
+    assert {record["strength_units"][name] for name in ("closing_ratio", "drift", "mains_V")} == {
+        "1", "V/s", "V"
+    }  # fmt: skip
     assert {"kind", "effects", "family", "probability", "sentence"} <= set(record["verdict"])
     assert {"before_excess_rms_V", "after_excess_rms_V", "fraction_closed", "fraction_closed_lo",
             "fraction_closed_hi", "held_out_fraction_closed", "tau_before_s", "tau_after_s",
@@ -419,6 +425,7 @@ def test_an_effect_of_ones_own_is_named():
     campaign = campaign.with_data(values)
     with_it = diagnose_gap(campaign, effects=[RIPPLE], bootstrap=0, hidden=False, separate=False)
     assert with_it.verdict.kind == "effect" and with_it.verdict.effects == ("ripple",)
+    assert with_it.to_json()["strength_units"]["ripple_V"] == "V"
     without = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)
     # a wave on the plateau alone also raises the floor: nothing may be named, whatever is seen
     assert without.verdict.effects == ()

@@ -17,7 +17,6 @@ from matplotlib.image import imread
 from bayes_sensor import figures
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import _guarded, steps
-from bayes_sensor.gap import CATALOGUE
 from bayes_sensor.report import (
     FORMATS,
     Table,
@@ -48,7 +47,7 @@ from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections import make_sections
 from bayes_sensor.report.sections.coating import coating
 from bayes_sensor.report.sections.fit import fitted
-from bayes_sensor.report.sections.gap_tables import strength_units, strength_words
+from bayes_sensor.report.sections.gap_tables import strength_words
 from bayes_sensor.report.sections.noise import noise
 from bayes_sensor.report.sections.tau import time_constant
 from bayes_sensor.samples import load_samples
@@ -284,12 +283,13 @@ def test_table_cells_are_rounded_but_sort_by_the_full_value() -> None:
     assert small.cells(small.rows[1])[0]["text"] == "48"
 
 
-def test_a_strength_has_the_unit_that_the_catalogue_gives_it() -> None:
-    units = strength_units()
-    for effect in CATALOGUE.values():
-        assert set(effect.plausible) <= set(units), effect.name
-    said = strength_words({"closing_ratio": 1.1, "mains_V": 0.01, "filter": 0.015}, "ppm")
-    assert said == "closing ratio = 1.10, mains = 0.0100 ppm, filter = 0.0150 s"
+def test_a_strength_has_its_unit_and_no_second_one_in_its_name() -> None:
+    units = {"closing_ratio": "1", "mains_V": "ppm", "filter": "s", "late_rise": "s"}
+    said = strength_words({"closing_ratio": 1.1, "mains_V": 0.01, "filter": 0.015, "s": 2}, units)
+    assert said == "closing ratio = 1.10, mains = 0.0100 ppm, filter = 0.0150 s, s = 2.00"
+    assert (
+        strength_words({"late_rise": {"1": 0.1, "2": 0.3}}, units) == "late rise = 0.100 to 0.300 s"
+    )
 
 
 # --- the page

@@ -47,7 +47,7 @@ from bayes_sensor.gap.unsteady import look_for_unsteadiness
 from bayes_sensor.gap.verdict import Standing, Verdict, judge, leftover, standing
 from bayes_sensor.gap.where import Map, locate
 from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
-from bayes_sensor.gap.words import looks_most, notes_on, sentence
+from bayes_sensor.gap.words import looks_most, notes_on, sentence, units_of
 from bayes_sensor.model import Layout, Theta
 from bayes_sensor.notebook import card
 from bayes_sensor.workers import one_thread
@@ -153,6 +153,8 @@ class Gap:
     weighing: Weighing
     standing: Standing
     rows: tuple[dict[str, Any], ...]
+    strength_units: Mapping[str, str]
+    """name of a strength -> its unit; "1": it has none"""
     signal_unit: str = "V"
     notes: tuple[str, ...] = ()
     """what could not be told, in sentences"""
@@ -211,6 +213,7 @@ class Gap:
             "where_scales": [vars(c) for c in self.map.scales],
             "where_left_out_d": self.map.left_out,
             "which": list(self.rows),
+            "strength_units": dict(self.strength_units),
             "verdict": {
                 "kind": v.kind,
                 "effects": list(v.effects),
@@ -381,6 +384,7 @@ def diagnose_gap(
         weighing=weighing,
         standing=stand,
         rows=tuple(rows),
+        strength_units=units_of(catalogue.values(), sketch.settings[0], unit),
         signal_unit=unit,
         notes=(*notes_on(sketch), *beside),
     )

@@ -41,7 +41,8 @@ HARDLY_CROSSED = 0.7
 UNITS = {
     "mains_V": "V", "mains_Hz": "Hz", "adc_step": "V", "tail_dof": "1", "line_V": "V",
     "line_Hz": "Hz", "swing_V": "V", "swing_Hz": "Hz", "ringing_Hz": "Hz", "patch_s": "s",
-    "break_s": "s", "event_s": "s", "unsteady_excess": "1", "unsteady_Hz": "Hz",
+    "patch_ratio": "1", "break_s": "s", "break_ratio": "1", "event_s": "s", "event_ratio": "1",
+    "unsteady_excess": "1", "unsteady_Hz": "Hz",
     "passing_V": "V", "passing_Hz": "Hz", "bursts_Hz": "Hz",
 }  # fmt: skip
 """of the strengths that are found here"""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import ceil, floor, log
 from typing import Any
 
 import numpy as np
 
-from bayes_sensor.gap.effect import Effect
+from bayes_sensor.gap.effect import Effect, Setting
 from bayes_sensor.gap.full_rate import FOUND, OF_UNLISTED_ORIGIN, UNITS, FullRate
 from bayes_sensor.gap.how_far import Closure
 from bayes_sensor.gap.refit import Sketch
@@ -136,7 +136,7 @@ def _effect_words(
     effect: Effect, strength: Mapping[str, Any], sketch: Any, signal_unit: str
 ) -> str:
     """The effect's sentence with those of the strengths that are its own."""
-    units = {k: u.replace("V", signal_unit) for k, u in _units(sketch, effect).items()}
+    units = units_of([effect], sketch.settings[0], signal_unit)
     own = {k: v for k, v in strength.items() if k in units}
     return effect.sentence.replace("{strength}", _strength_words(own, units))
 
@@ -204,10 +204,10 @@ def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
     )
 
 
-def _units(sketch: Any, effect: Effect) -> dict[str, str]:
-    setting = sketch.settings[0]
-    found = {s.name: s.unit for form in effect.forms for s in form.strengths(setting)}
-    return {**found, **UNITS}
+def units_of(effects: Iterable[Effect], setting: Setting, signal_unit: str) -> dict[str, str]:
+    """Unit of every strength of the effects and of what is found at full rate; "1": it has none."""
+    found = {s.name: s.unit for e in effects for form in e.forms for s in form.strengths(setting)}
+    return {name: unit.replace("V", signal_unit) for name, unit in {**UNITS, **found}.items()}
 
 
 def sentence(

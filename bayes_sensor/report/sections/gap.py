@@ -83,7 +83,7 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
             "What explains it: probabilities of the explanations and of their families. Hatched: "
             "no effect at all, and something that is not in the catalogue.",
         ),
-        which_table(record, saved.unit),
+        which_table(record),
     ]
     if record["hidden"]["effects"]:
         tau = record["shrink"].get("tau_before_s")
@@ -96,9 +96,9 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
                 "not have seen it; dotted, τ with the strength left to the data; shaded, the "
                 "envelope of τ over all that may hide.",
             ),
-            hidden_table(record, saved.unit),
+            hidden_table(record),
         ]
-    content += [*other_tables(record, saved.unit), how_often]
+    content += [*other_tables(record), how_often]
     return Section("gap", "Where is the gap, and what causes it", answer, paragraphs, content)
 
 

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
-
-import numpy as np
 
 from bayes_sensor.figures import effect_words
 from bayes_sensor.report.parts import Shown, Table, p_value
@@ -18,6 +15,8 @@ MOST_EXPLANATIONS = 25
 FEW_EXPLANATIONS = 8
 NEGLIGIBLE = 0.0005
 """probability below which an explanation is only in gap.json, beyond the first few"""
+ENDINGS = ("V", "s", "Hz")
+"""units at the end of a name, which the value has anyway"""
 UNSEEN = 3.0
 """detectability below which an effect could hide"""
 
@@ -98,8 +97,9 @@ def where_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
     )  # fmt: skip
 
 
-def which_table(record: Mapping[str, Any], unit: str) -> Table:
+def which_table(record: Mapping[str, Any]) -> Table:
     """The explanations, the likeliest first."""
+    units = record.get("strength_units", {})
     named = set(record["verdict"]["effects"])
     ranked = sorted(record["which"], key=lambda row: -row["probability"])
     worth = sum(row["probability"] >= NEGLIGIBLE for row in ranked)
@@ -118,7 +118,7 @@ def which_table(record: Mapping[str, Any], unit: str) -> Table:
         [
             [
                 effect_words(row["effect"]), effect_words(row["family"] or ""),
-                p_value(row["probability"]), row["d"], strength_words(row.get("strength"), unit),
+                p_value(row["probability"]), row["d"], strength_words(row.get("strength"), units),
                 ms(row["tau_s"]),
                 _percent(row["fraction_closed"]),
                 ", ".join(effect_words(name) for name in row.get("confusable_with") or []),
@@ -138,44 +138,21 @@ def _percent(fraction: float | None) -> Shown | None:
     return None if fraction is None else Shown(100.0 * fraction, f"{100.0 * fraction:.0f}")
 
 
-def strength_words(strength: Any, unit: str = "V") -> str:
-    """Parameters and values in a row, with the units that the catalogue gives them.
+def strength_words(strength: Any, units: Mapping[str, str]) -> str:
+    """Strengths and values in a row, with their units ("1" for none).
 
-    >>> strength_words({"closing_ratio": 1.1, "mains_V": 0.01, "gain_drift": -3.6e-5})
-    'closing ratio = 1.10, mains = 0.0100 V, gain drift = -3.60 × 10⁻⁵ 1/s'
+    >>> strength_words({"closing_ratio": 1.1, "mains_V": 0.01}, {"mains_V": "mV"})
+    'closing ratio = 1.10, mains = 0.0100 mV'
     """
     if not isinstance(strength, Mapping):
         return ""
     said = []
     for name, value in strength.items():
-        own = strength_units().get(name, "1")
-        label = effect_words(name.removesuffix(f"_{own}"))
-        own = "" if own == "1" else " " + own.replace("V", unit)
-        said.append(f"{label} = {_value(value)}{own}")
+        own = units.get(name, "1")
+        label, _, last = name.rpartition("_")
+        label = effect_words(label if label and last in ENDINGS else name)
+        said.append(f"{label} = {_value(value)}" + ("" if own == "1" else f" {own}"))
     return ", ".join(said)
-
-
-@cache
-def strength_units() -> dict[str, str]:
-    """Unit of every strength of the catalogue, and of what is tested at full rate."""
-    from bayes_sensor.campaign import Experiment
-    from bayes_sensor.gap import CATALOGUE
-    from bayes_sensor.gap.effect import Setting
-    from bayes_sensor.gap.full_rate import UNITS
-
-    # units do not depend on the rig, but the laws of the strengths do: any rig will do
-    times = np.linspace(0.0, 100.0, 101)
-    anywhere = Setting(
-        Experiment("any", times, None, 60.0, 10.0, 1.0, 20.0, 60.0),
-        t0=20.0, tf=60.0, time_scale=1.0, reference_flow=70.0, signal_scale=1.0, duration=100.0,
-    )  # fmt: skip
-    found = {
-        strength.name: strength.unit
-        for effect in CATALOGUE.values()
-        for form in effect.forms
-        for strength in form.strengths(anywhere)
-    }
-    return {**UNITS, **found}
 
 
 def _value(value: Any) -> str:
@@ -189,8 +166,9 @@ def _one(value: float) -> str:
     return powers(value) if 0.0 < abs(value) < 1e-4 else number(value)
 
 
-def hidden_table(record: Mapping[str, Any], unit: str) -> Table:
+def hidden_table(record: Mapping[str, Any]) -> Table:
     """What may hide."""
+    units = record.get("strength_units", {})
     rows = sorted(record["hidden"]["effects"], key=lambda row: (row["d"] is None, row["d"]))
     return Table(
         "hidden",
@@ -205,7 +183,7 @@ def hidden_table(record: Mapping[str, Any], unit: str) -> Table:
         ],
         [
             [
-                effect_words(row["effect"]), strength_words(row.get("strength"), unit), row["d"],
+                effect_words(row["effect"]), strength_words(row.get("strength"), units), row["d"],
                 ms(row["tau_shift_s"]), ms(row.get("tau_with_it_s")), ms(row.get("tau_low_s")),
                 ms(row.get("tau_high_s")), _hides(row), ms(row.get("tau_free_low_s")),
                 ms(row.get("tau_free_high_s")),
@@ -222,8 +200,9 @@ def _hides(row: Mapping[str, Any]) -> str | None:
     return None if row["d"] is None else "yes" if row["d"] < UNSEEN else "no"
 
 
-def other_tables(record: Mapping[str, Any], unit: str) -> list[Table]:
+def other_tables(record: Mapping[str, Any]) -> list[Table]:
     """Escalation, pairs that need another measurement, and what was tested at full rate."""
+    units = record.get("strength_units", {})
     made = []
     if record.get("rounds"):
         made.append(
@@ -268,7 +247,7 @@ def other_tables(record: Mapping[str, Any], unit: str) -> list[Table]:
                 [
                     [
                         effect_words(row["name"]), row["log_bayes_factor"],
-                        p_value(row["probability"]), strength_words(row.get("strength"), unit),
+                        p_value(row["probability"]), strength_words(row.get("strength"), units),
                         row.get("experiment") or "", row["d"],
                     ]
                     for row in record["full_rate"]
