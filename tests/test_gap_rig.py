@@ -89,13 +89,14 @@ def integrated(p):
         dx2 = rate * (open_ * (flow if get("premixed") else 1) - flow * x2) + k * (pocket - x2)
         inlet = tank if a > 0 else x2
         dtank = (x2 - tank) * get("flow_factor") / (tau_m * a) if a > 0 else 0.0
-        slower = get("release_ratio") if inlet < x3 else 1.0
-        if get("release_width") > 0:
-            slower = get("release_ratio") ** (
-                0.5 - 0.5 * np.tanh((inlet - x3) / get("release_width"))
-            )
-        dx3 = (inlet - x3) / (tau * get("sensor_factor") * slower)
-        dsite = (inlet - site) / (get("slow_site_time") * slower)
+
+        def slower(drive):
+            if get("release_width") > 0:
+                return get("release_ratio") ** (0.5 - 0.5 * np.tanh(drive / get("release_width")))
+            return get("release_ratio") if drive < 0.0 else 1.0
+
+        dx3 = (inlet - x3) / (tau * get("sensor_factor") * slower(inlet - x3))
+        dsite = (inlet - site) / (get("slow_site_time") * slower(inlet - site))
         total = x3 + get("slow_site_share") * (site - x3)
         dlow = (total - low) / get("filter") if get("filter") > 0 else 0.0
         return [dx1, dv1, dslow, dx2, (x2 - pocket) / get("pocket_time"), dtank, dx3, dsite, dlow]
@@ -137,6 +138,7 @@ def integrated(p):
         {"tank_share": 0.3},
         {"release_ratio": 3.0},
         {"slow_site_share": 0.05, "slow_site_time": 10.0},
+        {"slow_site_share": 0.1, "slow_site_time": 3.0, "release_ratio": 3.0},
         {"filter": 0.05},
         {"valve_factor": 1.2, "sensor_factor": 0.7, "emptying_ratio": 1.3},
         {"flow_factor": 1.1, "tank_share": 0.1, "pocket_share": 0.05, "filter": 0.02,
@@ -158,6 +160,14 @@ def test_a_release_that_sets_in_gradually_agrees_with_an_integrator(ratio, width
     assert np.max(np.abs(x - integrated(p))) < 4e-4
     abrupt = rig_mean(T, parameters(0.2, release_ratio=ratio), *NO_MODES)
     assert np.max(np.abs(x - abrupt)) > 1e-3  # and it matters
+
+
+def test_a_sensor_in_equilibrium_does_not_decide_by_rounding_how_fast_others_release():
+    settings = {"slow_site_share": 0.1, "slow_site_time": 20.0, "release_ratio": 3.0}
+    x = rig_mean(T, parameters(0.05, 0.3, 0.3, **settings), *NO_MODES)
+    for tiny in np.linspace(-1e-11, 1e-11, 9):
+        moved = parameters(0.05 * (1.0 + tiny), 0.3, 0.3 * (1.0 + tiny), **settings)
+        assert np.max(np.abs(rig_mean(T, moved, *NO_MODES) - x)) < 1e-9
 
 
 def test_a_spread_of_slow_sites_is_a_sum_of_lags():

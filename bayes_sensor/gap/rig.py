@@ -490,7 +490,6 @@ def _add_response(
     share, tau = _modes(p, mode_share, mode_ratio)
     h = t[1:] - t[:-1]
     a, m, b = x2[:-1], x2_mid, x2[1:]
-    speed = _speed(h, a, m, b, tau[0], p[RELEASE], p[RELEASE_WIDTH])
     k = 0
     while times[k] <= p[T0]:
         k += 1
@@ -498,14 +497,14 @@ def _add_response(
     low_pass = p[FILTER]
     if low_pass <= 0.0:
         for j in range(len(share)):
-            rates = speed / tau[j]
+            rates = _rates(h, a, m, b, tau[j], p[RELEASE], p[RELEASE_WIDTH])
             states = _lag(h, a, m, b, rates)
             _add_within(share[j], cells, since, h, a, m, b, rates, states, out[k:])
         return
     x3, x3_mid = np.zeros(len(t)), np.zeros(len(h))
     all_cells, half = np.arange(len(h)), 0.5 * h
     for j in range(len(share)):
-        rates = speed / tau[j]
+        rates = _rates(h, a, m, b, tau[j], p[RELEASE], p[RELEASE_WIDTH])
         states = _lag(h, a, m, b, rates)
         x3 += share[j] * states
         _add_within(share[j], all_cells, half, h, a, m, b, rates, states, x3_mid)
@@ -561,7 +560,7 @@ def _places(
 
 
 @njit(cache=True)
-def _speed(
+def _rates(
     h: FloatArray,
     a: FloatArray,
     m: FloatArray,
@@ -570,10 +569,11 @@ def _speed(
     ratio: float,
     width: float,
 ) -> FloatArray:  # pragma: no cover
-    # (n,) factor on the sensor's rates in each cell: what it releases is slower by ``ratio``
-    speed = np.ones(len(h))
+    # (n,) a sensor's lag's rates in each cell: it releases more slowly by ``ratio`` than it takes
+    # up.  Each lag by what drives it: one that is in equilibrium drives itself by rounding alone
+    rates = np.full(len(h), 1.0 / tau)
     if ratio == 1.0:
-        return speed
+        return rates
     state, log_ratio = 0.0, log(ratio)
     for i in range(len(h)):
         slower = _slower(m[i] - state, log_ratio, width)
@@ -581,9 +581,9 @@ def _speed(
             half_m = 0.375 * a[i] + 0.75 * m[i] - 0.125 * b[i]
             half = _advance(state, 0.5 * h[i] / (tau * slower), a[i], half_m, m[i])
             slower = _slower(m[i] - half, log_ratio, width)
-        state = _advance(state, h[i] / (tau * slower), a[i], m[i], b[i])
-        speed[i] = 1.0 / slower
-    return speed
+        rates[i] /= slower
+        state = _advance(state, h[i] * rates[i], a[i], m[i], b[i])
+    return rates
 
 
 @njit(cache=True, inline="always")
