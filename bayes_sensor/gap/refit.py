@@ -536,8 +536,10 @@ class Plan:
 
     @cached_property
     def lowest(self) -> FloatArray:
-        """(n,) what coordinates may not go below: the sensor stays the faster lag, and strengths
-        that cannot be negative stay at or above 0."""
+        """(n,) what coordinates may not go below.
+
+        The sensor stays the faster lag, and no strength is less than it can be.
+        """
         least = np.full(self.size, -inf)
         least[0] = 0.0
         for fitted in self._fitted:
