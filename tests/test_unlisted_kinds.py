@@ -77,12 +77,13 @@ def test_the_tables_say_the_same(study: ModuleType) -> None:
     counts = table.set_index(["kind", "d"])
     for d in study.LEVELS:  # what the page says of the kinds
         assert counts.loc[("switches", d), "share"] > 0.5
-        fast, alike = counts.loc[("fast", d)], counts.loc[("alike", d)]
-        assert fast["passed for noise"] > 0.5 * fast["campaigns"]
+        alike = counts.loc[("alike", d)]
         assert alike["named"] > 0.5 * alike["campaigns"]
-    elsewhere = counts.loc[("elsewhere", 8.0)]
-    assert elsewhere["passed for noise"] > 0.5 * elsewhere["campaigns"]
-    assert counts.loc[("switches", 16.0), "share"] < 0.85
+    for kind in ("elsewhere", "fast"):
+        passed = counts.loc[(kind, 8.0)]
+        assert passed["passed for noise"] > 0.5 * passed["campaigns"]
+    assert counts.loc[("elsewhere", 16.0), "share"] > 0.5
+    assert 0.4 < counts.loc[("fast", 16.0), "share"] < 0.6
     seen = counts.loc[[("switches", 16.0), ("elsewhere", 16.0)], "campaigns"].sum()
     others = counts.loc[[("fast", 16.0), ("alike", 16.0)], "flagged"].sum()
-    assert 0.80 < (seen + others) / counts.loc[("all", 16.0), "campaigns"] < 0.87
+    assert (seen + others) / counts.loc[("all", 16.0), "campaigns"] < 0.85
