@@ -17,6 +17,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from math import exp
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,9 @@ class Piece:
 
 
 def _log(name: str, unit: str, centre: float, sd: float) -> Strength:
-    return Strength(name, unit, "log_normal", centre, sd)
+    # beyond three spreads a piece would no longer be what its words say
+    limits = centre * exp(-3.0 * sd), centre * exp(3.0 * sd)
+    return Strength(name, unit, "log_normal", centre, sd, limits=limits)
 
 
 PULSE = (
