@@ -190,7 +190,8 @@ class Listed:
     name: str
     sign: float
     each: FloatArray | None
-    """(n_experiments,) relative strengths where every experiment has its own"""
+    """(n_experiments,) relative strengths where every experiment has its own; none of them
+    negative where the effect is never so"""
     others: Mapping[str, float]
 
     @classmethod
@@ -205,6 +206,10 @@ class Listed:
         sign = float(rng.choice([-1.0, 1.0])) if name in EITHER_SIGN else 1.0
         own = name == "flow_error" or (name in OFTEN_OWN and rng.random() < 0.4)
         drawn = rng.standard_normal(len(rig.campaign))
+        form = nested_form(CATALOGUE[name], strength, rig.sketch)
+        law = next(s for s in form.strengths(rig.sketch.settings[0]) if s.name == strength)
+        if law.kind == "normal" and law.limits[0] == 0.0:
+            drawn = np.abs(drawn)
         return cls(rig, name, sign, drawn if own else None, others)
 
     @property
