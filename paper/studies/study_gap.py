@@ -457,7 +457,7 @@ def draw_power(table: pd.DataFrame, rows: pd.DataFrame) -> None:
     lower.set_yticks(range(len(names)), [effect_words(n) for n in names])
     lower.invert_yaxis()
     lower.set_xlabel("probability of the true family")
-    lower.legend(loc="center", bbox_to_anchor=(0.35, 0.55))
+    lower.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     save(figure, "gap_power")
 
 
