@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import cos, exp, log, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -100,6 +101,8 @@ _before_the_readout = np.setdiff1d(np.arange(FIRST + len(SETTINGS)), OF_THE_READ
 CELLS_PER_TIME_CONSTANT = 14.0
 GROWTH = 1.06
 """each cell is this much longer than the one before"""
+SHORT = 1e-3
+"""time constants below which a step's moments come from their series"""
 
 
 def settings_vector(settings: Mapping[str, float]) -> FloatArray:
@@ -222,17 +225,38 @@ def _one_valve(
 # --------------------------------------------------------------------------- lags
 
 
+class Cells(NamedTuple):
+    """The cells of a grid, and the input of a lag in them: quadratic in each."""
+
+    h: FloatArray
+    """(n,) s, their lengths"""
+    a: FloatArray
+    """(n,) input at their begins"""
+    m: FloatArray
+    """(n,) in their middles"""
+    b: FloatArray
+    """(n,) at their ends; it may jump to the next begin"""
+
+
 @njit(cache=True, inline="always")
 def _moments(r: float, decay: float) -> tuple[float, float]:  # pragma: no cover
     # what a lag makes, over a step of r time constants in which it decays by the factor ``decay``,
     # of inputs q and q^2, q the part of the step
-    per = 1.0 / max(r, 1e-3)
+    per = 1.0 / max(r, SHORT)
     m1 = 1.0 - (1.0 - decay) * per
     m2 = 1.0 - 2.0 * m1 * per
-    if r < 1e-3:
-        m1 = r * (0.5 - r / 6.0 * (1.0 - 0.25 * r))
-        m2 = r * (1.0 / 3.0 - r / 12.0 * (1.0 - 0.2 * r))
+    if r < SHORT:
+        return _short_moments(r)
     return m1, m2
+
+
+@njit(cache=True, inline="always")
+def _short_moments(r: float) -> tuple[float, float]:  # pragma: no cover
+    # the same by their series
+    return (
+        r * (0.5 - r / 6.0 * (1.0 - 0.25 * r)),
+        r * (1.0 / 3.0 - r / 12.0 * (1.0 - 0.2 * r)),
+    )
 
 
 @njit(cache=True, inline="always")
@@ -251,11 +275,9 @@ def _advance(x: float, r: float, a: float, m: float, b: float) -> float:  # prag
 
 
 @njit(cache=True, error_model="numpy")
-def _lag(
-    h: FloatArray, a: FloatArray, m: FloatArray, b: FloatArray, rates: FloatArray
-) -> FloatArray:  # pragma: no cover
-    # a lag's states (n + 1,) at the ends of n cells, h long, in which its input passes a, m, b;
-    # its rate is another one in every cell
+def _lag(cells: Cells, rates: FloatArray) -> FloatArray:  # pragma: no cover
+    # a lag's states (n + 1,) at the ends of n cells, its rate another one in each
+    h, a, m, b = cells
     n = len(h)
     decay = -rates * h
     exponentials(decay)
@@ -273,18 +295,16 @@ def _lag(
 @njit(cache=True, error_model="numpy")
 def _add_within(
     share: float,
-    cells: NDArray[np.int64],
+    places: NDArray[np.int64],
     since: FloatArray,
-    h: FloatArray,
-    a: FloatArray,
-    m: FloatArray,
-    b: FloatArray,
+    cells: Cells,
     rates: FloatArray,
     states: FloatArray,
     out: FloatArray,
 ) -> None:  # pragma: no cover
     # adds a share of the states that a lag (see :func:`_lag`) has at times (n_t,) ``since`` the
-    # begin of the cells in which they lie
+    # begins of the cells at these ``places`` (n_t,)
+    h, a, m, b = cells
     n = len(h)
     of_cell = np.empty((n, 6))
     for i in range(n):
@@ -296,17 +316,17 @@ def _add_within(
         of_cell[i, 3] = share * bend * per * per
         of_cell[i, 4] = rates[i]
         of_cell[i, 5] = 1.0 / rates[i]
-    decay = -rates[cells] * since
+    decay = -rates[places] * since
     exponentials(decay)
-    for q in range(len(cells)):
-        start, away, rise, bend, rate, tau = of_cell[cells[q]]
+    for q in range(len(places)):
+        start, away, rise, bend, rate, tau = of_cell[places[q]]
         s = since[q]
         r = rate * s
         s1 = s - (1.0 - decay[q]) * tau  # what the lag makes of inputs s and s^2
         s2 = s * s - 2.0 * s1 * tau
-        if r < 1e-3:
-            s1 = s * r * (0.5 - r / 6.0 * (1.0 - 0.25 * r))
-            s2 = s * s * r * (1.0 / 3.0 - r / 12.0 * (1.0 - 0.2 * r))
+        if r < SHORT:
+            m1, m2 = _short_moments(r)
+            s1, s2 = s * m1, s * s * m2
         out[q] += start + decay[q] * away + rise * s1 + bend * s2
 
 
@@ -352,9 +372,9 @@ def _manifold(
             a, m, b = a * rates / rates_a, m * rates / rates_m, b * rates / rates_b
         rates = (rates_a + 4.0 * rates_m + rates_b) / 6.0
     if p[POCKET] <= 0.0:
-        x2 = _lag(h, a, m, b, rates)
+        x2 = _lag(Cells(h, a, m, b), rates)
     else:  # what the pocket gives back is a second input
-        x2, pocket = _with_pocket(h, a, m, b, rates, p[POCKET], p[POCKET_TIME])
+        x2, pocket = _with_pocket(Cells(h, a, m, b), rates, p[POCKET], p[POCKET_TIME])
         k = p[POCKET] / p[POCKET_TIME]
         a = (rates_a * a + k * pocket[:-1]) / (rates_a + k)
         b = (rates_b * b + k * pocket[1:]) / (rates_b + k)
@@ -363,24 +383,19 @@ def _manifold(
     if p[TANK] > 0.0:
         rates = np.full(len(h), p[FLOW] / (p[TAU_M] * p[TANK]))
         a, b = x2[:-1], x2[1:]
-        x2 = _lag(h, a, mid, b, rates)
+        x2 = _lag(Cells(h, a, mid, b), rates)
         mid = _middles(h, x2, a, b, rates, rates)
     return x2, mid
 
 
 @njit(cache=True)
 def _with_pocket(
-    h: FloatArray,
-    a: FloatArray,
-    m: FloatArray,
-    b: FloatArray,
-    rates: FloatArray,
-    share: float,
-    time: float,
+    cells: Cells, rates: FloatArray, share: float, time: float
 ) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
     # x2 (n + 1,) and the concentration in a stagnant pocket (n + 1,) at the ends of n cells:
     # x2' = rate (g - x2) + k (pocket - x2), pocket' = (x2 - pocket)/time, k = share/time:
     # two decaying modes, both driven by g
+    h, a, m, b = cells
     x2, pocket = np.zeros(len(h) + 1), np.zeros(len(h) + 1)
     exchange = 1.0 / time
     k = share * exchange
@@ -489,29 +504,26 @@ def _add_response(
         return
     share, tau = _modes(p, mode_share, mode_ratio)
     h = t[1:] - t[:-1]
-    a, m, b = x2[:-1], x2_mid, x2[1:]
+    gas = Cells(h, x2[:-1], x2_mid, x2[1:])
     k = 0
     while times[k] <= p[T0]:
         k += 1
-    cells, since = _places(times[k:], t)
+    places, since = _places(times[k:], t)
     low_pass = p[FILTER]
-    if low_pass <= 0.0:
-        for j in range(len(share)):
-            rates = _rates(h, a, m, b, tau[j], p[RELEASE], p[RELEASE_WIDTH])
-            states = _lag(h, a, m, b, rates)
-            _add_within(share[j], cells, since, h, a, m, b, rates, states, out[k:])
-        return
-    x3, x3_mid = np.zeros(len(t)), np.zeros(len(h))
-    all_cells, half = np.arange(len(h)), 0.5 * h
+    # a low-pass takes all that the lags make, at the ends and in the middles of the cells
+    x3 = np.zeros(len(t))
+    at, after, made = places, since, out[k:]
+    if low_pass > 0.0:
+        at, after, made = np.arange(len(h)), 0.5 * h, np.zeros(len(h))
     for j in range(len(share)):
-        rates = _rates(h, a, m, b, tau[j], p[RELEASE], p[RELEASE_WIDTH])
-        states = _lag(h, a, m, b, rates)
-        x3 += share[j] * states
-        _add_within(share[j], all_cells, half, h, a, m, b, rates, states, x3_mid)
-    a, m, b = x3[:-1], x3_mid, x3[1:]
-    rates = np.full(len(h), 1.0 / low_pass)
-    filtered = _lag(h, a, m, b, rates)
-    _add_within(1.0, cells, since, h, a, m, b, rates, filtered, out[k:])
+        rates, states = _sensor(gas, tau[j], p[RELEASE], p[RELEASE_WIDTH])
+        _add_within(share[j], at, after, gas, rates, states, made)
+        if low_pass > 0.0:
+            x3 += share[j] * states
+    if low_pass > 0.0:
+        sensed = Cells(h, x3[:-1], made, x3[1:])
+        rates = np.full(len(h), 1.0 / low_pass)
+        _add_within(1.0, places, since, sensed, rates, _lag(sensed, rates), out[k:])
 
 
 @njit(cache=True)
@@ -549,41 +561,37 @@ def _places(
 ) -> tuple[NDArray[np.int64], FloatArray]:  # pragma: no cover
     # the cell of the grid t in which each of the sorted times (n_t,) lies, what is after the last
     # in the last, and the time since its begin
-    cells, since = np.empty(len(times), dtype=np.int64), np.empty(len(times))
+    places, since = np.empty(len(times), dtype=np.int64), np.empty(len(times))
     i, last = 0, len(t) - 2
     for q in range(len(times)):
         while i < last and times[q] > t[i + 1]:
             i += 1
-        cells[q] = i
+        places[q] = i
         since[q] = times[q] - t[i]
-    return cells, since
+    return places, since
 
 
 @njit(cache=True)
-def _rates(
-    h: FloatArray,
-    a: FloatArray,
-    m: FloatArray,
-    b: FloatArray,
-    tau: float,
-    ratio: float,
-    width: float,
-) -> FloatArray:  # pragma: no cover
-    # (n,) a sensor's lag's rates in each cell: it releases more slowly by ``ratio`` than it takes
-    # up.  Each lag by what drives it: one that is in equilibrium drives itself by rounding alone
+def _sensor(
+    cells: Cells, tau: float, ratio: float, width: float
+) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    # one of the sensor's lags: its rates (n,) in the cells and its states (n + 1,) at their ends.
+    # It releases more slowly by ``ratio`` than it takes up, each lag by what drives it: one that
+    # is in equilibrium drives itself by rounding alone
+    h, a, m, b = cells
     rates = np.full(len(h), 1.0 / tau)
     if ratio == 1.0:
-        return rates
-    state, log_ratio = 0.0, log(ratio)
+        return rates, _lag(cells, rates)
+    states, log_ratio = np.zeros(len(h) + 1), log(ratio)
     for i in range(len(h)):
-        slower = _slower(m[i] - state, log_ratio, width)
+        slower = _slower(m[i] - states[i], log_ratio, width)
         if width > 0.0:  # the state half a cell on is nearer to what counts
             half_m = 0.375 * a[i] + 0.75 * m[i] - 0.125 * b[i]
-            half = _advance(state, 0.5 * h[i] / (tau * slower), a[i], half_m, m[i])
+            half = _advance(states[i], 0.5 * h[i] / (tau * slower), a[i], half_m, m[i])
             slower = _slower(m[i] - half, log_ratio, width)
         rates[i] /= slower
-        state = _advance(state, h[i] * rates[i], a[i], m[i], b[i])
-    return rates
+        states[i + 1] = _advance(states[i], h[i] * rates[i], a[i], m[i], b[i])
+    return rates, states
 
 
 @njit(cache=True, inline="always")
