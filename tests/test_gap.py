@@ -232,7 +232,8 @@ def test_gap_json_has_the_contract_keys():
     for row in record["which"]:
         assert {"effect", "family", "probability", "d", "strength", "tau_s", "fraction_closed",
                 "confusable_with"} <= set(row)  # fmt: skip
-    strengths = [row["strength"] for row in record["which"] + record["full_rate"]]
+    strengths = [effect.plausible for effect in CATALOGUE.values()]
+    strengths += [row["strength"] for row in record["which"] + record["full_rate"]]
     strengths += [row["strength"] for row in record["hidden"]["effects"]]
     assert {name for strength in strengths for name in strength} <= set(record["strength_units"])
     assert {record["strength_units"][name] for name in ("closing_ratio", "drift", "mains_V")} == {

@@ -86,4 +86,4 @@ def test_the_tables_say_the_same(study: ModuleType) -> None:
     assert 0.4 < counts.loc[("fast", 16.0), "share"] < 0.6
     seen = counts.loc[[("switches", 16.0), ("elsewhere", 16.0)], "campaigns"].sum()
     others = counts.loc[[("fast", 16.0), ("alike", 16.0)], "flagged"].sum()
-    assert (seen + others) / counts.loc[("all", 16.0), "campaigns"] < 0.85
+    assert 0.80 < (seen + others) / counts.loc[("all", 16.0), "campaigns"] < 0.85

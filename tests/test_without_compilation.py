@@ -109,7 +109,7 @@ for seed, (name, cause) in enumerate(sorted(CAUSES.items())):
 from bayes_sensor.gap import CATALOGUE
 from bayes_sensor.gap.model import with_effects
 from bayes_sensor.gap.refit import coating_modes
-from bayes_sensor.gap.rig import FIRST, INDEX, campaign_means, rig_mean, rig_means, settings_vector
+from bayes_sensor.gap.rig import FIRST, INDEX, campaign_means, rig_means, settings_vector
 times = np.sort(np.random.default_rng(1).uniform(0.0, 20.0, 24))
 first = [0.05, 0.8, 0.6, 0.1, 1.5, 2.0, 9.0, 0.3, 0.0, 10.0]
 neutral = np.concatenate([first, settings_vector({})])

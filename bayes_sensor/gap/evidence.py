@@ -85,6 +85,7 @@ class Linearised:
         plan, x = self.refit.plan, self.refit.x
         prior = plan.own_prior_matrix
         slope = self.gram[1:, 0] - prior @ (x - plan.prior_centre)
+        # a strength at its limit counts as free: what it promises beyond is then not credited
         free = np.ones(plan.size, dtype=bool)
         free[0] = x[0] > 0.0 or slope[0] > 0.0
         normal = (self.gram[1:, 1:] + prior)[np.ix_(free, free)]

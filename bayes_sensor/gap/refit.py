@@ -538,7 +538,7 @@ class Plan:
     def lowest(self) -> FloatArray:
         """(n,) what coordinates may not go below.
 
-        The sensor stays the faster lag, and no strength is less than it can be.
+        The sensor stays the faster lag, and normal strengths at or above their lower limits.
         """
         least = np.full(self.size, -inf)
         least[0] = 0.0
@@ -717,8 +717,7 @@ def refit(
     sketch = plan.sketch
     measured = sketch.data if data is None else data
     n_e = len(measured)
-    x = np.array(start, dtype=float)
-    x = np.maximum(x, plan.lowest)
+    x = np.maximum(start, plan.lowest)
 
     def evaluate(at: FloatArray) -> tuple[list[FloatArray], FloatArray, float]:
         means = plan.means(at)
