@@ -48,7 +48,7 @@ from bayes_sensor.blind_check.statistics import Row
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.cli import _guarded
 from bayes_sensor.figures import svg
-from bayes_sensor.figures.blind_check import opened_seal, score_card
+from bayes_sensor.figures.blind_check import in_words, opened_seal, score_card
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.reality import (
     CAUSES,
@@ -481,6 +481,37 @@ def test_pairs_are_right_when_both_are_named() -> None:
     assert row["tau_told_s"] == said["which"][-1]["tau_s"]
     single = scored(truth(both[:1], d=16.0), said)
     assert not single["top_right"] and single["wrong_name"]
+
+
+def places(shares: Mapping[str, float]) -> list[dict[str, Any]]:
+    """Rows of one experiment, by phase."""
+    return [{"experiment": "1", "phase": p, "share": s, "p_value": 1.0} for p, s in shares.items()]
+
+
+def test_places_are_those_that_hold_nearly_all_of_the_misfit() -> None:
+    # nearly all of it acts at rise and fall; the refit leaves most of it at the fall
+    true = truth(
+        [["dead_volume"]], d=16.0, acts=places({"rise": 0.5, "fall": 0.46, "tail": 0.04}),
+        visible=places({"fall": 0.7, "plateau": 0.28, "rise": 0.02}),
+    )  # fmt: skip
+    said = verdict({"none": 0.0, "unlisted": 0.0, "dead_volume": 1.0}, "effect", ["dead_volume"])
+    said["where"] = places({"fall": 0.6, "onset": 0.2, "rise": 0.17, "tail": 0.03})
+    row = scored(true, said)
+    assert row["places"] == 2 and row["located"] == pytest.approx(0.77)
+    assert row["located_oracle"] == pytest.approx(0.72)
+    assert row["place_precision"] == pytest.approx(2.0 / 3.0) and row["place_recall"] == 1.0
+    assert row["place_f1_oracle"] == 0.5  # one of its two places, one of the two that act
+    said["where"] = places({"fall": 0.0, "rise": 0.0})
+    silent = scored(true, said)
+    assert silent["places"] == 2 and silent["located"] is silent["place_recall"] is None
+    faint = scored(truth([["dead_volume"]], d=3.0, acts=true["acts"]), said)
+    assert faint["places"] is None
+    card = make_card([row, silent, faint])["localisation"]
+    assert (card["n"], card["of"]) == (1, 2)
+    assert card["f1"] == pytest.approx(0.8) and card["f1_oracle"] == 0.5
+    words = " ".join(in_words(make_card([row, silent, faint])))
+    assert "(stated in 1 of 2 campaigns), 77 % on average" in words
+    assert "hold nearly all of it: precision 0.67, recall 1.00, F1 0.80; with the cause" in words
 
 
 def test_places_and_closed_fractions() -> None:

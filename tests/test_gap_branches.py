@@ -302,13 +302,15 @@ def test_forms_are_averaged_by_their_evidence(monkeypatch) -> None:
         lambda name: SimpleNamespace(evidences=lambda beside: len(beside) * [SimpleNamespace(
             **dict(zip(("log_z", "log_tau", "sd_log_tau"), forms[name])))]),
     )  # fmt: skip
-    log_z, best, mean, sd = which._average([("near", 0.25), ("far", 0.75)], None)
+    log_z, best, mean, sd, terms = which._average([("near", 0.25), ("far", 0.75)], None)
     shares = np.array([0.25 * np.exp(2.0), 0.75 * np.exp(0.5)])
     assert log_z == pytest.approx(np.log(shares.sum())) and best == "near"
     shares /= shares.sum()
     assert mean == pytest.approx(shares @ [-3.0, -2.0])
     spread = shares @ [0.1**2 + (-3.0 - mean) ** 2, 0.3**2 + (-2.0 - mean) ** 2]
     assert sd == pytest.approx(np.sqrt(spread))
+    kept = {term.refit: term.share for term in terms}
+    assert kept == pytest.approx({"near": shares[0], "far": shares[1]})
 
 
 def test_what_comes_nearest_to_an_unlisted_cause_is_told_where_none_was_stated():

@@ -291,33 +291,55 @@ def _verdict_right(
 
 
 def _places(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
-    """How much of the excess was put where the causes act; precision and recall of the places."""
-    empty = {"located": None, "located_oracle": None, "place_precision": None, "place_recall": None}
-    acts = sorted(truth["acts"], key=lambda row: -row["share"])
-    if not acts or truth["d"] is None or truth["d"] < VISIBLE:
-        return empty
-    places: set[tuple[str, str]] = set()
-    total = 0.0
-    for row in acts:
-        places.add((row["experiment"], row["phase"]))
-        total += row["share"]
-        if total >= ACTING:
+    """How much of the excess was put where the causes act; precision and recall of the places.
+
+    Places are those that hold most of a difference: of the causes' own, of the excess as stated,
+    and of what an oracle sees after the refit.
+    """
+    names = ("places", "located", "located_oracle")
+    found: Row = dict.fromkeys((*names, "place_precision", "place_recall", "place_f1_oracle"))
+    acting = _most_of(truth["acts"])
+    if not acting or truth["d"] is None or truth["d"] < VISIBLE:
+        return found
+    found["places"] = len(acting)
+    stated = [{**row, "share": row["share"] or 0.0} for row in verdict["where"]]
+    if not _most_of(stated):
+        return found
+    precision, recall = _hits(_most_of(stated), acting)
+    seen = truth["visible"]
+    return found | {
+        "located": _within(stated, acting),
+        "located_oracle": _within(seen, acting) if seen else None,
+        "place_precision": precision,
+        "place_recall": recall,
+        "place_f1_oracle": _f1(*_hits(_most_of(seen), acting)) if seen else None,
+    }
+
+
+Places = set[tuple[str, str]]
+"""experiments and phases"""
+
+
+def _most_of(rows: Sequence[Mapping[str, Any]]) -> Places:
+    """The fewest places that hold :data:`ACTING` of what the shares add up to; none of nothing."""
+    whole = sum(row["share"] for row in rows)
+    places: Places = set()
+    held = 0.0
+    for row in sorted(rows, key=lambda row: -row["share"]):
+        if whole <= 0.0 or held >= ACTING * whole:
             break
-    shares = {(r["experiment"], r["phase"]): r["share"] or 0.0 for r in verdict["where"]}
-    if sum(shares.values()) <= 0:
-        return empty
-    flagged = {
-        (r["experiment"], r["phase"])
-        for r in verdict["where"]
-        if r["p_value"] is not None and r["p_value"] < 0.05
-    }
-    seen = {(r["experiment"], r["phase"]): r["share"] for r in truth["visible"]}
-    return {
-        "located": sum(share for place, share in shares.items() if place in places),
-        "located_oracle": sum(s for place, s in seen.items() if place in places) if seen else None,
-        "place_precision": len(flagged & places) / len(flagged) if flagged else None,
-        "place_recall": len(flagged & places) / len(places),
-    }
+        places.add((row["experiment"], row["phase"]))
+        held += row["share"]
+    return places
+
+
+def _within(rows: Sequence[Mapping[str, Any]], places: Places) -> float:
+    return float(sum(r["share"] for r in rows if (r["experiment"], r["phase"]) in places))
+
+
+def _hits(stated: Places, acting: Places) -> tuple[float, float]:
+    """Precision and recall."""
+    return len(stated & acting) / len(stated), len(stated & acting) / len(acting)
 
 
 def _log_error(value: float | None, truth: float | None) -> float | None:
@@ -596,19 +618,22 @@ def _holds(row: Row, low: str, high: str) -> bool | None:
 
 
 def _localisation(rows: Sequence[Row]) -> Row:
+    """Of the campaigns ``of`` which a place could be stated, the ``n`` with one."""
     seen = [r for r in rows if r["located"] is not None]
     return {
         "n": len(seen),
+        "of": sum(r.get("places") is not None for r in rows) or None,
         **average("share", (r["located"] for r in seen)),
         **average("share_oracle", (r["located_oracle"] for r in seen)),
         **average("precision", (r["place_precision"] for r in seen)),
         **average("recall", (r["place_recall"] for r in seen)),
         **average("f1", (_f1(r["place_precision"], r["place_recall"]) for r in seen)),
+        **average("f1_oracle", (r.get("place_f1_oracle") for r in seen)),
     }
 
 
 def _f1(precision: float | None, recall: float) -> float:
-    """Harmonic mean; 0 where no place was flagged, or none of the right ones."""
+    """Harmonic mean; 0 where no place was stated, or none of the right ones."""
     return 2.0 * precision * recall / (precision + recall) if precision and recall else 0.0
 
 

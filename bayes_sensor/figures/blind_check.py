@@ -335,16 +335,19 @@ def _of_tau(tau: Part) -> str:
 def _of_places(places: Part) -> str:
     if places["share"] is None:
         return ""
+    by_shares = places.get("f1_oracle") is not None  # cards of earlier runs count flags of phases
+    stated = f" (stated in {places['n']} of {places['of']} campaigns)" if by_shares else ""
     words = (
-        f"Where: of the misfit that the diagnosis finds, {100 * places['share']:.0f} % on "
+        f"Where: of the misfit that the diagnosis finds{stated}, {100 * places['share']:.0f} % on "
         "average lies in the phases in which the cause acts"
     )
     if places["share_oracle"] is not None:
         words += f"; with the cause known it would be {100 * places['share_oracle']:.0f} %"
-    words += ". As flags of phases"
+    words += ". The phases that hold nearly all of it" if by_shares else ". As flags of phases"
     if places["precision"] is not None:
         words += f": precision {places['precision']:.2f}, recall {places['recall']:.2f},"
-    return f"{words} F1 {_between(places, 'f1')}."
+    words += f" F1 {_between(places, 'f1')}"
+    return words + (f"; with the cause known {places['f1_oracle']:.2f}." if by_shares else ".")
 
 
 def _of_hidden(envelope: Part) -> list[str]:

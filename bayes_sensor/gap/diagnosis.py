@@ -20,6 +20,7 @@ from bayes_sensor.gap.events import (
     look_for_patches,
     look_for_ringing,
 )
+from bayes_sensor.gap.explained import explained
 from bayes_sensor.gap.full_rate import (
     FOUND,
     LUMPY,
@@ -45,7 +46,7 @@ from bayes_sensor.gap.separate import Separation, confusable, what_would_separat
 from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
 from bayes_sensor.gap.unsteady import look_for_unsteadiness
 from bayes_sensor.gap.verdict import Standing, Verdict, judge, leftover, standing
-from bayes_sensor.gap.where import Map, locate
+from bayes_sensor.gap.where import CLEAR, Map, locate, shared_by_explanations, shared_by_findings
 from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
 from bayes_sensor.gap.words import looks_most, notes_on, sentence, units_of
 from bayes_sensor.model import Layout, Theta
@@ -63,6 +64,10 @@ MOST_ROUNDS = 3
 """effects added one after the other before the search ends"""
 LIKELY = 0.02
 """probability from which an effect's look-alikes are listed"""
+UNMOVED = 0.5
+"""probability that nothing moves the mean from which no explanation tells where it is moved"""
+HAPPENS_ONCE = ("event", "break")
+"""findings with a time of their own in one record"""
 
 Progress = Callable[[float, str], None]
 
@@ -210,7 +215,8 @@ class Gap:
         record = {
             "budget": self.budget,
             "where": [_plain(vars(c), "scale", "scale_s") for c in self.map.cells],
-            "where_scales": [vars(c) for c in self.map.scales],
+            "where_shared_by": self.map.shared_by,
+            "where_scales": [_plain(vars(c), "measured_excess_rms_V") for c in self.map.scales],
             "where_left_out_d": self.map.left_out,
             "which": list(self.rows),
             "strength_units": dict(self.strength_units),
@@ -348,6 +354,7 @@ def diagnose_gap(
     stand = standing(weighing, full_rate, catalogue)
     kind, named, family, probability = judge(weighing, stand, catalogue)
     best = _best(weighing, kind, named, catalogue)
+    located = _shared_out(located, weighing, full_rate, kind)
     tell(0.6, "what is left")
     rounds: list[Round] = []
     if follow and kind == "effect" and best.effects:
@@ -460,6 +467,36 @@ def _events(
         *look_for_passing_lines(campaign, residuals, prepared.deviations),
         *(look_for_unsteadiness(campaign, stretches) if events.tails[0] >= HEAVY_DOF else []),
     ]
+
+
+def _shared_out(located: Map, weighing: Weighing, full_rate: Sequence[FullRate], kind: str) -> Map:
+    """Where the excess lies by all that explains it, or where something happens that nothing does.
+
+    As measured where neither is there; nowhere where the verdict is that nothing exceeds the floor.
+    """
+    sketch = weighing.sketch
+    clear = located.p_value < CLEAR
+    if kind == "none" and not clear:
+        return located
+    nothing = sum(
+        p for h, p in zip(weighing.hypotheses, weighing.probabilities, strict=True)
+        if h.key == "none"
+    )  # fmt: skip
+    if nothing < UNMOVED:
+        return shared_by_explanations(located, sketch, explained(weighing))
+    if clear or kind != "unlisted":
+        return located
+    names = [e.name for e in sketch.campaign]
+    places = [
+        (
+            names[int(f.strength[f"{f.name}_experiment"])],
+            f.strength[f"{f.name}_s"],
+            f.strength[f"{f.name}_ratio"] ** 2,
+        )
+        for f in full_rate
+        if f.name in HAPPENS_ONCE and f.probability > FOUND
+    ]
+    return shared_by_findings(located, places)
 
 
 def _best(

@@ -94,6 +94,11 @@ class Discrepancy:
         inner = np.sqrt(self.variance / (1.0 + self.variance))[:, None] * (self.basis.T @ values)
         return np.asarray(inner.T @ inner)
 
+    def leave(self, values: FloatArray) -> FloatArray:
+        """(n,) values less what the process most likely is, (I + K)^-1 values."""
+        share = self.variance / (1.0 + self.variance)
+        return np.asarray(values - self.basis @ (share * (self.basis.T @ values)))
+
 
 def matern32(distance: FloatArray, length: float) -> FloatArray:
     """Matern-3/2 correlation, (1 + r) exp(-r) with r = sqrt(3) |d|/length."""

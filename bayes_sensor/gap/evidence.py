@@ -93,6 +93,20 @@ class Linearised:
         step[free] = np.linalg.solve(normal, slope[free])
         return step if float(slope @ step) > AT_REST else None
 
+    def left(self, discrepancy: Discrepancy | None) -> FloatArray:
+        """(n_bins in all,) the noise: what neither the mean nor the discrepancy takes up."""
+        if discrepancy is None:
+            return self.refit.residual
+        plan = self.refit.plan
+        gram = self.gram - discrepancy.absorbed(self.both)
+        gradient, normal = gram[1:, 0], gram[1:, 1:]
+        if self.promised is not None:
+            gradient = gradient - normal @ self.promised
+        prior = plan.own_prior_matrix
+        pulled = prior @ (self.refit.x - plan.prior_centre)
+        step = np.linalg.solve(normal + prior, gradient - pulled)
+        return discrepancy.leave(self.refit.residual - self.refit.jacobian @ step)
+
     def evidence(self, discrepancy: Discrepancy | None) -> Evidence:
         """Average over the prior widths."""
         return self.evidences([discrepancy])[0]

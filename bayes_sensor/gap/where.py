@@ -9,7 +9,8 @@ noise with the refit and with the uncertainty of the floor.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,9 @@ class Cell:
     share: float
     p_value: float
     d: float
-    """square root of the excess, in standard deviations of the noise"""
+    """square root of the measured excess, in standard deviations of the noise"""
+    measured_excess_rms_V: float
+    """above the noise as chance has it; ``excess_rms_V`` is what explanations make of it, if any"""
     scale: str = ""
     scale_s: float | None = None
 
@@ -61,6 +64,9 @@ class Map:
     """square root of the total excess"""
     residuals: tuple[tuple[str, FloatArray, FloatArray, FloatArray, NDArray[np.int64]], ...]
     """per experiment: name, s since the last switch, whitened residual, V, phase of every bin"""
+    shared_by: str
+    """what the shares rest on: ``measurement``, ``explanations``, ``findings``; ``nothing``: all
+    are 0"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,23 +121,11 @@ def locate(sketch: Sketch, base: Refit, seed: int = 1, bootstrap: int = 0) -> Ma
     noise *= np.sqrt(DOF / rng.chisquare(DOF, DRAWS))
     left = leverage.leave(noise)
     z = base.residual
-    parts: list[tuple[int, int, NDArray[np.int64], str, float | None]] = []
-    transforms: list[FloatArray] = []
-    for k, phase, rows in groups:
-        parts.append((k, phase, rows, "", None))
-        transforms.append(np.eye(len(rows)))
-    whole = len(parts)
-    for k, phase, rows in groups:
-        cosine = np.asarray(dct(np.eye(len(rows)), axis=0, norm="ortho"))
-        b = sketch.bins[k]
-        local = rows - sketch.rows[k].start
-        length = float(np.sum(b.count[local])) * b.experiment.interval
-        for name, low, high in (("slow", 0, 2), ("middle", 2, 6), ("fast", 6, len(rows))):
-            if high > low and len(rows) > low:
-                parts.append((k, phase, rows, name, length / max(low, 1)))
-                transforms.append(cosine[low:high])
+    parts = _parts(sketch)
+    whole = len(groups)
     excess, spread, ratios = [], [], []
-    for (_, _, rows, _, _), transform in zip(parts, transforms, strict=True):
+    for part in parts:
+        rows, transform = part.rows, part.transform
         block = transform @ leverage.block(rows) @ transform.T
         trace, square = float(np.trace(block)), float(np.sum(block**2))
         value = float(np.sum((transform @ z[rows]) ** 2)) - trace
@@ -159,24 +153,26 @@ def locate(sketch: Sketch, base: Refit, seed: int = 1, bootstrap: int = 0) -> Ma
     clear = p_value < CLEAR
     weight = np.maximum(np.array(excess) - np.array(spread), 0.0) if clear else 0.0 * own
     made = []
-    for i, (k, phase, rows, name, scale_s) in enumerate(parts):
-        among = slice(0, whole) if i < whole else slice(whole, None)
-        whole_weight = float(np.sum(weight[among]))
+    shares = _shares(weight, whole)
+    for i, part in enumerate(parts):
+        k, rows = part.experiment, part.rows
         b = sketch.bins[k]
         local = rows - sketch.rows[k].start
         half = 0.5 * b.experiment.interval
+        volts = _volts(sketch, leverage, z, k, rows) if i < whole else 0.0
         made.append(
             Cell(
                 experiment=b.experiment.name,
-                phase=PHASES[phase],
+                phase=PHASES[part.phase],
                 t_start_s=float(b.experiment.t[b.first[local[0]]] - half),
                 t_end_s=float(b.experiment.t[b.last[local[-1]] - 1] + half),
-                excess_rms_V=_volts(sketch, leverage, z, k, rows) if i < whole else 0.0,
-                share=float(weight[i]) / whole_weight if whole_weight > 0 else 0.0,
+                excess_rms_V=volts,
+                share=float(shares[i]),
                 p_value=p_of(float(own[i]), largest if i < whole else finest),
                 d=float(np.sqrt(max(excess[i], 0.0))),
-                scale=name,
-                scale_s=scale_s,
+                measured_excess_rms_V=volts,
+                scale=part.scale,
+                scale_s=part.scale_s,
             )
         )
     everywhere = [_mean_square(sketch, leverage, z, k, rows) for k, _, rows in groups]
@@ -195,7 +191,89 @@ def locate(sketch: Sketch, base: Refit, seed: int = 1, bootstrap: int = 0) -> Ma
             )
             for k, (b, rows) in enumerate(zip(sketch.bins, sketch.rows, strict=True))
         ),
+        shared_by="measurement" if np.any(weight) else "nothing",
     )  # fmt: skip
+
+
+def shared_by_explanations(located: Map, sketch: Sketch, explained: FloatArray) -> Map:
+    """The map with the excess that explanations put into its cells, in place of the measured one.
+
+    ``explained`` (n_bins in all, n): as of :func:`~bayes_sensor.gap.explained.explained`.
+    """
+    parts = _parts(sketch)
+    whole = len(located.cells)
+    power = np.array([np.sum((part.transform @ explained[part.rows]) ** 2) for part in parts])
+    shares = _shares(power, whole)
+    volts = np.zeros(len(parts))
+    for i, part in enumerate(parts[:whole]):
+        k = part.experiment
+        local = part.rows - sketch.rows[k].start
+        n = sketch.bins[k].count[local]
+        course = sketch.floor.cholesky[k][local] @ explained[sketch.rows[k]]
+        volts[i] = np.sqrt(n @ np.sum(course**2, axis=1) / np.sum(n))
+    cells = [
+        replace(cell, share=float(shares[i]), excess_rms_V=float(volts[i]))
+        for i, cell in enumerate([*located.cells, *located.scales])
+    ]
+    return replace(
+        located,
+        cells=tuple(cells[:whole]), scales=tuple(cells[whole:]), shared_by="explanations",
+    )  # fmt: skip
+
+
+def shared_by_findings(located: Map, found: Sequence[tuple[str, float, float]]) -> Map:
+    """The map with shares where something happens: experiment, s, and how large, squared sd."""
+    power = np.array([
+        sum(
+            size for name, at, size in found
+            if name == cell.experiment and cell.t_start_s <= at < cell.t_end_s
+        )
+        for cell in located.cells
+    ])  # fmt: skip
+    shares = _shares(power, len(power))
+    cells = [replace(c, share=float(s)) for c, s in zip(located.cells, shares, strict=True)]
+    by = "findings" if np.any(power) else located.shared_by
+    return replace(located, cells=tuple(cells), shared_by=by)
+
+
+def _shares(power: FloatArray, whole: int) -> FloatArray:
+    """Of the first ``whole`` cells and of the others, each summing to 1; 0 where there is none."""
+    found = np.zeros(len(power))
+    for some in (slice(0, whole), slice(whole, None)):
+        total = float(np.sum(power[some]))
+        if total > 0.0:
+            found[some] = power[some] / total
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A cell, or one of its time scales."""
+
+    experiment: int
+    phase: int
+    rows: NDArray[np.int64]
+    """of its bins"""
+    transform: FloatArray
+    """(n, n_rows) with orthonormal rows, of what is seen there"""
+    scale: str = ""
+    scale_s: float | None = None
+
+
+def _parts(sketch: Sketch) -> list[_Part]:
+    """All cells, then the time scales of each."""
+    groups = _cells(sketch)
+    found = [_Part(k, phase, rows, np.eye(len(rows))) for k, phase, rows in groups]
+    for k, phase, rows in groups:
+        cosine = np.asarray(dct(np.eye(len(rows)), axis=0, norm="ortho"))
+        b = sketch.bins[k]
+        local = rows - sketch.rows[k].start
+        length = float(np.sum(b.count[local])) * b.experiment.interval
+        for name, low, high in (("slow", 0, 2), ("middle", 2, 6), ("fast", 6, len(rows))):
+            if high > low and len(rows) > low:
+                scale_s = length / max(low, 1)
+                found.append(_Part(k, phase, rows, cosine[low:high], name, scale_s))
+    return found
 
 
 def _cells(sketch: Sketch) -> list[tuple[int, int, NDArray[np.int64]]]:

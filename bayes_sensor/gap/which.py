@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -43,8 +44,20 @@ HOPELESS = 0.2
 """share of what something else explains better that a first pair must explain"""
 NEAR = 14.0
 """log evidences this far below the best are not looked at more closely"""
+MOST_TERMS = 6
+"""of a hypothesis that are kept, the likeliest; their shares are those among them"""
 
 Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """One form of a cause, with one configuration of the discrepancy or with none."""
+
+    share: float
+    """of the probability of all that are kept"""
+    refit: Refit
+    beside: Discrepancy | None = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +73,8 @@ class Hypothesis:
     """in the best of the forms"""
     log_tau: float
     sd_log_tau: float
+    terms: tuple[Term, ...] = field(repr=False)
+    """the likeliest of the forms and discrepancies that it is averaged over"""
     within: str = ""
     """the unlisted dependence inside the model, where it is that"""
 
@@ -190,10 +205,21 @@ def finished(fitted: Refit, enough: float = np.inf) -> Refit:
     return refit(fitted.plan, fitted.x, most_steps=MOST_FURTHER)
 
 
+class _Average(NamedTuple):
+    """Over forms, and over the discrepancies beside them."""
+
+    log_z: float
+    best: Refit
+    """the best form"""
+    log_tau: float
+    sd_log_tau: float
+    terms: tuple[Term, ...]
+
+
 def _average(
     fits: Sequence[tuple[Refit, float]], discrepancies: Sequence[Discrepancy] | None
-) -> tuple[float, Refit, float, float]:
-    """ln evidence averaged over forms (and discrepancies), the best form, ln tau and its sd."""
+) -> _Average:
+    """The evidence averaged over forms (and discrepancies), and where it puts ln tau."""
     logs, weights, found, owners = [], [], [], []
     for fitted, weight in fits:
         beside = [None] if discrepancies is None else discrepancies
@@ -201,13 +227,15 @@ def _average(
             logs.append(made.log_z)
             weights.append(weight * (1.0 if d is None else d.weight))
             found.append(made)
-            owners.append(fitted)
+            owners.append((fitted, d))
     total = np.array(logs) + np.log(np.array(weights))
     mass = logsumexp(total)
     p = np.exp(total - mass)
     mean = float(np.sum(p * [f.log_tau for f in found]))
     square = float(np.sum(p * [f.sd_log_tau**2 + (f.log_tau - mean) ** 2 for f in found]))
-    return float(mass), owners[int(np.argmax(total))], mean, float(np.sqrt(square))
+    kept = np.argsort(-p, kind="stable")[:MOST_TERMS]
+    terms = tuple(Term(float(p[i] / p[kept].sum()), *owners[i]) for i in kept)
+    return _Average(float(mass), terms[0].refit, mean, float(np.sqrt(square)), terms)
 
 
 def weigh(
@@ -233,9 +261,8 @@ def weigh(
         ds: Sequence[Discrepancy] | None = None,
         within: str = "",
     ) -> Hypothesis:
-        log_z, best, log_tau, sd = _average(fits, ds)
         other = ds is not None or bool(within)
-        made = Hypothesis(effects, other, log_prior, log_z, best, log_tau, sd, within)
+        made = Hypothesis(effects, other, log_prior, *_average(fits, ds), within)
         hypotheses.append(made)
         return made
 

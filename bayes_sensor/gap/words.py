@@ -247,7 +247,8 @@ def sentence(
     findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > FOUND]
     if kind == "unlisted":
         words = []
-        if worst is not None or not findings:
+        by_mean = worst is not None and located.shared_by != "findings"
+        if by_mean or not findings:
             seems = "misses" if probability > SURELY else "seems to miss"
             sure = "" if probability > SURELY else f" ({100.0 * probability:.0f} %)"
             words.append(

@@ -33,7 +33,7 @@ from bayes_sensor.blind_check import (
 )
 from bayes_sensor.blind_check.check import complete_truth, diagnose, trimmed
 from bayes_sensor.blind_check.oracle import SEPARABLE_ABOVE
-from bayes_sensor.blind_check.score import GOALS_AT, score_case
+from bayes_sensor.blind_check.score import GOALS_AT, VISIBLE, score_case
 from bayes_sensor.blind_check.statistics import calibration, proportion
 from bayes_sensor.figures import png, svg
 from bayes_sensor.figures.blind_check import opened_seal, score_card
@@ -369,8 +369,17 @@ def weak_ones(card: Mapping[str, Any]) -> str:
         f"The 95 % set holds the right explanation in {_share(sets['coverage'])}, a listed cause "
         f"in {_share(sets['by_kind']['listed']['coverage'])}, at d = {small['d']:g} in "
         f"{_share(small['coverage'])}. Held out, the closed fraction is off by {', '.join(far)} in "
-        f"median. Of the phases in which a cause acts {card['localisation']['recall']:.2f} are "
-        f"flagged (F1 {card['localisation']['f1']:.2f})."
+        f"median. {_of_places(card['localisation'])}"
+    )
+
+
+def _of_places(places: Mapping[str, Any]) -> str:
+    """One sentence: how often and how rightly it is said where the model misses."""
+    return (
+        f"Where a cause acts was said in {places['n']} of {places['of']} campaigns with d >= "
+        f"{VISIBLE:g}: {100 * places['share']:.0f} % of the misfit was put into the phases in "
+        f"which it does (with the cause known {100 * places['share_oracle']:.0f} %), F1 of the "
+        f"phases {places['f1']:.2f} (with the cause known {places['f1_oracle']:.2f})."
     )
 
 

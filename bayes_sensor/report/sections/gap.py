@@ -21,6 +21,16 @@ from bayes_sensor.report.sections.gap_tables import (
 )
 from bayes_sensor.report.words import list_words, ms, number, p_equals, sentence
 
+_MEASURED = "Without a frame a shade is no more than noise makes."
+_SHADES = {
+    "explanations": "Shades and shares are what the explanations put there, each by its "
+    "probability, something unlisted included: of a cell's own excess most may be noise.",
+    "findings": "Shares are of what happens once, in cells that as a whole are no more than noise.",
+    "measurement": _MEASURED,
+    "nothing": _MEASURED,
+}
+"""what is drawn, by what the shares rest on"""
+
 
 def gap(saved: Saved, pictures: Pictures) -> Section | None:
     """Budget, where, which, how far, and what may hide."""
@@ -72,8 +82,8 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
             "gap-where",
             figures.gap_where(record["where"], saved.unit),
             "Where the gap lies: excess over the noise floor by experiment and phase of the step. "
-            "Numbers: share of the whole; framed: p below 5 %, as the largest of all cells. "
-            "Without a frame a shade is no more than noise makes.",
+            "Numbers: share of the whole; framed: p of the measured excess below 5 %, as the "
+            f"largest of all cells. {_SHADES[record.get('where_shared_by', 'measurement')]}",
         ),
         *_strips(record, pictures),
         where_table(record, shown, factor),

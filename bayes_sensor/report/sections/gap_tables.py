@@ -75,6 +75,8 @@ def where_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
     found = [r for r in record["where"] if (r["share"] or 0.0) > 0 or (r["p_value"] or 1.0) < 0.05]
     rows = sorted(found, key=lambda row: -(row["share"] or 0.0))[:MOST_CELLS]
     caption = "Where the excess lies, the largest share first."
+    if record.get("where_shared_by") == "explanations":
+        caption += " Excess and share are what the explanations put there; p-values are measured."
     if not rows:  # nothing is shared out: the largest cells, as chance made them
         rows = sorted(record["where"], key=lambda row: -(row["excess_rms_V"] or 0.0))[:FEW_CELLS]
         caption = "No cell exceeds the noise floor by more than chance; the largest are shown."

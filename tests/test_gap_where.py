@@ -1,0 +1,156 @@
+"""Where the misfit lies: what explanations put into a cell against the noise-free truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from gap_cases import design, diagnosed, measured, theta
+
+from bayes_sensor.gap import Gap, diagnose_gap
+from bayes_sensor.gap.bins import PHASES
+from bayes_sensor.gap.discrepancy import make_discrepancies
+from bayes_sensor.gap.evidence import Linearised
+from bayes_sensor.gap.explained import explained
+from bayes_sensor.gap.refit import refit
+from bayes_sensor.gap.simulation import simulate_with_effects
+from bayes_sensor.gap.where import _parts, shared_by_findings
+from bayes_sensor.gap.which import MOST_TERMS
+
+WEAK = {
+    "dead_volume": 0.03, "flow_switching": 0.15, "gain_drift": 0.00025, "baseline_step": 0.0025,
+    "valve_asymmetry": 1.035, "axial_dispersion": 0.2,
+}  # fmt: skip
+"""strengths that are seen at a misfit of about eight standard deviations"""
+
+
+@lru_cache(maxsize=16)
+def weak(effect: str, seed: int = 5) -> Gap:
+    return diagnose_gap(
+        measured({effect: WEAK[effect]}, seed), bootstrap=0, separate=False, hidden=False
+    )
+
+
+def left_without_noise(gap: Gap, effect: str) -> np.ndarray:
+    """(n_bins in all,) whitened: what the effect leaves of noise-free data after the refit."""
+    plan = design()
+    clean, *_ = simulate_with_effects(plan, theta(plan, 1e-9), {effect: WEAK[effect]}, seed=1)
+    base = gap.weighing.base
+    data = [
+        np.array([e.values[a:z].mean() for a, z in zip(b.first, b.last, strict=True)])
+        for b, e in zip(gap.weighing.sketch.bins, clean, strict=True)
+    ]
+    return refit(base.plan, base.x, data=data, most_steps=60, tolerance=1e-8).residual
+
+
+def true_shares(gap: Gap, effect: str) -> tuple[np.ndarray, float]:
+    """(n_cells,) shares of what the effect leaves, and its detectability."""
+    left, parts = left_without_noise(gap, effect), _parts(gap.weighing.sketch)
+    power = np.array([np.sum(left[p.rows] ** 2) for p in parts[: len(gap.map.cells)]])
+    return power / power.sum(), float(np.sqrt(power.sum()))
+
+
+def misplaced(shares: np.ndarray, truth: np.ndarray) -> float:
+    """Share of the misfit that is put into a wrong cell."""
+    return 0.5 * float(np.sum(np.abs(shares - truth)))
+
+
+@pytest.mark.parametrize("effect", WEAK)
+def test_the_misfit_is_found_beneath_the_noise(effect: str) -> None:
+    gap = weak(effect)
+    truth, d = true_shares(gap, effect)
+    assert 8.0 < d < 11.0 and gap.map.shared_by == "explanations"
+    cells = gap.map.cells
+    shares = np.array([cell.share for cell in cells])
+    above = np.array([cell.d**2 for cell in cells])  # as measured, and only where it is above
+    assert shares.sum() == pytest.approx(1.0) and np.all(shares >= 0.0)
+    assert misplaced(shares, truth) < 0.22
+    assert misplaced(shares, truth) < 0.6 * misplaced(above / above.sum(), truth)
+
+
+def test_volts_are_those_of_the_course_that_explanations_take() -> None:
+    gap = weak("axial_dispersion")
+    sketch = gap.weighing.sketch
+    left, taken = left_without_noise(gap, "axial_dispersion"), explained(gap.weighing)
+    cells = {(c.experiment, c.phase): c for c in gap.map.cells}
+    said, true = 0.0, 0.0
+    for k, (b, rows) in enumerate(zip(sketch.bins, sketch.rows, strict=True)):
+        course = sketch.floor.cholesky[k] @ taken[rows]
+        true += np.sum(b.count * (sketch.floor.cholesky[k] @ left[rows]) ** 2)
+        for i in np.unique(b.phase):
+            cell, here = cells[b.experiment.name, PHASES[i]], b.phase == i
+            mean = np.average(np.sum(course[here] ** 2, axis=1), weights=b.count[here])
+            assert cell.excess_rms_V == pytest.approx(np.sqrt(mean))
+            assert cell.measured_excess_rms_V != cell.excess_rms_V
+            said += np.sum(b.count[here]) * cell.excess_rms_V**2
+    assert np.sqrt(said) == pytest.approx(np.sqrt(true), rel=0.25)
+
+
+@pytest.mark.parametrize("which", [0, 40, -1])
+def test_the_noise_that_a_process_leaves_is_that_of_dense_matrices(which: int) -> None:
+    gap = weak("dead_volume")
+    fitted = gap.weighing.find("axial_dispersion").refit
+    beside = make_discrepancies(gap.weighing.sketch, gap.weighing.base)[which]
+    whole = np.eye(len(fitted.residual)) + (beside.basis * beside.variance) @ beside.basis.T
+    weigh = np.linalg.inv(whole)
+    jacobian, prior = fitted.jacobian, fitted.plan.own_prior_matrix
+    slope = jacobian.T @ weigh @ fitted.residual - prior @ (fitted.x - fitted.plan.prior_centre)
+    step = np.linalg.solve(jacobian.T @ weigh @ jacobian + prior, slope)
+    assert Linearised(fitted).promised is None
+    left = Linearised(fitted).left(beside)
+    assert left == pytest.approx(weigh @ (fitted.residual - jacobian @ step), abs=1e-9)
+    # nothing that the refit could still take up: J'e is what the prior pulls with
+    pulled = prior @ (fitted.x + step - fitted.plan.prior_centre)
+    assert jacobian.T @ left == pytest.approx(pulled, abs=1e-6 * np.abs(pulled).max() + 1e-6)
+
+
+def test_explanations_take_what_they_leave_out_of_the_residual() -> None:
+    weighing = weak("valve_asymmetry").weighing
+    best = max(weighing.hypotheses, key=lambda h: h.log_weight)
+    sure = replace(weighing, hypotheses=(replace(best, terms=best.terms[:1]),))
+    share = best.terms[0].share
+    taken = explained(sure)
+    assert taken.shape == (len(weighing.base.residual), 2) and not np.any(taken[:, 0])
+    whole = weighing.base.residual - Linearised(best.terms[0].refit).left(best.terms[0].beside)
+    assert taken[:, 1] == pytest.approx(np.sqrt(share) * whole)
+    nothing = next(h for h in weighing.hypotheses if h.key == "none")
+    assert not np.any(explained(replace(weighing, hypotheses=(nothing,))))
+
+
+def test_terms_of_a_hypothesis_are_its_likeliest_and_sum_to_one() -> None:
+    for h in weak("gain_drift").weighing.hypotheses:
+        shares = [term.share for term in h.terms]
+        assert sum(shares) == pytest.approx(1.0) and shares == sorted(shares, reverse=True)
+        assert len(shares) <= MOST_TERMS
+        assert all((term.beside is not None) == (h.incomplete and not h.within) for term in h.terms)
+
+
+def test_what_happens_once_is_where_it_happens() -> None:
+    located = diagnosed("none", seed=1).map
+    assert located.shared_by == "nothing"
+    cells = {(c.experiment, c.phase): c for c in located.cells}
+    late = cells["3", "plateau"]
+    found = shared_by_findings(
+        located, [("3", late.t_start_s + 0.1, 27.0), ("1", cells["1", "tail"].t_end_s - 0.1, 9.0)]
+    )
+    shares = {(c.experiment, c.phase): c.share for c in found.cells if c.share}
+    assert shares == {("3", "plateau"): 0.75, ("1", "tail"): 0.25}
+    assert found.shared_by == "findings" and found.scales == located.scales
+    assert shared_by_findings(located, []).cells == located.cells
+    assert shared_by_findings(located, []).shared_by == "nothing"
+
+
+def test_a_single_event_is_shared_out_and_no_misfit_of_the_model_is_claimed() -> None:
+    campaign = measured({}, seed=3)
+    values = {e.name: e.values.copy() for e in campaign}
+    e = campaign.experiments[1]
+    values[e.name] += 0.12 * ((e.t > 24.0) & (e.t < 24.6))
+    gap = diagnose_gap(campaign.with_data(values), bootstrap=0, separate=False, hidden=False)
+    assert gap.verdict.kind == "unlisted"
+    if gap.map.shared_by == "findings":
+        assert "The model" not in gap.verdict.sentence
+    top = max(gap.map.cells, key=lambda c: c.share)
+    assert (top.experiment, top.phase) == ("2", "plateau")
+    assert gap.to_json()["where_shared_by"] == gap.map.shared_by != "nothing"
