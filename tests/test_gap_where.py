@@ -8,15 +8,20 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from gap_cases import design, diagnosed, measured, theta
+from scipy.stats import kstest
+from scipy.stats import t as student
 
 from bayes_sensor.gap import Gap, diagnose_gap
 from bayes_sensor.gap.bins import PHASES
+from bayes_sensor.gap.courses import courses
 from bayes_sensor.gap.discrepancy import make_discrepancies
+from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.explained import explained
+from bayes_sensor.gap.floor import DOF
 from bayes_sensor.gap.refit import refit
 from bayes_sensor.gap.simulation import simulate_with_effects
-from bayes_sensor.gap.where import _parts, shared_by_findings
+from bayes_sensor.gap.where import Leverage, _parts, locate, shared_by_findings
 from bayes_sensor.gap.which import MOST_TERMS
 
 WEAK = {
@@ -154,3 +159,62 @@ def test_a_single_event_is_shared_out_and_no_misfit_of_the_model_is_claimed() ->
     top = max(gap.map.cells, key=lambda c: c.share)
     assert (top.experiment, top.phase) == ("2", "plateau")
     assert gap.to_json()["where_shared_by"] == gap.map.shared_by != "nothing"
+
+
+# --------------------------------------------------------------------------- courses
+
+
+@pytest.mark.parametrize("effect", WEAK)
+def test_a_weak_misfit_is_seen_along_courses_and_not_by_its_size(effect: str) -> None:
+    budget = weak(effect).budget
+    assert budget["p_value_of_form"] < 1e-3
+    assert budget["p_value_of_size"] > 3.0 * budget["p_value_of_form"]
+    smallest = min(1.5 * budget["p_value_of_size"], 3.0 * budget["p_value_of_form"])
+    assert budget["p_value"] == pytest.approx(min(1.0, smallest))
+
+
+def test_courses_are_what_the_refit_leaves() -> None:
+    weighing = weak("dead_volume").weighing
+    base = weighing.base
+    found = courses(base, CATALOGUE)
+    assert np.sum(found**2, axis=1) == pytest.approx(1.0)
+    # as orthogonal to what the refit can do as its priors let it
+    inside = found @ (base.jacobian / np.linalg.norm(base.jacobian, axis=0))
+    assert np.abs(inside).max() < 0.05
+    alone = courses(base, {"mains_pickup": CATALOGUE["mains_pickup"]})
+    assert alone.shape == (0, len(base.residual))
+    located = locate(weighing.sketch, base, courses=alone)
+    assert located.p_value_of_form is None and located.p_value == located.p_value_of_size
+
+
+def test_p_values_of_courses_are_uniform_under_noise() -> None:
+    weighing = weak("dead_volume").weighing
+    base, sketch = weighing.base, weighing.sketch
+    along, leverage = courses(base, CATALOGUE), Leverage.of(base)
+    rng = np.random.default_rng(8)
+    found = []
+    for _ in range(60):
+        noise = rng.standard_normal(sketch.n_bins) * np.sqrt(DOF / rng.chisquare(DOF))
+        here = replace(base, residual=leverage.leave(noise[:, None])[:, 0])
+        found.append(locate(sketch, here, courses=along).p_value_of_form)
+    assert kstest(found, "uniform").pvalue > 0.01
+
+
+def test_beyond_the_simulations_the_sum_over_courses_bounds_the_p_value() -> None:
+    weighing = weak("dead_volume").weighing
+    base, sketch = weighing.base, weighing.sketch
+    along = courses(base, CATALOGUE)[:3]
+    here = replace(base, residual=base.residual * 0.0 + 12.0 * along[0])
+    located = locate(sketch, here, courses=along)
+    tail = 2.0 * student.sf(12.0, DOF)
+    assert located.p_value_of_form == pytest.approx(3.0 * tail, rel=1e-6)
+
+
+def test_refitted_simulations_make_no_p_value_smaller() -> None:
+    weighing = weak("dead_volume").weighing
+    base, sketch = weighing.base, weighing.sketch
+    along = courses(base, CATALOGUE)
+    linear = locate(sketch, base, courses=along)
+    refitted = locate(sketch, base, bootstrap=20, courses=along)
+    assert refitted.p_value_of_size >= linear.p_value_of_size
+    assert refitted.p_value_of_form >= linear.p_value_of_form

@@ -537,6 +537,8 @@ def told_more(record: dict[str, Any]) -> None:
          "whitened": [0.3, -1.0, 4.0, 0.2], "phase": [0, 1, 2, 5]} for row in (HOSTILE, "1")
     ]  # fmt: skip
     record["notes"] = ["only a note"]
+    record["budget"] |= {"p_value": 0.003, "p_value_of_size": 0.3, "p_value_of_form": 0.001}
+    record["where_shared_by"] = "explanations"
 
 
 @pytest.mark.parametrize("change", ["effect", "more", "none"])
@@ -567,9 +569,14 @@ def test_the_gap_is_told_when_it_was_diagnosed(analysed: Path, tmp_path: Path, c
             "With flow switching in the model, d = 3.00 is left",
             "To tell flow switching from valve asymmetry: a second carrier flow",
             "flow factor = 0.990 to 1.02", "no: contradicted by the data",
+            "By its size that is no more than noise alone would leave, but along the course of a",
+            "= 0.001 for the largest of all courses", "p-value of the largest listed course",
+            "Shades and shares are what the explanations put there", "p-values are measured.",
         ):  # fmt: skip
             assert said in text, said
         assert imread(tmp_path / "gap-residuals.png")[..., :3].std() > 0.02
+    else:
+        assert "By its size" not in text and "Without a frame a shade is no more" in text
     if change != "none":
         assert "97 % of the gap closes (95 % interval 90 to 102 %)" in text
         assert "93 % on data that were left out" in text

@@ -84,7 +84,8 @@ def trimmed(gap: Mapping[str, Any]) -> dict[str, Any]:
     }
     kept["families"] = dict(gap.get("families") or {})
     kept["unlisted"] = dict(gap.get("unlisted") or {})
-    kept["budget"] = {k: gap["budget"].get(k) for k in ("excess_d", "p_value")}
+    of_budget = ("excess_d", "p_value", "p_value_of_size")
+    kept["budget"] = {k: gap["budget"].get(k) for k in of_budget}
     kept["tau_envelope_s"] = gap["hidden"]["tau_envelope_s"]
     kept["whiteness_p"] = gap.get("whiteness_p")
     result: dict[str, Any] = plain(kept)

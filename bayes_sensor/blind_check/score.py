@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 CONFIDENT = 0.9
 VISIBLE = 4.0
 """detectability from which localisation and tau are scored"""
+SMALL = 0.05
+"""p-value below which a gap counts as found"""
 ACTING = 0.95
 """share of the true difference that the places hold which count as those where a cause acts"""
 GOALS_AT = (8.0, 16.0)
@@ -153,6 +155,9 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         "on_mean": any(CATALOGUE[name].on_mean for name in answers if name in CATALOGUE),
         "rss_says": by_rss(verdict["which"]),
         "bic_says": by_bic(verdict["which"]),
+        "in_bins": bool(truth["visible"]),
+        "gap_p": verdict["budget"].get("p_value"),
+        "gap_p_of_size": verdict["budget"].get("p_value_of_size"),
         "whiteness_p": verdict.get("whiteness_p"),
         "closed": shrink.get("fraction_closed"),
         "closed_lo": shrink.get("fraction_closed_lo"),
@@ -417,6 +422,7 @@ def make_card(rows: Sequence[Row]) -> Row:
             "listed": [{"d": level, **_set_part(_at(listed, level))} for level in LEVELS],
         },
         "closed_fraction": [_closed(rows, level) for level in LEVELS[1:]],
+        "p_value": _p_values(rows, nulls),
         "localisation": _localisation(rows),
         "tau": _tau(listed),
         "envelope": {
@@ -615,6 +621,26 @@ def _holds(row: Row, low: str, high: str) -> bool | None:
     if row.get(low) is None or row.get(high) is None:
         return None
     return bool(row[low] <= row["closed_oracle"] <= row[high])
+
+
+def _p_values(rows: Sequence[Row], nulls: Sequence[Row]) -> Row:
+    """How often the p-value of the gap is small: without a cause, and with one that bins show."""
+
+    def small(some: Sequence[Row], key: str) -> Row:
+        return proportion(None if r.get(key) is None else r[key] < SMALL for r in some)
+
+    seen = [r for r in rows if r.get("in_bins")]
+    return {
+        "null": small(nulls, "gap_p"),
+        "seen": [
+            {
+                "d": level,
+                "whole": small(_at(seen, level), "gap_p"),
+                "size": small(_at(seen, level), "gap_p_of_size"),
+            }
+            for level in LEVELS
+        ],
+    }
 
 
 def _localisation(rows: Sequence[Row]) -> Row:

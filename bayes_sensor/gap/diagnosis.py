@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.gap.courses import courses
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.effects import CATALOGUE, check_names
 from bayes_sensor.gap.events import (
@@ -348,7 +349,7 @@ def diagnose_gap(
         if f.name in catalogue or f.name in OF_UNLISTED_ORIGIN
     ]
     tell(0.08, "where")
-    located = locate(sketch, base, seed, bootstrap)
+    located = locate(sketch, base, seed, bootstrap, courses(base, catalogue))
     weighing = weigh(sketch, base, catalogue, lambda s, t: tell(0.15 + 0.4 * s, t))
     full_rate += _events(prepared, weighing, full_rate)
     stand = standing(weighing, full_rate, catalogue)
@@ -475,7 +476,7 @@ def _shared_out(located: Map, weighing: Weighing, full_rate: Sequence[FullRate],
     As measured where neither is there; nowhere where the verdict is that nothing exceeds the floor.
     """
     sketch = weighing.sketch
-    clear = located.p_value < CLEAR
+    clear = located.p_value_of_size < CLEAR
     if kind == "none" and not clear:
         return located
     nothing = sum(
@@ -541,9 +542,9 @@ def _look_again(
     sketch = weighing.sketch
     added, p = best.effects, probability
     while True:
-        left = locate(sketch, best.refit, seed)
         used = {catalogue[n].family for part in best.refit.plan.parts for n in [part.effect.name]}
         others = {n: e for n, e in catalogue.items() if e.family not in used}
+        left = locate(sketch, best.refit, seed, courses=courses(best.refit, others))
         again = weigh(sketch, best.refit, others, pairs=False)
         stand = standing(again, [], others)
         rounds.append(Round(tuple(added), float(p), left.d, left.p_value, stand.unlisted))
@@ -757,6 +758,8 @@ def _budget(
         "excess_rms_V": located.excess_rms,
         "excess_d": located.d,
         "p_value": located.p_value,
+        "p_value_of_size": located.p_value_of_size,
+        "p_value_of_form": located.p_value_of_form,
         "ar1_whiteness_p": ar1_whiteness(used),
         "spikes_replaced": prepared.sketch.floor.spikes,
         "tau_s": base.tau,

@@ -25,7 +25,7 @@ from bayes_sensor.gap.refit import Plan, Refit, Sketch, refit
 DRAWS = 2000
 """simulated noises behind the p-values"""
 CLEAR = 0.05
-"""p-value of the whole below which the excess is shared out"""
+"""p-value of the size below which the measured excess is shared out"""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,12 @@ class Map:
     left_out: dict[str, float]
     """phase -> detectability of its misfit when it is predicted from a fit without it"""
     p_value: float
-    """of the whole: the smaller of the largest cell's and the sum's, doubled"""
+    """of the whole: the smallest of the sum's, the largest cell's and the largest course's, times
+    how many of them there are"""
+    p_value_of_size: float
+    """the same of sum and cells alone"""
+    p_value_of_form: float | None
+    """of the largest course of a listed effect, of all of them; None where none was looked for"""
     excess_rms: float
     """V over all samples"""
     d: float
@@ -108,11 +113,19 @@ class Leverage:
         return noise - self.jacobian @ (self.solve @ (self.jacobian.T @ noise))
 
 
-def locate(sketch: Sketch, base: Refit, seed: int = 1, bootstrap: int = 0) -> Map:
+def locate(
+    sketch: Sketch,
+    base: Refit,
+    seed: int = 1,
+    bootstrap: int = 0,
+    courses: FloatArray | None = None,
+) -> Map:
     """The excess of a fit over the noise floor, in cells.
 
     ``bootstrap``: number of simulated campaigns that are refitted nonlinearly; where these leave
-    more than the linearised refit, the p-values follow them.
+    more than the linearised refit, the p-values follow them.  ``courses`` (n, n_bins in all): as of
+    :func:`~bayes_sensor.gap.courses.courses`, along which a misfit may be seen that cells do not
+    show.
     """
     leverage = Leverage.of(base)
     groups = _cells(sketch)
@@ -138,8 +151,12 @@ def locate(sketch: Sketch, base: Refit, seed: int = 1, bootstrap: int = 0) -> Ma
     simulated = np.array(ratios)
     largest = np.sort(simulated[:whole].max(axis=0))
     finest = np.sort(simulated[whole:].max(axis=0)) if len(parts) > whole else largest
-    stretch = _stretch(sketch, base, leverage, groups, rng, bootstrap, largest)
-    largest, finest = largest * stretch, finest * stretch
+    along = np.zeros((0, sketch.n_bins)) if courses is None else courses
+    screened = np.sort(np.max((along @ noise) ** 2, axis=0, initial=0.0))
+    of_cells, of_courses = _stretch(
+        sketch, base, leverage, groups, along, rng, bootstrap, (largest, screened)
+    )
+    largest, finest, screened = largest * of_cells, finest * of_cells, screened * of_courses
 
     def p_of(ratio: float, sample: FloatArray) -> float:
         above = len(sample) - int(np.searchsorted(sample, ratio))
@@ -149,8 +166,15 @@ def locate(sketch: Sketch, base: Refit, seed: int = 1, bootstrap: int = 0) -> Ma
     total = base.misfit - trace
     p_sum = float(f_law.sf(base.misfit / trace, trace, DOF))
     p_most = p_of(float(own[:whole].max()), largest)
-    p_value = min(1.0, 2.0 * min(p_sum, p_most))
-    clear = p_value < CLEAR
+    p_size = min(1.0, 2.0 * min(p_sum, p_most))
+    p_form = None
+    if len(along):
+        most = float(np.max((along @ z) ** 2))
+        # where simulations end: at most the sum over all courses
+        at_most = len(along) * float(f_law.sf(most / of_courses, 1, DOF))
+        p_form = min(p_of(most, screened), at_most)
+    p_value = p_size if p_form is None else min(1.0, 1.5 * p_size, 3.0 * p_form)
+    clear = p_size < CLEAR
     weight = np.maximum(np.array(excess) - np.array(spread), 0.0) if clear else 0.0 * own
     made = []
     shares = _shares(weight, whole)
@@ -183,6 +207,8 @@ def locate(sketch: Sketch, base: Refit, seed: int = 1, bootstrap: int = 0) -> Ma
         scales=tuple(made[whole:]),
         left_out=predict_left_out(sketch, base),
         p_value=p_value,
+        p_value_of_size=p_size,
+        p_value_of_form=p_form,
         excess_rms=float(np.sqrt(max(mean, 0.0))),
         d=float(np.sqrt(max(total, 0.0))),
         residuals=tuple(
@@ -291,16 +317,20 @@ def _stretch(
     base: Refit,
     leverage: Leverage,
     groups: list[tuple[int, int, NDArray[np.int64]]],
+    courses: FloatArray,
     rng: np.random.Generator,
     bootstrap: int,
-    largest: FloatArray,
-) -> float:
-    """How much larger the largest cell is when simulated campaigns are refitted nonlinearly."""
+    linear: tuple[FloatArray, FloatArray],
+) -> tuple[float, float]:
+    """How much larger the largest cell and course are when simulations are refitted nonlinearly.
+
+    ``linear``: both in linearised simulations.
+    """
     if bootstrap < 10:
-        return 1.0
+        return 1.0, 1.0
     plan = base.plan
     means = plan.means(base.x)
-    found = []
+    cells, along = [], []
     blocks = [leverage.block(rows) for _, _, rows in groups]
     for _ in range(bootstrap):
         scale = np.sqrt(DOF / rng.chisquare(DOF))
@@ -309,14 +339,18 @@ def _stretch(
             for m, c in zip(means, sketch.floor.cholesky, strict=True)
         ]
         z = refit(plan, base.x, data=data, most_steps=10, tolerance=0.2).residual
-        found.append(
+        cells.append(
             max(
                 (float(z[rows] @ z[rows]) - float(np.trace(p))) / np.sqrt(2.0 * np.sum(p**2))
                 for (_, _, rows), p in zip(groups, blocks, strict=True)
             )
         )
-    ratio = float(np.quantile(found, 0.9)) / max(float(np.quantile(largest, 0.9)), 1e-9)
-    return max(1.0, ratio)
+        along.append(float(np.max((courses @ z) ** 2, initial=0.0)))
+    of_cells, of_courses = (
+        max(1.0, float(np.quantile(found, 0.9)) / max(float(np.quantile(usual, 0.9)), 1e-9))
+        for found, usual in zip((cells, along), linear, strict=True)
+    )
+    return of_cells, of_courses
 
 
 def _mean_square(

@@ -33,7 +33,7 @@ from bayes_sensor.blind_check import (
 )
 from bayes_sensor.blind_check.check import complete_truth, diagnose, trimmed
 from bayes_sensor.blind_check.oracle import SEPARABLE_ABOVE
-from bayes_sensor.blind_check.score import GOALS_AT, VISIBLE, score_case
+from bayes_sensor.blind_check.score import GOALS_AT, SMALL, VISIBLE, score_case
 from bayes_sensor.blind_check.statistics import calibration, proportion
 from bayes_sensor.figures import png, svg
 from bayes_sensor.figures.blind_check import opened_seal, score_card
@@ -369,7 +369,19 @@ def weak_ones(card: Mapping[str, Any]) -> str:
         f"The 95 % set holds the right explanation in {_share(sets['coverage'])}, a listed cause "
         f"in {_share(sets['by_kind']['listed']['coverage'])}, at d = {small['d']:g} in "
         f"{_share(small['coverage'])}. Held out, the closed fraction is off by {', '.join(far)} in "
-        f"median. {_of_places(card['localisation'])}"
+        f"median. {_of_places(card['localisation'])} {_of_p_values(card['p_value'])}"
+    )
+
+
+def _of_p_values(part: Mapping[str, Any]) -> str:
+    """One sentence: how often the p-value of the gap is small, with and without a cause."""
+    at = {row["d"]: row for row in part["seen"]}
+    seen = ", ".join(f"{_share(at[d]['whole'])} at d = {d:g}" for d in (4.0, *GOALS_AT))
+    by_size = ", ".join(_share(at[d]["size"]) for d in (4.0, *GOALS_AT))
+    return (
+        f"The p-value of the gap is below {SMALL:g} in {_share(part['null'])} faultless campaigns; "
+        f"of those with a cause that bins show in {seen} (of the excess alone, without the courses "
+        f"of listed effects: {by_size})."
     )
 
 

@@ -21,6 +21,8 @@ from bayes_sensor.report.sections.gap_tables import (
 )
 from bayes_sensor.report.words import list_words, ms, number, p_equals, sentence
 
+CLEAR = 0.05
+"""p-value below which a difference is more than noise"""
 _MEASURED = "Without a frame a shade is no more than noise makes."
 _SHADES = {
     "explanations": "Shades and shares are what the explanations put there, each by its "
@@ -42,15 +44,7 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
     head = headline(saved.posterior, saved.bounds, saved.settings)
     is_limit = head is not None and head.is_limit
     answer = gap_sentence(record, is_limit).removesuffix(".") + see("which") + "."
-    p = budget["p_value"]
-    is_noise = p is not None and p > 0.05
-    size = "" if is_noise else f"d = {number(budget['excess_d'])} standard deviations, "
-    paragraphs = [
-        f"Model and measurement differ by {number(factor * budget['excess_rms_V'])} {shown} RMS "
-        f"above the noise floor of {number(factor * budget['noise_floor_rms_V'])} {shown} "
-        f"({size}p {p_equals(p)}){see('budget-table', 'where')}"
-        + (", no more than noise alone would leave." if is_noise else ".")
-    ]
+    paragraphs = [_size(budget, shown, factor)]
     if verdict["kind"] != "none":
         who = list_words([effect_words(name) for name in verdict["effects"]])
         if verdict["kind"] == "effect":
@@ -123,6 +117,27 @@ def _strips(record: Mapping[str, Any], pictures: Pictures) -> list[Part]:
             "stays within the grey strip of ± 2 in nineteen of twenty bins.",
         )
     ]
+
+
+def _size(budget: Mapping[str, Any], shown: str, factor: float) -> str:
+    """How far model and measurement differ, and whether noise alone would."""
+    p, of_form = budget["p_value"], budget.get("p_value_of_form")
+    of_size = budget.get("p_value_of_size", p)
+    by_noise = of_size is not None and of_size > CLEAR
+    size = "" if by_noise else f"d = {number(budget['excess_d'])} standard deviations, "
+    words = (
+        f"Model and measurement differ by {number(factor * budget['excess_rms_V'])} {shown} RMS "
+        f"above the noise floor of {number(factor * budget['noise_floor_rms_V'])} {shown} "
+        f"({size}p {p_equals(of_size)}){see('budget-table', 'where')}"
+    )
+    if not by_noise:
+        return f"{words}."
+    if of_form is None or of_form > CLEAR:
+        return f"{words}, no more than noise alone would leave."
+    return (
+        f"{words}. By its size that is no more than noise alone would leave, but along the course "
+        f"of a listed effect it is (p {p_equals(of_form)} for the largest of all courses)."
+    )
 
 
 def _left_out(record: Mapping[str, Any]) -> list[str]:

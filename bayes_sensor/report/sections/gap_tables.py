@@ -35,6 +35,8 @@ def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
         [f"excess over the floor ({shown})", scaled(budget["excess_rms_V"])],
         ["excess, d (standard deviations)", budget["excess_d"]],
         ["p-value", p_value(budget["p_value"])],
+        ["p-value of the size alone", p_value(budget.get("p_value_of_size"))],
+        ["p-value of the largest listed course", p_value(budget.get("p_value_of_form"))],
         [
             f"excess with the effect ({shown})",
             None if shrink.get("withheld") else scaled(shrink.get("after_excess_rms_V")),
