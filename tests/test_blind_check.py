@@ -510,8 +510,8 @@ def test_places_are_those_that_hold_nearly_all_of_the_misfit() -> None:
     assert (card["n"], card["of"]) == (1, 2)
     assert card["f1"] == pytest.approx(0.8) and card["f1_oracle"] == 0.5
     words = " ".join(in_words(make_card([row, silent, faint])))
-    assert "(stated in 1 of 2 campaigns), 77 % on average" in words
-    assert "hold nearly all of it: precision 0.67, recall 1.00, F1 0.80; with the cause" in words
+    assert "Where, stated in 1 of 2 campaigns: 77 % of the misfit" in words
+    assert "hold nearly all of it: precision 0.67, recall 1.00, F1 0.80, with the cause" in words
 
 
 def test_places_and_closed_fractions() -> None:

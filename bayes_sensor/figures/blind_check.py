@@ -45,7 +45,7 @@ def score_card(card: Part) -> Figure:
         shown = _laws(card["nulls"]["by_law"])
         # a line of type for every bar
         top = 0.75 + 0.105 * max(len(shown) + len(ALONE), 16)
-        heights = [top, 2.35, 2.05, 4.0]
+        heights = [top, 2.35, 2.05, 4.3]
         figure = new_figure(sum(heights))
         rows: Any = figure.subfigures(4, 1, height_ratios=heights)
         left, right = rows[0].subplots(1, 2)
@@ -289,7 +289,7 @@ def _tau(axes: Axes, tau: Part) -> None:
     axes.bar([0, 1], values, 0.6, color=[PALE, DATA], edgecolor=INK, lw=0.6)
     axes.set_xticks([0, 1], ["without", "with"])
     axes.xaxis.grid(False)
-    axes.set_xlabel("the named cause in the model")
+    axes.set_xlabel("the cause in the model")
     axes.set_ylabel("mean error of ln τ")
     axes.set_title("is τ mended")
 
@@ -336,18 +336,18 @@ def _of_places(places: Part) -> str:
     if places["share"] is None:
         return ""
     by_shares = places.get("f1_oracle") is not None  # cards of earlier runs count flags of phases
-    stated = f" (stated in {places['n']} of {places['of']} campaigns)" if by_shares else ""
+    stated = f", stated in {places['n']} of {places['of']} campaigns" if by_shares else ""
     words = (
-        f"Where: of the misfit that the diagnosis finds{stated}, {100 * places['share']:.0f} % on "
-        "average lies in the phases in which the cause acts"
+        f"Where{stated}: {100 * places['share']:.0f} % of the misfit that is found lies on average "
+        "in the phases in which the cause acts"
     )
     if places["share_oracle"] is not None:
-        words += f"; with the cause known it would be {100 * places['share_oracle']:.0f} %"
-    words += ". The phases that hold nearly all of it" if by_shares else ". As flags of phases"
+        words += f" (with the cause known {100 * places['share_oracle']:.0f} %)"
+    words += ". Phases that hold nearly all of it" if by_shares else ". As flags of phases"
     if places["precision"] is not None:
         words += f": precision {places['precision']:.2f}, recall {places['recall']:.2f},"
     words += f" F1 {_between(places, 'f1')}"
-    return words + (f"; with the cause known {places['f1_oracle']:.2f}." if by_shares else ".")
+    return words + (f", with the cause known {places['f1_oracle']:.2f}." if by_shares else ".")
 
 
 def _of_hidden(envelope: Part) -> list[str]:
@@ -424,7 +424,7 @@ def _sentences(axes: Axes, card: Part) -> None:
         .replace("d < ", "d\u00a0<\u00a0")
         for words in in_words(card)
     )
-    text = "\n\n".join(textwrap.fill(words, 66) for words in said)
+    text = "\n\n".join(textwrap.fill(words, 70) for words in said)
     axes.text(0.02, 1.0, text, transform=axes.transAxes, va="top", fontsize=7.5)
 
 
