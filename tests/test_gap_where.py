@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from gap_cases import design, diagnosed, measured, theta
+from scipy.signal import lfilter
 from scipy.stats import kstest
 from scipy.stats import t as student
 
@@ -218,3 +219,35 @@ def test_refitted_simulations_make_no_p_value_smaller() -> None:
     refitted = locate(sketch, base, bootstrap=20, courses=along)
     assert refitted.p_value_of_size >= linear.p_value_of_size
     assert refitted.p_value_of_form >= linear.p_value_of_form
+
+
+def test_what_differs_from_experiment_to_experiment_has_a_course_for_each() -> None:
+    weighing = weak("dead_volume").weighing
+    found = courses(weighing.base, {"flow_error": CATALOGUE["flow_error"]})
+    assert len(found) == len(weighing.sketch.campaign)
+    # a flow that is not what its controller said, in one of the experiments
+    campaign = measured({}, seed=6)
+    second = campaign.experiments[1]
+    said = replace(second, carrier_flow=1.07 * second.carrier_flow)
+    experiments = (campaign.experiments[0], said, *campaign.experiments[2:])
+    gap = diagnose_gap(
+        replace(campaign, experiments=experiments), bootstrap=0, separate=False, hidden=False
+    )
+    assert gap.budget["p_value_of_form"] < 1e-4 < 0.05 < gap.budget["p_value_of_size"]
+    assert gap.map.shared_by == "explanations"
+
+
+def test_gas_that_is_not_steady_is_shared_out_over_the_plateaus() -> None:
+    campaign = measured({}, seed=3)
+    rng = np.random.default_rng(2)
+    values = {}
+    for e in campaign:  # streaks of gas that was not mixed, half a second long
+        slow = lfilter([1.0], [1.0, -0.98], rng.standard_normal(len(e.t)))
+        on = (e.t > e.commanded_on + 5.0) & (e.t < e.commanded_off)
+        values[e.name] = e.values + 0.012 * on * slow / np.std(slow)
+    gap = diagnose_gap(campaign.with_data(values), bootstrap=0, separate=False, hidden=False)
+    found = {f.name: f.probability for f in gap.full_rate}
+    assert gap.verdict.kind == "unlisted" and found["unsteady"] > 0.5
+    assert gap.map.shared_by == "findings"
+    shares = gap.where.groupby("phase")["share"].sum()
+    assert shares["plateau"] == pytest.approx(1.0) and (gap.where.share > 0).sum() == len(campaign)

@@ -24,21 +24,35 @@ FAINT = 1e-3
 def courses(base: Refit, catalogue: Mapping[str, Effect]) -> FloatArray:
     """(n, n_bins in all) whitened courses of unit length that the refit does not take up.
 
-    One for each strength from which the fits of an effect begin, beside what the base has already;
+    One for each strength from which the fits of an effect begin, beside what the base has already,
+    and one for each experiment alone, at a plausible strength, where an effect has another in each;
     those that the refit takes up nearly whole are left out.
     """
     leverage, sketch = Leverage.of(base), base.plan.sketch
     here = base.plan.means(base.x)
-    found = [np.zeros((0, len(base.residual)))]
+    found = [np.zeros((0, sketch.n_bins))]
+
+    def add(whole: FloatArray) -> None:
+        left = leverage.leave(whole.T).T
+        size = np.linalg.norm(left, axis=1)
+        seen = size > np.maximum(FAINT, ABSORBED**0.5 * np.linalg.norm(whole, axis=1))
+        found.append(left[seen] / size[seen, None])
+
     for effect in catalogue.values():
         for form in effect.forms if effect.on_mean else ():
             plan = Plan(sketch, (*base.plan.parts, Part(effect, form)))
             begun = joined_start(plan, base)
-            for start in form.starts:
+
+            def course(start: Mapping[str, float], plan: Plan, begun: FloatArray) -> FloatArray:
                 moved = plan.means(with_start(plan, begun, start))
-                course = sketch.whitened([b - a for a, b in zip(here, moved, strict=True)])
-                left = leverage.leave(course[:, None])[:, 0]
-                size = float(np.linalg.norm(left))
-                if size > max(FAINT, ABSORBED**0.5 * float(np.linalg.norm(course))):
-                    found.append(left[None, :] / size)
+                return sketch.whitened([b - a for a, b in zip(here, moved, strict=True)])
+
+            add(np.array([course(start, plan, begun) for start in form.starts]))
+            own = {s.name: s.value(1.0) for s in plan.strengths[-1] if s.per_experiment}
+            if own:
+                each = np.zeros((len(sketch.rows), sketch.n_bins))
+                unlike = course({**form.starts[0], **own}, plan, begun)
+                for alone, rows in zip(each, sketch.rows, strict=True):
+                    alone[rows] = unlike[rows]
+                add(each)
     return np.vstack(found)

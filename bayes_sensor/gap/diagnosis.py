@@ -471,7 +471,7 @@ def _events(
 
 
 def _shared_out(located: Map, weighing: Weighing, full_rate: Sequence[FullRate], kind: str) -> Map:
-    """Where the excess lies by all that explains it, or where something happens that nothing does.
+    """Where the excess lies by all that explains it, or by what samples tell that nothing does.
 
     As measured where neither is there; nowhere where the verdict is that nothing exceeds the floor.
     """
@@ -488,15 +488,20 @@ def _shared_out(located: Map, weighing: Weighing, full_rate: Sequence[FullRate],
     if clear or kind != "unlisted":
         return located
     names = [e.name for e in sketch.campaign]
-    places = [
-        (
-            names[int(f.strength[f"{f.name}_experiment"])],
-            f.strength[f"{f.name}_s"],
-            f.strength[f"{f.name}_ratio"] ** 2,
-        )
-        for f in full_rate
-        if f.name in HAPPENS_ONCE and f.probability > FOUND
-    ]
+    places = []
+    for f in full_rate:
+        size = 2.0 * f.log_bayes_factor
+        if f.probability <= FOUND:
+            continue
+        if f.name in HAPPENS_ONCE:
+            name = names[int(f.strength[f"{f.name}_experiment"])]
+            places.append((name, f.strength[f"{f.name}_s"], size))
+        elif f.name == "unsteady":
+            on = [c for c in located.cells if c.phase == "plateau"]
+            whole = sum(c.t_end_s - c.t_start_s for c in on)
+            places += [
+                (c.experiment, c.t_start_s, size * (c.t_end_s - c.t_start_s) / whole) for c in on
+            ]
     return shared_by_findings(located, places)
 
 

@@ -248,7 +248,7 @@ def shared_by_explanations(located: Map, sketch: Sketch, explained: FloatArray) 
 
 
 def shared_by_findings(located: Map, found: Sequence[tuple[str, float, float]]) -> Map:
-    """The map with shares where something happens: experiment, s, and how large, squared sd."""
+    """The map with shares where samples tell something: experiment, s, and twice ln B."""
     power = np.array([
         sum(
             size for name, at, size in found
