@@ -328,3 +328,28 @@ def test_verdicts_alike_at_both_settings_are_counted(
 def test_the_figure_has_the_same_bytes_each_time(card: dict[str, Any]) -> None:
     # figures inside a figure: where the solver of the layout puts them is exact to rounding only
     assert len({svg(score_card(card)) for _ in range(8)}) == 1
+
+
+# --------------------------------------------------------------------------- the code as it is
+
+
+def test_p_values_raise_no_more_alarms_than_they_say_and_see_most_gaps() -> None:
+    rows = read_rows(TABLES / "blind_check_cases.csv")
+    part = make_card(rows)["p_value"]
+    nulls = [row for row in rows if row["kind"] == "null"]
+    assert part["null"]["k"] == sum(row["gap_p"] < 0.05 for row in nulls)
+    assert part["null"]["n"] == len(nulls) > 200
+    assert part["null"]["rate"] < 0.05  # under all laws of noise together
+    for row in part["seen"]:
+        assert row["whole"]["k"] >= row["size"]["k"]
+        if row["d"] >= 8.0:
+            assert row["whole"]["lo95"] > 0.7 and row["whole"]["n"] > 40
+    eight = next(row for row in part["seen"] if row["d"] == 8.0)
+    assert eight["size"]["hi95"] < 0.25  # which is why the courses are looked along
+
+
+def test_places_are_stated_in_most_campaigns_and_nearly_as_well_as_with_the_cause_known() -> None:
+    places = make_card(read_rows(TABLES / "blind_check_cases.csv"))["localisation"]
+    assert places["n"] > 0.8 * places["of"] > 200
+    assert places["f1_lo95"] > 0.6 and places["f1"] > 0.8 * places["f1_oracle"]
+    assert places["share"] > 0.8 * places["share_oracle"]
