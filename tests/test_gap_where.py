@@ -24,6 +24,7 @@ from bayes_sensor.gap.refit import refit
 from bayes_sensor.gap.simulation import simulate_with_effects
 from bayes_sensor.gap.where import Leverage, _parts, locate, shared_by_findings
 from bayes_sensor.gap.which import MOST_TERMS
+from bayes_sensor.gap.words import sentence
 
 WEAK = {
     "dead_volume": 0.03, "flow_switching": 0.15, "gain_drift": 0.00025, "baseline_step": 0.0025,
@@ -251,3 +252,18 @@ def test_gas_that_is_not_steady_is_shared_out_over_the_plateaus() -> None:
     assert gap.map.shared_by == "findings"
     shares = gap.where.groupby("phase")["share"].sum()
     assert shares["plateau"] == pytest.approx(1.0) and (gap.where.share > 0).sum() == len(campaign)
+
+
+def test_what_noise_would_seldom_leave_is_told_where_nothing_is_stated() -> None:
+    gap = diagnosed("none", seed=1)
+
+    def said(p: float) -> str:
+        located = replace(gap.map, p_value=p)
+        rest = (gap.weighing, gap.standing, gap.weighing.hypotheses[0], located, {}, (),
+                gap.shrink.closure, gap.full_rate, (0.0123, 0.2), "V")  # fmt: skip
+        return sentence("none", (), 0.594, *rest)
+
+    assert said(0.4).startswith("Nothing is missing beyond the noise floor. Effects that")
+    assert "nothing may be missing beyond the noise floor (59 %); yet noise" in said(0.021)
+    assert "(p = 0.021). Effects that" in said(0.021)
+    assert all(said(p).endswith("lie anywhere from 12 to 200 ms.") for p in (0.4, 0.021))

@@ -14,7 +14,7 @@ from bayes_sensor.gap.how_far import Closure
 from bayes_sensor.gap.refit import Sketch
 from bayes_sensor.gap.separate import Separation
 from bayes_sensor.gap.verdict import NAMED, Standing
-from bayes_sensor.gap.where import Map
+from bayes_sensor.gap.where import CLEAR, Map
 from bayes_sensor.gap.which import Hypothesis, Weighing
 from bayes_sensor.notebook import shown
 
@@ -237,9 +237,16 @@ def sentence(
     place = f", mostly in the {worst}" if worst else ""
     if kind == "none":
         low, high = (shown(1e3 * t, 2) for t in envelope)
+        nothing = "Nothing is missing beyond the noise floor."
+        if located.p_value < CLEAR:
+            nothing = (
+                "No cause is likely enough to be stated, and nothing may be missing beyond the "
+                f"noise floor ({100.0 * probability:.0f} %); yet noise alone would seldom leave as "
+                f"much (p = {shown(located.p_value, 2)})."
+            )
         return (
-            "Nothing is missing beyond the noise floor. Effects that this campaign cannot see may "
-            f"still hide: with them tau could lie anywhere from {low} to {high} ms."
+            f"{nothing} Effects that this campaign cannot see may still hide: with them tau could "
+            f"lie anywhere from {low} to {high} ms."
         )
     if kind == "unlisted" and probability < 0.5:
         return undecided_words(place, stand)
