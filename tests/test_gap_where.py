@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from scipy.stats import kstest
 from scipy.stats import t as student
 
+from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.gap import Gap, diagnose_gap
 from bayes_sensor.gap.bins import PHASES
 from bayes_sensor.gap.courses import courses
@@ -22,9 +23,17 @@ from bayes_sensor.gap.explained import explained
 from bayes_sensor.gap.floor import DOF
 from bayes_sensor.gap.refit import refit
 from bayes_sensor.gap.simulation import simulate_with_effects
-from bayes_sensor.gap.where import Leverage, _parts, locate, shared_by_findings
+from bayes_sensor.gap.sketch import fit_base, prepare
+from bayes_sensor.gap.where import (
+    Leverage,
+    _parts,
+    locate,
+    predict_left_out,
+    shared_by_findings,
+)
 from bayes_sensor.gap.which import MOST_TERMS
 from bayes_sensor.gap.words import sentence
+from bayes_sensor.model import Layout
 
 WEAK = {
     "dead_volume": 0.03, "flow_switching": 0.15, "gain_drift": 0.00025, "baseline_step": 0.0025,
@@ -161,6 +170,21 @@ def test_a_single_event_is_shared_out_and_no_misfit_of_the_model_is_claimed() ->
     top = max(gap.map.cells, key=lambda c: c.share)
     assert (top.experiment, top.phase) == ("2", "plateau")
     assert gap.to_json()["where_shared_by"] == gap.map.shared_by != "nothing"
+
+
+def test_a_record_without_a_fall_has_no_part_in_predicting_falls() -> None:
+    campaign = measured({}, seed=4)
+    first = campaign.experiments[0]
+    before = first.t < first.commanded_off - 1.0
+    short = replace(
+        first, t=first.t[before], y=first.values[before],
+        mask=None if first.mask is None else first.mask[before], commanded_off=None,
+    )  # fmt: skip
+    some = replace(campaign, experiments=(short, *campaign.experiments[1:]))
+    sketch = prepare(some, Layout.of(some).flat(fit_least_squares(some, euler=False).theta_hat))
+    base = fit_base(sketch.sketch)
+    left = predict_left_out(sketch.sketch, base)  # warnings are errors here
+    assert "fall" in left and all(np.isfinite(d) for d in left.values())
 
 
 # --------------------------------------------------------------------------- courses

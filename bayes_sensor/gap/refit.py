@@ -788,6 +788,8 @@ def refit(
             for k, j in enumerate(jacobians):
                 rows, columns = sketch.rows[k], plan.columns(k)
                 by, w = moved[columns], weights[columns]
+                if not np.any(w):  # an experiment whose coordinates are held, or at rest
+                    continue
                 missed = residual[rows] - t_residual[rows] - j @ by
                 jacobians[k] = j + np.outer(missed, w / float(w @ by))
         else:
