@@ -498,3 +498,14 @@ def test_names_of_own_effects_must_not_be_mistaken(name):
             name, [Strength("s", "V", "normal", 0.0, 1.0)], lambda t, s, rig: rig.mean(t),
             plausible={"s": 1.0},
         )  # fmt: skip
+
+
+def test_nothing_is_certified_where_the_fit_sees_no_step() -> None:
+    campaign = measured({}, seed=1)  # the falls are in the records, but nobody said so
+    untold = tuple(replace(e, commanded_on=None, commanded_off=None) for e in campaign)
+    gap = diagnose_gap(replace(campaign, experiments=untold), bootstrap=0, separate=False)
+    said = gap.verdict.sentence
+    assert said.startswith("No step is seen beyond what the model misses, in any experiment")
+    assert "Nothing is missing" not in said
+    assert gap.verdict.kind == "none"
+    assert said.endswith("in any experiment: whether anything is missing cannot be told.")

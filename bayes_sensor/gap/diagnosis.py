@@ -49,7 +49,7 @@ from bayes_sensor.gap.unsteady import look_for_unsteadiness
 from bayes_sensor.gap.verdict import Standing, Verdict, judge, leftover, standing
 from bayes_sensor.gap.where import CLEAR, Map, locate, shared_by_explanations, shared_by_findings
 from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
-from bayes_sensor.gap.words import looks_most, notes_on, sentence, units_of
+from bayes_sensor.gap.words import looks_most, notes_on, sentence, units_of, without_a_step
 from bayes_sensor.model import Layout, Theta
 from bayes_sensor.notebook import card
 from bayes_sensor.workers import one_thread
@@ -378,6 +378,8 @@ def diagnose_gap(
     names, unit = [e.name for e in campaign], campaign.signal_unit
     said = sentence(kind, named, probability, weighing, stand, best, located, catalogue,
                     separations, shrink.closure, full_rate, envelope, unit)  # fmt: skip
+    if not fit.step_seen:
+        said = without_a_step(kind, said)
     beside = looks_most(full_rate, names, unit) if kind == "none" else []
     tell(1.0, "done")
     return Gap(

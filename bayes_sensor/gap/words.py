@@ -295,6 +295,14 @@ def sentence(
     return " ".join([*words, *second_words(named, stand, catalogue), *besides])
 
 
+def without_a_step(kind: str, said: str) -> str:
+    """What a verdict says where the fit has found no step, so that the model explains nothing."""
+    unseen = "No step is seen beyond what the model misses, in any experiment"
+    if kind == "none":
+        return f"{unseen}: whether anything is missing cannot be told."
+    return f"{unseen}, so what follows says little. {said}"
+
+
 def second_words(
     named: Sequence[str], stand: Standing, catalogue: Mapping[str, Effect]
 ) -> list[str]:
