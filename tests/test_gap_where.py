@@ -165,11 +165,11 @@ def test_a_single_event_is_shared_out_and_no_misfit_of_the_model_is_claimed() ->
     values[e.name] += 0.12 * ((e.t > 24.0) & (e.t < 24.6))
     gap = diagnose_gap(campaign.with_data(values), bootstrap=0, separate=False, hidden=False)
     assert gap.verdict.kind == "unlisted"
-    if gap.map.shared_by == "findings":
-        assert "The model" not in gap.verdict.sentence
+    assert gap.map.shared_by == "findings"
+    assert "The model" not in gap.verdict.sentence
     top = max(gap.map.cells, key=lambda c: c.share)
     assert (top.experiment, top.phase) == ("2", "plateau")
-    assert gap.to_json()["where_shared_by"] == gap.map.shared_by != "nothing"
+    assert gap.to_json()["where_shared_by"] == "findings"
 
 
 def test_a_record_without_a_fall_has_no_part_in_predicting_falls() -> None:

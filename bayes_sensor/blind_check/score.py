@@ -308,9 +308,10 @@ def _places(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         return found
     found["places"] = len(acting)
     stated = [{**row, "share": row["share"] or 0.0} for row in verdict["where"]]
-    if not _most_of(stated):
+    claimed = _most_of(stated)
+    if not claimed:
         return found
-    precision, recall = _hits(_most_of(stated), acting)
+    precision, recall = _hits(claimed, acting)
     seen = truth["visible"]
     return found | {
         "located": _within(stated, acting),

@@ -8,6 +8,7 @@ there is the noise of one number.  The largest of all courses, against what it i
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.refit import Part, Plan, Refit
 from bayes_sensor.gap.where import Leverage
-from bayes_sensor.gap.which import ABSORBED, joined_start, with_start
+from bayes_sensor.gap.which import ABSORBED, course, joined_start
 
 FAINT = 1e-3
 """standard deviations of the noise below which a course is none"""
@@ -43,15 +44,12 @@ def courses(base: Refit, catalogue: Mapping[str, Effect]) -> FloatArray:
             plan = Plan(sketch, (*base.plan.parts, Part(effect, form)))
             begun = joined_start(plan, base)
 
-            def course(start: Mapping[str, float], plan: Plan, begun: FloatArray) -> FloatArray:
-                moved = plan.means(with_start(plan, begun, start))
-                return sketch.whitened([b - a for a, b in zip(here, moved, strict=True)])
-
-            add(np.array([course(start, plan, begun) for start in form.starts]))
+            from_start = partial(course, plan, begun, here)
+            add(np.array([from_start(start) for start in form.starts]))
             own = {s.name: s.value(1.0) for s in plan.strengths[-1] if s.per_experiment}
             if own:
                 each = np.zeros((len(sketch.rows), sketch.n_bins))
-                unlike = course({**form.starts[0], **own}, plan, begun)
+                unlike = from_start({**form.starts[0], **own})
                 for alone, rows in zip(each, sketch.rows, strict=True):
                     alone[rows] = unlike[rows]
                 add(each)

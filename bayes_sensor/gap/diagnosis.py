@@ -481,20 +481,15 @@ def _shared_out(located: Map, weighing: Weighing, full_rate: Sequence[FullRate],
     clear = located.p_value_of_size < CLEAR
     if kind == "none" and not clear:
         return located
-    nothing = sum(
-        p for h, p in zip(weighing.hypotheses, weighing.probabilities, strict=True)
-        if h.key == "none"
-    )  # fmt: skip
-    if nothing < UNMOVED:
+    keys = [h.key for h in weighing.hypotheses]
+    if weighing.probabilities[keys.index("none")] < UNMOVED:
         return shared_by_explanations(located, sketch, explained(weighing))
     if clear or kind != "unlisted":
         return located
     names = [e.name for e in sketch.campaign]
     places = []
-    for f in full_rate:
+    for f in (f for f in full_rate if f.probability > FOUND):
         size = 2.0 * f.log_bayes_factor
-        if f.probability <= FOUND:
-            continue
         if f.name in HAPPENS_ONCE:
             name = names[int(f.strength[f"{f.name}_experiment"])]
             places.append((name, f.strength[f"{f.name}_s"], size))
@@ -560,7 +555,7 @@ def _look_again(
             name is None
             or stand.effects[name] < 0.9
             or len(rounds) >= MOST_ROUNDS
-            or left.p_value > 0.05
+            or left.p_value > CLEAR
         ):
             return rounds
         best = again.find(name)

@@ -93,15 +93,22 @@ class Linearised:
         step[free] = np.linalg.solve(normal, slope[free])
         return step if float(slope @ step) > AT_REST else None
 
+    def _at_rest(self, gram: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Gradient (.., n) and normal matrix (.., n, n), without what is only promised.
+
+        ``gram`` (.., 1 + n, 1 + n): of residual and derivatives, with a discrepancy or without.
+        """
+        gradient, normal = gram[..., 1:, 0], gram[..., 1:, 1:]
+        if self.promised is not None:
+            gradient = gradient - normal @ self.promised
+        return gradient, normal
+
     def left(self, discrepancy: Discrepancy | None) -> FloatArray:
         """(n_bins in all,) the noise: what neither the mean nor the discrepancy takes up."""
         if discrepancy is None:
             return self.refit.residual
         plan = self.refit.plan
-        gram = self.gram - discrepancy.absorbed(self.both)
-        gradient, normal = gram[1:, 0], gram[1:, 1:]
-        if self.promised is not None:
-            gradient = gradient - normal @ self.promised
+        gradient, normal = self._at_rest(self.gram - discrepancy.absorbed(self.both))
         prior = plan.own_prior_matrix
         pulled = prior @ (self.refit.x - plan.prior_centre)
         step = np.linalg.solve(normal + prior, gradient - pulled)
@@ -118,10 +125,8 @@ class Linearised:
             [self.gram if d is None else self.gram - d.absorbed(self.both) for d in discrepancies]
         )
         log_det = np.array([0.0 if d is None else d.log_determinant() for d in discrepancies])
-        square, gradient, normal = gram[:, 0, 0], gram[:, 1:, 0], gram[:, 1:, 1:]
-        if self.promised is not None:
-            gradient = gradient - normal @ self.promised
-        found = _laplace(self.refit, normal, gradient, square, log_det, self.priors)
+        gradient, normal = self._at_rest(gram)
+        found = _laplace(self.refit, normal, gradient, gram[:, 0, 0], log_det, self.priors)
         best = np.argmax(found.log_z, axis=1)
         total = np.logaddexp.reduce(found.log_z, axis=1) - np.log(len(self.priors))
         return [

@@ -25,7 +25,7 @@ from bayes_sensor.gap.refit import Plan, Refit, Sketch, refit
 DRAWS = 2000
 """simulated noises behind the p-values"""
 CLEAR = 0.05
-"""p-value of the size below which the measured excess is shared out"""
+"""p-value below which noise alone would seldom leave as much"""
 
 
 @dataclass(frozen=True)
@@ -128,14 +128,14 @@ def locate(
     show.
     """
     leverage = Leverage.of(base)
-    groups = _cells(sketch)
+    parts = _parts(sketch)
+    groups = [part for part in parts if not part.scale]
+    whole = len(groups)
     rng = np.random.default_rng(seed)
     noise = rng.standard_normal((sketch.n_bins, DRAWS))
     noise *= np.sqrt(DOF / rng.chisquare(DOF, DRAWS))
     left = leverage.leave(noise)
     z = base.residual
-    parts = _parts(sketch)
-    whole = len(groups)
     excess, spread, ratios = [], [], []
     for part in parts:
         rows, transform = part.rows, part.transform
@@ -199,7 +199,7 @@ def locate(
                 scale_s=part.scale_s,
             )
         )
-    everywhere = [_mean_square(sketch, leverage, z, k, rows) for k, _, rows in groups]
+    everywhere = [_mean_square(sketch, leverage, z, g.experiment, g.rows) for g in groups]
     count = sum(n for _, n in everywhere)
     mean = sum(value * n for value, n in everywhere) / count
     return Map(
@@ -288,9 +288,14 @@ class _Part:
 
 def _parts(sketch: Sketch) -> list[_Part]:
     """All cells, then the time scales of each."""
-    groups = _cells(sketch)
-    found = [_Part(k, phase, rows, np.eye(len(rows))) for k, phase, rows in groups]
-    for k, phase, rows in groups:
+    found = []
+    for k, b in enumerate(sketch.bins):
+        for phase in range(len(PHASES)):
+            rows = np.flatnonzero(b.phase == phase) + sketch.rows[k].start
+            if len(rows):
+                found.append(_Part(k, phase, rows, np.eye(len(rows))))
+    for cell in found.copy():
+        k, phase, rows = cell.experiment, cell.phase, cell.rows
         cosine = np.asarray(dct(np.eye(len(rows)), axis=0, norm="ortho"))
         b = sketch.bins[k]
         local = rows - sketch.rows[k].start
@@ -302,21 +307,11 @@ def _parts(sketch: Sketch) -> list[_Part]:
     return found
 
 
-def _cells(sketch: Sketch) -> list[tuple[int, int, NDArray[np.int64]]]:
-    found = []
-    for k, b in enumerate(sketch.bins):
-        for phase in range(len(PHASES)):
-            local = np.flatnonzero(b.phase == phase)
-            if len(local):
-                found.append((k, phase, local + sketch.rows[k].start))
-    return found
-
-
 def _stretch(
     sketch: Sketch,
     base: Refit,
     leverage: Leverage,
-    groups: list[tuple[int, int, NDArray[np.int64]]],
+    groups: Sequence[_Part],
     courses: FloatArray,
     rng: np.random.Generator,
     bootstrap: int,
@@ -331,7 +326,7 @@ def _stretch(
     plan = base.plan
     means = plan.means(base.x)
     cells, along = [], []
-    blocks = [leverage.block(rows) for _, _, rows in groups]
+    blocks = [leverage.block(group.rows) for group in groups]
     for _ in range(bootstrap):
         scale = np.sqrt(DOF / rng.chisquare(DOF))
         data = [
@@ -342,7 +337,7 @@ def _stretch(
         cells.append(
             max(
                 (float(z[rows] @ z[rows]) - float(np.trace(p))) / np.sqrt(2.0 * np.sum(p**2))
-                for (_, _, rows), p in zip(groups, blocks, strict=True)
+                for rows, p in zip((g.rows for g in groups), blocks, strict=True)
             )
         )
         along.append(float(np.max((courses @ z) ** 2, initial=0.0)))

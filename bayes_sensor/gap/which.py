@@ -174,13 +174,11 @@ def _most_promising(
     if not grid:
         return []
     normal = base.normal
-    sketch = plan.sketch
     here = base.plan.means(base.x)
     amplitudes = {s.name for s in plan.strengths[-1] if s.scaled}
     gains, sizes = np.zeros(len(grid)), np.zeros(len(grid))
     for i, start in enumerate(grid):
-        moved = plan.means(with_start(plan, begun, start))
-        template = sketch.whitened([b - a for a, b in zip(here, moved, strict=True)])
+        template = course(plan, begun, here, start)
         inside = base.jacobian.T @ template
         whole = float(template @ template)
         left = whole - float(inside @ np.linalg.solve(normal, inside))
@@ -193,6 +191,14 @@ def _most_promising(
         {name: v * (sizes[i] if name in amplitudes else 1.0) for name, v in grid[i].items()}
         for i in peaks[np.argsort(-gains[peaks])][:MOST_PROMISING]
     ]
+
+
+def course(
+    plan: Plan, begun: FloatArray, here: Sequence[FloatArray], start: Mapping[str, float]
+) -> FloatArray:
+    """(n_bins in all,) whitened: what the last part's strengths make of means ``here`` V."""
+    moved = plan.means(with_start(plan, begun, start))
+    return plan.sketch.whitened([b - a for a, b in zip(here, moved, strict=True)])
 
 
 def finished(fitted: Refit, enough: float = np.inf) -> Refit:

@@ -12,6 +12,7 @@ from bayes_sensor.report.parts import Part, Pictures, Section, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections.blind_check import published_goals
 from bayes_sensor.report.sections.gap_tables import (
+    CLEAR,
     UNSEEN,
     budget_table,
     hidden_table,
@@ -21,18 +22,14 @@ from bayes_sensor.report.sections.gap_tables import (
 )
 from bayes_sensor.report.words import list_words, ms, number, p_equals, sentence
 
-CLEAR = 0.05
-"""p-value below which a difference is more than noise"""
 _MEASURED = "Without a frame a shade is no more than noise makes."
 _SHADES = {
     "explanations": "Shades and shares are what the explanations put there, each by its "
     "probability, something unlisted included: of a cell's own excess most may be noise.",
     "findings": "Shares are of what single samples tell, in cells that as a whole are no more "
     "than noise.",
-    "measurement": _MEASURED,
-    "nothing": _MEASURED,
 }
-"""what is drawn, by what the shares rest on"""
+"""what is drawn, by what the shares rest on, where that is not what was measured"""
 
 
 def gap(saved: Saved, pictures: Pictures) -> Section | None:
@@ -78,7 +75,7 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
             figures.gap_where(record["where"], saved.unit),
             "Where the gap lies: excess over the noise floor by experiment and phase of the step. "
             "Numbers: share of the whole; framed: p of the measured excess below 5 %, as the "
-            f"largest of all cells. {_SHADES[record.get('where_shared_by', 'measurement')]}",
+            f"largest of all cells. {_SHADES.get(record.get('where_shared_by', ''), _MEASURED)}",
         ),
         *_strips(record, pictures),
         where_table(record, shown, factor),

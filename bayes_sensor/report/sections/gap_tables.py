@@ -17,6 +17,8 @@ NEGLIGIBLE = 0.0005
 """probability below which an explanation is only in gap.json, beyond the first few"""
 ENDINGS = ("V", "s", "Hz")
 """units at the end of a name, which the value has anyway"""
+CLEAR = 0.05
+"""p-value below which a difference is more than noise"""
 LEAST_SHARE = 0.005
 """of the excess, from which a cell is listed"""
 UNSEEN = 3.0
@@ -78,7 +80,7 @@ def where_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
     """The cells with an excess."""
     found = [
         row for row in record["where"]
-        if (row["share"] or 0.0) >= LEAST_SHARE or (row["p_value"] or 1.0) < 0.05
+        if (row["share"] or 0.0) >= LEAST_SHARE or (row["p_value"] or 1.0) < CLEAR
     ]  # fmt: skip
     rows = sorted(found, key=lambda row: -(row["share"] or 0.0))[:MOST_CELLS]
     caption = "Where the excess lies, the largest share first."
