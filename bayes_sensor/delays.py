@@ -2,8 +2,13 @@
 
 ``t0 - commanded_on = a0 + a1/Q`` and ``tf - commanded_off = b0 + b1/Q`` (paper Sec. IV, Fig. 7): a
 fixed delay of valve and electronics, and a volume ``a1`` that the gas has to fill first.  Ordinary
-least squares by statsmodels, once on all experiments and once without outliers; and weighted by
-the posterior variances of the switch times when a posterior is given.
+least squares by statsmodels, once on all experiments and once without outliers; and by generalised
+least squares with the posterior covariance of the switch times when a posterior is given.
+
+The data hold t0 + tau, so an error of tau moves all switch times together: it does not show in
+their scatter about the line, which is all that ordinary standard errors know of.  Where the
+covariance of the switch times is known, from a posterior or from the Fisher information at a fit,
+standard errors, intervals and p-values hold both.
 """
 
 from __future__ import annotations
@@ -16,8 +21,11 @@ from typing import Any, Protocol
 import numpy as np
 import statsmodels.api as sm
 from scipy import stats
+from scipy.linalg import pinvh
 
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.compression import compress
+from bayes_sensor.fit import Fit
 from bayes_sensor.likelihood import Problem, as_problem
 
 OUTLIER_LEVEL = 0.05
@@ -26,6 +34,7 @@ LEAST_POINTS = 3
 """of a line: one more than it has parameters, so that its intervals exist"""
 LEAST_LEFT = 4
 """points that must stay when an outlier goes"""
+NORMAL95 = float(stats.norm.ppf(0.975))
 
 
 class Fitted(Protocol):
@@ -54,9 +63,9 @@ class Line:
     p_value: float | None
     """two-sided, of a slope of zero"""
     se: dict[str, float] | None
-    """standard errors of ``intercept_s`` and ``slope_L``"""
+    """standard errors of ``intercept_s`` and ``slope_L``, what the switch times share included"""
     ci95: dict[str, list[float]] | None
-    """intervals of ``intercept_s`` and ``slope_L``"""
+    """intervals of ``intercept_s`` and ``slope_L``, likewise"""
     outliers: list[str]
     studentised: dict[str, float | None]
     """externally studentised residual of every experiment in the regression on all"""
@@ -68,8 +77,10 @@ class Line:
     with_outliers: dict[str, Any] | None
     """the regression on all experiments, when some were left out"""
     weighted: dict[str, Any] | None
-    """weighted by the posterior variances of the switch times, when a posterior was given"""
+    """by the posterior covariance of the switch times, when a posterior was given"""
     status: str
+    ordinary: dict[str, Any] | None = None
+    """``se``, ``ci95`` and ``p_value`` from the scatter about the line alone"""
 
     @property
     def n(self) -> int:
@@ -102,6 +113,7 @@ class Line:
             "band": self.band,
             "with_outliers": self.with_outliers,
             "weighted": self.weighted,
+            "ordinary": self.ordinary,
             "status": self.status,
         }
 
@@ -128,17 +140,19 @@ def regress_delays(campaign: Campaign | Problem, fit: Fitted, posterior: Any = N
     residuals against Student's t with a Bonferroni correction at 0.05 (Cook and Weisberg,
     Residuals and Influence in Regression, 1982, sec. 2.2.2); the line is then fitted without them
     and both are reported.  One pass, so that a line cannot be improved by dropping point after
-    point.  With ``posterior`` (InferenceData with ``t0``, ``tf`` of dimension ``experiment``, or an
-    object with ``sd(flat_name)``) also weighted by the inverse posterior variances.
+    point.  With ``posterior`` (one of this package, or one whose ``inference_data`` has ``t0``,
+    ``tf`` of dimension ``experiment``, or an object with ``sd(flat_name)``) also by generalised
+    least squares.
 
     Too few points, one common flow or unknown commanded times give a record that says so.
     """
     problem = as_problem(campaign)
     campaign = problem.campaign
     vector = problem.layout.flat(fit.theta_hat)
+    everything = None if posterior is not None else _covariance_of_fit(problem, fit, vector)
     lines: list[Line | None] = []
     for kind, column in (("t0_s", 2), ("tf_s", 3)):
-        names, x, y, sd = [], [], [], []
+        names, x, y, positions = [], [], [], []
         recorded = False
         for k, e in enumerate(campaign):
             commanded = e.commanded_on if kind == "t0_s" else e.commanded_off
@@ -149,30 +163,61 @@ def regress_delays(campaign: Campaign | Problem, fit: Fitted, posterior: Any = N
             names.append(e.name)
             x.append(1000.0 / e.total_flow)
             y.append(float(vector[position]) - commanded)
-            if posterior is not None:
-                sd.append(_posterior_sd(posterior, kind, e.name))
+            positions.append(position)
         if kind == "tf_s" and not recorded:
             lines.append(None)
-        else:
-            lines.append(
-                regress_line(names, np.array(x), np.array(y), np.array(sd) if sd else None)
-            )
+            continue
+        covariance = None if everything is None else everything[np.ix_(positions, positions)]
+        if posterior is not None and names:
+            covariance = _posterior_covariance(posterior, kind, names)
+        given = posterior is not None
+        lines.append(regress_line(names, np.array(x), np.array(y), covariance, given))
     start, end = lines
     assert start is not None  # every experiment has a t0
     return Delays(start, end)
 
 
-def _posterior_sd(posterior: Any, kind: str, name: str) -> float:
-    if hasattr(posterior, "sd"):
-        return float(posterior.sd(f"{kind}[{name}]"))
-    draws = posterior.inference_data.posterior[kind.removesuffix("_s")]
-    return float(np.std(draws.sel(experiment=name).values))
+def _covariance_of_fit(problem: Problem, fit: Fitted, vector: FloatArray) -> FloatArray | None:
+    """(n_theta, n_theta) inverse of the Fisher information at a fit; None where there is none."""
+    if not isinstance(fit, Fit) or fit.cannot_tell or not fit.step_seen:
+        return None
+    free = np.array(
+        [i for i, n in enumerate(problem.layout.names) if n not in problem.fixed and vector[i] != 0]
+    )
+    information = compress(problem, vector).information(vector)[np.ix_(free, free)]
+    scale = np.sqrt(np.diag(information))
+    if not (np.isfinite(scale).all() and (scale > 0.0).all()):
+        return None
+    inverse, rank = pinvh(information / np.outer(scale, scale), return_rank=True)
+    covariance = np.zeros((len(vector), len(vector)))
+    covariance[np.ix_(free, free)] = inverse / np.outer(scale, scale)
+    return covariance if rank == len(free) else None
+
+
+def _posterior_covariance(posterior: Any, kind: str, names: Sequence[str]) -> FloatArray:
+    """(n, n) s^2, of the switch times of these experiments."""
+    if hasattr(posterior, "of"):
+        draws = np.array([posterior.of(f"{kind}[{name}]") for name in names])
+    elif hasattr(posterior, "sd"):
+        return np.diag([float(posterior.sd(f"{kind}[{name}]")) ** 2 for name in names])
+    else:
+        found = posterior.inference_data.posterior[kind.removesuffix("_s")]
+        draws = np.array([found.sel(experiment=name).values.ravel() for name in names])
+    return np.atleast_2d(np.cov(draws))
 
 
 def regress_line(
-    names: Sequence[str], x: FloatArray, y: FloatArray, sd: FloatArray | None = None
+    names: Sequence[str],
+    x: FloatArray,
+    y: FloatArray,
+    covariance: FloatArray | None = None,
+    generalised: bool = False,
 ) -> Line:
-    """The regression of delays ``y`` (n,) s on inverse flows ``x`` (n,) s/L, and its outliers."""
+    """The regression of delays ``y`` (n,) s on inverse flows ``x`` (n,) s/L, and its outliers.
+
+    ``covariance`` (n, n) s^2 of the errors of ``y``, as far as it is known; what scatters about
+    the line beyond it is estimated.  ``generalised``: also by generalised least squares.
+    """
     names = list(names)
     reason = _cannot(names, x)
     if reason:
@@ -207,6 +252,7 @@ def regress_line(
                 f"residual, Bonferroni-corrected p below {OUTLIER_LEVEL:g})."
             )
     summary = _summary(result)
+    told = _with_shared_errors(summary, result, x, used, covariance)
     return Line(
         names=names,
         inverse_flow=x,
@@ -215,17 +261,18 @@ def regress_line(
         intercept=summary["intercept_s"],
         slope=summary["slope_L"],
         r2=summary["r2"],
-        p_value=summary["p_value"],
-        se=summary["se"],
-        ci95=summary["ci95"],
+        p_value=told["p_value"],
+        se=told["se"],
+        ci95=told["ci95"],
         outliers=left_out,
         studentised={m: _finite(v) for m, v in zip(names, studentised)},
         bonferroni_p={m: _finite(v) for m, v in zip(names, p)},
         residual_sd=float(np.sqrt(result.scale)),
         band=_band(result, x),
         with_outliers=with_outliers,
-        weighted=_weighted(x, y, used, sd),
+        weighted=_weighted(x, y, used, covariance) if generalised else None,
         status=status,
+        ordinary={key: summary[key] for key in ("se", "ci95", "p_value")},
     )
 
 
@@ -308,16 +355,58 @@ def _band(result: Any, x: FloatArray) -> dict[str, list[float]]:
     }
 
 
+def _with_shared_errors(
+    summary: dict[str, Any],
+    result: Any,
+    x: FloatArray,
+    used: np.ndarray,
+    covariance: FloatArray | None,
+) -> dict[str, Any]:
+    """Standard errors, intervals and p-value of ordinary least squares whose errors covary.
+
+    With A = (X'X)^-1 X' and errors of covariance C + s^2 I the line's is A (C + s^2 I) A'; s^2 is
+    what the residuals hold beyond tr M C, M = I - X A.  Degrees of freedom by Satterthwaite (1946),
+    since only s^2 is estimated.
+    """
+    if covariance is None or not np.isfinite(covariance).all():
+        return summary
+    X = np.column_stack([np.ones(int(used.sum())), x[used]])
+    known = covariance[np.ix_(used, used)]
+    inner = np.linalg.inv(X.T @ X)
+    A = inner @ X.T
+    left = len(X) - 2
+    expected = float(np.trace(known) - np.sum(X.T * (A @ known)))
+    scatter = max(float(result.ssr) - expected, 0.0) / left
+    shared, own = np.diag(A @ known @ A.T), scatter * np.diag(inner)
+    se = np.sqrt(shared + own)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        dof = np.where(own > 0.0, left * ((shared + own) / own) ** 2, np.inf)
+    reach = se * np.where(np.isfinite(dof), stats.t.ppf(0.975, np.minimum(dof, 1e9)), NORMAL95)
+    keys = ("intercept_s", "slope_L")
+    t = abs(summary["slope_L"]) / se[1] if se[1] > 0.0 else np.inf
+    return {
+        "se": dict(zip(keys, map(float, se), strict=True)),
+        "ci95": {
+            key: [float(summary[key] - r), float(summary[key] + r)]
+            for key, r in zip(keys, reach, strict=True)
+        },
+        "p_value": float(2.0 * stats.t.sf(t, min(float(dof[1]), 1e9))),
+    }
+
+
 def _weighted(
-    x: FloatArray, y: FloatArray, used: np.ndarray, sd: FloatArray | None
+    x: FloatArray, y: FloatArray, used: np.ndarray, covariance: FloatArray | None
 ) -> dict[str, Any] | None:
-    """Weighted least squares by 1/sd^2, scaled to the residuals as in OLS."""
-    if sd is None or not (np.isfinite(sd[used]).all() and (sd[used] > 0).all()):
+    """Generalised least squares by the posterior covariance, scaled to the residuals as in OLS."""
+    if covariance is None:
+        return None
+    known = covariance[np.ix_(used, used)]
+    if not np.isfinite(known).all() or np.linalg.matrix_rank(known, hermitian=True) < len(known):
         return None
     X = np.column_stack([np.ones_like(x), x])
-    result = sm.WLS(y[used], X[used], weights=1.0 / sd[used] ** 2).fit()
+    result = sm.GLS(y[used], X[used], sigma=known).fit()
     return {
         **_summary(result),
-        # 1 when the posterior spread alone explains the scatter about the line
+        # 1 when the posterior alone explains the scatter about the line
         "reduced_chi2": float(result.scale),
     }

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import Experiment, FloatArray
+from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
 from bayes_sensor.likelihood import Problem, mean_and_variance
 from bayes_sensor.noise import lag_coefficient, simulate_noise
 from bayes_sensor.posterior import Posterior
@@ -184,7 +184,8 @@ class _Statistics:
         campaign = problem.campaign
         self.used = [e.used for e in campaign]
         shortest = min(e.n_samples for e in campaign)
-        self.lags = np.array([lag for lag in LAGS if lag <= max(1, shortest // 10)])
+        paired = [k for k in LAGS if any((u[k:] & u[:-k]).any() for u in self.used)]
+        self.lags = np.array([lag for lag in paired if lag <= max(paired[:1] + [shortest // 10])])
         self._concentration_bins(problem, theta)
         self._bands(problem)
 
@@ -259,7 +260,11 @@ def check_predictive(posterior: Posterior, n_draws: int = 30, seed: int = 1) -> 
 
     Residuals are standardised by the model's own mean and variance at each draw; replicates have
     the draw's AR(1) noise on the same samples, gaps included.  About 3 s for 840 000 samples.
+
+    Raises CampaignError for fewer than two draws, which no spread can be taken of.
     """
+    if n_draws < 2:
+        raise CampaignError(f"n_draws: expected 2 or more draws to compare with, got {n_draws}")
     problem = posterior.problem
     draws = posterior.draws
     some = draws[np.linspace(0, len(draws) - 1, min(n_draws, len(draws))).round().astype(int)]

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import fft
 from scipy.special import chdtrc
 
-from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.campaign import BoolArray, Campaign, FloatArray
 from bayes_sensor.likelihood import Problem, as_problem, grid_response, mean_and_variance
 from bayes_sensor.model import Cascade, local_parameters, time_constants
 from bayes_sensor.noise import lag_coefficient
@@ -25,6 +25,8 @@ HISTOGRAM_BIN = 0.05
 """V, the paper's Fig. 6"""
 LAGS = (1, 2, 3, 5, 10, 20, 50, 100)
 """lags of the portmanteau test, in samples"""
+FEWEST_PAIRS = 0.01
+"""share of the samples that have another one at a lag, below which that lag is not told"""
 
 
 class Fitted(Protocol):
@@ -88,26 +90,45 @@ class _Series:
     e: FloatArray  # (n,) whitened
     x: FloatArray  # (n,) x3
     s: FloatArray  # (n,) V
+    used: BoolArray  # (n_t,) which samples of the record these are
     concentration: float
 
 
-def autocorrelation(r: FloatArray, n_lags: int) -> FloatArray:
+def autocorrelation(r: FloatArray, n_lags: int, used: BoolArray | None = None) -> FloatArray:
     """(n_lags + 1,) sample autocorrelation of a series about its mean, by FFT.
 
     ``sum_i (r_i - mean)(r_(i+k) - mean) / sum_i (r_i - mean)^2``, the biased form, as plotted in
-    the paper's Fig. 8.  Zero for a constant series beyond lag 0.
+    the paper's Fig. 8.  Zero for a constant series beyond lag 0.  With ``used`` (n_t,) ``r`` (n,)
+    are the samples that are used of n_t: lags are then those between the samples, gaps included,
+    sums stand for as many pairs as there would be without gaps, and a lag with hardly any is nan.
 
     >>> autocorrelation(np.array([1.0, -1.0, 1.0, -1.0]), 2).tolist()
     [1.0, -0.75, 0.5]
+    >>> autocorrelation(np.array([1.0, -1.0]), 2, np.array([True, False, True])).tolist()[1]
+    nan
     """
+    gaps = used is not None and not used.all()
     d = r - r.mean()
+    if used is not None and gaps:
+        d, whole = np.zeros(len(used)), d
+        d[used] = whole
     n_lags = min(n_lags, len(d) - 1)
+    sums = _lagged_products(d, n_lags)
+    impulse = np.r_[1.0, np.zeros(n_lags)]
+    rho: FloatArray = impulse if sums[0] <= 0.0 else sums / sums[0]
+    if used is None or not gaps:
+        return rho
+    pairs = np.rint(_lagged_products(used.astype(float), n_lags))
+    share = pairs / (len(d) - np.arange(n_lags + 1)) / (pairs[0] / len(d))
+    told = pairs > FEWEST_PAIRS * pairs[0]
+    return np.where(told, rho / np.where(told, share, 1.0), np.nan)
+
+
+def _lagged_products(d: FloatArray, n_lags: int) -> FloatArray:
+    """(n_lags + 1,) sum_i d_i d_(i+k)."""
     length = fft.next_fast_len(len(d) + n_lags, real=True)
     power = fft.rfft(d, length)
-    sums = fft.irfft(power.real**2 + power.imag**2, length)
-    impulse = np.r_[1.0, np.zeros(n_lags)]
-    rho: FloatArray = impulse if sums[0] <= 0.0 else sums[: n_lags + 1] / sums[0]
-    return rho
+    return np.asarray(fft.irfft(power.real**2 + power.imag**2, length)[: n_lags + 1])
 
 
 def whiten(z: FloatArray, index: np.ndarray, phi: float) -> FloatArray:
@@ -147,11 +168,12 @@ def diagnose_residuals(
     longest = max(float(e.t[-1] - e.t[0]) for e in campaign)
     n_lags = int(min((max_lag or longest / 20.0) / h, len(r) // 4))
     n_lags = max(n_lags, 1)
-    correlation = autocorrelation(r, n_lags)
+    correlation = autocorrelation(r, n_lags, np.concatenate([s.used for s in series]))
     whitened = autocorrelation(white, max(LAGS))
     noise = {name: float(vector[problem.layout.index(name)]) for name in problem.layout.noise_names}
     phi = float(np.mean(vector[problem.layout.noise[:, 0]]))
-    kept = _thinned(n_lags)
+    kept = _thinned(len(correlation) - 1)
+    kept = kept[np.isfinite(correlation[kept])]
     ratio, expected_sd = _slow_part(problem, vector, series)
     lag = _long_lag(correlation, phi)
     adequate, verdict = _verdict(ratio, expected_sd, correlation, phi, lag, h, whitened, len(r))
@@ -162,7 +184,7 @@ def diagnose_residuals(
             "ar1": [float(v) for v in np.sign(phi) ** kept * np.abs(phi) ** kept],
         },
         white_band=1.96 / sqrt(len(r)),
-        ljung_box=_ljung_box(z, white),
+        ljung_box=_ljung_box(z, white, int(problem.noise.autocorrelation == "ar1")),
         durbin_watson={"before": _durbin_watson(z), "after": _durbin_watson(white)},
         ar1={**noise, "phi": phi, "phi_interval_s": h, **_shared(problem, vector)},
         variance_vs_concentration=_variance(problem, vector, series),
@@ -193,7 +215,7 @@ def _series(problem: Problem, vector: FloatArray, k: int) -> _Series:
     else:
         x = problem.model.response(e.t, vector, problem.layout, e)
     z = r / s
-    return _Series(r, z, whiten(z, used, phi), x[used], s, e.concentration)
+    return _Series(r, z, whiten(z, used, phi), x[used], s, e.used, e.concentration)
 
 
 def _thinned(n_lags: int) -> np.ndarray:
@@ -204,16 +226,20 @@ def _thinned(n_lags: int) -> np.ndarray:
     return np.concatenate([np.arange(201), far])
 
 
-def _ljung_box(z: FloatArray, white: FloatArray) -> dict[str, Any]:
+def _ljung_box(z: FloatArray, white: FloatArray, n_fitted: int) -> dict[str, Any]:
+    """Before and after whitening, of which ``n_fitted`` correlations were fitted."""
     lags = [lag for lag in LAGS if lag < len(z) // 4] or [1]
     table: dict[str, Any] = {"lags": lags}
-    for label, series in (("before", z), ("after", white)):
-        tested = _portmanteau(series, lags)
+    for label, series, fitted in (("before", z, 0), ("after", white, n_fitted)):
+        tested = _portmanteau(series, lags, fitted)
         table[label] = {"statistic": tested[0], "p_value": tested[1]}
     return table
 
 
-def _portmanteau(series: FloatArray, lags: list[int]) -> tuple[list[float], list[float]]:
+def _portmanteau(
+    series: FloatArray, lags: list[int], n_fitted: int = 0
+) -> tuple[list[float], list[float | None]]:
+    """Statistic and p-value up to each lag; no p-value up to as many lags as were fitted."""
     if np.ptp(series) == 0.0:
         return [0.0] * len(lags), [1.0] * len(lags)
     # Ljung and Box, Biometrika 65, 297 (1978), eq. 3; statsmodels would do, and take a second to
@@ -222,9 +248,10 @@ def _portmanteau(series: FloatArray, lags: list[int]) -> tuple[list[float], list
     lag = np.arange(1, max(lags) + 1)
     correlation = autocorrelation(series, max(lags))[1:]
     statistic = n * (n + 2) * np.cumsum(correlation**2 / (n - lag))
-    p_value = chdtrc(lag, statistic)
-    chosen = np.array(lags) - 1
-    return [float(v) for v in statistic[chosen]], [float(v) for v in p_value[chosen]]
+    # what was fitted to the series takes as many degrees of freedom (Box and Pierce 1970)
+    p_value = chdtrc(np.maximum(lag - n_fitted, 1), statistic)
+    told = [float(p_value[k - 1]) if k > n_fitted else None for k in lags]
+    return [float(statistic[k - 1]) for k in lags], told
 
 
 def _durbin_watson(series: FloatArray) -> float:
@@ -264,6 +291,7 @@ def _breusch_pagan(series: list[_Series]) -> dict[str, Any]:
     """
     lag = 1
     for s in series:
+        # of the samples that are used, one after the other, since these are thinned
         acf = autocorrelation(s.z, min(2000, len(s.z) // 10 + 1))
         small = np.flatnonzero(np.abs(acf) < 0.05)
         lag = max(lag, int(small[0]) if len(small) else len(acf))
@@ -312,10 +340,20 @@ def _own_noise(s: _Series) -> dict[str, Any]:
         "n": len(s.r),
         "rms_V": sqrt(square / len(s.r)),
         "mean_V": float(s.r.mean()),
-        "lag_one": float(s.r[1:] @ s.r[:-1]) / square if square > 0.0 else 0.0,
+        "lag_one": _lag_one(s) if square > 0.0 else 0.0,
         "baseline_sd_V": float(np.sqrt(np.mean(low**2))) if len(low) else None,
         "plateau_sd_V": float(np.sqrt(np.mean(high**2))) if len(high) else None,
     }
+
+
+def _lag_one(s: _Series) -> float | None:
+    """Correlation of neighbouring samples, about zero; None where no two are used."""
+    r = np.zeros(len(s.used))
+    r[s.used] = s.r
+    pairs = int(np.sum(s.used[1:] & s.used[:-1]))
+    if pairs == 0:
+        return None
+    return float(r[1:] @ r[:-1] / (s.r @ s.r)) * (len(s.r) - 1) / pairs
 
 
 def _slow_part(problem: Problem, vector: FloatArray, series: list[_Series]) -> tuple[float, float]:
@@ -339,11 +377,12 @@ def _slow_part(problem: Problem, vector: FloatArray, series: list[_Series]) -> t
 
 
 def _long_lag(correlation: FloatArray, phi: float) -> int:
-    """First lag at which the AR(1)'s correlation has fallen below 0.01."""
-    if abs(phi) < 0.01:
-        return 1
-    lag = int(np.ceil(np.log(0.01) / np.log(min(abs(phi), 0.999999))))
-    return min(lag, len(correlation) - 1)
+    """First lag at which the AR(1)'s correlation has fallen below 0.01, of those that are known."""
+    lag = 1
+    if abs(phi) >= 0.01:
+        lag = int(np.ceil(np.log(0.01) / np.log(min(abs(phi), 0.999999))))
+    known = np.flatnonzero(np.isfinite(correlation))
+    return int(known[min(int(np.searchsorted(known, lag)), len(known) - 1)])
 
 
 def _verdict(

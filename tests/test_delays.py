@@ -12,7 +12,10 @@ from statsmodels.stats.outliers_influence import OLSInfluence
 
 from bayes_sensor.campaign import Campaign, Experiment
 from bayes_sensor.delays import regress_delays, regress_line
+from bayes_sensor.fit import fit_least_squares
+from bayes_sensor.likelihood import simulate
 from bayes_sensor.model import Layout
+from bayes_sensor.posterior import sample_posterior
 
 FLOWS = np.array([4.5, 3.5, 3.0, 9.0, 7.0, 6.0, 9.0])  # L/min
 CARRIER = np.array([4.0, 3.0, 2.5, 8.0, 6.0, 5.0, 7.5])
@@ -171,6 +174,43 @@ def test_weights_from_inference_data():
     from_sd = regress_delays(campaign, fit, known).start.weighted
     # sds from 8000 draws are good to 1 %
     assert from_draws["slope_L"] == pytest.approx(from_sd["slope_L"], rel=0.01)
+
+
+def test_intervals_hold_what_all_switch_times_share():
+    # an error of tau moves all of them: no scatter about the line tells of it
+    rng = np.random.default_rng(3)
+    shared = 0.03**2 * np.outer(INVERSE / INVERSE.mean() + 2.0, INVERSE / INVERSE.mean() + 2.0) / 9
+    covariance = shared + 0.004**2 * np.eye(7)
+    held = {"told": [], "ordinary": []}
+    for _ in range(400):
+        y = 0.134 + 0.1125 * INVERSE
+        y = y + rng.multivariate_normal(np.zeros(7), covariance) + 0.006 * rng.standard_normal(7)
+        line = regress_line(NAMES, INVERSE, y, covariance)
+        if line.outliers:
+            continue
+        for kind, found in (("told", line.ci95), ("ordinary", line.ordinary["ci95"])):
+            low, high = found["intercept_s"]
+            held[kind].append(low <= 0.134 <= high)
+    assert 0.92 < np.mean(held["told"]) < 0.98
+    assert np.mean(held["ordinary"]) < 0.7
+
+
+def test_errors_of_a_fit_are_those_of_its_information():
+    campaign, truth = case(noise=0.01)
+    layout = Layout.of(campaign)
+    theta = truth.theta_hat.copy()
+    for name, value in (("tau_s", 0.3), ("tau_v_s", 1.0), ("V_mL", 60.0), ("phi", 0.3),
+                        ("sigma0_V", 0.01), ("sigma1_V", 0.01)):  # fmt: skip
+        theta[layout.index(name)] = value
+    measured = simulate(campaign, theta, seed=2)
+    fit = fit_least_squares(measured, seed=1, swarms=1, euler=False)
+    line = regress_delays(measured, fit).start
+    draws = sample_posterior(measured, fit, sampler="independence", seed=1)
+    sampled = regress_delays(measured, fit, draws).start
+    assert line.se["intercept_s"] > 1.2 * line.ordinary["se"]["intercept_s"]
+    assert line.se["intercept_s"] == pytest.approx(sampled.se["intercept_s"], rel=0.15)
+    assert sampled.weighted["reduced_chi2"] > 0.0 and line.weighted is None
+    assert line.slope == pytest.approx(np.polyfit(INVERSE, line.delay, 1)[0])
 
 
 @pytest.mark.parametrize(

@@ -9,16 +9,17 @@ from scipy.signal import lfilter
 from bayes_sensor.campaign import Campaign
 from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.events import (
-    Quiet,
-    look_for_breaks,
-    look_for_events,
-    look_for_patches,
-    look_for_ringing,
-)
-from bayes_sensor.gap.floor import Stretch, lattice_step, rounding_bias
+from bayes_sensor.gap.events import look_for_events
+from bayes_sensor.gap.floor import Quiet, Stretch, lattice_step, rounding_bias
 from bayes_sensor.gap.full_rate import FullRate, look_at_tails, rounds_away
 from bayes_sensor.gap.lines import look_for_lines
+from bayes_sensor.gap.patches import (
+    _runs_of_bins,
+    _short_patches,
+    look_for_breaks,
+    look_for_patches,
+)
+from bayes_sensor.gap.ringing import look_for_ringing
 from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.gap.verdict import MISTAKEN_BY_SAMPLES, standing
 from bayes_sensor.model import Layout
@@ -137,19 +138,79 @@ def prepared_of(campaign):
     return prepare(campaign, Layout.of(campaign).flat(fit.theta_hat))
 
 
+def patches_of(prepared, base=None, tail=np.inf):
+    base = base or fit_base(prepared.sketch)
+    return look_for_patches(base, prepared.residuals_of(base), prepared.quiet, tail)
+
+
+def breaks_of(prepared, base=None, tail=np.inf):
+    return look_for_breaks(base or fit_base(prepared.sketch), tail)
+
+
 def test_a_block_lost_in_one_step_is_a_patch():
     campaign = measured({}, seed=8)
-    kept = look_for_patches(fit_base(prepared_of(campaign).sketch))
+    kept = patches_of(prepared_of(campaign))
     first, *others = campaign.experiments
     # a quarter second is missing while the signal rises, and the clock does not know
     i = int(np.searchsorted(first.t, first.commanded_on + 1.9))
     values = np.concatenate([first.y[:i], first.y[i + 25 :], first.y[-25:]])
     spoilt = replace(campaign, experiments=(replace(first, y=values), *others))
-    found = look_for_patches(fit_base(prepared_of(spoilt).sketch))
+    found = patches_of(prepared_of(spoilt))
     assert kept.log_bayes_factor < 0.0 and found.log_bayes_factor > 5.0
     assert found.strength["patch_experiment"] == 0.0
     gap = diagnose_gap(spoilt, bootstrap=0, separate=False, hidden=False)
     assert gap.verdict.kind == "unlisted" and "experiment 1" in gap.verdict.sentence
+
+
+def test_a_reading_that_stands_for_less_than_a_bin_is_a_patch():
+    # while the relays of a meter settle its last reading stands, in every rise at a time of its own
+    campaign = measured({}, seed=8, sigma=0.008, interval=0.001)
+    assert patches_of(prepared_of(campaign)).log_bayes_factor < 0.0
+    stood, begins = [], []
+    for e, share in zip(campaign, (0.3, 0.45, 0.4, 0.35), strict=True):
+        smooth = theta(campaign)["experiments"][e.name]
+        level = smooth["y0_V"] + share * smooth["beta_V"]
+        i = int(np.argmax(np.convolve(e.y, np.ones(50) / 50.0, "same") > level))
+        y = e.y.copy()
+        slope = (np.mean(y[i + 80 : i + 130]) - np.mean(y[i - 50 : i])) / 0.13
+        y[i : i + 45] -= slope * np.arange(45) * e.interval
+        stood.append(replace(e, y=y))
+        begins.append(float(e.t[i]))
+    prepared = prepared_of(replace(campaign, experiments=tuple(stood)))
+    base = fit_base(prepared.sketch)
+    found = patches_of(prepared, base)
+    assert found.log_bayes_factor > 10.0
+    assert _runs_of_bins(base, np.inf).log_bayes_factor < 2.0  # bins average it
+    assert {p.experiment for p in found.places} >= {0, 1, 2, 3}
+    near = [min(abs(p.time - begins[p.experiment] - 0.03) for p in found.places
+                if p.experiment == k) for k in range(4)]  # fmt: skip
+    assert max(near) < 0.1
+    assert found.strength["patch_s"] in [p.time for p in found.places]
+    gap = diagnose_gap(replace(campaign, experiments=tuple(stood)), bootstrap=0, separate=False)
+    assert gap.verdict.kind == "unlisted" and "Single switches" in gap.verdict.sentence
+    shares = {}
+    for cell in gap.map.cells:
+        shares[cell.phase] = shares.get(cell.phase, 0.0) + cell.share
+    assert gap.map.shared_by == "findings" and shares["rise"] > 0.9
+
+
+@pytest.mark.parametrize("kind", ["white", "ar1", "slow", "resonance", "paced", "gust"])
+def test_noise_of_any_kind_holds_no_short_patch(kind):
+    rng = np.random.default_rng(5)
+    plan = measured({}, seed=8, sigma=1e-6)
+    values = []
+    for _ in range(5):
+        made = []
+        for e in plan:
+            own = noise(len(e.t), rng, "white" if kind == "gust" else kind)
+            if kind == "gust":  # somebody drills next door while the signal rises
+                own *= np.where(np.abs(e.t - e.commanded_on - 1.5) < 1.0, 4.0, 1.0)
+            made.append(replace(e, y=e.y + 0.01 * own / np.std(own)))
+        prepared = prepared_of(replace(plan, experiments=tuple(made)))
+        base = fit_base(prepared.sketch)
+        found = _short_patches(base, prepared.residuals_of(base), prepared.quiet, np.inf)
+        values.append(found.log_bayes_factor)
+    assert max(values) < 2.0 and np.median(values) < (0.5 if kind == "gust" else -0.5)
 
 
 def test_shots_and_gusts_are_no_events():
@@ -196,8 +257,8 @@ def test_levels_that_last_are_no_breaks_no_patches_and_not_unsteady():
     base = fit_base(prepared.sketch)
     events = look_for_events(campaign, prepared.stretches)
     assert events.found.log_bayes_factor < 0.0 and events.lasting < 3.0
-    for look in (look_for_breaks, look_for_patches):
-        as_if_gaussian, as_it_is = look(base), look(base, events.lasting)
+    for look in (breaks_of, patches_of):
+        as_if_gaussian, as_it_is = look(prepared, base), look(prepared, base, events.lasting)
         assert as_if_gaussian.log_bayes_factor > 4.0
         assert as_it_is.log_bayes_factor < 0.0
         assert as_it_is.d == as_if_gaussian.d
@@ -234,7 +295,7 @@ def test_a_level_that_changes_in_one_record_is_found_when_it_does():
     assert found.strength["break_s"] == pytest.approx(at, abs=2.5)
 
 
-@pytest.mark.parametrize("look", [look_for_breaks, look_for_patches])
+@pytest.mark.parametrize("look", [breaks_of, patches_of])
 def test_what_strikes_again_alike_counts_together(look):
     # the same small offsets after the falls, for the same time in all records or for its own
     campaign = measured({}, seed=8)
@@ -245,7 +306,7 @@ def test_what_strikes_again_alike_counts_together(look):
             for e, at in zip(campaign, begins, strict=True)
         ]
         changed = replace(campaign, experiments=tuple(struck))
-        return look(fit_base(prepared_of(changed).sketch)).log_bayes_factor
+        return look(prepared_of(changed)).log_bayes_factor
 
     alike, apart = spoilt([5.0, 5.0, 5.0, 5.0]), spoilt([2.7, 4.1, 5.0, 6.2])
     assert alike > apart + 2.0 and alike > 4.0, (alike, apart)
@@ -253,7 +314,7 @@ def test_what_strikes_again_alike_counts_together(look):
 
 def test_scores_of_changes_have_unit_variance_where_nothing_changes():
     # the refit's own freedom is left out: over noises the squares average to one
-    from bayes_sensor.gap.events import _changes
+    from bayes_sensor.gap.patches import _changes
 
     squares = []
     for seed in range(6):

@@ -12,7 +12,6 @@ from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.gap import diagnose_gap, floor
 from bayes_sensor.gap.bins import PHASES, make_bins
-from bayes_sensor.gap.events import look_for_breaks
 from bayes_sensor.gap.floor import (
     ROOT,
     _bin_cholesky,
@@ -22,6 +21,7 @@ from bayes_sensor.gap.floor import (
     detrended,
     loudness,
 )
+from bayes_sensor.gap.patches import look_for_breaks
 from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.likelihood import simulate
 from bayes_sensor.model import Layout, cascade_response

@@ -9,13 +9,16 @@ import pytest
 from campaigns import small_design, small_problem, small_theta
 
 import bayes_sensor.posterior.independence as independence
+from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import CampaignError, SideInformation
+from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.laplace import approximate, log_posteriors
-from bayes_sensor.likelihood import Prior, Problem, log_likelihood, simulate
+from bayes_sensor.likelihood import Prior, Problem, log_likelihood, log_prior, simulate
 from bayes_sensor.model import Cascade, cascade_response, local_parameters, time_constants
 from bayes_sensor.noise import Noise
 from bayes_sensor.posterior import Posterior, Settings, load_chains, sample_posterior
 from bayes_sensor.posterior.hmc import Whitened
+from bayes_sensor.posterior.orders import exchanged
 
 SAMPLERS = ("emcee", "independence", "hmc")
 QUICK = Settings(max_steps=2000, target_ess=500.0, n_draws=600)
@@ -292,9 +295,68 @@ def test_equal_flows_are_warned_of() -> None:
     posterior = sample_posterior(
         simulate(design, theta), theta, sampler="hmc", settings=replace(SHORT, max_draws=400)
     )
-    assert any("tau_v and V cannot be told apart" in text for text in posterior.warnings)
+    assert any("cannot tell tau_v from V/Q" in text for text in posterior.warnings)
     problem, theta = small_problem(n=2, interval=0.02)
     assert not problem.campaign.same_flow
+
+
+def one_flow(side: dict[str, SideInformation]) -> tuple[Problem, np.ndarray, float]:
+    """A campaign at one flow with tau_v 0.5 s and V/Q 0.83 s, and the flow in mL/s."""
+    design = small_design(n=2, interval=0.02)
+    same = [replace(e, carrier_flow=60.0, test_gas_flow=10.0) for e in design]
+    design = replace(design, experiments=tuple(same), side_information=side)
+    theta = small_theta(design, sigma0=0.004, sigma1=0.004)
+    layout = Problem(design).layout
+    theta = layout.flat(theta)
+    theta[1], theta[2] = 0.5, 58.0
+    return Problem(simulate(design, theta, seed=4)), theta, 70.0
+
+
+@pytest.mark.parametrize("sampler", ["emcee", "independence"])
+def test_at_one_flow_the_priors_choose_the_order_of_valve_and_manifold(sampler: str) -> None:
+    problem, _, _ = one_flow({"V_mL": SideInformation(58.0, 2.0)})
+    fit = fit_least_squares(problem, seed=1)
+    # by its rule the fit takes the larger lag for the valve's
+    assert fit.theta_hat[1] == pytest.approx(0.83, abs=0.05) and fit.twin
+    posterior = sample_posterior(problem, fit, seed=1, sampler=sampler, settings=QUICK)
+    assert posterior.converged
+    low, high = posterior.quantiles("V_mL", [0.005, 0.995])
+    assert low < 58.0 < high < 63.0
+    low, high = posterior.quantiles("tau_v_s", [0.005, 0.995])
+    assert 0.45 < low < 0.5 < high < 0.55
+
+
+def test_at_one_flow_both_orders_have_their_share_without_other_knowledge() -> None:
+    problem, theta, flow = one_flow({})
+    fit = fit_least_squares(problem, seed=1)
+    posterior = sample_posterior(problem, fit, seed=1, settings=replace(QUICK, max_steps=3000))
+    assert posterior.converged and "exchange" in " ".join(posterior.reasons)
+    tau_v, lag = posterior.of("tau_v_s"), posterior.of("V_mL") / flow
+    larger = float(np.mean(tau_v > lag))
+    # the law of V and tau_v is flat where they are: the orders differ by nothing
+    prior = [float(log_prior(problem, x)) for x in (theta, exchanged(theta, flow))]
+    expected = 1.0 / (1.0 + np.exp(prior[0] - prior[1]))
+    assert larger == pytest.approx(expected, abs=0.08)
+    low, high = posterior.quantiles("V_mL", [0.025, 0.975])
+    assert low < 0.5 * flow * 1.05 and high > 57.0
+    bounds = compare_bounds(problem, fit, posterior, methods=["crlb_ar1", "posterior"])
+    assert np.isnan(bounds["crlb_ar1"].interval("V_mL")).all()
+    assert bounds["crlb_ar1"].interval("tau_s")[1] > 0.0
+    assert "either" not in bounds["crlb_ar1"].status and fit.twin in bounds["crlb_ar1"].status
+
+
+def test_exchanging_twice_changes_nothing_and_keeps_volumes() -> None:
+    problem, theta, flow = one_flow({})
+    assert exchanged(exchanged(theta, flow), flow) == pytest.approx(theta)
+    assert log_likelihood(problem, exchanged(theta, flow)) == pytest.approx(
+        log_likelihood(problem, theta), rel=1e-10
+    )
+    step = 1e-6
+    jacobian = np.array([
+        (exchanged(theta + step * unit, flow) - exchanged(theta - step * unit, flow)) / (2 * step)
+        for unit in np.eye(len(theta))
+    ])  # fmt: skip
+    assert abs(np.linalg.det(jacobian)) == pytest.approx(1.0, rel=1e-6)
 
 
 def test_switch_times_stay_behind_their_commands() -> None:

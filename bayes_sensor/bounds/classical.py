@@ -110,7 +110,10 @@ def crlb_ar1(evidence: Evidence) -> Bound:
 
 
 def posterior_intervals(evidence: Evidence) -> Bound:
-    """Equal-tailed quantiles of the posterior draws; the estimate is their median."""
+    """Equal-tailed quantiles of the posterior draws; the estimate is their median.
+
+    What the posterior warns of is its status: draws that have not converged first of all.
+    """
     names = evidence.mean_names
     draws = np.asarray(evidence.posterior.draws)
     index = [list(evidence.posterior.names).index(name) for name in names]
@@ -128,5 +131,6 @@ def posterior_intervals(evidence: Evidence) -> Bound:
         draws.std(axis=0, ddof=1),
         low,
         high,
+        status="; ".join(getattr(evidence.posterior, "warnings", ())) or "ok",
         details={"n_draws": len(draws)},
     )

@@ -17,10 +17,13 @@ from bayes_sensor.bounds.surface import (
     spread_along_tau,
     white_surface,
 )
-from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.fit import Fit
+from bayes_sensor.fit.noise import mean_square
 from bayes_sensor.likelihood import Problem
 
+ANOTHER = 1e-5
+"""relative difference of the RMS of residuals from which a fit is of other data"""
 Progress = Callable[[float, str], None]
 
 
@@ -42,6 +45,29 @@ class Evidence:
                 f"the fit has {len(self.fit.names)} parameters ({', '.join(self.fit.names[:3])}, "
                 f"..), the campaign needs {len(expected)}; fit this campaign with this model first"
             )
+        n = self.problem.campaign.n_samples
+        if self.fit.n_samples != n:
+            raise CampaignError(
+                f"the fit is of {self.fit.n_samples} samples, the campaign has {n}; fit this "
+                "campaign first"
+            )
+        rms = float(np.sqrt(mean_square(self.problem, self.theta)))
+        if abs(rms - self.fit.rms) > ANOTHER * self.fit.rms:
+            raise CampaignError(
+                f"at the fit's parameters the residuals have an RMS of {rms:.6g}, the fit says "
+                f"{self.fit.rms:.6g}: it is of other data; fit this campaign first"
+            )
+        self._check_posterior()
+
+    def _check_posterior(self) -> None:
+        """Raise CampaignError for a posterior of other data."""
+        if self.posterior is None:
+            return
+        missing = [n for n in self.problem.layout.names if n not in self.posterior.names]
+        of = getattr(getattr(self.posterior, "problem", None), "campaign", None)
+        if missing or (of is not None and not same_data(of, self.problem.campaign)):
+            what = f"has no {missing[0]}" if missing else "is of other data"
+            raise CampaignError(f"the posterior {what}; sample that of this campaign first")
 
     @cached_property
     def theta(self) -> FloatArray:
@@ -142,3 +168,13 @@ class Evidence:
             ("tau_s" in self.fit.at_bound and self.theta[0] < 0.1 * self.theta[1])
             or self.theta[0] ** 2 <= 1.001 * self.white.floor[0]
         )
+
+
+def same_data(a: Campaign, b: Campaign) -> bool:
+    """Whether two campaigns have the same experiments with the same samples in use."""
+    return len(a) == len(b) and all(
+        x.name == y.name
+        and np.array_equal(x.used, y.used)
+        and np.array_equal(x.values[x.used], y.values[y.used])
+        for x, y in zip(a, b, strict=True)
+    )

@@ -54,6 +54,13 @@ def _is_cascade(problem: Problem) -> bool:
     return type(problem.model) is Cascade and problem.model.method == "exact"
 
 
+def _slope_of_lag(phi: float, steps: float) -> float:
+    """Derivative of phi^steps with respect to phi; 0 at phi = 0 where it has no meaning there."""
+    if steps == 1.0:
+        return 1.0
+    return steps * lag_coefficient(phi, steps) / phi if phi != 0.0 else 0.0
+
+
 class Compressed:
     """A campaign's data reduced to a mesh; evaluates likelihoods in microseconds.
 
@@ -370,9 +377,9 @@ class Compressed:
 
         Slepian-Bangs formula for a Gaussian with mean and covariance both depending on theta
         (Kay, Fundamentals of Statistical Signal Processing I, 1993, eq. 3.31):
-        I_ab = m_a' C^-1 m_b + 1/2 tr(C^-1 C_a C^-1 C_b), with C = S R S, R of an AR(1).  The trace
-        is taken within stretches of consecutive samples; the few pairs across gaps are left out
-        of it.
+        I_ab = m_a' C^-1 m_b + 1/2 tr(C^-1 C_a C^-1 C_b), with C = S R S, R of an AR(1).  R^-1 is
+        tridiagonal, across gaps as well, where neighbours have the correlation phi^distance: every
+        pair of neighbours adds a term of its own.
         """
         vector = self._vector(theta)
         problem, mesh = self.problem, self.arrays
@@ -395,23 +402,25 @@ class Compressed:
             last, ulast, _ = self._scaled(vector, k, mesh.edge_t[runs, 1], sigma0, sigma1, weight)
             info += phi**2 / rest * (f.T @ f - last.T @ last)
             info += np.outer(f[0], f[0])
-            for i in range(1, len(f)):
-                distance = mesh.distance[mesh.runs[k] + i]
-                across = lag_coefficient(phi_reference, steps * distance)
-                gap = f[i] - across * last[i - 1]
-                info += np.outer(gap, gap) / (1.0 - across**2)
             # covariance: u = d log s by the parameters
             cross = (u * count[:, None]).T @ ul
             info += (1.0 + (1 + phi**2) / rest) * (u * count[:, None]).T @ u
             info -= phi**2 / rest * (cross + cross.T)
-            info += (1.0 + 1.0 / rest) * uf.T @ uf
-            slope = 1.0
-            if steps != 1.0:
-                slope = steps * phi / phi_reference if phi_reference != 0 else 0.0
+            info += (1.0 + 1.0 / rest) * uf.T @ uf - phi**2 / rest * ulast.T @ ulast
             i_phi = layout.noise[k, 0]
+            slope = _slope_of_lag(phi_reference, steps)
             info[i_phi, i_phi] += mesh.pairs[k] * (1 + phi**2) / rest**2 * slope**2
             mixed = -2.0 * phi / rest * slope * (u.T @ count)
             mixed -= phi / rest * slope * (uf.sum(axis=0) - ulast.sum(axis=0))
+            for i in range(1, len(f)):
+                distance = steps * mesh.distance[mesh.runs[k] + i]
+                across = lag_coefficient(phi_reference, distance)
+                left = 1.0 - across**2
+                gap, change = f[i] - across * last[i - 1], uf[i] - ulast[i - 1]
+                info += (np.outer(gap, gap) + across**2 * np.outer(change, change)) / left
+                slope = _slope_of_lag(phi_reference, distance)
+                info[i_phi, i_phi] += (1.0 + across**2) / left**2 * slope**2
+                mixed -= across / left * slope * (uf[i] + ulast[i - 1])
             info[i_phi] += mixed
             info[:, i_phi] += mixed
             total += info

@@ -29,7 +29,7 @@ def local_noise(z: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
         part, keep = z[start : start + size], used[start : start + size]
         one = keep[1:] & keep[:-1]
         two = keep[2:] & keep[:-2]
-        if two.sum() >= 10:
+        if min(one.sum(), two.sum()) >= 10:
             halves.append(
                 (
                     0.5 * np.mean((part[1:] - part[:-1])[one] ** 2),

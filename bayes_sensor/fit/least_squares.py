@@ -54,6 +54,11 @@ def exchanged(campaign: Campaign, theta: FloatArray) -> FloatArray:
     return theta
 
 
+def _apart(a: FloatArray, b: FloatArray) -> bool:
+    """Whether two answers (n_mean,) differ in tau_v and in V."""
+    return bool((np.abs(np.log(a[1:3] / b[1:3])) > TWINS_APART).all())
+
+
 @dataclass
 class Count:
     """Evaluations so far, for the record."""
@@ -139,7 +144,8 @@ def fit_least_squares(
                 "valve and manifold cannot be told apart by these data: a fit with "
                 f"tau_v = {1e3 * other.tau_v:.4g} ms and V = {other.volume:.4g} mL is as good"
             )
-            warnings.append(f"V{twin[1:]}.")
+            if not problem.campaign.same_flow:  # which has a warning of its own
+                warnings.append(f"V{twin[1:]}.")
     mute = cannot_tell(problem, vector, residuals)
     seen = step_is_seen(problem, vector, residuals)
     if mute:
@@ -251,13 +257,16 @@ def _search(
         other = refined_from(exchanged(campaign, best.theta))
         if other.cost < best.cost:
             best, other = other, best
-        apart = np.abs(np.log(other.theta[1:3] / best.theta[1:3]))
-        if (apart > TWINS_APART).all():
+        if _apart(other.theta, best.theta):
             twin = Twin(other.theta[1], other.theta[2], other.cost - best.cost)
     noise = mean_square(problem, best.theta)
     tell(0.7, "mesh")
     start = _swap(campaign, best.theta, high)
     theta, success = _finish(problem, start, low, high, rise, noise, count)
+    if campaign.same_flow:  # exchanged, the cascade is the same
+        swapped = exchanged(campaign, theta)
+        if _apart(swapped, theta):
+            twin = Twin(swapped[1], swapped[2], 0.0)
     inside, inside_coarse = scatter(campaign, medium), scatter(campaign, coarse)
     each = []
     for i in range(swarms):

@@ -13,6 +13,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.fit.refinement import with_noise
 from bayes_sensor.likelihood import Problem, grid_response, mean_and_variance
 from bayes_sensor.model import Cascade, local_parameters, time_constants
+from bayes_sensor.noise import lag_coefficient
 
 
 def residuals_of(problem: Problem, vector: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
@@ -98,14 +99,18 @@ def _variances(spreads: list[_Spread], grows: bool) -> tuple[float, float]:
 
 
 def _lag_one(spreads: list[_Spread], v0: float, v1: float) -> float:
+    """phi from neighbouring samples; from used ones further apart where most are not neighbours."""
+    distances = [np.diff(np.flatnonzero(s.used)) for s in spreads]
+    next_to_each_other = sum(int(np.sum(d == 1)) for d in distances)
+    gaps = 2 * next_to_each_other < sum(len(d) for d in distances)
     sums: dict[float, FloatArray] = {}
-    for s in spreads:
-        z = s.r / np.sqrt(v0 + v1 * s.variable)
-        pairs = s.used[1:] & s.used[:-1]
-        a, b = z[1:][pairs], z[:-1][pairs]
-        row = np.array([a @ a, a @ b, b @ b, len(a)])
-        steps = round(s.steps, 9)
-        sums[steps] = sums.get(steps, np.zeros(4)) + row
+    for s, distance in zip(spreads, distances, strict=True):
+        z = (s.r / np.sqrt(v0 + v1 * s.variable))[s.used]
+        for d in np.unique(distance) if gaps else [1]:
+            a, b = z[1:][distance == d], z[:-1][distance == d]
+            row = np.array([a @ a, a @ b, b @ b, len(a)])
+            steps = round(s.steps * float(d), 9)
+            sums[steps] = sums.get(steps, np.zeros(4)) + row
     if sum(row[3] for row in sums.values()) < 2:
         return 0.0
     if set(sums) == {1.0}:
@@ -115,15 +120,26 @@ def _lag_one(spreads: list[_Spread], v0: float, v1: float) -> float:
     def misfit(phi: float) -> float:
         total = 0.0
         for steps, (aa, ab, bb, n) in sums.items():
-            rho = phi**steps
+            rho = lag_coefficient(phi, steps)
             rest = 1.0 - rho * rho
             total += (aa - 2.0 * rho * ab + rho * rho * bb) / rest + n * log(rest)
         return total
 
-    found = optimize.minimize_scalar(
-        misfit, bounds=(1e-9, 0.99999), method="bounded", options={"xatol": 1e-7}
-    )
-    return float(found.x)
+    # a negative phi has real powers, and others than |phi|, at whole lags of which one is odd
+    signs = [1.0]
+    if gaps and all(steps == round(steps) for steps in sums) and any(k % 2 for k in sums):
+        signs.append(-1.0)
+    found = [
+        optimize.minimize_scalar(
+            lambda size, sign=sign: misfit(sign * size),
+            bounds=(1e-9, 0.99999),
+            method="bounded",
+            options={"xatol": 1e-7},
+        )
+        for sign in signs
+    ]
+    best = min(range(len(found)), key=lambda i: float(found[i].fun))
+    return signs[best] * float(found[best].x)
 
 
 def mean_square(problem: Problem, theta: FloatArray) -> float:

@@ -14,13 +14,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.gap.courses import courses
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.effects import CATALOGUE, check_names
-from bayes_sensor.gap.events import (
-    HEAVY_DOF,
-    look_for_breaks,
-    look_for_events,
-    look_for_patches,
-    look_for_ringing,
-)
+from bayes_sensor.gap.events import HEAVY_DOF, look_for_events
 from bayes_sensor.gap.explained import explained
 from bayes_sensor.gap.full_rate import (
     FOUND,
@@ -42,7 +36,9 @@ from bayes_sensor.gap.lines import (
     pieces_of_records,
 )
 from bayes_sensor.gap.passing import look_for_passing_lines
+from bayes_sensor.gap.patches import look_for_breaks, look_for_patches
 from bayes_sensor.gap.refit import Refit
+from bayes_sensor.gap.ringing import look_for_ringing
 from bayes_sensor.gap.separate import Separation, confusable, what_would_separate
 from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
 from bayes_sensor.gap.unsteady import look_for_unsteadiness
@@ -67,8 +63,6 @@ LIKELY = 0.02
 """probability from which an effect's look-alikes are listed"""
 UNMOVED = 0.5
 """probability that nothing moves the mean from which no explanation tells where it is moved"""
-HAPPENS_ONCE = ("event", "break")
-"""findings with a time of their own in one record"""
 
 Progress = Callable[[float, str], None]
 
@@ -462,7 +456,7 @@ def _events(
     stretches = prepared.stretches_of(residuals)
     events = look_for_events(campaign, stretches, heavy)
     return [
-        look_for_patches(best.refit, events.lasting),
+        look_for_patches(best.refit, residuals, prepared.quiet, events.lasting),
         look_for_breaks(best.refit, events.lasting),
         events.found,
         look_for_ringing(campaign, residuals, prepared.quiet),
@@ -484,22 +478,17 @@ def _shared_out(located: Map, weighing: Weighing, full_rate: Sequence[FullRate],
     keys = [h.key for h in weighing.hypotheses]
     if weighing.probabilities[keys.index("none")] < UNMOVED:
         return shared_by_explanations(located, sketch, explained(weighing))
-    if clear or kind != "unlisted":
+    if kind != "unlisted":
         return located
+    found = [f for f in full_rate if f.probability > FOUND]
     names = [e.name for e in sketch.campaign]
-    places = []
-    for f in (f for f in full_rate if f.probability > FOUND):
-        size = 2.0 * f.log_bayes_factor
-        if f.name in HAPPENS_ONCE:
-            name = names[int(f.strength[f"{f.name}_experiment"])]
-            places.append((name, f.strength[f"{f.name}_s"], size))
-        elif f.name == "unsteady":
+    places = [(names[p.experiment], p.time, p.size) for f in found for p in f.places]
+    for f in found:
+        if f.name == "unsteady" and not clear:
             on = [c for c in located.cells if c.phase == "plateau"]
-            whole = sum(c.t_end_s - c.t_start_s for c in on)
-            places += [
-                (c.experiment, c.t_start_s, size * (c.t_end_s - c.t_start_s) / whole) for c in on
-            ]
-    return shared_by_findings(located, places)
+            size = 2.0 * f.log_bayes_factor / sum(c.t_end_s - c.t_start_s for c in on)
+            places += [(c.experiment, c.t_start_s, size * (c.t_end_s - c.t_start_s)) for c in on]
+    return shared_by_findings(located, places) if places else located
 
 
 def _best(

@@ -71,6 +71,20 @@ class Stretch:
     """s, time of the first sample"""
 
 
+@dataclass(frozen=True)
+class Quiet:
+    """Where one record is quiet, and what to scale it by."""
+
+    switches: tuple[float, ...]
+    """s"""
+    spans: tuple[tuple[float, float], ...]
+    """s, from settling to the next switch"""
+    deviation: FloatArray
+    """(n_t,) V, the noise's standard deviation at every sample"""
+    step: float = 1.0
+    """V, height of the plateau over the baseline"""
+
+
 @dataclass(frozen=True, eq=False)
 class Floor:
     """Spectral densities of the noise per experiment and level, and the bins' covariance."""

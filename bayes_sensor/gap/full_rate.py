@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -40,8 +41,9 @@ HARDLY_CROSSED = 0.7
 """steps over the noise's standard deviation from which it hardly crosses them"""
 UNITS = {
     "mains_V": "V", "mains_Hz": "Hz", "adc_step": "V", "tail_dof": "1", "line_V": "V",
-    "line_Hz": "Hz", "swing_V": "V", "swing_Hz": "Hz", "ringing_Hz": "Hz", "patch_s": "s",
-    "patch_ratio": "1", "break_s": "s", "break_ratio": "1", "event_s": "s", "event_ratio": "1",
+    "line_Hz": "Hz", "swing_V": "V", "swing_Hz": "Hz", "ringing_Hz": "Hz",
+    "patch_s": "s", "patch_since_s": "s", "patch_ratio": "1", "break_s": "s", "break_ratio": "1",
+    "event_s": "s", "event_ratio": "1",
     "unsteady_excess": "1", "unsteady_Hz": "Hz",
     "passing_V": "V", "passing_Hz": "Hz", "bursts_Hz": "Hz",
 }  # fmt: skip
@@ -54,6 +56,17 @@ FASTER_THAN_BINS = 1.0
 """Hz from which a line averages out of the bins: what explains the mean has no part in it"""
 
 
+class Place(NamedTuple):
+    """Where something strikes once."""
+
+    experiment: int
+    """counted from 0"""
+    time: float
+    """s in the record"""
+    size: float
+    """square of its ratio to the noise's usual size"""
+
+
 @dataclass(frozen=True)
 class FullRate:
     """What the samples themselves say."""
@@ -64,6 +77,8 @@ class FullRate:
     strength: dict[str, float]
     d: float | None
     """detectability where there is a signature in the mean, else None"""
+    places: tuple[Place, ...] = ()
+    """where it strikes, of what does so here and there"""
 
     @property
     def probability(self) -> float:

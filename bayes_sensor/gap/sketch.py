@@ -9,9 +9,9 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.gap.bins import make_bins
-from bayes_sensor.gap.events import Quiet
 from bayes_sensor.gap.floor import (
     Floor,
+    Quiet,
     Stretch,
     clean,
     estimate_floor,

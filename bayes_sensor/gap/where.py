@@ -248,7 +248,7 @@ def shared_by_explanations(located: Map, sketch: Sketch, explained: FloatArray) 
 
 
 def shared_by_findings(located: Map, found: Sequence[tuple[str, float, float]]) -> Map:
-    """The map with shares where samples tell something: experiment, s, and twice ln B."""
+    """The map with shares where samples tell something: experiment, s and size, one at least."""
     power = np.array([
         sum(
             size for name, at, size in found
@@ -258,8 +258,7 @@ def shared_by_findings(located: Map, found: Sequence[tuple[str, float, float]]) 
     ])  # fmt: skip
     shares = _shares(power, len(power))
     cells = [replace(c, share=float(s)) for c, s in zip(located.cells, shares, strict=True)]
-    by = "findings" if np.any(power) else located.shared_by
-    return replace(located, cells=tuple(cells), shared_by=by)
+    return replace(located, cells=tuple(cells), shared_by="findings")
 
 
 def _shares(power: FloatArray, whole: int) -> FloatArray:

@@ -197,10 +197,10 @@ def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
             f"{s['break_s']:.4g} s in a way of its own"
             f" ({s['break_ratio']:.2g} standard deviations)."
         )
-    side = "after" if s["patch_s"] >= 0.0 else "before"
+    side = "after" if s["patch_since_s"] >= 0.0 else "before"
     return (
         "Single switches leave the model for moments, clearest in experiment "
-        f"{names[int(s['patch_experiment'])]}, {abs(s['patch_s']):.2g} s {side} a switch."
+        f"{names[int(s['patch_experiment'])]}, {abs(s['patch_since_s']):.2g} s {side} a switch."
     )
 
 

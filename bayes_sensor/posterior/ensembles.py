@@ -15,6 +15,7 @@ from bayes_sensor.mixing import diagnostics
 from bayes_sensor.posterior.checkpoints import Checkpoint
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, Run, enough
 from bayes_sensor.posterior.covering import covered
+from bayes_sensor.posterior.orders import exchanged
 from bayes_sensor.posterior.settings import Progress, Settings
 from bayes_sensor.workers import in_order
 
@@ -25,9 +26,15 @@ SETTLING = 10
 class Marginal:
     """Log posterior of the ensemble's coordinates, vectorised over walkers."""
 
-    def __init__(self, problem: Problem, compressed: Compressed, marginalise: bool) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        compressed: Compressed,
+        marginalise: bool,
+        both: float | None = None,
+    ) -> None:
         self.coordinates, self.compressed = Coordinates(problem), compressed
-        self.marginalise = marginalise
+        self.marginalise, self.both = marginalise, both
         n_psi = len(self.coordinates.free)
         drop = set(self.coordinates.linear.ravel()) if marginalise else set()
         self.kept = np.array([i for i in range(n_psi) if i not in drop])
@@ -57,9 +64,18 @@ class Marginal:
         total[good] = values
         return np.where(np.isnan(total), -np.inf, total)
 
+    def exchange(self, points: FloatArray, random: Any) -> tuple[FloatArray, FloatArray]:
+        """``points`` (n, n_dim) with valve and manifold exchanged, for a Metropolis move."""
+        assert self.both is not None
+        # tau_v and V are coordinates themselves, and tau stays: volumes do too
+        return self.points(exchanged(self.thetas(points), self.both)), np.zeros(len(points))
+
     def cover(self, points: FloatArray) -> None:
         """Widen the mesh where walkers have left it, so that they stay off the full pass."""
-        self.compressed = covered(self.compressed, self.thetas(points))
+        thetas = self.thetas(points)
+        if self.both is not None:  # as where they may jump to
+            thetas = np.concatenate([thetas, exchanged(thetas, self.both)])
+        self.compressed = covered(self.compressed, thetas)
 
     def redraw(self, thetas: FloatArray, rng: np.random.Generator) -> FloatArray:
         """``thetas`` with y0 and beta drawn from their exact conditional law."""
@@ -81,13 +97,16 @@ def _ensemble(target: Marginal, state: Any, n_steps: int) -> tuple[FloatArray, A
     import emcee
 
     n_walkers, n_dim = state[0].shape
+    # emcee 3.1.6's DESnookerMove is biased and stays out
+    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)]
+    if target.both is not None:
+        moves.append((emcee.moves.MHMove(target.exchange), 0.1))
     sampler = emcee.EnsembleSampler(
         n_walkers,
         n_dim,
         target,
         vectorize=True,
-        # emcee 3.1.6's DESnookerMove is biased and stays out
-        moves=[(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)],
+        moves=moves,
     )
     begin = emcee.State(state[0], log_prob=state[1], random_state=state[2])
     last = sampler.run_mcmc(begin, n_steps, skip_initial_state_check=True, store=True)
@@ -106,14 +125,18 @@ def run_emcee(
     resume: bool,
     digest: str,
     report: Progress,
+    both: float | None = None,
 ) -> Run:
-    """Independent ensembles of emcee, checkpointed in ``folder``."""
+    """Independent ensembles of emcee, checkpointed in ``folder``.
+
+    ``both``: flow (mL/s) at which walkers exchange valve and manifold; None: they do not.
+    """
     names = problem.layout.names
     # exact only for flat priors and a mean y0 + beta x
     flat = is_affine(problem) and all(
         problem.priors[name].kind == "flat" for name in names if name[:4] in ("y0_V", "beta")
     )
-    target = Marginal(problem, compressed, marginalise=flat)
+    target = Marginal(problem, compressed, marginalise=flat, both=both)
     n_dim = len(target.kept)
     n_walkers = max(settings.n_walkers, 2 * n_dim + 2)
     store = Checkpoint(folder, digest, resume)

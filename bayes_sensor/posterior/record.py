@@ -117,8 +117,9 @@ class Posterior:
         found += self.remarks
         if self.problem.campaign.same_flow:
             found.append(
-                "all flows are equal: tau_v and V cannot be told apart by these data, "
-                "their intervals come from the priors"
+                "all flows are equal: these data cannot tell tau_v from V/Q, only the priors say "
+                "which is which, and where they do not, the intervals hold both; tau is taken for "
+                "the smallest lag"
             )
         tau, tau_v = self.of("tau_s"), self.of("tau_v_s")
         if not self.problem.campaign.same_flow and np.mean(tau > NEAR_EQUAL * tau_v) > MAY_BE_EQUAL:

@@ -22,6 +22,7 @@ from bayes_sensor.posterior.convergence import MESH_ERROR_LIMIT, Run, diagnose
 from bayes_sensor.posterior.ensembles import run_emcee
 from bayes_sensor.posterior.hmc import run_hmc
 from bayes_sensor.posterior.independence import run_independence
+from bayes_sensor.posterior.orders import flow_of_both, likelier_order
 from bayes_sensor.posterior.record import Posterior
 from bayes_sensor.posterior.settings import SAMPLERS, Progress, Settings
 from bayes_sensor.workers import one_thread
@@ -84,12 +85,14 @@ def sample_posterior(
     mute = fit.cannot_tell if isinstance(fit, Fit) else _cannot_tell(problem, start)
     if mute:
         raise CampaignError(f"no interval can be given: {mute}")
-    twin = isinstance(fit, Fit) and fit.twin
+    # where flows are alike both orders of valve and manifold are weighed by the priors
+    twin = isinstance(fit, Fit) and flow_of_both(problem) is None and fit.twin
+    start, both = likelier_order(problem, start)
     report(0.0, "Laplace approximation")
     laplace, compressed = approximate(problem, start)
     for _ in range(MESHES):
         run, reasons = _run(
-            sampler, problem, start, laplace, compressed, settings, seed, jobs,
+            sampler, problem, start, laplace, compressed, settings, seed, jobs, both,
             None if checkpoint is None else Path(checkpoint), resume, report,
         )  # fmt: skip
         compressed = run.compressed or compressed
@@ -134,13 +137,22 @@ def _run(
     settings: Settings,
     seed: int,
     jobs: int,
+    both: float | None,
     folder: Path | None,
     resume: bool,
     report: Progress,
 ) -> tuple[Run, list[str]]:
-    """What ``sampler``, or what replaced it, has drawn; and why, in sentences."""
+    """What ``sampler``, or what replaced it, has drawn; and why, in sentences.
+
+    ``both``: flow (mL/s) at which tau_v and V/Q swap, where both orders are likely.
+    """
     streams = np.random.SeedSequence(seed)
     reasons: list[str] = []
+    if both is not None:
+        reasons.append(
+            "valve and manifold may be either way round by data and priors: ensembles exchange them"
+        )
+        sampler = "emcee"
     if sampler == "independence":
         run = run_independence(problem, laplace, compressed, settings, streams, report)
         reasons.append(run.reason)
@@ -155,7 +167,7 @@ def _run(
             return run, reasons
     identity = digest(problem, start, settings, seed, compressed.region.fineness)
     run = run_emcee(
-        problem, laplace, compressed, settings, seed, jobs, folder, resume, identity, report
+        problem, laplace, compressed, settings, seed, jobs, folder, resume, identity, report, both
     )
     return run, [*reasons, run.reason]
 

@@ -63,7 +63,7 @@ def switching(saved: Saved, pictures: Pictures) -> Section | None:
             )
         )  # fmt: skip
     weighted = [
-        f"Weighted by the posterior variances of the switch times, the {side}'s slope is "
+        f"By generalised least squares with the posterior covariance, the {side}'s slope is "
         f"{number(delays[side]['weighted']['slope_L'])} L."
         for side in ("start", "end")
         if delays.get(side) and (delays[side].get("weighted") or {}).get("slope_L") is not None

@@ -26,8 +26,7 @@ _MEASURED = "Without a frame a shade is no more than noise makes."
 _SHADES = {
     "explanations": "Shades and shares are what the explanations put there, each by its "
     "probability, something unlisted included: of a cell's own excess most may be noise.",
-    "findings": "Shares are of what single samples tell, in cells that as a whole are no more "
-    "than noise.",
+    "findings": "Shares are of what single samples tell, which bins average.",
 }
 """what is drawn, by what the shares rest on, where that is not what was measured"""
 

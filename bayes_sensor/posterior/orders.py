@@ -1,0 +1,51 @@
+"""Which lag is the valve's and which the manifold's, where flows are too alike for data to tell.
+
+The cascade is unchanged when tau_v and V/Q swap.  At one total flow the priors alone tell them
+apart, and where these do not, both orders belong to the posterior.  tau stays the smallest lag.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.likelihood import Problem, log_likelihood, log_prior
+
+ALIKE = 0.1
+"""relative spread of total flows up to which the two orders may be as good"""
+NEGLIGIBLE = 15.0
+"""in log posterior density, by which an order must be behind to be left out"""
+
+
+def flow_of_both(problem: Problem) -> float | None:
+    """mL/s, the flow at which tau_v and V/Q swap; None where flows tell them apart."""
+    if problem.fixed.keys() & {"tau_v_s", "V_mL"}:
+        return None
+    flows = np.array([e.total_flow for e in problem.campaign])
+    middle = float(np.median(flows))
+    return middle if float(np.ptp(flows)) <= ALIKE * middle else None
+
+
+def exchanged(thetas: FloatArray, flow: float) -> FloatArray:
+    """``thetas`` (.., n_theta) with tau_v in the place of V/Q and the other way round.
+
+    An involution that keeps volumes: draws need no weight for it.
+    """
+    found = np.array(thetas, dtype=float)
+    found[..., 1], found[..., 2] = thetas[..., 2] / flow, thetas[..., 1] * flow
+    return found
+
+
+def likelier_order(problem: Problem, start: FloatArray) -> tuple[FloatArray, float | None]:
+    """``start`` (n_theta,) in the order of higher posterior density; the flow where both count.
+
+    None where flows differ, or the other order is far less likely.
+    """
+    flow = flow_of_both(problem)
+    if flow is None:
+        return start, None
+    other = exchanged(start, flow)
+    here, there = (log_likelihood(problem, x) + log_prior(problem, x) for x in (start, other))
+    if not (np.isfinite(there) or np.isfinite(here)):
+        return start, flow
+    return (other if there > here else start), flow if abs(there - here) < NEGLIGIBLE else None
