@@ -48,6 +48,31 @@ def test_a_line_that_passes_or_differs_from_record_to_record_is_found(add, hertz
     assert _look_for_lines(spread, "line")[0].log_bayes_factor < found.log_bayes_factor - 5.0
 
 
+@pytest.mark.parametrize("hertz", [1.3, 3.0])
+def test_slow_bursts_that_raise_the_noise_floor_are_found(hertz):
+    # four seconds of a slow oscillation in every record, ten times the noise of its own band
+    def burst(k, t):
+        phase = 2.0 * np.pi * hertz * t + k
+        return 0.02 * np.sin(phase) * ((t > 20.0) & (t < 24.0))
+
+    found = look_for_passing_lines(*passing(np.random.default_rng(13), burst))[0]
+    assert found.log_bayes_factor > 50.0
+    assert found.strength["passing_Hz"] == pytest.approx(hertz, abs=0.4)
+
+
+def test_noise_that_rises_slowly_towards_low_frequencies_is_no_passing_line():
+    rng = np.random.default_rng(14)
+
+    def slow(k, t):
+        steps = rng.standard_normal(len(t))
+        times = np.exp(rng.uniform(np.log(0.1), np.log(3.0)))
+        phi = np.exp(-(t[1] - t[0]) / times)
+        return 0.004 * lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], steps)
+
+    values = [look_for_passing_lines(*passing(rng, slow))[0].log_bayes_factor for _ in range(8)]
+    assert max(values) < 0.0, values
+
+
 def test_what_all_records_have_and_gusts_are_no_passing_line():
     rng = np.random.default_rng(12)
 

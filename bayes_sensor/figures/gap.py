@@ -64,7 +64,10 @@ def gap_budget(gap: Mapping[str, Any], unit: str = "V") -> Figure:
     stages.append(("calibrated", budget["calibrated_rms_V"], budget["excess_rms_V"]))
     after = shrink.get("after_excess_rms_V")
     if after is not None and not shrink.get("withheld"):
-        stages.append(("with the effect", float(np.hypot(floor, after)), after))
+        # what the refit takes away leaves the RMS of all samples; the floor is estimated apart
+        taken = shrink.get("before_excess_rms_V", budget["excess_rms_V"]) ** 2 - after**2
+        left = float(np.sqrt(max(budget["calibrated_rms_V"] ** 2 - taken, 0.0)))
+        stages.append(("with the effect", left, after))
     stages.append(("noise floor", floor, 0.0))
     with style():
         figure = new_figure(3.0)

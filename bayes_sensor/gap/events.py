@@ -73,26 +73,30 @@ def look_for_events(
     """Bumps and jumps in single stretches.
 
     Differences of means (a bump against both its sides, after against before) are taken in units
-    of how much samples change from one to the next there, so that gusts of noise are none, and
-    scaled by their own median absolute value over all stretches with the same gas, so that the
-    noise's spectrum does not matter and an event that is rare in time does not hide itself.
+    of how much samples change from one to the next there, so that gusts of noise are none, and of
+    the size of the shortest bumps in their record, since a converter's range and the sampling
+    interval are a record's own.  They are scaled by their median absolute value over all stretches
+    with the same gas, so that the noise's spectrum does not matter and an event that is rare in
+    time does not hide itself.
     ``heavy_tailed``: single samples are, and so means over a few of them may be.
     ``ln B`` of a stretch averages, over positions and the amplitude's plausible spread, the ratio
     of t densities; widths and shapes are averaged over for each stretch, or for all together,
     since what strikes again lasts as long again.  ``strength``: the clearest event's experiment
     (counted from 0), time in s and ratio to the usual.
     """
-    blocks = [_blocks(campaign, s) for s in stretches]
-    use = [(s, *made) for s, made in zip(stretches, blocks, strict=True) if made is not None]
+    cut = [_blocks(campaign, s) for s in stretches]
+    use = [(s, *made) for s, made in zip(stretches, cut, strict=True) if made is not None]
+    sizes = _own_sizes([(s, x, q, dt) for s, (x, q), dt in use])
+    use = [(s, (x / size, q), dt) for (s, (x, q), dt), size in zip(use, sizes, strict=True)]
     found: list[dict[Hashable, float]] = [{} for _ in use]
     clearest = [Place(u[0].experiment, 0.0, 0.0) for u in use]
     tails: dict[tuple[str, int], float] = {}
     for width in WIDTHS:
         for shape, span in ((bump, BUMP_SPAN), (_jump, 2)):
-            sizes = [max(1, round(width / dt)) for _, _, dt in use]
+            blocks = [max(1, round(width / dt)) for _, _, dt in use]
             made = [
                 shape(x, m) / local_size(q, m, span)
-                for (_, (x, q), _), m in zip(use, sizes, strict=True)
+                for (_, (x, q), _), m in zip(use, blocks, strict=True)
             ]
             for level in (0, 1):
                 here = [k for k, u in enumerate(use) if u[0].level == level and len(made[k]) > 0]
@@ -117,7 +121,7 @@ def look_for_events(
                     clear = float(dof * np.log1p(square[at] / dof))
                     if clear > clearest[k].size:
                         stretch, _, dt = use[k]
-                        when = stretch.begin + (at + 0.5 * span * sizes[k]) * dt
+                        when = stretch.begin + (at + 0.5 * span * blocks[k]) * dt
                         clearest[k] = Place(stretch.experiment, when, clear)
     first = max(clearest, key=lambda p: p.size, default=Place(0, 0.0, 0.0))
     ratio = first.size**0.5
@@ -128,6 +132,34 @@ def look_for_events(
     found_event = FullRate("event", alone_or_alike(found), strength, ratio, places)
     longest = [min((d for (_, at), d in tails.items() if at == g), default=np.inf) for g in (0, 1)]
     return Events(found_event, (longest[0], longest[1]))
+
+
+def _own_sizes(records: Sequence[tuple[Stretch, FloatArray, FloatArray, float]]) -> FloatArray:
+    """(n,) usual size of the shortest bumps of every stretch: itself, means, changes, step s.
+
+    Stretches of one record with the same gas go together.  What they tell leans on the other
+    records as far as these are no more unlike than chance makes them.
+    """
+    made: dict[tuple[int, int], list[FloatArray]] = {}
+    seconds: dict[tuple[int, int], float] = {}
+    for stretch, means, changes, dt in records:
+        m = max(1, round(WIDTHS[0] / dt))
+        bumps = bump(means, m) / local_size(changes, m, BUMP_SPAN)
+        key = (stretch.experiment, stretch.level)
+        made.setdefault(key, []).append(bumps)
+        seconds[key] = seconds.get(key, 0.0) + len(bumps) * dt
+    own = {key: usual_size(np.concatenate(x)) for key, x in made.items() if seconds[key] > 0.0}
+    found: dict[tuple[int, int], float] = {}
+    for level in (0, 1):
+        keys = [k for k, size in own.items() if k[1] == level and size > 0.0]
+        if not keys:
+            continue
+        logs = np.log([own[k] for k in keys])
+        error = np.array([0.5 / known_dof(seconds[k], WIDTHS[0]) for k in keys])
+        unlike = max(float(np.mean((logs - logs.mean()) ** 2 - error)), 0.0)
+        share = unlike / (unlike + error)
+        found |= zip(keys, np.exp(share * logs + (1.0 - share) * logs.mean()), strict=True)
+    return np.array([found.get((s.experiment, s.level), 1.0) for s, *_ in records])
 
 
 def _blocks(campaign: Campaign, s: Stretch) -> tuple[tuple[FloatArray, FloatArray], float] | None:

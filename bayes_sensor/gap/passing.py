@@ -23,8 +23,10 @@ LENGTHS = (2.5, 5.0, 10.0)
 """s, windows in which lines are looked for that pass, or that records have each for itself"""
 BLOCK = 1e-3
 """s, means over which they are looked for"""
-SLOWEST = 4.0
-"""Hz; below, the slope of a window's spectrum looks like a line"""
+SLOWEST = 1.0
+"""Hz; below, what passes is an event or a swing"""
+CYCLES = 4.0
+"""within a window; with fewer the slope of its spectrum looks like a line"""
 ROUGHLY = 60
 """native resolutions that tell how loud a window is there"""
 FEWEST = 12
@@ -72,7 +74,7 @@ def _passing_through(pieces: Sequence[Piece], seconds: float) -> FullRate | None
     n_fft = 1 << int(np.ceil(np.log2(2 * n)))
     f = np.asarray(np.fft.rfftfreq(n_fft, dt))
     near = mains_bands(f, dt, 2.0 / seconds)[0]
-    where = ~near & (f >= SLOWEST) & (f <= HIGHEST_LINE / dt)
+    where = ~near & (f >= max(SLOWEST, CYCLES / seconds)) & (f <= HIGHEST_LINE / dt)
     if not where.any():
         return None
     weight = np.where(where, 1.0 / np.maximum(f, 1.0), 0.0)

@@ -115,6 +115,10 @@ class Prepared:
         return quiet_stretches(sketch.campaign, residuals, sketch.bins, self.settle)
 
 
+NO_VOLUME = 0.02
+"""share of the valve's lag below which the manifold's is none that a rig has"""
+ANY_VOLUME = 1.0
+"""sd of ln V where the fit tells nothing of it"""
 FINE = 0.005
 """s, steps in which two means are compared at full rate"""
 
@@ -155,17 +159,22 @@ def prepare(campaign: Campaign, theta: FloatArray) -> Prepared:
     fits = [e.values - r for e, r in zip(campaign, raw, strict=True)]
     floor = estimate_floor(campaign, cleaned, bins, settle, levels, spikes, fits)
     steps = [abs(float(flat[layout.local[k][1]])) for k in range(len(campaign))]
+    centre, sd = _plausible(campaign, flat), _spread(campaign)
+    flow = float(np.median([e.total_flow for e in campaign]))
+    if flat[2] < NO_VOLUME * flat[1] * flow and "V_mL" not in campaign.side_information:
+        # no rig is without a manifold: the fit has bent it away to do some effect's work
+        centre[2], sd[2] = log(0.5 * flat[1] * flow), ANY_VOLUME
     sketch = Sketch(
         campaign=campaign,
         bins=tuple(bins),
         data=tuple(data),
         floor=floor,
         base=x,
-        centre=_plausible(campaign, flat),
-        sd=_spread(campaign),
+        centre=centre,
+        sd=sd,
         time_scale=scale,
         signal_scale=float(np.median(steps)) or 1.0,
-        reference_flow=float(np.median([e.total_flow for e in campaign])),
+        reference_flow=flow,
         duration=float(np.median([len(e.t) * e.interval for e in campaign])),
     )
     return Prepared(

@@ -195,7 +195,7 @@ def judge(
         return "none", (), None, stand.none
     if family is not None and likely:
         return _family(family, stand, catalogue)
-    if stand.none >= stand.unlisted:
+    if max(stand.none, unmoved) >= stand.unlisted:
         return "none", (), None, stand.none
     if family is not None and of_mean[family] > stand.unlisted:  # the likeliest of several
         return _family(family, stand, catalogue)

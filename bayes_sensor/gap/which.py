@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from math import log
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,8 @@ INCOMPLETE = 0.15
 UNUSUAL = 1.2
 """distance of ln tau from its plausible value from which fits also start at that value, and as far
 below it: the faster optimum of an effect that slows the rise is not reached from elsewhere"""
+BENT = 3.0
+"""prior sd that ln V of a fit may be from its plausible value before fits start there, too"""
 MOST_FOLLOWED = 3
 """times the search for a pair follows the best one found"""
 MOST_PROMISING = 3
@@ -157,6 +160,11 @@ def fit_effect(
         begins += [with_start(plan, with_tau(plan, begun, usual), start) for start in starts]
         if faster:
             begins.append(with_start(plan, with_tau(plan, begun, usual - UNUSUAL), starts[0]))
+    if abs(begun[2] - sketch.centre[2]) > BENT * sketch.sd[2] and not base.plan.parts:
+        # or the volume, where no flow makes any difference
+        moved = begun.copy()
+        moved[1:3] = sketch.centre[1] - log(2.0), sketch.centre[2]
+        begins += [with_start(plan, with_tau(plan, moved, usual), start) for start in starts]
     found: list[Refit] = []
     for x in begins:
         found.append(refit(plan, x, most_steps=most_steps, known=found, enough=enough))

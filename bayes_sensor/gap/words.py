@@ -238,6 +238,11 @@ def sentence(
     if kind == "none":
         low, high = (shown(1e3 * t, 2) for t in envelope)
         nothing = "Nothing is missing beyond the noise floor."
+        if probability < 0.5:
+            nothing = (
+                "No cause is likely enough to be stated, and nothing may be missing beyond the "
+                f"noise floor ({100.0 * probability:.0f} %)."
+            )
         if located.p_value < CLEAR:
             nothing = (
                 "No cause is likely enough to be stated, and nothing may be missing beyond the "
@@ -255,7 +260,13 @@ def sentence(
     if kind == "unlisted":
         words = []
         by_mean = worst is not None and located.shared_by != "findings"
-        if by_mean or not findings:
+        if findings and best.effects and stand.looks_by_mean < 0.5 and closed.fraction is not None:
+            words.append(
+                f"{' and '.join(best.effects)} would close {100.0 * closed.fraction:.0f} % of the "
+                f"gap{place}, yet more is seen, which no effect of the catalogue makes "
+                f"({100.0 * probability:.0f} %)."
+            )
+        elif by_mean or not findings:
             seems = "misses" if probability > SURELY else "seems to miss"
             sure = "" if probability > SURELY else f" ({100.0 * probability:.0f} %)"
             words.append(

@@ -174,8 +174,10 @@ def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
             "The gap is too small, or nothing was named, so no fraction of it can be said to close."
         ]
     mains = shrink.get("explanation") == "mains_pickup"  # a gap of power at lines, not of the mean
+    unknown = record["verdict"]["kind"] == "unlisted"
+    added = f"{effect_words(shrink['explanation'])} is in the model"
     said = (
-        f"Once {'a sine is taken off every record' if mains else 'the effect is in the model'} "
+        f"Once {'a sine is taken off every record' if mains else added} "
         f"the {'mains fall' if mains else 'excess falls'} from "
         f"{number(factor * shrink['before_excess_rms_V'])} to "
         f"{number(factor * shrink['after_excess_rms_V'])} {shown}{' RMS' if mains else ''}: "
@@ -200,7 +202,11 @@ def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
         low, high = shrink.get("tau_after_lo_s"), shrink.get("tau_after_hi_s")
         if low is not None and high is not None:
             said += f" (95 % interval {number(1e3 * low)} to {number(1e3 * high)} ms)"
-        said += "."
+        said += (
+            ", by what was weighed here: the cause is not known, and τ may lie outside."
+            if unknown
+            else "."
+        )
     if shrink.get("rival") and shrink.get("rival_fraction_closed") is not None:
         said += (
             f" The best rival outside the family, {effect_words(shrink['rival'])}, closes "
@@ -208,7 +214,8 @@ def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
         )
     return [
         said,
-        "The fraction is of the squared excess. The interval reaches 100 % unless there is "
+        "The fraction is of the squared misfit in units of the noise, bin by bin, not of the "
+        "volts: long quiet bins count more. The interval reaches 100 % unless there is "
         "evidence that something is left; held out, where noise is only taken off on average, the "
         "fraction itself may pass 100 %. A large one alone proves no cause: a wrong effect often "
         "closes most of a gap. The ranking weighs the explanations against each other.",
