@@ -29,6 +29,10 @@ FEWEST_PAIRS = 0.01
 """share of the samples that have another one at a lag, below which that lag is not told"""
 
 
+TAKE_AS_THEY_ARE = "Sandwich, block bootstrap and jackknife take the residuals as they are."
+"""what to compare with where AR(1) does not describe them"""
+
+
 class Fitted(Protocol):
     """What is needed of a fit."""
 
@@ -175,8 +179,7 @@ def diagnose_residuals(
     kept = _thinned(len(correlation) - 1)
     kept = kept[np.isfinite(correlation[kept])]
     ratio, expected_sd = _slow_part(problem, vector, series)
-    lag = _long_lag(correlation, phi)
-    adequate, verdict = _verdict(ratio, expected_sd, correlation, phi, lag, h, whitened, len(r))
+    adequate, verdict = _verdict(problem, vector, (ratio, expected_sd), correlation, whitened)
     return Residuals(
         acf={
             "lag_s": [float(v) for v in kept * h],
@@ -195,6 +198,25 @@ def diagnose_residuals(
         verdict=verdict,
         signal_unit=campaign.signal_unit,
     )
+
+
+def noise_doubt(problem: Problem, vector: FloatArray) -> str:
+    """Why intervals that rest on the noise's own law are not to be trusted at a flat vector.
+
+    As a sentence; empty where AR(1) describes the residuals.
+    """
+    series = [_series(problem, vector, k) for k in range(len(problem.campaign))]
+    r, used, white = (
+        np.concatenate([getattr(s, name) for s in series]) for name in ("r", "used", "e")
+    )
+    phi = float(np.mean(vector[problem.layout.noise[:, 0]]))
+    longest = max(len(e.t) for e in problem.campaign) // 20
+    n_lags = max(min(_fades(phi), longest, len(r) // 4), 1)
+    slow = _slow_part(problem, vector, series)
+    adequate, verdict = _verdict(
+        problem, vector, slow, autocorrelation(r, n_lags, used), autocorrelation(white, 5)
+    )
+    return "" if adequate else f"{verdict} {TAKE_AS_THEY_ARE}"
 
 
 def _shared(problem: Problem, vector: FloatArray) -> dict[str, float]:
@@ -376,25 +398,30 @@ def _slow_part(problem: Problem, vector: FloatArray, series: list[_Series]) -> t
     return total / max(n, 1), 1.0 / sqrt(max(n, 1))
 
 
+def _fades(phi: float) -> int:
+    """Samples after which the AR(1)'s correlation has fallen below 0.01."""
+    if abs(phi) < 0.01:
+        return 1
+    return int(np.ceil(np.log(0.01) / np.log(min(abs(phi), 0.999999))))
+
+
 def _long_lag(correlation: FloatArray, phi: float) -> int:
     """First lag at which the AR(1)'s correlation has fallen below 0.01, of those that are known."""
-    lag = 1
-    if abs(phi) >= 0.01:
-        lag = int(np.ceil(np.log(0.01) / np.log(min(abs(phi), 0.999999))))
     known = np.flatnonzero(np.isfinite(correlation))
-    return int(known[min(int(np.searchsorted(known, lag)), len(known) - 1)])
+    return int(known[min(int(np.searchsorted(known, _fades(phi))), len(known) - 1)])
 
 
 def _verdict(
-    ratio: float,
-    expected_sd: float,
+    problem: Problem,
+    vector: FloatArray,
+    slow_part: tuple[float, float],
     correlation: FloatArray,
-    phi: float,
-    lag: int,
-    h: float,
     whitened: FloatArray,
-    n: int,
 ) -> tuple[bool, str]:
+    """Whether AR(1) is adequate, and why, from the residuals' autocorrelation and the whitened."""
+    phi = float(np.mean(vector[problem.layout.noise[:, 0]]))
+    h, n = problem.campaign.reference_interval, problem.campaign.n_samples
+    (ratio, expected_sd), lag = slow_part, _long_lag(correlation, phi)
     # a third more slow power widens intervals by a sixth: what is smaller does not matter
     slow = abs(ratio - 1.0) > max(4.0 * expected_sd, 0.33)
     # sd of a sample autocorrelation of AR(1) data at long lags (Bartlett)

@@ -21,6 +21,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.fit import Fit
 from bayes_sensor.fit.noise import mean_square
 from bayes_sensor.likelihood import Problem
+from bayes_sensor.residuals import noise_doubt
 
 ANOTHER = 1e-5
 """relative difference of the RMS of residuals from which a fit is of other data"""
@@ -73,6 +74,11 @@ class Evidence:
     def theta(self) -> FloatArray:
         """(n_theta,) the fit's estimates, noise included."""
         return np.array(self.fit.theta_hat, dtype=float)
+
+    @cached_property
+    def noise_doubt(self) -> str:
+        """Why the noise is not the problem's own; empty where it is."""
+        return noise_doubt(self.problem, self.theta)
 
     @cached_property
     def _coloured(self) -> tuple[Surface, Maximum]:

@@ -131,7 +131,7 @@ def warn(
             warnings.append(
                 f"Experiment '{e.name}': the model does not describe the trace everywhere; it "
                 f"misses by up to {miss:.2g} {unit} ({percent:.{digits}f} % of the step), more "
-                "than AR(1) noise explains."
+                "than AR(1) noise explains, unless the noise is another."
             )
     return warnings
 

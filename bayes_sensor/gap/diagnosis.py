@@ -45,7 +45,14 @@ from bayes_sensor.gap.unsteady import look_for_unsteadiness
 from bayes_sensor.gap.verdict import Standing, Verdict, judge, leftover, standing
 from bayes_sensor.gap.where import CLEAR, Map, locate, shared_by_explanations, shared_by_findings
 from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
-from bayes_sensor.gap.words import looks_most, notes_on, sentence, units_of, without_a_step
+from bayes_sensor.gap.words import (
+    held_by_commands,
+    looks_most,
+    notes_on,
+    sentence,
+    units_of,
+    without_a_step,
+)
 from bayes_sensor.model import Layout, Theta
 from bayes_sensor.notebook import card
 from bayes_sensor.workers import one_thread
@@ -63,6 +70,9 @@ LIKELY = 0.02
 """probability from which an effect's look-alikes are listed"""
 UNMOVED = 0.5
 """probability that nothing moves the mean from which no explanation tells where it is moved"""
+
+MANY_HELD = 0.25
+"""share of the switch times at their bounds from which commands are in doubt"""
 
 Progress = Callable[[float, str], None]
 
@@ -372,6 +382,10 @@ def diagnose_gap(
     names, unit = [e.name for e in campaign], campaign.signal_unit
     said = sentence(kind, named, probability, weighing, stand, best, located, catalogue,
                     separations, shrink.closure, full_rate, envelope, unit)  # fmt: skip
+    held = [n for n in fit.at_bound if n.startswith(("t0_s", "tf_s"))]
+    switches = sum(1 + e.has_fall for e in campaign)
+    if len(held) > MANY_HELD * switches:
+        said = held_by_commands(len(held), switches, said)
     if not fit.step_seen:
         said = without_a_step(kind, said)
     beside = looks_most(full_rate, names, unit) if kind == "none" else []

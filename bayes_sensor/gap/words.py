@@ -257,6 +257,7 @@ def sentence(
         return undecided_words(place, stand)
     names = [e.name for e in best.refit.plan.sketch.campaign]
     findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > FOUND]
+    findings.sort(key=lambda f: -f.log_bayes_factor)  # the clearest first
     if kind == "unlisted":
         words = []
         by_mean = worst is not None and located.shared_by != "findings"
@@ -312,6 +313,14 @@ def without_a_step(kind: str, said: str) -> str:
     if kind == "none":
         return f"{unseen}: whether anything is missing cannot be told."
     return f"{unseen}, so what follows says little. {said}"
+
+
+def held_by_commands(held: int, switches: int, said: str) -> str:
+    """What a verdict says where switch times sit at the earliest that their commands allow."""
+    return (
+        f"{held} of {switches} switch times sit at the earliest that their commands allow: check "
+        f"these, since what follows takes them as right. {said}"
+    )
 
 
 def second_words(

@@ -25,6 +25,7 @@ from bayes_sensor.posterior.independence import run_independence
 from bayes_sensor.posterior.orders import flow_of_both, likelier_order
 from bayes_sensor.posterior.record import Posterior
 from bayes_sensor.posterior.settings import SAMPLERS, Progress, Settings
+from bayes_sensor.residuals import noise_doubt
 from bayes_sensor.workers import one_thread
 
 MESHES = 3
@@ -86,7 +87,7 @@ def sample_posterior(
     if mute:
         raise CampaignError(f"no interval can be given: {mute}")
     # where flows are alike both orders of valve and manifold are weighed by the priors
-    twin = isinstance(fit, Fit) and flow_of_both(problem) is None and fit.twin
+    twin = fit.twin if isinstance(fit, Fit) and flow_of_both(problem) is None else ""
     start, both = likelier_order(problem, start)
     report(0.0, "Laplace approximation")
     laplace, compressed = approximate(problem, start)
@@ -124,7 +125,14 @@ def sample_posterior(
         seconds=perf_counter() - started,
         k_hat=run.k_hat,
         acceptance=run.acceptance,
-        remarks=(f"{fit.twin}; the draws are about one of the two",) if twin else (),
+        remarks=tuple(
+            text
+            for text in (
+                f"{twin}; the draws are about one of the two" if twin else "",
+                noise_doubt(problem, start),
+            )
+            if text
+        ),
     )
 
 
@@ -187,7 +195,10 @@ def _start(problem: Problem, given: Any) -> FloatArray:
         lacks = np.shape(given) != (len(layout),)
     if not layout.extra or not lacks:
         return layout.flat(given)
-    theta = bare.flat(given)
+    if isinstance(given, Mapping):
+        theta = layout.flat({**dict.fromkeys(layout.extra, 0.0), **given})[: len(bare)]
+    else:
+        theta = bare.flat(given)
     vector = np.concatenate([theta, np.zeros(len(layout.extra))])
     found, _ = refit(problem, theta)
     vector[: layout.n_mean] = found[: layout.n_mean]

@@ -18,6 +18,7 @@ from bayes_sensor.report.words import (
     typeset,
     with_spread,
 )
+from bayes_sensor.residuals import TAKE_AS_THEY_ARE
 from bayes_sensor.results import of_other_data
 
 
@@ -238,8 +239,17 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
         found.append(
             (
                 "bad",
-                f"The model misses {missed} of {n} traces by more than their noise explains. The "
-                "intervals below take the model as right; what it leaves out is in none of them.",
+                f"The model misses {missed} of {n} traces by more than AR(1) noise explains: it "
+                "leaves something out, or the noise is another. The intervals below take both as "
+                "right; what they leave out is in none of them.",
+            )
+        )
+    if saved.residuals is not None and not saved.residuals["adequate"]:
+        found.append(
+            (
+                "bad",
+                f"{saved.residuals['verdict']} That is so of the posterior, the profile and the "
+                f"AR(1) Cramér-Rao bound. {TAKE_AS_THEY_ARE}",
             )
         )
     stale = of_other_data(saved.run)
