@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import bayes_sensor as bs
 from bayes_sensor.campaign import CampaignError
@@ -14,6 +15,7 @@ from bayes_sensor.gap.diagnosis import ar1_whiteness
 from bayes_sensor.gap.own import read_effects
 from bayes_sensor.gap.simulation import default_strengths, simulate_with_effects
 from bayes_sensor.gap.verdict import NAMED
+from bayes_sensor.gap.words import WANDERS
 from bayes_sensor.likelihood import simulate
 from bayes_sensor.model import cascade_response
 from tests.gap_cases import design, diagnosed, measured, theta
@@ -509,3 +511,62 @@ def test_nothing_is_certified_where_the_fit_sees_no_step() -> None:
     assert "Nothing is missing" not in said
     assert gap.verdict.kind == "none"
     assert said.endswith("in any experiment: whether anything is missing cannot be told.")
+
+
+def test_flows_written_to_each_others_records_are_explained_by_their_factors() -> None:
+    # the fit bends V away, where no flow makes any difference: the factors need another start
+    campaign = measured({}, seed=3, sigma=0.004)
+    one, first, second, last = campaign.experiments
+    exchanged = [
+        replace(a, carrier_flow=b.carrier_flow, test_gas_flow=b.test_gas_flow)
+        for a, b in ((first, second), (second, first))
+    ]
+    mixed = replace(campaign, experiments=(one, *exchanged, last))
+    gap = diagnose_gap(mixed, bootstrap=0, separate=False, hidden=False)
+    row = next(r for r in gap.rows if r["effect"] == "flow_error")
+    assert row["fraction_closed"] > 0.999
+    factors = row["strength"]["flow_factor"]
+    assert factors["2"] == pytest.approx(1.0 / 3.0, rel=0.05)  # 3 L/min, said to be 9
+    assert factors["3"] == pytest.approx(3.0, rel=0.05)
+
+
+def test_commands_that_switch_times_lean_on_are_told_before_the_verdict() -> None:
+    campaign = measured({}, seed=3)
+    late = tuple(  # written later than the response begins
+        replace(e, commanded_on=e.commanded_on + 0.9, commanded_off=e.commanded_off + 0.9)
+        for e in campaign
+    )
+    gap = diagnose_gap(
+        replace(campaign, experiments=late), bootstrap=0, separate=False, hidden=False
+    )
+    assert gap.verdict.sentence.startswith("4 of 8 switch times sit at the earliest")
+    assert "commands allow" not in diagnosed("none", seed=3).verdict.sentence
+
+
+def test_what_an_effect_would_close_is_said_where_more_is_seen() -> None:
+    campaign = measured({"gain_drift": 0.0025}, seed=2, sigma=0.02)
+    values = {e.name: e.values.copy() for e in campaign}
+    e = campaign.experiments[1]
+    values[e.name] += 0.12 * ((e.t > 24.0) & (e.t < 24.6))
+    gap = diagnose_gap(campaign.with_data(values), bootstrap=0, separate=False, hidden=False)
+    assert gap.verdict.kind == "unlisted" and gap.standing.looks_by_mean < 0.5
+    assert gap.verdict.sentence.startswith("gain_drift would close 100 % of the gap")
+    assert "something happens once" in gap.verdict.sentence
+
+
+def test_a_wander_that_slow_noise_may_be_is_said_to_look_like_it() -> None:
+    # 6 mV with a memory of ten seconds: no stretch of these records is long enough to know it
+    campaign = measured({}, seed=40, sigma=0.02)
+    rng = np.random.default_rng(0)
+    values = {}
+    for e in campaign:
+        phi = np.exp(-e.interval / 10.0)
+        z = lfilter([np.sqrt(1 - phi**2)], [1, -phi], rng.standard_normal(len(e.t) + 4000))[4000:]
+        values[e.name] = e.values + 0.006 * z
+    gap = diagnose_gap(campaign.with_data(values), bootstrap=0, separate=False, hidden=False)
+    assert gap.verdict.kind == "unlisted" and gap.verdict.sentence.endswith(WANDERS)
+    # a bump after every opening is no wander
+    bump = {e.name: e.values + 0.08 * np.exp(-0.5 * ((e.t - e.commanded_on - 5.0) / 0.8) ** 2)
+            for e in campaign}  # fmt: skip
+    other = diagnose_gap(campaign.with_data(bump), bootstrap=0, separate=False, hidden=False)
+    assert other.verdict.kind == "unlisted" and WANDERS not in other.verdict.sentence

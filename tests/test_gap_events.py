@@ -46,6 +46,28 @@ def test_noise_of_any_spectrum_holds_no_event(kind):
     assert max(values) < 2.0 and np.median(values) < -0.5
 
 
+def test_records_whose_white_noise_differs_hold_no_event():
+    # a converter's range is a record's own; a bump in one of them is one still
+    rng = np.random.default_rng(6)
+    quiet, loud = 0.2, 1.5
+
+    def made(kind, n=500):
+        some = stretches(rng, "ar1", n)
+        for i, s in enumerate(some):
+            white = (quiet if s.experiment in (0, 2) else loud) * 2.3  # of the slow part
+            some[i] = replace(s, samples=s.samples + white * rng.standard_normal(len(s.samples)))
+        if kind == "bump":
+            t = np.arange(n) * INTERVAL
+            added = 12.0 * ((t >= 2.0) & (t < 2.5))
+            some[2] = replace(some[2], samples=some[2].samples + added)
+        return look_for_events(design(), some).found
+
+    values = [made("none").log_bayes_factor for _ in range(10)]
+    assert max(values) < 2.0 and np.median(values) < 0.0, values
+    found = made("bump", 2000)
+    assert found.log_bayes_factor > 3.0 and found.places[0].experiment == 1
+
+
 @pytest.mark.parametrize("shape", ["bump", "jump"])
 def test_one_event_in_one_stretch_is_found_where_it_is(shape):
     some = stretches(np.random.default_rng(4))

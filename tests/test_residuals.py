@@ -8,17 +8,20 @@ import pytest
 from statsmodels.stats.diagnostic import acorr_ljungbox, het_breuschpagan
 from statsmodels.tsa.stattools import acf
 
+from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import Campaign, Experiment
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood import Problem, simulate
 from bayes_sensor.model import Layout
 from bayes_sensor.noise import simulate_noise
+from bayes_sensor.posterior import sample_posterior
 from bayes_sensor.residuals import (
     HISTOGRAM_BIN,
     _histogram,
     _portmanteau,
     autocorrelation,
     diagnose_residuals,
+    noise_doubt,
     whiten,
 )
 
@@ -255,3 +258,38 @@ def test_residuals_of_zero_do_not_break_anything():
     clean = simulate(plan(), {**MEAN, "phi": 0.0, "sigma0_V": 0.0, "sigma1_V": 0.0})
     found = diagnose_residuals(clean, Known(Problem(clean).layout.flat(theta)))
     json.dumps(found.to_json(), allow_nan=False)
+
+
+@pytest.mark.parametrize("slow", [0.0, 0.03])
+def test_the_doubt_of_the_noise_is_the_diagnosis(slow):
+    rng = np.random.default_rng(5)
+    theta = {**MEAN, "phi": 0.5, "sigma0_V": 0.045, "sigma1_V": 0.05}
+    campaign = simulate(plan(), theta, seed=3)
+    added = {
+        e.name: e.values + slow * simulate_noise(np.ones(len(e.t)), 0.995, rng) for e in campaign
+    }
+    campaign = campaign.with_data(added)
+    fit = fit_least_squares(campaign, seed=1)
+    found = diagnose_residuals(campaign, fit)
+    doubt = noise_doubt(Problem(campaign), fit.theta_hat)
+    assert found.adequate == (slow == 0.0) == (doubt == "")
+    assert slow == 0.0 or doubt.startswith(found.verdict)
+
+
+def test_slow_noise_is_told_wherever_intervals_rest_on_ar1():
+    rng = np.random.default_rng(5)
+    theta = {**MEAN, "phi": 0.5, "sigma0_V": 0.045, "sigma1_V": 0.05}
+    campaign = simulate(plan(), theta, seed=3)
+    campaign = campaign.with_data(
+        {e.name: e.values + 0.03 * simulate_noise(np.ones(len(e.t)), 0.995, rng) for e in campaign}
+    )
+    fit = fit_least_squares(campaign, seed=1)
+    posterior = sample_posterior(campaign, fit, sampler="independence", seed=1)
+    doubt = noise_doubt(Problem(campaign), fit.theta_hat)
+    assert "too narrow" in doubt and doubt in posterior.warnings
+    bounds = compare_bounds(
+        campaign, fit, posterior, methods=["crlb_ar1", "profile", "sandwich", "posterior"]
+    )
+    for method in ("crlb_ar1", "profile", "posterior"):
+        assert doubt in bounds[method].status
+    assert doubt not in bounds["sandwich"].status

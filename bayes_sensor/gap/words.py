@@ -141,12 +141,23 @@ def _effect_words(
     return effect.sentence.replace("{strength}", _strength_words(own, units))
 
 
+WANDERS = (
+    "What is left wanders at any time and in every record differently, as noise slower than these "
+    "records can show does, too: a record of the carrier gas alone would tell."
+)
+
+
 def _likeness(weighing: Weighing, unit: str) -> str:
-    """What a cause without a name acts like; empty where no such dependence is likely."""
+    """What a cause without a name acts like; empty where nothing of the kind is likely."""
     shares = weighing.probabilities
     likely = int(np.argmax(shares))
     h = weighing.hypotheses[likely]
-    if not h.within or shares[likely] < 0.5:
+    if shares[likely] < 0.5:
+        return ""
+    wandering = sum(t.share for t in h.terms if t.beside and t.beside.name.startswith("drift"))
+    if h.incomplete and not h.within and wandering > 0.5:
+        return WANDERS
+    if not h.within:
         return ""
     plan = h.refit.plan
     words = _effect_words(plan.parts[-1].effect, h.refit.strength(), plan.sketch, unit)
