@@ -15,6 +15,7 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.axes import Axes
 from scipy.special import ndtr
 
 from bayes_sensor.blind_check import card_table, make_card, read_rows, table
@@ -353,3 +354,55 @@ def test_places_are_stated_in_most_campaigns_and_nearly_as_well_as_with_the_caus
     assert places["n"] > 0.8 * places["of"] > 200
     assert places["f1_lo95"] > 0.6 and places["f1"] > 0.8 * places["f1_oracle"]
     assert places["share"] > 0.8 * places["share_oracle"]
+
+
+# --------------------------------------------------------------------------- few cases
+
+
+def own_card(day: list[dict[str, Any]], **more: Any) -> dict[str, Any]:
+    """Of a few campaigns of a user's own, whose truths say what is wrong and tau alone."""
+    some = [next(r for r in day if r["kind"] == kind) for kind in ("null", "listed", "unlisted")]
+    nothing = {"law": "unknown", "is_ar1": None, "d": None, "d_level": None, "located": None,
+               "places": None, "closed_oracle": None, "isolability": float("inf")}  # fmt: skip
+    return make_card([{**row, **nothing, **more} for row in some])
+
+
+def panels(card: dict[str, Any]) -> dict[str, Axes]:
+    figure = score_card(card)
+    svg(figure)  # which lays it out
+    return {axes.get_title(loc="left"): axes for axes in figure.axes}
+
+
+def test_a_panel_without_a_case_says_so_and_keeps_its_axes(
+    day: list[dict[str, Any]], card: dict[str, Any]
+) -> None:
+    whole, few = panels(card), panels(own_card(day))
+    assert list(whole) == list(few)
+
+    def words(axes: Axes) -> set[str]:
+        return {text.get_text() for text in axes.texts}
+
+    of_d = ["right effect", "right family", "unlisted cause", "how much closes"]
+    of_d.append("95 % set, listed causes")
+    for title in of_d:
+        assert "no case of known d" in words(few[title]), title
+        assert "no case of known d" not in words(whole[title]), title
+        low, high = few[title].get_xlim()
+        assert low < few[title].get_xticks()[0] and few[title].get_xticks()[-1] < high
+        shown = [few[title].transData.transform((x, 0.0))[0] for x in few[title].get_xticks()]
+        wide = few[title].transAxes.transform((1.0, 0.0)) - few[title].transAxes.transform((0, 0))
+        assert np.diff(shown).min() > 0.15 * wide[0]  # no two labels on top of each other
+    for title in ("unlisted or not", "is τ mended"):
+        assert "no case" in words(few[title]) and "no case" not in words(whole[title])
+    nulls = few["nothing wrong, by noise"]
+    labels = [label.get_text() for label in nulls.get_yticklabels()]
+    assert labels[-1] == "unknown (1)"  # and not "1 other laws"
+    assert all("no case" not in words(axes) for title, axes in few.items() if "wrong" in title)
+
+
+def test_a_sentence_does_not_refer_to_one_that_is_not_there(
+    day: list[dict[str, Any]], card: dict[str, Any]
+) -> None:
+    (said,) = (words for words in in_words(own_card(day)) if "nothing wrong" in words)
+    assert said.startswith("With nothing wrong the true τ lies within the range that")
+    assert " With nothing wrong it does in " in " ".join(in_words(card))

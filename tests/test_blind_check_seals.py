@@ -14,6 +14,7 @@ import pytest
 
 import bayes_sensor.calibration as calibration
 from bayes_sensor.blind_check import diagnose_cases, draw_cases, open_seals, sealed_late
+from bayes_sensor.blind_check.truth import KEYS
 from bayes_sensor.calibration import code_digest, run_chunks
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.cli import _guarded, blind
@@ -129,6 +130,92 @@ def test_what_is_no_truth_is_told_before_it_is_sealed(
     assert command(own, "--diagnose-only") == 2
     assert 'sealed/mine.json: expected {"listed_as"' in capsys.readouterr().err
     assert not (own / "sealed.json").exists() and not (own / "verdicts").exists()
+
+
+WRONG_TRUTHS = [
+    ('"tau_s": "48 ms"', 'tau_s: expected a positive number of seconds such as 0.048, or null, but '
+     'got "48 ms"; correct it'),
+    ('"tau_s": -1', "tau_s: expected a positive number of seconds"),
+    ('"d": "big"', 'd: expected a number from 0 on, in standard deviations of the noise, .*"big"'),
+    ('"d": true', "d: expected a number"),
+    ('"d": NaN', "d: expected a number"),
+    ('"acts": ["fall"]', r'acts: expected a list of places such as .* got \["fall"\]'),
+    ('"acts": [{"experiment": "1", "phase": "decay", "share": 1}]', "a phase of baseline, onset"),
+    ('"acts": [{"experiment": "77", "phase": "fall", "share": 1}]',
+     r'acts: expected experiments of campaigns/mine \(.*\), but got "77"'),
+    ('"closed": {"dead_volume": "all"}', "closed: expected shares such as"),
+    ('"closed": {"dead_vol": 0.5}', "closed: expected effects of the .* but got 'dead_vol'"),
+    ('"rivals": [3]', "rivals: expected distances such as"),
+    ('"near": "carry_over"', "near: expected a list of names such as"),
+    ('"near": ["carry_ovr"]', "near: .* but got 'carry_ovr'; known are .* carry_over, "),
+    ('"taus_s": 0.048', "but got 'taus_s', which none has; did you mean 'tau_s'"),
+    ('"colour": 1', "but got 'colour', which none has; known are listed_as, name, kind"),
+    ('"kind": "nil"', "kind: expected one of null, listed"),
+    ('"kind": "null"', "kind: expected one that agrees with listed_as = "),
+    ('"name": "yours"', "name: expected the name of the campaign's folder, 'mine', but got "),
+    ('"is_ar1": "yes"', "is_ar1: expected true or false"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("key", "said"), WRONG_TRUTHS)
+@pytest.mark.usefixtures("quick")
+def test_a_wrong_key_of_a_truth_is_told_before_it_is_sealed(
+    own: Path, key: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (own / "sealed" / "mine.json").write_text(f'{{"listed_as": [["dead_volume"]], {key}}}')
+    assert command(own, "--diagnose-only") == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert re.search(f"sealed/mine.json: .*{said}", line), line
+    assert not (own / "sealed.json").exists() and not (own / "verdicts").exists()
+
+
+@pytest.mark.parametrize(
+    ("listed", "said"),
+    [('[["drift"]]', "listed_as: expected effects of the catalogue, but got 'drift'; known are"),
+     ('[["dead_volumee"]]', "but got 'dead_volumee'; known are flow_switching, "),
+     ('["unlisted"]', "([[]] for a cause that is none of them)"),
+     ('[["dead_volume"], []]', "a cause outside the catalogue is scored alone only")],
+)  # fmt: skip
+@pytest.mark.usefixtures("quick")
+def test_a_cause_that_no_verdict_can_name_is_told_before_it_is_sealed(
+    own: Path, listed: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (own / "sealed" / "mine.json").write_text(f'{{"listed_as": {listed}}}')
+    assert command(own, "--diagnose-only") == 2
+    assert said in capsys.readouterr().err
+    assert not (own / "sealed.json").exists()
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_truth_with_every_key_is_scored(own: Path, one_campaign: Campaign) -> None:
+    place = {"experiment": one_campaign.names_of_experiments[0], "phase": "fall", "share": 1}
+    truth = {
+        "listed_as": [["dead_volume"]], "name": "mine", "kind": "listed", "causes": ["a pocket"],
+        "near": ["carry_over"], "level": 16, "d": 15.2, "law": "ar1", "is_ar1": True,
+        "tau_s": 0.048, "tau_refit_s": None, "rivals": {"carry_over": 5}, "acts": [place],
+        "visible": [place], "closed": {"dead_volume": 0.9}, "size": "own", "reserve": False,
+    }  # fmt: skip
+    assert set(truth) == {"listed_as", *KEYS}
+    (own / "sealed" / "mine.json").write_text(json.dumps(truth))
+    assert command(own, "--diagnose-only", "--quiet") == 0
+    assert command(own, "--score-only", "--quiet") == 0
+    assert read_json(own / "score.json")["n"] == 1
+    page = (ROOT / "docs" / "blind_check.md").read_text(encoding="utf-8")
+    assert not [key for key in truth if f"`{key}`" not in page]
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_late_truth_is_checked_and_can_be_mended(
+    own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = own / "sealed" / "mine.json"
+    truth.unlink()
+    assert command(own, "--diagnose-only", "--quiet") == 0
+    truth.write_text('{"listed_as": [["drift"]]}')
+    assert command(own, "--score-only", "--quiet") == 2
+    assert "but got 'drift'; known are" in capsys.readouterr().err
+    truth.write_text('{"listed_as": [["baseline_drift"]]}')
+    assert command(own, "--score-only", "--quiet") == 0
 
 
 # --------------------------------------------------------------------------- campaigns

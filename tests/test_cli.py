@@ -1,6 +1,7 @@
 """The command line: exit codes, one message per mistake, nothing half-written, same numbers."""
 
 import json
+import logging
 import os
 import re
 import signal
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,9 @@ import bayes_sensor
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import _guarded
 from bayes_sensor.cli.settings import make_problem, read_overrides, read_prior
-from bayes_sensor.cli.steps import Job, _saved_spreads
+from bayes_sensor.cli.steps import Job, _saved_spreads, _watching
+from bayes_sensor.model import Layout
+from bayes_sensor.posterior.checkpoints import Checkpoint
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.results import Results
 
@@ -115,12 +119,34 @@ def refused(capsys: pytest.CaptureFixture[str], out: Path, *arguments: str | Pat
         (["simulate", "--out", "OUT", "--tau", "20"], r"--tau: expected a time with its unit"),
         (["simulate", "--out", "OUT", "--tau", "20 mL"], r"--tau: expected a time, but '20 mL'"),
         (["simulate", "--out", "OUT", "--tau=-20 ms"], r"--tau: expected a positive value"),
+        (
+            ["simulate", "--out", "OUT", "--interval", "0 ms"],
+            r"--interval: expected a positive value, but got '0 ms'; write for example \"1 ms\"",
+        ),
         (["simulate", "--out", "OUT", "--phi", "1.5"], r"--phi: expected a number between"),
         (["simulate", "--out", "OUT", "--experiments", "1,9"], r"no experiment '9'"),
         (["simulate", "--out", "OUT", "--format", "xls"], r"--format: expected one of csv"),
         (["simulate", "--out", "OUT", "--interval", "1 year"], r"samples"),
         (["diffusion", "--out", "OUT", "--outer-radius", "9"], r"--outer-radius.*with its unit"),
         (["diffusion", "--out", "OUT", "--tolerance", "5"], r"--tolerance"),
+        (
+            ["diffusion", "--out", "OUT", "--thickness-zif8", "-1 um"],
+            r"^error: --thickness-zif8: expected a positive length, got '-1 um'; write for example "
+            r"\"1\.5 um\"$",
+        ),
+        (
+            ["diffusion", "--out", "OUT", "--d-pdms", "0 m^2/s"],
+            r"--d-pdms: expected a positive diffusivity, got '0 m\^2/s'; .*\"4\.2e-9 m\^2/s\"",
+        ),
+        (
+            ["diffusion", "--out", "OUT", "--probe-height", "20 um"],
+            r"^error: --probe-height: expected less than --thickness-zif8 \+ --thickness-pdms = "
+            r"8\.5 um, got 20 um, .*; write for example \"0\.221 um\", or a larger thickness$",
+        ),
+        (
+            ["diffusion", "--out", "OUT", "--outer-radius", "8 um"],
+            r"--outer-radius: expected more than --ring-radius = 10 um, got 8 um, ",
+        ),
         (["report", "OUT"], r"there is no such folder"),
     ],
 )
@@ -429,6 +455,74 @@ def test_a_posterior_that_does_not_converge_says_so(
     assert posterior["converged"] is False and posterior["parameters"]["tau_s"]["r_hat"] > 0
     assert (out / "posterior.nc").is_file()
     assert json.loads((out / "run.json").read_text())["commands"]["posterior"]["exit_code"] == 3
+
+
+def test_a_fit_that_sees_no_step_is_one_sentence(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    from bayes_sensor.fit import least_squares
+
+    monkeypatch.setattr(least_squares, "step_is_seen", lambda *_: False)
+    assert run("fit", campaign, "--out", tmp_path, "--quiet") == 3
+    said = capsys.readouterr().err
+    assert said.startswith("not converged: No step is seen")
+    assert "mean nothing; the results are marked so" in said
+
+
+def test_a_checkpoint_of_other_settings_is_said_not_to_be_used(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(logging.getLogger("bayes_sensor"), "propagate", True)
+    for resume, digest, n in ((True, "mine", 0), (True, "other", 1), (False, "third", 0)):
+        Checkpoint(tmp_path, "mine", resume=False)
+        (tmp_path / "ensemble-0-00000.npz").write_bytes(b"")
+        caplog.clear()
+        told: list[float] = []
+        tell = _watching(
+            SimpleNamespace(resume=resume, checkpoint=tmp_path),  # type: ignore[arg-type]
+            lambda share, _, told=told: told.append(share),
+        )
+        tell(0.0, "approximation")
+        Checkpoint(tmp_path, digest, resume)
+        tell(0.5, "sampling")
+        tell(1.0, "done")
+        assert told == [0.0, 0.5, 1.0]
+        said = [r.getMessage() for r in caplog.records]
+        assert len(said) == n and all("is of other data or settings" in text for text in said)
+
+
+def test_quantities_of_a_coating_are_taken_together(tmp_path: Path) -> None:
+    # neither is possible with the other's default
+    radii = ["--outer-radius", "8 um", "--ring-radius", "5 um"]
+    assert run("diffusion", "--out", tmp_path, *radii, "--tolerance", "0.05", "--quiet") in (0, 3)
+
+
+def test_the_noise_law_does_not_act_on_the_gap_and_this_is_said(
+    campaign: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    import bayes_sensor.gap as room
+
+    monkeypatch.setattr(logging.getLogger("bayes_sensor"), "propagate", True)
+    given: list[Any] = []
+
+    def stop(_campaign: Any, fit: Any, **_options: Any) -> None:
+        given.append(fit)
+        raise CampaignError("gap: far enough")
+
+    monkeypatch.setattr(room, "diagnose_gap", stop)
+    said = []
+    for config in ("[noise]\nper_experiment = true\n", "[fit]\nswarms = 2\n"):
+        caplog.clear()
+        (tmp_path / "over.toml").write_text(config)
+        options = ["--config", tmp_path / "over.toml", "--quiet"]
+        assert run("gap", campaign, "--out", tmp_path / "out", *options) == 2
+        said.append([r.getMessage() for r in caplog.records if "[noise]" in r.getMessage()])
+    assert said[0][0].startswith("over.toml: [noise] does not act on gap") and said[1] == []
+    names = Layout.of(read_campaign(campaign)).mean_names
+    assert [fit.names for fit in given] == [names, names]
+    assert {len(fit.theta_hat) for fit in given} == {len(names)}
 
 
 def test_diffusion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -324,7 +324,9 @@ def test_quantities_with_units():
         ("outer_radius", "17.5 s", "expected a length"),
         ("d_zif8", "1 um", "expected a diffusivity"),
         ("outer_radius", "9**9**9 m", "not a unit"),
-        ("outer_radius", "5 um", "must exceed ring_radius"),
+        ("outer_radius", "5 um", "outer_radius: expected more than ring_radius = 10 um, got 5 um"),
+        ("thickness_zif8", "-1 um", "positive length, got '-1 um'; write for example \"1.5 um\""),
+        ("ring_radius", "-1 um", "expected a length of zero or more, got '-1 um'"),
         ("outer_radus", "5 um", "did you mean outer_radius"),
         ("colour", "5 um", "known: ring_radius"),
     ):

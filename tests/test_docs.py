@@ -175,7 +175,7 @@ def examples(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr("bayes_sensor.readers.FORMATS", dict(FORMATS))
     made: dict[str, Any] = {}
     blocks = re.findall(r"```python\n(.*?)```", TEXT["extend.md"], flags=re.DOTALL)
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     exec(compile("\n".join(blocks), "extend.md", "exec"), made)
     return made
 
@@ -199,6 +199,7 @@ def test_the_reader_of_the_page_reads(examples: dict[str, Any], tmp_path: Path) 
 
 def test_the_effect_of_the_page_is_one(examples: dict[str, Any]) -> None:
     assert examples["EFFECT"].name == "leak" and "leak" not in CATALOGUE
+    assert len(examples["BUMP"].forms[0].starts) == 4
 
 
 def test_the_bound_of_the_page_is_wider_by_its_factor(examples: dict[str, Any]) -> None:

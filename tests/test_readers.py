@@ -518,6 +518,9 @@ def with_values(**at: float) -> str:
     return rows(T, y)
 
 
+HOLES = ~(((T > 2.995) & (T < 3.595)) | ((T > 4.995) & (T < 5.495)) | ((T > 7.995) & (T < 8.395)))
+"""where three gaps are too long"""
+
 BROKEN: dict[str, tuple[str | bytes, str]] = {
     "empty": ("", "the file is empty"),
     "only blanks": ("\n \n", "the file is empty"),
@@ -560,6 +563,16 @@ BROKEN: dict[str, tuple[str | bytes, str]] = {
     ),
     "log spaced": (rows(np.geomspace(0.01, 10, N), t_format="%.9f"), "expected one sampling"),
     "long gap": (without(300, 359), r"a gap of 0.6 s in time between 2.99 s and 3.6 s"),
+    "long gaps": (
+        rows(T[HOLES], Y[HOLES]),
+        r"are 3 gaps in time of up to 0.6 s, between 2.99 s and 3.6 s, between 4.99 s and 5.5 s, "
+        r"between 7.99 s and 8.4 s; .* accept them with mask = \[\[\"2.99 s\", \"3.6 s\"\], "
+        r"\[\"4.99 s\", \"5.5 s\"\], \[\"7.99 s\", \"8.4 s\"\]\]",
+    ),
+    "many long gaps": (
+        rows(T[T % 0.5 < 0.24], Y[T % 0.5 < 0.24]),
+        r"are 19 gaps in time of up to 0.26 s, .* and further on; .*, \.\.\]$",
+    ),
     "many gaps": (rows(T[T * 100 % 8 < 6.5], Y[T * 100 % 8 < 6.5]), "samples are missing"),
     "all nan": (rows(T, Y * np.nan), "none of the 1000 samples is a finite number"),
     "many nan": (rows(T, np.where(T < 1.5, np.nan, Y)), "150 of 1000 samples are not a number"),
@@ -586,6 +599,14 @@ def test_mistakes_in_a_table(name: str, tmp_path: Path) -> None:
         campaign(tmp_path, data)
     assert_is_one_clear_message(error)
     assert "a.csv" in str(error.value)
+
+
+def test_the_masks_that_a_message_proposes_do(tmp_path: Path) -> None:
+    with pytest.raises(CampaignError, match="accept them with") as error:
+        campaign(tmp_path, rows(T[HOLES], Y[HOLES]))
+    masks = str(error.value).split("mask = ")[1]
+    found = campaign(tmp_path, mask=masks)
+    assert len(found.experiments[0].t) == N
 
 
 def npy(shape: tuple[int, ...], descr: str = "<f8") -> bytes:

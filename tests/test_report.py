@@ -16,7 +16,9 @@ from matplotlib.image import imread
 
 from bayes_sensor import figures
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.check import campaign_rows
 from bayes_sensor.cli import _guarded, steps
+from bayes_sensor.cli.simulation import published_design
 from bayes_sensor.report import (
     FORMATS,
     Table,
@@ -50,6 +52,7 @@ from bayes_sensor.report.sections.fit import fitted
 from bayes_sensor.report.sections.gap_tables import strength_words
 from bayes_sensor.report.sections.noise import noise
 from bayes_sensor.report.sections.tau import time_constant
+from bayes_sensor.results import plain
 from bayes_sensor.samples import load_samples
 
 HOSTILE = "<script>document.title='taken'</script> $x^2$ \"&'"
@@ -102,6 +105,36 @@ def parts(analysed: Path) -> tuple[Saved, list[Section]]:
     """What every format is made from, drawn once."""
     saved = read_results(analysed)
     return saved, make_sections(saved, Pictures())
+
+
+# --- the published bounds
+
+
+def test_published_bounds_stand_beside_those_of_the_published_design_alone(
+    analysed: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(analysed, tmp_path / "out")
+    study = [
+        {"step": step, "method": "exact", "difference": "central", "tau_s": 1e-3, "tau_v_s": 1e-3,
+         "V_mL": 0.1, "identified": True}
+        for step in (1e-3, 1e-2)
+    ]  # fmt: skip
+    bounds = json.loads((analysed / "bounds.json").read_text())
+    bounds["naive"]["at"]["tau_v_s"] = 0.8577  # as the published rig's, by chance
+    bounds["step_study"] = study
+    (tmp_path / "out" / "bounds.json").write_text(json.dumps(bounds))
+    published = campaign_rows(published_design()[0])
+    mine = json.loads((analysed / "campaign.json").read_text())
+    other = [{**row, "total_flow_L_min": 1.02 * row["total_flow_L_min"]} for row in published]
+    for experiments, stars in ((mine["experiments"], False), (other, False), (published, True)):
+        saved = replace(
+            read_results(tmp_path / "out"),
+            campaign={**mine, "experiments": plain([{**row, "file": ""} for row in experiments])},
+        )
+        section = time_constant(saved, Pictures())
+        assert section is not None
+        (picture,) = (p for p in section.content if getattr(p, "key", "") == "step_study")
+        assert ("Stars: the published bounds." in picture.caption) == stars
 
 
 # --- words
@@ -287,6 +320,10 @@ def test_a_strength_has_its_unit_and_no_second_one_in_its_name() -> None:
     units = {"closing_ratio": "1", "mains_V": "ppm", "filter": "s", "late_rise": "s"}
     said = strength_words({"closing_ratio": 1.1, "mains_V": 0.01, "filter": 0.015, "s": 2}, units)
     assert said == "closing ratio = 1.10, mains = 0.0100 ppm, filter = 0.0150 s, s = 2.00"
+    assert (
+        strength_words({"mains_V": 8e-6, "mains_Hz": 150.0}, {"mains_V": "V", "mains_Hz": "Hz"})
+        == "mains amplitude = 8.00 × 10⁻⁶ V, mains frequency = 150 Hz"
+    )
     assert (
         strength_words({"late_rise": {"1": 0.1, "2": 0.3}}, units) == "late rise = 0.100 to 0.300 s"
     )

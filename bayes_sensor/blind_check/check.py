@@ -29,6 +29,7 @@ import numpy as np
 
 from bayes_sensor.blind_check.baselines import whiteness_p_value
 from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
+from bayes_sensor.blind_check.truth import check_truth, complete_truth
 from bayes_sensor.calibration import run_chunks
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.reality import Case, make_campaign
@@ -240,7 +241,7 @@ def _hashes(folder: Path, what: str) -> dict[str, Any]:
 def seal_truths(folder: Path) -> None:
     """Record the hash of every truth that has none yet; a recorded one is never replaced.
 
-    Raises CampaignError where a truth has not the form of one: it could not be mended any more.
+    Raises CampaignError where one cannot be scored as it is: it could not be mended any more.
     """
     known = _hashes(folder, SEALED)
     new = {
@@ -249,7 +250,7 @@ def seal_truths(folder: Path) -> None:
         if path.stem not in known
     }
     for name, path in new.items():
-        complete_truth(read_json(path), name)
+        check_truth(read_json(path), name, _experiments(folder, name))
     if new:
         hashes = {name: sha256(path) for name, path in new.items()}
         write_json(folder / f"{SEALED}.json", {**known, **hashes})
@@ -280,13 +281,23 @@ def _check_hashes(folder: Path, what: str) -> None:
             )
 
 
-def _files_digest(toml: Path) -> str:
-    """SHA-256 over a campaign file and the data files that it names, in its order."""
+def _tables(toml: Path) -> list[dict[str, Any]]:
+    """The experiments of a campaign file, as they are written there."""
     from bayes_sensor.readers.campaign_file import read_sheet, read_toml
 
     label = f"{CAMPAIGNS}/{toml.parent.name}/{toml.name}"
-    tables = read_sheet(read_toml(toml.read_bytes(), label), label).experiment
-    named = [toml.parent / str(table["file"]) for table in tables if table.get("file")]
+    return read_sheet(read_toml(toml.read_bytes(), label), label).experiment
+
+
+def _experiments(folder: Path, name: str) -> list[str] | None:
+    """Names of the experiments of a user's campaign, None where it is not there."""
+    toml = folder / CAMPAIGNS / name / "campaign.toml"
+    return [str(table.get("name")) for table in _tables(toml)] if toml.is_file() else None
+
+
+def _files_digest(toml: Path) -> str:
+    """SHA-256 over a campaign file and the data files that it names, in its order."""
+    named = [toml.parent / str(table["file"]) for table in _tables(toml) if table.get("file")]
     # what is missing is told by whoever reads it
     found = [sha256(path) if path.is_file() else "nothing" for path in (toml, *named)]
     return hashlib.sha256("".join(found).encode()).hexdigest()
@@ -403,7 +414,8 @@ def open_seals(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     Raises
     ------
     CampaignError
-        If a file was changed after its hash was recorded, or no verdict has a truth.
+        If a file was changed after its hash was recorded, no verdict has a truth, or one that was
+        not sealed is none.
     """
     _check_hashes(folder, SEALED)
     _check_hashes(folder, VERDICTS)
@@ -415,37 +427,15 @@ def open_seals(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
         )  # fmt: skip
     both = []
     for path in sorted((folder / VERDICTS).glob("*.json")):
-        truth = folder / SEALED / path.name
-        if truth.is_file():
-            both.append((complete_truth(read_json(truth), path.stem), read_json(path)))
+        file = folder / SEALED / path.name
+        if file.is_file():
+            truth = read_json(file)
+            if path.stem in late:  # which can be mended still
+                check_truth(truth, path.stem, _experiments(folder, path.stem))
+            both.append((complete_truth(truth, path.stem), read_json(path)))
     if not both:
         raise CampaignError(
             f"{folder}: expected verdicts/NAME.json and sealed/NAME.json of the same names, but "
             "no verdict has a truth; diagnose first, then put the truths into sealed/"
         )
     return both
-
-
-def complete_truth(content: Any, name: str) -> dict[str, Any]:
-    """A sealed truth with every key: a user's own needs ``listed_as`` alone.
-
-    ``listed_as``: for each cause the names that are a right answer; ``[]`` for no cause at all and
-    ``[[]]`` for one that the catalogue does not list.
-    """
-    listed = content.get("listed_as") if isinstance(content, Mapping) else None
-    if not isinstance(listed, list) or not all(isinstance(n, str | list) for n in listed):
-        raise CampaignError(
-            f'sealed/{name}.json: expected {{"listed_as": [["effect"], ..]}}, one list of right '
-            "names for each cause; [] where nothing is wrong"
-        )
-    truth = dict(content)
-    listed = [[names] if isinstance(names, str) else list(names) for names in listed]
-    kind = "null" if not listed else "pair" if len(listed) > 1 else "listed"
-    if listed and not any(listed):
-        kind = "unlisted"
-    defaults: dict[str, Any] = {
-        "name": name, "kind": kind, "causes": [], "near": [], "level": None, "d": None,
-        "law": "unknown", "is_ar1": None, "tau_s": None, "tau_refit_s": None, "rivals": {},
-        "acts": [], "visible": [], "closed": {}, "size": "own", "reserve": False,
-    }  # fmt: skip
-    return {**defaults, **truth, "listed_as": listed}

@@ -203,7 +203,9 @@ def gap(
     seed: Seed = 1,
     jobs: Jobs = 1,
     quiet: Quiet = False,
-    config: Config = None,
+    config: Annotated[
+        Path | None, _settings_file("Settings of its fit; [noise] does not act here.")
+    ] = None,
     resume: Resume = False,
     without: Annotated[
         list[str] | None,

@@ -246,7 +246,8 @@ def simulate_campaign(
     for name, value in values.items():
         if value < 0 or (value == 0 and not name.startswith("sigma")):
             raise CampaignError(
-                f"--{name}: expected a positive value, but got '{quantities[name]}'"
+                f"--{name}: expected a positive value, but got '{quantities[name]}'; write for "
+                f'example "{kinds[name].example}"'
             )
     if truth is not None:
         given = read_truth(truth, plan)

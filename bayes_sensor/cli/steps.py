@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import io
+import logging
 import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from bayes_sensor.results import (
     sha256,
 )
 
+LOG = logging.getLogger(__name__)
 Progress = Callable[[float, str], None]
 CHECKPOINT = "checkpoint"
 MOST_DRAWS = 4000
@@ -262,8 +264,27 @@ def _do_posterior(job: Job) -> None:
             jobs=job.jobs,
             checkpoint=job.checkpoint,
             resume=job.resume,
-            progress=tell,
+            progress=_watching(job, tell),
         )
+
+
+def _watching(job: Job, tell: Progress) -> Progress:
+    """``tell``, which also says it where ``--resume`` finds ensembles that are not gone on with."""
+    marker = job.checkpoint / "run.json"
+    if not (job.resume and marker.is_file() and any(job.checkpoint.glob("ensemble-*.npz"))):
+        return tell
+    before = [marker.read_bytes()]
+
+    def watched(fraction: float, text: str) -> None:
+        if before and marker.read_bytes() != before[0]:  # the sampler has begun anew
+            before.clear()
+            LOG.warning(
+                "--resume: the unfinished run in %s is of other data or settings, such as another "
+                "--seed, and is not used", job.checkpoint,
+            )  # fmt: skip
+        tell(fraction, text)
+
+    return watched
 
 
 def _do_predictive(job: Job) -> None:
@@ -430,11 +451,13 @@ def _problem_with_effects(job: Job) -> Any:
 def _do_gap(job: Job) -> None:
     from bayes_sensor.gap import diagnose_gap
 
+    n = job.problem.layout.n_mean  # the diagnosis has a noise law of its own
+    fit = replace(job.fit, names=job.fit.names[:n], theta_hat=job.fit.theta_hat[:n])
     try:
         with job.timed("gap") as tell:
             job.gap = diagnose_gap(
                 job.problem.campaign,
-                job.fit,
+                fit,
                 seed=job.seed,
                 jobs=job.jobs,
                 progress=tell,
@@ -541,6 +564,10 @@ def run(
     basis = digest(record, {"noise": overrides.noise.model_dump(), "priors": overrides.priors})
     files = _files(campaign_path, campaign, config)
     results = Results(out)
+    if command == "gap" and overrides.noise != type(overrides.noise)():
+        LOG.warning(
+            "%s: [noise] does not act on gap, which takes the noise of every record from it", label
+        )
     with results.locked(patience):
         job = Job(
             command, problem, overrides, label, seed, jobs, quiet, resume, results, basis,
@@ -677,7 +704,7 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
     if code == 3:
         status = job.fit.status if not job.fit.converged else job.posterior.status
         hint = "" if not job.fit.converged else "; more --steps with --resume may help"
-        status = status.removeprefix("NOT converged: ")
+        status = status.removeprefix("NOT converged: ").rstrip(".")  # a part of the sentence
         print(f"not converged: {status}{hint}; the results are marked so", file=sys.stderr)
     other = of_other_data(job.results.json("run.json"))
     if other:
@@ -712,6 +739,16 @@ def rebuild_report(folder: Path, quiet: bool, form: str = "html") -> None:
     say(f"report: {results.path(FORMATS[form])}", quiet)
 
 
+def _as_options(message: str) -> str:
+    """A message on a coating with its fields as the options that they are on the command line."""
+    from bayes_sensor.diffusion import Coating
+
+    for name in (item.name for item in fields(Coating)):
+        option = "--" + name.replace("_", "-")
+        message = message.replace(f'{name} = "', f'{option} "').replace(name, option)
+    return message
+
+
 def solve_diffusion(out: Path, quantities: Mapping[str, str], tolerance: float, quiet: bool) -> int:
     """Solve the coating and write diffusion.json with its figure; the exit code."""
     from bayes_sensor import figures
@@ -719,14 +756,10 @@ def solve_diffusion(out: Path, quantities: Mapping[str, str], tolerance: float, 
 
     started, begin = now(), time.perf_counter()
     try:
-        coating = Coating()
-        for name, text in quantities.items():
-            option = "--" + name.replace("_", "-")
-            try:
-                coating = coating.with_quantities(**{name: text})
-            except CampaignError as error:
-                message = str(error).replace(f"{name} = ", f"{option} ").replace(name, option)
-                raise CampaignError(message) from None
+        try:
+            coating = Coating().with_quantities(**quantities)
+        except ValueError as error:
+            raise CampaignError(_as_options(str(error))) from None
         if not 1e-7 < tolerance < 0.1:
             raise ValueError(
                 f"--tolerance: expected between 1e-7 and 0.1, got {tolerance}; try 5e-4"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -17,8 +18,17 @@ LEVEL_63 = 1.0 - math.exp(-1.0)
 GEOMETRIES = ("axisymmetric", "planar")
 EQUIVALENTS = ("tau63", "tau_fit", "tau_moment")
 
-_LENGTH = Kind("a length", "m", "1.5 um")
-_DIFFUSIVITY = Kind("a diffusivity", "m^2/s", "2.6e-11 m^2/s")
+_KINDS = {
+    "ring_radius": Kind("a length", "m", "10 um"),
+    "outer_radius": Kind("a length", "m", "17.4 um"),
+    "thickness_zif8": Kind("a length", "m", "1.5 um"),
+    "thickness_pdms": Kind("a length", "m", "7.0 um"),
+    "d_zif8": Kind("a diffusivity", "m^2/s", "1.71e-10 m^2/s"),
+    "d_pdms": Kind("a diffusivity", "m^2/s", "4.2e-9 m^2/s"),
+    "probe_height": Kind("a length", "m", "220 nm"),
+}
+"""of what is written with a unit; the examples are the defaults"""
+_MAY_BE_ZERO = ("ring_radius", "probe_height")
 
 
 @dataclass(frozen=True)
@@ -64,7 +74,7 @@ class Coating:
             if item.name == "geometry":
                 continue
             value = getattr(self, item.name)
-            may_be_zero = item.name in ("ring_radius", "probe_height")
+            may_be_zero = item.name in _MAY_BE_ZERO
             may_be_infinite = item.name == "outer_radius"
             good = isinstance(value, int | float | np.number) and (
                 value >= 0 if may_be_zero else value > 0
@@ -105,13 +115,43 @@ class Coating:
             If a name is unknown, a unit is missing, unknown or of the wrong dimension, or the
             value is not allowed.
         """
-        known = [item.name for item in fields(self) if item.name not in ("geometry", "partition")]
         values: dict[str, Any] = {}
         for name, text in quantities.items():
-            if name not in known:
-                near = difflib.get_close_matches(name, known, n=1)
-                hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
+            if name not in _KINDS:
+                near = difflib.get_close_matches(name, _KINDS, n=1)
+                hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(_KINDS)}"
                 raise ValueError(f"coating: there is no quantity '{name}'; {hint}")
-            kind = _DIFFUSIVITY if name.startswith("d_") else _LENGTH
+            kind = _KINDS[name]
             values[name] = read_quantity(text, kind, name)
+            if values[name] < 0 or (values[name] == 0 and name not in _MAY_BE_ZERO):
+                what = kind.name.removeprefix("a ")
+                wanted = (
+                    f"a {what} of zero or more" if name in _MAY_BE_ZERO else f"a positive {what}"
+                )
+                raise ValueError(
+                    f"{name}: expected {wanted}, got '{text}'; write for example \"{kind.example}\""
+                )
+        _check_probe({**{name: getattr(self, name) for name in _KINDS}, **values})
         return replace(self, **values)
+
+
+def _check_probe(length: Mapping[str, float]) -> None:
+    """Raise ValueError, in micrometres, where the probe lies outside the coating."""
+    outer, ring = length["outer_radius"], length["ring_radius"]
+    if outer <= ring:
+        raise ValueError(
+            f"outer_radius: expected more than ring_radius = {_in_um(ring)}, got "
+            f"{_in_um(outer)}, so that the probe lies outside the coating; write for example "
+            f'"{_in_um(1.74 * ring)}", or a smaller ring_radius'
+        )
+    top = length["thickness_zif8"] + length["thickness_pdms"]
+    if length["probe_height"] >= top:
+        raise ValueError(
+            f"probe_height: expected less than thickness_zif8 + thickness_pdms = {_in_um(top)}, "
+            f"got {_in_um(length['probe_height'])}, so that the probe lies above the coating; "
+            f'write for example "{_in_um(0.026 * top)}", or a larger thickness'
+        )
+
+
+def _in_um(length: float) -> str:
+    return f"{1e6 * length:.4g} um"

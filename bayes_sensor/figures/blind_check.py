@@ -34,6 +34,8 @@ FEW = 3
 """campaigns under which a law of noise without an alarm has no bar of its own"""
 ALONE = {"bic_named": "all, by BIC", "whiteness_alarmed": "all, by whiteness"}
 """methods beside the diagnosis that tell a null from something"""
+BESIDE = 0.7, 0.2
+"""place in a panel that has a diagonal"""
 
 
 def score_card(card: Part) -> Figure:
@@ -100,6 +102,8 @@ def _laws(by_law: Mapping[str, Part]) -> dict[str, Part]:
     """The laws of noise that have a bar; those of a few campaigns without an alarm share one."""
     few = [law for law, part in by_law.items()
            if part["alarmed"]["n"] < FEW and not part["alarmed"]["k"]]  # fmt: skip
+    if len(few) == 1:  # it would share its bar with none
+        few = []
     shown = {
         law.replace("ar1_", "ar1 + ").replace("_", "-").replace("ar1", "AR(1)"): part
         for law, part in by_law.items()
@@ -124,8 +128,20 @@ def _nulls(axes: Axes, every: Part, laws: Mapping[str, Part]) -> None:
     axes.set_xlabel("share of false alarms\n(red: a cause is named)")
 
 
-def _levels(axes: Axes, levels: Sequence[float]) -> None:
+def _no_case(axes: Axes, words: str = "no case", at: tuple[float, float] = (0.5, 0.5)) -> None:
+    """Say in an empty panel why it is so; ``at``: share of the panel's width and height."""
+    axes.text(
+        *at, words, transform=axes.transAxes, ha="center", va="center", color=MIDDLE,
+        fontsize=SMALLEST,
+    )  # fmt: skip
+
+
+def _levels(axes: Axes, levels: Sequence[float], empty: bool) -> None:
+    """``empty``: nothing is drawn that could tell the axis how far it goes."""
     axes.set_xscale("log")
+    if empty:
+        axes.set_xlim(levels[0] / 1.2, levels[-1] * 1.2)
+        _no_case(axes, "no case of known d", (0.5, 0.6))
     axes.set_xticks(levels, [f"{level:g}" for level in levels])
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_xlabel("size d of the misfit (sd)")
@@ -163,7 +179,7 @@ def _against_d(axes: Axes, table: Sequence[Part], what: str, title: str) -> None
     oracle = [np.nan if row[f"{what}_oracle"] is None else row[f"{what}_oracle"] for row in table]
     axes.plot(levels, oracle, "--", color=INK, marker=MARKERS[1], ms=4, lw=0.8, label="oracle")
     _legend(axes)
-    _levels(axes, levels)
+    _levels(axes, levels, not any(row[what]["n"] for row in table))
     axes.set_ylabel("share of campaigns")
     axes.set_title(title)
 
@@ -189,6 +205,7 @@ def _wrong(axes: Axes, wrong: Part) -> None:
 
 def _flagged(axes: Axes, unlisted: Part) -> None:
     levels = [row["d"] for row in unlisted["flagged"]]
+    empty = True
     for key, share, label, colour, marker, shift, bars in (
         ("flagged", "flagged", "never listed", BLUE, MARKERS[0], -0.06, True),
         ("withheld_flagged", "flagged", "taken out", ORANGE, MARKERS[1], 0.06, True),
@@ -196,11 +213,12 @@ def _flagged(axes: Axes, unlisted: Part) -> None:
     ):
         parts = [row[share] for row in unlisted[key]]
         known = [i for i, part in enumerate(parts) if part["n"]]
+        empty = empty and not known
         _line(
             axes, [levels[i] for i in known], [parts[i] for i in known], label, colour, marker,
             shift, bars,
         )  # fmt: skip
-    _levels(axes, levels)
+    _levels(axes, levels, empty)
     axes.set_ylabel("share called unlisted")
     axes.set_title("unlisted cause")
     _legend(axes)
@@ -214,11 +232,14 @@ def _roc(axes: Axes, unlisted: Part) -> None:
         ("roc_whiteness", "whiteness", ORANGE, "--"),
     ):
         roc = unlisted[key]
+        if roc["area"] is None:
+            continue
         axes.plot([0.0, *roc["false"], 1.0], [0.0, *roc["true"], 1.0], style_, color=colour, lw=1.2)
-        if roc["area"] is not None:
-            said.append(f"{label} {roc['area']:.2f} ± {1.96 * roc['se']:.2f}")
+        said.append(f"{label} {roc['area']:.2f} ± {1.96 * roc['se']:.2f}")
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
     _shares(axes)
+    if not said:
+        _no_case(axes, at=BESIDE)
     axes.set_xlabel("share of others flagged")
     axes.set_ylabel("share of unlisted flagged")
     axes.annotate(
@@ -236,10 +257,15 @@ def _reliability(axes: Axes, calibration: Part) -> None:
         [entry["stated"] for entry in bins], [_rate(part) for part in parts],
         yerr=_errors(parts), fmt="o", ms=4, color=BLUE, elinewidth=0.8,
     )  # fmt: skip
-    if calibration["ece"] is not None:
+    if calibration["ece"] is None:
+        _no_case(axes, at=BESIDE)
+    else:
+        # below the diagonal, unless few cases have long bars there
+        clear = all(part["lo95"] > 0.25 for part, e in zip(parts, bins) if e["stated"] > 0.35)
         axes.annotate(
             f"mean error {calibration['ece']:.4f},\nchance: < {calibration['band95']:.4f}",
-            (0.98, 0.04), xycoords="axes fraction", ha="right", va="bottom", fontsize=SMALLEST,
+            (0.98, 0.04) if clear else (0.02, 0.96), xycoords="axes fraction",
+            ha="right" if clear else "left", va="bottom" if clear else "top", fontsize=SMALLEST,
         )  # fmt: skip
     axes.set_xlim(0, 1.02)
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
@@ -269,7 +295,7 @@ def _closed(axes: Axes, table: Sequence[Part]) -> None:
             yerr=_errors(parts), color=colour, marker=marker, ms=4, lw=0.8, elinewidth=0.8,
             ls="--", label=label,
         )  # fmt: skip
-    _levels(axes, levels)
+    _levels(axes, levels, not any(row["n"] for row in table))
     axes.set_ylabel("error, or share")
     axes.set_title("how much closes")
     _legend(axes)
@@ -279,7 +305,7 @@ def _set95(axes: Axes, table: Sequence[Part]) -> None:
     levels = [row["d"] for row in table]
     _line(axes, levels, [row["coverage"] for row in table], "", BLUE, MARKERS[0], 0.0)
     axes.axhline(0.95, color=MIDDLE, lw=0.7, ls=":")
-    _levels(axes, levels)
+    _levels(axes, levels, not any(row["coverage"]["n"] for row in table))
     axes.set_ylabel("share that hold it")
     axes.set_title("95 % set, listed causes")
 
@@ -288,6 +314,11 @@ def _tau(axes: Axes, tau: Part) -> None:
     values = [np.nan if tau[key] is None else tau[key] for key in ("before", "after")]
     axes.bar([0, 1], values, 0.6, color=[PALE, DATA], edgecolor=INK, lw=0.6)
     axes.set_xticks([0, 1], ["without", "with"])
+    if tau["before"] is None:
+        axes.set_xlim(-0.5, 1.5)
+        axes.set_ylim(0.0, 1.0)
+        axes.set_yticks([])
+        _no_case(axes)
     axes.xaxis.grid(False)
     axes.set_xlabel("the cause in the model")
     axes.set_ylabel("mean error of ln τ")
@@ -363,7 +394,13 @@ def _of_hidden(envelope: Part) -> list[str]:
             words += f"; drawn to hide, but too strong: {envelope['drawn_stronger']} more"
         said.append(words + ".")
     if nulls["n"]:
-        said.append(f"With nothing wrong it does in {_k_of_n(nulls)}.")
+        where = f"With nothing wrong it does in {_k_of_n(nulls)}."
+        if not said:
+            where = (
+                "With nothing wrong the true τ lies within the range that the diagnosis gives for "
+                f"it in {_k_of_n(nulls)} campaigns."
+            )
+        said.append(where)
     return [" ".join(said)] if said else []
 
 

@@ -118,10 +118,14 @@ def _louder_spells(sketch: Sketch) -> list[str]:
     return found
 
 
+LABELS = {"mains_V": "amplitude", "mains_Hz": "frequency"}
+"""of strengths whose names are those of their units"""
+
+
 def _strength_words(strength: Mapping[str, Any], units: Mapping[str, str]) -> str:
     parts = []
     for name, value in strength.items():
-        label = name.replace("_", " ")
+        label = LABELS.get(name, name.replace("_", " "))
         unit = units.get(name, "")
         unit = "" if unit in ("1", "") else f" {unit}"
         if isinstance(value, Mapping):

@@ -24,6 +24,8 @@ LONGEST_GAP = 1.0
 """s; a longer stretch without samples is an error unless it is cropped or masked"""
 LARGEST_GAP = 0.02
 """of the record, likewise; a gap of up to 10 samples is always short"""
+MOST_GAPS = 10
+"""long gaps that one message names"""
 MOST_LOST = 0.1
 """of the record that may be missing or not finite before it is an error"""
 MOST_CLIPPED = 0.8
@@ -256,13 +258,21 @@ def _check_gaps(
     long = int(np.argmax(lengths))
     duration = lengths[long] * interval
     limit = max(10 * interval, min(LONGEST_GAP, LARGEST_GAP * len(t) * interval))
-    if duration > limit * (1 + 1e-9):
-        before, after = t[max(starts[long] - 1, 0)], t[min(ends[long], len(t) - 1)]
+    too_long = np.flatnonzero(lengths * interval > limit * (1 + 1e-9))
+    if too_long.size:
+        some = too_long[:MOST_GAPS]
+        ends_of = [(t[max(starts[i] - 1, 0)], t[min(ends[i], len(t) - 1)]) for i in some]
+        masks = ", ".join(f'["{before:.10g} s", "{after:.10g} s"]' for before, after in ends_of)
+        found, it = f"is a gap of {duration:.4g} s in time", "it"
+        said = ["between {:.10g} s and {:.10g} s".format(*ends) for ends in ends_of]
+        if len(too_long) > 1:
+            found, it = f"are {len(too_long)} gaps in time of up to {duration:.4g} s,", "them"
+        if len(too_long) > len(some):
+            said[-1] += " and further on"
+            masks += ", .."
         raise file.error(
-            f"there is a gap of {duration:.4g} s in time between {before:.10g} s and "
-            f"{after:.10g} s; expected samples every {interval:.6g} s (gaps up to {limit:.3g} s "
-            f"are left out): crop with keep or accept it with "
-            f'mask = [["{before:.10g} s", "{after:.10g} s"]]'
+            f"there {found} {', '.join(said)}; expected samples every {interval:.6g} s (gaps up to "
+            f"{limit:.3g} s are left out): crop with keep or accept {it} with mask = [{masks}]"
         )
     if missing.mean() > MOST_LOST:
         raise file.error(

@@ -175,7 +175,7 @@ def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
         ]
     mains = shrink.get("explanation") == "mains_pickup"  # a gap of power at lines, not of the mean
     unknown = record["verdict"]["kind"] == "unlisted"
-    added = f"{effect_words(shrink['explanation'])} is in the model"
+    added = f"{effect_words(shrink.get('explanation') or 'the effect')} is in the model"
     said = (
         f"Once {'a sine is taken off every record' if mains else added} "
         f"the {'mains fall' if mains else 'excess falls'} from "

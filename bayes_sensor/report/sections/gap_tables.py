@@ -17,6 +17,8 @@ NEGLIGIBLE = 0.0005
 """probability below which an explanation is only in gap.json, beyond the first few"""
 ENDINGS = ("V", "s", "Hz")
 """units at the end of a name, which the value has anyway"""
+MEASURES = {"V": "amplitude", "s": "time", "Hz": "frequency"}
+"""what tells names apart that are alike but for their ending"""
 CLEAR = 0.05
 """p-value below which a difference is more than noise"""
 LEAST_SHARE = 0.005
@@ -154,14 +156,22 @@ def strength_words(strength: Any, units: Mapping[str, str]) -> str:
 
     >>> strength_words({"closing_ratio": 1.1, "mains_V": 0.01}, {"mains_V": "mV"})
     'closing ratio = 1.10, mains = 0.0100 mV'
+    >>> strength_words({"mains_V": 0.01, "mains_Hz": 50.0}, {"mains_V": "V", "mains_Hz": "Hz"})
+    'mains amplitude = 0.0100 V, mains frequency = 50.0 Hz'
     """
     if not isinstance(strength, Mapping):
         return ""
+    parts = {name: name.rpartition("_") for name in strength}
+    short = {
+        name: label if label and last in ENDINGS else name
+        for name, (label, _, last) in parts.items()
+    }
     said = []
     for name, value in strength.items():
         own = units.get(name, "1")
-        label, _, last = name.rpartition("_")
-        label = effect_words(label if label and last in ENDINGS else name)
+        label = effect_words(short[name])
+        if list(short.values()).count(short[name]) > 1 and short[name] != name:
+            label += f" {MEASURES[parts[name][2]]}"
         said.append(f"{label} = {_value(value)}" + ("" if own == "1" else f" {own}"))
     return ", ".join(said)
 
