@@ -23,6 +23,11 @@ class CampaignError(ValueError):
     """Input that cannot be used.  The message says where, what was expected, what came, the fix."""
 
 
+MOST_JITTER = 0.3
+"""of the interval: a time further than this from its place on the grid is not that sample's; as
+much as recordings may have"""
+
+
 def counted(n: int, noun: str) -> str:
     """The number with its noun.
 
@@ -39,8 +44,9 @@ class Experiment:
     Raises
     ------
     CampaignError
-        If the arrays disagree in length, a flow is not positive, the interval is not positive,
-        a used sample is not finite or no sample is used.
+        If the arrays disagree in length, a flow is not positive, the interval is not positive and
+        finite, a time is further than :data:`MOST_JITTER` of it from the uniform grid, the step
+        down is not commanded after the step up, a used sample is not finite or no sample is used.
     """
 
     name: str
@@ -72,10 +78,11 @@ class Experiment:
         n_t = len(self.t)
         if n_t < 2:
             raise CampaignError(f"{where}: expected at least 2 samples, got {n_t}; record longer")
-        if not self.interval > 0:
+        if not 0 < self.interval < np.inf:
             raise CampaignError(
                 f"{where}: expected a positive sampling interval, got {self.interval} s"
             )
+        self._check_times(where)
         for label, flow, least in (
             ("carrier_flow", self.carrier_flow, 0.0),
             ("test_gas_flow", self.test_gas_flow, 0.0),
@@ -97,6 +104,34 @@ class Experiment:
         if self.y is not None and not np.isfinite(self.y[self.used]).all():
             raise CampaignError(
                 f"{where}: a sample that is used is not finite; mask it or repair the file"
+            )
+
+    def _check_times(self, where: str) -> None:
+        t, on, off = np.asarray(self.t, dtype=float), self.commanded_on, self.commanded_off
+        if not np.isfinite(t).all():
+            i = int(np.argmin(np.isfinite(t)))
+            raise CampaignError(
+                f"{where}: t[{i}] is {t[i]}; expected a time in s for every sample, and a mask for "
+                "those not to be used"
+            )
+        away = np.abs(t - t[0] - self.interval * np.arange(len(t)))
+        if away.max() > MOST_JITTER * self.interval:
+            i = int(np.argmax(away > MOST_JITTER * self.interval))
+            raise CampaignError(
+                f"{where}: t[{i}] is {t[i]:.10g} s; expected t[0] + {i} * interval = "
+                f"{t[0] + i * self.interval:.10g} s: correct the interval or resample, and fill "
+                "missing samples in and mask them"
+            )
+        for label, value in (("commanded_on", on), ("commanded_off", off)):
+            if value is not None and not np.isfinite(value):
+                raise CampaignError(
+                    f"{where}: {label} is {value}; expected a time in s, or None where it is not "
+                    "known"
+                )
+        if on is not None and off is not None and not on < off:
+            raise CampaignError(
+                f"{where}: commanded_off = {off:.10g} s is not after commanded_on = {on:.10g} s; "
+                "expected on before off: swap or correct them"
             )
 
     def __repr__(self) -> str:

@@ -282,7 +282,7 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
     import pandas as pd
 
     problem = as_problem(campaign)
-    vector = problem.layout.flat(theta)
+    vector = problem.flat(theta)
     settings, truth = settings_of(problem, vector), truth_of(problem, vector)
     prior = prior or problem.priors["tau_s"]
     volume = known_volume(problem)
@@ -454,9 +454,27 @@ class Design:
 
     @property
     def truth(self) -> dict[str, Any]:
+        """What the prediction assumes, for a simulation of :attr:`new` (of :attr:`campaign` where
+        none is needed); see :meth:`truth_for`."""
+        return self.truth_for(self.new or self.campaign)
+
+    def truth_for(self, campaign: Campaign) -> dict[str, Any]:
         """What the prediction assumes, as ``simulate --truth`` reads it: every record's time starts
-        at zero there."""
-        nested = Layout.of(self.campaign).nested(self.theta)
+        at zero there.
+
+        ``campaign``: some of the experiments of :attr:`campaign`.  sigma1 and phi refer to the
+        highest concentration and to the most common interval of that campaign.  Every experiment's
+        own parameters are there.
+        """
+        shared, theta = self.campaign, self.theta.copy()
+        i_phi, _, i_sigma1 = Layout.of(shared).noise[0]
+        if self.noise.variance == "concentration":
+            of = campaign.reference_concentration / shared.reference_concentration
+            theta[i_sigma1] *= float(np.sqrt(of))
+        if campaign.reference_interval != shared.reference_interval:
+            steps = campaign.reference_interval / shared.reference_interval
+            theta[i_phi] = lag_coefficient(float(theta[i_phi]), steps)
+        nested = Layout.of(shared).nested(theta)
         for e in self.campaign:
             own = nested["experiments"][e.name]
             for key in ("t0_s", "tf_s"):
@@ -513,7 +531,7 @@ def design_experiments(
     Raises CampaignError for limits that are not a range or a target that is not positive.
     """
     problem = as_problem(campaign)
-    vector = problem.layout.flat(theta)
+    vector = problem.flat(theta)
     if not target_tau > 0:
         raise CampaignError(f"design: the target must be a positive time, but is {target_tau} s")
     for label, (low, high) in (

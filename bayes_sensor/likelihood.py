@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import exp, log, pi, sqrt
+from math import exp, isfinite, log, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -27,11 +27,18 @@ from bayes_sensor.model import (
     Layout,
     Theta,
     cascade_response,
+    check_name,
     divided_exponential,
     local_parameters,
     time_constants,
 )
-from bayes_sensor.noise import Noise, lag_coefficient, scale_squared, simulate_noise
+from bayes_sensor.noise import (
+    Noise,
+    check_phi,
+    lag_coefficient,
+    scale_squared,
+    simulate_noise,
+)
 
 # --------------------------------------------------------------------------- priors
 
@@ -42,11 +49,34 @@ class Prior:
 
     ``half_normal`` (scale), ``log_normal`` (median, sd of the logarithm), ``normal`` (mean, sd),
     ``uniform`` (low, high), ``log_uniform`` (low, high), ``flat`` (improper).
+
+    Raises
+    ------
+    CampaignError
+        If the kind is unknown or its numbers describe no law.
     """
 
     kind: str
     a: float = 0.0
     b: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise CampaignError(
+                f"a prior's kind must be one of {', '.join(KINDS)}, but is '{self.kind}'; "
+                "correct it"
+            )
+        if self.kind == "flat":
+            return
+        what, holds = {
+            "normal": ("a mean and a positive sd", self.b > 0),
+            "half_normal": ("a positive scale", self.a > 0),
+            "log_normal": ("a positive median and a positive sd", self.a > 0 and self.b > 0),
+            "uniform": ("low < high", self.a < self.b),
+            "log_uniform": ("0 < low < high", 0 < self.a < self.b),
+        }[self.kind]
+        if not (holds and isfinite(self.a) and isfinite(self.b)):
+            raise CampaignError(f"prior {self}: expected {what}, all finite; correct its numbers")
 
     def log_density(self, value: FloatArray | float) -> FloatArray:
         """Natural log of the density at ``value`` (any shape); -inf outside; 0 for ``flat``."""
@@ -254,7 +284,9 @@ class Problem:
     model: Cascade = field(default_factory=Cascade)
     noise: Noise = field(default_factory=Noise)
     given_priors: Mapping[str, Prior] = field(default_factory=dict)
-    """priors that replace the default ones, by flat name"""
+    """priors that replace the default ones, by flat name; one for ``phi``, ``sigma0_V`` or
+    ``sigma1_V`` also serves every experiment that has its own, and those of experiments that are
+    not in the campaign wait"""
 
     @cached_property
     def layout(self) -> Layout:
@@ -263,8 +295,19 @@ class Problem:
 
     @cached_property
     def priors(self) -> dict[str, Prior]:
-        """Every parameter's prior, by flat name."""
-        return {**default_priors(self.campaign, self.layout), **self.given_priors}
+        """Every parameter's prior, by flat name.
+
+        Raises CampaignError where one is given for a name that no parameter has.
+        """
+        # not when it is made: a problem may be on its way to another model, with its parameters
+        for name in self.given_priors:
+            check_name(self.layout, name, "Problem.given_priors")
+        given = dict(self.given_priors)
+        for name in self.layout.noise_names:
+            kind = name.split("[")[0]
+            if kind in given:
+                given.setdefault(name, given[kind])
+        return {**default_priors(self.campaign, self.layout), **given}
 
     @cached_property
     def fixed(self) -> dict[str, float]:
@@ -275,6 +318,19 @@ class Problem:
             for name in self.layout.noise_names
             if name.split("[")[0] in pinned
         }
+
+    def flat(self, theta: Theta) -> FloatArray:
+        """The flat vector (n_theta,) of ``theta``, a new one, under this problem's noise law.
+
+        What the law pins (:attr:`fixed`) has its pinned value whatever ``theta`` says, as in a fit
+        or a posterior of this problem: a ``theta`` made under another law can be used.
+
+        Raises CampaignError as :meth:`Layout.flat`.
+        """
+        vector = self.layout.flat(theta)
+        for name, value in self.fixed.items():
+            vector[self.layout.index(name)] = value
+        return vector
 
     @cached_property
     def prior_table(self) -> tuple[NDArray[np.int64], FloatArray]:
@@ -380,7 +436,7 @@ def _prior_derivatives(
 def log_prior(campaign: Campaign | Problem, theta: Theta) -> float:
     """Natural log of the prior density at ``theta``; -inf outside the support (tau > tau_v too)."""
     problem = as_problem(campaign)
-    return float(log_priors(problem, problem.layout.flat(theta))[0])
+    return float(log_priors(problem, problem.flat(theta))[0])
 
 
 # --------------------------------------------------------------------------- the full pass
@@ -501,25 +557,37 @@ def _log_density(
     return -0.5 * (total + n * log(2.0 * pi))
 
 
+def noise_in_range(
+    problem: Problem, vector: FloatArray, k: int
+) -> tuple[float, float, float, float] | None:
+    """phi over one sample, phi, sigma0, sigma1 (V) of experiment number ``k``; None where one of
+    them or a time constant has a value that no likelihood allows.
+
+    Raises CampaignError where the flat vector (n_theta,) has no sigma0.
+    """
+    phi_reference, sigma0, sigma1 = (float(v) for v in vector[problem.layout.noise[k]])
+    if np.isnan(sigma0):
+        raise CampaignError("theta lacks sigma0_V; a likelihood needs the noise's size in volts")
+    if not (abs(phi_reference) < 1.0 and sigma0 > 0.0 and sigma1 >= 0.0):
+        return None
+    phi = lag_coefficient(phi_reference, problem.steps(problem.campaign.experiments[k]))
+    if not (abs(phi) < 1.0 and (vector[:3] > 0).all()):
+        return None
+    return phi, phi_reference, sigma0, sigma1
+
+
 def experiment_log_likelihood(
     problem: Problem, vector: FloatArray, k: int, y: FloatArray | None = None
 ) -> float:
     """Log density of experiment number ``k`` at the flat vector; -inf outside the noise's range."""
-    layout = problem.layout
     e = problem.campaign.experiments[k]
-    phi_reference, sigma0, sigma1 = (float(v) for v in vector[layout.noise[k]])
-    if np.isnan(sigma0):
-        raise CampaignError("theta lacks sigma0_V; a likelihood needs the noise's size in volts")
-    steps = problem.steps(e)
-    phi = lag_coefficient(phi_reference, steps)
-    if not (abs(phi) < 1.0 and abs(phi_reference) < 1.0 and sigma0 > 0.0 and sigma1 >= 0.0):
+    noise = noise_in_range(problem, vector, k)
+    if noise is None:
         return -np.inf
-    if not (vector[:3] > 0).all():
-        return -np.inf
+    phi, phi_reference, _, _ = noise
     mean, s2 = mean_and_variance(problem, vector, k)
-    return float(
-        _log_density(e.values if y is None else y, mean, s2, e.runs, phi, phi_reference, steps)
-    )
+    values, steps = e.values if y is None else y, problem.steps(e)
+    return float(_log_density(values, mean, s2, e.runs, phi, phi_reference, steps))
 
 
 def mean_and_response(
@@ -583,27 +651,54 @@ def mean_and_variance(
 def log_likelihood(campaign: Campaign | Problem, theta: Theta) -> float:
     """Exact Gaussian log-likelihood of all samples at ``theta``; -inf outside its range.
 
+    What the problem's noise law pins has its pinned value there (:meth:`Problem.flat`).
+
     Raises CampaignError for a malformed ``theta`` or a design without data.
     """
     problem = as_problem(campaign)
-    vector = problem.layout.flat(theta)
+    vector = problem.flat(theta)
     return sum(experiment_log_likelihood(problem, vector, k) for k in range(len(problem.campaign)))
 
 
 # --------------------------------------------------------------------------- simulation
 
 
+def _check_noise(problem: Problem, vector: FloatArray, k: int) -> None:
+    """Raise CampaignError where experiment number ``k`` cannot have such noise."""
+    e = problem.campaign.experiments[k]
+    check_phi(float(vector[problem.layout.noise[k, 0]]), problem.steps(e), e.name)
+    for i in problem.layout.noise[k, 1:]:
+        if vector[i] < 0.0:
+            raise CampaignError(
+                f"theta: {problem.layout.names[i]} is {vector[i]:g}; expected a size of noise, "
+                "zero or more: correct it"
+            )
+
+
 def simulate(campaign: Campaign | Problem, theta: Theta, seed: int = 1) -> Campaign:
     """A campaign of the same design with data drawn from the model at ``theta``.
 
     Noise is that of the problem's noise law with theta's phi, sigma0, sigma1 (absent: white,
-    constant; sigma0 absent: no noise).  One seed gives one campaign; every experiment has its own
-    stream by its place, so that leaving out the last one does not change the others.
+    constant; sigma0 absent: no noise); what the law pins has its pinned value
+    (:meth:`Problem.flat`).  One seed gives one campaign; every experiment has its own stream by its
+    place.  Leaving out the last one does not change the others as long as the highest concentration
+    and the most common interval, to which sigma1 and phi refer, remain the same.
+
+    Raises CampaignError for a malformed ``theta``, and where it holds nan, a size of noise below
+    zero or a phi that an experiment's noise cannot have.
     """
     problem = as_problem(campaign)
     layout = problem.layout
-    vector = layout.flat(theta)
-    vector = np.where(np.isnan(vector), 0.0, vector)
+    vector = problem.flat(theta)
+    i_sigma0 = layout.noise[:, 1]
+    vector[i_sigma0] = np.where(np.isnan(vector[i_sigma0]), 0.0, vector[i_sigma0])
+    if not np.isfinite(vector).all():
+        i = int(np.argmin(np.isfinite(vector)))
+        raise CampaignError(
+            f"theta: {layout.names[i]} is {vector[i]}; a simulation needs a number: give one"
+        )
+    for k in range(len(problem.campaign)):
+        _check_noise(problem, vector, k)
     streams = np.random.SeedSequence(seed).spawn(len(problem.campaign))
     values = {}
     for k, (e, stream) in enumerate(zip(problem.campaign, streams, strict=True)):

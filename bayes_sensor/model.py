@@ -13,6 +13,7 @@ Inference uses the exact response.  With decay rates ``a`` it is a divided diffe
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -28,7 +29,10 @@ Theta = Mapping[str, Any] | Sequence[float] | FloatArray
 """Parameters as the nested mapping of ``fit.json`` or as the flat array of :class:`Layout`."""
 
 SHARED = ("tau_s", "tau_v_s", "V_mL")
+LOCAL = ("y0_V", "beta_V", "t0_s", "tf_s")
 NOISE = ("phi", "sigma0_V", "sigma1_V")
+BESIDE = ("signal_unit", "effects")
+"""what a ``truth.json`` holds beside parameters"""
 SETTLED = 60.0
 """slowest time constants after which a step is over: e^-60 times 60^2 is below rounding"""
 UNITS = {
@@ -88,26 +92,29 @@ class Layout:
             tuple(extra),
         )
 
-    @cached_property
+    @property
     def mean_names(self) -> list[str]:
-        """Names of the parameters of the cascade's mean, in order."""
+        """Names of the parameters of the cascade's mean, in order; a new list."""
         names = list(SHARED)
         for name, fall in zip(self.experiments, self.has_fall, strict=True):
-            kinds = ("y0_V", "beta_V", "t0_s", "tf_s") if fall else ("y0_V", "beta_V", "t0_s")
-            names += [f"{kind}[{name}]" for kind in kinds]
+            names += [f"{kind}[{name}]" for kind in (LOCAL if fall else LOCAL[:-1])]
         return names
 
-    @cached_property
+    @property
     def noise_names(self) -> list[str]:
-        """Names of the noise parameters, in order."""
+        """Names of the noise parameters, in order; a new list."""
         if not self.noise_per_experiment:
             return list(NOISE)
         return [f"{kind}[{name}]" for name in self.experiments for kind in NOISE]
 
     @cached_property
+    def _names(self) -> tuple[str, ...]:
+        return *self.mean_names, *self.noise_names, *self.extra
+
+    @property
     def names(self) -> list[str]:
-        """All names, in the order of the flat vector."""
-        return self.mean_names + self.noise_names + list(self.extra)
+        """All names, in the order of the flat vector; a new list."""
+        return list(self._names)
 
     @cached_property
     def n_mean(self) -> int:
@@ -115,7 +122,7 @@ class Layout:
         return len(self.mean_names)
 
     def __len__(self) -> int:
-        return len(self.names)
+        return len(self._names)
 
     def index(self, name: str) -> int:
         """Position of a parameter; raises KeyError naming the known ones."""
@@ -126,7 +133,7 @@ class Layout:
 
     @cached_property
     def _positions(self) -> dict[str, int]:
-        return {name: i for i, name in enumerate(self.names)}
+        return {name: i for i, name in enumerate(self._names)}
 
     @cached_property
     def local(self) -> np.ndarray:
@@ -150,16 +157,18 @@ class Layout:
         """The flat vector (n,) of a mapping or of a vector with or without its noise part.
 
         A vector without noise parameters, or a mapping without them, gets phi 0, sigma1 0 and
-        sigma0 nan, so that a mean can be computed but a likelihood cannot.
+        sigma0 nan, so that a mean can be computed but a likelihood cannot.  A mapping may also hold
+        parameters of other experiments, a tf that was not recorded, and what a ``truth.json``
+        has beside parameters (``signal_unit``, ``effects``).  The vector is a new one.
 
         Raises
         ------
         CampaignError
-            If the length is wrong or the mapping lacks a parameter.
+            If the length is wrong, or the mapping lacks a parameter or holds an unknown one.
         """
         if isinstance(theta, Mapping):
             return self._flat_of_mapping(theta)
-        vector = np.asarray(theta, dtype=float)
+        vector = np.array(theta, dtype=float)
         if vector.shape == (len(self),):
             return vector
         if vector.shape == (self.n_mean,) and not self.extra:
@@ -191,6 +200,9 @@ class Layout:
                 f"theta lacks {', '.join(missing[:4])}{' ..' if len(missing) > 4 else ''}; "
                 "expected the keys of fit.json's parameters"
             )
+        for name in found:
+            if name not in BESIDE:
+                check_name(self, name, "theta")
         return vector
 
     def nested(self, theta: Theta, noise: bool = True) -> dict[str, Any]:
@@ -211,6 +223,29 @@ class Layout:
 
 
 _NOISE3 = {name[:3] for name in NOISE}
+
+
+def check_name(layout: Layout, name: str, where: str) -> None:
+    """Raise CampaignError unless a parameter of ``layout``, or of the same with other experiments,
+    has this flat name; noise parameters with or without an experiment."""
+    kind, bracket, rest = name.partition("[")
+    own = {extra.split("[")[0] for extra in layout.extra if "[" in extra}
+    if name in (*SHARED, *layout.extra) or kind in NOISE:
+        return
+    if kind in (*LOCAL, *own) and rest.endswith("]"):
+        return
+    known = [*SHARED, *LOCAL, *NOISE, *dict.fromkeys(n.split("[")[0] for n in layout.extra)]
+    close = difflib.get_close_matches(kind, known, n=1)
+    if kind in LOCAL:
+        hint = f"write '{kind}[{layout.experiments[0]}]' and the like, one for each experiment"
+    elif close and close[0] != kind:
+        hint = f"did you mean '{close[0]}{bracket}{rest}'?"
+    else:
+        hint = f"known are {', '.join(known)}"
+    raise CampaignError(
+        f"{where}: expected names of parameters, but got '{name[:80]}'; {hint}; correct it or "
+        "leave it out"
+    )
 
 
 # --------------------------------------------------------------------------- closed form

@@ -82,6 +82,24 @@ def lag_coefficient(phi: float, steps: float) -> float:
     return float(phi**steps) if phi >= 0 else float("nan")
 
 
+def check_phi(phi: float, steps: float, name: str) -> None:
+    """Raise CampaignError unless AR(1) noise can have ``phi`` in experiment ``name``, sampled every
+    ``steps`` reference intervals.
+
+    >>> check_phi(0.5, 1.5, "a")
+    """
+    if not abs(phi) < 1.0:
+        raise CampaignError(
+            f"theta: phi is {phi:g}; expected a value above -1 and below 1: correct it"
+        )
+    if not abs(lag_coefficient(phi, steps)) < 1.0:
+        raise CampaignError(
+            f"experiment '{name}': phi is {phi:g}, and its samples are {steps:g} reference "
+            "intervals apart, over which a negative phi has no real power; expected phi of at "
+            "least 0 where sampling intervals differ: correct it"
+        )
+
+
 def simulate_noise(
     scale: FloatArray, phi: float, rng: np.random.Generator, burn_in: int = 0
 ) -> FloatArray:

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 
+import campaigns
 import numpy as np
 import pytest
 from scipy import stats
@@ -49,7 +50,7 @@ from bayes_sensor.bounds.surface import maximise, spread_along_tau, white_surfac
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.fit.identifiability import coloured_noise
-from bayes_sensor.likelihood import Problem, mean_and_variance, simulate
+from bayes_sensor.likelihood import Problem, log_likelihood, mean_and_variance, simulate
 from bayes_sensor.noise import Noise
 
 CONTRACT = (
@@ -892,3 +893,93 @@ def test_the_profile_of_data_follows_the_square_and_not_the_gaussian(at_bound):
     limit = at_bound.bounds["profile"].interval("tau_s")[1]
     drop = profile_curve(profiler, np.array([limit]))[0]
     assert drop == pytest.approx(0.5 * 1.959964**2, abs=0.02)
+
+
+# --------------------------------------------------------------------------- edges, conventions
+
+
+def test_the_bound_takes_what_the_noise_law_pins_as_pinned():
+    design = campaigns.small_design(n=2, interval=0.02)
+    white = Problem(design, noise=Noise(autocorrelation="white"))
+    theta = campaigns.small_theta(design, phi=0.7)
+    expected = cramer_rao(white, {**theta, "phi": 0.0}, noise="ar1")
+    np.testing.assert_array_equal(cramer_rao(white, theta, noise="ar1").cov, expected.cov)
+    assert cramer_rao(design, theta, noise="ar1")["V_mL"] > 1.2 * expected["V_mL"]
+
+
+@pytest.mark.parametrize("noise", ["iid", "ar1"])
+def test_a_tau_of_zero_is_not_identified_and_the_rest_is_its_limit(noise: str):
+    design = campaigns.small_design(n=2, interval=0.02)
+    none, little = (
+        cramer_rao(design, campaigns.small_theta(design, tau=tau), noise=noise)
+        for tau in (0.0, 1e-4)
+    )
+    lost = [name for name in none.names if np.isinf(none[name])]
+    assert lost == ["tau_s", "t0_s[a]", "tf_s[a]", "t0_s[b]", "tf_s[b]"]
+    assert none.status == f"the data do not identify {', '.join(lost)}"
+    for name in ("tau_v_s", "y0_V[a]", "beta_V[b]"):
+        assert none[name] == pytest.approx(little[name], rel=0.02)
+
+
+def test_a_finite_step_moves_a_tau_of_zero():
+    design = campaigns.small_design(n=2, interval=0.02)
+    theta = campaigns.small_theta(design, tau=0.0)
+    known = {"method": "exact", "fixed": ("t0_s", "tf_s")}
+    converged = cramer_rao(design, {**theta, "tau_s": 5e-4}, **known)["tau_s"]
+    for difference in ("forward", "central"):
+        found = cramer_rao(design, theta, step=0.01, difference=difference, **known)["tau_s"]
+        assert found == pytest.approx(converged, rel=0.03)
+    with pytest.raises(CampaignError, match="forward Euler is unstable for a time constant of 0 s"):
+        cramer_rao(design, theta, step=0.01)
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "said"),
+    [
+        ({}, {"sigma": 0.0}, "sigma is 0.0 V; expected the noise's size, above zero"),
+        ({}, {"sigma": -0.05}, "sigma is -0.05 V"),
+        ({}, {"sigma": np.nan, "step": 0.01}, "sigma is nan V"),
+        ({"phi": 1.0}, {"noise": "ar1"}, "phi is 1; expected a value above -1 and below 1"),
+        ({"sigma0_V": 0.0}, {"noise": "ar1"}, "sigma0_V is 0 V; expected noise of some size"),
+        ({"sigma1_V": -0.1}, {"noise": "ar1"}, "sigma1_V is -0.1 V"),
+        ({"tau_s": -0.1}, {}, "time constants must be positive"),
+        ({"V_mL": 0.0}, {}, "time constants must be positive"),
+    ],
+)
+def test_the_bound_refuses_values_that_nothing_has(changes, options, said: str):
+    design = campaigns.small_design(n=2, interval=0.02)
+    with pytest.raises(CampaignError, match=said):
+        cramer_rao(design, {**campaigns.small_theta(design), **changes}, **options)
+
+
+@pytest.mark.parametrize("n_resamples", [0, 1])
+def test_a_bootstrap_without_spread_is_refused(at_bound, n_resamples: int):
+    campaign, fit = at_bound.campaign, at_bound.fit
+    with pytest.raises(CampaignError, match=f"n_resamples is {n_resamples}; expected at least 2"):
+        compare_bounds(campaign, fit, methods=["block_bootstrap"], n_resamples=n_resamples)
+
+
+def test_the_profile_keeps_to_the_order_of_tau_and_tau_v():
+    design = campaigns.small_design(n=2, interval=0.02)
+    campaign = simulate(design, campaigns.small_theta(design, sigma0=0.03, tau=0.16), seed=2)
+    fit = fit_least_squares(campaign, seed=1)
+    problem = Problem(campaign)
+    evidence = Evidence(problem, fit)
+    profiler = Profiler.of(evidence.coloured, evidence.coloured_maximum)
+    tau, tau_v = evidence.coloured_theta[:2]
+    swapped = evidence.coloured_theta.copy()
+    swapped[:2] = tau_v, tau
+    # the likelihood itself does not know which is which
+    at_maximum = log_likelihood(problem, evidence.coloured_theta)
+    assert log_likelihood(problem, swapped) == pytest.approx(at_maximum, abs=1e-9)
+    assert profiler.drop(0, tau_v**2) > 3.0 and profiler.drop(1, tau) > 3.0
+    middle = 0.5 * (tau + tau_v)
+    assert profiler.best(0, middle**2).psi[1] >= middle * (1 - 1e-9)
+    assert profiler.best(1, middle).psi[0] <= middle**2 * (1 + 1e-9)
+    bound = compare_bounds(campaign, fit, methods=["profile"])["profile"]
+    assert bound.status == "ok"
+    assert tau < bound.interval("tau_s")[1] < tau_v and tau < bound.interval("tau_v_s")[0] < tau_v
+    # an end is where the best in that order has fallen so far
+    for i, name, end in ((0, "tau_s", 1), (1, "tau_v_s", 0)):
+        value = bound.interval(name)[end]
+        assert profiler.drop(i, value**2 if i == 0 else value) == pytest.approx(1.96, abs=5e-3)

@@ -481,3 +481,35 @@ def test_the_marginal_of_a_general_mean() -> None:
     for general, special in zip(mesh.marginal(np.append(theta, 0.0)), cascade.marginal(theta)):
         np.testing.assert_allclose(general, special, rtol=1e-6)
     assert mesh.n_full_passes == 0
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"tau_s": 0.0}, {"tau_s": -0.1}, {"tau_v_s": 0.0}, {"V_mL": -1.0}, {"phi": 1.0},
+        {"phi": -1.5}, {"sigma0_V": 0.0}, {"sigma1_V": -0.1},
+    ],
+)  # fmt: skip
+def test_both_forms_are_minus_infinity_outside_the_range(changes) -> None:
+    problem, theta = small_problem(n=2, interval=0.02)
+    at = {**problem.layout.nested(theta), **changes}
+    assert log_likelihood(problem, at) == log_likelihood(problem, at, compressed=True) == -np.inf
+    assert compress(problem, theta).log_likelihood(at) == -np.inf
+
+
+def test_what_a_mesh_cannot_be_made_about_is_said() -> None:
+    problem, theta = small_problem(n=2, interval=0.02)
+    nested = problem.layout.nested(theta)
+    with pytest.raises(CampaignError, match="time constants must be positive"):
+        compress(problem, {**nested, "V_mL": -1.0})
+    with pytest.raises(CampaignError, match="phi is 1; expected a value above -1 and below 1"):
+        compress(problem, {**nested, "phi": 1.0})
+    with pytest.raises(CampaignError, match="this is a design without data"):
+        log_likelihood(small_design(), nested, compressed=True)
+
+
+def test_a_mesh_about_no_tau_at_all_is_one_about_a_tiny_tau() -> None:
+    problem, theta = small_problem(n=2, interval=0.02, tau=0.01)
+    mesh = compress(problem, {**problem.layout.nested(theta), "tau_s": 0.0})
+    assert mesh.log_likelihood(theta) == pytest.approx(full_pass(problem, theta), abs=1e-3)
+    assert mesh.n_full_passes == 0

@@ -18,7 +18,9 @@ from bayes_sensor.design import (
     truth_of,
     what_if,
 )
-from bayes_sensor.likelihood import Prior, Problem, simulate
+from bayes_sensor.likelihood import Prior, Problem, mean_and_variance, simulate
+from bayes_sensor.model import Layout
+from bayes_sensor.noise import Noise, lag_coefficient
 from bayes_sensor.posterior import sample_posterior
 
 
@@ -251,3 +253,44 @@ def test_what_is_known_about_the_volume_enters_every_prediction():
     # knowing it less well than it is known already changes next to nothing
     coarse = told[(told["kind"] == "volume") & (told["value"] == 2.0)]["half_width95_s"].iloc[0]
     assert coarse == pytest.approx(first, rel=1e-3)
+
+
+@pytest.mark.parametrize("variance", ["concentration", "signal"])
+def test_the_truth_belongs_to_the_new_campaign(variance: str) -> None:
+    # weaker proposals than there were, so that sigma1 refers to another concentration
+    design = replace_intervals(design_of(), [0.02, 0.02, 0.01])
+    problem = Problem(design, noise=Noise(variance))
+    found = design_experiments(
+        problem, theta_of(design), 0.02, (50.0, 150.0), (0.05, 0.08), (20.0, 30.0), k=2
+    )
+    new, whole = found.new, found.campaign
+    assert new is not None and new.reference_concentration < 0.9 * whole.reference_concentration
+    for e in new:
+        alone, together = (
+            noise_of(Problem(c, noise=found.noise), t, e.name)
+            for c, t in ((new, found.truth), (whole, found.truth_for(whole)))
+        )
+        np.testing.assert_allclose(alone, together, rtol=1e-9)
+    sigma1 = found.theta[Layout.of(whole).index("sigma1_V")]
+    # each campaign's own scale
+    assert (found.truth["sigma1_V"] < 0.95 * sigma1) == (variance == "concentration")
+    assert found.truth_for(whole)["sigma1_V"] == sigma1
+
+
+def replace_intervals(design: Campaign, intervals: list[float]) -> Campaign:
+    return replace(
+        design,
+        experiments=tuple(
+            replace(e, t=h * np.arange(int(22.0 / h)), interval=h, mask=None)
+            for e, h in zip(design, intervals, strict=True)
+        ),
+    )
+
+
+def noise_of(problem: Problem, truth: dict, name: str) -> list[float]:
+    """Plateau noise (V) and phi over one sample of an experiment."""
+    k = problem.campaign.names_of_experiments.index(name)
+    vector = problem.layout.flat(truth)
+    s2 = mean_and_variance(problem, vector, k)[1]
+    phi = float(vector[problem.layout.noise[k, 0]])
+    return [float(np.sqrt(s2.max())), lag_coefficient(phi, problem.steps(problem.campaign[name]))]

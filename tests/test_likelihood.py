@@ -1,5 +1,6 @@
 """The full pass against dense normals and other libraries; priors; simulated campaigns."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,8 @@ from scipy import integrate
 from scipy.stats import multivariate_normal
 
 from bayes_sensor.campaign import CampaignError, Experiment, SideInformation
+from bayes_sensor.compression import compress
+from bayes_sensor.compression import log_likelihood as compressed_likelihood
 from bayes_sensor.likelihood import (
     Prior,
     Problem,
@@ -327,3 +330,134 @@ def test_simulated_data_have_the_likelihood_they_should() -> None:
         squares.append(-2 * log_likelihood(drawn, theta) - logs)
     # chi-squared with 1200 degrees of freedom: sd 49, mean of 60 good to 6.3
     assert np.mean(squares) == pytest.approx(1200, abs=4 * 6.3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"phi": 1.0}, "phi is 1; expected a value above -1 and below 1"),
+        ({"phi": -0.5}, "experiment 'b': phi is -0.5, and its samples are 1.5 reference intervals"),
+        ({"sigma1_V": -0.1}, "sigma1_V is -0.1; expected a size of noise, zero or more"),
+    ],
+)
+def test_a_simulation_of_impossible_noise_is_refused(changes, said: str) -> None:
+    design = small_design(n=2, interval=[0.02, 0.03])
+    with pytest.raises(CampaignError, match=said):
+        simulate(design, {**small_theta(design), **changes})
+
+
+@pytest.mark.parametrize("name", ["y0_V[a]", "t0_s[b]", "phi", "sigma1_V"])
+def test_a_simulation_needs_every_number(name: str) -> None:
+    design = small_design(n=2, interval=0.02)
+    layout = Layout.of(design)
+    vector = layout.flat(small_theta(design))
+    vector[layout.index(name)] = np.nan
+    with pytest.raises(CampaignError, match=f"{re.escape(name)} is nan; a simulation needs"):
+        simulate(design, vector)
+
+
+# --- what a noise law pins, names, and records
+
+
+PINNING = [Noise(autocorrelation="white"), Noise("constant"), Noise("constant", "white", True)]
+
+
+@pytest.mark.parametrize("noise", PINNING, ids=str)
+def test_what_the_noise_law_pins_is_pinned_whatever_theta_says(noise: Noise) -> None:
+    design = small_design(n=2, interval=0.02)
+    given = small_theta(design, phi=0.7, sigma0=0.03, sigma1=0.05)
+    pinned = {**given, **noise.fixed}
+    problem = Problem(design, noise=noise)
+    campaign = simulate(problem, given, seed=3)
+    for e, expected in zip(campaign, simulate(problem, pinned, seed=3), strict=True):
+        np.testing.assert_array_equal(e.values, expected.values)
+    problem = replace(problem, campaign=campaign)
+    at, expected = problem.layout.flat(given), problem.layout.flat(pinned)
+    assert not np.array_equal(at, expected)
+    np.testing.assert_array_equal(problem.flat(given), expected)
+    assert log_likelihood(problem, given) == log_likelihood(problem, at)
+    assert log_likelihood(problem, at) == pytest.approx(dense(problem, expected), abs=1e-7)
+    assert compressed_likelihood(problem, at, True) == pytest.approx(
+        log_likelihood(problem, at), abs=1e-3
+    )
+    mesh = compress(problem, expected)
+    value = mesh.log_likelihood(expected)
+    assert mesh.log_likelihood(at) == value
+    assert mesh.value_and_gradient(at)[0] == pytest.approx(value)
+    assert mesh.log_likelihoods(at[None])[0].sum() == pytest.approx(value)
+    assert mesh.marginals(at[None])[0][0] == mesh.marginal(at)[0] == mesh.marginal(expected)[0]
+    np.testing.assert_array_equal(mesh.information(at), mesh.information(expected))
+    # negative control: under the full law these numbers act
+    full = Problem(campaign, noise=Noise(per_experiment=noise.per_experiment))
+    assert abs(log_likelihood(full, at) - log_likelihood(full, expected)) > 1.0
+
+
+def test_a_prior_for_no_parameter_is_refused() -> None:
+    design = small_design(n=2, interval=0.02)
+    theta = small_theta(design)
+    wrong = Problem(design, given_priors={"tau": Prior("uniform", 0.0, 0.001)})
+    with pytest.raises(CampaignError, match="given_priors: .* 'tau'; did you mean 'tau_s'"):
+        log_prior(wrong, theta)
+    # one for an experiment that was left out waits
+    part = replace(wrong, campaign=design.without("b"), given_priors={"t0_s[b]": Prior("flat")})
+    assert np.isfinite(log_prior(part, theta))
+
+
+def test_a_prior_on_shared_noise_serves_noise_per_experiment() -> None:
+    design = small_design(n=2, interval=0.02)
+    own, shared = Prior("uniform", 0.1, 0.2), Prior("uniform", 0.4, 0.6)
+    problem = Problem(
+        design, noise=Noise(per_experiment=True), given_priors={"phi": shared, "phi[b]": own}
+    )
+    assert problem.priors["phi[a]"] == shared and problem.priors["phi[b]"] == own
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        (("gaussian", 0.1, 0.2), "kind must be one of flat, normal, .* but is 'gaussian'"),
+        (("normal", 0.0, -1.0), r"prior normal\(0, -1\): expected a mean and a positive sd"),
+        (("half_normal", 0.0), "expected a positive scale"),
+        (("log_normal", 0.0, 1.0), "expected a positive median and a positive sd"),
+        (("uniform", 2.0, 1.0), "expected low < high"),
+        (("uniform", 0.0, np.inf), "all finite"),
+        (("log_uniform", 0.0, 1.0), "expected 0 < low < high"),
+        (("normal", np.nan, 1.0), "all finite"),
+    ],
+)
+def test_a_prior_that_is_no_law_is_refused(law, said: str) -> None:
+    with pytest.raises(CampaignError, match=said):
+        Prior(*law)
+
+
+TIMES = 0.1 * np.arange(50)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {"t": np.insert(TIMES[:-1], 20, TIMES[20])},
+            r"t\[21\] is 2 s; .* t\[0\] \+ 21 .* = 2.1 s",
+        ),
+        ({"t": TIMES + np.where(TIMES > 3.0, 3.0, 0.0)}, r"t\[31\] is 6.1 s; expected"),
+        ({"t": np.where(TIMES > 4.0, np.nan, TIMES)}, r"t\[41\] is nan; expected a time in s"),
+        ({"interval": 0.11}, r"t\[\d+\] is .* correct the interval or resample"),
+        ({"interval": np.inf}, "expected a positive sampling interval, got inf s"),
+        ({"commanded_on": 4.0}, "commanded_off = 3 s is not after commanded_on = 4 s"),
+        ({"commanded_on": 3.0}, "commanded_off = 3 s is not after commanded_on = 3 s"),
+        ({"commanded_on": np.nan}, "commanded_on is nan; expected a time in s, or None"),
+    ],
+)
+def test_times_that_are_no_grid_are_refused(changes, said: str) -> None:
+    fields = {"t": TIMES, "interval": 0.1, "commanded_on": 1.0, "commanded_off": 3.0}
+    Experiment("a", y=None, carrier_flow=60.0, test_gas_flow=10.0, **fields)
+    with pytest.raises(CampaignError, match=f"experiment 'a': {said}"):
+        Experiment("a", y=None, carrier_flow=60.0, test_gas_flow=10.0, **(fields | changes))
+
+
+def test_times_as_a_clock_gives_them_are_a_grid() -> None:
+    # what jitter recordings may have, an epoch in seconds, single precision
+    rng = np.random.default_rng(1)
+    for t in (TIMES + 0.01 * rng.uniform(-1, 1, 50), 1.7e9 + TIMES, TIMES.astype(np.float32)):
+        assert Experiment("a", t, None, 60.0, 10.0, 0.1).n_samples == 50

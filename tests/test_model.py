@@ -249,3 +249,46 @@ def test_layout_errors_say_what_was_expected() -> None:
         Cascade("rk4")
     with pytest.raises(CampaignError, match="time constants must be positive"):
         time_constants(0.1, -0.2, 10.0, 50.0)
+
+
+def test_a_layout_cannot_be_changed_through_what_it_gives_away() -> None:
+    campaign = small_design(n=1)
+    layout = Layout.of(campaign)
+    for names in (layout.names, layout.mean_names, layout.noise_names):
+        names.append("another")
+    assert len(layout) == len(layout.names) == 10 and layout.n_mean == 7
+    vector = layout.flat(small_theta(campaign))
+    again = layout.flat(vector)
+    again[0] = -1.0
+    assert vector[0] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("key", "hint"),
+    [
+        ("sigma1", r"but got 'sigma1'; did you mean 'sigma1_V'\?"),
+        ("sigma0_V_", r"did you mean 'sigma0_V'\?"),
+        ("rho", "but got 'rho'; known are tau_s, .* phi, sigma0_V, sigma1_V"),
+        ("drift", "but got 'drift'; known are"),  # an effect's, which this layout has not
+        ("t0_s", r"but got 't0_s'; write 't0_s\[a\]' and the like"),
+    ],
+)
+def test_a_misspelt_parameter_is_refused(key: str, hint: str) -> None:
+    campaign = small_design(n=1)
+    theta = small_theta(campaign)
+    with pytest.raises(CampaignError, match=f"theta: expected names of parameters, {'.*'}{hint}"):
+        Layout.of(campaign).flat({**theta, key: 0.5})
+    theta["experiments"]["a"]["sigma1"] = 0.1
+    with pytest.raises(CampaignError, match=r"'sigma1\[a\]'; did you mean 'sigma1_V\[a\]'"):
+        Layout.of(campaign).flat(theta)
+
+
+def test_what_the_package_writes_beside_the_parameters_is_read() -> None:
+    campaign = small_design(n=2)
+    theta = {**small_theta(campaign), "signal_unit": "mV", "effects": {"baseline_drift": {}}}
+    expected = Layout.of(campaign).flat(small_theta(campaign))
+    np.testing.assert_array_equal(Layout.of(campaign).flat(theta), expected)
+    # parameters of an experiment that is not there, a fall that was not recorded, own noise
+    theta["experiments"]["a"]["phi"] = 0.3
+    alone = Layout.of(small_design(n=1, fall=False))
+    np.testing.assert_array_equal(alone.flat(theta)[:6], expected[:6])

@@ -5,7 +5,13 @@ import pytest
 from campaigns import small_design
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.noise import Noise, lag_coefficient, scale_squared, simulate_noise
+from bayes_sensor.noise import (
+    Noise,
+    check_phi,
+    lag_coefficient,
+    scale_squared,
+    simulate_noise,
+)
 
 
 def test_the_variance_grows_with_concentration_as_asked() -> None:
@@ -52,3 +58,12 @@ def test_simulated_noise_has_the_stated_moments_from_its_first_sample(phi: float
         products = z[:, lag:] * z[:, : 12 - lag]
         np.testing.assert_allclose(products.mean(axis=0), phi**lag, atol=tolerance)
     assert simulate_noise(scale, phi, rng, burn_in=100).shape == (12,)
+
+
+def test_a_phi_that_noise_cannot_have_is_refused() -> None:
+    check_phi(-0.5, 2.0, "a")
+    for phi in (1.0, -1.2, np.nan):
+        with pytest.raises(CampaignError, match="theta: phi is .*; expected a value above -1"):
+            check_phi(phi, 1.0, "a")
+    with pytest.raises(CampaignError, match="experiment 'a': phi is -0.5, .* 1.5 reference"):
+        check_phi(-0.5, 1.5, "a")

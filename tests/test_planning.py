@@ -62,6 +62,12 @@ def test_a_proposal_is_written_predicted_and_simulated(
     assert len(made) == len(plan) and not made.is_design
     truth = json.loads((tmp_path / "data" / "truth.json").read_text())
     assert truth["tau_s"] == pytest.approx(0.25)
+    # the noise on a plateau is the same whether the proposal is made with the others or alone
+    alone, together = (json.loads((out / f"{n}.json").read_text()) for n in ("next_truth", "truth"))
+    ratio = new.reference_concentration / plan.reference_concentration
+    assert alone["sigma1_V"] == pytest.approx(together["sigma1_V"] * ratio**0.5)
+    assert 0 == run("simulate", "--design", out / "next.toml", "--truth", out / "next_truth.json",
+                    "--out", tmp_path / "next", "-q")  # fmt: skip
 
 
 def test_an_estimate_is_made_where_no_truth_is_given(folder: Path, tmp_path: Path) -> None:

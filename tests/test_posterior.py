@@ -19,6 +19,8 @@ from bayes_sensor.noise import Noise
 from bayes_sensor.posterior import Posterior, Settings, load_chains, sample_posterior
 from bayes_sensor.posterior.hmc import Whitened
 from bayes_sensor.posterior.orders import exchanged
+from bayes_sensor.posterior.sampling import _start
+from bayes_sensor.posterior.summaries import reaches_end
 
 SAMPLERS = ("emcee", "independence", "hmc")
 QUICK = Settings(max_steps=2000, target_ess=500.0, n_draws=600)
@@ -458,7 +460,7 @@ def test_only_a_mean_linear_in_y0_and_beta_is_marginalised() -> None:
     posterior = sample_posterior(
         replace(problem, campaign=campaign), theta, settings=replace(SHORT, max_steps=40)
     )
-    assert "all parameters" in posterior.reasons[0]
+    assert "all parameters" in posterior.reasons[-1]
 
 
 # --- a model with parameters of its own
@@ -520,11 +522,12 @@ def with_effect(name: str, sampler: str) -> tuple[Posterior, np.ndarray]:
     model, priors, truth = EFFECTS[name]
     plan = small_design(n=2, interval=5e-3)
     effect = Effect(model, priors)
-    theta = {**small_theta(plan, 0.5, 0.01, 0.01), **truth}
+    bare = small_theta(plan, 0.5, 0.01, 0.01)
+    theta = {**bare, **truth}
     problem = effect.apply(Problem(plan))
     campaign = simulate(problem, theta, seed=4)
     # from the cascade's parameters: those of the effect are fitted
-    start = Problem(campaign).layout.flat(theta)
+    start = Problem(campaign).layout.flat(bare)
     posterior = sample_posterior(
         campaign, start, seed=2, sampler=sampler, settings=QUICK, with_effect=[effect]
     )
@@ -622,3 +625,49 @@ def test_a_parameter_without_a_prior_is_named() -> None:
     problem = replace(problem, model=Closing())
     with pytest.raises(CampaignError, match="'closing_ratio' has no prior"):
         sample_posterior(problem, np.append(theta, 0.1), sampler="independence")
+
+
+def test_no_reweighting_beyond_the_support_of_what_was_sampled() -> None:
+    problem, theta = small_problem(n=2, interval=0.02, tau=0.1)
+    numbers = ["lo95_s", "hi95_s", "hdi_lo95_s", "hdi_hi95_s", "upper95_s", "upper99_s"]
+
+    def under(prior: Prior) -> Posterior:
+        bounded = replace(problem, given_priors={"tau_s": prior})
+        return sample_posterior(bounded, theta, sampler="hmc", settings=QUICK)
+
+    for prior in (Prior("uniform", 0.0, 0.08), Prior("uniform", 0.1, 0.6)):
+        posterior = under(prior)
+        table = posterior.tau_under_priors()
+        assert table[numbers].isna().all(axis=None) and (table["n_effective"] == 0).all()
+        assert table["status"].str.startswith(f"the draws were made under {prior} and reach").all()
+        record = json.loads(json.dumps(posterior.to_json(), allow_nan=False))
+        assert record["tau_under_priors"] == []
+        left_out = record["tau_under_priors_left_out"]
+        assert [row["prior"] for row in left_out] == list(table["prior"])
+        assert "never drawn; sample under that law" in left_out[0]["status"]
+    # a bound that the draws do not reach hides nothing
+    wide = under(Prior("uniform", 0.0, 0.6))
+    table = wide.tau_under_priors().set_index("prior")
+    assert (table["status"] == "ok").all() and np.isfinite(table[numbers]).all(axis=None)
+    free = under(Prior("flat")).tau_under_priors().set_index("prior")
+    at = "flat", "upper95_s"
+    assert table.loc[at] == pytest.approx(free.loc[at], rel=0.05)
+    assert wide.to_json()["tau_under_priors_left_out"] == []
+    assert len(wide.to_json()["tau_under_priors"]) == 3
+
+
+def test_draws_that_would_go_on_beyond_an_end() -> None:
+    x, w = np.linspace(0.2, 1.0, 4000), np.full(4000, 1 / 4000)
+    assert not reaches_end(x, w, 0.0, np.inf) and not reaches_end(x, w, 0.0, 1.2)
+    assert reaches_end(x, w, 0.0, 1.0) and reaches_end(x, w, 0.2, np.inf)
+    thin = np.exp(-0.5 * ((x - 0.6) / 0.08) ** 2)
+    assert not reaches_end(x, thin / thin.sum(), 0.2, 1.0)
+
+
+def test_a_start_may_hold_some_of_a_models_own_parameters() -> None:
+    problem, theta = small_problem(n=2, interval=0.02)
+    own = replace(Closing(), extra=("closing_ratio", "idle"))
+    priors = {name: Prior("normal", 0.0, 0.3) for name in own.extra}
+    extended = replace(problem, model=own, given_priors=priors)
+    given = {**problem.layout.nested(theta), "closing_ratio": 0.1}
+    np.testing.assert_array_equal(_start(extended, given), _start(extended, theta))

@@ -24,7 +24,7 @@ from bayes_sensor.bounds.evidence import Evidence
 from bayes_sensor.bounds.gaussian import gaussian_bound, invert, normal_factor
 from bayes_sensor.bounds.records import LEVELS, Bound
 from bayes_sensor.bounds.surface import Surface, curvature_along_tau, maximise
-from bayes_sensor.campaign import FloatArray
+from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.compression import K, compress
 from bayes_sensor.likelihood import Problem, mean_and_variance
 from bayes_sensor.noise import lag_coefficient
@@ -293,7 +293,15 @@ def resample_and_refit(
 
 
 def block_bootstrap(evidence: Evidence, whitened: bool = True) -> Bound:
-    """Percentile intervals of refitted resamples; normal ones in psi where resamples run out."""
+    """Percentile intervals of refitted resamples; normal ones in psi where resamples run out.
+
+    Raises CampaignError for fewer than two resamples, which have no spread.
+    """
+    if evidence.n_resamples < 2:
+        raise CampaignError(
+            f"block_bootstrap: n_resamples is {evidence.n_resamples}; expected at least 2 to see a "
+            "spread, and some hundred for ends of intervals: ask for more"
+        )
     bounded, free, details = resample_and_refit(evidence, evidence.n_resamples, whitened)
     surface = evidence.white
     names = surface.mean_names

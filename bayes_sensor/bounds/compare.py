@@ -92,6 +92,7 @@ def doubts(evidence: Evidence, name: str) -> list[str]:
     if name in MODELS_NOISE:
         slow = slow_noise(evidence.problem, evidence.coloured_theta)
         found.append(slow and f"{slow}: {FEW_STRETCHES}")
+        found.append(evidence.noise_doubt)
     return [sentence for sentence in found if sentence]
 
 
@@ -141,7 +142,8 @@ def compare_bounds(
     record, a method gives no value and says why.
 
     Raises CampaignError for an unknown method, for ``posterior`` without one, for a fit of another
-    campaign, or for data that allow no interval at all.
+    campaign, for a ``block_bootstrap`` of fewer than two resamples, or for data that allow no
+    interval at all.
     """
     problem = as_problem(campaign)
     if methods is None:

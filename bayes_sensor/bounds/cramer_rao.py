@@ -15,7 +15,7 @@ import numpy as np
 
 from bayes_sensor.bounds.gaussian import invert
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
-from bayes_sensor.compression import Region, compress
+from bayes_sensor.compression import Region, above_zero, compress
 from bayes_sensor.likelihood import Problem, as_problem, grid_response
 from bayes_sensor.model import Layout, Theta, euler_response, local_parameters, time_constants
 from bayes_sensor.noise import Noise
@@ -68,18 +68,23 @@ def cramer_rao(
     of tau is six times narrower than the converged one.  It also makes the recipe depend on where
     time starts (the record's own time is used): the same data with another origin give another
     bound.  A parameter whose value is zero is moved by ``step`` times 1 (y0, beta) or times the
-    fastest other time constant (tau, t0, tf).
+    fastest other time constant (tau, t0, tf); a tau of zero only upwards, and not by forward Euler,
+    which is unstable there.  Without a step the data do not identify a tau of zero, which acts like
+    a later switch: its variance and those of t0 and tf are infinite.
 
     ``sigma``: noise (V) for ``noise="iid"``.  ``noise="ar1"``: phi, sigma0, sigma1 of ``theta``,
-    whose estimation is allowed for; needs ``step`` None.  ``method``: ``exact`` or ``euler`` for
+    whose estimation is allowed for, but what the problem's noise law pins has its pinned value
+    (:meth:`Problem.flat`); needs ``step`` None.  ``method``: ``exact`` or ``euler`` for
     the response (default: Euler with a step, exact without).  ``difference``: ``forward`` or
     ``central``.  ``fixed``: names known exactly, flat (``t0_s[1]``) or of a kind (``t0_s``).
 
-    Raises CampaignError for unknown options, a malformed theta or an unstable Euler step.
+    Raises CampaignError for unknown options, a malformed theta, time constants below zero (tau) or
+    not above it, noise that no likelihood allows (``sigma`` or sigma0 not above zero, phi not
+    between -1 and 1), or an unstable Euler step.
     """
     problem = as_problem(campaign)
     layout = problem.layout
-    vector = layout.flat(theta).copy()
+    vector = problem.flat(theta)
     for label, value, known in (
         ("difference", difference, ("forward", "central")),
         ("noise", noise, ("iid", "ar1")),
@@ -87,6 +92,10 @@ def cramer_rao(
     ):
         if value not in known:
             raise CampaignError(f"cramer_rao: {label} must be one of {known}, but is '{value}'")
+    if noise == "iid" and not 0.0 < sigma < np.inf:
+        raise CampaignError(
+            f"cramer_rao: sigma is {sigma} V; expected the noise's size, above zero: correct it"
+        )
     if step is None:
         if method == "euler":
             raise CampaignError(
@@ -134,8 +143,13 @@ def narrow_region(layout: Layout, vector: FloatArray, width: float) -> Region:
 
 
 def expected_information(problem: Problem, vector: FloatArray) -> FloatArray:
-    """Expected Fisher information (n_theta, n_theta) at ``vector``, on a mesh made for it alone."""
+    """Expected Fisher information (n_theta, n_theta) at ``vector``, on a mesh made for it alone.
+
+    A tau of zero is raised to one too small to tell from it.
+    """
     longest = max(e.interval for e in problem.campaign)
+    vector = vector.copy()
+    vector[0] = above_zero(vector, max(e.total_flow for e in problem.campaign))
     region = narrow_region(problem.layout, vector, 2.0 * longest)
     return compress(problem, vector, region).information(vector)
 
@@ -146,12 +160,18 @@ def _converged(problem: Problem, vector: FloatArray, sigma: float, noise: str) -
     if noise == "iid":
         problem = replace(problem, noise=Noise("constant", "white"))
         layout = problem.layout
-        vector = np.concatenate([vector[:n], [0.0, sigma, 0.0], vector[len(vector) :]])
+        vector = np.concatenate([vector[:n], [0.0, sigma, 0.0]])
         if problem.model.extra:
             raise CampaignError("cramer_rao: models with extra parameters are not covered")
         return expected_information(problem, vector)[:n, :n]
     if np.isnan(vector[layout.noise[:, 1]]).any():
         raise CampaignError("cramer_rao: noise='ar1' needs phi, sigma0_V and sigma1_V in theta")
+    for i in layout.noise[:, 1:].ravel():
+        if vector[i] < 0.0 or (vector[i] == 0.0 and layout.names[i].startswith("sigma0")):
+            raise CampaignError(
+                f"cramer_rao: {layout.names[i]} is {vector[i]:g} V; expected noise of some size, "
+                "sigma0 above zero and sigma1 not below it: correct it"
+            )
     information = expected_information(problem, vector)
     rest = [i for i in range(n, len(vector)) if layout.names[i] not in problem.fixed]
     rest = [i for i in rest if information[i, i] > 0]
@@ -185,7 +205,7 @@ def _finite(
             moved = vector.copy()
             moved[i] += move
             up = _response(e, moved, layout, method)
-            if difference == "central":
+            if difference == "central" and not (i == 0 and vector[0] == 0.0):
                 moved[i] = vector[i] - move
                 columns.append(beta * (up - _response(e, moved, layout, method)) / (2.0 * move))
             else:
@@ -199,13 +219,14 @@ def _finite(
 
 def _response(e: Experiment, vector: FloatArray, layout: Layout, method: str) -> FloatArray:
     _, _, t0, tf = local_parameters(vector, layout, e.name)
-    taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
+    taus = time_constants(above_zero(vector, e.total_flow), vector[1], vector[2], e.total_flow)
     if method == "exact":
         return grid_response(e, taus, t0, tf)
     if taus.min() <= 0.5 * e.interval:
+        least = min(taus.min(), float(vector[0]))
         raise CampaignError(
             f"experiment '{e.name}': forward Euler is unstable for a time constant of "
-            f"{taus.min():.3g} s at an interval of {e.interval:g} s; use method='exact'"
+            f"{least:.3g} s at an interval of {e.interval:g} s; use method='exact'"
         )
     return euler_response(e.t, e.interval, taus, t0, tf)
 

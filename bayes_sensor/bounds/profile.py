@@ -5,6 +5,10 @@ quantile of chi-squared with one degree of freedom (Venzon and Moolgavkar, Appl.
 Pawitan, In All Likelihood, 2001, ch. 3).  Where even tau = 0 is not excluded the interval starts at
 zero; the chi-squared quantile is then conservative (Self and Liang, J. Amer. Statist. Assoc. 82,
 1987).
+
+The cascade is unchanged when tau and tau_v swap; the sensor is taken to be the faster one.  The
+profile of either is therefore over the other on its own side, tau <= tau_v; for every other
+parameter both orders give the same.
 """
 
 from __future__ import annotations
@@ -48,8 +52,9 @@ class Profiler:
         """Maximum over everything else with psi's parameter ``i`` held at ``value``.
 
         ``value`` is tau^2 for tau, and t0 or tf themselves (not t0 + tau) for the switch times:
-        those are reached by exchanging tau for t0, with (t0 + tau) following.  Started where a
-        Gaussian has it, or from ``near`` (n_psi,), the maximum at another value.
+        those are reached by exchanging tau for t0, with (t0 + tau) following.  tau stays below
+        tau_v where one of the two is held.  Started where a Gaussian has it, or from ``near``
+        (n_psi,), the maximum at another value.
         """
         psi, surface = self.maximum.psi, self.surface
         rest = np.array([j for j in range(len(psi)) if j != i])
@@ -57,8 +62,15 @@ class Profiler:
             return self._best_switch(i, value, rest, near)
         start = psi + self._slope(i) * (value - psi[i]) if near is None else near.copy()
         start[i] = value
+        low, high = self._box(i)
+        if i == 0:
+            low[1] = max(low[1], sqrt(max(value, 0.0)))
+        elif i == 1:
+            high[0] = min(high[0], value**2)
+        if (low > high).any():  # the mesh covers no point in that order
+            return Maximum(start, -inf, start, False)
         return maximise(
-            surface.guarded, self.curvature, start, rest, *self._box(i), n_iterations=25,
+            surface.guarded, self.curvature, start, rest, low, high, n_iterations=25,
             tolerance=1e-5,
         )  # fmt: skip
 

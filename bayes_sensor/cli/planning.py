@@ -43,7 +43,11 @@ def plan_experiments(
     quiet: bool,
     config: Path | None = None,
 ) -> int:
-    """Write design.json, design.toml, next.toml and truth.json into ``out``; the exit code."""
+    """Write design.json and what to simulate with; the exit code.
+
+    ``design.toml`` goes with ``truth.json``, ``next.toml`` with ``next_truth.json``: sigma1 and phi
+    refer to a campaign's own highest concentration and sampling interval.
+    """
     started, begin = now(), time.perf_counter()
     goal = _positive(target, "--target-tau")
     known = None if trigger is None else _positive(trigger, "--trigger", zero=True)
@@ -95,9 +99,10 @@ def plan_experiments(
             stage.text("design.toml", campaign_text(_from_zero(found.campaign), {}))
             if found.new is not None:
                 stage.text("next.toml", campaign_text(_from_zero(found.new), {}))
+                stage.json("next_truth.json", found.truth)
             else:
-                stage.drop.append("next.toml")
-            stage.json("truth.json", found.truth)
+                stage.drop += ["next.toml", "next_truth.json"]
+            stage.json("truth.json", found.truth_for(found.campaign))
             stage.json(
                 "run.json",
                 run_record(

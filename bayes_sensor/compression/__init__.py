@@ -17,6 +17,7 @@ from bayes_sensor.compression.mesh import Region, build
 from bayes_sensor.compression.record import (
     Compressed,
     Nodes,
+    above_zero,
     compress,
     default_region,
     log_likelihood,
@@ -28,6 +29,7 @@ __all__ = [
     "K",
     "Nodes",
     "Region",
+    "above_zero",
     "build",
     "compress",
     "default_region",

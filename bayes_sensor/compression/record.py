@@ -21,6 +21,7 @@ from bayes_sensor.likelihood import (
     is_affine,
     mean_and_response,
     mean_and_variance,
+    noise_in_range,
 )
 from bayes_sensor.likelihood import log_likelihood as full_log_likelihood
 from bayes_sensor.model import (
@@ -29,8 +30,24 @@ from bayes_sensor.model import (
     cascade_response,
     cascade_sensitivities,
     local_parameters,
+    time_constants,
 )
-from bayes_sensor.noise import lag_coefficient, scale_squared
+from bayes_sensor.noise import check_phi, lag_coefficient, scale_squared
+
+NO_TAU = 1e-6
+"""of the fastest other time constant: a tau that no data tell from zero"""
+
+
+def above_zero(vector: FloatArray, total_flow: float) -> float:
+    """s, tau of the flat vector (n_theta,); zero raised to a value that no data tell from it.
+
+    ``total_flow``: mL/s, the highest in question.
+
+    >>> above_zero(np.array([0.0, 0.8, 60.0]), 150.0), above_zero(np.array([0.1, 0.8, 60.0]), 150.0)
+    (4e-07, 0.1)
+    """
+    tau = float(vector[0])
+    return NO_TAU * float(min(vector[1], vector[2] / total_flow)) if tau == 0.0 else tau
 
 
 @dataclass(frozen=True)
@@ -66,7 +83,8 @@ class Compressed:
 
     Made by :func:`compress`.  ``region`` is the box of theta for which the mesh was built: outside
     it, :meth:`log_likelihood` and the others use the exact full pass (slow, never wrong);
-    ``n_full_passes`` counts how often that happened.  One object is not to be shared by threads.
+    ``n_full_passes`` counts how often that happened.  What the problem's noise law pins has its
+    pinned value in every theta.  One object is not to be shared by threads.
     """
 
     def __init__(self, problem: Problem, vector: FloatArray, region: Region) -> None:
@@ -90,10 +108,18 @@ class Compressed:
         return bool(kernels.inside_box(theta, self.arrays.low, self.arrays.high))
 
     def _vector(self, theta: Theta) -> FloatArray:
-        vector = theta if isinstance(theta, np.ndarray) else self.problem.layout.flat(theta)
-        if vector.shape != self.arrays.low.shape:
-            vector = self.problem.layout.flat(vector)
+        # a flat vector with nothing to pin is not copied: this runs once per evaluation
+        vector = theta if isinstance(theta, np.ndarray) else self.problem.flat(theta)
+        if self.problem.fixed or vector.shape != self.arrays.low.shape:
+            vector = self.problem.flat(vector)
         return np.ascontiguousarray(vector, dtype=float)
+
+    def _rows(self, thetas: FloatArray) -> FloatArray:
+        """A copy of rows (n, n_theta), with what the noise law pins in place."""
+        rows = np.array(thetas, dtype=float, order="C")
+        for name, value in self.problem.fixed.items():
+            rows[:, self.problem.layout.index(name)] = value
+        return rows
 
     def _full(self, theta: FloatArray) -> float:
         self.n_full_passes += 1
@@ -123,15 +149,6 @@ class Compressed:
         nodes, before, edges = values[:n], values[n : 2 * n], values[2 * n :]
         return nodes.reshape(-1, K), before.reshape(-1, K), edges.reshape(-1, 2)
 
-    def _noise(self, vector: FloatArray, k: int) -> tuple[float, float, float, float] | None:
-        """phi over one sample, phi, sigma0, sigma1 of an experiment; None outside their range."""
-        problem = self.problem
-        phi_reference, sigma0, sigma1 = (float(v) for v in vector[problem.layout.noise[k]])
-        phi = lag_coefficient(phi_reference, problem.steps(problem.campaign.experiments[k]))
-        if not (abs(phi) < 1.0 and sigma0 > 0.0 and sigma1 >= 0.0 and (vector[:3] > 0).all()):
-            return None
-        return phi, phi_reference, sigma0, sigma1
-
     def _density(
         self, k: int, noise: tuple[float, float, float, float], mean: FloatArray, x: FloatArray
     ) -> float:
@@ -143,7 +160,7 @@ class Compressed:
 
     def _general(self, vector: FloatArray, k: int) -> float:
         # experiment number k under any model, inside the region
-        noise = self._noise(vector, k)
+        noise = noise_in_range(self.problem, vector, k)
         if noise is None:
             return -np.inf
         e = self.problem.campaign.experiments[k]
@@ -151,7 +168,7 @@ class Compressed:
 
     def _general_gradient(self, vector: FloatArray, k: int, gradient: FloatArray) -> float:
         """Log-likelihood of experiment ``k`` under any model; its gradient is added."""
-        noise = self._noise(vector, k)
+        noise = noise_in_range(self.problem, vector, k)
         if noise is None:
             return -np.inf
         phi, phi_reference, sigma0, sigma1 = noise
@@ -229,7 +246,7 @@ class Compressed:
 
     def log_likelihoods(self, thetas: FloatArray) -> FloatArray:
         """(n, n_experiments) log-likelihood of every experiment at each row of ``thetas``."""
-        thetas = np.ascontiguousarray(thetas, dtype=float)
+        thetas = self._rows(thetas)
         each = np.zeros((len(thetas), len(self.problem.campaign)))
         inside = np.zeros(len(thetas), dtype=bool)
         if self._cascade:
@@ -249,7 +266,7 @@ class Compressed:
     def marginals(self, thetas: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """:meth:`marginal` at every row of ``thetas`` (n, n_theta); a leading axis n is added."""
         local = self.problem.layout.local
-        thetas = np.array(thetas, dtype=float)
+        thetas = self._rows(thetas)
         thetas[:, local[:, :2]] = self.reference[local[:, :2]]
         n_exp = len(self.problem.campaign)
         values = np.zeros(len(thetas))
@@ -309,7 +326,7 @@ class Compressed:
 
         if not inside:
             return lambda u, w: experiment_log_likelihood(problem, moved(u, w), k)
-        noise = self._noise(vector, k)
+        noise = noise_in_range(problem, vector, k)
         if noise is None:
             return lambda u, w: -np.inf
         if not is_affine(problem):
@@ -351,7 +368,7 @@ class Compressed:
         worst = 0.0
         passes = self.n_full_passes
         for row in np.atleast_2d(thetas):
-            row = np.ascontiguousarray(row, dtype=float)
+            row = self._vector(row)
             full, fast = self._full(row), self.log_likelihood(row)
             if np.isfinite(full) or np.isfinite(fast):
                 worst = max(worst, abs(full - fast))
@@ -380,6 +397,8 @@ class Compressed:
         I_ab = m_a' C^-1 m_b + 1/2 tr(C^-1 C_a C^-1 C_b), with C = S R S, R of an AR(1).  R^-1 is
         tridiagonal, across gaps as well, where neighbours have the correlation phi^distance: every
         pair of neighbours adds a term of its own.
+
+        Raises CampaignError for a phi that is not between -1 and 1.
         """
         vector = self._vector(theta)
         problem, mesh = self.problem, self.arrays
@@ -388,6 +407,7 @@ class Compressed:
         for k, e in enumerate(problem.campaign):
             phi_reference, sigma0, sigma1 = (float(v) for v in vector[layout.noise[k]])
             steps = problem.steps(e)
+            check_phi(phi_reference, steps, e.name)
             phi = lag_coefficient(phi_reference, steps)
             rest = 1.0 - phi**2
             weight = problem.noise.weight(problem.campaign, e)
@@ -557,9 +577,11 @@ def compress(
     ``theta`` should be near the maximum; without noise parameters the residuals' scatter and
     lag-one correlation stand in.  ``region`` (default: :func:`default_region`) is where the mesh
     is valid; outside, the full pass answers.  A design gives a mesh without data, good for
-    ``information`` and ``nodes``.
+    ``information`` and ``nodes``.  A tau of zero, which has no response of its own, stands for one
+    too small to tell from it.
 
-    Raises CampaignError for a malformed theta, or for forward Euler.
+    Raises CampaignError for a malformed theta, for time constants that are not positive, for a phi
+    that is not between -1 and 1 where there is no ``region``, or for forward Euler.
     """
     problem = as_problem(campaign)
     if type(problem.model) is Cascade and problem.model.method == "euler":
@@ -567,7 +589,10 @@ def compress(
             "forward Euler has its switches on samples and cannot be compressed; "
             "use the exact response, Cascade()"
         )
-    vector = problem.layout.flat(theta).copy()
+    vector = problem.flat(theta)
+    vector[0] = above_zero(vector, max(e.total_flow for e in problem.campaign))
+    for e in problem.campaign:
+        time_constants(vector[0], vector[1], vector[2], e.total_flow)
     if np.isnan(vector).any():
         vector = _with_rough_noise(problem, vector)
     return Compressed(problem, vector, region or default_region(problem, vector))
@@ -599,11 +624,17 @@ def log_likelihood(campaign: Campaign | Problem, theta: Theta, compressed: bool 
     """Exact Gaussian log-likelihood of all samples at ``theta``; -inf outside its range.
 
     ``compressed=True`` evaluates the same on a mesh built around ``theta``; for many evaluations
-    keep the object that :func:`compress` returns instead.
+    keep the object that :func:`compress` returns instead.  What the problem's noise law pins has
+    its pinned value in both (:meth:`Problem.flat`).
 
     Raises CampaignError for a malformed ``theta`` or a design without data.
     """
     if compressed:
-        mesh = compress(campaign, theta)
-        return mesh.log_likelihood(mesh.problem.layout.flat(theta))
+        problem = as_problem(campaign)
+        vector = problem.flat(theta)
+        if any(noise_in_range(problem, vector, k) is None for k in range(len(problem.campaign))):
+            return -np.inf
+        for e in problem.campaign:
+            e.values  # noqa: B018 - raises CampaignError for a design
+        return compress(problem, vector).log_likelihood(vector)
     return full_log_likelihood(campaign, theta)

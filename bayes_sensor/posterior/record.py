@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from bayes_sensor.model import Layout
 from bayes_sensor.notebook import card
 from bayes_sensor.posterior.convergence import ESS_LIMIT, MESH_ERROR_LIMIT, R_HAT_LIMIT
 from bayes_sensor.posterior.settings import Settings
-from bayes_sensor.posterior.summaries import highest_density, weighted_quantiles
+from bayes_sensor.posterior.summaries import highest_density, reaches_end, weighted_quantiles
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -186,7 +187,19 @@ class Posterior:
             "priors": {n: str(self.problem.priors[n]) for n in self.names if n in self._varying},
             "phi_interval_s": self.problem.campaign.reference_interval,
             "signal_unit": self.problem.campaign.signal_unit,
-            "tau_under_priors": self.tau_under_priors().to_dict(orient="records"),
+            **self._tau_under_priors(),
+        }
+
+    def _tau_under_priors(self) -> dict[str, Any]:
+        """The rows of :meth:`tau_under_priors` that hold numbers, and the laws of those that do
+        not, with the reason."""
+        rows = self.tau_under_priors().to_dict(orient="records")
+        without = [row for row in rows if row["status"] != "ok"]
+        return {
+            "tau_under_priors": [row for row in rows if row["status"] == "ok"],
+            "tau_under_priors_left_out": [
+                {key: row[key] for key in ("prior", "law", "status")} for row in without
+            ],
         }
 
     @cached_property
@@ -199,7 +212,12 @@ class Posterior:
         Rows: flat, half-normal, log-uniform with a floor (a hundredth of the half-normal's scale).
         The half-normal is the posterior's own or, where it has another law, the default one.
         Columns: equal-tailed 95 % interval, highest-density 95 % interval, one-sided 95 and 99 %
-        upper limits, and the effective number of draws that the reweighting leaves.
+        upper limits, the effective number of draws that the reweighting leaves, and ``status``.
+
+        Reweighting cannot leave the support of the law that was sampled.  Where that one is bounded
+        and the draws under another law reach its bound, this law would allow values that were never
+        drawn: its row then has nan for numbers, no effective draws, and says so in ``status``,
+        which is ``ok`` elsewhere.  ``posterior.json`` lists such laws apart.
         """
         import pandas as pd
 
@@ -225,6 +243,14 @@ class Posterior:
             w /= w.sum()
             lo, hi, up95, up99 = weighted_quantiles(tau, w, [0.025, 0.975, 0.95, 0.99])
             hdi_lo, hdi_hi = highest_density(tau, w, 0.95)
+            n_effective, status = float(1.0 / np.sum(w**2)), "ok"
+            if reaches_end(tau, w, *current.support):
+                lo = hi = hdi_lo = hdi_hi = up95 = up99 = nan
+                n_effective = 0.0
+                status = (
+                    f"the draws were made under {current} and reach its bound: what {law} allows "
+                    "beyond it was never drawn; sample under that law"
+                )
             rows.append(
                 {
                     "prior": label,
@@ -235,7 +261,8 @@ class Posterior:
                     "hdi_hi95_s": hdi_hi,
                     "upper95_s": up95,
                     "upper99_s": up99,
-                    "n_effective": float(1.0 / np.sum(w**2)),
+                    "n_effective": n_effective,
+                    "status": status,
                 }
             )
         return pd.DataFrame(rows)

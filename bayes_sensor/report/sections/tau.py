@@ -82,15 +82,15 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
             paragraphs.append(
                 "Because the data see τ mainly through its square, the prior matters near zero"
                 + here
-                + "Under the three priors the one-sided 95 % upper limits are "
+                + f"Under {_how_many(rows)} the one-sided 95 % upper limits are "
                 f"{list_words([_limit(r) for r in rows])}{see('priors-on-tau', 'priors-figure')}."
             )
             content.append(
                 pictures.add(
                     "priors-figure",
                     figures.priors_on_tau(rows, PRIOR_WORDS),
-                    "τ under three priors: equal-tailed 95 % interval (thin) and densest 95 % "
-                    "(thick), with the one-sided 95 % and 99 % upper limits.",
+                    f"τ under {_how_many(rows)}: equal-tailed 95 % interval (thin) and densest "
+                    "95 % (thick), with the one-sided 95 % and 99 % upper limits.",
                 )
             )
             content.append(_prior_table(rows))
@@ -336,11 +336,16 @@ def _assumption_table(bounds: Mapping[str, Any]) -> Table:
     )
 
 
+def _how_many(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The priors that draws tell of: a bounded prior's say nothing beyond its end."""
+    return {1: "one prior", 2: "two priors"}.get(len(rows), "three priors")
+
+
 def _prior_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     return Table(
         "priors-on-tau",
-        "τ under three priors, from the same draws by reweighting (ms). With fewer than about 400 "
-        "effective draws a row is rough.",
+        f"τ under {_how_many(rows)}, from the same draws by reweighting (ms). With fewer than "
+        "about 400 effective draws a row is rough.",
         [
             "prior on τ", "95 % low", "95 % high", "densest 95 % low", "densest 95 % high",
             "95 % upper limit", "99 % upper limit", "effective draws",
