@@ -640,10 +640,10 @@ def _exit_code(job: Job) -> int:
 def _warnings(job: Job, remarks: Sequence[str]) -> list[str]:
     from bayes_sensor.check import SAME_FLOW
 
-    found = [text for text in remarks if text != SAME_FLOW]  # the fit says it, with consequences
+    # what concerns the last answer comes first, since a terminal shows only so many
+    found = [] if job.posterior is None else list(job.posterior.warnings)
+    found += [text for text in remarks if text != SAME_FLOW]  # the fit says it, with consequences
     found += job.fit.warnings
-    if job.posterior is not None:
-        found += list(job.posterior.warnings)
     if job.no_gap:
         found.append(f"not diagnosed: {job.no_gap}")
     return list(dict.fromkeys(found))

@@ -65,8 +65,9 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
             "gap-budget",
             figures.gap_budget(record, saved.unit),
             "The budget: RMS residual of the nominal simulation (where nominal values are given), "
-            "of the calibrated model and with the effect, down to the noise floor; right, only "
-            "what exceeds that floor.",
+            "of the calibrated model and with the effect, and the noise floor, which is estimated "
+            "apart, from quiet stretches: what happens in these is in it as well; right, only what "
+            "exceeds that floor.",
         ),
         budget_table(record, shown, factor),
         pictures.add(
