@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import logsumexp
@@ -50,6 +51,9 @@ SPARE = 0.2
 _HALF = [0.5 + 0.5 * level for level in TAIL_LEVELS]
 _RATIOS = [student_t.ppf(h, TAIL_DOFS) / student_t.ppf(0.75, TAIL_DOFS) for h in _HALF]
 _SLOPES = [2.0 * float(norm.pdf(norm.ppf(h)) * norm.ppf(h)) for h in _HALF]
+
+
+Key = TypeVar("Key", bound=Hashable)
 
 
 @dataclass(frozen=True)
@@ -148,18 +152,32 @@ def _own_sizes(records: Sequence[tuple[Stretch, FloatArray, FloatArray, float]])
         key = (stretch.experiment, stretch.level)
         made.setdefault(key, []).append(bumps)
         seconds[key] = seconds.get(key, 0.0) + len(bumps) * dt
-    own = {key: usual_size(np.concatenate(x)) for key, x in made.items() if seconds[key] > 0.0}
+    told = {key: np.concatenate(x) for key, x in made.items() if seconds[key] > 0.0}
     found: dict[tuple[int, int], float] = {}
     for level in (0, 1):
-        keys = [k for k, size in own.items() if k[1] == level and size > 0.0]
-        if not keys:
-            continue
-        logs = np.log([own[k] for k in keys])
-        error = np.array([0.5 / known_dof(seconds[k], WIDTHS[0]) for k in keys])
-        unlike = max(float(np.mean((logs - logs.mean()) ** 2 - error)), 0.0)
-        share = unlike / (unlike + error)
-        found |= zip(keys, np.exp(share * logs + (1.0 - share) * logs.mean()), strict=True)
+        here = {key: x for key, x in told.items() if key[1] == level}
+        found |= sizes_of_records(here, {key: seconds[key] for key in here}, WIDTHS[0])
     return np.array([found.get((s.experiment, s.level), 1.0) for s, *_ in records])
+
+
+def sizes_of_records(
+    made: Mapping[Key, FloatArray], seconds: Mapping[Key, float], width: float
+) -> dict[Key, float]:
+    """Usual size of the ``made`` (n,) of every record, over so many ``seconds`` s.
+
+    That of all together, times what a record's own differs from the others' by, as far as records
+    are less alike than the errors of ``width`` s wide differences leave them.
+    """
+    own = {key: usual_size(x) for key, x in made.items() if len(x) > 0}
+    own = {key: size for key, size in own.items() if size > 0.0}
+    if not own:
+        return {}
+    together = usual_size(np.concatenate([made[key] for key in own]))
+    logs = np.log(list(own.values()))
+    error = np.array([0.5 / known_dof(seconds[key], width) for key in own])
+    unlike = max(float(np.mean((logs - logs.mean()) ** 2 - error)), 0.0)
+    away = unlike / (unlike + error) * (logs - logs.mean())
+    return dict(zip(own, together * np.exp(away), strict=True))
 
 
 def _blocks(campaign: Campaign, s: Stretch) -> tuple[tuple[FloatArray, FloatArray], float] | None:

@@ -22,10 +22,10 @@ from bayes_sensor.gap.events import (
     bump,
     known_dof,
     local_size,
+    sizes_of_records,
     struck_places,
     surprises,
     tail_dof,
-    usual_size,
 )
 from bayes_sensor.gap.floor import DOF, Quiet
 from bayes_sensor.gap.full_rate import FullRate, Place, any_of
@@ -129,8 +129,8 @@ def _short_patches(
     A relay that settles, a valve that bounces: bins average what is shorter than they are, and
     events are looked for only where a record is quiet.  Means over some blocks less those on both
     sides, in units of how much samples change from one to the next there, and of their usual size
-    in the quiet spans, the louder gas's at all times; ``ln B`` as in :func:`_runs_of_bins`.  None
-    where records are too short to tell what is usual.
+    in the record's quiet spans, the louder gas's at all times; ``ln B`` as in
+    :func:`_runs_of_bins`.  None where records are too short to tell what is usual.
     """
     sketch = found.plan.sketch
     blocks = []
@@ -141,8 +141,8 @@ def _short_patches(
         means, changes = (
             v[: n * size].reshape(n, size).mean(axis=1) for v in (y, np.diff(y, prepend=y[0]) ** 2)
         )
-        usual = max(float(np.mean(changes)), 1e-300)
-        blocks.append((means, changes / usual, size * e.interval, float(e.t[0])))
+        changes = changes / max(float(np.mean(changes)), 1e-300)
+        blocks.append((means, changes, size * e.interval, float(e.t[0])))
     places: dict[tuple[int, float], dict[Hashable, float]] = {}
     clearest: dict[tuple[int, float], Place] = {}
     for width in _widths(max(step for _, _, step, _ in blocks), sketch.time_scale):
@@ -158,7 +158,7 @@ def _short_patches(
                 here = (since >= -EARLIEST * sketch.time_scale) & (bumps.middles < end)
                 if not np.any(here):
                     continue
-                square = (bumps.heights[here] / usual) ** 2
+                square = (bumps.heights[here] / usual[k]) ** 2
                 # blocks are counted from the switch: the same number is the same time after it
                 kinds = [(width, int(n)) for n in np.rint(since[here] / bumps.step)]
                 values = surprises(square, min(dof, tail, DOF))
@@ -203,28 +203,33 @@ class _Bumps:
 
 def _usual(
     made: Sequence[_Bumps], quiet: Sequence[Quiet], width: float
-) -> tuple[float, float] | None:
-    """Usual size of bumps of ``width`` s in the quiet spans, at the louder gas; its dof.
+) -> tuple[dict[int, float], float] | None:
+    """Usual size of bumps of ``width`` s in every record's quiet spans, at the louder gas; the dof.
 
     None where neither gas has enough of them.
     """
-    sizes, dofs = [], []
+    sizes: dict[int, float] = {}
+    dofs = []
     for plateau in (False, True):
-        some = [
-            (b.heights[(b.middles - b.reach >= low) & (b.middles + b.reach <= high)], b.step)
-            for b, q in zip(made, quiet, strict=True)
-            for i, (low, high) in enumerate(q.spans)
-            if (i == 1) == plateau
-        ]
-        values = np.concatenate([x for x, _ in some]) if some else np.empty(0)
-        size = usual_size(values) if len(values) >= FEWEST else 0.0
-        if size <= 0.0:
+        some = {
+            k: np.concatenate([
+                b.heights[(b.middles - b.reach >= low) & (b.middles + b.reach <= high)]
+                for i, (low, high) in enumerate(q.spans) if (i == 1) == plateau
+            ] or [np.empty(0)])
+            for k, (b, q) in enumerate(zip(made, quiet, strict=True))
+        }  # fmt: skip
+        if sum(len(x) for x in some.values()) < FEWEST:
             continue
-        seconds = sum(len(x) * step for x, step in some)
-        told = tail_dof(np.abs(values) / size, seconds, width)
-        sizes.append(size)
-        dofs.append(min(known_dof(seconds, width), np.inf if told is None else told))
-    return (max(sizes), min(dofs)) if sizes else None
+        seconds = {k: len(x) * made[k].step for k, x in some.items()}
+        own = sizes_of_records(some, seconds, width)
+        if not own:
+            continue
+        whole = sum(seconds.values())
+        told = tail_dof(np.concatenate([np.abs(some[k]) / own[k] for k in own]), whole, width)
+        dofs.append(min(known_dof(whole, width), np.inf if told is None else told))
+        usual = float(np.exp(np.mean(np.log(list(own.values())))))
+        sizes = {k: max(sizes.get(k, 0.0), own.get(k, usual)) for k in range(len(made))}
+    return (sizes, min(dofs)) if sizes else None
 
 
 def _widths(block: float, time_scale: float) -> FloatArray:
