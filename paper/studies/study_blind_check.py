@@ -433,7 +433,10 @@ def since_then() -> str:
     ]
     if not words:
         return ""
-    return f"By the code and the oracle as they are now: {'; '.join(words)}."
+    return (
+        "By the code and the oracle as they are now, mended on campaigns of this very run, which "
+        f"says nothing about others: {'; '.join(words)}."
+    )
 
 
 def named_nulls(cases: pd.DataFrame) -> str:
