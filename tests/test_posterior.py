@@ -347,6 +347,23 @@ def test_at_one_flow_both_orders_have_their_share_without_other_knowledge() -> N
     assert "either" not in bounds["crlb_ar1"].status and fit.twin in bounds["crlb_ar1"].status
 
 
+def test_bounds_refuse_what_is_of_other_data_and_tell_what_has_not_converged() -> None:
+    problem, theta = small_problem(n=2, interval=0.02)
+    other = replace(problem, campaign=simulate(problem, theta, seed=9))
+    fit, strange = (fit_least_squares(p, seed=1) for p in (problem, other))
+    few = Settings(n_chains=2, chunk=10, burn_in=5, max_steps=30)
+    posterior, foreign = (
+        sample_posterior(p, f, seed=1, settings=few) for p, f in ((problem, fit), (other, strange))
+    )
+    with pytest.raises(CampaignError, match="it is of other data; fit this campaign first"):
+        compare_bounds(problem, strange, methods=["crlb_ar1"])
+    with pytest.raises(CampaignError, match="the posterior is of other data"):
+        compare_bounds(problem, fit, foreign, methods=["posterior"])
+    assert not posterior.converged
+    found = compare_bounds(problem, fit, posterior, methods=["posterior"])["posterior"]
+    assert "NOT converged" in found.status
+
+
 def test_exchanging_twice_changes_nothing_and_keeps_volumes() -> None:
     problem, theta, flow = one_flow({})
     assert exchanged(exchanged(theta, flow), flow) == pytest.approx(theta)

@@ -16,7 +16,7 @@ from bayes_sensor.bounds.classical import (
     crlb_iid_one_percent_step,
     posterior_intervals,
 )
-from bayes_sensor.bounds.evidence import Evidence, Progress
+from bayes_sensor.bounds.evidence import Evidence, Progress, check_data
 from bayes_sensor.bounds.jackknife import jackknife_experiments
 from bayes_sensor.bounds.profile import profile
 from bayes_sensor.bounds.records import LEVELS, Bound, Bounds
@@ -141,9 +141,9 @@ def compare_bounds(
     Where no step is seen, and for least squares under noise that is correlated over much of a
     record, a method gives no value and says why.
 
-    Raises CampaignError for an unknown method, for ``posterior`` without one, for a fit of another
-    campaign, for a ``block_bootstrap`` of fewer than two resamples, or for data that allow no
-    interval at all.
+    Raises CampaignError for an unknown method, for ``posterior`` without one, for a fit or a
+    posterior of another campaign, for a ``block_bootstrap`` of fewer than two resamples, or for
+    data that allow no interval at all.
     """
     problem = as_problem(campaign)
     if methods is None:
@@ -170,6 +170,7 @@ def compare_bounds(
             progress((done + fraction) / len(chosen), text)
 
     evidence = Evidence(problem, fit, posterior, seed, n_resamples, report)
+    check_data(problem, fit, posterior)
     for name, method in chosen.items():
         report(0.0, name)
         start = time.perf_counter()

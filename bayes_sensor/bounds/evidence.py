@@ -46,29 +46,6 @@ class Evidence:
                 f"the fit has {len(self.fit.names)} parameters ({', '.join(self.fit.names[:3])}, "
                 f"..), the campaign needs {len(expected)}; fit this campaign with this model first"
             )
-        n = self.problem.campaign.n_samples
-        if self.fit.n_samples != n:
-            raise CampaignError(
-                f"the fit is of {self.fit.n_samples} samples, the campaign has {n}; fit this "
-                "campaign first"
-            )
-        rms = float(np.sqrt(mean_square(self.problem, self.theta)))
-        if abs(rms - self.fit.rms) > ANOTHER * self.fit.rms:
-            raise CampaignError(
-                f"at the fit's parameters the residuals have an RMS of {rms:.6g}, the fit says "
-                f"{self.fit.rms:.6g}: it is of other data; fit this campaign first"
-            )
-        self._check_posterior()
-
-    def _check_posterior(self) -> None:
-        """Raise CampaignError for a posterior of other data."""
-        if self.posterior is None:
-            return
-        missing = [n for n in self.problem.layout.names if n not in self.posterior.names]
-        of = getattr(getattr(self.posterior, "problem", None), "campaign", None)
-        if missing or (of is not None and not same_data(of, self.problem.campaign)):
-            what = f"has no {missing[0]}" if missing else "is of other data"
-            raise CampaignError(f"the posterior {what}; sample that of this campaign first")
 
     @cached_property
     def theta(self) -> FloatArray:
@@ -176,7 +153,29 @@ class Evidence:
         )
 
 
-def same_data(a: Campaign, b: Campaign) -> bool:
+def check_data(problem: Problem, fit: Fit, posterior: Any) -> None:
+    """Raise CampaignError for a fit or a posterior (or None) of other data than the problem's."""
+    n = problem.campaign.n_samples
+    if fit.n_samples != n:
+        raise CampaignError(
+            f"the fit is of {fit.n_samples} samples, the campaign has {n}; fit this campaign first"
+        )
+    rms = float(np.sqrt(mean_square(problem, np.array(fit.theta_hat, dtype=float))))
+    if abs(rms - fit.rms) > ANOTHER * fit.rms:
+        raise CampaignError(
+            f"at the fit's parameters the residuals have an RMS of {rms:.6g}, the fit says "
+            f"{fit.rms:.6g}: it is of other data; fit this campaign first"
+        )
+    if posterior is None:
+        return
+    missing = [n for n in problem.layout.names if n not in posterior.names]
+    of = getattr(getattr(posterior, "problem", None), "campaign", None)
+    if missing or (of is not None and not _same_data(of, problem.campaign)):
+        what = f"has no {missing[0]}" if missing else "is of other data"
+        raise CampaignError(f"the posterior {what}; sample that of this campaign first")
+
+
+def _same_data(a: Campaign, b: Campaign) -> bool:
     """Whether two campaigns have the same experiments with the same samples in use."""
     return len(a) == len(b) and all(
         x.name == y.name
