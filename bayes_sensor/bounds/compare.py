@@ -64,6 +64,10 @@ CLOSE_WORDS = (
     "tau and tau_v are close, and the cascade is unchanged when they swap: intervals about one "
     "order may be too narrow, those of the profile are not"
 )
+ONE_FLOW = (
+    "all flows are equal, and tau_v and V/Q may then be exchanged: intervals are about one of the "
+    "two orders"
+)
 
 
 def why_mute(evidence: Evidence, name: str) -> str:
@@ -87,6 +91,8 @@ def doubts(evidence: Evidence, name: str) -> list[str]:
     theta = evidence.theta
     if name not in ("profile", "posterior") and theta[0] > CLOSE * theta[1]:
         found.append(CLOSE_WORDS)
+    if name != "posterior" and evidence.problem.campaign.same_flow and not evidence.fit.twin:
+        found.append(ONE_FLOW)
     if name in TAKES_WHITE:
         found.append(coloured_noise(evidence.problem, theta))
     if name in MODELS_NOISE:
