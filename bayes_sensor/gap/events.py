@@ -127,13 +127,7 @@ def look_for_events(
                         stretch, _, dt = use[k]
                         when = stretch.begin + (at + 0.5 * span * blocks[k]) * dt
                         clearest[k] = Place(stretch.experiment, when, clear)
-    first = max(clearest, key=lambda p: p.size, default=Place(0, 0.0, 0.0))
-    ratio = first.size**0.5
-    strength = {
-        "event_experiment": float(first.experiment), "event_s": first.time, "event_ratio": ratio
-    }  # fmt: skip
-    places = struck_places(found, clearest)
-    found_event = FullRate("event", alone_or_alike(found), strength, ratio, places)
+    found_event = of_places("event", found, clearest)
     longest = [min((d for (_, at), d in tails.items() if at == g), default=np.inf) for g in (0, 1)]
     return Events(found_event, (longest[0], longest[1]))
 
@@ -295,6 +289,20 @@ def struck_places(
     first = max(clearest, key=lambda p: p.size, default=None)
     kept = (p for p, o in zip(clearest, odds, strict=True) if o > 0.0 or p is first)
     return tuple(p for p in kept if p.size > 0.0)
+
+
+def of_places(
+    name: str, found: Sequence[Mapping[Hashable, float]], clearest: Sequence[Place]
+) -> FullRate:
+    """What places (records, switches) say together, and where the ``clearest`` moments are."""
+    first = max(clearest, key=lambda p: p.size, default=Place(0, 0.0, 0.0))
+    ratio = first.size**0.5
+    strength = {
+        f"{name}_experiment": float(first.experiment),
+        f"{name}_s": first.time,
+        f"{name}_ratio": ratio,
+    }
+    return FullRate(name, alone_or_alike(found), strength, ratio, struck_places(found, clearest))
 
 
 def alone_or_alike(found: Sequence[Mapping[Hashable, float]]) -> float:

@@ -9,7 +9,7 @@ one.  All count as unlisted, whatever explains the rest.
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,11 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.bins import ExperimentBins
 from bayes_sensor.gap.events import (
     BUMP_SPAN,
-    alone_or_alike,
     bump,
     known_dof,
     local_size,
+    of_places,
     sizes_of_records,
-    struck_places,
     surprises,
     tail_dof,
 )
@@ -74,14 +73,10 @@ def _patch(
     places: Sequence[dict[Hashable, float]], clearest: Sequence[Place], since: Sequence[float]
 ) -> FullRate:
     """What all switches say; ``since`` (n,) s, from the switch to its clearest moment."""
+    told = of_places("patch", places, clearest)
     first = max(range(len(clearest)), key=lambda i: clearest[i].size, default=None)
-    at, after = (Place(0, 0.0, 0.0), 0.0) if first is None else (clearest[first], since[first])
-    strength = {
-        "patch_experiment": float(at.experiment), "patch_s": at.time, "patch_since_s": after,
-        "patch_ratio": at.size**0.5,
-    }  # fmt: skip
-    struck = struck_places(places, clearest)
-    return FullRate("patch", alone_or_alike(places), strength, at.size**0.5, struck)
+    after = 0.0 if first is None else since[first]
+    return replace(told, strength={**told.strength, "patch_since_s": after})
 
 
 def _runs_of_bins(found: Refit, tail: float) -> FullRate:
@@ -269,13 +264,7 @@ def look_for_breaks(found: Refit, tail: float = np.inf) -> FullRate:
         places.append(dict(zip(kinds, surprises(square, dof), strict=True)))
         begins = b.first[spans[use][int(np.argmax(square)), 0]]
         clearest.append(Place(k, float(b.experiment.t[begins]), float(square.max())))
-    first = max(clearest, key=lambda p: p.size, default=Place(0, 0.0, 0.0))
-    ratio = first.size**0.5
-    strength = {
-        "break_experiment": float(first.experiment), "break_s": first.time, "break_ratio": ratio
-    }  # fmt: skip
-    struck = struck_places(places, clearest)
-    return FullRate("break", alone_or_alike(places), strength, ratio, struck)
+    return of_places("break", places, clearest)
 
 
 def _edges(b: ExperimentBins) -> list[tuple[str, int]]:
