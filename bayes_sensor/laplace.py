@@ -471,9 +471,11 @@ def _expand(
         hessian[i] = -(gradient(up) - gradient(down)) / (up[i] - down[i])
     hessian = 0.5 * (hessian + hessian.T)
     scale = np.sqrt(np.diag(info))
-    smallest = np.linalg.eigvalsh(hessian / np.outer(scale, scale)).min()
-    # the observed Hessian is the better Gaussian; far from the maximum it may not be positive
-    precision = hessian if smallest > 1e-4 and np.isfinite(smallest) else info
+    scaled = hessian / np.outer(scale, scale)
+    # the observed Hessian is the better Gaussian; far from the maximum it may not be positive, and
+    # where a step leaves what can be evaluated it is none
+    observed = np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled).min() > 1e-4
+    precision = hessian if observed else info
     cov = np.linalg.inv(precision)
     return psi + cov @ gradient(psi), 0.5 * (cov + cov.T)
 

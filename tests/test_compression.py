@@ -367,6 +367,17 @@ def test_the_information_with_gaps_and_intervals() -> None:
     )
 
 
+def test_the_gradient_off_the_mesh_is_finite_without_concentration_noise() -> None:
+    problem, theta = small_problem(0.6, n=2, interval=0.02, duration=9.0)
+    mesh = compress(problem, theta)
+    away = theta.copy()
+    away[problem.layout.index("t0_s[a]")] -= 1.5
+    away[problem.layout.index("sigma1_V")] = 0.0
+    assert not mesh.covers(away)
+    value, gradient = mesh.value_and_gradient(away)
+    assert np.isfinite(value) and np.isfinite(gradient).all()
+
+
 @pytest.mark.parametrize("kept", [1, 2, 3, 7])
 def test_a_record_full_of_gaps_and_strong_correlation_tells_no_more_than_there_is(
     kept: int,

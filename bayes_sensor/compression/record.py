@@ -220,6 +220,8 @@ class Compressed:
             up, down = vector.copy(), vector.copy()
             up[i] += step
             down[i] -= step
+            if i in layout.noise[:, 2]:  # no likelihood is below sigma1 = 0
+                down[i] = max(down[i], 0.0)
             for k in [owner[i]] if i in owner else range(n_exp):
                 difference = experiment_log_likelihood(self.problem, up, k)
                 difference -= experiment_log_likelihood(self.problem, down, k)
