@@ -517,6 +517,17 @@ class Cascade:
         return jacobian
 
 
+def exchanged(thetas: FloatArray, flow: float) -> FloatArray:
+    """``thetas`` (.., n_theta) with tau_v in the place of V/Q and the other way round.
+
+    ``flow``: Q in mL/s, at which the response stays what it is.  An involution that
+    keeps volumes: draws need no weight for it.
+    """
+    found = np.array(thetas, dtype=float)
+    found[..., 1], found[..., 2] = thetas[..., 2] / flow, thetas[..., 1] * flow
+    return found
+
+
 def local_parameters(
     theta: FloatArray, layout: Layout, name: str
 ) -> tuple[float, float, float, float | None]:

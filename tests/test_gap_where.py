@@ -154,6 +154,8 @@ def test_what_happens_once_is_where_it_happens() -> None:
     shares = {(c.experiment, c.phase): c.share for c in found.cells if c.share}
     assert shares == {("3", "plateau"): 0.75, ("1", "tail"): 0.25}
     assert found.shared_by == "findings" and found.scales == located.scales
+    assert shared_by_findings(located, []).cells == located.cells
+    assert shared_by_findings(located, []).shared_by == "nothing"
 
 
 def test_a_single_event_is_shared_out_and_no_misfit_of_the_model_is_claimed() -> None:

@@ -14,11 +14,16 @@ from bayes_sensor.campaign import CampaignError, SideInformation
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.laplace import approximate, log_posteriors
 from bayes_sensor.likelihood import Prior, Problem, log_likelihood, log_prior, simulate
-from bayes_sensor.model import Cascade, cascade_response, local_parameters, time_constants
+from bayes_sensor.model import (
+    Cascade,
+    cascade_response,
+    exchanged,
+    local_parameters,
+    time_constants,
+)
 from bayes_sensor.noise import Noise
 from bayes_sensor.posterior import Posterior, Settings, load_chains, sample_posterior
 from bayes_sensor.posterior.hmc import Whitened
-from bayes_sensor.posterior.orders import exchanged
 from bayes_sensor.posterior.sampling import _start
 from bayes_sensor.posterior.summaries import reaches_end
 

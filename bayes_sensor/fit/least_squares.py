@@ -22,7 +22,7 @@ from bayes_sensor.fit.refinement import Refined, around, mesh_points, refine, wi
 from bayes_sensor.fit.starts import guess, limits, swarm_problem
 from bayes_sensor.fit.swarm import particle_swarm
 from bayes_sensor.likelihood import Problem, as_problem, mean_and_variance
-from bayes_sensor.model import Cascade
+from bayes_sensor.model import Cascade, exchanged
 from bayes_sensor.workers import one_thread
 
 # Starts along the valley, as fractions of the rise time (10, 60, 200, 500 ms at the published rig).
@@ -44,11 +44,9 @@ class Twin:
     excess: float  # V^2, its sum of squares less that of the fit
 
 
-def exchanged(campaign: Campaign, theta: FloatArray) -> FloatArray:
-    """``theta`` (n_mean,) with tau_v in the place of the typical V/Q and the other way round."""
-    flow = float(np.median([e.total_flow for e in campaign]))
-    theta = theta.copy()
-    theta[1], theta[2] = theta[2] / flow, theta[1] * flow
+def _other_order(campaign: Campaign, theta: FloatArray) -> FloatArray:
+    """``theta`` (n_mean,) with the roles exchanged at the typical flow, tau the faster lag."""
+    theta = exchanged(theta, float(np.median([e.total_flow for e in campaign])))
     if theta[0] > theta[1]:
         theta[0], theta[1] = theta[1], theta[0]
     return theta
@@ -254,7 +252,7 @@ def _search(
             best = other
     twin = None
     if not campaign.same_flow:
-        other = refined_from(exchanged(campaign, best.theta))
+        other = refined_from(_other_order(campaign, best.theta))
         if other.cost < best.cost:
             best, other = other, best
         if _apart(other.theta, best.theta):
@@ -264,7 +262,7 @@ def _search(
     start = _swap(campaign, best.theta, high)
     theta, success = _finish(problem, start, low, high, rise, noise, count)
     if campaign.same_flow:  # exchanged, the cascade is the same
-        swapped = exchanged(campaign, theta)
+        swapped = _other_order(campaign, theta)
         if _apart(swapped, theta):
             twin = Twin(swapped[1], swapped[2], 0.0)
     inside, inside_coarse = scatter(campaign, medium), scatter(campaign, coarse)

@@ -502,7 +502,7 @@ def _shared_out(located: Map, weighing: Weighing, full_rate: Sequence[FullRate],
             on = [c for c in located.cells if c.phase == "plateau"]
             size = 2.0 * f.log_bayes_factor / sum(c.t_end_s - c.t_start_s for c in on)
             places += [(c.experiment, c.t_start_s, size * (c.t_end_s - c.t_start_s)) for c in on]
-    return shared_by_findings(located, places) if places else located
+    return shared_by_findings(located, places)
 
 
 def _best(

@@ -276,44 +276,29 @@ def surprises(square: FloatArray, dof: float) -> FloatArray:
     return np.asarray(logsumexp(logs, axis=0) - np.log(len(wider)))
 
 
-def _each_kind(found: Sequence[Mapping[Hashable, float]]) -> FloatArray:
-    """(n,) ln B of every place, averaged over the kinds of what may strike there."""
-    return np.array([logsumexp(list(x.values())) - np.log(len(x)) if x else 0.0 for x in found])
-
-
-def struck_places(
-    found: Sequence[Mapping[Hashable, float]], clearest: Sequence[Place]
-) -> tuple[Place, ...]:
-    """Those of the ``clearest`` of every place that are rather struck than not, one at least."""
-    odds = _each_kind(found) + np.log(STRUCK / (1.0 - STRUCK))
-    first = max(clearest, key=lambda p: p.size, default=None)
-    kept = (p for p, o in zip(clearest, odds, strict=True) if o > 0.0 or p is first)
-    return tuple(p for p in kept if p.size > 0.0)
-
-
 def of_places(
     name: str, found: Sequence[Mapping[Hashable, float]], clearest: Sequence[Place]
 ) -> FullRate:
-    """What places (records, switches) say together, and where the ``clearest`` moments are."""
+    """What places (records, switches) say, each with ln B per kind of what may strike there.
+
+    What strikes has a kind of its own at every place, or the same at all of them.  Told are the
+    ``clearest`` moment of all, and those of the places that are rather struck than not.
+    """
+    each = np.array([logsumexp(list(x.values())) - np.log(len(x)) if x else 0.0 for x in found])
+    alone = float(struck(each, STRUCK).sum())
+    alike: dict[Hashable, float] = {}
+    for logs in found:
+        for kind, value in logs.items():
+            alike[kind] = alike.get(kind, 0.0) + float(struck(np.array(value), STRUCK))
+    together = float(logsumexp(list(alike.values()))) - np.log(len(alike)) if alike else 0.0
     first = max(clearest, key=lambda p: p.size, default=Place(0, 0.0, 0.0))
+    odds = each + np.log(STRUCK / (1.0 - STRUCK))
+    kept = (p for p, o in zip(clearest, odds, strict=True) if o > 0.0 or p is first)
     ratio = first.size**0.5
     strength = {
         f"{name}_experiment": float(first.experiment),
         f"{name}_s": first.time,
         f"{name}_ratio": ratio,
     }
-    return FullRate(name, alone_or_alike(found), strength, ratio, struck_places(found, clearest))
-
-
-def alone_or_alike(found: Sequence[Mapping[Hashable, float]]) -> float:
-    """ln B of places (records, switches), each with ln B per kind of what may strike there.
-
-    What strikes has a kind of its own at every place, or the same at all of them.
-    """
-    alone = float(struck(_each_kind([x for x in found if x]), STRUCK).sum())
-    alike: dict[Hashable, float] = {}
-    for logs in found:
-        for kind, value in logs.items():
-            alike[kind] = alike.get(kind, 0.0) + float(struck(np.array(value), STRUCK))
-    together = float(logsumexp(list(alike.values()))) - np.log(len(alike)) if alike else 0.0
-    return float(np.logaddexp(alone, together) - np.log(2.0))
+    value = float(np.logaddexp(alone, together) - np.log(2.0))
+    return FullRate(name, value, strength, ratio, tuple(p for p in kept if p.size > 0.0))

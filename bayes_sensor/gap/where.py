@@ -248,7 +248,7 @@ def shared_by_explanations(located: Map, sketch: Sketch, explained: FloatArray) 
 
 
 def shared_by_findings(located: Map, found: Sequence[tuple[str, float, float]]) -> Map:
-    """The map with shares where samples tell something: experiment, s and size, one at least."""
+    """The map with shares where samples tell something: experiment, s and size."""
     power = np.array([
         sum(
             size for name, at, size in found
@@ -256,6 +256,8 @@ def shared_by_findings(located: Map, found: Sequence[tuple[str, float, float]]) 
         )
         for cell in located.cells
     ])  # fmt: skip
+    if not np.any(power):
+        return located
     shares = _shares(power, len(power))
     cells = [replace(c, share=float(s)) for c, s in zip(located.cells, shares, strict=True)]
     return replace(located, cells=tuple(cells), shared_by="findings")

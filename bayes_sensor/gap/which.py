@@ -161,7 +161,7 @@ def fit_effect(
         if faster:
             begins.append(with_start(plan, with_tau(plan, begun, usual - UNUSUAL), starts[0]))
     if abs(begun[2] - sketch.centre[2]) > BENT * sketch.sd[2] and not base.plan.parts:
-        # or the volume, where no flow makes any difference
+        # or the volume, where no flow makes any difference: valve and manifold share the lag
         moved = begun.copy()
         moved[1:3] = sketch.centre[1] - log(2.0), sketch.centre[2]
         begins += [with_start(plan, with_tau(plan, moved, usual), start) for start in starts]

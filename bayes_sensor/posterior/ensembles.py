@@ -12,10 +12,10 @@ from bayes_sensor.compression import Compressed
 from bayes_sensor.laplace import Coordinates, Laplace
 from bayes_sensor.likelihood import Problem, is_affine, log_priors
 from bayes_sensor.mixing import diagnostics
+from bayes_sensor.model import exchanged
 from bayes_sensor.posterior.checkpoints import Checkpoint
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, Run, enough
 from bayes_sensor.posterior.covering import covered
-from bayes_sensor.posterior.orders import exchanged
 from bayes_sensor.posterior.settings import Progress, Settings
 from bayes_sensor.workers import in_order
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood import Problem, log_likelihood, log_prior
+from bayes_sensor.model import exchanged
 
 ALIKE = 0.1
 """relative spread of total flows up to which the two orders may be as good"""
@@ -24,16 +25,6 @@ def flow_of_both(problem: Problem) -> float | None:
     flows = np.array([e.total_flow for e in problem.campaign])
     middle = float(np.median(flows))
     return middle if float(np.ptp(flows)) <= ALIKE * middle else None
-
-
-def exchanged(thetas: FloatArray, flow: float) -> FloatArray:
-    """``thetas`` (.., n_theta) with tau_v in the place of V/Q and the other way round.
-
-    An involution that keeps volumes: draws need no weight for it.
-    """
-    found = np.array(thetas, dtype=float)
-    found[..., 1], found[..., 2] = thetas[..., 2] / flow, thetas[..., 1] * flow
-    return found
 
 
 def likelier_order(problem: Problem, start: FloatArray) -> tuple[FloatArray, float | None]:
