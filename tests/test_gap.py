@@ -12,12 +12,14 @@ from bayes_sensor.campaign import CampaignError
 from bayes_sensor.gap import CATALOGUE, Strength, diagnose_gap, own_effect
 from bayes_sensor.gap.bins import PHASES
 from bayes_sensor.gap.diagnosis import ar1_whiteness
+from bayes_sensor.gap.model import with_effects
 from bayes_sensor.gap.own import read_effects
 from bayes_sensor.gap.simulation import default_strengths, simulate_with_effects
 from bayes_sensor.gap.verdict import NAMED
 from bayes_sensor.gap.words import WANDERS
-from bayes_sensor.likelihood import simulate
+from bayes_sensor.likelihood import Problem, simulate
 from bayes_sensor.model import cascade_response
+from bayes_sensor.noise import Noise
 from tests.gap_cases import design, diagnosed, measured, theta
 
 NAMES = (
@@ -570,3 +572,26 @@ def test_a_wander_that_slow_noise_may_be_is_said_to_look_like_it() -> None:
             for e in campaign}  # fmt: skip
     other = diagnose_gap(campaign.with_data(bump), bootstrap=0, separate=False, hidden=False)
     assert other.verdict.kind == "unlisted" and WANDERS not in other.verdict.sentence
+
+
+def test_a_fit_under_another_noise_law_or_with_effects_serves_as_well_and_a_foreign_one_does_not():
+    campaign = measured({"valve_asymmetry": 1.3}, n=3)
+    plain = bs.fit_least_squares(campaign, swarms=1)
+    own = bs.fit_least_squares(Problem(campaign, noise=Noise(per_experiment=True)), swarms=1)
+    problem = with_effects(Problem(campaign), ["valve_asymmetry"], plain.theta_hat)
+    told = bs.fit_least_squares(problem, swarms=1)
+    assert len({len(f.names) for f in (plain, own, told)}) == 3
+    quick = {"bootstrap": 0, "separate": False, "hidden": False, "follow": False}
+    found = [diagnose_gap(campaign, f, **quick).verdict for f in (plain, own, told)]
+    assert all("valve_asymmetry" in v.effects for v in found)
+    assert found[0].probability == found[1].probability
+    # bounds know such a fit for the campaign's, too
+    low, high = bs.compare_bounds(problem, told, methods=["crlb_ar1"])["crlb_ar1"].interval("tau_s")
+    assert low < 0.06 < high
+
+    other = measured({"valve_asymmetry": 1.3}, seed=2, n=3)
+    with pytest.raises(CampaignError, match="it is of other data; fit this campaign first"):
+        diagnose_gap(other, plain, **quick)
+    fewer = replace(campaign, experiments=campaign.experiments[:2])
+    with pytest.raises(CampaignError, match="gap: the fit has the parameters tau_s, .*fit this"):
+        diagnose_gap(fewer, plain, **quick)

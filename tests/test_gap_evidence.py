@@ -8,14 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.special import logsumexp
 
 from bayes_sensor.gap import CATALOGUE
 from bayes_sensor.gap.discrepancy import make_discrepancies, matern32
 from bayes_sensor.gap.effect import Form, Strength
 from bayes_sensor.gap.embedded import embedded_rivals
-from bayes_sensor.gap.evidence import AT_REST, Linearised
+from bayes_sensor.gap.evidence import AT_REST, STRONG, WIDTHS, Linearised
 from bayes_sensor.gap.floor import DOF
-from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, refit
+from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, loosened, refit
 from bayes_sensor.gap.sketch import coordinates, fit_base, flat_theta, prepare
 from bayes_sensor.gap.verdict import Standing, judge
 from bayes_sensor.gap.where import Leverage
@@ -526,3 +527,55 @@ def test_a_refit_stuck_at_wrong_differences_goes_on_with_finer_ones(sketch):
     start = plan.start(sketch.base, {"step": 1e-4})
     found = refit(plan, start, data=data, most_steps=60, tolerance=1e-6)
     assert found.strength()["step"] == pytest.approx(3e-3, rel=0.02)
+
+
+def strong(sketch):
+    """Noise-free data of drifts far beyond the plausible, and their plan, truth and coordinates."""
+    effect = CATALOGUE["baseline_drift"]
+    plan = Plan(sketch, (Part(effect, effect.forms[1]),))
+    own = [end - 1 for end in plan.local[1:]]
+    truth = plan.start(sketch.base, {})
+    truth[own] = [30.0, -20.0, 25.0, -30.0]  # spreads of the prior
+    data = tuple(plan.binned(truth, k) for k in range(len(sketch.bins)))
+    return replace(plan, sketch=replace(sketch, data=data)), truth, own
+
+
+def test_an_amplitude_far_beyond_the_plausible_is_not_held_back(sketch):
+    plan, truth, own = strong(sketch)
+    held = refit(plan, truth, tolerance=1e-6)
+    free = loosened(held)
+    sd = np.sqrt(np.diag(np.linalg.inv(held.normal))[own])
+    assert np.max(np.abs(held.x - truth)[own] / sd) > 1.0
+    assert np.max(np.abs(free.x - truth)[own] / sd) < 0.05
+    assert free.misfit < 0.05 * held.misfit
+    assert free.plan.loose == {"drift"} and loosened(free) is free
+    # what is plausible stays as it is, and so does a fit without effects
+    modest = truth.copy()
+    modest[own] = [1.0, -0.5, 0.8, -1.0]
+    weak = refit(plan, modest, data=[plan.binned(modest, k) for k in range(len(sketch.bins))])
+    assert loosened(weak) is weak
+    assert loosened(fit_base(sketch)).plan.loose == frozenset()
+
+
+def test_evidence_of_a_strong_amplitude_is_averaged_over_wider_priors_too(sketch):
+    plan, truth, own = strong(sketch)
+    held = refit(plan, truth, tolerance=1e-6)
+    free = loosened(held)
+    assert [w[own[0]] for w in Linearised(held).widths] == list(WIDTHS)
+    widths = Linearised(free).widths
+    assert all(list(w[own]) == 4 * [v] for w, v in zip(widths, (*WIDTHS, *STRONG), strict=True))
+    assert all(np.all(np.delete(w, own) == 1.0) for w in widths)
+
+    def alone(width):
+        made = Linearised(free)
+        made.__dict__["widths"] = [width]
+        return made.evidence(None).log_z
+
+    each = [alone(w) for w in widths]
+    found = Linearised(free).evidence(None)
+    assert found.log_z == pytest.approx(logsumexp(each) - np.log(len(each)))
+    # what is thirty times as large as is plausible is likeliest where that is no surprise
+    assert np.all(np.diff(each[1:]) > 0.0)
+    # and there tau is the truth's, which the prior had bent away
+    log_tau = truth[1] - FASTER - truth[0]
+    assert abs(found.log_tau - log_tau) < 0.2 * abs(np.log(held.tau) - log_tau)

@@ -19,12 +19,10 @@ from bayes_sensor.bounds.surface import (
 )
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.fit import Fit
-from bayes_sensor.fit.noise import mean_square
+from bayes_sensor.fit.belongs import check_data_of_fit
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.residuals import noise_doubt
 
-ANOTHER = 1e-5
-"""relative difference of the RMS of residuals from which a fit is of other data"""
 Progress = Callable[[float, str], None]
 
 
@@ -155,17 +153,7 @@ class Evidence:
 
 def check_data(problem: Problem, fit: Fit, posterior: Any) -> None:
     """Raise CampaignError for a fit or a posterior (or None) of other data than the problem's."""
-    n = problem.campaign.n_samples
-    if fit.n_samples != n:
-        raise CampaignError(
-            f"the fit is of {fit.n_samples} samples, the campaign has {n}; fit this campaign first"
-        )
-    rms = float(np.sqrt(mean_square(problem, np.array(fit.theta_hat, dtype=float))))
-    if abs(rms - fit.rms) > ANOTHER * fit.rms:
-        raise CampaignError(
-            f"at the fit's parameters the residuals have an RMS of {rms:.6g}, the fit says "
-            f"{fit.rms:.6g}: it is of other data; fit this campaign first"
-        )
+    check_data_of_fit(problem, fit)
     if posterior is None:
         return
     missing = [n for n in problem.layout.names if n not in posterior.names]

@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -451,13 +451,11 @@ def _problem_with_effects(job: Job) -> Any:
 def _do_gap(job: Job) -> None:
     from bayes_sensor.gap import diagnose_gap
 
-    n = job.problem.layout.n_mean  # the diagnosis has a noise law of its own
-    fit = replace(job.fit, names=job.fit.names[:n], theta_hat=job.fit.theta_hat[:n])
     try:
         with job.timed("gap") as tell:
             job.gap = diagnose_gap(
                 job.problem.campaign,
-                fit,
+                job.fit,
                 seed=job.seed,
                 jobs=job.jobs,
                 progress=tell,

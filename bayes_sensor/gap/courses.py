@@ -8,13 +8,14 @@ there is the noise of one number.  The largest of all courses, against what it i
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.effect import Effect
-from bayes_sensor.gap.refit import Part, Plan, Refit
+from bayes_sensor.gap.refit import Part, Refit
 from bayes_sensor.gap.where import Leverage
 from bayes_sensor.gap.which import ABSORBED, course, joined_start
 
@@ -41,7 +42,7 @@ def courses(base: Refit, catalogue: Mapping[str, Effect]) -> FloatArray:
 
     for effect in catalogue.values():
         for form in effect.forms if effect.on_mean else ():
-            plan = Plan(sketch, (*base.plan.parts, Part(effect, form)))
+            plan = replace(base.plan, parts=(*base.plan.parts, Part(effect, form)))
             begun = joined_start(plan, base)
 
             from_start = partial(course, plan, begun, here)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import takewhile
 from math import exp
 from typing import TYPE_CHECKING, Any
 
@@ -53,7 +54,8 @@ from bayes_sensor.gap.words import (
     units_of,
     without_a_step,
 )
-from bayes_sensor.model import Layout, Theta
+from bayes_sensor.likelihood import Problem
+from bayes_sensor.model import NOISE, Layout, Theta
 from bayes_sensor.notebook import card
 from bayes_sensor.workers import one_thread
 
@@ -304,7 +306,8 @@ def diagnose_gap(
     campaign
         A measured campaign.
     fit
-        Its least-squares fit; made here where none is given.
+        Its least-squares fit, under any noise law and with any effects beside the model: only what
+        the model without effects has is taken from it.  Made here where none is given.
     without
         Names of effects to take out of the catalogue.
     effects
@@ -324,8 +327,8 @@ def diagnose_gap(
     Raises
     ------
     CampaignError
-        For a design without data, unknown names in ``without``, or records without any quiet
-        stretch to take the noise from.
+        For a design without data, a fit of another campaign, unknown names in ``without``, or
+        records without any quiet stretch to take the noise from.
     """
     tell = progress or (lambda _share, _text: None)
     if campaign.is_design:
@@ -342,9 +345,8 @@ def diagnose_gap(
     largest = max(float(np.abs(e.values[e.used]).max()) for e in campaign)
     if fit.cannot_tell and fit.rms <= ROUNDING * largest:  # a floor of nothing judges nothing
         raise CampaignError(f"gap: {fit.cannot_tell}")
-    theta = Layout.of(campaign).flat(fit.theta_hat)
     tell(0.02, "noise floor")
-    prepared = prepare(campaign, theta)
+    prepared = prepare(campaign, _mean_of(campaign, fit))
     sketch = prepared.sketch
     base = fit_base(sketch)
     full_rate = [
@@ -408,6 +410,23 @@ def diagnose_gap(
     )
 
 
+def _mean_of(campaign: Campaign, fit: Fit) -> FloatArray:
+    """The flat vector of a fit's parameters of the mean; noise is the diagnosis's own affair."""
+    from bayes_sensor.fit.belongs import check_data_of_fit
+
+    layout = Layout.of(campaign)
+    n = layout.n_mean
+    if list(takewhile(lambda name: not name.startswith(NOISE), fit.names)) != layout.mean_names:
+        raise CampaignError(
+            f"gap: the fit has the parameters {', '.join(fit.names[:4])}, .., the campaign needs "
+            f"{', '.join(layout.mean_names[:4])}, ..; fit this campaign first"
+        )
+    theta = np.asarray(fit.theta_hat, dtype=float)[:n]
+    if all(name.startswith(NOISE) for name in fit.names[n:]):  # with effects it fits otherwise
+        check_data_of_fit(Problem(campaign), replace(fit, theta_hat=theta))
+    return layout.flat(theta)
+
+
 def _catalogue(
     effects: Mapping[str, Effect] | Iterable[Effect] | None, without: Iterable[str]
 ) -> dict[str, Effect]:
@@ -441,7 +460,7 @@ def _without_mains(catalogue: Mapping[str, Effect], found: FullRate) -> FullRate
 
 
 def _samples(prepared: Prepared) -> list[FullRate]:
-    """Lines, tails and the converter's steps, whatever explains the mean."""
+    """The mains, tails and the converter's steps, whatever explains the mean."""
     campaign, stretches = prepared.sketch.campaign, prepared.stretches
     coarse = look_for_steps(campaign, stretches)
     # on a coarse lattice the innovations are lumps, not tails: spread them over the step again
@@ -452,26 +471,27 @@ def _samples(prepared: Prepared) -> list[FullRate]:
     records = (campaign, prepared.residuals, prepared.deviations)
     mains = look_for_mains(*records)
     bursts = [b for found_there in mains for b in look_for_bursts(*records, found_there)]
-    return [*mains, *bursts, *look_for_lines(campaign, stretches), *found]
+    return [*mains, *bursts, *found]
 
 
 def _events(
     prepared: Prepared, weighing: Weighing, full_rate: Sequence[FullRate]
 ) -> list[FullRate]:
-    """Events and ringing in what the best complete explanation leaves."""
+    """Lines, events and ringing in what the best complete explanation leaves."""
     campaign = prepared.sketch.campaign
     step = max((f.strength.get("adc_step", 0.0) for f in full_rate), default=0.0)
     heavy = any(f.name == "heavy_tails" and f.probability > FOUND for f in full_rate)
     if rounds_away(prepared.stretches, step):
         return []
     complete = [h for h in weighing.hypotheses if not h.incomplete]
-    best = max(complete, key=lambda h: h.log_weight)
-    residuals = prepared.residuals_of(best.refit)
+    best = max(complete, key=lambda h: h.log_weight).refit
+    residuals = prepared.residuals_of(best)
     stretches = prepared.stretches_of(residuals)
     events = look_for_events(campaign, stretches, heavy)
     return [
-        look_for_patches(best.refit, residuals, prepared.quiet, events.lasting),
-        look_for_breaks(best.refit, events.lasting),
+        *look_for_lines(campaign, stretches),
+        look_for_patches(best, residuals, prepared.quiet, events.lasting),
+        look_for_breaks(best, events.lasting),
         events.found,
         look_for_ringing(campaign, residuals, prepared.quiet),
         *look_for_swings(campaign, residuals, prepared.deviations),

@@ -134,6 +134,8 @@ class Form:
     """further starts, of which only those are followed that promise most"""
     mean: Callable[[FloatArray, Mapping[str, float], RigView], FloatArray] | None = None
     """a user's own mean; it may call the rig's"""
+    jumps: bool = False
+    """whether the mean jumps at the very moment of a switch"""
 
 
 class RigView:

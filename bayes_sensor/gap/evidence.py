@@ -22,6 +22,8 @@ from bayes_sensor.gap.refit import Refit
 
 WIDTHS = (1.0 / 3.0, 1.0, 3.0)
 """an amplitude's plausible size is averaged over these multiples of its stated spread"""
+STRONG = (10.0, 30.0)
+"""the same where the spreads hold an amplitude back that the data put far outside of them"""
 AT_REST = 2.0
 """gain that the linearisation may promise beyond a refit's end before it is not believed"""
 
@@ -57,17 +59,12 @@ class Linearised:
     def widths(self) -> list[FloatArray]:
         """Per considered width, the factor (n,) on the spread of every strength."""
         plan = self.refit.plan
-        scaled = [s.scaled for s in plan.shared]
-        own = [s.scaled for s in plan.own]
-        made = []
-        for width in WIDTHS if any(scaled) or any(own) else (1.0,):
-            factor = np.ones(plan.size)
-            factor[3 : 3 + len(scaled)] = [width if s else 1.0 for s in scaled]
-            for k in range(len(plan.sketch.campaign)):
-                end = plan.local[k + 1]
-                factor[end - len(own) : end] = [width if s else 1.0 for s in own]
-            made.append(factor)
-        return made
+        amplitudes = [s.name for s in (*plan.shared, *plan.own) if s.scaled]
+        if not amplitudes:
+            return [np.ones(plan.size)]
+        usual = [plan.widths(dict.fromkeys(amplitudes, width)) for width in WIDTHS]
+        strong = STRONG if plan.loose else ()
+        return [*usual, *(plan.widths(dict.fromkeys(plan.loose, width)) for width in strong)]
 
     @cached_property
     def priors(self) -> list[tuple[FloatArray, float]]:

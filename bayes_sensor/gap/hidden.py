@@ -150,13 +150,14 @@ def one_hidden(
     form = form_for(effect, sketch, given)
     own = {s.name for s in _all_strengths(effect, sketch) if s.per_experiment}
     part = Part(effect, form)
-    held = Plan(sketch, (*base.plan.parts, part), {**base.plan.held, **given})
+    parts = (*base.plan.parts, part)
+    held = replace(base.plan, parts=parts, held={**base.plan.held, **given})
     x = held.start(base.x, {}) if not base.plan.parts else joined_start(held, base)
     data = []
     for k in range(len(sketch.bins)):
         plan = held
         if own:  # strengths of each experiment's own: alternating signs around the null
-            plan = Plan(sketch, held.parts, {**held.held, **_alternating(effect, given, own, k)})
+            plan = replace(held, held={**held.held, **_alternating(effect, given, own, k)})
         data.append(plan.binned(x, k))
     blind = min(
         (

@@ -13,7 +13,7 @@ beside it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.discrepancy import Discrepancy
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.floor import DOF
-from bayes_sensor.gap.refit import Plan, Refit, Sketch, refit
+from bayes_sensor.gap.refit import Refit, Sketch, refit
 from bayes_sensor.gap.where import Leverage, _mean_square
 from bayes_sensor.gap.which import INCOMPLETE
 
@@ -259,14 +259,14 @@ def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
     all_but = sketch.restricted([np.full(len(b.first), j != k) for j, b in enumerate(sketch.bins)])
     own = len(plan.own)
     rest = refit(
-        Plan(all_but, plan.parts, plan.held),
+        replace(plan, sketch=all_but),
         sketch.local_coordinates(fitted.x, others, own),
         most_steps=10,
         tolerance=0.2,
     )
     only = [np.full(len(b.first), j == k) for j, b in enumerate(sketch.bins)]
     alone = sketch.restricted(only)
-    one = Plan(alone, plan.parts, plan.held)
+    one = replace(plan, sketch=alone)
     start = sketch.local_coordinates(fitted.x, [k], own)
     n_shared = one.local[0]
     start[:n_shared] = rest.x[:n_shared]
@@ -279,12 +279,12 @@ def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
         return _prediction(made, free, covariance)
     # strengths of its own: everything before the fall decides them, the fall judges
     falling = alone.bins[0].falling
-    rise = Plan(alone.restricted([~falling]), plan.parts, plan.held)
+    rise = replace(plan, sketch=alone.restricted([~falling]))
     first = refit(rise, start, most_steps=10, tolerance=0.2, free=free)
     covariance[n_shared:, n_shared:] = np.linalg.inv(first.normal)[n_shared:, n_shared:]
     free[:] = False
     free[n_shared + 3] = True  # tf
-    fall = Plan(alone.restricted([falling]), plan.parts, plan.held)
+    fall = replace(plan, sketch=alone.restricted([falling]))
     made = refit(fall, first.x, most_steps=10, tolerance=0.2, free=free)
     return _prediction(made, free, covariance)
 

@@ -56,6 +56,9 @@ PATIENCE, FAR = 4, 60.0
 """steps after which a refit that expects to end so far above another one is given up"""
 FINER = 0.01
 """factor on the differences' steps where the usual ones lead nowhere"""
+BEYOND, HELD_BACK, LOOSER = 3.0, 1.0, 30.0
+"""spreads of its prior that an amplitude must have, and standard deviations, squared, by which that
+prior must pull it, to be sought again; the factor on the prior's spread then"""
 TAU_OVER_TAU_V = 0.07
 """plausible ratio of the sensor's to the valve's time constant"""
 
@@ -196,6 +199,9 @@ class Plan:
     parts: tuple[Part, ...] = ()
     held: Mapping[str, float] = field(default_factory=dict)
     """strengths (by name) that are not fitted but held at a value"""
+    loose: frozenset[str] = frozenset()
+    """strengths (by name) whose spreads are :data:`LOOSER` times the stated ones in
+    :attr:`own_prior_matrix`"""
 
     @cached_property
     def strengths(self) -> list[list[Strength]]:
@@ -298,8 +304,29 @@ class Plan:
 
     @cached_property
     def own_prior_matrix(self) -> FloatArray:
-        """(n, n) precision of the prior at the stated spreads."""
-        return self.prior_matrix()
+        """(n, n) precision of the prior at the stated spreads, those of :attr:`loose` aside."""
+        return self.prior_matrix(self.widths(dict.fromkeys(self.loose, LOOSER)))
+
+    def widths(self, factors: Mapping[str, float]) -> FloatArray:
+        """(n,) factors on the spreads of strengths, by name; 1 for all other coordinates."""
+        made = np.ones(self.size)
+        for fitted in self._fitted:
+            for _, s, at in fitted:
+                made[at] = factors.get(s.name, 1.0)
+        return made
+
+    def held_back(self, x: FloatArray, covariance: FloatArray) -> frozenset[str]:
+        """Amplitudes far beyond their priors that these pull visibly; ``covariance`` at ``x``."""
+        away, matrix = x - self.prior_centre, self.own_prior_matrix
+        found = set()
+        for name in {s.name for part in self.strengths for s in part if s.scaled}:
+            here = sorted({at for some in self._fitted for _, s, at in some if s.name == name})
+            if not here or np.mean(away[here] ** 2) < BEYOND**2:
+                continue
+            pull = matrix[np.ix_(here, here)] @ away[here]
+            if float(pull @ covariance[np.ix_(here, here)] @ pull) > HELD_BACK:
+                found.add(name)
+        return frozenset(found)
 
     @cached_property
     def prior_centre(self) -> FloatArray:
@@ -800,6 +827,23 @@ def refit(
             converged = True
             break
     return Refit(plan, x, residual, objective, converged)
+
+
+def loosened(fitted: Refit) -> Refit:
+    """The refit with wider priors for those amplitudes that theirs hold back.
+
+    An amplitude far beyond its plausible size is pulled back by its prior, by a small share of
+    itself that may be many standard deviations: a trace of the effect stays in the residual, and
+    other parameters make up for the rest of it.
+    """
+    plan = fitted.plan
+    if not plan.parts:
+        return fitted
+    covariance = np.asarray(np.linalg.inv(fitted.normal), dtype=float)
+    loose = plan.held_back(fitted.x, covariance)
+    if not loose - plan.loose:
+        return fitted
+    return refit(replace(plan, loose=plan.loose | loose), fitted.x, most_steps=60)
 
 
 def _stepped(plan: Plan, x: FloatArray, index: NDArray[np.int64], step: FloatArray) -> FloatArray:

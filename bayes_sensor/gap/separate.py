@@ -40,7 +40,9 @@ def isolability(sketch: Sketch, truth: Refit, rival: Effect, given: Sequence[Par
     data = tuple(truth.plan.means(truth.x))
     # priors lie where the truth is, or its own distance from them would count against every rival
     exact = replace(sketch, data=data, centre=np.log([truth.tau, truth.tau_v, truth.V]))
-    base = refit(Plan(exact, tuple(given)), _bare(truth, len(given)), most_steps=15)
+    base = refit(
+        Plan(exact, tuple(given), loose=truth.plan.loose), _bare(truth, len(given)), most_steps=15
+    )
     best = min(
         fit_effect(exact, base, [Part(rival, form)], form.starts[:2], 12).misfit
         for form in rival.forms[:2]
@@ -51,7 +53,7 @@ def isolability(sketch: Sketch, truth: Refit, rival: Effect, given: Sequence[Par
 def _bare(fitted: Refit, n_parts: int) -> FloatArray:
     # coordinates of the same optimum without the parts after the first n_parts
     plan = fitted.plan
-    smaller = Plan(plan.sketch, plan.parts[:n_parts])
+    smaller = replace(plan, parts=plan.parts[:n_parts])
     x = np.zeros(smaller.size)
     first = 3 + len(smaller.shared)
     x[:first] = fitted.x[:first]

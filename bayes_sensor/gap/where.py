@@ -20,7 +20,7 @@ from scipy.stats import f as f_law
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.bins import PHASES
 from bayes_sensor.gap.floor import DOF
-from bayes_sensor.gap.refit import Plan, Refit, Sketch, refit
+from bayes_sensor.gap.refit import Refit, Sketch, refit
 
 DRAWS = 2000
 """simulated noises behind the p-values"""
@@ -89,11 +89,11 @@ class Leverage:
         """Of a refit, its priors counted as data."""
         j = fitted.jacobian
         normal = j.T @ j
-        solve = np.asarray(np.linalg.inv(normal + fitted.plan.prior_matrix()), dtype=float)
+        solve = np.asarray(np.linalg.inv(normal + fitted.plan.own_prior_matrix), dtype=float)
         if fitted.x[0] <= 0.0:  # tau at its upper limit: its own coordinate did not move
             keep = np.arange(1, len(solve))
             inverse = np.zeros_like(solve)
-            matrix = (normal + fitted.plan.prior_matrix())[np.ix_(keep, keep)]
+            matrix = (normal + fitted.plan.own_prior_matrix)[np.ix_(keep, keep)]
             inverse[np.ix_(keep, keep)] = np.linalg.inv(matrix)
             solve = np.asarray(inverse, dtype=float)
         inner = np.asarray(2.0 * solve - solve @ normal @ solve, dtype=float)
@@ -386,9 +386,9 @@ def predict_left_out(sketch: Sketch, base: Refit) -> dict[str, float]:
         if not any(np.any(mask) for mask in inside) or min(np.sum(mask) for mask in rest) < 8:
             continue
         other = sketch.restricted(rest)
-        fitted = refit(Plan(other, plan.parts), base.x, most_steps=10, tolerance=0.2)
+        fitted = refit(replace(plan, sketch=other), base.x, most_steps=10, tolerance=0.2)
         normal = fitted.jacobian.T @ fitted.jacobian
-        posterior = np.linalg.inv(normal + fitted.plan.prior_matrix())
+        posterior = np.linalg.inv(normal + fitted.plan.own_prior_matrix)
         x = fitted.x
         switch = {"onset": 2, "rise": 2, "fall": 3}.get(name)
         if switch is not None:
@@ -399,7 +399,8 @@ def predict_left_out(sketch: Sketch, base: Refit) -> dict[str, float]:
             only = [m if np.any(m) else np.ones_like(m) for m in inside]
             start = x.copy()
             start[free] = base.x[free]
-            x = refit(Plan(sketch.restricted(only), plan.parts), start, most_steps=15, free=free).x
+            some = replace(plan, sketch=sketch.restricted(only))
+            x = refit(some, start, most_steps=15, free=free).x
         excess = 0.0
         for k, mask in enumerate(inside):
             if not np.any(mask):

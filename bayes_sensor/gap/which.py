@@ -22,7 +22,8 @@ from bayes_sensor.gap.discrepancy import Discrepancy, make_discrepancies
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.embedded import WEIGHT, embedded_rivals
 from bayes_sensor.gap.evidence import Linearised
-from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, Sketch, refit, with_tau
+from bayes_sensor.gap.jumps import SEEN, jumps, swept
+from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, Sketch, loosened, refit, with_tau
 
 PRIOR_NONE = 0.5
 PRIOR_UNLISTED = 0.15
@@ -47,6 +48,8 @@ HOPELESS = 0.2
 """share of what something else explains better that a first pair must explain"""
 NEAR = 14.0
 """log evidences this far below the best are not looked at more closely"""
+SMALL_SHARE = 0.02
+"""of a form in its effect, whose tau is not looked at more closely"""
 MOST_TERMS = 6
 """of a hypothesis that are kept, the likeliest; their shares are those among them"""
 
@@ -149,7 +152,7 @@ def fit_effect(
     ``enough``: objective above which it does not matter how good it is.  ``faster``: whether to
     begin from a faster sensor than usual, too, where the base has a much slower or faster one.
     """
-    plan = Plan(sketch, (*base.plan.parts, *parts))
+    plan = replace(base.plan, parts=(*base.plan.parts, *parts))
     begun = joined_start(plan, base)
     starts = [*starts, *_most_promising(plan, begun, base, parts[-1].form.grid)]
     begins = [with_start(plan, begun, start) for start in starts]
@@ -168,7 +171,13 @@ def fit_effect(
     found: list[Refit] = []
     for x in begins:
         found.append(refit(plan, x, most_steps=most_steps, known=found, enough=enough))
-    return finished(min(found, key=lambda r: r.objective), enough)
+    best = finished(min(found, key=lambda r: r.objective), enough)
+    return swept(best).best if _leaps(best, base) else best
+
+
+def _leaps(fitted: Refit, base: Refit) -> bool:
+    """Whether the mean jumps with a switch, and that is well seen against the base."""
+    return jumps(fitted) and fitted.objective < base.objective - SEEN
 
 
 def _most_promising(
@@ -231,11 +240,13 @@ class _Average(NamedTuple):
 
 
 def _average(
-    fits: Sequence[tuple[Refit, float]], discrepancies: Sequence[Discrepancy] | None
+    fits: Sequence[tuple[Refit, float]],
+    discrepancies: Sequence[Discrepancy] | None,
+    base: Refit,
 ) -> _Average:
     """The evidence averaged over forms (and discrepancies), and where it puts ln tau."""
     logs, weights, found, owners = [], [], [], []
-    for fitted, weight in fits:
+    for fitted, weight in [(loosened(f), w) for f, w in fits]:
         beside = [None] if discrepancies is None else discrepancies
         for d, made in zip(beside, Linearised(fitted).evidences(beside), strict=True):
             logs.append(made.log_z)
@@ -245,8 +256,14 @@ def _average(
     total = np.array(logs) + np.log(np.array(weights))
     mass = logsumexp(total)
     p = np.exp(total - mass)
-    mean = float(np.sum(p * [f.log_tau for f in found]))
-    square = float(np.sum(p * [f.sd_log_tau**2 + (f.log_tau - mean) ** 2 for f in found]))
+    taus = np.array([(f.log_tau, f.sd_log_tau) for f in found])
+    for i in np.flatnonzero(p > SMALL_SHARE):
+        fitted, beside_it = owners[i]
+        if beside_it is None and _leaps(fitted, base):
+            profile = swept(fitted)
+            taus[i] = profile.log_tau, profile.sd_log_tau
+    mean = float(p @ taus[:, 0])
+    square = float(p @ (taus[:, 1] ** 2 + (taus[:, 0] - mean) ** 2))
     kept = np.argsort(-p, kind="stable")[:MOST_TERMS]
     terms = tuple(Term(float(p[i] / p[kept].sum()), *owners[i]) for i in kept)
     return _Average(float(mass), terms[0].refit, mean, float(np.sqrt(square)), terms)
@@ -276,7 +293,7 @@ def weigh(
         within: str = "",
     ) -> Hypothesis:
         other = ds is not None or bool(within)
-        made = Hypothesis(effects, other, log_prior, *_average(fits, ds), within)
+        made = Hypothesis(effects, other, log_prior, *_average(fits, ds, base), within)
         hypotheses.append(made)
         return made
 
@@ -371,6 +388,7 @@ def _add_pairs(
     done: set[frozenset[str]] = set()
     found: list[Hypothesis] = []
     best = max(singles.values(), key=lambda h: h.log_z)
+    lowest = min(f.objective for f, _ in fits[best.effects[0]])
     single, other = best.log_z, max(h.log_z for h in hypotheses if h.incomplete)
 
     def gained() -> float:
@@ -383,7 +401,7 @@ def _add_pairs(
         made = []
         first = min(fits[a], key=lambda f: f[0].objective)[0]
         # a refit gains at most half of what the objective loses: further up it weighs nothing
-        enough = best.refit.objective - 2.0 * (max(other - single, gained(), 0.0) - NEAR)
+        enough = lowest - 2.0 * (max(other - single, gained(), 0.0) - NEAR)
         for form in on_mean[b].forms:
             part = Part(on_mean[b], form)
             fitted = fit_effect(sketch, first, [part], form.starts[:3], 15, enough)

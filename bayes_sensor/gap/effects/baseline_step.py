@@ -63,8 +63,8 @@ EFFECT = Effect(
     family="baseline",
     sentence="The baseline steps to another level and stays there: {strength}.",
     forms=(
-        Form(_step(False), _after_pulse, name="common", weight=0.3),
-        Form(_step(True), _after_pulse, name="own", weight=0.3),
+        Form(_step(False), _after_pulse, name="common", weight=0.3, jumps=True),
+        Form(_step(True), _after_pulse, name="own", weight=0.3, jumps=True),
         Form(_step(False, soft=True), _after_pulse, name="common, slow", weight=0.1),
         Form(_step(True, soft=True), _after_pulse, name="own, slow", weight=0.1),
         *(

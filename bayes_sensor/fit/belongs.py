@@ -1,0 +1,35 @@
+"""Whether a fit is of the campaign that it is used with."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.fit.noise import all_residuals
+from bayes_sensor.fit.record import Fit
+from bayes_sensor.fit.refinement import with_noise
+from bayes_sensor.likelihood import Problem
+
+ANOTHER = 1e-5
+"""relative difference of the RMS of residuals from which a fit is of other data"""
+
+
+def check_data_of_fit(problem: Problem, fit: Fit) -> None:
+    """Raise CampaignError for a fit of other data than the problem's, its names being the same."""
+    n = problem.campaign.n_samples
+    if fit.n_samples != n:
+        raise CampaignError(
+            f"the fit is of {fit.n_samples} samples, the campaign has {n}; fit this campaign first"
+        )
+    theta = np.array(fit.theta_hat, dtype=float)
+    if len(theta) == problem.layout.n_mean:
+        theta = with_noise(problem.layout, theta)
+    _, squares = all_residuals(problem, theta)
+    rms = sqrt(sum(squares) / n)
+    if abs(rms - fit.rms) > ANOTHER * fit.rms:
+        raise CampaignError(
+            f"at the fit's parameters the residuals have an RMS of {rms:.6g}, the fit says "
+            f"{fit.rms:.6g}: it is of other data; fit this campaign first"
+        )
