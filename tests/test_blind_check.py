@@ -752,12 +752,10 @@ def test_heavy_tails_are_no_wrong_answer_where_the_noise_has_them() -> None:
 def test_causes_kept_for_the_last_run_can_be_made_plain_to_see() -> None:
     kept = [name for name, cause in CAUSES.items() if cause.reserve]
     rigs = [draw_case(seed, size="paper") for seed in (31, 32, 33)]  # as most cases are
-    # a window that stays and a second stirred volume hide beyond: column d of the cases says so
-    hiding = {"fixed_window": LEVELS[2], "condensate_trap": LEVELS[3]}
     for name in kept:
         strengths = {name: CAUSES[name].highest}
         seen = [detectability(replace(rig, strengths=strengths), starts=1) for rig in rigs]
-        assert np.median(seen) > hiding.get(name, LEVELS[-1]), name
+        assert np.median(seen) > LEVELS[-1], name
 
 
 def test_the_score_card_is_drawn_even_when_nearly_empty() -> None:

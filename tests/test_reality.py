@@ -81,7 +81,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (50, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (53, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -291,6 +291,12 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("bent_beam", {"rise", "fall"}, 0.999),
         ("blanked_ranging", {"rise", "fall"}, 0.99),
         ("hurried_display", {"rise", "fall"}, 0.99),
+        ("shut_between_ports", {"rise", "fall"}, 0.99),
+        ("ozone_lamp", {"rise", "plateau", "fall"}, 0.999),
+        ("long_fibre", {"rise", "fall"}, 0.95),
+        ("flaring_catalyst", {"rise", "plateau", "fall"}, 0.99),
+        ("swinging_pen", {"rise", "plateau", "fall"}, 0.99),
+        ("distrustful_filter", {"rise", "fall"}, 0.99),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

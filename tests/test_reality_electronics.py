@@ -17,6 +17,7 @@ from bayes_sensor.reality.rig import Knobs, voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
     blanked,
+    distrusted,
     envelope,
     kept,
     log_amplifier,
@@ -797,3 +798,106 @@ def test_a_display_in_a_hurry_goes_too_far() -> None:
             assert np.abs((seen[step.name] - step.y0) / step.beta - shown).max() < 1e-3
             assert shown.max() > 1.02 and shown.min() < -0.02
     assert 0.05 < min(shorts) < max(shorts) < 0.25
+
+
+def test_a_pen_on_a_pivot_is_late_by_its_arc() -> None:
+    strength, signs = 0.4, set()
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"swinging_pen": strength})
+        knobs, seen = prepared_rig(rig)["1"], clean_signals(rig)
+        signs.add(np.sign(knobs.pen_late))
+        ends = [y for step in rig.steps for y in (step.y0, step.y0 + step.beta)]
+        swing = max(abs(y - knobs.pen_rest) for y in ends)
+        widest = np.arcsin(knobs.pen_sine)
+        for step in rig.steps:
+            t, shown = sample_times(step), seen[step.name]
+            fine = np.linspace(0.0, step.duration, 60_001)
+            plain, _ = voltage(rig, step, Knobs(), fine)
+            # where the pen's tip is on the paper, as it turns about its pivot
+            angle = np.arcsin(np.sin(widest) * (plain - knobs.pen_rest) / swing)
+            along = 1.0 - np.cos(angle)
+            drawn = fine + np.sign(knobs.pen_late) * strength * along / (1.0 - np.cos(widest))
+            assert np.abs(drawn - fine).max() <= strength * (1.0 + 1e-9)
+            for switch, up in ((step.t0, True), (step.tf, False)):
+                for share in (0.2, 0.5, 0.8):
+                    level = step.y0 + share * step.beta
+                    inside = (t > switch - 2.0) & (t < switch + 6.0)
+                    beyond = shown[inside] > level if up else shown[inside] < level
+                    crossed = t[inside][np.argmax(beyond)]
+                    past = (fine > switch) & ((plain >= level) if up else (plain <= level))
+                    first = np.argmax(past)
+                    assert crossed == pytest.approx(drawn[: first + 1].max(), abs=0.012)
+            assert shown[t < step.t0 - 1.0] == pytest.approx(step.y0, abs=1e-9)
+            before = np.argmin(np.abs(t - (step.tf - 1.0)))
+            assert shown[before] == pytest.approx(step.y0 + step.beta, abs=0.02 * step.beta)
+    assert signs == {-1.0, 1.0}
+
+
+def test_a_driver_doubts_what_is_steep_and_shows_a_stair() -> None:
+    t = np.arange(0.0, 4.0, 1e-3)
+    slow, steep = 0.4 * t, 1.0 * t
+    assert np.array_equal(distrusted(t, slow, slow - 0.04, 0.05, 0.5), slow)
+    stair = distrusted(t, steep, steep - 0.1, 0.05, 0.5)
+    jumps = t[1:][np.diff(stair) > 0.01]
+    assert jumps == pytest.approx(0.001 + 0.5 * np.arange(1.0, 8.0), abs=2e-3)
+    assert stair[np.isin(t, jumps)] == pytest.approx(jumps)
+
+    strength, stood = 0.15, 0
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"distrustful_filter": strength})
+        knobs, seen = prepared_rig(rig)["1"], clean_signals(rig)
+        plain = clean_signals(without_causes(rig))
+        slopes = []
+        for step in rig.steps:
+            y, shown, t = plain[step.name], seen[step.name], sample_times(step)
+            change = np.abs(y - np.interp(t - knobs.distrust_within, t, y))
+            sure = change < 0.98 * knobs.distrust_band
+            assert np.array_equal(shown[sure], y[sure])
+            # in doubt it stands, or has just jumped to what it reads
+            doubt = np.flatnonzero(change > 1.02 * knobs.distrust_band)
+            stands = np.abs(np.diff(shown, prepend=shown[0])) < 1e-12
+            jumped = np.abs(shown - y) < 0.02 * step.beta
+            assert np.all(stands[doubt] | jumped[doubt])
+            runs = np.split(doubt, np.flatnonzero(np.diff(doubt) > 1) + 1)
+            for run in runs:
+                jumps = np.flatnonzero(~stands[run][1:])
+                if len(jumps) > 2:
+                    # from jump to jump; one between two samples shows in both
+                    apart = np.diff(t[run][jumps])
+                    assert max(apart) == pytest.approx(strength, abs=2.1 * step.interval)
+                    stood += len(jumps)
+            slopes.append(np.abs(np.diff(y)).max() / step.interval)
+        share = knobs.distrust_band / knobs.distrust_within / max(slopes)
+        assert 0.19 < share < 0.51
+    assert stood > 6
+
+
+def test_a_ramped_magnet_induces_two_even_voltages_that_cancel() -> None:
+    strength, taken = 0.1, 0
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"neighbours_magnet": strength})
+        size = strength * np.mean([step.beta for step in rig.steps])
+        times = set()
+        for _, induced in offsets(rig, atol=1e-6):
+            taken += 1
+            t = np.linspace(0.0, 120.0, 240_001)
+            v = induced(t)
+            # what is left at the end dies away in one time; with it undone there are even levels
+            late = np.flatnonzero(np.abs(v) > 1e-4 * size)[-1]
+            eddies = -v[late] / np.gradient(v, t)[late]
+            box = v + eddies * np.gradient(v, t)
+            level = np.round(box / size, 3)
+            ways = [float(w) for w, n in zip(*np.unique(level, return_counts=True)) if n > 500]
+            assert 0.0 in ways and len(ways) == 3
+            first, second = sorted((w for w in ways if w != 0.0), key=abs)
+            assert abs(second) == pytest.approx(1.0, abs=2e-3) and first * second < 0.0
+            assert 0.4 < abs(first) < 1.0
+            times.add((round(float(eddies), 2), ways[0]))
+            # the field comes back to what it was, and stood still in between
+            field = np.cumsum(v) * (t[1] - t[0])
+            assert abs(field[-1]) < 2e-3 * np.abs(field).max()
+            ramp = np.count_nonzero(level == first) * (t[1] - t[0])
+            assert np.abs(field).max() == pytest.approx(abs(first) * size * ramp, rel=0.05)
+            assert 1.9 < ramp < 12.1 and 0.1 < eddies < 1.0
+        assert len(times) == 1  # one magnet, one loop
+    assert taken >= 6

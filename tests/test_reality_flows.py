@@ -661,3 +661,41 @@ def test_a_carrier_that_yields_to_the_test_gas_against_an_ode_solver() -> None:
                 assert np.abs(x[inside] - result.sol(t[inside])[2]).max() < 1e-3
         assert np.ptp(times[-len(rig.steps) :]) < 2e-3  # one controller
     assert 0.39 < min(times) < max(times) < 3.01
+
+
+def test_a_cold_lamp_goes_past_its_best_against_an_ode_solver() -> None:
+    strength, bests = 0.4, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"ozone_lamp": strength})
+        seen, found = clean_signals(rig), prepared_rig(rig)
+        for k, step in enumerate(rig.steps):
+            (output,) = found[step.name].unmixed
+            since = np.linspace(0.0, 400.0, 400_001)
+            made = output(step.commanded_on + since)
+            assert made.max() == pytest.approx(np.exp(strength), rel=1e-6)
+            assert made[-1] == pytest.approx(1.0, abs=1e-6)
+            # what it makes when it is still cold tells where its best is, and when that comes how
+            # soon it warms
+            ratio = np.sqrt(1.0 - np.log(made[0]) / strength)
+            best = ratio / (1.0 + ratio)
+            time = -since[made.argmax()] / np.log1p(-best)
+
+            def glowing(
+                u: tuple[float, float], x: FloatArray, best: float = best, time: float = time,
+                exchange: float = step.total_flow / rig.V, rig: Case = rig,
+            ) -> list[float]:  # fmt: skip
+                # Gauss's bell in temperature, of width 1 - best over the root of twice the strength
+                width = (1.0 - best) / np.sqrt(2.0 * strength)
+                ozone = np.exp(strength - 0.5 * ((x[3] - best) / width) ** 2)
+                cascade = [(u[0] - x[0]) / rig.tau_v, exchange * (x[0] * ozone - x[1])]
+                return [*cascade, (x[1] - x[2]) / rig.tau, (u[1] - x[3]) / time]
+
+            on = [(0.0, (0.0, 0.0)), (step.commanded_on, (0.0, 1.0))]
+            _, states = solved(
+                rig, glowing, 4, k=k, inputs=[*on, (step.t0, (1.0, 1.0)), (step.tf, (0.0, 1.0))]
+            )
+            x = (seen[step.name] - step.y0) / step.beta
+            assert np.abs(x - states[:, 2]).max() < 1e-3
+            assert x.max() > 1.02
+        bests.append(best)
+    assert 0.35 < min(bests) < max(bests) < 0.7

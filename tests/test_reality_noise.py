@@ -726,6 +726,61 @@ def test_overcorrected_rectified_and_stretched_noise_are_what_they_say() -> None
     assert not (zero.is_ar1 or pickup.is_ar1 or insulation.is_ar1)
 
 
+def test_toothed_diffused_and_squared_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(38)
+    h = 1e-3
+    part = Component(1.0, 0.01, shape="teeth", gust_time=0.12, depth=0.8)
+    gear = NoiseLaw("worn_gear", 1.0, components=(part,))
+    z = draw_noise(gear, 1_200_000, h, rng)
+    levels = z[5::10]  # one of each tooth, wherever the first one begins
+    steps = np.flatnonzero(np.abs(np.diff(z)) > 1e-9) + 1
+    assert set(np.diff(steps).tolist()) == {10}
+    # a tooth turn by turn remembers its own, and nothing of its neighbours
+    new = levels[12:] - 0.8 * levels[:-12]
+    assert new.std() == pytest.approx(0.6, rel=0.02)
+    for apart in (1, 5, 11, 12, 24):
+        assert abs(np.mean(new[apart:] * new[:-apart])) < 0.01
+    R = autocorrelation(gear, 241, h)
+    assert R[[0, 5, 10, 60, 115, 120, 125, 240]] == pytest.approx(
+        [1.0, 0.5, 0.0, 0.0, 0.4, 0.8, 0.4, 0.64], abs=1e-9
+    )
+
+    part = Component(1.0, shape="diffused", depth=0.2)
+    electrode = NoiseLaw("salty_electrode", 1.0, components=(part,))
+    z = draw_noise(electrode, 1_000_000, h, rng)
+    assert z.std() == pytest.approx(1.0, abs=0.01)
+    # summed up it strays as the number of steps to the power 2 H
+    for m in (2, 10, 100):
+        sums = z[: len(z) // m * m].reshape(-1, m).sum(axis=1)
+        assert sums.var() == pytest.approx(m**0.4, rel=0.06)
+    frequency, power = welch(z, 1.0 / h, nperseg=8192)
+    low = (frequency > 1.0) & (frequency < 50.0)
+    slope = np.polyfit(np.log(frequency[low]), np.log(power[low]), 1)[0]
+    assert slope == pytest.approx(0.6, abs=0.05)
+    # all of what one sample brings is taken back by the others in the end
+    R = autocorrelation(electrode, 100_000, h)
+    assert R[1] == pytest.approx(2.0**-0.6 - 1.0)
+    assert 0.0 < 1.0 + 2.0 * R[1:].sum() < 2e-3 and (R[1:] < 0.0).all()
+    assert autocorrelation(electrode, 1, h) == pytest.approx([1.0])
+
+    part = Component(1.0, 0.5, 5.0, shape="squared")
+    mirror = NoiseLaw("trembling_mirror", 1.0, components=(part,))
+    z = draw_noise(mirror, 2_000_000, h, rng)
+    # chi-square of one degree of freedom, downwards
+    assert 0.5**0.5 - 1e-4 < z.max() <= 0.5**0.5
+    assert np.mean(z) == pytest.approx(0.0, abs=0.03)
+    assert np.mean(z**2) == pytest.approx(1.0, abs=0.06)
+    assert np.mean(z**3) == pytest.approx(-(8.0**0.5), abs=0.5)
+    assert np.mean(z > (1.0 - 0.4549) / 2.0**0.5) == pytest.approx(0.5, abs=0.01)
+    # half of it at twice the mirror's pitch, half of it slow
+    frequency, power = welch(z, 1.0 / h, nperseg=20_000, detrend=False)
+    twice, slow = (np.abs(frequency - 10.0) < 5.0), frequency < 5.0
+    assert power[twice].sum() == pytest.approx(power[slow].sum(), rel=0.1)
+    assert frequency[twice][power[twice].argmax()] == pytest.approx(10.0, abs=0.5)
+    assert power[np.abs(frequency - 5.0) < 0.5].max() < 0.1 * power[twice].max()
+    assert not (gear.is_ar1 or electrode.is_ar1 or mirror.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):

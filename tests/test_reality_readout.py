@@ -561,6 +561,32 @@ def test_a_choppers_openings_go_round_with_its_wheel() -> None:
     assert 1.9 < min(wheels) and max(wheels) < 12.1 and max(wheels) > 1.3 * min(wheels)
 
 
+def test_the_two_ways_of_a_sweep_differ_by_a_lens() -> None:
+    strength, rates = 0.1, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"two_way_sweep": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        size = strength * np.mean([step.beta for step in rig.steps])
+        for step in rig.steps:
+            t, off = sample_times(step), seen[step.name] - plain[step.name]
+            x = rig.relative_concentration(step) * (plain[step.name] - step.y0) / step.beta
+            # a parabola of the line's place, half the size on either side in its middle
+            lens = np.polynomial.Polynomial.fit(x, np.abs(off), 2)
+            assert np.abs(off) == pytest.approx(lens(x), abs=1e-9)
+            curved = lens.convert().coef
+            middle = -0.5 * curved[1] / curved[2]
+            assert lens(middle) == pytest.approx(0.5 * size, rel=1e-6)
+            ends = np.sort(lens.roots())
+            reach = 1.0 / (ends[1] - ends[0])  # of the whole sweep's, by the highest concentration
+            assert 0.3 < reach < 0.7 and 0.05 < -ends[0] * reach < 0.3
+            # by turns, for as long each
+            turns = t[1:][np.diff(np.sign(off)) != 0.0]
+            assert np.ptp(np.diff(turns)) < 2.1 * step.interval
+            rates.append(0.5 / np.diff(turns).mean())
+            assert abs(np.mean(np.sign(off))) < 0.02
+    assert 2.0 < min(rates) < 0.8 * max(rates) and max(rates) < 15.0
+
+
 def test_the_whole_lorentzian_is_read() -> None:
     rig = case()
     step = rig.steps[0]

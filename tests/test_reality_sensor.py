@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.special import erfc
 
 from bayes_sensor.campaign import FloatArray
@@ -16,6 +17,7 @@ from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
     burning,
     capillary,
+    flaring,
     glassy,
     islands,
     layered_film,
@@ -461,6 +463,84 @@ def test_a_coating_ignites_and_goes_on_burning_below() -> None:
             x = states[:, 2] + knobs.glow / relative * states[:, 3]
             assert np.abs((seen[step.name] - step.y0) / step.beta - x).max() < 1e-3
     assert 0.3 < min(borders) < max(borders) < 0.7
+
+
+def test_a_catalyst_flares_and_goes_out_by_turns() -> None:
+    strength, counts = 0.2, []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"flaring_catalyst": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        knobs = found["1"]
+        low, high = knobs.flares_from, knobs.flares_until
+        oxidises, reduces = knobs.flares_oxidise, knobs.flares_reduce
+        plain = clean_signals(without_causes(rig))
+        for step in rig.steps:
+            t, relative = sample_times(step), rig.relative_concentration(step)
+            x = (plain[step.name] - step.y0) / step.beta
+            # the gas as the coating's lag shows it, undone
+            gas = relative * np.clip(x + rig.tau * np.gradient(x, t), 0.0, None)
+            # turn by turn from what passes: of gas while it is out, of time while it burns
+            passed = np.concatenate([[0.0], np.cumsum(0.5 * (gas[1:] + gas[:-1]) * np.diff(t))])
+            edges, at, total = [], 0.0, passed[-1]
+            while True:
+                needs = np.interp(at, t, passed) + reduces * np.log(high / low)
+                if needs >= total:
+                    break
+                lit = float(np.interp(needs, passed, t))
+                at = lit + oxidises * np.log((1.0 - low) / (1.0 - high))
+                edges.append((lit, at))
+            counts.append(len(edges))
+            burns = np.zeros(len(t), dtype=bool)
+            for lit, out in edges:
+                burns |= (t > lit) & (t < out)
+
+            def warming(s: float, w: FloatArray, t: FloatArray = t, heat: FloatArray = gas * burns,
+                        cooling: float = knobs.flares_cooling) -> FloatArray:  # fmt: skip
+                return (np.interp(s, t, heat) - w) / cooling
+
+            solution = solve_ivp(
+                warming, (0.0, t[-1]), [0.0], t_eval=t, max_step=0.01, rtol=1e-6, atol=1e-8
+            )
+            added = (seen[step.name] - plain[step.name]) / step.beta * relative
+            # a switch lies anywhere between two samples
+            assert np.abs(added - strength * solution.y[0]).max() < 0.06 * strength
+            assert added.max() < strength * relative + 1e-9 and added.min() > -1e-9
+    assert max(counts) > 1 and min(counts) < max(counts)  # more gas, more turns
+
+    # left alone with the gas its turns are even: closed form
+    t = np.linspace(0.0, 200.0, 20_001)
+    warmth = flaring(t, np.full(len(t), 0.5), 3.0, 2.0, 0.3, 0.7, 1e-3)
+    lit = t[1:][np.diff((warmth > 0.25).astype(int)) == 1]
+    period = 3.0 * np.log(0.7 / 0.3) + 4.0 * np.log(0.7 / 0.3)
+    assert np.diff(lit) == pytest.approx(period, abs=0.021)
+    assert lit[0] == pytest.approx(4.0 * np.log(0.7 / 0.3), abs=0.02)
+    # and few nodes tell the same
+    few = flaring(t[::100], np.full(201, 0.5), 3.0, 2.0, 0.3, 0.7, 1e-3)
+    assert np.abs(few - warmth[::100]).max() < 1e-9
+
+
+def test_a_long_fibre_reads_what_lies_along_it() -> None:
+    strength = 1.3
+    rig = case(long_fibre=strength)
+    seen = clean_signals(rig)
+    for k, step in enumerate(rig.steps):
+        exchange = step.total_flow / rig.V
+
+        def cascade(u: float, x: FloatArray, exchange: float = exchange) -> list[float]:
+            return [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+
+        # many short pieces, each a ring of its own, to which the gas comes the later
+        t, states = solved(rig, cascade, 3, k=k)
+        pieces, lasts = 400, strength / exchange
+        ways = (np.arange(pieces) + 0.5) / pieces * lasts
+        x = np.mean([np.interp(t - late, t, states[:, 2], left=0.0) for late in ways], axis=0)
+        assert np.abs((seen[step.name] - step.y0) / step.beta - x).max() < 2e-4
+        # the whole step is late by half of the way
+        up = (t > step.t0) & (t < step.tf)
+        shown = (seen[step.name][up] - step.y0) / step.beta
+        late = np.trapezoid(1.0 - shown, t[up]) + t[up][0] - step.t0
+        expected = rig.tau_v + (1.0 + 0.5 * strength) / exchange + rig.tau
+        assert late == pytest.approx(expected, rel=3e-3)
 
 
 def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> None:

@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import lfilter
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.reality import clean_signals, draw_case, sample_times, without_causes
+from bayes_sensor.reality import Case, clean_signals, draw_case, sample_times, without_causes
 from bayes_sensor.reality.rig import Knobs, voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from tests.reality_cases import case, solved
@@ -346,3 +346,37 @@ def test_a_diaphragm_snaps_through_and_back_against_an_ode_solver() -> None:
         assert np.abs((seen - step.y0) / step.beta - states[:, 2]).max() < 1e-3
         ways.append(knobs.snap_up - knobs.snap_down)
     assert 0.2 < min(ways) < max(ways) < 0.7
+
+
+def test_what_a_turning_valve_dams_up_comes_at_once_against_an_ode_solver() -> None:
+    strength, times = 1.2, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"shut_between_ports": strength})
+        seen, found = clean_signals(rig), prepared_rig(rig)
+        for k, step in enumerate(rig.steps):
+            (flow,) = found[step.name].all_flow
+            # as much more as the set flow brings in that time, after either switch
+            since = np.linspace(0.0, 20.0, 200_001)
+            for switch, lasts in ((step.t0, step.tf - step.t0 - 1e-6), (step.tf, 20.0)):
+                t = switch + since[since < lasts]
+                more = flow(t) - 1.0
+                assert np.trapezoid(more, t) == pytest.approx(strength, rel=1e-3)
+                time = strength / more[0]
+                assert np.interp(time, since[: len(t)], more) == pytest.approx(
+                    more[0] * np.exp(-1.0), rel=1e-4
+                )
+            times.append(time)
+            assert np.all(flow(np.linspace(0.0, step.t0 - 1e-6, 100)) == 1.0)
+
+            def pressing(
+                u: tuple[float, float], x: FloatArray, exchange: float = step.total_flow / rig.V,
+                time: float = time, rig: Case = rig,
+            ) -> list[float]:  # fmt: skip
+                more = strength / time * np.exp(-(x[3] - u[1]) / time)  # x[3] is the time itself
+                cascade = [(u[0] - x[0]) / rig.tau_v, exchange * (1.0 + more) * (x[0] - x[1])]
+                return [*cascade, (x[1] - x[2]) / rig.tau, 1.0]
+
+            inputs = [(0.0, (0.0, -1e3)), (step.t0, (1.0, step.t0)), (step.tf, (0.0, step.tf))]
+            _, states = solved(rig, pressing, 4, k=k, inputs=inputs)
+            assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-3
+    assert 0.15 < min(times) < 0.8 * max(times) < 0.8

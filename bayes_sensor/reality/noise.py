@@ -25,9 +25,10 @@ OPEN_LAWS = (
     "hunting_fan", "chattering_relay", "replugged_fibre",
     "two_fans", "slow_meter", "crackling_cable",
     "sparkling_codes", "weighed_readings", "dimmed_lamps",
+    "overcorrecting_zero", "rectified_pickup", "glassy_dielectric",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("overcorrecting_zero", "rectified_pickup", "glassy_dielectric")
+RESERVE_LAWS = ("worn_gear", "salty_electrode", "trembling_mirror")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
@@ -392,6 +393,30 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    geared, salty, trembling = own.uniform(0.1, 0.3), own.uniform(0.6, 0.9), own.uniform(0.05, 0.15)
+    tooth, teeth = exp(own.uniform(np.log(5e-3), np.log(0.04))), int(own.integers(8, 25))
+    parts |= {
+        # a pump's gear wheel, whose every tooth knocks as hard as it did a turn before, or nearly
+        "worn_gear": (
+            Component(1.0 - geared),
+            Component(
+                geared, tooth, shape="teeth", gust_time=teeth * tooth, depth=own.uniform(0.6, 0.95)
+            ),
+        ),
+        # an electrode that ions reach by diffusion: a current's noise over the root of its pace
+        "salty_electrode": (
+            Component(1.0 - salty, exp(own.uniform(np.log(0.02), np.log(0.2)))),
+            Component(salty, shape="diffused", depth=own.uniform(0.1, 0.3)),
+        ),
+        # a mirror at its best place, from which light is lost either way as it swings
+        "trembling_mirror": (
+            Component(1.0 - trembling),
+            Component(
+                trembling, exp(own.uniform(np.log(0.1), np.log(1.0))),
+                exp(own.uniform(np.log(1.5), np.log(10.0))), shape="squared",
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -412,6 +437,8 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
                 total[1:3] += part.share * np.array([4.0, 1.0])[: n - 1] / 6.0
             elif part.shape == "overcorrected":
                 total[1:] += part.share * (-part.depth) ** np.arange(1.0, n)
+            elif part.shape == "diffused":
+                total[1:] += part.share * _antipersistent(part.depth, n)[1:]
             continue
         own = np.exp(-lags / part.time)
         if part.shape == "smooth":
@@ -483,6 +510,10 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = _dimmed_correlation(lags / part.time)
         elif part.shape == "rectified":
             own = _rectified_correlation(own)
+        elif part.shape == "teeth":
+            own = _toothed_correlation(part, lags)
+        elif part.shape == "squared":
+            own = (own * np.cos(2.0 * pi * part.frequency * lags)) ** 2
         elif part.shape == "stretched":
             own = np.exp(-((lags / part.time) ** part.depth))
         elif part.shape == "chattering":
@@ -541,6 +572,8 @@ def _draw_part(
     if part.shape == "overcorrected":
         alternating: FloatArray = _remembering(_innovations(n, rng, tails), -part.depth)
         return alternating
+    if part.shape == "diffused":
+        return _embedded(_antipersistent(part.depth, n + 1), rng)
     if part.shape == "sparkling":
         off = np.where(rng.random(n) < part.rate, 1.0 / sqrt(part.rate), 0.0)
         return np.where(rng.random(n) < 0.5, off, -off)
@@ -595,6 +628,13 @@ def _draw_part(
     if part.shape == "rectified":
         modulus: FloatArray = np.abs(_remembering(rng.standard_normal(n), decay))
         return (modulus - sqrt(2.0 / pi)) / sqrt(1.0 - 2.0 / pi)
+    if part.shape == "teeth":
+        return _teeth(part, n, interval, rng)
+    if part.shape == "squared":
+        turn = np.exp(2j * pi * part.frequency * interval)
+        kicks = rng.standard_normal(n) + 1j * rng.standard_normal(n)
+        away: FloatArray = _remembering(kicks, decay, turn).real
+        return (1.0 - away**2) / sqrt(2.0)
     if part.shape == "stretched":
         # convex, as a mixture of exponentials is
         lags = np.arange(n + 1, dtype=float) * interval
@@ -875,6 +915,39 @@ def _rectified_correlation(r: FloatArray) -> FloatArray:
     The mean of |x y| is 2/pi (sqrt(1 - r^2) + r arcsin r), of |x| it is sqrt(2/pi).
     """
     return np.asarray((np.sqrt(1.0 - r**2) + r * np.arcsin(r) - 1.0) / (0.5 * pi - 1.0))
+
+
+def _antipersistent(H: float, n: int) -> FloatArray:
+    """(n,) autocorrelation of the steps of fractional Brownian motion, a sample each.
+
+    Their spectrum goes as f^(1 - 2 ``H``) (Mandelbrot and Van Ness, SIAM Rev. 10, 422, 1968).
+    """
+    k = np.arange(n, dtype=float)
+    R: FloatArray = 0.5 * ((k + 1.0) ** (2.0 * H) + np.abs(k - 1.0) ** (2.0 * H)) - k ** (2.0 * H)
+    return R
+
+
+def _toothed_correlation(part: Component, lags: FloatArray) -> FloatArray:
+    """Of levels that stand for a ``time`` and come again every ``gust_time``, ``depth`` of them."""
+    turn = np.floor(lags / part.gust_time)
+    late = lags - turn * part.gust_time
+    here = np.maximum(1.0 - late / part.time, 0.0)
+    there = np.maximum(1.0 - (part.gust_time - late) / part.time, 0.0)
+    return np.asarray(part.depth**turn * (here + part.depth * there))
+
+
+def _teeth(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) level of one tooth after the other, each of which remembers itself from turn to turn.
+
+    The first sample lies anywhere in its tooth.
+    """
+    teeth = round(part.gust_time / part.time)
+    at = np.arange(n) * (interval / part.time) + rng.random()
+    number = at.astype(np.int64)
+    turns = int(number[-1]) // teeth + 1
+    levels = _remembering(rng.standard_normal((teeth, turns)), part.depth)
+    knocks: FloatArray = levels[number % teeth, number // teeth]
+    return knocks
 
 
 def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

@@ -113,7 +113,10 @@ class Component:
     a square wave of period ``time``, each of whose pulses is as long as chance will have it:
     anything from none to all of the period.  With ``overcorrected`` (``time`` 0) each sample takes
     back ``depth`` of the one before; with ``rectified`` it is the modulus of an Ornstein-Uhlenbeck
-    process; with ``stretched`` its autocorrelation is ``exp(-(lag/time)^depth)``.
+    process; with ``stretched`` its autocorrelation is ``exp(-(lag/time)^depth)``.  With ``teeth``
+    it is levels that each stand for a ``time`` and come again every ``gust_time``, ``depth`` of
+    them old; with ``diffused`` (``time`` 0) the spectrum goes as f^(1 - 2 ``depth``); with
+    ``squared`` it is what a damped oscillation's square takes away.
     """
 
     share: float
@@ -128,8 +131,8 @@ class Component:
     ``charging``, ``shaped``, ``motes``, ``strokes``, ``bell``, ``bits``, ``lognormal``,
     ``conducting``, ``latching``, ``waning``, ``stops``, ``coded``, ``paces``, ``cut_off``,
     ``settling``, ``drilled``, ``hunting``, ``chattering``, ``replugged``, ``beating``, ``held``,
-    ``trains``, ``sparkling``, ``binomial``, ``dimmed``, ``overcorrected``, ``rectified`` or
-    ``stretched``"""
+    ``trains``, ``sparkling``, ``binomial``, ``dimmed``, ``overcorrected``, ``rectified``,
+    ``stretched``, ``teeth``, ``diffused`` or ``squared``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

@@ -171,6 +171,8 @@ class Knobs:
     gate: float = 0.0
     """log of the sensor's rate when it is driven up, minus that when driven down; halved"""
     gate_width: float = 0.05
+    coil: float = 0.0
+    """volume of the duct along which the sensor lies, in units of V"""
     slow_sites: float = 0.0
     slow_sites_time: float = 10.0
     backlash: float = 0.0
@@ -245,6 +247,18 @@ class Knobs:
     """likewise by burning all that diffusion brings"""
     glow_time: float = 1.0
     """s in which the coating loses its warmth"""
+    flares: float = 0.0
+    """share of the highest response that the heat of burning the highest concentration moves"""
+    flares_oxidise: float = 3.0
+    """s in which a burning metal oxidises"""
+    flares_reduce: float = 2.0
+    """s in which the highest concentration reduces it"""
+    flares_from: float = 0.3
+    """share of oxide below which the gas burns again"""
+    flares_until: float = 0.7
+    """likewise, above which it goes out"""
+    flares_cooling: float = 0.3
+    """s in which the coating loses its warmth"""
     poisoning: float = 0.0
     """per s, at which sites die that the highest concentration has taken"""
     alive: float = 1.0
@@ -297,6 +311,16 @@ class Knobs:
     """(m,) concentrations above which it takes that, over the campaign's highest"""
     decisions: FloatArray = field(default_factory=lambda: np.zeros(1))
     """(m,) s, from which on each of them holds"""
+    sweep_gap: float = 0.0
+    """V by which the two ways of a sweep differ at most"""
+    sweep_rate: float = 5.0
+    """Hz, forth and back"""
+    sweep_from: float = 0.1
+    """share of the sweep at which the line lies without gas"""
+    sweep_reach: float = 0.5
+    """share of it by which the highest concentration shifts the line"""
+    sweep_begin: float = 0.0
+    """turns"""
     pulsing: float = 0.0
     """V, the largest amplitude at which the ring pulses by itself"""
     pulsing_at: float = 0.5
@@ -366,6 +390,12 @@ class Knobs:
     """V, below which it goes back"""
     blank_lasts: float = 0.0
     """s for which its reading stands meanwhile"""
+    distrust: float = 0.0
+    """s for which a driver shows its last good reading while the signal is too steep"""
+    distrust_band: float = 0.1
+    """V by which it may differ"""
+    distrust_within: float = 0.1
+    """s, from what it was that long before"""
     lead: float = 0.0
     """s, by which a meter multiplies the slope that it adds"""
     lead_lag: float = 0.1
@@ -374,6 +404,14 @@ class Knobs:
     """s, total delay of a four-pole anti-alias filter"""
     parabola: float = 0.0
     """s of readings through which a meter draws a parabola, whose middle it shows"""
+    pen_late: float = 0.0
+    """s by which a pen on a pivot is late at its largest swing"""
+    pen_rest: float = 0.0
+    """V in the middle of its arc"""
+    pen_reach: float = 1.0
+    """V of its largest swing"""
+    pen_sine: float = 0.5
+    """sine of that swing's angle"""
     repeats: FloatArray | None = None
     """(m,) s by which the records that are averaged are late"""
     average_window: float = 0.0
@@ -488,6 +526,10 @@ def voltage(
         drawn = stages.lag(t, late, np.full(len(t) - 1, knobs.return_time), 0.0)
         carried = knobs.returned * step.carrier_flow / step.total_flow
         gas = _manifold(case, step, knobs, t, inlet + carried * drawn, flow)
+    if knobs.coil > 0:
+        passed, volume = _integral(t, flow), knobs.coil * case.V
+        had = _integral(passed, gas)  # what has passed, times how much gas is in it
+        gas = (had - np.interp(passed - volume, passed, had)) / volume
     response = _sensor(case, step, knobs, t, gas)
     if knobs.impurity > 0:
         late = stages.retarded(t, gas, flow, knobs.impurity_volume, knobs.impurity_cells)
@@ -498,6 +540,9 @@ def voltage(
     y = _readout(case, step, knobs, t, response, case.relative_concentration(step) * (inlet - gas))
     if knobs.blank_lasts > 0:
         y = stages.blanked(t, y, knobs.blank_up, knobs.blank_down, knobs.blank_lasts)
+    if knobs.distrust > 0:
+        before = np.interp(t - knobs.distrust_within, t, y)
+        y = stages.distrusted(t, y, before, knobs.distrust_band, knobs.distrust)
     if knobs.lead > 0:
         slope = (y - stages.steady_lag(t, y, knobs.lead_lag)) / knobs.lead_lag
         y = y + knobs.lead * slope
@@ -506,6 +551,10 @@ def voltage(
             y = stages.steady_lag(t, y, 0.25 * knobs.filter_time)
     if knobs.parabola > 0:
         y = stages.parabola(t, y, knobs.parabola)
+    if knobs.pen_late != 0:
+        swing = np.clip(knobs.pen_sine * (y - knobs.pen_rest) / knobs.pen_reach, -1.0, 1.0)
+        late = (1.0 - np.sqrt(1.0 - swing**2)) / (1.0 - np.sqrt(1.0 - knobs.pen_sine**2))
+        y = np.interp(t, np.maximum.accumulate(t + knobs.pen_late * late), y)
     if knobs.repeats is not None:
         y = np.mean([np.interp(t - late, t, y) for late in knobs.repeats], axis=0)
     if knobs.average_window > 0:
@@ -735,6 +784,12 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         burns, brought = knobs.glow_burns, knobs.glow_brought
         warmth = stages.burning(t, relative * gas, burns, brought, knobs.glow_time)
         x = x + knobs.glow / relative * warmth
+    if knobs.flares > 0:
+        warmth = stages.flaring(
+            t, relative * gas, knobs.flares_oxidise, knobs.flares_reduce,
+            knobs.flares_from, knobs.flares_until, knobs.flares_cooling,
+        )  # fmt: skip
+        x = x + knobs.flares / relative * warmth
     if knobs.poisoning > 0:
         held = relative * _integral(t, x)
         x = knobs.alive * x * np.exp(-knobs.poisoning * held)
@@ -801,6 +856,10 @@ def _readout(
     if knobs.border_gap != 0:
         border = knobs.borders[np.maximum(np.searchsorted(knobs.decisions, t, "right") - 1, 0)]
         y = y + knobs.border_gap * (relative * x > border)
+    if knobs.sweep_gap > 0:
+        place = np.clip(knobs.sweep_from + knobs.sweep_reach * relative * x, 0.0, 1.0)
+        up = np.mod(knobs.sweep_rate * t + knobs.sweep_begin, 1.0) < 0.5
+        y = y + np.where(up, 2.0, -2.0) * knobs.sweep_gap * place * (1.0 - place)
     if knobs.pulsing > 0:
         away = np.clip((relative * x - knobs.pulsing_at) / knobs.pulsing_width, -1.0, 1.0)
         rate = knobs.pulsing_rate * (1.0 + knobs.pulsing_pull * away)

@@ -722,6 +722,47 @@ def burning(
     return out
 
 
+@njit(cache=True, error_model="numpy")
+def flaring(
+    t: FloatArray,
+    g: FloatArray,
+    oxidises: float,
+    reduces: float,
+    low: float,
+    high: float,
+    cooling: float,
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) warmth from 0, ``cooling`` x' = g - x while the gas ``g`` (n,) burns, else -x.
+
+    It burns while the share w of oxide grows, ``oxidises`` w' = 1 - w, up to ``high``, and is out
+    while the gas reduces that, ``reduces`` w' = -g w, down to ``low``; at first it is out.
+    Followed exactly from turn to turn with the mean of g between nodes.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    w, x, burns = high, 0.0, False
+    for i in range(n - 1):
+        gas = max(0.5 * (g[i] + g[i + 1]), 0.0)
+        left = t[i + 1] - t[i]
+        while left > 0.0:
+            if burns:
+                until = oxidises * np.log((1.0 - w) / (1.0 - high))
+            else:
+                until = reduces / gas * np.log(w / low) if gas > 0.0 else np.inf
+            h = min(left, until)
+            warm = gas if burns else 0.0
+            x = warm + (x - warm) * exp(-h / cooling)
+            if until <= left:
+                w, burns = (high, False) if burns else (low, True)
+            elif burns:
+                w = 1.0 + (w - 1.0) * exp(-h / oxidises)
+            else:
+                w *= exp(-h * gas / reduces)
+            left -= h
+        out[i + 1] = x
+    return out
+
+
 @njit(cache=True)
 def glassy(
     t: FloatArray, g: FloatArray, speed: float, back: float
@@ -799,6 +840,26 @@ def blanked(
         elif (y[i] < down) if upper else (y[i] > up):
             upper, until = not upper, t[i] + lasts
             out[i] = out[i - 1]
+    return out
+
+
+@njit(cache=True)
+def distrusted(
+    t: FloatArray, y: FloatArray, before: FloatArray, band: float, longest: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``y``, but while it is off ``before`` (n,) by more than ``band`` its last good reading.
+
+    That is the first one in doubt, and after every ``longest`` (s) of doubt what is read by then.
+    """
+    out = y.copy()
+    doubted, begin = False, t[0]
+    for i in range(1, len(y)):
+        if abs(y[i] - before[i]) <= band:
+            doubted = False
+        elif doubted and t[i] - begin < longest:
+            out[i] = out[i - 1]
+        else:
+            doubted, begin = True, t[i]
     return out
 
 

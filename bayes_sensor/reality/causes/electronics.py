@@ -660,7 +660,7 @@ def averaged_repeats(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         knobs.marks += [at + late for at in (step.t0, step.tf) for late in knobs.repeats.tolist()]
 
 
-@cause((), "level", "s", 1.5, reserve=True)
+@cause((), "level", "s", 1.5)
 def blanked_ranging(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The meter looks for its range by itself, and while its relays settle it shows nothing new.
 
@@ -674,7 +674,7 @@ def blanked_ranging(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.blank_up, knobs.blank_down, knobs.blank_lasts = up, down, s
 
 
-@cause((), "delay", "s", 1.5, reserve=True)
+@cause((), "delay", "s", 1.5)
 def hurried_display(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The meter adds ``s`` times the slope, to show at once where a slow probe would end up.
 
@@ -684,3 +684,66 @@ def hurried_display(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
     short = rng.uniform(0.05, 0.25)
     for knobs in rig.values():
         knobs.lead, knobs.lead_lag = s, short * s
+
+
+@cause((), "fall", "s", 1.0, near=("sorption_asymmetry", "valve_asymmetry"), reserve=True)
+def swinging_pen(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The record was read off a paper chart, as if its pen went straight; it swings about a pivot.
+
+    The further from the middle of its arc, the later, or earlier, on the paper: at the campaign's
+    largest swing by ``s``.  Where that would lead back, the eye follows the outer edge.
+    """
+    highest = max(step.beta for step in case.steps)
+    rest = float(np.mean([step.y0 for step in case.steps])) + rng.uniform(-0.1, 0.6) * highest
+    sine, sign = rng.uniform(0.3, 0.8), _sign(rng)
+    levels = [level for step in case.steps for level in (step.y0, step.y0 + step.beta)]
+    reach = float(np.abs(np.array(levels) - rest).max())
+    for knobs in rig.values():
+        knobs.pen_late, knobs.pen_rest = sign * s, rest
+        knobs.pen_reach, knobs.pen_sine = reach, sine
+
+
+@cause((), "delay", "s", 1.5, reserve=True)
+def distrustful_filter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The driver takes a signal that is too steep for a spike, and shows the last good reading.
+
+    When that has stood for ``s`` it believes what it reads, and is soon in doubt again: what is
+    steep becomes a stair.  A weak experiment may never rouse it.
+    """
+    within, share = _between(rng, 0.05, 0.3), rng.uniform(0.2, 0.5)
+    steepest = 0.0  # V/s
+    for step in case.steps:
+        reach = 8.0 * (case.tau_v + case.V / step.total_flow)
+        t = step.t0 + np.linspace(0.0, min(reach, step.tf - step.t0), 2001)
+        y, _ = voltage(case, step, Knobs(), t)
+        steepest = max(steepest, float(np.abs(np.diff(y)).max() / (t[1] - t[0])))
+    for knobs in rig.values():
+        knobs.distrust, knobs.distrust_within = s, within
+        knobs.distrust_band = share * within * steepest
+
+
+@cause((), "drift", "share of the step", 0.15, per_experiment=True, reserve=True)
+def neighbours_magnet(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A neighbour ramps his magnet up, keeps it there for a while and ramps it down again.
+
+    The earthing makes a loop, in which a field induces a voltage for as long as it changes: an even
+    one, and the other way round on the way down, which may be quicker.  Eddy currents in the iron
+    round off its edges.
+    """
+    up, down, eddies = _between(rng, 2.0, 12.0), rng.uniform(0.4, 1.0), _between(rng, 0.1, 1.0)
+    size, certain = _sign(rng) * s * _mean_step(case), int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        at, kept = rng.uniform(0.02, 0.7) * step.duration, _between(rng, 2.0, 20.0)
+        if k != certain and rng.random() < 0.4:
+            continue
+        edges = at + np.array([0.0, up, up + kept, up + kept + down * up])
+        rates = np.array([1.0, -1.0, -1.0 / down, 1.0 / down])
+
+        def induced(
+            t: FloatArray, edges: FloatArray = edges, rates: FloatArray = rates
+        ) -> FloatArray:
+            since = np.maximum(t - edges[:, None], 0.0)
+            return np.asarray(size * down * (rates @ -np.expm1(-since / eddies)))
+
+        rig[step.name].offset.append(induced)
+        rig[step.name].marks += [edge for edge in edges.tolist() if edge < step.duration]

@@ -472,7 +472,7 @@ def dammed_test_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].test_gas.append(flow)
 
 
-@cause((), "tail", "relative", 0.6, near=("flow_settling",), reserve=True)
+@cause((), "tail", "relative", 0.6, near=("flow_settling",))
 def yielding_carrier(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The carrier's controller yields to the pressure that comes with the test gas, and recovers.
 
@@ -496,3 +496,21 @@ def yielding_carrier(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
             return 1.0 - size * (upset(t - t0) - upset(t - tf))
 
         rig[step.name].carrier.append(flow)
+
+
+@cause((), "plateau", "log of the output", 0.6, near=("flow_settling",), reserve=True)
+def ozone_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas is ozone, made by a mercury lamp that is turned on with the valve, and cold.
+
+    Its coldest spot sets the vapour's pressure: with too little of it there is little to glow, with
+    too much the light is caught again.  So the output comes up to its best, exp(``s``) times that
+    of a warm lamp, and goes past it (bell-shaped in temperature); by the next record it is cold.
+    """
+    best, time = rng.uniform(0.35, 0.7), _between(rng, 1.5, 12.0)
+    for step in case.steps:
+
+        def output(t: FloatArray, on: float = step.commanded_on) -> FloatArray:
+            warmth = -np.expm1(-np.maximum(t - on, 0.0) / time)
+            return np.asarray(np.exp(s * (1.0 - ((warmth - best) / (1.0 - best)) ** 2)))
+
+        rig[step.name].unmixed.append(output)

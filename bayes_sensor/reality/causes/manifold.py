@@ -414,7 +414,7 @@ def dry_test_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.dried, knobs.dried_volume, knobs.dried_cells = s, volume, n_cells
 
 
-@cause((), "tail", "of V", 1.0, near=("dead_volume",), reserve=True)
+@cause((), "tail", "of V", 1.0, near=("dead_volume",))
 def analyser_loop(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """An analyser on the same cell pumps gas out, through its hoses, and back in again.
 

@@ -584,7 +584,7 @@ def birefringent_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].gain.append(light)
 
 
-@cause((), "fall", "share lost", 0.7, reserve=True)
+@cause((), "fall", "share lost", 0.7)
 def bent_beam(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The light crosses the cell on its way to the chip; fresh gas beside old gas bends it.
 
@@ -596,7 +596,7 @@ def bent_beam(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
         knobs.bending = s
 
 
-@cause((), "line", "relative", 0.1, fast=True, reserve=True)
+@cause((), "line", "relative", 0.1, fast=True)
 def uneven_chopper(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The light is chopped, and the wheel's openings are not of one width: each lets through more.
 
@@ -618,3 +618,17 @@ def uneven_chopper(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
             return np.asarray(s * np.interp(place, np.arange(openings + 1), [*width, width[0]]))
 
         rig[step.name].gain.append(light)
+
+
+@cause((), "line", "share of the step", 0.15, fast=True, reserve=True)
+def two_way_sweep(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A piezo sweeps the laser across the line, to and fro; it lags behind its voltage either way.
+
+    So the line is found too high on the way up and too low on the way down: by a lens, whose middle
+    is the widest, and nothing where the sweep turns.  The readings of both ways come by turns.
+    """
+    rate, begin, reach = _between(rng, 2.0, 15.0), rng.uniform(0.05, 0.3), rng.uniform(0.3, 0.7)
+    for knobs in rig.values():
+        knobs.sweep_gap, knobs.sweep_rate = s * _mean_step(case), rate
+        knobs.sweep_from, knobs.sweep_reach = begin, reach
+        knobs.sweep_begin = rng.random()

@@ -322,7 +322,7 @@ def poisoned_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         had += dose
 
 
-@cause((), "level", "share of the highest step", 0.4, near=("slow_sorption",), reserve=True)
+@cause((), "level", "share of the highest step", 0.4, near=("slow_sorption",))
 def igniting_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The coating is a catalyst on which the gas burns: beyond some concentration it ignites.
 
@@ -343,3 +343,31 @@ def igniting_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
     for knobs in rig.values():
         knobs.glow, knobs.glow_time = s / hottest, time
         knobs.glow_burns, knobs.glow_brought = burns, brought
+
+
+@cause((), "plateau", "share of the highest step", 0.3, reserve=True)
+def flaring_catalyst(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The coating is a metal on which the gas burns and goes out, by turns, as long as it lasts.
+
+    While it burns the metal oxidises, until it no longer can; then the gas reduces the oxide, the
+    sooner, the more there is, until it burns again (Sales, Turner and Maple, Surf. Sci. 114, 381,
+    1982).  The heat moves the line, at the highest concentration by up to ``s`` of the response.
+    """
+    oxidises, reduces = _between(rng, 1.0, 6.0), _between(rng, 0.8, 4.0)
+    low, high = rng.uniform(0.2, 0.4), rng.uniform(0.6, 0.8)
+    cooling = _between(rng, 0.1, 1.0)
+    for knobs in rig.values():
+        knobs.flares, knobs.flares_cooling = s, cooling
+        knobs.flares_oxidise, knobs.flares_reduce = oxidises, reduces
+        knobs.flares_from, knobs.flares_until = low, high
+
+
+@cause((), "mixing", "of V", 2.0, near=("axial_dispersion",), reserve=True)
+def long_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """In place of a ring a coil of coated fibre is read, which lies along the stream in a duct.
+
+    What is read is the mean of all its turns, and the gas gets to the last of them only when it has
+    filled the duct of ``s`` V, without mixing on its way.
+    """
+    for knobs in rig.values():
+        knobs.coil = s

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.causes.cause import Causes, Rig, _between, _sign
 from bayes_sensor.reality.records import Case
 
@@ -172,7 +173,7 @@ def trial_click(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
             rig[step.name].tried.append((at, lasts))
 
 
-@cause((), "delay", "share of the stroke", 0.9, near=("finite_stroke",), reserve=True)
+@cause((), "delay", "share of the stroke", 0.9, near=("finite_stroke",))
 def snapping_diaphragm(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The valve's diaphragm is bowed like an oil can's lid: it gives a little, then snaps through.
 
@@ -182,3 +183,20 @@ def snapping_diaphragm(rig: Rig, s: float, rng: np.random.Generator, case: Case)
     up, down = rng.uniform(0.6, 0.85), rng.uniform(0.15, 0.4)
     for knobs in rig.values():
         knobs.snap, knobs.snap_up, knobs.snap_down = s, up, down
+
+
+@cause((), "delay", "s", 2.0, near=("dead_volume",), reserve=True)
+def shut_between_ports(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A rotary valve is shut between its ports, and turns for ``s``, while both gases press on.
+
+    Nothing moves meanwhile, and nobody notices, as nothing would have changed; then all that has
+    been dammed up comes at once, on top of the stream, and dies away as its pressure does.
+    """
+    time = _between(rng, 0.15, 1.0)
+    for step in case.steps:
+
+        def flow(t: FloatArray, t0: float = step.t0, tf: float = step.tf) -> FloatArray:
+            since = t - np.where(t < tf, t0, tf)
+            return 1.0 + np.where(since >= 0.0, s / time * np.exp(-np.abs(since) / time), 0.0)
+
+        rig[step.name].all_flow.append(flow)
