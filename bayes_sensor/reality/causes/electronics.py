@@ -191,15 +191,21 @@ def range_change(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.range_up, knobs.range_down, knobs.range_gap = up, down, gap
 
 
-@cause((), "delay", "times too slow", 2.0)
-def sluggish_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
-    """The laser's lock follows the resonance no faster than its piezo moves: steep parts lag."""
+def _steepest(case: Case) -> float:
+    """V/s, of the rises of all experiments with nothing wrong."""
     steepest = 0.0
     for step in case.steps:
         reach = 8.0 * (case.tau_v + case.V / step.total_flow)
         t = step.t0 + np.linspace(0.0, min(reach, step.tf - step.t0), 2001)
         y, _ = voltage(case, step, Knobs(), t)
         steepest = max(steepest, float(np.abs(np.diff(y)).max() / (t[1] - t[0])))
+    return steepest
+
+
+@cause((), "delay", "times too slow", 2.0)
+def sluggish_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The laser's lock follows the resonance no faster than its piezo moves: steep parts lag."""
+    steepest = _steepest(case)
     for knobs in rig.values():
         knobs.fastest = steepest / (1.0 + s)
 
@@ -711,12 +717,7 @@ def distrustful_filter(rig: Rig, s: float, rng: np.random.Generator, case: Case)
     steep becomes a stair.  A weak experiment may never rouse it.
     """
     within, share = _between(rng, 0.05, 0.3), rng.uniform(0.2, 0.5)
-    steepest = 0.0  # V/s
-    for step in case.steps:
-        reach = 8.0 * (case.tau_v + case.V / step.total_flow)
-        t = step.t0 + np.linspace(0.0, min(reach, step.tf - step.t0), 2001)
-        y, _ = voltage(case, step, Knobs(), t)
-        steepest = max(steepest, float(np.abs(np.diff(y)).max() / (t[1] - t[0])))
+    steepest = _steepest(case)
     for knobs in rig.values():
         knobs.distrust, knobs.distrust_within = s, within
         knobs.distrust_band = share * within * steepest
