@@ -236,7 +236,9 @@ def test_f1_of_places_follows_from_precision_and_recall(
     assert 0.0 < card["localisation"]["f1_lo95"] < card["localisation"]["f1"]
 
 
-def test_the_table_of_the_card_holds_every_number(card: dict[str, Any]) -> None:
+def test_the_table_of_the_card_holds_every_number(
+    day: list[dict[str, Any]], card: dict[str, Any]
+) -> None:
     rows = card_table(card).set_index("quantity")
     assert rows.index.is_unique
     for name in (
@@ -251,8 +253,14 @@ def test_the_table_of_the_card_holds_every_number(card: dict[str, Any]) -> None:
     calibration = rows.loc["calibration.verdict.ece"], rows.loc["calibration.verdict.band95"]
     assert calibration[0].value == card["calibration"]["verdict"]["ece"]
     assert calibration[1].value == card["calibration"]["verdict"]["band95"]
-    for name in ("set95.coverage", "set95.listed at d = 2.coverage", "envelope.hidden"):
-        assert rows.lo95[name] < rows.rate[name] <= rows.hi95[name]
+    for name in ("set95.coverage", "set95.listed at d = 2.coverage"):
+        assert rows.lo95[name] < rows.rate[name] < rows.hi95[name]
+    # the day's envelopes all hold: with one that does not
+    first = next(row["case"] for row in day if row["kind"] == "hidden")
+    one = [changed(row, envelope_holds=False) if row["case"] == first else row for row in day]
+    rows = card_table(make_card(one)).set_index("quantity")
+    name = "envelope.hidden"
+    assert rows.lo95[name] < rows.rate[name] < rows.hi95[name]
 
 
 def test_words_of_the_card_say_what_it_holds(card: dict[str, Any]) -> None:
@@ -288,7 +296,7 @@ def test_the_card_of_the_day_is_that_of_its_table(card: dict[str, Any], tmp_path
     assert made["goal"].tolist() == goals["goal"].tolist()
     assert made["met"].tolist() == goals["met"].tolist()
     for column in ("reached", "lo95", "hi95"):
-        np.testing.assert_allclose(made[column].astype(float), goals[column], rtol=2e-3, atol=1e-5)
+        np.testing.assert_allclose(made[column].astype(float), goals[column], rtol=2e-3, atol=1e-7)
 
 
 def test_what_the_rules_let_pass_is_written(
@@ -352,6 +360,8 @@ def test_p_values_raise_no_more_alarms_than_they_say_and_see_most_gaps() -> None
     assert part["null"]["rate"] < 0.05  # under all laws of noise together
     for row in part["seen"]:
         assert row["whole"]["hi95"] >= row["size"]["rate"]
+        if row["d"] < 32.0:  # there the size alone shows nearly all
+            assert row["whole"]["k"] >= row["size"]["k"]
         if row["d"] >= 8.0:
             assert row["whole"]["lo95"] > 0.7 and row["whole"]["n"] > 40
     eight = next(row for row in part["seen"] if row["d"] == 8.0)

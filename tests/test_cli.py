@@ -520,9 +520,11 @@ def test_the_noise_law_does_not_act_on_the_gap_and_this_is_said(
         assert run("gap", campaign, "--out", tmp_path / "out", *options) == 2
         said.append([r.getMessage() for r in caplog.records if "[noise]" in r.getMessage()])
     assert said[0][0].startswith("over.toml: [noise] does not act on gap") and said[1] == []
-    # the diagnosis takes no more than the mean of either
-    n = Layout.of(read_campaign(campaign)).n_mean
-    assert [given[0].names[:n]] == [given[1].names[:n]] and len(given[0].names) > n + 3
+    # both are given whole, and have the same mean, which is all that the diagnosis takes
+    names = Layout.of(read_campaign(campaign)).mean_names
+    assert [fit.names[: len(names)] for fit in given] == [names, names]
+    assert [len(fit.theta_hat) for fit in given] == [len(fit.names) for fit in given]
+    assert len(given[0].names) > len(given[1].names) == len(names) + 3
 
 
 def test_diffusion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

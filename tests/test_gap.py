@@ -18,7 +18,7 @@ from bayes_sensor.gap.simulation import default_strengths, simulate_with_effects
 from bayes_sensor.gap.verdict import NAMED
 from bayes_sensor.gap.words import WANDERS
 from bayes_sensor.likelihood import Problem, simulate
-from bayes_sensor.model import cascade_response
+from bayes_sensor.model import Cascade, cascade_response
 from bayes_sensor.noise import Noise
 from tests.gap_cases import design, diagnosed, measured, theta
 
@@ -580,9 +580,10 @@ def test_a_fit_under_another_noise_law_or_with_effects_serves_as_well_and_a_fore
     own = bs.fit_least_squares(Problem(campaign, noise=Noise(per_experiment=True)), swarms=1)
     problem = with_effects(Problem(campaign), ["valve_asymmetry"], plain.theta_hat)
     told = bs.fit_least_squares(problem, swarms=1)
+    euler = bs.fit_least_squares(Problem(campaign, model=Cascade("euler")), swarms=1)
     assert len({len(f.names) for f in (plain, own, told)}) == 3
     quick = {"bootstrap": 0, "separate": False, "hidden": False, "follow": False}
-    found = [diagnose_gap(campaign, f, **quick).verdict for f in (plain, own, told)]
+    found = [diagnose_gap(campaign, f, **quick).verdict for f in (plain, own, told, euler)]
     assert all("valve_asymmetry" in v.effects for v in found)
     assert found[0].probability == found[1].probability
     # bounds know such a fit for the campaign's, too

@@ -303,8 +303,11 @@ def test_forms_are_averaged_by_their_evidence(monkeypatch) -> None:
             **dict(zip(("log_z", "log_tau", "sd_log_tau"), forms[name])))]),
     )  # fmt: skip
     monkeypatch.setattr(which, "_leaps", lambda *_: False)
-    monkeypatch.setattr(which, "loosened", lambda fitted: fitted)
-    weighted = [("near", 0.25), ("far", 0.75)]
+
+    class Named(str):
+        loosened = property(lambda self: self)
+
+    weighted = [(Named("near"), 0.25), (Named("far"), 0.75)]
     log_z, best, mean, sd, terms = which._average(weighted, None, base=None)
     shares = np.array([0.25 * np.exp(2.0), 0.75 * np.exp(0.5)])
     assert log_z == pytest.approx(np.log(shares.sum())) and best == "near"

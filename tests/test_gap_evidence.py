@@ -16,7 +16,7 @@ from bayes_sensor.gap.effect import Form, Strength
 from bayes_sensor.gap.embedded import embedded_rivals
 from bayes_sensor.gap.evidence import AT_REST, STRONG, WIDTHS, Linearised
 from bayes_sensor.gap.floor import DOF
-from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, loosened, refit
+from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, refit
 from bayes_sensor.gap.sketch import coordinates, fit_base, flat_theta, prepare
 from bayes_sensor.gap.verdict import Standing, judge
 from bayes_sensor.gap.where import Leverage
@@ -543,24 +543,24 @@ def strong(sketch):
 def test_an_amplitude_far_beyond_the_plausible_is_not_held_back(sketch):
     plan, truth, own = strong(sketch)
     held = refit(plan, truth, tolerance=1e-6)
-    free = loosened(held)
+    free = held.loosened
     sd = np.sqrt(np.diag(np.linalg.inv(held.normal))[own])
     assert np.max(np.abs(held.x - truth)[own] / sd) > 1.0
     assert np.max(np.abs(free.x - truth)[own] / sd) < 0.05
     assert free.misfit < 0.05 * held.misfit
-    assert free.plan.loose == {"drift"} and loosened(free) is free
+    assert free.plan.loose == {"drift"} and free.loosened is free
     # what is plausible stays as it is, and so does a fit without effects
     modest = truth.copy()
     modest[own] = [1.0, -0.5, 0.8, -1.0]
     weak = refit(plan, modest, data=[plan.binned(modest, k) for k in range(len(sketch.bins))])
-    assert loosened(weak) is weak
-    assert loosened(fit_base(sketch)).plan.loose == frozenset()
+    assert weak.loosened is weak
+    assert fit_base(sketch).loosened.plan.loose == frozenset()
 
 
 def test_evidence_of_a_strong_amplitude_is_averaged_over_wider_priors_too(sketch):
     plan, truth, own = strong(sketch)
     held = refit(plan, truth, tolerance=1e-6)
-    free = loosened(held)
+    free = held.loosened
     assert [w[own[0]] for w in Linearised(held).widths] == list(WIDTHS)
     widths = Linearised(free).widths
     assert all(list(w[own]) == 4 * [v] for w, v in zip(widths, (*WIDTHS, *STRONG), strict=True))

@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.fit.noise import all_residuals
+from bayes_sensor.fit.noise import mean_square
 from bayes_sensor.fit.record import Fit
 from bayes_sensor.fit.refinement import with_noise
 from bayes_sensor.likelihood import Problem
@@ -16,20 +16,25 @@ ANOTHER = 1e-5
 """relative difference of the RMS of residuals from which a fit is of other data"""
 
 
-def check_data_of_fit(problem: Problem, fit: Fit) -> None:
-    """Raise CampaignError for a fit of other data than the problem's, its names being the same."""
+def check_data_of_fit(problem: Problem, fit: Fit, *others: Problem) -> None:
+    """Raise CampaignError for a fit of other data than the problem's, its names being the same.
+
+    ``others``: the same data under other models that the fit may be of.
+    """
     n = problem.campaign.n_samples
     if fit.n_samples != n:
         raise CampaignError(
             f"the fit is of {fit.n_samples} samples, the campaign has {n}; fit this campaign first"
         )
-    theta = np.array(fit.theta_hat, dtype=float)
-    if len(theta) == problem.layout.n_mean:
-        theta = with_noise(problem.layout, theta)
-    _, squares = all_residuals(problem, theta)
-    rms = sqrt(sum(squares) / n)
-    if abs(rms - fit.rms) > ANOTHER * fit.rms:
-        raise CampaignError(
-            f"at the fit's parameters the residuals have an RMS of {rms:.6g}, the fit says "
-            f"{fit.rms:.6g}: it is of other data; fit this campaign first"
-        )
+    found = []
+    for each in (problem, *others):
+        theta = np.array(fit.theta_hat, dtype=float)
+        if len(theta) == each.layout.n_mean:
+            theta = with_noise(each.layout, theta)
+        found.append(sqrt(mean_square(each, theta)))
+        if abs(found[-1] - fit.rms) <= ANOTHER * fit.rms:
+            return
+    raise CampaignError(
+        f"at the fit's parameters the residuals have an RMS of {found[0]:.6g}, the fit says "
+        f"{fit.rms:.6g}: it is of other data; fit this campaign first"
+    )

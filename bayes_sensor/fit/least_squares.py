@@ -257,7 +257,7 @@ def _search(
             best, other = other, best
         if _apart(other.theta, best.theta):
             twin = Twin(other.theta[1], other.theta[2], other.cost - best.cost)
-    noise = mean_square(problem, best.theta)
+    noise = mean_square(problem, with_noise(problem.layout, best.theta))
     tell(0.7, "mesh")
     start = _swap(campaign, best.theta, high)
     theta, success = _finish(problem, start, low, high, rise, noise, count)

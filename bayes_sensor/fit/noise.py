@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.fit.refinement import with_noise
 from bayes_sensor.likelihood import Problem, grid_response, mean_and_variance
 from bayes_sensor.model import Cascade, local_parameters, time_constants
 from bayes_sensor.noise import lag_coefficient
@@ -142,8 +141,8 @@ def _lag_one(spreads: list[_Spread], v0: float, v1: float) -> float:
     return signs[best] * float(found[best].x)
 
 
-def mean_square(problem: Problem, theta: FloatArray) -> float:
-    _, squares = all_residuals(problem, with_noise(problem.layout, theta))
+def mean_square(problem: Problem, vector: FloatArray) -> float:
+    _, squares = all_residuals(problem, vector)
     return sum(squares) / problem.campaign.n_samples
 
 

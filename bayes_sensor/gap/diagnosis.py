@@ -55,7 +55,7 @@ from bayes_sensor.gap.words import (
     without_a_step,
 )
 from bayes_sensor.likelihood import Problem
-from bayes_sensor.model import NOISE, Layout, Theta
+from bayes_sensor.model import NOISE, Cascade, Layout, Theta
 from bayes_sensor.notebook import card
 from bayes_sensor.workers import one_thread
 
@@ -306,8 +306,9 @@ def diagnose_gap(
     campaign
         A measured campaign.
     fit
-        Its least-squares fit, under any noise law and with any effects beside the model: only what
-        the model without effects has is taken from it.  Made here where none is given.
+        Its least-squares fit, under any noise law, by either method, and with any effects beside
+        the model: only what the model without effects has is taken from it.  Made here where none
+        is given.
     without
         Names of effects to take out of the catalogue.
     effects
@@ -423,7 +424,8 @@ def _mean_of(campaign: Campaign, fit: Fit) -> FloatArray:
         )
     theta = np.asarray(fit.theta_hat, dtype=float)[:n]
     if all(name.startswith(NOISE) for name in fit.names[n:]):  # with effects it fits otherwise
-        check_data_of_fit(Problem(campaign), replace(fit, theta_hat=theta))
+        euler = Problem(campaign, model=Cascade("euler"))
+        check_data_of_fit(Problem(campaign), replace(fit, theta_hat=theta), euler)
     return layout.flat(theta)
 
 

@@ -59,10 +59,9 @@ class Linearised:
     def widths(self) -> list[FloatArray]:
         """Per considered width, the factor (n,) on the spread of every strength."""
         plan = self.refit.plan
-        amplitudes = [s.name for s in (*plan.shared, *plan.own) if s.scaled]
-        if not amplitudes:
+        if not plan.amplitudes:
             return [np.ones(plan.size)]
-        usual = [plan.widths(dict.fromkeys(amplitudes, width)) for width in WIDTHS]
+        usual = [plan.widths(dict.fromkeys(plan.amplitudes, width)) for width in WIDTHS]
         strong = STRONG if plan.loose else ()
         return [*usual, *(plan.widths(dict.fromkeys(plan.loose, width)) for width in strong)]
 

@@ -315,18 +315,15 @@ class Plan:
                 made[at] = factors.get(s.name, 1.0)
         return made
 
-    def held_back(self, x: FloatArray, covariance: FloatArray) -> frozenset[str]:
-        """Amplitudes far beyond their priors that these pull visibly; ``covariance`` at ``x``."""
-        away, matrix = x - self.prior_centre, self.own_prior_matrix
-        found = set()
-        for name in {s.name for part in self.strengths for s in part if s.scaled}:
-            here = sorted({at for some in self._fitted for _, s, at in some if s.name == name})
-            if not here or np.mean(away[here] ** 2) < BEYOND**2:
-                continue
-            pull = matrix[np.ix_(here, here)] @ away[here]
-            if float(pull @ covariance[np.ix_(here, here)] @ pull) > HELD_BACK:
-                found.add(name)
-        return frozenset(found)
+    @cached_property
+    def amplitudes(self) -> dict[str, NDArray[np.int64]]:
+        """Coordinates of every fitted amplitude, by name."""
+        found: dict[str, set[int]] = {}
+        for fitted in self._fitted:
+            for _, s, at in fitted:
+                if s.scaled:
+                    found.setdefault(s.name, set()).add(at)
+        return {name: np.array(sorted(here), dtype=np.int64) for name, here in found.items()}
 
     @cached_property
     def prior_centre(self) -> FloatArray:
@@ -680,6 +677,36 @@ class Refit:
         made: FloatArray = self.jacobian.T @ self.jacobian + self.plan.own_prior_matrix
         return made
 
+    @cached_property
+    def loosened(self) -> Refit:
+        """The refit with wider priors for those amplitudes that theirs hold back.
+
+        An amplitude far beyond its plausible size is pulled back by its prior, by a small share of
+        itself that may be many standard deviations: a trace of the effect stays in the residual,
+        and other parameters make up for the rest of it.
+        """
+        loose = self.plan.loose | self._held_back()
+        if loose == self.plan.loose:
+            return self
+        return refit(replace(self.plan, loose=loose), self.x, most_steps=60)
+
+    def _held_back(self) -> set[str]:
+        away, prior = self.x - self.plan.prior_centre, self.plan.own_prior_matrix
+        far = [
+            (name, here)
+            for name, here in self.plan.amplitudes.items()
+            if np.mean(away[here] ** 2) >= BEYOND**2
+        ]
+        if not far:  # as a rule; the covariance is not needed then
+            return set()
+        covariance = np.linalg.inv(self.normal)
+        found = set()
+        for name, here in far:
+            pull = prior[np.ix_(here, here)] @ away[here]
+            if float(pull @ covariance[np.ix_(here, here)] @ pull) > HELD_BACK:
+                found.add(name)
+        return found
+
     @property
     def tau(self) -> float:
         """s"""
@@ -827,23 +854,6 @@ def refit(
             converged = True
             break
     return Refit(plan, x, residual, objective, converged)
-
-
-def loosened(fitted: Refit) -> Refit:
-    """The refit with wider priors for those amplitudes that theirs hold back.
-
-    An amplitude far beyond its plausible size is pulled back by its prior, by a small share of
-    itself that may be many standard deviations: a trace of the effect stays in the residual, and
-    other parameters make up for the rest of it.
-    """
-    plan = fitted.plan
-    if not plan.parts:
-        return fitted
-    covariance = np.asarray(np.linalg.inv(fitted.normal), dtype=float)
-    loose = plan.held_back(fitted.x, covariance)
-    if not loose - plan.loose:
-        return fitted
-    return refit(replace(plan, loose=plan.loose | loose), fitted.x, most_steps=60)
 
 
 def _stepped(plan: Plan, x: FloatArray, index: NDArray[np.int64], step: FloatArray) -> FloatArray:

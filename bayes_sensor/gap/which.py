@@ -23,7 +23,7 @@ from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.embedded import WEIGHT, embedded_rivals
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.jumps import SEEN, jumps, swept
-from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, Sketch, loosened, refit, with_tau
+from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, Sketch, refit, with_tau
 
 PRIOR_NONE = 0.5
 PRIOR_UNLISTED = 0.15
@@ -246,7 +246,7 @@ def _average(
 ) -> _Average:
     """The evidence averaged over forms (and discrepancies), and where it puts ln tau."""
     logs, weights, found, owners = [], [], [], []
-    for fitted, weight in [(loosened(f), w) for f, w in fits]:
+    for fitted, weight in [(f.loosened, w) for f, w in fits]:
         beside = [None] if discrepancies is None else discrepancies
         for d, made in zip(beside, Linearised(fitted).evidences(beside), strict=True):
             logs.append(made.log_z)
