@@ -8,10 +8,11 @@ from scipy.signal import lfilter
 
 from bayes_sensor.campaign import Campaign
 from bayes_sensor.gap import diagnose_gap
+from bayes_sensor.gap.bins import PHASES
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.events import look_for_events
 from bayes_sensor.gap.floor import Quiet, Stretch, lattice_step, rounding_bias
-from bayes_sensor.gap.full_rate import FullRate, look_at_tails, rounds_away
+from bayes_sensor.gap.full_rate import FullRate, Place, look_at_tails, rounds_away
 from bayes_sensor.gap.lines import look_for_lines
 from bayes_sensor.gap.patches import (
     _runs_of_bins,
@@ -21,7 +22,13 @@ from bayes_sensor.gap.patches import (
 )
 from bayes_sensor.gap.ringing import look_for_ringing
 from bayes_sensor.gap.sketch import fit_base, prepare
-from bayes_sensor.gap.verdict import MISTAKEN_BY_SAMPLES, standing
+from bayes_sensor.gap.verdict import (
+    ELSEWHERE,
+    MISTAKEN_BY_SAMPLES,
+    MOSTLY_ELSEWHERE,
+    standing,
+    stands_beside,
+)
 from bayes_sensor.model import Layout
 from bayes_sensor.reality import draw_case, make_campaign
 from tests.gap_cases import design, diagnosed, measured, noise, theta
@@ -425,6 +432,55 @@ def test_a_line_that_moves_the_bins_is_a_rival_of_the_effects():
     assert fast.looks_unlisted < 0.3 and slow.looks_unlisted > 0.95
     assert slow.unlisted == pytest.approx(1.0 - MISTAKEN_BY_SAMPLES, abs=0.05)
     assert sum(fast.rows.values()) == pytest.approx(sum(slow.rows.values())) == pytest.approx(1.0)
+
+
+def bumped(effects: dict[str, float | None], volts: float = 0.06) -> Campaign:
+    """A measured campaign with a bump on the plateau of its second record."""
+    campaign = measured(effects, seed=3)
+    experiments = list(campaign)
+    e = experiments[1]
+    middle = 0.5 * (e.commanded_on + e.commanded_off) + 4.0
+    experiments[1] = replace(e, y=e.y + volts * np.exp(-0.5 * ((e.t - middle) / 0.3) ** 2))
+    return replace(campaign, experiments=tuple(experiments))
+
+
+def test_an_event_stands_beside_an_effect_that_shows_elsewhere_and_is_unlisted_by_itself():
+    alone = diagnose_gap(bumped({}), bootstrap=0, separate=False, hidden=False)
+    assert alone.verdict.kind == "unlisted" and "something happens once" in alone.verdict.sentence
+    both = diagnose_gap(bumped({"flow_error": 1.15}), bootstrap=0, separate=False, hidden=False)
+    assert both.verdict.effects == ("flow_error",) and both.standing.unlisted < 0.3
+    assert "In experiment 2 something happens once" in both.verdict.sentence
+    # tau is that of the effect: without it the fit has lost it
+    tau = 0.06
+    assert both.shrink.tau_after_low_s < tau < both.shrink.tau_after_high_s
+    assert abs(np.log(both.shrink.tau_after_s / tau)) < 0.2
+    assert abs(np.log(both.shrink.tau_before_s / tau)) > 0.4
+
+
+def test_an_effect_that_lives_by_an_event_does_not_stand_beside_it():
+    weighing = diagnosed("flow_error").weighing
+    base, sketch = weighing.base, weighing.sketch
+    fitted = weighing.find("flow_error").refit
+    gain = base.residual**2 - fitted.residual**2
+    plateaus = np.concatenate([b.phase == PHASES.index("plateau") for b in sketch.bins])
+    event = FullRate("event", 20.0, {}, 5.0, (Place(1, 20.0, 30.0),))
+    steady = FullRate("unsteady", 20.0, {"unsteady_Hz": 0.2}, None)
+    assert gain[~plateaus].sum() > max(ELSEWHERE, MOSTLY_ELSEWHERE * gain.sum())
+    assert stands_beside(event, fitted, base) and stands_beside(steady, fitted, base)
+    # nothing explains nothing beside it, and what acts on the mean itself is a rival
+    assert not stands_beside(event, base, base)
+    assert not stands_beside(replace(event, places=()), fitted, base)
+    for name in ("patch", "break", "ringing", "swing"):
+        assert not stands_beside(replace(event, name=name), fitted, base)
+    # the same gain, where the event is
+    at = np.flatnonzero(sketch.bins[1].phase == PHASES.index("plateau")) + sketch.rows[1].start
+    moved = base.residual.copy()
+    moved[at[0]] = 0.0
+    was = base.residual.copy()
+    was[at[0]] = np.sqrt(gain.sum())
+    assert not stands_beside(event, replace(fitted, residual=moved), replace(base, residual=was))
+    unstruck = replace(event, places=(Place(2, 20.0, 30.0),))
+    assert stands_beside(unstruck, replace(fitted, residual=moved), replace(base, residual=was))
 
 
 def test_rounding_biases_bins_as_the_covariance_says():

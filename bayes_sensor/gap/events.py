@@ -81,7 +81,7 @@ def look_for_events(
     the size of the shortest bumps in their record, since a converter's range and the sampling
     interval are a record's own.  They are scaled by their median absolute value over all stretches
     with the same gas, so that the noise's spectrum does not matter and an event that is rare in
-    time does not hide itself.
+    time does not hide itself; the tails of that noise are measured on either side.
     ``heavy_tailed``: single samples are, and so means over a few of them may be.
     ``ln B`` of a stretch averages, over positions and the amplitude's plausible spread, the ratio
     of t densities; widths and shapes are averaged over for each stretch, or for all together,
@@ -94,7 +94,7 @@ def look_for_events(
     use = [(s, (x / size, q), dt) for (s, (x, q), dt), size in zip(use, sizes, strict=True)]
     found: list[dict[Hashable, float]] = [{} for _ in use]
     clearest = [Place(u[0].experiment, 0.0, 0.0) for u in use]
-    tails: dict[tuple[str, int], float] = {}
+    tails: dict[tuple[str, int], tuple[float, float]] = {}
     for width in WIDTHS:
         for shape, span in ((bump, BUMP_SPAN), (_jump, 2)):
             blocks = [max(1, round(width / dt)) for _, _, dt in use]
@@ -106,30 +106,32 @@ def look_for_events(
                 here = [k for k, u in enumerate(use) if u[0].level == level and len(made[k]) > 0]
                 if not here:
                     continue
-                usual = usual_size(np.concatenate([made[k] for k in here]))
+                values = np.concatenate([made[k] for k in here])
+                usual = usual_size(values)
                 if usual <= 0.0:
                     continue
                 seconds = sum(len(made[k]) * use[k][2] for k in here)
-                sizes_here = np.abs(np.concatenate([made[k] for k in here])) / usual
-                measured = tail_dof(sizes_here, seconds, width)
-                # where records are too short to tell, tails are those of the widest that is told
-                tail = tails.get((shape.__name__, level), np.inf) if measured is None else measured
-                tails[shape.__name__, level] = tail
-                dof = min(known_dof(seconds, width), tail)
-                dof = min(dof, HEAVY_DOF) if heavy_tailed else dof
+                last = tails.get((shape.__name__, level), (np.inf, np.inf))
+                below, above = _tails(values / usual, seconds, width, last)
+                tails[shape.__name__, level] = below, above
+                known = min(known_dof(seconds, width), HEAVY_DOF if heavy_tailed else np.inf)
                 for k in here:
                     square = (made[k] / usual) ** 2
+                    dof = np.minimum(np.where(made[k] > 0.0, above, below), known)
                     found[k][width, shape.__name__] = _surprise(square, dof)
-                    at = int(np.argmax(square))
                     # brought to a Gaussian's tails, so that widths compare
-                    clear = float(dof * np.log1p(square[at] / dof))
-                    if clear > clearest[k].size:
+                    clear = dof * np.log1p(square / dof)
+                    at = int(np.argmax(clear))
+                    if clear[at] > clearest[k].size:
                         stretch, _, dt = use[k]
                         when = stretch.begin + (at + 0.5 * span * blocks[k]) * dt
-                        clearest[k] = Place(stretch.experiment, when, clear)
+                        clearest[k] = Place(stretch.experiment, when, float(clear[at]))
     found_event = of_places("event", found, clearest)
-    longest = [min((d for (_, at), d in tails.items() if at == g), default=np.inf) for g in (0, 1)]
-    return Events(found_event, (longest[0], longest[1]))
+    baseline, plateau = (
+        min((min(d) for (_, level), d in tails.items() if level == gas), default=np.inf)
+        for gas in (0, 1)
+    )
+    return Events(found_event, (baseline, plateau))
 
 
 def _own_sizes(records: Sequence[tuple[Stretch, FloatArray, FloatArray, float]]) -> FloatArray:
@@ -263,12 +265,30 @@ def tail_dof(sizes: FloatArray, seconds: float, width: float) -> float | None:
     return min(found, default=None)
 
 
-def _surprise(square: FloatArray, dof: float) -> float:
+def _tails(
+    values: FloatArray, seconds: float, width: float, last: tuple[float, float]
+) -> tuple[float, float]:
+    """Degrees of freedom of differences (n,) of median size .6745 below 0 and above it.
+
+    Noise that is squared on its way has a long tail on one side only; where both have one, both
+    together tell it best.  Where records are too short to tell a side's, it is that of the ``last``
+    width that was told.
+    """
+    both = tail_dof(np.abs(values), seconds, width)
+    sides = []
+    for side, before in zip((values < 0.0, values > 0.0), last, strict=True):
+        own = tail_dof(np.abs(values[side]), seconds * float(side.mean()), width)
+        sides.append(min(before if own is None else own, np.inf if both is None else both))
+    below, above = sides
+    return below, above
+
+
+def _surprise(square: FloatArray, dof: FloatArray) -> float:
     """ln of the mean over positions and spreads of the ratio of t densities."""
     return float(logsumexp(surprises(square, dof)) - np.log(len(square)))
 
 
-def surprises(square: FloatArray, dof: float) -> FloatArray:
+def surprises(square: FloatArray, dof: float | FloatArray) -> FloatArray:
     """(n,) ln of the mean over spreads of the ratio of t densities, per position."""
     wider = 1.0 + np.array(EVENT_RATIOS)[:, None]
     logs = 0.5 * (dof + 1.0) * (np.log1p(square / dof) - np.log1p(square / dof / wider))

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
+from bayes_sensor.gap.bins import PHASES
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.full_rate import OF_UNLISTED_ORIGIN, FullRate
+from bayes_sensor.gap.refit import Refit, Sketch
 from bayes_sensor.gap.which import PRIOR_NONE, PRIOR_UNLISTED, Hypothesis, Weighing
 
 NAMED = 0.9
@@ -31,6 +34,10 @@ MISTAKEN_BY_SAMPLES = 0.45
 raised most of these alarms; how common such noise is elsewhere, nobody knows"""
 LIKELIER = 0.5
 """probability of looking unlisted from which nothing else is stated: likelier than all the rest"""
+ELSEWHERE = 25.0
+"""drop of the squared residual, where a finding is not, from which an effect does not live by it"""
+MOSTLY_ELSEWHERE = 0.8
+"""share of its whole drop that this makes up at least"""
 GATE = 4.0
 """standard deviations of misfit left under a named effect from which it is unlisted after all"""
 
@@ -71,17 +78,14 @@ def standing(
     """Join what explains the mean with what the samples say; the two are independent.
 
     A line of unlisted origin (a pump's, a fan's) is no rival of an effect on the mean, which it
-    leaves alone: it stays beside the effect, and is the unlisted cause where nothing else is.
+    leaves alone: it stays beside the effect, and is the unlisted cause where nothing else is.  So
+    does what happens on plateaus beside an effect that shows elsewhere (:func:`stands_beside`).
     """
     rows: dict[str, float] = {"none": 0.0, "unlisted": 0.0}
     rows.update({name: 0.0 for name in catalogue})
     on_noise = {f.name: f.probability for f in full_rate if f.name in catalogue}
     silent = float(np.prod([1.0 - p for p in on_noise.values()]))
     unlisted = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN]
-    rivals = [f for f in unlisted if not f.beside_the_mean]
-    other, rival = (
-        1.0 - float(np.prod([1.0 - f.probability for f in some])) for some in (unlisted, rivals)
-    )
     likely = max(on_noise, key=lambda n: on_noise[n]) if on_noise else ""
     of_samples = 0.0
     alike = np.array([_look_alike(weighing, h) for h in weighing.hypotheses])
@@ -91,7 +95,8 @@ def standing(
         if h.incomplete:
             rows["unlisted"] += float(p)
             continue
-        taken = rival if h.effects else other
+        rivals = [f for f in unlisted if not stands_beside(f, h.refit, weighing.base)]
+        taken = 1.0 - float(np.prod([1.0 - f.probability for f in rivals]))
         of_samples += float(p) * taken
         rest = float(p) * (1.0 - taken)
         name = "+".join(h.effects) or "none"
@@ -128,6 +133,39 @@ def standing(
     return Standing(
         rows, effects, families, rows["none"], rows["unlisted"], looks_unlisted, looks_by_mean
     )
+
+
+def stands_beside(found: FullRate, fitted: Refit, base: Refit) -> bool:
+    """Whether a finding of unlisted origin takes nothing from an explanation of the mean.
+
+    A fast line averages out of the bins, whatever the effect.  An event, or plateaus that are
+    unsteady, may be what an effect is fitted to, unless the effect explains most of what it does in
+    other phases or records.
+    """
+    if not fitted.plan.parts:
+        return False
+    if found.beside_the_mean:
+        return True
+    touched = _touched(found, base.plan.sketch)
+    if touched is None:
+        return False
+    gain = base.residual**2 - fitted.residual**2
+    elsewhere = float(gain[~touched].sum())
+    return elsewhere >= max(ELSEWHERE, MOSTLY_ELSEWHERE * float(gain.sum()))
+
+
+def _touched(found: FullRate, sketch: Sketch) -> NDArray[np.bool_] | None:
+    """(n_bins in all,) phases that a finding on quiet stretches is in; None for any other."""
+    if found.name == "unsteady":
+        return np.concatenate([b.phase == PHASES.index("plateau") for b in sketch.bins])
+    if found.name != "event" or not found.places:
+        return None
+    touched = [np.zeros(len(b.phase), dtype=bool) for b in sketch.bins]
+    for place in found.places:
+        b = sketch.bins[place.experiment]
+        struck = b.phase[int(np.argmin(np.abs(b.centre - place.time)))]
+        touched[place.experiment] |= b.phase == struck
+    return np.concatenate(touched)
 
 
 def _look_alike(weighing: Weighing, h: Hypothesis) -> float:

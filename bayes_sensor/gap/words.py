@@ -13,7 +13,7 @@ from bayes_sensor.gap.full_rate import FOUND, OF_UNLISTED_ORIGIN, UNITS, FullRat
 from bayes_sensor.gap.how_far import Closure
 from bayes_sensor.gap.refit import Sketch
 from bayes_sensor.gap.separate import Separation
-from bayes_sensor.gap.verdict import NAMED, Standing
+from bayes_sensor.gap.verdict import NAMED, Standing, stands_beside
 from bayes_sensor.gap.where import CLEAR, Map
 from bayes_sensor.gap.which import Hypothesis, Weighing
 from bayes_sensor.notebook import shown
@@ -292,7 +292,9 @@ def sentence(
         words += [_finding_words(f, names, unit) for f in findings]
         return " ".join([*words, _likeness(weighing, unit)]).rstrip()
     sketch = best.refit.plan.sketch
-    besides = [_finding_words(f, names, unit) for f in findings if f.beside_the_mean]
+    base = weighing.base
+    found_beside = [f for f in findings if stands_beside(f, best.refit, base)]
+    besides = [_finding_words(f, names, unit) for f in found_beside]
     if kind == "family":
         helps = next((s for s in separations if s.addition), None)
         advice = (
