@@ -81,7 +81,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (53, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (56, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -297,6 +297,12 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("flaring_catalyst", {"rise", "plateau", "fall"}, 0.99),
         ("swinging_pen", {"rise", "plateau", "fall"}, 0.99),
         ("distrustful_filter", {"rise", "fall"}, 0.99),
+        ("stiff_check_valve", {"rise", "fall"}, 0.99),
+        ("warming_coil", {"rise", "plateau", "fall"}, 0.999),
+        ("foreign_gas_factor", {"rise", "plateau", "fall"}, 0.999),
+        ("filling_from_below", {"rise", "fall"}, 0.99),
+        ("uneven_bonds", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("missed_fringes", {"rise", "plateau", "fall"}, 0.999),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

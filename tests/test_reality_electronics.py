@@ -21,6 +21,7 @@ from bayes_sensor.reality.stages import (
     envelope,
     kept,
     log_amplifier,
+    miscounted,
     oscillating_lag,
     overloaded,
     parabola,
@@ -901,3 +902,59 @@ def test_a_ramped_magnet_induces_two_even_voltages_that_cancel() -> None:
             assert 1.9 < ramp < 12.1 and 0.1 < eddies < 1.0
         assert len(times) == 1  # one magnet, one loop
     assert taken >= 6
+
+
+def test_a_counter_loses_the_fringes_that_come_too_fast() -> None:
+    # twice as fast as it counts: it loses every other one, and what is slow brings none back
+    t = np.linspace(0.0, 6.0, 6001)
+    y = np.interp(t, [1.0, 2.03, 4.0, 4.52, 6.0], [0.0, 2.06, 2.06, 1.02, 1.02])
+    counted = miscounted(t, y, 1.0, 0.1)
+    assert counted[t < 1.0].max() == 0.0
+    assert counted[3000] == pytest.approx(2.06 - 10 * 0.1)
+    assert counted[-1] == pytest.approx(1.02 - 5 * 0.1)
+    assert np.array_equal(miscounted(t, y, 2.1, 0.1), y)
+
+    strength, counts = 1.2, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"missed_fringes": strength})
+        knobs, seen = prepared_rig(rig)["1"], clean_signals(rig)
+        fringe, steepest = knobs.fringe_width, []
+        assert 0.01 < fringe / np.mean([step.beta for step in rig.steps]) < 0.06
+        for step in rig.steps:
+            t = sample_times(step)
+            y, _ = voltage(rig, step, Knobs(), t)
+            lost = (y - seen[step.name]) / fringe
+            assert lost == pytest.approx(np.rint(lost), abs=1e-6)
+            # as many as an integral over the steep part holds
+            for begin, end, way in ((0.0, step.tf, 1), (step.tf, step.duration, -1)):
+                fine = np.linspace(begin, end, 200_001)
+                slope = np.abs(np.gradient(voltage(rig, step, Knobs(), fine)[0], fine))
+                steepest.append(slope.max())
+                beyond = np.trapezoid(np.maximum(slope - knobs.countable, 0.0), fine) / fringe
+                inside = lost[(t >= begin) & (t < end)]
+                found = way * (inside[-1] - inside[0])
+                assert abs(found - np.floor(beyond)) < 0.1 or abs(beyond - np.rint(beyond)) < 0.05
+                counts.append(found)
+        assert knobs.countable * (1.0 + strength) == pytest.approx(max(steepest), rel=1e-2)
+    assert min(counts) < 2.0 and max(counts) > 4.0  # slow experiments lose none or few
+
+
+def test_a_lock_in_amplifier_reads_the_length_of_light_and_leak() -> None:
+    strength, angles = 0.5, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"lock_in_magnitude": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        size = strength * np.mean([step.beta for step in rig.steps])
+        # by the law of cosines what is added to the square is linear in the voltage
+        y = np.concatenate([plain[step.name] for step in rig.steps])
+        R = np.concatenate([seen[step.name] for step in rig.steps])
+        slope, square = np.polyfit(y, R**2 - y**2, 1)
+        assert np.sqrt(square) == pytest.approx(size, rel=1e-6)
+        angle = np.arccos(0.5 * slope / size)
+        angles.append(angle / np.pi)
+        # and the crest of both oscillations together
+        turn = np.linspace(0.0, 2.0 * np.pi, 2001)
+        for i in range(0, len(y), len(y) // 50):
+            crest = np.max(y[i] * np.cos(turn) + size * np.cos(turn - angle))
+            assert R[i] == pytest.approx(crest, rel=1e-5)
+    assert 0.4 < min(angles) < max(angles) < 0.8

@@ -699,3 +699,35 @@ def test_a_cold_lamp_goes_past_its_best_against_an_ode_solver() -> None:
             assert x.max() > 1.02
         bests.append(best)
     assert 0.35 < min(bests) < max(bests) < 0.7
+
+
+def test_a_foreign_gas_factor_is_off_only_while_there_is_test_gas_against_an_ode_solver() -> None:
+    strength, factors = 0.6, set()
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"foreign_gas_factor": strength})
+        seen, ends = clean_signals(rig), []
+        for step in rig.steps:
+            level = seen[step.name][np.searchsorted(sample_times(step), step.tf) - 1]
+            ends.append((level - step.y0) / step.beta)
+        up = ends[0] > 1.0
+        factor = np.exp(strength if up else -strength)
+        factors.add(up)
+        for k, (step, end) in enumerate(zip(rig.steps, ends, strict=True)):
+            c = step.concentration
+            # one factor throughout, of which the other gas is thinned
+            assert end == pytest.approx(factor / (1.0 + (factor - 1.0) * c), rel=2e-3)
+
+            def off(
+                u: float, x: FloatArray, carrier: float = step.carrier_flow,
+                test: float = step.test_gas_flow, c: float = c, factor: float = factor,
+                rig: Case = rig,
+            ) -> list[float]:  # fmt: skip
+                gas = factor * test * x[0]
+                flow = carrier + gas + test * (1.0 - x[0])  # as much carrier as was to be test gas
+                inlet = gas / flow / c
+                return [(u - x[0]) / rig.tau_v, flow / rig.V * (inlet - x[1]),
+                        (x[1] - x[2]) / rig.tau]  # fmt: skip
+
+            _, states = solved(rig, off, 3, k=k)
+            assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-3
+    assert factors == {False, True}

@@ -13,7 +13,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality import Case, clean_signals, draw_case, sample_times, without_causes
 from bayes_sensor.reality.rig import Knobs, voltage
 from bayes_sensor.reality.simulator import prepared_rig
-from bayes_sensor.reality.stages import laminar, looped, splitting
+from bayes_sensor.reality.stages import laminar, looped, splitting, two_layers
 from tests.reality_cases import case, solved
 
 
@@ -714,3 +714,37 @@ def lagged(t: FloatArray, u: FloatArray, tau: float) -> FloatArray:
     last = 1.0 - tau / h * (1.0 - e)
     first = 1.0 - e - last
     return np.asarray(lfilter([last, first], [1.0, -e], u))
+
+
+def test_heavy_gas_fills_from_below_and_stays_there_against_an_ode_solver() -> None:
+    strength, floors = 0.7, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"filling_from_below": strength})
+        seen, floor = clean_signals(rig), prepared_rig(rig)["1"].floor
+        floors.append(floor)
+        for k, step in enumerate(rig.steps):
+            eddies = 1.0 / (strength * rig.relative_concentration(step)) - 1.0
+
+            def filling(
+                u: float, x: FloatArray, q: float = step.total_flow, floor: float = floor,
+                eddies: float = eddies, rig: Case = rig,
+            ) -> list[float]:  # fmt: skip
+                below, above = (q, 0.0) if x[0] > x[1] else (0.0, q)
+                # mL/s of gas into either layer, less what leaves it
+                up = (below + eddies * q) * x[1]
+                low = below * x[0] + eddies * q * x[2] - up
+                high = above * x[0] + up - (q + eddies * q) * x[2]
+                layers = [low / (floor * rig.V), high / ((1.0 - floor) * rig.V)]
+                return [(u - x[0]) / rig.tau_v, *layers, (x[1] - x[3]) / rig.tau]
+
+            _, states = solved(rig, filling, 4, k=k)
+            assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 3]).max() < 1e-3
+    assert 0.2 < min(floors) < max(floors) < 0.6
+    # without eddies only the floor's part is filled, and never emptied; with many it is one volume
+    t = np.linspace(0.0, 20.0, 4001)
+    u, rate = (t < 10.0).astype(float), np.full(len(t), 0.8)
+    still = two_layers(t, u, rate, 0.4, 0.0)
+    assert still[t < 10.0] == pytest.approx(-np.expm1(-2.0 * t[t < 10.0]), abs=1e-9)
+    assert np.all(still[t >= 10.1] > 0.999)
+    stirred = two_layers(t, u, rate, 0.4, 1e6)
+    assert stirred[t < 10.0] == pytest.approx(-np.expm1(-0.8 * t[t < 10.0]), abs=1e-5)

@@ -781,6 +781,74 @@ def test_toothed_diffused_and_squared_noise_are_what_they_say() -> None:
     assert not (gear.is_ar1 or electrode.is_ar1 or mirror.is_ar1)
 
 
+def test_flapping_startled_and_bubbling_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(39)
+    h = 1e-3
+    part = Component(1.0, 0.02, shape="flapping", gust_time=0.05)
+    damper = NoiseLaw("flapping_damper", 1.0, components=(part,))
+    z = draw_noise(damper, 2_000_000, h, rng)
+    # a beta distribution between the levels: variance 1/(2 a + 1), kurtosis 3 (2 a + 1)/(2 a + 3)
+    a = 0.5 * 0.02 / 0.05
+    x = z / np.sqrt(2.0 * a + 1.0)
+    assert np.abs(x).max() <= 1.0 and np.abs(x).max() > 0.999
+    assert np.mean(x**2) == pytest.approx(1.0 / (2.0 * a + 1.0), rel=0.02)
+    assert np.mean(z**4) == pytest.approx(3.0 * (2.0 * a + 1.0) / (2.0 * a + 3.0), rel=0.03)
+    # the lag undone there are both levels, and between them what flaps within a sample
+    left = np.exp(-h / 0.02)
+    level = (x[1:] - left * x[:-1]) / (1.0 - left)
+    at_one = np.abs(np.abs(level) - 1.0) < 1e-6
+    assert np.mean(at_one) == pytest.approx(np.exp(-0.5 * h / 0.05), abs=2e-3)
+    sign = np.sign(level)
+    assert np.mean(sign[50:] * sign[:-50]) == pytest.approx(np.exp(-1.0), abs=0.02)
+    R = autocorrelation(damper, 200, h)
+    for lag in (1, 10, 40, 150):
+        # what passes two lags in a row, by its spectrum
+        w = np.linspace(0.0, 4e4, 4_000_001)
+        power = 1.0 / ((1.0 + (0.02 * w) ** 2) * (1.0 + (0.05 * w) ** 2))
+        assert R[lag] == pytest.approx(
+            np.trapezoid(power * np.cos(w * lag * h), w) / np.trapezoid(power, w), abs=1e-4
+        )
+
+    part = Component(1.0, shape="startled", depth=0.3)
+    receiver = NoiseLaw("startled_receiver", 1.0, components=(part,))
+    z = draw_noise(receiver, 4_000_000, h, rng)
+    assert z.std() == pytest.approx(1.0, abs=0.01)
+    assert np.mean(z**4) == pytest.approx(3.0 * (1.0 - 0.09) / (1.0 - 3.0 * 0.09), rel=0.05)
+    # white, and its squares are an autoregression of the first order
+    square = z**2 - np.mean(z**2)
+    for lag in (1, 2, 3):
+        assert abs(np.mean(z[lag:] * z[:-lag])) < 3e-3
+        remembered = np.mean(square[lag:] * square[:-lag]) / square.var()
+        assert remembered == pytest.approx(0.3**lag, abs=0.02)
+    # after a large sample, and not before one of the same size, it is loud
+    large = np.flatnonzero(np.abs(z[1:-1]) > 2.5) + 1
+    loud = np.mean(z[large + 1] ** 2)
+    assert loud == pytest.approx(0.7 + 0.3 * np.mean(z[large] ** 2), rel=0.05)
+    assert autocorrelation(receiver, 4, h) == pytest.approx([1.0, 0.0, 0.0, 0.0])
+
+    part = Component(1.0, 0.02, shape="bubbles", rate=0.4)
+    nozzle = NoiseLaw("bubbling_nozzle", 1.0, components=(part,))
+    z = draw_noise(nozzle, 2_000_000, h, rng)
+    assert abs(z.mean()) < 0.01 and z.std() == pytest.approx(1.0, abs=0.02)
+    R = autocorrelation(nozzle, 2000, h)
+    for lag in (1, 5, 20, 50, 100):
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.02)
+    # a bubble is a step up; of two stages each, their waits vary by the root of a half
+    steps = z[1:] - np.exp(-h / 0.02) * z[:-1]
+    come = steps > steps.min() + 0.3
+    waits = np.diff(np.flatnonzero(come)) * h
+    assert waits.mean() == pytest.approx(0.02 / 0.4, rel=0.03)
+    assert waits.std() / waits.mean() == pytest.approx(0.5**0.5, abs=0.02)
+    # so that over long times their number strays half as much as were they independent
+    many = come[: len(come) // 2000 * 2000].reshape(-1, 2000).sum(axis=1)
+    assert many.var() / many.mean() == pytest.approx(0.5, abs=0.1)
+    # over as many pulses' worth of area as come in the mean, what is slow tells the same
+    variance = 0.4 * (2.0 * 0.4 + 1.0) / (2.0 * (4.0 * 0.4 + 1.0))
+    area = 0.02 / np.sqrt(variance)
+    assert (R[0] + 2.0 * R[1:].sum()) * h == pytest.approx(0.5 * 20.0 * area**2, rel=0.02)
+    assert not (damper.is_ar1 or receiver.is_ar1 or nozzle.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):

@@ -599,3 +599,30 @@ def test_the_whole_lorentzian_is_read() -> None:
     # the plateau is reached to exp(-tens of time constants) only
     assert np.abs((y - step.y0) / step.beta - scaled).max() < 1e-5
     assert np.abs(y - straight).max() > 0.02 * step.beta
+
+
+def test_a_clamp_slips_when_the_strain_is_too_much() -> None:
+    strength, ways, lasting = 0.1, set(), []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"slipping_clamp": strength})
+        size = strength * np.mean([step.beta for step in rig.steps])
+        seen = 0
+        for step, strain in offsets(rig, atol=1e-6):
+            seen += 1
+            t = np.linspace(0.0, step.duration, 300_001)
+            pull = strain(t) / size
+            change = np.diff(pull)
+            rate = np.median(change) / t[1]
+            ways.add(np.sign(rate))
+            slips = np.flatnonzero(np.abs(change / t[1] - rate) > 1e-6 * abs(rate) + 1e-9)
+            # everywhere the same slope, but where it comes back to rest from another strain
+            assert np.all(change[slips] * rate < 0.0)
+            assert np.abs(pull[slips + 1]).max(initial=0.0) <= abs(rate) * t[1] * 1.001
+            strains = np.abs(pull[slips])
+            assert np.all((strains > 0.399) & (strains < 1.6))
+            assert len(strains) < 3 or np.ptp(strains) > 0.1
+            assert np.abs(pull).max() < 1.6
+            lasting.append(1.0 / abs(rate))
+        assert seen == len(rig.steps)
+    assert ways == {-1.0, 1.0}
+    assert 1.5 < min(lasting) < 0.5 * max(lasting) < 16.7

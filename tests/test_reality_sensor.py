@@ -17,6 +17,7 @@ from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
     burning,
     capillary,
+    elovich,
     flaring,
     glassy,
     islands,
@@ -552,3 +553,45 @@ def test_the_layered_film_is_a_delay_of_the_stated_mean_and_not_one_lag() -> Non
     assert np.all(np.diff(x) > -1e-10)  # rounding of the modes' sum
     # a film holds back at first: far less than the lag's 1 - exp(-0.1) after a tenth of its mean
     assert np.interp(0.005, t, x) < 0.3 * (1.0 - np.exp(-0.1))
+
+
+def test_uneven_bonds_fill_and_empty_as_logarithms() -> None:
+    # Elovich's law of release, from the full coverage down to nothing
+    t = np.linspace(0.0, 60.0, 6001)
+    g = np.where(t < 20.0, 1.0, 0.0)
+    bound = elovich(t, g, 1.8, 0.7)
+    assert bound[t < 20.0][-1] == pytest.approx(1.0, abs=1e-6)
+    since = np.maximum(t - 19.995, 0.0)  # the gas goes between two nodes
+    left = np.maximum(1.0 - np.log1p(since / 1.4) / 1.8, 0.0)
+    assert bound[t > 20.1] == pytest.approx(left[t > 20.1], abs=3e-3)
+    assert bound[-1] == 0.0
+    # Temkin's isotherm, and none bound by too little gas
+    for gas in (0.05, 0.3, 0.8):
+        assert elovich(t, np.full(len(t), gas), 1.8, 0.7)[-1] == pytest.approx(
+            max(1.0 + np.log(gas) / 3.6, 0.0), abs=1e-6
+        )
+    assert elovich(t, np.full(len(t), 0.02), 1.8, 0.7).max() == 0.0
+
+    strength, bends = 0.2, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"uneven_bonds": strength})
+        knobs, seen = prepared_rig(rig)["1"], clean_signals(rig)
+        bends.append(knobs.bonds_bend)
+        for k, step in enumerate(rig.steps):
+            relative, exchange = rig.relative_concentration(step), step.total_flow / rig.V
+
+            def binding(
+                u: float, x: FloatArray, rig: Case = rig, relative: float = relative,
+                exchange: float = exchange, b: float = knobs.bonds_bend,
+                time: float = knobs.bonds_time,
+            ) -> list[float]:  # fmt: skip
+                settling = relative * x[1] * np.exp(b * (1.0 - x[3])) - np.exp(b * (x[3] - 1.0))
+                if x[3] <= 0.0:
+                    settling = max(settling, 0.0)
+                cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1])]
+                return [*cascade, (x[1] - x[2]) / rig.tau, 0.5 * settling / b / time]
+
+            _, states = solved(rig, binding, 4, k=k)
+            x = states[:, 2] + strength / relative * states[:, 3]
+            assert np.abs((seen[step.name] - step.y0) / step.beta - x).max() < 1e-3
+    assert 1.2 < min(bends) < max(bends) < 3.0

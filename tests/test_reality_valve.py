@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from bayes_sensor.campaign import FloatArray
@@ -380,3 +381,81 @@ def test_what_a_turning_valve_dams_up_comes_at_once_against_an_ode_solver() -> N
             _, states = solved(rig, pressing, 4, k=k, inputs=inputs)
             assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-3
     assert 0.15 < min(times) < 0.8 * max(times) < 0.8
+
+
+def test_a_check_valve_pops_open_and_shuts_altogether_against_an_ode_solver() -> None:
+    strength, shares = 0.4, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"stiff_check_valve": strength})
+        seen, reseats = clean_signals(rig), prepared_rig(rig)["1"].check_reseats
+        shares.append(reseats / strength)
+        for k, step in enumerate(rig.steps):
+
+            def checked(
+                u: tuple[float, bool], x: FloatArray, exchange: float = step.total_flow / rig.V,
+                reseats: float = reseats, rig: Case = rig,
+            ) -> list[float]:  # fmt: skip
+                passed = (x[0] - reseats) / (1.0 - reseats) if u[1] else 0.0
+                cascade = [(u[0] - x[0]) / rig.tau_v, exchange * (passed - x[1])]
+                return [*cascade, (x[1] - x[2]) / rig.tau]
+
+            # as a lag comes up to one share and down to another
+            opens = step.t0 - rig.tau_v * np.log(1.0 - strength)
+            shuts = step.tf - rig.tau_v * np.log(reseats)
+            inputs = [
+                (0.0, (0.0, False)), (step.t0, (1.0, False)), (opens, (1.0, True)),
+                (step.tf, (0.0, True)), (shuts, (0.0, False)),
+            ]  # fmt: skip
+            t, states = solved(rig, checked, 3, k=k, inputs=inputs)
+            x = (seen[step.name] - step.y0) / step.beta
+            assert np.abs(x - states[:, 2]).max() < 1e-3
+            assert np.abs(x[t < opens]).max() < 1e-9
+    assert 0.4 < min(shares) < max(shares) < 0.9
+
+
+def test_a_warming_coil_lets_the_valve_sink_against_an_ode_solver() -> None:
+    strength, times = 0.3, []
+    end = 1.0 - strength
+    k = strength / end**2
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"warming_coil": strength})
+        seen, found = clean_signals(rig), prepared_rig(rig)
+        first = rig.steps[0]
+        (lift,) = found[first.name].unmixed
+        # once its current is off it cools as one lag
+        left = 1.0 / lift(first.commanded_off + np.array([0.0, 3.0])) - 1.0
+        time = 3.0 / np.log(left[0] / left[1])
+        times.append(time)
+        warmth = 0.0
+        for number, step in enumerate(rig.steps):
+            (lift,) = found[step.name].unmixed
+
+            def sinking(
+                u: tuple[float, float], x: FloatArray, exchange: float = step.total_flow / rig.V,
+                time: float = time, rig: Case = rig,
+            ) -> list[float]:  # fmt: skip
+                current = 1.0 / (1.0 + k * x[3])
+                cascade = [(u[0] - x[0]) / rig.tau_v, exchange * (x[0] * current - x[1])]
+                return [*cascade, (x[1] - x[2]) / rig.tau, (u[1] * current - x[3]) / time]
+
+            on, off = step.commanded_on, step.commanded_off
+            t, states, y = sample_times(step), [], np.array([0.0, 0.0, 0.0, warmth])
+            edges = [
+                (0.0, (0.0, 0.0)), (on, (0.0, 1.0)), (step.t0, (1.0, 1.0)), (off, (1.0, 0.0)),
+                (step.tf, (0.0, 0.0)), (step.duration, (0.0, 0.0)),
+            ]  # fmt: skip
+            for (low, u), (high, _) in pairwise(edges):
+                inside = t[(t >= low) & (t < high)]
+                result = solve_ivp(
+                    lambda s, x, u=u, right=sinking: right(u, x), (low, high), y, rtol=1e-9,
+                    atol=1e-11, dense_output=True, max_step=0.1,
+                )  # fmt: skip
+                states.append(result.sol(inside)[2])
+                y = result.y[:, -1]
+            warmth = y[3]  # the next experiment begins with what is left
+            x = (seen[step.name] - step.y0) / step.beta
+            assert np.abs(x - np.concatenate(states)).max() < 1e-3
+            assert lift(np.array([on]))[0] == pytest.approx(1.0) if number == 0 else warmth > 0.0
+        # in the end the share is lost
+        assert lift(np.array([on + 0.999 * (off - on)]))[0] > end
+    assert 4.9 < min(times) < max(times) < 40.1

@@ -26,13 +26,15 @@ OPEN_LAWS = (
     "two_fans", "slow_meter", "crackling_cable",
     "sparkling_codes", "weighed_readings", "dimmed_lamps",
     "overcorrecting_zero", "rectified_pickup", "glassy_dielectric",
+    "worn_gear", "salty_electrode", "trembling_mirror",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("worn_gear", "salty_electrode", "trembling_mirror")
+RESERVE_LAWS = ("flapping_damper", "startled_receiver", "bubbling_nozzle")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
     "waning", "two_paced", "drilling", "crackling_cable", "sparkling_codes",
+    "startled_receiver", "bubbling_nozzle",
 )  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
 loudness"""
@@ -417,6 +419,32 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    flapping, startled, bubbling = (
+        own.uniform(0.05, 0.25), own.uniform(0.75, 0.95), own.uniform(0.6, 0.8)
+    )  # fmt: skip
+    lagging = exp(own.uniform(np.log(0.05), np.log(1.0)))
+    parts |= {
+        # a ventilation flap that the wind throws open and shut, and air that warms and cools behind
+        "flapping_damper": (
+            Component(1.0 - flapping, short),
+            Component(
+                flapping, lagging, shape="flapping", gust_time=own.uniform(1.3, 4.0) * lagging
+            ),
+        ),
+        # a receiver that sets its range by its last reading: after a large one it is coarse
+        "startled_receiver": (
+            Component(startled, shape="startled", depth=own.uniform(0.4, 0.55)),
+            Component(1.0 - startled, exp(own.uniform(np.log(0.02), np.log(0.2)))),
+        ),
+        # bubbles of one size, each of which must first form at the nozzle and then let go of it
+        "bubbling_nozzle": (
+            Component(1.0 - bubbling),
+            Component(
+                bubbling, exp(own.uniform(np.log(4e-3), np.log(4e-2))), shape="bubbles",
+                rate=exp(own.uniform(np.log(0.3), np.log(0.8))),
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -512,6 +540,12 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = _rectified_correlation(own)
         elif part.shape == "teeth":
             own = _toothed_correlation(part, lags)
+        elif part.shape == "flapping":
+            level = part.gust_time * np.exp(-lags / part.gust_time)
+            own = (level - part.time * own) / (part.gust_time - part.time)
+        elif part.shape == "bubbles":
+            own = _bubbling_covariance(part.rate, lags / part.time)
+            own /= _bubbling_covariance(part.rate, np.zeros(1))
         elif part.shape == "squared":
             own = (own * np.cos(2.0 * pi * part.frequency * lags)) ** 2
         elif part.shape == "stretched":
@@ -574,6 +608,8 @@ def _draw_part(
         return alternating
     if part.shape == "diffused":
         return _embedded(_antipersistent(part.depth, n + 1), rng)
+    if part.shape == "startled":
+        return _startled(_innovations(n + 60, rng, tails), part.depth)[60:]
     if part.shape == "sparkling":
         off = np.where(rng.random(n) < part.rate, 1.0 / sqrt(part.rate), 0.0)
         return np.where(rng.random(n) < 0.5, off, -off)
@@ -630,6 +666,10 @@ def _draw_part(
         return (modulus - sqrt(2.0 / pi)) / sqrt(1.0 - 2.0 / pi)
     if part.shape == "teeth":
         return _teeth(part, n, interval, rng)
+    if part.shape == "flapping":
+        return _flapping(part, n, interval, rng)
+    if part.shape == "bubbles":
+        return _bubbles(part, n, interval, rng)
     if part.shape == "squared":
         turn = np.exp(2j * pi * part.frequency * interval)
         kicks = rng.standard_normal(n) + 1j * rng.standard_normal(n)
@@ -948,6 +988,64 @@ def _teeth(part: Component, n: int, interval: float, rng: np.random.Generator) -
     levels = _remembering(rng.standard_normal((teeth, turns)), part.depth)
     knocks: FloatArray = levels[number % teeth, number // teeth]
     return knocks
+
+
+@njit(cache=True)
+def _startled(e: FloatArray, depth: float) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) white noise whose variance is 1 - ``depth`` and ``depth`` times the last one squared.
+
+    Of independent ``e`` (n,) (Engle, Econometrica 50, 987, 1982); of unit variance in the mean.
+    """
+    z = e.copy()
+    for i in range(1, len(z)):
+        z[i] *= sqrt(1.0 - depth + depth * z[i - 1] ** 2)
+    return z
+
+
+def _flapping(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) two levels, of correlation exp(-lag/``gust_time``), behind a lag of ``time``.
+
+    Followed exactly from turn to turn, from long before; of variance gust_time/(gust_time + time)
+    where the levels are 1 and -1.
+    """
+    early, lasting = 30.0 * part.time, n * interval
+    count = rng.poisson(0.5 * (lasting + early) / part.gust_time)
+    turns = np.concatenate([[-early], np.sort(rng.uniform(-early, lasting, count))])
+    levels = np.where((np.arange(count + 1) + rng.integers(2)) % 2 == 0, 1.0, -1.0)
+    left = np.exp(-np.diff(turns, prepend=-early) / part.time)
+    # at every turn what the level before has made of it
+    kicks = np.concatenate([[0.0], levels[:-1] * (1.0 - left[1:])])
+    begun = _forgetting(left, kicks)
+    at = np.arange(n) * interval
+    k = np.searchsorted(turns, at, side="right") - 1
+    x: FloatArray = levels[k] + (begun[k] - levels[k]) * np.exp(-(at - turns[k]) / part.time)
+    return x * sqrt(1.0 + part.time / part.gust_time)
+
+
+def _bubbling_covariance(rate: float, lags: FloatArray) -> FloatArray:
+    """Of unit pulses that die out and come ``rate`` in a time; lags in units of that.
+
+    Waits of two exponential stages: after one the next is missing, rate (1 - exp(-4 rate lag)) is
+    how densely others come (Cox and Lewis, The Statistical Analysis of Series of Events, 1966).
+    """
+    gap = 4.0 * rate
+    missing = (gap * np.exp(-lags) - np.exp(-gap * lags)) / (gap**2 - 1.0)
+    return np.asarray(0.5 * rate * np.exp(-lags) - rate**2 * missing)
+
+
+def _bubbles(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) equal pulses that die out in a ``time`` and wait for each other, less their mean."""
+    before = ceil(30.0 * part.time / interval)
+    lasting = (before + n) * interval / part.time
+    stages = 2.0 * part.rate * lasting
+    waits = rng.exponential(0.5 / part.rate, ceil(stages + 8.0 * sqrt(stages) + 40.0))
+    ends = np.cumsum(waits)[rng.integers(2) :: 2]  # the first one finds itself in either stage
+    at = ends[ends < lasting] * part.time / interval  # in samples
+    seen = at.astype(np.int64) + 1
+    left = np.exp(-(seen - at) * interval / part.time)
+    arriving = np.bincount(seen, left, before + n + 1)[: before + n]
+    x: FloatArray = lfilter([1.0], [1.0, -exp(-interval / part.time)], arriving)[before:]
+    return (x - part.rate) / sqrt(float(_bubbling_covariance(part.rate, np.zeros(1))[0]))
 
 
 def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

@@ -117,6 +117,10 @@ class Component:
     it is levels that each stand for a ``time`` and come again every ``gust_time``, ``depth`` of
     them old; with ``diffused`` (``time`` 0) the spectrum goes as f^(1 - 2 ``depth``); with
     ``squared`` it is what a damped oscillation's square takes away.
+    With ``flapping`` two levels of correlation ``exp(-lag/gust_time)`` have passed a lag of
+    ``time``; with ``startled`` (``time`` 0) it is white, of a variance that is for the share
+    ``depth`` the square of the sample before; with ``bubbles`` it is equal pulses that die out in a
+    ``time``, ``rate`` of them in it, each of which waits for two events after the one before.
     """
 
     share: float
@@ -132,7 +136,8 @@ class Component:
     ``conducting``, ``latching``, ``waning``, ``stops``, ``coded``, ``paces``, ``cut_off``,
     ``settling``, ``drilled``, ``hunting``, ``chattering``, ``replugged``, ``beating``, ``held``,
     ``trains``, ``sparkling``, ``binomial``, ``dimmed``, ``overcorrected``, ``rectified``,
-    ``stretched``, ``teeth``, ``diffused`` or ``squared``"""
+    ``stretched``, ``teeth``, ``diffused``, ``squared``, ``flapping``, ``startled`` or
+    ``bubbles``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

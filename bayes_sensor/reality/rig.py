@@ -71,6 +71,10 @@ class Knobs:
     """share of the pressure at which it snaps through"""
     snap_down: float = 0.3
     """likewise back"""
+    check_cracks: float = 0.0
+    """share of the pressure at which a check valve opens"""
+    check_reseats: float = 0.0
+    """likewise, at which it shuts"""
     # flows
     following: float = 0.0
     """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
@@ -134,6 +138,10 @@ class Knobs:
     """how narrow the streak is: it passes as exp(swirl_narrow (cos - 1))"""
     swirl_begin: float = 0.0
     """turns at t0"""
+    unmixed_layers: float = 0.0
+    """stream over all that moves between the floor's layer and the ceiling's; 0: one volume"""
+    floor: float = 0.4
+    """share of V that is the floor's"""
     pit: float = 0.0
     """share of V that lies below the stream"""
     pit_falling: float = 10.0
@@ -239,6 +247,12 @@ class Knobs:
     """relative pressure at which half of the pores have filled"""
     pores_width: float = 0.1
     """standard deviation of its logarithm among them"""
+    bonds: float = 0.0
+    """share of the highest response that bonds of uneven strength add"""
+    bonds_bend: float = 2.0
+    """log of how much more slowly the gas settles on all of them than on the first"""
+    bonds_time: float = 1.0
+    """s of a small change about the highest concentration"""
     glow: float = 0.0
     """share of the highest response a unit of warmth, in which burning grows by e"""
     glow_burns: float = 0.1
@@ -337,6 +351,10 @@ class Knobs:
     """turns"""
     fastest: float = np.inf
     """V/s, which the reading follows at most"""
+    countable: float = np.inf
+    """V/s of fringes that are counted at most"""
+    fringe_width: float = 0.1
+    """V a fringe"""
     lock_time: float = 0.0
     """s, one over the angular frequency at which the laser's lock hunts"""
     lock_damping: float = 0.3
@@ -348,6 +366,10 @@ class Knobs:
     offset: list[Course] = field(default_factory=list)
     """V, added"""
     # receiver and recorder
+    leak_along: float = 0.0
+    """V that leak into a lock-in amplifier, in phase with the light"""
+    leak_across: float = 0.0
+    """V likewise, a quarter of a turn off; not 0: the magnitude of all is read"""
     detector_time: float = 0.0
     """s in which a peak detector lets go of the voltage"""
     log_time: float = 0.0
@@ -499,6 +521,11 @@ def voltage(
         through = step.t0 - tau_v * float(np.log1p(-knobs.snap_up))
         back = step.tf - tau_v * float(np.log(knobs.snap_down))
         marks += [side for at in (through, back) for side in (at - 1e-6, at + 1e-6)]
+    if knobs.check_cracks > 0:
+        tau_v = case.tau_v * knobs.valve_factor
+        cracks = step.t0 - tau_v * float(np.log1p(-knobs.check_cracks))
+        reseats = step.tf - tau_v * float(np.log(knobs.check_reseats))
+        marks += [side for at in (cracks, reseats) for side in (at - 1e-6, at + 1e-6)]
     if knobs.sinking > 0:
         marks.append(step.t0 + knobs.sinking_after)
     if knobs.ajar > 0:
@@ -616,6 +643,10 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
     if knobs.snap > 0:
         snapped = stages.two_ranges(x, knobs.snap_up, knobs.snap_down, 1.0) - x
         x = (1.0 - knobs.snap) * x + knobs.snap * snapped
+    if knobs.check_cracks > 0:
+        shut = 1.0 - knobs.check_reseats
+        passing = stages.two_ranges(x, knobs.check_cracks, knobs.check_reseats, 1.0) - x
+        x = passing * np.maximum(x - knobs.check_reseats, 0.0) / shut
     if knobs.ajar > 0:
         falling = np.exp(-np.maximum(t - knobs.ajar_until, 0.0) / tau_v)
         x = np.where(t > step.tf, np.maximum(x, knobs.ajar * falling), x)
@@ -684,6 +715,9 @@ def _manifold(
         )  # fmt: skip
     elif knobs.pit > 0:
         gas = stages.pit(t, inlet, flow, case.V, knobs.pit, knobs.pit_falling, knobs.pit_lifted)
+    elif knobs.unmixed_layers > 0:
+        eddies = 1.0 / knobs.unmixed_layers - 1.0
+        gas = stages.two_layers(t, inlet, flow / case.V, knobs.floor, eddies)
     elif knobs.back_flow is not None:
         gas = stages.cells(t, inlet, flow, case.V, knobs.n_cells, knobs.back_flow)
     elif knobs.loop > 0:
@@ -780,6 +814,9 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         filled = np.log(np.maximum(stages.capillary(pressure), 1e-9) / knobs.pores_at)
         share = 0.5 * erfc(-filled / (np.sqrt(2.0) * knobs.pores_width))
         x = x + knobs.pores / relative * stages.steady_lag(t, share, case.tau)
+    if knobs.bonds > 0:
+        bound = stages.elovich(t, relative * gas, knobs.bonds_bend, knobs.bonds_time)
+        x = x + knobs.bonds / relative * bound
     if knobs.glow > 0:
         burns, brought = knobs.glow_burns, knobs.glow_brought
         warmth = stages.burning(t, relative * gas, burns, brought, knobs.glow_time)
@@ -868,6 +905,8 @@ def _readout(
         y = y + knobs.pulsing * np.sqrt(1.0 - away**2) * wave
     if np.isfinite(knobs.fastest):
         y = stages.no_faster(t, y, knobs.fastest)
+    if np.isfinite(knobs.countable):
+        y = stages.miscounted(t, y, knobs.countable, knobs.fringe_width)
     if knobs.lock_time > 0:
         y = stages.oscillating_lag(t, y, knobs.lock_time, knobs.lock_damping)
     if knobs.creep > 0:
@@ -878,6 +917,8 @@ def _readout(
         y = y * (1.0 - knobs.bending) ** (uneven**2)
     for course in knobs.offset:
         y = y + course(t)
+    if knobs.leak_across != 0:
+        y = np.hypot(y + knobs.leak_along, knobs.leak_across)
     if knobs.detector_time > 0:
         y = stages.peak_detector(t, y, knobs.detector_time)
     if knobs.log_time > 0:

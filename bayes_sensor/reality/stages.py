@@ -695,6 +695,63 @@ def langmuir(
     return r
 
 
+@njit(cache=True)
+def two_layers(
+    t: FloatArray, u: FloatArray, rate: FloatArray, floor: float, eddies: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) gas a in the lower one of two layers, from 0 in both; the upper one b flows off.
+
+    Into the lower one, the share ``floor`` of the volume, goes what is heavier, u > a, and lifts as
+    much of it into the upper one; lighter gas goes there at once.  Eddies exchange both at
+    ``eddies`` times the stream, ``rate`` (n,) volumes per s.  Followed exactly with the means of u
+    and the rate between nodes: a - u and b - u obey a linear equation of two real rates.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    a, b = 0.0, 0.0
+    for i in range(n - 1):
+        h, passes = t[i + 1] - t[i], 0.5 * (rate[i] + rate[i + 1])
+        gas = 0.5 * (u[i] + u[i + 1])
+        lifted = 1.0 if gas > a else 0.0
+        away = passes * (lifted + eddies) / floor
+        back = passes * eddies / floor
+        gain = passes * (lifted + eddies) / (1.0 - floor)
+        loss = passes * (1.0 + eddies) / (1.0 - floor)
+        middle = -0.5 * (away + loss)
+        root = np.sqrt(0.25 * (away - loss) ** 2 + back * gain)
+        slow, quick = exp((middle + root) * h), exp((middle - root) * h)
+        even, odd = 0.5 * (slow + quick), 0.5 * (slow - quick) / root
+        p, q = a - gas, b - gas
+        a = gas + even * p + odd * ((-away - middle) * p + back * q)
+        b = gas + even * q + odd * (gain * p + (-loss - middle) * q)
+        out[i + 1] = a
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def elovich(
+    t: FloatArray, g: FloatArray, bend: float, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) coverage x from 0 of bonds as firm as they are free: 1 under the gas ``g`` (n,) of 1.
+
+    2 bend time x' = g exp(bend (1 - x)) - exp(bend (x - 1)), and none leaves where there is none.
+    With w = exp(bend (x - 1)) this is Riccati's 2 time w' = g - w^2, followed exactly with the mean
+    of g between nodes.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    bare = exp(-bend)
+    w = bare
+    for i in range(n - 1):
+        h = 0.5 * (t[i + 1] - t[i]) / time
+        gas = max(0.5 * (g[i] + g[i + 1]), 0.0)
+        root = np.sqrt(gas)
+        reach = tanh(root * h) / root if root > 1e-9 else h
+        w = max((w + gas * reach) / (1.0 + w * reach), bare)
+        out[i + 1] = 1.0 + np.log(w) / bend
+    return out
+
+
 @njit(cache=True, error_model="numpy")
 def burning(
     t: FloatArray, g: FloatArray, burns: float, brought: float, time: float
@@ -840,6 +897,28 @@ def blanked(
         elif (y[i] < down) if upper else (y[i] > up):
             upper, until = not upper, t[i] + lasts
             out[i] = out[i - 1]
+    return out
+
+
+@njit(cache=True)
+def miscounted(
+    t: FloatArray, y: FloatArray, fastest: float, fringe: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``y`` (n,) V by a counter of ``fringe`` (V) that counts no more than ``fastest`` (V/s).
+
+    What comes beyond that is lost as soon as it makes a fringe; less than one is not once it is
+    slow again.
+    """
+    out = y.copy()
+    lost, beyond = 0, 0.0
+    for i in range(1, len(y)):
+        change = y[i] - y[i - 1]
+        over = abs(change) - fastest * (t[i] - t[i - 1])
+        beyond = beyond + over if over > 0.0 else 0.0
+        while beyond >= fringe:
+            beyond -= fringe
+            lost += 1 if change > 0.0 else -1
+        out[i] = y[i] - lost * fringe
     return out
 
 

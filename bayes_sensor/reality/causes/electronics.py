@@ -692,7 +692,7 @@ def hurried_display(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.lead, knobs.lead_lag = s, short * s
 
 
-@cause((), "fall", "s", 1.0, near=("sorption_asymmetry", "valve_asymmetry"), reserve=True)
+@cause((), "fall", "s", 1.0, near=("sorption_asymmetry", "valve_asymmetry"))
 def swinging_pen(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The record was read off a paper chart, as if its pen went straight; it swings about a pivot.
 
@@ -709,7 +709,7 @@ def swinging_pen(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.pen_reach, knobs.pen_sine = reach, sine
 
 
-@cause((), "delay", "s", 1.5, reserve=True)
+@cause((), "delay", "s", 1.5)
 def distrustful_filter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The driver takes a signal that is too steep for a spike, and shows the last good reading.
 
@@ -723,7 +723,7 @@ def distrustful_filter(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         knobs.distrust_band = share * within * steepest
 
 
-@cause((), "drift", "share of the step", 0.15, per_experiment=True, reserve=True)
+@cause((), "drift", "share of the step", 0.15, per_experiment=True)
 def neighbours_magnet(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A neighbour ramps his magnet up, keeps it there for a while and ramps it down again.
 
@@ -748,3 +748,30 @@ def neighbours_magnet(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
 
         rig[step.name].offset.append(induced)
         rig[step.name].marks += [edge for edge in edges.tolist() if edge < step.duration]
+
+
+@cause((), "delay", "times too fast", 2.0, reserve=True)
+def missed_fringes(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """An interferometer follows the line, and its counter misses the fringes that come too fast.
+
+    Whole ones are lost, and for good: the plateau is too low, and the way down loses others.  The
+    steepest rise brings 1 + ``s`` times as many in a second as the counter can count.
+    """
+    fringe, fastest = _mean_step(case) * _between(rng, 0.01, 0.06), _steepest(case) / (1.0 + s)
+    for knobs in rig.values():
+        knobs.fringe_width, knobs.countable = fringe, fastest
+
+
+@cause(
+    (), "level", "share of the step", 0.8, near=("optical_nonlinearity",), reserve=True,
+)  # fmt: skip
+def lock_in_magnitude(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A lock-in amplifier is set to the magnitude, and the reference leaks into its input.
+
+    What is picked up is not in phase with the light: of the sum of both the length is read, which
+    is a hyperbola over the voltage, flat or even falling in the dim and straight in the bright.
+    """
+    size, angle = s * _mean_step(case), pi * rng.uniform(0.4, 0.8)
+    for knobs in rig.values():
+        knobs.leak_along = size * float(np.cos(angle))
+        knobs.leak_across = size * float(np.sin(angle))

@@ -498,7 +498,7 @@ def yielding_carrier(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         rig[step.name].carrier.append(flow)
 
 
-@cause((), "plateau", "log of the output", 0.6, near=("flow_settling",), reserve=True)
+@cause((), "plateau", "log of the output", 0.6, near=("flow_settling",))
 def ozone_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The test gas is ozone, made by a mercury lamp that is turned on with the valve, and cold.
 
@@ -514,3 +514,17 @@ def ozone_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
             return np.asarray(np.exp(s * (1.0 - ((warmth - best) / (1.0 - best)) ** 2)))
 
         rig[step.name].unmixed.append(output)
+
+
+@cause((), "flow", "log of the flow", 0.9, near=("flow_error", "flow_switching"), reserve=True)
+def foreign_gas_factor(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas's controller was calibrated for another gas, and nobody has entered the factor.
+
+    Thermal controllers count heat: of a gas that carries more they let through less, in all
+    experiments by the same factor, exp(``s``) or one over it.  The carrier's is right, so that the
+    exchange is off while the test gas flows, the more the more of it there is, and right after it.
+    """
+    factor = float(np.exp(_sign(rng) * s))
+    for knobs in rig.values():
+        knobs.test_gas.append(lambda t: np.full_like(t, factor))
+        knobs.mixing = True

@@ -424,3 +424,18 @@ def analyser_loop(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
     pumped = float(np.median([step.total_flow for step in case.steps])) * _between(rng, 0.3, 1.5)
     for knobs in rig.values():
         knobs.loop, knobs.loop_pumped = s, pumped
+
+
+@cause((), "fall", "share not mixed", 0.85, near=("dead_volume",), reserve=True)
+def filling_from_below(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Heavy gas fills the manifold from its floor, where the ring is; carrier stays at its ceiling.
+
+    Two layers (Baines and Turner, J. Fluid Mech. 37, 51, 1969): what is heavier than the lower one
+    goes there and lifts that into the upper one, whence all leaves; what is lighter passes above
+    it, and only eddies bring the lower one away.  They move 1/``s`` - 1 times the stream at the
+    highest concentration, and more of less heavy gas.
+    """
+    floor = rng.uniform(0.2, 0.6)
+    for step in case.steps:
+        knobs = rig[step.name]
+        knobs.unmixed_layers, knobs.floor = s * case.relative_concentration(step), floor

@@ -620,7 +620,7 @@ def uneven_chopper(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         rig[step.name].gain.append(light)
 
 
-@cause((), "line", "share of the step", 0.15, fast=True, reserve=True)
+@cause((), "line", "share of the step", 0.15, fast=True)
 def two_way_sweep(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A piezo sweeps the laser across the line, to and fro; it lags behind its voltage either way.
 
@@ -632,3 +632,25 @@ def two_way_sweep(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         knobs.sweep_gap, knobs.sweep_rate = s * _mean_step(case), rate
         knobs.sweep_from, knobs.sweep_reach = begin, reach
         knobs.sweep_begin = rng.random()
+
+
+@cause((), "drift", "share of the step", 0.15, reserve=True)
+def slipping_clamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The bench warms or cools evenly and pulls at the fibre, which slips in its clamp by and by.
+
+    The reading drifts in a straight line and jumps back where the clamp lets go, each time at
+    another strain: ``s`` in the mean.  How fast the bench is differs from record to record.
+    """
+    lasting, size = _between(rng, 2.5, 20.0), s * _mean_step(case)
+    for step in case.steps:
+        rate = _sign(rng) / (lasting * _between(rng, 0.6, 1.6))  # strains in the mean, per s
+        strains = rng.uniform(0.4, 1.6, int(2.5 * step.duration * abs(rate)) + 2)
+        slips = np.cumsum(strains) / abs(rate) - strains[0] * rng.random() / abs(rate)
+        since = np.concatenate([[slips[0] - strains[0] / abs(rate)], slips])
+
+        def strain(t: FloatArray, since: FloatArray = since, rate: float = rate) -> FloatArray:
+            last = np.maximum(np.searchsorted(since, t, side="right") - 1, 0)
+            return np.asarray(size * rate * (t - since[last]))
+
+        rig[step.name].offset.append(strain)
+        rig[step.name].marks += _both_sides(slips[slips < step.duration].tolist())

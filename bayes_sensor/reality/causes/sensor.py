@@ -345,7 +345,7 @@ def igniting_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         knobs.glow_burns, knobs.glow_brought = burns, brought
 
 
-@cause((), "plateau", "share of the highest step", 0.3, reserve=True)
+@cause((), "plateau", "share of the highest step", 0.3)
 def flaring_catalyst(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The coating is a metal on which the gas burns and goes out, by turns, as long as it lasts.
 
@@ -362,7 +362,7 @@ def flaring_catalyst(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         knobs.flares_from, knobs.flares_until = low, high
 
 
-@cause((), "mixing", "of V", 2.0, near=("axial_dispersion",), reserve=True)
+@cause((), "mixing", "of V", 2.0, near=("axial_dispersion",))
 def long_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """In place of a ring a coil of coated fibre is read, which lies along the stream in a duct.
 
@@ -371,3 +371,16 @@ def long_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
     """
     for knobs in rig.values():
         knobs.coil = s
+
+
+@cause((), "tail", "share of the highest step", 0.3, near=("slow_sorption",), reserve=True)
+def uneven_bonds(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Some sites bind the gas firmly, others loosely, and it takes the firmest that are free.
+
+    The fuller they are, the more slowly it settles, exp(-b coverage), and the sooner it leaves
+    (Elovich's kinetics); coverage goes as the logarithm of the concentration (Temkin's isotherm),
+    and when the gas has gone as that of time.  ``s`` is added at the highest concentration.
+    """
+    bend, time = rng.uniform(1.2, 3.0), _between(rng, 0.4, 4.0)
+    for knobs in rig.values():
+        knobs.bonds, knobs.bonds_bend, knobs.bonds_time = s, bend, time

@@ -185,7 +185,7 @@ def snapping_diaphragm(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         knobs.snap, knobs.snap_up, knobs.snap_down = s, up, down
 
 
-@cause((), "delay", "s", 2.0, near=("dead_volume",), reserve=True)
+@cause((), "delay", "s", 2.0, near=("dead_volume",))
 def shut_between_ports(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A rotary valve is shut between its ports, and turns for ``s``, while both gases press on.
 
@@ -200,3 +200,50 @@ def shut_between_ports(rig: Rig, s: float, rng: np.random.Generator, case: Case)
             return 1.0 + np.where(since >= 0.0, s / time * np.exp(-np.abs(since) / time), 0.0)
 
         rig[step.name].all_flow.append(flow)
+
+
+@cause((), "fall", "of the pressure", 0.5, near=("valve_asymmetry",), reserve=True)
+def stiff_check_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A check valve behind the valve keeps the gas from coming back, and its spring is stiff.
+
+    It pops open where the pressure behind the valve has come to the share ``s``, and sits down
+    again lower; between it passes what is above that.  So the gas comes late and with a jump, and
+    it goes earlier and altogether, where a valve alone would never quite have shut.
+    """
+    reseats = s * rng.uniform(0.4, 0.9)
+    for knobs in rig.values():
+        knobs.check_cracks, knobs.check_reseats = s, reseats
+
+
+@cause((), "plateau", "share of the lift", 0.4, near=("flow_settling",), reserve=True)
+def warming_coil(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A proportional valve is held by a coil on a constant voltage, and copper that warms resists.
+
+    Its current, and the lift with it, falls as 1/(1 + k warmth), the power likewise; the share
+    ``s`` is lost in the end.  What it has not cooled by until the next experiment is missing there.
+    """
+    time, end = _between(rng, 5.0, 40.0), 1.0 - s  # of the warmth that the cold coil would come to
+    k, other = s / end**2, end / s  # the warmth comes to rest at ``end``, and would at -``other``
+    slow = (1.0 + k * end) / (k * (end + other))
+    quick = (1.0 - k * other) / (k * (end + other))
+    lags = np.linspace(0.0, 30.0, 3001)
+    warmth, last = 0.0, -np.inf  # s, when it was shut last on this record's clock
+    for step in case.steps:
+        on, off = step.commanded_on, step.commanded_off
+        cold = warmth * float(np.exp((last - on) / time))
+        warm = end - (end - cold) * np.exp(-lags)
+        # time warmth' = 1/(1 + k warmth) - warmth, by separation
+        passed = time * (slow * lags + quick * np.log((warm + other) / (cold + other)))
+        hot = float(np.interp(off - on, passed, warm))
+
+        def lift(
+            t: FloatArray, on: float = on, off: float = off, cold: float = cold, hot: float = hot,
+            passed: FloatArray = passed, warm: FloatArray = warm,
+        ) -> FloatArray:  # fmt: skip
+            heated = np.interp(t - on, passed, warm)
+            before, after = (np.maximum(side, 0.0) for side in (on - t, t - off))
+            now = np.where(t < on, cold * np.exp(before / time), heated)
+            return 1.0 / (1.0 + k * np.where(t < off, now, hot * np.exp(-after / time)))
+
+        rig[step.name].unmixed.append(lift)
+        warmth, last = hot, off - step.duration
