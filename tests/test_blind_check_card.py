@@ -152,15 +152,13 @@ def test_a_cause_that_does_not_hide_is_not_counted_as_hidden(day: list[dict[str,
 
 
 def test_only_none_abstains_strictly(day: list[dict[str, Any]]) -> None:
-    row = next(
-        r for r in day if r["kind"] == "listed" and r["d_level"] == 8.0 and r["verdict"] == "none"
-    )
+    row = next(r for r in day if r["kind"] == "listed" and r["d_level"] == 8.0)
     row = changed(row, top_right=False, family_right=False, isolability=2.0, isolability_family=2.0)
     for verdict, quiet in (("none", 1), ("unlisted", 0), ("family", 0), ("failed", 0)):
         part = make_card([changed(row, verdict=verdict)])["accuracy"][2]
         assert part["d"] == 8.0 and part["top_or_quiet"]["k"] == quiet
         assert part["family_or_quiet"]["k"] == quiet
-    apart = changed(row, isolability=4.0, isolability_family=4.0)
+    apart = changed(row, verdict="none", isolability=4.0, isolability_family=4.0)
     assert make_card([apart])["accuracy"][2]["top_or_quiet"]["k"] == 0
 
 
@@ -296,7 +294,7 @@ def test_the_card_of_the_day_is_that_of_its_table(card: dict[str, Any], tmp_path
     assert made["goal"].tolist() == goals["goal"].tolist()
     assert made["met"].tolist() == goals["met"].tolist()
     for column in ("reached", "lo95", "hi95"):
-        np.testing.assert_allclose(made[column].astype(float), goals[column], rtol=2e-3, atol=1e-7)
+        np.testing.assert_allclose(made[column].astype(float), goals[column], rtol=2e-3, atol=1e-5)
 
 
 def test_what_the_rules_let_pass_is_written(
