@@ -206,6 +206,19 @@ def test_an_oracle_looks_for_a_step_wherever_it_may_be(seed: int) -> None:
     assert quick < 0.9 and settled > 0.99
 
 
+def test_an_oracle_follows_starts_that_begin_badly() -> None:
+    rig = draw_case(47, size="small")
+    strength, d = strength_for(rig, "igniting_coating", 16.0)
+    oracle = Oracle(replace(rig, strengths={"igniting_coating": strength}))
+    target = oracle.signal(oracle.case)
+    fit = oracle.refit(target, oracle.several_starts(oracle.start()))
+    assert fit.d == pytest.approx(d, rel=0.02)
+    closed = closed_fraction(oracle, target, fit, "flow_settling")
+    quick = closed_fraction(oracle, target, fit, "flow_settling", thorough=False)
+    assert closed is not None and quick is not None
+    assert quick < 0.1 and closed > 0.45  # 16 and 11.6 of 16 standard deviations are left
+
+
 def test_two_causes_are_nearest_to_their_pair(rig: Case) -> None:
     strengths = {name: strength_for(rig, name, 12.0)[0] for name in ("knocked_fibre", "residue")}
     case = replace(rig, strengths=strengths)

@@ -43,6 +43,10 @@ FEW_STEPS = 15
 """enough for a wrong one, where a few hundredths of a standard deviation do not matter"""
 PROMISING = 3
 """starts of a form's grid that are followed"""
+BRIEF = 8
+"""steps after which the better of several starts shows"""
+FOLLOWED = 2
+"""of these that go on"""
 RIDGE = 1e-2
 """penalty on the standard coordinates of the strengths, so that idle ones stay where they are"""
 
@@ -163,20 +167,32 @@ def closed_fraction(
         fit = _Fit(oracle, form)
         # the refit may lie at tau = 0, far from where the effect leaves the truth
         grid = form.grid if thorough else ()
-        starts = _promising(fit, (base.theta, oracle.start()), target, grid)
-        low, high = _limits(fit)
-        n = oracle.spans()[-1].stop
-        for first in starts:
-            found = least_squares(
-                partial(fit.residual, target=target),
-                np.clip(first, low + 1e-12, high - 1e-12),
-                fit.jacobian,
-                x_scale="jac",
-                max_nfev=MOST_STEPS if thorough else FEW_STEPS,
-                bounds=(low, high),
-            )
-            best = min(best, float(np.sum(found.fun[:n] ** 2)))
+        origins = base.theta, oracle.start()
+        starts = _promising(fit, origins, target, grid)
+        if thorough:  # the least misfit at the start need not lead to the least at the end
+            every = [fit.start(o, chosen) for o in origins for chosen in form.starts]
+            brief = sorted((_refitted(fit, x, target, BRIEF) for x in every), key=itemgetter(0))
+            starts += [x for _, x in brief[:FOLLOWED]]
+        steps = MOST_STEPS if thorough else FEW_STEPS
+        best = min(best, *(_refitted(fit, x, target, steps)[0] for x in starts))
     return max(0.0, 1.0 - best / base.d**2) if np.isfinite(best) else None
+
+
+def _refitted(
+    fit: _Fit, start: FloatArray, target: FloatArray, most_steps: int
+) -> tuple[float, FloatArray]:
+    """Squared misfit that a refit from one start leaves, and where it ends."""
+    low, high = _limits(fit)
+    found = least_squares(
+        partial(fit.residual, target=target),
+        np.clip(start, low + 1e-12, high - 1e-12),
+        fit.jacobian,
+        x_scale="jac",
+        max_nfev=most_steps,
+        bounds=(low, high),
+    )
+    n = fit.oracle.spans()[-1].stop
+    return float(np.sum(found.fun[:n] ** 2)), np.asarray(found.x)
 
 
 def _promising(
