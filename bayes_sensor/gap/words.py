@@ -292,9 +292,11 @@ def sentence(
         words += [_finding_words(f, names, unit) for f in findings]
         return " ".join([*words, _likeness(weighing, unit)]).rstrip()
     sketch = best.refit.plan.sketch
-    base = weighing.base
-    found_beside = [f for f in findings if stands_beside(f, best.refit, base)]
-    besides = [_finding_words(f, names, unit) for f in found_beside]
+    besides = [
+        _finding_words(f, names, unit)
+        for f in findings
+        if f.beside_the_mean or stands_beside(f, best.refit, weighing.base)
+    ]
     if kind == "family":
         helps = next((s for s in separations if s.addition), None)
         advice = (
