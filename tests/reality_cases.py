@@ -46,17 +46,22 @@ def on_its_clock(rig: Case) -> Iterator[tuple[Step, FloatArray, FloatArray]]:
 
 
 def solved(
-    rig: Case, right_side, n_states: int, k: int = 0, inputs: Sequence[tuple[float, Any]] = ()
+    rig: Case,
+    right_side,
+    n_states: int,
+    k: int = 0,
+    inputs: Sequence[tuple[float, Any]] = (),
+    begin: Sequence[float] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Times and states of an ODE that scipy solves piece by piece between the switches.
 
     ``inputs``: (s from which it holds, what ``right_side`` is given) of every piece; the valve's
-    command if there are none.
+    command if there are none.  ``begin``: the states (n_states,) before it, all 0 if not given.
     """
     step = rig.steps[k]
     t = sample_times(step)
     states = np.zeros((len(t), n_states))
-    y = np.zeros(n_states)
+    y = np.zeros(n_states) if begin is None else np.asarray(begin, dtype=float)
     inputs = inputs or [(0.0, 0.0), (step.t0, 1.0), (step.tf, 0.0)]
     edges = [at for at, _ in inputs] + [step.duration]
     for low, high, u in zip(edges[:-1], edges[1:], [u for _, u in inputs], strict=True):

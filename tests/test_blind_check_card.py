@@ -293,8 +293,13 @@ def test_the_card_of_the_day_is_that_of_its_table(card: dict[str, Any], tmp_path
     made = pd.DataFrame(plain(card["goals"]))
     assert made["goal"].tolist() == goals["goal"].tolist()
     assert made["met"].tolist() == goals["met"].tolist()
+    # closed fractions near 1 are kept to five digits, and so their small errors to no more
+    coarse = goals["goal"].str.startswith("median error of the closed fraction")
+    assert coarse.sum() == 1
     for column in ("reached", "lo95", "hi95"):
-        np.testing.assert_allclose(made[column].astype(float), goals[column], rtol=2e-3, atol=1e-5)
+        values = made[column].astype(float)
+        np.testing.assert_allclose(values[~coarse], goals[column][~coarse], rtol=2e-3, atol=1e-7)
+        np.testing.assert_allclose(values[coarse], goals[column][coarse], rtol=2e-3, atol=1e-5)
 
 
 def test_what_the_rules_let_pass_is_written(

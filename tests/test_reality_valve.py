@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from bayes_sensor.campaign import FloatArray
@@ -439,22 +438,16 @@ def test_a_warming_coil_lets_the_valve_sink_against_an_ode_solver() -> None:
                 return [*cascade, (x[1] - x[2]) / rig.tau, (u[1] * current - x[3]) / time]
 
             on, off = step.commanded_on, step.commanded_off
-            t, states, y = sample_times(step), [], np.array([0.0, 0.0, 0.0, warmth])
-            edges = [
+            inputs = [
                 (0.0, (0.0, 0.0)), (on, (0.0, 1.0)), (step.t0, (1.0, 1.0)), (off, (1.0, 0.0)),
-                (step.tf, (0.0, 0.0)), (step.duration, (0.0, 0.0)),
+                (step.tf, (0.0, 0.0)),
             ]  # fmt: skip
-            for (low, u), (high, _) in pairwise(edges):
-                inside = t[(t >= low) & (t < high)]
-                result = solve_ivp(
-                    lambda s, x, u=u, right=sinking: right(u, x), (low, high), y, rtol=1e-9,
-                    atol=1e-11, dense_output=True, max_step=0.1,
-                )  # fmt: skip
-                states.append(result.sol(inside)[2])
-                y = result.y[:, -1]
-            warmth = y[3]  # the next experiment begins with what is left
+            begin = [0.0, 0.0, 0.0, warmth]
+            t, states = solved(rig, sinking, 4, k=number, inputs=inputs, begin=begin)
+            # the next experiment begins with what is left at the end of this one
+            warmth = states[-1, 3] * np.exp((t[-1] - step.duration) / time)
             x = (seen[step.name] - step.y0) / step.beta
-            assert np.abs(x - np.concatenate(states)).max() < 1e-3
+            assert np.abs(x - states[:, 2]).max() < 1e-3
             assert lift(np.array([on]))[0] == pytest.approx(1.0) if number == 0 else warmth > 0.0
         # in the end the share is lost
         assert lift(np.array([on + 0.999 * (off - on)]))[0] > end

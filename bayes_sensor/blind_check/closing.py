@@ -169,7 +169,8 @@ def closed_fraction(
         grid = form.grid if thorough else ()
         origins = base.theta, oracle.start()
         starts = _promising(fit, origins, target, grid)
-        if thorough:  # the least misfit at the start need not lead to the least at the end
+        if thorough and len(form.starts) > 1:
+            # the least misfit at the start need not lead to the least at the end
             every = [fit.start(o, chosen) for o in origins for chosen in form.starts]
             brief = sorted((_refitted(fit, x, target, BRIEF) for x in every), key=itemgetter(0))
             starts += [x for _, x in brief[:FOLLOWED]]

@@ -95,7 +95,10 @@ def standing(
         if h.incomplete:
             rows["unlisted"] += float(p)
             continue
-        rivals = [f for f in unlisted if not stands_beside(f, h.refit, weighing.base)]
+        # nothing stands beside nothing
+        rivals = [
+            f for f in unlisted if not (h.effects and stands_beside(f, h.refit, weighing.base))
+        ]
         taken = 1.0 - float(np.prod([1.0 - f.probability for f in rivals]))
         of_samples += float(p) * taken
         rest = float(p) * (1.0 - taken)
@@ -142,8 +145,6 @@ def stands_beside(found: FullRate, fitted: Refit, base: Refit) -> bool:
     unsteady, may be what an effect is fitted to, unless the effect explains most of what it does in
     other phases or records.
     """
-    if not fitted.plan.parts:
-        return False
     if found.beside_the_mean:
         return True
     touched = _touched(found, base.plan.sketch)

@@ -295,7 +295,7 @@ def sentence(
     besides = [
         _finding_words(f, names, unit)
         for f in findings
-        if f.beside_the_mean or stands_beside(f, best.refit, weighing.base)
+        if stands_beside(f, best.refit, weighing.base)
     ]
     if kind == "family":
         helps = next((s for s in separations if s.addition), None)

@@ -921,9 +921,8 @@ def _trains(part: Component, n: int, interval: float, rng: np.random.Generator) 
     at = (at + rng.exponential(part.gust_time, len(at))) / interval  # in samples
     at = at[at < before + n - 1]
     seen = at.astype(np.int64) + 1
-    heights = rng.exponential(size=len(at)) * np.exp(-(seen - at) * interval / part.time)
-    arriving = np.bincount(seen, heights, before + n)
-    x: FloatArray = lfilter([1.0], [1.0, -exp(-interval / part.time)], arriving)[before:]
+    heights = rng.exponential(size=len(at))
+    x = _dying_out(seen, (seen - at) * interval, heights, part.time, n, before, interval)
     mean = part.rate * part.depth * part.time / part.gust_time
     return (x - mean) / sqrt(mean / _train_shares(part)[0])
 
@@ -1042,9 +1041,7 @@ def _bubbles(part: Component, n: int, interval: float, rng: np.random.Generator)
     ends = np.cumsum(waits)[rng.integers(2) :: 2]  # the first one finds itself in either stage
     at = ends[ends < lasting] * part.time / interval  # in samples
     seen = at.astype(np.int64) + 1
-    left = np.exp(-(seen - at) * interval / part.time)
-    arriving = np.bincount(seen, left, before + n + 1)[: before + n]
-    x: FloatArray = lfilter([1.0], [1.0, -exp(-interval / part.time)], arriving)[before:]
+    x = _dying_out(seen, (seen - at) * interval, 1.0, part.time, n, before, interval)
     return (x - part.rate) / sqrt(float(_bubbling_covariance(part.rate, np.zeros(1))[0]))
 
 
@@ -1096,10 +1093,27 @@ def _shot(part: Component, n: int, interval: float, rng: np.random.Generator) ->
     ``rate``/2 times the mean squared height).
     """
     before, seen, late = _arrivals(part, n, interval, rng)
-    heights = rng.exponential(size=len(seen)) * np.exp(-late / part.time)
-    arriving = np.bincount(seen, heights, n + before)
-    x: FloatArray = lfilter([1.0], [1.0, -exp(-interval / part.time)], arriving)[before:]
+    heights = rng.exponential(size=len(seen))
+    x = _dying_out(seen, late, heights, part.time, n, before, interval)
     return (x - part.rate) / sqrt(part.rate)
+
+
+def _dying_out(
+    seen: NDArray[np.int64],
+    late: FloatArray,
+    heights: FloatArray | float,
+    time: float,
+    n: int,
+    before: int,
+    interval: float,
+) -> FloatArray:
+    """(n,) sum of pulses that die out in a ``time``, from ``before`` samples earlier on.
+
+    ``seen`` (m,): the samples that show them first, so ``late`` (m,) s after they came.
+    """
+    arriving = np.bincount(seen, heights * np.exp(-late / time), before + n)[: before + n]
+    x: FloatArray = lfilter([1.0], [1.0, -exp(-interval / time)], arriving)[before:]
+    return x
 
 
 def _arrivals(

@@ -7,7 +7,7 @@ together give the cascade of three first-order lags.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from math import pi
 from typing import Any
@@ -477,6 +477,18 @@ def on_the_clock(knobs: Knobs, true: float, step: Step) -> float:
     return float(np.interp(true, np.maximum.accumulate(knobs.clock(t)), t))
 
 
+def both_sides(edges: Iterable[float]) -> list[float]:
+    """s, just before and after each of the ``edges``, where what acts is cut off sharply."""
+    return [side for at in edges for side in (at - 1e-6, at + 1e-6)]
+
+
+def _driven_past(case: Case, step: Step, knobs: Knobs, up: float, down: float) -> list[float]:
+    """s around where the driving pressure, a lag, comes up to one share and down to another."""
+    tau_v = case.tau_v * knobs.valve_factor
+    through = step.t0 - tau_v * float(np.log1p(-up))
+    return both_sides((through, step.tf - tau_v * float(np.log(down))))
+
+
 def nodes(step: Step, times: FloatArray, marks: list[float], quick: float) -> FloatArray:
     """(n,) s: the times asked for, every switch, and steps that are short after each switch.
 
@@ -516,16 +528,9 @@ def voltage(
     if knobs.pilot_alone > 0:
         marks.append(step.t0 + knobs.pilot_alone)
     if knobs.snap > 0:
-        # just before and after the driving pressure, a lag, has come to either
-        tau_v = case.tau_v * knobs.valve_factor
-        through = step.t0 - tau_v * float(np.log1p(-knobs.snap_up))
-        back = step.tf - tau_v * float(np.log(knobs.snap_down))
-        marks += [side for at in (through, back) for side in (at - 1e-6, at + 1e-6)]
+        marks += _driven_past(case, step, knobs, knobs.snap_up, knobs.snap_down)
     if knobs.check_cracks > 0:
-        tau_v = case.tau_v * knobs.valve_factor
-        cracks = step.t0 - tau_v * float(np.log1p(-knobs.check_cracks))
-        reseats = step.tf - tau_v * float(np.log(knobs.check_reseats))
-        marks += [side for at in (cracks, reseats) for side in (at - 1e-6, at + 1e-6)]
+        marks += _driven_past(case, step, knobs, knobs.check_cracks, knobs.check_reseats)
     if knobs.sinking > 0:
         marks.append(step.t0 + knobs.sinking_after)
     if knobs.ajar > 0:

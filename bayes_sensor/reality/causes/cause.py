@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,11 +89,6 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
 def _mean_step(case: Case) -> float:
     """V, the campaign's mean step."""
     return float(np.mean([abs(step.beta) for step in case.steps]))
-
-
-def _both_sides(edges: Iterable[float]) -> list[float]:
-    """s, just before and after each of the ``edges``, where what acts is cut off sharply."""
-    return [side for at in edges for side in (at - 1e-6, at + 1e-6)]
 
 
 def _interpolated(times: FloatArray, values: FloatArray) -> Course:

@@ -13,13 +13,12 @@ from bayes_sensor.reality.causes.cause import (
     Causes,
     Rig,
     _between,
-    _both_sides,
     _interpolated,
     _mean_step,
     _sign,
 )
 from bayes_sensor.reality.records import Case, Step
-from bayes_sensor.reality.rig import Course, Knobs, voltage
+from bayes_sensor.reality.rig import Course, Knobs, both_sides, voltage
 
 CAUSES = Causes()
 cause = CAUSES.cause
@@ -600,7 +599,7 @@ def calling_mobile_phone(rig: Rig, s: float, rng: np.random.Generator, case: Cas
             return np.asarray(sign * size * ((since >= 0.0) & (since < frame / 8.0)))
 
         rig[step.name].offset.append(bursts)
-        rig[step.name].marks += _both_sides(np.concatenate([slots, slots + frame / 8.0]).tolist())
+        rig[step.name].marks += both_sides(np.concatenate([slots, slots + frame / 8.0]).tolist())
 
 
 @cause((), "delay", "s", 4.0, near=("daq_filter",))

@@ -9,8 +9,9 @@ import numpy as np
 from scipy.special import lambertw
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.reality.causes.cause import Causes, Rig, _between, _both_sides, _sign
+from bayes_sensor.reality.causes.cause import Causes, Rig, _between, _sign
 from bayes_sensor.reality.records import Case
+from bayes_sensor.reality.rig import both_sides
 
 CAUSES = Causes()
 cause = CAUSES.cause
@@ -170,7 +171,7 @@ def snapping_regulator(rig: Rig, s: float, rng: np.random.Generator, case: Case)
 
         rig[step.name].test_gas.append(flow)
         snaps = np.arange(step.t0 + (1.0 - begin) * period, step.duration, period)
-        rig[step.name].marks += _both_sides(snaps.tolist())
+        rig[step.name].marks += both_sides(snaps.tolist())
 
 
 @cause((), "valve", "share of the flow", 0.9, per_experiment=True)
@@ -288,7 +289,7 @@ def sticking_needle(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         turns = np.arange(1.0, step.duration / period + 1.0)
         jumps = np.concatenate([turns - begin, turns - begin + high - 1.0]) * period
         inside = jumps[(jumps > 0.0) & (jumps < step.duration)].tolist()
-        rig[step.name].marks += _both_sides(inside)
+        rig[step.name].marks += both_sides(inside)
 
 
 @cause((), "plateau", "share dissolved", 0.4, near=("flow_settling",))
@@ -376,7 +377,7 @@ def alternating_dryers(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].seep.append(moist)
         # from the turn on that the record finds begun
         turns = np.arange(-begin * turn, step.duration, turn).tolist()
-        rig[step.name].marks += _both_sides(turns)
+        rig[step.name].marks += both_sides(turns)
 
 
 @cause((), "delay", "s", 4.0, near=("flow_settling",))

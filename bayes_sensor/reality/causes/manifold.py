@@ -8,9 +8,9 @@ import numpy as np
 from scipy.special import erfcx, expit
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.reality.causes.cause import Causes, Rig, _between, _both_sides, _interpolated
+from bayes_sensor.reality.causes.cause import Causes, Rig, _between, _interpolated
 from bayes_sensor.reality.records import Case
-from bayes_sensor.reality.rig import Course
+from bayes_sensor.reality.rig import Course, both_sides
 
 CAUSES = Causes()
 cause = CAUSES.cause
@@ -262,7 +262,7 @@ def gurgling_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
             gulps = np.arange(first * period, end, period)
             edges = np.concatenate([gulps, gulps + opens * period]).tolist()
             inside = [at for at in edges if at < step.duration]
-            rig[step.name].marks += _both_sides(inside)
+            rig[step.name].marks += both_sides(inside)
 
 
 @cause((), "spike", "share of the highest gas", 0.2, per_experiment=True)
@@ -328,7 +328,7 @@ def sipping_chromatograph(rig: Rig, s: float, rng: np.random.Generator, case: Ca
         rig[step.name].unmixed.append(thinned)
         rig[step.name].all_flow.append(more)
         edges = np.concatenate([sips, sips + lasts]).tolist()
-        rig[step.name].marks += _both_sides(edges)
+        rig[step.name].marks += both_sides(edges)
 
 
 @cause((), "mixing", "share of V", 1.0, near=("axial_dispersion",))

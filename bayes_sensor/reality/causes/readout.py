@@ -12,13 +12,12 @@ from bayes_sensor.reality.causes.cause import (
     Causes,
     Rig,
     _between,
-    _both_sides,
     _interpolated,
     _mean_step,
     _sign,
 )
 from bayes_sensor.reality.records import Case
-from bayes_sensor.reality.rig import Course
+from bayes_sensor.reality.rig import Course, both_sides
 
 CAUSES = Causes()
 cause = CAUSES.cause
@@ -550,7 +549,7 @@ def flickering_tube_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Cas
 
         rig[step.name].offset.append(light)
         edges = np.concatenate([flashes, flashes[:-1] + lasts])
-        rig[step.name].marks += _both_sides(edges[edges < step.duration].tolist())
+        rig[step.name].marks += both_sides(edges[edges < step.duration].tolist())
 
 
 @cause((), "level", "of half the window", 0.8, near=("optical_nonlinearity",))
@@ -653,4 +652,4 @@ def slipping_clamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
             return np.asarray(size * rate * (t - since[last]))
 
         rig[step.name].offset.append(strain)
-        rig[step.name].marks += _both_sides(slips[slips < step.duration].tolist())
+        rig[step.name].marks += both_sides(slips[slips < step.duration].tolist())
