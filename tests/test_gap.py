@@ -16,6 +16,7 @@ from bayes_sensor.gap.model import with_effects
 from bayes_sensor.gap.own import read_effects
 from bayes_sensor.gap.simulation import default_strengths, simulate_with_effects
 from bayes_sensor.gap.verdict import NAMED
+from bayes_sensor.gap.which import LEFT
 from bayes_sensor.gap.words import WANDERS
 from bayes_sensor.likelihood import Problem, simulate
 from bayes_sensor.model import Cascade, cascade_response
@@ -207,6 +208,19 @@ def test_two_effects_of_different_families_are_found():
     at_once = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False, follow=False)
     assert at_once.rounds == ()
     assert at_once.to_json() | {"rounds": gap.to_json()["rounds"]} == gap.to_json()
+
+
+def test_something_else_beside_two_effects_is_seen():
+    campaign = measured({"valve_asymmetry": 1.25, "baseline_drift": 4e-4}, seed=2)
+    bump = {e.name: np.exp(-0.5 * ((e.t - e.commanded_on - 6.0) / 1.5) ** 2) for e in campaign}
+    more = campaign.with_data({e.name: e.values + 0.03 * bump[e.name] for e in campaign})
+    gap = diagnose_gap(more, bootstrap=0, hidden=False, separate=False, follow=False)
+    assert gap.verdict.kind == "unlisted"
+    likely = gap.weighing.hypotheses[int(np.argmax(gap.weighing.probabilities))]
+    assert likely.incomplete and len(likely.effects) == 2
+    assert likely.leftover > LEFT
+    # by the mean, not only by what is left as a break
+    assert gap.standing.looks_by_mean > NAMED
 
 
 def test_an_effect_of_the_mean_and_one_of_the_noise_stand_together():

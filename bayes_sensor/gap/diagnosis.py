@@ -43,7 +43,7 @@ from bayes_sensor.gap.ringing import look_for_ringing
 from bayes_sensor.gap.separate import Separation, confusable, what_would_separate
 from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
 from bayes_sensor.gap.unsteady import look_for_unsteadiness
-from bayes_sensor.gap.verdict import Standing, Verdict, judge, leftover, standing
+from bayes_sensor.gap.verdict import Standing, Verdict, judge, standing
 from bayes_sensor.gap.where import CLEAR, Map, locate, shared_by_explanations, shared_by_findings
 from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
 from bayes_sensor.gap.words import (
@@ -759,7 +759,7 @@ def _measures(h: Hypothesis, none: Hypothesis, base: Refit, closed: Closure) -> 
         "rss_V2": rss,
         "bic": float(n * np.log(max(rss, 1e-300) / n) + h.refit.plan.size * np.log(n)),
         "log_evidence_ratio": h.log_z - none.log_z,
-        "misfit_left_sd": leftover(h),
+        "misfit_left_sd": h.leftover,
     }
 
 

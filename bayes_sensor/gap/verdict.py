@@ -193,12 +193,6 @@ def _giving_back(rows: Mapping[str, float], mistaken: float, likeliest: str) -> 
     return made
 
 
-def leftover(h: Hypothesis) -> float:
-    """Standard deviations of misfit that an explanation leaves."""
-    n = h.refit.plan.sketch.n_bins
-    return float((h.refit.misfit - (n - h.refit.plan.size)) / np.sqrt(2.0 * n))
-
-
 def judge(
     weighing: Weighing, stand: Standing, catalogue: Mapping[str, Effect]
 ) -> tuple[str, tuple[str, ...], str | None, float]:
@@ -208,7 +202,7 @@ def judge(
         for p, h in zip(weighing.probabilities, weighing.hypotheses, strict=True)
         if h.effects and not h.incomplete
     ]
-    gate = leftover(max(complete, key=lambda x: x[0])[1]) if complete else 0.0
+    gate = max(complete, key=lambda x: x[0])[1].leftover if complete else 0.0
     named = sorted(
         (n for n, p in stand.effects.items() if p > NAMED), key=lambda n: -stand.effects[n]
     )

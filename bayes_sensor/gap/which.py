@@ -50,6 +50,9 @@ NEAR = 14.0
 """log evidences this far below the best are not looked at more closely"""
 SMALL_SHARE = 0.02
 """of a form in its effect, whose tau is not looked at more closely"""
+LEFT = 2.5
+"""standard deviations of misfit that an explanation leaves, from which something else is looked for
+beside it"""
 MOST_TERMS = 6
 """of a hypothesis that are kept, the likeliest; their shares are those among them"""
 
@@ -88,6 +91,12 @@ class Hypothesis:
     def log_weight(self) -> float:
         """ln of prior times evidence."""
         return self.log_prior + self.log_z
+
+    @property
+    def leftover(self) -> float:
+        """Standard deviations of misfit that it leaves, the discrepancy aside."""
+        n = self.refit.plan.sketch.n_bins
+        return float((self.refit.misfit - (n - self.refit.plan.size)) / np.sqrt(2.0 * n))
 
     @property
     def key(self) -> str:
@@ -337,7 +346,7 @@ def weigh(
         log_prior = float(priors[name] + np.log(INCOMPLETE))
         add((name,), log_prior, _leading(fits[name]), some)
     if pairs:
-        _add_pairs(sketch, base, on_mean, fits, singles, hypotheses, priors, add, tell)
+        _add_pairs(sketch, base, on_mean, fits, singles, hypotheses, priors, some, add, tell)
     tell(1.0, "weighed")
     return Weighing(sketch, base, tuple(hypotheses), catalogue, tuple(shares))
 
@@ -371,6 +380,7 @@ def _add_pairs(
     singles: Mapping[str, Hypothesis],
     hypotheses: list[Hypothesis],
     priors: Mapping[str, float],
+    beside: Sequence[Discrepancy],
     add: Callable[..., Hypothesis],
     tell: Progress,
 ) -> None:
@@ -414,7 +424,12 @@ def _add_pairs(
         weight = sum(w for _, w in made)
         log_prior = priors[a] + priors[b] - np.log(PRIOR_NONE)
         names = tuple(sorted((a, b), key=list(on_mean).index))
-        found.append(add(names, float(log_prior), [(f, w / weight) for f, w in made]))
+        forms = [(f, w / weight) for f, w in made]
+        pair = add(names, float(log_prior), forms)
+        found.append(pair)
+        if pair.leftover > LEFT and pair.log_z > max(single, other, gained() + single) - NEAR:
+            # what two effects together mimic well, they seldom mimic altogether
+            add(names, float(log_prior + np.log(INCOMPLETE)), _leading(forms), beside)
 
     for i, a in enumerate(leading):
         for j, b in enumerate(on_mean):
@@ -447,9 +462,7 @@ def _something_left(hypotheses: Sequence[Hypothesis]) -> bool:
     p = np.exp(logs - logsumexp(logs))
     left = sum(q for q, h in zip(p, hypotheses, strict=True) if h.incomplete)
     best = max((h for h in hypotheses if h.effects), key=lambda h: h.log_weight)
-    n = best.refit.plan.sketch.n_bins
-    excess = (best.refit.misfit - (n - best.refit.plan.size)) / np.sqrt(2.0 * n)
-    return bool(left > 0.02 or excess > 2.5)
+    return bool(left > 0.02 or best.leftover > LEFT)
 
 
 def joined_start(plan: Plan, fitted: Refit) -> FloatArray:

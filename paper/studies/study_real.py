@@ -34,7 +34,7 @@ from bayes_sensor.gap.floor import estimate_floor
 from bayes_sensor.gap.how_far import closure
 from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, refit
 from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
-from bayes_sensor.gap.verdict import judge, leftover, standing
+from bayes_sensor.gap.verdict import judge, standing
 from bayes_sensor.gap.which import fit_effect, weigh
 from bayes_sensor.model import Layout, cascade_response
 from bayes_sensor.readers import read_campaign
@@ -450,7 +450,7 @@ def study(name: str, campaign: Campaign, progress: Callable[[str], None]) -> Fou
         ),
         "verdict_with": "+".join(named) or kind,
         "probability_with": probability,
-        "left_sd": leftover(own),
+        "left_sd": own.leftover,
         "closure": inside.fraction,
         "closure_low": inside.low,
         "closure_high": inside.high,
