@@ -81,7 +81,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (56, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (59, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -303,6 +303,13 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("filling_from_below", {"rise", "fall"}, 0.99),
         ("uneven_bonds", {"rise", "plateau", "fall", "tail"}, 0.999),
         ("missed_fringes", {"rise", "plateau", "fall"}, 0.999),
+        ("valve_turned_by_hand", {"rise", "fall"}, 0.99),
+        ("unstable_controller", {"rise", "plateau", "fall"}, 0.999),
+        ("resting_fan", {"rise", "plateau", "fall"}, 0.99),
+        ("blistering_coating", {"fall", "tail"}, 0.999),
+        ("light_across_inlet", {"rise", "plateau", "fall"}, 0.999),
+        ("searching_stage", {"fall", "tail"}, 0.999),
+        ("dying_battery", {"plateau", "fall"}, 0.99),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

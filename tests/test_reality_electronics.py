@@ -958,3 +958,56 @@ def test_a_lock_in_amplifier_reads_the_length_of_light_and_leak() -> None:
             crest = np.max(y[i] * np.cos(turn) + size * np.cos(turn - angle))
             assert R[i] == pytest.approx(crest, rel=1e-5)
     assert 0.4 < min(angles) < max(angles) < 0.8
+
+
+def test_a_dying_battery_cuts_off_late_plateaus() -> None:
+    strength, cut, whole = 0.25, 0, 0
+    for seed in range(11, 19):
+        rig = replace(draw_case(seed, size="small"), strengths={"dying_battery": strength})
+        size = strength * np.mean([step.beta for step in rig.steps])
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        begin, last, most, voltages = 0.0, np.inf, 0.0, []
+        for step in rig.steps:
+            t, battery = sample_times(step), prepared_rig(rig)[step.name].battery
+            assert battery is not None
+            limit = battery(t)
+            assert np.all(np.diff(limit) <= 0.0) and limit[0] <= last + 1e-12
+            last = limit[-1]
+            missing = plain[step.name] - seen[step.name]
+            assert np.abs(missing - np.maximum(plain[step.name] - limit, 0.0)).max() < 1e-4
+            gas = t < step.tf
+            most = max(most, missing[gas][-1])
+            cut += missing.max() > 1e-3
+            whole += missing.max() == 0.0
+            voltages.append((begin + t, limit))
+            begin += step.duration
+        assert most == pytest.approx(size, rel=5e-3)
+        # what it has fallen by is a power of the time on, to the end of the last plateau
+        on, volts = (np.concatenate(both) for both in zip(*voltages, strict=True))
+        end = begin - step.duration + step.tf
+        assert np.ptp(volts[on > end]) == 0.0
+        fallen = volts[0] - np.interp(np.array([0.25, 0.5, 1.0]) * end, on, volts)
+        orders = np.log2(fallen[1:] / fallen[:-1])
+        assert orders[0] == pytest.approx(orders[1], rel=1e-3) and 2.0 <= orders[0] <= 4.0
+    assert cut >= 8 and whole >= 4
+
+
+def test_between_two_transistors_without_bias_the_output_stands() -> None:
+    strength, places = 0.2, []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"dead_crossover": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        size = float(np.mean([step.beta for step in rig.steps]))
+        y, z = (np.concatenate([some[s.name] for s in rig.steps]) for some in (plain, seen))
+        order = np.argsort(y)
+        y, z = y[order], z[order]
+        # the same up and down, in all experiments
+        assert np.all(np.diff(z) > -1e-9)
+        middle = prepared_rig(rig)["1"].crossover_at
+        inside = np.abs(y - middle) < 0.5 * strength * size
+        assert np.abs(z[inside] - middle).max() < 1e-4 and np.count_nonzero(inside) > 20
+        below, above = y < middle - 0.51 * strength * size, y > middle + 0.51 * strength * size
+        assert (z - y)[below] == pytest.approx(0.5 * strength * size, abs=1e-6)
+        assert (z - y)[above] == pytest.approx(-0.5 * strength * size, abs=1e-6)
+        places.append((middle - np.mean([step.y0 for step in rig.steps])) / size)
+    assert 0.25 < min(places) < max(places) < 0.75

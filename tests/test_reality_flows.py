@@ -731,3 +731,65 @@ def test_a_foreign_gas_factor_is_off_only_while_there_is_test_gas_against_an_ode
             _, states = solved(rig, off, 3, k=k)
             assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-3
     assert factors == {False, True}
+
+
+def test_an_unstable_controller_swings_up_to_the_root_of_what_is_beyond_its_onset() -> None:
+    strength, onsets, decayed = 0.2, [], 0
+    for seed in range(11, 21):
+        rig = draw_case(seed, {"unstable_controller": strength}, size="paper")
+        largest = max(step.test_gas_flow for step in rig.steps)
+        found, rates, growths, beyond, flows = prepared_rig(rig), [], [], [], []
+        for step in rig.steps:
+            (course,) = found[step.name].test_gas
+            assert np.all(course(np.linspace(0.0, step.t0, 100)) == 1.0)
+            fine = step.t0 + np.linspace(0.0, 6.0, 600_001)
+            swing = (course(fine) - 1.0) / strength
+            zeros = fine[1:-1][(swing[1:-1] * swing[2:] <= 0.0)] - step.t0
+            half = np.median(np.diff(zeros[zeros > 0.01]))
+            rates.append(0.5 / half)
+            # its size wherever the sine is at its crest
+            since = half * (np.arange(int(step.duration / half)) + 0.5)
+            size = np.abs(course(step.t0 + since) - 1.0) / strength
+            live = (size > 1e-3) & (np.arange(len(size)) < 40)
+            # r' = growth r (beyond - r^2): 1/r^2 follows a lag, from crest to crest
+            a = 1.0 / size[live] ** 2
+            if len(a) < 5 or np.ptp(a[:-1]) < 1e-3 * a[0]:  # it was there at once, or never
+                continue
+            flows.append(step.test_gas_flow / largest)
+            slope, start = np.polyfit(a[:-1], a[1:], 1)
+            assert np.abs(a[1:] - slope * a[:-1] - start).max() < 3e-2 * a.max()
+            rate = -np.log(slope) / (2.0 * half)
+            beyond.append((1.0 - slope) / start)
+            if 1e-2 < slope < 0.98 or slope > 1.02:
+                growths.append(rate / beyond[-1])
+            if beyond[-1] < -0.05:
+                decayed += 1
+                assert size[-1] < size[0]
+            elif 2.0 * rate * since[-1] > 20.0:
+                assert size[-1] == pytest.approx(np.sqrt(beyond[-1]), rel=1e-2)
+        assert np.ptp(rates) < 2e-3 * np.mean(rates) and 0.15 < np.mean(rates) < 0.8
+        assert np.ptp(growths) < 0.1 * np.mean(growths) and 0.3 < np.mean(growths) < 2.0
+        slope, start = np.polyfit(flows, beyond, 1)
+        assert slope + start == pytest.approx(1.0, abs=0.02)  # at the largest flow
+        onsets.append(-start / slope)
+    assert 0.28 < min(onsets) < 0.45 < 0.6 < max(onsets) < 0.77
+    assert decayed > 5
+
+
+def test_a_swinging_flow_reaches_the_ring_against_an_ode_solver() -> None:
+    rig = case(unstable_controller=0.3)
+    found, seen = prepared_rig(rig), clean_signals(rig)
+    for k, step in enumerate(rig.steps):
+        (course,) = found[step.name].test_gas
+
+        def swinging(
+            u: float, x: FloatArray, step: Step = step, course: Any = course
+        ) -> list[float]:
+            most = step.test_gas_flow * float(course(np.array([x[3]]))[0])
+            flow = step.carrier_flow + most * x[0] + step.test_gas_flow * (1.0 - x[0])
+            inlet = x[0] * most / (step.carrier_flow + most) / step.concentration
+            gas = [flow / rig.V * (inlet - x[1]), (x[1] - x[2]) / rig.tau]
+            return [(u - x[0]) / rig.tau_v, *gas, 1.0]  # x[3] is the time itself
+
+        _, states = solved(rig, swinging, 4, k=k)
+        assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-4

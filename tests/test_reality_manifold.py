@@ -13,7 +13,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality import Case, clean_signals, draw_case, sample_times, without_causes
 from bayes_sensor.reality.rig import Knobs, voltage
 from bayes_sensor.reality.simulator import prepared_rig
-from bayes_sensor.reality.stages import laminar, looped, splitting, two_layers
+from bayes_sensor.reality.stages import fanned, lag, laminar, looped, splitting, two_layers
 from tests.reality_cases import case, solved
 
 
@@ -748,3 +748,56 @@ def test_heavy_gas_fills_from_below_and_stays_there_against_an_ode_solver() -> N
     assert np.all(still[t >= 10.1] > 0.999)
     stirred = two_layers(t, u, rate, 0.4, 1e6)
     assert stirred[t < 10.0] == pytest.approx(-np.expm1(-0.8 * t[t < 10.0]), abs=1e-5)
+
+
+def test_a_corner_stands_while_the_fan_rests_against_an_ode_solver() -> None:
+    strength, shares, turns = 0.3, [], []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"resting_fan": strength})
+        seen, found = clean_signals(rig), prepared_rig(rig)
+        for k, step in enumerate(rig.steps):
+            fan = found[step.name].fan
+            assert fan is not None
+            fine = np.linspace(0.0, step.duration, 300_001)
+            runs = fan(fine)
+            starts, stops = (fine[1:][np.diff(runs) == way] for way in (1.0, -1.0))
+            if len(starts) > 1:
+                turns.append(np.diff(starts).mean())
+                assert np.ptp(np.diff(starts)) < 3e-4
+                whole = (fine >= starts[0]) & (fine < starts[-1])
+                shares.append(runs[whole].mean())
+            if k > 0:
+                continue
+
+            def fanned_by(
+                u: tuple[float, float], x: FloatArray, q: float = step.total_flow, rig: Case = rig
+            ) -> list[float]:
+                # a fan that moves 200 times what the stream does
+                moved = 200.0 * q * u[1] * (x[3] - x[1])
+                main = (q * (x[0] - x[1]) + moved) / ((1.0 - strength) * rig.V)
+                aside = -moved / (strength * rig.V)
+                return [(u[0] - x[0]) / rig.tau_v, main, (x[1] - x[2]) / rig.tau, aside]
+
+            edges = sorted({0.0, step.t0, step.tf, *starts.tolist(), *stops.tolist()})
+            inputs = [
+                (at, (float(step.t0 <= at < step.tf), float(fan(np.array([at + 1e-3]))[0])))
+                for at in edges
+            ]
+            _, states = solved(rig, fanned_by, 4, k=k, inputs=inputs)
+            x = (seen[step.name] - step.y0) / step.beta
+            assert np.abs(x - states[:, 2]).max() < 1e-2
+    assert 0.2 < min(shares) < max(shares) < 0.6 and 1.5 < min(turns) < max(turns) < 12.0
+
+    # what was left in the corner comes back at the start, and no gas is lost
+    t = np.arange(0.0, 40.0, 1e-3)
+    u = np.where(t < 10.0, 1.0, 0.0)
+    rests = ((t[1:] > 9.0) & (t[1:] < 16.0)).astype(float)
+    x = fanned(t, u, np.full(len(t) - 1, 1.5), 1.0 - rests, 0.25)
+    before, after = x[np.searchsorted(t, [15.999, 16.003])]
+    kept = x[np.searchsorted(t, 9.0)]
+    assert before == pytest.approx(np.exp(-6.0 / (0.75 * 1.5)), rel=1e-2)
+    assert after == pytest.approx(0.75 * before + 0.25 * kept, rel=1e-2)
+    assert np.trapezoid(u - x, t) == pytest.approx(0.0, abs=2e-3)
+    # a fan that never stops is no fan
+    always = fanned(t, u, np.full(len(t) - 1, 1.5), np.ones(len(t) - 1), 0.25)
+    assert np.abs(always - lag(t, u, np.full(len(t) - 1, 1.5), 0.0)).max() < 1e-12

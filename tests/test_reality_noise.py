@@ -849,6 +849,73 @@ def test_flapping_startled_and_bubbling_noise_are_what_they_say() -> None:
     assert not (damper.is_ar1 or receiver.is_ar1 or nozzle.is_ar1)
 
 
+def test_resting_balanced_and_sinking_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(40)
+    h = 1e-3
+    ball = NoiseLaw("resting_ball", 1.0, components=(Component(1.0, 0.1, shape="resting"),))
+    z = draw_noise(ball, 2_000_000, h, rng)
+    # exponentially distributed above its stop
+    assert -1.0 <= z.min() < -0.999
+    assert abs(z.mean()) < 0.04 and z.std() == pytest.approx(1.0, abs=0.04)
+    assert np.mean(z > 2.0) == pytest.approx(np.exp(-3.0), rel=0.1)
+    # far from the stop it is a walk of even drift: unit height is two, of h/0.1 variance each
+    steps = np.diff(z)[z[:-1] > 0.5]
+    assert steps.mean() == pytest.approx(-2.0 * h / 0.1, abs=2e-3)
+    assert steps.std() == pytest.approx(2.0 * np.sqrt(h / 0.1), rel=0.01)
+    R = autocorrelation(ball, 60_000, h)
+    for lag in (1, 10, 50, 200, 400):
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.04)
+    assert R[0] == pytest.approx(1.0) and np.all(np.diff(R) <= 1e-12)
+    # its mean over long strays as if there were an independent height every two times
+    assert (R[0] / 2.0 + R[1:].sum()) * h == pytest.approx(0.1, rel=1e-3)
+
+    part = Component(1.0, 0.005, shape="balanced", gust_time=1.0)
+    balance = NoiseLaw("drifting_balance", 1.0, components=(part,))
+    z = draw_noise(balance, 4_000_000, h, rng)
+    # a product of two Gaussians: moments 1, 9, and quiet where the balance goes through zero
+    assert np.mean(z**2) == pytest.approx(1.0, abs=0.06)
+    assert np.mean(z**4) == pytest.approx(9.0, rel=0.2)
+    loud = np.sqrt((z**2).reshape(-1, 20).mean(axis=1))
+    assert np.mean(loud < 0.3) == pytest.approx(0.26, abs=0.06)
+    square = z**2 - 1.0
+    # of the squares: (1 + 2 r^2) (1 + 2 q^2) - 1 over 8, with both correlations
+    for lag in (1, 3, 10, 300):
+        r, q = np.exp(-2.0 * lag * h / 0.005), np.exp(-2.0 * lag * h)
+        both = (1.0 + 2.0 * r) * (1.0 + 2.0 * q) - 1.0
+        assert np.mean(square[lag:] * square[:-lag]) == pytest.approx(both, rel=0.3, abs=0.15)
+        stated = autocorrelation(balance, 301, h)[lag]
+        assert stated == pytest.approx(np.sqrt(r * q))
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(stated, abs=0.05)
+
+    meter = NoiseLaw("sinking_crests", 1.0, components=(Component(1.0, 0.05, shape="crests"),))
+    z = draw_noise(meter, 2_000_000, h, rng)
+    # Gumbel's distribution
+    assert abs(z.mean()) < 0.03 and z.std() == pytest.approx(1.0, abs=0.03)
+    assert np.mean(z**3) == pytest.approx(1.1395, rel=0.1)
+    unit = np.pi / np.sqrt(6.0)
+    assert np.mean(z < -np.euler_gamma / unit) == pytest.approx(np.exp(-1.0), abs=0.01)
+    # it sinks evenly or leaps
+    steps = np.diff(z) * unit
+    sinks = np.abs(steps + h / 0.05) < 1e-9
+    assert steps.min() > -h / 0.05 - 1e-9 and np.mean(sinks) == pytest.approx(
+        np.exp(-h / 0.05), abs=2e-3
+    )
+    R = autocorrelation(meter, 400, h)
+    u = np.linspace(-4.0, 40.0, 20_001)
+    for lag in (1, 10, 50, 200):
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.03)
+        # by the mean of what is left: it was x, and is x - age or a new crest above that
+        age = lag * h / 0.05
+        density = np.exp(-u - np.exp(-u))
+        # above v it is with 1 - exp(-(1 - exp(-age)) exp(-v))
+        above = np.linspace(0.0, 30.0, 2001) + u[::20, None] - age
+        more = np.trapezoid(-np.expm1(np.expm1(-age) * np.exp(-above)), above, axis=1)
+        later = u[::20] - age + more
+        mean = np.trapezoid((density * u)[::20] * later, u[::20]) - np.euler_gamma**2
+        assert R[lag] == pytest.approx(mean / unit**2, abs=2e-3)
+    assert not (ball.is_ar1 or balance.is_ar1 or meter.is_ar1)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):

@@ -626,3 +626,65 @@ def test_a_clamp_slips_when_the_strain_is_too_much() -> None:
         assert seen == len(rig.steps)
     assert ways == {-1.0, 1.0}
     assert 1.5 < min(lasting) < 0.5 * max(lasting) < 16.7
+
+
+def test_gas_in_the_inlet_takes_light_before_it_is_at_the_ring_against_an_ode_solver() -> None:
+    strength = 0.2
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"light_across_inlet": strength})
+        seen = clean_signals(rig)
+        for k, step in enumerate(rig.steps):
+
+            def cascade(
+                u: float, x: FloatArray, exchange: float = step.total_flow / rig.V, rig=rig
+            ) -> list[float]:
+                first = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1])]
+                return [*first, (x[1] - x[2]) / rig.tau]
+
+            t, states = solved(rig, cascade, 3, k=k)
+            light = (1.0 - strength) ** (rig.relative_concentration(step) * states[:, 0])
+            y = seen[step.name]
+            assert np.abs(y - light * (step.y0 + step.beta * states[:, 2])).max() < 1e-4
+            # it sinks before it rises, and rises before it falls
+            assert y[(t > step.t0) & (t < step.t0 + 1.0)].min() < step.y0
+            end = y[np.searchsorted(t, step.tf) - 1]
+            assert y[(t > step.tf) & (t < step.tf + 0.5)].max() > 1.001 * end
+            assert y[-1] == pytest.approx(step.y0, abs=1e-3)
+
+
+def test_a_stage_searches_when_the_signal_falls_and_finds_back() -> None:
+    strength, drops, periods = 0.4, [], []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"searching_stage": strength})
+        plain, seen = clean_signals(without_causes(rig)), clean_signals(rig)
+        for step in rig.steps:
+            (lost,) = prepared_rig(rig)[step.name].gain
+            t = sample_times(step)
+            expected = plain[step.name] * (1.0 + lost(t))
+            assert np.abs(seen[step.name] - expected).max() < 1e-4
+            fine = step.tf + np.linspace(0.0, 25.0, 500_001)
+            gone = lost(fine)
+            assert -strength < gone.min() < -0.3 * strength and gone.max() <= 1e-12
+            begin = fine[np.flatnonzero(gone < -1e-9)[0]]
+            assert np.all(lost(np.linspace(0.0, begin - 1e-3, 1000)) == 0.0)
+            y = np.interp([step.tf, begin], t, plain[step.name])
+            drops.append(1.0 - y[1] / y[0])
+            # through its best place twice a turn, from one side to the other, always less far
+            off = np.sqrt(np.log1p(gone.clip(max=0.0)) / np.log1p(-strength))
+            best = np.flatnonzero((off[1:-1] < off[:-2]) & (off[1:-1] <= off[2:])) + 1
+            best = best[fine[best] > begin + 0.05]
+            half = np.diff([begin, *fine[best]])
+            end = fine[np.flatnonzero(off > 1e-6)[-1]]
+            turns = round((end - begin) / (2.0 * half[0]))
+            periods.append((end - begin) / turns)
+            assert 2 <= turns <= 5
+            assert half[: 2 * turns - 1] == pytest.approx(0.5 * periods[-1], rel=2e-2)
+            far = [off[(fine > a) & (fine < b)].max() for a, b in pairwise(
+                [begin, *(begin + 0.5 * periods[-1] * np.arange(1, 2 * turns + 1))]
+            )]  # fmt: skip
+            assert np.all(np.diff(far) < 0.0) and far[0] < 1.0
+            assert np.all(lost(fine[fine > end + 0.1]) == 0.0)
+        # always after the same share of the way
+        assert np.ptp(drops[-len(rig.steps) :]) < 0.02
+    assert 0.04 < min(drops) < max(drops) < 0.32
+    assert 0.6 < min(periods) < max(periods) < 3.1

@@ -595,3 +595,38 @@ def test_uneven_bonds_fill_and_empty_as_logarithms() -> None:
             x = states[:, 2] + strength / relative * states[:, 3]
             assert np.abs((seen[step.name] - step.y0) / step.beta - x).max() < 1e-3
     assert 1.2 < min(bends) < max(bends) < 3.0
+
+
+def test_blisters_come_only_where_gas_is_gone_too_fast_against_an_ode_solver() -> None:
+    strength, levels, lifted = 0.3, set(), 0
+    for seed in range(11, 23):
+        rig = replace(draw_case(seed, size="small"), strengths={"blistering_coating": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        knobs = prepared_rig(rig)["1"]
+        level, soaks, time = knobs.blisters_level, knobs.blisters_soak, knobs.blisters_time
+        levels.add(level)
+        for k, step in enumerate(rig.steps):
+            t, relative = sample_times(step), rig.relative_concentration(step)
+            less = (plain[step.name] - seen[step.name]) / step.beta * relative
+            assert np.abs(less[t <= step.tf]).max() == 0.0
+            assert less.min() >= 0.0 and less.max() < strength
+            if relative <= level:
+                assert less.max() == 0.0
+                continue
+            lifted += less.max() > 0.01 * strength
+            if seed > 13:
+                continue
+
+            def blistering(
+                u: float, x: FloatArray, exchange: float = step.total_flow / rig.V,
+                relative: float = relative, rig: Case = rig, level: float = level,
+                soaks: float = soaks, time: float = time,
+            ) -> list[float]:  # fmt: skip
+                cascade = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1])]
+                pressed = max(relative * (x[3] - x[1]) - level, 0.0) / (1.0 - level)
+                return [*cascade, (x[1] - x[2]) / rig.tau, (x[1] - x[3]) / soaks,
+                        (pressed - x[4]) / time]  # fmt: skip
+
+            _, states = solved(rig, blistering, 5, k=k)
+            assert np.abs(less - strength * states[:, 4]).max() < 2e-4
+    assert lifted > 15 and 0.08 < min(levels) < 0.5 * max(levels) < 0.18

@@ -452,3 +452,43 @@ def test_a_warming_coil_lets_the_valve_sink_against_an_ode_solver() -> None:
         # in the end the share is lost
         assert lift(np.array([on + 0.999 * (off - on)]))[0] > end
     assert 4.9 < min(times) < max(times) < 40.1
+
+
+def test_a_hand_opens_the_valve_turn_by_turn_against_an_ode_solver() -> None:
+    strength, counts, lengths = 2.0, set(), []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"valve_turned_by_hand": strength})
+        seen, found = clean_signals(rig), prepared_rig(rig)
+        for k, step in enumerate(rig.steps):
+            wheel = found[step.name].wheel
+            assert wheel is not None
+            inputs: list[tuple[float, Any]] = [(0.0, (0.0, 0.0, 0.0))]
+            for switch, way in ((step.t0, 1.0), (step.tf, -1.0)):
+                fine = switch + np.linspace(0.0, strength, 200_001)
+                rates = np.diff(wheel(fine)) / (fine[1] - fine[0])
+                turning = np.abs(rates) > 1e-6
+                # one speed, at which it goes all the way, and standing still in between
+                speeds = way * rates[turning]
+                assert np.ptp(np.sort(speeds)[20:-20]) < 1e-4 * speeds.max()
+                assert rates.sum() * (fine[1] - fine[0]) == pytest.approx(way)
+                begins = np.flatnonzero(np.diff(turning.astype(int), prepend=0) == 1)
+                ends = np.flatnonzero(np.diff(turning.astype(int), append=0) == -1) + 1
+                counts.add(len(begins))
+                lengths.append((fine[ends[-1]] - switch) / strength)
+                for begin, end in zip(fine[begins], fine[ends], strict=True):
+                    now, then = wheel(np.array([begin, end]))
+                    inputs += [(begin, (now, (then - now) / (end - begin), begin))]
+                    inputs += [(end, (then, 0.0, end))]
+
+            def turned(
+                u: tuple[float, float, float], x: FloatArray,
+                exchange: float = step.total_flow / rig.V, rig: Case = rig,
+            ) -> list[float]:  # fmt: skip
+                target = u[0] + u[1] * (x[3] - u[2])  # x[3] is the time itself
+                cascade = [(target - x[0]) / rig.tau_v, exchange * (x[0] - x[1])]
+                return [*cascade, (x[1] - x[2]) / rig.tau, 1.0]
+
+            _, states = solved(rig, turned, 4, k=k, inputs=inputs)
+            assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-3
+    assert counts == {2, 3, 4}
+    assert 0.5 <= min(lengths) < 0.7 and 0.8 < max(lengths) <= 1.0

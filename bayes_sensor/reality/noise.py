@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
-from scipy.special import erfcx, gamma, j0, kv
+from scipy.special import erfc, erfcx, gamma, j0, kv, spence
 
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.reality.records import Component, NoiseLaw
@@ -27,14 +27,15 @@ OPEN_LAWS = (
     "sparkling_codes", "weighed_readings", "dimmed_lamps",
     "overcorrecting_zero", "rectified_pickup", "glassy_dielectric",
     "worn_gear", "salty_electrode", "trembling_mirror",
+    "flapping_damper", "startled_receiver", "bubbling_nozzle",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("flapping_damper", "startled_receiver", "bubbling_nozzle")
+RESERVE_LAWS = ("resting_ball", "drifting_balance", "sinking_crests")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
     "waning", "two_paced", "drilling", "crackling_cable", "sparkling_codes",
-    "startled_receiver", "bubbling_nozzle",
+    "startled_receiver", "bubbling_nozzle", "drifting_balance",
 )  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
 loudness"""
@@ -445,6 +446,29 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    resting, balanced, crests = (
+        own.uniform(0.05, 0.25), own.uniform(0.6, 0.9), own.uniform(0.04, 0.12)
+    )  # fmt: skip
+    parts |= {
+        # a check valve's ball that the stream throws off its seat and its weight brings back
+        "resting_ball": (
+            Component(1.0 - resting, short),
+            Component(resting, exp(own.uniform(np.log(0.1), np.log(2.0))), shape="resting"),
+        ),
+        # two photodiodes that cancel the laser's noise as long as they get as much light
+        "drifting_balance": (
+            Component(
+                balanced, short, shape="balanced",
+                gust_time=exp(own.uniform(np.log(0.1), np.log(3.0))),
+            ),
+            Component(1.0 - balanced),
+        ),
+        # a level meter that leaps to every crest and sinks evenly until a higher one comes
+        "sinking_crests": (
+            Component(1.0 - crests, short),
+            Component(crests, exp(own.uniform(np.log(0.2), np.log(2.0))), shape="crests"),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -546,6 +570,12 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
         elif part.shape == "bubbles":
             own = _bubbling_covariance(part.rate, lags / part.time)
             own /= _bubbling_covariance(part.rate, np.zeros(1))
+        elif part.shape == "resting":
+            own = _resting_correlation(lags / part.time)
+        elif part.shape == "balanced":
+            own *= np.exp(-lags / part.gust_time)
+        elif part.shape == "crests":
+            own = 1.0 - spence(own) / (pi**2 / 6.0)
         elif part.shape == "squared":
             own = (own * np.cos(2.0 * pi * part.frequency * lags)) ** 2
         elif part.shape == "stretched":
@@ -670,6 +700,10 @@ def _draw_part(
         return _flapping(part, n, interval, rng)
     if part.shape == "bubbles":
         return _bubbles(part, n, interval, rng)
+    if part.shape == "resting":
+        return _resting(interval / part.time, n, rng)
+    if part.shape == "crests":
+        return _sinking(interval / part.time, n, rng)
     if part.shape == "squared":
         turn = np.exp(2j * pi * part.frequency * interval)
         kicks = rng.standard_normal(n) + 1j * rng.standard_normal(n)
@@ -713,6 +747,8 @@ def _draw_part(
             x *= np.where(_telegraph(exp(-interval / part.gust_time), n, rng) > 0, *_gusts(part))
         elif part.shape == "lognormal":
             x *= _loudness(part, n, interval, rng)
+        elif part.shape == "balanced":
+            x *= _remembering(rng.standard_normal(n), exp(-interval / part.gust_time))
         elif part.shape == "waning":
             x *= _waning(part.depth, n, rng)
         elif part.shape == "drilled":
@@ -1043,6 +1079,48 @@ def _bubbles(part: Component, n: int, interval: float, rng: np.random.Generator)
     seen = at.astype(np.int64) + 1
     x = _dying_out(seen, (seen - at) * interval, 1.0, part.time, n, before, interval)
     return (x - part.rate) / sqrt(float(_bubbling_covariance(part.rate, np.zeros(1))[0]))
+
+
+def _resting_correlation(lags: FloatArray) -> FloatArray:
+    """Of a random walk that drifts on to a stop; lags in units of its variance over drift squared.
+
+    Abate and Whitt, Adv. Appl. Prob. 19, 560, 1987; what is beyond 80 is less than rounding.
+    """
+    t = np.minimum(lags, 80.0)
+    root = np.sqrt(t)
+    beyond, density = 0.5 * erfc(root / sqrt(2.0)), np.exp(-0.5 * t) / sqrt(2.0 * pi)
+    return np.asarray(2.0 * (1.0 - 2.0 * t - t**2) * beyond + 2.0 * root * (1.0 + t) * density)
+
+
+def _resting(step: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) height above a stop of what drifts on to it and is thrown about, less its mean.
+
+    Of unit drift and variance it is exponentially distributed, of mean 1/2.  The stop has pushed it
+    up by as much as the free walk would have come below, whose lowest place between two samples is
+    drawn exactly: of a bridge from 0 to d, (d - sqrt(d^2 + 2 e step))/2 with e exponential.
+    """
+    free = sqrt(step) * rng.standard_normal(n) - step
+    lowest = 0.5 * (free - np.sqrt(free**2 + 2.0 * step * rng.exponential(size=n)))
+    free[0] = lowest[0] = 0.0
+    begin = rng.exponential(0.5)
+    walk = begin + np.cumsum(free)
+    below = walk - free + lowest
+    height: FloatArray = walk - np.minimum(np.minimum.accumulate(below), 0.0)
+    return 2.0 * height - 1.0
+
+
+def _sinking(step: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) highest of the crests that came at random, each sunk by its age, less its mean.
+
+    Heights above any level are exponential, hence Gumbel's distribution, of variance pi^2/6; after
+    a time it is the larger one of what is left and of new crests, and correlated as the
+    dilogarithm tells (Tiago de Oliveira, Statistical Extremes and Applications, 1984).
+    """
+    crests = rng.gumbel(size=n)
+    crests[1:] += np.log(-np.expm1(-step))
+    age = step * np.arange(n)
+    level: FloatArray = np.maximum.accumulate(crests + age) - age
+    return (level - np.euler_gamma) / sqrt(pi**2 / 6.0)
 
 
 def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

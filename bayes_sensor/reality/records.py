@@ -121,6 +121,10 @@ class Component:
     ``time``; with ``startled`` (``time`` 0) it is white, of a variance that is for the share
     ``depth`` the square of the sample before; with ``bubbles`` it is equal pulses that die out in a
     ``time``, ``rate`` of them in it, each of which waits for two events after the one before.
+    With ``resting`` it is a random walk that drifts on to a stop and is thrown back there, its
+    variance over its drift squared a ``time``; with ``balanced`` an Ornstein-Uhlenbeck process is
+    multiplied by another one that lasts a ``gust_time``; with ``crests`` it is the highest of the
+    crests that come at random, each of which sinks by Gumbel's unit in a ``time``.
     """
 
     share: float
@@ -136,8 +140,8 @@ class Component:
     ``conducting``, ``latching``, ``waning``, ``stops``, ``coded``, ``paces``, ``cut_off``,
     ``settling``, ``drilled``, ``hunting``, ``chattering``, ``replugged``, ``beating``, ``held``,
     ``trains``, ``sparkling``, ``binomial``, ``dimmed``, ``overcorrected``, ``rectified``,
-    ``stretched``, ``teeth``, ``diffused``, ``squared``, ``flapping``, ``startled`` or
-    ``bubbles``"""
+    ``stretched``, ``teeth``, ``diffused``, ``squared``, ``flapping``, ``startled``,
+    ``bubbles``, ``resting``, ``balanced`` or ``crests``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

@@ -75,6 +75,8 @@ class Knobs:
     """share of the pressure at which a check valve opens"""
     check_reseats: float = 0.0
     """likewise, at which it shuts"""
+    wheel: Course | None = None
+    """share of the stroke that a hand has turned the valve open, in place of the command"""
     # flows
     following: float = 0.0
     """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
@@ -167,6 +169,10 @@ class Knobs:
     """by how much, relatively, the full step of gas slows down the exchange"""
     pairing: float = 0.0
     """per s, at which the set concentration reacts with itself"""
+    corner: float = 0.0
+    """share of V that is mixed with the rest while a fan runs only"""
+    fan: Course | None = None
+    """1 while it does, else 0"""
     # sensor
     tau_factor: float = 1.0
     film_share: float = 0.0
@@ -273,6 +279,14 @@ class Knobs:
     """likewise, above which it goes out"""
     flares_cooling: float = 0.3
     """s in which the coating loses its warmth"""
+    blisters: float = 0.0
+    """share of the highest response that a coating full of blisters takes away"""
+    blisters_level: float = 0.2
+    """concentration beyond that outside that it holds down, over the campaign's highest"""
+    blisters_soak: float = 5.0
+    """s in which gas dissolves below it"""
+    blisters_time: float = 1.0
+    """s in which blisters form and empty"""
     poisoning: float = 0.0
     """per s, at which sites die that the highest concentration has taken"""
     alive: float = 1.0
@@ -301,6 +315,8 @@ class Knobs:
     """relative changes of the optical power"""
     bending: float = 0.0
     """share of the light that is lost where the highest concentration meets none"""
+    absorbed: float = 0.0
+    """share of the light that the highest concentration absorbs in the inlet"""
     concentration_gain: list[Course] = field(default_factory=list)
     """relative changes of the response alone"""
     fringe: float = 0.0
@@ -390,6 +406,12 @@ class Knobs:
     """s in which what is too much charges its loop"""
     rail_charge: float = 0.0
     """V, the most of that charge"""
+    battery: Course | None = None
+    """V, the most that the amplifier gives as its battery runs down"""
+    crossover: float = 0.0
+    """V of the amplifier's way for which neither of its output transistors conducts"""
+    crossover_at: float = 1.0
+    """V in the middle of that"""
     gain_control: float = 0.0
     """share of the level's logarithm that an automatic gain takes off"""
     gain_attack: float = 1.0
@@ -569,7 +591,7 @@ def voltage(
     if knobs.dried > 0:
         late = stages.retarded(t, gas, flow, knobs.dried_volume, knobs.dried_cells)
         response = response - knobs.dried * stages.steady_lag(t, late, case.tau)
-    y = _readout(case, step, knobs, t, response, case.relative_concentration(step) * (inlet - gas))
+    y = _readout(case, step, knobs, t, response, inlet, gas)
     if knobs.blank_lasts > 0:
         y = stages.blanked(t, y, knobs.blank_up, knobs.blank_down, knobs.blank_lasts)
     if knobs.distrust > 0:
@@ -623,6 +645,9 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
     first = last = up.astype(float)
     if knobs.stroke_time > 0:
         z = _stroke(t, step, knobs.stroke_time)
+        first, last = z[:-1], z[1:]
+    if knobs.wheel is not None:
+        z = knobs.wheel(t)
         first, last = z[:-1], z[1:]
     if knobs.pilot_alone > 0:
         alone = (middle > step.t0) & (middle < step.t0 + knobs.pilot_alone)
@@ -732,6 +757,9 @@ def _manifold(
         passage = case.V / (0.5 * (flow[1:] + flow[:-1]))
         if knobs.layering > 0:
             gas = stages.layers(t, inlet, passage, knobs.layering, 0.0)
+        elif knobs.fan is not None:
+            runs = knobs.fan(0.5 * (t[1:] + t[:-1]))
+            gas = stages.fanned(t, inlet, passage, runs, knobs.corner)
         elif knobs.pairing > 0:
             gas = stages.pairing(t, inlet, passage, knobs.pairing)
             # the plateau is what it is: x + kappa x^2 = 1 with kappa the rate over the exchange's
@@ -832,6 +860,11 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
             knobs.flares_from, knobs.flares_until, knobs.flares_cooling,
         )  # fmt: skip
         x = x + knobs.flares / relative * warmth
+    if knobs.blisters > 0:
+        dissolved = stages.steady_lag(t, gas, knobs.blisters_soak)
+        beyond = relative * (dissolved - gas) - knobs.blisters_level
+        lifting = np.maximum(beyond, 0.0) / (1.0 - knobs.blisters_level)
+        x = x - knobs.blisters / relative * stages.steady_lag(t, lifting, knobs.blisters_time)
     if knobs.poisoning > 0:
         held = relative * _integral(t, x)
         x = knobs.alive * x * np.exp(-knobs.poisoning * held)
@@ -858,9 +891,10 @@ def centre_of_mass(z: FloatArray | float, window: float) -> Any:
 
 
 def _readout(
-    case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray, uneven: FloatArray
-) -> FloatArray:
-    """(n,) V; ``uneven`` (n,): concentration at the inlet less the manifold's, over the highest."""
+    case: Case, step: Step, knobs: Knobs, t: FloatArray, x: FloatArray, inlet: FloatArray,
+    gas: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """(n,) V; ``inlet`` and ``gas`` (n,): there and in the manifold, over the set one."""
     relative = case.relative_concentration(step)
     for course in knobs.concentration_gain:
         x = x * (1.0 + course(t))
@@ -919,7 +953,9 @@ def _readout(
     for course in knobs.gain:
         y = y * (1.0 + course(t))
     if knobs.bending > 0:
-        y = y * (1.0 - knobs.bending) ** (uneven**2)
+        y = y * (1.0 - knobs.bending) ** ((relative * (inlet - gas)) ** 2)
+    if knobs.absorbed > 0:
+        y = y * (1.0 - knobs.absorbed) ** (relative * inlet)
     for course in knobs.offset:
         y = y + course(t)
     if knobs.leak_across != 0:
@@ -937,6 +973,11 @@ def _readout(
         y = y + knobs.heat * stages.steady_lag(t, power - power[0], knobs.heat_time)
     if np.isfinite(knobs.rail):
         y = stages.overloaded(t, y, knobs.rail, knobs.rail_time, knobs.rail_charge)
+    if knobs.battery is not None:
+        y = np.minimum(y, knobs.battery(t))
+    if knobs.crossover > 0:
+        away = y - knobs.crossover_at
+        y = y - np.clip(away, -0.5 * knobs.crossover, 0.5 * knobs.crossover)
     if knobs.gain_control > 0:
         level = stages.envelope(t, np.maximum(y, 1e-6), knobs.gain_attack, knobs.gain_release)
         y = y * (level[0] / level) ** knobs.gain_control

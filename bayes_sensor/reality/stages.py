@@ -73,6 +73,32 @@ def layers(
 
 
 @njit(cache=True, error_model="numpy")
+def fanned(
+    t: FloatArray, u: FloatArray, passage: FloatArray, runs: FloatArray, corner: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state from 0 of a volume whose share ``corner`` is mixed in only while a fan ``runs``.
+
+    Between nodes passage x' = u - x with ``passage`` (n - 1,) s of the whole volume, or without the
+    corner where ``runs`` (n - 1,) is 0; both are mixed at the node where it is no longer.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    x, left = 0.0, 0.0
+    for i in range(n - 1):
+        time = passage[i]
+        if runs[i] > 0.0:
+            x += corner * (left - x)
+        else:
+            time *= 1.0 - corner
+        behind = time * (u[i + 1] - u[i]) / (t[i + 1] - t[i])
+        x = u[i + 1] - behind + (x - u[i] + behind) * exp(-(t[i + 1] - t[i]) / time)
+        if runs[i] > 0.0:
+            left = x
+        out[i + 1] = x
+    return out
+
+
+@njit(cache=True, error_model="numpy")
 def sticky_wall(
     t: FloatArray, u: FloatArray, held: FloatArray, bend: float, n_cells: int
 ) -> FloatArray:  # pragma: no cover - compiled

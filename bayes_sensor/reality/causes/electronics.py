@@ -749,7 +749,7 @@ def neighbours_magnet(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         rig[step.name].marks += [edge for edge in edges.tolist() if edge < step.duration]
 
 
-@cause((), "delay", "times too fast", 2.0, reserve=True)
+@cause((), "delay", "times too fast", 2.0)
 def missed_fringes(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """An interferometer follows the line, and its counter misses the fringes that come too fast.
 
@@ -761,9 +761,7 @@ def missed_fringes(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.fringe_width, knobs.countable = fringe, fastest
 
 
-@cause(
-    (), "level", "share of the step", 0.8, near=("optical_nonlinearity",), reserve=True,
-)  # fmt: skip
+@cause((), "level", "share of the step", 0.8, near=("optical_nonlinearity",))
 def lock_in_magnitude(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A lock-in amplifier is set to the magnitude, and the reference leaks into its input.
 
@@ -774,3 +772,45 @@ def lock_in_magnitude(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
     for knobs in rig.values():
         knobs.leak_along = size * float(np.cos(angle))
         knobs.leak_across = size * float(np.sin(angle))
+
+
+@cause((), "plateau", "share of the step", 0.35, reserve=True)
+def dying_battery(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The receiver's battery runs down in the course of the campaign, at last ever faster.
+
+    What is above its voltage is cut off, whatever the experiment is: of late ones the plateau, by
+    up to ``s``, which is no longer flat but follows the battery.  Below nothing is wrong, and once
+    the last of the gas has gone the battery has its rest.
+    """
+    size, order = s * _mean_step(case), rng.uniform(2.0, 4.0)
+    fresh = max(step.y0 + step.beta for step in case.steps)
+    fresh += rng.uniform(0.02, 0.1) * _mean_step(case)
+    begins = np.cumsum([0.0, *(step.duration for step in case.steps[:-1])]).tolist()
+    life = begins[-1] + case.steps[-1].tf
+    # as far as it must fall for one of the plateaus, where it ends, to be cut off by as much
+    falls = min(
+        (size + fresh - step.y0 - step.beta) / ((begin + step.tf) / life) ** order
+        for begin, step in zip(begins, case.steps, strict=True)
+    )
+    for begin, step in zip(begins, case.steps, strict=True):
+
+        def battery(t: FloatArray, begin: float = begin) -> FloatArray:
+            used = np.clip((begin + t) / life, 0.0, 1.0)
+            return np.asarray(fresh - falls * used**order)
+
+        rig[step.name].battery = battery
+
+
+@cause(
+    (), "level", "share of the step", 0.3, near=("optical_nonlinearity",), reserve=True,
+)  # fmt: skip
+def dead_crossover(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The amplifier's two output transistors have lost their bias: between them neither conducts.
+
+    There the output stands, for ``s`` of its way, as each needs its threshold first; beyond it goes
+    on without a jump, in both directions alike.
+    """
+    step = _mean_step(case)
+    at = float(np.mean([each.y0 for each in case.steps])) + rng.uniform(0.25, 0.75) * step
+    for knobs in rig.values():
+        knobs.crossover, knobs.crossover_at = s * step, at

@@ -6,7 +6,7 @@ from itertools import pairwise
 from math import pi
 
 import numpy as np
-from scipy.special import lambertw
+from scipy.special import exprel, lambertw
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.causes.cause import Causes, Rig, _between, _sign
@@ -517,7 +517,7 @@ def ozone_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
         rig[step.name].unmixed.append(output)
 
 
-@cause((), "flow", "log of the flow", 0.9, near=("flow_error", "flow_switching"), reserve=True)
+@cause((), "flow", "log of the flow", 0.9, near=("flow_error", "flow_switching"))
 def foreign_gas_factor(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The test gas's controller was calibrated for another gas, and nobody has entered the factor.
 
@@ -529,3 +529,28 @@ def foreign_gas_factor(rig: Rig, s: float, rng: np.random.Generator, case: Case)
     for knobs in rig.values():
         knobs.test_gas.append(lambda t: np.full_like(t, factor))
         knobs.mixing = True
+
+
+@cause((), "ripple", "relative", 0.4, reserve=True)
+def unstable_controller(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas's controller has too much gain: above some flow it begins to swing by itself.
+
+    The opening line sets it off; from there the swing grows exponentially up to a size that is the
+    root of what the flow is beyond that, ``s`` at the largest (Hopf's bifurcation: r' = growth r
+    (beyond - r^2)).  Below it dies away, the more slowly the nearer.
+    """
+    onset, rate = rng.uniform(0.3, 0.75), _between(rng, 0.15, 0.8)
+    growth, kick = _between(rng, 0.3, 2.0), rng.uniform(0.05, 0.3)
+    largest = max(step.test_gas_flow for step in case.steps)
+    for step in case.steps:
+        beyond = (step.test_gas_flow / largest - onset) / (1.0 - onset)
+
+        def flow(t: FloatArray, t0: float = step.t0, beyond: float = beyond) -> FloatArray:
+            since = np.maximum(t - t0, 0.0)
+            z = 2.0 * growth * beyond * since
+            # (1 - exp(-z))/beyond, which has a limit where that is 0
+            grown = 2.0 * growth * since * exprel(-z)
+            size = kick / np.sqrt(np.exp(-z) + kick**2 * grown)
+            return np.asarray(1.0 + s * size * np.sin(2.0 * pi * rate * since))
+
+        rig[step.name].test_gas.append(flow)

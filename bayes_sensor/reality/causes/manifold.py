@@ -426,7 +426,7 @@ def analyser_loop(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         knobs.loop, knobs.loop_pumped = s, pumped
 
 
-@cause((), "fall", "share not mixed", 0.85, near=("dead_volume",), reserve=True)
+@cause((), "fall", "share not mixed", 0.85, near=("dead_volume",))
 def filling_from_below(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Heavy gas fills the manifold from its floor, where the ring is; carrier stays at its ceiling.
 
@@ -439,3 +439,24 @@ def filling_from_below(rig: Rig, s: float, rng: np.random.Generator, case: Case)
     for step in case.steps:
         knobs = rig[step.name]
         knobs.unmixed_layers, knobs.floor = s * case.relative_concentration(step), floor
+
+
+@cause((), "mixing", "share of V", 0.5, near=("dead_volume",), reserve=True)
+def resting_fan(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The fan that mixes the manifold runs and rests by turns, as its timer says.
+
+    While it rests the stream flushes all but the share ``s``, which stands behind the fan as it is
+    and is mixed in at once when the fan starts: gas that seemed gone comes back, or a rise sinks.
+    """
+    turn, runs = _between(rng, 1.5, 12.0), rng.uniform(0.2, 0.6)
+    for step in case.steps:
+        begin = rng.random()
+
+        def running(t: FloatArray, begin: float = begin) -> FloatArray:
+            return np.asarray(np.mod(t / turn + begin, 1.0) < runs, dtype=float)
+
+        rig[step.name].corner, rig[step.name].fan = s, running
+        turns = np.arange(0.0, step.duration / turn + 2.0) - begin
+        edges = np.concatenate([turns, turns + runs]) * turn
+        inside = (edges > step.t0) & (edges < step.duration)
+        rig[step.name].marks += both_sides(edges[inside].tolist())

@@ -17,7 +17,7 @@ from bayes_sensor.reality.causes.cause import (
     _sign,
 )
 from bayes_sensor.reality.records import Case
-from bayes_sensor.reality.rig import Course, both_sides
+from bayes_sensor.reality.rig import Course, Knobs, both_sides, voltage
 
 CAUSES = Causes()
 cause = CAUSES.cause
@@ -633,7 +633,7 @@ def two_way_sweep(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         knobs.sweep_begin = rng.random()
 
 
-@cause((), "drift", "share of the step", 0.15, reserve=True)
+@cause((), "drift", "share of the step", 0.15)
 def slipping_clamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The bench warms or cools evenly and pulls at the fibre, which slips in its clamp by and by.
 
@@ -653,3 +653,42 @@ def slipping_clamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
 
         rig[step.name].offset.append(strain)
         rig[step.name].marks += both_sides(slips[slips < step.duration].tolist())
+
+
+@cause((), "fall", "share absorbed", 0.3, reserve=True)
+def light_across_inlet(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """On its way to the chip the light crosses the inlet's tube, and the test gas absorbs it.
+
+    Carbon dioxide has weak bands about 1.6 um; the highest concentration takes ``s`` (Lambert and
+    Beer).  It is in the tube before it is at the ring and gone from there sooner: the reading first
+    sinks a little, and before it falls it rises.
+    """
+    for knobs in rig.values():
+        knobs.absorbed = s
+
+
+@cause((), "fall", "share lost", 0.6, reserve=True)
+def searching_stage(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A stage that keeps the fibre aligned takes the falling signal for its own and searches.
+
+    It goes to and fro about its best place, less and less far, until it has found that again; of
+    the light, a Gaussian beam before a fibre, 1 - (1 - ``s``)^(distance^2) is lost.  A rise is none
+    of its business.
+    """
+    drop, period, turns = rng.uniform(0.05, 0.3), _between(rng, 0.6, 3.0), int(rng.integers(2, 6))
+    for step in case.steps:
+        reach = 8.0 * (case.tau_v + case.V / step.total_flow + case.tau)
+        t = step.tf + np.linspace(0.0, reach, 4001)
+        y, _ = voltage(case, step, Knobs(), t)
+        fallen = np.flatnonzero(y < (1.0 - drop) * y[0])
+        if len(fallen) == 0:
+            continue
+        begin = float(t[fallen[0]])
+
+        def lost(t: FloatArray, begin: float = begin) -> FloatArray:
+            searched = np.clip((t - begin) / (turns * period), 0.0, 1.0)
+            off = (1.0 - searched) * np.sin(2.0 * pi * turns * searched)
+            return np.asarray(np.expm1(np.log1p(-s) * off**2))
+
+        rig[step.name].gain.append(lost)
+        rig[step.name].marks.append(begin)

@@ -373,7 +373,7 @@ def long_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None
         knobs.coil = s
 
 
-@cause((), "tail", "share of the highest step", 0.3, near=("slow_sorption",), reserve=True)
+@cause((), "tail", "share of the highest step", 0.3, near=("slow_sorption",))
 def uneven_bonds(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Some sites bind the gas firmly, others loosely, and it takes the firmest that are free.
 
@@ -384,3 +384,19 @@ def uneven_bonds(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
     bend, time = rng.uniform(1.2, 3.0), _between(rng, 0.4, 4.0)
     for knobs in rig.values():
         knobs.bonds, knobs.bonds_bend, knobs.bonds_time = s, bend, time
+
+
+@cause((), "tail", "share of the highest step", 0.4, reserve=True)
+def blistering_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Deep below the coating gas is dissolved; when that outside has gone it lifts it in blisters.
+
+    As rubber does when it is decompressed too fast: blisters form for what is dissolved beyond
+    what the gas outside and the coating's strength hold down, and empty again in their own time.
+    A lifted coating leaves the ring less than it had without gas, by ``s`` at most.  The weaker
+    experiments may never see any.
+    """
+    level, soaks = rng.uniform(0.08, 0.35), _between(rng, 2.0, 10.0)
+    time = _between(rng, 0.3, 2.0)
+    for knobs in rig.values():
+        knobs.blisters, knobs.blisters_level = s, level
+        knobs.blisters_soak, knobs.blisters_time = soaks, time

@@ -202,7 +202,7 @@ def shut_between_ports(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].all_flow.append(flow)
 
 
-@cause((), "fall", "of the pressure", 0.5, near=("valve_asymmetry",), reserve=True)
+@cause((), "fall", "of the pressure", 0.5, near=("valve_asymmetry",))
 def stiff_check_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A check valve behind the valve keeps the gas from coming back, and its spring is stiff.
 
@@ -215,7 +215,7 @@ def stiff_check_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.check_cracks, knobs.check_reseats = s, reseats
 
 
-@cause((), "plateau", "share of the lift", 0.4, near=("flow_settling",), reserve=True)
+@cause((), "plateau", "share of the lift", 0.4, near=("flow_settling",))
 def warming_coil(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A proportional valve is held by a coil on a constant voltage, and copper that warms resists.
 
@@ -247,3 +247,30 @@ def warming_coil(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
 
         rig[step.name].unmixed.append(lift)
         warmth, last = hot, off - step.duration
+
+
+@cause((), "delay", "s", 3.0, near=("finite_stroke",), per_experiment=True, reserve=True)
+def valve_turned_by_hand(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The valve is turned by hand, by some turns of the wrist, between which one takes hold anew.
+
+    Within a turn it opens evenly, in between it stands; the way there takes up to ``s``, and so
+    does the way back, each time with other turns.
+    """
+    for step in case.steps:
+        ways: list[tuple[FloatArray, FloatArray]] = []
+        for switch in (step.t0, step.tf):
+            turns = int(rng.integers(2, 5))
+            turning, holding = rng.uniform(0.6, 1.4, turns), rng.uniform(0.4, 1.6, turns)
+            lasts = np.column_stack([turning, holding]).ravel()[:-1]
+            opened = np.column_stack([turning, np.zeros(turns)]).ravel()[:-1]
+            both = [np.append(0.0, np.cumsum(some) / some.sum()) for some in (lasts, opened)]
+            ways.append((switch + s * rng.uniform(0.5, 1.0) * both[0], both[1]))
+
+        def wheel(
+            t: FloatArray, ways: tuple[tuple[FloatArray, FloatArray], ...] = tuple(ways)
+        ) -> FloatArray:
+            there, back = (np.interp(t, *way) for way in ways)
+            return np.asarray(there - back)
+
+        rig[step.name].wheel = wheel
+        rig[step.name].marks += [at for times, _ in ways for at in times.tolist()]
