@@ -643,11 +643,8 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
     for at, lasts in knobs.tried:
         up |= (middle > at) & (middle < at + lasts)
     first = last = up.astype(float)
-    if knobs.stroke_time > 0:
-        z = _stroke(t, step, knobs.stroke_time)
-        first, last = z[:-1], z[1:]
-    if knobs.wheel is not None:
-        z = knobs.wheel(t)
+    if knobs.wheel is not None or knobs.stroke_time > 0:
+        z = knobs.wheel(t) if knobs.wheel is not None else _stroke(t, step, knobs.stroke_time)
         first, last = z[:-1], z[1:]
     if knobs.pilot_alone > 0:
         alone = (middle > step.t0) & (middle < step.t0 + knobs.pilot_alone)

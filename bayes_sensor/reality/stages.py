@@ -34,6 +34,15 @@ def growing_steps(length: float, quick: float) -> FloatArray:  # pragma: no cove
 
 
 @njit(cache=True, error_model="numpy")
+def lagged(
+    x: float, a: float, b: float, h: float, tau: float
+) -> float:  # pragma: no cover - compiled
+    """End of a step h (s) of x' = (u - x)/``tau`` while u goes straight from ``a`` to ``b``."""
+    behind = tau * ((b - a) / h)
+    return b - behind + (x - a + behind) * exp(-h / tau)
+
+
+@njit(cache=True, error_model="numpy")
 def lag(
     t: FloatArray, u: FloatArray, tau: FloatArray, start: float
 ) -> FloatArray:  # pragma: no cover - compiled
@@ -62,11 +71,9 @@ def layers(
     x[0] = start
     for i in range(n - 1):
         h = t[i + 1] - t[i]
-        slope = (u[i + 1] - u[i]) / h
         middle = x[i]
         for _ in range(2):  # predictor, corrector of the state that sets the rate
-            local = tau[i] * (1.0 + hindrance * middle)
-            end = u[i + 1] - local * slope + (x[i] - u[i] + local * slope) * exp(-h / local)
+            end = lagged(x[i], u[i], u[i + 1], h, tau[i] * (1.0 + hindrance * middle))
             middle = 0.5 * (x[i] + end)
         x[i + 1] = end
     return x
@@ -90,8 +97,7 @@ def fanned(
             x += corner * (left - x)
         else:
             time *= 1.0 - corner
-        behind = time * (u[i + 1] - u[i]) / (t[i + 1] - t[i])
-        x = u[i + 1] - behind + (x - u[i] + behind) * exp(-(t[i + 1] - t[i]) / time)
+        x = lagged(x, u[i], u[i + 1], t[i + 1] - t[i], time)
         if runs[i] > 0.0:
             left = x
         out[i + 1] = x
@@ -113,12 +119,10 @@ def sticky_wall(
         before = x.copy()
         for i in range(n - 1):
             h = t[i + 1] - t[i]
-            slope = (before[i + 1] - before[i]) / h
             middle = x[i]
             for _ in range(3):  # predictor, correctors of the state that sets the rate
                 local = held[i] / (1.0 + bend * middle) ** 2
-                lead = before[i] - local * slope
-                end = lead + slope * h + (x[i] - lead) * exp(-h / local)
+                end = lagged(x[i], before[i], before[i + 1], h, local)
                 middle = 0.5 * (x[i] + end)
             x[i + 1] = end
     return x
@@ -163,9 +167,7 @@ def pairing(
         for _ in range(2):  # predictor, corrector of the state that sets the rate
             share = 1.0 / (1.0 + passage[i] * rate * middle)
             local = passage[i] * share
-            slope = share * (u[i + 1] - u[i]) / h
-            lead = share * u[i] - local * slope
-            end = lead + slope * h + (x[i] - lead) * exp(-h / local)
+            end = lagged(x[i], share * u[i], share * u[i + 1], h, local)
             middle = 0.5 * (x[i] + end)
         x[i + 1] = end
     return x
@@ -371,13 +373,12 @@ def valve(
     x = np.zeros(n)
     for i in range(n - 1):
         h = t[i + 1] - t[i]
-        slope = (last[i] - first[i]) / h
         middle = x[i]
         for _ in range(2):  # predictor, corrector of the state that sets the rate
             tau = tau_v
             if closing != 0.0 and 0.5 * (first[i] + last[i]) < middle:
                 tau = tau_v * max(0.05, 1.0 + closing * (0.6 + 0.8 * middle))
-            end = last[i] - tau * slope + (x[i] - first[i] + tau * slope) * exp(-h / tau)
+            end = lagged(x[i], first[i], last[i], h, tau)
             middle = 0.5 * (x[i] + end)
         x[i + 1] = end
     return x
@@ -403,7 +404,6 @@ def greased_valve(
     w, old_h, e = 1.0, -1.0, 0.0
     for i in range(n - 1):
         h = t[i + 1] - t[i]
-        slope = (last[i] - first[i]) / h
         if first[i] == last[i] and abs(last[i] - x[i]) < 1e-6:  # at rest
             if abs(h - old_h) > 1e-13:
                 old_h, e = h, exp(-h / sets)
@@ -412,7 +412,7 @@ def greased_valve(
         stiff, end, end_w = w, x[i], w
         for _ in range(2):  # predictor, corrector of the state that sets the rate
             tau = tau_v * (1.0 + grease * stiff)
-            end = last[i] - tau * slope + (x[i] - first[i] + tau * slope) * exp(-h / tau)
+            end = lagged(x[i], first[i], last[i], h, tau)
             rate = 1.0 / sets + abs(end - x[i]) / (h * yields)
             level = 1.0 / (sets * rate)
             end_w = level + (w - level) * exp(-h * rate)
@@ -673,7 +673,6 @@ def looped(
         share = min(max((at - t[j]) / (t[j + 1] - t[j]), 0.0), 1.0)
         a = (flow[i] * u[i] + pumped * old) / (flow[i] + pumped)
         time = V / (0.5 * (flow[i] + flow[i + 1]) + pumped)
-        e = exp(-h / time)
         back, end = old, x[i]
         for _ in range(4):  # of a step longer than the way round the end itself comes back
             if j == i:
@@ -681,8 +680,7 @@ def looped(
             else:
                 back = x[j] + share * (x[j + 1] - x[j])
             b = (flow[i + 1] * u[i + 1] + pumped * back) / (flow[i + 1] + pumped)
-            behind = time * (b - a) / h
-            end = b - behind + (x[i] - a + behind) * e
+            end = lagged(x[i], a, b, h, time)
         x[i + 1], old = end, back
     return x
 
@@ -708,14 +706,13 @@ def langmuir(
         fill = 1.0 + K * centre
         a = g[i] / (1.0 + K * g[i])
         b = g[i + 1] / (1.0 + K * g[i + 1])
-        slope = (b - a) / h
         end = r[i]
         for _ in range(2):
             local = tau / fill
             if bend != 0.0 or gate != 0.0:
                 drive = tanh((centre / fill - middle) / width)
                 local *= exp(-bend * (middle - 0.5) - gate * drive)
-            end = b - local * slope + (r[i] - a + local * slope) * exp(-h / local)
+            end = lagged(r[i], a, b, h, local)
             middle = 0.5 * (r[i] + end)
         r[i + 1] = end
     return r
@@ -991,9 +988,7 @@ def windowed_average(
     out = np.empty(n)
     out[0] = y[0]
     for i in range(n - 1):
-        h = t[i + 1] - t[i]
-        behind = time * (y[i + 1] - y[i]) / h
-        out[i + 1] = y[i + 1] - behind + (out[i] - y[i] + behind) * exp(-h / time)
+        out[i + 1] = lagged(out[i], y[i], y[i + 1], t[i + 1] - t[i], time)
         if abs(out[i + 1] - y[i + 1]) > window:
             out[i + 1] = y[i + 1]
     return out
