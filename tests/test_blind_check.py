@@ -800,6 +800,34 @@ def test_the_sentences_of_the_card_stand_inside_its_page() -> None:
     assert "\n%" not in words[0].get_text()
 
 
+def test_the_last_sealed_runs_are_counted_together() -> None:
+    together = pd.read_csv(TABLES / "blind_check_together.csv").set_index("goal")
+    earlier, last = (  # "null" is a word here
+        pd.read_csv(TABLES / f"blind_check_{name}", keep_default_na=False, na_values=[""])
+        for name in ("earlier.csv.gz", "first.csv")
+    )
+    runs = pd.read_csv(TABLES / "blind_check_runs.csv")
+    seeds = sorted(runs["seed"].unique())
+    kept = sorted(earlier["seed"].unique())
+    assert kept == seeds[-1 - len(kept) : -1]
+    every = pd.concat([earlier, last.assign(seed=seeds[-1])])
+    assert set(together["runs"]) == {len(kept) + 1}
+    assert set(together["campaigns"]) == {len(every)} == {600 * (len(kept) + 1)}
+    nulls = every[every["kind"] == "null"]
+    assert together.reached["nulls named"] == (nulls["verdict"] == "effect").mean()
+    for d in (8, 16):
+        # campaigns of earlier runs are as they were scored on their days
+        for seed, some in every.groupby("seed"):
+            strong = some[(some["kind"] == "unlisted") & (some["d_level"] == d)]
+            goal = f"unlisted flagged at d = {d}"
+            of_the_day = runs[(runs["seed"] == seed) & (runs["goal"] == goal)]["reached"].item()
+            share = (strong["verdict"] == "unlisted").mean()
+            assert share == pytest.approx(of_the_day, rel=1e-3)
+        strong = every[(every["kind"] == "unlisted") & (every["d_level"] == d)]
+        share = (strong["verdict"] == "unlisted").mean()
+        assert together.reached[f"unlisted flagged at d = {d}"] == pytest.approx(share, rel=1e-3)
+
+
 def test_the_readme_shows_the_goals_that_were_scored() -> None:
     study = (ROOT / "paper" / "studies" / "study_blind_check.py").read_text(encoding="utf-8")
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -837,7 +865,7 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     over = pd.read_csv(TABLES / "blind_check_over_runs.csv").set_index("goal")
     for line in lines[2:]:
         goal, *_, met = (cell.strip() for cell in line.strip("|").split("|"))
-        assert met == f"{over.runs_met[goal]} of {over.runs[goal]}"
+        assert met == f"{over.runs_met[goal]} of {over.runs[goal]} runs"
     last = runs[runs["seed"] == runs["seed"].max()].drop(columns="seed").reset_index(drop=True)
     pd.testing.assert_frame_equal(last, goals)
     for row in pd.read_csv(TABLES / "blind_check_over_runs.csv").itertuples():
