@@ -210,6 +210,21 @@ def test_two_effects_of_different_families_are_found():
     assert at_once.to_json() | {"rounds": gap.to_json()["rounds"]} == gap.to_json()
 
 
+def test_two_effects_of_one_family_are_not_taken_for_something_else():
+    truth = {"flow_settling": 0.3, "optical_nonlinearity": 0.3}
+    gap = diagnose_gap(measured(truth, seed=2), bootstrap=0, hidden=False, separate=False)
+    assert gap.weighing.find(*truth).log_z > max(
+        h.log_z for h in gap.weighing.hypotheses if h.incomplete or len(h.effects) < 2
+    )
+    assert gap.standing.unlisted < 0.1
+    # both are likely, but the family is what is said: two members may be a third in another form
+    assert min(gap.standing.effects[name] for name in truth) > NAMED
+    assert gap.verdict.kind == "family" and gap.verdict.family == "asymmetry"
+    assert set(gap.verdict.effects[:2]) == set(truth)
+    assert " and ".join(truth) + " together explain the gap best" in gap.verdict.sentence
+    assert gap.shrink.closure.fraction > 0.9
+
+
 def test_something_else_beside_two_effects_is_seen():
     campaign = measured({"valve_asymmetry": 1.25, "baseline_drift": 4e-4}, seed=2)
     bump = {e.name: np.exp(-0.5 * ((e.t - e.commanded_on - 6.0) / 1.5) ** 2) for e in campaign}

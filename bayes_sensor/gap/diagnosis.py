@@ -538,7 +538,7 @@ def _best(
         fitting = fitting or [h for h in complete if on_mean <= set(h.effects)]
         fitting = fitting or [h for h in complete if set(h.effects) & on_mean]
     elif kind == "family":
-        fitting = [h for h in complete if len(h.effects) == 1 and h.effects[0] in on_mean]
+        fitting = [h for h in complete if h.effects and set(h.effects) <= on_mean]
     elif kind == "none":
         fitting = []
     else:

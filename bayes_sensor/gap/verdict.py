@@ -202,7 +202,8 @@ def judge(
         for p, h in zip(weighing.probabilities, weighing.hypotheses, strict=True)
         if h.effects and not h.incomplete
     ]
-    gate = max(complete, key=lambda x: x[0])[1].leftover if complete else 0.0
+    best = max(complete, key=lambda x: x[0])[1] if complete else None
+    gate = best.leftover if best else 0.0
     named = sorted(
         (n for n, p in stand.effects.items() if p > NAMED), key=lambda n: -stand.effects[n]
     )
@@ -221,6 +222,9 @@ def judge(
     if len(on_mean) == 1 and catalogue[on_mean[0]].same_response:
         # one response: whichever is in the catalogue, the other may be the cause
         return _family(catalogue[on_mean[0]].family, stand, catalogue)
+    if best and of_one_family(best, catalogue) and set(on_mean) & set(best.effects):
+        # two members together are a third in another form as often as they are both there
+        return _family(catalogue[best.effects[0]].family, stand, catalogue)
     if on_mean or (on_noise and not louder):
         # an effect of the noise is named alone only where nothing more is likely in the mean
         return _effect([*on_mean, *on_noise], stand, catalogue)
@@ -233,6 +237,11 @@ def judge(
     if family is not None and of_mean[family] > stand.unlisted:  # the likeliest of several
         return _family(family, stand, catalogue)
     return "unlisted", (), None, stand.unlisted
+
+
+def of_one_family(h: Hypothesis, catalogue: Mapping[str, Effect]) -> bool:
+    """Whether two effects of one family explain the mean together."""
+    return len(h.effects) > 1 and len({catalogue[name].family for name in h.effects}) == 1
 
 
 def _leaves_the_mean_alone(row: str, catalogue: Mapping[str, Effect]) -> bool:

@@ -2,8 +2,8 @@
 
 Priors go over families first, then members, so that look-alikes do not gain by their number.  A
 smooth discrepancy stands for "something else"; an effect with a discrepancy beside it says that
-the effect does not explain all.  Pairs are tried across families only: within one, two members
-are nearly the same effect.
+the effect does not explain all.  Pairs are tried within families, too: where two members are
+nearly the same effect the second gains nothing, and its freedom counts against the pair.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ def fit_effect(
     for x in begins:
         found.append(refit(plan, x, most_steps=most_steps, known=found, enough=enough))
     best = finished(min(found, key=lambda r: r.objective), enough)
-    return swept(best).best if _leaps(best, base) else best
+    return swept(best).best if best.objective <= enough and _leaps(best, base) else best
 
 
 def _leaps(fitted: Refit, base: Refit) -> bool:
@@ -405,7 +405,7 @@ def _add_pairs(
         return max((h.log_z for h in found), default=single) - single
 
     def attempt(a: str, b: str) -> None:
-        if on_mean[a].family == on_mean[b].family or frozenset((a, b)) in done:
+        if a == b or frozenset((a, b)) in done:
             return
         done.add(frozenset((a, b)))
         made = []

@@ -13,7 +13,7 @@ from bayes_sensor.gap.full_rate import FOUND, OF_UNLISTED_ORIGIN, UNITS, FullRat
 from bayes_sensor.gap.how_far import Closure
 from bayes_sensor.gap.refit import Sketch
 from bayes_sensor.gap.separate import Separation
-from bayes_sensor.gap.verdict import NAMED, Standing, stands_beside
+from bayes_sensor.gap.verdict import NAMED, Standing, of_one_family, stands_beside
 from bayes_sensor.gap.where import CLEAR, Map
 from bayes_sensor.gap.which import Hypothesis, Weighing
 from bayes_sensor.notebook import shown
@@ -310,7 +310,14 @@ def sentence(
             if f.name in catalogue and f.probability > NAMED
         ]
         other = catalogue[named[0]].same_response
-        said = family_words(named, probability, stand.effects[named[0]], place, other)
+        if of_one_family(best, catalogue):
+            a, b = best.effects
+            said = (
+                f"{a} and {b} together explain the gap best{place}: two causes of one family, or "
+                "one that acts otherwise than the catalogue's."
+            )
+        else:
+            said = family_words(named, probability, stand.effects[named[0]], place, other)
         return " ".join([said, advice, *beside, *besides])
     words = []
     by_name = {f.name: f for f in full_rate}
