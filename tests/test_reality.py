@@ -81,7 +81,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (59, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (62, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -310,6 +310,13 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("light_across_inlet", {"rise", "plateau", "fall"}, 0.999),
         ("searching_stage", {"fall", "tail"}, 0.999),
         ("dying_battery", {"plateau", "fall"}, 0.99),
+        ("sweeping_selector", {"rise", "fall"}, 0.99),
+        ("rubber_balloon", {"plateau", "fall"}, 0.98),
+        ("heavy_exhaust_riser", {"fall"}, 0.95),
+        ("deliquescent_salt", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("bowing_chip", {"plateau", "fall"}, 0.99),
+        ("slipping_phase_lock", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("lossy_archive", {"baseline", "onset", "rise", "plateau", "fall"}, 0.98),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.fft import dct, idct
 from scipy.integrate import solve_ivp
 from scipy.signal import welch
 
@@ -17,6 +18,7 @@ from bayes_sensor.reality.rig import Knobs, voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
     blanked,
+    cosine_blocks,
     distrusted,
     envelope,
     kept,
@@ -25,6 +27,7 @@ from bayes_sensor.reality.stages import (
     oscillating_lag,
     overloaded,
     parabola,
+    phase_locked,
     windowed_average,
 )
 from tests.reality_cases import case, offsets, on_its_clock, solved
@@ -1011,3 +1014,88 @@ def test_between_two_transistors_without_bias_the_output_stands() -> None:
         assert (z - y)[above] == pytest.approx(-0.5 * strength * size, abs=1e-6)
         places.append((middle - np.mean([step.y0 for step in rig.steps])) / size)
     assert 0.25 < min(places) < max(places) < 0.75
+
+
+def test_a_phase_lock_slips_where_the_signal_is_too_fast_against_an_ode_solver() -> None:
+    # even slopes: below its fastest it follows, with an error of phase, above it never locks
+    t = np.arange(0.0, 40.0, 2e-3)
+    for share in (0.8, 1.3):
+        slope = share * 0.1 / 0.5
+        v = phase_locked(t, slope * t, 0.1, 0.5, 0.01)
+        behind = slope * t - v
+        if share < 1.0:
+            assert np.abs(behind[t > 10.0]).max() < 1e-6
+        else:
+            assert behind[-1] > 3.0 * behind[np.searchsorted(t, 10.0)] > 1.0
+    assert np.array_equal(phase_locked(t, np.sin(t), 0.1, 1e-7, 1e-8), np.sin(t))
+
+    slipped = set()
+    for seed, strength in ((11, 0.7), (11, 2.5), (17, 0.7), (17, 2.5)):
+        rig = replace(draw_case(seed, size="small"), strengths={"slipping_phase_lock": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        knobs, slips, steepest = prepared_rig(rig)["1"], [], []
+        width, time, beat = knobs.loop_width, knobs.loop_time, knobs.loop_beat
+        for k, step in enumerate(rig.steps):
+
+            def loop(u: float, x: FloatArray, step=step, rig=rig, w=width, T=time, b=beat):
+                cascade = [(u - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+                pulls = w * np.sin(x[3])
+                error = (step.y0 + step.beta * x[2] - x[4] - pulls) / b
+                return [*cascade, (x[1] - x[2]) / rig.tau, error, pulls / T]
+
+            t, states = solved(rig, loop, 5, k=k, begin=[0.0, 0.0, 0.0, 0.0, step.y0])
+            v = states[:, 4] + width * np.sin(states[:, 3])
+            assert np.abs(seen[step.name] - v).max() < 2e-3
+            slips.append(np.abs(states[:, 3]).max() > np.pi)
+            rises = t < step.tf
+            steepest.append(np.diff(plain[step.name][rises]).max() / step.interval)
+        # what it can follow for long is the stated share of the steepest rise
+        assert max(steepest) * time / width == pytest.approx(strength, rel=1e-2)
+        assert any(slips) or strength < 1.0
+        assert not any(slips) or strength > 1.0
+        slipped |= set(slips)
+        damping = 0.5 * np.sqrt(width * time / beat)
+        assert 0.6 < damping < 1.5
+    assert slipped == {False, True}
+
+
+def test_an_archive_keeps_the_first_cosines_of_every_block() -> None:
+    t = np.linspace(0.0, 7.0, 70_001)
+    for order in range(5):
+        wave = np.cos(np.pi * order * np.mod(t + 0.3, 2.0) / 2.0)
+        left = cosine_blocks(t, wave, -0.3, 2.0, 3)
+        whole = (t > 1.75) & (t < 5.65)  # of these blocks there is all
+        expected = wave if order < 3 else np.zeros(len(t))
+        assert np.abs(left - expected)[whole].max() < 1e-3
+
+    strength, kept, early = 3.0, set(), 0
+    for seed in range(11, 17):
+        rig = replace(draw_case(seed, size="small"), strengths={"lossy_archive": strength})
+        found, plain = prepared_rig(rig), without_causes(rig)
+        kept.add(found["1"].archive_kept)
+        middles = (np.arange(200) + 0.5) / 200.0 * strength
+        whole_blocks = strength * np.arange(1.0, 9.0)
+        times = {
+            name: np.add.outer(knobs.archive_begin + whole_blocks, middles).ravel()
+            for name, knobs in found.items()
+        }
+        seen, y = clean_signals(rig, times), clean_signals(plain, times)
+        for step in rig.steps:
+            blocks = dct(y[step.name].reshape(8, -1), norm="ortho")
+            blocks[:, found[step.name].archive_kept :] = 0.0
+            packed = idct(blocks, norm="ortho")
+            assert np.abs(seen[step.name] - packed.ravel()).max() < 3e-3 * step.beta
+            # a step shows before it is there, and the block's mean stays
+            lost = (seen[step.name] - y[step.name]).reshape(8, -1)
+            into = np.mod(step.t0 - found[step.name].archive_begin, strength)
+            before = times[step.name] < step.t0
+            if 0.2 * strength < into < 0.8 * strength:
+                early += 1
+                assert np.abs(lost.ravel()[before]).max() > 0.01 * step.beta
+            else:
+                assert np.abs(lost.ravel()[times[step.name] < step.t0 - into]).max() < 1e-9
+            assert np.abs(lost.mean(axis=1)).max() < 1e-3 * step.beta
+    assert len(kept) > 1 and kept <= {2, 3, 4, 5} and early > 5
+    # blocks of no more samples than cosines lose nothing
+    tiny = replace(rig, strengths={"lossy_archive": 1.5 * rig.steps[0].interval})
+    assert all(np.array_equal(y, clean_signals(plain)[k]) for k, y in clean_signals(tiny).items())

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 from scipy.special import erf
 
 from bayes_sensor.campaign import FloatArray
@@ -776,13 +777,14 @@ def test_an_unstable_controller_swings_up_to_the_root_of_what_is_beyond_its_onse
     assert decayed > 5
 
 
-def test_a_swinging_flow_reaches_the_ring_against_an_ode_solver() -> None:
-    rig = case(unstable_controller=0.3)
+@pytest.mark.parametrize("name", ["unstable_controller", "rubber_balloon"])
+def test_a_changing_flow_of_test_gas_reaches_the_ring_against_an_ode_solver(name: str) -> None:
+    rig = case(**{name: 0.3})
     found, seen = prepared_rig(rig), clean_signals(rig)
     for k, step in enumerate(rig.steps):
         (course,) = found[step.name].test_gas
 
-        def swinging(
+        def changing(
             u: float, x: FloatArray, step: Step = step, course: Any = course
         ) -> list[float]:
             most = step.test_gas_flow * float(course(np.array([x[3]]))[0])
@@ -791,5 +793,60 @@ def test_a_swinging_flow_reaches_the_ring_against_an_ode_solver() -> None:
             gas = [flow / rig.V * (inlet - x[1]), (x[1] - x[2]) / rig.tau]
             return [(u - x[0]) / rig.tau_v, *gas, 1.0]  # x[3] is the time itself
 
-        _, states = solved(rig, swinging, 4, k=k)
+        _, states = solved(rig, changing, 4, k=k)
         assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-4
+
+
+def test_a_balloon_presses_the_more_the_smaller_it_is_until_it_collapses() -> None:
+    strength, starts, turned = 0.65, [], 0
+
+    def pressure(volume: float, slack: float) -> float:
+        stretch = np.cbrt(volume / slack)
+        return float(1.0 / stretch - 1.0 / stretch**7)
+
+    def emptied(volume: float, slack: float, step: Step) -> Any:
+        def shrinking(_: float, left: FloatArray) -> list[float]:
+            return [-step.test_gas_flow * pressure(left[0], slack) / pressure(volume, slack)]
+
+        return solve_ivp(
+            shrinking, (step.t0, step.tf), [volume], dense_output=True, rtol=1e-9, atol=1e-9
+        )
+
+    for seed in (11, 13, 14, 19, 21, 22):
+        rig = draw_case(seed, {"rubber_balloon": strength}, size="paper")
+        courses = [prepared_rig(rig)[step.name].test_gas[0] for step in rig.steps]
+        drawn = sum(step.test_gas_flow * (step.tf - step.t0) for step in rig.steps)
+        full = drawn / strength  # mL
+
+        def missed(
+            start: float, full: float = full, step: Step = rig.steps[0], course: Any = courses[0]
+        ) -> float:
+            slack = full / start**3
+            left = emptied(full, slack, step).y[0, -1]
+            return pressure(left, slack) / pressure(full, slack) - float(course(step.tf))
+
+        # the stretch that the first experiment tells of must do for all of them
+        start = brentq(missed, 1.5, 2.8)
+        starts.append(start)
+        volume, slack, rest, presses = full, full / start**3, full, []
+        for step, course in zip(rig.steps, courses, strict=True):
+            solution = emptied(volume, slack, step)
+            t = np.linspace(step.t0, step.tf, 200)
+            volumes = solution.sol(t)[0]
+            expected = [pressure(v, slack) / pressure(volume, slack) for v in volumes]
+            assert course(t) == pytest.approx(np.array(expected), rel=1e-3)
+            assert np.all(course(np.array([0.0, step.t0])) == 1.0)
+            assert course(np.array([step.duration]))[0] == course(np.array([step.tf]))[0]
+            # what has flowed is missing in the balloon
+            rest -= step.test_gas_flow * np.trapezoid(course(t), t)
+            volume = solution.y[0, -1]
+            assert rest == pytest.approx(volume, rel=2e-3)
+            presses += [pressure(v, slack) for v in volumes]
+        most = int(np.argmax(presses))
+        if np.cbrt(volume / slack) < 1.3:
+            turned += 1
+            assert presses[most] == pytest.approx(7.0 ** (-1 / 6) - 7.0 ** (-7 / 6), rel=1e-4)
+            assert np.all(np.diff(presses[:most]) > -1e-9) and presses[-1] < presses[most]
+        elif np.cbrt(volume / slack) > 1.39:
+            assert most == len(presses) - 1
+    assert 1.59 < min(starts) < 1.9 < 2.2 < max(starts) < 2.61 and turned >= 2

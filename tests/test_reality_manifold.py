@@ -10,10 +10,18 @@ import pytest
 from scipy.signal import lfilter
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.reality import Case, clean_signals, draw_case, sample_times, without_causes
+from bayes_sensor.reality import Case, Step, clean_signals, draw_case, sample_times, without_causes
 from bayes_sensor.reality.rig import Knobs, voltage
 from bayes_sensor.reality.simulator import prepared_rig
-from bayes_sensor.reality.stages import fanned, lag, laminar, looped, splitting, two_layers
+from bayes_sensor.reality.stages import (
+    fanned,
+    lag,
+    laminar,
+    looped,
+    splitting,
+    two_layers,
+    weighed_down,
+)
 from tests.reality_cases import case, solved
 
 
@@ -801,3 +809,62 @@ def test_a_corner_stands_while_the_fan_rests_against_an_ode_solver() -> None:
     # a fan that never stops is no fan
     always = fanned(t, u, np.full(len(t) - 1, 1.5), np.ones(len(t) - 1), 0.25)
     assert np.abs(always - lag(t, u, np.full(len(t) - 1, 1.5), 0.0)).max() < 1e-12
+
+
+def test_a_riser_full_of_heavy_gas_slows_the_stream_against_steps_of_volume() -> None:
+    strength, volumes = 0.4, []
+    for seed in (11, 12, 13, 14, 15, 16):
+        rig = replace(draw_case(seed, size="small"), strengths={"heavy_exhaust_riser": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        volume = prepared_rig(rig)["1"].riser_volume
+        volumes.append(volume / rig.V)
+        for step in rig.steps:
+            t, less = sample_times(step), np.abs(seen[step.name] - plain[step.name])
+            assert less[t > step.tf].max() > 1.2 * less[t < step.tf].max()
+        if seed > 12:
+            continue
+        step = max(rig.steps, key=lambda step: step.concentration)
+        # by volume passed instead of by time, in steps of which the riser holds a whole number
+        n_held = int(volume / 0.05) + 1
+        d = volume / n_held
+        count = int(step.total_flow * step.duration / d)
+        times, rings, mixed = np.zeros(count), np.zeros(count), [0.0]
+        at, x, ring, held = 0.0, 0.0, 0.0, 0.0
+
+        def rates(at: float, x: float, ring: float, m: float, rig: Case = rig, step: Step = step):
+            up, down = max(at - step.t0, 0.0), max(at - step.tf, 0.0)
+            opening = (np.exp(-down / rig.tau_v) - np.exp(-up / rig.tau_v)) if up > 0 else 0.0
+            q = step.total_flow * (1.0 - strength * m)
+            return 1.0 / q, (opening - x) / rig.V, (x - ring) / rig.tau / q
+
+        for i in range(1, count):
+            first = rates(at, x, ring, held)
+            ahead = x + d * first[1]
+            gone = mixed[i - 1 - n_held] if i > n_held else 0.0
+            going = mixed[i - n_held] if i >= n_held else 0.0
+            then = held + 0.5 * (x + ahead - gone - going) / n_held
+            second = rates(at + d * first[0], ahead, ring + d * first[2], then)
+            step_by = [0.5 * d * (a + b) for a, b in zip(first, second, strict=True)]
+            held += (x + 0.5 * step_by[1] - 0.5 * (gone + going)) / n_held
+            at, x, ring = at + step_by[0], x + step_by[1], ring + step_by[2]
+            mixed.append(x)
+            times[i], rings[i] = at, ring
+        t = sample_times(step)
+        t = t[t < times[-1]]
+        assert t[-1] > step.tf + 3.0
+        y = seen[step.name][: len(t)]
+        assert np.abs((y - step.y0) / step.beta - np.interp(t, times, rings)).max() < 1e-3
+    assert 0.7 < min(volumes) < max(volumes) < 5.0
+
+    # gas without weight is no burden, and what flows in and out is what is left
+    t = np.arange(0.0, 30.0, 1e-3)
+    u, flow = np.where(t < 12.0, 1.0, 0.0), np.full(len(t), 20.0)
+    still = weighed_down(t, u, flow, 40.0, 60.0, 0.0)
+    assert np.abs(still - lag(t, u, np.full(len(t) - 1, 2.0), 0.0)).max() < 1e-12
+    # the whole hose full of gas: at first a fall is by the share slower
+    slow = weighed_down(t, u, flow, 40.0, 60.0, 0.5)
+    i, j = np.searchsorted(t, [12.1, 12.3])
+    assert np.log(slow[i] / slow[j]) == pytest.approx(0.5 * np.log(still[i] / still[j]), rel=0.05)
+    late = t > 28.0
+    rate = -np.polyfit(t[late], np.log(slow[late]), 1)[0]
+    assert rate == pytest.approx(0.5, rel=0.02)

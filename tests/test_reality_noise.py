@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, welch
-from scipy.special import erfcx, j0
+from scipy.special import erfcx, j0, ndtr
 
 from bayes_sensor.reality import (
     HEAVY_TAILED,
@@ -914,6 +915,88 @@ def test_resting_balanced_and_sinking_noise_are_what_they_say() -> None:
         mean = np.trapezoid((density * u)[::20] * later, u[::20]) - np.euler_gamma**2
         assert R[lag] == pytest.approx(mean / unit**2, abs=2e-3)
     assert not (ball.is_ar1 or balance.is_ar1 or meter.is_ar1)
+
+
+def test_medians_phases_and_passing_charges_are_what_they_say() -> None:
+    rng = np.random.default_rng(41)
+    h = 1e-3
+    law = NoiseLaw("median_of_three", 1.0, components=(Component(1.0, shape="median"),))
+    z = draw_noise(law, 2_000_000, h, rng)
+    unit = np.sqrt(1.0 - np.sqrt(3.0) / np.pi)
+    for level in (-1.5, -0.5, 0.3, 1.0):
+        below = ndtr(level)
+        assert np.mean(z * unit < level) == pytest.approx(3 * below**2 - 2 * below**3, abs=2e-3)
+    # how often two in a row are one reading: count the orders of four
+    same = [sorted(p[:3])[1] == sorted(p[1:])[1] for p in permutations(range(4))]
+    assert np.mean(np.diff(z) == 0.0) == pytest.approx(np.mean(same), abs=2e-3)
+    # given the readings that two medians share, both are means of what one or two others do
+    x, weight = np.polynomial.hermite_e.hermegauss(120)
+    weight /= weight.sum()
+    u = np.linspace(-9.0, 9.0, 3001)
+    density = np.exp(-0.5 * u**2) / np.sqrt(2.0 * np.pi)
+    du = u[1] - u[0]
+    alone = np.array([
+        (np.clip(c, np.minimum.outer(u[::10], u[::10]), np.maximum.outer(u[::10], u[::10]))
+         * np.multiply.outer(density[::10], density[::10])).sum() * (10 * du) ** 2 for c in x
+    ])  # fmt: skip
+    two_apart = weight @ alone**2 / unit**2
+    low, high = np.minimum.outer(u[::5], u[::5]), np.maximum.outer(u[::5], u[::5])
+    clipped = low * ndtr(low) + high * ndtr(-high)
+    clipped += np.interp(low, u, density) - np.interp(high, u, density)
+    one_apart = density[::5] @ clipped**2 @ density[::5] * (5 * du) ** 2 / unit**2
+    R = autocorrelation(law, 5, h)
+    assert R[1:3] == pytest.approx(np.array([one_apart, two_apart]), abs=3e-4)
+    for lag in range(5):
+        assert np.mean(z[lag:] * z[: len(z) - lag]) == pytest.approx(R[lag], abs=5e-3)
+
+    law = NoiseLaw("faded_phase", 1.0, components=(Component(1.0, 0.02, shape="phase"),))
+    z = draw_noise(law, 2_000_000, h, rng)
+    # anything between both ends as likely, and from one end it goes to the other at once
+    assert np.abs(z).max() <= np.sqrt(3.0) and np.mean(z**4) == pytest.approx(1.8, abs=0.02)
+    assert np.histogram(z, 8, (-np.sqrt(3.0), np.sqrt(3.0)))[0] / len(z) == pytest.approx(
+        np.full(8, 0.125), abs=5e-3
+    )
+    jumps = np.abs(np.diff(z)) > 1.8 * np.sqrt(3.0)
+    assert np.mean(jumps) > 0.02 and np.abs(z[:-1][jumps]).min() > 0.7 * np.sqrt(3.0)
+    R = autocorrelation(law, 101, h)
+    d = np.linspace(-np.pi, np.pi, 200_001)
+    for lag in (1, 4, 20, 100):
+        # the density of how far two phases of correlated light are apart (Middleton, 1960)
+        r = np.exp(-lag * h / 0.02)
+        b = r * np.cos(d)
+        apart = (1.0 - r**2) / (2.0 * np.pi) / (1.0 - b**2)
+        apart *= 1.0 + b * np.arccos(-b) / np.sqrt(1.0 - b**2)
+        assert np.trapezoid(apart, d) == pytest.approx(1.0, abs=1e-6)
+        # of phases evenly anywhere, of which the second one is beyond an end or not
+        turn = np.abs(d)
+        product = np.pi**2 / 3.0 - np.pi * turn + 0.5 * turn**2
+        mean = np.trapezoid(apart * product, d) / (np.pi**2 / 3.0)
+        assert R[lag] == pytest.approx(mean, abs=1e-5)
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.02)
+
+    part = Component(1.0, 0.01, shape="passing", rate=0.5)
+    law = NoiseLaw("charged_drops", 1.0, components=(part,))
+    z = draw_noise(law, 4_000_000, h, rng)
+    assert z.std() == pytest.approx(1.0, abs=0.02) and abs(np.mean(z**3)) < 0.2
+    # Campbell: 3 rate int u^4 over (rate int u^2)^2
+    s = np.linspace(-9.0, 9.0, 20_001)
+    pulse = s * np.exp(-0.5 * s**2)
+    fourth = 3.0 * np.trapezoid(pulse**4, s) / np.trapezoid(pulse**2, s) ** 2 / 0.5
+    assert np.mean(z**4) - 3.0 == pytest.approx(fourth, rel=0.1)
+    R = autocorrelation(law, 200, h)
+    for lag in (1, 7, 14, 20, 35, 80):
+        beside = np.interp(s - lag * h / 0.01, s, pulse, 0.0, 0.0)
+        overlap = np.trapezoid(pulse * beside, s) / np.trapezoid(pulse**2, s)
+        assert R[lag] == pytest.approx(overlap, abs=1e-5)
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.02)
+    # it is a slope: of its sum over long only the ends are left, each of rms sqrt(2) times
+    assert z.reshape(-1, 4000).mean(axis=1).std() == pytest.approx(2.0 * 0.01 / 4.0, rel=0.08)
+    # and it has no pitch: a broad hump about 1/(2 pi time)
+    frequency, power = welch(z, 1.0 / h, nperseg=1 << 12)
+    most = np.average(frequency, weights=frequency == frequency[np.argmax(power)])
+    assert most == pytest.approx(1.0 / (2.0 * np.pi * 0.01), rel=0.15)
+    wide = frequency[power > 0.5 * power.max()]
+    assert wide[-1] > 2.5 * wide[0]
 
 
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])

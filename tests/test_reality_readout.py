@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter, welch
+from scipy.signal import hilbert, lfilter, welch
 from scipy.special import erfc
 
 from bayes_sensor.campaign import FloatArray
@@ -688,3 +688,77 @@ def test_a_stage_searches_when_the_signal_falls_and_finds_back() -> None:
         assert np.ptp(drops[-len(rig.steps) :]) < 0.02
     assert 0.04 < min(drops) < max(drops) < 0.32
     assert 0.6 < min(periods) < max(periods) < 3.1
+
+
+def test_a_chip_bows_as_the_gas_gets_through_its_coating() -> None:
+    strength, places, times = 0.3, [], []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"bowing_chip": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        knobs = prepared_rig(rig)["1"]
+        places.append(knobs.bow_at)
+        times.append(knobs.bow_time)
+        for k, step in enumerate(rig.steps):
+
+            def mixed(
+                u: float, x: FloatArray, exchange: float = step.total_flow / rig.V, rig=rig
+            ) -> list[float]:
+                return [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1])]
+
+            t, states = solved(rig, mixed, 2, k=k)
+            # reflections at both faces of a slab (Crank), each step of the gas by itself
+            late = np.maximum(t + 0.5 * (t[1] - t[0]), 1e-9) / knobs.bow_time
+            through = sum(2.0 * (-1.0) ** j * erfc((j + 0.5) / np.sqrt(late)) for j in range(12))
+            swollen = np.convolve(np.diff(states[:, 1], prepend=0.0), through)[: len(t)]
+            bow = rig.relative_concentration(step) * swollen
+            light = (1.0 - strength) ** ((bow - knobs.bow_at) ** 2 - knobs.bow_at**2)
+            assert np.abs(seen[step.name] - plain[step.name] * light).max() < 4e-3 * step.beta
+            if 0.1 < knobs.bow_at and k == 0:
+                assert np.any(seen[step.name] > plain[step.name] + 1e-4)
+    assert 0.0 < min(places) < 0.15 < max(places) < 0.3 and 1.0 < min(times) < max(times) < 15.0
+
+
+def test_an_earthquakes_waves_come_the_later_the_faster_they_are() -> None:
+    strength, found = 0.1, []
+    for seed in range(11, 19):
+        rig = replace(draw_case(seed, size="small"), strengths={"distant_earthquake": strength})
+        shaken = list(offsets(rig, 1e-6))
+        begins = dict(zip([s.name for s in rig.steps], np.cumsum([0.0, 30.0, 30.0]), strict=True))
+        t = np.arange(-150.0, 250.0, 0.02)
+        trains = [course(t - begins[step.name]) for step, course in shaken]
+        # one train for all records; where there is none it is over, or has not come
+        assert all(np.allclose(train, trains[0], atol=1e-12) for train in trains)
+        envelope = np.abs(hilbert(trains[0]))
+        size = strength * np.mean([step.beta for step in rig.steps])
+        assert envelope.max() == pytest.approx(size, rel=1e-3)
+        for step in rig.steps:
+            if step.name not in [s.name for s, _ in shaken]:
+                inside = (t >= begins[step.name]) & (t < begins[step.name] + step.duration)
+                assert np.abs(trains[0][inside]).max() < 1e-9
+        # its spectrum: a Gaussian band, each of whose frequencies is evenly later
+        omega = 2.0 * np.pi * np.fft.rfftfreq(len(t), t[1] - t[0])
+        spectrum = np.fft.rfft(trains[0])
+        middle = omega[np.argmax(np.abs(spectrum))]
+        strong = np.abs(spectrum) > 0.05 * np.abs(spectrum).max()
+        off = omega[strong] - middle
+        loud = np.log(np.abs(spectrum[strong]))
+        curve = np.polyfit(off, loud, 2)
+        assert np.abs(np.polyval(curve, off) - loud).max() < 1e-3
+        band = np.sqrt(-0.5 / curve[0])
+        turned = np.unwrap(np.angle(spectrum[strong] * np.exp(1j * omega[strong] * -t[0])))
+        phase = np.polyfit(off, turned, 2)
+        assert np.abs(np.polyval(phase, off) - turned).max() < 1e-2
+        delay = -2.0 * phase[0]
+        lasts = np.sqrt(1.0 + (delay * band**2) ** 2)
+        assert delay > 0.0
+        arrives = t[np.argmax(envelope)]
+        assert -2.0 < arrives < 92.0
+        # turned back by what they are late they are the shock again: so much shorter and higher
+        shock = np.zeros(len(spectrum), dtype=complex)
+        shock[strong] = spectrum[strong] * np.exp(0.5j * delay * off**2)
+        short = np.abs(hilbert(np.fft.irfft(shock, len(t))))
+        assert short.max() == pytest.approx(size * np.sqrt(lasts), rel=2e-2)
+        found.append((2.0 * np.pi / middle, band / middle, lasts))
+    low, high = np.min(found, axis=0), np.max(found, axis=0)
+    assert np.all(low > [1.4, 0.14, 1.4]) and np.all(high < [6.3, 0.32, 4.1])
+    assert np.all(high > 1.3 * low)

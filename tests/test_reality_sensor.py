@@ -17,6 +17,7 @@ from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
     burning,
     capillary,
+    deliquescing,
     elovich,
     flaring,
     glassy,
@@ -630,3 +631,80 @@ def test_blisters_come_only_where_gas_is_gone_too_fast_against_an_ode_solver() -
             _, states = solved(rig, blistering, 5, k=k)
             assert np.abs(less - strength * states[:, 4]).max() < 2e-4
     assert lifted > 15 and 0.08 < min(levels) < 0.5 * max(levels) < 0.18
+
+
+def watered(
+    t: FloatArray, a: FloatArray, dissolves: float, comes_out: float, time: float
+) -> FloatArray:
+    """(n,) water on a salt under an activity ``a`` (n,), by an ODE solver from turn to turn."""
+    out, begin, w, crystals = np.zeros(len(t)), float(t[0]), 0.0, True
+    while begin < t[-1]:
+
+        def taking_up(s: float, w: FloatArray, crystals: bool = crystals) -> list[float]:
+            now = np.interp(s, t, a)
+            if crystals:
+                return [(now - dissolves) / time if w[0] > 0.0 or now > dissolves else 0.0]
+            return [(now - w[0] / (1.0 + w[0])) / time]
+
+        border = dissolves if crystals else comes_out
+
+        def turns(s: float, w: FloatArray, border: float = border) -> float:
+            return float(w[0] - border / (1.0 - border))
+
+        turns.terminal, turns.direction = True, 1.0 if crystals else -1.0  # type: ignore[attr-defined]
+        result = solve_ivp(
+            taking_up, (begin, t[-1]), [w], events=turns, dense_output=True, max_step=0.01,
+            rtol=1e-8, atol=1e-10,
+        )  # fmt: skip
+        inside = (t >= begin) & (t <= result.t[-1])
+        out[inside] = result.sol(t[inside])[0]
+        begin, w, crystals = float(result.t[-1]), float(result.y[0, -1]), not crystals
+    return out
+
+
+def test_a_salt_dissolves_at_one_moisture_and_comes_out_at_another_against_an_ode_solver() -> None:
+    t = np.arange(0.0, 30.0, 2e-3)
+    moist = 0.75 * np.where(t < 20.0, 1.0 - np.exp(-t), np.exp(20.0 - t))
+    w = deliquescing(t, moist, 0.4, 0.2, 0.2)
+    assert np.abs(w - watered(t, moist, 0.4, 0.2, 0.2)).max() < 2e-3
+    # nothing before, Raoult's law in the end, and all gone at once when crystals have come out
+    assert w[moist <= 0.4][t[moist <= 0.4] < 20.0].max() == 0.0
+    assert w[np.searchsorted(t, 19.9)] == pytest.approx(3.0, rel=1e-2)
+    drying = t > 20.0
+    out_again = np.searchsorted(t, t[drying][w[drying] < 0.25][0])
+    before, after = w[out_again - 4] - w[out_again - 2], w[out_again + 2] - w[out_again + 4]
+    assert after > 2.0 * before
+    # half a solution stays under what it would not have come from
+    between = np.where(t < 2.0, 0.6, 0.3)
+    assert deliquescing(t, between, 0.4, 0.2, 0.2)[-1] == pytest.approx(0.3 / 0.7, rel=1e-3)
+    assert deliquescing(t, np.where(t < 2.0, 0.6, 0.15), 0.4, 0.2, 0.2)[-1] == 0.0
+    assert deliquescing(t, np.full(len(t), 0.39), 0.4, 0.2, 0.2).max() == 0.0
+
+    strength, never, levels = 0.3, 0, []
+    for seed in range(11, 19):
+        rig = replace(draw_case(seed, size="small"), strengths={"deliquescent_salt": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        knobs = prepared_rig(rig)["1"]
+        vapour, borders = knobs.salt_vapour, (knobs.salt_dissolves, knobs.salt_comes_out)
+        levels.append([vapour, borders[0] / vapour, borders[1] / borders[0]])
+        for k, step in enumerate(rig.steps):
+            relative = rig.relative_concentration(step)
+            more = (seen[step.name] - plain[step.name]) / step.beta * relative
+            if vapour * relative <= borders[0]:
+                never += 1
+                assert np.abs(more).max() == 0.0
+                continue
+            if seed > 12:
+                continue
+
+            def mixed(
+                u: float, x: FloatArray, exchange: float = step.total_flow / rig.V, rig: Case = rig
+            ) -> list[float]:
+                return [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1])]
+
+            t, states = solved(rig, mixed, 2, k=k)
+            water = watered(t, vapour * relative * states[:, 1], *borders, knobs.salt_time)
+            full = vapour / (1.0 - vapour)
+            assert np.abs(more - strength * water / full).max() < 2e-3
+    low, high = np.min(levels, axis=0), np.max(levels, axis=0)
+    assert never >= 1 and np.all(low > [0.6, 0.3, 0.3]) and np.all(high < [0.8, 0.7, 0.7])

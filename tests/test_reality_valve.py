@@ -492,3 +492,40 @@ def test_a_hand_opens_the_valve_turn_by_turn_against_an_ode_solver() -> None:
             assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 1e-3
     assert counts == {2, 3, 4}
     assert 0.5 <= min(lengths) < 0.7 and 0.8 < max(lengths) <= 1.0
+
+
+def test_a_selector_goes_over_the_other_ports_against_an_ode_solver() -> None:
+    strength, rows = 0.4, set()
+    for seed in (11, 12, 16, 18, 19):
+        rig = replace(draw_case(seed, size="small"), strengths={"sweeping_selector": strength})
+        seen, t = clean_signals(rig), sample_times(rig.steps[0])
+        rising = sorted(rig.steps, key=lambda step: step.concentration)
+        off = {}
+        for name, row in (("as used", list(rig.steps)), ("rising", rising)):
+            off[name] = 0.0
+            for k, step in enumerate(rig.steps):
+                before = [
+                    other.concentration / step.concentration for other in row[: row.index(step)]
+                ]
+                ways = ((step.t0, [*before, 1.0]), (step.tf, [*before[::-1], 0.0]))
+                inputs: list[tuple[float, Any]] = [(0.0, 0.0)]
+                for switch, levels in ways:
+                    inputs += [(switch + i * strength, level) for i, level in enumerate(levels)]
+
+                def cascade(
+                    u: float, x: FloatArray, exchange: float = step.total_flow / rig.V, rig=rig
+                ) -> list[float]:
+                    first = [(u - x[0]) / rig.tau_v, exchange * (x[0] - x[1])]
+                    return [*first, (x[1] - x[2]) / rig.tau]
+
+                _, states = solved(rig, cascade, 3, k=k, inputs=inputs)
+                x = (seen[step.name] - step.y0) / step.beta
+                off[name] = max(off[name], np.abs(x - states[:, 2]).max())
+                if off[name] < 1e-4:
+                    # as much gas as all the ports that were open have let in
+                    let_in = step.tf - step.t0 + strength * (2.0 * sum(before) - len(before))
+                    assert np.trapezoid(x, t) == pytest.approx(let_in, rel=2e-3)
+        fitting = {name for name in off if off[name] < 1e-4}
+        assert len(fitting) == 1 or rising == list(rig.steps)
+        rows |= fitting if len(fitting) == 1 else set()
+    assert rows == {"as used", "rising"}

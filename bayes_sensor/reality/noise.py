@@ -28,17 +28,20 @@ OPEN_LAWS = (
     "overcorrecting_zero", "rectified_pickup", "glassy_dielectric",
     "worn_gear", "salty_electrode", "trembling_mirror",
     "flapping_damper", "startled_receiver", "bubbling_nozzle",
+    "resting_ball", "drifting_balance", "sinking_crests",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("resting_ball", "drifting_balance", "sinking_crests")
+RESERVE_LAWS = ("median_of_three", "faded_phase", "charged_drops")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
     "waning", "two_paced", "drilling", "crackling_cable", "sparkling_codes",
-    "startled_receiver", "bubbling_nozzle", "drifting_balance",
+    "startled_receiver", "bubbling_nozzle", "drifting_balance", "median_of_three",
 )  # fmt: skip
-"""laws whose innovations have clearly more large values than a Gaussian's: pulses, and changing
-loudness"""
+"""laws whose innovations have clearly more large values than a Gaussian's: pulses, changing
+loudness, and readings that are shown again"""
+MEDIAN_CORRELATION = (0.552838, 0.262352)
+"""of the medians of three of white noise, a sample and two apart, by quadrature"""
 
 
 def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
@@ -469,6 +472,27 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             Component(crests, exp(own.uniform(np.log(0.2), np.log(2.0))), shape="crests"),
         ),
     }  # fmt: skip
+    middle, faded, charged = own.uniform(0.5, 0.9), own.uniform(0.05, 0.2), own.uniform(0.3, 0.7)
+    parts |= {
+        # a driver that shows the middle one of its last three readings, against wild ones
+        "median_of_three": (
+            Component(middle, shape="median"),
+            Component(1.0 - middle, exp(own.uniform(np.log(0.02), np.log(0.2)))),
+        ),
+        # an interferometer that reads the phase of scattered light, lost whenever that fades
+        "faded_phase": (
+            Component(1.0 - faded),
+            Component(faded, exp(own.uniform(np.log(0.05), np.log(1.0))), shape="phase"),
+        ),
+        # a spray of charged droplets past the receiver's input: each one way first, then the other
+        "charged_drops": (
+            Component(1.0 - charged),
+            Component(
+                charged, exp(own.uniform(np.log(3e-3), np.log(0.04))), shape="passing",
+                rate=exp(own.uniform(np.log(5.0), np.log(15.0))),
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -487,6 +511,8 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
                 total[1:3] += part.share * np.array([-4.0, 1.0])[: n - 1] / 6.0
             elif part.shape == "binomial":
                 total[1:3] += part.share * np.array([4.0, 1.0])[: n - 1] / 6.0
+            elif part.shape == "median":
+                total[1:3] += part.share * np.array(MEDIAN_CORRELATION)[: n - 1]
             elif part.shape == "overcorrected":
                 total[1:] += part.share * (-part.depth) ** np.arange(1.0, n)
             elif part.shape == "diffused":
@@ -576,6 +602,10 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own *= np.exp(-lags / part.gust_time)
         elif part.shape == "crests":
             own = 1.0 - spence(own) / (pi**2 / 6.0)
+        elif part.shape == "phase":
+            own = _phase_correlation(own)
+        elif part.shape == "passing":
+            own = (1.0 - 0.5 * (lags / part.time) ** 2) * np.exp(-0.25 * (lags / part.time) ** 2)
         elif part.shape == "squared":
             own = (own * np.cos(2.0 * pi * part.frequency * lags)) ** 2
         elif part.shape == "stretched":
@@ -633,6 +663,10 @@ def _draw_part(
         return np.diff(_innovations(n + 2, rng, tails), 2) / sqrt(6.0)
     if part.shape == "binomial":
         return np.convolve(_innovations(n + 2, rng, tails), [1.0, 2.0, 1.0], "valid") / sqrt(6.0)
+    if part.shape == "median":
+        e = _innovations(n + 2, rng, tails)
+        shown: FloatArray = np.median([e[:-2], e[1:-1], e[2:]], axis=0)
+        return shown / sqrt(1.0 - sqrt(3.0) / pi)
     if part.shape == "overcorrected":
         alternating: FloatArray = _remembering(_innovations(n, rng, tails), -part.depth)
         return alternating
@@ -704,6 +738,12 @@ def _draw_part(
         return _resting(interval / part.time, n, rng)
     if part.shape == "crests":
         return _sinking(interval / part.time, n, rng)
+    if part.shape == "phase":
+        light = rng.standard_normal(n) + 1j * rng.standard_normal(n)
+        phase: FloatArray = np.angle(_remembering(light, decay))
+        return phase * (sqrt(3.0) / pi)
+    if part.shape == "passing":
+        return _passing(part, n, interval, rng)
     if part.shape == "squared":
         turn = np.exp(2j * pi * part.frequency * interval)
         kicks = rng.standard_normal(n) + 1j * rng.standard_normal(n)
@@ -1121,6 +1161,34 @@ def _sinking(step: float, n: int, rng: np.random.Generator) -> FloatArray:
     age = step * np.arange(n)
     level: FloatArray = np.maximum.accumulate(crests + age) - age
     return (level - np.euler_gamma) / sqrt(pi**2 / 6.0)
+
+
+def _phase_correlation(r: FloatArray) -> FloatArray:
+    """Of the phase between -pi and pi of light whose field remembers ``r``.
+
+    As a Fourier series of the phase it is 1 - 3 |d|/pi + 3/2 (d/pi)^2 in the mean over differences
+    d, with both of their moments known (Middleton, Statistical Communication Theory, 1960, 9.1).
+    """
+    turned = np.arcsin(r) / pi
+    return np.asarray(1.5 * turned * (1.0 + turned) - 0.75 * spence(1.0 - r**2) / pi**2)
+
+
+def _passing(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) what charges of either sign and any size induce that fly past: s exp(-s^2/2) each.
+
+    s is the time from when they are nearest, ``rate`` of them come in a ``time``.
+    """
+    reach = ceil(6.0 * part.time / interval)
+    total = n + 2 * reach
+    at = rng.uniform(0.0, total, rng.poisson(part.rate * total * interval / part.time))
+    charges = rng.standard_normal(len(at))
+    nearest = at.astype(np.int64)
+    x = np.zeros(total + 2 * reach + 1)
+    for k in range(2 * reach + 1):
+        s = (nearest + k - reach - at) * (interval / part.time)
+        x += np.bincount(nearest + k, charges * s * np.exp(-0.5 * s**2), len(x))
+    # of the mean square, sqrt(pi)/2 a pulse (Campbell's theorem)
+    return x[2 * reach : 2 * reach + n] / sqrt(0.5 * sqrt(pi) * part.rate)
 
 
 def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

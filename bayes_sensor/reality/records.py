@@ -124,7 +124,11 @@ class Component:
     With ``resting`` it is a random walk that drifts on to a stop and is thrown back there, its
     variance over its drift squared a ``time``; with ``balanced`` an Ornstein-Uhlenbeck process is
     multiplied by another one that lasts a ``gust_time``; with ``crests`` it is the highest of the
-    crests that come at random, each of which sinks by Gumbel's unit in a ``time``.
+    crests that come at random, each of which sinks by Gumbel's unit in a ``time``.  With
+    ``median`` (``time`` 0) each sample is the median of three of white noise, that and the two
+    before; with ``phase`` the phase, between -pi and pi, of a complex Ornstein-Uhlenbeck process;
+    with ``passing`` pulses s exp(-s^2/2) of either sign, s in units of ``time``, which come at
+    random, ``rate`` of them in it.
     """
 
     share: float
@@ -141,7 +145,7 @@ class Component:
     ``settling``, ``drilled``, ``hunting``, ``chattering``, ``replugged``, ``beating``, ``held``,
     ``trains``, ``sparkling``, ``binomial``, ``dimmed``, ``overcorrected``, ``rectified``,
     ``stretched``, ``teeth``, ``diffused``, ``squared``, ``flapping``, ``startled``,
-    ``bubbles``, ``resting``, ``balanced`` or ``crests``"""
+    ``bubbles``, ``resting``, ``balanced``, ``crests``, ``median``, ``phase`` or ``passing``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

@@ -77,6 +77,8 @@ class Knobs:
     """likewise, at which it shuts"""
     wheel: Course | None = None
     """share of the stroke that a hand has turned the valve open, in place of the command"""
+    swept: list[tuple[float, float, float]] = field(default_factory=list)
+    """(s, s it lasts, concentration over the set one): other ports that a selector goes over"""
     # flows
     following: float = 0.0
     """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
@@ -173,6 +175,10 @@ class Knobs:
     """share of V that is mixed with the rest while a fan runs only"""
     fan: Course | None = None
     """1 while it does, else 0"""
+    riser: float = 0.0
+    """share of the flow that is lost where the exhaust hose is full of the set concentration"""
+    riser_volume: float = 100.0
+    """mL of it"""
     # sensor
     tau_factor: float = 1.0
     film_share: float = 0.0
@@ -287,6 +293,16 @@ class Knobs:
     """s in which gas dissolves below it"""
     blisters_time: float = 1.0
     """s in which blisters form and empty"""
+    salt: float = 0.0
+    """share of the highest response that the water of a salt adds"""
+    salt_vapour: float = 0.7
+    """water's activity in the highest concentration"""
+    salt_dissolves: float = 0.4
+    """likewise, above the salt's saturated solution"""
+    salt_comes_out: float = 0.2
+    """likewise, at which a supersaturated one crystallises"""
+    salt_time: float = 0.2
+    """s in which an activity of 1 brings as much water as there is salt"""
     poisoning: float = 0.0
     """per s, at which sites die that the highest concentration has taken"""
     alive: float = 1.0
@@ -317,6 +333,12 @@ class Knobs:
     """share of the light that is lost where the highest concentration meets none"""
     absorbed: float = 0.0
     """share of the light that the highest concentration absorbs in the inlet"""
+    bow: float = 0.0
+    """share of the light that is lost where a coating full of the highest one bows the chip"""
+    bow_at: float = 0.0
+    """bow of the most light, over that of the highest concentration"""
+    bow_time: float = 5.0
+    """s, the coating's thickness squared over its diffusivity"""
     concentration_gain: list[Course] = field(default_factory=list)
     """relative changes of the response alone"""
     fringe: float = 0.0
@@ -379,6 +401,12 @@ class Knobs:
     """share of its way by which the laser's piezo creeps on in a decade of time"""
     creep_first: float = 0.1
     """s, the first of four decades of that"""
+    loop_width: float = 0.1
+    """V by which a phase error of a quarter of a turn moves a loop's oscillator at once"""
+    loop_time: float = 0.0
+    """s in which it moves it by as much again"""
+    loop_beat: float = 0.01
+    """V s, by which the oscillator is off while its phase falls back by a radian"""
     offset: list[Course] = field(default_factory=list)
     """V, added"""
     # receiver and recorder
@@ -467,6 +495,12 @@ class Knobs:
     kept_longest: float = 10.0
     """s from one to the next of those that it keeps anyway"""
     kept_begin: float = 0.0
+    """s, of one of them"""
+    archive: float = 0.0
+    """s of record that an archive packs into a block"""
+    archive_kept: int = 3
+    """cosines that it keeps of each"""
+    archive_begin: float = 0.0
     """s, of one of them"""
     hold: float = 0.0
     """s for which an instrument's output stands still between its readings"""
@@ -616,6 +650,9 @@ def voltage(
     if knobs.kept_band > 0:
         kept = stages.kept(t, y, knobs.kept_band, knobs.kept_longest, knobs.kept_begin)
         y = np.interp(t, t[kept], y[kept])
+    if knobs.archive > knobs.archive_kept * step.interval:  # else there is nothing to throw away
+        begin, length = knobs.archive_begin, knobs.archive
+        y = stages.cosine_blocks(t, y, begin, length, knobs.archive_kept)
     shown = true
     if knobs.hold > 0:
         readings = np.floor((true - knobs.hold_begin) / knobs.hold)
@@ -643,6 +680,8 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
     for at, lasts in knobs.tried:
         up |= (middle > at) & (middle < at + lasts)
     first = last = up.astype(float)
+    for at, lasts, level in knobs.swept:
+        first = last = np.where((middle > at) & (middle < at + lasts), level, first)
     if knobs.wheel is not None or knobs.stroke_time > 0:
         z = knobs.wheel(t) if knobs.wheel is not None else _stroke(t, step, knobs.stroke_time)
         first, last = z[:-1], z[1:]
@@ -750,6 +789,8 @@ def _manifold(
     elif knobs.loop > 0:
         round_trip = knobs.loop * case.V / knobs.loop_pumped
         gas = stages.looped(t, inlet, flow, case.V, knobs.loop_pumped, round_trip)
+    elif knobs.riser > 0:
+        gas = stages.weighed_down(t, inlet, flow, case.V, knobs.riser_volume, knobs.riser)
     else:
         passage = case.V / (0.5 * (flow[1:] + flow[:-1]))
         if knobs.layering > 0:
@@ -862,6 +903,13 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         beyond = relative * (dissolved - gas) - knobs.blisters_level
         lifting = np.maximum(beyond, 0.0) / (1.0 - knobs.blisters_level)
         x = x - knobs.blisters / relative * stages.steady_lag(t, lifting, knobs.blisters_time)
+    if knobs.salt > 0:
+        water = stages.deliquescing(
+            t, knobs.salt_vapour * relative * gas, knobs.salt_dissolves, knobs.salt_comes_out,
+            knobs.salt_time,
+        )  # fmt: skip
+        full = knobs.salt_vapour / (1.0 - knobs.salt_vapour)
+        x = x + knobs.salt / relative * water / full
     if knobs.poisoning > 0:
         held = relative * _integral(t, x)
         x = knobs.alive * x * np.exp(-knobs.poisoning * held)
@@ -945,6 +993,9 @@ def _readout(
         y = stages.miscounted(t, y, knobs.countable, knobs.fringe_width)
     if knobs.lock_time > 0:
         y = stages.oscillating_lag(t, y, knobs.lock_time, knobs.lock_damping)
+    if knobs.loop_time > 0:
+        width, time = knobs.loop_width, knobs.loop_time
+        y = stages.phase_locked(t, y, width, time, knobs.loop_beat)
     if knobs.creep > 0:
         y = y - knobs.creep * stages.modal(t, y - y[0], *stages.decades(knobs.creep_first))
     for course in knobs.gain:
@@ -953,6 +1004,9 @@ def _readout(
         y = y * (1.0 - knobs.bending) ** ((relative * (inlet - gas)) ** 2)
     if knobs.absorbed > 0:
         y = y * (1.0 - knobs.absorbed) ** (relative * inlet)
+    if knobs.bow > 0:
+        bow = relative * stages.modal(t, gas, *stages.slab(knobs.bow_time)) - knobs.bow_at
+        y = y * (1.0 - knobs.bow) ** (bow**2 - knobs.bow_at**2)
     for course in knobs.offset:
         y = y + course(t)
     if knobs.leak_across != 0:

@@ -105,6 +105,37 @@ def fanned(
 
 
 @njit(cache=True, error_model="numpy")
+def weighed_down(
+    t: FloatArray, u: FloatArray, flow: FloatArray, V: float, riser: float, weight: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state from 0 of V x' = q (u - x) with q = ``flow`` (1 - ``weight`` m).
+
+    m is the mean of x in a hose of ``riser`` (mL) behind the volume V (mL), through which it goes
+    without mixing; ``flow`` (n,) mL/s.
+    """
+    n = len(t)
+    x, passed, had = np.zeros(n), np.zeros(n), np.zeros(n)
+    m, k = 0.0, 0
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        begin, middle = flow[i] * (1.0 - weight * m), m
+        for _ in range(3):  # predictor, correctors of the mean that sets the rate
+            q = 0.5 * (begin + flow[i + 1] * (1.0 - weight * middle))
+            x[i + 1] = lagged(x[i], u[i], u[i + 1], h, V / q)
+            passed[i + 1] = passed[i] + q * h
+            had[i + 1] = had[i] + 0.5 * (x[i] + x[i + 1]) * q * h
+            top, left = passed[i + 1] - riser, 0.0
+            if top > 0.0:
+                while passed[k + 1] < top:
+                    k += 1
+                share = (top - passed[k]) / (passed[k + 1] - passed[k])
+                left = had[k] + share * (had[k + 1] - had[k])
+            middle = (had[i + 1] - left) / riser
+        m = middle
+    return x
+
+
+@njit(cache=True, error_model="numpy")
 def sticky_wall(
     t: FloatArray, u: FloatArray, held: FloatArray, bend: float, n_cells: int
 ) -> FloatArray:  # pragma: no cover - compiled
@@ -776,6 +807,42 @@ def elovich(
 
 
 @njit(cache=True, error_model="numpy")
+def deliquescing(
+    t: FloatArray, a: FloatArray, dissolves: float, comes_out: float, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) water w from 0 on a salt, as much as there is salt being 1, under its activity ``a``.
+
+    ``time`` w' = a - w/(1 + w) in a solution, until that is down to ``comes_out``; then, and at
+    first, a - ``dissolves`` as long as there are crystals, which are gone where w/(1 + w) is that.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    w, crystals = 0.0, True
+    gone, out_again = dissolves / (1.0 - dissolves), comes_out / (1.0 - comes_out)
+    for i in range(n - 1):
+        steps = max(1, ceil((t[i + 1] - t[i]) / (0.3 * time)))
+        for step in range(steps):
+            at, end = step / steps, (step + 1.0) / steps
+            while at < end:
+                h = (end - at) * (t[i + 1] - t[i]) / time
+                now = a[i] + at * (a[i + 1] - a[i])
+                then = a[i] + end * (a[i + 1] - a[i])
+                first = now - (dissolves if crystals else w / (1.0 + w))
+                guess = max(w + h * first, 0.0)
+                second = then - (dissolves if crystals else guess / (1.0 + guess))
+                new = w + 0.5 * h * (first + second)
+                border = gone if crystals else out_again
+                turned = new >= border if crystals else new <= border
+                if turned and new != w:
+                    at += (end - at) * (border - w) / (new - w)
+                    w, crystals = border, not crystals
+                else:
+                    w, at = max(new, 0.0), end
+        out[i + 1] = w
+    return out
+
+
+@njit(cache=True, error_model="numpy")
 def burning(
     t: FloatArray, g: FloatArray, burns: float, brought: float, time: float
 ) -> FloatArray:  # pragma: no cover - compiled
@@ -942,6 +1009,42 @@ def miscounted(
             beyond -= fringe
             lost += 1 if change > 0.0 else -1
         out[i] = y[i] - lost * fringe
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def phase_locked(
+    t: FloatArray, y: FloatArray, width: float, time: float, beat: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) v = m + ``width`` sin(p) with ``beat`` p' = y - v, ``time`` m' = width sin(p).
+
+    A loop of second order, locked at ``y[0]`` at first; p (rad) is its error of phase.
+    """
+    n = len(t)
+    out = y.copy()
+    if beat < 1e-5 * width:  # quicker than anything is read
+        return out
+    p, m = 0.0, y[0]
+    share = (0.0, 0.5, 0.5, 1.0)
+    for i in range(n - 1):
+        off = abs(y[i] - m) + abs(y[i + 1] - y[i])
+        if off < 1e-12 and abs(p) < 1e-12:  # at rest
+            out[i + 1] = m
+            continue
+        steps = max(1, ceil((t[i + 1] - t[i]) * (width + off) / (0.15 * beat)))
+        h = (t[i + 1] - t[i]) / steps
+        for step in range(steps):
+            dp, dm, total_p, total_m = 0.0, 0.0, 0.0, 0.0
+            for stage in range(4):
+                now = y[i] + (step + share[stage]) / steps * (y[i + 1] - y[i])
+                pulls = width * np.sin(p + share[stage] * h * dp)
+                dp, dm = (now - m - share[stage] * h * dm - pulls) / beat, pulls / time
+                weight = 1.0 if stage in (0, 3) else 2.0
+                total_p += weight * dp
+                total_m += weight * dm
+            p += h / 6.0 * total_p
+            m += h / 6.0 * total_m
+        out[i + 1] = m + width * np.sin(p)
     return out
 
 
@@ -1124,6 +1227,28 @@ def parabola(t: FloatArray, y: FloatArray, window: float, n_readings: int = 32) 
     out = np.zeros(len(t))
     for u, share in zip(off, shares, strict=True):
         out += share * (9.0 - 15.0 * u**2) / 8.0 * np.interp(t + 0.5 * window * u, t, y)
+    return out
+
+
+def cosine_blocks(
+    t: FloatArray, y: FloatArray, begin: float, length: float, kept: int, n_readings: int = 64
+) -> FloatArray:
+    """(n,) ``y`` in blocks of ``length`` (s), of each of which the first ``kept`` cosines are left.
+
+    One of the blocks begins at ``begin`` (s); they are taken from even readings within, and before
+    the first and after the last time there is what is there.
+    """
+    block = np.floor((t - begin) / length).astype(np.int64)
+    first = int(block[0])
+    reading = (np.arange(n_readings) + 0.5) / n_readings
+    number = np.arange(first, int(block[-1]) + 1)
+    readings = np.interp(begin + (number[:, None] + reading) * length, t, y)
+    within = (t - begin) / length - block
+    out = np.zeros(len(t))
+    for k in range(kept):
+        norm = n_readings if k == 0 else 0.5 * n_readings
+        size = readings @ np.cos(pi * k * reading) / norm
+        out += size[block - first] * np.cos(pi * k * within)
     return out
 
 

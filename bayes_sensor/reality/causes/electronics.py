@@ -774,7 +774,7 @@ def lock_in_magnitude(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.leak_across = size * float(np.sin(angle))
 
 
-@cause((), "plateau", "share of the step", 0.35, reserve=True)
+@cause((), "plateau", "share of the step", 0.35)
 def dying_battery(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The receiver's battery runs down in the course of the campaign, at last ever faster.
 
@@ -802,7 +802,7 @@ def dying_battery(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
 
 
 @cause(
-    (), "level", "share of the step", 0.3, near=("optical_nonlinearity",), reserve=True,
+    (), "level", "share of the step", 0.3, near=("optical_nonlinearity",),
 )  # fmt: skip
 def dead_crossover(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The amplifier's two output transistors have lost their bias: between them neither conducts.
@@ -814,3 +814,32 @@ def dead_crossover(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
     at = float(np.mean([each.y0 for each in case.steps])) + rng.uniform(0.25, 0.75) * step
     for knobs in rig.values():
         knobs.crossover, knobs.crossover_at = s * step, at
+
+
+@cause((), "delay", "times too fast", 3.0, reserve=True)
+def slipping_phase_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The signal comes as a frequency, which an oscillator in a phase-locked loop is to follow.
+
+    The loop can turn it no faster than the sine of the phase error allows: where the signal is
+    ``s`` > 1 times too fast the loop falls out of lock, slips cycle by cycle, beats, and pulls in
+    again (Gardner, Phaselock Techniques, 1979).  Below that it follows with an error of phase.
+    """
+    width, damping = _mean_step(case) * _between(rng, 0.3, 0.8), rng.uniform(0.6, 1.5)
+    time = s * width / _steepest(case)
+    for knobs in rig.values():
+        knobs.loop_width, knobs.loop_time = width, time
+        knobs.loop_beat = 0.25 * width * time / damping**2
+
+
+@cause((), "delay", "s", 8.0, near=("daq_filter",), reserve=True)
+def lossy_archive(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The archive packs the record as cameras pack their pictures: in blocks of ``s``, as cosines.
+
+    Of each block the first few are kept, the rest is thrown away (Ahmed, Natarajan and Rao, IEEE
+    Trans. Comput. C-23, 90, 1974).  So a step rings within its block, before it, too, and where two
+    blocks meet there is an edge.
+    """
+    kept = int(rng.integers(2, 6))
+    for knobs in rig.values():
+        knobs.archive, knobs.archive_kept = s, kept
+        knobs.archive_begin = -s * rng.random()

@@ -10,7 +10,7 @@ from scipy.special import exprel, lambertw
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.causes.cause import Causes, Rig, _between, _sign
-from bayes_sensor.reality.records import Case
+from bayes_sensor.reality.records import Case, Step
 from bayes_sensor.reality.rig import both_sides
 
 CAUSES = Causes()
@@ -531,7 +531,7 @@ def foreign_gas_factor(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         knobs.mixing = True
 
 
-@cause((), "ripple", "relative", 0.4, reserve=True)
+@cause((), "ripple", "relative", 0.4)
 def unstable_controller(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The test gas's controller has too much gain: above some flow it begins to swing by itself.
 
@@ -554,3 +554,37 @@ def unstable_controller(rig: Rig, s: float, rng: np.random.Generator, case: Case
             return np.asarray(1.0 + s * size * np.sin(2.0 * pi * rate * since))
 
         rig[step.name].test_gas.append(flow)
+
+
+@cause((), "plateau", "share of the balloon", 0.7, reserve=True)
+def rubber_balloon(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas comes out of a rubber balloon, of which the campaign draws the share ``s``.
+
+    A balloon's pressure goes as 1/stretch - 1/stretch^7 (Mueller and Strehlow, Rubber and Rubber
+    Balloons, 2004): it rises as the balloon shrinks, ever faster, up to a stretch of 7^(1/6), and
+    then it collapses.  Through a needle that is set anew at each beginning the flow goes with it.
+    """
+    stretch = rng.uniform(1.6, 2.6)
+    drawn = sum(step.test_gas_flow * (step.tf - step.t0) for step in case.steps)
+    slack = drawn / (s * stretch**3)  # mL of the balloon that is not stretched
+
+    def pressure(stretch: FloatArray | float) -> FloatArray:
+        return np.asarray(stretch**-1.0 - stretch**-7.0)
+
+    for step in case.steps:
+        shrinks = 1.0 + (stretch - 1.0) * np.exp(-np.linspace(0.0, 12.0, 6001))
+        set_to = float(pressure(stretch))
+        # slack 3 stretch^2 stretch' = -flow pressure/set_to, by separation
+        slowness = 3.0 * shrinks**2 / pressure(shrinks) * slack * set_to / step.test_gas_flow
+        middle = 0.5 * (slowness[1:] + slowness[:-1])
+        passed = np.concatenate([[0.0], np.cumsum(-middle * np.diff(shrinks))])
+
+        def flow(
+            t: FloatArray, step: Step = step, passed: FloatArray = passed,
+            shrinks: FloatArray = shrinks, set_to: float = set_to,
+        ) -> FloatArray:  # fmt: skip
+            since = np.clip(t, step.t0, step.tf) - step.t0
+            return pressure(np.interp(since, passed, shrinks)) / set_to
+
+        rig[step.name].test_gas.append(flow)
+        stretch = float(np.interp(step.tf - step.t0, passed, shrinks))

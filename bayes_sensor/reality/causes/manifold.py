@@ -441,7 +441,7 @@ def filling_from_below(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         knobs.unmixed_layers, knobs.floor = s * case.relative_concentration(step), floor
 
 
-@cause((), "mixing", "share of V", 0.5, near=("dead_volume",), reserve=True)
+@cause((), "mixing", "share of V", 0.5, near=("dead_volume",))
 def resting_fan(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The fan that mixes the manifold runs and rests by turns, as its timer says.
 
@@ -460,3 +460,17 @@ def resting_fan(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         edges = np.concatenate([turns, turns + runs]) * turn
         inside = (edges > step.t0) & (edges < step.duration)
         rig[step.name].marks += both_sides(edges[inside].tolist())
+
+
+@cause((), "fall", "share of the flow", 0.6, near=("flow_switching",), reserve=True)
+def heavy_exhaust_riser(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The exhaust hose goes up to the roof, and a weak blower must lift what stands in it.
+
+    Full of the highest concentration it weighs so much that the share ``s`` of both flows is lost.
+    It fills only with what has left the manifold, so that a rise is over before the flow has sunk;
+    a fall begins with the sunken one, until the hose is full of carrier again.
+    """
+    volume = case.V * _between(rng, 0.7, 5.0)
+    for step in case.steps:
+        knobs = rig[step.name]
+        knobs.riser, knobs.riser_volume = s * case.relative_concentration(step), volume

@@ -655,7 +655,7 @@ def slipping_clamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         rig[step.name].marks += both_sides(slips[slips < step.duration].tolist())
 
 
-@cause((), "fall", "share absorbed", 0.3, reserve=True)
+@cause((), "fall", "share absorbed", 0.3)
 def light_across_inlet(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """On its way to the chip the light crosses the inlet's tube, and the test gas absorbs it.
 
@@ -667,7 +667,7 @@ def light_across_inlet(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         knobs.absorbed = s
 
 
-@cause((), "fall", "share lost", 0.6, reserve=True)
+@cause((), "fall", "share lost", 0.6)
 def searching_stage(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A stage that keeps the fibre aligned takes the falling signal for its own and searches.
 
@@ -692,3 +692,43 @@ def searching_stage(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
 
         rig[step.name].gain.append(lost)
         rig[step.name].marks.append(begin)
+
+
+@cause((), "plateau", "share lost", 0.5, near=("optical_nonlinearity",), reserve=True)
+def bowing_chip(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A thick coating swells and bows the chip like a bimetal, away from the fibre before it.
+
+    It swells as the gas gets to its bottom, by diffusion across a slab.  Of the light, a Gaussian
+    beam before a fibre, 1 - (1 - ``s``)^(bow^2) is lost, the bow being 1 at the highest
+    concentration; the fibre's best place may lie on the way, so that there is more light at first.
+    """
+    at, time = rng.uniform(0.0, 0.3), _between(rng, 1.0, 15.0)
+    for knobs in rig.values():
+        knobs.bow, knobs.bow_at, knobs.bow_time = s, at, time
+
+
+@cause((), "drift", "share of the step", 0.3, per_experiment=True, reserve=True)
+def distant_earthquake(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Waves of a distant earthquake pass and tilt the table, the long ones first.
+
+    A Gaussian band of them, all set off at once, whose delay grows evenly with the frequency: on
+    the way the shock has become a train, in which they follow each other ever faster.  It takes no
+    notice of where a record ends.
+    """
+    rate, spread = 2.0 * pi / _between(rng, 1.5, 6.0), rng.uniform(0.15, 0.3)
+    band, lasts = spread * rate, _between(rng, 1.5, 4.0)  # rad/s; times what the shock did
+    delay = np.sqrt(lasts**2 - 1.0) / band**2  # s per rad/s
+    begins = np.cumsum([0.0, *(step.duration for step in case.steps)])
+    arrives, turn = rng.uniform(0.1, 0.9) * begins[-1], 2.0 * pi * rng.random()
+    size = s * _mean_step(case)
+    for begin, step in zip(begins.tolist(), case.steps, strict=False):
+
+        def tilt(t: FloatArray, begin: float = begin) -> FloatArray:
+            since = begin + t - arrives
+            # the Fourier integral of the band, each frequency turned by what it is late
+            train = np.exp(-0.5 * since**2 / complex(band**-2, delay))
+            return np.asarray(size * (train * np.exp(1j * (rate * since + turn))).real)
+
+        reach = 8.0 * lasts / band
+        if begin - reach < arrives < begin + step.duration + reach:
+            rig[step.name].offset.append(tilt)

@@ -386,7 +386,7 @@ def uneven_bonds(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.bonds, knobs.bonds_bend, knobs.bonds_time = s, bend, time
 
 
-@cause((), "tail", "share of the highest step", 0.4, reserve=True)
+@cause((), "tail", "share of the highest step", 0.4)
 def blistering_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Deep below the coating gas is dissolved; when that outside has gone it lifts it in blisters.
 
@@ -400,3 +400,20 @@ def blistering_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case)
     for knobs in rig.values():
         knobs.blisters, knobs.blisters_level = s, level
         knobs.blisters_soak, knobs.blisters_time = soaks, time
+
+
+@cause((), "tail", "share of the highest step", 0.4, near=("slow_sorption",), reserve=True)
+def deliquescent_salt(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Salt in the coating takes up a moist test gas's water until it is a solution, and dries late.
+
+    It dissolves where there is more moisture than above its saturated solution, and the solution
+    comes to Raoult's law.  Drying it is supersaturated until, far below, crystals come out (Tang
+    and Munkelwitz, Atmos. Environ. 27A, 467, 1993): from then on it dries at once.  At the highest
+    concentration its water adds ``s``; of the weaker ones the salt may never know.
+    """
+    vapour, time = rng.uniform(0.6, 0.8), _between(rng, 0.05, 0.5)
+    dissolves = vapour * rng.uniform(0.3, 0.7)
+    comes_out = dissolves * rng.uniform(0.3, 0.7)
+    for knobs in rig.values():
+        knobs.salt, knobs.salt_vapour, knobs.salt_time = s, vapour, time
+        knobs.salt_dissolves, knobs.salt_comes_out = dissolves, comes_out

@@ -249,7 +249,7 @@ def warming_coil(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         warmth, last = hot, off - step.duration
 
 
-@cause((), "delay", "s", 3.0, near=("finite_stroke",), per_experiment=True, reserve=True)
+@cause((), "delay", "s", 3.0, near=("finite_stroke",), per_experiment=True)
 def valve_turned_by_hand(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The valve is turned by hand, by some turns of the wrist, between which one takes hold anew.
 
@@ -274,3 +274,25 @@ def valve_turned_by_hand(rig: Rig, s: float, rng: np.random.Generator, case: Cas
 
         rig[step.name].wheel = wheel
         rig[step.name].marks += [at for times, _ in ways for at in times.tolist()]
+
+
+@cause((), "delay", "s a port", 0.6, near=("finite_stroke",), reserve=True)
+def sweeping_selector(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A selector valve has the bottles of all experiments in a row, and the carrier at its end.
+
+    To get to a bottle it goes over the ports of those before, each of which flows for ``s``, and
+    back the same way.  They stand as they are used, or by their concentration; from the first one
+    it is no way.
+    """
+    row = list(case.steps)
+    if rng.random() < 0.5:
+        row.sort(key=lambda step: step.concentration)
+    for place, step in enumerate(row):
+        knobs = rig[step.name]
+        for passed, other in enumerate(row[:place]):
+            level = other.concentration / step.concentration
+            knobs.swept.append((step.t0 + passed * s, s, level))
+            knobs.swept.append((step.tf + (place - 1 - passed) * s, s, level))
+        # every port's begin is the end of the one before
+        knobs.marks += [at for at, _, _ in knobs.swept]
+        knobs.marks += [switch + place * s for switch in (step.t0, step.tf)]
