@@ -189,13 +189,14 @@ def keep_first(cases: pd.DataFrame, goals: pd.DataFrame) -> None:
 
 
 def put_away(seed: int) -> None:
-    """Put the cases of the run before, of that ``seed``, to those of earlier ones."""
-    frames = [pd.read_csv(EARLIER, dtype=str, keep_default_na=False)]
-    last = pd.read_csv(TABLES / "blind_check_first.csv", dtype=str, keep_default_na=False)
-    frames.append(last.assign(seed=str(seed)))
+    """Put the cases of the run before, of that ``seed``, to those of earlier ones, once."""
+    others, last = (
+        pd.read_csv(path, dtype=str, keep_default_na=False)
+        for path in (EARLIER, TABLES / "blind_check_first.csv")
+    )
+    both = pd.concat([others[others["seed"] != str(seed)], last.assign(seed=str(seed))])
     # the time in a gzip header would make it another file every time
-    how = {"method": "gzip", "mtime": 0}
-    pd.concat(frames).to_csv(EARLIER, index=False, compression=how)
+    both.to_csv(EARLIER, index=False, compression={"method": "gzip", "mtime": 0})
 
 
 def write_together() -> None:
