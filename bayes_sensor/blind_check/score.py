@@ -222,7 +222,8 @@ def _without_the_noise_s_own(verdict: Mapping[str, Any], near: set[str]) -> Mapp
     if said["kind"] == "effect":
         said["effects"] = [name for name in said["effects"] if name not in there]
         if not said["effects"]:
-            said.update(kind="none", family=None, probability=which["none"]["probability"])
+            nothing_seen = which["none"]["probability"] + float(verdict.get("faint") or 0.0)
+            said.update(kind="none", family=None, probability=min(nothing_seen, 1.0))
     return {**verdict, "which": list(which.values()), "verdict": said}
 
 

@@ -235,6 +235,7 @@ class Gap:
                 "sentence": v.sentence,
             },
             "families": self.standing.families,
+            "faint": self.standing.faint,
             "unlisted": {
                 "looks": self.standing.looks_unlisted,
                 "by_mean": self.standing.looks_by_mean,

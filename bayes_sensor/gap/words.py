@@ -13,7 +13,7 @@ from bayes_sensor.gap.full_rate import FOUND, OF_UNLISTED_ORIGIN, UNITS, FullRat
 from bayes_sensor.gap.how_far import Closure
 from bayes_sensor.gap.refit import Sketch
 from bayes_sensor.gap.separate import Separation
-from bayes_sensor.gap.verdict import NAMED, Standing, of_one_family, stands_beside
+from bayes_sensor.gap.verdict import LIKELIER, NAMED, Standing, of_one_family, stands_beside
 from bayes_sensor.gap.where import CLEAR, Map
 from bayes_sensor.gap.which import Hypothesis, Weighing
 from bayes_sensor.notebook import shown
@@ -151,6 +151,11 @@ WANDERS = (
 )
 
 
+OFTEN_NOISE = (
+    "That may as well be noise of an odd kind: in blind checks every other such finding was."
+)
+
+
 def _likeness(weighing: Weighing, unit: str) -> str:
     """What a cause without a name acts like; empty where nothing of the kind is likely."""
     shares = weighing.probabilities
@@ -268,11 +273,12 @@ def sentence(
             f"{nothing} Effects that this campaign cannot see may still hide: with them tau could "
             f"lie anywhere from {low} to {high} ms."
         )
-    if kind == "unlisted" and probability < 0.5:
-        return undecided_words(place, stand)
     names = [e.name for e in best.refit.plan.sketch.campaign]
     findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > FOUND]
     findings.sort(key=lambda f: -f.log_bayes_factor)  # the clearest first
+    found = [_finding_words(f, names, unit) for f in findings]
+    if kind == "unlisted" and probability < 0.5 and stand.looks_unlisted <= LIKELIER:
+        return " ".join([undecided_words(place, stand), *found])
     if kind == "unlisted":
         words = []
         by_mean = worst is not None and located.shared_by != "findings"
@@ -289,7 +295,9 @@ def sentence(
                 f"The model {seems} the measurement{place}, and no effect of the catalogue "
                 f"explains it well: the cause is not listed{sure}."
             )
-        words += [_finding_words(f, names, unit) for f in findings]
+        words += found
+        if findings and stand.looks_by_mean < 0.5:
+            words.append(OFTEN_NOISE)
         return " ".join([*words, _likeness(weighing, unit)]).rstrip()
     sketch = best.refit.plan.sketch
     besides = [
