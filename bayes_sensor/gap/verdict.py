@@ -117,7 +117,8 @@ def standing(
         ]
         taken = 1.0 - float(np.prod([1.0 - f.probability for f in rivals]))
         of_samples += float(p) * taken
-        rest = float(p) * (1.0 - taken)
+        # what is taken by mistake stays where it was
+        rest = float(p) * (1.0 - taken * (1.0 - MISTAKEN_BY_SAMPLES))
         name = "+".join(h.effects) or "none"
         rows[name] = rows.get(name, 0.0) + rest * silent
         unseen[name] = _too_small(h, weighing.base)
@@ -132,11 +133,10 @@ def standing(
                 unseen[joint] = unseen[name]
     complete = [h for h in weighing.hypotheses if not h.incomplete]
     best = max(complete, key=lambda h: h.log_weight)
-    mistaken = MISTAKEN * rows["unlisted"] + MISTAKEN_BY_SAMPLES * of_samples
     looks_by_mean = rows["unlisted"]
-    rows["unlisted"] += of_samples
-    looks_unlisted = rows["unlisted"]
-    rows = _giving_back(rows, mistaken, "+".join(best.effects) or "none")
+    looks_unlisted = looks_by_mean + of_samples
+    rows["unlisted"] += of_samples * (1.0 - MISTAKEN_BY_SAMPLES)
+    rows = _giving_back(rows, MISTAKEN * looks_by_mean, "+".join(best.effects) or "none")
     effects = dict.fromkeys(catalogue, 0.0)
     families: dict[str, float] = {}
     for name, p in rows.items():
