@@ -187,7 +187,7 @@ def test_whiteness_leaves_out_short_and_empty_records() -> None:
 
 # --- what the verdict says where no effect stands out
 
-NOTHING = SimpleNamespace(probabilities=np.zeros(0), hypotheses=())
+NOTHING = SimpleNamespace(complete=[])
 
 
 def standing(none: float, unlisted: float, families=None, effects=None) -> Standing:

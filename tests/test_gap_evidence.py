@@ -405,7 +405,7 @@ def test_an_effect_of_the_noise_does_not_hide_the_mean(rows, kind, said):
             families[CATALOGUE[name].family] = families.get(CATALOGUE[name].family, 0.0) + p
     effects["heavy_tails"] = 1.0
     stand = Standing({"none": 0.0, **rows}, effects, families, 0.0, *[rows["unlisted"]] * 3, 0.0)
-    nothing = SimpleNamespace(probabilities=np.zeros(0), hypotheses=())
+    nothing = SimpleNamespace(complete=[])
     found, members, family, _ = judge(nothing, stand, CATALOGUE)
     assert found == kind
     assert members == said if said else family == "asymmetry"

@@ -486,8 +486,7 @@ def _events(
     heavy = any(f.name == "heavy_tails" and f.probability > FOUND for f in full_rate)
     if rounds_away(prepared.stretches, step):
         return []
-    complete = [h for h in weighing.hypotheses if not h.incomplete]
-    best = max(complete, key=lambda h: h.log_weight).refit
+    best = weighing.likeliest.refit
     residuals = prepared.residuals_of(best)
     stretches = prepared.stretches_of(residuals)
     events = look_for_events(campaign, stretches, heavy)
@@ -533,7 +532,7 @@ def _best(
 ) -> Hypothesis:
     """The explanation that the verdict stands for; for unlisted the best effect, if any."""
     on_mean = {n for n in named if catalogue[n].on_mean}
-    complete = [h for h in weighing.hypotheses if not h.incomplete]
+    complete = weighing.complete
     if kind == "effect":
         fitting = [h for h in complete if set(h.effects) == on_mean]
         fitting = fitting or [h for h in complete if on_mean <= set(h.effects)]
@@ -553,8 +552,8 @@ def _others(weighing: Weighing, best: Hypothesis) -> list[tuple[Refit, float]]:
     """Every other complete explanation with its odds against ``best``."""
     return [
         (h.refit, exp(min(h.log_weight - best.log_weight, 30.0)))
-        for h in weighing.hypotheses
-        if not h.incomplete and h is not best
+        for h in weighing.complete
+        if h is not best
     ]
 
 
@@ -602,13 +601,11 @@ def _shrink(
     families = {catalogue[n].family for n in best.effects}
     rivals = [
         h
-        for h in weighing.hypotheses
-        if len(h.effects) == 1
-        and not h.incomplete
-        and catalogue[h.effects[0]].family not in families
+        for h in weighing.complete
+        if len(h.effects) == 1 and catalogue[h.effects[0]].family not in families
     ]
     rival = max(rivals, key=lambda h: h.log_weight) if rivals and best.effects else None
-    none = next(h for h in weighing.hypotheses if h.key == "none")
+    none = weighing.find()
     tau, low, high = _averaged_tau(weighing)
     return Shrink(
         closure=closed,
@@ -675,7 +672,7 @@ def _rows(
     base = weighing.base
     sketch = weighing.sketch
     by_name = {f.name: f for f in full_rate}
-    none = next(h for h in weighing.hypotheses if h.key == "none")
+    none = weighing.find()
     made, separations = [], []
     total = sum(stand.rows.values())
     ranked = sorted(stand.effects, key=lambda n: -stand.effects[n])

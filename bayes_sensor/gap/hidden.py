@@ -126,11 +126,10 @@ def _with_strength_free(weighing: Weighing) -> dict[str, tuple[float, float]]:
 
     They do where the likeliest explanation fits them better by ``CONTRADICTED``.
     """
-    complete = [h for h in weighing.hypotheses if not h.incomplete]
-    best = max(complete, key=lambda h: h.log_weight).refit.misfit
+    best = weighing.likeliest.refit.misfit
     return {
         h.effects[0]: (h.log_tau - 1.96 * h.sd_log_tau, h.log_tau + 1.96 * h.sd_log_tau)
-        for h in complete
+        for h in weighing.complete
         if len(h.effects) == 1 and h.refit.misfit - best <= CONTRADICTED
     }
 

@@ -131,8 +131,7 @@ def standing(
                 joint = n if not h.effects else "+".join([*h.effects, n])
                 rows[joint] = rows.get(joint, 0.0) + loud * s / total
                 unseen[joint] = unseen[name]
-    complete = [h for h in weighing.hypotheses if not h.incomplete]
-    best = max(complete, key=lambda h: h.log_weight)
+    best = weighing.likeliest
     looks_by_mean = rows["unlisted"]
     looks_unlisted = looks_by_mean + of_samples
     rows["unlisted"] += of_samples * (1.0 - MISTAKEN_BY_SAMPLES)
@@ -234,12 +233,8 @@ def judge(
     weighing: Weighing, stand: Standing, catalogue: Mapping[str, Effect]
 ) -> tuple[str, tuple[str, ...], str | None, float]:
     """kind, effects, family, probability."""
-    complete = [
-        (p, h)
-        for p, h in zip(weighing.probabilities, weighing.hypotheses, strict=True)
-        if h.effects and not h.incomplete
-    ]
-    best = max(complete, key=lambda x: x[0])[1] if complete else None
+    by_effects = (h for h in weighing.complete if h.effects)
+    best = max(by_effects, key=lambda h: h.log_weight, default=None)
     gate = best.leftover if best else 0.0
     named = sorted(
         (n for n, p in stand.effects.items() if p > NAMED), key=lambda n: -stand.effects[n]

@@ -125,10 +125,23 @@ class Weighing:
         shares: FloatArray = np.exp(logs - logsumexp(logs))
         return shares
 
+    @property
+    def complete(self) -> list[Hypothesis]:
+        """Those without a discrepancy: none, single effects, and pairs."""
+        return [h for h in self.hypotheses if not h.incomplete]
+
+    @property
+    def likeliest(self) -> Hypothesis:
+        """Of the complete ones."""
+        return max(self.complete, key=lambda h: h.log_weight)
+
     def find(self, *effects: str) -> Hypothesis:
-        """The hypothesis of exactly these effects and nothing else.  Raises KeyError."""
-        for h in self.hypotheses:
-            if h.effects == effects and not h.incomplete:
+        """The hypothesis of exactly these effects (none given: of none) and nothing else.
+
+        Raises KeyError.
+        """
+        for h in self.complete:
+            if h.effects == effects:
                 return h
         raise KeyError("+".join(effects))
 
