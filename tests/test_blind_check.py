@@ -572,6 +572,27 @@ def test_calibration_error_lies_in_its_band_only_when_calibrated() -> None:
         assert good[name]["inside"] and not bad[name]["inside"]
         assert bad[name]["ece"] == pytest.approx(0.2, abs=0.06)
     assert sum(b["right"]["n"] for b in good["verdict"]["bins"]) == 300
+    for card, lost in ((good, 0.0), (bad, 0.2)):
+        (said,) = card["by_verdict"].values()  # all of them name an effect
+        assert said["said"] - said["right"]["rate"] == pytest.approx(lost, abs=0.06)
+
+
+def test_each_kind_of_verdict_is_counted_apart() -> None:
+    line = {"looks": 0.95, "by_mean": 0.1}
+    even = {"none": 0.5, "unlisted": 0.5}
+    said = [
+        verdict({"none": 0.8, "unlisted": 0.2}, p=0.8),
+        verdict(even, "unlisted", p=0.7) | {"unlisted": {"looks": 0.9, "by_mean": 0.9}},
+        verdict(even, "unlisted", p=0.5) | {"unlisted": line},
+        verdict(even, "unlisted", p=0.5) | {"unlisted": line},
+    ]
+    causes = ((), [[]], [[]], ())
+    rows = [scored(truth(c, d=8.0), v) for c, v in zip(causes, said, strict=True)]
+    found = make_card(rows)["calibration"]["by_verdict"]
+    assert {kind: (f["right"]["k"], f["right"]["n"]) for kind, f in found.items()} == {
+        "none": (1, 1), "unlisted by samples": (1, 2), "unlisted by the mean": (1, 1),
+    }  # fmt: skip
+    assert found["unlisted by samples"]["said"] == 0.5
 
 
 def test_area_under_the_curve_is_the_share_of_pairs_in_order() -> None:

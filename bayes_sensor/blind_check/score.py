@@ -412,6 +412,7 @@ def make_card(rows: Sequence[Row]) -> Row:
             "verdict": calibration(visible, "p_said", "verdict_right"),
             "top_answer": calibration([r for r in visible if r["kind"] != "pair"],
                                       "p_top", "top_right"),
+            "by_verdict": _by_verdict(visible),
         },
         "scores": {
             "all": _scores(visible),
@@ -439,6 +440,27 @@ def make_card(rows: Sequence[Row]) -> Row:
     }  # fmt: skip
     card["goals"] = _goals(card)
     return card
+
+
+def _by_verdict(rows: Sequence[Row]) -> dict[str, Row]:
+    """How likely each kind of verdict says that it holds, and how often it does.
+
+    Unlisted is told by the mean or, less surely, by single samples alone.
+    """
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        kind = row["verdict"]
+        if kind == "unlisted" and row["unlisted_by_mean"] is not None:
+            kind = f"unlisted by {'the mean' if row['unlisted_by_mean'] > 0.5 else 'samples'}"
+        if row["p_said"] is not None:
+            found.setdefault(kind, []).append(row)
+    return {
+        kind: {
+            **average("said", (row["p_said"] for row in some)),
+            "right": proportion(row["verdict_right"] for row in some),
+        }
+        for kind, some in sorted(found.items())
+    }
 
 
 def _of(rows: Sequence[Row], kind: str) -> list[Row]:

@@ -8,7 +8,8 @@ of that name are the card of that table.  The other tables say what the code fin
 campaigns.  ``blind_check_runs.csv`` keeps what every run reached when its seals were opened, each
 with a reserve, a seed and a diagnosis of its own; ``blind_check_over_runs.csv`` sums it up.
 ``blind_check_earlier.csv.gz`` has every case of the sealed runs before the last, as far back as
-they were scored as now; ``blind_check_together.csv`` counts the goals over these and the last.
+they were scored as now; ``blind_check_together.csv`` counts the goals over these and the last, and
+``blind_check_verdicts.csv`` how often each kind of verdict was right.
 """
 
 from __future__ import annotations
@@ -200,14 +201,22 @@ def put_away(seed: int) -> None:
 
 
 def write_together() -> None:
-    """Write blind_check_together.csv: the goals over the cases of all sealed runs that are kept."""
-    earlier = read_rows(EARLIER)
-    rows = [*earlier, *read_rows(TABLES / "blind_check_first.csv")]
-    goals = pd.DataFrame(make_card(rows)["goals"])
+    """Write blind_check_together.csv: the goals over the cases of all sealed runs that are kept.
+
+    And blind_check_verdicts.csv: how often each kind of verdict held, of the last and of all.
+    """
+    earlier, last = read_rows(EARLIER), read_rows(TABLES / "blind_check_first.csv")
+    rows = [*earlier, *last]
     runs = len({row["seed"] for row in earlier}) + 1
-    goals.assign(runs=runs, campaigns=len(rows)).to_csv(
+    card = make_card(rows)
+    pd.DataFrame(card["goals"]).assign(runs=runs, campaigns=len(rows)).to_csv(
         TABLES / "blind_check_together.csv", index=False, float_format="%.4g"
     )
+    pd.DataFrame([
+        {"verdict": kind, "runs": n, "said": found["said"], **found["right"]}
+        for n, some in ((1, make_card(last)), (runs, card))
+        for kind, found in some["calibration"]["by_verdict"].items()
+    ]).to_csv(TABLES / "blind_check_verdicts.csv", index=False, float_format="%.4g")  # fmt: skip
 
 
 def in_reports(campaigns: int, goals: pd.DataFrame) -> None:
