@@ -334,7 +334,7 @@ def write_readme() -> None:
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
     first = pd.read_csv(TABLES / "blind_check_first.csv", keep_default_na=False)
     card = read_json(TABLES / "blind_check.json")
-    of_the_day = [strictly(), excused()]
+    of_the_day = [strictly(), excused(), by_verdict()]
     since = [
         changed(cases, first), "What follows counts them.", named_nulls(cases),
         alarmed_nulls(cases), left_out(cases), overlooked(cases), of_the_reserve(cases),
@@ -383,6 +383,24 @@ def excused() -> str:
         f"they come near to is not charged as a wrong name: {loose['k']} of {loose['n']} were "
         f"given one with confidence, {strict['k']} if that is charged as well."
     )
+
+
+def by_verdict() -> str:
+    """One sentence: how often each kind of verdict held in all sealed runs that are kept."""
+    found = pd.read_csv(TABLES / "blind_check_verdicts.csv")
+    found = found[found["runs"] == found["runs"].max()].set_index("verdict")
+    words = {
+        "effect": "a named effect", "family": "a family", "none": "nothing to be seen",
+        "unlisted by the mean": "something unlisted", "unlisted by samples": "the same by a line, "
+        "an event or the like alone",
+    }  # fmt: skip
+    held = [
+        f"{name} in {found.rate[kind]:.0%} of {found.n[kind]} verdicts ({found.said[kind]:.0%})"
+        for kind, name in words.items()
+        if kind in found.index
+    ]
+    text = f"Of the last {found.runs.iloc[0]} runs' verdicts held (in brackets: said on average): "
+    return (text + ", ".join(held) + ".").replace("%", " %")
 
 
 def hiding(envelope: Mapping[str, Any]) -> str:
