@@ -1,6 +1,7 @@
 """The sensitivity drifts: beta changes in time, ``beta (1 + g (t - middle))``, straight or bent.
 
-Where the light fades, the whole voltage does, the baseline ``y0`` included.
+Where the light fades, the whole voltage does, the baseline ``y0`` included.  A concentration that
+drifts while the gas is on does to a linear sensor what a drift of beta does.
 """
 
 from collections.abc import Mapping
@@ -41,7 +42,8 @@ def _of_the_light(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
 EFFECT = Effect(
     name="gain_drift",
     family="gain",
-    sentence="The sensitivity drifts during the records: {strength}.",
+    sentence="The sensitivity drifts during the records, or what is supplied does, which looks the "
+    "same: {strength}.",
     forms=tuple(
         Form(strengths, settings, name=of + name)
         for of, settings in (("", _of_beta), ("light, ", _of_the_light))
@@ -55,5 +57,6 @@ EFFECT = Effect(
     plausible={"gain_drift": 1e-4},
     null={"gain_drift": 0.0, "gain_curve": 0.0, "gain_twist": 0.0},
     reference="temperature dependence of sorption; laser power",
-    reveal="a longer plateau, and the same step early and late in a record",
+    reveal="a longer plateau, the same step early and late in a record, and another instrument in "
+    "the same gas",
 )
