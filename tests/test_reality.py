@@ -81,7 +81,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (62, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (65, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -317,6 +317,13 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("bowing_chip", {"plateau", "fall"}, 0.99),
         ("slipping_phase_lock", {"rise", "plateau", "fall", "tail"}, 0.999),
         ("lossy_archive", {"baseline", "onset", "rise", "plateau", "fall"}, 0.98),
+        ("drying_wick", {"plateau", "fall"}, 0.999),
+        ("worn_sampling_valve", {"baseline", "plateau", "tail"}, 0.8),
+        ("loosening_glass", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("drying_drop", {"rise", "fall"}, 0.95),
+        ("glowing_phosphor", {"rise", "fall"}, 0.95),
+        ("leaking_shutter", {"rise", "plateau", "fall", "tail"}, 0.98),
+        ("counted_charges", {"rise", "fall", "tail"}, 0.99),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

@@ -19,6 +19,7 @@ from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
     blanked,
     cosine_blocks,
+    counted,
     distrusted,
     envelope,
     kept,
@@ -1099,3 +1100,74 @@ def test_an_archive_keeps_the_first_cosines_of_every_block() -> None:
     # blocks of no more samples than cosines lose nothing
     tiny = replace(rig, strengths={"lossy_archive": 1.5 * rig.steps[0].interval})
     assert all(np.array_equal(y, clean_signals(plain)[k]) for k, y in clean_signals(tiny).items())
+
+
+def test_a_leaking_shutter_takes_light_for_its_zero_until_the_next_one() -> None:
+    strength, drawn = 0.2, []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"leaking_shutter": strength})
+        times = {step.name: np.arange(0.0, step.duration, 1e-3) for step in rig.steps}
+        seen, plain = clean_signals(rig, times), clean_signals(without_causes(rig), times)
+        every = prepared_rig(rig)["1"].zero_every
+        drawn.append(every)
+        for step in rig.steps:
+            t, y = times[step.name], plain[step.name]
+            taken = (y - seen[step.name]) / strength
+            # it stands between zeros: nothing in between but rounding
+            moves = np.abs(np.diff(taken)) > 1e-7 * step.beta
+            assert np.count_nonzero(moves) <= 30.0 / every + 1.0
+            zeros = np.flatnonzero(moves)
+            for i in zeros:
+                # what is taken from then on is the light of that instant
+                assert min(y[i : i + 2]) - 1e-6 <= taken[i + 1] <= max(y[i : i + 2]) + 1e-6
+            turns = (t[zeros] - t[zeros[0]]) / every
+            assert np.abs(turns - np.rint(turns)).max() < 2e-3 / every
+            # what was before the record was a baseline
+            assert taken[0] == pytest.approx(step.y0, abs=1e-6)
+            # and once the fall has been zeroed it is one again
+            if step.duration - step.tf > every + 6.0 * (rig.tau_v + rig.V / step.total_flow):
+                assert taken[-1] == pytest.approx(step.y0, abs=0.02 * step.beta)
+    assert 4.0 < min(drawn) < max(drawn) < 30.0 and max(drawn) > 1.5 * min(drawn)
+
+
+def test_a_charge_is_counted_and_shown_until_the_next_one_is_full() -> None:
+    # an even light is read as it is, and an even slope by the roots of its integral
+    t = np.linspace(0.0, 10.0, 20_001)
+    assert counted(t, np.full(len(t), 0.7), 0.5, 0.3) == pytest.approx(0.7)
+    ramp = counted(t, 0.5 + t, 2.0, 0.0)
+    fills = np.sqrt(0.25 + 2.0 * 2.0 * np.arange(28.0)) - 0.5
+    means = 2.0 / np.diff(fills)
+    k = np.searchsorted(fills, t[1:], side="right") - 2
+    late = (k >= 0) & (np.abs(t[1:, None] - fills).min(axis=1) > 1e-3)
+    assert ramp[1:][late] == pytest.approx(means[k[late]], rel=1e-5)
+
+    strength, parts = 0.15, set()
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"counted_charges": strength})
+        times = {step.name: np.arange(0.0, step.duration, 4e-4) for step in rig.steps}
+        seen, plain = clean_signals(rig, times), clean_signals(without_causes(rig), times)
+        charge = strength * np.mean([step.beta for step in rig.steps])
+        for step in rig.steps:
+            t, y, shown = times[step.name], plain[step.name], seen[step.name]
+            jumps = np.flatnonzero(np.abs(np.diff(shown)) > 1e-5)
+            parts.add(round(prepared_rig(rig)[step.name].charge_begin, 6))
+            # while it moves each stand is one charge, and what the next one shows is its mean
+            moving = [
+                (i, j) for i, j in pairwise(jumps)
+                if step.t0 < t[i] and np.ptp(y[i : j + 1]) > 0.02 * step.beta
+            ]  # fmt: skip
+            assert len(moving) > 5
+            for i, j in moving:
+                whole = np.trapezoid(y[i : j + 1], t[i : j + 1])
+                if whole > 1.5 * charge:  # two of them that are the same by chance
+                    continue
+                assert whole == pytest.approx(charge, abs=1e-3 * step.beta + 1e-9)
+                assert shown[j + 2] == pytest.approx(charge / (t[j] - t[i]), rel=0.02)
+            # in the faint light of the baseline it is slow: nothing of the rise shows for long
+            onset = t[np.argmax(shown > step.y0 + 0.01 * step.beta)]
+            assert onset > t[np.argmax(y > step.y0 + 0.01 * step.beta)]
+    assert len(parts) == 9  # no record begins with as much as another
+    # fillings that are all shorter than the recorder's interval are not told apart
+    tiny = replace(rig, strengths={"counted_charges": 1e-3 * rig.steps[0].interval})
+    plain = clean_signals(without_causes(rig))
+    assert all(np.array_equal(y, plain[k]) for k, y in clean_signals(tiny).items())

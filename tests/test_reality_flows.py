@@ -850,3 +850,50 @@ def test_a_balloon_presses_the_more_the_smaller_it_is_until_it_collapses() -> No
         elif np.cbrt(volume / slack) > 1.39:
             assert most == len(presses) - 1
     assert 1.59 < min(starts) < 1.9 < 2.2 < max(starts) < 2.61 and turned >= 2
+
+
+def test_a_wick_falls_dry_where_its_liquid_climbs_too_slowly_against_its_inventory() -> None:
+    dried, spared, places = 0, 0, []
+    for seed, strength in ((11, 0.5), (12, 0.3), (15, 0.5), (18, 0.3), (22, 0.5)):
+        rig = replace(draw_case(seed, size="small"), strengths={"drying_wick": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        largest = max(rig.steps, key=lambda step: step.test_gas_flow)
+        brought = (1.0 - strength) * largest.test_gas_flow
+        # what the strongest flow's experiment tells of the wick must do for all of them
+        (course,) = found[largest.name].unmixed
+        t = np.arange(largest.t0, largest.tf, 1e-4)
+        wet = course(t)
+        dries = t[np.argmax(wet < 1.0)] - largest.t0
+        falling = (t > largest.t0 + dries + 0.01) & (wet > 1.0 - 0.9 * strength)
+        slope = np.polyfit(t[falling], np.log(wet[falling] - (1.0 - strength)), 1)[0]
+        patch = -largest.test_gas_flow / slope
+        full = patch + (largest.test_gas_flow - brought) * dries
+        places.append((dries / (largest.tf - largest.t0), patch / largest.test_gas_flow))
+        # liquid that climbs and is carried off, from the campaign's beginning to its end
+        held, h = full, 2e-3
+        for k, step in enumerate(rig.steps):
+            (course,) = found[step.name].unmixed
+            at = np.arange(0.0, step.duration, h)
+            open_ = (at + 0.5 * h > step.t0) & (at + 0.5 * h < step.tf)
+            share = np.empty(len(at))
+            for i in range(len(at)):
+                share[i] = min(held / patch, 1.0)
+                held += h * (brought - step.test_gas_flow * share[i] * open_[i])
+                held = min(held, full)
+            assert np.abs(course(at) - share)[at >= step.t0].max() < 4e-3
+            spared += int(step.test_gas_flow < brought and share.min() == 1.0)
+            dried += int(step is not largest and share[at >= step.t0].min() < 0.99)
+
+            def thinner(
+                u: float, x: FloatArray, step: Step = step, course: Any = course, rig: Case = rig
+            ) -> list[float]:
+                inlet = x[0] * float(course(np.array([x[3]]))[0])
+                gas = [step.total_flow / rig.V * (inlet - x[1]), (x[1] - x[2]) / rig.tau]
+                return [(u - x[0]) / rig.tau_v, *gas, 1.0]  # x[3] is the time itself
+
+            if seed < 13:
+                _, states = solved(rig, thinner, 4, k=k)
+                assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 2e-4
+    low, high = np.min(places, axis=0), np.max(places, axis=0)
+    assert np.all(low > [0.13, 0.49]) and np.all(high < [0.6, 4.05])
+    assert spared > 0 and dried > 0

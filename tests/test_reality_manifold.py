@@ -868,3 +868,53 @@ def test_a_riser_full_of_heavy_gas_slows_the_stream_against_steps_of_volume() ->
     late = t > 28.0
     rate = -np.polyfit(t[late], np.log(slow[late]), 1)[0]
     assert rate == pytest.approx(0.5, rel=0.02)
+
+
+def test_a_worn_valve_lets_a_neighbours_gas_in_while_it_is_his_turn_against_an_ode_solver() -> None:
+    strength, drawn, most = 0.2, [], []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"worn_sampling_valve": strength})
+        found, seen, plain = prepared_rig(rig), clean_signals(rig), clean_signals(case())
+        levels, periods = [], []
+        for k, step in enumerate(rig.steps):
+            knobs = found[step.name]
+            assert knobs.stray_turn is not None
+            fine = np.arange(0.0, step.duration, 1e-3)
+            his = knobs.stray_turn(fine)
+            assert set(np.unique(his)) <= {0.0, 1.0}
+            jumps = np.flatnonzero(np.diff(his)) + 1
+            edges = fine[jumps]
+            # every other edge a period later
+            assert np.ptp(edges[2:] - edges[:-2]) < 2.5e-3
+            periods.append(edges[2] - edges[0])
+            lasts = edges[1] - edges[0] if his[jumps[0]] else periods[-1] - edges[1] + edges[0]
+            drawn.append((periods[-1], lasts / periods[-1], knobs.stray_flush))
+            levels.append(knobs.stray_level * rig.relative_concentration(step))
+            cuts = sorted({0.0, step.t0, step.tf, *edges.tolist()})
+            pieces = [
+                (at, (float(step.t0 <= at < step.tf), float(knobs.stray_turn(np.array([at]))[0])))
+                for at in cuts
+            ]
+
+            def shared(
+                u: tuple[float, float], x: FloatArray, step: Step = step, rig: Case = rig,
+                level: float = knobs.stray_level, flush: float = knobs.stray_flush,
+            ) -> list[float]:  # fmt: skip
+                own = [(u[0] - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+                leaked = (strength * u[1] * (level - x[1]) - x[2]) / flush
+                return [*own, leaked, (x[1] + x[2] - x[3]) / rig.tau]
+
+            t, states = solved(rig, shared, 4, k=k, inputs=pieces)
+            later = t > 10.0 * knobs.stray_flush  # what was in the hose before
+            off = (seen[step.name] - step.y0) / step.beta - states[:, 3]
+            assert np.abs(off[later]).max() < 2e-3
+            if seed == 11:
+                # on a baseline it is the more, up to his share where the hose has been flushed
+                more = (seen[step.name] - plain[step.name])[(t < step.t0) & later] / step.beta
+                most.append(more.max() / (strength * knobs.stray_level))
+                assert more.min() > -1e-6 and more.max() < strength * knobs.stray_level + 1e-6
+        assert np.ptp(levels) < 1e-12 and np.ptp(periods) < 2.5e-3
+    assert max(most) > 0.98
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [3.99, 0.24, 0.049]) and np.all(high < [20.01, 0.61, 0.51])
+    assert np.all(high > 1.3 * low)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, welch
-from scipy.special import erfcx, j0, ndtr
+from scipy.special import erfcx, j0, ndtr, spence, stdtr
 
 from bayes_sensor.reality import (
     HEAVY_TAILED,
@@ -997,6 +997,60 @@ def test_medians_phases_and_passing_charges_are_what_they_say() -> None:
     assert most == pytest.approx(1.0 / (2.0 * np.pi * 0.01), rel=0.15)
     wide = frequency[power > 0.5 * power.max()]
     assert wide[-1] > 2.5 * wide[0]
+
+
+def test_restarted_slowing_and_referred_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(42)
+    h = 1e-3
+    law = NoiseLaw("restarted_mean", 1.0, components=(Component(1.0, 0.02, shape="restarted"),))
+    z = draw_noise(law, 2_000_000, h, rng)
+    q = np.exp(-h / 0.02)
+    # of means of k readings the variance is 1/k, and of k^-2 the mean is a dilogarithm
+    assert z.std() == pytest.approx(1.0, abs=0.02) and abs(z.mean()) < 0.02
+    once, twice = -np.log1p(-q), spence(1.0 - q)
+    fourth = 3.0 * twice * q / (1.0 - q) / once**2
+    assert np.mean(z**4) == pytest.approx(fourth, rel=0.05)
+    R = autocorrelation(law, 200, h)
+    x = np.linspace(0.0, q, 400_001)
+    for lag in (1, 3, 20, 60, 199):
+        left = np.trapezoid(x**lag / (1.0 - x), x) / once
+        assert R[lag] == pytest.approx(left, abs=1e-6)
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.02)
+    # the first sample is as likely to be anywhere in its mean as any other
+    first = np.array([draw_noise(law, 2, h, rng) for _ in range(40_000)])
+    assert first.std(axis=0) == pytest.approx([1.0, 1.0], abs=0.04)
+    assert np.mean(first[:, 0] * first[:, 1]) == pytest.approx(R[1], abs=0.05)
+
+    part = Component(1.0, 1.0, shape="slowing", depth=0.02)
+    law = NoiseLaw("slowing_stream", 1.0, components=(part,))
+    n, ways = 200_000, set()
+    all_ends: dict[bool, list[list[float]]] = {True: [], False: []}
+    for _ in range(40):
+        z = draw_noise(law, n, h, rng).reshape(10, -1)
+        ends = [float(np.mean(p[10:] * p[:-10]) / np.mean(p**2)) for p in (z[0], z[-1])]
+        forth = ends[0] > ends[1]
+        ways.add(forth)
+        all_ends[forth].append([*ends, float(np.mean(z[0] ** 2)), float(np.mean(z[-1] ** 2))])
+    assert ways == {False, True}
+    # rates of 1 to 50 per s, of which a tenth at either end: 1 + 49/20 and 50 - 49/20
+    slow, quick = np.exp(-0.01 * 3.45), np.exp(-0.01 * 47.55)
+    assert np.mean(all_ends[True], axis=0)[:2] == pytest.approx([slow, quick], abs=0.03)
+    assert np.mean(all_ends[False], axis=0)[:2] == pytest.approx([quick, slow], abs=0.03)
+    loud = np.array(all_ends[True] + all_ends[False])[:, 2:].mean(axis=0)
+    assert loud == pytest.approx([1.0, 1.0], abs=0.1)  # as loud all along
+    R = autocorrelation(law, 400, h)
+    rates = np.linspace(1.0, 50.0, 20_001)
+    for lag in (0, 1, 10, 100, 399):
+        assert R[lag] == pytest.approx(np.trapezoid(np.exp(-rates * lag * h), rates) / 49.0)
+
+    law = NoiseLaw("weak_reference", 1.0, components=(Component(1.0, shape="referred", rate=6.0),))
+    z = draw_noise(law, 1_000_000, h, rng)
+    unit = np.sqrt(6.0 / 4.0)  # rms of Student's t of six degrees of freedom
+    for level in (-3.0, -1.0, 0.2, 1.5, 4.0):
+        assert np.mean(z * unit < level) == pytest.approx(stdtr(6.0, level), abs=2e-3)
+    assert np.mean(np.abs(z) > 5.0) == pytest.approx(2.0 * stdtr(6.0, -5.0 * unit), rel=0.15)
+    assert z.std() == pytest.approx(1.0, abs=0.01) and abs(z[1:] @ z[:-1]) / len(z) < 5e-3
+    assert autocorrelation(law, 4, h).tolist() == [1.0, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])

@@ -15,7 +15,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality import clean_signals, draw_case, sample_times, without_causes
 from bayes_sensor.reality.rig import Knobs, centre_of_mass, dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
-from bayes_sensor.reality.stages import blind, decades, modal, slab
+from bayes_sensor.reality.stages import blind, decades, modal, slab, splitting
 from tests.reality_cases import case, offsets, solved
 
 
@@ -762,3 +762,104 @@ def test_an_earthquakes_waves_come_the_later_the_faster_they_are() -> None:
     low, high = np.min(found, axis=0), np.max(found, axis=0)
     assert np.all(low > [1.4, 0.14, 1.4]) and np.all(high < [6.3, 0.32, 4.1])
     assert np.all(high > 1.3 * low)
+
+
+def test_a_phosphor_glows_where_two_charges_meet_against_an_ode_solver() -> None:
+    # from rest at any level it stays there, and in the dark it fades as one over time squared
+    t = np.linspace(0.0, 20.0, 4001)
+    assert splitting(t, np.full(len(t), 0.3), 2.0) == pytest.approx(np.sqrt(0.3))
+    dark = splitting(t, np.where(t == 0.0, 0.8, 0.0), 2.0) ** 2
+    begun = dark[1]
+    faded = begun / (1.0 + np.sqrt(begun) * (t - t[1]) / 2.0) ** 2
+    assert dark[1:] == pytest.approx(faded[1:], rel=1e-6)
+
+    strength, times = 0.4, []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"glowing_phosphor": strength})
+        seen = clean_signals(rig)
+        time, level = prepared_rig(rig)["1"].glowing_time, np.mean([s.beta for s in rig.steps])
+        times.append(time)
+        for k, step in enumerate(rig.steps):
+
+            def glow(
+                u: float, x: FloatArray, step=step, rig=rig, time=time, level=level
+            ) -> list[float]:
+                gas = [(u - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+                light = step.y0 + step.beta * x[2]
+                # the number of charges, over that at the mean step
+                return [*gas, (x[1] - x[2]) / rig.tau, (light / level - x[3] ** 2) / time]
+
+            rest = np.sqrt(step.y0 / level)
+            _, states = solved(rig, glow, 4, k=k, begin=[0.0, 0.0, 0.0, rest])
+            y = step.y0 + step.beta * states[:, 2]
+            expected = (1.0 - strength) * y + strength * level * states[:, 3] ** 2
+            assert np.abs(seen[step.name] - expected).max() < 1e-3
+    assert 0.5 < min(times) < max(times) < 6.0 and max(times) > 1.5 * min(times)
+
+
+def test_drops_cool_a_lid_as_heat_spreads_into_a_half_space() -> None:
+    # a plane that was touched once, by finite differences: cells a tenth of the depth, D = 1
+    n, width, h = 1200, 0.1, 0.004  # depth 1, hence a = 1/4
+    cold = np.zeros(n)
+    cold[0] = 1.0
+    kernel = []
+    for _ in range(60_000):
+        flow = np.diff(cold) * (h / width**2)
+        cold[:-1] += flow
+        cold[1:] -= flow
+        kernel.append(0.5 * (cold[9] + cold[10]))  # at a depth of 1
+    at = (np.arange(len(kernel)) + 1.0) * h / 0.25  # in units of a
+    shape = np.array(kernel) / np.max(kernel)
+    assert at[np.argmax(shape)] == pytest.approx(2.0, abs=0.1)
+
+    strength, found, signs = 0.1, [], set()
+    for seed in range(11, 18):
+        rig = replace(draw_case(seed, size="small"), strengths={"dripping_ceiling": strength})
+        size, knobs = strength * np.mean([s.beta for s in rig.steps]), prepared_rig(rig)
+        dripping = list(offsets(rig, 1e-5))
+        falls = np.array(sorted(
+            30.0 * (int(step.name) - 1) + mark
+            for step, _ in dripping for mark in knobs[step.name].marks
+        ))  # fmt: skip
+        # from the first drop on without an end, and none before
+        assert [step.name for step, _ in dripping] == [
+            step.name for step in rig.steps if 30.0 * int(step.name) > falls[0]
+        ]
+        t = np.arange(0.0, 90.0, 0.02)
+        whole = np.zeros(len(t))
+        for step, course in dripping:
+            begin = 30.0 * (int(step.name) - 1)
+            own = (t >= begin) & (t < begin + 30.0)
+            whole[own] = course(t[own] - begin)
+        assert np.abs(whole[t < falls[0]]).max(initial=0.0) == 0.0
+        signs.add(np.sign(whole[np.argmax(np.abs(whole))]))
+        # long after the last drop only what is lost counts, and the root of time
+        last = dripping[-1][1](np.array([990.0, 1010.0]))
+        lost = np.log(last[0] / last[1]) / 20.0 - 0.5 / (1000.0 - (falls[-1] - begin))
+
+        def left(deep: float, whole=whole, falls=falls, t=t, lost=lost):
+            drops = np.column_stack([
+                np.interp((t - fall) / deep, at, shape, left=0.0)
+                * np.exp(-lost * np.maximum(t - fall, 0.0)) for fall in falls
+            ])  # fmt: skip
+            weights, *_ = np.linalg.lstsq(drops, whole, rcond=None)
+            return np.abs(drops @ weights - whole).max(), weights
+
+        tried = np.geomspace(0.12, 1.9, 60)
+        deep = tried[np.argmin([left(d)[0] for d in tried])]
+        tried = deep * np.linspace(0.95, 1.05, 21)
+        deep = tried[np.argmin([left(d)[0] for d in tried])]
+        off, weights = left(deep)
+        assert off < 0.03 * size
+        early = weights[falls < 85.0] / size  # of a late one too little is seen
+        assert 0.57 < np.abs(early).min() and np.abs(early).max() < 1.03
+        gaps = np.diff(falls)
+        assert gaps.max() < 1.7 * gaps.min()
+        found.append((deep, gaps.mean(), 1.0 / lost))
+    low, high = np.min(found, axis=0), np.max(found, axis=0)
+    assert (
+        np.all(low > [0.14, 2.2, 3.9])
+        and np.all(high < [1.6, 19.0, 31.0])
+        and np.all(high > 1.5 * low)
+    )
+    assert signs == {-1.0, 1.0}

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.special import erfc
+from scipy.special import erfc, exp1
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality import Case, Step, clean_signals, draw_case, sample_times, without_causes
@@ -23,6 +23,7 @@ from bayes_sensor.reality.stages import (
     glassy,
     islands,
     layered_film,
+    loosening,
     modal,
     moving_fronts,
     retarded,
@@ -708,3 +709,81 @@ def test_a_salt_dissolves_at_one_moisture_and_comes_out_at_another_against_an_od
             assert np.abs(more - strength * water / full).max() < 2e-3
     low, high = np.min(levels, axis=0), np.max(levels, axis=0)
     assert never >= 1 and np.all(low > [0.6, 0.3, 0.3]) and np.all(high < [0.8, 0.7, 0.7])
+
+
+def test_a_glass_loosens_late_and_tightens_ever_more_slowly_against_an_ode_solver() -> None:
+    # without gas: time w' = -w exp(bend w), an exponential integral
+    t, bend, time = np.linspace(0.0, 60.0, 12_001), 2.5, 4.0
+    gas = np.where(t < 30.0, 1.0, 0.0)
+    w = loosening(t, gas, bend, time)
+    left = w[t > 30.01]
+    passed = time * (exp1(bend * left) - exp1(bend * left[0]))
+    assert passed == pytest.approx(t[t > 30.01] - 30.015, abs=5e-3)
+    # as far in both directions: up it begins slowly and arrives quickly, down the other way round
+    up, down = w[t <= 30.0], 1.0 - w[t >= 30.005]
+    first = [t[np.argmax(way > 0.2)] for way in (up, down)]
+    last = [t[np.argmax(way > 0.9)] for way in (up, down)]
+    assert first[0] > 3.0 * first[1] and last[1] > 1.5 * last[0]
+
+    strength, drawn = 0.3, []
+    for seed in (11, 12, 13, 14):
+        rig = replace(draw_case(seed, size="small"), strengths={"loosening_glass": strength})
+        seen = clean_signals(rig)
+        knobs = prepared_rig(rig)["1"]
+        drawn.append((knobs.loosening_time, knobs.loosening_bend))
+        for k, step in enumerate(rig.steps):
+            bend = knobs.loosening_bend * rig.relative_concentration(step)
+
+            def glass(
+                u: float, x: FloatArray, step: Step = step, rig: Case = rig, bend: float = bend,
+                time: float = knobs.loosening_time,
+            ) -> list[float]:  # fmt: skip
+                gas = [(u - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+                loosens = (x[2] - x[3]) * np.exp(bend * x[3]) / time
+                return [*gas, (x[1] - x[2]) / rig.tau, loosens]
+
+            _, states = solved(rig, glass, 4, k=k)
+            x = states[:, 2] - strength * states[:, 3]
+            assert np.abs((seen[step.name] - step.y0) / step.beta - x).max() < 2e-4
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [2.99, 0.99]) and np.all(high < [25.01, 3.01]) and np.all(high > 1.2 * low)
+
+
+def test_a_drop_dries_record_after_record_and_is_gone() -> None:
+    strength, places, whole = 2.0, [], 0
+    for seed in range(11, 19):
+        rig = replace(draw_case(seed, size="small"), strengths={"drying_drop": strength})
+        # all else quick: the gas is let in and out by the drop alone
+        rig = replace(rig, tau=1e-3, tau_v=1e-3, V=0.05)
+        found, seen, plain = (
+            prepared_rig(rig),
+            clean_signals(rig),
+            clean_signals(without_causes(rig)),
+        )
+        length = sum(step.duration for step in rig.steps)
+        first = found["1"].drop
+        assert first is not None
+        thick = first(np.array([0.0, 20.0]))
+        assert thick[0] == strength
+        gone = 20.0 / (1.0 - thick[1] / strength)
+        places.append(gone / length)
+        for k, step in enumerate(rig.steps):
+            begin = 30.0 * k
+            if begin >= gone:
+                assert np.array_equal(seen[step.name], plain[step.name])
+                continue
+            t = sample_times(step)
+            # thick' = -slope and thick x' = 1 - x: what is missing goes as thick^(1/slope)
+            still = np.maximum(gone - begin - np.array([step.t0, step.tf]), 0.0)
+            left = np.maximum(gone - begin - t, 0.0)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                missing = np.where(t < step.t0, 1.0, (left / still[0]) ** (gone / strength))
+                x = 1.0 - np.where(still[0] > 0.0, missing, (t < step.t0) * 1.0)
+                full = 1.0 - (still[1] / still[0]) ** (gone / strength) if still[0] > 0 else 1.0
+                fallen = full * (left / still[1]) ** (gone / strength) if still[1] > 0 else 0.0 * t
+            x = np.where(t < step.tf, x, fallen)
+            steady = np.minimum(np.abs(t - step.t0), np.abs(t - step.tf)) > 0.03
+            off = np.abs((seen[step.name] - step.y0) / step.beta - x)
+            assert off[steady].max() < 0.03 and off[steady].mean() < 2e-3
+            whole += 1
+    assert 0.35 < min(places) < 0.6 < max(places) < 0.95 and whole >= 10

@@ -29,17 +29,19 @@ OPEN_LAWS = (
     "worn_gear", "salty_electrode", "trembling_mirror",
     "flapping_damper", "startled_receiver", "bubbling_nozzle",
     "resting_ball", "drifting_balance", "sinking_crests",
+    "median_of_three", "faded_phase", "charged_drops",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("median_of_three", "faded_phase", "charged_drops")
+RESERVE_LAWS = ("restarted_mean", "slowing_stream", "weak_reference")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
     "waning", "two_paced", "drilling", "crackling_cable", "sparkling_codes",
     "startled_receiver", "bubbling_nozzle", "drifting_balance", "median_of_three",
+    "restarted_mean", "weak_reference",
 )  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, changing
-loudness, and readings that are shown again"""
+loudness, readings that are shown again, and quotients"""
 MEDIAN_CORRELATION = (0.552838, 0.262352)
 """of the medians of three of white noise, a sample and two apart, by quadrature"""
 
@@ -493,6 +495,29 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    averaged, slowing, referred = (
+        own.uniform(0.7, 0.95), own.uniform(0.3, 0.7), own.uniform(0.65, 0.9)
+    )  # fmt: skip
+    parts |= {
+        # a meter that shows the mean since it was triggered last, which happens at random
+        "restarted_mean": (
+            Component(averaged, exp(own.uniform(np.log(0.02), np.log(0.2))), shape="restarted"),
+            Component(1.0 - averaged),
+        ),
+        # a stream whose blower is run down or up: its eddies pass ever more slowly or quickly
+        "slowing_stream": (
+            Component(1.0 - slowing),
+            Component(
+                slowing, exp(own.uniform(np.log(0.3), np.log(2.0))), shape="slowing",
+                depth=exp(own.uniform(np.log(0.01), np.log(0.05))),
+            ),
+        ),
+        # a receiver that divides by the loudness of a reference of which it has few readings
+        "weak_reference": (
+            Component(referred, shape="referred", rate=float(own.integers(5, 8))),
+            Component(1.0 - referred, exp(own.uniform(np.log(0.02), np.log(0.2)))),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -604,6 +629,10 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = 1.0 - spence(own) / (pi**2 / 6.0)
         elif part.shape == "phase":
             own = _phase_correlation(own)
+        elif part.shape == "restarted":
+            own = _restarted_correlation(exp(-interval / part.time), n)
+        elif part.shape == "slowing":
+            own = _slowing_correlation(part, lags)
         elif part.shape == "passing":
             own = (1.0 - 0.5 * (lags / part.time) ** 2) * np.exp(-0.25 * (lags / part.time) ** 2)
         elif part.shape == "squared":
@@ -672,6 +701,10 @@ def _draw_part(
         return alternating
     if part.shape == "diffused":
         return _embedded(_antipersistent(part.depth, n + 1), rng)
+    if part.shape == "referred":
+        e = _innovations(n, rng, tails)
+        loud = np.sqrt(rng.chisquare(part.rate, n) / (part.rate - 2.0))
+        return e / loud
     if part.shape == "startled":
         return _startled(_innovations(n + 60, rng, tails), part.depth)[60:]
     if part.shape == "sparkling":
@@ -744,6 +777,10 @@ def _draw_part(
         return phase * (sqrt(3.0) / pi)
     if part.shape == "passing":
         return _passing(part, n, interval, rng)
+    if part.shape == "restarted":
+        return _restarted(decay, _innovations(n, rng, tails), rng)
+    if part.shape == "slowing":
+        return _slowing(part, n, interval, rng, tails)
     if part.shape == "squared":
         turn = np.exp(2j * pi * part.frequency * interval)
         kicks = rng.standard_normal(n) + 1j * rng.standard_normal(n)
@@ -1189,6 +1226,62 @@ def _passing(part: Component, n: int, interval: float, rng: np.random.Generator)
         x += np.bincount(nearest + k, charges * s * np.exp(-0.5 * s**2), len(x))
     # of the mean square, sqrt(pi)/2 a pulse (Campbell's theorem)
     return x[2 * reach : 2 * reach + n] / sqrt(0.5 * sqrt(pi) * part.rate)
+
+
+def _restarted_correlation(decay: float, n: int) -> FloatArray:
+    """(n,) of means that each go on with the share ``decay`` of a chance.
+
+    Means of k and of k + lag readings share k of them, their covariance is 1/(k + lag); k of them
+    there are with (1 - decay) decay^(k - 1), so that all of it is what is left of a logarithm.
+    """
+    whole = -np.log1p(-decay)
+    k = np.arange(1.0, float(n))
+    return np.asarray(1.0 - np.concatenate([[0.0], np.cumsum(decay**k / k)]) / whole)
+
+
+def _restarted(decay: float, e: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """(n,) mean of independent ``e`` (n,) since a restart, as there is none with ``decay``.
+
+    The first one stands for the mean of as many as there would have been.
+    """
+    n = len(e)
+    begins = rng.random(n) >= decay
+    begins[0] = True
+    at = np.flatnonzero(begins)
+    since = np.arange(n) - at[np.cumsum(begins) - 1] + 1.0
+    earlier = float(rng.geometric(1.0 - decay)) - 1.0
+    before = sqrt(earlier) * float(rng.standard_normal())
+    sums = np.cumsum(e)
+    sums -= (sums[at] - e[at])[np.cumsum(begins) - 1]
+    first = slice(0, at[1] if len(at) > 1 else n)
+    sums[first] += before
+    since[first] += earlier
+    shown: FloatArray = sums / since * sqrt(decay / ((1.0 - decay) * -np.log1p(-decay)))
+    return shown
+
+
+def _slowing_correlation(part: Component, lags: FloatArray) -> FloatArray:
+    """Mean of exp(-rate lag) over rates between 1/time and 1/(depth time), any as likely."""
+    slow = lags / part.time
+    wide = np.maximum((1.0 / part.depth - 1.0) * slow, 1e-12)
+    return np.asarray(-np.exp(-slow) * np.expm1(-wide) / wide)
+
+
+def _slowing(
+    part: Component, n: int, interval: float, rng: np.random.Generator, tails: tuple[float, float]
+) -> FloatArray:
+    """(n,) Ornstein-Uhlenbeck process whose rate goes evenly from one end to the other, or back.
+
+    Its variance stays what it is; only how soon it forgets does not.
+    """
+    course = (np.arange(n) + 0.5) / n
+    if rng.random() < 0.5:
+        course = 1.0 - course
+    own = (1.0 + (1.0 / part.depth - 1.0) * course) * interval / part.time
+    kicks = _innovations(n, rng, tails)
+    kicks[1:] *= np.sqrt(-np.expm1(-2.0 * own[1:]))
+    x: FloatArray = _forgetting(np.exp(-own), kicks)
+    return x
 
 
 def _loudness(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

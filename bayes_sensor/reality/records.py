@@ -128,7 +128,11 @@ class Component:
     ``median`` (``time`` 0) each sample is the median of three of white noise, that and the two
     before; with ``phase`` the phase, between -pi and pi, of a complex Ornstein-Uhlenbeck process;
     with ``passing`` pulses s exp(-s^2/2) of either sign, s in units of ``time``, which come at
-    random, ``rate`` of them in it.
+    random, ``rate`` of them in it.  With ``restarted`` each sample is the mean of white noise since
+    one of the restarts that come at random, every ``time`` in the mean; with ``slowing`` the rate
+    of an Ornstein-Uhlenbeck process goes evenly from 1/``time`` to 1/``depth`` times that, or back,
+    in the course of a record; with ``referred`` (``time`` 0) white noise is divided by the rms of
+    ``rate`` others.
     """
 
     share: float
@@ -145,7 +149,8 @@ class Component:
     ``settling``, ``drilled``, ``hunting``, ``chattering``, ``replugged``, ``beating``, ``held``,
     ``trains``, ``sparkling``, ``binomial``, ``dimmed``, ``overcorrected``, ``rectified``,
     ``stretched``, ``teeth``, ``diffused``, ``squared``, ``flapping``, ``startled``,
-    ``bubbles``, ``resting``, ``balanced``, ``crests``, ``median``, ``phase`` or ``passing``"""
+    ``bubbles``, ``resting``, ``balanced``, ``crests``, ``median``, ``phase``, ``passing``,
+    ``restarted``, ``slowing`` or ``referred``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

@@ -179,6 +179,14 @@ class Knobs:
     """share of the flow that is lost where the exhaust hose is full of the set concentration"""
     riser_volume: float = 100.0
     """mL of it"""
+    stray: float = 0.0
+    """share of the gas at the ring that is a neighbour's while it is his turn"""
+    stray_turn: Course | None = None
+    """1 while it is, else 0"""
+    stray_level: float = 0.0
+    """his concentration over the set one"""
+    stray_flush: float = 0.1
+    """s in which his gas comes and goes"""
     # sensor
     tau_factor: float = 1.0
     film_share: float = 0.0
@@ -303,6 +311,14 @@ class Knobs:
     """likewise, at which a supersaturated one crystallises"""
     salt_time: float = 0.2
     """s in which an activity of 1 brings as much water as there is salt"""
+    drop: Course | None = None
+    """s in which gas gets into a drop on the ring, or out of it"""
+    loosened: float = 0.0
+    """share of the response that a loosened coating takes away"""
+    loosening_time: float = 10.0
+    """s in which a tight one begins to loosen"""
+    loosening_bend: float = 2.0
+    """log of how much faster it moves when the highest concentration has loosened it"""
     poisoning: float = 0.0
     """per s, at which sites die that the highest concentration has taken"""
     alive: float = 1.0
@@ -339,6 +355,12 @@ class Knobs:
     """bow of the most light, over that of the highest concentration"""
     bow_time: float = 5.0
     """s, the coating's thickness squared over its diffusivity"""
+    glowing: float = 0.0
+    """share of the light that comes by way of a phosphor"""
+    glowing_time: float = 2.0
+    """s, twice what it takes to follow a small change about its level"""
+    glowing_level: float = 1.0
+    """V, that level"""
     concentration_gain: list[Course] = field(default_factory=list)
     """relative changes of the response alone"""
     fringe: float = 0.0
@@ -450,6 +472,12 @@ class Knobs:
     """share of a change that the receiver pulls back"""
     servo_time: float = 30.0
     """s"""
+    zero_leak: float = 0.0
+    """share of the light at each zero that is subtracted until the next one"""
+    zero_every: float = 10.0
+    """s from one to the next"""
+    zero_begin: float = 0.0
+    """s, of one of them"""
     range_up: float = 0.0
     """V, above which the recorder takes its upper range"""
     range_down: float = 0.0
@@ -502,6 +530,10 @@ class Knobs:
     """cosines that it keeps of each"""
     archive_begin: float = 0.0
     """s, of one of them"""
+    charge: float = 0.0
+    """V s that a converter collects for each of its readings"""
+    charge_begin: float = 0.0
+    """share of one that it has when it is first looked at"""
     hold: float = 0.0
     """s for which an instrument's output stands still between its readings"""
     hold_begin: float = 0.0
@@ -618,6 +650,9 @@ def voltage(
         passed, volume = _integral(t, flow), knobs.coil * case.V
         had = _integral(passed, gas)  # what has passed, times how much gas is in it
         gas = (had - np.interp(passed - volume, passed, had)) / volume
+    if knobs.stray_turn is not None:
+        his = knobs.stray * knobs.stray_turn(t) * (knobs.stray_level - gas)
+        gas = gas + stages.lag(t, his, np.full(len(t) - 1, knobs.stray_flush), 0.0)
     response = _sensor(case, step, knobs, t, gas)
     if knobs.impurity > 0:
         late = stages.retarded(t, gas, flow, knobs.impurity_volume, knobs.impurity_cells)
@@ -653,6 +688,10 @@ def voltage(
     if knobs.archive > knobs.archive_kept * step.interval:  # else there is nothing to throw away
         begin, length = knobs.archive_begin, knobs.archive
         y = stages.cosine_blocks(t, y, begin, length, knobs.archive_kept)
+    # where all fillings are shorter than the recorder's interval they are not told apart
+    faintest = max(float(np.min(y)), 0.02 * float(np.max(y)), 0.0)
+    if knobs.charge > step.interval * faintest:
+        y = stages.counted(t, y, knobs.charge, knobs.charge_begin)
     shown = true
     if knobs.hold > 0:
         readings = np.floor((true - knobs.hold_begin) / knobs.hold)
@@ -826,6 +865,9 @@ def _manifold(
 def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray) -> FloatArray:
     tau = case.tau * knobs.tau_factor
     relative = case.relative_concentration(step)
+    if knobs.drop is not None:
+        thick = knobs.drop(0.5 * (t[1:] + t[:-1]))
+        gas = stages.lag(t, gas, np.maximum(thick, 1e-6), float(gas[0]))  # or it is gone
     if knobs.film_share > 0:
         times, weights = stages.layered_film(tau * knobs.film_share)
         gas = stages.modal(t, gas, times, weights)
@@ -910,6 +952,9 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         )  # fmt: skip
         full = knobs.salt_vapour / (1.0 - knobs.salt_vapour)
         x = x + knobs.salt / relative * water / full
+    if knobs.loosened > 0:
+        bend = knobs.loosening_bend * relative
+        x = x - knobs.loosened * stages.loosening(t, x, bend, knobs.loosening_time)
     if knobs.poisoning > 0:
         held = relative * _integral(t, x)
         x = knobs.alive * x * np.exp(-knobs.poisoning * held)
@@ -1007,6 +1052,10 @@ def _readout(
     if knobs.bow > 0:
         bow = relative * stages.modal(t, gas, *stages.slab(knobs.bow_time)) - knobs.bow_at
         y = y * (1.0 - knobs.bow) ** (bow**2 - knobs.bow_at**2)
+    if knobs.glowing > 0:
+        light = np.maximum(y, 0.0) / knobs.glowing_level
+        freed = stages.splitting(t, light, knobs.glowing_time)
+        y = y + knobs.glowing * (knobs.glowing_level * freed**2 - y)
     for course in knobs.offset:
         y = y + course(t)
     if knobs.leak_across != 0:
@@ -1034,6 +1083,9 @@ def _readout(
         y = y * (level[0] / level) ** knobs.gain_control
     if knobs.servo > 0:
         y = y - knobs.servo * stages.steady_lag(t, y - y[0], knobs.servo_time)
+    if knobs.zero_leak > 0:
+        zeros = np.floor((t - knobs.zero_begin) / knobs.zero_every)
+        y = y - knobs.zero_leak * np.interp(knobs.zero_begin + zeros * knobs.zero_every, t, y)
     if knobs.range_gap != 0:
         y = stages.two_ranges(y, knobs.range_up, knobs.range_down, knobs.range_gap)
     return y

@@ -287,12 +287,13 @@ def warming_coating(
 def splitting(
     t: FloatArray, g: FloatArray, time: float
 ) -> FloatArray:  # pragma: no cover - compiled
-    """(n,) state of time x' = g - x^2 from 0: gas ``g`` (n,) that splits and leaves in pairs.
+    """(n,) state of time x' = g - x^2, at rest at g[0]: gas ``g`` (n,) that leaves in pairs.
 
     Riccati's equation, followed exactly with the mean of g between nodes.
     """
     n = len(t)
     x = np.zeros(n)
+    x[0] = np.sqrt(max(g[0], 0.0))
     for i in range(n - 1):
         h = (t[i + 1] - t[i]) / time
         gas = max(0.5 * (g[i] + g[i + 1]), 0.0)
@@ -1155,6 +1156,23 @@ def log_amplifier(
     return v
 
 
+@njit(cache=True, error_model="numpy")
+def loosening(
+    t: FloatArray, x: FloatArray, bend: float, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state of ``time`` w' = (x - w) exp(``bend`` w) from 0: the looser, the faster."""
+    n = len(t)
+    w = np.zeros(n)
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        middle = w[i]
+        for _ in range(3):  # predictor, correctors of the state that sets the rate
+            end = lagged(w[i], x[i], x[i + 1], h, time * exp(-bend * middle))
+            middle = 0.5 * (w[i] + end)
+        w[i + 1] = end
+    return w
+
+
 def layered_film(mean_time: float, n_cells: int = 18) -> tuple[FloatArray, FloatArray]:
     """Time constants (n,) s and weights (n,) of a two-layer film, seen near its bottom.
 
@@ -1250,6 +1268,23 @@ def cosine_blocks(
         size = readings @ np.cos(pi * k * reading) / norm
         out += size[block - first] * np.cos(pi * k * within)
     return out
+
+
+def counted(t: FloatArray, y: FloatArray, charge: float, begin: float) -> FloatArray:
+    """(n,) mean of ``y`` (n,) V over the last complete filling with a ``charge`` (V s).
+
+    At the first time the share ``begin`` of one is there; before it all was as it is then.
+    """
+    light = np.maximum(y, 0.02 * np.max(y))  # some current leaks in the dark
+    filled = np.concatenate([[0.0], np.cumsum(0.5 * (light[1:] + light[:-1]) * np.diff(t))])
+    fillings = begin + filled / charge
+    whole = np.interp(np.arange(1.0, np.floor(fillings[-1]) + 1.0), fillings, t)
+    # the last two before, by the light of the first time
+    early = t[0] - charge / light[0] * (begin + np.array([1.0, 0.0]))
+    ends = np.concatenate([early, whole])
+    last = np.searchsorted(ends, t, side="right") - 1
+    shown: FloatArray = charge / (ends[last] - ends[last - 1])
+    return shown
 
 
 def retarded(

@@ -816,7 +816,7 @@ def dead_crossover(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.crossover, knobs.crossover_at = s * step, at
 
 
-@cause((), "delay", "times too fast", 3.0, reserve=True)
+@cause((), "delay", "times too fast", 3.0)
 def slipping_phase_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The signal comes as a frequency, which an oscillator in a phase-locked loop is to follow.
 
@@ -831,7 +831,7 @@ def slipping_phase_lock(rig: Rig, s: float, rng: np.random.Generator, case: Case
         knobs.loop_beat = 0.25 * width * time / damping**2
 
 
-@cause((), "delay", "s", 8.0, near=("daq_filter",), reserve=True)
+@cause((), "delay", "s", 8.0, near=("daq_filter",))
 def lossy_archive(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The archive packs the record as cameras pack their pictures: in blocks of ``s``, as cosines.
 
@@ -843,3 +843,31 @@ def lossy_archive(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
     for knobs in rig.values():
         knobs.archive, knobs.archive_kept = s, kept
         knobs.archive_begin = -s * rng.random()
+
+
+@cause((), "plateau", "share let through", 0.3, reserve=True)
+def leaking_shutter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The receiver shuts the light off now and then to find its zero; but its shutter leaks.
+
+    It takes ``s`` of the light of that instant for its zero and subtracts it until the next time,
+    whatever comes meanwhile: what is read on a plateau, and after it, falls at the next zero.
+    """
+    every = _between(rng, 4.0, 30.0)
+    for step in case.steps:
+        knobs = rig[step.name]
+        knobs.zero_leak, knobs.zero_every = s, every
+        knobs.zero_begin = -every * rng.random()
+        zeros = np.arange(knobs.zero_begin + every, step.duration, every)
+        knobs.marks += both_sides(zeros.tolist())
+
+
+@cause((), "delay", "s", 0.3, near=("daq_filter",), reserve=True)
+def counted_charges(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The photocurrent fills a capacitor, is let out when that is full, and its time is read.
+
+    What is shown is the mean of the last filling, until the next one is complete: ``s`` at the mean
+    step, and many times as long in the faint light of a baseline.
+    """
+    charge = s * _mean_step(case)
+    for knobs in rig.values():
+        knobs.charge, knobs.charge_begin = charge, rng.random()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from math import pi
 
@@ -556,7 +557,7 @@ def unstable_controller(rig: Rig, s: float, rng: np.random.Generator, case: Case
         rig[step.name].test_gas.append(flow)
 
 
-@cause((), "plateau", "share of the balloon", 0.7, reserve=True)
+@cause((), "plateau", "share of the balloon", 0.7)
 def rubber_balloon(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The test gas comes out of a rubber balloon, of which the campaign draws the share ``s``.
 
@@ -588,3 +589,48 @@ def rubber_balloon(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
 
         rig[step.name].test_gas.append(flow)
         stretch = float(np.interp(step.tf - step.t0, passed, shrinks))
+
+
+@cause((), "plateau", "share of the vapour", 0.5, reserve=True)
+def drying_wick(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas takes up its vapour from a wick, which its liquid climbs too slowly.
+
+    At the largest flow it brings the share ``s`` less than is carried off.  What the wick holds
+    makes up for that, until it falls dry from its end on; then as much of it stays wet as the
+    climbing liquid can keep so.  Weaker flows may never dry it; shut off, it soaks up again.
+    """
+    largest = max(step.test_gas_flow for step in case.steps)
+    typical = float(np.median([step.tf - step.t0 for step in case.steps]))
+    brought = (1.0 - s) * largest
+    patch = largest * _between(rng, 0.5, 4.0)  # held where all of it is only just wet
+    full = patch + s * largest * rng.uniform(0.15, 0.5) * typical
+    held, rested = full, 0.0
+    for step in case.steps:
+        flow, lasts = step.test_gas_flow, step.tf - step.t0
+        # all of it is wet again: a rest is longer than the patch takes to fill
+        at_start = min(full, max(held + brought * (rested + step.t0), patch))
+        stays = min(brought / flow, 1.0)
+        dries = (at_start - patch) / (flow - brought) if stays < 1.0 else np.inf
+
+        def wet(
+            since: FloatArray | float, dries: float = dries, stays: float = stays,
+            flow: float = flow,
+        ) -> FloatArray:  # fmt: skip
+            dry = np.maximum(np.asarray(since) - dries, 0.0)
+            return np.asarray(stays + (1.0 - stays) * np.exp(-dry * flow / patch))
+
+        if dries < lasts:
+            held = float(wet(lasts)) * patch
+            rig[step.name].marks.append(step.t0 + dries)
+        else:
+            held = min(full, at_start + (brought - flow) * lasts)
+
+        def vapour(
+            t: FloatArray, t0: float = step.t0, tf: float = step.tf, held: float = held,
+            wet: Callable[[FloatArray], FloatArray] = wet,
+        ) -> FloatArray:  # fmt: skip
+            soaked = np.minimum((held + brought * (t - tf)) / patch, 1.0)
+            return np.where(t < tf, wet(np.maximum(t - t0, 0.0)), soaked)
+
+        rig[step.name].unmixed.append(vapour)
+        rested = step.duration - step.tf

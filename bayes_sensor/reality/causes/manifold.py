@@ -462,7 +462,7 @@ def resting_fan(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         rig[step.name].marks += both_sides(edges[inside].tolist())
 
 
-@cause((), "fall", "share of the flow", 0.6, near=("flow_switching",), reserve=True)
+@cause((), "fall", "share of the flow", 0.6, near=("flow_switching",))
 def heavy_exhaust_riser(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The exhaust hose goes up to the roof, and a weak blower must lift what stands in it.
 
@@ -474,3 +474,27 @@ def heavy_exhaust_riser(rig: Rig, s: float, rng: np.random.Generator, case: Case
     for step in case.steps:
         knobs = rig[step.name]
         knobs.riser, knobs.riser_volume = s * case.relative_concentration(step), volume
+
+
+@cause((), "spike", "share of the gas", 0.35, reserve=True)
+def worn_sampling_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A rotary valve draws samples from this rig and from a neighbour's by turns, and is worn.
+
+    While it stands on the neighbour's the share ``s`` of what gets to the ring is his gas, of some
+    concentration that he never changes: on a baseline there is more, on a plateau less, or more.
+    The hose behind the valve must be flushed after each turn.
+    """
+    every, share = _between(rng, 4.0, 20.0), rng.uniform(0.25, 0.6)
+    level, flush = rng.uniform(0.0, 0.9), _between(rng, 0.05, 0.5)
+    for step in case.steps:
+        knobs, begin = rig[step.name], every * rng.random()
+
+        def his(t: FloatArray, begin: float = begin) -> FloatArray:
+            return np.asarray(np.mod(t - begin, every) < share * every, dtype=float)
+
+        knobs.stray, knobs.stray_turn, knobs.stray_flush = s, his, flush
+        knobs.stray_level = level / case.relative_concentration(step)
+        turns = begin + every * np.arange(-1.0, step.duration / every + 1.0)
+        edges = np.concatenate([turns, turns + share * every])
+        inside = (edges > 0.0) & (edges < step.duration)
+        knobs.marks += both_sides(edges[inside].tolist())

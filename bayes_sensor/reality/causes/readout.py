@@ -694,7 +694,7 @@ def searching_stage(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         rig[step.name].marks.append(begin)
 
 
-@cause((), "plateau", "share lost", 0.5, near=("optical_nonlinearity",), reserve=True)
+@cause((), "plateau", "share lost", 0.5, near=("optical_nonlinearity",))
 def bowing_chip(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A thick coating swells and bows the chip like a bimetal, away from the fibre before it.
 
@@ -707,7 +707,7 @@ def bowing_chip(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         knobs.bow, knobs.bow_at, knobs.bow_time = s, at, time
 
 
-@cause((), "drift", "share of the step", 0.3, per_experiment=True, reserve=True)
+@cause((), "drift", "share of the step", 0.3, per_experiment=True)
 def distant_earthquake(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Waves of a distant earthquake pass and tilt the table, the long ones first.
 
@@ -732,3 +732,56 @@ def distant_earthquake(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         reach = 8.0 * lasts / band
         if begin - reach < arrives < begin + step.duration + reach:
             rig[step.name].offset.append(tilt)
+
+
+@cause((), "tail", "share of the light", 0.5, near=("slow_sorption",), reserve=True)
+def glowing_phosphor(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Part of the light falls on a phosphor before the photodiode, and that glows on.
+
+    Light frees charges, and these glow where two of them meet (Becquerel's law): bright light shows
+    sooner than faint light, and the glow fades as one over the square of time.  ``s`` of what is
+    read is that glow; at the mean step it follows in some seconds.
+    """
+    time, level = _between(rng, 0.5, 6.0), _mean_step(case)
+    for knobs in rig.values():
+        knobs.glowing, knobs.glowing_time, knobs.glowing_level = s, time, level
+
+
+@cause(
+    (), "drift", "share of the step", 0.2, near=("baseline_drift",), per_experiment=True,
+    reserve=True,
+)  # fmt: skip
+def dripping_ceiling(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The ceiling leaks, and from some time on water drips on to the cell: each drop cools its lid.
+
+    Nearly evenly, and never two drops alike.  The cold of one spreads into a thick lid as from a
+    plane that was touched once, exp(-a/t) sqrt(a/t) at the ring's depth, and the room warms it
+    away: none comes at first, and for long some of it is left, on which the next ones add up.  It
+    drips on from record to record.
+    """
+    deep, every = _between(rng, 0.15, 1.5), _between(rng, 3.0, 15.0)  # s
+    warmed = _between(rng, 4.0, 30.0)  # s
+    begins = np.cumsum([0.0, *(step.duration for step in case.steps)])
+    leaks, size = rng.uniform(0.02, 0.6) * begins[-1], _sign(rng) * s * _mean_step(case)
+    count = int(1.5 * begins[-1] / every) + 2
+    falls = leaks + every * np.cumsum(rng.uniform(0.75, 1.25, count))
+    heavy = rng.uniform(0.6, 1.0, count)
+    most = float(np.sqrt(0.5) * np.exp(-0.5))  # a drop's cold at t = 2 a, if none is lost
+    for begin, step in zip(begins.tolist(), case.steps, strict=False):
+        before = falls < begin + step.duration
+        if not before.any():
+            continue
+
+        def cold(
+            t: FloatArray, falls: FloatArray = falls[before] - begin,
+            heavy: FloatArray = heavy[before],
+        ) -> FloatArray:  # fmt: skip
+            total = np.zeros_like(t)
+            for at, weight in zip(falls, heavy, strict=True):
+                late = deep / np.maximum(t - at, 1e-3 * deep)  # nothing has come so early
+                total += weight * np.sqrt(late) * np.exp(-late - deep / late / warmed)
+            return size / most * total
+
+        rig[step.name].offset.append(cold)
+        inside = falls[before] - begin
+        rig[step.name].marks += inside[inside > 0.0].tolist()

@@ -402,7 +402,7 @@ def blistering_coating(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         knobs.blisters_soak, knobs.blisters_time = soaks, time
 
 
-@cause((), "tail", "share of the highest step", 0.4, near=("slow_sorption",), reserve=True)
+@cause((), "tail", "share of the highest step", 0.4, near=("slow_sorption",))
 def deliquescent_salt(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Salt in the coating takes up a moist test gas's water until it is a solution, and dries late.
 
@@ -417,3 +417,36 @@ def deliquescent_salt(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
     for knobs in rig.values():
         knobs.salt, knobs.salt_vapour, knobs.salt_time = s, vapour, time
         knobs.salt_dissolves, knobs.salt_comes_out = dissolves, comes_out
+
+
+@cause((), "plateau", "share lost", 0.4, reserve=True)
+def loosening_glass(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Full of gas the glassy coating slowly loosens, and thins out what the light sees.
+
+    The looser it already is, the faster it moves: it loosens late and then all at once, and when
+    the gas has gone it tightens at first quickly and then hardly any more (Kovacs, Fortschr.
+    Hochpolym.-Forsch. 3, 394, 1963).  In the end it takes the share ``s`` of the response.
+    """
+    time, bend = _between(rng, 3.0, 25.0), rng.uniform(1.0, 3.0)
+    for knobs in rig.values():
+        knobs.loosened, knobs.loosening_time, knobs.loosening_bend = s, time, bend
+
+
+@cause((), "ageing", "s", 3.0, per_experiment=True, reserve=True)
+def drying_drop(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The cell was rinsed before the campaign, and a flat drop is left lying on the ring.
+
+    Gas must fill and leave all of it through its surface, which takes ``s`` at first and the less,
+    the thinner it is; it dries evenly, record after record, and at some time it is gone.
+    """
+    begins = np.cumsum([0.0, *(step.duration for step in case.steps)])
+    gone = rng.uniform(0.35, 0.95) * float(begins[-1])
+    for begin, step in zip(begins.tolist(), case.steps, strict=False):
+
+        def thick(t: FloatArray, begin: float = begin) -> FloatArray:
+            return np.asarray(s * np.maximum(1.0 - (begin + t) / gone, 0.0))
+
+        if begin < gone:
+            rig[step.name].drop = thick
+            if gone < begin + step.duration:
+                rig[step.name].marks.append(gone - begin)

@@ -276,7 +276,7 @@ def valve_turned_by_hand(rig: Rig, s: float, rng: np.random.Generator, case: Cas
         rig[step.name].marks += [at for times, _ in ways for at in times.tolist()]
 
 
-@cause((), "delay", "s a port", 0.6, near=("finite_stroke",), reserve=True)
+@cause((), "delay", "s a port", 0.6, near=("finite_stroke",))
 def sweeping_selector(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A selector valve has the bottles of all experiments in a row, and the carrier at its end.
 
