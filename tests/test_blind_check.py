@@ -849,6 +849,20 @@ def test_the_last_sealed_runs_are_counted_together() -> None:
         assert together.reached[f"unlisted flagged at d = {d}"] == pytest.approx(share, rel=1e-3)
 
 
+def test_drifts_of_gain_were_wrong_as_often_as_the_page_says() -> None:
+    cases = pd.concat([
+        pd.read_csv(TABLES / f"blind_check_{name}", keep_default_na=False)
+        for name in ("earlier.csv.gz", "first.csv")
+    ])  # fmt: skip
+    led = cases[(cases["said"].str.split("+").str[0] == "gain_drift")]
+    led = led[~led["kind"].isin(["withheld", "hidden"])]
+    wrong = led["verdict_right"].astype(str) == "False"
+    assert 0.35 < wrong.mean() < 0.45  # two in five
+    assert (led[wrong]["kind"] == "unlisted").mean() > 0.9
+    by_verdict = wrong.groupby(led["verdict"]).mean()
+    assert 0.1 < by_verdict["effect"] < 0.22 and by_verdict["family"] > 0.5
+
+
 def test_the_readme_shows_the_goals_that_were_scored() -> None:
     study = (ROOT / "paper" / "studies" / "study_blind_check.py").read_text(encoding="utf-8")
     readme = (ROOT / "README.md").read_text(encoding="utf-8")

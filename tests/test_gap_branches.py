@@ -12,7 +12,7 @@ from scipy.stats import binom
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.gap import which
-from bayes_sensor.gap.diagnosis import ar1_whiteness, diagnose_gap
+from bayes_sensor.gap.diagnosis import _best, ar1_whiteness, diagnose_gap
 from bayes_sensor.gap.effect import Effect, Strength, own_effect
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.events import _blocks
@@ -305,6 +305,22 @@ def test_what_is_likely_beside_a_name_is_said() -> None:
     assert "the family baseline (79 %), most likely baseline_drift" in said
     alone = standing(0.0, 0.05, {"asymmetry": 0.95, "baseline": 0.4}, effects)
     assert second_words(["flow_switching"], alone, CATALOGUE) == []
+
+
+def test_an_effect_that_shares_its_response_is_not_named_beside_another_either() -> None:
+    sure = {"optical_nonlinearity": 0.95, "slow_sorption": 0.93}
+    families = {CATALOGUE[name].family: p for name, p in sure.items()}
+    stand = standing(0.0, 0.05, families, sure)
+    kind, named, _, p = judge(NOTHING, stand, CATALOGUE)
+    assert (kind, named, p) == ("effect", ("optical_nonlinearity",), 0.95)
+    # it is in the explanation all the same, and said
+    alone, both = (
+        SimpleNamespace(effects=effects, log_weight=weight)
+        for effects, weight in ((("optical_nonlinearity",), -50.0), (tuple(sure), 0.0))
+    )
+    assert _best(SimpleNamespace(complete=[alone, both]), kind, named, stand, CATALOGUE) is both
+    said = "".join(second_words(named, stand, CATALOGUE))
+    assert "most likely slow_sorption or two_rate_valve, whose response is the same" in said
 
 
 def test_families_that_are_likely_are_not_denied() -> None:

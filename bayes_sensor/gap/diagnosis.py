@@ -43,7 +43,7 @@ from bayes_sensor.gap.ringing import look_for_ringing
 from bayes_sensor.gap.separate import Separation, confusable, what_would_separate
 from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
 from bayes_sensor.gap.unsteady import look_for_unsteadiness
-from bayes_sensor.gap.verdict import Standing, Verdict, judge, standing
+from bayes_sensor.gap.verdict import NAMED, Standing, Verdict, judge, standing
 from bayes_sensor.gap.where import CLEAR, Map, locate, shared_by_explanations, shared_by_findings
 from bayes_sensor.gap.which import Hypothesis, Weighing, weigh
 from bayes_sensor.gap.words import (
@@ -362,7 +362,7 @@ def diagnose_gap(
     full_rate += _events(prepared, weighing, full_rate)
     stand = standing(weighing, full_rate, catalogue)
     kind, named, family, probability = judge(weighing, stand, catalogue)
-    best = _best(weighing, kind, named, catalogue)
+    best = _best(weighing, kind, named, stand, catalogue)
     located = _shared_out(located, weighing, full_rate, kind)
     tell(0.6, "what is left")
     rounds: list[Round] = []
@@ -528,12 +528,18 @@ def _shared_out(located: Map, weighing: Weighing, full_rate: Sequence[FullRate],
 
 
 def _best(
-    weighing: Weighing, kind: str, named: Sequence[str], catalogue: Mapping[str, Effect]
+    weighing: Weighing,
+    kind: str,
+    named: Sequence[str],
+    stand: Standing,
+    catalogue: Mapping[str, Effect],
 ) -> Hypothesis:
     """The explanation that the verdict stands for; for unlisted the best effect, if any."""
     on_mean = {n for n in named if catalogue[n].on_mean}
     complete = weighing.complete
     if kind == "effect":
+        # one that shares its response is there beside them, but is not named
+        on_mean |= {n for n in catalogue if catalogue[n].same_response and stand.effects[n] > NAMED}
         fitting = [h for h in complete if set(h.effects) == on_mean]
         fitting = fitting or [h for h in complete if on_mean <= set(h.effects)]
         fitting = fitting or [h for h in complete if set(h.effects) & on_mean]

@@ -251,15 +251,16 @@ def judge(
     likely = family is not None and of_mean[family] > max(0.5, stand.unlisted)
     unmoved = sum(p for row, p in stand.rows.items() if _leaves_the_mean_alone(row, catalogue))
     louder = (family is not None and of_mean[family] > LOUDER) or (likely and unmoved < QUIET)
-    if len(on_mean) == 1 and catalogue[on_mean[0]].same_response:
+    apart = [n for n in on_mean if not catalogue[n].same_response]
+    if on_mean and not apart:
         # one response: whichever is in the catalogue, the other may be the cause
         return _family(catalogue[on_mean[0]].family, stand, catalogue)
     if best and of_one_family(best, catalogue) and set(on_mean) & set(best.effects):
         # two members together are a third in another form as often as they are both there
         return _family(catalogue[best.effects[0]].family, stand, catalogue)
-    if on_mean or (on_noise and not louder):
+    if apart or (on_noise and not louder):
         # an effect of the noise is named alone only where nothing more is likely in the mean
-        return _effect([*on_mean, *on_noise], stand, catalogue)
+        return _effect([*apart, *on_noise], stand, catalogue)
     if stand.none > QUIET:
         return "none", (), None, stand.nothing_seen
     if family is not None and likely:

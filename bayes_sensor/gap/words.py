@@ -333,12 +333,15 @@ def sentence(
     for n in named:
         strength = fitted if catalogue[n].on_mean else by_name[n].strength
         words.append(_effect_words(catalogue[n], strength, sketch, unit))
+    beside = second_words(named, stand, catalogue)
+    alone = set(best.effects) <= set(named)
     if closed.fraction is not None and closed.low is not None and closed.high is not None:
-        words.append(
-            f"It closes {100.0 * closed.fraction:.0f} % of the gap (95 % interval "
-            f"{100.0 * closed.low:.0f} to {100.0 * closed.high:.0f} %)."
+        closes = (
+            f"{'It closes' if alone else 'Together they close'} {100.0 * closed.fraction:.0f} % of "
+            f"the gap (95 % interval {100.0 * closed.low:.0f} to {100.0 * closed.high:.0f} %)."
         )
-    return " ".join([*words, *second_words(named, stand, catalogue), *besides])
+        beside = [closes, *beside] if alone else [*beside, closes]
+    return " ".join([*words, *beside, *besides])
 
 
 def without_a_step(kind: str, said: str) -> str:
@@ -368,9 +371,11 @@ def second_words(
         return []
     members = [n for n in catalogue if catalogue[n].family == other]
     leading = max(members, key=lambda n: stand.effects[n])
+    alike = catalogue[leading].same_response
+    also = f" or {alike}, whose response is the same" if alike else ""
     return [
         f"Beside it something else is likely, of the family {other} ({100.0 * others[other]:.0f} "
-        f"%), most likely {leading}."
+        f"%), most likely {leading}{also}."
     ]
 
 
