@@ -265,8 +265,12 @@ def _average(
     fits: Sequence[tuple[Refit, float]],
     discrepancies: Sequence[Discrepancy] | None,
     base: Refit,
+    least: float = -np.inf,
 ) -> _Average:
-    """The evidence averaged over forms (and discrepancies), and where it puts ln tau."""
+    """The evidence averaged over forms (and discrepancies), and where it puts ln tau.
+
+    ``least``: log evidence below which tau does not matter, and is that of the optimum.
+    """
     logs, weights, found, owners = [], [], [], []
     for fitted, weight in [(f.loosened, w) for f, w in fits]:
         beside = [None] if discrepancies is None else discrepancies
@@ -279,7 +283,7 @@ def _average(
     mass = logsumexp(total)
     p = np.exp(total - mass)
     taus = np.array([(f.log_tau, f.sd_log_tau) for f in found])
-    for i in np.flatnonzero(p > SMALL_SHARE):
+    for i in np.flatnonzero(p > SMALL_SHARE) if mass >= least else ():
         fitted, beside_it = owners[i]
         if beside_it is None and _leaps(fitted, base):
             profile = swept(fitted)
@@ -313,9 +317,10 @@ def weigh(
         fits: Sequence[tuple[Refit, float]],
         ds: Sequence[Discrepancy] | None = None,
         within: str = "",
+        least: float = -np.inf,
     ) -> Hypothesis:
         other = ds is not None or bool(within)
-        made = Hypothesis(effects, other, log_prior, *_average(fits, ds, base), within)
+        made = Hypothesis(effects, other, log_prior, *_average(fits, ds, base, least), within)
         hypotheses.append(made)
         return made
 
@@ -438,7 +443,8 @@ def _add_pairs(
         log_prior = priors[a] + priors[b] - np.log(PRIOR_NONE)
         names = tuple(sorted((a, b), key=list(on_mean).index))
         forms = [(f, w / weight) for f, w in made]
-        pair = add(names, float(log_prior), forms)
+        least = max(single, other, gained() + single) - NEAR
+        pair = add(names, float(log_prior), forms, least=least)
         found.append(pair)
         if pair.leftover > LEFT and pair.log_z > max(single, other, gained() + single) - NEAR:
             # what two effects together mimic well, they seldom mimic altogether
