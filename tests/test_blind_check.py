@@ -67,6 +67,7 @@ from bayes_sensor.reality import (
 )
 from bayes_sensor.reality.noise import draw_noise
 from bayes_sensor.results import read_json
+from tests.sealed_runs import sealed_cases
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "data"
@@ -823,17 +824,12 @@ def test_the_sentences_of_the_card_stand_inside_its_page() -> None:
 
 def test_the_last_sealed_runs_are_counted_together() -> None:
     together = pd.read_csv(TABLES / "blind_check_together.csv").set_index("goal")
-    earlier, last = (  # "null" is a word here
-        pd.read_csv(TABLES / f"blind_check_{name}", keep_default_na=False, na_values=[""])
-        for name in ("earlier.csv.gz", "first.csv")
-    )
     runs = pd.read_csv(TABLES / "blind_check_runs.csv")
-    seeds = sorted(runs["seed"].unique())
-    kept = sorted(earlier["seed"].unique())
-    assert kept == seeds[-1 - len(kept) : -1]
-    every = pd.concat([earlier, last.assign(seed=seeds[-1])])
-    assert set(together["runs"]) == {len(kept) + 1}
-    assert set(together["campaigns"]) == {len(every)} == {600 * (len(kept) + 1)}
+    every = sealed_cases()
+    seeds, kept = sorted(runs["seed"].unique()), sorted(every["seed"].unique())
+    assert kept == seeds[-len(kept) :]
+    assert set(together["runs"]) == {len(kept)}
+    assert set(together["campaigns"]) == {len(every)} == {600 * len(kept)}
     nulls = every[every["kind"] == "null"]
     assert together.reached["nulls named"] == (nulls["verdict"] == "effect").mean()
     for d in (8, 16):
@@ -850,11 +846,8 @@ def test_the_last_sealed_runs_are_counted_together() -> None:
 
 
 def test_drifts_of_gain_were_wrong_as_often_as_the_page_says() -> None:
-    cases = pd.concat([
-        pd.read_csv(TABLES / f"blind_check_{name}", keep_default_na=False)
-        for name in ("earlier.csv.gz", "first.csv")
-    ])  # fmt: skip
-    led = cases[(cases["said"].str.split("+").str[0] == "gain_drift")]
+    cases = sealed_cases()
+    led = cases[cases["said"].str.split("+").str[0] == "gain_drift"]
     led = led[~led["kind"].isin(["withheld", "hidden"])]
     wrong = led["verdict_right"].astype(str) == "False"
     assert 0.35 < wrong.mean() < 0.45  # two in five

@@ -36,6 +36,7 @@ from bayes_sensor.gap.words import family_words, looks_most, second_words, undec
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.model import Cascade
 from tests.gap_cases import measured
+from tests.sealed_runs import sealed_cases
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 
@@ -239,8 +240,7 @@ def test_shares_given_back_are_those_of_the_alarms_that_were_wrong() -> None:
 
 
 def test_causes_like_a_family_s_are_counted_from_the_sealed_runs() -> None:
-    runs = [TABLES / f"blind_check_{name}" for name in ("earlier.csv.gz", "first.csv")]
-    cases = pd.concat([pd.read_csv(path, keep_default_na=False) for path in runs])
+    cases = sealed_cases()
     stated = cases[(cases["verdict"] == "family") & (cases["kind"] == "unlisted")]
     near = stated["verdict_right"].astype(str) == "True"
     # each further run adds some twenty

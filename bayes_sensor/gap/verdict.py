@@ -170,7 +170,7 @@ def _too_small(h: Hypothesis, base: Refit) -> float:
     """
     if not h.effects:
         return 0.0
-    d = sqrt(max(base.misfit - h.refit.misfit, 0.0))
+    d = _detectability(h, base)
     return float(norm.cdf(FAINT - d) - norm.cdf(-FAINT - d))
 
 
@@ -214,8 +214,13 @@ def _look_alike(weighing: Weighing, h: Hypothesis) -> float:
     own = any(part.form.mean is not None for part in h.refit.plan.parts)
     if h.incomplete or not h.effects or own:
         return 0.0
-    d = sqrt(max(weighing.base.misfit - h.refit.misfit, MIMIC**2))
+    d = max(_detectability(h, weighing.base), MIMIC)
     return PRIOR_UNLISTED / (1.0 - PRIOR_NONE - PRIOR_UNLISTED) * MIMIC / d
+
+
+def _detectability(h: Hypothesis, base: Refit) -> float:
+    """Size of what an explanation explains, in standard deviations of the noise."""
+    return sqrt(max(base.misfit - h.refit.misfit, 0.0))
 
 
 def _giving_back(rows: Mapping[str, float], mistaken: float, likeliest: str) -> dict[str, float]:

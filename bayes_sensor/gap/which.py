@@ -428,8 +428,10 @@ def _add_pairs(
         done.add(frozenset((a, b)))
         made = []
         first = min(fits[a], key=lambda f: f[0].objective)[0]
-        # a refit gains at most half of what the objective loses: further up it weighs nothing
-        enough = lowest - 2.0 * (max(other - single, gained(), 0.0) - NEAR)
+        # what is further from the best of all so far weighs nothing, and a refit gains at most half
+        # of what the objective loses
+        least = single + max(other - single, gained(), 0.0) - NEAR
+        enough = lowest - 2.0 * (least - single)
         for form in on_mean[b].forms:
             part = Part(on_mean[b], form)
             fitted = fit_effect(sketch, first, [part], form.starts[:3], 15, enough)
@@ -443,10 +445,9 @@ def _add_pairs(
         log_prior = priors[a] + priors[b] - np.log(PRIOR_NONE)
         names = tuple(sorted((a, b), key=list(on_mean).index))
         forms = [(f, w / weight) for f, w in made]
-        least = max(single, other, gained() + single) - NEAR
         pair = add(names, float(log_prior), forms, least=least)
         found.append(pair)
-        if pair.leftover > LEFT and pair.log_z > max(single, other, gained() + single) - NEAR:
+        if pair.leftover > LEFT and pair.log_z > least:
             # what two effects together mimic well, they seldom mimic altogether
             add(names, float(log_prior + np.log(INCOMPLETE)), _leading(forms), beside)
 

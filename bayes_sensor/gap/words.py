@@ -301,8 +301,8 @@ def sentence(
         return " ".join([*words, _likeness(weighing, unit)]).rstrip()
     sketch = best.refit.plan.sketch
     besides = [
-        _finding_words(f, names, unit)
-        for f in findings
+        text
+        for f, text in zip(findings, found, strict=True)
         if stands_beside(f, best.refit, weighing.base)
     ]
     if kind == "family":

@@ -1248,11 +1248,12 @@ def _restarted(decay: float, e: FloatArray, rng: np.random.Generator) -> FloatAr
     begins = rng.random(n) >= decay
     begins[0] = True
     at = np.flatnonzero(begins)
-    since = np.arange(n) - at[np.cumsum(begins) - 1] + 1.0
+    last = at[np.cumsum(begins) - 1]
+    since = np.arange(n) - last + 1.0
     earlier = float(rng.geometric(1.0 - decay)) - 1.0
     before = sqrt(earlier) * float(rng.standard_normal())
     sums = np.cumsum(e)
-    sums -= (sums[at] - e[at])[np.cumsum(begins) - 1]
+    sums -= sums[last] - e[last]
     first = slice(0, at[1] if len(at) > 1 else n)
     sums[first] += before
     since[first] += earlier

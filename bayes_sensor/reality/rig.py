@@ -688,14 +688,13 @@ def voltage(
     if knobs.archive > knobs.archive_kept * step.interval:  # else there is nothing to throw away
         begin, length = knobs.archive_begin, knobs.archive
         y = stages.cosine_blocks(t, y, begin, length, knobs.archive_kept)
+    light = np.maximum(y, 0.02 * np.max(y))  # some current leaks in the dark
     # where all fillings are shorter than the recorder's interval they are not told apart
-    faintest = max(float(np.min(y)), 0.02 * float(np.max(y)), 0.0)
-    if knobs.charge > step.interval * faintest:
-        y = stages.counted(t, y, knobs.charge, knobs.charge_begin)
+    if knobs.charge > step.interval * max(float(np.min(light)), 0.0):
+        y = stages.counted(t, light, knobs.charge, knobs.charge_begin)
     shown = true
     if knobs.hold > 0:
-        readings = np.floor((true - knobs.hold_begin) / knobs.hold)
-        shown = np.maximum(knobs.hold_begin + readings * knobs.hold, t[0])
+        shown = np.maximum(_last_turn(true, knobs.hold_begin, knobs.hold), t[0])
     seen = np.interp(shown, t, y)
     if knobs.readings is not None:
         seen = np.interp(true, knobs.readings, np.interp(knobs.readings, t, y))
@@ -706,6 +705,12 @@ def voltage(
         turn = np.where(np.rint(times / step.interval) % 2 == 0, -0.5, 0.5)
         seen = seen * (1.0 + knobs.pair_gain * turn) + knobs.pair_zero * turn
     return seen, np.interp(true, t, response)
+
+
+def _last_turn(t: FloatArray, begin: float, every: float) -> FloatArray:
+    """(n,) s, of what comes ``every`` so often, once at ``begin``: the last time up to ``t``."""
+    turns: FloatArray = begin + np.floor((t - begin) / every) * every
+    return turns
 
 
 def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
@@ -1084,8 +1089,7 @@ def _readout(
     if knobs.servo > 0:
         y = y - knobs.servo * stages.steady_lag(t, y - y[0], knobs.servo_time)
     if knobs.zero_leak > 0:
-        zeros = np.floor((t - knobs.zero_begin) / knobs.zero_every)
-        y = y - knobs.zero_leak * np.interp(knobs.zero_begin + zeros * knobs.zero_every, t, y)
+        y = y - knobs.zero_leak * np.interp(_last_turn(t, knobs.zero_begin, knobs.zero_every), t, y)
     if knobs.range_gap != 0:
         y = stages.two_ranges(y, knobs.range_up, knobs.range_down, knobs.range_gap)
     return y

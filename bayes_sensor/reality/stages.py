@@ -1270,12 +1270,11 @@ def cosine_blocks(
     return out
 
 
-def counted(t: FloatArray, y: FloatArray, charge: float, begin: float) -> FloatArray:
-    """(n,) mean of ``y`` (n,) V over the last complete filling with a ``charge`` (V s).
+def counted(t: FloatArray, light: FloatArray, charge: float, begin: float) -> FloatArray:
+    """(n,) mean of ``light`` (n,) V > 0 over the last complete filling with a ``charge`` (V s).
 
     At the first time the share ``begin`` of one is there; before it all was as it is then.
     """
-    light = np.maximum(y, 0.02 * np.max(y))  # some current leaks in the dark
     filled = np.concatenate([[0.0], np.cumsum(0.5 * (light[1:] + light[:-1]) * np.diff(t))])
     fillings = begin + filled / charge
     whole = np.interp(np.arange(1.0, np.floor(fillings[-1]) + 1.0), fillings, t)
