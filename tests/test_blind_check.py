@@ -845,6 +845,28 @@ def test_the_last_sealed_runs_are_counted_together() -> None:
         assert together.reached[f"unlisted flagged at d = {d}"] == pytest.approx(share, rel=1e-3)
 
 
+def test_no_threshold_of_unlisted_meets_what_is_wanted_of_strong_causes() -> None:
+    found = pd.read_csv(TABLES / "blind_check_thresholds.csv")
+    together = pd.read_csv(TABLES / "blind_check_together.csv").set_index("goal")
+    bounds = {goal: float(wanted.split()[1]) for goal, wanted in together.wanted.items()
+              if str(wanted).startswith(">=")}  # fmt: skip
+    stated = found.iloc[0]
+    for d in (8, 16):  # the first row is what was stated
+        assert stated[f"flagged_{d}"] == together.reached[f"unlisted flagged at d = {d}"]
+        assert stated[f"family_{d}"] == together.reached[f"right family at d = {d}"]
+    assert found["threshold"].is_monotonic_decreasing
+    for name in ("flagged", "fairly"):
+        for d in (8, 16):
+            assert found[f"{name}_{d}"].is_monotonic_increasing
+            assert found[f"family_{d}"].is_monotonic_decreasing
+        # as the page says: at 16 the goals exclude each other, at 8 some threshold nearly meets both
+        flagged = found[f"{name}_16"] >= bounds["unlisted flagged at d = 16"]
+        assert not (flagged & (found["family_16"] >= bounds["right family at d = 16"])).any()
+    short = (bounds["unlisted flagged at d = 8"] - found["flagged_8"]).clip(lower=0.0)
+    short += (bounds["right family at d = 8"] - found["family_8"]).clip(lower=0.0)
+    assert 0.25 < found["threshold"][short.idxmin()] < 0.4 and short.min() < 0.03
+
+
 def test_drifts_of_gain_were_wrong_as_often_as_the_page_says() -> None:
     cases = sealed_cases()
     led = cases[cases["said"].str.split("+").str[0] == "gain_drift"]

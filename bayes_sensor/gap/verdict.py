@@ -101,7 +101,8 @@ def standing(
     on_noise = {f.name: f.probability for f in full_rate if f.name in catalogue}
     silent = float(np.prod([1.0 - p for p in on_noise.values()]))
     unlisted = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN]
-    likely = max(on_noise, key=lambda n: on_noise[n]) if on_noise else ""
+    odds = {n: q / (1.0 - q + 1e-300) for n, q in on_noise.items()}
+    total_odds = sum(odds.values())
     of_samples = 0.0
     unseen: dict[str, float] = {}
     alike = np.array([_look_alike(weighing, h) for h in weighing.hypotheses])
@@ -122,14 +123,12 @@ def standing(
         name = "+".join(h.effects) or "none"
         rows[name] = rows.get(name, 0.0) + rest * silent
         unseen[name] = _too_small(h, weighing.base)
-        # some effect of the noise is there: the likeliest stands for it
+        # or some effect of the noise is there, each with its share
         loud = rest * (1.0 - silent)
-        if likely and loud > 0.0:
-            share = {n: q / (1.0 - q + 1e-300) for n, q in on_noise.items()}
-            total = sum(share.values())
-            for n, s in share.items():
+        if loud > 0.0:
+            for n, q in odds.items():
                 joint = n if not h.effects else "+".join([*h.effects, n])
-                rows[joint] = rows.get(joint, 0.0) + loud * s / total
+                rows[joint] = rows.get(joint, 0.0) + loud * q / total_odds
                 unseen[joint] = unseen[name]
     best = weighing.likeliest
     looks_by_mean = rows["unlisted"]
