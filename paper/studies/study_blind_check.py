@@ -66,7 +66,7 @@ EARLIER = TABLES / "blind_check_earlier.csv.gz"
 FIGURES = TABLES.parent / "figures"
 IN_REPORTS = PAPER.parent / "bayes_sensor" / "templates" / "blind_check.json"
 """the goals of the day, which every report of a gap shows"""
-README = PAPER.parent / "README.md"
+README, PAGE = PAPER.parent / "README.md", PAPER.parent / "docs" / "blind_check.md"
 OPENS, CLOSES = "<!-- blind check: study_blind_check.py -->\n", "<!-- end of blind check -->\n"
 
 
@@ -90,7 +90,7 @@ def run(
     draw_settings(both)
     write_seconds(place, place / "full")
     write_first()
-    write_readme()
+    write_pages()
     keep_figure(withheld(), "opened_seal")
 
 
@@ -361,10 +361,8 @@ def _sorted(said: str) -> str:
     return "+".join(sorted(said.split("+")))
 
 
-def write_readme() -> None:
-    """Put the goals, the card of the day and the counts between their marks in the README."""
-    text = README.read_text(encoding="utf-8")
-    begin, end = text.index(OPENS) + len(OPENS), text.index(CLOSES)
+def write_pages() -> None:
+    """Put goals and card of the day into the README, and all that was counted into the docs."""
     goals, together, over, alike = (
         pd.read_csv(TABLES / f"blind_check_{name}.csv")
         for name in ("first_goals", "together", "over_runs", "alike")
@@ -372,24 +370,40 @@ def write_readme() -> None:
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
     first = pd.read_csv(TABLES / "blind_check_first.csv", keep_default_na=False)
     card = read_json(TABLES / "blind_check.json")
-    of_the_day = [strictly(), excused(), by_verdict()]
-    since = [
-        changed(cases, first), "What follows counts them.", named_nulls(cases),
-        alarmed_nulls(cases), left_out(cases), overlooked(cases), of_the_reserve(cases),
-        out_of_reach(cases), too_sure(cases), but_for_one_law(cases), being_told(card["tau"]),
-        hiding(card["envelope"]), weak_ones(card), since_then(), at_both_settings(alike.iloc[0]),
-        in_time(), "The card of these verdicts, by the code as it was last run:",
-    ]  # fmt: skip
-    made = [
+    between_marks(README, [
         markdown_table(goals, together, over),
         "![The score card of the day on which the seals were opened]"
         "(paper/figures/blind_check_first.png)\n",
-        *(
-            textwrap.fill(" ".join(words for words in said if words), 112) + "\n"
-            for said in (of_the_day, since)
-        ),
+        *bullets([strictly(), excused(), by_verdict(), left_out(first), out_of_reach(first)]),
+    ])  # fmt: skip
+    counted = [
+        named_nulls(cases), alarmed_nulls(cases), left_out(cases), overlooked(cases),
+        of_the_reserve(cases), out_of_reach(cases), too_sure(cases), but_for_one_law(cases),
+        being_told(card["tau"]), hiding(card["envelope"]), weak_ones(card),
+        where_it_acts(card["localisation"]), of_p_values(card["p_value"]), since_then(),
+        at_both_settings(alike.iloc[0]), in_time(),
+    ]  # fmt: skip
+    between_marks(PAGE, [
+        textwrap.fill(f"{changed(cases, first)} In these verdicts:", 112) + "\n",
+        *bullets(counted),
+    ])  # fmt: skip
+
+
+def bullets(said: Sequence[str]) -> list[str]:
+    """Lines of a Markdown list of what there is to say."""
+    made = [
+        textwrap.fill(words, 112, initial_indent="- ", subsequent_indent="  ")
+        for words in said
+        if words
     ]
-    write_text(README, text[:begin] + "\n".join(made) + text[end:])
+    return [*made, ""]
+
+
+def between_marks(path: Path, made: Sequence[str]) -> None:
+    """Put lines between this study's marks in a text."""
+    text = path.read_text(encoding="utf-8")
+    begin, end = text.index(OPENS) + len(OPENS), text.index(CLOSES)
+    write_text(path, text[:begin] + "\n".join(made) + text[end:])
 
 
 def strictly() -> str:
@@ -456,7 +470,7 @@ def hiding(envelope: Mapping[str, Any]) -> str:
 
 
 def weak_ones(card: Mapping[str, Any]) -> str:
-    """One sentence: what the 95 % sets hold, and how far off the held-out fraction is."""
+    """What the 95 % sets hold, and how far off the held-out fraction is."""
     sets, closed = card["set95"], card["closed_fraction"]
     small = sets["listed"][0]
     far = [
@@ -468,11 +482,11 @@ def weak_ones(card: Mapping[str, Any]) -> str:
         f"The 95 % set holds the right explanation in {_share(sets['coverage'])}, a listed cause "
         f"in {_share(sets['by_kind']['listed']['coverage'])}, at d = {small['d']:g} in "
         f"{_share(small['coverage'])}. Held out, the closed fraction is off by {', '.join(far)} in "
-        f"median. {_of_places(card['localisation'])} {_of_p_values(card['p_value'])}"
+        "median."
     )
 
 
-def _of_p_values(part: Mapping[str, Any]) -> str:
+def of_p_values(part: Mapping[str, Any]) -> str:
     """One sentence: how often the p-value of the gap is small, with and without a cause."""
     at = {row["d"]: row for row in part["seen"]}
     seen = ", ".join(f"{_share(at[d]['whole'])} at d = {d:g}" for d in (4.0, *GOALS_AT))
@@ -484,7 +498,7 @@ def _of_p_values(part: Mapping[str, Any]) -> str:
     )
 
 
-def _of_places(places: Mapping[str, Any]) -> str:
+def where_it_acts(places: Mapping[str, Any]) -> str:
     """One sentence: how often and how rightly it is said where the model misses."""
     return (
         f"Where a cause acts was said in {places['n']} of {places['of']} campaigns with d >= "
