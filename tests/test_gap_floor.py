@@ -50,6 +50,22 @@ def test_bins_cover_every_sample_once_and_average_exactly():
     assert np.all(np.diff(b.phase) >= 0)
 
 
+def test_a_short_time_scale_does_not_cut_records_into_thousands_of_bins():
+    campaign = design(1)
+    e = campaign.experiments[0]
+    switches = [(e.commanded_on + 0.8, e.commanded_off + 0.5)]
+    for scale in (1e-1, 1e-2, 1e-3):
+        (b,) = make_bins(campaign, switches, [TAUS * scale], scale)
+        assert b.first[0] == 0 and b.last[-1] == len(e.t)
+        assert np.all(b.first[1:] == b.last[:-1])
+        longest = float(np.max(b.last - b.first)) * e.interval
+        # drifts stay visible, and the finest bins are as fine as samples are
+        assert len(b.first) < 250 and longest < 1.05 * max(
+            17.0 * scale, len(e.t) * e.interval / 100
+        )
+        assert np.min(b.last - b.first) * e.interval < max(0.07 * scale, 2.0 * e.interval)
+
+
 def test_bins_respect_masks():
     from dataclasses import replace
 

@@ -32,6 +32,8 @@ BEFORE = np.array([-1.2, -0.9, -0.6, -0.45, -0.3, -0.2, -0.12, -0.06])
 """edges before a switch: a delay that the fit misplaced shows there"""
 LONGEST = 17.0
 """time scales; no bin is longer, so that drifts stay visible"""
+ENOUGH = 100
+"""bins of even length that show a drift, however short the time scale is beside the record"""
 QUADRATURE = np.polynomial.legendre.leggauss(4)
 
 
@@ -188,7 +190,7 @@ def _bins(
     edges += [x for x in phases if start < x < end]
     # carried-over gas leaves at the start of the record
     edges += [start + scale * x for x in (0.3, 0.8, 1.6, 3.0, 6.0) if start + scale * x < t0]
-    merged = _thin(np.unique(edges), scale)
+    merged = _thin(np.unique(edges), 0.02 * scale, max(LONGEST * scale, (end - start) / ENOUGH))
     index = np.clip(np.searchsorted(e.t, merged), 0, len(e.t))
     first, last = [], []
     for a, b in itertools.pairwise(index):
@@ -228,12 +230,12 @@ def _bins(
     )
 
 
-def _thin(edges: FloatArray, scale: float) -> FloatArray:
-    # no bin shorter than a third of the shortest after a switch, none longer than LONGEST
+def _thin(edges: FloatArray, shortest: float, longest: float) -> FloatArray:
+    """Edges of bins that are not shorter and not longer."""
     kept = [float(edges[0])]
     for x in edges[1:]:
-        if x - kept[-1] > 0.02 * scale:
-            n = int(np.ceil((x - kept[-1]) / (LONGEST * scale)))
+        if x - kept[-1] > shortest:
+            n = int(np.ceil((x - kept[-1]) / longest))
             kept += list(kept[-1] + (x - kept[-1]) * np.arange(1, n + 1) / n)
     kept[-1] = max(kept[-1], float(edges[-1]))
     return np.array(kept)
