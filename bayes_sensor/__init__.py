@@ -8,6 +8,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+from bayes_sensor.compiled import give_compiled_code_a_place
+
+give_compiled_code_a_place()  # before anything compiles
+
 __version__ = "0.1.0"
 
 _PUBLIC = {

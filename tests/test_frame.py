@@ -18,6 +18,7 @@ PACKAGE = ROOT / "bayes_sensor"
 
 # A room imports only rooms above it. It is a file or a folder of that name in bayes_sensor/.
 ROOMS = (
+    "compiled",
     "notebook",
     "campaign",
     "workers",

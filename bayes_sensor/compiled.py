@@ -1,0 +1,52 @@
+"""Where compiled code is kept: a place that this account may write to.
+
+Numba keeps it beside the source or in the home directory, and refuses to compile where it may write
+to neither, as in a container that runs under another account.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import MutableMapping
+from pathlib import Path
+
+VARIABLE = "NUMBA_CACHE_DIR"
+
+
+def give_compiled_code_a_place(
+    environ: MutableMapping[str, str] = os.environ, package: Path = Path(__file__).parent
+) -> None:
+    """Set ``NUMBA_CACHE_DIR`` where it is not set and neither usual place can be written to."""
+    if VARIABLE in environ or _may_write(package / "__pycache__"):
+        return
+    home = environ.get("HOME", "")
+    caches = environ.get("XDG_CACHE_HOME") or (str(Path(home) / ".cache") if home else "")
+    if caches and _may_write(Path(caches) / "numba"):
+        return
+    import tempfile  # seldom needed, and slow to load
+
+    place = _own_folder(Path(tempfile.gettempdir()))
+    environ[VARIABLE] = str(place or tempfile.mkdtemp())
+
+
+def _may_write(folder: Path) -> bool:
+    """Whether files can be put there, once it and what it lies in are made."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+
+
+def _own_folder(temporary: Path) -> Path | None:
+    """One that is kept from run to run and that nobody else may write to.
+
+    Compiled code is run: None where another account has made it, or may write to it.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else None
+    own = temporary / f"bayes_sensor-{user}"
+    try:
+        own.mkdir(mode=0o700, exist_ok=True)
+        found = own.lstat()
+    except OSError:
+        return None
+    alone = user is None or (found.st_uid == user and not found.st_mode & 0o077)
+    return own if alone and own.is_dir() and not own.is_symlink() else None
