@@ -39,7 +39,8 @@ AKIN = 0.45
 FAINT = 2.0
 """detectability below which an effect that is there leaves nothing to be seen"""
 LIKELIER = 0.5
-"""probability of looking unlisted from which nothing else is stated: likelier than all the rest"""
+"""probability of looking unlisted from which that is stated, unless none or a family is likelier
+than what is left of it once the share that only looks so is given back"""
 ELSEWHERE = 25.0
 """drop of the squared residual, where a finding is not, from which an effect does not live by it"""
 MOSTLY_ELSEWHERE = 0.8
@@ -245,13 +246,15 @@ def judge(
     )
     on_mean = [n for n in named if catalogue[n].on_mean]
     on_noise = [n for n in named if not catalogue[n].on_mean]
-    if stand.looks_unlisted > LIKELIER or (on_mean and gate >= GATE):
-        return "unlisted", (), None, max(stand.unlisted, 0.5 if on_mean else 0.0)
     of_mean = {
         f: p for f, p in stand.families.items()
         if any(e.family == f and e.on_mean for e in catalogue.values())
     }  # fmt: skip
     family = max(of_mean, key=lambda f: of_mean[f]) if of_mean else None
+    # with what only looks so given back it must still be the likeliest
+    likeliest = stand.unlisted >= max(stand.none, of_mean[family] if family else 0.0)
+    if (stand.looks_unlisted > LIKELIER and likeliest) or (on_mean and gate >= GATE):
+        return "unlisted", (), None, max(stand.unlisted, 0.5 if on_mean else 0.0)
     likely = family is not None and of_mean[family] > max(0.5, stand.unlisted)
     unmoved = sum(p for row, p in stand.rows.items() if _leaves_the_mean_alone(row, catalogue))
     louder = (family is not None and of_mean[family] > LOUDER) or (likely and unmoved < QUIET)
