@@ -18,6 +18,7 @@ from bayes_sensor.reality.rig import Knobs, voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
     blanked,
+    clamped,
     cosine_blocks,
     counted,
     distrusted,
@@ -1171,3 +1172,82 @@ def test_a_charge_is_counted_and_shown_until_the_next_one_is_full() -> None:
     tiny = replace(rig, strengths={"counted_charges": 1e-3 * rig.steps[0].interval})
     plain = clean_signals(without_causes(rig))
     assert all(np.array_equal(y, plain[k]) for k, y in clean_signals(tiny).items())
+
+
+def test_a_clamp_empties_the_capacitor_that_droops_between_against_an_ode_solver() -> None:
+    # an even light droops to 1 - s of itself, again and again
+    t = np.linspace(0.0, 10.0, 10_001)
+    time = -2.0 / np.log(1.0 - 0.2)
+    even = clamped(t, np.full(len(t), 0.7), time, 2.0, -0.5)
+    since = np.mod(t + 0.5, 2.0)
+    inside = (t > 1.5) & (since > 1e-6) & (since < 2.0 - 1e-6)
+    assert even[inside] == pytest.approx(0.7 * np.exp(-since[inside] / time), abs=1e-9)
+    assert even[inside].min() == pytest.approx(0.7 * 0.8, abs=1e-3)
+
+    strength, drawn = 0.25, []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"drooping_clamp": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        for k, step in enumerate(rig.steps):
+            knobs = found[step.name]
+            every, begin = knobs.clamp_every, knobs.clamp_begin
+            drawn.append((every, -begin / every))
+            clamps = np.arange(begin + every, step.duration, every)
+            light = step.y0  # of a baseline the capacitor has some since the clamp before
+            had = light * (1.0 - (1.0 - strength) ** (-begin / every))
+            time = -every / np.log(1.0 - strength)
+            cuts = sorted([(0.0, 0.0), (step.t0, 1.0), (step.tf, 0.0)])
+            pieces = [(at, (u, 0)) for at, u in cuts]
+            for number, at in enumerate(clamps.tolist(), start=1):
+                open_ = float(step.t0 <= at < step.tf)
+                pieces.append((at, (open_, number)))
+            pieces.sort(key=lambda piece: piece[0])
+
+            def coupled(
+                u: tuple[float, int], x: FloatArray, step=step, rig=rig, time=time
+            ) -> list[float]:
+                gas = [(u[0] - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+                return [*gas, (x[1] - x[2]) / rig.tau, (step.y0 + step.beta * x[2] - x[3]) / time]
+
+            # what has been charged in all, without a clamp; each takes it off, and its decay too
+            s, states = solved(rig, coupled, 4, k=k, inputs=pieces, begin=[0.0, 0.0, 0.0, had])
+            y, q = step.y0 + step.beta * states[:, 2], states[:, 3]
+            charge = q.copy()
+            for at in clamps.tolist():
+                late = s >= at
+                taken = np.interp(at, s, charge)
+                charge[late] -= taken * np.exp(-(s[late] - at) / time)
+            clear = np.abs(s[:, None] - clamps).min(axis=1) > 0.015
+            off = np.abs(seen[step.name] - (y - charge))
+            assert off[clear].max() < 3e-3 * step.beta
+            assert np.median(off[clear]) < 3e-4 * step.beta
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [1.49, 0.0]) and np.all(high < [12.01, 1.0]) and np.all(high > 1.5 * low)
+
+
+def test_a_baseline_climbs_evenly_under_a_plateau_and_the_fall_ends_on_it() -> None:
+    strength, met = 0.3, 0
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"climbing_baseline": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        typical = float(np.median([step.tf - step.t0 for step in rig.steps]))
+        climbs = strength * np.mean([step.beta for step in rig.steps]) / typical
+        for step in rig.steps:
+            t, y, shown = sample_times(step), plain[step.name], seen[step.name]
+            # reading by reading: up by no more than it climbs, down with the signal at once
+            floor = np.empty(len(t))
+            floor[0] = y[0]
+            for i in range(1, len(t)):
+                floor[i] = min(floor[i - 1] + climbs * step.interval, y[i])
+            assert np.abs(shown - (y - floor + step.y0)).max() < 1e-3 * step.beta
+            assert shown.min() > step.y0 - 1e-9  # nothing is ever below its baseline
+            flat = (t > step.tf - 2.0) & (t < step.tf)
+            assert np.polyfit(t[flat], (shown - y)[flat], 1)[0] == pytest.approx(-climbs, rel=0.01)
+            # where the fall has come down to it there is nothing left, of the tail neither
+            ends = t[(t > step.tf) & (shown < step.y0 + 1e-6)][0]
+            there = float(np.interp(ends, t, y)) - step.y0
+            reach = climbs * (ends - step.t0)
+            assert there == pytest.approx(reach, rel=0.05)
+            assert np.abs(shown[t > ends + 0.1] - step.y0).max() < 1e-4
+            met += int(there > 0.1 * step.beta)
+    assert met >= 6

@@ -897,3 +897,54 @@ def test_a_wick_falls_dry_where_its_liquid_climbs_too_slowly_against_its_invento
     low, high = np.min(places, axis=0), np.max(places, axis=0)
     assert np.all(low > [0.13, 0.49]) and np.all(high < [0.6, 4.05])
     assert spared > 0 and dried > 0
+
+
+def test_a_nuts_play_takes_the_same_volume_at_every_turn_of_twin_syringes() -> None:
+    strength, strokes, gaps = 0.4, [], 0
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"twin_syringes": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        largest = max(step.test_gas_flow for step in rig.steps)
+        typical = float(np.median([step.test_gas_flow for step in rig.steps]))
+        ways, comes = [], []
+        gone = 0.0
+        for step in rig.steps:
+            (course,) = found[step.name].test_gas
+            t = np.arange(step.t0, step.tf, 1e-3)
+            ways.append(gone + step.test_gas_flow * (t - step.t0))
+            comes.append(course(t))
+            gone += step.test_gas_flow * (step.tf - step.t0)
+            # the pump stands while the valve is shut
+            late = course(np.array([step.tf, step.duration]))
+            assert late[0] == late[1]
+        way, on = np.concatenate(ways), np.concatenate(comes)
+        assert set(np.unique(on)) == {0.0, 1.0}
+        change = np.flatnonzero(np.diff(on))
+        stops, goes = (change[np.diff(on)[change] == sign] for sign in (-1.0, 1.0))
+        goes = goes[goes > stops[0]]
+        # on the screw's way, over records and rests, all turns are alike
+        stroke = np.diff(way[stops])
+        assert np.ptp(stroke) < 3e-3 * largest
+        lost = way[goes] - way[stops[: len(goes)]]
+        assert lost == pytest.approx(strength * largest, abs=2e-3 * largest)
+        gaps += len(lost)
+        strokes.append(stroke[0] / typical)
+
+        step = max(rig.steps, key=lambda step: step.test_gas_flow)
+        (course,) = found[step.name].test_gas
+
+        def pumped(
+            u: float, x: FloatArray, step: Step = step, course: Any = course, rig: Case = rig
+        ) -> list[float]:
+            full = step.test_gas_flow * float(course(np.array([x[3]]))[0])
+            share = full / (step.carrier_flow + full) / step.concentration
+            # with no test gas the carrier alone flushes
+            flow = step.carrier_flow + full * x[0] + step.test_gas_flow * (1.0 - x[0])
+            gas = [flow / rig.V * (share * x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+            return [(u - x[0]) / rig.tau_v, *gas, 1.0]  # x[3] is the time itself
+
+        if seed < 13:
+            k = rig.steps.index(step)
+            _, states = solved(rig, pumped, 4, k=k)
+            assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 5e-4
+    assert 3.99 < min(strokes) < 8.0 < max(strokes) < 16.01 and gaps > 10

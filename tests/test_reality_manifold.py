@@ -918,3 +918,40 @@ def test_a_worn_valve_lets_a_neighbours_gas_in_while_it_is_his_turn_against_an_o
     low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
     assert np.all(low > [3.99, 0.24, 0.049]) and np.all(high < [20.01, 0.61, 0.51])
     assert np.all(high > 1.3 * low)
+
+
+def test_a_purge_through_the_exhaust_hose_brings_its_gas_back_as_poiseuille_lets_it() -> None:
+    for seed, strength in ((11, 1.2), (12, 0.4), (13, 0.8)):
+        rig = replace(draw_case(seed, size="small"), strengths={"flushed_backwards": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        hose = strength * rig.V
+        for k, step in enumerate(rig.steps):
+            t = sample_times(step)
+            up = t < step.tf
+            assert np.array_equal(seen[step.name][up], plain[step.name][up])
+            # the share (hose/2/p)^2 of the stream has not come through after the volume p; what
+            # has is as old as that, less the delay on the axis, by its quantiles
+            late = 0.5 * hose * (1.0 / np.sqrt((np.arange(2000) + 0.5) / 2000) - 1.0)
+
+            def purged(
+                u: float, x: FloatArray, step: Step = step, rig: Case = rig, late: FloatArray = late
+            ) -> list[float]:
+                since = x[3] - step.tf - late / step.total_flow  # x[3] is the time itself
+                # the valve's course, whole before it shut
+                comes = np.mean(np.exp(-np.maximum(since, 0.0) / rig.tau_v)) if u == 0.0 else x[0]
+                inlet = comes if x[3] > step.tf - 1e-9 else x[0]
+                gas = [step.total_flow / rig.V * (inlet - x[1]), (x[1] - x[2]) / rig.tau]
+                return [(u - x[0]) / rig.tau_v, *gas, 1.0]
+
+            _, states = solved(rig, purged, 4, k=k)
+            off = (seen[step.name] - step.y0) / step.beta - states[:, 2]
+            # eighty tubes of equal flow, the slowest of which takes the mean of all near the wall
+            assert np.abs(off).max() < 8e-3
+            assert np.abs(seen[step.name] - plain[step.name]).max() > 0.05 * step.beta
+            # what comes back in all is late by the hose's mean delay, less that on its axis; the
+            # purge that the record has, some p, misses the slowest hose^2/4 p
+            if k == 0:
+                area = np.trapezoid(seen[step.name] - plain[step.name], t) / step.beta
+                passed = (step.duration - step.tf) * step.total_flow
+                whole = 0.5 * hose - 0.25 * hose**2 / (passed + 0.5 * hose)
+                assert area == pytest.approx(whole / step.total_flow, rel=0.06)

@@ -1053,6 +1053,69 @@ def test_restarted_slowing_and_referred_noise_are_what_they_say() -> None:
     assert autocorrelation(law, 4, h).tolist() == [1.0, 0.0, 0.0, 0.0]
 
 
+def test_dry_friction_larger_ones_and_repeated_packets_are_what_they_say() -> None:
+    rng = np.random.default_rng(43)
+    h = 1e-3
+    law = NoiseLaw("dry_slide", 1.0, components=(Component(1.0, 0.05, shape="dry"),))
+    z = draw_noise(law, 2_000_000, h, rng)
+    # exponential to both sides: of variance 1, its modulus has the mean 1/sqrt(2)
+    for level in (0.1, 0.5, 1.0, 2.5):
+        beyond = 0.5 * np.exp(-np.sqrt(2.0) * level)
+        assert np.mean(z > level) == pytest.approx(beyond, abs=0.012)
+        assert np.mean(z < -level) == pytest.approx(beyond, abs=0.012)
+    # as strong at any speed: between samples it loses what dry friction takes, 1 in own units
+    drift = np.diff(z) / np.sqrt(2.0) / (h / 0.05)
+    for low, high in ((0.8, 1.2), (2.0, 3.0)):
+        fast = (np.abs(z[:-1]) > low) & (np.abs(z[:-1]) < high)
+        assert np.mean(drift[fast] * np.sign(z[:-1][fast])) == pytest.approx(-1.0, abs=0.12)
+    R = autocorrelation(law, 400, h)
+    x = np.linspace(0.0, 20.0, 2001)
+    for lag in (10, 50, 200, 399):
+        t = lag * h / 0.05
+        # what drifts to rest and is not there yet, from the image of its free spreading
+        near, far = (np.exp(-(np.add.outer(x, s * x) ** 2) / (2.0 * t)) for s in (-1.0, 1.0))
+        kept = 4.0 * np.exp(-0.5 * t) * np.outer(x * np.exp(-x), x * np.exp(-x)) * (near - far)
+        whole = np.trapezoid(np.trapezoid(kept, x), x) / np.sqrt(2.0 * np.pi * t)
+        assert R[lag] == pytest.approx(whole, abs=1e-4)
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.03)
+    # it does not forget its sign before it has come to rest
+    first = np.array([draw_noise(law, 2, h, rng) for _ in range(20_000)])
+    assert first.std(axis=0) == pytest.approx([1.0, 1.0], abs=0.03)
+    same = np.abs(first[:, 0]) > 1.5  # 1.06 in own units, or 7 standard deviations of a step
+    assert np.all(np.sign(first[same, 0]) == np.sign(first[same, 1]))
+
+    law = NoiseLaw("larger_of_two", 1.0, components=(Component(1.0, 0.02, shape="larger"),))
+    z = draw_noise(law, 2_000_000, h, rng)
+    spread, mean = np.sqrt(1.0 - 1.0 / np.pi), 1.0 / np.sqrt(np.pi)
+    for level in (-1.0, 0.0, 0.7, 2.0):  # neither is above
+        assert np.mean(z * spread + mean < level) == pytest.approx(ndtr(level) ** 2, abs=0.01)
+    R = autocorrelation(law, 100, h)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(60)
+    for lag in (3, 20, 60):
+        r = np.exp(-lag * h / 0.02)
+        # both pairs by their common part: the mean of the larger of two given that, squared
+        one, other = np.meshgrid(np.sqrt(r) * nodes, np.sqrt(r) * nodes)
+        rest = np.sqrt(2.0 * (1.0 - r))
+        away = (one - other) / rest
+        given = one * ndtr(away) + other * ndtr(-away)
+        given += rest * np.exp(-0.5 * away**2) / np.sqrt(2.0 * np.pi)
+        both = weights @ given**2 @ weights / (2.0 * np.pi)
+        assert R[lag] == pytest.approx((both - mean**2) / spread**2, abs=2e-3)
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.02)
+
+    part = Component(1.0, shape="repeated", depth=0.6)
+    law = NoiseLaw("repeated_packets", 1.0, components=(part,))
+    z = draw_noise(law, 500_000, h, rng)
+    assert z.std() == pytest.approx(1.0, abs=0.01)
+    assert np.mean(z**4) == pytest.approx(3.0, abs=0.1)  # each reading is as ever
+    again = np.diff(z) == 0.0
+    assert np.mean(again) == pytest.approx(0.6, abs=5e-3)
+    assert np.mean(again[1:] & again[:-1]) == pytest.approx(0.36, abs=5e-3)  # whatever was before
+    fresh = z[1:][~again]
+    assert abs(np.mean(fresh[1:] * fresh[:-1])) < 0.01
+    assert autocorrelation(law, 4, h) == pytest.approx([1.0, 0.6, 0.36, 0.216])
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):

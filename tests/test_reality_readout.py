@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from scipy.signal import hilbert, lfilter, welch
 from scipy.special import erfc
 
@@ -863,3 +864,97 @@ def test_drops_cool_a_lid_as_heat_spreads_into_a_half_space() -> None:
         and np.all(high > 1.5 * low)
     )
     assert signs == {-1.0, 1.0}
+
+
+def test_a_sunbeam_is_what_a_gap_uncovers_of_a_disc() -> None:
+    def chords(below: FloatArray) -> FloatArray:
+        """Share of a disc of diameter 1 below a line, by summing its chords."""
+        fine = np.linspace(-0.5, 0.5, 40_001)
+        sums = np.cumsum(np.sqrt(np.maximum(0.25 - fine**2, 0.0)))
+        return np.interp(below, fine, sums / sums[-1], left=0.0, right=1.0)
+
+    strength, drawn = 0.2, []
+    for seed in range(21, 29):
+        rig = replace(draw_case(seed, size="paper"), strengths={"creeping_sunbeam": strength})
+        size, found = strength * np.mean([s.beta for s in rig.steps]), prepared_rig(rig)
+        t = np.arange(0.0, 840.0, 0.25)
+        light = np.zeros(len(t))
+        for k, step in enumerate(rig.steps):
+            own = (t >= 120.0 * k) & (t < 120.0 * (k + 1))
+            for course in found[step.name].offset:
+                light[own] = course(t[own] - 120.0 * k) / size
+        # no jump anywhere, where a record ends neither
+        assert np.abs(np.diff(light)).max() < 0.25 * 1.3 / 64.0
+        assert light.min() >= 0.0 and light.max() <= 1.0 + 1e-12
+
+        def off(guess: FloatArray, t: FloatArray = t, light: FloatArray = light) -> FloatArray:
+            comes, wide, across = guess
+            return chords((t - comes) / across) - chords((t - comes - wide) / across) - light
+
+        shows = t[light > 0.0]
+        for across in (70.0, 90.0, 110.0, 125.0):
+            begin = [shows[0] + 0.5 * across, max(np.ptp(shows) - across, 30.0), across]
+            fit = least_squares(off, begin, x_scale=[10.0, 10.0, 10.0])
+            if np.abs(fit.fun).max() < 1e-3:
+                break
+        assert np.abs(fit.fun).max() < 1e-3
+        if shows[-1] < t[-1]:  # both edges have passed
+            drawn.append((fit.x[0] / 840.0, fit.x[1] / fit.x[2], fit.x[2]))
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [0.049, 0.49, 63.9]) and np.all(high < [0.601, 3.01, 128.1])
+    assert np.all(high > 1.2 * low)
+    # and it is added to the signal as it is
+    rig = case(creeping_sunbeam=strength)
+    assert len(list(offsets(rig, 1e-5))) >= 1
+
+
+def test_a_starting_compressor_dims_a_lamp_as_its_current_runs_down() -> None:
+    strength, drawn, apart = 0.3, [], []
+    sag = 1.0 - (1.0 - strength) ** (1.0 / 3.4)
+    for seed in range(11, 21):
+        rig = replace(draw_case(seed, size="paper"), strengths={"compressor_on_mains": strength})
+        found = prepared_rig(rig)
+        runs = []
+        for k, step in enumerate(rig.steps):
+            (course,) = found[step.name].gain
+            t = np.arange(0.0, step.duration, 2e-3)
+            light = 1.0 + course(t)
+            assert light.min() >= 1.0 - strength - 1e-12 and light.max() <= 1.0 + 1e-12
+            # the current, as the filament sees it, by the lamp's law
+            v = (1.0 - light ** (1.0 / 3.4)) / sag
+            edges = sorted(found[step.name].marks)
+            runs += [120.0 * k + at for at in edges]
+            for on, end in pairwise(edges):
+                own = (t > on + 5e-3) & (t < end - 5e-3)
+                since, seen = t[own] - on, v[own]
+                if end - on < 9.0 or seen[0] > seen[-1]:
+                    continue  # a rest, or the current has not run down
+                # filament v' = i - v with i = running + (1 - running) exp(-t/up)
+                running = float(seen[-1])
+                # of the late course's logarithm, which no longer knows of the filament
+                late = (since > 1.0) & (seen > running + 1e-4)
+                up = -1.0 / np.polyfit(since[late], np.log(seen[late] - running), 1)[0]
+                slope = np.gradient(seen, since)
+                i = running + (1.0 - running) * np.exp(-since / up)
+                quick = since < 0.2
+                filament = float(slope[quick] @ (i - seen)[quick] / (slope[quick] @ slope[quick]))
+                off = filament * slope[1:-1] - (i - seen)[1:-1]
+                assert np.abs(off).max() < 0.01
+                # and when it stops the light comes back in the filament's time
+                back = (t > end) & (t < end + 2.0 * filament)
+                rate = np.polyfit(t[back], np.log(v[back]), 1)[0]
+                assert -1.0 / rate == pytest.approx(filament, rel=0.02)
+                drawn.append((running, up, filament))
+        apart.append(np.diff(runs).mean() * 2.0)  # from one start to the next
+    assert len(drawn) > 20
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [0.099, 0.29, 0.039]) and np.all(high < [0.251, 1.52, 0.123])
+    assert np.all(high > 1.1 * low) and 5.0 < min(apart) and max(apart) < 36.0
+
+    # of all the light the same share, that of a baseline too
+    rig = case(compressor_on_mains=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    for step in rig.steps:
+        (course,) = prepared_rig(rig)[step.name].gain
+        ratio = seen[step.name] / plain[step.name]
+        assert np.abs(ratio - 1.0 - course(sample_times(step))).max() < 2e-3

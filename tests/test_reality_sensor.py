@@ -17,6 +17,7 @@ from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages import (
     burning,
     capillary,
+    chained,
     deliquescing,
     elovich,
     flaring,
@@ -787,3 +788,57 @@ def test_a_drop_dries_record_after_record_and_is_gone() -> None:
             assert off[steady].max() < 0.03 and off[steady].mean() < 2e-3
             whole += 1
     assert 0.35 < min(places) < 0.6 < max(places) < 0.95 and whole >= 10
+
+
+def test_chains_grow_from_seeds_late_and_all_at_once_against_an_ode_solver() -> None:
+    # hardly any seeds: logistic curves, late by the logarithm of their number
+    t, level, seeds = np.linspace(0.0, 120.0, 24_001), 0.25, 1e-6
+    gas = np.where(t < 60.0, 0.75, 0.0)
+    w = chained(t, gas, level, seeds, 1.5)
+    rate = (0.75 - level) / 1.5
+    half = np.log(1.0 / (seeds * 0.75 / (0.75 - level))) / rate
+    assert t[np.argmax(w > 0.5)] == pytest.approx(half, abs=0.01)
+    rising = (w > 0.02) & (w < 0.98) & (t < 60.0)
+    odds = np.log(w[rising] / (1.0 - w[rising]))
+    assert odds == pytest.approx(rate * (t[rising] - half), abs=0.01)
+    falling = (w > 0.02) & (w < 0.98) & (t > 60.0)
+    # as late as there were few gaps when the gas went
+    odds, full = np.log(w[falling] / (1.0 - w[falling])), rate * (60.0 - half)
+    assert odds == pytest.approx(full - level / 1.5 * (t[falling] - 60.0), abs=0.02)
+    assert t[falling][0] > 75.0
+    # at rest bonds and gaps balance: nearly none below the level, nearly all above
+    long = np.linspace(0.0, 4000.0, 40_001)
+    for held, least, most in ((0.2, 0.0, 0.05), (0.25, 0.5, 0.5), (0.3, 0.95, 1.0)):
+        w = float(chained(long, np.full(len(long), held), level, 1e-2, 1.5)[-1])
+        still = (held - level) * w * (1.0 - w) + 1e-2 * (held * (1.0 - w) - level * w)
+        assert abs(still) < 1e-7 and least - 1e-6 <= w <= most + 1e-6
+
+    strength, drawn, weak = 0.3, [], 0
+    for seed in (11, 12, 13, 14, 15):
+        rig = draw_case(seed, size="small")
+        # one experiment that may stay below the level
+        little = replace(rig.steps[0], test_gas_flow=0.04 * rig.steps[0].total_flow)
+        rig = replace(rig, steps=(little, *rig.steps[1:]))
+        rig = replace(rig, strengths={"cooperative_chains": strength})
+        knobs, seen = prepared_rig(rig)["1"], clean_signals(rig)
+        drawn.append((knobs.chains_level, knobs.chains_time, knobs.chains_seeds))
+        for k, step in enumerate(rig.steps):
+            relative = rig.relative_concentration(step)
+
+            def chains(u: float, x: FloatArray, step=step, rig=rig, knobs=knobs, r=relative):
+                gas = [(u - x[0]) / rig.tau_v, step.total_flow / rig.V * (x[0] - x[1])]
+                had, g, w = knobs.chains_level, r * x[1], x[3]
+                ends = w * (1.0 - w)
+                grown = g * (ends + knobs.chains_seeds * (1.0 - w))
+                freed = had * (ends + knobs.chains_seeds * w)
+                return [*gas, (x[1] - x[2]) / rig.tau, (grown - freed) / knobs.chains_time]
+
+            _, states = solved(rig, chains, 4, k=k)
+            x = states[:, 2] + strength / relative * states[:, 3]
+            assert np.abs((seen[step.name] - step.y0) / step.beta - x).max() < 1e-3
+            if relative < 0.8 * knobs.chains_level:
+                weak += 1
+                assert states[:, 3].max() < 0.15
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [0.099, 0.099, 0.99e-3]) and np.all(high < [0.351, 1.01, 0.0301])
+    assert np.all(high > 1.2 * low) and weak >= 1

@@ -529,3 +529,57 @@ def test_a_selector_goes_over_the_other_ports_against_an_ode_solver() -> None:
         assert len(fitting) == 1 or rising == list(rig.steps)
         rows |= fitting if len(fitting) == 1 else set()
     assert rows == {"as used", "rising"}
+
+
+def test_a_shape_memory_wire_turns_as_a_cosine_of_its_temperature_lower_on_its_way_back() -> None:
+    strength, drawn = 2.0, []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"shape_memory_valve": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        for k, step in enumerate(rig.steps):
+            wheel = found[step.name].wheel
+            assert wheel is not None
+            t = np.arange(0.0, step.duration, 1e-3)
+            z = wheel(t)
+            assert np.abs(z[t < step.t0]).max() == 0.0 and z.max() == 1.0 and z[-1] == 0.0
+            # what the wire's temperature still lacks, and has left, over that at the switch
+            left = [np.exp(-np.abs(t - at) / strength) for at in (step.t0, step.tf)]
+            lines, times = [], []
+            for way, other in zip((t < step.tf, t > step.tf), left, strict=True):
+                moves = way & (z > 1e-3) & (z < 1.0 - 1e-3)
+                angle = np.arccos(1.0 - 2.0 * z[moves]) / np.pi
+                slope, first = np.polyfit(angle, other[moves], 1)
+                assert np.abs(first + slope * angle - other[moves]).max() < 1e-6
+                lines.append((first, slope))
+                times.append(np.count_nonzero(moves))
+            (up, warming), (down, cooling) = lines
+            # it moves from the switch on: 1 there, with nothing turned and with all of it
+            assert up == pytest.approx(1.0, abs=1e-6)
+            assert down + cooling == pytest.approx(1.0, abs=1e-6)
+            # cooling its way goes down an exponential's end, warming only along its beginning
+            assert times[1] > 1.3 * times[0]
+            drawn.append((-warming, cooling))
+            if k > 0:
+                continue
+
+            def valve(
+                u: float, x: FloatArray, step=step, rig=rig, warming=warming, cooling=cooling
+            ) -> list[float]:
+                # x[3] is the time itself
+                since = x[3] - (step.t0 if u > 0.0 else step.tf)
+                lacks = 1.0 - np.exp(-max(since, 0.0) / strength)
+                share = lacks / -warming if u > 0.0 else 1.0 - lacks / cooling
+                turned = 0.5 - 0.5 * np.cos(np.pi * np.clip(share, 0.0, 1.0))
+                own = (turned - x[0]) / rig.tau_v if x[3] >= step.t0 else 0.0
+                flushed = step.total_flow / rig.V * (x[0] - x[1])
+                return [own, flushed, (x[1] - x[2]) / rig.tau, 1.0]
+
+            _, states = solved(rig, valve, 4, k=k)
+            assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 2e-4
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [0.15 / 2.65, 0.15 / 0.75]) and np.all(high < [0.3 / 0.95, 0.3 / 0.45])
+    assert np.all(high > 1.1 * low)
+    # a wire that is quick has its temperature at once, and the valve moves as if there were none
+    quick = clean_signals(replace(rig, strengths={"shape_memory_valve": 1e-4}))
+    plain = clean_signals(without_causes(rig))
+    assert all(np.abs(quick[k] - plain[k]).max() < 1e-3 for k in plain)

@@ -30,15 +30,16 @@ OPEN_LAWS = (
     "flapping_damper", "startled_receiver", "bubbling_nozzle",
     "resting_ball", "drifting_balance", "sinking_crests",
     "median_of_three", "faded_phase", "charged_drops",
+    "restarted_mean", "slowing_stream", "weak_reference",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("restarted_mean", "slowing_stream", "weak_reference")
+RESERVE_LAWS = ("dry_slide", "larger_of_two", "repeated_packets")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
     "waning", "two_paced", "drilling", "crackling_cable", "sparkling_codes",
     "startled_receiver", "bubbling_nozzle", "drifting_balance", "median_of_three",
-    "restarted_mean", "weak_reference",
+    "restarted_mean", "weak_reference", "repeated_packets",
 )  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, changing
 loudness, readings that are shown again, and quotients"""
@@ -518,6 +519,26 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             Component(1.0 - referred, exp(own.uniform(np.log(0.02), np.log(0.2)))),
         ),
     }  # fmt: skip
+    sliding, larger, repeated = (
+        own.uniform(0.05, 0.25), own.uniform(0.3, 0.7), own.uniform(0.7, 0.95)
+    )  # fmt: skip
+    parts |= {
+        # a slide on dry rails, shaken: friction is as strong at any speed, and its speed is read
+        "dry_slide": (
+            Component(1.0 - sliding, short),
+            Component(sliding, exp(own.uniform(np.log(0.1), np.log(2.0))), shape="dry"),
+        ),
+        # two receivers on one line by way of diodes: it has the higher one's voltage
+        "larger_of_two": (
+            Component(1.0 - larger),
+            Component(larger, exp(own.uniform(np.log(0.02), np.log(0.3))), shape="larger"),
+        ),
+        # readings come by radio, and where a packet is lost the one before is shown again
+        "repeated_packets": (
+            Component(repeated, shape="repeated", depth=own.uniform(0.5, 0.8)),
+            Component(1.0 - repeated, exp(own.uniform(np.log(0.02), np.log(0.2)))),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -540,6 +561,8 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
                 total[1:3] += part.share * np.array(MEDIAN_CORRELATION)[: n - 1]
             elif part.shape == "overcorrected":
                 total[1:] += part.share * (-part.depth) ** np.arange(1.0, n)
+            elif part.shape == "repeated":
+                total[1:] += part.share * part.depth ** np.arange(1.0, n)
             elif part.shape == "diffused":
                 total[1:] += part.share * _antipersistent(part.depth, n)[1:]
             continue
@@ -631,6 +654,11 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = _phase_correlation(own)
         elif part.shape == "restarted":
             own = _restarted_correlation(exp(-interval / part.time), n)
+        elif part.shape == "dry":
+            own = _dry_correlation(lags / part.time)
+        elif part.shape == "larger":
+            # of half their sum, and half the modulus of their difference
+            own = (0.5 * own + (0.5 - 1.0 / pi) * _rectified_correlation(own)) / (1.0 - 1.0 / pi)
         elif part.shape == "slowing":
             own = _slowing_correlation(part, lags)
         elif part.shape == "passing":
@@ -705,6 +733,11 @@ def _draw_part(
         e = _innovations(n, rng, tails)
         loud = np.sqrt(rng.chisquare(part.rate, n) / (part.rate - 2.0))
         return e / loud
+    if part.shape == "repeated":
+        e = _innovations(n, rng, tails)
+        fresh = rng.random(n) >= part.depth
+        fresh[0] = True
+        return e[np.maximum.accumulate(np.where(fresh, np.arange(n), 0))]
     if part.shape == "startled":
         return _startled(_innovations(n + 60, rng, tails), part.depth)[60:]
     if part.shape == "sparkling":
@@ -769,6 +802,11 @@ def _draw_part(
         return _bubbles(part, n, interval, rng)
     if part.shape == "resting":
         return _resting(interval / part.time, n, rng)
+    if part.shape == "dry":
+        return _dry(interval / part.time, n, rng)
+    if part.shape == "larger":
+        higher: FloatArray = np.max(_remembering(rng.standard_normal((2, n)), decay), axis=0)
+        return (higher - 1.0 / sqrt(pi)) / sqrt(1.0 - 1.0 / pi)
     if part.shape == "crests":
         return _sinking(interval / part.time, n, rng)
     if part.shape == "phase":
@@ -1172,9 +1210,19 @@ def _resting_correlation(lags: FloatArray) -> FloatArray:
 def _resting(step: float, n: int, rng: np.random.Generator) -> FloatArray:
     """(n,) height above a stop of what drifts on to it and is thrown about, less its mean.
 
-    Of unit drift and variance it is exponentially distributed, of mean 1/2.  The stop has pushed it
-    up by as much as the free walk would have come below, whose lowest place between two samples is
-    drawn exactly: of a bridge from 0 to d, (d - sqrt(d^2 + 2 e step))/2 with e exponential.
+    Of unit drift and variance it is exponentially distributed, of mean 1/2.
+    """
+    return 2.0 * _above_a_stop(step, n, rng)[0] - 1.0
+
+
+def _above_a_stop(
+    step: float, n: int, rng: np.random.Generator
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Height (n,) of what drifts on to a stop, and whether it touched it since the last sample.
+
+    The stop has pushed it up by as much as the free walk would have come below, whose lowest place
+    between two samples is drawn exactly: of a bridge from 0 to d, (d - sqrt(d^2 + 2 e step))/2 with
+    e exponential.
     """
     free = sqrt(step) * rng.standard_normal(n) - step
     lowest = 0.5 * (free - np.sqrt(free**2 + 2.0 * step * rng.exponential(size=n)))
@@ -1182,8 +1230,35 @@ def _resting(step: float, n: int, rng: np.random.Generator) -> FloatArray:
     begin = rng.exponential(0.5)
     walk = begin + np.cumsum(free)
     below = walk - free + lowest
-    height: FloatArray = walk - np.minimum(np.minimum.accumulate(below), 0.0)
-    return 2.0 * height - 1.0
+    pushed = np.minimum(np.minimum.accumulate(below), 0.0)
+    return walk - pushed, np.diff(pushed, prepend=0.0) < 0.0
+
+
+def _dry_correlation(lags: FloatArray) -> FloatArray:
+    """Of a speed under dry friction; lags in units of its variance over the friction squared.
+
+    2 exp(-t/2) times the integral of (1 + s - s^3/3) exp(-s) over a Gaussian of variance t, from 0
+    on: what has not yet come to rest (Touchette, Van der Straeten and Just, J. Phys. A 43, 445002,
+    2010); what is beyond 80 is less than rounding.
+    """
+    t = np.minimum(lags, 80.0)
+    root = np.sqrt(t)
+    beyond, density = 0.5 * erfc(root / sqrt(2.0)), np.exp(-0.5 * t) / sqrt(2.0 * pi)
+    still = beyond * (1.0 - t + t**2 + t**3 / 3.0)
+    return np.asarray(2.0 * (still + density * root * (1.0 - (2.0 * t + t**2) / 3.0)))
+
+
+def _dry(step: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) speed that is thrown about and driven to rest by dry friction, the same at any speed.
+
+    Its modulus is that of what drifts on to a stop; whenever that is touched it goes on either way.
+    Of unit friction and variance it is exponentially distributed to both sides, of variance 1/2.
+    """
+    modulus, touched = _above_a_stop(step, n, rng)
+    signs = np.where(rng.random(n) < 0.5, 1.0, -1.0)
+    touched[0] = True
+    speed: FloatArray = modulus * signs[np.maximum.accumulate(np.where(touched, np.arange(n), 0))]
+    return sqrt(2.0) * speed
 
 
 def _sinking(step: float, n: int, rng: np.random.Generator) -> FloatArray:

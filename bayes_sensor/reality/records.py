@@ -132,7 +132,9 @@ class Component:
     one of the restarts that come at random, every ``time`` in the mean; with ``slowing`` the rate
     of an Ornstein-Uhlenbeck process goes evenly from 1/``time`` to 1/``depth`` times that, or back,
     in the course of a record; with ``referred`` (``time`` 0) white noise is divided by the rms of
-    ``rate`` others.
+    ``rate`` others.  With ``dry`` it is a speed under dry friction, its variance over the friction
+    squared a ``time``; with ``larger`` the larger one of two Ornstein-Uhlenbeck processes; with
+    ``repeated`` (``time`` 0) a share ``depth`` of white noise is the sample before once more.
     """
 
     share: float
@@ -150,7 +152,7 @@ class Component:
     ``trains``, ``sparkling``, ``binomial``, ``dimmed``, ``overcorrected``, ``rectified``,
     ``stretched``, ``teeth``, ``diffused``, ``squared``, ``flapping``, ``startled``,
     ``bubbles``, ``resting``, ``balanced``, ``crests``, ``median``, ``phase``, ``passing``,
-    ``restarted``, ``slowing`` or ``referred``"""
+    ``restarted``, ``slowing``, ``referred``, ``dry``, ``larger`` or ``repeated``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

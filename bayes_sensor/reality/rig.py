@@ -124,6 +124,8 @@ class Knobs:
     sticky_cells: int = 8
     laminar: float = 0.0
     """volume of a hose whose stream is laminar, in units of V"""
+    flushed_back: float = 0.0
+    """volume of the exhaust hose that the purge comes through, in units of V"""
     trap: float = 0.0
     """stirred volume before the manifold, in units of V"""
     pocket_fractions: tuple[float, ...] = ()
@@ -311,6 +313,14 @@ class Knobs:
     """likewise, at which a supersaturated one crystallises"""
     salt_time: float = 0.2
     """s in which an activity of 1 brings as much water as there is salt"""
+    chains: float = 0.0
+    """share of the highest response that gas bound in chains adds"""
+    chains_level: float = 0.2
+    """concentration at which chains neither grow nor come apart, over the campaign's highest"""
+    chains_seeds: float = 0.01
+    """how much more slowly gas binds without a chain's end"""
+    chains_time: float = 0.5
+    """s in which the highest concentration beyond that lets chains grow by e"""
     drop: Course | None = None
     """s in which gas gets into a drop on the ring, or out of it"""
     loosened: float = 0.0
@@ -478,6 +488,12 @@ class Knobs:
     """s from one to the next"""
     zero_begin: float = 0.0
     """s, of one of them"""
+    clamp_time: float = 0.0
+    """s in which the capacitor before the receiver charges itself up"""
+    clamp_every: float = 5.0
+    """s from one time that it is emptied to the next"""
+    clamp_begin: float = 0.0
+    """s, of one of them"""
     range_up: float = 0.0
     """V, above which the recorder takes its upper range"""
     range_down: float = 0.0
@@ -524,6 +540,8 @@ class Knobs:
     """s from one to the next of those that it keeps anyway"""
     kept_begin: float = 0.0
     """s, of one of them"""
+    floor_climbs: float = 0.0
+    """V/s by which the baseline that software subtracts climbs at most"""
     archive: float = 0.0
     """s of record that an archive packs into a block"""
     archive_kept: int = 3
@@ -635,6 +653,10 @@ def voltage(
         inlet = stages.sticky_wall(t, inlet, held, bend, knobs.sticky_cells)
     if knobs.laminar > 0:
         inlet = stages.laminar(_integral(t, flow), inlet, knobs.laminar * case.V)
+    if knobs.flushed_back > 0:
+        # a plateau's gas is in the hose, as is in the inlet before the valve shuts
+        through = stages.laminar(_integral(t, flow), inlet, knobs.flushed_back * case.V)
+        inlet = np.where(t < step.tf, inlet, through)
     if knobs.trap > 0:
         inlet = stages.lag(t, inlet, knobs.trap * case.V / (0.5 * (flow[1:] + flow[:-1])), 0.0)
     if np.isfinite(knobs.saturated):
@@ -685,6 +707,10 @@ def voltage(
     if knobs.kept_band > 0:
         kept = stages.kept(t, y, knobs.kept_band, knobs.kept_longest, knobs.kept_begin)
         y = np.interp(t, t[kept], y[kept])
+    if knobs.floor_climbs > 0:
+        # the lowest of all lines that climb from a reading so far
+        climbed = knobs.floor_climbs * t
+        y = y - (np.minimum.accumulate(y - climbed) + climbed - y[0])
     if knobs.archive > knobs.archive_kept * step.interval:  # else there is nothing to throw away
         begin, length = knobs.archive_begin, knobs.archive
         y = stages.cosine_blocks(t, y, begin, length, knobs.archive_kept)
@@ -957,6 +983,11 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         )  # fmt: skip
         full = knobs.salt_vapour / (1.0 - knobs.salt_vapour)
         x = x + knobs.salt / relative * water / full
+    if knobs.chains > 0:
+        bound = stages.chained(
+            t, relative * gas, knobs.chains_level, knobs.chains_seeds, knobs.chains_time
+        )
+        x = x + knobs.chains / relative * bound
     if knobs.loosened > 0:
         bend = knobs.loosening_bend * relative
         x = x - knobs.loosened * stages.loosening(t, x, bend, knobs.loosening_time)
@@ -1090,6 +1121,8 @@ def _readout(
         y = y - knobs.servo * stages.steady_lag(t, y - y[0], knobs.servo_time)
     if knobs.zero_leak > 0:
         y = y - knobs.zero_leak * np.interp(_last_turn(t, knobs.zero_begin, knobs.zero_every), t, y)
+    if knobs.clamp_time > 0:
+        y = stages.clamped(t, y, knobs.clamp_time, knobs.clamp_every, knobs.clamp_begin)
     if knobs.range_gap != 0:
         y = stages.two_ranges(y, knobs.range_up, knobs.range_down, knobs.range_gap)
     return y

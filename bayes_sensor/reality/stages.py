@@ -1173,6 +1173,50 @@ def loosening(
     return w
 
 
+@njit(cache=True, error_model="numpy")
+def chained(
+    t: FloatArray, g: FloatArray, level: float, seeds: float, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) share w of sites whose gas is bound in chains, from 0.
+
+    ``time`` w' = (g - ``level``) w (1 - w) + ``seeds`` (g (1 - w) - level w): links are bound and
+    freed at the ends of chains, of which there are most at half, and here and there without one.
+    Riccati's equation, followed exactly with the mean of the gas ``g`` (n,) between nodes.
+    """
+    n = len(t)
+    w = np.zeros(n)
+    for i in range(n - 1):
+        h = (t[i + 1] - t[i]) / time
+        gas = max(0.5 * (g[i] + g[i + 1]), 0.0)
+        beyond = gas - level
+        linear = beyond - seeds * (gas + level)
+        root = np.sqrt(linear * linear + 4.0 * beyond * seeds * gas)
+        rate = (beyond * w[i] + seeds * gas) * (1.0 - w[i]) - seeds * level * w[i]
+        slope = linear - 2.0 * beyond * w[i]
+        reach = tanh(0.5 * root * h) / root if root > 1e-9 else 0.5 * h
+        w[i + 1] = w[i] + 2.0 * rate * reach / (1.0 - slope * reach)
+    return w
+
+
+@njit(cache=True, error_model="numpy")
+def clamped(
+    t: FloatArray, y: FloatArray, time: float, every: float, begin: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``y`` less the charge q of a capacitor: ``time`` q' = y - q, and 0 at each clamp.
+
+    They come ``every`` (s), one of them at ``begin``; at the first time it is empty.
+    """
+    n = len(t)
+    out = y.copy()
+    q = 0.0
+    for i in range(n - 1):
+        q = lagged(q, y[i], y[i + 1], t[i + 1] - t[i], time)
+        if np.floor((t[i + 1] - begin) / every) > np.floor((t[i] - begin) / every):
+            q = 0.0
+        out[i + 1] = y[i + 1] - q
+    return out
+
+
 def layered_film(mean_time: float, n_cells: int = 18) -> tuple[FloatArray, FloatArray]:
     """Time constants (n,) s and weights (n,) of a two-layer film, seen near its bottom.
 

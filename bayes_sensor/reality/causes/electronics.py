@@ -845,7 +845,7 @@ def lossy_archive(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         knobs.archive_begin = -s * rng.random()
 
 
-@cause((), "plateau", "share let through", 0.3, reserve=True)
+@cause((), "plateau", "share let through", 0.3)
 def leaking_shutter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The receiver shuts the light off now and then to find its zero; but its shutter leaks.
 
@@ -861,7 +861,7 @@ def leaking_shutter(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.marks += both_sides(zeros.tolist())
 
 
-@cause((), "delay", "s", 0.3, near=("daq_filter",), reserve=True)
+@cause((), "delay", "s", 0.3, near=("daq_filter",))
 def counted_charges(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The photocurrent fills a capacitor, is let out when that is full, and its time is read.
 
@@ -871,3 +871,34 @@ def counted_charges(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
     charge = s * _mean_step(case)
     for knobs in rig.values():
         knobs.charge, knobs.charge_begin = charge, rng.random()
+
+
+@cause((), "plateau", "share of the light", 0.35, reserve=True)
+def drooping_clamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The receiver is coupled by a capacitor, and a clamp sets it right again now and then.
+
+    Between two clamps, each in a moment's darkness, the capacitor charges itself up to what stands
+    before it, and the reading droops: by the share ``s`` of a light that stays.  The next clamp
+    empties it, and the reading leaps back to where it belongs.
+    """
+    every = _between(rng, 1.5, 12.0)
+    time = -every / float(np.log1p(-s))
+    for step in case.steps:
+        knobs = rig[step.name]
+        knobs.clamp_time, knobs.clamp_every = time, every
+        knobs.clamp_begin = -every * rng.random()
+        clamps = np.arange(knobs.clamp_begin, step.duration, every)
+        knobs.marks += both_sides(clamps.tolist())
+
+
+@cause((), "plateau", "share of the step", 0.4, reserve=True)
+def climbing_baseline(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The software subtracts a baseline of its own, which follows a signal down, but hardly up.
+
+    As for a chromatogram, whose peaks are short: it climbs evenly wherever the signal is above, by
+    ``s`` while the typical gas flows.  So a plateau sinks, and a fall ends where it meets the
+    baseline, before it should; from there on all is as if nothing had been.
+    """
+    typical = float(np.median([step.tf - step.t0 for step in case.steps]))
+    for knobs in rig.values():
+        knobs.floor_climbs = s * _mean_step(case) / typical

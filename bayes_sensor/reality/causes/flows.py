@@ -591,7 +591,7 @@ def rubber_balloon(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         stretch = float(np.interp(step.tf - step.t0, passed, shrinks))
 
 
-@cause((), "plateau", "share of the vapour", 0.5, reserve=True)
+@cause((), "plateau", "share of the vapour", 0.5)
 def drying_wick(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The test gas takes up its vapour from a wick, which its liquid climbs too slowly.
 
@@ -634,3 +634,30 @@ def drying_wick(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
 
         rig[step.name].unmixed.append(vapour)
         rested = step.duration - step.tf
+
+
+@cause((), "plateau", "s", 0.6, reserve=True)
+def twin_syringes(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Two syringes bring the test gas by turns, and their nut has play.
+
+    When one of them is empty the pump turns round, and until the nut bears on the other flank of
+    its thread the screw turns for nothing: no test gas comes, for ``s`` at the largest flow and the
+    longer, the slower the pump is.  It stands while the valve is shut, and goes on where it stood.
+    """
+    largest = max(step.test_gas_flow for step in case.steps)
+    typical = float(np.median([step.test_gas_flow for step in case.steps]))
+    stroke, play = typical * _between(rng, 4.0, 16.0), s * largest  # mL of the screw's way
+    gone = stroke * rng.random()
+    for step in case.steps:
+        q, lasts = step.test_gas_flow, step.tf - step.t0
+
+        def flow(t: FloatArray, step: Step = step, q: float = q, gone: float = gone) -> FloatArray:
+            way = gone + q * (np.clip(t, step.t0, step.tf) - step.t0)
+            return np.asarray(np.mod(way, stroke) >= play, dtype=float)
+
+        rig[step.name].test_gas.append(flow)
+        turns = stroke * np.arange(np.floor(gone / stroke), np.ceil((gone + q * lasts) / stroke))
+        edges = step.t0 + (np.concatenate([turns, turns + play]) - gone) / q
+        inside = (edges > step.t0) & (edges < step.tf)
+        rig[step.name].marks += both_sides(edges[inside].tolist())
+        gone += q * lasts

@@ -476,7 +476,7 @@ def heavy_exhaust_riser(rig: Rig, s: float, rng: np.random.Generator, case: Case
         knobs.riser, knobs.riser_volume = s * case.relative_concentration(step), volume
 
 
-@cause((), "spike", "share of the gas", 0.35, reserve=True)
+@cause((), "spike", "share of the gas", 0.35)
 def worn_sampling_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A rotary valve draws samples from this rig and from a neighbour's by turns, and is worn.
 
@@ -498,3 +498,15 @@ def worn_sampling_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case
         edges = np.concatenate([turns, turns + share * every])
         inside = (edges > 0.0) & (edges < step.duration)
         knobs.marks += both_sides(edges[inside].tolist())
+
+
+@cause((), "fall", "of V", 1.5, near=("dead_volume", "valve_asymmetry"), reserve=True)
+def flushed_backwards(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A four-way valve turns the stream round when the test gas is shut off, to flush backwards.
+
+    So the purge comes by way of the exhaust hose, and pushes what that is full of, ``s`` V of the
+    plateau's gas, back into the manifold before it: along the hose's axis at once, from its wall
+    ever more slowly, as a laminar stream goes.  A rise knows nothing of that hose.
+    """
+    for knobs in rig.values():
+        knobs.flushed_back = s

@@ -734,7 +734,7 @@ def distant_earthquake(rig: Rig, s: float, rng: np.random.Generator, case: Case)
             rig[step.name].offset.append(tilt)
 
 
-@cause((), "tail", "share of the light", 0.5, near=("slow_sorption",), reserve=True)
+@cause((), "tail", "share of the light", 0.5, near=("slow_sorption",))
 def glowing_phosphor(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Part of the light falls on a phosphor before the photodiode, and that glows on.
 
@@ -747,10 +747,7 @@ def glowing_phosphor(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         knobs.glowing, knobs.glowing_time, knobs.glowing_level = s, time, level
 
 
-@cause(
-    (), "drift", "share of the step", 0.2, near=("baseline_drift",), per_experiment=True,
-    reserve=True,
-)  # fmt: skip
+@cause((), "drift", "share of the step", 0.2, near=("baseline_drift",), per_experiment=True)
 def dripping_ceiling(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The ceiling leaks, and from some time on water drips on to the cell: each drop cools its lid.
 
@@ -785,3 +782,76 @@ def dripping_ceiling(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         rig[step.name].offset.append(cold)
         inside = falls[before] - begin
         rig[step.name].marks += inside[inside > 0.0].tolist()
+
+
+@cause(
+    (), "drift", "share of the step", 0.25, near=("baseline_drift",), per_experiment=True,
+    reserve=True,
+)  # fmt: skip
+def creeping_sunbeam(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A sunbeam through a gap of the blind creeps across the photodiode, and adds ``s`` at most.
+
+    The gap lets through what it uncovers of the sun's disc, whose half degree takes 128 s, or half
+    of that by way of a mirror: more and more of it, all of it for a while, less and less.  It takes
+    no notice of where a record ends.
+    """
+    across = 128.0 * rng.uniform(0.5, 1.0)  # s from the disc's one limb to the other
+    wide = across * rng.uniform(0.5, 3.0)
+    begins = np.cumsum([0.0, *(step.duration for step in case.steps)])
+    comes = rng.uniform(0.05, 0.6) * begins[-1]  # when an edge of the gap is at the disc's middle
+    size = s * _mean_step(case)
+
+    def uncovered(since: FloatArray) -> FloatArray:
+        """Share of a disc that an edge has gone over, ``since`` (n,) s after its middle."""
+        z = np.clip(2.0 * since / across, -1.0, 1.0)
+        return 1.0 - (np.arccos(z) - z * np.sqrt(1.0 - z**2)) / pi
+
+    for begin, step in zip(begins.tolist(), case.steps, strict=False):
+
+        def light(t: FloatArray, begin: float = begin) -> FloatArray:
+            since = begin + t - comes
+            return np.asarray(size * (uncovered(since) - uncovered(since - wide)))
+
+        first, last = comes - 0.5 * across, comes + wide + 0.5 * across
+        if first < begin + step.duration and begin < last:
+            rig[step.name].offset.append(light)
+            limbs = [at + sign * 0.5 * across for at in (comes, comes + wide) for sign in (-1, 1)]
+            inside = [at - begin for at in limbs if begin < at < begin + step.duration]
+            rig[step.name].marks += inside
+
+
+@cause((), "spike", "share of the light", 0.5, reserve=True)
+def compressor_on_mains(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The light is a halogen lamp's, and a neighbour's compressor pulls down the mains it is on.
+
+    Starting, a motor draws several times what it needs once it has run up; a lamp gives light as
+    the voltage to the power of 3.4, and its filament follows in its own time.  A standing motor
+    would cost ``s`` of the light.  It fills its tank and rests, from record to record.
+    """
+    turn, share = _between(rng, 6.0, 30.0), rng.uniform(0.25, 0.55)
+    running, up = rng.uniform(0.1, 0.25), _between(rng, 0.3, 1.5)
+    filament, sag = _between(rng, 0.04, 0.12), -float(np.expm1(np.log1p(-s) / 3.4))
+    begins = np.cumsum([0.0, *(step.duration for step in case.steps)])
+    turns = turn * np.cumsum(rng.uniform(0.8, 1.2, int(1.3 * begins[-1] / turn) + 3))
+    starts = turns - turn * (1.0 + rng.random())
+    stops = starts + share * turn * rng.uniform(0.8, 1.2, len(starts))
+
+    def current(since: FloatArray) -> FloatArray:
+        """Of the motor as the filament sees it, ``since`` (n,) s; that of one at rest is 1."""
+        hot = np.exp(-since / filament)
+        inrush = up / (up - filament) * (np.exp(-since / up) - hot)
+        return np.asarray(running * (1.0 - hot) + (1.0 - running) * inrush)
+
+    for begin, step in zip(begins.tolist(), case.steps, strict=False):
+
+        def light(t: FloatArray, begin: float = begin) -> FloatArray:
+            k = np.maximum(np.searchsorted(starts, begin + t, side="right") - 1, 0)
+            on = np.maximum(begin + t - starts[k], 0.0)
+            ran = stops[k] - starts[k]
+            off = np.exp(-np.maximum(on - ran, 0.0) / filament)
+            drawn = current(np.minimum(on, ran)) * off
+            return np.asarray(np.expm1(3.4 * np.log1p(-sag * drawn)))
+
+        rig[step.name].gain.append(light)
+        edges = np.concatenate([starts, stops]) - begin
+        rig[step.name].marks += edges[(edges > 0.0) & (edges < step.duration)].tolist()

@@ -296,3 +296,33 @@ def sweeping_selector(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         # every port's begin is the end of the one before
         knobs.marks += [at for at, _, _ in knobs.swept]
         knobs.marks += [switch + place * s for switch in (step.t0, step.tf)]
+
+
+@cause((), "delay", "s", 7.5, near=("finite_stroke", "valve_asymmetry"), reserve=True)
+def shape_memory_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A wire of nitinol pulls the valve open when a current warms it, and lets go as it cools.
+
+    It shortens while its crystal turns, as half a cosine of the temperature between the two at
+    which that begins and ends; cooling, it turns back at lower ones (Liang and Rogers, J. Intell.
+    Mater. Syst. Struct. 1, 207, 1990).  The wire warms and cools exponentially, in ``s``; the
+    current would make it far hotter than it must be, so that it is quicker to open than to shut.
+    What passes before it begins to turn is a delay as any other, and within that of the switches.
+    """
+    ends, wide, lower = rng.uniform(0.65, 0.85), rng.uniform(0.15, 0.3), rng.uniform(0.1, 0.2)
+    begins, hot = ends - wide, rng.uniform(1.5, 3.0)
+
+    def turned(above: FloatArray) -> FloatArray:
+        """Share of the crystal, ``above`` (n,) the temperature at which it begins to turn."""
+        return np.asarray(0.5 * (1.0 - np.cos(np.pi * np.clip(above / wide, 0.0, 1.0))))
+
+    for step in case.steps:
+
+        def opened(t: FloatArray, t0: float = step.t0, tf: float = step.tf) -> FloatArray:
+            warms = hot + (begins - hot) * np.exp(-np.maximum(t - t0, 0.0) / s)
+            cools = (ends - lower) * np.exp(-np.maximum(t - tf, 0.0) / s)
+            return np.where(t < tf, turned(warms - begins), turned(cools - begins + lower))
+
+        up = s * float(np.log((hot - begins) / (hot - ends)))
+        down = s * float(np.log((ends - lower) / (begins - lower)))
+        rig[step.name].wheel = opened
+        rig[step.name].marks += [at for at in (step.t0 + up, step.tf + down) if at < step.duration]
