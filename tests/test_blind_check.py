@@ -859,9 +859,16 @@ def test_no_threshold_of_unlisted_meets_what_is_wanted_of_strong_causes() -> Non
         for d in (8, 16):
             assert found[f"{name}_{d}"].is_monotonic_increasing
             assert found[f"family_{d}"].is_monotonic_decreasing
-        # as the page says: at 16 the goals exclude each other, at 8 one threshold nearly meets both
-        flagged = found[f"{name}_16"] >= bounds["unlisted flagged at d = 16"]
-        assert not (flagged & (found["family_16"] >= bounds["right family at d = 16"])).any()
+    # as the page says: outright the goals at 16 exclude each other, by the rule one of two fifths
+    # just meets both, by less than one campaign; at 8 one of a third nearly does
+    right = found["family_16"] >= bounds["right family at d = 16"]
+    wanted = bounds["unlisted flagged at d = 16"]
+    assert not (right & (found["flagged_16"] >= wanted)).any()
+    by_the_rule = found[right & (found["fairly_16"] >= wanted)]
+    assert by_the_rule["threshold"].tolist() == [0.4]
+    cases = sealed_cases()
+    strong = (cases["kind"] == "unlisted") & (cases["d_level"] == 16)
+    assert by_the_rule["fairly_16"].item() - wanted < 1.0 / strong.sum()
     short = (bounds["unlisted flagged at d = 8"] - found["flagged_8"]).clip(lower=0.0)
     short += (bounds["right family at d = 8"] - found["family_8"]).clip(lower=0.0)
     assert 0.25 < found["threshold"][short.idxmin()] < 0.4 and short.min() < 0.03
@@ -872,10 +879,11 @@ def test_drifts_of_gain_were_wrong_as_often_as_the_page_says() -> None:
     led = cases[cases["said"].str.split("+").str[0] == "gain_drift"]
     led = led[~led["kind"].isin(["withheld", "hidden"])]
     wrong = led["verdict_right"].astype(str) == "False"
-    assert 0.35 < wrong.mean() < 0.45  # two in five
+    assert 1 / 3 < wrong.mean() < 0.4  # more than a third
     assert (led[wrong]["kind"] == "unlisted").mean() > 0.9
     by_verdict = wrong.groupby(led["verdict"]).mean()
-    assert 0.1 < by_verdict["effect"] < 0.22 and by_verdict["family"] > 0.5
+    assert 0.09 < by_verdict["effect"] < 0.17  # one in eight
+    assert 0.4 < by_verdict["family"] < 0.5  # nearly half
 
 
 def test_the_readme_shows_the_goals_that_were_scored() -> None:
@@ -927,7 +935,7 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     assert before["case"].tolist() == cases["case"].tolist()
     kinds = int((before["verdict"] != cases["verdict"]).sum())
     withheld = before[before["kind"] == "withheld"]
-    wrong = (withheld["confident_wrong"] == "True").sum()
+    wrong = (withheld["confident_wrong"].astype(str) == "True").sum()
     of_the_day = (
         f"Of {len(withheld)} campaigns whose effect was taken out of the catalogue, {wrong} w"
     )
