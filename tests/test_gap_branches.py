@@ -204,6 +204,24 @@ def test_the_verdict_where_no_effect_stands_out() -> None:
     assert kinds == ["none", "none", "unlisted", "unlisted"]
 
 
+@pytest.mark.parametrize(
+    ("none", "unlisted", "in_family", "looks", "kind"),
+    [
+        (0.0, 0.455, 0.545, 0.54, "family"),  # once it is given back, the family is likelier
+        (0.0, 0.52, 0.48, 0.61, "unlisted"),
+        (0.51, 0.49, 0.0, 0.8, "none"),
+        (0.44, 0.56, 0.0, 0.98, "unlisted"),
+        (0.0, 0.4, 0.35, 0.45, "unlisted"),  # nothing is likelier than not
+    ],
+)
+def test_unlisted_is_stated_where_it_is_likeliest_after_what_only_looks_so_is_given_back(
+    none: float, unlisted: float, in_family: float, looks: float, kind: str
+) -> None:
+    family = CATALOGUE["flow_error"].family
+    stand = replace(standing(none, unlisted, {family: in_family}), looks_unlisted=looks)
+    assert judge(NOTHING, stand, CATALOGUE)[0] == kind
+
+
 def test_some_of_what_looks_unlisted_is_a_mistake() -> None:
     rows = {"none": 0.3, "unlisted": 0.6, "dead_volume": 0.1}
     made = _giving_back(rows, 0.09, "none")
@@ -224,7 +242,7 @@ LEARNED = 20261209
 
 def test_shares_given_back_are_those_of_the_alarms_that_were_wrong() -> None:
     seen = pd.read_csv(TABLES / "blind_check_alarms.csv", keep_default_na=False)
-    assert (seen["looks_unlisted"] > 0.9).all()
+    assert (seen["looks_unlisted"] >= 0.9).all()  # rounded
     seen["wrong"] = seen["kind"] != "unlisted"
     since = seen[(seen["seed"] > LEARNED) & (seen["by"] == "mean")]["wrong"]
     if len(since):  # no more wrong ones, and no fewer, than chance allows
