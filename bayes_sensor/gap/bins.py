@@ -190,6 +190,7 @@ def _bins(
     edges += [x for x in phases if start < x < end]
     # carried-over gas leaves at the start of the record
     edges += [start + scale * x for x in (0.3, 0.8, 1.6, 3.0, 6.0) if start + scale * x < t0]
+    # a third of the shortest after a switch
     merged = _thin(np.unique(edges), 0.02 * scale, max(LONGEST * scale, (end - start) / ENOUGH))
     index = np.clip(np.searchsorted(e.t, merged), 0, len(e.t))
     first, last = [], []
@@ -231,7 +232,7 @@ def _bins(
 
 
 def _thin(edges: FloatArray, shortest: float, longest: float) -> FloatArray:
-    """Edges of bins that are not shorter and not longer."""
+    """Edges (m,) of bins that are neither ``shortest`` s or shorter nor longer than ``longest``."""
     kept = [float(edges[0])]
     for x in edges[1:]:
         if x - kept[-1] > shortest:

@@ -250,14 +250,14 @@ def judge(
         f: p for f, p in stand.families.items()
         if any(e.family == f and e.on_mean for e in catalogue.values())
     }  # fmt: skip
-    family = max(of_mean, key=lambda f: of_mean[f]) if of_mean else None
+    family, of_family = max(of_mean.items(), key=lambda item: item[1], default=("", 0.0))
     # with what only looks so given back it must still be the likeliest
-    likeliest = stand.unlisted >= max(stand.none, of_mean[family] if family else 0.0)
+    likeliest = stand.unlisted >= max(stand.none, of_family)
     if (stand.looks_unlisted > LIKELIER and likeliest) or (on_mean and gate >= GATE):
         return "unlisted", (), None, max(stand.unlisted, 0.5 if on_mean else 0.0)
-    likely = family is not None and of_mean[family] > max(0.5, stand.unlisted)
+    likely = of_family > max(0.5, stand.unlisted)
     unmoved = sum(p for row, p in stand.rows.items() if _leaves_the_mean_alone(row, catalogue))
-    louder = (family is not None and of_mean[family] > LOUDER) or (likely and unmoved < QUIET)
+    louder = of_family > LOUDER or (likely and unmoved < QUIET)
     apart = [n for n in on_mean if not catalogue[n].same_response]
     if on_mean and not apart:
         # one response: whichever is in the catalogue, the other may be the cause
@@ -270,11 +270,11 @@ def judge(
         return _effect([*apart, *on_noise], stand, catalogue)
     if stand.none > QUIET:
         return "none", (), None, stand.nothing_seen
-    if family is not None and likely:
+    if likely:
         return _family(family, stand, catalogue)
     if max(stand.none, unmoved) >= stand.unlisted:
         return "none", (), None, stand.nothing_seen
-    if family is not None and of_mean[family] > stand.unlisted:  # the likeliest of several
+    if of_family > stand.unlisted:  # the likeliest of several
         return _family(family, stand, catalogue)
     return "unlisted", (), None, stand.unlisted
 

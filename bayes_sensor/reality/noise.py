@@ -737,7 +737,7 @@ def _draw_part(
         e = _innovations(n, rng, tails)
         fresh = rng.random(n) >= part.depth
         fresh[0] = True
-        return e[np.maximum.accumulate(np.where(fresh, np.arange(n), 0))]
+        return e[_last_marked(fresh)]
     if part.shape == "startled":
         return _startled(_innovations(n + 60, rng, tails), part.depth)[60:]
     if part.shape == "sparkling":
@@ -1257,7 +1257,7 @@ def _dry(step: float, n: int, rng: np.random.Generator) -> FloatArray:
     modulus, touched = _above_a_stop(step, n, rng)
     signs = np.where(rng.random(n) < 0.5, 1.0, -1.0)
     touched[0] = True
-    speed: FloatArray = modulus * signs[np.maximum.accumulate(np.where(touched, np.arange(n), 0))]
+    speed: FloatArray = modulus * signs[_last_marked(touched)]
     return sqrt(2.0) * speed
 
 
@@ -1314,6 +1314,12 @@ def _restarted_correlation(decay: float, n: int) -> FloatArray:
     return np.asarray(1.0 - np.concatenate([[0.0], np.cumsum(decay**k / k)]) / whole)
 
 
+def _last_marked(marked: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(n,) index of the last one that is ``marked`` (n,), as the first must be, up to each."""
+    last: NDArray[np.int64] = np.maximum.accumulate(np.where(marked, np.arange(len(marked)), 0))
+    return last
+
+
 def _restarted(decay: float, e: FloatArray, rng: np.random.Generator) -> FloatArray:
     """(n,) mean of independent ``e`` (n,) since a restart, as there is none with ``decay``.
 
@@ -1323,7 +1329,7 @@ def _restarted(decay: float, e: FloatArray, rng: np.random.Generator) -> FloatAr
     begins = rng.random(n) >= decay
     begins[0] = True
     at = np.flatnonzero(begins)
-    last = at[np.cumsum(begins) - 1]
+    last = _last_marked(begins)
     since = np.arange(n) - last + 1.0
     earlier = float(rng.geometric(1.0 - decay)) - 1.0
     before = sqrt(earlier) * float(rng.standard_normal())

@@ -86,6 +86,11 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
+def _begins(case: Case) -> FloatArray:
+    """s (n + 1,) at which records begin that follow each other, and the last one's end."""
+    return np.cumsum([0.0, *(step.duration for step in case.steps)])
+
+
 def _mean_step(case: Case) -> float:
     """V, the campaign's mean step."""
     return float(np.mean([abs(step.beta) for step in case.steps]))

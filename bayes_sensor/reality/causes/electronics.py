@@ -12,6 +12,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.causes.cause import (
     Causes,
     Rig,
+    _begins,
     _between,
     _interpolated,
     _mean_step,
@@ -785,7 +786,7 @@ def dying_battery(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
     size, order = s * _mean_step(case), rng.uniform(2.0, 4.0)
     fresh = max(step.y0 + step.beta for step in case.steps)
     fresh += rng.uniform(0.02, 0.1) * _mean_step(case)
-    begins = np.cumsum([0.0, *(step.duration for step in case.steps[:-1])]).tolist()
+    begins = _begins(case)[:-1].tolist()
     life = begins[-1] + case.steps[-1].tf
     # as far as it must fall for one of the plateaus, where it ends, to be cut off by as much
     falls = min(

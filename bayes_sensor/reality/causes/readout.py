@@ -11,6 +11,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.causes.cause import (
     Causes,
     Rig,
+    _begins,
     _between,
     _interpolated,
     _mean_step,
@@ -718,7 +719,7 @@ def distant_earthquake(rig: Rig, s: float, rng: np.random.Generator, case: Case)
     rate, spread = 2.0 * pi / _between(rng, 1.5, 6.0), rng.uniform(0.15, 0.3)
     band, lasts = spread * rate, _between(rng, 1.5, 4.0)  # rad/s; times what the shock did
     delay = np.sqrt(lasts**2 - 1.0) / band**2  # s per rad/s
-    begins = np.cumsum([0.0, *(step.duration for step in case.steps)])
+    begins = _begins(case)
     arrives, turn = rng.uniform(0.1, 0.9) * begins[-1], 2.0 * pi * rng.random()
     size = s * _mean_step(case)
     for begin, step in zip(begins.tolist(), case.steps, strict=False):
@@ -758,7 +759,7 @@ def dripping_ceiling(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
     """
     deep, every = _between(rng, 0.15, 1.5), _between(rng, 3.0, 15.0)  # s
     warmed = _between(rng, 4.0, 30.0)  # s
-    begins = np.cumsum([0.0, *(step.duration for step in case.steps)])
+    begins = _begins(case)
     leaks, size = rng.uniform(0.02, 0.6) * begins[-1], _sign(rng) * s * _mean_step(case)
     count = int(1.5 * begins[-1] / every) + 2
     falls = leaks + every * np.cumsum(rng.uniform(0.75, 1.25, count))
@@ -797,7 +798,7 @@ def creeping_sunbeam(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
     """
     across = 128.0 * rng.uniform(0.5, 1.0)  # s from the disc's one limb to the other
     wide = across * rng.uniform(0.5, 3.0)
-    begins = np.cumsum([0.0, *(step.duration for step in case.steps)])
+    begins = _begins(case)
     comes = rng.uniform(0.05, 0.6) * begins[-1]  # when an edge of the gap is at the disc's middle
     size = s * _mean_step(case)
 
@@ -831,7 +832,7 @@ def compressor_on_mains(rig: Rig, s: float, rng: np.random.Generator, case: Case
     turn, share = _between(rng, 6.0, 30.0), rng.uniform(0.25, 0.55)
     running, up = rng.uniform(0.1, 0.25), _between(rng, 0.3, 1.5)
     filament, sag = _between(rng, 0.04, 0.12), -float(np.expm1(np.log1p(-s) / 3.4))
-    begins = np.cumsum([0.0, *(step.duration for step in case.steps)])
+    begins = _begins(case)
     turns = turn * np.cumsum(rng.uniform(0.8, 1.2, int(1.3 * begins[-1] / turn) + 3))
     starts = turns - turn * (1.0 + rng.random())
     stops = starts + share * turn * rng.uniform(0.8, 1.2, len(starts))

@@ -8,7 +8,7 @@ from math import sqrt
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.reality.causes.cause import Causes, Rig, _between, _sign
+from bayes_sensor.reality.causes.cause import Causes, Rig, _begins, _between, _sign
 from bayes_sensor.reality.records import Case
 
 CAUSES = Causes()
@@ -439,7 +439,7 @@ def drying_drop(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
     Gas must fill and leave all of it through its surface, which takes ``s`` at first and the less,
     the thinner it is; it dries evenly, record after record, and at some time it is gone.
     """
-    begins = np.cumsum([0.0, *(step.duration for step in case.steps)])
+    begins = _begins(case)
     gone = rng.uniform(0.35, 0.95) * float(begins[-1])
     for begin, step in zip(begins.tolist(), case.steps, strict=False):
 
