@@ -705,7 +705,12 @@ NOTED: dict[str, tuple[str, dict[str, str | None], str, int]] = {
     "some nan": (with_values(i5=np.nan, i600=np.nan), {}, "2 samples are not a number.*row 7", 2),
     "empty cells": (edited(7, "0.05,"), {}, "1 sample is not a number, the first at row 7", 1),
     "nan under the mask": (with_values(i5=np.nan), {"mask": '[["0.04 s", "0.06 s"]]'}, "", 3),
-    "overrange": (with_values(i250=np.inf), {}, "1 samples .0.1 %. are clipped at inf", 1),
+    "overrange": (
+        with_values(i250=np.inf),
+        {},
+        "1 samples .0.1 %. are clipped at the end of the range .marked inf.",
+        1,
+    ),
     "jitter": (
         rows(T + np.random.default_rng(3).uniform(-0.001, 0.001, N), t_format="%.7f"),
         {},

@@ -61,7 +61,14 @@ Sampler = Annotated[
     str | None, typer.Option(help="emcee (default), independence or hmc.", show_default=False)
 ]
 Walkers = Annotated[int | None, typer.Option(min=2, help="Walkers of each ensemble (emcee).")]
-Steps = Annotated[int | None, typer.Option(min=1, help="Most steps of each ensemble (emcee).")]
+Steps = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="Most steps of each ensemble (emcee), in hundreds; 300 are the fewest that tell "
+        "whether it has converged, and are taken in any case.",
+    ),
+]
 Chains = Annotated[int | None, typer.Option(min=2, help="Independent runs.")]
 
 

@@ -425,7 +425,7 @@ def _check_clipped(
     i = int(np.argmax(clipped))
     share = clipped.sum() / used.sum()
     finite = y[clipped & np.isfinite(y)]
-    level = f"{y[i]}"
+    level = f"the end of the range (marked {y[i]})"
     if len(finite):  # the rail that more samples lie at; others were caught among them
         rail = max(finite.max(), finite.min(), key=lambda edge: np.count_nonzero(finite == edge))
         level = f"{rail:.4g}"
