@@ -257,20 +257,15 @@ def _reliability(axes: Axes, calibration: Part) -> None:
         [entry["stated"] for entry in bins], [_rate(part) for part in parts],
         yerr=_errors(parts), fmt="o", ms=4, color=BLUE, elinewidth=0.8,
     )  # fmt: skip
+    label = "stated probability"
     if calibration["ece"] is None:
         _no_case(axes, at=BESIDE)
     else:
-        # below the diagonal, unless few cases have long bars there
-        clear = all(part["lo95"] > 0.25 for part, e in zip(parts, bins) if e["stated"] > 0.35)
-        axes.annotate(
-            f"mean error {calibration['ece']:.4f},\nchance: < {calibration['band95']:.4f}",
-            (0.98, 0.04) if clear else (0.02, 0.96), xycoords="axes fraction",
-            ha="right" if clear else "left", va="bottom" if clear else "top", fontsize=SMALLEST,
-        )  # fmt: skip
+        label += f"\nmean error {calibration['ece']:.4f}\n(by chance < {calibration['band95']:.4f})"
     axes.set_xlim(0, 1.02)
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
     _shares(axes)
-    axes.set_xlabel("stated probability")
+    axes.set_xlabel(label)
     axes.set_ylabel("share right")
     axes.set_title("verdicts")
 
