@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.gap.effect import Effect, Setting
+from bayes_sensor.gap.form import another_form
 from bayes_sensor.gap.full_rate import FOUND, OF_UNLISTED_ORIGIN, UNITS, FullRate
 from bayes_sensor.gap.how_far import Closure
 from bayes_sensor.gap.refit import Sketch
@@ -326,7 +327,7 @@ def sentence(
             )
         else:
             said = family_words(named, probability, stand.effects[named[0]], place, other)
-        return " ".join([said, advice, *beside, *besides])
+        return " ".join([said, *form_words(weighing, named), advice, *beside, *besides])
     words = []
     by_name = {f.name: f for f in full_rate}
     fitted = best.refit.strength()
@@ -342,6 +343,20 @@ def sentence(
         )
         beside = [closes, *beside] if alone else [*beside, closes]
     return " ".join([*words, *beside, *besides])
+
+
+def form_words(weighing: Weighing, named: Sequence[str]) -> list[str]:
+    """What is said of a leftover that the form of what is named may make."""
+    likely = weighing.hypotheses[int(np.argmax(weighing.probabilities))]
+    form = another_form(likely, weighing)
+    if form is None or not set(form.effects) <= set(named):
+        return []
+    others = [name for name in likely.effects if name not in form.effects]
+    instead = f" {others[0]} beside it" if others else " something else beside it"
+    return [
+        f"What {' and '.join(form.effects)} leaves, {100.0 * form.left:.0f} % of the gap's size, "
+        f"may be{instead}, or no more than a form that is not quite the catalogue's."
+    ]
 
 
 def without_a_step(kind: str, said: str) -> str:

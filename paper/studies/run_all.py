@@ -25,6 +25,7 @@ import study_published_bounds
 import study_real
 import study_reproduction
 import study_sbc
+import study_strong
 import study_unlisted
 import study_unlisted_kinds
 
@@ -40,6 +41,7 @@ STUDIES = {
     "unlisted": study_unlisted.run,
     "unlisted-kinds": study_unlisted_kinds.run,
     "blind-check": study_blind_check.run,
+    "strong": study_strong.run,
     "extremes": study_extremes.run,
     "hostile": study_hostile.run,
     "real": study_real.run,

@@ -1,0 +1,61 @@
+"""Effects in a form that is not quite the catalogue's.
+
+Nature's effects are a little other than ours, by a share of their size that does not depend on how
+well they are seen.  Once an effect is seen far above the noise so is that, and two effects together
+explain it, or an effect and something else: a cause that is not there, stated with confidence.
+What an effect leaves of itself counts for another cause only from a share on that no effect's form
+has been seen to leave.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+from bayes_sensor.gap.evidence import Linearised
+from bayes_sensor.gap.which import Hypothesis, Weighing
+
+OTHER_FORM = 0.2
+"""share of an effect's size that its form may leave: by the law of how far
+(:data:`~bayes_sensor.gap.how_far.INEXACT`) 98 of 100 leave less"""
+SEEN = 3.0
+"""standard deviations from which what an effect leaves is seen at all"""
+
+
+@dataclass(frozen=True)
+class AnotherForm:
+    """What an explanation may be instead."""
+
+    effects: tuple[str, ...]
+    """those that need no other form"""
+    left: float
+    """size of what these leave, as a share of the whole's"""
+
+
+def another_form(h: Hypothesis, weighing: Weighing) -> AnotherForm | None:
+    """Fewer effects, or the same without something else beside them, in a form of their own.
+
+    None where an explanation has nothing beside an effect, where that is not seen, or where it is
+    too much for the effect's form.
+    """
+    if not h.effects or not (h.incomplete or len(h.effects) > 1):
+        return None
+    least = h.refit.misfit - (_taken_beside(h) if h.incomplete else 0.0)
+    whole = weighing.base.misfit - least
+    simpler = [weighing.find(name) for name in h.effects]
+    if h.incomplete and len(h.effects) > 1:
+        simpler.append(h)
+    for one in sorted(simpler, key=lambda one: (len(one.effects), one.refit.misfit)):
+        left = one.refit.misfit - least
+        if SEEN**2 < left < OTHER_FORM**2 * whole:
+            return AnotherForm(one.effects, sqrt(left / whole))
+    return None
+
+
+def _taken_beside(h: Hypothesis) -> float:
+    """By how much what is beside the effects lessens the misfit."""
+    taken = 0.0
+    for term in h.terms:
+        left = Linearised(term.refit).left(term.beside)
+        taken += term.share * (term.refit.misfit - float(left @ left))
+    return taken
