@@ -39,8 +39,8 @@ AKIN = 0.45
 101 in five sealed blind checks"""
 OTHER_CAUSE = 0.125
 """share of what may be an effect in another form that is an unlisted cause which acts nearly as the
-effect does: by their priors, since about one in ten of the unlisted causes and three in ten of the
-listed ones leave as little, and it is seen"""
+effect does: by the priors, taking it that three times as many of the listed causes leave as
+little"""
 LEAST = 1e-4
 """probability of an explanation below which it does not matter what it may be instead"""
 FAINT = 2.0
