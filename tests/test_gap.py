@@ -9,13 +9,14 @@ from scipy.signal import lfilter
 
 import bayes_sensor as bs
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.gap import CATALOGUE, Strength, diagnose_gap, own_effect
+from bayes_sensor.gap import CATALOGUE, Gap, Strength, diagnose_gap, own_effect
 from bayes_sensor.gap.bins import PHASES
 from bayes_sensor.gap.diagnosis import ar1_whiteness
+from bayes_sensor.gap.form import OTHER_FORM, another_form
 from bayes_sensor.gap.model import with_effects
 from bayes_sensor.gap.own import read_effects
 from bayes_sensor.gap.simulation import default_strengths, simulate_with_effects
-from bayes_sensor.gap.verdict import NAMED
+from bayes_sensor.gap.verdict import NAMED, OTHER_CAUSE
 from bayes_sensor.gap.which import LEFT
 from bayes_sensor.gap.words import WANDERS
 from bayes_sensor.likelihood import Problem, simulate
@@ -211,7 +212,7 @@ def test_two_effects_of_different_families_are_found():
 
 
 def test_two_effects_of_one_family_are_not_taken_for_something_else():
-    truth = {"flow_settling": 0.3, "optical_nonlinearity": 0.3}
+    truth = {"flow_settling": 0.7, "optical_nonlinearity": 0.06}
     gap = diagnose_gap(measured(truth, seed=2), bootstrap=0, hidden=False, separate=False)
     assert gap.weighing.find(*truth).log_z > max(
         h.log_z for h in gap.weighing.hypotheses if h.incomplete or len(h.effects) < 2
@@ -225,17 +226,31 @@ def test_two_effects_of_one_family_are_not_taken_for_something_else():
     assert gap.shrink.closure.fraction > 0.9
 
 
-def test_something_else_beside_two_effects_is_seen():
+def beside_two_effects(size: float) -> Gap:
+    """Of a campaign with two effects and a bump of ``size`` V that is none."""
     campaign = measured({"valve_asymmetry": 1.25, "baseline_drift": 4e-4}, seed=2)
     bump = {e.name: np.exp(-0.5 * ((e.t - e.commanded_on - 6.0) / 1.5) ** 2) for e in campaign}
-    more = campaign.with_data({e.name: e.values + 0.03 * bump[e.name] for e in campaign})
-    gap = diagnose_gap(more, bootstrap=0, hidden=False, separate=False, follow=False)
+    more = campaign.with_data({e.name: e.values + size * bump[e.name] for e in campaign})
+    return diagnose_gap(more, bootstrap=0, hidden=False, separate=False, follow=False)
+
+
+def test_something_else_beside_two_effects_is_seen():
+    gap = beside_two_effects(0.04)
     assert gap.verdict.kind == "unlisted"
     likely = gap.weighing.hypotheses[int(np.argmax(gap.weighing.probabilities))]
     assert likely.incomplete and len(likely.effects) == 2
     assert likely.leftover > LEFT
     # by the mean, not only by what is left as a break
     assert gap.standing.looks_by_mean > NAMED
+
+
+def test_something_small_beside_two_effects_may_be_their_form():
+    gap = beside_two_effects(0.03)
+    likely = gap.weighing.hypotheses[int(np.argmax(gap.weighing.probabilities))]
+    assert likely.incomplete and len(likely.effects) == 2
+    form = another_form(likely, gap.weighing)
+    assert form is not None and form.effects == likely.effects and form.left < OTHER_FORM
+    assert gap.standing.looks_by_mean == pytest.approx(OTHER_CAUSE, abs=0.02)
 
 
 def test_an_effect_of_the_mean_and_one_of_the_noise_stand_together():

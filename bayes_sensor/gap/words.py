@@ -326,8 +326,9 @@ def sentence(
                 "one that acts otherwise than the catalogue's."
             )
         else:
-            said = family_words(named, probability, stand.effects[named[0]], place, other)
-        return " ".join([said, *form_words(weighing, named), advice, *beside, *besides])
+            leading = family_words(named, probability, stand.effects[named[0]], place, other)
+            said = " ".join([leading, *form_words(weighing, named)])
+        return " ".join([said, advice, *beside, *besides])
     words = []
     by_name = {f.name: f for f in full_rate}
     fitted = best.refit.strength()
