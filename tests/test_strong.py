@@ -72,4 +72,18 @@ def test_the_tables_say_the_same(study: ModuleType) -> None:
     assert again["kind"].tolist() == table["kind"].tolist()
     numbers = table.columns.difference(["kind", "d"])
     assert again[numbers].to_numpy(float) == pytest.approx(table[numbers].to_numpy(float), rel=1e-3)
-    assert set(cases["causes"]) <= set(CAUSES)
+    assert {name for both in cases["causes"] for name in both.split("+")} <= set(CAUSES)
+    # what the page says of them
+    seen = cases[cases["d"] >= min(low for low, _ in study.BANDS.values())]
+    inside, outside = seen[seen["kind"] != "unlisted"], seen[seen["kind"] == "unlisted"]
+    assert not inside["wrong_name"].any()
+    assert inside.loc[inside["verdict"].isin(("effect", "family")), "verdict_right"].all()
+    flagged = {kind: (of["verdict"] == "unlisted").mean() for kind, of in seen.groupby("kind")}
+    assert flagged["unlisted"] == pytest.approx(19 / 20, abs=0.02)
+    assert flagged["listed"] == pytest.approx(1 / 6, abs=0.02)
+    assert flagged["pair"] == pytest.approx(1 / 3, abs=0.03)
+    said = inside.loc[inside["verdict"] == "unlisted", "p_said"]
+    assert said.median() == pytest.approx(0.55, abs=0.02)
+    missed = outside[outside["verdict"] != "unlisted"]
+    assert set(missed["said"]) <= {"flow_settling", "gain_drift"}
+    assert (missed["isolability"] < 0.12 * missed["d"]).all()
