@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.form import OTHER_FORM, SEEN, another_form
+from bayes_sensor.gap.form import OTHER_FORM, another_form
+from bayes_sensor.gap.how_far import VISIBLE
 from bayes_sensor.gap.verdict import OTHER_CAUSE, judge, standing
 from bayes_sensor.gap.words import form_words
 
@@ -92,7 +93,7 @@ def test_a_small_second_effect_may_be_the_form_of_the_first(left: float) -> None
 
 @pytest.mark.parametrize("left", [0.021, OTHER_FORM + 0.01, 0.6])
 def test_what_is_not_seen_or_too_much_is_no_form(left: float) -> None:
-    assert (left * 100.0 < SEEN) or left > OTHER_FORM
+    assert (left * 100.0 < VISIBLE) or left > OTHER_FORM
     weighing = pair(left)
     assert another_form(weighing.hypotheses[0], weighing) is None
 

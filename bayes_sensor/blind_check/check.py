@@ -109,6 +109,20 @@ def no_verdict(reason: str) -> dict[str, Any]:
     }
 
 
+def verdict_on(
+    campaign: Campaign,
+    seed: int,
+    without: Sequence[str],
+    setting: str,
+    diagnose: Diagnose = diagnose,
+) -> dict[str, Any]:
+    """What is scored of a diagnosis, or that it refused the campaign."""
+    try:
+        return trimmed(diagnose(campaign, seed, without, setting))
+    except CampaignError as error:  # no answer is a result, too: it counts as wrong
+        return no_verdict(str(error))
+
+
 # --------------------------------------------------------------------------- tasks
 
 
@@ -161,10 +175,7 @@ class Diagnosing:
 
             campaign = read_campaign(source)
         begin = time.process_time()
-        try:
-            verdict = trimmed(self.diagnose(campaign, seed, without, self.setting))
-        except CampaignError as error:  # no answer is a result, too: it counts as wrong
-            verdict = no_verdict(str(error))
+        verdict = verdict_on(campaign, seed, without, self.setting, self.diagnose)
         seconds = time.process_time() - begin
         record = {"case": name, "seed": seed, "without": list(without), "setting": self.setting}
         return {"verdict": json_text({**record, **verdict}), "seconds": seconds}

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from math import sqrt
 
 from bayes_sensor.gap.evidence import Linearised
+from bayes_sensor.gap.how_far import VISIBLE
 from bayes_sensor.gap.which import Hypothesis, Weighing
 
 OTHER_FORM = 0.2
 """share of an effect's size that its form may leave: by the law of how far
 (:data:`~bayes_sensor.gap.how_far.INEXACT`) 98 of 100 leave less"""
-SEEN = 3.0
-"""standard deviations from which what an effect leaves is seen at all"""
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ def another_form(h: Hypothesis, weighing: Weighing) -> AnotherForm | None:
     None where an explanation has nothing beside an effect, where that is not seen, or where it is
     too much for the effect's form.
     """
-    if not h.effects or not (h.incomplete or len(h.effects) > 1):
+    if not h.effects:
         return None
     least = h.refit.misfit - (_taken_beside(h) if h.incomplete else 0.0)
     whole = weighing.base.misfit - least
@@ -47,7 +46,7 @@ def another_form(h: Hypothesis, weighing: Weighing) -> AnotherForm | None:
         simpler.append(h)
     for one in sorted(simpler, key=lambda one: (len(one.effects), one.refit.misfit)):
         left = one.refit.misfit - least
-        if SEEN**2 < left < OTHER_FORM**2 * whole:
+        if VISIBLE**2 < left < OTHER_FORM**2 * whole:
             return AnotherForm(one.effects, sqrt(left / whole))
     return None
 

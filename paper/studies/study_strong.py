@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,12 @@ import pandas as pd
 from drawing import TABLES
 
 from bayes_sensor.blind_check import table
-from bayes_sensor.blind_check.check import diagnose, no_verdict, trimmed
+from bayes_sensor.blind_check.check import verdict_on
 from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
 from bayes_sensor.blind_check.score import score_case
 from bayes_sensor.blind_check.statistics import proportion
 from bayes_sensor.blind_check.truth import complete_truth
 from bayes_sensor.calibration import run_chunks, study_key
-from bayes_sensor.campaign import CampaignError
 from bayes_sensor.reality import Case, make_campaign
 
 PLANNED, SEED = 280, 35
@@ -41,12 +41,10 @@ VERDICTS = ("effect", "family", "unlisted", "none", "failed")
 
 def entries() -> tuple[Entry, ...]:
     """Causes at every level, each with a rig, a law of noise and a record of its own."""
-    plan = make_plan(PLANNED, SEED, levels=LEVELS)
-    pairs = [entry for entry in plan if entry.kind == "pair"]  # levels are those of a blind check
-    level = {pair.name: LEVELS[i % len(LEVELS)] for i, pair in enumerate(pairs)}
+    levels = cycle(LEVELS)  # of pairs, which a plan gives those of a blind check
     return tuple(
-        replace(entry, level=level.get(entry.name, entry.level))
-        for entry in plan
+        replace(entry, level=next(levels)) if entry.kind == "pair" else entry
+        for entry in make_plan(PLANNED, SEED, levels=LEVELS)
         if entry.kind in KINDS
     )
 
@@ -67,10 +65,7 @@ class Scoring:
         entry = self.entries[i]
         truth = complete_truth(draw_truth(entry), entry.name)
         campaign = make_campaign(Case.from_json(truth["recipe"]))
-        try:
-            verdict = trimmed(diagnose(campaign, entry.diagnosis_seed, (), "study"))
-        except CampaignError as error:
-            verdict = no_verdict(str(error))
+        verdict = verdict_on(campaign, entry.diagnosis_seed, (), "study")
         return {"row": json.dumps({"asked": entry.level, **score_case(truth, verdict)})}
 
 

@@ -17,11 +17,10 @@ import pandas as pd
 from drawing import TABLES
 
 from bayes_sensor.blind_check import wilson
-from bayes_sensor.blind_check.check import diagnose, no_verdict
+from bayes_sensor.blind_check.check import verdict_on
 from bayes_sensor.blind_check.oracle import SEPARABLE_ABOVE
 from bayes_sensor.blind_check.plan import AR1_LAWS, Entry, draw_truth
 from bayes_sensor.calibration import run_chunks, study_key
-from bayes_sensor.campaign import CampaignError
 from bayes_sensor.reality import CAUSES, Case, make_campaign
 
 SEED = 83
@@ -80,10 +79,7 @@ class Telling:
         entry = self.entries[i]
         truth = draw_truth(entry)
         campaign = make_campaign(Case.from_json(truth["recipe"]))
-        try:
-            record = diagnose(campaign, entry.diagnosis_seed, (), "study")
-        except CampaignError as error:
-            record = no_verdict(str(error))
+        record = verdict_on(campaign, entry.diagnosis_seed, (), "study")
         verdict = record["verdict"]
         unlisted = [r["probability"] for r in record["which"] if r["effect"] == "unlisted"]
         return {
