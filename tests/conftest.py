@@ -1,7 +1,12 @@
 """Settings that every test shares; the environment must be set before numpy is first imported."""
 
+import importlib
 import os
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
 
+import pytest
 from hypothesis import settings
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -12,3 +17,12 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 # The same examples in every run; no deadline, because the first call of a function compiles it.
 settings.register_profile("bayes_sensor", derandomize=True, deadline=None)
 settings.load_profile("bayes_sensor")
+
+STUDIES = Path(__file__).resolve().parent.parent / "paper" / "studies"
+
+
+@pytest.fixture
+def import_study(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], ModuleType]:
+    """Imports a study by its name, as ``run_all.py`` does."""
+    monkeypatch.syspath_prepend(str(STUDIES))
+    return importlib.import_module

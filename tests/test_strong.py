@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,15 +13,13 @@ import pytest
 from bayes_sensor.blind_check import wilson
 from bayes_sensor.reality import CAUSES
 
-PAPER = Path(__file__).resolve().parent.parent / "paper"
-TABLES = PAPER / "tables"
+TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 
 
 @pytest.fixture
-def study(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """``study_strong``, as ``run_all.py`` imports it."""
-    monkeypatch.syspath_prepend(str(PAPER / "studies"))
-    return importlib.import_module("study_strong")
+def study(import_study: Callable[[str], ModuleType]) -> ModuleType:
+    """``study_strong``."""
+    return import_study("study_strong")
 
 
 def test_causes_and_pairs_are_drawn_far_beyond_the_blind_check(study: ModuleType) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,15 +13,13 @@ import pytest
 from bayes_sensor.blind_check import wilson
 from bayes_sensor.reality import CAUSES
 
-PAPER = Path(__file__).resolve().parent.parent / "paper"
-TABLES = PAPER / "tables"
+TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 
 
 @pytest.fixture
-def study(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """``study_unlisted_kinds``, as ``run_all.py`` imports it."""
-    monkeypatch.syspath_prepend(str(PAPER / "studies"))
-    return importlib.import_module("study_unlisted_kinds")
+def study(import_study: Callable[[str], ModuleType]) -> ModuleType:
+    """``study_unlisted_kinds``."""
+    return import_study("study_unlisted_kinds")
 
 
 def truth(rivals: dict[str, float], **shares: float) -> dict[str, Any]:
