@@ -136,6 +136,28 @@ def test_less_gas_than_none_is_not_left_over(sketch, sign):
         assert Linearised(found).evidence(None).misfit > found.misfit - AT_REST
 
 
+def test_gas_left_with_a_spread_is_found(sketch):
+    effect = CATALOGUE["carry_over"]
+    slow, spread = effect.forms[2:]
+    truth = {"carry_over": 0.1, "carry_time": 8.0, "carry_spread": 4.0}
+    with_spread = Plan(sketch, (Part(effect, spread),))
+    data = with_spread.means(with_spread.start(sketch.base, truth))
+    begin = {"carry_over": 0.05, "carry_time": 4.0}
+    found = refit(
+        with_spread, with_spread.start(sketch.base, begin), data=data, most_steps=80, tolerance=1e-6
+    )
+    single = Plan(sketch, (Part(effect, slow),))
+    other = refit(
+        single, single.start(sketch.base, begin), data=data, most_steps=80, tolerance=1e-6
+    )
+    strength = found.strength()
+    assert np.allclose(list(strength["carry_over"].values()), 0.1, atol=0.005)
+    assert strength["carry_time"] == pytest.approx(8.0, rel=0.1)
+    assert strength["carry_spread"] == pytest.approx(4.0, rel=0.1)
+    # a single time constant does not do, which is why the form is there
+    assert other.misfit > found.misfit + 25.0
+
+
 def test_evidence_is_the_multivariate_t_where_the_model_fits():
     """Laplace against the dense t density of the data, the linearised parameters integrated out."""
     campaign = measured({}, seed=5)

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.form import OTHER_FORM, another_form
+from bayes_sensor.gap.form import OFF_FOR_A_WHILE, OTHER_FORM, another_form, of_its_form
+from bayes_sensor.gap.full_rate import FOUND, FullRate
 from bayes_sensor.gap.how_far import VISIBLE
-from bayes_sensor.gap.verdict import OTHER_CAUSE, judge, standing
+from bayes_sensor.gap.verdict import OTHER_CAUSE, judge, standing, stands_beside
 from bayes_sensor.gap.words import form_words
 
 WHOLE = 10_000.0
@@ -147,6 +148,39 @@ def test_an_effect_with_its_form_beside_it_is_not_called_unlisted() -> None:
         h = hypothesis((A,), 100.0 + left**2 * WHOLE, 0.99, beside=left**2 * WHOLE)
         weighing = weighed(h, hypothesis((A,), h.refit.misfit, 1e-6))
         assert judge(weighing, standing(weighing, [], CATALOGUE), CATALOGUE)[0] == kind
+
+
+def off_for_a_while(left: float, name: str = "break", log_b: float = 50.0) -> FullRate:
+    """A finding of ``left`` of the whole's size in what an explanation leaves."""
+    return FullRate(name, log_b, {}, left * np.sqrt(WHOLE))
+
+
+@pytest.mark.parametrize("name", OFF_FOR_A_WHILE)
+def test_a_short_stay_off_an_effect_may_be_its_form(name: str) -> None:
+    fitted, base = refit(100.0), refit(WHOLE + 100.0)
+    for left, may_be in ((0.1, True), (0.19, True), (0.21, False), (0.8, False)):
+        assert of_its_form(off_for_a_while(left, name), fitted, base) == may_be
+        assert stands_beside(off_for_a_while(left, name), fitted, base) == may_be
+    # what is hardly there is left to take the little that it takes
+    faint = off_for_a_while(0.1, name, log_b=1.0)
+    assert faint.probability < FOUND and not of_its_form(faint, fitted, base)
+
+
+def test_other_findings_are_no_form_of_an_effect() -> None:
+    fitted, base = refit(100.0), refit(WHOLE + 100.0)
+    for name in ("ringing", "swing", "unsteady", "event"):
+        assert not of_its_form(off_for_a_while(0.1, name), fitted, base)
+
+
+def test_a_small_break_takes_nothing_from_a_strong_effect() -> None:
+    for left, kind in ((0.1, "effect"), (0.3, "unlisted")):
+        weighing = weighed(hypothesis((A,), 100.0, 0.999))
+        stand = standing(weighing, [off_for_a_while(left)], CATALOGUE)
+        assert judge(weighing, stand, CATALOGUE)[0] == kind
+    # and from no effect it takes all that it can: nothing has no form
+    weighing = weighed(hypothesis((), WHOLE + 100.0, 0.999))
+    stand = standing(weighing, [off_for_a_while(0.1)], CATALOGUE)
+    assert stand.looks_unlisted > 0.9
 
 
 def test_the_sentence_says_what_is_left_and_what_it_may_be() -> None:

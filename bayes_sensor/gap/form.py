@@ -13,12 +13,18 @@ from dataclasses import dataclass
 from math import sqrt
 
 from bayes_sensor.gap.evidence import Linearised
+from bayes_sensor.gap.full_rate import FOUND, FullRate
 from bayes_sensor.gap.how_far import VISIBLE
+from bayes_sensor.gap.refit import Refit
 from bayes_sensor.gap.which import Hypothesis, Weighing
 
 OTHER_FORM = 0.2
 """share of an effect's size that its form may leave: by the law of how far
 (:data:`~bayes_sensor.gap.how_far.INEXACT`) 98 of 100 leave less"""
+
+
+OFF_FOR_A_WHILE = ("patch", "break")
+"""findings in what an explanation leaves of the mean"""
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,16 @@ def another_form(h: Hypothesis, weighing: Weighing) -> AnotherForm | None:
         if VISIBLE**2 < left < OTHER_FORM**2 * whole:
             return AnotherForm(one.effects, sqrt(left / whole))
     return None
+
+
+def of_its_form(found: FullRate, fitted: Refit, base: Refit) -> bool:
+    """Whether a finding in what is left is small enough for what an effect's form may leave.
+
+    What is hardly there takes little from any explanation, and is left to.
+    """
+    if found.name not in OFF_FOR_A_WHILE or found.d is None or found.probability < FOUND:
+        return False
+    return found.d**2 < OTHER_FORM**2 * (base.misfit - fitted.misfit)
 
 
 def _taken_beside(h: Hypothesis) -> float:

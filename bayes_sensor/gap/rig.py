@@ -63,6 +63,7 @@ SETTINGS: dict[str, tuple[float, str]] = {
     "gain_of_all": (0.0, "1: what changes is the whole voltage, y0 included"),
     "carry_over": (0.0, "share of beta still in the manifold when the record starts"),
     "carry_time": (0.0, "s, in which it leaves; 0: the manifold's own V/Q"),
+    "carry_spread": (1.0, "half of it leaves this much slower or faster, in equal parts"),
     "valve_factor": (1.0, "valve time constant over the common one"),
     "sensor_factor": (1.0, "sensor time constant over the common one"),
     "emptying_ratio": (1.0, "manifold time constant after the step down over that before"),
@@ -84,7 +85,7 @@ FIRST = 10
     SETTLING_SWING, SWITCHING, PREMIXED, FLOW, POCKET, POCKET_TIME, TANK, RELEASE, RELEASE_WIDTH,
     SLOW_S, SLOW_S_TIME, SLOW_S_SPREAD, COATING, FILTER, CURVATURE, DRIFT, DRIFT_CURVE, DRIFT_TWIST,
     STEP, STEP_TIME, STEP_WITH_FALL, STEP_WIDTH, GAIN, GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL, CARRY,
-    CARRY_TIME, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING, LATE, LATE_RISE, LATE_FALL,
+    CARRY_TIME, CARRY_SPREAD, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING, LATE, LATE_RISE, LATE_FALL,
 ) = range(FIRST, FIRST + len(SETTINGS))  # fmt: skip
 
 OF_THE_READOUT = [
@@ -93,7 +94,7 @@ OF_THE_READOUT = [
 ]  # fmt: skip
 OF_THE_SENSOR = [
     TAU, START, RELEASE, RELEASE_WIDTH, SLOW_S, SLOW_S_TIME, SLOW_S_SPREAD, COATING, FILTER, CARRY,
-    CARRY_TIME, SENSOR_FACTOR,
+    CARRY_TIME, CARRY_SPREAD, SENSOR_FACTOR,
 ]  # fmt: skip
 _of_the_gas = np.setdiff1d(np.arange(FIRST + len(SETTINGS)), OF_THE_READOUT + OF_THE_SENSOR)
 _before_the_readout = np.setdiff1d(np.arange(FIRST + len(SETTINGS)), OF_THE_READOUT)
@@ -614,18 +615,32 @@ def rig_response(
 
 @njit(cache=True)
 def _add_carried(times: FloatArray, p: FloatArray, out: FloatArray) -> None:  # pragma: no cover
-    # gas left from before: it leaves with the manifold's time constant and lags in the sensor,
-    # which was in equilibrium with it when the record began
+    # gas left from before: it leaves with the manifold's time constant, or with one of its own or
+    # a spread of them, and lags in the sensor, which was in equilibrium with it when the record
+    # began
     slow = p[CARRY_TIME]
     if slow <= 0.0:
         slow = p[TAU_M] / p[FLOW]
-    fast = p[TAU]
+    spread = p[CARRY_SPREAD]
+    if spread == 1.0:
+        _add_leaving(times, p[START], p[CARRY], slow, p[TAU], out)
+    else:
+        _add_leaving(times, p[START], 0.5 * p[CARRY], slow, p[TAU], out)
+        for factor in (spread, 1.0 / spread):
+            _add_leaving(times, p[START], 0.25 * p[CARRY], slow * factor, p[TAU], out)
+
+
+@njit(cache=True)
+def _add_leaving(
+    times: FloatArray, start: float, share: float, slow: float, tau: float, out: FloatArray
+) -> None:  # pragma: no cover
+    fast = tau
     if abs(slow - fast) < 1e-6 * slow:
         fast = slow * (1.0 - 1e-6)
     for i in range(len(times)):
-        s = times[i] - p[START]
+        s = times[i] - start
         if s >= 0.0:
-            out[i] += p[CARRY] * (slow * exp(-s / slow) - fast * exp(-s / fast)) / (slow - fast)
+            out[i] += share * (slow * exp(-s / slow) - fast * exp(-s / fast)) / (slow - fast)
 
 
 @njit(cache=True)

@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from bayes_sensor.gap.bins import PHASES
 from bayes_sensor.gap.effect import Effect
-from bayes_sensor.gap.form import another_form
+from bayes_sensor.gap.form import another_form, of_its_form
 from bayes_sensor.gap.full_rate import OF_UNLISTED_ORIGIN, FullRate
 from bayes_sensor.gap.refit import Refit, Sketch
 from bayes_sensor.gap.which import PRIOR_NONE, PRIOR_UNLISTED, Hypothesis, Weighing
@@ -191,9 +191,10 @@ def stands_beside(found: FullRate, fitted: Refit, base: Refit) -> bool:
 
     A fast line averages out of the bins, whatever the effect.  An event, or plateaus that are
     unsteady, may be what an effect is fitted to, unless the effect explains most of what it does in
-    other phases or records.
+    other phases or records.  A short stay off the explanation may be the effect's own, in a form
+    that is not quite ours.
     """
-    if found.beside_the_mean:
+    if found.beside_the_mean or of_its_form(found, fitted, base):
         return True
     touched = _touched(found, base.plan.sketch)
     if touched is None:
