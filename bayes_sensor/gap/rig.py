@@ -49,7 +49,8 @@ SETTINGS: dict[str, tuple[float, str]] = {
     "slow_site_spread": (1.0, "half of that share is this much slower or faster, in equal parts"),
     "coating": (0.0, "0 single lag .. 1 diffusion through the layered coating"),
     "filter": (0.0, "s, time constant of a low-pass before the converter"),
-    "curvature": (0.0, "1/V, k in v + k v^2 with v = beta x3"),
+    "curvature": (0.0, "1/V, k in v + k v^2 + m v^3 with v = beta x3"),
+    "cubic": (0.0, "1/V^2, m in the same"),
     "drift": (0.0, "V/s, slope of the baseline"),
     "drift_curve": (0.0, "V/s^2, bend of the baseline"),
     "drift_twist": (0.0, "V/s^3, change of that bend"),
@@ -83,14 +84,15 @@ FIRST = 10
 (
     CLOSING, CLOSING_BEND, INERTIA, STROKE, BEND, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME,
     SETTLING_SWING, SWITCHING, PREMIXED, FLOW, POCKET, POCKET_TIME, TANK, RELEASE, RELEASE_WIDTH,
-    SLOW_S, SLOW_S_TIME, SLOW_S_SPREAD, COATING, FILTER, CURVATURE, DRIFT, DRIFT_CURVE, DRIFT_TWIST,
-    STEP, STEP_TIME, STEP_WITH_FALL, STEP_WIDTH, GAIN, GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL, CARRY,
-    CARRY_TIME, CARRY_SPREAD, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING, LATE, LATE_RISE, LATE_FALL,
+    SLOW_S, SLOW_S_TIME, SLOW_S_SPREAD, COATING, FILTER, CURVATURE, CUBIC, DRIFT, DRIFT_CURVE,
+    DRIFT_TWIST, STEP, STEP_TIME, STEP_WITH_FALL, STEP_WIDTH, GAIN, GAIN_CURVE, GAIN_TWIST,
+    GAIN_OF_ALL, CARRY, CARRY_TIME, CARRY_SPREAD, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING, LATE,
+    LATE_RISE, LATE_FALL,
 ) = range(FIRST, FIRST + len(SETTINGS))  # fmt: skip
 
 OF_THE_READOUT = [
-    Y0, BETA, MIDDLE, CURVATURE, DRIFT, DRIFT_CURVE, DRIFT_TWIST, STEP, STEP_TIME, STEP_WITH_FALL,
-    STEP_WIDTH, GAIN, GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL,
+    Y0, BETA, MIDDLE, CURVATURE, CUBIC, DRIFT, DRIFT_CURVE, DRIFT_TWIST, STEP, STEP_TIME,
+    STEP_WITH_FALL, STEP_WIDTH, GAIN, GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL,
 ]  # fmt: skip
 OF_THE_SENSOR = [
     TAU, START, RELEASE, RELEASE_WIDTH, SLOW_S, SLOW_S_TIME, SLOW_S_SPREAD, COATING, FILTER, CARRY,
@@ -654,13 +656,13 @@ def rig_mean(
 @njit(cache=True)
 def _read(times: FloatArray, p: FloatArray, response: FloatArray) -> FloatArray:  # pragma: no cover
     # V at the times of a response x3
-    y0, beta, curvature, middle = p[Y0], p[BETA], p[CURVATURE], p[MIDDLE]
+    y0, beta, middle, curvature, cubic = p[Y0], p[BETA], p[MIDDLE], p[CURVATURE], p[CUBIC]
     gain, gain_curve, gain_twist, of_all = p[GAIN], p[GAIN_CURVE], p[GAIN_TWIST], p[GAIN_OF_ALL]
     drift, drift_curve, drift_twist = p[DRIFT], p[DRIFT_CURVE], p[DRIFT_TWIST]
     volts = np.empty(len(times))
     for i in range(len(times)):
         v = beta * response[i]
-        v *= 1.0 + curvature * v
+        v *= 1.0 + v * (curvature + cubic * v)
         since = times[i] - middle
         gained = since * (gain + since * (gain_curve + since * gain_twist))
         v += v * gained + y0 * (1.0 + of_all * gained)
