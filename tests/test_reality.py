@@ -81,7 +81,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (68, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (71, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -331,6 +331,11 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("compressor_on_mains", {"rise", "plateau", "fall"}, 0.95),
         ("drooping_clamp", {"rise", "plateau", "fall"}, 0.95),
         ("climbing_baseline", {"rise", "plateau", "fall"}, 0.999),
+        ("slamming_plunger", {"fall"}, 0.99),
+        ("squeezed_bag", {"rise", "plateau", "fall"}, 0.999),
+        ("neighbours_airlock", {"plateau", "fall"}, 0.95),
+        ("stacked_layers", {"fall", "tail"}, 0.999),
+        ("unwashed_pores", {"rise", "plateau", "fall"}, 0.99),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

@@ -1251,3 +1251,84 @@ def test_a_baseline_climbs_evenly_under_a_plateau_and_the_fall_ends_on_it() -> N
             assert np.abs(shown[t > ends + 0.1] - step.y0).max() < 1e-4
             met += int(there > 0.1 * step.beta)
     assert met >= 6
+
+
+def test_a_missing_bit_is_taken_off_wherever_the_code_has_it() -> None:
+    strength, zeros = 0.3, []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"missing_bit": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        weight = strength * np.mean([s.beta for s in rig.steps])
+        zero = prepared_rig(rig)["1"].bit_zero
+        zeros.append(zero / weight)
+        for step in rig.steps:
+            y, shown = plain[step.name], seen[step.name]
+            # a converter of 16 bits, of which the twelfth is always zero, to its own step
+            lsb = weight / 2**11
+            codes = np.floor((y - zero) / lsb).astype(np.int64)
+            assert codes.min() >= 0 and codes.max() < 2**16
+            spoilt = codes & ~(1 << 11)
+            rest = (y - zero) / lsb - codes
+            assert shown == pytest.approx(zero + lsb * (spoilt + rest), abs=1e-9)
+            off = y - shown
+            assert np.all((np.abs(off) < 1e-9) | (np.abs(off - weight) < 1e-9))
+            # up and down cross the same levels, twice as high apart as the bit is worth
+            leaps = np.flatnonzero(np.abs(np.diff(off)) > 0.5 * weight)
+            assert len(leaps) >= 4 and len(leaps) % 2 == 0
+            where = np.abs((0.5 * (y[leaps] + y[leaps + 1]) - zero) / weight)
+            steep = np.abs(y[leaps] - y[leaps + 1]) / weight
+            assert np.all(np.abs(where - np.rint(where)) < 0.5 * steep + 1e-9)
+    assert -2.0 < min(zeros) < -0.7 and np.ptp(zeros) > 0.4 and max(zeros) < 0.0
+
+
+def test_a_cables_insulation_gives_its_charge_back_as_a_power_of_time() -> None:
+    strength, drawn, signs = 0.4, [], set()
+    for seed in range(11, 19):
+        rig = replace(draw_case(seed, size="paper"), strengths={"static_discharge": strength})
+        size, found = strength * np.mean([s.beta for s in rig.steps]), prepared_rig(rig)
+        t = np.arange(0.0, 120.0 * len(rig.steps), 0.01)
+        charge, shocks = np.zeros(len(t)), []
+        for k, step in enumerate(rig.steps):
+            own = (t >= 120.0 * k) & (t < 120.0 * (k + 1))
+            for course in found[step.name].offset:
+                charge[own] = course(t[own] - 120.0 * k) / size
+            shocks += [120.0 * k + at for at in found[step.name].marks[::2]]
+        assert len(shocks) == len(rig.steps) // 2 + 1 and shocks == sorted(shocks)
+        assert np.all(charge[t < shocks[0] - 1e-5] == 0.0)
+        # the first one alone: its logarithmic slope is that of a power of the time since
+        alone = (t > shocks[0] + 1e-5) & (t < shocks[1] - 0.01)
+        since, back = t[alone] - shocks[0], charge[alone]
+        sign = float(np.sign(back[0]))
+        # 1/(log slope) = -(first + since)/power, a straight line
+        turned = -back[1:-1] / ((back[2:] - back[:-2]) / 0.02)
+        late = since[1:-1] > 0.2
+        slope, begin = np.polyfit(since[1:-1][late], turned[late], 1)
+        power, first = 1.0 / slope, begin / slope
+        law = (1.0 + since / first) ** -power
+        assert sign * back == pytest.approx(law, abs=2e-3)
+        # each of the others adds the same, of either sign
+        total = np.zeros(len(t))
+        for at in shocks:
+            after = t > at
+            place = np.searchsorted(t, at)
+            way = float(np.sign(charge[place + 1] - charge[place - 1]))
+            signs.add(way)
+            total[after] += way * (1.0 + (t[after] - at) / first) ** -power
+        clear = np.min(np.abs(t[:, None] - np.array(shocks)), axis=1) > 0.02
+        assert np.abs(total - charge)[clear].max() < 5e-3
+        drawn.append((power, first))
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [0.49, 0.19]) and np.all(high < [1.01, 2.02]) and np.all(high > 1.3 * low)
+    assert signs == {-1.0, 1.0}
+    # and it is added to the signal as it is, but for what the grid makes of a leap
+    rig = case(static_discharge=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    added = 0
+    for step in rig.steps:
+        knobs, t = prepared_rig(rig)[step.name], sample_times(step)
+        for course in knobs.offset:
+            gap = np.min([np.abs(t - at) for at in [*knobs.marks, np.inf]], axis=0)
+            off = seen[step.name] - plain[step.name] - course(t)
+            assert np.abs(off[gap > 1e-4]).max() < 1e-4
+            added += 1
+    assert added >= 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -948,3 +949,58 @@ def test_a_nuts_play_takes_the_same_volume_at_every_turn_of_twin_syringes() -> N
             _, states = solved(rig, pumped, 4, k=k)
             assert np.abs((seen[step.name] - step.y0) / step.beta - states[:, 2]).max() < 5e-4
     assert 3.99 < min(strokes) < 8.0 < max(strokes) < 16.01 and gaps > 10
+
+
+def test_a_squeezed_bag_brings_what_it_should_in_each_squeeze_against_an_ode_solver() -> None:
+    strength, lengths = 0.6, []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"squeezed_bag": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        own = []
+        for k, step in enumerate(rig.steps):
+            (course,) = found[step.name].test_gas
+            t = np.arange(step.t0 - 1.0, step.duration, 1e-4)
+            flow = course(t)
+            assert np.all(flow[t < step.t0 - 1e-9] == 1.0)
+            leaps = 0.5 * (t[1:] + t[:-1])[np.diff(flow) > strength]
+            assert len(leaps) >= 2
+            # from one leap to the next: evenly down by as much as it began too high
+            for low, high in pairwise([step.t0, *leaps.tolist()]):
+                inside = (t > low + 2e-4) & (t < high - 2e-4)
+                share = (t[inside] - low) / (high - low)
+                assert flow[inside] == pytest.approx(
+                    1.0 + strength * (1.0 - 2.0 * share), abs=2.0 * strength * 3e-4 / (high - low)
+                )
+                dose = np.trapezoid(flow[inside], t[inside]) / np.ptp(t[inside])
+                assert dose == pytest.approx(1.0, abs=1e-3)
+            own += np.diff([step.t0, *leaps]).tolist()
+            if k > 0 or seed > 12:
+                continue
+
+            def pressed(
+                u: tuple[float, float, float], x: FloatArray, step: Step = step, rig: Case = rig
+            ) -> list[float]:
+                full = step.test_gas_flow
+                if u[2] > u[1]:
+                    full *= 1.0 + strength * (1.0 - 2.0 * (x[3] - u[1]) / (u[2] - u[1]))
+                share = full / (step.carrier_flow + full) / step.concentration
+                flow = step.carrier_flow + full * x[0] + step.test_gas_flow * (1.0 - x[0])
+                gas = [flow / rig.V * (share * x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+                return [(u[0] - x[0]) / rig.tau_v, *gas, 1.0]  # x[3] is the time itself
+
+            pieces: list[tuple[float, Any]] = [(0.0, (0.0, 0.0, 0.0))]
+            edges = [step.t0, *leaps.tolist()]
+            for low, high in pairwise(edges):
+                pieces.append((low, (float(low < step.tf), low, high)))
+                if low < step.tf < high:
+                    pieces.append((step.tf, (0.0, low, high)))
+            _, states = solved(rig, pressed, 4, k=k, inputs=pieces)
+            s = sample_times(step)
+            compared = s < edges[-1]
+            off = (seen[step.name] - step.y0) / step.beta - states[:, 2]
+            # every leap is known to half of 0.1 ms only
+            assert edges[-1] > step.tf + 1.0 and np.abs(off[compared]).max() < 2e-4
+        # of one hand, no two squeezes of which are alike
+        assert max(own) < 3.05 * min(own) and np.std(own) > 0.1 * np.mean(own)
+        lengths.append(np.mean(own))
+    assert 1.0 < min(lengths) < 3.0 < max(lengths) < 7.0

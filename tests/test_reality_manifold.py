@@ -955,3 +955,49 @@ def test_a_purge_through_the_exhaust_hose_brings_its_gas_back_as_poiseuille_lets
                 passed = (step.duration - step.tf) * step.total_flow
                 whole = 0.5 * hose - 0.25 * hose**2 / (passed + 0.5 * hose)
                 assert area == pytest.approx(whole / step.total_flow, rel=0.06)
+
+
+def test_a_neighbours_airlock_presses_on_the_ring_and_slows_the_stream_as_mass_asks() -> None:
+    strength, drawn, left_alone = 0.25, [], 0
+    for seed in (11, 12, 13, 14, 15, 16):
+        rig = replace(draw_case(seed, size="small"), strengths={"neighbours_airlock": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        plain, sizes = clean_signals(without_causes(rig)), []
+        for k, step in enumerate(rig.steps):
+            if not found[step.name].concentration_gain:
+                assert np.array_equal(seen[step.name], plain[step.name])
+                left_alone += 1
+                continue
+            (course,) = found[step.name].concentration_gain
+            t = np.arange(0.0, step.duration, 1e-3)
+            excess = course(t)
+            at = t[np.argmax(excess)]
+            assert step.t0 < at < step.tf and np.all(excess[t < at - 2e-3] == 0.0)
+            after = t > at
+            rate, size = np.polyfit(t[after] - at, np.log(excess[after]), 1)
+            # a pump takes off the same share at any time
+            line = np.exp(size + rate * (t[after] - at))
+            assert np.abs(excess[after] - line).max() < 1e-9
+            sizes.append(np.exp(size))
+            drawn.append(-1.0 / rate)
+
+            def pressed(
+                u: tuple[float, float], x: FloatArray, step: Step = step, rig: Case = rig,
+                at: float = at, rate: float = rate, size: float = np.exp(size),
+            ) -> list[float]:  # fmt: skip
+                # what is in V is p V x, and what comes and goes is metered at normal pressure:
+                # the pressure's own gas is the cell's and changes no fraction
+                pressure = 1.0 + u[1] * size * np.exp(rate * (x[3] - at))
+                gas = [step.total_flow / rig.V / pressure * (x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+                return [(u[0] - x[0]) / rig.tau_v, *gas, 1.0]  # x[3] is the time itself
+
+            pieces = [(0.0, (0.0, 0.0)), (step.t0, (1.0, 0.0)), (at, (1.0, 1.0))]
+            _, states = solved(rig, pressed, 4, k=k, inputs=[*pieces, (step.tf, (0.0, 1.0))])
+            s = sample_times(step)
+            felt = (1.0 + course(s)) * states[:, 2]
+            clear = np.abs(s - at) > 5e-3
+            off = (seen[step.name] - step.y0) / step.beta - felt
+            assert np.abs(off[clear]).max() < 5e-4
+        assert max(sizes) == pytest.approx(strength, rel=2e-3)
+        assert min(sizes) > 0.29 * strength
+    assert left_alone >= 1 and 1.49 < min(drawn) < 3.5 < max(drawn) < 9.01

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, welch
-from scipy.special import erfcx, j0, ndtr, spence, stdtr
+from scipy.special import erf, erfcx, j0, ndtr, spence, stdtr
+from scipy.stats import gamma
 
 from bayes_sensor.reality import (
     HEAVY_TAILED,
@@ -1114,6 +1115,85 @@ def test_dry_friction_larger_ones_and_repeated_packets_are_what_they_say() -> No
     fresh = z[1:][~again]
     assert abs(np.mean(fresh[1:] * fresh[:-1])) < 0.01
     assert autocorrelation(law, 4, h) == pytest.approx([1.0, 0.6, 0.36, 0.216])
+
+
+def test_clipped_thrice_filtered_and_fitful_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(47)
+    h = 1e-3
+    level = 0.6
+    part = Component(1.0, 0.02, shape="clipped", depth=level)
+    law = NoiseLaw("railed_microphone", 1.0, components=(part,))
+    z = draw_noise(law, 2_000_000, h, rng)
+    x = np.linspace(-8.0, 8.0, 4001)
+    density = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
+    cut = np.clip(x, -level, level)
+    spread = np.sqrt(np.trapezoid(cut**2 * density, x))
+    # at either rail for as long as the free rumble is beyond, between them Gaussian
+    assert np.abs(z).max() == pytest.approx(level / spread, rel=1e-5)
+    for side in (-1.0, 1.0):
+        held = np.mean(side * z > level / spread - 1e-9)
+        assert held == pytest.approx(ndtr(-level), abs=0.01)
+    for inner in (-0.4, 0.1, 0.5):
+        assert np.mean(z * spread < inner) == pytest.approx(ndtr(inner), abs=0.01)
+    R = autocorrelation(law, 100, h)
+    assert R[0] == pytest.approx(1.0, abs=1e-9)
+    for lag in (1, 3, 20, 60):
+        r = np.exp(-lag * h / 0.02)
+        rest = np.sqrt(1.0 - r * r)
+        # the mean of the later one, given the earlier one
+        up, down = (level - r * x) / rest, (-level - r * x) / rest
+        bell = (np.exp(-0.5 * down**2) - np.exp(-0.5 * up**2)) / np.sqrt(2.0 * np.pi)
+        given = level * (ndtr(-up) - ndtr(down)) + r * x * (ndtr(up) - ndtr(down)) + rest * bell
+        whole = np.trapezoid(cut * given * density, x) / spread**2
+        assert R[lag] == pytest.approx(whole, abs=1e-5)
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.02)
+
+    T = 0.02
+    law = NoiseLaw("three_stages", 1.0, components=(Component(1.0, T, shape="thrice"),))
+    R = autocorrelation(law, 200, h)
+    # three lags answer a kick by s^2 exp(-s): how that overlaps with itself
+    s = np.arange(0.0, 40.0, 1e-3)
+    kick = s**2 * np.exp(-s)
+    for lag in (0, 5, 20, 100):
+        moved = round(lag * h / T / 1e-3)
+        overlap = kick[moved:] @ kick[: len(s) - moved] / (kick @ kick)
+        assert R[lag] == pytest.approx(overlap, abs=1e-6)
+    z = draw_noise(law, 1_000_000, h, rng)
+    assert z.std() == pytest.approx(1.0, abs=0.02) and np.mean(z**4) == pytest.approx(3.0, abs=0.2)
+    # twice smooth: the slope's variance is 1/3 and the bend's 1, in units of the time
+    assert np.mean(np.diff(z) ** 2) == pytest.approx((h / T) ** 2 / 3.0, rel=0.03)
+    assert np.mean(np.diff(z, 2) ** 2) == pytest.approx((h / T) ** 4, rel=0.08)
+    # and three stages turned round leave white noise
+    back, decay = z, np.exp(-h / T)
+    for _ in range(3):
+        back = back[1:] - decay * back[:-1]
+    near = back - back.mean()
+    assert abs(np.mean(near[5:] * near[:-5])) < 0.01 * np.mean(near**2)
+    # short records are of the same law
+    two = np.array([draw_noise(law, 2, h, rng) for _ in range(20_000)])
+    assert two.std(axis=0) == pytest.approx([1.0, 1.0], abs=0.03)
+    assert np.mean((two[:, 1] - two[:, 0]) ** 2) == pytest.approx((h / T) ** 2 / 3.0, rel=0.06)
+
+    time, leap = 0.05, 0.2
+    part = Component(1.0, time, shape="fitful", gust_time=leap)
+    law = NoiseLaw("fitful_bearing", 1.0, components=(part,))
+    z = draw_noise(law, 2_000_000, h, rng)
+    # as Gaussian as ever at any one time, over many leaps
+    assert z.std() == pytest.approx(1.0, abs=0.03) and np.mean(z**4) == pytest.approx(3.0, abs=0.3)
+    # between readings it mostly stands: a free move of what a gamma law lets its clock go by
+    quantiles = (np.arange(200_000) + 0.5) / 200_000
+    own = -np.expm1(-gamma.ppf(quantiles, h / leap, scale=leap) / time)
+    for moves in (1e-6, 0.01, 0.3, 1.0):
+        within = np.mean(erf(moves / (2.0 * np.sqrt(np.maximum(own, 1e-300)))))
+        assert np.mean(np.abs(np.diff(z)) < moves) == pytest.approx(within, abs=2e-3)
+    assert np.mean(np.abs(np.diff(z)) < 1e-6) > 0.8
+    R = autocorrelation(law, 200, h)
+    for lag in (1, 10, 50, 199):
+        # what is left after a clock's progress, over all of its law
+        clock = gamma.ppf(quantiles, lag * h / leap, scale=leap)
+        assert R[lag] == pytest.approx(np.mean(np.exp(-clock / time)), abs=1e-4)
+        # leaps come some 8 times a second: 16 000 of them leave an error of 0.012
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.05)
 
 
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])

@@ -958,3 +958,39 @@ def test_a_starting_compressor_dims_a_lamp_as_its_current_runs_down() -> None:
         (course,) = prepared_rig(rig)[step.name].gain
         ratio = seen[step.name] / plain[step.name]
         assert np.abs(ratio - 1.0 - course(sample_times(step))).max() < 2e-3
+
+
+def test_a_lamp_sways_as_a_pendulum_of_its_length_from_one_record_to_the_next() -> None:
+    strength, drawn = 0.2, []
+    for seed in range(11, 19):
+        rig = replace(draw_case(seed, size="paper"), strengths={"swaying_lamp": strength})
+        size, found = strength * np.mean([s.beta for s in rig.steps]), prepared_rig(rig)
+        h, bumps = 0.05, []
+        t = np.arange(0.0, 120.0 * len(rig.steps), h)
+        light = np.zeros(len(t))
+        for k, step in enumerate(rig.steps):
+            own = (t >= 120.0 * k) & (t < 120.0 * (k + 1))
+            for course in found[step.name].offset:
+                light[own] = course(t[own] - 120.0 * k) / size
+            bumps += [120.0 * k + at for at in found[step.name].marks]
+        assert len(bumps) == 3 and np.all(light[t < bumps[0]] == 0.0)
+        # a damped pendulum, of whose light any three readings obey one recursion, but at a bump
+        free = np.ones(len(t) - 2, dtype=bool)
+        for at in bumps:
+            free &= np.abs(t[1:-1] - at) > 2.0 * h
+        free &= t[1:-1] > bumps[0]
+        columns = np.column_stack([light[1:-1], light[:-2]])[free]
+        (a, b), *_ = np.linalg.lstsq(columns, light[2:][free], rcond=None)
+        assert np.abs(columns @ [a, b] - light[2:][free]).max() < 1e-9
+        pole = np.log(np.roots([1.0, -a, -b])[0]) / h
+        length, rests = 9.81 / np.abs(pole) ** 2, -1.0 / pole.real
+        drawn.append((length, rests))
+        # the first swing, to be exact its sine before it has lost any
+        swings = (t > bumps[0]) & (t < bumps[0] + 3.0) & (t < bumps[1])
+        s = t[swings] - bumps[0]
+        expected = np.exp(-s / rests) * np.sin(np.abs(pole.imag) * s)
+        assert light[swings] == pytest.approx(expected, abs=1e-6)
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [0.49, 14.9]) and np.all(high < [2.21, 60.1]) and np.all(high > 1.5 * low)
+    # and it is added to the signal as it is
+    assert len(list(offsets(case(swaying_lamp=strength), 1e-4))) >= 2

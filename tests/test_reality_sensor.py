@@ -842,3 +842,58 @@ def test_chains_grow_from_seeds_late_and_all_at_once_against_an_ode_solver() -> 
     low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
     assert np.all(low > [0.099, 0.099, 0.99e-3]) and np.all(high < [0.351, 1.01, 0.0301])
     assert np.all(high > 1.2 * low) and weak >= 1
+
+
+def test_gas_that_lies_in_layers_leaves_evenly_and_the_longer_the_more_there_was() -> None:
+    strength, times = 0.3, []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"stacked_layers": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        time = prepared_rig(rig)["1"].stacked_time
+        times.append(time)
+        for step in rig.steps:
+            t, relative = sample_times(step), rig.relative_concentration(step)
+            x, y = (np.asarray(v[step.name] - step.y0) / step.beta for v in (plain, seen))
+            rising = t < step.tf
+            assert np.abs(y - x)[rising].max() < 1e-6
+            # sample by sample: up with the gas, down by no more than the topmost layer
+            z = np.empty(len(t))
+            z[0] = x[0]
+            for i in range(1, len(t)):
+                z[i] = max(z[i - 1] - step.interval / (relative * time), x[i])
+            assert np.abs(y - (1.0 - strength) * x - strength * z).max() < 2e-3 * strength
+            # where the rest has gone it is a straight line, which ends by itself at none
+            alone = (t > step.tf) & (x < 1e-4) & (y > 0.1 * strength)
+            if np.count_nonzero(alone) > 20:
+                slope = np.polyfit(t[alone], y[alone], 1)[0]
+                assert slope == pytest.approx(-strength / (relative * time), rel=0.02)
+                ends = t[(t > step.tf) & (y < 1e-4)]
+                if len(ends):
+                    assert relative * time < ends[0] - step.tf < relative * time + 3.0 * rig.tau_v
+    assert 1.99 < min(times) < 5.0 < max(times) < 15.01
+
+
+def test_solvent_is_washed_out_with_the_dose_and_the_first_experiment_misses_it_most() -> None:
+    strength, drawn = 0.5, []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"unwashed_pores": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        missing, doses, had = [], [], 0.0
+        for step in rig.steps:
+            relative = rig.relative_concentration(step)
+            x, y = (np.asarray(v[step.name] - step.y0) / step.beta for v in (plain, seen))
+            dose = had + relative * np.cumsum(x) * step.interval
+            shows = x > 0.5
+            missing.append(1.0 - y[shows] / x[shows])
+            doses.append(dose[shows])
+            # all that came in has left again: the cascade keeps a pulse's area
+            had += relative * (step.tf - step.t0)
+            assert dose[-1] == pytest.approx(had, rel=2e-3)
+        left, dose = np.concatenate(missing), np.concatenate(doses)
+        slope, first = np.polyfit(dose, np.log(left), 1)
+        # one exponential of the dose over all experiments and rests
+        assert np.exp(first) == pytest.approx(strength, rel=5e-3)
+        assert np.abs(np.log(left) - first - slope * dose).max() < 0.02
+        assert all(b[0] < a[0] for a, b in pairwise(missing))
+        drawn.append(-1.0 / slope / (had / len(rig.steps)))
+    assert 0.19 < min(drawn) < 0.6 < max(drawn) < 1.21

@@ -583,3 +583,33 @@ def test_a_shape_memory_wire_turns_as_a_cosine_of_its_temperature_lower_on_its_w
     quick = clean_signals(replace(rig, strengths={"shape_memory_valve": 1e-4}))
     plain = clean_signals(without_causes(rig))
     assert all(np.abs(quick[k] - plain[k]).max() < 1e-3 for k in plain)
+
+
+def test_a_plunger_that_is_sucked_shut_leaves_out_the_end_of_its_exponential() -> None:
+    for seed, strength in ((11, 0.3), (12, 0.5), (13, 0.1)):
+        rig = replace(draw_case(seed, size="small"), strengths={"slamming_plunger": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        for k, step in enumerate(rig.steps):
+            t = sample_times(step)
+            slams = step.tf + rig.tau_v * np.log(1.0 / strength)
+
+            def sucked(
+                u: tuple[float, float], x: FloatArray, step: Any = step, rig: Case = rig
+            ) -> list[float]:
+                opened = u[1] * x[0]  # the free lag, and whether the plunger is off its seat
+                gas = [step.total_flow / rig.V * (opened - x[1]), (x[1] - x[2]) / rig.tau]
+                return [(u[0] - x[0]) / rig.tau_v, *gas]
+
+            pieces = [
+                (0.0, (0.0, 1.0)), (step.t0, (1.0, 1.0)), (step.tf, (0.0, 1.0)),
+                (slams, (0.0, 0.0)),
+            ]  # fmt: skip
+            _, states = solved(rig, sucked, 3, k=k, inputs=pieces)
+            x = (seen[step.name] - step.y0) / step.beta
+            assert np.abs(x - states[:, 2]).max() < 1e-4
+            # it has opened as ever, and up to the slam it closes as ever
+            before = t < slams - 1e-3
+            assert np.abs(seen[step.name] - plain[step.name])[before].max() < 1e-5
+            # what the manifold and the sensor never get is the end of the valve's own way
+            short = np.sum(plain[step.name] - seen[step.name]) * step.interval / step.beta
+            assert short == pytest.approx(strength * rig.tau_v, rel=0.02)

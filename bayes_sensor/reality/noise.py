@@ -31,18 +31,19 @@ OPEN_LAWS = (
     "resting_ball", "drifting_balance", "sinking_crests",
     "median_of_three", "faded_phase", "charged_drops",
     "restarted_mean", "slowing_stream", "weak_reference",
+    "dry_slide", "larger_of_two", "repeated_packets",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("dry_slide", "larger_of_two", "repeated_packets")
+RESERVE_LAWS = ("railed_microphone", "three_stages", "fitful_bearing")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
     "waning", "two_paced", "drilling", "crackling_cable", "sparkling_codes",
     "startled_receiver", "bubbling_nozzle", "drifting_balance", "median_of_three",
-    "restarted_mean", "weak_reference", "repeated_packets",
+    "restarted_mean", "weak_reference", "repeated_packets", "fitful_bearing",
 )  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, changing
-loudness, readings that are shown again, and quotients"""
+loudness, readings that are shown again, leaps, and quotients"""
 MEDIAN_CORRELATION = (0.552838, 0.262352)
 """of the medians of three of white noise, a sample and two apart, by quadrature"""
 
@@ -539,6 +540,30 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             Component(1.0 - repeated, exp(own.uniform(np.log(0.02), np.log(0.2)))),
         ),
     }  # fmt: skip
+    railed, staged, leaps = (
+        own.uniform(0.05, 0.25), own.uniform(0.3, 0.8), exp(own.uniform(np.log(0.05), np.log(0.5)))
+    )  # fmt: skip
+    parts |= {
+        # a bench that rumbles more than the amplifier of its microphone can give, either way
+        "railed_microphone": (
+            Component(1.0 - railed),
+            Component(
+                railed, exp(own.uniform(np.log(0.03), np.log(0.5))), shape="clipped",
+                depth=own.uniform(0.3, 1.0),
+            ),
+        ),
+        # a receiver of three equal stages, behind which the converter adds noise of its own
+        "three_stages": (
+            Component(1.0 - staged),
+            Component(staged, exp(own.uniform(np.log(4e-3), np.log(4e-2))), shape="thrice"),
+        ),
+        # a mirror on a sticky bearing, which trembles as ever but gets on by fits and starts
+        "fitful_bearing": (
+            Component(
+                1.0, exp(own.uniform(np.log(0.01), np.log(0.1))), shape="fitful", gust_time=leaps
+            ),
+        ),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -659,6 +684,12 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
         elif part.shape == "larger":
             # of half their sum, and half the modulus of their difference
             own = (0.5 * own + (0.5 - 1.0 / pi) * _rectified_correlation(own)) / (1.0 - 1.0 / pi)
+        elif part.shape == "clipped":
+            own = _clipped_correlation(part.depth, own)
+        elif part.shape == "thrice":
+            own *= 1.0 + lags / part.time + (lags / part.time) ** 2 / 3.0
+        elif part.shape == "fitful":
+            own = (1.0 + part.gust_time / part.time) ** (-lags / part.gust_time)
         elif part.shape == "slowing":
             own = _slowing_correlation(part, lags)
         elif part.shape == "passing":
@@ -807,6 +838,21 @@ def _draw_part(
     if part.shape == "larger":
         higher: FloatArray = np.max(_remembering(rng.standard_normal((2, n)), decay), axis=0)
         return (higher - 1.0 / sqrt(pi)) / sqrt(1.0 - 1.0 / pi)
+    if part.shape == "clipped":
+        within: FloatArray = np.clip(
+            _remembering(rng.standard_normal(n), decay), -part.depth, part.depth
+        )
+        return within / sqrt(_clipped_variance(part.depth))
+    if part.shape == "thrice":
+        # long enough to be the same on a circle as on a line, to rounding
+        s = np.arange(max(n, ceil(40.0 * part.time / interval)) + 1) * (interval / part.time)
+        return _embedded(np.exp(-s) * (1.0 + s + s**2 / 3.0), rng)[:n]
+    if part.shape == "fitful":
+        passed = rng.gamma(interval / part.gust_time, part.gust_time / part.time, n)
+        kicks = _innovations(n, rng, tails)
+        kicks[1:] *= np.sqrt(-np.expm1(-2.0 * passed[1:]))
+        fits: FloatArray = _forgetting(np.exp(-passed), kicks)
+        return fits
     if part.shape == "crests":
         return _sinking(interval / part.time, n, rng)
     if part.shape == "phase":
@@ -1232,6 +1278,29 @@ def _above_a_stop(
     below = walk - free + lowest
     pushed = np.minimum(np.minimum.accumulate(below), 0.0)
     return walk - pushed, np.diff(pushed, prepend=0.0) < 0.0
+
+
+def _clipped_variance(level: float) -> float:
+    """Of a unit Gaussian that is cut off at ``level``, up and down."""
+    beyond, density = erfc(level / sqrt(2.0)), exp(-0.5 * level**2) / sqrt(2.0 * pi)
+    return float(1.0 - beyond - 2.0 * level * density + level**2 * beyond)
+
+
+def _clipped_correlation(level: float, own: FloatArray, n_angles: int = 60) -> FloatArray:
+    """Of two that are cut off at ``level`` and correlate by ``own`` (n,) before.
+
+    The second derivative of their covariance by that is the density of both at one of the levels
+    (Price, IRE Trans. Inf. Theory 4, 69, 1958), the first one at 0 the share that is within.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(n_angles)
+    # correlations as sines of angles: the density's pole at 1 goes
+    whole = np.arcsin(np.minimum(own, 1.0))
+    angle = 0.5 * whole[:, None] * (nodes + 1.0)
+    r = np.sin(angle)
+    same, other = np.exp(-(level**2) / (1.0 + r)), np.exp(-(level**2) / np.maximum(1.0 - r, 1e-15))
+    bent = (own[:, None] - r) * (same - other) @ weights * 0.5 * whole / pi
+    within = 1.0 - erfc(level / sqrt(2.0))
+    return np.asarray((within**2 * own + bent) / _clipped_variance(level))
 
 
 def _dry_correlation(lags: FloatArray) -> FloatArray:

@@ -135,6 +135,10 @@ class Component:
     ``rate`` others.  With ``dry`` it is a speed under dry friction, its variance over the friction
     squared a ``time``; with ``larger`` the larger one of two Ornstein-Uhlenbeck processes; with
     ``repeated`` (``time`` 0) a share ``depth`` of white noise is the sample before once more.
+    With ``clipped`` an Ornstein-Uhlenbeck process is cut off at ``depth`` of its rms, up and down;
+    with ``thrice`` white noise has passed three equal lags: ``exp(-s) (1 + s + s^2/3)`` with s =
+    lag/time; with ``fitful`` the clock of an Ornstein-Uhlenbeck process goes by leaps, a gamma
+    process whose variance grows by ``gust_time`` in a second's mean progress.
     """
 
     share: float
@@ -152,7 +156,8 @@ class Component:
     ``trains``, ``sparkling``, ``binomial``, ``dimmed``, ``overcorrected``, ``rectified``,
     ``stretched``, ``teeth``, ``diffused``, ``squared``, ``flapping``, ``startled``,
     ``bubbles``, ``resting``, ``balanced``, ``crests``, ``median``, ``phase``, ``passing``,
-    ``restarted``, ``slowing``, ``referred``, ``dry``, ``larger`` or ``repeated``"""
+    ``restarted``, ``slowing``, ``referred``, ``dry``, ``larger``, ``repeated``,
+    ``clipped``, ``thrice`` or ``fitful``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

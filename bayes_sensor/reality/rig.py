@@ -79,6 +79,8 @@ class Knobs:
     """share of the stroke that a hand has turned the valve open, in place of the command"""
     swept: list[tuple[float, float, float]] = field(default_factory=list)
     """(s, s it lasts, concentration over the set one): other ports that a selector goes over"""
+    slam: float = 0.0
+    """share of the stroke from which on a closing plunger is sucked shut"""
     # flows
     following: float = 0.0
     """how far the test gas really stops when the valve is shut (1: total flow falls to carrier)"""
@@ -321,6 +323,14 @@ class Knobs:
     """how much more slowly gas binds without a chain's end"""
     chains_time: float = 0.5
     """s in which the highest concentration beyond that lets chains grow by e"""
+    stacked: float = 0.0
+    """share of the response from gas that settles on itself"""
+    stacked_time: float = 5.0
+    """s in which as much of it leaves as the highest concentration has there"""
+    unwashed: float = 0.0
+    """share of the response that solvent in the pores takes away when the record begins"""
+    washing: float = 0.0
+    """per s, at which the highest concentration's response washes it out"""
     drop: Course | None = None
     """s in which gas gets into a drop on the ring, or out of it"""
     loosened: float = 0.0
@@ -558,6 +568,10 @@ class Knobs:
     """s, of one of the readings"""
     readings: FloatArray | None = None
     """(m,) s, the only times at which a logger reads; it draws lines between them"""
+    bit: float = 0.0
+    """V that the recorder's missing bit is worth"""
+    bit_zero: float = 0.0
+    """V where its code is 0"""
     pair_gain: float = 0.0
     """relative, by which every other sample's converter reads more"""
     pair_zero: float = 0.0
@@ -727,6 +741,8 @@ def voltage(
     if knobs.coarse_gain != 0:
         above = np.mod((seen - knobs.coarse_begin) / knobs.coarse_step, 1.0)
         seen = seen + knobs.coarse_gain * knobs.coarse_step * (above - 0.5)
+    if knobs.bit > 0:
+        seen = seen - knobs.bit * np.mod(np.floor((seen - knobs.bit_zero) / knobs.bit), 2.0)
     if knobs.pair_gain != 0:
         turn = np.where(np.rint(times / step.interval) % 2 == 0, -0.5, 0.5)
         seen = seen * (1.0 + knobs.pair_gain * turn) + knobs.pair_zero * turn
@@ -786,6 +802,8 @@ def _opening(case: Case, step: Step, knobs: Knobs, t: FloatArray) -> FloatArray:
     if knobs.ajar > 0:
         falling = np.exp(-np.maximum(t - knobs.ajar_until, 0.0) / tau_v)
         x = np.where(t > step.tf, np.maximum(x, knobs.ajar * falling), x)
+    if knobs.slam > 0:
+        x = np.where((t > step.tf) & (x < knobs.slam), 0.0, x)
     if knobs.authority_lost > 0:
         # pressure over the valve (flow/x)^2, over the hose flow^2, in the ratio of 1 - lost to lost
         x = x / np.sqrt(1.0 - knobs.authority_lost * (1.0 - x**2))
@@ -991,6 +1009,12 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
     if knobs.loosened > 0:
         bend = knobs.loosening_bend * relative
         x = x - knobs.loosened * stages.loosening(t, x, bend, knobs.loosening_time)
+    if knobs.stacked > 0:
+        # the highest of all lines that go down evenly from what has settled so far
+        gone = t / (relative * knobs.stacked_time)
+        x = x + knobs.stacked * (np.maximum.accumulate(x + gone) - gone - x)
+    if knobs.unwashed > 0:
+        x = x * (1.0 - knobs.unwashed * np.exp(-knobs.washing * relative * _integral(t, x)))
     if knobs.poisoning > 0:
         held = relative * _integral(t, x)
         x = knobs.alive * x * np.exp(-knobs.poisoning * held)

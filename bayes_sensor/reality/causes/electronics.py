@@ -874,7 +874,7 @@ def counted_charges(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
         knobs.charge, knobs.charge_begin = charge, rng.random()
 
 
-@cause((), "plateau", "share of the light", 0.35, reserve=True)
+@cause((), "plateau", "share of the light", 0.35)
 def drooping_clamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The receiver is coupled by a capacitor, and a clamp sets it right again now and then.
 
@@ -892,7 +892,7 @@ def drooping_clamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.marks += both_sides(clamps.tolist())
 
 
-@cause((), "plateau", "share of the step", 0.4, reserve=True)
+@cause((), "plateau", "share of the step", 0.4)
 def climbing_baseline(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The software subtracts a baseline of its own, which follows a signal down, but hardly up.
 
@@ -903,3 +903,41 @@ def climbing_baseline(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
     typical = float(np.median([step.tf - step.t0 for step in case.steps]))
     for knobs in rig.values():
         knobs.floor_climbs = s * _mean_step(case) / typical
+
+
+@cause((), "level", "share of the step", 0.35, reserve=True)
+def missing_bit(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A wire of the bus between converter and recorder is broken: one of its bits is always zero.
+
+    Wherever it should be set the reading is too low by its worth, ``s``: that climbs, leaps back,
+    and climbs over the same levels once more.
+    """
+    weight = s * _mean_step(case)
+    zero = weight * rng.uniform(-2.0, 0.0)
+    for knobs in rig.values():
+        knobs.bit, knobs.bit_zero = weight, zero
+
+
+@cause((), "spike", "share of the step", 0.6, per_experiment=True, reserve=True)
+def static_discharge(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Somebody's pullover discharges itself into a cable, whose insulation keeps charge for long.
+
+    That is given back by dipoles of every pace: as a power of the time since (Curie and von
+    Schweidler), at first ``s``, either way.  There are some such shocks in a campaign, at any time.
+    """
+    power, begins = rng.uniform(0.5, 1.0), _begins(case)
+    first, size = _between(rng, 0.2, 2.0), s * _mean_step(case)
+    n = len(case.steps) // 2 + 1
+    shocks = begins[-1] * (np.arange(n) + rng.uniform(0.05, 0.95, n)) / n
+    signs = np.where(rng.random(n) < 0.5, size, -size)
+    for begin, step in zip(begins.tolist(), case.steps, strict=False):
+
+        def charge(t: FloatArray, begin: float = begin) -> FloatArray:
+            since = begin + t - shocks[:, None]
+            back = (1.0 + np.maximum(since, 0.0) / first) ** -power
+            return np.asarray(signs @ np.where(since < 0.0, 0.0, back))
+
+        if shocks[0] < begin + step.duration:
+            rig[step.name].offset.append(charge)
+            inside = [at - begin for at in shocks if 0 < at - begin < step.duration]
+            rig[step.name].marks += both_sides(inside)

@@ -636,7 +636,7 @@ def drying_wick(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         rested = step.duration - step.tf
 
 
-@cause((), "plateau", "s", 0.6, reserve=True)
+@cause((), "plateau", "s", 0.6)
 def twin_syringes(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Two syringes bring the test gas by turns, and their nut has play.
 
@@ -661,3 +661,24 @@ def twin_syringes(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         inside = (edges > step.t0) & (edges < step.tf)
         rig[step.name].marks += both_sides(edges[inside].tolist())
         gone += q * lasts
+
+
+@cause((), "ripple", "relative", 0.9, reserve=True)
+def squeezed_bag(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The test gas is pressed out of a bag by hand, one squeeze after the other.
+
+    Each begins with ``s`` too much flow, and ends with as much too little since the fingers give
+    way evenly.  The hand keeps no time, but minds that every squeeze brings what its time should.
+    """
+    mean = _between(rng, 1.2, 6.0)
+    for step in case.steps:
+        n = int(np.ceil((step.duration - step.t0) / (0.5 * mean))) + 1
+        begins = step.t0 + np.concatenate([[0.0], np.cumsum(mean * rng.uniform(0.5, 1.5, n))])
+
+        def flow(t: FloatArray, begins: FloatArray = begins) -> FloatArray:
+            k = np.clip(np.searchsorted(begins, t, side="right") - 1, 0, len(begins) - 2)
+            share = (t - begins[k]) / (begins[k + 1] - begins[k])
+            return np.where(t < begins[0], 1.0, 1.0 + s * (1.0 - 2.0 * share))
+
+        rig[step.name].test_gas.append(flow)
+        rig[step.name].marks += both_sides(begins[begins < step.duration].tolist())

@@ -500,7 +500,7 @@ def worn_sampling_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case
         knobs.marks += both_sides(edges[inside].tolist())
 
 
-@cause((), "fall", "of V", 1.5, near=("dead_volume", "valve_asymmetry"), reserve=True)
+@cause((), "fall", "of V", 1.5, near=("dead_volume", "valve_asymmetry"))
 def flushed_backwards(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A four-way valve turns the stream round when the test gas is shut off, to flush backwards.
 
@@ -510,3 +510,29 @@ def flushed_backwards(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
     """
     for knobs in rig.values():
         knobs.flushed_back = s
+
+
+@cause((), "plateau", "relative", 0.3, per_experiment=True, reserve=True)
+def neighbours_airlock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The cell is pumped, and on the same line a neighbour now and then pumps down his airlock.
+
+    Of a sudden the pressure is ``s`` too high, at most, and falls as the pump empties the lock.
+    The ring feels the test gas's partial pressure; and since the controllers meter mass, the denser
+    gas takes longer to go through the manifold.
+    """
+    pumping, certain = _between(rng, 1.5, 9.0), int(rng.integers(len(case.steps)))
+    for k, step in enumerate(case.steps):
+        at = step.t0 + rng.uniform(0.1, 0.9) * (step.tf - step.t0)
+        size = s if k == certain else s * rng.uniform(0.3, 1.0)
+        if k != certain and rng.random() < 0.3:
+            continue
+
+        def beyond(t: FloatArray, at: float = at, size: float = size) -> FloatArray:
+            return np.where(t < at, 0.0, size * np.exp(-np.maximum(t - at, 0.0) / pumping))
+
+        def thinner(t: FloatArray, beyond: Course = beyond) -> FloatArray:
+            return np.asarray(1.0 / (1.0 + beyond(t)))
+
+        rig[step.name].concentration_gain.append(beyond)
+        rig[step.name].all_flow.append(thinner)
+        rig[step.name].marks += both_sides([at])

@@ -785,10 +785,7 @@ def dripping_ceiling(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         rig[step.name].marks += inside[inside > 0.0].tolist()
 
 
-@cause(
-    (), "drift", "share of the step", 0.25, near=("baseline_drift",), per_experiment=True,
-    reserve=True,
-)  # fmt: skip
+@cause((), "drift", "share of the step", 0.25, near=("baseline_drift",), per_experiment=True)
 def creeping_sunbeam(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A sunbeam through a gap of the blind creeps across the photodiode, and adds ``s`` at most.
 
@@ -821,7 +818,7 @@ def creeping_sunbeam(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
             rig[step.name].marks += inside
 
 
-@cause((), "spike", "share of the light", 0.5, reserve=True)
+@cause((), "spike", "share of the light", 0.5)
 def compressor_on_mains(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The light is a halogen lamp's, and a neighbour's compressor pulls down the mains it is on.
 
@@ -856,3 +853,25 @@ def compressor_on_mains(rig: Rig, s: float, rng: np.random.Generator, case: Case
         rig[step.name].gain.append(light)
         edges = np.concatenate([starts, stops]) - begin
         rig[step.name].marks += edges[(edges > 0.0) & (edges < step.duration)].tolist()
+
+
+@cause((), "drift", "share of the step", 0.25, per_experiment=True, reserve=True)
+def swaying_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Somebody bumps his head on the pendent lamp, which sways and comes to rest.
+
+    Its light on the photodiode comes and goes with it, by ``s`` at first: as slowly as a pendulum
+    of its length is, and less and less.  It sways on while a record ends and the next one begins.
+    """
+    omega, rests = float(np.sqrt(9.81 / rng.uniform(0.5, 2.2))), _between(rng, 15.0, 60.0)
+    begins, size = _begins(case), s * _mean_step(case)
+    bumps = begins[-1] * (np.arange(3) + rng.uniform(0.1, 0.9, 3)) / 3.0
+    turning = omega * np.sqrt(1.0 - 1.0 / (omega * rests) ** 2)
+    for begin, step in zip(begins.tolist(), case.steps, strict=False):
+
+        def light(t: FloatArray, begin: float = begin) -> FloatArray:
+            since = np.maximum(begin + t - bumps[:, None], 0.0)
+            return np.asarray(size * (np.exp(-since / rests) * np.sin(turning * since)).sum(axis=0))
+
+        if bumps[0] < begin + step.duration:
+            rig[step.name].offset.append(light)
+            rig[step.name].marks += [at - begin for at in bumps if 0 < at - begin < step.duration]

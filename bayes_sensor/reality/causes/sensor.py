@@ -452,7 +452,7 @@ def drying_drop(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
                 rig[step.name].marks.append(gone - begin)
 
 
-@cause((), "tail", "share of the highest step", 0.4, near=("slow_sorption",), reserve=True)
+@cause((), "tail", "share of the highest step", 0.4, near=("slow_sorption",))
 def cooperative_chains(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Amines in the coating's pores bind the gas in chains, each link of which eases the next one.
 
@@ -466,3 +466,31 @@ def cooperative_chains(rig: Rig, s: float, rng: np.random.Generator, case: Case)
     for knobs in rig.values():
         knobs.chains, knobs.chains_level = s, level
         knobs.chains_seeds, knobs.chains_time = seeds, time
+
+
+@cause((), "tail", "share", 0.4, near=("slow_sorption", "sorption_asymmetry"), reserve=True)
+def stacked_layers(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Gas settles on itself on part of the coating, and only what lies on top can leave.
+
+    That many molecules at any time, however many wait below: their share ``s`` of the response goes
+    down evenly (desorption of order zero), and the longer, the more gas there was.  It settles as
+    fast as it comes, which is why a rise does not show it.
+    """
+    time = _between(rng, 2.0, 15.0)
+    for knobs in rig.values():
+        knobs.stacked, knobs.stacked_time = s, time
+
+
+@cause((), "plateau", "share of the response", 0.7, reserve=True)
+def unwashed_pores(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A fresh coating's pores still hold the solvent it was made in, which test gas washes out.
+
+    ``s`` of the response is missing at first, and any molecule of it is as likely to go at any
+    time that gas is there: the first experiment sees most of that, the others ever less.
+    """
+    doses = [case.relative_concentration(step) * (step.tf - step.t0) for step in case.steps]
+    rate, had = 1.0 / (_between(rng, 0.2, 1.2) * float(np.mean(doses))), 0.0
+    for step, dose in zip(case.steps, doses, strict=True):
+        knobs = rig[step.name]
+        knobs.unwashed, knobs.washing = s * float(np.exp(-rate * had)), rate
+        had += dose

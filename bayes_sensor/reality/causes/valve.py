@@ -7,6 +7,7 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.causes.cause import Causes, Rig, _between, _sign
 from bayes_sensor.reality.records import Case
+from bayes_sensor.reality.rig import both_sides
 
 CAUSES = Causes()
 cause = CAUSES.cause
@@ -298,7 +299,7 @@ def sweeping_selector(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.marks += [switch + place * s for switch in (step.t0, step.tf)]
 
 
-@cause((), "delay", "s", 7.5, near=("finite_stroke", "valve_asymmetry"), reserve=True)
+@cause((), "delay", "s", 7.5, near=("finite_stroke", "valve_asymmetry"))
 def shape_memory_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A wire of nitinol pulls the valve open when a current warms it, and lets go as it cools.
 
@@ -326,3 +327,16 @@ def shape_memory_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         down = s * float(np.log((ends - lower) / (begins - lower)))
         rig[step.name].wheel = opened
         rig[step.name].marks += [at for at in (step.t0 + up, step.tf + down) if at < step.duration]
+
+
+@cause((), "fall", "share of the stroke", 0.6, near=("valve_asymmetry",), reserve=True)
+def slamming_plunger(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The stream sucks the plunger on to its seat, which it meets with a slam, as water taps do.
+
+    The narrower the gap is, the faster the gas in it and the lower its pressure: from the share
+    ``s`` of the stroke on nothing holds the plunger any more.  Opening it is lifted off as ever.
+    """
+    for step in case.steps:
+        at = step.tf - case.tau_v * float(np.log(s))
+        rig[step.name].slam = s
+        rig[step.name].marks += both_sides([at]) if at < step.duration else []
