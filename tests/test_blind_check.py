@@ -859,16 +859,16 @@ def test_no_threshold_of_unlisted_meets_what_is_wanted_of_strong_causes() -> Non
         for d in (8, 16):
             assert found[f"{name}_{d}"].is_monotonic_increasing
             assert found[f"family_{d}"].is_monotonic_decreasing
-    # as the page says: outright the goals at 16 exclude each other, by the rule one of two fifths
-    # just meets both, by less than one campaign; at 8 one of a third nearly does
+    # as the page says: the goals at 16 exclude each other, though by the rule two fifths comes
+    # within two campaigns of both; at 8 one of a third nearly meets both
     right = found["family_16"] >= bounds["right family at d = 16"]
     wanted = bounds["unlisted flagged at d = 16"]
-    assert not (right & (found["flagged_16"] >= wanted)).any()
-    by_the_rule = found[right & (found["fairly_16"] >= wanted)]
-    assert by_the_rule["threshold"].tolist() == [0.4]
+    assert not (right & (found["fairly_16"] >= wanted)).any()
     cases = sealed_cases()
     strong = (cases["kind"] == "unlisted") & (cases["d_level"] == 16)
-    assert by_the_rule["fairly_16"].item() - wanted < 1.0 / strong.sum()
+    nearest = found[right].iloc[-1]
+    assert nearest["threshold"] == 0.4
+    assert strong.sum() * (wanted - nearest["fairly_16"]) < 2.0
     short = (bounds["unlisted flagged at d = 8"] - found["flagged_8"]).clip(lower=0.0)
     short += (bounds["right family at d = 8"] - found["family_8"]).clip(lower=0.0)
     assert 0.25 < found["threshold"][short.idxmin()] < 0.4 and short.min() < 0.03
@@ -882,7 +882,7 @@ def test_drifts_of_gain_were_wrong_as_often_as_the_page_says() -> None:
     assert 1 / 3 < wrong.mean() < 0.4  # more than a third
     assert (led[wrong]["kind"] == "unlisted").mean() > 0.9
     by_verdict = wrong.groupby(led["verdict"]).mean()
-    assert 0.09 < by_verdict["effect"] < 0.17  # one in eight
+    assert 0.14 < by_verdict["effect"] < 0.19  # one in six
     assert 0.4 < by_verdict["family"] < 0.5  # nearly half
 
 

@@ -233,13 +233,16 @@ def thresholds(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 
     A listed cause whose family is the likeliest, but that would be called unlisted instead, counts
     as right where the oracle cannot tell its family either, as the goals do.  ``nulls``: share of
-    the faultless campaigns that would be called unlisted.
+    the faultless campaigns that would be called unlisted.  The first threshold is the diagnosis's
+    own: what was stated stands, also where something else was likelier than unlisted after all.
     """
     found = []
+    stated = THRESHOLDS[0]
     for threshold in THRESHOLDS:
         moved = []
         for row in rows:
-            if row["verdict"] != "unlisted" and row["looks_unlisted"] > threshold:
+            flagged = row["verdict"] == "unlisted"
+            if threshold < stated and not flagged and row["looks_unlisted"] > threshold:
                 vague = row["kind"] != "null" and row["isolability_family"] < SEPARABLE_ABOVE
                 row = {**row, "verdict": "unlisted", "family_or_abstained": vague}
             moved.append(row)
