@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from scipy.special import ndtr
 from scipy.stats import binom
 
-from bayes_sensor.blind_check import card_table, make_card, read_rows, table
+from bayes_sensor.blind_check import card_table, make_card, read_rows, table, wilson
 from bayes_sensor.blind_check.score import oracle_share
 from bayes_sensor.blind_check.statistics import average, roc
 from bayes_sensor.figures import svg
@@ -374,7 +374,12 @@ def test_p_values_raise_no_more_alarms_than_they_say_and_see_most_gaps() -> None
         if row["d"] < 32.0:  # there the size alone shows nearly all
             assert row["whole"]["k"] >= row["size"]["k"]
         if row["d"] >= 8.0:
-            assert row["whole"]["lo95"] > 0.7 and row["whole"]["n"] > 40
+            assert row["whole"]["rate"] > 0.7 and row["whole"]["n"] > 40
+    # of one run no more than chance allows, over the sealed runs more closely
+    with_cause = every[(every["in_bins"].astype(str) == "True") & every["gap_p"].notna()]
+    for d in (8.0, 16.0, 32.0):
+        told = with_cause[with_cause["d_level"] == d]["gap_p"]
+        assert len(told) > 300 and wilson(int((told < 0.05).sum()), len(told))[0] > 0.75
     eight = next(row for row in part["seen"] if row["d"] == 8.0)
     assert eight["size"]["hi95"] < 0.25  # which is why the courses are looked along
 

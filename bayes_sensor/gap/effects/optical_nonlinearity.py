@@ -31,7 +31,7 @@ EFFECT = Effect(
         Form(_cubic, lambda v, s: dict(v), name="cubic", weight=0.5),
     ),
     plausible={"curvature": 0.02},
-    null={"curvature": 0.0},
+    null={"curvature": 0.0, "cubic": 0.0},
     reference="Lorentzian line shape; bayes_sensor.readout",
     reveal="plateaus at several known concentrations",
 )
