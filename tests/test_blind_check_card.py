@@ -375,11 +375,13 @@ def test_p_values_raise_no_more_alarms_than_they_say_and_see_most_gaps() -> None
             assert row["whole"]["k"] >= row["size"]["k"]
         if row["d"] >= 8.0:
             assert row["whole"]["rate"] > 0.7 and row["whole"]["n"] > 40
-    # of one run no more than chance allows, over the sealed runs more closely
+    # over the sealed runs more closely, and of this one no fewer than chance allows
     with_cause = every[(every["in_bins"].astype(str) == "True") & every["gap_p"].notna()]
     for d in (8.0, 16.0, 32.0):
         told = with_cause[with_cause["d_level"] == d]["gap_p"]
         assert len(told) > 300 and wilson(int((told < 0.05).sum()), len(told))[0] > 0.75
+        seen = next(row["whole"] for row in part["seen"] if row["d"] == d)
+        assert binom.cdf(seen["k"], seen["n"], (told < 0.05).mean()) > 0.01
     eight = next(row for row in part["seen"] if row["d"] == 8.0)
     assert eight["size"]["hi95"] < 0.25  # which is why the courses are looked along
 

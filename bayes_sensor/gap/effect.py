@@ -114,6 +114,11 @@ class Setting:
     """s, median record length"""
 
 
+def spread_of_times(name: str) -> Strength:
+    """By how much half of what is spread over several time constants is slower or faster."""
+    return Strength(name, "1", "log_normal", 3.0, 0.4, limits=(1.01, 30.0))
+
+
 Settings = Callable[[Mapping[str, float], Setting], Mapping[str, float]]
 
 

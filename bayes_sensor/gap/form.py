@@ -21,8 +21,6 @@ from bayes_sensor.gap.which import Hypothesis, Weighing
 OTHER_FORM = 0.2
 """share of an effect's size that its form may leave: by the law of how far
 (:data:`~bayes_sensor.gap.how_far.INEXACT`) 98 of 100 leave less"""
-
-
 OFF_FOR_A_WHILE = ("patch", "break")
 """findings in what an explanation leaves of the mean"""
 

@@ -5,7 +5,7 @@ spread of time constants, for walls are of several materials and hold gas at sev
 cannot be less than nothing: a record that begins too low has another cause, such as a drift.
 """
 
-from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
+from bayes_sensor.gap.effect import Effect, Form, Setting, Strength, spread_of_times
 
 
 def _carry(own: bool) -> tuple[Strength, ...]:
@@ -24,8 +24,7 @@ def _slow(s: Setting) -> tuple[Strength, ...]:
 
 
 def _spread(s: Setting) -> tuple[Strength, ...]:
-    spread = Strength("carry_spread", "1", "log_normal", 3.0, 0.4, limits=(1.01, 30.0))
-    return (*_slow(s), spread)
+    return (*_slow(s), spread_of_times("carry_spread"))
 
 
 _STARTS = ({"carry_time*": 4.0}, {"carry_time*": 20.0})

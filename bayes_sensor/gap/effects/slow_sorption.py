@@ -5,7 +5,7 @@ part of a valve (``two_rate_valve``), and no step experiment separates the two. 
 have a spread of time constants.
 """
 
-from bayes_sensor.gap.effect import Effect, Form, Setting, Strength
+from bayes_sensor.gap.effect import Effect, Form, Setting, Strength, spread_of_times
 
 
 def _strengths(s: Setting) -> tuple[Strength, ...]:
@@ -16,8 +16,7 @@ def _strengths(s: Setting) -> tuple[Strength, ...]:
 
 
 def _spread(s: Setting) -> tuple[Strength, ...]:
-    spread = Strength("slow_site_spread", "1", "log_normal", 3.0, 0.4, limits=(1.01, 30.0))
-    return (*_strengths(s), spread)
+    return (*_strengths(s), spread_of_times("slow_site_spread"))
 
 
 _STARTS = (
