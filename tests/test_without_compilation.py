@@ -105,11 +105,22 @@ for seed, (name, cause) in enumerate(sorted(CAUSES.items())):
     clean = clean_signals(case, {s.name: np.linspace(0.0, s.duration, 25) for s in case.steps})
     say(*clean.values())
 """,
+    "squares": """
+from bayes_sensor.gap.squares import carry_on, normal_equations, whiten
+rng = np.random.RandomState(2)
+ends, places = np.array([0, 3, 5]), np.array([[0, 1, 2], [0, 3, -1]])
+factors, values = rng.normal(size=13), rng.normal(size=(5, 3))
+say(whiten(factors, ends, values), whiten(factors, ends, values[:, 0].copy()))
+values[3:, 2] = 0.0
+say(*normal_equations(values, rng.normal(size=5), ends, places, 4))
+carry_on(values, rng.normal(size=5), rng.normal(size=4), np.ones(4), ends, places)
+say(values)
+""",
     "rig": """
 from bayes_sensor.gap import CATALOGUE
 from bayes_sensor.gap.model import with_effects
 from bayes_sensor.gap.refit import coating_modes
-from bayes_sensor.gap.rig import FIRST, INDEX, campaign_means, rig_means, settings_vector
+from bayes_sensor.gap.rig import FIRST, INDEX, campaign_means, moved_means, settings_vector
 times = np.sort(np.random.default_rng(1).uniform(0.0, 20.0, 24))
 first = [0.05, 0.8, 0.6, 0.1, 1.5, 2.0, 9.0, 0.3, 0.0, 10.0]
 neutral = np.concatenate([first, settings_vector({})])
@@ -120,11 +131,12 @@ rigs[3][6] = 1e30
 rigs[4][5] = 30.0
 bins = times[::3] - 0.01, times[2::3] + 0.01
 weights, starts = np.full(24, 1.0 / 3.0), np.arange(0, 24, 3)
-say(rig_means(times, weights, starts, *bins, np.stack([neutral, *rigs]), *coating_modes()))
 twice = np.concatenate([times, times]), np.concatenate([weights, weights]), np.tile(starts, 2)
 ends = np.array([0, 24, 48]), np.array([0, 8, 16])
 twice = (*twice, *(np.tile(b, 2) for b in bins))
 say(campaign_means(*twice, *ends, np.stack(rigs[:2]), *coating_modes()))
+moved = np.stack([neutral, *rigs, *rigs[:3]]), np.array([0, 6, 9])
+say(moved_means(*twice, *ends, *moved, *coating_modes()))
 for name, effect in CATALOGUE.items():
     for form in effect.forms:
         text = f"{name}:{form.name}" if form.name else name

@@ -71,6 +71,11 @@ class ExperimentBins:
         t, half = self.experiment.t, 0.5 * self.experiment.interval
         return t[self.first] - half, t[self.last - 1] + half
 
+    @cached_property
+    def alone(self) -> AllBins:
+        """These bins, as the kernel takes them."""
+        return AllBins.of([self])
+
     @property
     def count(self) -> NDArray[np.int64]:
         """(n_bins,) samples in each bin."""

@@ -31,7 +31,7 @@ def courses(base: Refit, catalogue: Mapping[str, Effect]) -> FloatArray:
     those that the refit takes up nearly whole are left out.
     """
     leverage, sketch = Leverage.of(base), base.plan.sketch
-    here = base.plan.means(base.x)
+    here = base.plan.all_means(base.x)
     found = [np.zeros((0, sketch.n_bins))]
 
     def add(whole: FloatArray) -> None:

@@ -308,8 +308,9 @@ def of_places(
     alone = float(struck(each, STRUCK).sum())
     alike: dict[Hashable, float] = {}
     for logs in found:
-        for kind, value in logs.items():
-            alike[kind] = alike.get(kind, 0.0) + float(struck(np.array(value), STRUCK))
+        spared_or_not = struck(np.array(list(logs.values())), STRUCK).tolist()
+        for kind, value in zip(logs, spared_or_not, strict=True):
+            alike[kind] = alike.get(kind, 0.0) + value
     together = float(logsumexp(list(alike.values()))) - np.log(len(alike)) if alike else 0.0
     first = max(clearest, key=lambda p: p.size, default=Place(0, 0.0, 0.0))
     odds = each + np.log(STRUCK / (1.0 - STRUCK))

@@ -250,8 +250,8 @@ def look_for_breaks(found: Refit, tail: float = np.inf) -> FullRate:
     for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
         shapes, spans = _changes(b.falling)
         templates = sketch.inverse_factors[k] @ shapes
-        inside = found.jacobians[k].T @ templates
         columns = plan.columns(k)
+        inside = found.derivatives[rows, : len(columns)].T @ templates
         own = covariance[np.ix_(columns, columns)]
         whole = np.sum(templates**2, axis=0)
         left = whole - np.sum(inside * (own @ inside), axis=0)

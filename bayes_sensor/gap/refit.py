@@ -11,10 +11,11 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from math import exp, inf, log
+from math import exp, inf, isfinite, log
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.gap.bins import AllBins, ExperimentBins
@@ -35,10 +36,11 @@ from bayes_sensor.gap.rig import (
     TF,
     Y0,
     campaign_means,
+    moved_means,
     rig_mean,
-    rig_means,
     rig_response,
 )
+from bayes_sensor.gap.squares import carry_on, normal_equations, whiten
 
 FASTER = 0.3
 """the sensor's time constant is below the valve's by at least this in the logarithm"""
@@ -111,10 +113,14 @@ class Sketch:
         """The bins of all experiments, one after the other."""
         return AllBins.of(self.bins)
 
-    def whitened(self, differences: Sequence[FloatArray]) -> FloatArray:
-        """(n_bins in all,) differences V (n_bins,) of every experiment over the floor."""
-        pairs = zip(self.inverse_factors, differences, strict=True)
-        return np.concatenate([factor @ d for factor, d in pairs])
+    @cached_property
+    def _flat_factors(self) -> FloatArray:
+        return np.concatenate([factor.ravel() for factor in self.inverse_factors])
+
+    def whitened(self, differences: FloatArray) -> FloatArray:
+        """Differences V (n_bins in all,) or (n_bins in all, m) over the floor."""
+        made: FloatArray = whiten(self._flat_factors, self.all_bins.of_bins, differences)
+        return made
 
     @cached_property
     def rows(self) -> list[slice]:
@@ -492,16 +498,31 @@ class Plan:
 
     def binned(self, x: FloatArray, k: int) -> FloatArray:
         """V (n_bins,), mean of each bin of experiment ``k``."""
-        p, own = self.rig(x, k)
-        if own is not None:
+        if self.own_mean:
             return self.sketch.bins[k].reduce(self.mean(x, k))
-        bins = self.sketch.bins[k]
-        made: FloatArray = _means(bins, np.stack((p, p)))[0]
+        p, _ = self.rig(x, k)
+        made: FloatArray = campaign_means(*self.sketch.bins[k].alone, p[None], *coating_modes())
         return made
 
     def means(self, x: FloatArray) -> list[FloatArray]:
         """V (n_bins,) of every experiment, mean of each of its bins."""
-        n = len(self.sketch.bins)
+        made = self.all_means(x)
+        return [made[rows] for rows in self.sketch.rows]
+
+    def all_means(self, x: FloatArray) -> FloatArray:
+        """V (n_bins in all,), the same of all experiments, one after the other."""
+        if self.own_mean:
+            return np.concatenate([self.binned(x, k) for k in range(len(self.sketch.bins))])
+        made: FloatArray = campaign_means(*self.sketch.all_bins, self._rigs(x), *coating_modes())
+        return made
+
+    @cached_property
+    def own_mean(self) -> bool:
+        """Whether a form gives the mean voltage itself, as a user's own may."""
+        return any(part.form.mean is not None for part in self.parts)
+
+    def _rigs(self, x: FloatArray) -> FloatArray:
+        """(n_experiments, n_parameters) of the kernel."""
         rigs = self._fixed.copy()
         rigs[:, TAU], rigs[:, TAU_V], volume = _lags(*x[:SHARED].tolist())
         rigs[:, TAU_M] = volume / self._flows
@@ -510,14 +531,11 @@ class Plan:
             rigs[:, name] = x[first + i]
         rigs[self._falls, TF] = x[first[self._falls] + 3]
         strengths = self.values(x, 0) if self.parts else []
-        for k in range(n) if self.parts else ():
+        for k in range(len(rigs)) if self.parts else ():
             if k and self.own:
                 strengths = self.values(x, k)
-            if self._set(rigs[k], strengths, k) is not None:
-                return [self.binned(x, k) for k in range(n)]
-        bins = self.sketch.all_bins
-        made = campaign_means(*bins, rigs, *coating_modes())
-        return [made[rows] for rows in self.sketch.rows]
+            self._set(rigs[k], strengths, k)
+        return rigs
 
     def columns(self, k: int) -> NDArray[np.int64]:
         """Coordinates that experiment ``k`` depends on."""
@@ -529,11 +547,6 @@ class Plan:
         return [
             np.concatenate([shared, np.arange(a, b)]) for a, b in itertools.pairwise(self.local)
         ]
-
-    @cached_property
-    def blocks(self) -> list[tuple[NDArray[np.int64], ...]]:
-        """Where the products of each experiment's :meth:`columns` stand in an (n, n) matrix."""
-        return [np.ix_(columns, columns) for columns in self._columns]
 
     @cached_property
     def steps(self) -> FloatArray:
@@ -580,61 +593,78 @@ class Plan:
             found += [at + 2, at + 3] if fall else [at + 2]
         return np.array(found, dtype=np.int64)
 
-    def jacobian(self, x: FloatArray, k: int, here: FloatArray, finer: float = 1.0) -> FloatArray:
-        """(n_bins, n_columns) whitened derivatives of experiment ``k``'s bin means.
+    @cached_property
+    def places(self) -> NDArray[np.int64]:
+        """(n_experiments, n_columns) coordinate of every column of :meth:`derivatives`, or -1."""
+        found = np.full((len(self._columns), max(map(len, self._columns))), -1, dtype=np.int64)
+        for row, columns in zip(found, self._columns, strict=True):
+            row[: len(columns)] = columns
+        return found
 
-        ``finer``: factor on the steps of the differences.
+    def derivatives(self, x: FloatArray, here: FloatArray, finer: float = 1.0) -> FloatArray:
+        """(n_bins in all, n_columns) whitened derivatives of the bins' means, which are ``here`` V.
+
+        By every coordinate that an experiment depends on, see :attr:`places`.  ``finer``: factor on
+        the steps of the differences.
         """
-        columns = self.columns(k)
         steps = finer * self.steps
-        p, own = self.rig(x, k)
-        if own is None:
-            means = _means(self.sketch.bins[k], self._moved(x, k, p, steps))
+        if self.own_mean:
+            means = self._moved_own_means(x, steps)
         else:
-            moved = np.array(x)
-            means = np.empty((len(columns), len(here)))
-            for i, c in enumerate(columns):
-                moved[c] += steps[c]
-                means[i] = self.binned(moved, k)
-                moved[c] = x[c]
-        return self.sketch.inverse_factors[k] @ ((means - here) / steps[columns][:, None]).T
+            means = moved_means(
+                *self.sketch.all_bins, self._moved(x, steps), self._of_rigs, *coating_modes()
+            )
+        means -= here[:, None]
+        for rows, columns in zip(self.sketch.rows, self._columns, strict=True):
+            means[rows, : len(columns)] /= steps[columns]
+            means[rows, len(columns) :] = 0.0
+        return self.sketch.whitened(means)
 
-    def _moved(self, x: FloatArray, k: int, p: FloatArray, steps: FloatArray) -> FloatArray:
-        """(1 + n_columns, n_parameters): rig ``p`` at ``x``, and with each coordinate moved."""
-        columns = self.columns(k)
-        rigs = np.empty((1 + len(columns), len(p)))
-        rigs[:] = p
-        n = len(self.shared)
+    def _moved_own_means(self, x: FloatArray, steps: FloatArray) -> FloatArray:
+        means = np.empty((self.sketch.n_bins, self.places.shape[1]))
+        moved = np.array(x)
+        for k, rows in enumerate(self.sketch.rows):
+            for i, c in enumerate(self._columns[k]):
+                moved[c] += steps[c]
+                means[rows, i] = self.binned(moved, k)
+                moved[c] = x[c]
+        return means
+
+    @cached_property
+    def _of_rigs(self) -> NDArray[np.int64]:
+        # (n_experiments + 1,) first row of each in what :meth:`_moved` makes, and their number
+        return np.cumsum([0, *(1 + len(columns) for columns in self._columns)])
+
+    def _moved(self, x: FloatArray, steps: FloatArray) -> FloatArray:
+        """(n_rows, n_parameters): every experiment's rig, and with each coordinate moved."""
+        n = SHARED + len(self.shared)
+        first = self._of_rigs[:-1]
+        rigs = np.repeat(self._rigs(x), np.diff(self._of_rigs), axis=0)
         (x0, x1, x2), (h0, h1, h2) = x[:SHARED].tolist(), steps[:SHARED].tolist()
-        rigs[1, TAU], _, _ = _lags(x0 + h0, x1, x2)
-        rigs[2, TAU], rigs[2, TAU_V], _ = _lags(x0, x1 + h1, x2)
-        rigs[3, TAU_M] = _lags(x0, x1, x2 + h2)[2] / self._flows[k]
-        first = 1 + SHARED + n
-        for i, name in enumerate((Y0, BETA, T0, TF)[: 4 if self._falls[k] else 3]):
-            at = columns[first - 1 + i]
-            rigs[first + i, name] = x[at] + steps[at]
-        strengths = self.values(x, k)
-        for part, s, c in self._fitted[k]:
-            row = 1 + c if c < SHARED + n else first + c - self.local[k]
-            here = strengths[part][s.name]
-            strengths[part][s.name] = s.value(float(x[c] + steps[c]))
-            rigs[row, FIRST:] = NEUTRAL  # what depends on strengths is theirs to say
-            self._set(rigs[row], strengths, k)
-            strengths[part][s.name] = here
+        rigs[first + 1, TAU], _, _ = _lags(x0 + h0, x1, x2)
+        rigs[first + 2, TAU], rigs[first + 2, TAU_V], _ = _lags(x0, x1 + h1, x2)
+        rigs[first + 3, TAU_M] = _lags(x0, x1, x2 + h2)[2] / self._flows
+        moved = x + steps
+        for i, name in enumerate((Y0, BETA, T0)):
+            rigs[first + 1 + n + i, name] = moved[self._first + i]
+        rigs[first[self._falls] + 4 + n, TF] = moved[self._first[self._falls] + 3]
+        for k, fitted in enumerate(self._fitted):
+            if not fitted:
+                continue
+            strengths = self.values(x, k)
+            for part, s, c in fitted:
+                row = first[k] + 1 + (c if c < n else n + c - self.local[k])
+                here = strengths[part][s.name]
+                strengths[part][s.name] = s.value(float(moved[c]))
+                rigs[row, FIRST:] = NEUTRAL  # what depends on strengths is theirs to say
+                self._set(rigs[row], strengths, k)
+                strengths[part][s.name] = here
         return rigs
 
 
 def _lags(x0: float, x1: float, x2: float) -> tuple[float, float, float]:
     # tau s, tau_v s and V mL of the shared coordinates, kept within what the kernel can bear
     return exp(max(x1 - FASTER - x0, -60.0)), exp(min(x1, 40.0)), exp(min(x2, 60.0))
-
-
-def _means(bins: ExperimentBins, rigs: FloatArray) -> FloatArray:
-    # V (n_rigs - 1, n_bins), mean of each bin for every row of ``rigs`` but the first
-    made: FloatArray = rig_means(
-        bins.times, bins.weights, bins.starts, *bins.edges, rigs, *coating_modes()
-    )
-    return made
 
 
 @dataclass(frozen=True, eq=False)
@@ -655,20 +685,20 @@ class Refit:
         return float(self.residual @ self.residual)
 
     @cached_property
-    def jacobians(self) -> tuple[FloatArray, ...]:
-        """Whitened derivatives of each experiment by its columns, worked out when asked for.
+    def derivatives(self) -> FloatArray:
+        """(n_bins in all, n_columns) :meth:`Plan.derivatives`, worked out when asked for.
 
         Always by the usual differences, which smooth over the bins' nodes: evidences rest on them.
         """
-        plan, x = self.plan, self.x
-        return tuple(plan.jacobian(x, k, here) for k, here in enumerate(plan.means(x)))
+        return self.plan.derivatives(self.x, self.plan.all_means(self.x))
 
     @cached_property
     def jacobian(self) -> FloatArray:
         """(n_bins in all, n) dense."""
         made = np.zeros((len(self.residual), self.plan.size))
-        for k, (rows, j) in enumerate(zip(self.plan.sketch.rows, self.jacobians, strict=True)):
-            made[rows, self.plan.columns(k)] = j
+        for k, rows in enumerate(self.plan.sketch.rows):
+            columns = self.plan.columns(k)
+            made[rows, columns] = self.derivatives[rows, : len(columns)]
         return made
 
     @property
@@ -741,12 +771,6 @@ class Refit:
         return made
 
 
-def _penalty(plan: Plan, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    matrix = plan.own_prior_matrix
-    away = x - plan.prior_centre
-    return float(away @ matrix @ away), matrix @ away, matrix
-
-
 def refit(
     plan: Plan,
     start: FloatArray,
@@ -769,42 +793,40 @@ def refit(
     The derivatives are carried on by Broyden's rule as long as steps gain about what they promise.
     """
     sketch = plan.sketch
-    measured = sketch.data if data is None else data
-    n_e = len(measured)
+    of_bins = sketch.all_bins.of_bins
+    measured = np.concatenate(sketch.data if data is None else data)
+    centre, prior = plan.prior_centre, plan.own_prior_matrix
     x = np.maximum(start, plan.lowest)
 
-    def evaluate(at: FloatArray) -> tuple[list[FloatArray], FloatArray, float]:
-        means = plan.means(at)
-        residual = sketch.whitened([y - m for y, m in zip(measured, means, strict=True)])
-        total = float(residual @ residual) + _penalty(plan, at)[0]
-        return means, residual, total if np.isfinite(total) else inf
+    def evaluate(at: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        means, away = plan.all_means(at), at - centre
+        residual = sketch.whitened(measured - means)
+        total = float(residual @ residual) + float(away @ prior @ away)
+        return means, residual, total if isfinite(total) else inf
 
     means, residual, objective = evaluate(x)
     damping, converged, finer = 1e-3, False, 1.0
-    jacobians: list[FloatArray] = []
+    derivatives: FloatArray | None = None
     hopeless = min([enough, *(other.objective + FAR for other in known)])
     for taken in range(most_steps):
-        fresh = not jacobians
-        if fresh:
-            jacobians = [plan.jacobian(x, k, means[k], finer) for k in range(n_e)]
-        normal, gradient = np.zeros((plan.size, plan.size)), np.zeros(plan.size)
-        for k, j in enumerate(jacobians):
-            block, columns = plan.blocks[k], plan.columns(k)
-            normal[block] += j.T @ j
-            gradient[columns] += j.T @ residual[sketch.rows[k]]
-        _, slope, matrix = _penalty(plan, x)
-        gradient -= slope
-        normal += matrix
-        movable = np.ones(plan.size, dtype=bool) if free is None else free.copy()
-        movable &= (x > plan.lowest) | (gradient > 0.0)
+        fresh = derivatives is None
+        if derivatives is None:
+            derivatives = plan.derivatives(x, means, finer)
+        normal, gradient = normal_equations(derivatives, residual, of_bins, plan.places, len(x))
+        gradient -= prior @ (x - centre)
+        normal += prior
+        movable = (x > plan.lowest) | (gradient > 0.0)
+        if free is not None:
+            movable &= free
         index = np.flatnonzero(movable)
-        diagonal = np.diag(normal)[index]
+        within = np.ix_(index, index)
+        squares = normal.diagonal().copy()
         accepted = False
         for _ in range(8):
-            damped = normal[np.ix_(index, index)] + damping * np.diag(diagonal + 1e-12)
-            try:
-                step = np.asarray(np.linalg.solve(damped, gradient[index]), dtype=float)
-            except np.linalg.LinAlgError:
+            damped = normal[within]
+            damped[np.diag_indices_from(damped)] += damping * (squares[index] + 1e-12)
+            step = _solved(damped, gradient[index])
+            if step is None:
                 damping = max(damping, 1e-6) * 10.0
                 continue
             if damping <= 1e-3:
@@ -827,33 +849,33 @@ def refit(
             damping = max(damping, 1e-6) * 8.0
         if not accepted:
             if not fresh:
-                jacobians = []
+                derivatives = None
                 continue
-            if finer == 1.0 and float(step @ gradient[index]) > 0.1 * tolerance:
+            ahead = 0.0 if step is None else float(step @ gradient[index])
+            if finer == 1.0 and ahead > 0.1 * tolerance:
                 # where the model bends within the steps of the differences, they mislead
-                finer, damping, jacobians = FINER, 1e-3, []
+                finer, damping, derivatives = FINER, 1e-3, None
                 continue
             converged = True
             break
         gained, moved = objective - t_objective, trial - x
         promised = float(moved @ (2.0 * gradient - normal @ moved))
         if gained > STRAIGHT * promised:
-            weights = np.diag(normal) * moved
-            for k, j in enumerate(jacobians):
-                rows, columns = sketch.rows[k], plan.columns(k)
-                by, w = moved[columns], weights[columns]
-                if not np.any(w):  # an experiment whose coordinates are held, or at rest
-                    continue
-                missed = residual[rows] - t_residual[rows] - j @ by
-                jacobians[k] = j + np.outer(missed, w / float(w @ by))
+            carry_on(derivatives, residual - t_residual, moved, squares, of_bins, plan.places)
         else:
-            jacobians = []
+            derivatives = None
         x, means, residual, objective = trial, t_means, t_residual, t_objective
         damping = max(damping * 0.2, 1e-9)
         if gained < tolerance and (fresh or promised < 2.0 * tolerance):
             converged = True
             break
     return Refit(plan, x, residual, objective, converged)
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray | None:
+    """Solution (n,) of a symmetric system, None where its matrix is not positive definite."""
+    _, solution, wrong = dposv(matrix.T, right, overwrite_a=True)
+    return None if wrong else solution
 
 
 def _stepped(plan: Plan, x: FloatArray, index: NDArray[np.int64], step: FloatArray) -> FloatArray:

@@ -701,37 +701,6 @@ def step_means(low: FloatArray, high: FloatArray, p: FloatArray) -> FloatArray: 
 
 
 @njit(cache=True)
-def rig_means(
-    times: FloatArray,
-    weights: FloatArray,
-    starts: NDArray[np.int64],
-    low: FloatArray,
-    high: FloatArray,
-    p: FloatArray,
-    mode_share: FloatArray,
-    mode_ratio: FloatArray,
-) -> FloatArray:  # pragma: no cover
-    """(n_rigs - 1, n_bins) V: means of bins for every row of ``p`` but the first.
-
-    Of each bin, from ``low`` to ``high`` (n_bins,) s, the voltage at its ``times`` (n_t,) s, the
-    first of them at ``starts`` (n_bins,), is summed with the ``weights`` (n_t,).  What a rig
-    (n_parameters,) has in common with that of the first row of ``p`` is computed once.
-    """
-    made = np.empty((len(p) - 1, len(starts)))
-    t, x2, x2_mid = _gas(times[-1], p[0])
-    response = _sensed(times, p[0], t, x2, x2_mid, mode_share, mode_ratio)
-    for i in range(1, len(p)):
-        if _same(p[i], p[0], _before_the_readout):
-            x3 = response
-        elif _same(p[i], p[0], _of_the_gas):
-            x3 = _sensed(times, p[i], t, x2, x2_mid, mode_share, mode_ratio)
-        else:
-            x3 = rig_response(times, p[i], mode_share, mode_ratio)
-        _average(times, weights, starts, low, high, p[i], x3, made[i - 1])
-    return made
-
-
-@njit(cache=True)
 def campaign_means(
     times: FloatArray,
     weights: FloatArray,
@@ -746,9 +715,10 @@ def campaign_means(
 ) -> FloatArray:  # pragma: no cover
     """(n_bins,) V: means of the bins of all experiments, each with its own row of ``p``.
 
-    The other arguments are those of :func:`rig_means`, of one experiment after the other:
-    ``of_times`` and ``of_bins`` (n_experiments + 1,) say where each begins and the last ends, and
-    ``starts`` counts from the first time of an experiment.
+    Of each bin, from ``low`` to ``high`` (n_bins,) s, the voltage at its ``times`` (n_times,) s is
+    summed with the ``weights`` (n_times,).  One experiment comes after the other: ``of_times`` and
+    ``of_bins`` (n_experiments + 1,) say where each begins and the last ends, and ``starts``
+    (n_bins,) which of its experiment's times is a bin's first.
     """
     made = np.empty(len(starts))
     for k in range(len(p)):
@@ -757,6 +727,50 @@ def campaign_means(
         weight = weights[of_times[k] : of_times[k + 1]]
         x3 = rig_response(at, p[k], mode_share, mode_ratio)
         _average(at, weight, starts[here], low[here], high[here], p[k], x3, made[here])
+    return made
+
+
+@njit(cache=True)
+def moved_means(
+    times: FloatArray,
+    weights: FloatArray,
+    starts: NDArray[np.int64],
+    low: FloatArray,
+    high: FloatArray,
+    of_times: NDArray[np.int64],
+    of_bins: NDArray[np.int64],
+    p: FloatArray,
+    of_rigs: NDArray[np.int64],
+    mode_share: FloatArray,
+    mode_ratio: FloatArray,
+) -> FloatArray:  # pragma: no cover
+    """(n_bins, most rows of an experiment less one) V: the same for several rigs of each.
+
+    The rows of experiment k begin at ``of_rigs[k]`` (n_experiments + 1,), with a rig that is not
+    asked for: what the others have in common with it is computed once.  Where an experiment has
+    fewer rigs than another, zeros fill up.
+    """
+    most = 0
+    for k in range(len(of_rigs) - 1):
+        most = max(most, of_rigs[k + 1] - of_rigs[k] - 1)
+    made = np.zeros((len(starts), most))
+    for k in range(len(of_rigs) - 1):
+        here = slice(of_bins[k], of_bins[k + 1])
+        at = times[of_times[k] : of_times[k + 1]]
+        weight = weights[of_times[k] : of_times[k + 1]]
+        common = p[of_rigs[k]]
+        t, x2, x2_mid = _gas(at[-1], common)
+        response = _sensed(at, common, t, x2, x2_mid, mode_share, mode_ratio)
+        column = np.empty(of_bins[k + 1] - of_bins[k])
+        for i in range(of_rigs[k] + 1, of_rigs[k + 1]):
+            if _same(p[i], common, _before_the_readout):
+                x3 = response
+            elif _same(p[i], common, _of_the_gas):
+                x3 = _sensed(at, p[i], t, x2, x2_mid, mode_share, mode_ratio)
+            else:
+                x3 = rig_response(at, p[i], mode_share, mode_ratio)
+            _average(at, weight, starts[here], low[here], high[here], p[i], x3, column)
+            made[here, i - of_rigs[k] - 1] = column
     return made
 
 

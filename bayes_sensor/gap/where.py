@@ -401,13 +401,13 @@ def predict_left_out(sketch: Sketch, base: Refit) -> dict[str, float]:
             start[free] = base.x[free]
             some = replace(plan, sketch=sketch.restricted(only))
             x = refit(some, start, most_steps=15, free=free).x
-        excess = 0.0
-        for k, mask in enumerate(inside):
+        excess, means = 0.0, plan.all_means(x)
+        derivatives = plan.derivatives(x, means)
+        for k, (mask, rows) in enumerate(zip(inside, sketch.rows, strict=True)):
             if not np.any(mask):
                 continue
-            here = plan.binned(x, k)
-            columns = plan.columns(k)
-            jacobian = sketch.floor.cholesky[k] @ plan.jacobian(x, k, here)
+            here, columns = means[rows], plan.columns(k)
+            jacobian = sketch.floor.cholesky[k] @ derivatives[rows, : len(columns)]
             covariance = sketch.floor.cholesky[k] @ sketch.floor.cholesky[k].T
             inner = posterior[np.ix_(columns, columns)]
             spread = covariance[np.ix_(mask, mask)] + jacobian[mask] @ inner @ jacobian[mask].T

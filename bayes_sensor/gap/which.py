@@ -213,7 +213,7 @@ def _most_promising(
     if not grid:
         return []
     normal = base.normal
-    here = base.plan.means(base.x)
+    here = base.plan.all_means(base.x)
     amplitudes = {s.name for s in plan.strengths[-1] if s.scaled}
     gains, sizes = np.zeros(len(grid)), np.zeros(len(grid))
     for i, start in enumerate(grid):
@@ -233,11 +233,10 @@ def _most_promising(
 
 
 def course(
-    plan: Plan, begun: FloatArray, here: Sequence[FloatArray], start: Mapping[str, float]
+    plan: Plan, begun: FloatArray, here: FloatArray, start: Mapping[str, float]
 ) -> FloatArray:
     """(n_bins in all,) whitened: what the last part's strengths make of means ``here`` V."""
-    moved = plan.means(with_start(plan, begun, start))
-    return plan.sketch.whitened([b - a for a, b in zip(here, moved, strict=True)])
+    return plan.sketch.whitened(plan.all_means(with_start(plan, begun, start)) - here)
 
 
 def finished(fitted: Refit, enough: float = np.inf) -> Refit:
