@@ -269,6 +269,11 @@ class Campaign:
         return max(experiment.concentration for experiment in self.experiments)
 
     @property
+    def concentrations_before(self) -> tuple[float, ...]:
+        """Of the experiment listed before each one; 0 for the first, before which none is known."""
+        return (0.0, *(experiment.concentration for experiment in self.experiments[:-1]))
+
+    @property
     def same_flow(self) -> bool:
         """Whether all experiments share one total flow: then tau_v and V cannot be told apart."""
         flows = np.array([experiment.total_flow for experiment in self.experiments])

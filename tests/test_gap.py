@@ -123,6 +123,24 @@ def beside(extra):
     return campaign.with_data({e.name: e.values + extra(e, own[e.name]) for e in campaign})
 
 
+@pytest.mark.parametrize(("seed", "share"), [(3, 0.0025), (6, 0.004)])
+def test_gas_of_the_record_before_is_not_taken_for_the_baseline(seed, share):
+    # hardly seen, it looks like a level that is higher before the pulse than after it; that the
+    # records have as much of it as the one before them had gas tells
+    campaign = measured({}, seed=seed)
+    own, values, before = theta(campaign)["experiments"], {}, 0.0
+    for e in campaign:
+        since = e.t - e.t[0]
+        left = 0.5 * np.exp(-since / 3.0) + 0.5 * np.exp(-since / 15.0)
+        size = share * own[e.name]["beta_V"] * before / e.concentration
+        values[e.name], before = e.values + size * left, e.concentration
+    gap = diagnose_gap(
+        campaign.with_data(values), bootstrap=0, hidden=False, separate=False, follow=False
+    )
+    assert gap.verdict.effects == ("carry_over",)
+    assert gap.standing.families["initial state"] > 3.0 * gap.standing.families["baseline"]
+
+
 def test_a_part_that_comes_later_is_described():
     share, lateness = 0.1, 1.1  # s at the median flow: a way of a fixed volume
     plan = design()

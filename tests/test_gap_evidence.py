@@ -17,6 +17,7 @@ from bayes_sensor.gap.embedded import embedded_rivals
 from bayes_sensor.gap.evidence import AT_REST, STRONG, WIDTHS, Linearised
 from bayes_sensor.gap.floor import DOF
 from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, refit
+from bayes_sensor.gap.rig import FIRST, INDEX
 from bayes_sensor.gap.sketch import coordinates, fit_base, flat_theta, prepare
 from bayes_sensor.gap.verdict import Standing, judge
 from bayes_sensor.gap.where import Leverage
@@ -137,7 +138,7 @@ def test_less_gas_than_none_is_not_left_over(sketch, sign):
 
 def test_gas_left_with_a_spread_is_found(sketch):
     effect = CATALOGUE["carry_over"]
-    slow, spread = effect.forms[2:]
+    slow, spread = effect.forms[2:4]
     truth = {"carry_over": 0.1, "carry_time": 8.0, "carry_spread": 4.0}
     with_spread = Plan(sketch, (Part(effect, spread),))
     data = with_spread.means(with_spread.start(sketch.base, truth))
@@ -155,6 +156,28 @@ def test_gas_left_with_a_spread_is_found(sketch):
     assert strength["carry_spread"] == pytest.approx(4.0, rel=0.1)
     # a single time constant does not do, which is why the form is there
     assert other.misfit > found.misfit + 25.0
+
+
+def test_gas_left_by_the_record_before_follows_its_concentration(sketch):
+    form = next(f for f in CATALOGUE["carry_over"].forms if f.name == "of the record before, slow")
+    plan = Plan(sketch, (Part(CATALOGUE["carry_over"], form),))
+    truth = plan.start(sketch.base, {"carry_over": 0.1, "carry_time": 5.0})
+    x = plan.start(sketch.base, {"carry_over": 0.05, "carry_time": 4.0})
+    data = [plan.binned(truth, k) for k in range(len(sketch.bins))]
+    found = refit(plan, x, data=data, most_steps=60, tolerance=1e-8)
+    assert found.converged
+    assert found.strength()["carry_over"] == pytest.approx(0.1, abs=0.003)
+    # of every record's own step it is as much as the one before had, and nothing of the first's
+    concentrations = [e.concentration for e in sketch.campaign]
+    before = [0.0, *concentrations[:-1]]
+    for k, (c, was) in enumerate(zip(concentrations, before, strict=True)):
+        p, _ = plan.rig(truth, k)
+        assert p[FIRST + INDEX["carry_over"]] == pytest.approx(0.1 * was / c)
+    # what came before is known of experiments that stay, too
+    keep = [np.full(len(d), k != 1) for k, d in enumerate(sketch.data)]
+    fewer = sketch.restricted(keep).restricted(keep[:1] + keep[2:])
+    told = [s.concentration_before for s in fewer.settings]
+    assert told == before[:1] + before[2:]
 
 
 def test_evidence_is_the_multivariate_t_where_the_model_fits():

@@ -84,7 +84,9 @@ class _Fit:
         self.size = self.n_base + len(self.shared) + len(self.own) * len(oracle.steps)
 
     def setting(self, k: int, t0: float, tf: float) -> Setting:
-        return Setting(self.experiments[k], t0, tf, **self.common)
+        before = self.experiments[k - 1].concentration if k else 0.0
+        made = Setting(self.experiments[k], t0, tf, **self.common, concentration_before=before)
+        return made
 
     def start(self, base: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
         """The base fit's coordinates with strengths ``chosen`` (``*``: times the time scale)."""

@@ -112,6 +112,8 @@ class Setting:
     """V, median step height of the campaign"""
     duration: float
     """s, median record length"""
+    concentration_before: float = 0.0
+    """of the experiment that the campaign lists before this one; 0 for the first of all"""
 
 
 def spread_of_times(name: str) -> Strength:

@@ -100,22 +100,27 @@ class Scales:
     reference_flow: float
     signal_scale: float
     duration: float
+    concentrations_before: tuple[tuple[str, float], ...] = ()
+    """by experiment"""
 
     @classmethod
     def of(cls, campaign: Campaign, theta: FloatArray | None = None) -> Scales:
         """From a fit (flat theta) or, without one, from the records themselves."""
         flow = float(np.median([e.total_flow for e in campaign]))
         duration = float(np.median([len(e.t) * e.interval for e in campaign]))
+        names = (e.name for e in campaign)
+        before = tuple(zip(names, campaign.concentrations_before, strict=True))
         if theta is not None:
             layout = Layout.of(campaign)
             slow = max(float(theta[0]), float(theta[1]))
             steps = [abs(float(theta[row[1]])) for row in layout.local]
-            return cls(max(slow, float(theta[2]) / flow), flow, float(np.median(steps)), duration)
+            time_scale, signal = max(slow, float(theta[2]) / flow), float(np.median(steps))
+            return cls(time_scale, flow, signal, duration, before)
         from bayes_sensor.likelihood import fastest_rise
 
         measured = [np.ptp(e.values[e.used]) for e in campaign if e.y is not None]
         signal = float(np.median(measured)) if measured else 1.88
-        return cls(fastest_rise(campaign) / 2.2, flow, signal, duration)
+        return cls(fastest_rise(campaign) / 2.2, flow, signal, duration, before)
 
     def setting(self, e: Experiment, t0: float, tf: float | None) -> Setting:
         """What a form may know of an experiment."""
@@ -127,6 +132,7 @@ class Scales:
             reference_flow=self.reference_flow,
             signal_scale=self.signal_scale,
             duration=self.duration,
+            concentration_before=dict(self.concentrations_before).get(e.name, 0.0),
         )
 
 

@@ -97,6 +97,8 @@ class Sketch:
     """mL/s, median total flow"""
     duration: float
     """s, median length of a record"""
+    given_before: tuple[float, ...] | None = None
+    """concentrations before each experiment where the campaign does not tell: some are left out"""
 
     @cached_property
     def inverse_factors(self) -> tuple[FloatArray, ...]:
@@ -132,6 +134,7 @@ class Sketch:
     def settings(self) -> tuple[Setting, ...]:
         """What effects may know of every experiment, switch times from the fit without effects."""
         plan = Plan(self)
+        before = self.given_before or self.campaign.concentrations_before
         found = []
         for k, e in enumerate(self.campaign):
             at = plan.local[k]
@@ -144,6 +147,7 @@ class Sketch:
                     reference_flow=self.reference_flow,
                     signal_scale=self.signal_scale,
                     duration=self.duration,
+                    concentration_before=before[k],
                 )
             )
         return tuple(found)
@@ -172,6 +176,7 @@ class Sketch:
                 loudness=tuple(self.floor.loudness[k][keep[k]] for k in stay),
             ),
             base=self.local_coordinates(self.base, stay),
+            given_before=tuple(self.settings[k].concentration_before for k in stay),
         )
 
     def local_coordinates(self, x: FloatArray, stay: Sequence[int], own: int = 0) -> FloatArray:

@@ -1,9 +1,13 @@
 """Test gas is left from before: the record does not start from an empty manifold.
 
 What is left leaves with the manifold's V/Q, or slowly where it comes off the walls: then with a
-spread of time constants, for walls are of several materials and hold gas at several depths.  It
-cannot be less than nothing: a record that begins too low has another cause, such as a drift.
+spread of time constants, for walls are of several materials and hold gas at several depths.  It may
+be another share in every record; or as large a share of what flowed in the record before, of which
+the first has none.  It cannot be less than nothing: a record that begins too low has another cause,
+such as a drift.
 """
+
+from collections.abc import Mapping
 
 from bayes_sensor.gap.effect import Effect, Form, Setting, Strength, spread_of_times
 
@@ -20,11 +24,17 @@ def _slow(s: Setting) -> tuple[Strength, ...]:
         "carry_time", "s", "log_normal", 6.0 * s.time_scale, 1.0,
         limits=(0.05 * s.time_scale, 60.0 * s.time_scale),
     )  # fmt: skip
-    return (*_carry(True), time)
+    return (time,)
 
 
 def _spread(s: Setting) -> tuple[Strength, ...]:
     return (*_slow(s), spread_of_times("carry_spread"))
+
+
+def _of_the_record_before(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
+    # the setting is a share of the record's own step, the strength one of the step before it
+    ratio = s.concentration_before / s.experiment.concentration
+    return {**v, "carry_over": v["carry_over"] * ratio}
 
 
 _STARTS = ({"carry_time*": 4.0}, {"carry_time*": 20.0})
@@ -36,8 +46,33 @@ EFFECT = Effect(
     forms=(
         Form(lambda s: _carry(False), lambda v, s: dict(v), name="common"),
         Form(lambda s: _carry(True), lambda v, s: dict(v), name="own"),
-        Form(_slow, lambda v, s: dict(v), name="slow", weight=0.25, starts=_STARTS),
-        Form(_spread, lambda v, s: dict(v), name="slow, spread", weight=0.25, starts=_STARTS),
+        Form(
+            lambda s: (*_carry(True), *_slow(s)),
+            lambda v, s: dict(v),
+            name="slow",
+            weight=0.25,
+            starts=_STARTS,
+        ),
+        Form(
+            lambda s: (*_carry(True), *_spread(s)),
+            lambda v, s: dict(v),
+            name="slow, spread",
+            weight=0.25,
+            starts=_STARTS,
+        ),
+        Form(
+            lambda s: _carry(False),
+            _of_the_record_before,
+            name="of the record before",
+            weight=0.5,
+        ),
+        Form(
+            lambda s: (*_carry(False), *_slow(s)),
+            _of_the_record_before,
+            name="of the record before, slow",
+            weight=0.5,
+            starts=_STARTS,
+        ),
     ),
     plausible={"carry_over": 0.02},
     null={"carry_over": 0.0},
