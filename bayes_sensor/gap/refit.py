@@ -619,14 +619,16 @@ class Plan:
             means = moved_means(
                 *self.sketch.all_bins, self._moved(x, steps), self._of_rigs, *coating_modes()
             )
-        means -= here[:, None]
-        for rows, columns in zip(self.sketch.rows, self._columns, strict=True):
-            means[rows, : len(columns)] /= steps[columns]
-            means[rows, len(columns) :] = 0.0
-        return self.sketch.whitened(means)
+        return self.sketch.whitened((means - here[:, None]) / (finer * self._steps_by_bin))
+
+    @cached_property
+    def _steps_by_bin(self) -> FloatArray:
+        # (n_bins in all, n_columns); infinite where an experiment has fewer columns than others
+        by_experiment = np.where(self.places < 0, inf, self.steps[self.places])
+        return np.repeat(by_experiment, [len(d) for d in self.sketch.data], axis=0)
 
     def _moved_own_means(self, x: FloatArray, steps: FloatArray) -> FloatArray:
-        means = np.empty((self.sketch.n_bins, self.places.shape[1]))
+        means = np.zeros((self.sketch.n_bins, self.places.shape[1]))
         moved = np.array(x)
         for k, rows in enumerate(self.sketch.rows):
             for i, c in enumerate(self._columns[k]):
