@@ -291,6 +291,21 @@ def test_a_family_is_named_where_its_members_cannot_be_told_apart() -> None:
     assert effects[0] == name and all(CATALOGUE[n].family == family for n in effects)
 
 
+@pytest.mark.parametrize(
+    ("none", "unlisted", "mains", "kind"),
+    [(0.25, 0.08, 0.59, "family"), (0.35, 0.05, 0.59, "none"), (0.25, 0.3, 0.45, "unlisted")],
+)
+def test_an_effect_of_the_noise_is_stated_where_it_is_likely(
+    none: float, unlisted: float, mains: float, kind: str
+) -> None:
+    # too unlikely to be named, yet likelier than nothing at all
+    stand = standing(none, unlisted, {"interference": mains}, {"mains_pickup": mains})
+    found, *said = judge(NOTHING, stand, CATALOGUE)
+    assert found == kind
+    if kind == "family":  # no unlisted cause acts on the mean as the mains do on the noise
+        assert said == [("mains_pickup",), "interference", mains]
+
+
 def test_of_several_that_are_each_unlikely_the_likeliest_is_stated() -> None:
     families = {"slow exchange": 0.45, "baseline": 0.35}
     kind, effects, found, p = judge(NOTHING, standing(0.05, 0.15, families), CATALOGUE)

@@ -285,6 +285,9 @@ def judge(
         return "none", (), None, stand.nothing_seen
     if likely:
         return _family(family, stand, catalogue)
+    clearest, of_clearest = max(stand.families.items(), key=lambda f: f[1], default=("", 0.0))
+    if of_clearest > max(0.5, stand.unlisted):  # of the noise, and too faint to be named
+        return _family(clearest, stand, catalogue)
     if max(stand.none, unmoved) >= stand.unlisted:
         return "none", (), None, stand.nothing_seen
     if of_family > stand.unlisted:  # the likeliest of several
@@ -309,8 +312,10 @@ def _family(
     members = sorted(
         (n for n in catalogue if catalogue[n].family == family), key=lambda n: -stand.effects[n]
     )
-    probability = min(stand.families[family] + AKIN * stand.unlisted, 1.0)
-    return "family", tuple(members[:5]), family, probability
+    probability = stand.families[family]
+    if any(catalogue[n].on_mean for n in members):
+        probability += AKIN * stand.unlisted
+    return "family", tuple(members[:5]), family, min(probability, 1.0)
 
 
 def _effect(
