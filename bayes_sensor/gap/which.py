@@ -439,8 +439,11 @@ def _add_pairs(
                 start = plan.start(base.x, form.starts[0])
                 afresh = refit(plan, start, most_steps=15, known=[fitted], enough=enough)
                 fitted = finished(min(fitted, afresh, key=lambda r: r.objective), enough)
-            made.append((fitted, form.weight))
-        weight = sum(w for _, w in made)
+            if fitted.converged or fitted.objective <= enough:
+                made.append((fitted, form.weight))
+        if not made:  # given up in every form
+            return
+        weight = sum(form.weight for form in on_mean[b].forms)
         log_prior = priors[a] + priors[b] - np.log(PRIOR_NONE)
         names = tuple(sorted((a, b), key=list(on_mean).index))
         forms = [(f, w / weight) for f, w in made]
