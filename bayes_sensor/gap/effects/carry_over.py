@@ -7,16 +7,11 @@ the first has none.  It cannot be less than nothing: a record that begins too lo
 such as a drift.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from bayes_sensor.gap.effect import Effect, Form, Setting, Strength, spread_of_times
 
-
-def _carry(own: bool) -> tuple[Strength, ...]:
-    return (
-        Strength("carry_over", "1", "normal", 0.0, 0.03, per_experiment=own,
-                 limits=(0.0, 2.0), scaled=True, alike=0.5),
-    )  # fmt: skip
+Strengths = Callable[[Setting], tuple[Strength, ...]]
 
 
 def _slow(s: Setting) -> tuple[Strength, ...]:
@@ -31,7 +26,18 @@ def _spread(s: Setting) -> tuple[Strength, ...]:
     return (*_slow(s), spread_of_times("carry_spread"))
 
 
-def _of_the_record_before(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
+def _share(own: bool, leaving: Strengths = lambda _: ()) -> Strengths:
+    """A share, in every record another or in all the same, and the times in which it leaves."""
+    size = Strength("carry_over", "1", "normal", 0.0, 0.03, per_experiment=own,
+                    limits=(0.0, 2.0), scaled=True, alike=0.5)  # fmt: skip
+    return lambda s: (size, *leaving(s))
+
+
+def _of_its_own(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
+    return dict(v)
+
+
+def _of_before(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
     # the setting is a share of the record's own step, the strength one of the step before it
     ratio = s.concentration_before / s.experiment.concentration
     return {**v, "carry_over": v["carry_over"] * ratio}
@@ -43,36 +49,16 @@ EFFECT = Effect(
     name="carry_over",
     family="initial state",
     sentence="Gas from before is still leaving when the records begin: {strength}.",
-    forms=(
-        Form(lambda s: _carry(False), lambda v, s: dict(v), name="common"),
-        Form(lambda s: _carry(True), lambda v, s: dict(v), name="own"),
-        Form(
-            lambda s: (*_carry(True), *_slow(s)),
-            lambda v, s: dict(v),
-            name="slow",
-            weight=0.25,
-            starts=_STARTS,
-        ),
-        Form(
-            lambda s: (*_carry(True), *_spread(s)),
-            lambda v, s: dict(v),
-            name="slow, spread",
-            weight=0.25,
-            starts=_STARTS,
-        ),
-        Form(
-            lambda s: _carry(False),
-            _of_the_record_before,
-            name="of the record before",
-            weight=0.5,
-        ),
-        Form(
-            lambda s: (*_carry(False), *_slow(s)),
-            _of_the_record_before,
-            name="of the record before, slow",
-            weight=0.5,
-            starts=_STARTS,
-        ),
+    forms=tuple(
+        Form(strengths, settings, name=name, weight=weight, starts=starts)
+        for name, weight, strengths, settings, starts in (
+            ("common", 1.0, _share(False), _of_its_own, ({},)),
+            ("own", 1.0, _share(True), _of_its_own, ({},)),
+            ("slow", 0.25, _share(True, _slow), _of_its_own, _STARTS),
+            ("slow, spread", 0.25, _share(True, _spread), _of_its_own, _STARTS),
+            ("of the record before", 0.5, _share(False), _of_before, ({},)),
+            ("of the record before, slow", 0.5, _share(False, _slow), _of_before, _STARTS),
+        )
     ),
     plausible={"carry_over": 0.02},
     null={"carry_over": 0.0},
