@@ -113,6 +113,10 @@ def test_strengths_of_every_experiment_are_written_by_name(tmp_path: Path) -> No
         ("valve_asymmetry=-1", "expected closing_ratio between 0.1 and 10"),
         ("axial_dispersion=0.9", "expected tank_share between 0.001 and 0.5"),
         ("heavy_tails=1", "more than 2 degrees of freedom"),
+        ("heavy_tails:long=3", "heavy_tails acts on the noise and has no forms"),
+        ("carry_over:fast", "has no form 'fast'; known are 'common', 'own', 'slow'"),
+        ("sensor_diffusion:full=1", "this form has no strength; give sensor_diffusion:full alone"),
+        ("carry_over:slow=much", "such as carry_over:slow=0.02, but 'much' is no number"),
     ],
 )
 def test_a_bad_effect_is_one_message_and_nothing_is_written(
@@ -129,6 +133,30 @@ def test_a_bad_effect_is_one_message_and_nothing_is_written(
 def test_a_strength_may_name_its_own_unit(tmp_path: Path) -> None:
     assert simulate(tmp_path, "--effect", "finite_stroke=0.5 s") == 0
     assert read(tmp_path / "truth.json")["effects"]["finite_stroke"] == {"stroke": 0.5}
+
+
+def test_an_effect_acts_in_the_form_that_is_asked_for(tmp_path: Path) -> None:
+    assert simulate(tmp_path, "--effect", "carry_over:of the record before, slow=0.3") == 0
+    truth = read(tmp_path / "truth.json")
+    assert truth["effects"]["carry_over"]["carry_over"] == 0.3
+    assert truth["effects"]["carry_over"]["carry_time"] > 0.0
+    begins = [
+        (float(np.mean(e.values[e.t < 0.5])) - truth["experiments"][e.name]["y0_V"])
+        / truth["experiments"][e.name]["beta_V"]
+        for e in read_campaign(tmp_path / "campaign.toml")
+    ]
+    # nothing is left of a record before the first
+    assert abs(begins[0]) < 0.02 and min(begins[1:]) > 0.1
+
+
+@pytest.mark.parametrize("second", ["carry_over=0.2", "carry_over:slow"])
+def test_an_effect_that_is_given_twice(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], second: str
+) -> None:
+    out = tmp_path / "out"
+    assert simulate(out, "--effect", "carry_over=0.1", "--effect", second) == 2
+    assert "given twice; leave one out" in capsys.readouterr().err
+    assert not out.exists()
 
 
 # --- gap

@@ -325,7 +325,9 @@ def simulate(
     ] = None,
     effect: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME[=STRENGTH]", help="An effect of the catalogue; repeatable."),
+        typer.Option(
+            metavar="NAME[:FORM][=STRENGTH]", help="An effect of the catalogue; repeatable."
+        ),
     ] = None,
     file_format: Annotated[
         str, typer.Option("--format", help="csv, picoscope-csv, mat or npz.")

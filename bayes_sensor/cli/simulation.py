@@ -227,7 +227,11 @@ def simulate_campaign(
     if effects:
         from bayes_sensor.gap.simulation import read_strength
 
-        wanted = dict(read_strength(text) for text in effects)
+        read = [read_strength(text) for text in effects]
+        wanted = dict(read)
+        if len(wanted) < len(read):
+            twice = next(name for name, _ in read if [n for n, _ in read].count(name) > 1)
+            raise CampaignError(f"--effect {twice}: it is given twice; leave one out")
     source = campaign or design
     given: dict[str, Any] | None = None
     if source is None:

@@ -13,7 +13,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.gap.effect import Strength
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.hidden import PUBLISHED_SCALES
-from bayes_sensor.gap.model import EffectModel, Scales, parse_effect, with_effects
+from bayes_sensor.gap.model import EffectModel, Scales, find_form, parse_effect, with_effects
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.model import Theta, local_parameters
 from bayes_sensor.noise import lag_coefficient, scale_squared
@@ -22,8 +22,11 @@ BURN_IN = 2000
 """samples before the record in which coloured noise becomes stationary"""
 
 
-def default_strengths(name: str, scales: Scales) -> dict[str, float]:
-    """Plausible strengths of an effect on a rig of these scales."""
+def default_strengths(name: str, scales: Scales, form: str | None = None) -> dict[str, float]:
+    """Plausible strengths of an effect on a rig of these scales.
+
+    Of one of its forms those that this one has, at their centres where nothing else is known.
+    """
     effect = CATALOGUE[name]
     time = scales.time_scale / PUBLISHED_SCALES["s"]
     volt = scales.signal_scale / PUBLISHED_SCALES["V"]
@@ -32,27 +35,46 @@ def default_strengths(name: str, scales: Scales) -> dict[str, float]:
         "s": time, "V": volt, "1/V": 1.0 / volt, "V/s": volt / duration, "1/s": 1.0 / duration,
     }  # fmt: skip
     units = {s.name: s.unit for s in _strengths(name, scales)}
-    return {
+    plausible = {
         key: value * factor.get(units.get(key, "1"), 1.0) for key, value in effect.plausible.items()
     }
+    if form is None:
+        return plausible
+    return {s.name: plausible.get(s.name, s.value(0.0)) for s in _strengths(name, scales, form)}
 
 
-def _strengths(name: str, scales: Scales) -> list[Strength]:
+def _strengths(name: str, scales: Scales, form: str | None = None) -> list[Strength]:
+    # of one form, or of all
     from bayes_sensor.campaign import Experiment
 
     blank = Experiment("blank", np.array([0.0, 1.0]), None, 1.0, 1.0, 1.0)
     setting = scales.setting(blank, 0.0, None)
-    return [s for form in CATALOGUE[name].forms for s in form.strengths(setting)]
+    effect = CATALOGUE[name]
+    forms = effect.forms if form is None else (find_form(effect, form),)
+    return [s for f in forms for s in f.strengths(setting)]
 
 
 def read_strength(text: str) -> tuple[str, float | None]:
-    """``NAME`` or ``NAME=STRENGTH`` of the command line.  Raises CampaignError."""
-    name, equals, value = text.partition("=")
-    parse_effect(name, "--effect")
+    """``NAME[:FORM]`` or that ``=STRENGTH`` of the command line.  Raises CampaignError."""
+    which, equals, value = text.partition("=")
+    name, form = parse_effect(which, "--effect")
+    scales = Scales(1.0, 1.0, 1.0, 1.0)
+    if form is not None and not CATALOGUE[name].forms:
+        raise CampaignError(
+            f"--effect {which[:80]}: {name} acts on the noise and has no forms; give it alone"
+        )
+    try:
+        strengths = default_strengths(name, scales, form)
+    except CampaignError as error:
+        raise CampaignError(f"--effect {which[:80]}: {error}") from None
     if not equals:
-        return name, None
-    first = next(iter(CATALOGUE[name].plausible))
-    own = {s.name: s.unit for s in _strengths(name, Scales(1.0, 1.0, 1.0, 1.0))}.get(first, "1")
+        return which, None
+    first = next(iter(strengths), None)
+    if first is None:
+        raise CampaignError(
+            f"--effect {text[:80]}: this form has no strength; give {which[:60]} alone"
+        )
+    own = {s.name: s.unit for s in _strengths(name, scales)}.get(first, "1")
     amount, _, unit = value.strip().partition(" ")
     if unit.strip() not in ("", own):
         raise CampaignError(
@@ -63,12 +85,12 @@ def read_strength(text: str) -> tuple[str, float | None]:
         number = float(amount)
     except ValueError:
         raise CampaignError(
-            f"--effect {text[:80]}: expected NAME=NUMBER such as {name}="
-            f"{CATALOGUE[name].plausible[first]:g}, but '{amount[:40]}' is no number"
+            f"--effect {text[:80]}: expected NAME=NUMBER such as {which[:60]}="
+            f"{strengths[first]:g}, but '{amount[:40]}' is no number"
         ) from None
     if not np.isfinite(number):
         raise CampaignError(f"--effect {text[:80]}: expected a finite number")
-    return name, number
+    return which, number
 
 
 def simulate_with_effects(
@@ -79,10 +101,11 @@ def simulate_with_effects(
 ) -> tuple[Campaign, dict[str, dict[str, Any]]]:
     """A campaign in which effects of the catalogue act, and their strengths.
 
-    ``effects`` maps names to the first strength of each (None: a plausible one).  Strengths that
-    every experiment has for itself are drawn with that size as their spread.
+    ``effects`` maps names, ``NAME`` or ``NAME:FORM``, to the first strength of each (None: a
+    plausible one).  Strengths that every experiment has for itself are drawn with that size as
+    their spread.
 
-    Raises CampaignError for unknown names and malformed parameters.
+    Raises CampaignError for unknown names, one that is given twice, and malformed parameters.
     """
     from bayes_sensor.likelihood import as_problem
 
@@ -92,16 +115,18 @@ def simulate_with_effects(
     vector = np.where(np.isnan(vector), 0.0, vector)
     scales = Scales.of(problem.campaign, vector)
     chosen: dict[str, dict[str, Any]] = {}
-    for name, first in effects.items():
-        parse_effect(name)
-        strengths = default_strengths(name, scales)
-        key = next(iter(strengths))
+    forms: dict[str, str | None] = {}
+    for text, first in effects.items():
+        name, forms[name] = parse_effect(text)
+        if name in chosen:
+            raise CampaignError(f"--effect {text[:80]}: {name} is given twice; leave one out")
+        strengths = default_strengths(name, scales, forms[name])
         if first is not None:
-            strengths[key] = first
+            strengths[next(iter(strengths))] = first
         _check(name, strengths, scales)
         chosen[name] = strengths
     rng = np.random.default_rng(np.random.SeedSequence([seed, 7]))
-    model, extended = _mean_model(problem, vector, chosen, scales, rng)
+    model, extended = _mean_model(problem, vector, chosen, forms, scales, rng)
     streams = np.random.SeedSequence(seed).spawn(len(problem.campaign))
     values = {}
     for k, (e, stream) in enumerate(zip(problem.campaign, streams, strict=True)):
@@ -154,6 +179,7 @@ def _mean_model(
     problem: Problem,
     vector: FloatArray,
     chosen: Mapping[str, Mapping[str, float]],
+    forms: Mapping[str, str | None],
     scales: Scales,
     rng: np.random.Generator,
 ) -> tuple[Callable[[int], tuple[FloatArray, FloatArray]], dict[str, dict[str, Any]]]:
@@ -172,18 +198,12 @@ def _mean_model(
 
         return plain, extended
     texts = []
+    setting = scales.setting(campaign.experiments[0], 0.0, None)
     for n in names:
-        effect = CATALOGUE[n]
-        keys = set(chosen[n])
-        form = next(
-            (
-                f for f in effect.forms
-                if {s.name for s in f.strengths(scales.setting(campaign.experiments[0], 0.0, None))}
-                == keys
-            ),
-            effect.forms[0],
-        )  # fmt: skip
-        texts.append(f"{n}:{form.name}" if form.name else n)
+        effect, keys = CATALOGUE[n], set(chosen[n])
+        alike = (f for f in effect.forms if {s.name for s in f.strengths(setting)} == keys)
+        name = forms[n] or next(alike, effect.forms[0]).name
+        texts.append(f"{n}:{name}" if name else n)
     made = with_effects(Problem(campaign, noise=problem.noise), texts, vector)
     model = made.model
     assert isinstance(model, EffectModel)
