@@ -355,7 +355,7 @@ def test_scores_of_changes_have_unit_variance_where_nothing_changes():
         for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
             templates = sketch.inverse_factors[k] @ _changes(b.falling)[0]
             columns = found.plan.columns(k)
-            inside = found.derivatives[rows, : len(columns)].T @ templates
+            inside = found.jacobian[rows, columns].T @ templates
             left = np.sum(templates**2, axis=0) - np.sum(
                 inside * (covariance[np.ix_(columns, columns)] @ inside), axis=0
             )

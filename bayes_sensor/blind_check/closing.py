@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from bayes_sensor.blind_check.oracle import Oracle, Refit
-from bayes_sensor.campaign import Experiment, FloatArray
+from bayes_sensor.campaign import Campaign, Experiment, FloatArray
 from bayes_sensor.gap.effect import Form, Setting, Strength
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.refit import coating_modes
@@ -61,13 +61,14 @@ class _Fit:
     def __init__(self, oracle: Oracle, form: Form) -> None:
         self.oracle, self.form = oracle, form
         case = oracle.case
-        self.experiments = [
+        self.experiments = tuple(
             Experiment(
                 step.name, sample_times(step), None, step.carrier_flow,
                 step.test_gas_flow, step.interval, step.commanded_on, step.commanded_off,
             )
             for step in oracle.steps
-        ]  # fmt: skip
+        )  # fmt: skip
+        self.before = Campaign("", self.experiments).concentrations_before
         flows = [step.total_flow for step in oracle.steps]
         flow = float(np.median(flows))
         self.common = {
@@ -84,9 +85,8 @@ class _Fit:
         self.size = self.n_base + len(self.shared) + len(self.own) * len(oracle.steps)
 
     def setting(self, k: int, t0: float, tf: float) -> Setting:
-        before = self.experiments[k - 1].concentration if k else 0.0
-        made = Setting(self.experiments[k], t0, tf, **self.common, concentration_before=before)
-        return made
+        before = self.before[k]
+        return Setting(self.experiments[k], t0, tf, **self.common, concentration_before=before)
 
     def start(self, base: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
         """The base fit's coordinates with strengths ``chosen`` (``*``: times the time scale)."""

@@ -227,11 +227,10 @@ def simulate_campaign(
     if effects:
         from bayes_sensor.gap.simulation import read_strength
 
-        read = [read_strength(text) for text in effects]
-        wanted = dict(read)
-        if len(wanted) < len(read):
-            twice = next(name for name, _ in read if [n for n, _ in read].count(name) > 1)
-            raise CampaignError(f"--effect {twice}: it is given twice; leave one out")
+        for which, strength in map(read_strength, effects):
+            if which in wanted:
+                raise CampaignError(f"--effect {which}: it is given twice; leave one out")
+            wanted[which] = strength
     source = campaign or design
     given: dict[str, Any] | None = None
     if source is None:

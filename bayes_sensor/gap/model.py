@@ -100,7 +100,7 @@ class Scales:
     reference_flow: float
     signal_scale: float
     duration: float
-    concentrations_before: tuple[tuple[str, float], ...] = ()
+    concentrations_before: Mapping[str, float] = field(default_factory=dict, hash=False)
     """by experiment"""
 
     @classmethod
@@ -108,8 +108,8 @@ class Scales:
         """From a fit (flat theta) or, without one, from the records themselves."""
         flow = float(np.median([e.total_flow for e in campaign]))
         duration = float(np.median([len(e.t) * e.interval for e in campaign]))
-        names = (e.name for e in campaign)
-        before = tuple(zip(names, campaign.concentrations_before, strict=True))
+        names = campaign.names_of_experiments
+        before = dict(zip(names, campaign.concentrations_before, strict=True))
         if theta is not None:
             layout = Layout.of(campaign)
             slow = max(float(theta[0]), float(theta[1]))
@@ -132,7 +132,7 @@ class Scales:
             reference_flow=self.reference_flow,
             signal_scale=self.signal_scale,
             duration=self.duration,
-            concentration_before=dict(self.concentrations_before).get(e.name, 0.0),
+            concentration_before=self.concentrations_before.get(e.name, 0.0),
         )
 
 

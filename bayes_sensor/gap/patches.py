@@ -251,7 +251,7 @@ def look_for_breaks(found: Refit, tail: float = np.inf) -> FullRate:
         shapes, spans = _changes(b.falling)
         templates = sketch.inverse_factors[k] @ shapes
         columns = plan.columns(k)
-        inside = found.derivatives[rows, : len(columns)].T @ templates
+        inside = found.jacobian[rows, columns].T @ templates
         own = covariance[np.ix_(columns, columns)]
         whole = np.sum(templates**2, axis=0)
         left = whole - np.sum(inside * (own @ inside), axis=0)

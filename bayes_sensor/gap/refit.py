@@ -130,11 +130,15 @@ class Sketch:
         ends = np.cumsum([0] + [len(d) for d in self.data])
         return [slice(a, b) for a, b in itertools.pairwise(ends)]
 
+    @property
+    def concentrations_before(self) -> tuple[float, ...]:
+        """Of the experiment that was run before each, be it in the sketch or not."""
+        return self.given_before or self.campaign.concentrations_before
+
     @cached_property
     def settings(self) -> tuple[Setting, ...]:
         """What effects may know of every experiment, switch times from the fit without effects."""
         plan = Plan(self)
-        before = self.given_before or self.campaign.concentrations_before
         found = []
         for k, e in enumerate(self.campaign):
             at = plan.local[k]
@@ -147,7 +151,7 @@ class Sketch:
                     reference_flow=self.reference_flow,
                     signal_scale=self.signal_scale,
                     duration=self.duration,
-                    concentration_before=before[k],
+                    concentration_before=self.concentrations_before[k],
                 )
             )
         return tuple(found)
@@ -176,7 +180,7 @@ class Sketch:
                 loudness=tuple(self.floor.loudness[k][keep[k]] for k in stay),
             ),
             base=self.local_coordinates(self.base, stay),
-            given_before=tuple(self.settings[k].concentration_before for k in stay),
+            given_before=tuple(self.concentrations_before[k] for k in stay),
         )
 
     def local_coordinates(self, x: FloatArray, stay: Sequence[int], own: int = 0) -> FloatArray:
@@ -858,8 +862,8 @@ def refit(
             if not fresh:
                 derivatives = None
                 continue
-            ahead = 0.0 if step is None else float(step @ gradient[index])
-            if finer == 1.0 and ahead > 0.1 * tolerance:
+            offered = 0.0 if step is None else float(step @ gradient[index])
+            if finer == 1.0 and offered > 0.1 * tolerance:
                 # where the model bends within the steps of the differences, they mislead
                 finer, damping, derivatives = FINER, 1e-3, None
                 continue

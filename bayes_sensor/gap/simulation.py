@@ -26,8 +26,11 @@ def default_strengths(name: str, scales: Scales, form: str | None = None) -> dic
     """Plausible strengths of an effect on a rig of these scales.
 
     Of one of its forms those that this one has, at their centres where nothing else is known.
+    Raises CampaignError where it has no such form.
     """
     effect = CATALOGUE[name]
+    if form is not None and not effect.forms:
+        raise CampaignError(f"{name} acts on the noise and has no forms; give it alone")
     time = scales.time_scale / PUBLISHED_SCALES["s"]
     volt = scales.signal_scale / PUBLISHED_SCALES["V"]
     duration = scales.duration / PUBLISHED_SCALES["duration"]
@@ -59,10 +62,6 @@ def read_strength(text: str) -> tuple[str, float | None]:
     which, equals, value = text.partition("=")
     name, form = parse_effect(which, "--effect")
     scales = Scales(1.0, 1.0, 1.0, 1.0)
-    if form is not None and not CATALOGUE[name].forms:
-        raise CampaignError(
-            f"--effect {which[:80]}: {name} acts on the noise and has no forms; give it alone"
-        )
     try:
         strengths = default_strengths(name, scales, form)
     except CampaignError as error:
@@ -117,14 +116,14 @@ def simulate_with_effects(
     chosen: dict[str, dict[str, Any]] = {}
     forms: dict[str, str | None] = {}
     for text, first in effects.items():
-        name, forms[name] = parse_effect(text)
+        name, form = parse_effect(text)
         if name in chosen:
             raise CampaignError(f"--effect {text[:80]}: {name} is given twice; leave one out")
-        strengths = default_strengths(name, scales, forms[name])
+        strengths = default_strengths(name, scales, form)
         if first is not None:
             strengths[next(iter(strengths))] = first
         _check(name, strengths, scales)
-        chosen[name] = strengths
+        chosen[name], forms[name] = strengths, form
     rng = np.random.default_rng(np.random.SeedSequence([seed, 7]))
     model, extended = _mean_model(problem, vector, chosen, forms, scales, rng)
     streams = np.random.SeedSequence(seed).spawn(len(problem.campaign))
