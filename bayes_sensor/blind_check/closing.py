@@ -109,8 +109,8 @@ class _Fit:
         first = self.n_base + len(self.shared) + k * len(self.own)
         return np.concatenate([np.arange(3), local, shared, first + np.arange(len(self.own))])
 
-    def mean(self, x: FloatArray, k: int) -> FloatArray:
-        """(n_bins of k,) whitened."""
+    def at_nodes(self, x: FloatArray, k: int) -> FloatArray:
+        """(3 n_bins of k,) values at the nodes of experiment ``k``'s bins."""
         step, e = self.oracle.steps[k], self.experiments[k]
         tau = float(np.sqrt(x[0]))
         y0, beta, on, off = x[3 + 4 * k : 7 + 4 * k]
@@ -127,12 +127,11 @@ class _Fit:
         changed = self.form.settings(values, self.setting(k, p[T0], p[TF]))
         for name, value in changed.items():
             p[FIRST + INDEX[name]] = value
-        at_nodes = rig_mean(self.oracle.times[step.name], p, *coating_modes())
-        return self.oracle.whitened_one(k, at_nodes)
+        return rig_mean(self.oracle.times[step.name], p, *coating_modes())
 
     def residual(self, x: FloatArray, target: FloatArray) -> FloatArray:
         """(n_bins + strengths,) misfit and, below it, the ridge."""
-        parts = [self.mean(x, k) for k in range(len(self.experiments))]
+        parts = [self.oracle.whitened_one(k, self.at_nodes(x, k)) for k in range(len(self.before))]
         return np.concatenate([np.concatenate(parts) - target, RIDGE * x[self.n_base :]])
 
     def jacobian(self, x: FloatArray) -> FloatArray:
@@ -141,12 +140,14 @@ class _Fit:
         n = spans[-1].stop
         total = np.zeros((n + self.size - self.n_base, self.size))
         for k, span in enumerate(spans):
-            here = self.mean(x, k)
-            for j in self.columns(k):
+            here, columns = self.at_nodes(x, k), self.columns(k)
+            slopes = np.empty((len(here), len(columns)))
+            for i, j in enumerate(columns):
                 h = 1e-5 * max(abs(x[j]), 1e-2 if j else 1e-4)
                 moved = x.copy()
                 moved[j] += h
-                total[span, j] = (self.mean(moved, k) - here) / h
+                slopes[:, i] = (self.at_nodes(moved, k) - here) / h
+            total[span, columns] = self.oracle.whitened_one(k, slopes)  # all at once: the dear part
         strengths = np.arange(self.n_base, self.size)
         total[n + strengths - self.n_base, strengths] = RIDGE
         return total

@@ -162,7 +162,7 @@ class Oracle:
         )
 
     def whitened_one(self, k: int, at_nodes: FloatArray) -> FloatArray:
-        """(n_bins of k,) whitened bin means of experiment ``k``, from values at its nodes."""
+        """(n_bins of k, ..) whitened bin means of experiment ``k``, from values at its nodes."""
         means = self._means(at_nodes)
         return np.asarray(solve_triangular(self.factors[k], means, lower=True))
 
