@@ -23,8 +23,8 @@ from bayes_sensor.gap.model import (
     prior_of,
     with_effects,
 )
-from bayes_sensor.gap.refit import Part, Plan
-from bayes_sensor.gap.sketch import prepare
+from bayes_sensor.gap.plan import Part, Plan
+from bayes_sensor.gap.preparation import prepare
 from bayes_sensor.likelihood import Prior, Problem
 from bayes_sensor.readers import read_campaign
 from tests.gap_cases import design, measured, theta

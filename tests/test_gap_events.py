@@ -20,8 +20,8 @@ from bayes_sensor.gap.patches import (
     look_for_breaks,
     look_for_patches,
 )
+from bayes_sensor.gap.preparation import fit_base, prepare
 from bayes_sensor.gap.ringing import look_for_ringing
-from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.gap.verdict import (
     ELSEWHERE,
     MISTAKEN_BY_SAMPLES,

@@ -16,9 +16,10 @@ from bayes_sensor.gap.effect import Form, Strength
 from bayes_sensor.gap.embedded import embedded_rivals
 from bayes_sensor.gap.evidence import AT_REST, STRONG, WIDTHS, Linearised
 from bayes_sensor.gap.floor import DOF
-from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, refit
+from bayes_sensor.gap.plan import FASTER, Part, Plan
+from bayes_sensor.gap.preparation import coordinates, fit_base, flat_theta, prepare
+from bayes_sensor.gap.refit import Refit, refit
 from bayes_sensor.gap.rig import FIRST, INDEX
-from bayes_sensor.gap.sketch import coordinates, fit_base, flat_theta, prepare
 from bayes_sensor.gap.verdict import Standing, judge
 from bayes_sensor.gap.where import Leverage
 from bayes_sensor.gap.which import _most_promising, family_priors, joined_start, with_start

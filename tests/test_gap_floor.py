@@ -22,7 +22,7 @@ from bayes_sensor.gap.floor import (
     loudness,
 )
 from bayes_sensor.gap.patches import look_for_breaks
-from bayes_sensor.gap.sketch import fit_base, prepare
+from bayes_sensor.gap.preparation import fit_base, prepare
 from bayes_sensor.likelihood import simulate
 from bayes_sensor.model import Layout, cascade_response
 from bayes_sensor.reality import draw_case, make_campaign

@@ -18,8 +18,9 @@ from bayes_sensor.gap.how_far import (
     taken_away,
     what_is_left,
 )
-from bayes_sensor.gap.refit import Part, Plan, Refit, refit
-from bayes_sensor.gap.sketch import fit_base, prepare
+from bayes_sensor.gap.plan import Part, Plan
+from bayes_sensor.gap.preparation import fit_base, prepare
+from bayes_sensor.gap.refit import Refit, refit
 from bayes_sensor.gap.which import _shares, finished
 from bayes_sensor.model import Layout
 from tests.gap_cases import measured, theta

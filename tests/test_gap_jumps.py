@@ -6,8 +6,9 @@ import pytest
 
 from bayes_sensor.gap import CATALOGUE
 from bayes_sensor.gap.jumps import jumps, swept
-from bayes_sensor.gap.refit import FASTER, Part, Plan, refit, with_tau
-from bayes_sensor.gap.sketch import fit_base, prepare
+from bayes_sensor.gap.plan import FASTER, Part, Plan
+from bayes_sensor.gap.preparation import fit_base, prepare
+from bayes_sensor.gap.refit import refit, with_tau
 from bayes_sensor.gap.which import fit_effect, weigh
 from bayes_sensor.model import Layout
 from tests.gap_cases import measured, theta

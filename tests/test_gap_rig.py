@@ -9,7 +9,7 @@ from bayes_sensor.gap import CATALOGUE
 from bayes_sensor.gap.effect import check_settings
 from bayes_sensor.gap.exponential import HIGHEST, LOWEST, exponentials
 from bayes_sensor.gap.model import with_effects
-from bayes_sensor.gap.refit import coating_modes
+from bayes_sensor.gap.plan import coating_modes
 from bayes_sensor.gap.rig import FIRST, INDEX, rig_mean, settings_vector
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.model import cascade_response

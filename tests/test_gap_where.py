@@ -21,9 +21,9 @@ from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.explained import explained
 from bayes_sensor.gap.floor import DOF
+from bayes_sensor.gap.preparation import fit_base, prepare
 from bayes_sensor.gap.refit import refit
 from bayes_sensor.gap.simulation import simulate_with_effects
-from bayes_sensor.gap.sketch import fit_base, prepare
 from bayes_sensor.gap.where import (
     Leverage,
     _parts,

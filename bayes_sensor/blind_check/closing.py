@@ -18,7 +18,7 @@ from bayes_sensor.blind_check.oracle import Oracle, Refit
 from bayes_sensor.campaign import Campaign, Experiment, FloatArray
 from bayes_sensor.gap.effect import Form, Setting, Strength
 from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.refit import coating_modes
+from bayes_sensor.gap.plan import coating_modes
 from bayes_sensor.gap.rig import (
     BETA,
     CONCENTRATION,

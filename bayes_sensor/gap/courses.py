@@ -15,7 +15,8 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.effect import Effect
-from bayes_sensor.gap.refit import Part, Refit
+from bayes_sensor.gap.plan import Part
+from bayes_sensor.gap.refit import Refit
 from bayes_sensor.gap.where import Leverage
 from bayes_sensor.gap.which import ABSORBED, course, joined_start
 

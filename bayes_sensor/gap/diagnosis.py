@@ -38,10 +38,10 @@ from bayes_sensor.gap.lines import (
 )
 from bayes_sensor.gap.passing import look_for_passing_lines
 from bayes_sensor.gap.patches import look_for_breaks, look_for_patches
+from bayes_sensor.gap.preparation import Prepared, fit_base, full_rate_residuals, prepare
 from bayes_sensor.gap.refit import Refit
 from bayes_sensor.gap.ringing import look_for_ringing
 from bayes_sensor.gap.separate import Separation, confusable, what_would_separate
-from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
 from bayes_sensor.gap.unsteady import look_for_unsteadiness
 from bayes_sensor.gap.verdict import NAMED, Standing, Verdict, judge, standing
 from bayes_sensor.gap.where import CLEAR, Map, locate, shared_by_explanations, shared_by_findings

@@ -38,7 +38,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.gap.refit import Refit, Sketch
+from bayes_sensor.gap.refit import Refit
+from bayes_sensor.gap.sketch import Sketch
 
 OWN = 0.1
 """standard deviation of an experiment's own part beside the common one"""

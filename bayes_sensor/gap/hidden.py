@@ -17,7 +17,9 @@ import numpy as np
 
 from bayes_sensor.gap.effect import Effect, Form, Strength
 from bayes_sensor.gap.evidence import Linearised
-from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, Sketch, base_starts, refit, with_tau
+from bayes_sensor.gap.plan import FASTER, Part, Plan
+from bayes_sensor.gap.refit import Refit, base_starts, refit, with_tau
+from bayes_sensor.gap.sketch import Sketch
 from bayes_sensor.gap.which import Weighing, joined_start
 from bayes_sensor.workers import in_order
 

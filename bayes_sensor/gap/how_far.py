@@ -23,7 +23,8 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.discrepancy import Discrepancy
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.floor import DOF
-from bayes_sensor.gap.refit import Refit, Sketch, refit
+from bayes_sensor.gap.refit import Refit, refit
+from bayes_sensor.gap.sketch import Sketch
 from bayes_sensor.gap.where import Leverage, _mean_square
 from bayes_sensor.gap.which import INCOMPLETE
 

@@ -14,7 +14,8 @@ from math import log
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.gap.refit import FASTER, Refit, refit, with_tau
+from bayes_sensor.gap.plan import FASTER
+from bayes_sensor.gap.refit import Refit, refit, with_tau
 
 SEEN = 25.0
 """what the objective gains by a jump that is well seen"""

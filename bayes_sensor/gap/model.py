@@ -16,7 +16,7 @@ import numpy as np
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.gap.effect import Effect, Form, RigView, Setting, Strength, check_settings
 from bayes_sensor.gap.effects import CATALOGUE, check_names
-from bayes_sensor.gap.refit import coating_modes
+from bayes_sensor.gap.plan import coating_modes
 from bayes_sensor.gap.rig import FIRST, INDEX, NEUTRAL, rig_mean, rig_response
 from bayes_sensor.likelihood import Prior, Problem, as_problem
 from bayes_sensor.model import Cascade, Layout, local_parameters

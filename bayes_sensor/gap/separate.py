@@ -14,7 +14,9 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.effect import Effect
-from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, refit
+from bayes_sensor.gap.plan import Part, Plan
+from bayes_sensor.gap.refit import Refit, refit
+from bayes_sensor.gap.sketch import Sketch
 from bayes_sensor.gap.which import fit_effect
 
 ISOLATED = 3.0

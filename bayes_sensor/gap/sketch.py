@@ -1,247 +1,139 @@
-"""From a campaign and its fit to the sketch: bins, noise floor, priors, the refitted base."""
+"""A campaign in bins, with its noise floor: what every hypothesis is fitted to."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import log
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.gap.bins import make_bins
-from bayes_sensor.gap.floor import (
-    Floor,
-    Quiet,
-    Stretch,
-    clean,
-    estimate_floor,
-    lattice_step,
-    quiet_stretches,
-)
-from bayes_sensor.gap.refit import (
-    FASTER,
-    NUISANCE_SD,
-    TAU_OVER_TAU_V,
-    Plan,
-    Refit,
-    Sketch,
-    base_starts,
-    refit,
-)
-from bayes_sensor.likelihood import grid_response
-from bayes_sensor.model import Layout, cascade_response
-
-
-def full_rate_residuals(campaign: Campaign, theta: FloatArray) -> list[FloatArray]:
-    """(n_t,) V per experiment: measurement minus the cascade at ``theta``."""
-    layout = Layout.of(campaign)
-    found = []
-    for k, e in enumerate(campaign):
-        i_y0, i_beta, i_t0, i_tf = layout.local[k]
-        taus = np.array([theta[1], theta[2] / e.total_flow, theta[0]])
-        tf = float(theta[i_tf]) if i_tf >= 0 else None
-        x = grid_response(e, taus, float(theta[i_t0]), tf)
-        found.append(np.where(e.used, e.values - theta[i_y0] - theta[i_beta] * x, 0.0))
-    return found
-
-
-def coordinates(campaign: Campaign, theta: FloatArray) -> FloatArray:
-    """Coordinates of the fit without effects at a flat ``theta``.
-
-    The faster of the two lags that do not depend on the flow is taken for the sensor.
-    """
-    layout = Layout.of(campaign)
-    tau, tau_v = sorted((float(theta[0]), float(theta[1])))
-    tau = max(tau, 1e-4 * tau_v)
-    x = np.array(theta[: layout.n_mean], dtype=float)
-    x[1] = log(tau_v)
-    x[0] = max(x[1] - FASTER - log(tau), 0.0)
-    x[2] = log(theta[2])
-    return x
-
-
-def flat_theta(campaign: Campaign, x: FloatArray) -> FloatArray:
-    """The flat ``theta`` of the mean at coordinates of the fit without effects."""
-    theta = np.array(x, dtype=float)
-    theta[0] = np.exp(x[1] - FASTER - x[0])
-    theta[1], theta[2] = np.exp(x[1]), np.exp(x[2])
-    return theta
+from bayes_sensor.gap.bins import AllBins, ExperimentBins
+from bayes_sensor.gap.effect import Setting
+from bayes_sensor.gap.floor import Floor
+from bayes_sensor.gap.squares import whiten
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
-    """A campaign's sketch with what was needed to make it."""
+class Sketch:
+    """A campaign in bins, with its noise floor and the priors of the nuisance parameters."""
 
-    sketch: Sketch
-    residuals: tuple[FloatArray, ...]
-    """(n_t,) V of each experiment, measurement minus the fit, spikes replaced"""
-    stretches: tuple[Stretch, ...]
-    """quiet parts, spikes replaced"""
-    raw: tuple[Stretch, ...]
-    """the same as measured"""
-    quiet: tuple[Quiet, ...]
-    """switches and quiet spans of every experiment, and its noise"""
-    theta: FloatArray
-    """the flat fit that the residuals belong to"""
-    settle: tuple[float, ...]
-    """s after a switch that every experiment's quiet spans leave out"""
+    campaign: Campaign
+    bins: tuple[ExperimentBins, ...]
+    data: tuple[FloatArray, ...]
+    """(n_bins,) V, mean of each bin"""
+    floor: Floor
+    base: FloatArray
+    """coordinates of the fit without effects"""
+    centre: FloatArray
+    """(3,) prior means of ln tau, ln tau_v, ln V"""
+    sd: FloatArray
+    """(3,) their prior sds"""
+    time_scale: float
+    """s, of the slower of valve and manifold"""
+    signal_scale: float
+    """V, median step height"""
+    reference_flow: float
+    """mL/s, median total flow"""
+    duration: float
+    """s, median length of a record"""
+    given_before: tuple[float, ...] | None = None
+    """concentrations before each experiment where the campaign does not tell: some are left out"""
 
-    @property
-    def deviations(self) -> list[FloatArray]:
-        """(n_t,) V of every experiment, the noise's standard deviation."""
-        return [q.deviation for q in self.quiet]
+    @cached_property
+    def inverse_factors(self) -> tuple[FloatArray, ...]:
+        """Inverses of the floor's Cholesky factors."""
+        return tuple(np.asarray(np.linalg.inv(c), dtype=float) for c in self.floor.cholesky)
 
-    def residuals_of(self, found: Refit) -> list[FloatArray]:
-        """(n_t,) V of every experiment, spikes replaced, measurement minus a refit's mean."""
-        campaign = self.sketch.campaign
-        layout = Layout.of(campaign)
-        made = []
-        for k, (e, r) in enumerate(zip(campaign, self.residuals, strict=True)):
-            i_y0, i_beta, i_t0, i_tf = layout.local[k]
-            taus = _taus(self.theta, e.total_flow)
-            tf = float(self.theta[i_tf]) if i_tf >= 0 else None
-            n = int(max((e.t[-1] - e.t[0]) / max(FINE, e.interval), 1.0)) + 2
-            grid = np.linspace(float(e.t[0]), float(e.t[-1]), n)
-            here = float(self.theta[i_y0]) + float(self.theta[i_beta]) * cascade_response(
-                grid, taus, float(self.theta[i_t0]), tf
-            )
-            moved = found.plan.mean(found.x, k, grid) - here
-            made.append(np.where(e.used, r - np.interp(e.t, grid, moved), 0.0))
+    @cached_property
+    def n_bins(self) -> int:
+        """Bins in all experiments."""
+        return sum(len(d) for d in self.data)
+
+    @cached_property
+    def all_bins(self) -> AllBins:
+        """The bins of all experiments, one after the other."""
+        return AllBins.of(self.bins)
+
+    @cached_property
+    def _flat_factors(self) -> FloatArray:
+        return np.concatenate([factor.ravel() for factor in self.inverse_factors])
+
+    def whitened(self, differences: FloatArray) -> FloatArray:
+        """Differences V (n_bins in all,) or (n_bins in all, m) over the floor."""
+        made: FloatArray = whiten(self._flat_factors, self.all_bins.of_bins, differences)
         return made
 
-    def stretches_of(self, residuals: list[FloatArray]) -> list[Stretch]:
-        """The quiet parts of other residuals (n_t,) V."""
-        sketch = self.sketch
-        return quiet_stretches(sketch.campaign, residuals, sketch.bins, self.settle)
+    @cached_property
+    def rows(self) -> list[slice]:
+        """Where each experiment's bins stand in a vector over all."""
+        ends = np.cumsum([0] + [len(d) for d in self.data])
+        return [slice(a, b) for a, b in itertools.pairwise(ends)]
 
+    @property
+    def concentrations_before(self) -> tuple[float, ...]:
+        """Of the experiment that was run before each, be it in the sketch or not."""
+        return self.given_before or self.campaign.concentrations_before
 
-NO_VOLUME = 0.02
-"""share of the valve's lag below which the manifold's is none that a rig has"""
-ANY_VOLUME = 1.0
-"""sd of ln V where the fit tells nothing of it"""
-FINE = 0.005
-"""s, steps in which two means are compared at full rate"""
-
-
-def _taus(theta: FloatArray, flow: float) -> FloatArray:
-    """(3,) s, valve, manifold, sensor of a flat theta."""
-    return np.array([theta[1], theta[2] / flow, theta[0]])
-
-
-def prepare(campaign: Campaign, theta: FloatArray) -> Prepared:
-    """Bins, floor and priors of a measured campaign around a fit (flat ``theta``).
-
-    Raises CampaignError where no record has a quiet stretch.
-    """
-    layout = Layout.of(campaign)
-    x = coordinates(campaign, theta)
-    flat = flat_theta(campaign, x)
-    raw = full_rate_residuals(campaign, flat)
-    cleaned, spikes = [], 0
-    for e, r in zip(campaign, raw, strict=True):
-        values, n = clean(r, e.used, lattice_step(e.values[e.used]))
-        cleaned.append(values)
-        spikes += n
-    taus = [_taus(flat, e.total_flow) for e in campaign]
-    scale = float(max(flat[1], np.median([t[1] for t in taus])))
-    switches = []
-    for k in range(len(campaign)):
-        _, _, i_t0, i_tf = layout.local[k]
-        switches.append((float(flat[i_t0]), float(flat[i_tf]) if i_tf >= 0 else None))
-    bins = make_bins(campaign, switches, taus, scale)
-    # bin means of the cleaned measurement: the model at every sample plus the cleaned residual
-    data, levels = [], []
-    for k, (e, b, r, full) in enumerate(zip(campaign, bins, cleaned, raw, strict=True)):
-        data.append(b.average(np.where(e.used, e.values - full + r, 0.0)))
-        t0, tf = switches[k]
-        levels.append(b.reduce(cascade_response(b.times, taus[k], t0, tf)))
-    settle = [settling_time(t) for t in taus]
-    fits = [e.values - r for e, r in zip(campaign, raw, strict=True)]
-    floor = estimate_floor(campaign, cleaned, bins, settle, levels, spikes, fits)
-    steps = [abs(float(flat[layout.local[k][1]])) for k in range(len(campaign))]
-    centre, sd = _plausible(campaign, flat), _spread(campaign)
-    flow = float(np.median([e.total_flow for e in campaign]))
-    if flat[2] < NO_VOLUME * flat[1] * flow and "V_mL" not in campaign.side_information:
-        # no rig is without a manifold: the fit has bent it away to do some effect's work
-        centre[2], sd[2] = log(0.5 * flat[1] * flow), ANY_VOLUME
-    sketch = Sketch(
-        campaign=campaign,
-        bins=tuple(bins),
-        data=tuple(data),
-        floor=floor,
-        base=x,
-        centre=centre,
-        sd=sd,
-        time_scale=scale,
-        signal_scale=float(np.median(steps)) or 1.0,
-        reference_flow=flow,
-        duration=float(np.median([len(e.t) * e.interval for e in campaign])),
-    )
-    return Prepared(
-        sketch,
-        tuple(cleaned),
-        tuple(quiet_stretches(campaign, cleaned, bins, settle)),
-        tuple(quiet_stretches(campaign, raw, bins, settle)),
-        tuple(_quiet(campaign, floor, switches, taus, settle, steps)),
-        flat,
-        tuple(settle),
-    )
-
-
-def _quiet(
-    campaign: Campaign,
-    floor: Floor,
-    switches: list[tuple[float, float | None]],
-    taus: list[FloatArray],
-    settle: list[float],
-    steps: list[float],
-) -> list[Quiet]:
-    deviation = np.sqrt(floor.density @ np.diff(floor.edges))
-    found = []
-    for k, (e, (t0, tf)) in enumerate(zip(campaign, switches, strict=True)):
-        begins = [float(e.t[0]), t0 + settle[k]] + ([] if tf is None else [tf + settle[k]])
-        ends = [t0, float(e.t[-1])] if tf is None else [t0, tf, float(e.t[-1])]
-        x = np.clip(cascade_response(e.t, taus[k], t0, tf), 0.0, 1.0)
-        low, high = deviation[k]
-        found.append(
-            Quiet(
-                switches=(t0,) if tf is None else (t0, tf),
-                spans=tuple(zip(begins, ends, strict=True)),
-                deviation=low + (high - low) * x,
-                step=steps[k],
+    @cached_property
+    def settings(self) -> tuple[Setting, ...]:
+        """What effects may know of every experiment, switch times from the fit without effects."""
+        found = []
+        first = self._ends(self.base)[:-1]
+        for e, at, before in zip(self.campaign, first, self.concentrations_before, strict=True):
+            found.append(
+                Setting(
+                    experiment=e,
+                    t0=float(self.base[at + 2]),
+                    tf=float(self.base[at + 3]) if e.has_fall else float(e.t[-1]),
+                    time_scale=self.time_scale,
+                    reference_flow=self.reference_flow,
+                    signal_scale=self.signal_scale,
+                    duration=self.duration,
+                    concentration_before=before,
+                )
             )
+        return tuple(found)
+
+    def restricted(self, keep: Sequence[NDArray[np.bool_]]) -> Sketch:
+        """The sketch with only some bins (n_bins,) of every experiment.
+
+        An experiment without any is left out, with its coordinates.
+        """
+        stay = [k for k, mask in enumerate(keep) if np.any(mask)]
+        factors = []
+        for k in stay:
+            covariance = self.floor.cholesky[k] @ self.floor.cholesky[k].T
+            kept = covariance[np.ix_(keep[k], keep[k])]
+            factors.append(np.asarray(np.linalg.cholesky(kept), dtype=float))
+        experiments = tuple(self.campaign.experiments[k] for k in stay)
+        return replace(
+            self,
+            campaign=replace(self.campaign, experiments=experiments),
+            bins=tuple(self.bins[k].restricted(keep[k]) for k in stay),
+            data=tuple(self.data[k][keep[k]] for k in stay),
+            floor=replace(
+                self.floor,
+                cholesky=tuple(factors),
+                density=self.floor.density[stay],
+                loudness=tuple(self.floor.loudness[k][keep[k]] for k in stay),
+            ),
+            base=self.local_coordinates(self.base, stay),
+            given_before=tuple(self.concentrations_before[k] for k in stay),
         )
-    return found
 
+    def local_coordinates(self, x: FloatArray, stay: Sequence[int], own: int = 0) -> FloatArray:
+        """Coordinates ``x`` without those of the experiments that do not stay.
 
-def settling_time(taus: FloatArray) -> float:
-    """s after a switch until the cascade is within .3 % of its end."""
-    grid = np.linspace(0.0, 20.0 * float(np.sum(taus)), 2000)
-    away = np.abs(1.0 - cascade_response(grid, taus, 0.0)) > 3e-3
-    return float(grid[np.flatnonzero(away)[-1]])
+        ``own``: strengths that every experiment has for itself.
+        """
+        ends = self._ends(x, own)
+        return np.concatenate([x[: ends[0]], *(x[ends[k] : ends[k + 1]] for k in stay)])
 
-
-def _plausible(campaign: Campaign, theta: FloatArray) -> FloatArray:
-    centre = np.array([log(TAU_OVER_TAU_V * theta[1]), log(theta[1]), log(theta[2])])
-    given = campaign.side_information
-    for i, name in enumerate(("tau_s", "tau_v_s", "V_mL")):
-        if name in given and given[name].mean > 0:
-            centre[i] = log(given[name].mean)
-    return centre
-
-
-def _spread(campaign: Campaign) -> FloatArray:
-    sd = np.array(list(NUISANCE_SD.values()))
-    for i, name in enumerate(("tau_s", "tau_v_s", "V_mL")):
-        if name in campaign.side_information and campaign.side_information[name].mean > 0:
-            known = campaign.side_information[name]
-            sd[i] = max(known.sd / known.mean, 1e-4)
-    return sd
-
-
-def fit_base(sketch: Sketch) -> Refit:
-    """The model without effects: the best of several starts."""
-    plan = Plan(sketch)
-    rough = [refit(plan, x, most_steps=12, tolerance=0.5) for x in base_starts(sketch, sketch.base)]
-    best = min(rough, key=lambda r: r.objective)
-    return refit(plan, best.x)
+    def _ends(self, x: FloatArray, own: int = 0) -> NDArray[np.int64]:
+        # (n_experiments + 1,) where the shared coordinates end, and those of each experiment
+        sizes = [(4 if e.has_fall else 3) + own for e in self.campaign]
+        return len(x) - sum(sizes) + np.cumsum([0, *sizes])

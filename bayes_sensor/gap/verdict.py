@@ -14,7 +14,8 @@ from bayes_sensor.gap.bins import PHASES
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.form import another_form, of_its_form
 from bayes_sensor.gap.full_rate import OF_UNLISTED_ORIGIN, FullRate
-from bayes_sensor.gap.refit import Refit, Sketch
+from bayes_sensor.gap.refit import Refit
+from bayes_sensor.gap.sketch import Sketch
 from bayes_sensor.gap.which import PRIOR_NONE, PRIOR_UNLISTED, Hypothesis, Weighing
 
 NAMED = 0.9

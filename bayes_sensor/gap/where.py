@@ -20,7 +20,8 @@ from scipy.stats import f as f_law
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.bins import PHASES
 from bayes_sensor.gap.floor import DOF
-from bayes_sensor.gap.refit import Refit, Sketch, refit
+from bayes_sensor.gap.refit import Refit, refit
+from bayes_sensor.gap.sketch import Sketch
 
 DRAWS = 2000
 """simulated noises behind the p-values"""

@@ -23,7 +23,9 @@ from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.embedded import WEIGHT, embedded_rivals
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.jumps import SEEN, jumps, swept
-from bayes_sensor.gap.refit import FASTER, Part, Plan, Refit, Sketch, refit, with_tau
+from bayes_sensor.gap.plan import FASTER, Part, Plan
+from bayes_sensor.gap.refit import Refit, refit, with_tau
+from bayes_sensor.gap.sketch import Sketch
 
 PRIOR_NONE = 0.5
 PRIOR_UNLISTED = 0.15

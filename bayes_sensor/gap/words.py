@@ -12,8 +12,8 @@ from bayes_sensor.gap.effect import Effect, Setting
 from bayes_sensor.gap.form import another_form
 from bayes_sensor.gap.full_rate import FOUND, OF_UNLISTED_ORIGIN, UNITS, FullRate
 from bayes_sensor.gap.how_far import Closure
-from bayes_sensor.gap.refit import Sketch
 from bayes_sensor.gap.separate import Separation
+from bayes_sensor.gap.sketch import Sketch
 from bayes_sensor.gap.verdict import LIKELIER, NAMED, Standing, of_one_family, stands_beside
 from bayes_sensor.gap.where import CLEAR, Map
 from bayes_sensor.gap.which import Hypothesis, Weighing

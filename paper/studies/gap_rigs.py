@@ -20,9 +20,11 @@ from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.cli.simulation import published_design
 from bayes_sensor.gap.effect import Effect, Form
 from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.refit import Plan, Refit, Sketch, base_starts, coating_modes, refit
+from bayes_sensor.gap.plan import Plan, coating_modes
+from bayes_sensor.gap.preparation import prepare
+from bayes_sensor.gap.refit import Refit, base_starts, refit
 from bayes_sensor.gap.rig import FIRST, INDEX, rig_mean
-from bayes_sensor.gap.sketch import prepare
+from bayes_sensor.gap.sketch import Sketch
 from bayes_sensor.model import Layout, cascade_response
 from bayes_sensor.noise import scale_squared, simulate_noise
 

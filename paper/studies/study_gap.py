@@ -38,9 +38,10 @@ from bayes_sensor.figures import effect_words
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.gap import CATALOGUE, Gap, diagnose_gap
 from bayes_sensor.gap.evidence import Linearised
-from bayes_sensor.gap.refit import Part, Plan, refit
+from bayes_sensor.gap.plan import Part, Plan
+from bayes_sensor.gap.preparation import coordinates, fit_base
+from bayes_sensor.gap.refit import refit
 from bayes_sensor.gap.separate import ISOLATED
-from bayes_sensor.gap.sketch import coordinates, fit_base
 from bayes_sensor.gap.which import fit_effect, joined_start, with_start
 from bayes_sensor.model import Layout
 from bayes_sensor.readers import read_campaign

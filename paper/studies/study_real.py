@@ -32,8 +32,10 @@ from bayes_sensor.gap.bins import PHASES, QUADRATURE, ExperimentBins
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.floor import estimate_floor
 from bayes_sensor.gap.how_far import closure
-from bayes_sensor.gap.refit import Part, Plan, Refit, Sketch, refit
-from bayes_sensor.gap.sketch import Prepared, fit_base, full_rate_residuals, prepare
+from bayes_sensor.gap.plan import Part, Plan
+from bayes_sensor.gap.preparation import Prepared, fit_base, full_rate_residuals, prepare
+from bayes_sensor.gap.refit import Refit, refit
+from bayes_sensor.gap.sketch import Sketch
 from bayes_sensor.gap.verdict import judge, standing
 from bayes_sensor.gap.which import fit_effect, weigh
 from bayes_sensor.model import Layout, cascade_response

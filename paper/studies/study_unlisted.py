@@ -33,7 +33,7 @@ from bayes_sensor.gap.discrepancy import (
     make_discrepancies,
 )
 from bayes_sensor.gap.evidence import Linearised
-from bayes_sensor.gap.sketch import fit_base, prepare
+from bayes_sensor.gap.preparation import fit_base, prepare
 from bayes_sensor.model import Layout
 from bayes_sensor.reality import Case, make_campaign
 
