@@ -29,6 +29,7 @@ from bayes_sensor.blind_check import (
     wilson,
 )
 from bayes_sensor.blind_check.baselines import by_bic, by_rss, whiteness_p_value
+from bayes_sensor.blind_check.card import card_table, table
 from bayes_sensor.blind_check.check import complete_truth, trimmed
 from bayes_sensor.blind_check.closing import closed_fraction
 from bayes_sensor.blind_check.oracle import (
@@ -43,7 +44,7 @@ from bayes_sensor.blind_check.oracle import (
     strength_for,
 )
 from bayes_sensor.blind_check.plan import HIDING, SHARES, Entry, counts, draw_truth
-from bayes_sensor.blind_check.score import card_table, level_of, score_case, table
+from bayes_sensor.blind_check.score import level_of, score_case
 from bayes_sensor.blind_check.statistics import Row
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.cli import _guarded

@@ -20,7 +20,7 @@ from scipy.special import ndtr
 from scipy.stats import binom
 
 from bayes_sensor.blind_check import card_table, make_card, read_rows, table, wilson
-from bayes_sensor.blind_check.score import oracle_share
+from bayes_sensor.blind_check.card import oracle_share
 from bayes_sensor.blind_check.statistics import average, roc
 from bayes_sensor.figures import svg
 from bayes_sensor.figures.blind_check import in_words, score_card

@@ -4,6 +4,7 @@ Cases come from :mod:`bayes_sensor.reality`, which shares nothing with the catal
 sealed before the diagnosis runs and opened after its verdicts are recorded.
 """
 
+from bayes_sensor.blind_check.card import card_table, make_card, read_rows, score, table
 from bayes_sensor.blind_check.check import (
     SETTINGS,
     diagnose,
@@ -13,7 +14,6 @@ from bayes_sensor.blind_check.check import (
     sealed_late,
 )
 from bayes_sensor.blind_check.plan import LEVELS, Entry, draw_truth, make_plan
-from bayes_sensor.blind_check.score import card_table, make_card, read_rows, score, table
 from bayes_sensor.blind_check.statistics import wilson
 
 __all__ = [

@@ -96,6 +96,11 @@ def roc(positive: Iterable[float | None], negative: Iterable[float | None]) -> R
     }
 
 
+def f1(precision: float | None, recall: float) -> float:
+    """Harmonic mean; 0 where no place was stated, or none of the right ones."""
+    return 2.0 * precision * recall / (precision + recall) if precision and recall else 0.0
+
+
 def calibration(rows: Sequence[Row], stated: str, right: str) -> Row:
     """Reliability in ten bins, expected calibration error and its band under calibration.
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from bayes_sensor.blind_check.score import GOALS_AT
+from bayes_sensor.blind_check.card import GOALS_AT
 from bayes_sensor.blind_check.statistics import proportion
 from bayes_sensor.figures.gap import effect_words
 from bayes_sensor.figures.style import (

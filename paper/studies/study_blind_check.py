@@ -35,9 +35,10 @@ from bayes_sensor.blind_check import (
     score,
     table,
 )
+from bayes_sensor.blind_check.card import GOALS_AT, SMALL
 from bayes_sensor.blind_check.check import complete_truth, diagnose, trimmed
 from bayes_sensor.blind_check.oracle import SEPARABLE_ABOVE
-from bayes_sensor.blind_check.score import GOALS_AT, SMALL, VISIBLE, score_case
+from bayes_sensor.blind_check.score import VISIBLE, score_case
 from bayes_sensor.blind_check.statistics import calibration, proportion
 from bayes_sensor.figures import png, svg
 from bayes_sensor.figures.blind_check import opened_seal, score_card
