@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality import Case, Step, clean_signals, draw_case, sample_times, without_causes
-from bayes_sensor.reality.rig import Course
+from bayes_sensor.reality.knobs import Course
 from bayes_sensor.reality.simulator import prepared_rig
 
 

@@ -14,9 +14,10 @@ from scipy.signal import welch
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality import Case, clean_signals, draw_case, sample_times, without_causes
-from bayes_sensor.reality.rig import Knobs, voltage
+from bayes_sensor.reality.knobs import Knobs
+from bayes_sensor.reality.rig import voltage
 from bayes_sensor.reality.simulator import prepared_rig
-from bayes_sensor.reality.stages import (
+from bayes_sensor.reality.stages.readout import (
     blanked,
     clamped,
     cosine_blocks,

@@ -14,9 +14,10 @@ from scipy.special import erf
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality import Case, Step, clean_signals, draw_case, sample_times, without_causes
-from bayes_sensor.reality.rig import Knobs, dip, voltage
+from bayes_sensor.reality.knobs import Knobs
+from bayes_sensor.reality.rig import dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
-from bayes_sensor.reality.stages import pit
+from bayes_sensor.reality.stages.manifold import pit
 from tests.reality_cases import case, solved
 
 

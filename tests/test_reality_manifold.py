@@ -11,17 +11,12 @@ from scipy.signal import lfilter
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality import Case, Step, clean_signals, draw_case, sample_times, without_causes
-from bayes_sensor.reality.rig import Knobs, voltage
+from bayes_sensor.reality.knobs import Knobs
+from bayes_sensor.reality.rig import voltage
 from bayes_sensor.reality.simulator import prepared_rig
-from bayes_sensor.reality.stages import (
-    fanned,
-    lag,
-    laminar,
-    looped,
-    splitting,
-    two_layers,
-    weighed_down,
-)
+from bayes_sensor.reality.stages.lags import lag
+from bayes_sensor.reality.stages.manifold import fanned, laminar, looped, two_layers, weighed_down
+from bayes_sensor.reality.stages.sensor import splitting
 from tests.reality_cases import case, solved
 
 

@@ -14,9 +14,12 @@ from scipy.special import erfc
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality import clean_signals, draw_case, sample_times, without_causes
-from bayes_sensor.reality.rig import Knobs, centre_of_mass, dip, voltage
+from bayes_sensor.reality.knobs import Knobs
+from bayes_sensor.reality.rig import centre_of_mass, dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
-from bayes_sensor.reality.stages import blind, decades, modal, slab, splitting
+from bayes_sensor.reality.stages.lags import decades, modal, slab
+from bayes_sensor.reality.stages.readout import blind
+from bayes_sensor.reality.stages.sensor import splitting
 from tests.reality_cases import case, offsets, solved
 
 

@@ -12,9 +12,11 @@ from scipy.special import erfc, exp1
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality import Case, Step, clean_signals, draw_case, sample_times, without_causes
-from bayes_sensor.reality.rig import Knobs, dip, voltage
+from bayes_sensor.reality.knobs import Knobs
+from bayes_sensor.reality.rig import dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
-from bayes_sensor.reality.stages import (
+from bayes_sensor.reality.stages.lags import modal, retarded
+from bayes_sensor.reality.stages.sensor import (
     burning,
     capillary,
     chained,
@@ -25,9 +27,7 @@ from bayes_sensor.reality.stages import (
     islands,
     layered_film,
     loosening,
-    modal,
     moving_fronts,
-    retarded,
 )
 from tests.reality_cases import case, solved
 

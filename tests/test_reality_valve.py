@@ -12,7 +12,8 @@ from scipy.signal import lfilter
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality import Case, clean_signals, draw_case, sample_times, without_causes
-from bayes_sensor.reality.rig import Knobs, voltage
+from bayes_sensor.reality.knobs import Knobs
+from bayes_sensor.reality.rig import voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from tests.reality_cases import case, solved
 

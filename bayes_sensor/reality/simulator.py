@@ -10,9 +10,10 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.reality.causes import CAUSES, Rig, converter_step, tail_mixture
+from bayes_sensor.reality.knobs import Knobs
 from bayes_sensor.reality.noise import draw_noise
 from bayes_sensor.reality.records import Case, Step
-from bayes_sensor.reality.rig import Knobs, on_the_clock, voltage
+from bayes_sensor.reality.rig import on_the_clock, voltage
 
 PHASES = ("baseline", "onset", "rise", "plateau", "fall", "tail")
 

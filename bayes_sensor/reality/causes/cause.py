@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.reality.knobs import Course, Knobs
 from bayes_sensor.reality.records import Case
-from bayes_sensor.reality.rig import Course, Knobs
 
 Rig = dict[str, Knobs]
 Apply = Callable[[Rig, float, np.random.Generator, Case], None]

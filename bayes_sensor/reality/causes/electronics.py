@@ -18,8 +18,9 @@ from bayes_sensor.reality.causes.cause import (
     _mean_step,
     _sign,
 )
+from bayes_sensor.reality.knobs import Course, Knobs
 from bayes_sensor.reality.records import Case, Step
-from bayes_sensor.reality.rig import Course, Knobs, both_sides, voltage
+from bayes_sensor.reality.rig import both_sides, voltage
 
 CAUSES = Causes()
 cause = CAUSES.cause

@@ -9,8 +9,9 @@ from scipy.special import erfcx, expit
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.causes.cause import Causes, Rig, _between, _interpolated
+from bayes_sensor.reality.knobs import Course
 from bayes_sensor.reality.records import Case
-from bayes_sensor.reality.rig import Course, both_sides
+from bayes_sensor.reality.rig import both_sides
 
 CAUSES = Causes()
 cause = CAUSES.cause
