@@ -17,11 +17,11 @@ import numpy as np
 from bayes_sensor.bounds.cramer_rao import PUBLISHED_SIGMA, CramerRao, bound_of, cramer_rao
 from bayes_sensor.bounds.gaussian import normal_factor
 from bayes_sensor.bounds.profile import Profiler, profile_curve
-from bayes_sensor.bounds.records import plain
 from bayes_sensor.bounds.surface import Maximum, Surface, coloured_surface
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.likelihood import Problem, as_problem
 from bayes_sensor.model import Layout, Theta
+from bayes_sensor.results import plain
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,6 +11,7 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.notebook import card
+from bayes_sensor.results import plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -99,21 +100,6 @@ class Bound:
             "details": plain(dict(self.details)),
             "parameters": parameters,
         }
-
-
-def plain(value: Any) -> Any:
-    """Numbers, lists and mappings that JSON knows; nan and infinity become None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [plain(entry) for entry in value]
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return value
 
 
 @dataclass(frozen=True, eq=False)

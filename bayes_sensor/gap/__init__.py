@@ -1,8 +1,9 @@
 """The sim-to-real gap: where the model misses, which effect causes it, how far it shrinks."""
 
-from bayes_sensor.gap.diagnosis import Gap, diagnose_gap
+from bayes_sensor.gap.diagnosis import diagnose_gap
 from bayes_sensor.gap.effect import Effect, Form, RigView, Setting, Strength, own_effect
 from bayes_sensor.gap.effects import CATALOGUE
+from bayes_sensor.gap.record import Gap
 
 __all__ = [
     "CATALOGUE",

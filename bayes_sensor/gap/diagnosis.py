@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import partial
 from itertools import takewhile
 from math import exp
 from typing import TYPE_CHECKING, Any
@@ -39,6 +39,7 @@ from bayes_sensor.gap.lines import (
 from bayes_sensor.gap.passing import look_for_passing_lines
 from bayes_sensor.gap.patches import look_for_breaks, look_for_patches
 from bayes_sensor.gap.preparation import Prepared, fit_base, full_rate_residuals, prepare
+from bayes_sensor.gap.record import Gap, HiddenEffects, Round, Shrink
 from bayes_sensor.gap.refit import Refit
 from bayes_sensor.gap.ringing import look_for_ringing
 from bayes_sensor.gap.separate import Separation, confusable, what_would_separate
@@ -56,12 +57,9 @@ from bayes_sensor.gap.words import (
 )
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.model import NOISE, Cascade, Layout, Theta
-from bayes_sensor.notebook import card
 from bayes_sensor.workers import one_thread
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from bayes_sensor.fit import Fit
 
 BOOTSTRAP = 60
@@ -77,211 +75,6 @@ MANY_HELD = 0.25
 """share of the switch times at their bounds from which commands are in doubt"""
 
 Progress = Callable[[float, str], None]
-
-
-@dataclass(frozen=True)
-class Shrink:
-    """How far the gap shrinks with the best explanation."""
-
-    closure: Closure
-    held_out_fraction_closed: float | None
-    tau_before_s: float
-    tau_after_s: float
-    """averaged over the explanations that hold 95 % of the probability"""
-    tau_after_low_s: float
-    tau_after_high_s: float
-    explanation: str
-    rival: str | None
-    """the best explanation outside the family"""
-    rival_fraction_closed: float | None
-    held_out_interval: tuple[float, float] | None = None
-    """95 %; None where nothing was held out, and for the mains"""
-
-    def to_json(self) -> dict[str, Any]:
-        """The keys of gap.json."""
-        c = self.closure
-        low, high = self.held_out_interval or (None, None)
-        return {
-            "before_excess_rms_V": c.before_V,
-            "after_excess_rms_V": c.after_V,
-            "fraction_closed": c.fraction,
-            "fraction_closed_lo": c.low,
-            "fraction_closed_hi": c.high,
-            "held_out_fraction_closed": self.held_out_fraction_closed,
-            "held_out_fraction_closed_lo": low,
-            "held_out_fraction_closed_hi": high,
-            "tau_before_s": self.tau_before_s,
-            "tau_after_s": self.tau_after_s,
-            "tau_after_lo_s": self.tau_after_low_s,
-            "tau_after_hi_s": self.tau_after_high_s,
-            "withheld": c.withheld,
-            "d_before": c.d_before,
-            "d_after": c.d_after,
-            "explanation": self.explanation,
-            "rival": self.rival,
-            "rival_fraction_closed": self.rival_fraction_closed,
-        }
-
-
-@dataclass(frozen=True)
-class HiddenEffects:
-    """What this campaign could not have seen."""
-
-    effects: tuple[Hidden, ...]
-    tau_envelope_s: tuple[float, float]
-
-    @cached_property
-    def table(self) -> pd.DataFrame:
-        """One row per effect: d, shift of tau, tau with it in place."""
-        import pandas as pd
-
-        return pd.DataFrame([vars(e) for e in self.effects])
-
-
-@dataclass(frozen=True)
-class Round:
-    """One round of the search: what was added, what is left after it."""
-
-    added: tuple[str, ...]
-    probability: float
-    d_left: float
-    p_left: float
-    unlisted_left: float
-    """probability that something unlisted is left"""
-
-
-@dataclass(frozen=True, eq=False)
-class Gap:
-    """The result of :func:`diagnose_gap`."""
-
-    verdict: Verdict
-    budget: dict[str, Any]
-    map: Map
-    shrink: Shrink
-    hidden: HiddenEffects
-    rounds: tuple[Round, ...]
-    separations: tuple[Separation, ...]
-    full_rate: tuple[FullRate, ...]
-    weighing: Weighing
-    standing: Standing
-    rows: tuple[dict[str, Any], ...]
-    strength_units: Mapping[str, str]
-    """name of a strength -> its unit; "1": it has none"""
-    signal_unit: str = "V"
-    notes: tuple[str, ...] = ()
-    """what could not be told, in sentences"""
-
-    @cached_property
-    def where(self) -> pd.DataFrame:
-        """Experiment x phase: excess, share and p-value."""
-        import pandas as pd
-
-        return pd.DataFrame([vars(c) for c in self.map.cells])
-
-    @cached_property
-    def which(self) -> pd.DataFrame:
-        """Every explanation with its probability, most probable first."""
-        import pandas as pd
-
-        return pd.DataFrame(list(self.rows))
-
-    def __repr__(self) -> str:
-        """Verdict, size of the gap, and tau without and with the explanation."""
-        v, s = self.verdict, self.shrink
-        which = (" and " if v.kind == "effect" else " or ").join(v.effects)
-        before, after = 1e3 * s.tau_before_s, 1e3 * s.tau_after_s
-        return (
-            f"Gap({v.kind} {which}".rstrip()
-            + f", probability {v.probability:.2f}; d {self.budget['excess_d']:.1f}; "
-            f"tau {before:.4g} ms without, {after:.4g} ms with the best explanation)"
-        )
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows of it: the verdict and the explanations it was chosen from."""
-        keys = ("effect", "family", "probability", "d", "fraction_closed", "tau_s")
-        rows = [[row.get(key) for key in keys] for row in self.rows[:8]]
-        sentences = [self.verdict.sentence, *self.notes]
-        title = f"gap: {self.verdict.kind}, probability {self.verdict.probability:.2f}"
-        return card(title, sentences, [key.replace("_", " ") for key in keys], rows)
-
-    def _finding(self, found: FullRate) -> dict[str, Any]:
-        experiments = self.weighing.sketch.campaign.experiments
-        where = found.strength.get(f"{found.name}_experiment")
-        return {
-            "name": found.name,
-            "log_bayes_factor": found.log_bayes_factor,
-            "probability": found.probability,
-            "strength": {k: v for k, v in found.strength.items() if not k.endswith("_experiment")},
-            "experiment": None if where is None else experiments[int(where)].name,
-            "d": found.d,
-        }
-
-    def to_json(self) -> dict[str, Any]:
-        """The content of gap.json; further keys: `where_scales`, `unlisted`, `rounds`, ..."""
-        v = self.verdict
-        record = {
-            "budget": self.budget,
-            "where": [_plain(vars(c), "scale", "scale_s") for c in self.map.cells],
-            "where_shared_by": self.map.shared_by,
-            "where_scales": [_plain(vars(c), "measured_excess_rms_V") for c in self.map.scales],
-            "where_left_out_d": self.map.left_out,
-            "which": list(self.rows),
-            "strength_units": dict(self.strength_units),
-            "verdict": {
-                "kind": v.kind,
-                "effects": list(v.effects),
-                "family": v.family,
-                "probability": v.probability,
-                "sentence": v.sentence,
-            },
-            "families": self.standing.families,
-            "faint": self.standing.faint,
-            "unlisted": {
-                "looks": self.standing.looks_unlisted,
-                "by_mean": self.standing.looks_by_mean,
-            },
-            "shrink": self.shrink.to_json(),
-            "hidden": {
-                "effects": [vars(h) for h in self.hidden.effects],
-                "tau_envelope_s": list(self.hidden.tau_envelope_s),
-            },
-            "rounds": [{**vars(r), "added": list(r.added)} for r in self.rounds],
-            "separate": [vars(s) for s in self.separations],
-            "full_rate": [self._finding(f) for f in self.full_rate],
-            "residuals": [
-                {
-                    "experiment": name,
-                    "since_switch_s": since.tolist(),
-                    "whitened": whitened.tolist(),
-                    "residual_V": volts.tolist(),
-                    "phase": phase.tolist(),
-                }
-                for name, since, whitened, volts, phase in self.map.residuals
-            ],
-            "signal_unit": self.signal_unit,
-            "notes": list(self.notes),
-        }
-        finite: dict[str, Any] = _finite(record)
-        return finite
-
-
-def _plain(mapping: Mapping[str, Any], *without: str) -> dict[str, Any]:
-    return {k: v for k, v in mapping.items() if k not in without}
-
-
-def _finite(value: Any) -> Any:
-    """The record without NaN, infinities and numpy's own types."""
-    if isinstance(value, Mapping):
-        return {str(k): _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value
 
 
 @one_thread
