@@ -14,7 +14,6 @@ from math import sqrt
 from typing import TypeVar
 
 import numpy as np
-from scipy.special import logsumexp
 from scipy.stats import norm
 from scipy.stats import t as student_t
 
@@ -285,7 +284,7 @@ def _tails(
 
 def _surprise(square: FloatArray, dof: FloatArray) -> float:
     """ln of the mean over positions and spreads of the ratio of t densities."""
-    return float(logsumexp(surprises(square, dof)) - np.log(len(square)))
+    return float(np.logaddexp.reduce(surprises(square, dof)) - np.log(len(square)))
 
 
 def surprises(square: FloatArray, dof: float | FloatArray) -> FloatArray:
@@ -293,7 +292,7 @@ def surprises(square: FloatArray, dof: float | FloatArray) -> FloatArray:
     wider = 1.0 + np.array(EVENT_RATIOS)[:, None]
     logs = 0.5 * (dof + 1.0) * (np.log1p(square / dof) - np.log1p(square / dof / wider))
     logs -= 0.5 * np.log(wider)
-    return np.asarray(logsumexp(logs, axis=0) - np.log(len(wider)))
+    return np.asarray(np.logaddexp.reduce(logs, axis=0) - np.log(len(wider)))
 
 
 def of_places(
@@ -304,14 +303,18 @@ def of_places(
     What strikes has a kind of its own at every place, or the same at all of them.  Told are the
     ``clearest`` moment of all, and those of the places that are rather struck than not.
     """
-    each = np.array([logsumexp(list(x.values())) - np.log(len(x)) if x else 0.0 for x in found])
+    each = np.array(
+        [np.logaddexp.reduce(list(x.values())) - np.log(len(x)) if x else 0.0 for x in found]
+    )
     alone = float(struck(each, STRUCK).sum())
     alike: dict[Hashable, float] = {}
     for logs in found:
         spared_or_not = struck(np.array(list(logs.values())), STRUCK).tolist()
         for kind, value in zip(logs, spared_or_not, strict=True):
             alike[kind] = alike.get(kind, 0.0) + value
-    together = float(logsumexp(list(alike.values()))) - np.log(len(alike)) if alike else 0.0
+    together = (
+        float(np.logaddexp.reduce(list(alike.values()))) - np.log(len(alike)) if alike else 0.0
+    )
     first = max(clearest, key=lambda p: p.size, default=Place(0, 0.0, 0.0))
     odds = each + np.log(STRUCK / (1.0 - STRUCK))
     kept = (p for p, o in zip(clearest, odds, strict=True) if o > 0.0 or p is first)

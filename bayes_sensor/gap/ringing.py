@@ -58,7 +58,7 @@ def _ringing(logs: Sequence[float], frequency: float, power: float) -> FullRate:
     """What the ``logs``, each ln B of one kind of window, say together."""
     if not logs:
         return FullRate("ringing", 0.0, {"ringing_Hz": 0.0}, None)
-    value = float(logsumexp(logs) - np.log(len(logs)))
+    value = float(np.logaddexp.reduce(logs) - np.log(len(logs)))
     return FullRate("ringing", value, {"ringing_Hz": frequency}, float(np.sqrt(2.0 * power)))
 
 
@@ -140,9 +140,9 @@ def _ringing_of_any_phase(
             c = np.array(RINGING_RATIOS)[:, None]
             # ratio of F densities: the usual power is a mean over windows, too
             usually = np.log1p(total / rest) - np.log1p(total / rest / (1.0 + c))
-            each = logsumexp((k + rest) * usually - k * np.log1p(c), axis=0)
+            each = np.logaddexp.reduce((k + rest) * usually - k * np.log1p(c), axis=0)
             each = each - np.log(len(RINGING_RATIOS))
-            logs.append(float(logsumexp(each) - np.log(len(each))))
+            logs.append(float(np.logaddexp.reduce(each) - np.log(len(each))))
             if logs[-1] > best:
                 best, peak = logs[-1], int(np.argmax(each))
                 frequency = float(f[keep][peak])
@@ -252,7 +252,7 @@ def _in_phase(
     g = np.array(IN_PHASE_RATIOS)[:, None]
     n = 4.0 * k  # ordinates that the level rests on, as far as they are independent
     usually = np.log1p(power / n) - np.log1p(power / n / (1.0 + g))
-    each = logsumexp((1.0 + n) * usually - np.log1p(g), axis=0) - np.log(len(g))
+    each = np.logaddexp.reduce((1.0 + n) * usually - np.log1p(g), axis=0) - np.log(len(g))
     peak = int(np.argmax(each))
     value = float(logsumexp(each, b=weight[where] / np.sum(weight)))
     return value, int(where[peak]), float(power[peak])

@@ -15,7 +15,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.gap.floor import Stretch, detrended, periodogram
@@ -48,7 +47,7 @@ STEP = 0.35
 """of the logarithm of a record's slow noise, from node to node"""
 # close enough together for spectra of hundreds of ordinates, between which Gauss's nodes would fall
 _NODES = np.linspace(-3.0, 3.0, 9)
-_LOG_WEIGHTS = -0.5 * _NODES**2 - logsumexp(-0.5 * _NODES**2)
+_LOG_WEIGHTS = -0.5 * _NODES**2 - np.logaddexp.reduce(-0.5 * _NODES**2)
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> l
     for sd, slow, plausible in RECORDS:
         # the baseline tells how unlike records are
         usual = np.log(plausible) + sum(
-            float(logsumexp(_without(o, spectrum[o.band], sd, slow)[0])) for o in carrier
+            float(np.logaddexp.reduce(_without(o, spectrum[o.band], sd, slow)[0])) for o in carrier
         )
         for node, log_weight in zip(_NODES, _LOG_WEIGHTS, strict=True):
             level = spectrum * np.exp(node * spread)
@@ -105,17 +104,17 @@ def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> l
             gains = np.array([g for _, g in told])  # (n_records, n_excesses, n_cutoffs)
             without.append(nothing)
             alike.append(nothing + gains.sum(axis=0))
-            in_each = struck(logsumexp(gains, axis=1) - np.log(len(EXCESSES)), STRUCK)
+            in_each = struck(np.logaddexp.reduce(gains, axis=1) - np.log(len(EXCESSES)), STRUCK)
             apart.append(nothing + in_each.sum(axis=0))
-    same = logsumexp(alike, axis=0)
-    value = np.logaddexp(_mean(same), _mean(logsumexp(apart, axis=0))) - np.log(2.0)
+    same = np.logaddexp.reduce(alike, axis=0)
+    value = np.logaddexp(_mean(same), _mean(np.logaddexp.reduce(apart, axis=0))) - np.log(2.0)
     i, j = np.unravel_index(int(np.argmax(same)), same.shape)
     strength = {"unsteady_excess": float(EXCESSES[i]), "unsteady_Hz": float(CUTOFFS[j])}
-    return [FullRate("unsteady", float(value - logsumexp(without)), strength, None)]
+    return [FullRate("unsteady", float(value - np.logaddexp.reduce(without)), strength, None)]
 
 
 def _mean(logs: FloatArray) -> float:
-    return float(logsumexp(logs) - np.log(logs.size))
+    return float(np.logaddexp.reduce(logs, axis=None) - np.log(logs.size))
 
 
 def _ordinates(
@@ -182,7 +181,7 @@ def _without(
     the logarithm.  Ratios are of its power to what is then expected.
     """
     nodes = np.linspace(-4.0, 4.0, 2 * int(np.ceil(4.0 * sd / STEP)) + 1)
-    log_weights = -0.5 * nodes**2 - logsumexp(-0.5 * nodes**2)
+    log_weights = -0.5 * nodes**2 - np.logaddexp.reduce(-0.5 * nodes**2)
     lifts = nodes[:, None] * sd / (1.0 + (o.frequency / slow) ** 2)  # (n_nodes, n)
     ratio = o.power / expected * np.exp(-lifts)
     here = log_weights - INDEPENDENT * np.sum(np.log(expected) + lifts + ratio, axis=1)
@@ -195,6 +194,8 @@ def _record(
     """ln likelihood of one record without an excess, and what each excess and cutoff adds."""
     here, ratio = _without(o, expected, sd, slow)
     share, cost = o.explained
-    nothing = float(logsumexp(here))
-    within = logsumexp(here[:, None] + INDEPENDENT * (ratio @ share - cost), axis=0) - nothing
+    nothing = float(np.logaddexp.reduce(here))
+    within = (
+        np.logaddexp.reduce(here[:, None] + INDEPENDENT * (ratio @ share - cost), axis=0) - nothing
+    )
     return nothing, within.reshape(o.more.shape[1:])
