@@ -27,6 +27,7 @@ from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.compression import compress
 from bayes_sensor.fit import Fit
 from bayes_sensor.likelihood import Problem, as_problem
+from bayes_sensor.results import plain
 
 OUTLIER_LEVEL = 0.05
 """Bonferroni-corrected level at which an experiment is left out"""
@@ -265,8 +266,8 @@ def regress_line(
         se=told["se"],
         ci95=told["ci95"],
         outliers=left_out,
-        studentised={m: _finite(v) for m, v in zip(names, studentised)},
-        bonferroni_p={m: _finite(v) for m, v in zip(names, p)},
+        studentised=plain(dict(zip(names, studentised))),
+        bonferroni_p=plain(dict(zip(names, p))),
         residual_sd=float(np.sqrt(result.scale)),
         band=_band(result, x),
         with_outliers=with_outliers,
@@ -274,10 +275,6 @@ def regress_line(
         status=status,
         ordinary={key: summary[key] for key in ("se", "ci95", "p_value")},
     )
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _cannot(names: Sequence[str], x: FloatArray) -> str:
@@ -333,8 +330,8 @@ def _summary(result: Any) -> dict[str, Any]:
     return {
         "intercept_s": float(result.params[0]),
         "slope_L": float(result.params[1]),
-        "r2": _finite(result.rsquared),
-        "p_value": _finite(result.pvalues[1]),
+        "r2": plain(result.rsquared),
+        "p_value": plain(result.pvalues[1]),
         "se": {"intercept_s": float(result.bse[0]), "slope_L": float(result.bse[1])},
         "ci95": {
             "intercept_s": [float(v) for v in interval[0]],

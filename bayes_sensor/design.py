@@ -24,6 +24,7 @@ from bayes_sensor.likelihood import Prior, Problem, as_problem, simulate
 from bayes_sensor.model import Layout, Theta, local_parameters
 from bayes_sensor.noise import Noise, lag_coefficient
 from bayes_sensor.posterior import sample_posterior
+from bayes_sensor.results import plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -495,15 +496,15 @@ class Design:
 
 
 def _plain(prediction: Prediction) -> dict[str, float | None]:
-    numbers = {
+    numbers: dict[str, float | None] = plain({
         "sd_tau_s": prediction.sd,
         "lo68_s": prediction.low68,
         "hi68_s": prediction.high68,
         "lo95_s": prediction.low95,
         "hi95_s": prediction.high95,
         "half_width95_s": prediction.half_width95,
-    }
-    return {key: value if np.isfinite(value) else None for key, value in numbers.items()}
+    })  # fmt: skip
+    return numbers
 
 
 def design_experiments(

@@ -131,7 +131,8 @@ class _Fit:
 
     def residual(self, x: FloatArray, target: FloatArray) -> FloatArray:
         """(n_bins + strengths,) misfit and, below it, the ridge."""
-        parts = [self.oracle.whitened_one(k, self.at_nodes(x, k)) for k in range(len(self.before))]
+        n = len(self.experiments)
+        parts = [self.oracle.whitened_one(k, self.at_nodes(x, k)) for k in range(n)]
         return np.concatenate([np.concatenate(parts) - target, RIDGE * x[self.n_base :]])
 
     def jacobian(self, x: FloatArray) -> FloatArray:

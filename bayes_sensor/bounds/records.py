@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.notebook import card
 from bayes_sensor.results import plain
@@ -90,7 +88,7 @@ class Bound:
         """``assumes``, ``reference``, ``status`` and ``parameters`` as in ``bounds.json``."""
         parameters: dict[str, Any] = {}
         for name in self.names:
-            row = {k: v if np.isfinite(v) else None for k, v in self.row(name).items()}
+            row = plain(self.row(name))
             said = any(row[key] is not None for key in COLUMNS[1:])
             parameters[name] = row if said else None
         return {

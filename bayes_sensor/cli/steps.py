@@ -25,6 +25,7 @@ from bayes_sensor.results import (
     make_traces,
     now,
     of_other_data,
+    plain,
     run_record,
     save_traces,
     sha256,
@@ -365,10 +366,7 @@ def naive_bounds(job: Job) -> dict[str, Any]:
     ):
         try:
             bound = cramer_rao(job.problem, vector, sigma, **options)
-            found[method] = {
-                n: float(s) if np.isfinite(s) else None
-                for n, s in zip(bound.names[:3], bound.sd[:3], strict=True)
-            }
+            found[method] = plain(dict(zip(bound.names[:3], bound.sd[:3], strict=True)))
         except CampaignError:  # forward Euler is unstable for a tau below half a sample
             found[method] = None
     return found

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.notebook import card
+from bayes_sensor.results import plain
 
 Progress = Callable[[float, str], None]
 """called with the fraction done and a word"""
@@ -89,10 +88,7 @@ class Fit:
             "cost_V2": self.cost,
             "phi_interval_s": self.phi_interval,
             "signal_unit": self.signal_unit,
-            "bounds": {
-                name: [value if np.isfinite(value) else None for value in pair]
-                for name, pair in self.bounds.items()
-            },
+            "bounds": plain(self.bounds),
             "swarms": self.swarms,
             "euler": self.euler,
             "differential_evolution": self.de,

@@ -36,12 +36,10 @@ from bayes_sensor.gap.rig import (
     rig_mean,
     rig_response,
 )
-from bayes_sensor.gap.sketch import Sketch
+from bayes_sensor.gap.sketch import SHARED, Sketch
 
 FASTER = 0.3
 """the sensor's time constant is below the valve's by at least this in the logarithm"""
-SHARED = 3
-"""coordinates shared by all experiments: ln tau_v - ln tau - FASTER, ln tau_v, ln V"""
 WIDE = 100.0
 """step heights; spread of the priors of y0 and beta"""
 LOOSER = 30.0
@@ -104,13 +102,8 @@ class Plan:
 
     @cached_property
     def local(self) -> list[int]:
-        """First coordinate of each experiment."""
-        at = SHARED + len(self.shared)
-        found = []
-        for e in self.sketch.campaign:
-            found.append(at)
-            at += (4 if e.has_fall else 3) + len(self.own)
-        return [*found, at]
+        """First coordinate of each experiment, and one after the last."""
+        return self.sketch.local(SHARED + len(self.shared), len(self.own))
 
     @property
     def size(self) -> int:
@@ -130,15 +123,13 @@ class Plan:
         precision[1:3] = 1.0 / self.sketch.sd[1:] ** 2
         precision[SHARED : SHARED + len(self.shared)] = 1.0
         n = len(self.own)
-        at = SHARED
-        for k, fall in enumerate(self._falls):
-            m = 4 if fall else 3
+        for k, (at, end) in enumerate(itertools.pairwise(self.sketch.local(SHARED))):
+            m = end - at
             here = slice(self.local[k], self.local[k] + m)
-            mean[here] = self.sketch.base[at : at + m]
+            mean[here] = self.sketch.base[at:end]
             wide = [WIDE * self.sketch.signal_scale] * 2 + [self.sketch.duration] * (m - 2)
             precision[here] = 1.0 / np.array(wide) ** 2
             precision[self.local[k + 1] - n : self.local[k + 1]] = 1.0
-            at += m
         return mean, precision
 
     def prior_matrix(self, widths: FloatArray | None = None) -> FloatArray:

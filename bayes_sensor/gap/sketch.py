@@ -16,6 +16,9 @@ from bayes_sensor.gap.effect import Setting
 from bayes_sensor.gap.floor import Floor
 from bayes_sensor.gap.squares import whiten
 
+SHARED = 3
+"""coordinates shared by all experiments: ln tau_v - ln tau - FASTER, ln tau_v, ln V"""
+
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
@@ -82,7 +85,7 @@ class Sketch:
     def settings(self) -> tuple[Setting, ...]:
         """What effects may know of every experiment, switch times from the fit without effects."""
         found = []
-        first = self._ends(self.base)[:-1]
+        first = self.local(SHARED)[:-1]
         for e, at, before in zip(self.campaign, first, self.concentrations_before, strict=True):
             found.append(
                 Setting(
@@ -130,10 +133,13 @@ class Sketch:
 
         ``own``: strengths that every experiment has for itself.
         """
-        ends = self._ends(x, own)
-        return np.concatenate([x[: ends[0]], *(x[ends[k] : ends[k + 1]] for k in stay)])
+        at = self.local(len(x) - self.local(0, own)[-1], own)
+        return np.concatenate([x[: at[0]], *(x[at[k] : at[k + 1]] for k in stay)])
 
-    def _ends(self, x: FloatArray, own: int = 0) -> NDArray[np.int64]:
-        # (n_experiments + 1,) where the shared coordinates end, and those of each experiment
-        sizes = [(4 if e.has_fall else 3) + own for e in self.campaign]
-        return len(x) - sum(sizes) + np.cumsum([0, *sizes])
+    def local(self, first: int, own: int = 0) -> list[int]:
+        """First coordinate of each experiment, that of all being ``first``, and one after the last.
+
+        ``own``: strengths that every experiment has for itself.
+        """
+        sizes = ((4 if e.has_fall else 3) + own for e in self.campaign)
+        return list(itertools.accumulate(sizes, initial=first))

@@ -18,6 +18,7 @@ from bayes_sensor.notebook import card
 from bayes_sensor.posterior.convergence import ESS_LIMIT, MESH_ERROR_LIMIT, R_HAT_LIMIT
 from bayes_sensor.posterior.settings import Settings
 from bayes_sensor.posterior.summaries import highest_density, reaches_end, weighted_quantiles
+from bayes_sensor.results import plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -179,7 +180,7 @@ class Posterior:
             "sampler": self.sampler,
             "reasons": list(self.reasons),
             "warnings": list(self.warnings),
-            "k_hat": self.k_hat if self.k_hat is not None and np.isfinite(self.k_hat) else None,
+            "k_hat": plain(self.k_hat),
             "acceptance": self.acceptance,
             "log_likelihood_error": self.mesh_error,
             "seed": self.seed,
