@@ -81,7 +81,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (71, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (74, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -336,6 +336,13 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("neighbours_airlock", {"plateau", "fall"}, 0.95),
         ("stacked_layers", {"fall", "tail"}, 0.999),
         ("unwashed_pores", {"rise", "plateau", "fall"}, 0.99),
+        ("heated_hose", {"rise", "plateau", "fall"}, 0.99),
+        ("standing_water", {"rise", "fall"}, 0.99),
+        ("glimmering_reagent", {"rise", "plateau", "fall"}, 0.999),
+        ("avalanching_crystal", {"rise", "plateau", "fall"}, 0.99),
+        ("grainy_fibre", {"rise", "plateau", "fall"}, 0.999),
+        ("chart_on_screen", {"plateau", "fall", "tail"}, 0.98),
+        ("flattened_record", {"baseline", "plateau", "tail"}, 0.9),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

@@ -31,6 +31,7 @@ from bayes_sensor.reality.stages.readout import (
     overloaded,
     parabola,
     phase_locked,
+    slowest_waves,
     windowed_average,
 )
 from tests.reality_cases import case, offsets, on_its_clock, solved
@@ -1333,3 +1334,57 @@ def test_a_cables_insulation_gives_its_charge_back_as_a_power_of_time() -> None:
             assert np.abs(off[gap > 1e-4]).max() < 1e-4
             added += 1
     assert added >= 1
+
+
+def test_a_flattened_record_has_lost_some_of_its_slowest_waves_and_nothing_else() -> None:
+    strength, counts = 0.3, []
+    for seed in range(11, 19):
+        rig = replace(draw_case(seed, size="small"), strengths={"flattened_record": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        for step in rig.steps:
+            n = len(plain[step.name])
+            was, is_ = (np.fft.rfft(found[step.name]) / n for found in (plain, seen))
+            gone = 1.0 - np.abs(is_[1:7]) / np.abs(was[1:7])
+            waves = prepared_rig(rig)[step.name].flattened_waves
+            # the mean stays, and every wave but those; sums over samples are off by 1e-3
+            assert is_[0] == pytest.approx(was[0], abs=1e-3 * step.beta)
+            lost = was[1:7] - is_[1:7]
+            expected = np.where(np.arange(6) < waves, strength, 0.0) * was[1:7]
+            assert np.abs(lost - expected).max() < 1e-3 * step.beta
+            strong = np.abs(was[1:7]) > 0.05 * step.beta
+            assert np.abs(gone - np.where(np.arange(6) < waves, strength, 0.0))[strong].max() < 0.03
+            counts.append(waves)
+    assert set(counts) <= {1, 2, 3, 4} and len(set(counts)) > 1
+    t = np.unique(np.random.default_rng(3).uniform(0.0, 20.0, 20_000))
+    wave = np.cos(2.0 * np.pi * t / 20.0 + 0.4) - 0.5 * np.sin(6.0 * np.pi * t / 20.0)
+    assert np.abs(slowest_waves(t, 0.7 + wave, 20.0, 3) - wave).max() < 1e-4
+    assert np.abs(slowest_waves(t, 0.7 + wave, 20.0, 2)).max() > 0.9
+
+
+def test_an_idle_tone_is_as_high_as_the_signal_is_off_its_zero_and_as_loud_everywhere() -> None:
+    strength, pitches = 0.2, []
+    for seed in range(11, 19):
+        rig = replace(draw_case(seed, size="small"), strengths={"whining_converter": strength})
+        size = strength * np.mean([step.beta for step in rig.steps])
+        step = rig.steps[0]
+        knobs = prepared_rig(rig)[step.name]
+        pitches.append(knobs.whine_rate * size / strength)
+        # as often as it takes to follow the tone
+        t = np.arange(0.0, step.duration, 5e-4)
+        times = {s.name: t for s in rig.steps}
+        seen, plain = (clean_signals(c, times) for c in (rig, without_causes(rig)))
+        tone = seen[step.name] - plain[step.name]
+        assert np.abs(tone).max() <= size * (1.0 + 1e-9)
+        rate = knobs.whine_rate * np.abs(plain[step.name] - knobs.whine_zero)
+        turns = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1])) * 5e-4])
+        expected = size * np.sin(2.0 * np.pi * (turns + knobs.whine_begin))
+        assert np.abs(tone - expected).max() < 0.02 * size
+        # at rest it is one pure tone, of which any three readings tell the pitch
+        rest = t < step.t0
+        y = tone[rest]
+        (a,), *_ = np.linalg.lstsq(y[1:-1, None], y[2:] + y[:-2], rcond=None)
+        found = np.arccos(np.clip(0.5 * a, -1.0, 1.0)) / (2.0 * np.pi * 5e-4)
+        assert found == pytest.approx(rate[0], rel=0.01, abs=0.05)
+        # every experiment's begins anywhere
+        assert len({prepared_rig(rig)[s.name].whine_begin for s in rig.steps}) == len(rig.steps)
+    assert 2.99 < min(pitches) < 15.0 < max(pitches) < 40.01

@@ -1196,6 +1196,68 @@ def test_clipped_thrice_filtered_and_fitful_noise_are_what_they_say() -> None:
         assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.05)
 
 
+def test_faded_frozen_and_fluttering_noise_are_what_they_say() -> None:
+    rng = np.random.default_rng(53)
+    h, T = 1e-3, 0.02
+    law = NoiseLaw("faded_echo", 1.0, components=(Component(1.0, T, shape="fading"),))
+    z = draw_noise(law, 2_000_000, h, rng)
+    # brightness is exponentially distributed: its logarithm, less its mean, is Gumbel's
+    scale = np.pi / np.sqrt(6.0)
+    for level in (-4.0, -2.0, -0.5, 0.5, 1.2):
+        below = -np.expm1(-np.exp(level * scale - np.euler_gamma))
+        assert np.mean(z < level) == pytest.approx(below, abs=0.01)
+    assert np.mean(z**3) == pytest.approx(-12.0 * np.sqrt(6.0) * 1.2020569 / np.pi**3, rel=0.1)
+    R = autocorrelation(law, 100, h)
+    k = np.arange(1.0, 4000.0)
+    for lag in (1, 3, 20, 60):
+        # both logarithms in Laguerre's polynomials, which remember r^2k each, in shares of 1/k^2
+        share = np.exp(-2.0 * lag * h / T * k) / k**2
+        assert R[lag] == pytest.approx(np.sum(share) / (np.pi**2 / 6.0), abs=1e-4)
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.02)
+
+    T = 0.5
+    law = NoiseLaw("wandering_spot", 1.0, components=(Component(1.0, T, shape="landscape"),))
+    R = autocorrelation(law, 2000, h)
+    for lag in (1, 50, 1999):
+        # over all distances that a walk may have come by then
+        d = np.sqrt(2.0 * lag * h / T) * np.linspace(-9.0, 9.0, 200_001)
+        bell = np.exp(-(np.linspace(-9.0, 9.0, 200_001) ** 2) / 2.0)
+        assert R[lag] == pytest.approx(np.sum(np.exp(-np.abs(d)) * bell) / np.sum(bell), abs=1e-6)
+    z = np.array([draw_noise(law, 2000, h, rng) for _ in range(3000)])
+    # a Gaussian height at any one time
+    assert z.std() == pytest.approx(1.0, abs=0.03) and np.mean(z**4) == pytest.approx(3.0, abs=0.25)
+    for lag in (1, 50, 500, 1999):
+        assert np.mean(z[:, lag] * z[:, 0]) == pytest.approx(R[lag], abs=0.08)
+    # but of moves, which are as large as the root of a Gaussian's modulus, the fourth moment is
+    # 3 pi/2 over the squared second
+    moves = np.diff(z, axis=1)
+    assert np.mean(moves**4) / np.mean(moves**2) ** 2 == pytest.approx(1.5 * np.pi, rel=0.05)
+    assert np.mean(moves**2) == pytest.approx(2.0 * (1.0 - R[1]), rel=0.02)
+
+    T, depth = 0.01, 0.2
+    part = Component(1.0, T, shape="fluttering", depth=depth)
+    law = NoiseLaw("fluttering_loop", 1.0, components=(part,))
+    z = draw_noise(law, 2_000_000, h, rng)
+    assert z.std() == pytest.approx(1.0, abs=0.03)
+    R = autocorrelation(law, 100, h)
+    assert np.allclose(R, np.exp(-np.arange(100) * h / T))
+    for lag in (1, 10, 40):
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.03)
+    # Student's law: x' = -x/T with kicks of variance 2 (1 - depth + depth x^2)/T; steps of a fifth
+    # of T change its wings, not its middle
+    degrees = 1.0 + 1.0 / depth
+    width = np.sqrt((1.0 - depth) / depth / degrees)
+    for level in (-2.0, -1.0, -0.3, 0.5, 1.5):
+        assert np.mean(z < level) == pytest.approx(stdtr(degrees, level / width), abs=0.012)
+    # the larger it is, the larger is what comes next
+    e, before = z[1:] - np.exp(-h / T) * z[:-1], np.abs(z[:-1])
+    loss = -np.expm1(-2.0 * h / T)
+    for low, high in ((0.0, 0.2), (0.9, 1.1), (1.8, 2.2)):
+        some = (before > low) & (before < high)
+        grown = (1.0 - depth + depth * np.mean(before[some] ** 2)) * loss
+        assert np.mean(e[some] ** 2) == pytest.approx(grown, rel=0.06)
+
+
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])
 def test_the_laws_called_heavy_tailed_are_those_whose_innovations_are(name: str) -> None:
     for seed in range(3):

@@ -18,7 +18,7 @@ from bayes_sensor.reality.knobs import Knobs
 from bayes_sensor.reality.rig import centre_of_mass, dip, voltage
 from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages.lags import decades, modal, slab
-from bayes_sensor.reality.stages.readout import blind
+from bayes_sensor.reality.stages.readout import blind, shone_back
 from bayes_sensor.reality.stages.sensor import splitting
 from tests.reality_cases import case, offsets, solved
 
@@ -997,3 +997,56 @@ def test_a_lamp_sways_as_a_pendulum_of_its_length_from_one_record_to_the_next() 
     assert np.all(low > [0.49, 14.9]) and np.all(high < [2.21, 60.1]) and np.all(high > 1.5 * low)
     # and it is added to the signal as it is
     assert len(list(offsets(case(swaying_lamp=strength), 1e-4))) >= 2
+
+
+def test_a_fibre_of_many_modes_passes_the_same_light_whenever_the_line_is_there_again() -> None:
+    strength, slopes, values = 0.1, [], []
+    for seed in range(11, 21):
+        rig = replace(draw_case(seed, size="small"), strengths={"grainy_fibre": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        level, light = [], []
+        for step in rig.steps:
+            relative = rig.relative_concentration(step)
+            level.append(relative * (plain[step.name] - step.y0) / step.beta)
+            light.append(seen[step.name] / plain[step.name])
+            assert np.abs(light[-1][: round(step.t0 / step.interval)] - 1.0).max() < 1e-12
+        x, passed = np.concatenate(level), np.concatenate(light)
+        knobs = prepared_rig(rig)["1"]
+        waves, begins = knobs.grain_waves, knobs.grain_begins
+        # one curve over the level for all ways of all experiments
+        order = np.argsort(x)
+        near = np.diff(x[order]) < 1e-4
+        steepest = strength * np.sqrt(2.0 / len(waves)) * np.abs(waves).sum()
+        assert np.abs(np.diff(passed[order]))[near].max() < steepest * 1e-4 + 1e-9
+        # whose value at any level, over all that it might have been, has the rms it says
+        places = np.linspace(0.0, 4.0, 400)
+        curve = np.cos(np.multiply.outer(places, waves) + begins).sum(axis=1)
+        values.append(np.mean(curve**2) * 2.0 / len(waves))
+        slopes.append(float(np.sqrt(np.mean(waves**2))))
+    assert np.mean(values) == pytest.approx(1.0, abs=0.3)
+    assert 1.0 / 0.3 * 0.6 < min(slopes) < max(slopes) < 1.0 / 0.05 * 1.4
+    assert max(slopes) > 1.5 * min(slopes)
+
+
+def test_a_screen_shines_back_the_mean_of_what_it_shows_its_own_light_and_all() -> None:
+    strength, times = 0.25, []
+    for seed in range(11, 23):
+        rig = replace(draw_case(seed, size="small"), strengths={"chart_on_screen": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        time = prepared_rig(rig)["1"].screen_time
+        times.append(time)
+        for step in rig.steps:
+            t = sample_times(step)
+            z, y = seen[step.name] - step.y0, plain[step.name] - step.y0
+            whole = np.concatenate([[0.0], np.cumsum(0.5 * (z[1:] + z[:-1])) * step.interval])
+            shown = (whole - np.interp(t - time, t, whole)) / time
+            # steps of 10 ms between samples while the response moves leave 1e-4
+            assert np.abs(z - y - strength * shown).max() < 3e-4 * step.beta
+            if step.tf + time + 12.0 * rig.tau_v + 12.0 * rig.V / step.total_flow < step.duration:
+                # of all that was shown nothing is on the screen any more but its own after-image
+                assert z[-1] < strength**2 * step.beta
+    assert 3.99 < min(times) < 12.0 < max(times) < 40.01
+    # light that stays comes back to what a loop of that gain makes of it
+    t = np.linspace(-1.0, 60.0, 6101)
+    y = 0.3 + (t >= 0.0)
+    assert shone_back(t, y, 0.25, 5.0)[-1] == pytest.approx(0.3 + 1.0 / 0.75, abs=1e-3)

@@ -28,6 +28,7 @@ from bayes_sensor.reality.stages.sensor import (
     layered_film,
     loosening,
     moving_fronts,
+    pinned,
 )
 from tests.reality_cases import case, solved
 
@@ -897,3 +898,74 @@ def test_solvent_is_washed_out_with_the_dose_and_the_first_experiment_misses_it_
         assert all(b[0] < a[0] for a, b in pairwise(missing))
         drawn.append(-1.0 / slope / (had / len(rig.steps)))
     assert 0.19 < min(drawn) < 0.6 < max(drawn) < 1.21
+
+
+def test_a_reagent_glimmers_until_it_is_spent_and_creeps_in_again_against_an_ode_solver() -> None:
+    strength, drawn = 0.3, []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"glimmering_reagent": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        size, expected = strength * np.mean([step.beta for step in rig.steps]), 1.0
+        for k, step in enumerate(rig.steps):
+            knobs = prepared_rig(rig)[step.name]
+            uses, creeps, left = knobs.glimmer_uses, knobs.glimmer_creeps, knobs.glimmer_left
+            drawn.append((uses, creeps))
+            relative = rig.relative_concentration(step)
+            # the first record has all of it, the next ones what the one before has left
+            assert left == pytest.approx(expected, abs=0.02)
+
+            def spent(
+                u: float, x: FloatArray, step: Step = step, rig: Case = rig, relative=relative,
+                uses=uses, creeps=creeps,
+            ) -> list[float]:  # fmt: skip
+                gas = step.total_flow / rig.V * (x[0] - x[1])
+                reagent = (1.0 - x[3]) / creeps - relative * x[2] * x[3] / uses
+                return [(u - x[0]) / rig.tau_v, gas, (x[1] - x[2]) / rig.tau, reagent]
+
+            _, states = solved(rig, spent, 4, k=k, begin=[0.0, 0.0, 0.0, left])
+            light = seen[step.name] - plain[step.name]
+            assert np.abs(light - size * relative * states[:, 2] * states[:, 3]).max() < 1e-4 * size
+            expected = float(states[-1, 3])
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [0.99, 4.99]) and np.all(high < [8.01, 80.1]) and np.all(high > 1.5 * low)
+
+
+def test_domains_rest_at_the_same_defects_but_leave_them_elsewhere_on_their_way_back() -> None:
+    strength, gaps = 0.5, []
+    for seed in (11, 12, 13):
+        rig = replace(draw_case(seed, size="small"), strengths={"avalanching_crystal": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        rests: list[FloatArray] = []
+        for step in rig.steps:
+            relative = rig.relative_concentration(step)
+            x, y = (relative * (v[step.name] - step.y0) / step.beta for v in (plain, seen))
+            place = (y - (1.0 - strength) * x) / strength
+            t = sample_times(step)
+            assert np.all(np.abs(place)[t < step.t0] < 1e-9)
+            # it stands, and where it does not it goes by whole avalanches, never back on its way
+            moves = np.diff(place)
+            leaps = np.abs(moves) > 1e-9
+            assert np.count_nonzero(leaps) < 100 and np.any(leaps)
+            up, down = np.flatnonzero(moves > 1e-9), np.flatnonzero(moves < -1e-9)
+            assert np.all(t[up] < step.tf) and np.all(t[down] >= step.tf)
+            # a defect lets go upwards when the next higher one is reached, downwards likewise
+            assert np.all(place[up + 1] <= x[up + 1] - 0.01 + 1e-9)
+            assert np.all(x[up] - 0.01 < place[up + 1] + 1e-9)
+            assert np.all(place[down + 1] >= x[down + 1] - 0.01 - 1e-9)
+            assert np.all(
+                place[t > step.tf + 10.0 * rig.tau_v][-1:] == pytest.approx(0.0, abs=1e-9)
+            )
+            rests.append(np.unique(np.round(place, 7)))
+        # the same places for all: those of lower plateaus are a part of the others'
+        most = max(rests, key=lambda found: float(found[-1]))
+        for found in rests:
+            assert np.all(np.abs(found[:, None] - most).min(axis=1) < 1e-6)
+        gaps += np.diff(prepared_rig(rig)["1"].pinned_at).tolist()
+    assert 0.05 < np.mean(gaps) < 0.26 and np.std(gaps) == pytest.approx(np.mean(gaps), rel=0.4)
+    # one place after the other, of which a slow enough way shows each
+    x = np.concatenate([np.linspace(0.0, 1.0, 101), np.linspace(1.0, 0.0, 101)])
+    at = np.array([0.005, 0.3, 0.45, 0.8, 5.0])
+    out = pinned(x, at)
+    way = [out[0], *(b for a, b in pairwise(out.tolist()) if a != b)]
+    assert way == [0.005, 0.3, 0.45, 0.8, 0.45, 0.3, 0.005]
+    assert out[30] == 0.3 and out[29] == 0.005 and out[101 + 54] == 0.8 and out[101 + 56] == 0.45

@@ -118,8 +118,12 @@ class Knobs:
     """volume of a hose whose stream is laminar, in units of V"""
     flushed_back: float = 0.0
     """volume of the exhaust hose that the purge comes through, in units of V"""
+    heated: Course | None = None
+    """gas that the wall of a heated hose holds, in units of V and of the stream's"""
     trap: float = 0.0
     """stirred volume before the manifold, in units of V"""
+    standing: Course | None = None
+    """share of V that standing water takes"""
     pocket_fractions: tuple[float, ...] = ()
     pocket_exchange: tuple[float, ...] = ()
     """mL/s"""
@@ -321,6 +325,10 @@ class Knobs:
     """share of the response that solvent in the pores takes away when the record begins"""
     washing: float = 0.0
     """per s, at which the highest concentration's response washes it out"""
+    avalanches: float = 0.0
+    """share of the response that comes in avalanches"""
+    pinned_at: FloatArray = field(default_factory=lambda: np.zeros(1))
+    """(m,) responses at which they come to rest, over the campaign's highest"""
     drop: Course | None = None
     """s in which gas gets into a drop on the ring, or out of it"""
     loosened: float = 0.0
@@ -379,6 +387,12 @@ class Knobs:
     """by which the full response turns its phase"""
     fringe_phase: Course | None = None
     """turns"""
+    grain: float = 0.0
+    """rms, relative, of the light that a fibre of many modes passes as the line moves"""
+    grain_waves: FloatArray = field(default_factory=lambda: np.zeros(1))
+    """(m,) rad, by which the highest concentration turns each pair of modes"""
+    grain_begins: FloatArray = field(default_factory=lambda: np.zeros(1))
+    """(m,) rad, likewise without gas"""
     mode_depth: float = 0.0
     """V that a second mode's line takes away"""
     mode_at: float = 0.4
@@ -439,8 +453,20 @@ class Knobs:
     """s in which it moves it by as much again"""
     loop_beat: float = 0.01
     """V s, by which the oscillator is off while its phase falls back by a radian"""
+    glimmer: float = 0.0
+    """V of light from the coating, under the highest concentration and with all of its reagent"""
+    glimmer_uses: float = 3.0
+    """s in which that uses the reagent up"""
+    glimmer_creeps: float = 30.0
+    """s in which more of it creeps in"""
+    glimmer_left: float = 1.0
+    """share of it that is there when the record begins"""
     offset: list[Course] = field(default_factory=list)
     """V, added"""
+    screen: float = 0.0
+    """share of the light that a screen full of it shines back on the photodiode"""
+    screen_time: float = 10.0
+    """s that it shows"""
     # receiver and recorder
     leak_along: float = 0.0
     """V that leak into a lock-in amplifier, in phase with the light"""
@@ -542,6 +568,10 @@ class Knobs:
     """s, of one of them"""
     floor_climbs: float = 0.0
     """V/s by which the baseline that software subtracts climbs at most"""
+    flattened: float = 0.0
+    """share of a record's slowest waves that software takes out"""
+    flattened_waves: int = 1
+    """how many of them"""
     archive: float = 0.0
     """s of record that an archive packs into a block"""
     archive_kept: int = 3
@@ -558,6 +588,14 @@ class Knobs:
     """s, of one of the readings"""
     readings: FloatArray | None = None
     """(m,) s, the only times at which a logger reads; it draws lines between them"""
+    whine: float = 0.0
+    """V, amplitude of the converter's own tone"""
+    whine_rate: float = 10.0
+    """Hz, a V from where it has none"""
+    whine_zero: float = 0.0
+    """V, there"""
+    whine_begin: float = 0.0
+    """turns"""
     bit: float = 0.0
     """V that the recorder's missing bit is worth"""
     bit_zero: float = 0.0

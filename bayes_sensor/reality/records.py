@@ -139,6 +139,11 @@ class Component:
     with ``thrice`` white noise has passed three equal lags: ``exp(-s) (1 + s + s^2/3)`` with s =
     lag/time; with ``fitful`` the clock of an Ornstein-Uhlenbeck process goes by leaps, a gamma
     process whose variance grows by ``gust_time`` in a second's mean progress.
+    With ``fading`` it is the logarithm of the squared modulus of a complex Ornstein-Uhlenbeck
+    process; with ``landscape`` the height where a random walk goes of one that never changes, an
+    Ornstein-Uhlenbeck process of the place: ``erfcx(sqrt(lag/time))``; with ``fluttering`` the rate
+    of an Ornstein-Uhlenbeck process is 1/``time`` and white noise, which makes ``depth`` of the
+    variance.
     """
 
     share: float
@@ -157,7 +162,7 @@ class Component:
     ``stretched``, ``teeth``, ``diffused``, ``squared``, ``flapping``, ``startled``,
     ``bubbles``, ``resting``, ``balanced``, ``crests``, ``median``, ``phase``, ``passing``,
     ``restarted``, ``slowing``, ``referred``, ``dry``, ``larger``, ``repeated``,
-    ``clipped``, ``thrice`` or ``fitful``"""
+    ``clipped``, ``thrice``, ``fitful``, ``fading``, ``landscape`` or ``fluttering``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

@@ -103,6 +103,11 @@ def voltage(
         # a plateau's gas is in the hose, as is in the inlet before the valve shuts
         through = manifold.laminar(_integral(t, flow), inlet, knobs.flushed_back * case.V)
         inlet = np.where(t < step.tf, inlet, through)
+    if knobs.heated is not None:
+        # what the wall holds is in balance with the stream: (held c)' V = flow (inlet - c)
+        held = knobs.heated(t)
+        times = case.V * (held[1:] + held[:-1]) / (flow[1:] + flow[:-1])
+        inlet = lags.lag(t, held * inlet, times, 0.0) / held
     if knobs.trap > 0:
         inlet = lags.lag(t, inlet, knobs.trap * case.V / (0.5 * (flow[1:] + flow[:-1])), 0.0)
     if np.isfinite(knobs.saturated):
@@ -159,6 +164,8 @@ def voltage(
         # the lowest of all lines that climb from a reading so far
         climbed = knobs.floor_climbs * t
         y = y - (np.minimum.accumulate(y - climbed) + climbed - y[0])
+    if knobs.flattened > 0:
+        y = y - knobs.flattened * readout.slowest_waves(t, y, step.duration, knobs.flattened_waves)
     if knobs.archive > knobs.archive_kept * step.interval:  # else there is nothing to throw away
         begin, length = knobs.archive_begin, knobs.archive
         y = readout.cosine_blocks(t, y, begin, length, knobs.archive_kept)
@@ -172,6 +179,10 @@ def voltage(
     seen = np.interp(shown, t, y)
     if knobs.readings is not None:
         seen = np.interp(true, knobs.readings, np.interp(knobs.readings, t, y))
+    if knobs.whine > 0:
+        turns = knobs.whine_rate * _integral(t, np.abs(y - knobs.whine_zero))
+        turns += knobs.whine_begin - float(np.interp(0.0, t, turns))
+        seen = seen + knobs.whine * np.sin(2.0 * pi * np.interp(true, t, turns))
     if knobs.coarse_gain != 0:
         above = np.mod((seen - knobs.coarse_begin) / knobs.coarse_step, 1.0)
         seen = seen + knobs.coarse_gain * knobs.coarse_step * (above - 0.5)
@@ -296,6 +307,8 @@ def _manifold(
 ) -> FloatArray:
     if knobs.jet > 0:
         flow = (1.0 - knobs.jet) * flow  # what is left to flush the manifold
+    if knobs.standing is not None:
+        flow = flow / (1.0 - knobs.standing(t))  # for each mL of gas that V has still room for
     if knobs.pocket_fractions:
         gas = manifold.pockets(
             t, inlet, flow, case.V, np.array(knobs.pocket_fractions),
@@ -449,6 +462,9 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
         x = x + knobs.stacked * (np.maximum.accumulate(x + gone) - gone - x)
     if knobs.unwashed > 0:
         x = x * (1.0 - knobs.unwashed * np.exp(-knobs.washing * relative * _integral(t, x)))
+    if knobs.avalanches > 0:
+        rests = sensor.pinned(relative * x, knobs.pinned_at) - knobs.pinned_at[0]
+        x = x + knobs.avalanches * (rests / relative - x)
     if knobs.poisoning > 0:
         held = relative * _integral(t, x)
         x = knobs.alive * x * np.exp(-knobs.poisoning * held)
@@ -510,6 +526,10 @@ def _readout(
     if knobs.fringe_phase is not None:
         turns = knobs.fringe_turns * x + knobs.fringe_phase(t)
         y = y + knobs.fringe * np.sin(2.0 * pi * turns)
+    if knobs.grain > 0:
+        turned = (relative * x)[:, None] * knobs.grain_waves + knobs.grain_begins
+        passed = np.cos(turned) - np.cos(knobs.grain_begins)
+        y = y * (1.0 + knobs.grain * np.sqrt(2.0 / len(knobs.grain_waves)) * passed.sum(axis=1))
     if knobs.mode_depth > 0:
         away = (relative * x - knobs.mode_at) / knobs.mode_width
         y = y - knobs.mode_depth * (dip(away) - dip(knobs.mode_at / knobs.mode_width))
@@ -550,8 +570,14 @@ def _readout(
         light = np.maximum(y, 0.0) / knobs.glowing_level
         freed = sensor.splitting(t, light, knobs.glowing_time)
         y = y + knobs.glowing * (knobs.glowing_level * freed**2 - y)
+    if knobs.glimmer > 0:
+        uses, creeps = knobs.glimmer_uses, knobs.glimmer_creeps
+        left = sensor.reagent(t, relative * x, uses, creeps, knobs.glimmer_left)
+        y = y + knobs.glimmer * relative * x * left
     for course in knobs.offset:
         y = y + course(t)
+    if knobs.screen > 0:
+        y = readout.shone_back(t, y, knobs.screen, knobs.screen_time)
     if knobs.leak_across != 0:
         y = np.hypot(y + knobs.leak_along, knobs.leak_across)
     if knobs.detector_time > 0:

@@ -906,7 +906,7 @@ def climbing_baseline(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.floor_climbs = s * _mean_step(case) / typical
 
 
-@cause((), "level", "share of the step", 0.35, reserve=True)
+@cause((), "level", "share of the step", 0.35)
 def missing_bit(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A wire of the bus between converter and recorder is broken: one of its bits is always zero.
 
@@ -919,7 +919,7 @@ def missing_bit(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         knobs.bit, knobs.bit_zero = weight, zero
 
 
-@cause((), "spike", "share of the step", 0.6, per_experiment=True, reserve=True)
+@cause((), "spike", "share of the step", 0.6, per_experiment=True)
 def static_discharge(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Somebody's pullover discharges itself into a cable, whose insulation keeps charge for long.
 
@@ -942,3 +942,29 @@ def static_discharge(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
             rig[step.name].offset.append(charge)
             inside = [at - begin for at in shocks if 0 < at - begin < step.duration]
             rig[step.name].marks += both_sides(inside)
+
+
+@cause((), "plateau", "share of the waves", 0.4, near=("baseline_drift",), reserve=True)
+def flattened_record(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The software takes drift for what is slowest in a record, and filters that out of it.
+
+    By Fourier's series of all of it: of its first few waves, a whole number in the record, only
+    1 - ``s`` is left, before the gas as well as after it.
+    """
+    waves = int(rng.integers(1, 5))
+    for knobs in rig.values():
+        knobs.flattened, knobs.flattened_waves = s, waves
+
+
+@cause((), "line", "share of the step", 0.3, fast=True, reserve=True)
+def whining_converter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The converter counts how often its input is above a threshold, and what is left over whines.
+
+    The further the input is from a simple fraction of the range, the higher is that idle tone
+    (Candy and Benjamin, IEEE Trans. Commun. 29, 1316, 1981): it glides with the signal.
+    """
+    size, pitch = _mean_step(case), _between(rng, 3.0, 40.0)
+    zero = float(np.mean([step.y0 for step in case.steps])) + rng.uniform(-0.4, 1.2) * size
+    for knobs in rig.values():
+        knobs.whine, knobs.whine_rate = s * size, pitch / size
+        knobs.whine_zero, knobs.whine_begin = zero, rng.random()

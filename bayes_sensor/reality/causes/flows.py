@@ -663,7 +663,7 @@ def twin_syringes(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> N
         gone += q * lasts
 
 
-@cause((), "ripple", "relative", 0.9, reserve=True)
+@cause((), "ripple", "relative", 0.9)
 def squeezed_bag(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The test gas is pressed out of a bag by hand, one squeeze after the other.
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import erfcx, expit
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.reality.causes.cause import Causes, Rig, _between, _interpolated
+from bayes_sensor.reality.causes.cause import Causes, Rig, _begins, _between, _interpolated
 from bayes_sensor.reality.knobs import Course
 from bayes_sensor.reality.records import Case
 from bayes_sensor.reality.rig import both_sides
@@ -513,7 +513,7 @@ def flushed_backwards(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
         knobs.flushed_back = s
 
 
-@cause((), "plateau", "relative", 0.3, per_experiment=True, reserve=True)
+@cause((), "plateau", "relative", 0.3, per_experiment=True)
 def neighbours_airlock(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The cell is pumped, and on the same line a neighbour now and then pumps down his airlock.
 
@@ -537,3 +537,45 @@ def neighbours_airlock(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].concentration_gain.append(beyond)
         rig[step.name].all_flow.append(thinner)
         rig[step.name].marks += both_sides([at])
+
+
+@cause((), "plateau", "of V", 0.5, near=("dead_volume", "axial_dispersion"), reserve=True)
+def heated_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The hose is heated against condensation, by a thermostat that switches on and off.
+
+    Its wall holds as much gas as ``s`` V of the stream does where it is coldest, and less where it
+    is warm: heating drives part of that out, cooling takes it up again, evenly either way.
+    """
+    colder, period = rng.uniform(0.5, 1.5), _between(rng, 5.0, 30.0)
+    heats, begins = rng.uniform(0.2, 0.5), _begins(case) + period * rng.random()
+    for begin, step in zip(begins.tolist(), case.steps, strict=False):
+
+        def held(t: FloatArray, begin: float = begin) -> FloatArray:
+            turn = np.mod((begin + t) / period, 1.0)
+            warm = np.where(turn < heats, turn / heats, (1.0 - turn) / (1.0 - heats))
+            return np.asarray(s * np.exp(-colder * warm))
+
+        rig[step.name].heated = held
+        n = np.arange(np.floor(begin / period), np.ceil((begin + step.duration) / period))
+        turns = np.concatenate([n, n + heats]) * period - begin
+        rig[step.name].marks += turns[(turns > 0.0) & (turns < step.duration)].tolist()
+
+
+@cause((), "mixing", "share of V", 0.8, near=("flow_error",), per_experiment=True, reserve=True)
+def standing_water(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The humidifier spits, and water gathers in the manifold until the drain siphons it off.
+
+    It rises evenly and takes the share ``s`` of V when the siphon starts, which empties it at once.
+    The less room is left the faster the gas is exchanged; a plateau does not show it.
+    """
+    begins = _begins(case)
+    fills = _between(rng, 0.3, 3.0) * float(np.mean(np.diff(begins)))
+    begins = begins + fills * rng.random()
+    for begin, step in zip(begins.tolist(), case.steps, strict=False):
+
+        def standing(t: FloatArray, begin: float = begin) -> FloatArray:
+            return np.asarray(s * np.mod((begin + t) / fills, 1.0))
+
+        rig[step.name].standing = standing
+        drains = np.arange(np.ceil(begin / fills), (begin + step.duration) / fills) * fills - begin
+        rig[step.name].marks += both_sides(drains.tolist())

@@ -856,7 +856,7 @@ def compressor_on_mains(rig: Rig, s: float, rng: np.random.Generator, case: Case
         rig[step.name].marks += edges[(edges > 0.0) & (edges < step.duration)].tolist()
 
 
-@cause((), "drift", "share of the step", 0.25, per_experiment=True, reserve=True)
+@cause((), "drift", "share of the step", 0.25, per_experiment=True)
 def swaying_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Somebody bumps his head on the pendent lamp, which sways and comes to rest.
 
@@ -876,3 +876,28 @@ def swaying_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         if bumps[0] < begin + step.duration:
             rig[step.name].offset.append(light)
             rig[step.name].marks += [at - begin for at in bumps if 0 < at - begin < step.duration]
+
+
+@cause((), "level", "relative", 0.2, near=("optical_nonlinearity",), reserve=True)
+def grainy_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A fibre of many modes leads the light on, and some edge cuts part of its end off.
+
+    Which grains of its speckle pass depends on the wavelength, which follows the line: more light
+    or less, by ``s`` in the mean, the same whenever the line is there again.
+    """
+    n = 24
+    waves, begins = rng.standard_normal(n) / _between(rng, 0.05, 0.3), rng.uniform(0.0, 2.0 * pi, n)
+    for knobs in rig.values():
+        knobs.grain, knobs.grain_waves, knobs.grain_begins = s, waves, begins
+
+
+@cause((), "tail", "share of the light", 0.3, near=("slow_sorption",), reserve=True)
+def chart_on_screen(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The record is drawn on a screen beside the photodiode, white below its line as it goes by.
+
+    The higher the line was in the time that the screen shows, the more light comes from there, and
+    is recorded: ``s`` of the signal if it stayed.
+    """
+    time = _between(rng, 4.0, 40.0)
+    for knobs in rig.values():
+        knobs.screen, knobs.screen_time = s, time

@@ -8,7 +8,7 @@ from math import sqrt
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.reality.causes.cause import Causes, Rig, _begins, _between, _sign
+from bayes_sensor.reality.causes.cause import Causes, Rig, _begins, _between, _mean_step, _sign
 from bayes_sensor.reality.records import Case
 
 CAUSES = Causes()
@@ -468,7 +468,7 @@ def cooperative_chains(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         knobs.chains_seeds, knobs.chains_time = seeds, time
 
 
-@cause((), "tail", "share", 0.4, near=("slow_sorption", "sorption_asymmetry"), reserve=True)
+@cause((), "tail", "share", 0.4, near=("slow_sorption", "sorption_asymmetry"))
 def stacked_layers(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """Gas settles on itself on part of the coating, and only what lies on top can leave.
 
@@ -481,7 +481,7 @@ def stacked_layers(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs.stacked, knobs.stacked_time = s, time
 
 
-@cause((), "plateau", "share of the response", 0.7, reserve=True)
+@cause((), "plateau", "share of the response", 0.7)
 def unwashed_pores(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A fresh coating's pores still hold the solvent it was made in, which test gas washes out.
 
@@ -494,3 +494,38 @@ def unwashed_pores(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         knobs = rig[step.name]
         knobs.unwashed, knobs.washing = s * float(np.exp(-rate * had)), rate
         had += dose
+
+
+@cause((), "plateau", "share of the step", 0.4, reserve=True)
+def glimmering_reagent(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A reagent in the coating glimmers as the gas oxidises it, and some of that light is received.
+
+    By ``s`` at the highest concentration as long as all of the reagent is there; gas uses it up,
+    and all the time more of it creeps in from below.  What is spent is missing in the next record.
+    """
+    uses, creeps, left = _between(rng, 1.0, 8.0), _between(rng, 5.0, 80.0), 1.0
+    for step in case.steps:
+        knobs = rig[step.name]
+        knobs.glimmer, knobs.glimmer_left = s * _mean_step(case), left
+        knobs.glimmer_uses, knobs.glimmer_creeps = uses, creeps
+        rate = 1.0 / creeps + case.relative_concentration(step) / uses
+        late = case.tau_v + case.V / step.total_flow + case.tau  # as a plain pulse comes and goes
+        left = 1.0 + (left - 1.0) * float(np.exp(-(step.t0 + late) / creeps))
+        balance = 1.0 / (creeps * rate)
+        left = balance + (left - balance) * float(np.exp(-rate * (step.tf - step.t0)))
+        left = 1.0 + (left - 1.0) * float(np.exp(-(step.duration - step.tf - late) / creeps))
+
+
+@cause((), "level", "share of the response", 0.9, reserve=True)
+def avalanching_crystal(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The coating is a crystal whose domains turn with the gas, by avalanches.
+
+    A wall between them clings to a defect until the gas has pulled it to the next one, and then
+    goes there of a sudden (Barkhausen).  Where the defects are never changes, but on its way back
+    it leaves them elsewhere.  ``s`` of the response is the domains'.
+    """
+    mean = _between(rng, 0.06, 0.25)
+    gaps = rng.exponential(mean, int(np.ceil(20.0 / mean)))
+    places = 0.01 + np.concatenate([[0.0], np.cumsum(gaps)])  # or it never quite gets back there
+    for knobs in rig.values():
+        knobs.avalanches, knobs.pinned_at = s, places

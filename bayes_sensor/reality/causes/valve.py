@@ -329,7 +329,7 @@ def shape_memory_valve(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].marks += [at for at in (step.t0 + up, step.tf + down) if at < step.duration]
 
 
-@cause((), "fall", "share of the stroke", 0.6, near=("valve_asymmetry",), reserve=True)
+@cause((), "fall", "share of the stroke", 0.6, near=("valve_asymmetry",))
 def slamming_plunger(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The stream sucks the plunger on to its seat, which it meets with a slam, as water taps do.
 

@@ -148,6 +148,10 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own *= 1.0 + lags / part.time + (lags / part.time) ** 2 / 3.0
         elif part.shape == "fitful":
             own = (1.0 + part.gust_time / part.time) ** (-lags / part.gust_time)
+        elif part.shape == "fading":
+            own = spence(1.0 - own**2) / (pi**2 / 6.0)  # the dilogarithm, as logarithms' covariance
+        elif part.shape == "landscape":
+            own = erfcx(np.sqrt(lags / part.time))
         elif part.shape == "slowing":
             own = _slowing_correlation(part, lags)
         elif part.shape == "passing":

@@ -27,18 +27,19 @@ OPEN_LAWS = (
     "median_of_three", "faded_phase", "charged_drops",
     "restarted_mean", "slowing_stream", "weak_reference",
     "dry_slide", "larger_of_two", "repeated_packets",
+    "railed_microphone", "three_stages", "fitful_bearing",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("railed_microphone", "three_stages", "fitful_bearing")
+RESERVE_LAWS = ("faded_echo", "wandering_spot", "fluttering_loop")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
     "waning", "two_paced", "drilling", "crackling_cable", "sparkling_codes",
     "startled_receiver", "bubbling_nozzle", "drifting_balance", "median_of_three",
-    "restarted_mean", "weak_reference", "repeated_packets", "fitful_bearing",
+    "restarted_mean", "weak_reference", "repeated_packets", "fitful_bearing", "fluttering_loop",
 )  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, changing
-loudness, readings that are shown again, leaps, and quotients"""
+loudness, readings that are shown again, leaps, quotients, and gains that flutter"""
 
 
 def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
@@ -554,6 +555,26 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
         "fitful_bearing": (
             Component(
                 1.0, exp(own.uniform(np.log(0.01), np.log(0.1))), shape="fitful", gust_time=leaps
+            ),
+        ),
+    }  # fmt: skip
+    echoed, spotted = own.uniform(0.05, 0.2), own.uniform(0.1, 0.3)
+    parts |= {
+        # a receiver of scattered light with a logarithmic scale, far down on it whenever that fades
+        "faded_echo": (
+            Component(1.0 - echoed),
+            Component(echoed, exp(own.uniform(np.log(0.03), np.log(0.5))), shape="fading"),
+        ),
+        # a beam whose spot wanders over a grainy mirror, and comes by the same grains again
+        "wandering_spot": (
+            Component(1.0 - spotted),
+            Component(spotted, exp(own.uniform(np.log(0.05), np.log(1.0))), shape="landscape"),
+        ),
+        # an amplifier that is fed back its own output, by a share that a bad contact makes flutter
+        "fluttering_loop": (
+            Component(
+                1.0, exp(own.uniform(np.log(2e-3), np.log(0.03))), shape="fluttering",
+                depth=own.uniform(0.2, 0.27),
             ),
         ),
     }  # fmt: skip

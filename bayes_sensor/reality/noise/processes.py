@@ -166,6 +166,14 @@ def _draw_part(
         kicks[1:] *= np.sqrt(-np.expm1(-2.0 * passed[1:]))
         fits: FloatArray = _forgetting(np.exp(-passed), kicks)
         return fits
+    if part.shape == "fading":
+        field = _remembering(rng.standard_normal(n) + 1j * rng.standard_normal(n), decay)
+        brightness: FloatArray = np.log(0.5 * np.abs(field) ** 2)
+        return (brightness + np.euler_gamma) * (sqrt(6.0) / pi)
+    if part.shape == "landscape":
+        return _over_a_landscape(interval / part.time, n, rng)
+    if part.shape == "fluttering":
+        return _fluttering(part, n, interval, rng, tails)
     if part.shape == "crests":
         return _sinking(interval / part.time, n, rng)
     if part.shape == "phase":
@@ -309,6 +317,42 @@ def _forgetting(decays: FloatArray, kicks: FloatArray) -> FloatArray:  # pragma:
     for i in range(1, len(x)):
         x[i] += decays[i] * x[i - 1]
     return x
+
+
+def _fluttering(
+    part: Component, n: int, interval: float, rng: np.random.Generator, tails: tuple[float, float]
+) -> FloatArray:
+    """(n,) Ornstein-Uhlenbeck process whose rate is white noise itself: ``depth`` of the variance.
+
+    In steps of a fifth of its ``time`` at most, as it is no chain of its own readings: the larger
+    it is, the more it is thrown about (Student's law in the end, Wong, Proc. Symp. Appl. Math. 16,
+    264, 1964).  What it began with is forgotten by the first sample.
+    """
+    steps = ceil(5.0 * interval / part.time)
+    decay = exp(-interval / steps / part.time)
+    before = ceil(20.0 * part.time / interval)
+    total = (before + n) * steps
+    loss = 1.0 - decay**2
+    fed_back = decay + sqrt(part.depth * loss) * rng.standard_normal(total)
+    kicks = sqrt((1.0 - part.depth) * loss) * _innovations(total, rng, tails)
+    x: FloatArray = _forgetting(fed_back, kicks)
+    return x[steps - 1 :: steps][before:]
+
+
+def _over_a_landscape(step: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n,) height of a frozen landscape where a random walk goes; ``step`` in units of its time.
+
+    Heights a distance d apart remember exp(-d); after a lag the walk has come a Gaussian distance
+    whose variance is twice that, hence erfcx(sqrt(lag)) in the mean.
+    """
+    place = np.cumsum(sqrt(2.0 * step) * rng.standard_normal(n))
+    order = np.argsort(place)
+    decays = np.exp(-np.diff(place[order], prepend=place[order[0]]))
+    kicks = rng.standard_normal(n)
+    kicks[1:] *= np.sqrt(1.0 - decays[1:] ** 2)
+    heights = np.empty(n)
+    heights[order] = _forgetting(decays, kicks)
+    return heights
 
 
 def _waning(depth: float, n: int, rng: np.random.Generator) -> FloatArray:

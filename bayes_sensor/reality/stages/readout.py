@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, exp, pi
+from math import ceil, exp, log, pi
 
 import numpy as np
 from numba import njit
@@ -371,3 +371,33 @@ def counted(t: FloatArray, light: FloatArray, charge: float, begin: float) -> Fl
     last = np.searchsorted(ends, t, side="right") - 1
     shown: FloatArray = charge / (ends[last] - ends[last - 1])
     return shown
+
+
+def shone_back(t: FloatArray, y: FloatArray, share: float, time: float) -> FloatArray:
+    """(n,) z = ``y`` + ``share`` times the mean of z - y[0] over the ``time`` (s) before.
+
+    Before the first time there is y[0].  By as many passes as it takes until what one more would
+    add is less than 1e-7 of that; share < 1.
+    """
+    begins = np.maximum(t - time, t[0])
+    z = y
+    for _ in range(ceil(log(1e-7) / log(share))):
+        gone = z - y[0]
+        whole = np.concatenate([[0.0], np.cumsum(0.5 * (gone[1:] + gone[:-1]) * np.diff(t))])
+        z = y + share * (whole - np.interp(begins, t, whole)) / time
+    return z
+
+
+def slowest_waves(t: FloatArray, y: FloatArray, lasts: float, n: int) -> FloatArray:
+    """(n_t,) sum of the first ``n`` of ``y``'s Fourier series over a record that ``lasts`` so long.
+
+    The record begins at 0 s, and after the last time it goes on as it is then.
+    """
+    within = np.unique(np.concatenate([[0.0, lasts], t[(t > 0.0) & (t < lasts)]]))
+    there = np.interp(within, t, y)
+    out = np.zeros(len(t))
+    for k in range(1, n + 1):
+        wave = np.exp(-2j * pi * k / lasts * within)
+        size = 2.0 / lasts * complex(np.trapezoid(there * wave, within))
+        out += np.real(size * np.exp(2j * pi * k / lasts * t))
+    return out

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.reality.stages.lags import lagged
+from bayes_sensor.reality.stages.lags import lag, lagged
 
 
 @njit(cache=True, error_model="numpy")
@@ -111,6 +111,23 @@ def moving_fronts(
         for k in range(count):
             turned += fronts[k] if k % 2 == 0 else -fronts[k]
         out[i + 1] = turned
+    return out
+
+
+@njit(cache=True)
+def pinned(x: FloatArray, at: FloatArray) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) ``x`` that rests at one of the places ``at`` (m,) until x has come to another one.
+
+    They are in order; it begins at the first one, and the last one is beyond all x.
+    """
+    out = np.empty(len(x))
+    place = 0
+    for i in range(len(x)):
+        while x[i] >= at[place + 1]:
+            place += 1
+        while place > 0 and x[i] <= at[place - 1]:
+            place -= 1
+        out[i] = at[place]
     return out
 
 
@@ -406,3 +423,14 @@ def layered_film(mean_time: float, n_cells: int = 18) -> tuple[FloatArray, Float
     weights = modes[probe] * (modes.T @ inflow) / rates
     times = 1.0 / rates
     return times * mean_time / float(weights @ times), weights
+
+
+def reagent(t: FloatArray, g: FloatArray, uses: float, creeps: float, left: float) -> FloatArray:
+    """(n,) state r of r' = (1 - r)/``creeps`` - ``g`` r/``uses``: what gas has left of a reagent.
+
+    It is ``left`` when the record begins, at 0 s, before which there is no gas.
+    """
+    times = 1.0 / (1.0 / creeps + g / uses)
+    middle = 0.5 * (times[1:] + times[:-1])
+    first = 1.0 + (left - 1.0) * exp(-t[0] / creeps)
+    return np.asarray(lag(t, times / creeps, middle, first))
