@@ -861,7 +861,7 @@ def test_no_threshold_of_unlisted_meets_what_is_wanted_of_strong_causes() -> Non
             assert found[f"{name}_{d}"].is_monotonic_increasing
             assert found[f"family_{d}"].is_monotonic_decreasing
     # as the page says: the goals at 16 exclude each other, though by the rule two fifths comes
-    # within two campaigns of both; at 8 one of a third nearly meets both
+    # within three campaigns of both; at 8 one of a third nearly meets both
     right = found["family_16"] >= bounds["right family at d = 16"]
     wanted = bounds["unlisted flagged at d = 16"]
     assert not (right & (found["fairly_16"] >= wanted)).any()
@@ -869,7 +869,7 @@ def test_no_threshold_of_unlisted_meets_what_is_wanted_of_strong_causes() -> Non
     strong = (cases["kind"] == "unlisted") & (cases["d_level"] == 16)
     nearest = found[right].iloc[-1]
     assert nearest["threshold"] == 0.4
-    assert strong.sum() * (wanted - nearest["fairly_16"]) < 2.0
+    assert strong.sum() * (wanted - nearest["fairly_16"]) < 3.0
     short = (bounds["unlisted flagged at d = 8"] - found["flagged_8"]).clip(lower=0.0)
     short += (bounds["right family at d = 8"] - found["family_8"]).clip(lower=0.0)
     assert 0.25 < found["threshold"][short.idxmin()] < 0.4 and short.min() < 0.03
