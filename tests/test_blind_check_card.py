@@ -171,6 +171,19 @@ def with_excused(day: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [changed(row, **excuse) if row["case"] == first else row for row in day]
 
 
+def with_one_unnamed(day: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows, the first family of d = 8 called unlisted, where no oracle could tell the family.
+
+    Which is abstaining by the rule of the goals, and a wrong claim without it.
+    """
+    first = next(
+        row["case"] for row in day
+        if row["kind"] == "listed" and row["d_level"] == 8.0 and row["family_right"]
+    )  # fmt: skip
+    claim = {"verdict": "unlisted", "family_right": False, "isolability_family": 1.0}
+    return [changed(row, **claim) if row["case"] == first else row for row in day]
+
+
 def test_a_name_that_is_near_counts_as_wrong_without_the_excuse(
     day: list[dict[str, Any]], card: dict[str, Any]
 ) -> None:
@@ -310,8 +323,11 @@ def test_what_the_rules_let_pass_is_written(
     found = study.rules(card).set_index("share")
     kept = pd.read_csv(TABLES / "blind_check_rules.csv").set_index("share")
     pd.testing.assert_frame_equal(found, kept, rtol=1e-3)
-    family = found.loc["right family at d = 8"]
-    assert family.strictly < family.by_the_rule
+    name = "right family at d = 8"
+    assert found.loc[name].strictly <= found.loc[name].by_the_rule
+    unnamed = study.rules(make_card(with_one_unnamed(day))).set_index("share").loc[name]
+    assert unnamed.strictly < found.loc[name].strictly
+    assert unnamed.by_the_rule == found.loc[name].by_the_rule
     name = "confident wrong name, unlisted"
     excused = study.rules(make_card(with_excused(day))).set_index("share").loc[name]
     assert excused.by_the_rule == found.loc[name].by_the_rule <= found.loc[name].strictly
@@ -382,8 +398,12 @@ def test_p_values_raise_no_more_alarms_than_they_say_and_see_most_gaps() -> None
         assert len(told) > 300 and wilson(int((told < 0.05).sum()), len(told))[0] > 0.75
         seen = next(row["whole"] for row in part["seen"] if row["d"] == d)
         assert binom.cdf(seen["k"], seen["n"], (told < 0.05).mean()) > 0.01
-    eight = next(row for row in part["seen"] if row["d"] == 8.0)
-    assert eight["size"]["hi95"] < 0.25  # which is why the courses are looked along
+    eight = next(row["size"] for row in part["seen"] if row["d"] == 8.0)
+    of_size = with_cause[with_cause["d_level"] == 8.0]["gap_p_of_size"].dropna()
+    seen = int((of_size < 0.05).sum())
+    # which is why the courses are looked along
+    assert len(of_size) > 300 and wilson(seen, len(of_size))[1] < 0.25
+    assert binom.sf(eight["k"] - 1, eight["n"], seen / len(of_size)) > 0.01
 
 
 def test_places_are_stated_in_most_campaigns_and_nearly_as_well_as_with_the_cause_known() -> None:
