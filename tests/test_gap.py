@@ -607,6 +607,24 @@ def test_commands_that_switch_times_lean_on_are_told_before_the_verdict() -> Non
     assert "commands allow" not in diagnosed("none", seed=3).verdict.sentence
 
 
+def test_a_family_that_leaves_what_no_process_knows_is_not_stated() -> None:
+    campaign = measured({"slow_sorption": 0.03}, seed=2, sigma=0.02)
+    smooth = diagnose_gap(campaign, bootstrap=0, separate=False, hidden=False)
+    assert smooth.verdict.kind == "family" and "slow_sorption" in smooth.verdict.effects
+    # every switch another course, which changes as fast as the bins: too rough for a discrepancy
+    rng, piece, pieces = np.random.default_rng(3), 0.15, 50
+    values = {e.name: e.values.copy() for e in campaign}
+    for e in campaign:
+        for at in (e.commanded_on, e.commanded_off):
+            steps, k = rng.normal(0.0, 0.02, pieces), np.floor((e.t - at) / piece).astype(int)
+            within = (k >= 0) & (k < pieces)
+            values[e.name][within] += steps[k[within]]
+    gap = diagnose_gap(campaign.with_data(values), bootstrap=0, separate=False, hidden=False)
+    assert gap.verdict.kind == "unlisted" and gap.standing.looks_by_mean < 0.5
+    assert "% of the gap" in gap.verdict.sentence
+    assert "standard deviations of misfit: the cause is not listed" in gap.verdict.sentence
+
+
 def test_what_an_effect_would_close_is_said_where_more_is_seen() -> None:
     campaign = measured({"gain_drift": 0.0025}, seed=2, sigma=0.02)
     values = {e.name: e.values.copy() for e in campaign}

@@ -12,7 +12,7 @@ from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.form import OFF_FOR_A_WHILE, OTHER_FORM, another_form, of_its_form
 from bayes_sensor.gap.full_rate import FOUND, FullRate
 from bayes_sensor.gap.how_far import VISIBLE
-from bayes_sensor.gap.verdict import OTHER_CAUSE, judge, standing, stands_beside
+from bayes_sensor.gap.verdict import GATE, OTHER_CAUSE, judge, standing, stands_beside
 from bayes_sensor.gap.words import form_words
 
 WHOLE = 10_000.0
@@ -42,7 +42,7 @@ def hypothesis(effects: tuple[str, ...], misfit: float, p: float, beside: float 
     term = SimpleNamespace(share=1.0, refit=made, beside=Taking(beside) if beside else None)
     return SimpleNamespace(
         effects=effects, incomplete=beside > 0.0, refit=made, terms=(term,), within="",
-        log_weight=np.log(p), leftover=0.0, key="+".join(effects) or "none", p=p,
+        log_weight=np.log(p), leftover=0.0, excess=0.0, key="+".join(effects) or "none", p=p,
     )  # fmt: skip
 
 
@@ -181,6 +181,23 @@ def test_a_small_break_takes_nothing_from_a_strong_effect() -> None:
     weighing = weighed(hypothesis((), WHOLE + 100.0, 0.999))
     stand = standing(weighing, [off_for_a_while(0.1)], CATALOGUE)
     assert stand.looks_unlisted > 0.9
+
+
+@pytest.mark.parametrize("members", [(A,), ("slow_sorption", "two_rate_valve")])
+def test_what_leaves_too_much_for_noise_and_for_a_form_is_unlisted(
+    members: tuple[str, ...],
+) -> None:
+    stated = "effect" if len(members) == 1 else "family"  # one response: neither is named alone
+    for leftover, share, kind in (
+        (GATE - 0.1, 0.5, stated), (GATE, 0.5, "unlisted"),
+        (10.0 * GATE, OTHER_FORM - 0.01, stated), (10.0 * GATE, OTHER_FORM + 0.01, "unlisted"),
+    ):  # fmt: skip
+        made = [hypothesis((name,), 100.0, 0.98 / len(members)) for name in members]
+        for h in made:
+            h.leftover, h.excess = leftover, share**2 * WHOLE
+        weighing = weighed(*made)
+        found, _, _, p = judge(weighing, standing(weighing, [], CATALOGUE), CATALOGUE)
+        assert found == kind and p >= 0.5
 
 
 def test_the_sentence_says_what_is_left_and_what_it_may_be() -> None:

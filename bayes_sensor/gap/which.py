@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from math import log
+from math import log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -95,10 +95,14 @@ class Hypothesis:
         return self.log_prior + self.log_z
 
     @property
+    def excess(self) -> float:
+        """Misfit that it leaves beyond what noise does, the discrepancy aside."""
+        return float(self.refit.misfit - (self.refit.plan.sketch.n_bins - self.refit.plan.size))
+
+    @property
     def leftover(self) -> float:
-        """Standard deviations of misfit that it leaves, the discrepancy aside."""
-        n = self.refit.plan.sketch.n_bins
-        return float((self.refit.misfit - (n - self.refit.plan.size)) / np.sqrt(2.0 * n))
+        """The same in standard deviations of what noise does."""
+        return self.excess / sqrt(2.0 * self.refit.plan.sketch.n_bins)
 
     @property
     def key(self) -> str:

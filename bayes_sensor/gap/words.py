@@ -14,7 +14,14 @@ from bayes_sensor.gap.full_rate import FOUND, OF_UNLISTED_ORIGIN, UNITS, FullRat
 from bayes_sensor.gap.how_far import Closure
 from bayes_sensor.gap.separate import Separation
 from bayes_sensor.gap.sketch import Sketch
-from bayes_sensor.gap.verdict import LIKELIER, NAMED, Standing, of_one_family, stands_beside
+from bayes_sensor.gap.verdict import (
+    LIKELIER,
+    NAMED,
+    Standing,
+    leaves_too_much,
+    of_one_family,
+    stands_beside,
+)
 from bayes_sensor.gap.where import CLEAR, Map
 from bayes_sensor.gap.which import Hypothesis, Weighing
 from bayes_sensor.notebook import shown
@@ -283,10 +290,21 @@ def sentence(
     if kind == "unlisted":
         words = []
         by_mean = worst is not None and located.shared_by != "findings"
-        if findings and best.effects and stand.looks_by_mean < 0.5 and closed.fraction is not None:
-            words.append(
+        closing = ""
+        if best.effects and stand.looks_by_mean < 0.5 and closed.fraction is not None:
+            closing = (
                 f"{' and '.join(best.effects)} would close {100.0 * closed.fraction:.0f} % of the "
-                f"gap{place}, yet more is seen, which no effect of the catalogue makes "
+                f"gap{place}, yet "
+            )
+        if closing and leaves_too_much(best, weighing.base):
+            leave = "leaves" if len(best.effects) == 1 else "leave"
+            words.append(
+                f"{closing}{leave} {best.leftover:.0f} standard deviations of misfit: the cause is "
+                f"not listed ({100.0 * probability:.0f} %), or the noise is not what it seems."
+            )
+        elif closing and findings:
+            words.append(
+                f"{closing}more is seen, which no effect of the catalogue makes "
                 f"({100.0 * probability:.0f} %)."
             )
         elif by_mean or not findings:
