@@ -30,7 +30,7 @@ from bayes_sensor.blind_check import (
 )
 from bayes_sensor.blind_check.baselines import by_bic, by_rss, whiteness_p_value
 from bayes_sensor.blind_check.card import card_table, table
-from bayes_sensor.blind_check.check import complete_truth, trimmed
+from bayes_sensor.blind_check.check import complete_truth, no_verdict, trimmed
 from bayes_sensor.blind_check.closing import closed_fraction
 from bayes_sensor.blind_check.oracle import (
     Oracle,
@@ -485,6 +485,16 @@ def test_a_refused_campaign_counts_as_a_wrong_answer(tmp_path: Path) -> None:
     card, (row,) = score(open_seals(tmp_path))
     assert card["failed"]["k"] == 1 and not row["verdict_right"] and not row["named"]
     assert svg(score_card(card))
+
+
+def test_what_the_likeliest_effects_leave_is_kept() -> None:
+    rows = {"none": 0.5, "unlisted": 0.2, "dead_volume": 0.1, "dead_volume+gain_drift": 0.2}
+    said = verdict(rows)
+    assert scored(truth(), said)["left_sd"] is None  # a verdict of a user's own need not say
+    for row, left in zip(said["which"], (7.0, None, 4.0, 1.5), strict=True):
+        row["misfit_left_sd"] = left
+    assert scored(truth(), said)["left_sd"] == 1.5
+    assert score_case(truth(), no_verdict("too short"))["left_sd"] is None
 
 
 def test_pairs_are_right_when_both_are_named() -> None:

@@ -43,7 +43,17 @@ SETTINGS = ("full", "study")
 PLAN, SEALED, VERDICTS, CAMPAIGNS = "plan.json", "sealed", "verdicts", "campaigns"
 KEPT = {
     "where": ("experiment", "phase", "share", "p_value"),
-    "which": ("effect", "family", "probability", "d", "tau_s", "fraction_closed", "rss_V2", "bic"),
+    "which": (
+        "effect",
+        "family",
+        "probability",
+        "d",
+        "misfit_left_sd",
+        "tau_s",
+        "fraction_closed",
+        "rss_V2",
+        "bic",
+    ),
 }
 """what is kept of the tables of gap.json; traces and sentences are not scored"""
 

@@ -101,6 +101,7 @@ def score_case(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         "p_unlisted": rows.get("unlisted", 0.0),
         "looks_unlisted": _looks_unlisted(verdict, "looks"),
         "unlisted_by_mean": _looks_unlisted(verdict, "by_mean"),
+        "left_sd": _left(verdict),
         "p_right": p_right,
         "named": bool(named),
         "named_confidently": bool(named) and said["probability"] > CONFIDENT,
@@ -159,6 +160,14 @@ def _looks_unlisted(verdict: Mapping[str, Any], how: str) -> float | None:
     """Before any share is given back; None where the verdict does not say, as those of users."""
     said = verdict.get("unlisted") or {}
     return None if said.get(how) is None else float(said[how])
+
+
+def _left(verdict: Mapping[str, Any]) -> float | None:
+    """Standard deviations of misfit under the likeliest explanation by effects of the catalogue."""
+    rows = [row for row in verdict["which"] if row["effect"] not in ("none", "unlisted")]
+    known = [row for row in rows if row.get("misfit_left_sd") is not None]
+    best = max(known, key=lambda row: row["probability"] or 0.0, default=None)
+    return None if best is None else float(best["misfit_left_sd"])
 
 
 def _tau_told(verdict: Mapping[str, Any], right: Sequence[set[str]]) -> float | None:
