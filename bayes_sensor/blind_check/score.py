@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import log, sqrt
 from typing import Any
 
@@ -162,19 +162,24 @@ def _looks_unlisted(verdict: Mapping[str, Any], how: str) -> float | None:
     return None if said.get(how) is None else float(said[how])
 
 
+def _of_the_likeliest(rows: Iterable[Mapping[str, Any]], key: str) -> float | None:
+    """What the likeliest of the rows has there; None where there is none."""
+    best = max(rows, key=lambda row: row["probability"] or 0.0, default=None)
+    return None if best is None else float(best[key])
+
+
 def _left(verdict: Mapping[str, Any]) -> float | None:
     """Standard deviations of misfit under the likeliest explanation by effects of the catalogue."""
-    rows = [row for row in verdict["which"] if row["effect"] not in ("none", "unlisted")]
-    known = [row for row in rows if row.get("misfit_left_sd") is not None]
-    best = max(known, key=lambda row: row["probability"] or 0.0, default=None)
-    return None if best is None else float(best["misfit_left_sd"])
+    key = "misfit_left_sd"
+    effects = (row for row in verdict["which"] if row["effect"] not in ("none", "unlisted"))
+    return _of_the_likeliest((row for row in effects if row.get(key) is not None), key)
 
 
 def _tau_told(verdict: Mapping[str, Any], right: Sequence[set[str]]) -> float | None:
     """s, tau of the likeliest explanation by the true causes alone: what being told would give."""
     which = verdict["which"]
     true = [row for row in which if row.get("tau_s") and _explains(row["effect"], right)]
-    return max(true, key=lambda row: row["probability"] or 0.0)["tau_s"] if true else None
+    return _of_the_likeliest(true, "tau_s")
 
 
 def _explains(label: str, right: Sequence[set[str]]) -> bool:

@@ -35,6 +35,11 @@ class AnotherForm:
     """size of what these leave, as a share of the whole's"""
 
 
+def small_enough(left: float, whole: float) -> bool:
+    """Whether a form may leave so much of what is explained; both as squared misfits."""
+    return left < OTHER_FORM**2 * whole
+
+
 def another_form(h: Hypothesis, weighing: Weighing) -> AnotherForm | None:
     """Fewer effects, or the same without something else beside them, in a form of their own.
 
@@ -50,7 +55,7 @@ def another_form(h: Hypothesis, weighing: Weighing) -> AnotherForm | None:
         simpler.append(h)
     for one in sorted(simpler, key=lambda one: (len(one.effects), one.refit.misfit)):
         left = one.refit.misfit - least
-        if VISIBLE**2 < left < OTHER_FORM**2 * whole:
+        if left > VISIBLE**2 and small_enough(left, whole):
             return AnotherForm(one.effects, sqrt(left / whole))
     return None
 
@@ -62,7 +67,7 @@ def of_its_form(found: FullRate, fitted: Refit, base: Refit) -> bool:
     """
     if found.name not in OFF_FOR_A_WHILE or found.d is None or found.probability < FOUND:
         return False
-    return found.d**2 < OTHER_FORM**2 * (base.misfit - fitted.misfit)
+    return small_enough(found.d**2, base.misfit - fitted.misfit)
 
 
 def _taken_beside(h: Hypothesis) -> float:

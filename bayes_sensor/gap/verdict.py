@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from bayes_sensor.gap.bins import PHASES
 from bayes_sensor.gap.effect import Effect
-from bayes_sensor.gap.form import OTHER_FORM, another_form, of_its_form
+from bayes_sensor.gap.form import another_form, of_its_form, small_enough
 from bayes_sensor.gap.full_rate import OF_UNLISTED_ORIGIN, FullRate
 from bayes_sensor.gap.refit import Refit
 from bayes_sensor.gap.sketch import Sketch
@@ -300,8 +300,7 @@ def judge(
 
 def leaves_too_much(h: Hypothesis, base: Refit) -> bool:
     """Whether what an explanation leaves is too much for noise, and for the form of its effects."""
-    whole = base.misfit - h.refit.misfit
-    return h.leftover >= GATE and h.excess > OTHER_FORM**2 * whole
+    return h.leftover >= GATE and not small_enough(h.excess, base.misfit - h.refit.misfit)
 
 
 def of_one_family(h: Hypothesis, catalogue: Mapping[str, Effect]) -> bool:

@@ -32,7 +32,6 @@ from bayes_sensor.blind_check import (
     make_card,
     open_seals,
     read_rows,
-    score,
     table,
 )
 from bayes_sensor.blind_check.card import GOALS_AT, SMALL
@@ -95,9 +94,14 @@ def run(
     keep_figure(withheld(), "opened_seal")
 
 
+def scored(place: Path) -> list[dict[str, Any]]:
+    """One row a case of a folder whose seals may be opened."""
+    return [score_case(truth, verdict) for truth, verdict in open_seals(place)]
+
+
 def write_card(place: Path) -> pd.DataFrame:
     """Open the seals of a folder and write what they say; returns the table of cases."""
-    frame = table(score(open_seals(place))[1])
+    frame = table(scored(place))
     frame.to_csv(TABLES / "blind_check_cases.csv", index=False, float_format="%.5g")
     # of what is kept: a cause may be 4 standard deviations large by its last digit alone
     card = make_card(read_rows(TABLES / "blind_check_cases.csv"))
@@ -728,7 +732,7 @@ def compare_settings(
     diagnose_cases(
         few, few, few / "parts", "full", jobs=jobs, scheduler=scheduler, progress=progress
     )
-    _, rows = score(open_seals(few))
+    rows = scored(few)
     keys = ["case", "verdict", "said", "p_said", "p_none", "p_unlisted", "p_right", "tau_after_s"]
     full = table(rows)[[*keys, "closed"]]
     quick = frame[frame["case"].isin(names)][[*keys, "kind", "d", "closed"]]
