@@ -20,6 +20,7 @@ import study_faults
 import study_fleet
 import study_gap
 import study_hostile
+import study_odds
 import study_predictive
 import study_published_bounds
 import study_real
@@ -41,6 +42,7 @@ STUDIES = {
     "unlisted": study_unlisted.run,
     "unlisted-kinds": study_unlisted_kinds.run,
     "blind-check": study_blind_check.run,
+    "odds": study_odds.run,
     "strong": study_strong.run,
     "extremes": study_extremes.run,
     "hostile": study_hostile.run,
