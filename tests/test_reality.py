@@ -81,7 +81,7 @@ def test_every_effect_of_the_catalogue_has_a_counterpart_and_many_causes_have_no
     assert len([cause for cause in unlisted if not cause.reserve]) >= 8
     assert len([cause for cause in unlisted if cause.reserve]) == 8
     assert not any(cause.reserve for cause in CAUSES.values() if cause.listed)
-    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (74, 3)
+    assert (len(OPEN_LAWS), len(RESERVE_LAWS)) == (77, 3)
     assert not set(OPEN_LAWS) & set(RESERVE_LAWS)
     assert all(cause.turn.__doc__ for cause in CAUSES.values())
 
@@ -343,6 +343,12 @@ def test_switches_follow_commands_even_on_a_bad_clock() -> None:
         ("grainy_fibre", {"rise", "plateau", "fall"}, 0.999),
         ("chart_on_screen", {"plateau", "fall", "tail"}, 0.98),
         ("flattened_record", {"baseline", "plateau", "tail"}, 0.9),
+        ("tidal_stream", {"rise", "fall"}, 0.99),
+        ("ripening_gas", {"rise", "fall"}, 0.99),
+        ("late_nucleus", {"plateau", "fall", "tail"}, 0.99),
+        ("starved_grains", {"rise", "plateau", "fall", "tail"}, 0.999),
+        ("slideshow_screen", {"plateau", "fall", "tail"}, 0.9),
+        ("one_bit_link", {"rise", "fall"}, 0.95),
     ],
 )
 def test_places_where_causes_act(name: str, phases: set[str], least: float) -> None:

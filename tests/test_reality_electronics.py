@@ -27,6 +27,7 @@ from bayes_sensor.reality.stages.readout import (
     kept,
     log_amplifier,
     miscounted,
+    one_bit,
     oscillating_lag,
     overloaded,
     parabola,
@@ -1388,3 +1389,48 @@ def test_an_idle_tone_is_as_high_as_the_signal_is_off_its_zero_and_as_loud_every
         # every experiment's begins anywhere
         assert len({prepared_rig(rig)[s.name].whine_begin for s in rig.steps}) == len(rig.steps)
     assert 2.99 < min(pitches) < 15.0 < max(pitches) < 40.01
+
+
+def test_a_link_of_one_bit_gets_away_slowly_and_overshoots() -> None:
+    # to and fro about a level by the smallest steps, and after a leap by steps that grow by half
+    y = np.concatenate([np.full(6, 0.5), np.full(9, 100.0)])
+    said = one_bit(y, 1.0)
+    assert said[:6] == pytest.approx([0.5, 2.0, 1.0, -0.5, 0.5, 2.0])
+    assert np.diff(said)[6:14] == pytest.approx(1.5 ** np.arange(8.0))
+    strength, drawn, over = 0.12, [], 0
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"one_bit_link": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        plain = clean_signals(without_causes(rig))
+        least = found["1"].link_least
+        # what the link reads: single bits may hang on little
+        reads = {
+            step.name: np.arange(found[step.name].link_begin - strength, step.duration, strength)
+            for step in rig.steps
+        }
+        exact = clean_signals(
+            without_causes(rig), {k: np.maximum(v, 0.0) for k, v in reads.items()}
+        )
+        drawn.append(least / strength / np.mean([step.beta for step in rig.steps]))
+        for step in rig.steps:
+            t, ticks = sample_times(step), reads[step.name]
+            assert found[step.name].link_every == strength and -strength <= ticks[0] < 0.0
+            signal = exact[step.name]
+            # bit by bit, as the far end has it
+            far, size, last = [signal[0]], least, True
+            for reading in signal[:-1]:
+                bit = bool(reading >= far[-1] - 1e-9)
+                size = size * 1.5 if bit == last else max(size / 1.5, least)
+                size, last = max(size, least), bit
+                far.append(far[-1] + (size if bit else -size))
+            before = t < step.t0
+            assert np.abs(seen[step.name] - step.y0)[before].max() <= 1.5 * least * (1.0 + 1e-9)
+            expected = np.interp(t, ticks, far)
+            assert np.abs(expected - seen[step.name])[t < ticks[-1]].max() < 1e-3 * step.beta
+            # on its way up it is behind at first, and then it goes too far
+            up = (t > step.t0) & (t < step.tf)
+            off = (seen[step.name] - plain[step.name])[up] / step.beta
+            over += int(off.max() > 0.02 and off.argmin() < off.argmax())
+            assert off.min() < -0.01
+    assert over >= 10
+    assert 0.019 < min(drawn) < max(drawn) < 0.101 and max(drawn) > 1.3 * min(drawn)

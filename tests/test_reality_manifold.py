@@ -1086,3 +1086,87 @@ def test_water_takes_room_in_the_manifold_until_it_is_siphoned_off() -> None:
         for before, after in pairwise(whole):
             assert after[0] == pytest.approx(before[-1], abs=1e-6) or after[0] < 1e-6
     assert 0.29 < min(periods) < 1.0 < max(periods) < 3.01
+
+
+def test_gas_that_ripens_two_by_two_against_an_ode_solver() -> None:
+    strength, rates = 0.5, []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"ripening_gas": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        typical = float(np.median([step.total_flow for step in rig.steps])) / rig.V
+        own = {
+            step.name: found[step.name].ripening_rate / rig.relative_concentration(step)
+            for step in rig.steps
+        }
+        rates.append(own["1"] / typical)
+        # one reaction in all experiments, at the square of what there is
+        assert list(own.values()) == pytest.approx([own["1"]] * len(own))
+        for k, step in enumerate(rig.steps):
+            relative = rig.relative_concentration(step)
+
+            def reacting(
+                u: float, x: FloatArray, step: Step = step, rig: Case = rig, rate: float = own["1"],
+                relative: float = relative,
+            ) -> list[float]:  # fmt: skip
+                # raw gas and ripe gas, each over the campaign's highest concentration
+                raw, ripe = x[1], x[2]
+                makes, leaves = rate * raw**2, step.total_flow / rig.V
+                both = [leaves * (relative * x[0] - raw) - makes, makes - leaves * ripe]
+                felt = [(raw - x[3]) / rig.tau, (ripe - x[4]) / rig.tau]
+                return [(u - x[0]) / rig.tau_v, *both, *felt]
+
+            t, states = solved(rig, reacting, 5, k=k)
+            raw, ripe = states[:, 3], states[:, 4]
+            # the ripe gas of an endless plateau, where as much is made as leaves
+            kappa = own["1"] * relative * rig.V / step.total_flow
+            (full,) = (r for r in np.roots([kappa, -2.0 * kappa - 1.0, kappa]).real if r < 1.0)
+            felt = (1.0 - strength) * (raw + ripe) / relative + strength * ripe / relative / full
+            x = (seen[step.name] - step.y0) / step.beta
+            assert np.abs(x - felt).max() < 2e-4
+            # it is late on the way up; how it goes down hangs on which of both is the slower
+            plain = (raw + ripe) / relative
+            up, down = t < step.tf, t >= step.tf
+            late_up = np.sum((plain - x)[up]) * step.interval
+            late_down = np.sum((x - plain)[down]) * step.interval
+            assert late_up > abs(late_down)
+    assert 0.19 < min(rates) < 0.7 < max(rates) < 2.01
+
+
+def test_a_stream_that_goes_to_and_fro_brings_back_what_has_passed() -> None:
+    strength, rates = 0.4, []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"tidal_stream": strength})
+        seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+        found = prepared_rig(rig)
+        rates.append(found["1"].tide_rate)
+        assert len({found[step.name].tide_begin for step in rig.steps}) == len(rig.steps)
+        for step in rig.steps:
+            knobs = found[step.name]
+            passage = rig.V / step.total_flow
+            # at one flow what lies at a volume has passed at a time: the manifold, time by time
+            fine = np.arange(0.0, step.duration, 1e-3)
+
+            def way(t: FloatArray, step: Step = step, passage: float = passage, rig: Case = rig):
+                def two(since: FloatArray) -> FloatArray:
+                    s = np.maximum(since, 0.0)
+                    a, b = rig.tau_v, passage
+                    return 1.0 - (a * np.exp(-s / a) - b * np.exp(-s / b)) / (a - b)
+
+                return two(t - step.t0) - two(t - step.tf)
+
+            swing = np.sin(2.0 * np.pi * (knobs.tide_rate * fine + knobs.tide_begin))
+            comes = way(fine + strength * passage * swing)
+            decay = np.exp(-1e-3 / rig.tau)
+            # a lag of what goes in a straight line from one ms to the next
+            ahead = 1.0 - rig.tau / 1e-3 * (1.0 - decay)
+            drive = ahead * comes[1:] + (1.0 - decay - ahead) * comes[:-1]
+            x = np.concatenate([[0.0], lfilter([1.0], [1.0, -decay], drive)])
+            t = sample_times(step)
+            off = (seen[step.name] - step.y0) / step.beta - np.interp(t, fine, x)
+            assert np.abs(off).max() < 1e-3
+            # where nothing changes it moves nothing
+            still = (t < step.t0 - 2.0 * passage) | ((t > step.tf - 1.0) & (t < step.tf - 0.9))
+            quiet = np.abs(1.0 - (plain[step.name] - step.y0) / step.beta) < 1e-4
+            quiet |= t < step.t0 - 2.0 * passage
+            assert np.abs(seen[step.name] - plain[step.name])[still & quiet].max() < 1e-3
+    assert 0.39 < min(rates) < 1.0 < max(rates) < 3.01

@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, welch
 from scipy.special import erf, erfcx, j0, ndtr, spence, stdtr
-from scipy.stats import gamma
+from scipy.stats import gamma, poisson
 
 from bayes_sensor.reality import (
     HEAVY_TAILED,
@@ -1256,6 +1256,63 @@ def test_faded_frozen_and_fluttering_noise_are_what_they_say() -> None:
         some = (before > low) & (before < high)
         grown = (1.0 - depth + depth * np.mean(before[some] ** 2)) * loss
         assert np.mean(e[some] ** 2) == pytest.approx(grown, rel=0.06)
+
+
+def test_counts_retuned_noise_and_chaos_are_what_they_say() -> None:
+    rng = np.random.default_rng(48)
+    h = 1e-3
+    rate = 0.8
+    law = NoiseLaw("few_photons", 1.0, components=(Component(1.0, shape="counts", rate=rate),))
+    z = draw_noise(law, 400_000, h, rng)
+    found = z * np.sqrt(rate) + rate
+    # whole numbers, as often as Poisson has them, and none after the other
+    assert np.abs(found - np.rint(found)).max() < 1e-9 and found.min() > -1e-9
+    for k in range(6):
+        assert np.mean(np.rint(found) == k) == pytest.approx(poisson.pmf(k, rate), abs=3e-3)
+    assert np.mean(z**3) == pytest.approx(rate**-0.5, abs=0.05)
+    assert np.mean(z**4) - 3.0 == pytest.approx(1.0 / rate, abs=0.3)
+    assert autocorrelation(law, 3, h).tolist() == [1.0, 0.0, 0.0]
+    assert abs(np.mean(z[1:] * z[:-1])) < 0.01
+
+    part = Component(1.0, 0.05, shape="retuned", depth=0.04)
+    law = NoiseLaw("retuned_filter", 1.0, components=(part,))
+    R = autocorrelation(law, 200, h)
+    assert R[0] == pytest.approx(1.0, abs=1e-9)
+    paces = 0.05 * 0.04 ** ((np.arange(20_000) + 0.5) / 20_000)
+    for lag in (1, 5, 50, 199):
+        assert R[lag] == pytest.approx(np.mean(np.exp(-lag * h / paces)), abs=1e-6)
+    found, sizes = [], []
+    for _ in range(300):
+        z = draw_noise(law, 20_000, h, rng)
+        sizes.append(z.std())
+        one = float(np.mean(z[1:] * z[:-1]) / np.mean(z**2))
+        found.append(-h / np.log(one))
+        # each record is of one pace
+        e = z[1:] - one * z[:-1]
+        assert abs(np.mean(e[1:] * e[:-1])) < 0.04 * np.mean(e**2)
+        assert np.mean(e**4) / np.mean(e**2) ** 2 == pytest.approx(3.0, abs=0.25)
+    # and as loud as the others: correlated over 2 T, the slowest has 200 of its own
+    assert np.mean(sizes) == pytest.approx(1.0, abs=0.02) and np.std(sizes) < 0.06
+    place = np.log(np.array(found) / 0.05) / np.log(0.04)
+    assert np.quantile(place, [0.1, 0.5, 0.9]) == pytest.approx([0.1, 0.5, 0.9], abs=0.1)
+
+    turn = 0.65
+    law = NoiseLaw("chaotic_laser", 1.0, components=(Component(1.0, shape="chaos", depth=turn),))
+    z = draw_noise(law, 400_000, h, rng)
+    x = z / np.sqrt(12.0) + 0.5
+    # any level as likely, never beyond, and the next one is certain
+    assert x.min() > -1e-12 and x.max() < 1.0 + 1e-12
+    for at in (0.1, 0.5, 0.8):
+        assert np.mean(x < at) == pytest.approx(at, abs=5e-3)
+    following = np.where(x < turn, x / turn, (1.0 - x) / (1.0 - turn))[:-1]
+    assert np.abs(x[1:] - following).max() < 1e-12
+    R = autocorrelation(law, 4, h)
+    assert pytest.approx([1.0, 0.3, 0.09, 0.027]) == R
+    for lag in (1, 2, 3):
+        assert np.mean(z[lag:] * z[:-lag]) == pytest.approx(R[lag], abs=0.01)
+    # two stretches have nothing in common
+    other = draw_noise(law, 400_000, h, rng)
+    assert abs(np.mean(z * other)) < 0.01
 
 
 @pytest.mark.parametrize("name", [*OPEN_LAWS, *RESERVE_LAWS])

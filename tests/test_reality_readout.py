@@ -1050,3 +1050,128 @@ def test_a_screen_shines_back_the_mean_of_what_it_shows_its_own_light_and_all() 
     t = np.linspace(-1.0, 60.0, 6101)
     y = 0.3 + (t >= 0.0)
     assert shone_back(t, y, 0.25, 5.0)[-1] == pytest.approx(0.3 + 1.0 / 0.75, abs=1e-3)
+
+
+def test_a_screens_slides_stand_evenly_once_no_key_has_been_touched() -> None:
+    strength, drawn = 0.2, []
+    for seed in range(11, 17):
+        rig = replace(draw_case(seed, size="small"), strengths={"slideshow_screen": strength})
+        size, own = strength * np.mean([s.beta for s in rig.steps]), []
+        for step, course in offsets(rig, 2e-4):
+            t = np.arange(0.0, step.duration, 1e-3)
+            shown = course(t) / size
+            assert np.abs(shown).max() <= 1.0
+            moving = np.abs(np.diff(shown)) > 1e-9
+            starts = t[:-1][moving & ~np.concatenate([[False], moving[:-1]])]
+            ends = t[1:][moving & ~np.concatenate([moving[1:], [False]])]
+            # nothing before the first, and from there on one after the other as evenly as a clock
+            assert np.all(shown[t < starts[0]] == 0.0)
+            stands = np.diff(starts)
+            assert np.all(np.abs(stands - np.mean(stands)) < 3e-3)
+            fades = (ends - starts)[:-1]
+            assert np.all(np.abs(fades - fades[0]) < 3e-3)
+            for low, high in zip(starts[:-1], ends[:-1], strict=True):
+                inside = (t > low + 2e-3) & (t < high - 2e-3)
+                assert np.ptp(np.diff(shown[inside])) < 1e-9
+            own.append((starts[0], np.mean(stands), fades[0]))
+        assert len(own) == len(rig.steps)
+        # one computer, the same in every record, but for its pictures
+        assert np.ptp(own, axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=3e-3)
+        idle, stands, fades = own[0]
+        assert 0.04 < fades / stands < 0.51
+        drawn.append((idle, stands))
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [1.49, 1.99]) and np.all(high < [12.01, 12.01])
+    assert np.all(high > 1.3 * low)
+
+
+def test_a_lid_rolls_ever_faster_and_is_at_rest_at_once() -> None:
+    strength, drawn, sizes = 0.2, [], []
+    for seed in range(11, 17):
+        rig = replace(draw_case(seed, size="paper"), strengths={"rolling_lid": strength})
+        size, found = strength * np.mean([s.beta for s in rig.steps]), prepared_rig(rig)
+        h = 1e-3
+        t = np.arange(0.0, 120.0, h)
+        shaken = np.zeros(len(t) * len(rig.steps))
+        for k, step in enumerate(rig.steps):
+            for course in found[step.name].offset:
+                shaken[k * len(t) : (k + 1) * len(t)] = course(t) / size
+        # every stretch in which it moves
+        whole = np.flatnonzero(np.abs(shaken) > 1e-12)
+        gaps = np.flatnonzero(np.diff(whole) > 500)
+        begins = whole[np.concatenate([[0], gaps + 1])]
+        ends = whole[np.concatenate([gaps, [len(whole) - 1]])]
+        assert 1 <= len(begins) <= len(rig.steps) // 2 + 1
+        peaks = []
+        for first, last in zip(begins, ends, strict=True):
+            y = shaken[first : last + 1]
+            if first == 0 or last == len(shaken) - 1 or len(y) * h > 8.1:
+                continue
+            # it crosses zero every half turn: 1.2 rate lasts (1 - left^(5/6))
+            up = np.flatnonzero(np.sign(y[1:]) != np.sign(y[:-1]))
+            crossings = (up + y[up] / (y[up] - y[up + 1])) * h
+            lasts = len(y) * h
+            left = np.clip(1.0 - crossings / lasts, 0.0, 1.0)
+            turns = 0.5 * np.arange(1, len(crossings) + 1)
+            progress = 1.2 * lasts * (1.0 - left ** (5.0 / 6.0))
+            kept = left > 0.02
+            rate, begin = np.polyfit(progress[kept], turns[kept], 1)
+            assert np.abs(np.polyval([rate, begin], progress[kept]) - turns[kept]).max() < 0.1
+            assert abs(begin) < 0.1
+            # as hard to the end as in the beginning
+            early, late = y[: len(y) // 3], y[-len(y) // 3 :]
+            assert np.abs(early).max() == pytest.approx(np.abs(late).max(), rel=0.03)
+            peaks.append(np.abs(y).max())
+            drawn.append((rate, lasts))
+        sizes += peaks
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [2.4, 0.99]) and np.all(high < [8.1, 8.01]) and np.all(high > 1.5 * low)
+    assert max(sizes) == pytest.approx(1.0, rel=0.02) and min(sizes) > 0.49
+    # and it is added to the signal as it is, but for what the grid makes of its last moment
+    rig = case(rolling_lid=strength)
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    added = 0
+    for step in rig.steps:
+        knobs, t = prepared_rig(rig)[step.name], sample_times(step)
+        for course in knobs.offset:
+            gap = np.min([np.abs(t - at) for at in [*knobs.marks, np.inf]], axis=0)
+            off = seen[step.name] - plain[step.name] - course(t)
+            assert np.abs(off[gap > 1e-4]).max() < 1e-4
+            added += 1
+    assert added >= 1
+
+
+def test_a_tower_sways_at_its_own_rate_and_gusts_keep_it_going() -> None:
+    strength, sizes, rates, quality = 0.1, [], [], []
+    for seed in range(11, 31):
+        rig = replace(draw_case(seed, size="paper"), strengths={"tower_in_the_wind": strength})
+        size, found = strength * np.mean([s.beta for s in rig.steps]), prepared_rig(rig)
+        h = 0.1
+        parts = []
+        for step in rig.steps:
+            (course,) = found[step.name].offset
+            parts.append(course(np.arange(0.0, step.duration, h)) / size)
+        tilt = np.concatenate(parts)
+        sizes.append(np.mean(tilt**2))
+        # no leap where one record ends and the next one begins
+        steps = np.abs(np.diff(tilt))
+        assert steps[len(parts[0]) - 1 :: len(parts[0])].max() < steps.max() + 1e-12
+        power = np.abs(np.fft.rfft(tilt)) ** 2
+        f = np.arange(len(power)) / (h * len(tilt))
+        rate = f[power.argmax()]
+        rates.append(rate)
+        # nearly all of it within a twentieth or a tenth of its own rate, and not all in one line
+        near = np.abs(f - rate) < 0.25 * rate
+        assert power[near].sum() > 0.85 * power.sum()
+        mean = (f * power)[near].sum() / power[near].sum()
+        width = np.sqrt(((f - mean) ** 2 * power)[near].sum() / power[near].sum()) / rate
+        quality.append(width)
+        # swings grow and fade
+        envelope = np.abs(hilbert(tilt))[200:-200]
+        assert envelope.max() > 1.8 * np.median(envelope)
+    # of the mean square, each of some independent swings
+    assert np.mean(sizes) == pytest.approx(1.0, abs=0.2)
+    assert 0.09 < min(rates) < 0.2 < max(rates) < 0.52
+    assert 0.01 < min(quality) and max(quality) < 0.15
+    # and it is added to the signal as it is
+    assert len(list(offsets(case(tower_in_the_wind=strength), 1e-4))) == 3

@@ -969,3 +969,81 @@ def test_domains_rest_at_the_same_defects_but_leave_them_elsewhere_on_their_way_
     way = [out[0], *(b for a, b in pairwise(out.tolist()) if a != b)]
     assert way == [0.005, 0.3, 0.45, 0.8, 0.45, 0.3, 0.005]
     assert out[30] == 0.3 and out[29] == 0.005 and out[101 + 54] == 0.8 and out[101 + 56] == 0.45
+
+
+def test_a_crystal_waits_for_its_nucleus_and_grows_and_melts_evenly() -> None:
+    strength, drawn, never, waits = 0.3, [], 0, []
+    for seed in range(11, 19):
+        rig = replace(draw_case(seed, size="small"), strengths={"late_nucleus": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        plain = clean_signals(without_causes(rig))
+        level, time = found["1"].crystal_level, found["1"].crystal_time
+        drawn.append((level, time))
+        for step in rig.steps:
+            t, relative = sample_times(step), rig.relative_concentration(step)
+            wait = found[step.name].crystal_wait
+            waits.append(wait)
+            added = (seen[step.name] - plain[step.name]) / step.beta / strength * relative
+            # the gas above the ring is ahead of the response by the sensor's own lag
+            x = (plain[step.name] - step.y0) / step.beta
+            gas = x + rig.tau * np.gradient(x, t)
+            drive = relative * gas - level
+            excess = np.cumsum(np.maximum(drive, 0.0)) * step.interval
+            begun = np.searchsorted(excess, wait)
+            if begun == len(t):
+                assert np.abs(added).max() < 1e-5
+                never += 1
+                continue
+            assert t[begun] > step.t0 and np.abs(added[: begun - 3]).max() < 1e-5
+            # up by the excess over what it had to wait for, to all of it, and then down again
+            grown = np.zeros(len(t))
+            for i in range(begun, len(t)):
+                grown[i] = np.clip(grown[i - 1] + drive[i] * step.interval / time, 0.0, 1.0)
+            assert np.abs(added - grown).max() < 0.02
+            middle = (t > t[begun] + 0.1) & (t < step.tf - 0.1) & (added < 0.98)
+            if np.count_nonzero(middle) > 20 and drive[middle].min() > 0.98 * drive[middle].max():
+                slope = np.polyfit(t[middle], added[middle], 1)[0]
+                assert slope == pytest.approx((relative - level) / time, rel=0.05)
+        # the one with the most gas is sure to have it
+        top = max(rig.steps, key=lambda step: step.concentration)
+        assert np.max(seen[top.name] - plain[top.name]) > 0.1 * strength * top.beta
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [0.149, 0.79]) and np.all(high < [0.451, 6.01]) and np.all(high > 1.3 * low)
+    assert never >= 3 and np.std(waits) > 0.4 * np.mean(waits)
+
+
+def test_starved_grains_against_an_ode_solver() -> None:
+    strength, drawn = 0.4, []
+    for seed in (11, 12, 13, 14, 15):
+        rig = replace(draw_case(seed, size="small"), strengths={"starved_grains": strength})
+        found, seen = prepared_rig(rig), clean_signals(rig)
+        weakest = min(step.total_flow for step in rig.steps)
+        K, time = found["1"].starved_bend, found["1"].starved_time
+        drawn.append((K, time))
+        for k, step in enumerate(rig.steps):
+            relative = rig.relative_concentration(step)
+            own = time * np.sqrt(weakest / step.total_flow)
+
+            def through_film(
+                u: float, x: FloatArray, step: Step = step, rig: Case = rig, K: float = K,
+                own: float = own, relative: float = relative,
+            ) -> list[float]:  # fmt: skip
+                # the load that c would give is (1 + K) c/(1 + K c)
+                c = x[3] / (1.0 + K - K * x[3])
+                gas = [step.total_flow / rig.V * (x[0] - x[1]), (x[1] - x[2]) / rig.tau]
+                return [(u - x[0]) / rig.tau_v, *gas, (relative * x[1] - c) / own]
+
+            t, states = solved(rig, through_film, 4, k=k)
+            full = relative * (1.0 + K) / (1.0 + K * relative)
+            felt = (1.0 - strength) * states[:, 2] + strength * states[:, 3] / full
+            x = (seen[step.name] - step.y0) / step.beta
+            assert np.abs(x - felt).max() < 3e-4
+            # half of the load takes less time to come than to go
+            load = states[:, 3]
+            half = 0.5 * load[t < step.tf].max()
+            up = t[np.argmax(load > half)] - step.t0
+            later = (t > step.tf) & (load < half)
+            if later.any():
+                assert t[later][0] - step.tf > 1.1 * up
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert np.all(low > [1.99, 0.79]) and np.all(high < [12.1, 5.01]) and np.all(high > 1.3 * low)

@@ -169,6 +169,10 @@ class Knobs:
     """by how much, relatively, the full step of gas slows down the exchange"""
     pairing: float = 0.0
     """per s, at which the set concentration reacts with itself"""
+    ripening: float = 0.0
+    """share of what the ring feels that is made of two molecules in the manifold"""
+    ripening_rate: float = 1.0
+    """per s, at which the set concentration makes it"""
     corner: float = 0.0
     """share of V that is mixed with the rest while a fan runs only"""
     fan: Course | None = None
@@ -185,6 +189,12 @@ class Knobs:
     """his concentration over the set one"""
     stray_flush: float = 0.1
     """s in which his gas comes and goes"""
+    tide: float = 0.0
+    """volume by which the stream past the ring goes to and fro, in units of V"""
+    tide_rate: float = 1.0
+    """Hz"""
+    tide_begin: float = 0.0
+    """turns"""
     # sensor
     tau_factor: float = 1.0
     film_share: float = 0.0
@@ -317,6 +327,22 @@ class Knobs:
     """how much more slowly gas binds without a chain's end"""
     chains_time: float = 0.5
     """s in which the highest concentration beyond that lets chains grow by e"""
+    crystal: float = 0.0
+    """share of the highest response that a crystal adds when it covers all"""
+    crystal_level: float = 0.2
+    """concentration at which it neither grows nor shrinks, over the campaign's highest"""
+    crystal_wait: float = 1.0
+    """s of the highest concentration beyond that level that pass without a nucleus"""
+    crystal_time: float = 3.0
+    """s of that in which it grows across"""
+    starved: float = 0.0
+    """share of the response from grains which gas must reach through a film that is at rest"""
+    starved_bend: float = 5.0
+    """Langmuir's constant of those grains times the highest concentration"""
+    starved_time: float = 3.0
+    """s in which the highest concentration would fill them through that film"""
+    starved_flow: float = 50.0
+    """mL/s of the stream of which that is so; the film is thinner as the root of the flow"""
     stacked: float = 0.0
     """share of the response from gas that settles on itself"""
     stacked_time: float = 5.0
@@ -572,6 +598,12 @@ class Knobs:
     """share of a record's slowest waves that software takes out"""
     flattened_waves: int = 1
     """how many of them"""
+    link_every: float = 0.0
+    """s from bit to bit of a link that only says up or down"""
+    link_begin: float = 0.0
+    """s, of one of them"""
+    link_least: float = 0.01
+    """V, the smallest of its steps"""
     archive: float = 0.0
     """s of record that an archive packs into a block"""
     archive_kept: int = 3

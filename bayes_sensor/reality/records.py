@@ -144,6 +144,10 @@ class Component:
     Ornstein-Uhlenbeck process of the place: ``erfcx(sqrt(lag/time))``; with ``fluttering`` the rate
     of an Ornstein-Uhlenbeck process is 1/``time`` and white noise, which makes ``depth`` of the
     variance.
+    With ``counts`` (``time`` 0) it is how many come at random in a sample, ``rate`` in the mean;
+    with ``retuned`` an Ornstein-Uhlenbeck process has another time in each record, between
+    ``depth`` times ``time`` and that; with ``chaos`` (``time`` 0) each sample makes the next one:
+    what is among the lower share ``depth`` is stretched, what is above that is turned over besides.
     """
 
     share: float
@@ -162,7 +166,8 @@ class Component:
     ``stretched``, ``teeth``, ``diffused``, ``squared``, ``flapping``, ``startled``,
     ``bubbles``, ``resting``, ``balanced``, ``crests``, ``median``, ``phase``, ``passing``,
     ``restarted``, ``slowing``, ``referred``, ``dry``, ``larger``, ``repeated``,
-    ``clipped``, ``thrice``, ``fitful``, ``fading``, ``landscape`` or ``fluttering``"""
+    ``clipped``, ``thrice``, ``fitful``, ``fading``, ``landscape``, ``fluttering``,
+    ``counts``, ``retuned`` or ``chaos``"""
     rate: float = 0.0
     depth: float = 0.0
     gust_time: float = 0.0

@@ -128,7 +128,16 @@ def voltage(
     if knobs.stray_turn is not None:
         his = knobs.stray * knobs.stray_turn(t) * (knobs.stray_level - gas)
         gas = gas + lags.lag(t, his, np.full(len(t) - 1, knobs.stray_flush), 0.0)
+    if knobs.tide > 0:
+        passed, turns = _integral(t, flow), knobs.tide_rate * t + knobs.tide_begin
+        gas = np.interp(passed + knobs.tide * case.V * np.sin(2.0 * pi * turns), passed, gas)
     response = _sensor(case, step, knobs, t, gas)
+    if knobs.starved > 0:
+        relative, bend = case.relative_concentration(step), knobs.starved_bend
+        thick = np.sqrt(knobs.starved_flow / (0.5 * (flow[1:] + flow[:-1])))
+        held = sensor.starved(t, relative * gas, knobs.starved_time * thick, bend)
+        full = relative * (1.0 + bend) / (1.0 + bend * relative)
+        response = response + knobs.starved * (held / full - response)
     if knobs.impurity > 0:
         late = lags.retarded(t, gas, flow, knobs.impurity_volume, knobs.impurity_cells)
         response = response / (1.0 + knobs.impurity * late)
@@ -166,6 +175,10 @@ def voltage(
         y = y - (np.minimum.accumulate(y - climbed) + climbed - y[0])
     if knobs.flattened > 0:
         y = y - knobs.flattened * readout.slowest_waves(t, y, step.duration, knobs.flattened_waves)
+    if knobs.link_every > 0.1 * step.interval:  # else no reading knows of single bits
+        first = knobs.link_begin - knobs.link_every
+        ticks = np.arange(first, t[-1] + knobs.link_every, knobs.link_every)
+        y = np.interp(t, ticks, readout.one_bit(np.interp(ticks, t, y), knobs.link_least))
     if knobs.archive > knobs.archive_kept * step.interval:  # else there is nothing to throw away
         begin, length = knobs.archive_begin, knobs.archive
         y = readout.cosine_blocks(t, y, begin, length, knobs.archive_kept)
@@ -338,6 +351,13 @@ def _manifold(
             # the plateau is what it is: x + kappa x^2 = 1 with kappa the rate over the exchange's
             kappa = knobs.pairing * case.V / step.total_flow
             gas = gas * 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * kappa))
+        elif knobs.ripening > 0:
+            gas = lags.lag(t, inlet, passage, 0.0)
+            ripe = manifold.ripening(t, gas, passage, knobs.ripening_rate)
+            # the plateau is what it is: kappa (1 - x)^2 = x with kappa the rate over the exchange's
+            kappa = knobs.ripening_rate * case.V / step.total_flow
+            full = 1.0 + 0.5 * (1.0 - np.sqrt(1.0 + 4.0 * kappa)) / kappa
+            gas = gas + knobs.ripening * (ripe / full - gas)
         else:
             gas = lags.lag(t, inlet, passage, 0.0)
     if knobs.jet > 0:
@@ -453,6 +473,10 @@ def _sensor(case: Case, step: Step, knobs: Knobs, t: FloatArray, gas: FloatArray
             t, relative * gas, knobs.chains_level, knobs.chains_seeds, knobs.chains_time
         )
         x = x + knobs.chains / relative * bound
+    if knobs.crystal > 0:
+        drive = relative * gas - knobs.crystal_level
+        grown = sensor.crystallising(t, drive, knobs.crystal_wait, knobs.crystal_time)
+        x = x + knobs.crystal / relative * grown
     if knobs.loosened > 0:
         bend = knobs.loosening_bend * relative
         x = x - knobs.loosened * sensor.loosening(t, x, bend, knobs.loosening_time)

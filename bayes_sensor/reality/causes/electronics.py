@@ -944,7 +944,7 @@ def static_discharge(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
             rig[step.name].marks += both_sides(inside)
 
 
-@cause((), "plateau", "share of the waves", 0.4, near=("baseline_drift",), reserve=True)
+@cause((), "plateau", "share of the waves", 0.4, near=("baseline_drift",))
 def flattened_record(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The software takes drift for what is slowest in a record, and filters that out of it.
 
@@ -956,7 +956,7 @@ def flattened_record(rig: Rig, s: float, rng: np.random.Generator, case: Case) -
         knobs.flattened, knobs.flattened_waves = s, waves
 
 
-@cause((), "line", "share of the step", 0.3, fast=True, reserve=True)
+@cause((), "line", "share of the step", 0.3, fast=True)
 def whining_converter(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The converter counts how often its input is above a threshold, and what is left over whines.
 
@@ -968,3 +968,17 @@ def whining_converter(rig: Rig, s: float, rng: np.random.Generator, case: Case) 
     for knobs in rig.values():
         knobs.whine, knobs.whine_rate = s * size, pitch / size
         knobs.whine_zero, knobs.whine_begin = zero, rng.random()
+
+
+@cause((), "delay", "s a bit", 0.2, reserve=True)
+def one_bit_link(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The reading comes over a link that says only whether it is higher than what was said before.
+
+    The far end goes up or down by a step, which grows as long as the bits are the same, and shrinks
+    when they are not (Jayant, Bell Syst. Tech. J. 49, 321, 1970): a steep signal gets away at
+    first, is overtaken, and is found again to and fro.  A bit takes ``s``; at rest the smallest
+    steps go up and down.
+    """
+    least = _between(rng, 0.02, 0.1) * _mean_step(case) * s
+    for knobs in rig.values():
+        knobs.link_every, knobs.link_begin, knobs.link_least = s, s * rng.random(), least

@@ -539,7 +539,7 @@ def neighbours_airlock(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         rig[step.name].marks += both_sides([at])
 
 
-@cause((), "plateau", "of V", 0.5, near=("dead_volume", "axial_dispersion"), reserve=True)
+@cause((), "plateau", "of V", 0.5, near=("dead_volume", "axial_dispersion"))
 def heated_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The hose is heated against condensation, by a thermostat that switches on and off.
 
@@ -561,7 +561,7 @@ def heated_hose(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> Non
         rig[step.name].marks += turns[(turns > 0.0) & (turns < step.duration)].tolist()
 
 
-@cause((), "mixing", "share of V", 0.8, near=("flow_error",), per_experiment=True, reserve=True)
+@cause((), "mixing", "share of V", 0.8, near=("flow_error",), per_experiment=True)
 def standing_water(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The humidifier spits, and water gathers in the manifold until the drain siphons it off.
 
@@ -579,3 +579,35 @@ def standing_water(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         rig[step.name].standing = standing
         drains = np.arange(np.ceil(begin / fills), (begin + step.duration) / fills) * fills - begin
         rig[step.name].marks += both_sides(drains.tolist())
+
+
+@cause((), "fall", "share of the response", 0.8, near=("optical_nonlinearity",), reserve=True)
+def ripening_gas(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Two molecules of the test gas make one of another kind, which is what the ring feels most.
+
+    So gas must ripen in the manifold first: the thinner it is, the more slowly, with the square of
+    what is not ripe yet.  Ripe or not, it is flushed as ever.  The share ``s`` of the response is
+    the ripe gas's.
+    """
+    typical = float(np.median([step.total_flow for step in case.steps]))
+    rate = _between(rng, 0.2, 2.0) * typical / case.V
+    for step in case.steps:
+        knobs = rig[step.name]
+        knobs.ripening, knobs.ripening_rate = s, rate * case.relative_concentration(step)
+
+
+@cause((), "mixing", "of V", 0.8, fast=True, reserve=True)
+def tidal_stream(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """A bellows further down breathes: the stream goes to and fro in the hose in which the ring is.
+
+    By ``s`` V either way, on top of its own pace: what has just passed comes back and passes anew.
+    Where all the gas is alike nobody notices.
+    """
+    rate = _between(rng, 0.4, 3.0)
+    for step in case.steps:
+        knobs = rig[step.name]
+        knobs.tide, knobs.tide_rate, knobs.tide_begin = s, rate, rng.random()
+        reach = 10.0 * (case.tau_v + case.V / step.total_flow)
+        for switch in (step.t0, step.tf):
+            marks = np.arange(switch, min(switch + reach, step.duration), 0.1 / rate)
+            knobs.marks += marks.tolist()[1:]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import pi
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.special import erfc
 
 from bayes_sensor.campaign import FloatArray
@@ -878,7 +879,7 @@ def swaying_lamp(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
             rig[step.name].marks += [at - begin for at in bumps if 0 < at - begin < step.duration]
 
 
-@cause((), "level", "relative", 0.2, near=("optical_nonlinearity",), reserve=True)
+@cause((), "level", "relative", 0.2, near=("optical_nonlinearity",))
 def grainy_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A fibre of many modes leads the light on, and some edge cuts part of its end off.
 
@@ -891,7 +892,7 @@ def grainy_fibre(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> No
         knobs.grain, knobs.grain_waves, knobs.grain_begins = s, waves, begins
 
 
-@cause((), "tail", "share of the light", 0.3, near=("slow_sorption",), reserve=True)
+@cause((), "tail", "share of the light", 0.3, near=("slow_sorption",))
 def chart_on_screen(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The record is drawn on a screen beside the photodiode, white below its line as it goes by.
 
@@ -901,3 +902,82 @@ def chart_on_screen(rig: Rig, s: float, rng: np.random.Generator, case: Case) ->
     time = _between(rng, 4.0, 40.0)
     for knobs in rig.values():
         knobs.screen, knobs.screen_time = s, time
+
+
+@cause((), "drift", "share of the step", 0.25, per_experiment=True, reserve=True)
+def slideshow_screen(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The light of a computer's screen gets into the photodiode, and its screensaver shows slides.
+
+    It begins when no key has been touched for some time, which is what begins a record.  Each slide
+    stands as long as the others, is brighter or darker than the desktop by up to ``s``, and goes
+    over into the next one evenly.
+    """
+    shortest = min(step.duration for step in case.steps)
+    idle, stands = rng.uniform(0.05, 0.4) * shortest, _between(rng, 2.0, 12.0)
+    fades, size = rng.uniform(0.05, 0.5) * stands, s * _mean_step(case)
+    for step in case.steps:
+        begins = np.arange(idle, step.duration, stands)
+        levels = size * rng.uniform(-1.0, 1.0, len(begins))
+        times = np.column_stack([begins, begins + fades]).ravel()
+        values = np.column_stack([np.append(0.0, levels[:-1]), levels]).ravel()
+        rig[step.name].offset.append(_interpolated(times, values))
+        rig[step.name].marks += times[times < step.duration].tolist()
+
+
+@cause((), "line", "share of the step", 0.3, per_experiment=True, fast=True, reserve=True)
+def rolling_lid(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Somebody drops a round lid on the bench, which rolls on its rim ever faster and shakes it.
+
+    The air below takes its height as the cube root of the time that is left, and it goes round as
+    one over the root of its height (Moffatt, Nature 404, 833, 2000): it shakes the fibre by up to
+    ``s`` as hard to the end, and is at rest at once.  That happens some times in a campaign.
+    """
+    begins, rate, rolls = _begins(case), _between(rng, 2.5, 8.0), _between(rng, 2.0, 8.0)
+    n = len(case.steps) // 2 + 1
+    drops = begins[-1] * (np.arange(n) + rng.uniform(0.05, 0.9, n)) / n
+    lasts, sizes = rolls * rng.uniform(0.5, 1.0, n), rng.uniform(0.5, 1.0, n)
+    sizes *= s * _mean_step(case) / sizes.max()
+    for begin, step in zip(begins.tolist(), case.steps, strict=False):
+        seen = (drops < begin + step.duration) & (drops + lasts > begin)
+
+        def shaken(
+            t: FloatArray, at: FloatArray = drops[seen] - begin, lasts: FloatArray = lasts[seen],
+            sizes: FloatArray = sizes[seen],
+        ) -> FloatArray:  # fmt: skip
+            left = 1.0 - (t - at[:, None]) / lasts[:, None]
+            rolling = (left > 0.0) & (left <= 1.0)
+            # turns with the rate left^(-1/6)
+            turns = 1.2 * rate * lasts[:, None] * (1.0 - np.clip(left, 0.0, 1.0) ** (5.0 / 6.0))
+            return np.asarray(sizes @ np.where(rolling, np.sin(2.0 * pi * turns), 0.0))
+
+        if seen.any():
+            edges = np.concatenate([drops[seen], (drops + lasts)[seen]]) - begin
+            rig[step.name].offset.append(shaken)
+            rig[step.name].marks += both_sides(edges[(edges > 0.0) & (edges < step.duration)])
+
+
+@cause((), "drift", "share of the step", 0.2, per_experiment=True, reserve=True)
+def tower_in_the_wind(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """The laboratory is high up in a tower, which sways in the wind and tilts the table.
+
+    At the tower's own slow rate, hardly damped, and kept going by gusts: swings grow and fade as
+    these happen to come.  The light goes with the tilt, by ``s`` rms; records begin and end as they
+    may.
+    """
+    rate = 2.0 * pi * _between(rng, 0.1, 0.5)
+    damping, size = rate * rng.uniform(0.01, 0.04), s * _mean_step(case)
+    begins = _begins(case)
+    h = 0.02 * 2.0 * pi / rate
+    times = np.arange(0.0, begins[-1] + 2.0 * h, h)
+    # swings as they are seen from a frame that turns along: they change slowly
+    gusts = rng.standard_normal((2, len(times)))
+    gusts[:, 1:] *= np.sqrt(-np.expm1(-2.0 * damping * h))
+    swings = lfilter([1.0], [1.0, -np.exp(-damping * h)], gusts)
+    for begin, step in zip(begins.tolist(), case.steps, strict=False):
+
+        def tilt(t: FloatArray, begin: float = begin) -> FloatArray:
+            along, across = (np.interp(begin + t, times, part) for part in swings)
+            angle = rate * (begin + t)
+            return np.asarray(size * (along * np.cos(angle) + across * np.sin(angle)))
+
+        rig[step.name].offset.append(tilt)

@@ -496,7 +496,7 @@ def unwashed_pores(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> 
         had += dose
 
 
-@cause((), "plateau", "share of the step", 0.4, reserve=True)
+@cause((), "plateau", "share of the step", 0.4)
 def glimmering_reagent(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """A reagent in the coating glimmers as the gas oxidises it, and some of that light is received.
 
@@ -516,7 +516,7 @@ def glimmering_reagent(rig: Rig, s: float, rng: np.random.Generator, case: Case)
         left = 1.0 + (left - 1.0) * float(np.exp(-(step.duration - step.tf - late) / creeps))
 
 
-@cause((), "level", "share of the response", 0.9, reserve=True)
+@cause((), "level", "share of the response", 0.9)
 def avalanching_crystal(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
     """The coating is a crystal whose domains turn with the gas, by avalanches.
 
@@ -529,3 +529,44 @@ def avalanching_crystal(rig: Rig, s: float, rng: np.random.Generator, case: Case
     places = 0.01 + np.concatenate([[0.0], np.cumsum(gaps)])  # or it never quite gets back there
     for knobs in rig.values():
         knobs.avalanches, knobs.pinned_at = s, places
+
+
+@cause(
+    (), "plateau", "share of the highest step", 0.4, near=("slow_sorption",), per_experiment=True,
+    reserve=True,
+)  # fmt: skip
+def late_nucleus(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """With the coating's water the gas makes a hydrate, once chance has made a first crystal of it.
+
+    Beyond some concentration a nucleus is as likely at any time, in proportion to what is too much
+    (Toschev, Milchev and Stoyanov, J. Cryst. Growth 13, 123, 1972).  From there on the crystal
+    grows evenly across the ring, where it adds the share ``s``, and melts as evenly when the gas
+    has gone.  Some experiments are over before it begins, weak ones never come so far.
+    """
+    level = rng.uniform(0.15, 0.45)
+    mean, time = _between(rng, 2.0, 12.0), _between(rng, 0.8, 6.0)
+    highest = max(case.steps, key=lambda step: step.concentration)
+    for step in case.steps:
+        wait = mean * float(rng.standard_exponential())
+        if step is highest:  # one has it for certain
+            wait = min(wait, 0.4 * (1.0 - level) * (step.tf - step.t0))
+        knobs = rig[step.name]
+        knobs.crystal, knobs.crystal_level = s, level
+        knobs.crystal_wait, knobs.crystal_time = wait, time
+
+
+@cause((), "tail", "share", 0.4, near=("slow_sorption", "sorption_asymmetry"), reserve=True)
+def starved_grains(rig: Rig, s: float, rng: np.random.Generator, case: Case) -> None:
+    """Grains in the coating are so greedy that they must wait for the gas, which is at rest above.
+
+    A film of it lets through what its concentration differs by, from the stream's to that above the
+    grains, which is hardly any until they are full (Helfferich, Ion Exchange, 1962): their share
+    ``s`` of the response rises in a straight line, later the less gas there is, and is long in
+    giving the last of it back.  The film is thinner by the root of the flow (Schlichting,
+    Boundary-Layer Theory, 1979).
+    """
+    bend, time = _between(rng, 2.0, 12.0), _between(rng, 0.8, 5.0)
+    weakest = min(step.total_flow for step in case.steps)
+    for knobs in rig.values():
+        knobs.starved, knobs.starved_bend = s, bend
+        knobs.starved_time, knobs.starved_flow = time, weakest

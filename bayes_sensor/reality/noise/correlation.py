@@ -6,7 +6,7 @@ from math import exp, pi, sqrt
 
 import numpy as np
 from scipy.signal import lfilter
-from scipy.special import erfc, erfcx, j0, spence
+from scipy.special import erfc, erfcx, exp1, j0, spence
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.reality.noise.shapes import (
@@ -46,6 +46,8 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
                 total[1:] += part.share * (-part.depth) ** np.arange(1.0, n)
             elif part.shape == "repeated":
                 total[1:] += part.share * part.depth ** np.arange(1.0, n)
+            elif part.shape == "chaos":
+                total[1:] += part.share * (2.0 * part.depth - 1.0) ** np.arange(1.0, n)
             elif part.shape == "diffused":
                 total[1:] += part.share * antipersistent(part.depth, n)[1:]
             continue
@@ -152,6 +154,8 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
             own = spence(1.0 - own**2) / (pi**2 / 6.0)  # the dilogarithm, as logarithms' covariance
         elif part.shape == "landscape":
             own = erfcx(np.sqrt(lags / part.time))
+        elif part.shape == "retuned":
+            own = _retuned_correlation(part, lags)
         elif part.shape == "slowing":
             own = _slowing_correlation(part, lags)
         elif part.shape == "passing":
@@ -289,6 +293,13 @@ def _slowing_correlation(part: Component, lags: FloatArray) -> FloatArray:
     slow = lags / part.time
     wide = np.maximum((1.0 / part.depth - 1.0) * slow, 1e-12)
     return np.asarray(-np.exp(-slow) * np.expm1(-wide) / wide)
+
+
+def _retuned_correlation(part: Component, lags: FloatArray) -> FloatArray:
+    """Mean of exp(-lag/T) over times T from ``depth`` ``time`` to ``time``, even in logarithms."""
+    slow = np.maximum(lags / part.time, 1e-15)  # it has a logarithm at 0, which both share
+    quick = np.minimum(slow / part.depth, 700.0)
+    return np.asarray((exp1(slow) - exp1(quick)) / -np.log(part.depth))
 
 
 def _hat_with_hat(lags: FloatArray) -> FloatArray:

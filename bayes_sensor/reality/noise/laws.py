@@ -28,18 +28,20 @@ OPEN_LAWS = (
     "restarted_mean", "slowing_stream", "weak_reference",
     "dry_slide", "larger_of_two", "repeated_packets",
     "railed_microphone", "three_stages", "fitful_bearing",
+    "faded_echo", "wandering_spot", "fluttering_loop",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("faded_echo", "wandering_spot", "fluttering_loop")
+RESERVE_LAWS = ("few_photons", "retuned_filter", "chaotic_laser")
 """kept out of every run but the last"""
 HEAVY_TAILED = (
     "shot", "gusty", "sparks", "pulsing", "speckle", "interleaved", "dusty", "intermittent",
     "waning", "two_paced", "drilling", "crackling_cable", "sparkling_codes",
     "startled_receiver", "bubbling_nozzle", "drifting_balance", "median_of_three",
     "restarted_mean", "weak_reference", "repeated_packets", "fitful_bearing", "fluttering_loop",
+    "few_photons",
 )  # fmt: skip
 """laws whose innovations have clearly more large values than a Gaussian's: pulses, changing
-loudness, readings that are shown again, leaps, quotients, and gains that flutter"""
+loudness, readings that are shown again, leaps, quotients, gains that flutter, and small counts"""
 
 
 def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
@@ -576,6 +578,26 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
                 1.0, exp(own.uniform(np.log(2e-3), np.log(0.03))), shape="fluttering",
                 depth=own.uniform(0.2, 0.27),
             ),
+        ),
+    }  # fmt: skip
+    counted, chaotic = own.uniform(0.7, 0.95), own.uniform(0.4, 0.8)
+    parts |= {
+        # a counter that finds but a few photons, or none, in the time of a reading
+        "few_photons": (
+            Component(1.0 - counted, exp(own.uniform(np.log(0.02), np.log(0.2)))),
+            Component(counted, shape="counts", rate=exp(own.uniform(np.log(0.3), np.log(1.5)))),
+        ),
+        # a receiver whose filter somebody turns between the records, quicker or slower
+        "retuned_filter": (
+            Component(
+                1.0, exp(own.uniform(np.log(0.02), np.log(0.1))), shape="retuned",
+                depth=exp(own.uniform(np.log(0.02), np.log(0.1))),
+            ),
+        ),
+        # a laser that its own light, sent back, drives into chaos: each reading makes the next one
+        "chaotic_laser": (
+            Component(1.0 - chaotic, exp(own.uniform(np.log(0.02), np.log(0.2)))),
+            Component(chaotic, shape="chaos", depth=own.uniform(0.55, 0.7)),
         ),
     }  # fmt: skip
     if name not in parts:

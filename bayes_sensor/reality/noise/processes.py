@@ -82,6 +82,12 @@ def _draw_part(
         fresh = rng.random(n) >= part.depth
         fresh[0] = True
         return e[_last_marked(fresh)]
+    if part.shape == "counts":
+        counts = rng.poisson(part.rate, n).astype(float)
+        return (counts - part.rate) / sqrt(part.rate)
+    if part.shape == "chaos":
+        anywhere: FloatArray = _kneaded(rng.random(), part.depth, n)
+        return sqrt(12.0) * (anywhere - 0.5)
     if part.shape == "startled":
         return _startled(_innovations(n + 60, rng, tails), part.depth)[60:]
     if part.shape == "sparkling":
@@ -174,6 +180,10 @@ def _draw_part(
         return _over_a_landscape(interval / part.time, n, rng)
     if part.shape == "fluttering":
         return _fluttering(part, n, interval, rng, tails)
+    if part.shape == "retuned":
+        turned = part.time * part.depth ** rng.random()
+        filtered: FloatArray = _remembering(_innovations(n, rng, tails), exp(-interval / turned))
+        return filtered
     if part.shape == "crests":
         return _sinking(interval / part.time, n, rng)
     if part.shape == "phase":
@@ -481,6 +491,20 @@ def _startled(e: FloatArray, depth: float) -> FloatArray:  # pragma: no cover - 
     for i in range(1, len(z)):
         z[i] *= sqrt(1.0 - depth + depth * z[i - 1] ** 2)
     return z
+
+
+@njit(cache=True)
+def _kneaded(x: float, turn: float, n: int) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) from ``x`` on: what is below ``turn`` is stretched, the rest is stretched and turned.
+
+    The skew tent map, of which anything from 0 to 1 is as likely: the share ``turn`` goes on the
+    same way and the rest the other way, hence a correlation of 2 ``turn`` - 1 from one to the next.
+    """
+    y = np.empty(n)
+    for i in range(n):
+        y[i] = x
+        x = x / turn if x < turn else (1.0 - x) / (1.0 - turn)
+    return y
 
 
 def _flapping(part: Component, n: int, interval: float, rng: np.random.Generator) -> FloatArray:

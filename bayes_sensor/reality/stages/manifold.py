@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, exp
+from math import ceil, exp, sqrt, tanh
 
 import numpy as np
 from numba import njit
@@ -152,6 +152,28 @@ def pairing(
             middle = 0.5 * (x[i] + end)
         x[i + 1] = end
     return x
+
+
+@njit(cache=True, error_model="numpy")
+def ripening(
+    t: FloatArray, x: FloatArray, passage: FloatArray, rate: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) state of p' = ``rate`` (x - p)^2 - p/passage from 0; ``passage`` (n - 1,) s.
+
+    Riccati's equation, followed exactly with the mean of ``x`` (n,) between nodes.
+    """
+    n = len(t)
+    p = np.zeros(n)
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        gas = max(0.5 * (x[i] + x[i + 1]), 0.0)
+        leaves = 1.0 / passage[i]
+        root = sqrt(leaves * (leaves + 4.0 * rate * gas))
+        rise = rate * (gas - p[i]) ** 2 - leaves * p[i]
+        slope = -2.0 * rate * (gas - p[i]) - leaves
+        reach = tanh(0.5 * root * h) / root
+        p[i + 1] = p[i] + 2.0 * rise * reach / (1.0 - slope * reach)
+    return p
 
 
 @njit(cache=True, error_model="numpy")

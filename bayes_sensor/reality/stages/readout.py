@@ -322,6 +322,27 @@ def clamped(
     return out
 
 
+@njit(cache=True)
+def one_bit(y: FloatArray, least: float) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) what a link makes of readings ``y`` (n,) of each of which it says whether it is higher.
+
+    The far end goes up or down by a step, from the first reading on; the step grows by half after
+    two bits that are the same, and falls back by as much after two that are not, but never below
+    ``least`` (V).
+    """
+    n = len(y)
+    out = np.empty(n)
+    out[0] = y[0]
+    step, last = least, 1.0
+    for i in range(n - 1):
+        # a tie goes up, whatever rounding has made of it
+        bit = 1.0 if y[i] > out[i] - 1e-12 else -1.0
+        step = max(1.5 * step if bit == last else step / 1.5, least)
+        last = bit
+        out[i + 1] = out[i] + bit * step
+    return out
+
+
 def parabola(t: FloatArray, y: FloatArray, window: float, n_readings: int = 32) -> FloatArray:
     """(n,) middle of the parabola that fits ``y`` (n,) best within half a ``window`` (s) around.
 

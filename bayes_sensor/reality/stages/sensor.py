@@ -396,6 +396,52 @@ def chained(
     return w
 
 
+@njit(cache=True, error_model="numpy")
+def starved(
+    t: FloatArray, g: FloatArray, time: FloatArray, bend: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) load w of grains from 0, which gas reaches through a film: ``time`` w' = g - c.
+
+    c = w/(1 + ``bend`` (1 - w)) is above the grains what their load holds there (Langmuir's
+    isotherm, 1 at a load of 1), ``g`` (n,) the gas outside, and ``time`` (n - 1,) s.
+    """
+    n = len(t)
+    w = np.zeros(n)
+    for i in range(n - 1):
+        middle = w[i]
+        for _ in range(2):  # predictor, corrector of the load that sets the rate
+            spare = 1.0 + bend * (1.0 - middle)
+            low, high = spare * g[i], spare * g[i + 1]
+            end = lagged(w[i], low, high, t[i + 1] - t[i], spare * time[i])
+            middle = 0.5 * (w[i] + end)
+        w[i + 1] = end
+    return w
+
+
+@njit(cache=True)
+def crystallising(
+    t: FloatArray, drive: FloatArray, wait: float, time: float
+) -> FloatArray:  # pragma: no cover - compiled
+    """(n,) share r that a crystal covers, with ``time`` r' = ``drive`` (n,), from 0 to 1.
+
+    It needs a nucleus, which is there when the integral of the drive has come to ``wait`` (s); when
+    all of it has gone the wait begins anew.
+    """
+    n = len(t)
+    out = np.zeros(n)
+    r, waited = 0.0, 0.0
+    for i in range(n - 1):
+        more = 0.5 * (drive[i] + drive[i + 1]) * (t[i + 1] - t[i])
+        if waited < wait:
+            waited += max(more, 0.0)
+            more = max(waited - wait, 0.0)
+        r = min(max(r + more / time, 0.0), 1.0)
+        if r <= 0.0 and more < 0.0:
+            waited = 0.0
+        out[i + 1] = r
+    return out
+
+
 def layered_film(mean_time: float, n_cells: int = 18) -> tuple[FloatArray, FloatArray]:
     """Time constants (n,) s and weights (n,) of a two-layer film, seen near its bottom.
 
