@@ -870,16 +870,14 @@ def test_no_threshold_of_unlisted_meets_what_is_wanted_of_strong_causes() -> Non
         for d in (8, 16):
             assert found[f"{name}_{d}"].is_monotonic_increasing
             assert found[f"family_{d}"].is_monotonic_decreasing
-    # as the page says: the goals at 16 exclude each other, though by the rule two fifths comes
-    # within three campaigns of both; at 8 one of a third nearly meets both
-    right = found["family_16"] >= bounds["right family at d = 16"]
-    wanted = bounds["unlisted flagged at d = 16"]
+    # as the page says: the goals at 16 exclude each other, by the rule three in a hundred apart;
+    # at 8 one of a third nearly meets both
+    family, wanted = bounds["right family at d = 16"], bounds["unlisted flagged at d = 16"]
+    right = found["family_16"] >= family
     assert not (right & (found["fairly_16"] >= wanted)).any()
-    cases = sealed_cases()
-    strong = (cases["kind"] == "unlisted") & (cases["d_level"] == 16)
-    nearest = found[right].iloc[-1]
-    assert nearest["threshold"] == 0.4
-    assert strong.sum() * (wanted - nearest["fairly_16"]) < 3.0
+    assert wanted - found["fairly_16"][right].max() == pytest.approx(0.03, abs=0.006)
+    met = found["fairly_16"] >= wanted
+    assert family - found["family_16"][met].max() == pytest.approx(0.03, abs=0.006)
     short = (bounds["unlisted flagged at d = 8"] - found["flagged_8"]).clip(lower=0.0)
     short += (bounds["right family at d = 8"] - found["family_8"]).clip(lower=0.0)
     assert 0.25 < found["threshold"][short.idxmin()] < 0.4 and short.min() < 0.03
@@ -891,9 +889,10 @@ def test_drifts_of_gain_were_wrong_as_often_as_the_page_says() -> None:
     led = led[~led["kind"].isin(["withheld", "hidden"])]
     wrong = led["verdict_right"].astype(str) == "False"
     assert 1 / 3 < wrong.mean() < 0.4  # more than a third
-    assert (led[wrong]["kind"] == "unlisted").mean() > 0.9
+    by_a_stranger = (led[wrong]["kind"] == "unlisted").mean()
+    assert by_a_stranger == pytest.approx(6 / 7, abs=0.02)
     by_verdict = wrong.groupby(led["verdict"]).mean()
-    assert 0.14 < by_verdict["effect"] < 0.19  # one in six
+    assert by_verdict["effect"] == pytest.approx(1 / 7, abs=0.02)
     assert 0.4 < by_verdict["family"] < 0.5  # nearly half
 
 
