@@ -20,9 +20,10 @@ from bayes_sensor.gap.floor import (
     clean,
     detrended,
     loudness,
+    quiet_stretches,
 )
 from bayes_sensor.gap.patches import look_for_breaks
-from bayes_sensor.gap.preparation import fit_base, prepare
+from bayes_sensor.gap.preparation import fit_base, full_rate_residuals, prepare
 from bayes_sensor.likelihood import simulate
 from bayes_sensor.model import Layout, cascade_response
 from bayes_sensor.reality import draw_case, make_campaign
@@ -325,3 +326,62 @@ def test_a_strong_misfit_beside_slow_noise_is_not_taken_for_a_walk():
     _check_memory(misfits)
     with pytest.raises(CampaignError, match="the noise wanders"):
         _check_memory(walks)
+
+
+def remembering(rng, memories, misfit=0.0):
+    """Campaign and parameters; noise of one size, and of each record's own memory (s)."""
+    plan = design(len(memories), interval=0.002)
+    parameters = theta(plan, sigma=0.01, phi=0.0)
+    exact = simulate(plan, theta(plan, sigma=1e-9, phi=0.0), seed=1)
+    values = {}
+    for e, memory in zip(exact, memories, strict=True):
+        phi = np.exp(-e.interval / memory)
+        drawn = rng.standard_normal(len(e.t) + 2000)
+        noise = 0.01 * np.sqrt(1.0 - phi**2) * lfilter([1.0], [1.0, -phi], drawn)[2000:]
+        if e.name == "1":
+            noise += misfit * np.sin(2.0 * np.pi * e.t / 9.0)
+        values[e.name] = e.values + noise
+    return plan.with_data(values), Layout.of(plan).flat(parameters)
+
+
+MEMORIES = (0.02, 0.1, 0.02, 0.1)
+
+
+def test_records_of_other_memories_whiten_to_one_each(monkeypatch):
+    def spreads():
+        rng = np.random.default_rng(41)
+        found = []
+        for _ in range(5):
+            campaign, vector = remembering(rng, MEMORIES)
+            base = fit_base(prepare(campaign, vector).sketch)
+            rows = base.plan.sketch.rows
+            found.append([np.mean(base.residual[own] ** 2) for own in rows])
+        return np.mean(found, axis=0)
+
+    assert spreads() == pytest.approx(np.full(4, 0.93), abs=0.25)  # less what the fit takes
+    # one spectrum for all would make the slower ones look like a misfit
+    monkeypatch.setattr(
+        floor, "_own_memory", lambda campaign, *rest: np.ones((len(campaign), len(rest[-1])))
+    )
+    alike = spreads()
+    assert min(alike[1], alike[3]) > 1.7 * max(alike[0], alike[2])
+
+
+def test_a_memory_is_told_by_what_is_quick():
+    f = np.array([0.3, 30.0])
+    rng = np.random.default_rng(42)
+
+    def of(memories, misfit=0.0):
+        campaign, vector = remembering(rng, memories, misfit)
+        residuals = full_rate_residuals(campaign, vector)
+        bins, _ = bins_of(campaign)
+        stretches = quiet_stretches(campaign, residuals, bins, [4.0] * len(campaign))
+        return floor._own_memory(campaign, stretches, [detrended(s.samples) for s in stretches], f)
+
+    own = of(MEMORIES)
+    # at low frequencies the densities go as the memories, at high ones against them
+    assert own[1] / own[0] == pytest.approx([5.0, 0.2], rel=0.15)
+    assert own.mean(axis=0) == pytest.approx(1.0)
+    # neither alike ones nor a slow misfit in one record, twice the noise, make any difference
+    for misfit in (0.0, 0.02):
+        assert np.all(of((0.05,) * 4, misfit) == 1.0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, windows
 
+import bayes_sensor.gap.lines as lines
 from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.gap.full_rate import FullRate
 from bayes_sensor.gap.lines import (
@@ -16,6 +17,7 @@ from bayes_sensor.gap.lines import (
     look_for_mains,
     look_for_swings,
     mains_closure,
+    own_shapes,
 )
 from tests.gap_cases import design, measured
 
@@ -308,3 +310,63 @@ def test_a_diagnosis_names_the_mains_where_they_fold_onto_half_the_rate():
     shrink = gap.to_json()["shrink"]
     assert shrink["fraction_closed"] == pytest.approx(1.0, abs=0.1)
     assert shrink["held_out_fraction_closed"] is None
+
+
+def other_memories(rng, mains=0.0):
+    """Noise whose memory differs from record to record, and the mains."""
+    campaign = design(6, interval=0.002)
+    found = []
+    for e, memory in zip(campaign, (0.02, 0.1, 0.004, 0.3, 0.01, 0.05), strict=True):
+        phi = np.exp(-e.interval / memory)
+        drawn = rng.standard_normal(len(e.t))
+        y = 0.012 * lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], drawn)
+        found.append(y + mains * np.sin(2.0 * np.pi * (50.0 * e.t + rng.random())))
+    return campaign, found, [np.full(len(y), 0.012) for y in found]
+
+
+def test_the_mains_are_not_named_where_some_records_are_louder_at_their_frequency(monkeypatch):
+    rng = np.random.default_rng(31)
+    drawn = [other_memories(rng) for _ in range(8)]
+    values = [look_for_mains(*some)[0].log_bayes_factor for some in drawn]
+    assert max(values) < 2.0
+    monkeypatch.setattr(
+        lines, "own_shapes", lambda ratios, *rest: [np.ones(r.shape[1]) for r in ratios]
+    )
+    taken_for_alike = [look_for_mains(*some)[0].log_bayes_factor for some in drawn]
+    assert max(taken_for_alike) > 5.0 and np.median(taken_for_alike) > 3.0
+
+
+def test_the_mains_are_found_where_memories_differ():
+    found = look_for_mains(*other_memories(np.random.default_rng(32), mains=0.0006))[0]
+    assert found.log_bayes_factor > 6.0
+    assert found.strength["mains_Hz"] == 50.0
+    assert found.strength["mains_V"] == pytest.approx(0.0006, rel=0.2)
+
+
+def test_spectra_that_are_alike_are_taken_for_alike():
+    rng = np.random.default_rng(33)
+    changed = 0
+    for _ in range(100):
+        ratios = [rng.exponential(size=(3, 4000)) for _ in range(6)]
+        changed += any(np.any(shape != 1.0) for shape in own_shapes(ratios, 1.0, 40.0))
+    assert changed <= 5
+
+
+def test_what_is_smooth_in_a_spectrum_is_its_own_and_what_is_narrow_is_not():
+    rng = np.random.default_rng(34)
+    f = np.arange(20000)
+    true = [1.0 / (1.0 + (f / corner) ** 2) + 0.01 for corner in (300.0, 900.0, 3000.0)]
+    usual = np.mean(true, axis=0)
+    ratios = [own / usual * rng.exponential(size=(4, len(f))) for own in true]
+    ratios[1][:, 2000:2006] *= 50.0
+    for shape, own in zip(own_shapes(ratios, 1.0, 40.0), true, strict=True):
+        assert np.max(np.abs(np.log(shape / (own / usual)))[50:]) < 0.35
+        assert np.std(np.log(shape / (own / usual))[50:]) < 0.15
+
+
+def test_one_spectrum_or_one_too_short_has_no_shape_of_its_own():
+    rng = np.random.default_rng(35)
+    for ratios in ([rng.exponential(size=(3, 900))], [rng.exponential(size=(3, 15))] * 2):
+        assert all(np.all(shape == 1.0) for shape in own_shapes(ratios, 1.0, 40.0))
+    silent = [np.zeros((1, 900)), rng.exponential(size=(1, 900))]
+    assert all(np.all(shape > 0.0) for shape in own_shapes(silent, 1.0, 40.0))

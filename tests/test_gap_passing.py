@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+import bayes_sensor.gap.passing as passing_lines
 from bayes_sensor.gap.lines import _look_for_lines, pieces_of_records
 from bayes_sensor.gap.passing import look_for_passing_lines
 from tests.gap_cases import design
@@ -111,3 +112,43 @@ def test_records_too_short_for_a_window_tell_of_no_passing_line():
         )
         parts = look_for_passing_lines(short, [y[:n] for y in found], [d[:n] for d in deviations])
         assert len(parts) == told
+
+
+def remembering(rng, memories, size=1.0):
+    """Noise of .01 V in records of 60 s, each with a memory (s) of its own."""
+    campaign = design(len(memories), interval=0.002)
+    found = []
+    for e, memory in zip(campaign, memories, strict=True):
+        phi = np.exp(-e.interval / memory)
+        drawn = rng.standard_normal(len(e.t))
+        found.append(0.01 * lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], drawn))
+    return campaign, found, [np.full(len(y), 0.01) for y in found]
+
+
+MEMORIES = (0.02, 0.1, 0.004, 0.3, 0.01, 0.05)
+
+
+def test_records_of_other_memories_have_no_passing_line(monkeypatch):
+    rng = np.random.default_rng(19)
+    drawn = [remembering(rng, MEMORIES) for _ in range(4)]
+    values = [look_for_passing_lines(*some)[0].log_bayes_factor for some in drawn]
+    assert max(values) < 2.0
+    # taken for alike, the louder ones would have a line where they are
+    monkeypatch.setattr(
+        passing_lines, "own_shapes", lambda ratios, *rest: [np.ones(r.shape[1]) for r in ratios]
+    )
+    assert min(look_for_passing_lines(*some)[0].log_bayes_factor for some in drawn) > 5.0
+
+
+def test_a_passing_line_is_found_among_records_of_other_memories():
+    campaign, noise, deviations = remembering(np.random.default_rng(23), MEMORIES)
+    # between a half and twice the noise that a window has around it
+    for hertz, volts in ((3.1, 0.02), (83.3, 0.004)):
+        called = [
+            y + volts * np.sin(2.0 * np.pi * hertz * e.t) * ((e.t > 31.0) & (e.t < 37.0)) * (k == 3)
+            for k, (e, y) in enumerate(zip(campaign, noise, strict=True))
+        ]
+        found = look_for_passing_lines(campaign, called, deviations)[0]
+        assert found.log_bayes_factor > 6.0, hertz
+        assert found.strength["passing_Hz"] == pytest.approx(hertz, abs=0.3)
+        assert found.strength["passing_experiment"] == 3.0

@@ -36,6 +36,12 @@ SMOOTH = 0.999
 """the same where the changes tell of a misfit, or of smooth or white noise"""
 ROOT = 20.0
 """samples in a stretch times (1 - correlation) below which noise may be a random walk"""
+OTHER_MEMORY = 1.5
+"""times by which a record's memory differs from the common one before it has its own"""
+MEMORY_ERRORS = 5.0
+"""standard errors by which it does"""
+SLOW_MEMORIES = 60.0
+"""memories of the noise over which what is slower is taken out before records are compared"""
 WALK = 0.2
 """correlation of neighbouring changes, of either sign, up to which it looks like one"""
 TURNS = 8.0
@@ -257,7 +263,11 @@ def estimate_floor(
     _check_memory(noises)
     shape = _correlated(noises, intervals)
     below = shape if _like_a_walk(noises) else np.ones_like
-    density, dof = _shrunk(power, count, edges, shape(np.sqrt(edges[:-1] * edges[1:])), louder)
+    middles = np.sqrt(edges[:-1] * edges[1:])
+    density, dof = _shrunk(power, count, edges, shape(middles), louder)
+    own = density * _own_memory(campaign, stretches, noises, middles)[:, None, :]
+    width = np.diff(edges)
+    density = own * ((density @ width) / (own @ width))[:, :, None]  # as loud as before
     louder_bins = tuple(
         loudness(e, r, b, level)
         for e, r, b, level in zip(campaign, residuals, bins, level_of_bins, strict=True)
@@ -302,6 +312,43 @@ def _correlated(noises: Sequence[FloatArray], intervals: Sequence[float]) -> Sha
         return np.maximum(made, 1e-300)
 
     return shape
+
+
+def _own_memory(
+    campaign: Campaign,
+    stretches: Sequence[Stretch],
+    noises: Sequence[FloatArray],
+    f: FloatArray,
+) -> FloatArray:
+    """What the memory of each record's noise makes of the common spectrum, (n_e, n_f).
+
+    Of two records that are as loud, one through a filter ten times as slow, this one has ten times
+    the power at low frequencies, where an effect shows.  Neighbouring samples tell the memory, not
+    the low frequencies themselves: there a cause may act in one record alone.  All one where
+    records are alike.
+    """
+    n_e = len(campaign)
+    alike = np.ones((n_e, len(f)))
+    interval = campaign.experiments[0].interval
+    if any(abs(e.interval - interval) > 1e-9 * interval for e in campaign):
+        return alike
+    # what is much slower than the noise may be a cause's
+    width = round(SLOW_MEMORIES / (1.0 - min(_correlation(noises), SMOOTH)))
+    quick = [x - uniform_filter1d(x, min(width, len(x))) for x in noises]
+    groups = [
+        [x for s, x in zip(stretches, quick, strict=True) if s.experiment == k] for k in range(n_e)
+    ]
+    common = _correlation(quick)
+    phi = np.array([_correlation(group) if group else common for group in groups])
+    error = np.sqrt([(1.0 - common**2) / max(sum(map(len, group)), 1) for group in groups])
+    other = np.abs(np.log((1.0 - phi) / (1.0 - common))) > np.log(OTHER_MEMORY)
+    differs = other & (np.abs(phi - common) > MEMORY_ERRORS * error)
+    if not differs.any() or phi.max() >= SMOOTH:
+        return alike
+    cosine = np.cos(2.0 * np.pi * np.minimum(f * interval, 0.5))
+    each = (1.0 - phi**2)[:, None] / (1.0 + phi[:, None] ** 2 - 2.0 * phi[:, None] * cosine)
+    own: FloatArray = each / np.mean(each, axis=0)
+    return own
 
 
 def _from_one_to_the_next(series: Sequence[FloatArray]) -> float:

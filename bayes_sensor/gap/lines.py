@@ -61,6 +61,14 @@ BURSTS = (0.2, 5.0)
 """Hz; how often the mains may come and go"""
 LEAKED = 0.1
 """of the noise's power; what a window may leave of the mains where their bursts are looked for"""
+BAND = 40.0
+"""native resolutions, or half its frequency, in which a spectrum has a level of its own"""
+STEEPEST = 2.0
+"""power of the frequency with which one spectrum leaves another below the lowest band"""
+FARTHEST_APART = 20.0
+"""ln of one level over another's"""
+APART = 3.0
+"""standard errors from which the spectra of pieces are taken to differ"""
 RATIOS = (1.0, 2.5, 6.0, 15.0, 40.0)
 """a line's plausible power over the noise's, per stretch and resolution"""
 
@@ -223,7 +231,7 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
     if not used:
         return []
     common, longest = used[0].interval, max(len(p.samples) for p in used)
-    total, level_sum = _sum_over_pieces(used, n, sloping=name == "swing")
+    total, per_volt = _sum_over_pieces(used, n, sloping=name == "swing")
     k = len(used)
     mains = name == "mains_pickup"
     near, nominal, closeness = mains_bands(f, common)
@@ -253,7 +261,7 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
     excess = max(float(total[peak]) - k, 0.0)
     # a line of amplitude A gives |sum w y|^2 = A^2 (sum w)^2 / 4, and all of it at half the rate
     halves = 2.0 * float(real[peak])
-    amplitude = halves * np.sqrt(excess / k * level_sum[peak] / k)
+    amplitude = halves * np.sqrt(excess / per_volt[peak])
     frequency = nominal[peak] if mains else f[peak]
     short = name.removesuffix("_pickup")
     strength = {f"{short}_V": float(amplitude), f"{short}_Hz": float(frequency)}
@@ -287,18 +295,19 @@ def _transformed(pieces: Sequence[Piece]) -> tuple[list[Piece], int, FloatArray]
 def _sum_over_pieces(
     used: Sequence[Piece], n: int, sloping: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Sums over pieces of ordinates (n/2 + 1,) over the noise level, and of squared levels.
+    """Sums over pieces of ordinates (n/2 + 1,) over the noise level, and of what 1 V^2 adds there.
 
     The level's shape is pooled over a group: one piece alone has too few ordinates at low
-    frequencies for the ratio to be exponential.  ``sloping``: a smooth slope of the spectrum is
+    frequencies for the ratio to be exponential; what is smooth is its own (:func:`own_shapes`).
+    ``sloping``: a smooth slope of the spectrum is
     taken out first, which matters where the lowest frequencies are looked at.
     """
     total = np.zeros(n // 2 + 1)
-    level_sum = np.zeros(n // 2 + 1)
+    per_volt = np.zeros(n // 2 + 1)
     for p, power, level in _levels(used, n, sloping):
         total += power / level
-        level_sum += level / float(np.sum(p.weights)) ** 2
-    return total, level_sum
+        per_volt += float(np.sum(p.weights)) ** 2 / level
+    return total, per_volt
 
 
 def _levels(
@@ -314,10 +323,62 @@ def _levels(
         mean = np.mean([power / own for power, own in zip(powers, scales, strict=True)], axis=0)
         slope = _slope(mean, resolution) if sloping else np.ones(len(mean))
         level = slope * _local_level(mean / slope, resolution, len(group))
+        levels = [own * level for own in scales]
+        ratios = [(power / own)[None, :] for power, own in zip(powers, levels, strict=True)]
+        shapes = own_shapes(ratios, resolution, BAND)
         found += [
-            (p, power, own * level) for p, power, own in zip(group, powers, scales, strict=True)
+            (p, power, own * shape)
+            for p, power, own, shape in zip(group, powers, levels, shapes, strict=True)
         ]
     return found
+
+
+def own_shapes(
+    ratios: Sequence[FloatArray], per_resolution: float, least: float
+) -> list[FloatArray]:
+    """How far each spectrum lies from what is usual, (n_f,) one a member, smooth in frequency.
+
+    ``ratios``: of every member (n_periodograms, n_f), to what is usual.  Noise whose memory differs
+    from record to record (a filter that was turned between them) would else have lines where some
+    are louder than the others.  Medians of bands, which no line moves, ``least`` native resolutions
+    or half their frequency wide, joined in ln f, as far as they vary by more than chance; all one
+    where they do not.
+    """
+    n_f = ratios[0].shape[1]
+    edges = [per_resolution]
+    while edges[-1] < n_f:
+        edges.append(max(1.5 * edges[-1], edges[-1] + least * per_resolution))
+    bands = [(int(a), min(int(b), n_f)) for a, b in itertools.pairwise(edges)]
+    # the last one may be cut short
+    bands = [(a, b) for a, b in bands if b - a >= 0.5 * least * per_resolution]
+    if not bands or len(ratios) < 2:
+        return [np.ones(n_f) for _ in ratios]
+    logs = np.array([[np.log(_middle(r[:, a:b]) / np.log(2.0)) for a, b in bands] for r in ratios])
+    logs = np.clip(logs, -FARTHEST_APART, FARTHEST_APART)  # a record may be without noise
+    count = np.array([[len(r) * (b - a) / per_resolution for a, b in bands] for r in ratios])
+    # of the median of so many exponential ordinates
+    error = 1.0 / (np.log(2.0) ** 2 * count)
+    spread = float(np.mean(logs**2 - error))
+    if spread < APART * float(np.sqrt(2.0 * np.mean(error**2) / error.size)):
+        return [np.ones(n_f) for _ in ratios]
+    logs *= spread / (spread + error)
+    centres = np.log([0.5 * (a + b) for a, b in bands])
+    at = np.log(np.maximum(np.arange(n_f), 0.5 * per_resolution))
+    shapes = []
+    for own in logs:
+        shape = np.interp(at, centres, own)
+        if len(bands) > 1:
+            slope = (own[1] - own[0]) / (centres[1] - centres[0])
+            slope = min(max(slope, -STEEPEST), STEEPEST)
+            shape += slope * np.minimum(at - centres[0], 0.0)
+        shapes.append(np.exp(shape))
+    return shapes
+
+
+def _middle(values: FloatArray) -> float:
+    """The median; of very many, of some of them."""
+    flat = values.ravel()
+    return max(float(np.median(flat[:: 1 + len(flat) // 4000])), 1e-300)
 
 
 def _slope(power: FloatArray, per_resolution: float) -> FloatArray:

@@ -17,7 +17,14 @@ from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.gap.full_rate import FullRate, any_of, struck
-from bayes_sensor.gap.lines import HIGHEST_LINE, RATIOS, Piece, mains_bands, pieces_of_records
+from bayes_sensor.gap.lines import (
+    HIGHEST_LINE,
+    RATIOS,
+    Piece,
+    mains_bands,
+    own_shapes,
+    pieces_of_records,
+)
 
 LENGTHS = (2.5, 5.0, 10.0)
 """s, windows in which lines are looked for that pass, or that records have each for itself"""
@@ -27,6 +34,8 @@ SLOWEST = 1.0
 """Hz; below, what passes is an event or a swing"""
 CYCLES = 4.0
 """within a window; with fewer the slope of its spectrum looks like a line"""
+BAND = 10.0
+"""native resolutions of a window in which the spectrum of a record has a level of its own"""
 ROUGHLY = 60
 """native resolutions that tell how loud a window is there"""
 FEWEST = 12
@@ -51,9 +60,10 @@ def look_for_passing_lines(
     What passes, or goes with the flow, adds up to nothing over all stretches.  Periodograms of
     overlapping windows of ``residuals`` (n_t,) V over the ``deviations`` (n_t,) V of the noise, in
     units of what is usual at their frequency, which a line or a resonance that all records have is
-    part of, and of what the window has around it, so that a gust is no line.  ``ln B`` of a record
-    averages over its windows what :func:`~bayes_sensor.gap.lines.look_for_lines` says of one, or
-    takes all together; the records that are struck share the frequency, or have their own.
+    part of, and of what the record and the window have around it, so that neither another memory
+    nor a gust is a line.  ``ln B`` of a record averages over its windows what
+    :func:`~bayes_sensor.gap.lines.look_for_lines` says of one, or takes all together; the records
+    that are struck share the frequency, or have their own.
     """
     pieces = pieces_of_records(campaign, residuals, deviations)
     told = [_passing_through(pieces, seconds) for seconds in LENGTHS]
@@ -93,10 +103,15 @@ def _passing_through(pieces: Sequence[Piece], seconds: float) -> FullRate | None
     middle = np.median(np.concatenate(some), axis=0) / np.log(2.0)
     usual = np.maximum(middle, gaussian_filter1d(middle, 4.0 * n_fft / n))
     usual = np.maximum(usual, 1e-300)
+    records = sorted({p.record for p, count in zip(used, counts, strict=True) if count})
+    members = [[i for i, p in enumerate(used) if p.record == record] for record in records]
+    shapes = own_shapes(
+        [np.concatenate([some[i] for i in here]) / usual for here in members], n_fft / n, BAND
+    )
     logs, best = [], (-np.inf, {"passing_experiment": 0.0, "passing_Hz": 0.0, "passing_V": 0.0})
-    for record in sorted({p.record for p, count in zip(used, counts, strict=True) if count}):
-        here = [i for i, p in enumerate(used) if p.record == record]
-        ratio = np.concatenate([some[i] if thin == 1 else spectra(used[i]) for i in here]) / usual
+    for record, here, shape in zip(records, members, shapes, strict=True):
+        ratio = np.concatenate([some[i] if thin == 1 else spectra(used[i]) for i in here])
+        ratio /= usual * np.maximum(shape, 1.0)
         ratio /= np.maximum(_roughly(ratio, round(ROUGHLY * n_fft / n)), 1.0)
         own = _passing_or_lasting(ratio)
         logs.append(own)
