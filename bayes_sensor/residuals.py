@@ -29,6 +29,9 @@ FEWEST_PAIRS = 0.01
 """share of the samples that have another one at a lag, below which that lag is not told"""
 
 
+MEMORIES_APART = 2.0
+"""times by which the memories of two experiments differ before noise of their own is advised"""
+
 TAKE_AS_THEY_ARE = "Sandwich, block bootstrap and jackknife take the residuals as they are."
 """what to compare with where AR(1) does not describe them"""
 
@@ -179,12 +182,14 @@ def diagnose_residuals(
     kept = _thinned(len(correlation) - 1)
     kept = kept[np.isfinite(correlation[kept])]
     ratio, expected_sd = _slow_part(problem, vector, series)
-    adequate, verdict = _verdict(problem, vector, (ratio, expected_sd), correlation, whitened)
+    adequate, verdict = _verdict(
+        problem, vector, series, (ratio, expected_sd), correlation, whitened
+    )
     return Residuals(
         acf={
             "lag_s": [float(v) for v in kept * h],
             "value": [float(v) for v in correlation[kept]],
-            "ar1": [float(v) for v in np.sign(phi) ** kept * np.abs(phi) ** kept],
+            "ar1": [float(v) for v in _of_the_fit(problem, vector, series, kept)],
         },
         white_band=1.96 / sqrt(len(r)),
         ljung_box=_ljung_box(z, white, int(problem.noise.autocorrelation == "ar1")),
@@ -209,12 +214,11 @@ def noise_doubt(problem: Problem, vector: FloatArray) -> str:
     r, used, white = (
         np.concatenate([getattr(s, name) for s in series]) for name in ("r", "used", "e")
     )
-    phi = float(np.mean(vector[problem.layout.noise[:, 0]]))
     longest = max(len(e.t) for e in problem.campaign) // 20
-    n_lags = max(min(_fades(phi), longest, len(r) // 4), 1)
+    n_lags = max(min(_fades(_slowest(problem, vector)), longest, len(r) // 4), 1)
     slow = _slow_part(problem, vector, series)
     adequate, verdict = _verdict(
-        problem, vector, slow, autocorrelation(r, n_lags, used), autocorrelation(white, 5)
+        problem, vector, series, slow, autocorrelation(r, n_lags, used), autocorrelation(white, 5)
     )
     return "" if adequate else f"{verdict} {TAKE_AS_THEY_ARE}"
 
@@ -398,6 +402,27 @@ def _slow_part(problem: Problem, vector: FloatArray, series: list[_Series]) -> t
     return total / max(n, 1), 1.0 / sqrt(max(n, 1))
 
 
+def _slowest(problem: Problem, vector: FloatArray) -> float:
+    """The coefficient of the experiment whose noise remembers longest."""
+    phi = vector[problem.layout.noise[:, 0]]
+    return float(phi[np.argmax(np.abs(phi))])
+
+
+def _of_the_fit(
+    problem: Problem, vector: FloatArray, series: list[_Series], lags: np.ndarray
+) -> FloatArray:
+    """(n_lags,) correlation that all residuals together have under the fitted AR(1).
+
+    Of experiments with a coefficient each, the mean, weighted by their sums of squares.
+    """
+    phi = vector[problem.layout.noise[:, 0]]
+    weight = np.array([float(s.r @ s.r) for s in series])
+    weight = weight / weight.sum() if weight.sum() > 0.0 else np.full(len(phi), 1.0 / len(phi))
+    curves = np.sign(phi)[:, None] ** lags * np.abs(phi)[:, None] ** lags
+    curve: FloatArray = weight @ curves
+    return curve
+
+
 def _fades(phi: float) -> int:
     """Samples after which the AR(1)'s correlation has fallen below 0.01."""
     if abs(phi) < 0.01:
@@ -414,25 +439,27 @@ def _long_lag(correlation: FloatArray, phi: float) -> int:
 def _verdict(
     problem: Problem,
     vector: FloatArray,
+    series: list[_Series],
     slow_part: tuple[float, float],
     correlation: FloatArray,
     whitened: FloatArray,
 ) -> tuple[bool, str]:
     """Whether AR(1) is adequate, and why, from the residuals' autocorrelation and the whitened."""
-    phi = float(np.mean(vector[problem.layout.noise[:, 0]]))
+    phi = _slowest(problem, vector)
     h, n = problem.campaign.reference_interval, problem.campaign.n_samples
     (ratio, expected_sd), lag = slow_part, _long_lag(correlation, phi)
+    expected = float(_of_the_fit(problem, vector, series, np.array([lag]))[0])
     # a third more slow power widens intervals by a sixth: what is smaller does not matter
     slow = abs(ratio - 1.0) > max(4.0 * expected_sd, 0.33)
     # sd of a sample autocorrelation of AR(1) data at long lags (Bartlett)
     sd = sqrt((1.0 + phi**2) / max(1.0 - phi**2, 1e-9) / n)
-    excess = abs(float(correlation[lag]) - phi**lag)
+    excess = abs(float(correlation[lag]) - expected)
     far = excess > max(5.0 * sd, 0.05)
     short = float(np.max(np.abs(whitened[1:6]))) if len(whitened) > 5 else 0.0
     near = short > max(5.0 / sqrt(n), 0.05)
     if not (slow or far or near):
         return True, (
-            f"AR(1) with phi = {phi:.3g} at {h * 1e3:g} ms describes the residuals: whitened, "
+            f"AR(1) with {_coefficients(problem, vector)} describes the residuals: whitened, "
             f"their slow part is {ratio:.2f} times that of white noise and no correlation at short "
             f"lags exceeds {max(short, 0.005):.2g}."
         )
@@ -445,7 +472,7 @@ def _verdict(
     if far:
         reasons.append(
             f"their correlation at {lag * h * 1e3:.3g} ms is {correlation[lag]:.2f}, not "
-            f"{phi**lag:.2f}"
+            f"{expected:.2f}"
         )
     if near:
         reasons.append(f"correlation up to {short:.2f} is left after whitening")
@@ -455,6 +482,37 @@ def _verdict(
         else "intervals that rest on AR(1) are then not exact."
     )
     return False, (
-        f"AR(1) with phi = {phi:.3g} at {h * 1e3:g} ms does not describe the residuals: "
-        f"{'; '.join(reasons)}; {ending}"
+        f"AR(1) with {_coefficients(problem, vector)} does not describe the residuals: "
+        f"{'; '.join(reasons)}; {ending}{_own_each(problem, series)}"
+    )
+
+
+def _coefficients(problem: Problem, vector: FloatArray) -> str:
+    phi = vector[problem.layout.noise[:, 0]]
+    low, high = (f"{v:.3g}" for v in (phi.min(), phi.max()))
+    span = low if low == high else f"{low} to {high}"
+    return f"phi = {span} at {problem.campaign.reference_interval * 1e3:g} ms"
+
+
+def _own_each(problem: Problem, series: list[_Series]) -> str:
+    """What to do where one coefficient stands for experiments that differ; else empty."""
+    if problem.noise.per_experiment or problem.noise.autocorrelation != "ar1":
+        return ""
+    if any(e.interval != problem.campaign.reference_interval for e in problem.campaign):
+        return ""  # neighbours are not as far apart in all of them
+    found = {
+        e.name: lag for e, s in zip(problem.campaign, series, strict=True)
+        if float(s.r @ s.r) > 0.0 and (lag := _lag_one(s)) is not None
+    }  # fmt: skip
+    if len(found) < 2:
+        return ""
+    low, high = min(found, key=lambda k: found[k]), max(found, key=lambda k: found[k])
+    error = sqrt(max(1.0 - found[low] ** 2, 0.0) / min(len(s.r) for s in series))
+    apart = found[high] - found[low]
+    if apart < 5.0 * error or 1.0 - found[low] < MEMORIES_APART * (1.0 - found[high]):
+        return ""
+    return (
+        f" Neighbouring samples correlate by {found[low]:.2f} in experiment {low} and by "
+        f"{found[high]:.2f} in {high}: with `per_experiment = true` under [noise] of --config, or "
+        "Noise(per_experiment=True), each has noise of its own."
     )

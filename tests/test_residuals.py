@@ -1,6 +1,7 @@
 """Residual diagnostics against statsmodels and against noise whose law is known."""
 
 import json
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from bayes_sensor.campaign import Campaign, Experiment
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood import Problem, simulate
 from bayes_sensor.model import Layout
-from bayes_sensor.noise import simulate_noise
+from bayes_sensor.noise import Noise, simulate_noise
 from bayes_sensor.posterior import sample_posterior
 from bayes_sensor.residuals import (
     HISTOGRAM_BIN,
@@ -293,3 +294,39 @@ def test_slow_noise_is_told_wherever_intervals_rest_on_ar1():
     for method in ("crlb_ar1", "profile", "posterior"):
         assert doubt in bounds[method].status
     assert doubt not in bounds["sandwich"].status
+
+
+def of_two_memories(phis, per_experiment):
+    """A fit to two experiments with coefficients of their own, its problem, what is said of it."""
+    measured = plan(duration=40.0)
+    measured = measured.with_data({
+        e.name: simulate(measured, {**MEAN, "phi": phi, "sigma0_V": 0.045, "sigma1_V": 0.0},
+                         seed=3)[e.name].values
+        for e, phi in zip(measured, phis, strict=True)
+    })  # fmt: skip
+    problem = Problem(measured, noise=Noise(per_experiment=per_experiment))
+    fit = fit_least_squares(problem, swarms=1, seed=1, euler=False)
+    vector = problem.layout.flat(fit.theta_hat)
+    return diagnose_residuals(problem, fit), noise_doubt(problem, vector)
+
+
+def test_experiments_with_noise_of_their_own_are_set_beside_their_own_law():
+    found, doubt = of_two_memories((0.6, 0.98), per_experiment=True)
+    assert found.adequate and doubt == ""
+    low, high = (float(v) for v in re.findall(r"phi = ([\d.]+) to ([\d.]+) at", found.verdict)[0])
+    assert (low, high) == pytest.approx((0.6, 0.98), abs=0.02)
+    # all residuals together: the mean of both curves, which no single coefficient gives
+    lag = np.rint(np.array(found.acf["lag_s"]) / 0.002)
+    mean = 0.5 * (0.6**lag + 0.98**lag)
+    assert np.abs(np.array(found.acf["ar1"]) - mean).max() < 0.06
+    assert np.abs(np.array(found.acf["ar1"]) - 0.79**lag).max() > 0.2
+
+
+def test_noise_of_their_own_is_advised_where_experiments_differ():
+    found, doubt = of_two_memories((0.6, 0.98), per_experiment=False)
+    assert not found.adequate
+    advice = "correlate by 0.60 in experiment a and by 0.98 in b: with `per_experiment = true`"
+    assert advice in found.verdict and advice in doubt
+    # not where they are alike and something else is wrong, nor where nothing is
+    for change in (None, lambda t: 0.06 * np.sin(2 * np.pi * t / 6.0)):
+        assert "per_experiment" not in diagnosed(change=change).verdict
