@@ -36,6 +36,20 @@ def offsets(rig: Case, atol: float) -> Iterator[tuple[Step, Course]]:
             assert np.array_equal(seen[step.name], plain[step.name])
 
 
+def assert_added_between_marks(rig: Case) -> None:
+    """A rig's offsets are added to its signal as they are, but for what the grid makes of marks."""
+    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
+    added = 0
+    for step in rig.steps:
+        knobs, t = prepared_rig(rig)[step.name], sample_times(step)
+        for course in knobs.offset:
+            gap = np.min([np.abs(t - at) for at in [*knobs.marks, np.inf]], axis=0)
+            off = seen[step.name] - plain[step.name] - course(t)
+            assert np.abs(off[gap > 1e-4]).max() < 1e-4
+            added += 1
+    assert added >= 1
+
+
 def on_its_clock(rig: Case) -> Iterator[tuple[Step, FloatArray, FloatArray]]:
     """Every step with the times (n,) s that its record bears and those when it was measured."""
     for step in rig.steps:

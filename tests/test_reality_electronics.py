@@ -35,7 +35,7 @@ from bayes_sensor.reality.stages.readout import (
     slowest_waves,
     windowed_average,
 )
-from tests.reality_cases import case, offsets, on_its_clock, solved
+from tests.reality_cases import assert_added_between_marks, case, offsets, on_its_clock, solved
 
 
 def test_the_servo_ranges_and_fringes_do_what_they_say() -> None:
@@ -1324,17 +1324,7 @@ def test_a_cables_insulation_gives_its_charge_back_as_a_power_of_time() -> None:
     assert np.all(low > [0.49, 0.19]) and np.all(high < [1.01, 2.02]) and np.all(high > 1.3 * low)
     assert signs == {-1.0, 1.0}
     # and it is added to the signal as it is, but for what the grid makes of a leap
-    rig = case(static_discharge=strength)
-    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
-    added = 0
-    for step in rig.steps:
-        knobs, t = prepared_rig(rig)[step.name], sample_times(step)
-        for course in knobs.offset:
-            gap = np.min([np.abs(t - at) for at in [*knobs.marks, np.inf]], axis=0)
-            off = seen[step.name] - plain[step.name] - course(t)
-            assert np.abs(off[gap > 1e-4]).max() < 1e-4
-            added += 1
-    assert added >= 1
+    assert_added_between_marks(case(static_discharge=strength))
 
 
 def test_a_flattened_record_has_lost_some_of_its_slowest_waves_and_nothing_else() -> None:

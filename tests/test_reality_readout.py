@@ -20,7 +20,7 @@ from bayes_sensor.reality.simulator import prepared_rig
 from bayes_sensor.reality.stages.lags import decades, modal, slab
 from bayes_sensor.reality.stages.readout import blind, shone_back
 from bayes_sensor.reality.stages.sensor import splitting
-from tests.reality_cases import case, offsets, solved
+from tests.reality_cases import assert_added_between_marks, case, offsets, solved
 
 
 def test_the_drivers_warmth_is_two_lags_of_the_command() -> None:
@@ -1128,17 +1128,7 @@ def test_a_lid_rolls_ever_faster_and_is_at_rest_at_once() -> None:
     assert np.all(low > [2.4, 0.99]) and np.all(high < [8.1, 8.01]) and np.all(high > 1.5 * low)
     assert max(sizes) == pytest.approx(1.0, rel=0.02) and min(sizes) > 0.49
     # and it is added to the signal as it is, but for what the grid makes of its last moment
-    rig = case(rolling_lid=strength)
-    seen, plain = clean_signals(rig), clean_signals(without_causes(rig))
-    added = 0
-    for step in rig.steps:
-        knobs, t = prepared_rig(rig)[step.name], sample_times(step)
-        for course in knobs.offset:
-            gap = np.min([np.abs(t - at) for at in [*knobs.marks, np.inf]], axis=0)
-            off = seen[step.name] - plain[step.name] - course(t)
-            assert np.abs(off[gap > 1e-4]).max() < 1e-4
-            added += 1
-    assert added >= 1
+    assert_added_between_marks(case(rolling_lid=strength))
 
 
 def test_a_tower_sways_at_its_own_rate_and_gusts_keep_it_going() -> None:
