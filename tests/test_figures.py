@@ -157,6 +157,12 @@ MAKERS = {
         lambda: figures.autocorrelation(residuals(), [trace(), trace("2")]),
         ("lag (s)", "autocorrelation", "AR(1), φ = 0.790", "time, experiments joined (s)"),
     ),
+    "autocorrelation_of_each": (
+        lambda: figures.autocorrelation(
+            residuals() | {"ar1": {"phi[1]": 0.7, "phi[2]": 0.88, "phi": 0.79}}
+        ),
+        ("AR(1), φ of each",),
+    ),
     "spread": (lambda: figures.spread(residuals()), ("standard deviation (mV)",)),
     "delays": (
         lambda: figures.delays(delay_record(), {str(k): 0.1 + 0.02 * (k % 3) for k in range(6)}),

@@ -57,7 +57,10 @@ def autocorrelation(residuals: Mapping[str, Any], traces: Sequence[Trace] = ()) 
     acf = residuals["acf"]
     lag, value = np.asarray(acf["lag_s"]), np.asarray(acf["value"])
     curve, band = np.asarray(acf["ar1"]), residuals["white_band"]
-    phi, h = residuals["ar1"]["phi"], residuals["ar1"].get("phi_interval_s", lag[1] - lag[0])
+    fitted = residuals["ar1"]
+    own = any(name.startswith("phi[") for name in fitted)
+    law = "AR(1), φ of each" if own else f"AR(1), φ = {fitted['phi']:.3f}"
+    h = fitted.get("phi_interval_s", lag[1] - lag[0])
     settled = np.flatnonzero(np.abs(curve) < 0.01)
     near = lag[min(settled[0] if len(settled) else len(lag) - 1, len(lag) - 1)]
     near = float(min(max(4 * near, 30 * h), lag[-1]))
@@ -68,7 +71,7 @@ def autocorrelation(residuals: Mapping[str, Any], traces: Sequence[Trace] = ()) 
         left, right = panels["a"], panels["b"]
         left.axhspan(-band, band, color=PALE, lw=0, label="95 % band, white")
         left.plot(lag, value, "o", color=BLUE, ms=2.6, label="residuals")
-        left.plot(lag, curve, color=MODEL, ls="--", label=f"AR(1), φ = {phi:.3f}")
+        left.plot(lag, curve, color=MODEL, ls="--", label=law)
         left.set_xlim(-0.02 * near, near)
         left.set_ylim(min(-0.1, float(np.min(value)) - 0.05), 1.04)
         left.set_xlabel("lag (s)")
