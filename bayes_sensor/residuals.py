@@ -8,12 +8,13 @@ enough about the slow part, which is what widens intervals.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any, Protocol
 
 import numpy as np
 from scipy import fft
+from scipy.ndimage import uniform_filter1d
 from scipy.special import chdtrc
 
 from bayes_sensor.campaign import BoolArray, Campaign, FloatArray
@@ -29,6 +30,8 @@ FEWEST_PAIRS = 0.01
 """share of the samples that have another one at a lag, below which that lag is not told"""
 
 
+QUICK_SHARE = 40
+"""of a record, as one over this, above which residuals are slow"""
 MEMORIES_APART = 2.0
 """times by which the memories of two experiments differ before noise of their own is advised"""
 
@@ -382,6 +385,12 @@ def _lag_one(s: _Series) -> float | None:
     return float(r[1:] @ r[:-1] / (s.r @ s.r)) * (len(s.r) - 1) / pairs
 
 
+def _quick(s: _Series) -> _Series:
+    """The same residuals without what is slow, which may be a misfit."""
+    width = min(max(len(s.r) // QUICK_SHARE, 3), len(s.r))
+    return replace(s, r=s.r - uniform_filter1d(s.r, width))
+
+
 def _slow_part(problem: Problem, vector: FloatArray, series: list[_Series]) -> tuple[float, float]:
     """(ratio, sd): slow power of z over what the fitted AR(1) puts there, and its chance spread.
 
@@ -402,9 +411,17 @@ def _slow_part(problem: Problem, vector: FloatArray, series: list[_Series]) -> t
     return total / max(n, 1), 1.0 / sqrt(max(n, 1))
 
 
+def _from_sample_to_sample(problem: Problem, vector: FloatArray) -> FloatArray:
+    """(n_e,) coefficient of the fitted AR(1) at every experiment's own interval."""
+    return np.array([
+        lag_coefficient(float(vector[problem.layout.noise[k, 0]]), problem.steps(e))
+        for k, e in enumerate(problem.campaign)
+    ])  # fmt: skip
+
+
 def _slowest(problem: Problem, vector: FloatArray) -> float:
-    """The coefficient of the experiment whose noise remembers longest."""
-    phi = vector[problem.layout.noise[:, 0]]
+    """The coefficient of the experiment whose noise remembers for most samples."""
+    phi = _from_sample_to_sample(problem, vector)
     return float(phi[np.argmax(np.abs(phi))])
 
 
@@ -413,9 +430,10 @@ def _of_the_fit(
 ) -> FloatArray:
     """(n_lags,) correlation that all residuals together have under the fitted AR(1).
 
-    Of experiments with a coefficient each, the mean, weighted by their sums of squares.
+    ``lags`` in samples.  Of experiments with a coefficient each, the mean, weighted by their sums
+    of squares.
     """
-    phi = vector[problem.layout.noise[:, 0]]
+    phi = _from_sample_to_sample(problem, vector)
     weight = np.array([float(s.r @ s.r) for s in series])
     weight = weight / weight.sum() if weight.sum() > 0.0 else np.full(len(phi), 1.0 / len(phi))
     curves = np.sign(phi)[:, None] ** lags * np.abs(phi)[:, None] ** lags
@@ -498,21 +516,25 @@ def _own_each(problem: Problem, series: list[_Series]) -> str:
     """What to do where one coefficient stands for experiments that differ; else empty."""
     if problem.noise.per_experiment or problem.noise.autocorrelation != "ar1":
         return ""
-    if any(e.interval != problem.campaign.reference_interval for e in problem.campaign):
+    h = problem.campaign.reference_interval
+    if any(abs(e.interval - h) > 1e-9 * h for e in problem.campaign):
         return ""  # neighbours are not as far apart in all of them
+    loudest = max(float(np.std(s.r)) for s in series)
     found = {
-        e.name: lag for e, s in zip(problem.campaign, series, strict=True)
-        if float(s.r @ s.r) > 0.0 and (lag := _lag_one(s)) is not None
-    }  # fmt: skip
+        e.name: (phi, len(s.r))
+        for e, s in zip(problem.campaign, series, strict=True)
+        if np.std(s.r) > 1e-6 * loudest and (phi := _lag_one(_quick(s))) is not None
+    }
     if len(found) < 2:
         return ""
-    low, high = min(found, key=lambda k: found[k]), max(found, key=lambda k: found[k])
-    error = sqrt(max(1.0 - found[low] ** 2, 0.0) / min(len(s.r) for s in series))
-    apart = found[high] - found[low]
-    if apart < 5.0 * error or 1.0 - found[low] < MEMORIES_APART * (1.0 - found[high]):
+    named = sorted(found, key=lambda name: found[name])
+    low, high = named[0], named[-1]
+    (least, n_least), (most, n_most) = found[low], found[high]
+    error = sqrt(max(1.0 - least**2, 0.0) / n_least + max(1.0 - most**2, 0.0) / n_most)
+    if most - least < 5.0 * error or 1.0 - least < MEMORIES_APART * (1.0 - most):
         return ""
     return (
-        f" Neighbouring samples correlate by {found[low]:.2f} in experiment {low} and by "
-        f"{found[high]:.2f} in {high}: with `per_experiment = true` under [noise] of --config, or "
+        f" Neighbouring samples correlate by {least:.2f} in experiment {low} and by "
+        f"{most:.2f} in {high}: with `per_experiment = true` under [noise] of --config, or "
         "Noise(per_experiment=True), each has noise of its own."
     )

@@ -328,7 +328,7 @@ def test_a_strong_misfit_beside_slow_noise_is_not_taken_for_a_walk():
         _check_memory(walks)
 
 
-def remembering(rng, memories, misfit=0.0):
+def remembering(rng, memories, misfit=0.0, hertz=1.0):
     """Campaign and parameters; noise of one size, and of each record's own memory (s)."""
     plan = design(len(memories), interval=0.002)
     parameters = theta(plan, sigma=0.01, phi=0.0)
@@ -339,7 +339,7 @@ def remembering(rng, memories, misfit=0.0):
         drawn = rng.standard_normal(len(e.t) + 2000)
         noise = 0.01 * np.sqrt(1.0 - phi**2) * lfilter([1.0], [1.0, -phi], drawn)[2000:]
         if e.name == "1":
-            noise += misfit * np.sin(2.0 * np.pi * e.t / 9.0)
+            noise += misfit * np.sin(2.0 * np.pi * hertz * e.t)
         values[e.name] = e.values + noise
     return plan.with_data(values), Layout.of(plan).flat(parameters)
 
@@ -360,9 +360,7 @@ def test_records_of_other_memories_whiten_to_one_each(monkeypatch):
 
     assert spreads() == pytest.approx(np.full(4, 0.93), abs=0.25)  # less what the fit takes
     # one spectrum for all would make the slower ones look like a misfit
-    monkeypatch.setattr(
-        floor, "_own_memory", lambda campaign, *rest: np.ones((len(campaign), len(rest[-1])))
-    )
+    monkeypatch.setattr(floor, "_own_memory", lambda campaign, *rest: np.ones(rest[-1].shape))
     alike = spreads()
     assert min(alike[1], alike[3]) > 1.7 * max(alike[0], alike[2])
 
@@ -371,17 +369,23 @@ def test_a_memory_is_told_by_what_is_quick():
     f = np.array([0.3, 30.0])
     rng = np.random.default_rng(42)
 
-    def of(memories, misfit=0.0):
-        campaign, vector = remembering(rng, memories, misfit)
+    def of(memories, misfit=0.0, hertz=1.0, counts=(1.0,) * 4):
+        campaign, vector = remembering(rng, memories, misfit, hertz)
         residuals = full_rate_residuals(campaign, vector)
         bins, _ = bins_of(campaign)
         stretches = quiet_stretches(campaign, residuals, bins, [4.0] * len(campaign))
-        return floor._own_memory(campaign, stretches, [detrended(s.samples) for s in stretches], f)
+        noises = [detrended(s.samples) for s in stretches]
+        ordinates = np.ones((len(campaign), 2, 2)) * np.array(counts)[:, None, None]
+        return floor._own_memory(campaign, stretches, noises, f, ordinates)[:, 0]
 
     own = of(MEMORIES)
     # at low frequencies the densities go as the memories, at high ones against them
     assert own[1] / own[0] == pytest.approx([5.0, 0.2], rel=0.15)
     assert own.mean(axis=0) == pytest.approx(1.0)
-    # neither alike ones nor a slow misfit in one record, twice the noise, make any difference
-    for misfit in (0.0, 0.02):
-        assert np.all(of((0.05,) * 4, misfit) == 1.0)
+    # neither alike ones nor a slow misfit in one record, nor a line, make any difference
+    for misfit, hertz in ((0.0, 1.0), (0.02, 1.0 / 9.0), (0.03, 25.0)):
+        assert np.all(of((0.05,) * 4, misfit, hertz) == 1.0)
+    # the common spectrum is mostly that of the longest record
+    weighed = of(MEMORIES, counts=[1.0, 10.0, 1.0, 1.0])
+    assert np.average(weighed, axis=0, weights=[1.0, 10.0, 1.0, 1.0]) == pytest.approx(1.0)
+    assert weighed[1] / weighed[0] == pytest.approx([5.0, 0.2], rel=0.2)

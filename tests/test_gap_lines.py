@@ -348,7 +348,9 @@ def test_spectra_that_are_alike_are_taken_for_alike():
     changed = 0
     for _ in range(100):
         ratios = [rng.exponential(size=(3, 4000)) for _ in range(6)]
-        changed += any(np.any(shape != 1.0) for shape in own_shapes(ratios, 1.0, 40.0))
+        changed += any(
+            np.any(shape != 1.0) for shape in own_shapes(ratios, [1.0] * len(ratios), 40.0)
+        )
     assert changed <= 5
 
 
@@ -359,7 +361,7 @@ def test_what_is_smooth_in_a_spectrum_is_its_own_and_what_is_narrow_is_not():
     usual = np.mean(true, axis=0)
     ratios = [own / usual * rng.exponential(size=(4, len(f))) for own in true]
     ratios[1][:, 2000:2006] *= 50.0
-    for shape, own in zip(own_shapes(ratios, 1.0, 40.0), true, strict=True):
+    for shape, own in zip(own_shapes(ratios, [1.0] * len(ratios), 40.0), true, strict=True):
         assert np.max(np.abs(np.log(shape / (own / usual)))[50:]) < 0.35
         assert np.std(np.log(shape / (own / usual))[50:]) < 0.15
 
@@ -367,6 +369,13 @@ def test_what_is_smooth_in_a_spectrum_is_its_own_and_what_is_narrow_is_not():
 def test_one_spectrum_or_one_too_short_has_no_shape_of_its_own():
     rng = np.random.default_rng(35)
     for ratios in ([rng.exponential(size=(3, 900))], [rng.exponential(size=(3, 15))] * 2):
-        assert all(np.all(shape == 1.0) for shape in own_shapes(ratios, 1.0, 40.0))
+        assert all(np.all(shape == 1.0) for shape in own_shapes(ratios, [1.0] * len(ratios), 40.0))
     silent = [np.zeros((1, 900)), rng.exponential(size=(1, 900))]
-    assert all(np.all(shape > 0.0) for shape in own_shapes(silent, 1.0, 40.0))
+    assert all(np.all(shape > 0.0) for shape in own_shapes(silent, [1.0, 1.0], 40.0))
+
+
+@pytest.mark.parametrize("look", [look_for_mains, look_for_swings])
+def test_a_record_without_noise_among_others_breaks_nothing(look):
+    campaign, noise, deviations = other_memories(np.random.default_rng(36))
+    noise[2] = np.zeros(len(noise[2]))
+    assert np.isfinite(look(campaign, noise, deviations)[0].log_bayes_factor)

@@ -325,8 +325,36 @@ def test_experiments_with_noise_of_their_own_are_set_beside_their_own_law():
 def test_noise_of_their_own_is_advised_where_experiments_differ():
     found, doubt = of_two_memories((0.6, 0.98), per_experiment=False)
     assert not found.adequate
-    advice = "correlate by 0.60 in experiment a and by 0.98 in b: with `per_experiment = true`"
-    assert advice in found.verdict and advice in doubt
-    # not where they are alike and something else is wrong, nor where nothing is
+    advice = (
+        r"correlate by ([\d.]+) in experiment a and by ([\d.]+) in b: with `per_experiment = true`"
+    )
+    for said in (found.verdict, doubt):
+        low, high = (float(v) for v in re.findall(advice, said)[0])
+        assert (low, high) == pytest.approx((0.6, 0.975), abs=0.012)
+    # not where they are alike and something else is wrong, in both or in one, nor where nothing is
     for change in (None, lambda t: 0.06 * np.sin(2 * np.pi * t / 6.0)):
         assert "per_experiment" not in diagnosed(change=change).verdict
+    theta = {**MEAN, "phi": 0.3, "sigma0_V": 0.045, "sigma1_V": 0.0}
+    measured = simulate(plan(), theta, seed=1)
+    raised = measured.with_data({"a": measured["a"].values, "b": measured["b"].values + 0.06})
+    found = diagnose_residuals(raised, Known(Problem(raised).layout.flat(theta)))
+    assert not found.adequate and "per_experiment" not in found.verdict
+
+
+def test_experiments_of_other_intervals_have_the_law_at_their_own():
+    own = {name: EXPERIMENTS["a"] for name in "abc"}
+    theta = {**MEAN, "experiments": own, "phi": 0.6, "sigma0_V": 0.05, "sigma1_V": 0.0}
+    campaign = Campaign(
+        "three",
+        tuple(
+            Experiment(name, h * np.arange(round(60.0 / h)), None, 60.0, 10.0, h, 2.5, 10.5)
+            for name, h in zip("abc", (0.02, 0.02, 0.002), strict=True)
+        ),
+    )
+    campaign = simulate(campaign, theta, seed=4)
+    found = diagnose_residuals(campaign, Known(Problem(campaign).layout.flat(theta)))
+    assert found.adequate
+    lag = np.rint(np.array(found.acf["lag_s"]) / 0.02)
+    slow, few = 0.6**0.1, 3000 / 36000  # ten times as many samples are ten times as close
+    expected = 2.0 * few * 0.6**lag + (1.0 - 2.0 * few) * slow**lag
+    assert np.abs(np.array(found.acf["ar1"]) - expected).max() < 0.05

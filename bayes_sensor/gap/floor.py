@@ -40,6 +40,8 @@ OTHER_MEMORY = 1.5
 """times by which a record's memory differs from the common one before it has its own"""
 MEMORY_ERRORS = 5.0
 """standard errors by which it does"""
+NO_AR1 = 0.1
+"""by which a record's correlations may differ from an AR(1)'s before its memory is not told"""
 SLOW_MEMORIES = 60.0
 """memories of the noise over which what is slower is taken out before records are compared"""
 WALK = 0.2
@@ -265,7 +267,7 @@ def estimate_floor(
     below = shape if _like_a_walk(noises) else np.ones_like
     middles = np.sqrt(edges[:-1] * edges[1:])
     density, dof = _shrunk(power, count, edges, shape(middles), louder)
-    own = density * _own_memory(campaign, stretches, noises, middles)[:, None, :]
+    own = density * _own_memory(campaign, stretches, noises, middles, count)
     width = np.diff(edges)
     density = own * ((density @ width) / (own @ width))[:, :, None]  # as loud as before
     louder_bins = tuple(
@@ -319,36 +321,63 @@ def _own_memory(
     stretches: Sequence[Stretch],
     noises: Sequence[FloatArray],
     f: FloatArray,
+    count: FloatArray,
 ) -> FloatArray:
-    """What the memory of each record's noise makes of the common spectrum, (n_e, n_f).
+    """What the memory of each record's noise makes of the common spectra, (n_e, 2, n_f).
 
     Of two records that are as loud, one through a filter ten times as slow, this one has ten times
     the power at low frequencies, where an effect shows.  Neighbouring samples tell the memory, not
-    the low frequencies themselves: there a cause may act in one record alone.  All one where
-    records are alike.
+    the low frequencies themselves: there a cause may act in one record alone.  ``count``
+    (n_e, 2, n_f): ordinates in the common spectra of carrier and plateaus.  All one where records
+    are alike, or where what differs is no AR(1), as a line in one record is not.
     """
-    n_e = len(campaign)
-    alike = np.ones((n_e, len(f)))
+    own = np.ones(count.shape)
     interval = campaign.experiments[0].interval
     if any(abs(e.interval - interval) > 1e-9 * interval for e in campaign):
-        return alike
+        return own
     # what is much slower than the noise may be a cause's
     width = round(SLOW_MEMORIES / (1.0 - min(_correlation(noises), SMOOTH)))
-    quick = [x - uniform_filter1d(x, min(width, len(x))) for x in noises]
-    groups = [
-        [x for s, x in zip(stretches, quick, strict=True) if s.experiment == k] for k in range(n_e)
-    ]
-    common = _correlation(quick)
-    phi = np.array([_correlation(group) if group else common for group in groups])
-    error = np.sqrt([(1.0 - common**2) / max(sum(map(len, group)), 1) for group in groups])
-    other = np.abs(np.log((1.0 - phi) / (1.0 - common))) > np.log(OTHER_MEMORY)
-    differs = other & (np.abs(phi - common) > MEMORY_ERRORS * error)
-    if not differs.any() or phi.max() >= SMOOTH:
-        return alike
     cosine = np.cos(2.0 * np.pi * np.minimum(f * interval, 0.5))
-    each = (1.0 - phi**2)[:, None] / (1.0 + phi[:, None] ** 2 - 2.0 * phi[:, None] * cosine)
-    own: FloatArray = each / np.mean(each, axis=0)
+    for level in (0, 1):
+        quick: list[list[FloatArray]] = [[] for _ in campaign]
+        for s, x in zip(stretches, noises, strict=True):
+            if s.level == level and len(x) >= width:
+                quick[s.experiment].append(x - uniform_filter1d(x, width))
+        told = [x for some in quick for x in some]
+        if not told:
+            continue
+        common = _correlation(told)
+        phi = np.array([_memory_of(some, common, width) for some in quick])
+        if np.all(phi == common) or phi.max() >= SMOOTH:
+            continue
+        each = (1.0 - phi**2)[:, None] / (1.0 + phi[:, None] ** 2 - 2.0 * phi[:, None] * cosine)
+        weight = count[:, level] + 1e-9  # where there is none all count alike
+        own[:, level] = each / (np.sum(weight * each, axis=0) / np.sum(weight, axis=0))
     return own
+
+
+def _memory_of(quick: Sequence[FloatArray], common: float, width: int) -> float:
+    """The correlation of neighbours in one record, where it is an AR(1)'s other than the common.
+
+    ``quick`` is without its means over ``width`` samples, and these hold the share of an AR(1)'s
+    variance that two of its memories are of the width.
+    """
+    n = sum(map(len, quick))
+    phi = seen = _correlation(quick) if n else common
+    lost = 0.0
+    for _ in range(5):
+        lost = min(2.0 / (width * (1.0 - phi)), 0.5)
+        phi = 1.0 - (1.0 - seen) * (1.0 - lost)
+    other = abs(np.log((1.0 - phi) / (1.0 - common))) > np.log(OTHER_MEMORY)
+    if not other or abs(phi - common) < MEMORY_ERRORS * np.sqrt((1.0 - common**2) / n):
+        return common
+    square = max(sum(float(x @ x) for x in quick), 1e-300)
+    memory = -1.0 / np.log(max(phi, 0.05))
+    for lag in {max(round(times * memory), 2) for times in (0.5, 1.0, 2.0)}:
+        found = sum(float(x[lag:] @ x[:-lag]) for x in quick) / square
+        if abs(1.0 - (1.0 - found) * (1.0 - lost) - phi**lag) > NO_AR1:
+            return common
+    return phi
 
 
 def _from_one_to_the_next(series: Sequence[FloatArray]) -> float:

@@ -67,6 +67,8 @@ STEEPEST = 2.0
 """power of the frequency with which one spectrum leaves another below the lowest band"""
 FARTHEST_APART = 20.0
 """ln of one level over another's"""
+SMALL_ERROR = 0.01
+"""variance of a band's ln level below which bands count alike"""
 APART = 3.0
 """standard errors from which the spectra of pieces are taken to differ"""
 RATIOS = (1.0, 2.5, 6.0, 15.0, 40.0)
@@ -306,7 +308,7 @@ def _sum_over_pieces(
     per_volt = np.zeros(n // 2 + 1)
     for p, power, level in _levels(used, n, sloping):
         total += power / level
-        per_volt += float(np.sum(p.weights)) ** 2 / level
+        per_volt += float(np.sum(p.weights)) ** 2 / np.maximum(level, 1e-280)
     return total, per_volt
 
 
@@ -325,7 +327,7 @@ def _levels(
         level = slope * _local_level(mean / slope, resolution, len(group))
         levels = [own * level for own in scales]
         ratios = [(power / own)[None, :] for power, own in zip(powers, levels, strict=True)]
-        shapes = own_shapes(ratios, resolution, BAND)
+        shapes = own_shapes(ratios, [n / len(p.samples) for p in group], BAND)
         found += [
             (p, power, own * shape)
             for p, power, own, shape in zip(group, powers, levels, shapes, strict=True)
@@ -334,36 +336,40 @@ def _levels(
 
 
 def own_shapes(
-    ratios: Sequence[FloatArray], per_resolution: float, least: float
+    ratios: Sequence[FloatArray], resolutions: Sequence[float], least: float
 ) -> list[FloatArray]:
     """How far each spectrum lies from what is usual, (n_f,) one a member, smooth in frequency.
 
-    ``ratios``: of every member (n_periodograms, n_f), to what is usual.  Noise whose memory differs
-    from record to record (a filter that was turned between them) would else have lines where some
-    are louder than the others.  Medians of bands, which no line moves, ``least`` native resolutions
-    or half their frequency wide, joined in ln f, as far as they vary by more than chance; all one
-    where they do not.
+    ``ratios``: of every member (n_periodograms, n_f), to what is usual; ``resolutions``: ordinates
+    in the native resolution of each.  Noise whose memory differs from record to record (a filter
+    that was turned between them) would else have lines where some are louder than the others.
+    Medians of bands, which no line moves, ``least`` native resolutions or half their frequency
+    wide, joined in ln f, as far as they vary by more than chance; all one where they do not.
     """
-    n_f = ratios[0].shape[1]
-    edges = [per_resolution]
+    n_f, usual = ratios[0].shape[1], float(np.median(resolutions))
+    edges = [usual]
     while edges[-1] < n_f:
-        edges.append(max(1.5 * edges[-1], edges[-1] + least * per_resolution))
+        edges.append(max(1.5 * edges[-1], edges[-1] + least * usual))
     bands = [(int(a), min(int(b), n_f)) for a, b in itertools.pairwise(edges)]
     # the last one may be cut short
-    bands = [(a, b) for a, b in bands if b - a >= 0.5 * least * per_resolution]
+    bands = [(a, b) for a, b in bands if b - a >= 0.5 * least * usual]
     if not bands or len(ratios) < 2:
         return [np.ones(n_f) for _ in ratios]
     logs = np.array([[np.log(_middle(r[:, a:b]) / np.log(2.0)) for a, b in bands] for r in ratios])
-    logs = np.clip(logs, -FARTHEST_APART, FARTHEST_APART)  # a record may be without noise
-    count = np.array([[len(r) * (b - a) / per_resolution for a, b in bands] for r in ratios])
+    logs = np.where(logs < -FARTHEST_APART, 0.0, logs)  # a record may be without noise
+    count = np.array([
+        [len(r) * (b - a) / own for a, b in bands]
+        for r, own in zip(ratios, resolutions, strict=True)
+    ])  # fmt: skip
     # of the median of so many exponential ordinates
     error = 1.0 / (np.log(2.0) ** 2 * count)
-    spread = float(np.mean(logs**2 - error))
-    if spread < APART * float(np.sqrt(2.0 * np.mean(error**2) / error.size)):
+    weight = (error + SMALL_ERROR) ** -2.0  # else the many ordinates of high frequencies decide
+    spread = float(np.average(logs**2 - error, weights=weight))
+    if spread < APART * float(np.sqrt(2.0 * np.sum((weight * error) ** 2)) / weight.sum()):
         return [np.ones(n_f) for _ in ratios]
     logs *= spread / (spread + error)
     centres = np.log([0.5 * (a + b) for a, b in bands])
-    at = np.log(np.maximum(np.arange(n_f), 0.5 * per_resolution))
+    at = np.log(np.maximum(np.arange(n_f), 0.5 * usual))
     shapes = []
     for own in logs:
         shape = np.interp(at, centres, own)

@@ -106,7 +106,9 @@ def _passing_through(pieces: Sequence[Piece], seconds: float) -> FullRate | None
     records = sorted({p.record for p, count in zip(used, counts, strict=True) if count})
     members = [[i for i, p in enumerate(used) if p.record == record] for record in records]
     shapes = own_shapes(
-        [np.concatenate([some[i] for i in here]) / usual for here in members], n_fft / n, BAND
+        [np.concatenate([some[i] for i in here]) / usual for here in members],
+        [n_fft / n] * len(members),
+        BAND,
     )
     logs, best = [], (-np.inf, {"passing_experiment": 0.0, "passing_Hz": 0.0, "passing_V": 0.0})
     for record, here, shape in zip(records, members, shapes, strict=True):
