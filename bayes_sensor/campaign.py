@@ -279,6 +279,12 @@ class Campaign:
         flows = np.array([experiment.total_flow for experiment in self.experiments])
         return bool(np.ptp(flows) <= 1e-6 * flows.max())
 
+    @property
+    def same_interval(self) -> bool:
+        """Whether all experiments are sampled at one interval, but for rounding."""
+        intervals = np.array([experiment.interval for experiment in self.experiments])
+        return bool(np.ptp(intervals) < 1e-9 * intervals.max())
+
     def __repr__(self) -> str:
         """The experiments, a line each."""
         return "\n  ".join([f"Campaign({self.title!r}:", *map(repr, self.experiments)]) + ")"

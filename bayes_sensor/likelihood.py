@@ -224,9 +224,6 @@ def default_priors(campaign: Campaign, layout: Layout) -> dict[str, Prior]:
     scale = float(f"{scale:.0e}")
     flow = float(np.median([e.total_flow for e in campaign]))
     scatter = max([1e-9, *(_scatter(e) for e in campaign if e.y is not None)])
-    same_interval = all(
-        abs(e.interval - campaign.reference_interval) < 1e-9 * e.interval for e in campaign
-    )
     priors: dict[str, Prior] = {
         "tau_s": Prior("half_normal", scale),
         "tau_v_s": Prior("log_normal", rise / 3.0, 1.5),
@@ -244,7 +241,7 @@ def default_priors(campaign: Campaign, layout: Layout) -> dict[str, Prior]:
     for name in layout.noise_names:
         kind = name.split("[")[0]
         if kind == "phi":
-            priors[name] = Prior("uniform", -1.0 if same_interval else 0.0, 1.0)
+            priors[name] = Prior("uniform", -1.0 if campaign.same_interval else 0.0, 1.0)
         else:
             priors[name] = Prior("half_normal", 10.0 * scatter)
     for name, info in campaign.side_information.items():

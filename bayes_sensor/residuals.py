@@ -399,8 +399,7 @@ def _slow_part(problem: Problem, vector: FloatArray, series: list[_Series]) -> t
     least twenty ordinates per experiment.
     """
     total, n = 0.0, 0
-    for k, (e, s) in enumerate(zip(problem.campaign, series, strict=True)):
-        phi = lag_coefficient(float(vector[problem.layout.noise[k, 0]]), problem.steps(e))
+    for s, phi in zip(series, _from_sample_to_sample(problem, vector), strict=True):
         m = len(s.e)
         power = np.abs(fft.rfft(s.e)) ** 2 / m
         bend = (1.0 - abs(phi)) / (2.0 * np.pi)  # cycles per sample
@@ -516,8 +515,7 @@ def _own_each(problem: Problem, series: list[_Series]) -> str:
     """What to do where one coefficient stands for experiments that differ; else empty."""
     if problem.noise.per_experiment or problem.noise.autocorrelation != "ar1":
         return ""
-    h = problem.campaign.reference_interval
-    if any(abs(e.interval - h) > 1e-9 * h for e in problem.campaign):
+    if not problem.campaign.same_interval:
         return ""  # neighbours are not as far apart in all of them
     loudest = max(float(np.std(s.r)) for s in series)
     found = {

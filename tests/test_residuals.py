@@ -351,6 +351,8 @@ def test_experiments_of_other_intervals_have_the_law_at_their_own():
             for name, h in zip("abc", (0.02, 0.02, 0.002), strict=True)
         ),
     )
+    # one interval is one, though the reference is rounded
+    assert not campaign.same_interval and plan(1.0 / 3000.0, 2.0).same_interval
     campaign = simulate(campaign, theta, seed=4)
     found = diagnose_residuals(campaign, Known(Problem(campaign).layout.flat(theta)))
     assert found.adequate

@@ -309,11 +309,16 @@ def _correlated(noises: Sequence[FloatArray], intervals: Sequence[float]) -> Sha
     def shape(f: FloatArray) -> FloatArray:
         made = np.zeros(len(f))
         for h, square, phi in parts:
-            cosine = np.cos(2.0 * np.pi * np.minimum(f * h, 0.5))
-            made += square * (1.0 - phi**2) / (1.0 + phi**2 - 2.0 * phi * cosine)
+            made += square * _of_ar1(f * h, phi)
         return np.maximum(made, 1e-300)
 
     return shape
+
+
+def _of_ar1(f: FloatArray, phi: float) -> FloatArray:
+    """The spectrum (n_f,) of an AR(1), one on average, at ``f`` (n_f,) cycles a sample."""
+    cosine = np.cos(2.0 * np.pi * np.minimum(f, 0.5))
+    return np.asarray((1.0 - phi**2) / (1.0 + phi**2 - 2.0 * phi * cosine))
 
 
 def _own_memory(
@@ -332,12 +337,10 @@ def _own_memory(
     are alike, or where what differs is no AR(1), as a line in one record is not.
     """
     own = np.ones(count.shape)
-    interval = campaign.experiments[0].interval
-    if any(abs(e.interval - interval) > 1e-9 * interval for e in campaign):
+    if not campaign.same_interval:
         return own
     # what is much slower than the noise may be a cause's
     width = round(SLOW_MEMORIES / (1.0 - min(_correlation(noises), SMOOTH)))
-    cosine = np.cos(2.0 * np.pi * np.minimum(f * interval, 0.5))
     for level in (0, 1):
         quick: list[list[FloatArray]] = [[] for _ in campaign]
         for s, x in zip(stretches, noises, strict=True):
@@ -347,10 +350,10 @@ def _own_memory(
         if not told:
             continue
         common = float(np.median(told))  # whatever one record has beside its noise
-        phi = np.array([_memory_of(some, common, width) for some in quick])
-        if np.all(phi == common) or phi.max() >= SMOOTH:
+        phi = [_memory_of(some, common, width) if some else common for some in quick]
+        if set(phi) == {common} or max(phi) >= SMOOTH:
             continue
-        each = (1.0 - phi**2)[:, None] / (1.0 + phi[:, None] ** 2 - 2.0 * phi[:, None] * cosine)
+        each = np.array([_of_ar1(f * campaign.reference_interval, one) for one in phi])
         weight = count[:, level] + 1e-9  # where there is none all count alike
         own[:, level] = each / (np.sum(weight * each, axis=0) / np.sum(weight, axis=0))
     return own
@@ -363,7 +366,7 @@ def _memory_of(quick: Sequence[FloatArray], common: float, width: int) -> float:
     variance that two of its memories are of the width.
     """
     n = sum(map(len, quick))
-    phi = seen = _correlation(quick) if n else common
+    phi = seen = _correlation(quick)
     lost = 0.0
     for _ in range(5):
         lost = min(2.0 / (width * (1.0 - phi)), 0.5)

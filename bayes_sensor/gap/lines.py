@@ -66,7 +66,7 @@ BAND = 40.0
 STEEPEST = 2.0
 """power of the frequency with which one spectrum leaves another below the lowest band"""
 FARTHEST_APART = 20.0
-"""ln of one level over another's"""
+"""ln of the usual level over that of a record without noise, which has no shape to tell"""
 SMALL_ERROR = 0.01
 """variance of a band's ln level below which bands count alike"""
 APART = 3.0

@@ -15,6 +15,7 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from bayes_sensor.blind_check.statistics import proportion
 from bayes_sensor.calibration import run_chunks, study_key
 
 RUNS, CAMPAIGNS, SEED = 1000, 600, 41
-KEPT = TABLES / "blind_check_earlier.csv.gz", TABLES / "blind_check_first.csv"
+KEPT = study_blind_check.EARLIER, TABLES / "blind_check_first.csv"
 """every case of the sealed runs since the oracle is the present one"""
 DIAGNOSES = ("as it stands", "as good as the oracle")
 OUTRIGHT, BY_THE_RULE = "unlisted flagged at d = ", "the same, or rightly unnamed, at d = "
@@ -102,7 +103,7 @@ class Drawing:
 
 
 def run(
-    folder: Any, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
+    folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
 ) -> None:
     """Draw the runs, then write blind_check_odds.csv, and what is said of it into the pages."""
     task = Drawing()
