@@ -23,6 +23,10 @@ class CampaignError(ValueError):
     """Input that cannot be used.  The message says where, what was expected, what came, the fix."""
 
 
+ORDERS = ("faster", "slower", "unknown")
+"""what is known of the sensor's lag among those that do not depend on flow"""
+STAGES = ("valve", "manifold", "sensor")
+"""what the gas passes, in order"""
 MOST_JITTER = 0.3
 """of the interval: a time further than this from its place on the grid is not that sample's; as
 much as recordings may have"""
@@ -207,7 +211,7 @@ class Campaign:
     Raises
     ------
     CampaignError
-        If there is no experiment or two share a name.
+        If there is no experiment, two share a name or ``sensor_is`` is none of :data:`ORDERS`.
     """
 
     title: str
@@ -218,9 +222,17 @@ class Campaign:
     warnings: tuple[str, ...] = ()
     """what the reader noticed, in sentences"""
     source: str = ""
+    sensor_is: str = "unknown"
+    """``faster`` or ``slower`` than the valve where the user says so, else ``unknown``: lags in a
+    row commute, so the data give their values and not their names"""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "experiments", tuple(self.experiments))
+        if self.sensor_is not in ORDERS:
+            raise CampaignError(
+                f"{self.source or 'campaign'}: sensor_is must be one of {', '.join(ORDERS)}, but "
+                f"is '{self.sensor_is}'; say which of the lags is the sensor's, or 'unknown'"
+            )
         if not self.experiments:
             raise CampaignError(f"{self.source or 'campaign'}: expected at least one experiment")
         names = self.names_of_experiments

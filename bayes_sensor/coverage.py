@@ -85,7 +85,9 @@ def small_design() -> tuple[Campaign, FloatArray]:
         ends = OFF + END_DELAY[0] + END_DELAY[1] / e.total_flow
         experiments.append(e)
         theta += [y0, beta, starts, ends]
-    return Campaign("three short experiments", tuple(experiments)), np.array(theta)
+    return Campaign("three short experiments", tuple(experiments), sensor_is="faster"), np.array(
+        theta
+    )
 
 
 def simulate_setting(design: Campaign, theta: FloatArray, setting: Setting, seed: int) -> Campaign:

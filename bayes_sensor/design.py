@@ -115,7 +115,7 @@ def record_information(setting: Setting, truth: Truth, tau: float) -> FloatArray
     Rows of tau itself are zero: see :func:`information_of`.
     """
     e = setting.experiment
-    alone = Campaign("one", (e,))
+    alone = Campaign("one", (e,), sensor_is="faster")  # one lag of each: nothing to tell apart
     problem = Problem(alone, noise=truth.noise)
     steps = e.interval / truth.interval
     phi = lag_coefficient(truth.phi, steps)
@@ -703,6 +703,7 @@ def _proposal(
     combined = Campaign(
         f"{problem.campaign.title}, with proposals", tuple(experiments),
         problem.campaign.side_information, problem.campaign.signal_unit,
+        sensor_is=problem.campaign.sensor_is,
     )  # fmt: skip
     n = problem.layout.n_mean
     noise = [truth.phi, truth.sigma0, truth.sigma1]

@@ -200,6 +200,8 @@ def campaign_text(campaign: Campaign, files: Mapping[str, Mapping[str, str]]) ->
     <BLANKLINE>
     """
     lines = [f"title = {_quoted(campaign.title)}", ""]
+    if campaign.sensor_is != "unknown":
+        lines += ["[rig]", f'sensor_is = "{campaign.sensor_is}"', ""]
     if campaign.side_information:
         lines.append("[side_information]")
         for name, known in campaign.side_information.items():

@@ -77,7 +77,11 @@ def build() -> tuple[Campaign, dict]:
         )
         for k in range(7)
     ]
-    design = Campaign("synthetic replica of the seven published step experiments", experiments)
+    design = Campaign(
+        "synthetic replica of the seven published step experiments",
+        experiments,
+        sensor_is="faster",
+    )
     truth = {
         **SHARED,
         "experiments": {

@@ -42,7 +42,7 @@ def paper_design(interval: float = 1e-3) -> Campaign:
         )
         for name, (carrier, test_gas, _, _, t0, tf) in PUBLISHED.items()
     ]
-    return Campaign("published design", tuple(experiments))
+    return Campaign("published design", tuple(experiments), sensor_is="faster")
 
 
 def paper_theta(phi: float = 0.0, sigma0: float = 0.0653, sigma1: float = 0.0) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def small_design(
                 mask=used,
             )
         )
-    return Campaign("small", tuple(experiments))
+    return Campaign("small", tuple(experiments), sensor_is="faster")
 
 
 def small_theta(

@@ -48,7 +48,7 @@ def design(n: int = 4, interval: float = 0.01, fall: bool = True) -> Campaign:
         experiments.append(
             Experiment(str(k + 1), t, None, carrier, gas, interval, on, on + 23.0 if fall else None)
         )
-    return Campaign("gap", tuple(experiments))
+    return Campaign("gap", tuple(experiments), sensor_is="faster")
 
 
 def theta(campaign: Campaign, sigma: float = 0.012, phi: float = 0.4) -> dict[str, object]:

@@ -89,7 +89,7 @@ def published_design(first: float = 0.0) -> Campaign:
         )
         for i in range(7)
     ]
-    return Campaign("published", tuple(experiments))
+    return Campaign("published", tuple(experiments), sensor_is="faster")
 
 
 def published_theta(*noise: float) -> np.ndarray:
@@ -121,7 +121,7 @@ def small_design(
                 mask=mask,
             )
         )
-    return Campaign("small", tuple(experiments))
+    return Campaign("small", tuple(experiments), sensor_is="faster")
 
 
 def small_theta(

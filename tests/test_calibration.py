@@ -183,7 +183,9 @@ def small(**changes: Prior) -> Problem:
         priors[f"beta_V[{e.name}]"] = Prior("normal", 1.9, 0.2)
         priors[f"t0_s[{e.name}]"] = Prior("uniform", 4.0, 5.0)
         priors[f"tf_s[{e.name}]"] = Prior("uniform", 17.0, 18.0)
-    return Problem(Campaign("small", experiments), given_priors={**priors, **changes})
+    return Problem(
+        Campaign("small", experiments, sensor_is="faster"), given_priors={**priors, **changes}
+    )
 
 
 def test_prior_draws_are_inside_the_prior() -> None:

@@ -44,7 +44,7 @@ def case(noise=0.0, outlier=0.0, seed=1, fall=True, commanded=True, flows=FLOWS,
                 commanded_off=80.0 if fall else None,
             )
         )  # fmt: skip
-    campaign = Campaign("delays", tuple(experiments))
+    campaign = Campaign("delays", tuple(experiments), sensor_is="faster")
     layout = Layout.of(campaign)
     theta = np.ones(len(layout))
     for k, (start, end) in enumerate(delays):

@@ -39,7 +39,7 @@ def design_of(n: int = 3, interval: float = 0.01, fall: bool = True) -> Campaign
         )
         for i, flow in enumerate((50.0, 90.0, 140.0)[:n])
     ]
-    return Campaign("planned", tuple(experiments))
+    return Campaign("planned", tuple(experiments), sensor_is="faster")
 
 
 def theta_of(

@@ -35,6 +35,7 @@ def design(n=7, interval=0.005, duration=20.0, fall=True, flows=FLOWS):
             )
             for k, (carrier, test) in enumerate(flows[:n])
         ),
+        sensor_is="faster",
     )  # fmt: skip
 
 
@@ -506,7 +507,7 @@ def test_unequal_intervals_and_masked_samples():
     t = fast.experiments[0].t
     mask = ~((t > 5.0) & (t < 5.5)) & (np.arange(len(t)) % 977 != 0)
     members = [replace(e, mask=mask) for e in fast.experiments[:4]]
-    plan = Campaign("mixed", (*members, slow.experiments[4]))
+    plan = Campaign("mixed", (*members, slow.experiments[4]), sensor_is="faster")
     theta = truth(plan, phi=0.6)
     data = simulate(plan, theta, seed=2)
     spoiled = {}

@@ -29,7 +29,7 @@ def campaign(masked: bool = False) -> tuple[Campaign, np.ndarray]:
         Experiment(str(k), t, None, flow, flow / 8, 5e-3, 8.0, 24.0, mask.copy())
         for k, flow in ((1, 60.0), (2, 120.0))
     )
-    design = Campaign("small", experiments)
+    design = Campaign("small", experiments, sensor_is="faster")
     problem = Problem(design)
     local = {"y0_V": 0.2, "beta_V": 1.9, "t0_s": 8.3, "tf_s": 24.2}
     noise = {"phi": 0.6, "sigma0_V": 0.01, "sigma1_V": 0.02}

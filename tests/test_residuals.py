@@ -48,6 +48,7 @@ def plan(interval=0.002, duration=20.0, mask=None):
             Experiment("a", t, None, 60.0, 10.0, interval, 2.5, 10.5, mask),
             Experiment("b", t, None, 100.0, 25.0, interval, 2.5, 10.5, mask),
         ),
+        sensor_is="faster",
     )
 
 

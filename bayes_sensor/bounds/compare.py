@@ -188,4 +188,6 @@ def compare_bounds(
             bounds[name] = with_remark(bounds[name], doubt)
         seconds[name] = time.perf_counter() - start
         done += 1
-    return Bounds(bounds, problem.campaign.signal_unit, seconds, evidence.likelihood)
+    return Bounds(
+        bounds, problem.campaign.signal_unit, seconds, tuple(fit.caveats), evidence.likelihood
+    )

@@ -108,6 +108,8 @@ class Bounds:
     signal_unit: str = "V"
     seconds: Mapping[str, float] = field(default_factory=dict)
     """how long each method took"""
+    caveats: tuple[str, ...] = ()
+    """sentences of the fit that decide whether the headline stands"""
     likelihood: tuple[Surface, Maximum] | None = None
     """the likelihood under the campaign's own noise with its maximum, where a method needed it"""
 
@@ -130,7 +132,7 @@ class Bounds:
                 ends = [row.get(key) for key in ("estimate", "sd", "lo95", "hi95")]
                 rows.append([name, method, *ends, bound.assumes])
         columns = ["parameter", "method", "estimate", "sd", "95 % low", "95 % high", "assumes"]
-        return card("bounds", [], columns, rows)
+        return card("bounds", self.caveats, columns, rows)
 
     def table(self) -> pd.DataFrame:
         """One row per parameter and method (a MultiIndex), columns as in ``bounds.json``."""
@@ -153,6 +155,8 @@ class Bounds:
         return {
             "methods": {name: bound.to_json() for name, bound in self.methods.items()},
             "signal_unit": self.signal_unit,
+            "caveats": list(self.caveats),
+            "warnings": list(self.caveats),
         }
 
     def to_csv(self, path: str | Path | None = None) -> str | None:

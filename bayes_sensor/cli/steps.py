@@ -639,7 +639,7 @@ def _warnings(job: Job, remarks: Sequence[str]) -> list[str]:
     # what concerns the last answer comes first, since a terminal shows only so many
     found = [] if job.posterior is None else list(job.posterior.warnings)
     found += [text for text in remarks if text != SAME_FLOW]  # the fit says it, with consequences
-    found += job.fit.warnings
+    found += [*job.fit.caveats, *job.fit.warnings]
     if job.no_gap:
         found.append(f"not diagnosed: {job.no_gap}")
     return list(dict.fromkeys(found))
@@ -657,6 +657,8 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
     from bayes_sensor.report import headline, number
 
     command, quiet = job.command, job.quiet
+    for sentence in job.fit.caveats:  # what decides the headline is said before it
+        say(f"warning: {sentence}", quiet)
     if command in ("analyze", "posterior", "bounds"):
         bounds = None if job.bounds is None else job.bounds[1]
         record = None if job.posterior is None else job.posterior.to_json()
@@ -691,7 +693,8 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
         say(f"not diagnosed: {job.no_gap}", quiet)
     # non-convergence is said below, on stderr
     unsaid = ("NOT converged", "not diagnosed")
-    warnings = [w for w in _warnings(job, remarks) if not w.startswith(unsaid)]
+    said = set(job.fit.caveats)
+    warnings = [w for w in _warnings(job, remarks) if not w.startswith(unsaid) and w not in said]
     for warning in warnings[:MOST_WARNINGS]:
         say(f"warning: {warning}", quiet)
     if len(warnings) > MOST_WARNINGS:

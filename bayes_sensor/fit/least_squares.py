@@ -12,6 +12,7 @@ import numpy as np
 from scipy import optimize
 
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.fit.caveats import caveats
 from bayes_sensor.fit.diagnostics import at_bounds, bound_warnings, warn
 from bayes_sensor.fit.identifiability import cannot_tell, step_is_seen
 from bayes_sensor.fit.looks import Look, first_look, initial_bounds
@@ -180,6 +181,7 @@ def fit_least_squares(
         cannot_tell=mute,
         twin=twin,
         step_seen=seen,
+        caveats=tuple(caveats(problem, vector, residuals)),
     )
 
 

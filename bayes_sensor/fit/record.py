@@ -57,6 +57,9 @@ class Fit:
     """that another valve and manifold fit as well, as a sentence; empty where they do not"""
     step_seen: bool = True
     """whether the step of any experiment stands out of the noise"""
+    caveats: tuple[str, ...] = ()
+    """sentences that decide whether the headline stands: posterior, bounds and report repeat them
+    before anything else"""
 
     def __repr__(self) -> str:
         """The shared time constants and the status."""
@@ -71,7 +74,7 @@ class Fit:
             for name, value in zip(self.names, self.theta_hat.tolist(), strict=True)
         ]
         title = f"least squares: RMS {self.rms:.4g} {self.signal_unit}, {self.n_samples} samples"
-        sentences = [self.status, *self.warnings]
+        sentences = [*self.caveats, self.status, *self.warnings]
         return card(title, sentences, ["parameter", "value", ""], rows)
 
     def to_json(self) -> dict[str, Any]:
@@ -82,7 +85,8 @@ class Fit:
             "parameters": self.parameters,
             "at_bound": list(self.at_bound),
             "converged": self.converged,
-            "warnings": list(self.warnings),
+            "caveats": list(self.caveats),
+            "warnings": [*self.caveats, *self.warnings],
             "status": self.status,
             "rms_per_experiment_V": dict(self.rms_per_experiment),
             "cost_V2": self.cost,

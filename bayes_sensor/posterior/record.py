@@ -51,8 +51,10 @@ class Posterior:
     seconds: float = 0.0
     k_hat: float | None = None
     acceptance: float | None = None
+    caveats: tuple[str, ...] = ()
+    """sentences of the fit that decide whether the headline stands"""
     remarks: tuple[str, ...] = ()
-    """sentences of the fit that concern the posterior too"""
+    """further sentences of the fit that concern the posterior too"""
 
     @property
     def layout(self) -> Layout:
@@ -115,8 +117,7 @@ class Posterior:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences a reader must see."""
-        found = [] if self.converged else [self.status]
-        found += self.remarks
+        found = [*self.caveats, *([] if self.converged else [self.status]), *self.remarks]
         if self.problem.campaign.same_flow:
             found.append(
                 "all flows are equal: these data cannot tell tau_v from V/Q, only the priors say "
@@ -179,6 +180,7 @@ class Posterior:
             "status": self.status,
             "sampler": self.sampler,
             "reasons": list(self.reasons),
+            "caveats": list(self.caveats),
             "warnings": list(self.warnings),
             "k_hat": plain(self.k_hat),
             "acceptance": self.acceptance,

@@ -125,6 +125,7 @@ def sample_posterior(
         seconds=perf_counter() - started,
         k_hat=run.k_hat,
         acceptance=run.acceptance,
+        caveats=getattr(fit, "caveats", ()),
         remarks=tuple(
             text
             for text in (

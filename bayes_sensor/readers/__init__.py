@@ -20,6 +20,7 @@ from bayes_sensor.readers.campaign_file import (
     LARGEST,
     Entry,
     read_entry,
+    read_rig,
     read_sheet,
     read_side_information,
     read_toml,
@@ -107,6 +108,7 @@ def _read(path: Path) -> Campaign:
     where = label if path.exists() else str(path)
     content = _read_bytes(path, where, LARGEST, "a campaign file in TOML")
     sheet = read_sheet(read_toml(content, label), label)
+    rig = read_rig(sheet.rig, label)
     side_information = read_side_information(sheet.side_information, label)
     entries = [read_entry(table, i, label) for i, table in enumerate(sheet.experiment, 1)]
     _check_entries(entries, label)
@@ -134,6 +136,7 @@ def _read(path: Path) -> Campaign:
         signal_unit=_one_unit(units, label),
         warnings=tuple(_one_line(text) for text in warnings),
         source=str(path),
+        sensor_is=rig.sensor_is,
     )
 
 

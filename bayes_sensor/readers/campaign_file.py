@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 
-from bayes_sensor.campaign import CampaignError, SideInformation
+from bayes_sensor.campaign import ORDERS, STAGES, CampaignError, SideInformation
 from bayes_sensor.readers.quantities import (
     FLOW,
     TIME,
@@ -53,6 +53,9 @@ _EXAMPLES = {
     "allow_outside": "allow_outside = true",
     "experiment": '[[experiment]] with name = "1" and its keys',
     "side_information": '[side_information] with V = "60 +- 2 mL"',
+    "rig": '[rig] with sensor_is = "faster"',
+    "stages": 'stages = ["valve", "manifold", "sensor"]',
+    "sensor_is": 'sensor_is = "faster"',
 }
 
 
@@ -177,6 +180,33 @@ class Entry(BaseModel):
     duration: PositiveTime | None = None
 
 
+def _stages(value: object, info: ValidationInfo) -> tuple[str, ...]:
+    if value != list(STAGES):
+        raise CampaignError(
+            f"stages: expected {', '.join(STAGES)}, the one chain of stages that is known so far, "
+            f"but got {_shorten(value)}; leave the key out or write {_EXAMPLES['stages']}"
+        )
+    return STAGES
+
+
+def _order(value: object, info: ValidationInfo) -> str:
+    if value not in ORDERS:
+        raise CampaignError(
+            f"sensor_is: expected one of {', '.join(ORDERS)}, among the lags that do not depend "
+            f"on flow, but got {_shorten(value)}; write for example {_EXAMPLES['sensor_is']}"
+        )
+    return str(value)
+
+
+class Rig(BaseModel):
+    """``[rig]``: what the gas passes, and which of the lags is the sensor's."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    stages: Annotated[tuple[str, ...], BeforeValidator(_stages)] = STAGES
+    sensor_is: Annotated[str, BeforeValidator(_order)] = "unknown"
+
+
 class Sheet(BaseModel):
     """The top level of a campaign file, its tables still as they were written."""
 
@@ -184,6 +214,7 @@ class Sheet(BaseModel):
 
     title: Text = "untitled campaign"
     allow_outside: bool = False
+    rig: dict[str, Any] = Field(default_factory=dict)
     side_information: dict[str, Any] = Field(default_factory=dict)
     experiment: list[dict[str, Any]] = Field(min_length=1)
 
@@ -252,6 +283,14 @@ def read_entry(table: dict[str, Any], number: int, label: str) -> Entry:
         return Entry.model_validate(table)
     except ValidationError as error:
         raise CampaignError(f"{which} ({label}): {_first_problem(error, Entry)}") from None
+
+
+def read_rig(table: dict[str, Any], label: str) -> Rig:
+    """What is said of the rig, checked; CampaignError names the key."""
+    try:
+        return Rig.model_validate(table)
+    except ValidationError as error:
+        raise CampaignError(f"{label}: [rig] {_first_problem(error, Rig)}") from None
 
 
 def read_side_information(table: dict[str, Any], label: str) -> dict[str, SideInformation]:

@@ -233,7 +233,7 @@ def measure(step, call):
     print(json.dumps(row), flush=True)
     return result
 
-problem = Problem(Campaign("large", experiments))
+problem = Problem(Campaign("large", experiments, sensor_is="faster"))
 campaign = measure("simulate (the data alone)", lambda: simulate(problem, theta, seed=1))
 fit = measure("fit", lambda: fit_least_squares(campaign, seed=1, euler=False))
 posterior = measure("posterior", lambda: sample_posterior(campaign, fit, 1, "independence"))

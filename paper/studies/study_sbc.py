@@ -44,7 +44,9 @@ def problem() -> Problem:
         priors[f"beta_V[{e.name}]"] = Prior("normal", 1.9, 0.3)
         priors[f"t0_s[{e.name}]"] = Prior("uniform", ON, ON + 1.0)
         priors[f"tf_s[{e.name}]"] = Prior("uniform", OFF, OFF + 1.0)
-    return Problem(Campaign("calibration design", experiments), given_priors=priors)
+    return Problem(
+        Campaign("calibration design", experiments, sensor_is="faster"), given_priors=priors
+    )
 
 
 def study() -> RankStudy:

@@ -1,0 +1,16 @@
+"""What decides whether the headline of a fit stands, as sentences that every command repeats."""
+
+from __future__ import annotations
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.likelihood import Problem
+
+
+def caveats(
+    problem: Problem, vector: FloatArray, residuals: list[tuple[FloatArray, FloatArray]]
+) -> list[str]:
+    """Sentences that belong before the headline; empty where it stands as it is.
+
+    ``vector`` (n_theta,): the fit; ``residuals``: of every experiment r (n_t,) in V and x3 (n_t,).
+    """
+    return []
