@@ -32,7 +32,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
-from bayes_sensor.likelihood import Problem, simulate
+from bayes_sensor.likelihood import Problem, log_priors, simulate
 from bayes_sensor.posterior import SAMPLERS, Posterior, Settings, sample_posterior
 from bayes_sensor.workers import WorkerDied, completed, dask_client
 
@@ -59,8 +59,14 @@ TAU_COLUMNS = (
 def draw_prior(problem: Problem, rng: np.random.Generator) -> FloatArray:
     """One theta (n_theta,) from the problem's prior, with tau <= tau_v.
 
-    Raises CampaignError where a prior is improper: nothing can be drawn from it.
+    Raises CampaignError where a prior is improper, or known by name while lags have none: nothing
+    can be drawn from it.
     """
+    if len(problem.name_factors[1]):
+        raise CampaignError(
+            "the prior weighs names of lags by what is known of them, so nothing can be drawn from "
+            "it; say in the campaign which lag is the sensor's (sensor_is)"
+        )
     names = problem.layout.names
     flat = [n for n in names if n not in problem.fixed and problem.priors[n].law is None]
     if flat:
@@ -77,7 +83,8 @@ def draw_prior(problem: Problem, rng: np.random.Generator) -> FloatArray:
                 for n in names
             ]
         )
-        if theta[0] <= theta[1]:  # the whole vector again: the rule couples tau and tau_v
+        # the whole vector again: lags stand in it by size
+        if np.isfinite(log_priors(problem, theta[None])[0]):
             return theta
 
 

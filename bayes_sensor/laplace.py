@@ -390,7 +390,7 @@ def approximate(
 
 
 def _into_support(problem: Problem, theta: FloatArray) -> FloatArray:
-    """``theta`` moved just inside its priors and below tau = tau_v where it is not."""
+    """``theta`` moved just inside its priors, with its lags by size where they are not."""
     theta = theta.copy()
     for i, name in enumerate(problem.layout.names):
         prior = problem.priors[name]
@@ -402,6 +402,9 @@ def _into_support(problem: Problem, theta: FloatArray) -> FloatArray:
         elif name in problem.layout.extra and prior.kind in ("half_normal", "log_normal"):
             theta[i] = max(theta[i], 1e-6 * prior.a)
     theta[0] = min(theta[0], 0.999 * theta[1])
+    if problem.flow is not None:
+        low, high = theta[0] * problem.flow, theta[1] * problem.flow
+        theta[2] = np.clip(theta[2], low + 1e-3 * (high - low), high - 1e-3 * (high - low))
     return theta
 
 

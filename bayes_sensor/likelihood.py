@@ -22,7 +22,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.lags import Assignment, Naming, assignments, by_size, common_flow
 from bayes_sensor.model import (
+    SHARED,
     Cascade,
     Layout,
     Theta,
@@ -142,6 +144,8 @@ KINDS = ("flat", "normal", "half_normal", "log_normal", "uniform", "log_uniform"
 # (9 L/min) takes from 10 to 90 %; another rig's scale follows in proportion.
 TAU_PRIOR_SCALE = 0.200
 PUBLISHED_TIMES = (0.0481, 0.8577, 0.05823 / 0.15)
+FEWEST_OF_RISE = 16
+"""samples of a step from which its rise may be read off"""
 
 
 def _rise_time(t: FloatArray, x: FloatArray) -> float | None:
@@ -178,20 +182,39 @@ def fastest_rise(campaign: Campaign) -> float:
     return min(times) if times else published_rise_time()
 
 
+def longest_lag_expected(campaign: Campaign) -> float:
+    """s, to one digit, the scale of a lag of unknown name: the fastest rise that is seen.
+
+    No lag is longer than half of it.  Where no step can be seen, the longest step commanded.
+    """
+    seen = [found for e in campaign if e.y is not None and (found := _measured_rise(e))]
+    if seen:
+        scale = fastest_rise(campaign)
+    else:
+        scale = max(_step_end(e) - _step_begin(e) for e in campaign)
+    return float(f"{scale:.0e}")
+
+
+def _step_begin(e: Experiment) -> float:
+    return float(e.t[0]) if e.commanded_on is None else e.commanded_on
+
+
+def _step_end(e: Experiment) -> float:
+    return float(e.t[-1]) if e.commanded_off is None else e.commanded_off
+
+
 def _measured_rise(e: Experiment) -> tuple[float, float] | None:
     """Size of the step (V) and its 10 to 90 % time (s), or None where it cannot be seen."""
-    on = e.commanded_on if e.commanded_on is not None else e.t[0]
-    off = e.commanded_off if e.commanded_off is not None else e.t[-1]
     t, y = e.t[e.used], e.values[e.used]
-    first, last = np.searchsorted(t, [on, off])
-    if last - first < 100:
+    first, last = np.searchsorted(t, [_step_begin(e), _step_end(e)])
+    if last - first < FEWEST_OF_RISE:
         return None
     # averages over a six-hundredth of the stretch: short against any rise that fills a tenth of it
     n_bin = max(1, (last - first) // 600)
     n = (last - first) // n_bin * n_bin
     means = y[first : first + n].reshape(-1, n_bin).mean(axis=1)
     times = t[first : first + n].reshape(-1, n_bin).mean(axis=1)
-    tenth = max(5, len(means) // 10)
+    tenth = max(min(5, len(means) // 4), len(means) // 10)
     low = float(np.median(means[:3] if first < 20 else y[:first]))
     high = float(np.median(means[-tenth:]))
     scatter = float(np.std(np.diff(means[-tenth:]))) / sqrt(2.0)
@@ -204,20 +227,25 @@ def _measured_rise(e: Experiment) -> tuple[float, float] | None:
 def default_priors(campaign: Campaign, layout: Layout) -> dict[str, Prior]:
     """Weakly informative priors for every parameter of a campaign, by flat name.
 
-    * ``tau``: half-normal, 200 ms at the published rig and in proportion to the fastest rise seen
-      elsewhere (rounded to one digit, so that noise does not move it).  The information is on
-      tau^2, so this choice matters near zero; see the prior table in the report.
-    * ``tau_v``: log-normal around a third of the fastest rise, sd 1.5 in the logarithm; and
-      tau <= tau_v, because the cascade is unchanged when the two swap: the sensor is taken to be
-      the faster one.
-    * ``V``: log-normal around the volume that flow would fill in a third of the rise, sd 1.5.
+    theta holds lags by size (:mod:`bayes_sensor.lags`): ``tau_s`` is the name of the shortest lag's
+    place here, ``tau_v_s`` of the longest's and, at one flow, ``V_mL`` of the middle one's.
+
+    * Where the sensor is said to be the faster lag, as in the paper, the shortest lag is half-
+      normal, 200 ms at the published rig and in proportion to the fastest rise seen elsewhere
+      (rounded to one digit, so that noise does not move it); the information is on tau^2, so this
+      choice matters near zero; see the prior table in the report.  Where flows differ ``tau_v`` is
+      log-normal around a third of the fastest rise, sd 1.5 in the logarithm.
+    * All other lags that may be exchanged have one law, so that no prior decides which is which:
+      half-normal, as wide as the fastest rise.
+    * ``V``, where flows tell it: log-normal around the volume that flow would fill in a third of
+      the rise, sd 1.5.
     * ``t0``, ``tf``: uniform from the commanded time (nothing happens before the command) to the
       next command or the record's end; without commanded times uniform over the record.
     * ``y0``, ``beta``: flat (the data hold them to a thousandth; flat makes the marginal exact).
     * ``phi``: uniform on (-1, 1), or (0, 1) when sampling intervals differ.
     * ``sigma0``, ``sigma1``: half-normal, ten times the campaign's sample-to-sample scatter.
 
-    Side information replaces the law of the parameter it names by a normal one.
+    Side information and priors that the user gives come on top (:attr:`Problem.priors`).
     """
     rise = fastest_rise(campaign)
     scale = TAU_PRIOR_SCALE * rise / published_rise_time()
@@ -229,24 +257,26 @@ def default_priors(campaign: Campaign, layout: Layout) -> dict[str, Prior]:
         "tau_v_s": Prior("log_normal", rise / 3.0, 1.5),
         "V_mL": Prior("log_normal", flow * rise / 3.0, 1.5),
     }
+    if campaign.same_flow or campaign.sensor_is != "faster":
+        any_lag = Prior("half_normal", longest_lag_expected(campaign))
+        priors["tau_v_s"] = any_lag
+        if campaign.sensor_is != "faster":
+            priors["tau_s"] = any_lag
+        if campaign.same_flow:
+            priors["V_mL"] = Prior("half_normal", any_lag.a * flow)
     for e in campaign:
         priors[f"y0_V[{e.name}]"] = Prior("flat")
         priors[f"beta_V[{e.name}]"] = Prior("flat")
-        start, end = float(e.t[0]), float(e.t[-1])
-        on = start if e.commanded_on is None else e.commanded_on
-        off = end if e.commanded_off is None else e.commanded_off
-        priors[f"t0_s[{e.name}]"] = Prior("uniform", on, off)
+        end = float(e.t[-1])
+        priors[f"t0_s[{e.name}]"] = Prior("uniform", _step_begin(e), _step_end(e))
         if e.has_fall:
-            priors[f"tf_s[{e.name}]"] = Prior("uniform", off, end)
+            priors[f"tf_s[{e.name}]"] = Prior("uniform", _step_end(e), end)
     for name in layout.noise_names:
         kind = name.split("[")[0]
         if kind == "phi":
             priors[name] = Prior("uniform", -1.0 if campaign.same_interval else 0.0, 1.0)
         else:
             priors[name] = Prior("half_normal", 10.0 * scatter)
-    for name, info in campaign.side_information.items():
-        if name in priors:
-            priors[name] = Prior("normal", info.mean, info.sd)
     return priors
 
 
@@ -291,20 +321,126 @@ class Problem:
         return Layout.of(self.campaign, self.noise.per_experiment, self.model.extra)
 
     @cached_property
+    def named_laws(self) -> dict[str, Prior]:
+        """What is known of tau, tau_v and V by name: side information, or a prior that is given."""
+        known = {
+            name: Prior("normal", info.mean, info.sd)
+            for name, info in self.campaign.side_information.items()
+        }
+        known |= {name: law for name, law in self.given_priors.items() if name in SHARED}
+        return {name: law for name, law in known.items() if name in SHARED}
+
+    @cached_property
+    def assignments(self) -> tuple[Assignment, ...]:
+        """The ways in which the campaign's lags may be named, all of one prior probability."""
+        one_flow = self.campaign.same_flow
+        return assignments(self.campaign.sensor_is, one_flow, "V_mL" in self.named_laws)
+
+    @cached_property
+    def flow(self) -> float | None:
+        """mL/s, the total flow where all experiments share one, else None."""
+        return common_flow(self.campaign)
+
+    @cached_property
     def priors(self) -> dict[str, Prior]:
-        """Every parameter's prior, by flat name.
+        """The prior law of every place in theta, by flat name.
+
+        Lags stand in theta by size (see :func:`default_priors`).  Where only one assignment of
+        names to them is possible, what is known by name replaces the law of its place; where there
+        are several, it weighs them (:attr:`name_factors`) and the laws here stay as they are.
 
         Raises CampaignError where one is given for a name that no parameter has.
         """
         # not when it is made: a problem may be on its way to another model, with its parameters
         for name in self.given_priors:
             check_name(self.layout, name, "Problem.given_priors")
-        given = dict(self.given_priors)
+        given = {name: law for name, law in self.given_priors.items() if name not in SHARED}
         for name in self.layout.noise_names:
             kind = name.split("[")[0]
             if kind in given:
                 given.setdefault(name, given[kind])
+        known = self.named_laws
+        if self.flow is None and "V_mL" in known:
+            given["V_mL"] = known["V_mL"]
+        if len(self.assignments) == 1:
+            (only,) = self.assignments
+            for name, place in (("tau_s", only.sensor), ("tau_v_s", only.valve)):
+                if name in known:
+                    given[SHARED[place]] = known[name]
         return {**default_priors(self.campaign, self.layout), **given}
+
+    @cached_property
+    def name_factors(self) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
+        """What is known by name, as factors of the prior of every assignment.
+
+        The law of factor ``j`` under assignment ``a`` is ``KINDS[kind[j]]`` with ``numbers[j]``, at
+        ``theta[place[a, j]] * scale[a, j]``: place (n_assignments, n_factors), kind (n_factors,),
+        numbers (n_factors, 2), scale (n_assignments, n_factors).  The prior is the mean over the
+        assignments of their products.  No factors where one assignment is possible, or nothing is
+        known by name.
+        """
+        several = len(self.assignments) > 1
+        names = [
+            name
+            for name, law in self.named_laws.items()
+            if several and (name != "V_mL" or self.flow is not None) and law.kind != "flat"
+        ]
+        # the places of the lags in theta, shortest first, and what makes a lag of their values
+        places = (0, 1) if self.flow is None else (0, 2, 1)
+        to_lag = (1.0, 1.0) if self.flow is None else (1.0, 1.0 / self.flow, 1.0)
+        shape = (len(self.assignments), len(names))
+        place, scale = np.zeros(shape, dtype=np.int64), np.ones(shape)
+        for a, assignment in enumerate(self.assignments):
+            whose = {
+                "tau_s": assignment.sensor,
+                "tau_v_s": assignment.valve,
+                "V_mL": assignment.manifold or 0,
+            }
+            for j, name in enumerate(names):
+                place[a, j] = places[whose[name]]
+                scale[a, j] = to_lag[whose[name]]
+                if name == "V_mL" and self.flow is not None:
+                    scale[a, j] *= self.flow
+        laws = [self.named_laws[name] for name in names]
+        kind = np.array([KINDS.index(law.kind) for law in laws], dtype=np.int64)
+        return place, kind, np.array([(law.a, law.b) for law in laws]).reshape(-1, 2), scale
+
+    def log_weights(self, thetas: FloatArray) -> FloatArray:
+        """(.., n_assignments) log of what is known by name under every assignment, at ``thetas``
+        (.., n_theta) that hold lags by size."""
+        place, kind, numbers, scale = self.name_factors
+        total = np.zeros((*thetas.shape[:-1], len(self.assignments)))
+        for j in range(len(kind)):
+            law = Prior(KINDS[kind[j]], *numbers[j])
+            total += law.log_density(thetas[..., place[:, j]] * scale[:, j])
+        return total
+
+    def naming(self, probabilities: FloatArray | None = None) -> Naming:
+        """What may be said of the lags' names.
+
+        ``probabilities`` (n_assignments,) of the assignments: default equal.
+        """
+        n = len(self.assignments)
+        shares = np.full(n, 1.0 / n) if probabilities is None else probabilities
+        return Naming(
+            self.campaign.sensor_is, self.assignments, tuple(map(float, shares)), self.flow
+        )
+
+    def shares(self, thetas: FloatArray) -> FloatArray:
+        """(.., n_assignments) probability of every assignment at ``thetas`` (.., n_theta)."""
+        weights = self.log_weights(thetas)
+        found: FloatArray = np.exp(weights - np.logaddexp.reduce(weights, axis=-1)[..., None])
+        return found
+
+    def by_size(self, theta: Theta) -> FloatArray:
+        """:meth:`flat` with the lags in the places that they have by size.
+
+        Where the campaign says that the sensor is the faster lag, ``theta`` is taken to mean that.
+        """
+        vector = self.flat(theta)
+        if self.flow is None and self.campaign.sensor_is == "faster":
+            return vector
+        return by_size(vector, self.flow)
 
     @cached_property
     def fixed(self) -> dict[str, float]:
@@ -362,22 +498,33 @@ def as_problem(campaign: Campaign | Problem) -> Problem:
 def log_priors(problem: Problem, thetas: FloatArray) -> FloatArray:
     """(n,) natural log of the prior density at each row of ``thetas`` (n, n_theta).
 
-    Flat laws count as 0, pinned parameters are left out; -inf outside the support, tau > tau_v
-    included.
+    Flat laws count as 0, pinned parameters are left out; -inf outside the support, which holds
+    lags by size only: tau <= tau_v, and V/Q between them at one flow.
     """
     thetas = np.ascontiguousarray(np.atleast_2d(thetas), dtype=float)
     total = np.empty(len(thetas))
-    _sum_log_priors(thetas, *problem.prior_table, total)
+    flow = 0.0 if problem.flow is None else problem.flow
+    _sum_log_priors(thetas, *problem.prior_table, flow, total)
+    if len(problem.name_factors[1]):
+        total += np.logaddexp.reduce(problem.log_weights(thetas), axis=-1)
+        total -= log(len(problem.assignments))
     return total
 
 
 @njit(cache=True, error_model="numpy")
 def _sum_log_priors(
-    thetas: FloatArray, kinds: NDArray[np.int64], table: FloatArray, total: FloatArray
+    thetas: FloatArray,
+    kinds: NDArray[np.int64],
+    table: FloatArray,
+    flow: float,
+    total: FloatArray,
 ) -> None:  # pragma: no cover - compiled
-    # Prior.log_density for every parameter, in the order of KINDS; -inf where tau > tau_v
+    # Prior.log_density for every parameter, in the order of KINDS; -inf where lags are not by size
+    # (flow: that of all experiments, or 0 where flows differ)
     for n in range(len(thetas)):
         total[n] = -np.inf if thetas[n, 0] > thetas[n, 1] else 0.0
+        if flow > 0.0 and not thetas[n, 0] * flow <= thetas[n, 2] <= thetas[n, 1] * flow:
+            total[n] = -np.inf
         for i in range(len(kinds)):
             x, a, b = thetas[n, i], table[i, 0], table[i, 1]
             if kinds[i] == 0:
@@ -403,6 +550,17 @@ def log_prior_derivatives(problem: Problem, theta: FloatArray) -> tuple[FloatArr
     """First derivative of the log prior and minus the second where that is positive, (n,) each."""
     first, second = np.zeros(len(theta)), np.zeros(len(theta))
     _prior_derivatives(theta, *problem.prior_table, first, second)
+    place, kind, numbers, scale = problem.name_factors
+    if len(kind):
+        weights = problem.log_weights(theta)
+        with np.errstate(invalid="ignore"):  # where none is possible the prior is zero anyway
+            share = np.exp(weights - np.logaddexp.reduce(weights))
+        slope, curve = np.zeros(len(kind)), np.zeros(len(kind))
+        for a in np.flatnonzero(share > 0.0):
+            slope[:], curve[:] = 0.0, 0.0
+            _prior_derivatives(theta[place[a]] * scale[a], kind, numbers, slope, curve)
+            np.add.at(first, place[a], share[a] * slope * scale[a])
+            np.add.at(second, place[a], share[a] * curve * scale[a] ** 2)
     return first, second
 
 
@@ -431,9 +589,12 @@ def _prior_derivatives(
 
 
 def log_prior(campaign: Campaign | Problem, theta: Theta) -> float:
-    """Natural log of the prior density at ``theta``; -inf outside the support (tau > tau_v too)."""
+    """Natural log of the prior density at ``theta``; -inf outside the support.
+
+    Lags may be given in any order, but where the campaign says that the sensor is the faster one.
+    """
     problem = as_problem(campaign)
-    return float(log_priors(problem, problem.flat(theta))[0])
+    return float(log_priors(problem, problem.by_size(theta)[None])[0])
 
 
 # --------------------------------------------------------------------------- the full pass

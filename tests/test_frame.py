@@ -29,6 +29,7 @@ ROOMS = (
     "check",
     "model",
     "noise",
+    "lags",
     "likelihood",
     "results",
     "compression",

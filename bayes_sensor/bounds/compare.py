@@ -24,7 +24,9 @@ from bayes_sensor.bounds.sandwich import sandwich
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.fit import Fit
 from bayes_sensor.fit.identifiability import coloured_noise, slow_noise
+from bayes_sensor.lags import Naming
 from bayes_sensor.likelihood import Problem, as_problem
+from bayes_sensor.model import SHARED
 from bayes_sensor.workers import one_thread
 
 Method = Callable[[Evidence], Bound]
@@ -64,19 +66,15 @@ CLOSE_WORDS = (
     "tau and tau_v are close, and the cascade is unchanged when they swap: intervals about one "
     "order may be too narrow, those of the profile are not"
 )
-ONE_FLOW = (
-    "all flows are equal, and tau_v and V/Q may then be exchanged: intervals are about one of the "
-    "two orders"
-)
 
 
 def why_mute(evidence: Evidence, name: str) -> str:
     """Why a method can say nothing about these data, as a sentence; empty where it can."""
     if name != "posterior" and not evidence.fit.step_seen:
         return "no step is seen in any experiment"
-    walled = [n for n in ("tau_s", "tau_v_s", "V_mL") if n in evidence.fit.at_bound]
-    if evidence.at_bound:  # a sensor too fast to see is an ordinary outcome
-        walled = [n for n in walled if n != "tau_s"]
+    walled = [n for n in evidence.fit.names[:3] if n in evidence.fit.at_bound]
+    if evidence.at_bound:  # a lag too short to see is an ordinary outcome
+        walled = [n for n in walled if n != evidence.fit.names[0]]
     if name not in ("crlb_ar1", "profile", "posterior") and walled:
         return f"least squares ended at the edge of its search in {', '.join(walled)}"
     if name in SPREAD_OF_LEAST_SQUARES:
@@ -91,8 +89,6 @@ def doubts(evidence: Evidence, name: str) -> list[str]:
     theta = evidence.theta
     if name not in ("profile", "posterior") and theta[0] > CLOSE * theta[1]:
         found.append(CLOSE_WORDS)
-    if name != "posterior" and evidence.problem.campaign.same_flow and not evidence.fit.twin:
-        found.append(ONE_FLOW)
     if name in TAKES_WHITE:
         found.append(coloured_noise(evidence.problem, theta))
     if name in MODELS_NOISE:
@@ -128,6 +124,18 @@ def without_roles(bound: Bound, reason: str) -> Bound:
     )
 
 
+def with_names(bound: Bound, naming: Naming) -> Bound:
+    """The bound with its lags under the names that may be stated of them, or by size."""
+    names, arrays = list(bound.names), [bound.estimate, bound.sd, bound.low, bound.high]
+    estimate, sd, low, high = (array.copy() for array in arrays)
+    for name, (label, factor) in zip(SHARED, naming.labels, strict=True):
+        i = bound.names.index(name)
+        names[i] = label
+        for array in (estimate, sd, low, high):
+            array[i] *= factor
+    return replace(bound, names=names, estimate=estimate, sd=sd, low=low, high=high)
+
+
 @one_thread
 def compare_bounds(
     campaign: Campaign | Problem,
@@ -143,6 +151,9 @@ def compare_bounds(
     ``methods``: names out of :data:`METHODS` or another mapping of that shape; default all, the
     posterior only where one is given.  Methods that rest on least squares are centred on the fit,
     those under coloured noise (``crlb_ar1``, ``profile``) on the maximum of that likelihood.
+
+    Where it is not known whose a lag is, it is called by its size (``lag_fast_s``, ``lag_slow_s``),
+    and tau or tau_v has no value.
 
     Where no step is seen, and for least squares under noise that is correlated over much of a
     record, a method gives no value and says why.
@@ -177,6 +188,8 @@ def compare_bounds(
 
     evidence = Evidence(problem, fit, posterior, seed, n_resamples, report)
     check_data(problem, fit, posterior)
+    # the draws know more of the names than the fit's Gaussian does
+    naming = getattr(posterior, "naming", None) or fit.naming or problem.naming()
     for name, method in chosen.items():
         report(0.0, name)
         start = time.perf_counter()
@@ -186,6 +199,7 @@ def compare_bounds(
             bounds[name] = without_roles(bounds[name], fit.twin)
         for doubt in [] if mute else doubts(evidence, name):
             bounds[name] = with_remark(bounds[name], doubt)
+        bounds[name] = with_names(bounds[name], naming)
         seconds[name] = time.perf_counter() - start
         done += 1
     return Bounds(

@@ -21,6 +21,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.fit import Fit
 from bayes_sensor.fit.belongs import check_data_of_fit
 from bayes_sensor.likelihood import Problem
+from bayes_sensor.model import SHARED
 from bayes_sensor.residuals import noise_doubt
 
 Progress = Callable[[float, str], None]
@@ -38,8 +39,9 @@ class Evidence:
     progress: Progress = field(default=lambda fraction, text: None)
 
     def __post_init__(self) -> None:
-        expected = self.problem.layout.names
-        if list(self.fit.names) != expected:
+        expected, n = self.problem.layout.names, len(SHARED)
+        # the lags' own names depend on what is known of them
+        if len(self.fit.names) != len(expected) or list(self.fit.names)[n:] != expected[n:]:
             raise CampaignError(
                 f"the fit has {len(self.fit.names)} parameters ({', '.join(self.fit.names[:3])}, "
                 f"..), the campaign needs {len(expected)}; fit this campaign with this model first"
@@ -146,7 +148,7 @@ class Evidence:
     def at_bound(self) -> bool:
         """Whether least squares has tau at its lower bound."""
         return bool(
-            ("tau_s" in self.fit.at_bound and self.theta[0] < 0.1 * self.theta[1])
+            (self.fit.names[0] in self.fit.at_bound and self.theta[0] < 0.1 * self.theta[1])
             or self.theta[0] ** 2 <= 1.001 * self.white.floor[0]
         )
 
@@ -156,7 +158,7 @@ def check_data(problem: Problem, fit: Fit, posterior: Any) -> None:
     check_data_of_fit(problem, fit)
     if posterior is None:
         return
-    missing = [n for n in problem.layout.names if n not in posterior.names]
+    missing = [n for n in problem.layout.names if n not in posterior.layout.names]
     of = getattr(getattr(posterior, "problem", None), "campaign", None)
     if missing or (of is not None and not _same_data(of, problem.campaign)):
         what = f"has no {missing[0]}" if missing else "is of other data"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.model import SHARED
 from bayes_sensor.notebook import card
 from bayes_sensor.results import plain
 
@@ -91,6 +92,8 @@ class Bound:
             row = plain(self.row(name))
             said = any(row[key] is not None for key in COLUMNS[1:])
             parameters[name] = row if said else None
+        for name in SHARED:  # what has no value because it is not known whose a lag is
+            parameters.setdefault(name, None)
         return {
             "assumes": self.assumes,
             "reference": self.reference,
@@ -126,7 +129,8 @@ class Bounds:
     def _repr_html_(self) -> str:
         """What a notebook shows of it: the shared parameters; :meth:`table` has all."""
         rows = []
-        for name in ("tau_s", "tau_v_s", "V_mL"):
+        shown = dict.fromkeys(name for bound in self.methods.values() for name in bound.names[:3])
+        for name in shown:
             for method, bound in self.methods.items():
                 row = bound.row(name) if name in bound.names else {}
                 ends = [row.get(key) for key in ("estimate", "sd", "lo95", "hi95")]

@@ -355,8 +355,9 @@ def naive_bounds(job: Job) -> dict[str, Any]:
     from bayes_sensor.bounds import cramer_rao
 
     vector, sigma = reference_theta(job), float(job.fit.rms)
+    names = (job.fit if job.posterior is None else job.posterior).naming.names
     found: dict[str, Any] = {
-        "at": {name: float(vector[i]) for i, name in enumerate(job.fit.names[:3])},
+        "at": {name: float(vector[i]) for i, name in enumerate(names)},
         "sigma_V": sigma,
     }
     for method, options in (
@@ -366,7 +367,7 @@ def naive_bounds(job: Job) -> dict[str, Any]:
     ):
         try:
             bound = cramer_rao(job.problem, vector, sigma, **options)
-            found[method] = plain(dict(zip(bound.names[:3], bound.sd[:3], strict=True)))
+            found[method] = plain(dict(zip(names, bound.sd[:3], strict=True)))
         except CampaignError:  # forward Euler is unstable for a tau below half a sample
             found[method] = None
     return found
@@ -654,7 +655,7 @@ def stage_report(source: Path, stage: Stage, tell: Progress, form: str = "html")
 
 def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
     """The last lines: result, warnings, what was not reached, where it is."""
-    from bayes_sensor.report import headline, number
+    from bayes_sensor.report import chain_words, headline, number
 
     command, quiet = job.command, job.quiet
     for sentence in job.fit.caveats:  # what decides the headline is said before it
@@ -665,14 +666,15 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
         found = headline(record, bounds, job.overrides.record())
         if found is not None:
             say(str(found), quiet)
-            if found.is_limit and found.limit:
+            if found.is_limit and found.limit and not found.hidden:
                 say(f"zero is not excluded: tau < {found.limit} (95 %)", quiet)
+            if record is not None:
+                say(chain_words(record), quiet)
     if command == "fit":
-        p, unit = job.fit.parameters, job.fit.signal_unit
+        unit = job.fit.signal_unit
         say(
-            f"tau = {number(1e3 * p['tau_s'])} ms, tau_v = {number(1e3 * p['tau_v_s'])} ms, "
-            f"V = {number(p['V_mL'])} mL; RMS residual {number(job.fit.rms)} {unit} "
-            "(intervals: bounds or posterior)",
+            f"{_lags_of_fit(job.fit)}; RMS residual {number(job.fit.rms)} {unit} (intervals: "
+            "bounds or posterior)",
             quiet,
         )
     if command == "delays":
@@ -713,6 +715,41 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
             quiet,
         )
     say(f"{'report' if command == 'analyze' else 'results'}: {_place(job)}", quiet)
+
+
+def _lags_of_fit(fit: Any) -> str:
+    """The fitted lags and volume in words; a lag at the lower end of its search is no value."""
+    from bayes_sensor.report import number
+
+    def time_words(value: float) -> str:
+        return f"{number(value)} s" if value >= 1.0 else f"{number(1e3 * value)} ms"
+
+    names, flow = fit.names[:3], fit.naming.flow
+    unseen = {name for name in names if name in fit.at_bound and fit.is_unseen(name)}
+    if fit.order == "undecided":
+        places = names[:2] if flow is None else [names[0], names[2], names[1]]
+        seen = [
+            time_words(lag) for name, lag in zip(places, fit.lags, strict=True)
+            if name not in unseen
+        ]  # fmt: skip
+        text = f"one lag of {seen[0]}" if len(seen) == 1 else f"lags of {' and '.join(seen)}"
+        if not seen:
+            text = "no lag can be seen"
+        if unseen and seen:
+            text += "; any other is too short to be seen"
+        if len(seen) > 1 or flow is not None:
+            text += " (which is the sensor's is not known: say [rig] sensor_is)"
+    else:
+        p = fit.parameters
+        text = ", ".join(
+            f"{name.removesuffix('_s')} too short to be seen"
+            if name in unseen
+            else f"{name.removesuffix('_s')} = {time_words(p[name])}"
+            for name in ("tau_s", "tau_v_s")
+        )
+    if flow is None and "V_mL" not in unseen:
+        text += f", V = {number(fit.parameters['V_mL'])} mL"
+    return text
 
 
 def _place(job: Job) -> Path:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.fit.side_information import Comparison
 from bayes_sensor.likelihood import Problem
 
 
 def caveats(
-    problem: Problem, vector: FloatArray, residuals: list[tuple[FloatArray, FloatArray]]
+    problem: Problem,
+    vector: FloatArray,
+    residuals: list[tuple[FloatArray, FloatArray]],
+    compared: Sequence[Comparison] = (),
 ) -> list[str]:
     """Sentences that belong before the headline; empty where it stands as it is.
 
-    ``vector`` (n_theta,): the fit; ``residuals``: of every experiment r (n_t,) in V and x3 (n_t,).
+    ``vector`` (n_theta,): the fit; ``residuals``: of every experiment r (n_t,) in V and x3 (n_t,);
+    ``compared``: side information beside what the data alone say.
     """
-    return []
+    return [each.sentence() for each in compared if each.contradicts]

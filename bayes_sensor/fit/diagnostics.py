@@ -12,7 +12,7 @@ from bayes_sensor.campaign import Experiment, FloatArray
 from bayes_sensor.fit.identifiability import step_error
 from bayes_sensor.fit.looks import Look
 from bayes_sensor.likelihood import Problem
-from bayes_sensor.model import Layout, unit_of
+from bayes_sensor.model import SHARED, Layout, unit_of
 
 
 def local_noise(z: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
@@ -96,9 +96,9 @@ def warn(
     warnings = []
     if campaign.same_flow:
         warnings.append(
-            "There is one total flow only: the valve's tau_v and the manifold's V/Q enter "
-            "alike and cannot be told apart; only the set of time constants is determined (the "
-            "smallest is given as tau, the largest as tau_v)."
+            "There is one total flow only: the sensor's tau, the valve's tau_v and the manifold's "
+            "V/Q enter alike and cannot be told apart by the data; only the set of lags is "
+            "determined."
         )
     moving = [e.name for e, look in zip(campaign, looks) if not look.settled]
     if moving:
@@ -155,15 +155,21 @@ def bound_warnings(
     vector: FloatArray,
     layout: Layout,
     unit: str,
+    labels: Mapping[str, str],
 ) -> list[str]:
+    """A sentence for every estimate at a search bound.
+
+    ``labels``: by flat name of theta's places, what may be stated of whose each lag is.
+    """
     sentences = []
     for name in at_bound:
         low, high = box[name]
         lower = vector[layout.index(name)] - low < high - vector[layout.index(name)]
-        if name == "tau_s" and lower:
+        if name in SHARED and lower:
+            word = OF_LAGS.get(labels[name], labels[name])
             sentences.append(
-                f"tau is at its lower bound ({low * 1e3:.3g} ms): the data give an upper limit "
-                "only; see the posterior's one-sided limits."
+                f"{word} is too small for these data to see: they give an upper limit only; see "
+                "the posterior's limits."
             )
         elif name.startswith(("t0_s", "tf_s")) and lower:
             what = "response" if name.startswith("t0_s") else "fall"
@@ -175,8 +181,18 @@ def bound_warnings(
         else:
             side, own = "lower" if lower else "upper", unit_of(name.partition("[")[0], unit)
             sentences.append(
-                f"{name} is at its {side} bound ({low if lower else high:.6g} {own}): what "
-                "lies beyond was not looked for, so distrust it; check flows and times, or give "
-                "fit_least_squares other bounds."
+                f"{labels.get(name, name)} is at its {side} bound ({low if lower else high:.6g} "
+                f"{own}): what lies beyond was not looked for, so distrust it; check flows and "
+                "times, or give fit_least_squares other bounds."
             )
     return sentences
+
+
+OF_LAGS = {
+    "tau_s": "tau",
+    "tau_v_s": "tau_v",
+    "V_mL": "V",
+    "lag_fast_s": "the shorter lag",
+    "lag_slow_s": "the longer lag",
+}
+"""words for the names of theta's first three values"""

@@ -20,10 +20,11 @@ from bayes_sensor.fit.noise import all_residuals, estimate_noise, mean_square
 from bayes_sensor.fit.points import averages, scatter
 from bayes_sensor.fit.record import Fit, Progress
 from bayes_sensor.fit.refinement import Refined, around, mesh_points, refine, with_noise
+from bayes_sensor.fit.side_information import named_parameters, weigh_names
 from bayes_sensor.fit.starts import guess, limits, swarm_problem
 from bayes_sensor.fit.swarm import particle_swarm
 from bayes_sensor.likelihood import Problem, as_problem, mean_and_variance
-from bayes_sensor.model import Cascade, exchanged
+from bayes_sensor.model import SHARED, Cascade, exchanged
 from bayes_sensor.workers import one_thread
 
 # Starts along the valley, as fractions of the rise time (10, 60, 200, 500 ms at the published rig).
@@ -119,9 +120,14 @@ def fit_least_squares(
     for name, value in estimate_noise(problem, residuals, rms).items():
         vector[problem.layout.index(name)] = value
     unit = problem.campaign.signal_unit
+    mute = cannot_tell(problem, vector, residuals)
+    seen = step_is_seen(problem, vector, residuals)
+    can_tell = seen and not mute
+    naming, compared = weigh_names(problem, vector) if can_tell else (problem.naming(), ())
+    labels = dict(zip(SHARED, naming.names, strict=True))
     warnings = warn(problem, vector, residuals, looks, unit)
     at_bound = at_bounds(problem.layout, vector, box)
-    warnings += bound_warnings(at_bound, box, vector, problem.layout, unit)
+    warnings += bound_warnings(at_bound, box, vector, problem.layout, unit, labels)
     if not record["agree"]:
         warnings.append(
             "Independent particle swarms ended in different places after refinement; "
@@ -134,7 +140,9 @@ def fit_least_squares(
     tell(1.0, "done")
     status = "Converged." if success else "The refinement stopped before it converged."
     if success and at_bound:
-        status = f"Converged, with {', '.join(at_bound)} at a search bound."
+        status = (
+            f"Converged, with {', '.join(map(labels.get, at_bound, at_bound))} at a search bound."
+        )
     twin = ""
     if other is not None:
         phi = max(float(vector[problem.layout.noise[0, 0]]), 0.0)
@@ -143,10 +151,7 @@ def fit_least_squares(
                 "valve and manifold cannot be told apart by these data: a fit with "
                 f"tau_v = {1e3 * other.tau_v:.4g} ms and V = {other.volume:.4g} mL is as good"
             )
-            if not problem.campaign.same_flow:  # which has a warning of its own
-                warnings.append(f"V{twin[1:]}.")
-    mute = cannot_tell(problem, vector, residuals)
-    seen = step_is_seen(problem, vector, residuals)
+            warnings.append(f"V{twin[1:]}.")
     if mute:
         warnings.insert(0, f"No interval can be given: {mute}.")
     if not seen:
@@ -156,17 +161,17 @@ def fit_least_squares(
             "constants mean nothing."
         )
     return Fit(
-        names=list(problem.layout.names),
+        names=[labels.get(name, name) for name in problem.layout.names],
         theta_hat=vector,
-        parameters=problem.layout.nested(vector),
+        parameters={**problem.layout.nested(vector), **named_parameters(naming, vector)},
         rms=rms,
         rms_per_experiment={
             e.name: sqrt(s / e.n_samples) for e, s in zip(problem.campaign, squares)
         },
         n_samples=n,
         cost=cost,
-        at_bound=at_bound,
-        bounds=box,
+        at_bound=[labels.get(name, name) for name in at_bound],
+        bounds={labels.get(name, name): ends for name, ends in box.items()},
         converged=success,
         status=status,
         warnings=warnings,
@@ -181,7 +186,9 @@ def fit_least_squares(
         cannot_tell=mute,
         twin=twin,
         step_seen=seen,
-        caveats=tuple(caveats(problem, vector, residuals)),
+        naming=naming,
+        side_information=compared,
+        caveats=tuple(caveats(problem, vector, residuals, compared)),
     )
 
 
@@ -263,10 +270,6 @@ def _search(
     tell(0.7, "mesh")
     start = _swap(campaign, best.theta, high)
     theta, success = _finish(problem, start, low, high, rise, noise, count)
-    if campaign.same_flow:  # exchanged, the cascade is the same
-        swapped = _other_order(campaign, theta)
-        if _apart(swapped, theta):
-            twin = Twin(swapped[1], swapped[2], 0.0)
     inside, inside_coarse = scatter(campaign, medium), scatter(campaign, coarse)
     each = []
     for i in range(swarms):

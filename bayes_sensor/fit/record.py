@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.fit.side_information import Comparison
+from bayes_sensor.lags import Naming, lags_of
 from bayes_sensor.notebook import card
 from bayes_sensor.results import plain
 
@@ -19,11 +21,12 @@ class Fit:
     """A least-squares fit of a campaign."""
 
     names: list[str]
-    """flat parameter names"""
+    """flat parameter names; a lag whose owner is not known is called by its size"""
     theta_hat: FloatArray
-    """(n_theta,) in the order of ``names``, noise parameters estimated from the residuals"""
+    """(n_theta,) in the order of ``names``: lags by size (:mod:`bayes_sensor.lags`); noise
+    parameters estimated from the residuals"""
     parameters: dict[str, Any]
-    """the same as the nested mapping of ``fit.json``"""
+    """the same as the nested mapping of ``fit.json``, under the likeliest names of the lags"""
     rms: float
     """V, of the residuals of all used samples"""
     rms_per_experiment: dict[str, float]
@@ -57,22 +60,52 @@ class Fit:
     """that another valve and manifold fit as well, as a sentence; empty where they do not"""
     step_seen: bool = True
     """whether the step of any experiment stands out of the noise"""
+    naming: Naming | None = None
+    """what may be said of the names of the lags"""
+    side_information: tuple[Comparison, ...] = ()
+    """each piece of side information beside what the data alone say"""
     caveats: tuple[str, ...] = ()
     """sentences that decide whether the headline stands: posterior, bounds and report repeat them
     before anything else"""
 
+    @property
+    def order(self) -> str:
+        """Whose the lags are: ``given``, ``decided`` (by side information) or ``undecided``."""
+        return "given" if self.naming is None else self.naming.order
+
+    @property
+    def lags(self) -> FloatArray:
+        """(n_lags,) s, the lags that flows do not tell apart, shortest first."""
+        return lags_of(self.theta_hat, None if self.naming is None else self.naming.flow)
+
+    def is_unseen(self, name: str) -> bool:
+        """Whether a lag, or V, sits at the lower end of its search: too small for these data."""
+        if name not in self.at_bound:
+            return False
+        low, high = self.bounds[name]
+        value = float(self.theta_hat[self.names.index(name)])
+        return value - low < high - value
+
     def __repr__(self) -> str:
         """The shared time constants and the status."""
-        shared = ", ".join(f"{name} {self.parameters[name]:.4g}" for name in self.names[:3])
+        shared = ", ".join(
+            f"{name} too small to be seen" if self.is_unseen(name) else f"{name} {value:.4g}"
+            for name, value in zip(self.names[:3], self.theta_hat[:3])
+        )
         return f"Fit({shared}; RMS {self.rms:.4g} {self.signal_unit}; {self.status})"
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it: no spreads, which are the bounds' and the posterior's."""
         limit = set(self.at_bound)
         rows = [
-            [name, value, "at a search bound" if name in limit else ""]
+            [
+                name,
+                None if self.is_unseen(name) else value,
+                "too small to be seen" if self.is_unseen(name)
+                else "at a search bound" if name in limit else "",
+            ]
             for name, value in zip(self.names, self.theta_hat.tolist(), strict=True)
-        ]
+        ]  # fmt: skip
         title = f"least squares: RMS {self.rms:.4g} {self.signal_unit}, {self.n_samples} samples"
         sentences = [*self.caveats, self.status, *self.warnings]
         return card(title, sentences, ["parameter", "value", ""], rows)
@@ -80,9 +113,12 @@ class Fit:
     def to_json(self) -> dict[str, Any]:
         """The content of ``fit.json``."""
         return {
+            "order": self.order,
             "rms_V": self.rms,
             "n_samples": self.n_samples,
             "parameters": self.parameters,
+            "lags_s": self.lags.tolist(),
+            "side_information": [each.to_json() for each in self.side_information],
             "at_bound": list(self.at_bound),
             "converged": self.converged,
             "caveats": list(self.caveats),

@@ -56,7 +56,7 @@ from bayes_sensor.gap.words import (
     without_a_step,
 )
 from bayes_sensor.likelihood import Problem
-from bayes_sensor.model import NOISE, Cascade, Layout, Theta
+from bayes_sensor.model import NOISE, SHARED, Cascade, Layout, Theta
 from bayes_sensor.workers import one_thread
 
 if TYPE_CHECKING:
@@ -211,7 +211,9 @@ def _mean_of(campaign: Campaign, fit: Fit) -> FloatArray:
 
     layout = Layout.of(campaign)
     n = layout.n_mean
-    if list(takewhile(lambda name: not name.startswith(NOISE), fit.names)) != layout.mean_names:
+    mean = list(takewhile(lambda name: not name.startswith(NOISE), fit.names))
+    # the lags' own names depend on what is known of them
+    if len(mean) != n or mean[len(SHARED) :] != layout.mean_names[len(SHARED) :]:
         raise CampaignError(
             f"gap: the fit has the parameters {', '.join(fit.names[:4])}, .., the campaign needs "
             f"{', '.join(layout.mean_names[:4])}, ..; fit this campaign first"

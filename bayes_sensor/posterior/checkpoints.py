@@ -97,5 +97,6 @@ def digest(
         hasher.update(repr((e.name, e.interval, e.total_flow, e.concentration)).encode())
     hasher.update(np.ascontiguousarray(start).tobytes())
     hasher.update(repr((problem.noise, problem.model, sorted(problem.priors.items()))).encode())
+    hasher.update(repr((problem.assignments, sorted(problem.named_laws.items()))).encode())
     hasher.update(repr((settings, seed, fineness)).encode())
     return hasher.hexdigest()

@@ -252,4 +252,8 @@ def into_priors(problem: Problem, thetas: FloatArray, rng: np.random.Generator) 
         thetas[outside, i] = law.rvs(int(outside.sum()), random_state=rng)
     wrong = thetas[:, 0] > thetas[:, 1]
     thetas[wrong, 0] = thetas[wrong, 1] * rng.random(int(wrong.sum()))
+    if problem.flow is not None:
+        low, high = thetas[:, 0] * problem.flow, thetas[:, 1] * problem.flow
+        wrong = ~((low <= thetas[:, 2]) & (thetas[:, 2] <= high))
+        thetas[wrong, 2] = (low + (high - low) * rng.random(len(thetas)))[wrong]
     return thetas

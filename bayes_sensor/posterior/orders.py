@@ -1,7 +1,8 @@
 """Which lag is the valve's and which the manifold's, where flows are too alike for data to tell.
 
-The cascade is unchanged when tau_v and V/Q swap.  At one total flow the priors alone tell them
-apart, and where these do not, both orders belong to the posterior.  tau stays the smallest lag.
+The cascade is unchanged when tau_v and V/Q swap at one flow.  Where the flows of a campaign are all
+equal that is exact, and the names are given to the lags afterwards (:mod:`bayes_sensor.lags`);
+where they differ by a few percent, both orders may be as good, and ensembles exchange them.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ NEGLIGIBLE = 15.0
 
 
 def flow_of_both(problem: Problem) -> float | None:
-    """mL/s, the flow at which tau_v and V/Q swap; None where flows tell them apart."""
-    if problem.fixed.keys() & {"tau_v_s", "V_mL"}:
+    """mL/s, the flow at which tau_v and V/Q nearly swap; None where flows tell them apart, or are
+    equal."""
+    if problem.flow is not None or problem.fixed.keys() & {"tau_v_s", "V_mL"}:
         return None
     flows = np.array([e.total_flow for e in problem.campaign])
     middle = float(np.median(flows))

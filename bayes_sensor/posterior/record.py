@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import nan
 from pathlib import Path
@@ -11,20 +11,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.lags import LAG_NAMES, Naming, lags_of, named
 from bayes_sensor.laplace import Coordinates
 from bayes_sensor.likelihood import Prior, Problem, default_priors
-from bayes_sensor.model import Layout
+from bayes_sensor.model import SHARED, Layout
 from bayes_sensor.notebook import card
 from bayes_sensor.posterior.convergence import ESS_LIMIT, MESH_ERROR_LIMIT, R_HAT_LIMIT
 from bayes_sensor.posterior.settings import Settings
 from bayes_sensor.posterior.summaries import highest_density, reaches_end, weighted_quantiles
+from bayes_sensor.readout import response_times
 from bayes_sensor.results import plain
 
 if TYPE_CHECKING:
     import pandas as pd
 
 NEAR_EQUAL, MAY_BE_EQUAL = 0.8, 0.025
-"""tau over tau_v that counts as equal, and the probability of it that is worth a warning"""
+"""ratio of two lags that counts as equal, and the probability of it that is worth a warning"""
+MOST_TIMES = 2000
+"""draws from which response times are summarised"""
 QUANTILES = (0.5, 2.5, 16.0, 50.0, 84.0, 97.5, 99.5)
 
 
@@ -61,14 +65,18 @@ class Posterior:
         """Order of the flat vector."""
         return self.problem.layout
 
-    @property
+    @cached_property
     def names(self) -> list[str]:
-        """Flat names, in the order of the last axis of ``chains``."""
-        return self.layout.names
+        """Flat names, in the order of the last axis of ``chains``.
+
+        That axis holds lags by size (:mod:`bayes_sensor.lags`): where it is not known whose a lag
+        is, its name says its size.
+        """
+        return [*self.naming.names, *self.layout.names[len(SHARED) :]]
 
     @cached_property
     def draws(self) -> FloatArray:
-        """(n, n_theta), all chains together."""
+        """(n, n_theta), all chains together, lags by size."""
         return self.chains.reshape(-1, self.chains.shape[-1])
 
     @cached_property
@@ -76,8 +84,49 @@ class Posterior:
         """Positions of the parameters that vary."""
         return Coordinates(self.problem).free
 
+    @cached_property
+    def shares(self) -> FloatArray:
+        """(n, n_assignments) probability of every assignment of names to lags, draw by draw."""
+        return self.problem.shares(self.draws)
+
+    @cached_property
+    def naming(self) -> Naming:
+        """What may be said of the lags' names."""
+        return self.problem.naming(self.shares.mean(axis=0))
+
+    @cached_property
+    def lags(self) -> FloatArray:
+        """(n, n_lags) s, draws of the lags that the flows do not tell apart, shortest first."""
+        return lags_of(self.draws, self.problem.flow)
+
+    @cached_property
+    def named(self) -> FloatArray:
+        """(n, 3) draws of tau (s), tau_v (s) and V (mL).
+
+        Where several assignments of names are possible each draw has one, drawn with its
+        probability: undecided, tau is either of the lags.  Where one place is stated for the
+        sensor, draws that have another count as the one before that does not.
+        """
+        choices = self.problem.assignments
+        if len(choices) == 1:
+            return named(self.draws, self.problem.flow, choices)
+        stated = self.naming.place("sensor")
+        allowed = np.array([stated in (None, choice.sensor) for choice in choices])
+        rng = np.random.default_rng([self.seed, len(choices)])
+        u = rng.random(len(self.draws))
+        chosen = (np.cumsum(self.shares, axis=1) < u[:, None]).sum(axis=1).clip(0, len(choices) - 1)
+        good = allowed[chosen]
+        place = np.maximum.accumulate(np.where(good, np.arange(len(good)), -1))
+        place = np.where(place < 0, int(np.argmax(good)), place)
+        return named(self.draws[place], self.problem.flow, choices, chosen[place])
+
     def of(self, name: str) -> FloatArray:
-        """(n,) draws of one parameter."""
+        """(n,) draws of one parameter; tau, tau_v and V as in :attr:`named`."""
+        if name in SHARED:
+            return self.named[:, SHARED.index(name)]
+        lag_names = LAG_NAMES[self.naming.n_lags]
+        if name in lag_names:
+            return self.lags[:, lag_names.index(name)]
         return self.draws[:, self.layout.index(name)]
 
     def mean(self, name: str) -> float:
@@ -118,40 +167,119 @@ class Posterior:
     def warnings(self) -> tuple[str, ...]:
         """Sentences a reader must see."""
         found = [*self.caveats, *([] if self.converged else [self.status]), *self.remarks]
-        if self.problem.campaign.same_flow:
+        found += self._of_names()
+        if self.hidden_by_sampling is not None:
             found.append(
-                "all flows are equal: these data cannot tell tau_v from V/Q, only the priors say "
-                "which is which, and where they do not, the intervals hold both; tau is taken for "
-                "the smallest lag"
-            )
-        tau, tau_v = self.of("tau_s"), self.of("tau_v_s")
-        if not self.problem.campaign.same_flow and np.mean(tau > NEAR_EQUAL * tau_v) > MAY_BE_EQUAL:
-            low, high = np.quantile(tau, 0.025), np.quantile(tau_v, 0.975)
-            found.append(
-                f"tau and tau_v may be equal and can then not be told apart: only the rule "
-                f"tau <= tau_v separates their intervals; both lie between {1e3 * low:.4g} and "
-                f"{1e3 * high:.4g} ms (95 %)"
+                f"the response is over within one sampling interval ({self.hidden_by_sampling:g} "
+                "s), which hides its course: read every lag as an upper limit, or sample faster"
             )
         if self.mesh_error > MESH_ERROR_LIMIT:
             found.append(f"the mesh is off by {self.mesh_error:.1e} in log L, more than 1e-3")
         return tuple(found)
 
+    def _of_names(self) -> list[str]:
+        """What must be said of the lags' names."""
+        found = []
+        naming = self.naming
+        if naming.flow is not None and None in (naming.place("valve"), naming.place("manifold")):
+            found.append(
+                "all flows are equal: these data cannot tell tau_v from V/Q; where nothing else "
+                "tells which is which, their intervals hold both"
+            )
+        fast, slow = self.lags[:, 0], self.lags[:, -1]
+        if naming.flow is None and np.mean(fast > NEAR_EQUAL * slow) > MAY_BE_EQUAL:
+            low, high = np.quantile(fast, 0.025), np.quantile(slow, 0.975)
+            found.append(
+                f"tau and tau_v may be equal and can then not be told apart: both lie between "
+                f"{1e3 * low:.4g} and {1e3 * high:.4g} ms (95 %)"
+            )
+        return found
+
+    @cached_property
+    def rows(self) -> dict[str, dict[str, float]]:
+        """Mean, sd, percentiles and diagnostics of every varying parameter, by flat name.
+
+        Where the order of lags is undecided the lags stand beside tau and tau_v.
+        """
+        found = {}
+        # where names are not settled the diagnostics are those of the worst of the lags
+        of_lags = [0, 1] if self.problem.flow is None else [0, 1, 2]
+        one = len(self.problem.assignments) == 1
+        labels = {name: i for i, name in enumerate(self.names)}
+        for name in SHARED:
+            settled = one or (self.problem.flow is None and name == "V_mL")
+            found[name] = self._row(self.of(name), [labels[name]] if settled else of_lags)
+        if self.naming.order == "undecided":
+            for name in LAG_NAMES[self.naming.n_lags]:
+                found[name] = self._row(self.of(name), of_lags)
+        for i in self.free:
+            if i >= len(SHARED):
+                found[self.names[i]] = self._row(self.draws[:, i], [i])
+        return found
+
     def summary(self) -> pd.DataFrame:
         """Mean, sd, percentiles and diagnostics of every varying parameter, one row each."""
         import pandas as pd
 
-        rows = {name: self._row(i) for i, name in enumerate(self.names) if i in set(self.free)}
-        return pd.DataFrame.from_dict(rows, orient="index")
+        return pd.DataFrame.from_dict(self.rows, orient="index")
 
-    def _row(self, i: int) -> dict[str, float]:
-        draws = self.draws[:, i]
+    def _row(self, draws: FloatArray, places: list[int]) -> dict[str, float]:
         row = {"mean": float(draws.mean()), "sd": float(draws.std(ddof=1))}
         for percent, value in zip(QUANTILES, np.percentile(draws, QUANTILES), strict=True):
             row[f"q{percent:g}"] = float(value)
-        row["ess_bulk"] = float(self.ess_bulk[i])
-        row["ess_tail"] = float(self.ess_tail[i])
-        row["r_hat"] = float(self.r_hat[i])
+        row["ess_bulk"] = float(self.ess_bulk[places].min())
+        row["ess_tail"] = float(self.ess_tail[places].min())
+        row["r_hat"] = float(self.r_hat[places].max())
         return row
+
+    @cached_property
+    def assignments(self) -> list[dict[str, Any]]:
+        """For each lag that may be the sensor's: its place, the probability, tau and tau_v."""
+        found = []
+        choices = self.problem.assignments
+        for place in sorted({choice.sensor for choice in choices}):
+            members = [j for j, choice in enumerate(choices) if choice.sensor == place]
+            weights = self.shares[:, members]
+            probability = float(weights.sum() / len(self.draws))
+            # of the draws, each with the weight of this sensor; of all where that is nil
+            if probability < 1e-6:
+                weights = np.full(weights.shape, 1.0 / weights.size)
+            valve = np.concatenate([self.lags[:, choices[j].valve] for j in members])
+            w = weights.sum(axis=1)
+            found.append(
+                {
+                    "sensor_is": choices[members[0]].sensor_is,
+                    "lag": place,
+                    "probability": probability,
+                    "tau_s": _quantiles(self.lags[:, place], w / w.sum()),
+                    "tau_v_s": _quantiles(valve, weights.T.ravel() / weights.sum()),
+                }
+            )
+        return found
+
+    @cached_property
+    def chain(self) -> dict[str, dict[str, dict[str, float]]]:
+        """By experiment, s after the switch until the whole chain has covered 63 and 90 %.
+
+        They need no names of lags.
+        """
+        some = self.draws[:: max(1, len(self.draws) // MOST_TIMES)]
+        found: dict[str, dict[str, dict[str, float]]] = {}
+        by_flow: dict[float, dict[str, dict[str, float]]] = {}
+        for e in self.problem.campaign:
+            if e.total_flow not in by_flow:
+                times = response_times([some[:, 1], some[:, 2] / e.total_flow, some[:, 0]])
+                by_flow[e.total_flow] = {
+                    f"{key}_s": {
+                        f"q{percent:g}": float(value)
+                        for percent, value in zip(
+                            QUANTILES, np.percentile(values, QUANTILES), strict=True
+                        )
+                    }
+                    for key, values in (("t63", times.t63), ("t90", times.t90))
+                }
+            found[e.name] = by_flow[e.total_flow]
+        return found
 
     def __repr__(self) -> str:
         """Size and status."""
@@ -159,22 +287,28 @@ class Posterior:
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it."""
-        rows = []
-        for i in self.free:
-            low, middle, high = np.quantile(self.draws[:, i], [0.025, 0.5, 0.975]).tolist()
-            ess = float(min(self.ess_bulk[i], self.ess_tail[i]))
-            rows.append([self.names[i], middle, low, high, round(ess), float(self.r_hat[i])])
+        rows = [
+            [
+                name, row["q50"], row["q2.5"], row["q97.5"],
+                round(min(row["ess_bulk"], row["ess_tail"])), row["r_hat"],
+            ]
+            for name, row in self.rows.items()
+        ]  # fmt: skip
         columns = ["parameter", "median", "95 % low", "95 % high", "effective draws", "R-hat"]
         warnings = [text for text in self.warnings if text != self.status]
         return card(f"posterior: {self.status}", warnings, columns, rows)
 
     def to_json(self) -> dict[str, Any]:
         """The contents of ``posterior.json``; parameters that the noise law pins are null."""
-        parameters: dict[str, Any] = {}
-        for i, name in enumerate(self.names):
-            parameters[name] = self._row(i) if i in set(self.free) else None
+        parameters: dict[str, Any] = dict(self.rows)
+        parameters |= {name: None for name in self.names if name not in parameters}
         return {
             "parameters": parameters,
+            "order": self.naming.order,
+            "assignments": self.assignments,
+            "lags_s": [_quantiles(lag) for lag in self.lags.T],
+            "chain": self.chain,
+            "hidden_by_sampling_s": self.hidden_by_sampling,
             "n_draws": len(self.draws),
             "converged": self.converged,
             "status": self.status,
@@ -187,7 +321,7 @@ class Posterior:
             "log_likelihood_error": self.mesh_error,
             "seed": self.seed,
             "seconds": self.seconds,
-            "priors": {n: str(self.problem.priors[n]) for n in self.names if n in self._varying},
+            "priors": self.laws,
             "phi_interval_s": self.problem.campaign.reference_interval,
             "signal_unit": self.problem.campaign.signal_unit,
             **self._tau_under_priors(),
@@ -206,13 +340,30 @@ class Posterior:
         }
 
     @cached_property
-    def _varying(self) -> set[str]:
-        return {self.names[i] for i in self.free}
+    def laws(self) -> dict[str, str]:
+        """The prior of every varying parameter in words, by flat name; of lags whose names are
+        not settled by their sizes, beside what is known by name."""
+        priors, own = self.problem.priors, self.layout.names
+        found = {self.names[i]: str(priors[own[i]]) for i in self.free}
+        if len(self.problem.assignments) > 1:
+            flow = self.problem.flow
+            shown = [own[0], own[1]] if flow is None else [own[0], own[2], own[1]]
+            found = {name: law for name, law in found.items() if name not in self.names[:3]}
+            for name, place in zip(LAG_NAMES[self.naming.n_lags], shown, strict=True):
+                law = priors[place]
+                if place == "V_mL" and flow is not None:
+                    law = Prior(law.kind, law.a / flow)
+                found[name] = str(law)
+            if flow is None:
+                found["V_mL"] = str(priors["V_mL"])
+            found |= {name: str(law) for name, law in self.problem.named_laws.items()}
+        return found
 
     def tau_under_priors(self) -> pd.DataFrame:
         """Intervals and upper limits of tau (s) under other priors, by reweighting the draws.
 
-        Rows: flat, half-normal, log-uniform with a floor (a hundredth of the half-normal's scale).
+        Rows: flat, half-normal, log-uniform with a floor (a hundredth of the half-normal's scale);
+        these for each lag that may be the sensor's, where that is undecided (``sensor_is``).
         The half-normal is the posterior's own or, where it has another law, the default one.
         Columns: equal-tailed 95 % interval, highest-density 95 % interval, one-sided 95 and 99 %
         upper limits, the effective number of draws that the reweighting leaves, and ``status``.
@@ -224,13 +375,29 @@ class Posterior:
         """
         import pandas as pd
 
-        current = self.problem.priors["tau_s"]
+        rows = []
+        for assignment in self.assignments:
+            if self.naming.place("sensor") in (None, assignment["lag"]):
+                rows += self._tau_at(assignment["lag"], assignment["sensor_is"])
+        return pd.DataFrame(rows)
+
+    def _tau_at(self, place: int, sensor_is: str) -> list[dict[str, Any]]:
+        """Rows of :meth:`tau_under_priors` if the sensor is the lag at this place."""
+        own = self.layout.names
+        flow = self.problem.flow
+        name = own[place] if flow is None else (own[0], own[2], own[1])[place]
+        current = self.problem.priors[name]
+        if name == "V_mL" and flow is not None:
+            current = Prior(current.kind, current.a / flow)
         usual = current
         if current.kind != "half_normal":
-            bare = replace(self.problem.campaign, side_information={})
-            usual = default_priors(bare, self.layout)["tau_s"]
+            usual = default_priors(self.problem.campaign, self.layout)[name]
+        if usual.kind != "half_normal":  # of a valve's lag in the paper's order
+            usual = default_priors(self.problem.campaign, self.layout)["tau_s"]
         scale = usual.a
-        tau = self.of("tau_s")
+        tau = self.lags[:, place]
+        chosen = [j for j, a in enumerate(self.problem.assignments) if a.sensor == place]
+        share = self.shares[:, chosen].sum(axis=1)
         top = max(float(tau.max()), scale)
         laws = {
             "flat": Prior("flat"),
@@ -242,7 +409,7 @@ class Posterior:
             # below the floor the log-uniform law is flat, so that it stays proper at zero
             value = law.log_density(np.maximum(tau, law.a) if law.kind == "log_uniform" else tau)
             log_w = value - current.log_density(tau)
-            w = np.exp(log_w - log_w.max())
+            w = np.exp(log_w - log_w.max()) * share
             w /= w.sum()
             lo, hi, up95, up99 = weighted_quantiles(tau, w, [0.025, 0.975, 0.95, 0.99])
             hdi_lo, hdi_hi = highest_density(tau, w, 0.95)
@@ -258,6 +425,7 @@ class Posterior:
                 {
                     "prior": label,
                     "law": str(law),
+                    "sensor_is": sensor_is,
                     "lo95_s": lo,
                     "hi95_s": hi,
                     "hdi_lo95_s": hdi_lo,
@@ -268,7 +436,13 @@ class Posterior:
                     "status": status,
                 }
             )
-        return pd.DataFrame(rows)
+        return rows
+
+    @property
+    def hidden_by_sampling(self) -> float | None:
+        """s, the sampling interval where the whole response is over within it; else None."""
+        over = [self.chain[e.name]["t90_s"]["q50"] < e.interval for e in self.problem.campaign]
+        return min(e.interval for e in self.problem.campaign) if all(over) else None
 
     @cached_property
     def inference_data(self) -> Any:
@@ -283,3 +457,13 @@ class Posterior:
         from bayes_sensor.posterior.saving import save
 
         save(self, path)
+
+
+def _quantiles(draws: FloatArray, weights: FloatArray | None = None) -> dict[str, float]:
+    """``q2.5``, ``q50``, ``q95`` and ``q97.5`` of draws (n,), weighted by ``weights`` (n,)."""
+    percents = (2.5, 50.0, 95.0, 97.5)
+    if weights is None:
+        values = [float(v) for v in np.percentile(draws, percents)]
+    else:
+        values = weighted_quantiles(draws, weights, [0.01 * percent for percent in percents])
+    return {f"q{percent:g}": value for percent, value in zip(percents, values, strict=True)}

@@ -82,12 +82,13 @@ def sample_posterior(
     if fit is None:
         fit = fit_least_squares(problem, seed=seed)
     problem.prior_table  # noqa: B018 - raises CampaignError where a parameter has no prior
-    start = _start(problem, getattr(fit, "theta_hat", fit))
+    start = problem.by_size(_start(problem, getattr(fit, "theta_hat", fit)))
     mute = fit.cannot_tell if isinstance(fit, Fit) else _cannot_tell(problem, start)
     if mute:
         raise CampaignError(f"no interval can be given: {mute}")
-    # where flows are alike both orders of valve and manifold are weighed by the priors
-    twin = fit.twin if isinstance(fit, Fit) and flow_of_both(problem) is None else ""
+    # at equal flows lags have no names yet, at flows that are nearly so ensembles exchange them
+    apart = problem.flow is None and flow_of_both(problem) is None
+    twin = fit.twin if isinstance(fit, Fit) and apart else ""
     start, both = likelier_order(problem, start)
     report(0.0, "Laplace approximation")
     laplace, compressed = approximate(problem, start)

@@ -11,7 +11,8 @@ import numpy as np
 
 from bayes_sensor import inference_data as idata
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.model import unit_of
+from bayes_sensor.lags import LAG_NAMES
+from bayes_sensor.model import SHARED, unit_of
 from bayes_sensor.noise import scale_squared
 from bayes_sensor.posterior.record import Posterior
 
@@ -53,7 +54,13 @@ def _contents(posterior: Posterior) -> tuple[dict[str, Any], dict[str, Any]]:
     variables: dict[str, Any] = {}
     own = dict.fromkeys(name.split("[")[0] for name in layout.extra)
     flat_names = VARIABLES | {kind: kind for kind in own}
+    if posterior.naming.order == "undecided":
+        flat_names |= {name.removesuffix("_s"): name for name in LAG_NAMES[posterior.naming.n_lags]}
     for variable, flat in flat_names.items():
+        if flat in SHARED or flat in LAG_NAMES[posterior.naming.n_lags]:
+            draws = posterior.of(flat).reshape(n_chain, n_draw)
+            variables[variable] = (("chain", "draw"), draws)
+            continue
         if flat in layout.names:
             variables[variable] = (("chain", "draw"), chains[:, :, layout.index(flat)])
             continue
@@ -78,7 +85,8 @@ def _contents(posterior: Posterior) -> tuple[dict[str, Any], dict[str, Any]]:
         "reasons": " | ".join(posterior.reasons),
         "phi_interval_s": campaign.reference_interval,
         "log_likelihood_error": posterior.mesh_error,
-        "priors": json.dumps({n: str(problem.priors[n]) for n in sorted(posterior._varying)}),
+        "priors": json.dumps(dict(sorted(posterior.laws.items()))),
+        "order_of_lags": posterior.naming.order,
         "data_sha256": json.dumps({e.name: e.sha256 for e in campaign}),
     }
     likelihood = xarray.Dataset(
@@ -137,8 +145,9 @@ def load_chains(path: str | Path) -> tuple[list[str], FloatArray]:
     """Flat names and chains (n_chain, n_draw, n_theta) of a saved ``posterior.nc``."""
     data = idata.load_group(Path(path), "posterior")
     names, columns = [], []
-    own = [str(kind) for kind in data.data_vars if kind not in VARIABLES]
-    for kind, flat in (VARIABLES | {kind: kind for kind in own}).items():
+    by_size = {lag.removesuffix("_s"): lag for several in LAG_NAMES.values() for lag in several}
+    own = [str(kind) for kind in data.data_vars if kind not in VARIABLES | by_size]
+    for kind, flat in (VARIABLES | by_size | {kind: kind for kind in own}).items():
         if kind not in data:
             continue
         variable = data[kind]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bayes_sensor.report.headline import Headline, alerts, headline
+from bayes_sensor.report.headline import Headline, alerts, chain_words, headline
 from bayes_sensor.report.parts import Picture, Pictures, Section, Table
 from bayes_sensor.report.saved import Saved, read_results
 from bayes_sensor.report.words import list_words, number, p_words, with_spread
@@ -23,6 +23,7 @@ __all__ = [
     "Table",
     "alerts",
     "build_report",
+    "chain_words",
     "headline",
     "list_words",
     "number",

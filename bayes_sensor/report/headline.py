@@ -24,19 +24,51 @@ from bayes_sensor.results import of_other_data
 
 @dataclass(frozen=True)
 class Headline:
-    """tau in one sentence and the naive bound beside it, in ms."""
+    """What may be said of tau in one sentence, and the naive bound beside it."""
 
-    tau: str
-    """``24.3 ms, 95 % interval [1.1, 60.5] ms (posterior, AR(1) noise)``"""
+    text: str
+    """``tau = 24.3 ms, 95 % interval [1.1, 60.5] ms (posterior, AR(1) noise)``"""
     naive: str
     """``± 46 ms``, or empty"""
     is_limit: bool
     """whether tau is only bounded from above"""
     limit: str = ""
+    undecided: bool = False
+    """whether the sensor's is one of several lags"""
+    hidden: bool = False
+    """whether the response is over within one sampling interval"""
 
     def __str__(self) -> str:
-        text = f"tau = {self.tau}"
-        return f"{text}; {self.naive}" if self.naive else text
+        return f"{self.text}; {self.naive}" if self.naive else self.text
+
+
+SECONDS_FROM = 1.0
+"""s, above which a lag is said in seconds, below in ms"""
+LIMIT = 0.15
+"""of the median, below which the lower end of a 95 % interval says that zero is not excluded.  Of a
+lag with k shorter ones that are limits, too, the k-th root: so small are the ends of the k-th
+smallest of values of which nothing is known."""
+SAY_WHICH = (
+    'lags in a row commute, so say which is the sensor\'s: [rig] sensor_is = "faster" or "slower", '
+    "or side information on tau or tau_v"
+)
+
+
+def lag_words(low: float, middle: float, high: float) -> str:
+    """A lag (s) with its 95 % interval, in the unit that suits it.
+
+    >>> lag_words(0.0986, 0.13755, 0.1735), lag_words(1.9917, 2.0021, 2.013)
+    ('138 ms, 95 % interval [99, 174] ms', '2.002 s, 95 % interval [1.992, 2.013] s')
+    """
+    factor, unit = (1.0, "s") if middle >= SECONDS_FROM else (1e3, "ms")
+    value = with_spread(factor * middle, factor * (high - low))
+    return f"{value} {unit}, 95 % interval {interval(factor * low, factor * high)} {unit}"
+
+
+def upper_words(high: float, low: float = 0.0) -> str:
+    """An upper limit (s) in the unit that suits it, to two digits of its distance from ``low``."""
+    factor, unit = (1.0, "s") if high >= SECONDS_FROM else (1e3, "ms")
+    return f"{with_spread(factor * high, factor * (high - low))} {unit}"
 
 
 def headline(
@@ -45,36 +77,130 @@ def headline(
     """The one sentence that the work is about; None where nothing was estimated."""
     naive = _naive_words(bounds)
     if posterior is not None:
-        row = posterior["parameters"]["tau_s"]
-        lo, mid, hi = (1e3 * row[key] for key in ("q2.5", "q50", "q97.5"))
-        autocorrelation = ((settings or {}).get("noise") or {}).get("autocorrelation", "ar1")
-        noise = "AR(1) noise" if autocorrelation == "ar1" else "white noise"
-        if posterior.get("with_effects"):
-            noise += f"; with {list_words(effect_names(posterior))} in the model"
-        if not posterior.get("converged", True):
-            noise += "; NOT CONVERGED, do not quote"
-        text = (
-            f"{with_spread(mid, hi - lo)} ms, 95 % interval {interval(lo, hi)} ms "
-            f"(posterior, {noise})"
-        )
-        half_normal = next(
-            (r for r in posterior.get("tau_under_priors", []) if r["prior"] == "half_normal"), None
-        )
-        is_limit = lo < 0.15 * mid
-        limit = ""
-        if is_limit and half_normal:
-            limit = f"{with_spread(1e3 * half_normal['upper95_s'], hi - lo)} ms"
-        return Headline(text, naive, is_limit, limit)
+        return _of_posterior(posterior, naive, settings)
     if bounds is not None:
         method = next(
             (m for m in ("profile", "sandwich", "crlb_ar1") if m in bounds["methods"]), None
         )
-        if method and bounds["methods"][method]["parameters"].get("tau_s"):
-            row = bounds["methods"][method]["parameters"]["tau_s"]
-            lo, mid, hi = (ms(row[key]) for key in ("lo95", "estimate", "hi95"))
-            text = f"{number(mid)} ms, 95 % interval [{number(lo)}, {number(hi)}] ms ({method})"
-            return Headline(text, naive, lo is not None and lo <= 0)
+        return None if method is None else _of_bounds(bounds["methods"][method], method, naive)
     return None
+
+
+def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> Headline:
+    autocorrelation = ((settings or {}).get("noise") or {}).get("autocorrelation", "ar1")
+    noise = "AR(1) noise" if autocorrelation == "ar1" else "white noise"
+    if posterior.get("with_effects"):
+        noise += f"; with {list_words(effect_names(posterior))} in the model"
+    if not posterior.get("converged", True):
+        noise += "; NOT CONVERGED, do not quote"
+    source = f"(posterior, {noise})"
+    if (hidden := posterior.get("hidden_by_sampling_s")) is not None:
+        most = posterior["lags_s"][-1]["q95"]
+        text = (
+            f"the response is over within one sampling interval ({number(hidden)} s), which hides "
+            f"it: an upper limit only, no lag is longer than {upper_words(most)} (95 %) {source}"
+        )
+        return Headline(text, "", True, upper_words(most), hidden=True)
+    if posterior.get("order") == "undecided":
+        return Headline(f"{_of_lags(posterior)} {source}", "", False, undecided=True)
+    row = posterior["parameters"]["tau_s"]
+    lo, mid, hi = (row[key] for key in ("q2.5", "q50", "q97.5"))
+    text = f"tau = {lag_words(lo, mid, hi)} {source}"
+    half_normal = next(
+        (r for r in posterior.get("tau_under_priors", []) if r["prior"] == "half_normal"), None
+    )
+    is_limit = lo < LIMIT * mid
+    limit = ""
+    if is_limit and half_normal:
+        limit = f"{with_spread(1e3 * half_normal['upper95_s'], 1e3 * (hi - lo))} ms"
+    return Headline(text, naive, is_limit, limit)
+
+
+def _of_lags(posterior: Mapping[str, Any]) -> str:
+    """The lags by size where it is not known which is the sensor's, as a sentence."""
+    lags = posterior["lags_s"]
+    seen: list[Mapping[str, float]] = []
+    n_limits = 0
+    for row in lags:
+        ratio = row["q2.5"] / row["q50"] if row["q50"] > 0 else 0.0
+        if not seen and ratio < LIMIT ** (1.0 / (n_limits + 1)):
+            n_limits += 1
+        else:
+            seen.append(row)
+    if not seen:
+        return (
+            f"no lag is told from zero: all are shorter than {upper_words(lags[-1]['q95'])} "
+            f"(95 %); {SAY_WHICH}"
+        )
+    shares = {row["lag"]: row["probability"] for row in posterior["assignments"]}
+
+    def share(place: int) -> str:
+        return f" ({100.0 * shares.get(place, 0.0):.0f} %)"
+
+    words = [lag_words(row["q2.5"], row["q50"], row["q97.5"]) for row in seen]
+    if n_limits == 0:
+        each = [f"{text}{share(place)}" for place, text in enumerate(words)]
+        return f"tau is either {', or '.join(each)}: {SAY_WHICH}"
+    other = upper_words(lags[n_limits - 1]["q95"])
+    if len(seen) == 1:
+        rest = "it" if n_limits == 1 else "they"
+        return (
+            f"one lag of {words[0]}; any other is shorter than {other} (95 %); that lag is the "
+            f"sensor's with {100.0 * shares.get(len(lags) - 1, 0.0):.0f} %, if it is not, {rest} "
+            f"may be: {SAY_WHICH}"
+        )
+    each = [f"{text}{share(n_limits + i)}" for i, text in enumerate(words)]
+    return (
+        f"tau is either {', or '.join(each)}, or shorter than {other} (95 %)"
+        f"{share(0) if n_limits == 1 else ''}: {SAY_WHICH}"
+    )
+
+
+def _of_bounds(entry: Mapping[str, Any], method: str, naive: str) -> Headline | None:
+    """From intervals of one method, where no posterior was sampled."""
+    rows = entry["parameters"]
+
+    def words(row: Mapping[str, Any]) -> str:
+        unit, scale = ("s", 1.0) if (row["estimate"] or 0.0) >= SECONDS_FROM else ("ms", 1e3)
+        low, middle, high = (
+            number(None if row[key] is None else scale * row[key])
+            for key in ("lo95", "estimate", "hi95")
+        )
+        return f"{middle} {unit}, 95 % interval [{low}, {high}] {unit}"
+
+    if rows.get("tau_s"):
+        row = rows["tau_s"]
+        is_limit = row["lo95"] is not None and row["lo95"] <= 0
+        return Headline(f"tau = {words(row)} ({method})", naive, is_limit)
+    lags = [rows[name] for name in rows if name.startswith("lag_") and rows[name]]
+    if not lags:
+        return None
+    lags.sort(key=lambda row: row["estimate"] or 0.0)
+    each = ", or ".join(words(row) for row in lags)
+    return Headline(f"tau is either {each} ({method}): {SAY_WHICH}", "", False, undecided=True)
+
+
+def chain_words(posterior: Mapping[str, Any]) -> str:
+    """t63 and t90 of the whole chain at the lowest and the highest flow, as a sentence.
+
+    They need no names of lags; empty for results that do not have them.
+    """
+    rows = [row for row in posterior.get("chain", {}).values()]
+    if not rows:
+        return ""
+    rows.sort(key=lambda row: -row["t90_s"]["q50"])
+    shown = [rows[0], rows[-1]] if rows[0] != rows[-1] else [rows[0]]
+    labels = ["at the lowest flow", "at the highest"] if len(shown) > 1 else [""]
+    said = []
+    for row, label in zip(shown, labels, strict=True):
+        times = []
+        for key in ("t63", "t90"):
+            lo, mid, hi = (row[f"{key}_s"][q] for q in ("q2.5", "q50", "q97.5"))
+            factor, unit = (1.0, "s") if mid >= SECONDS_FROM else (1e3, "ms")
+            value = with_spread(factor * mid, factor * (hi - lo))
+            times.append(f"{key} {value} {unit} {interval(factor * lo, factor * hi)}")
+        said.append(f"{', '.join(times)} {label}".rstrip())
+    return f"the whole chain, whatever the order of lags: {'; '.join(said)}"
 
 
 @dataclass(frozen=True)
@@ -103,7 +229,9 @@ def remarks(saved: Saved) -> list[Remark]:
             "tau",
         )
     ]
-    if head.is_limit and head.limit:
+    if saved.posterior is not None and (times := chain_words(saved.posterior)):
+        said.append(Remark(sentence(typeset(times)), "tau"))
+    if head.is_limit and head.limit and not head.hidden:
         said.append(
             Remark(
                 f"Zero is not excluded: read it as an upper limit, τ < {head.limit} (95 %). The "
@@ -223,6 +351,8 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
     from bayes_sensor.figures import METHOD_LABELS  # draws, so slow to import
 
     found: list[tuple[str, str]] = []
+    for text in (saved.fit or {}).get("caveats", []):  # what decides the headline
+        found.append(("bad", sentence(typeset(text))))
     if saved.fit is not None and not saved.fit["converged"]:
         found.append(("bad", f"The least-squares fit did not converge. {saved.fit['status']}"))
     if saved.posterior is not None and not saved.posterior["converged"]:
@@ -274,7 +404,8 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
                 notes.append(f"{label}: {status}")
     seen: set[str] = set()
     for note in notes:
-        if note not in seen and not any(note == text for _, text in found):
+        told = sentence(typeset(note))
+        if note not in seen and not any(text in (note, told) for _, text in found):
             seen.add(note)
             if note.startswith("tau is at"):  # beside the posterior's tau at the top
                 note = f"the least-squares {note}"

@@ -20,6 +20,7 @@ from bayes_sensor import figures
 from bayes_sensor.report.headline import alerts, headline, remarks
 from bayes_sensor.report.parts import Picture, Section, Table, compact, numbering, pieces
 from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.words import typeset
 from bayes_sensor.samples import coded, thinned
 
 MOST_VECTORS = 4 << 20
@@ -132,6 +133,7 @@ def page(saved: Saved, sections: Sequence[Section]) -> str:
         return Markup((places / name).read_text(encoding="utf-8"))
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment.filters["typeset"] = typeset
     template = environment.from_string(asset("report.html.j2"))
     return template.render(
         saved=saved,

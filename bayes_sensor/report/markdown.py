@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from bayes_sensor.report.headline import alerts, headline, remarks
 from bayes_sensor.report.parts import Section, Table, numbering, pieces
 from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.words import typeset
 
 
 def escaped(text: str) -> str:
@@ -45,7 +46,7 @@ def document(saved: Saved, sections: Sequence[Section], figure_folder: str = "fi
     lines += [f"bayes-sensor {escaped(version)}, {escaped(last['finished'])}", ""]
     head = headline(saved.posterior, saved.bounds, saved.settings)
     if head is not None:
-        lines += [f"**τ = {escaped(head.tau)}**", ""]
+        lines += [f"**{escaped(typeset(head.text))}**", ""]
     for remark in remarks(saved):
         lines += [escaped(remark.text), ""]
     for kind, text in alerts(saved):

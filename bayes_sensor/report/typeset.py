@@ -15,6 +15,7 @@ from typing import Any
 from bayes_sensor.report.headline import alerts, headline, remarks
 from bayes_sensor.report.parts import Section, Table, numbering, pieces
 from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.words import typeset
 
 MOST_ROWS = 200
 """rows of a table on paper"""
@@ -32,7 +33,7 @@ def content(saved: Saved, sections: Sequence[Section]) -> dict[str, Any]:
         "title": saved.name,
         "version": saved.last["versions"].get("bayes-sensor", ""),
         "finished": saved.last["finished"],
-        "tau": "" if head is None else head.tau,
+        "tau": "" if head is None else typeset(head.text),
         "remarks": [remark.text for remark in remarks(saved)],
         "alerts": [{"kind": kind, "text": text} for kind, text in alerts(saved)],
         "sections": [

@@ -16,7 +16,7 @@ from bayes_sensor.report.headline import (
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see, to_spread
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections.draws import posterior_table
-from bayes_sensor.report.words import interval, list_words, ms, number, typeset
+from bayes_sensor.report.words import interval, list_words, ms, number, sentence, typeset
 
 PUBLISHED_3SD = {"tau_s": 0.0056049, "tau_v_s": 0.0086029, "V_mL": 0.6817}
 """the paper's Table III"""
@@ -40,8 +40,10 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
         return None
     head = headline(posterior, bounds, saved.settings)
     source = "posterior-shared" if posterior is not None else "methods"
-    answer = "" if head is None else f"τ = {head.tau}{see(source)}."
-    if head is not None and head.is_limit and head.limit:
+    answer = (
+        "" if head is None else f"{sentence(typeset(head.text)).removesuffix('.')}{see(source)}."
+    )
+    if head is not None and head.is_limit and head.limit and not head.hidden:
         answer += (
             " Zero is not excluded, so quote it as an upper limit: "
             f"τ < {head.limit} (95 %){see('priors-on-tau')}."
