@@ -725,7 +725,7 @@ def _lags_of_fit(fit: Any) -> str:
         return f"{number(value)} s" if value >= 1.0 else f"{number(1e3 * value)} ms"
 
     names, flow = fit.names[:3], fit.naming.flow
-    unseen = {name for name in names if name in fit.at_bound and fit.is_unseen(name)}
+    unseen = fit.unseen
     if fit.order == "undecided":
         places = names[:2] if flow is None else [names[0], names[2], names[1]]
         seen = [
