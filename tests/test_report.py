@@ -408,7 +408,7 @@ def short_analyze(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str |
         (
             OSError(28, "No space left on device", "a.svg"),
             2,
-            r"a\.svg: .*\(No space left on device; ",
+            r"a\.svg: .*\(No space left on",
         ),
         (ValueError("unforeseen"), None, "error: the report was not made; "),
         (KeyboardInterrupt(), 130, "stopped: interrupted"),
