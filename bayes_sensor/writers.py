@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.disk import write_bytes
 
 FORMATS = ("csv", "picoscope-csv", "mat", "npz")
 """what :func:`write_campaign` can write"""
@@ -355,16 +356,9 @@ def _rows(pattern: str, columns: Sequence[FloatArray]) -> str:
 
 
 def _write(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write to a neighbour and rename, so that no half-written file has the name."""
-    path = Path(path)
-    neighbour = path.with_name(f".{path.name}.{os.getpid()}.part")
+    """Write a file whole; CampaignError where that cannot be."""
     try:
-        try:
-            neighbour.write_bytes(content)
-            os.replace(neighbour, path)
-        except BaseException:
-            neighbour.unlink(missing_ok=True)
-            raise
+        write_bytes(path, content)
     except OSError as error:
         raise CampaignError(
             f"{path}: cannot be written ({error.strerror}); check the folder, its permissions and "
