@@ -32,7 +32,10 @@ MOST_CLIPPED = 0.8
 """of the record that may be clipped before it is an error"""
 DISAGREEMENT = 0.05
 """s between commanded time and drive edge that is worth a warning"""
-_LARGEST_VALUE = 1e12
+OUT_OF_PROPORTION = 1e12
+"""times the median size of the samples: no measurement goes so far"""
+LARGEST_VALUE = 1e100
+"""whose squares and cubes are numbers still"""
 _LARGEST_VOLTAGE = 20.0
 """V; what lies above was probably recorded in mV"""
 _USUAL_FLOWS = (0.5, 5000.0)
@@ -151,7 +154,7 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
         used &= ~clipped
     if not used.any():
         raise file.error("no sample is left to use; widen keep or drop the mask")
-    unusable = ~used & ~(np.abs(y) <= _LARGEST_VALUE)
+    unusable = ~used & ~(np.abs(y) <= _largest_of(y[used]))
     if unusable.any():  # never looked at, but figures and sums want finite numbers
         y = np.where(unusable, np.interp(t, t[used], y[used]), y)
     _look_for_mistakes(where, t, y, used, unit, drive, notes)
@@ -370,6 +373,13 @@ def _compare(
 # --------------------------------------------------------------------------- samples
 
 
+def _largest_of(y: FloatArray) -> float:
+    """What a sample may be at most beside samples ``y`` (n,)."""
+    sizes = np.abs(y[np.isfinite(y) & (y != 0.0)])
+    usual = float(np.median(sizes)) if len(sizes) else 1.0
+    return min(OUT_OF_PROPORTION * usual, LARGEST_VALUE)
+
+
 def _check_finite(
     file: DataFile,
     t: FloatArray,
@@ -379,7 +389,7 @@ def _check_finite(
     notes: list[str],
 ) -> None:
     assert callable(place)
-    huge = used & np.isfinite(y) & (np.abs(y) > _LARGEST_VALUE)
+    huge = used & np.isfinite(y) & (np.abs(y) > _largest_of(y[used]))
     if huge.any():
         i = int(np.argmax(huge))
         raise file.error(
