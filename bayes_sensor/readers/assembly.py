@@ -285,7 +285,7 @@ def _check_gaps(
     count = "one gap" if len(lengths) == 1 else f"{len(lengths)} gaps"
     notes.append(
         f"{file.where}: {count} in time, {int(missing.sum())} missing samples, the longest "
-        f"{duration:.4g} s at {t[starts[long]]:.6g} s; left out"
+        f"{duration:.4g} s at {t[starts[long]]:.10g} s; left out"
     )
 
 
@@ -401,7 +401,7 @@ def _check_finite(
     if not lost.any():
         return
     i = int(np.argmax(lost))
-    at = f"the first at {place(i)} ({t[i]:.6g} s)"
+    at = f"the first at {place(i)} ({t[i]:.10g} s)"
     if lost.all() or lost.sum() == used.sum():
         raise file.error(
             f"none of the {int(used.sum())} samples is a finite number ({at} is {y[i]}); "
@@ -417,7 +417,7 @@ def _check_finite(
         s = "s are" if bad.sum() > 1 else " is"
         notes.append(
             f"{file.where}: {int(bad.sum())} sample{s} not a number, the first at {place(i)} "
-            f"({t[i]:.6g} s); left out"
+            f"({t[i]:.10g} s); left out"
         )
 
 
@@ -439,7 +439,7 @@ def _check_clipped(
     if len(finite):  # the rail that more samples lie at; others were caught among them
         rail = max(finite.max(), finite.min(), key=lambda edge: np.count_nonzero(finite == edge))
         level = f"{rail:.4g}"
-    begins = f"{t[i]:.6g} s"
+    begins = f"{t[i]:.10g} s"
     fix = "record again with a wider input range"
     if on is not None:
         end = off if off is not None else float(t[-1])
