@@ -234,7 +234,10 @@ def _most_promising(
     around = np.concatenate([[-np.inf], gains, [-np.inf]])
     peaks = np.flatnonzero((gains >= around[:-2]) & (gains >= around[2:]))
     return [
-        {name: v * (sizes[i] if name in amplitudes else 1.0) for name, v in grid[i].items()}
+        {
+            name: v * (sizes[i] if name.rstrip("*") in amplitudes else 1.0)
+            for name, v in grid[i].items()
+        }
         for i in peaks[np.argsort(-gains[peaks])][:MOST_PROMISING]
     ]
 
