@@ -25,6 +25,7 @@ from bayes_sensor.check import campaign_remarks
 from bayes_sensor.fit import Fit, fit_least_squares
 from bayes_sensor.fit.identifiability import least_noise
 from bayes_sensor.gap import diagnose_gap
+from bayes_sensor.gap.bins import LONGEST, _thin
 from bayes_sensor.likelihood import Problem, default_priors, log_likelihood
 from bayes_sensor.posterior import sample_posterior
 from bayes_sensor.posterior.record import Posterior
@@ -408,3 +409,13 @@ def test_a_value_out_of_proportion_is_refused_in_every_unit(tmp_path: Path, scal
                delimiter=",")  # fmt: skip
     with pytest.raises(CampaignError, match=r"row 7.*out of all proportion"):
         read_campaign(tmp_path / "campaign.toml")
+
+
+def test_bins_of_just_the_longest_length_stay_whole_however_they_are_rounded() -> None:
+    # the widest bins after a switch are as long as a bin may be: halved by one digit in the
+    # sixteenth place, they made another noise floor and another probability
+    longest = LONGEST * 0.853277924
+    for length in longest * (1.0 + np.array([-1e-15, 0.0, 1e-15, 1e-10])):
+        for clock in (0.0, 1e6):
+            edges = clock + np.array([0.0, length, length + 1.5 * longest])
+            assert len(_thin(edges, 0.02, longest)) == 4
