@@ -256,7 +256,8 @@ def default_priors(
     scale = TAU_PRIOR_SCALE * rise / published_rise_time()
     scale = float(f"{scale:.0e}")
     flow = float(np.median([e.total_flow for e in campaign]))
-    scatter = max([1e-9, *(_scatter(e) for e in campaign if e.y is not None)])
+    measured = [e for e in campaign if e.y is not None]
+    scatter = max((max(_scatter(e), e.rounding) for e in measured), default=1e-9)
     priors: dict[str, Prior] = {
         "tau_s": Prior("half_normal", scale),
         "tau_v_s": Prior("log_normal", rise / 3.0, 1.5),
@@ -714,14 +715,16 @@ def _log_density(
             rest = 1.0 - across * across
             e = z - across * last
             total += e * e / rest + log(rest)
-        product = s2[a]
+        product = 1.0
         squares = 0.0
+        unit = 1.0 / s2[a]  # of the variance, whatever the volts are
+        total -= (b - a) * log(unit)
         for i in range(a + 1, b):
             z_next = (y[i] - m[i]) / sqrt(s2[i])
             e = z_next - phi * z
             squares += e * e
             z = z_next
-            product *= s2[i]
+            product *= s2[i] * unit
             # products leave the range of doubles long after 8 factors of any sensible variance
             if (i - a) & 7 == 0:
                 total += log(product)
@@ -760,8 +763,12 @@ def experiment_log_likelihood(
     if noise is None:
         return -np.inf
     phi, phi_reference, _, _ = noise
-    mean, s2 = mean_and_variance(problem, vector, k)
     values, steps = e.values if y is None else y, problem.steps(e)
+    if is_affine(problem):  # from its own level a signal far from zero keeps its digits
+        i_y0 = problem.layout.local[k, 0]
+        values, vector = values - vector[i_y0], vector.copy()
+        vector[i_y0] = 0.0
+    mean, s2 = mean_and_variance(problem, vector, k)
     return float(_log_density(values, mean, s2, e.runs, phi, phi_reference, steps))
 
 

@@ -139,7 +139,7 @@ def write_csv(
         ``,`` ``;`` or tab, and ``.`` or ``,`` (not both commas).
     digits
         Significant digits; more for the first column where its steps need them, as the seconds
-        since an epoch do.
+        since an epoch do, and for others that are far from zero.
     """
     if separator == decimal:
         raise CampaignError(
@@ -148,7 +148,10 @@ def write_csv(
         )
     values = [np.asarray(column) for column in columns.values()]
     pattern = separator.join(
-        [f"%.{max(digits, _digits(values[0]))}g", *[f"%.{digits}g"] * (len(values) - 1)]
+        [
+            f"%.{max(digits, _digits(values[0]))}g",
+            *(f"%.{digits + _far_from_zero(column)}g" for column in values[1:]),
+        ]
     )
     rows = _rows(pattern + "\n", values)
     if decimal != ".":
@@ -337,6 +340,18 @@ def _quoted(text: str) -> str:
     """The text as a TOML basic string."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + re.sub(r"[\x00-\x1f\x7f]", lambda m: f"\\u{ord(m[0]):04x}", escaped) + '"'
+
+
+def _far_from_zero(y: FloatArray) -> int:
+    """Digits that all values (n,) share, about; no more than any float has.
+
+    >>> _far_from_zero(np.array([1.5e6, 1.5e6 + 1.5])), _far_from_zero(np.array([0.3, 1.8]))
+    (6, 0)
+    """
+    spread, largest = float(np.ptp(y)), float(np.abs(y).max())
+    if not 0.0 < spread < largest < np.inf:
+        return 0
+    return min(int(np.floor(np.log10(largest / spread))), 8)
 
 
 def _digits(t: FloatArray) -> int:

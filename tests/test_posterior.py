@@ -13,7 +13,7 @@ from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import CampaignError, SideInformation
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.laplace import approximate, log_posteriors
-from bayes_sensor.likelihood import Prior, Problem, log_likelihood, log_prior, simulate
+from bayes_sensor.likelihood import Prior, Problem, log_likelihood, simulate
 from bayes_sensor.model import (
     Cascade,
     cascade_response,

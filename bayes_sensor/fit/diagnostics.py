@@ -194,16 +194,17 @@ def bound_warnings(
         elif name.startswith(("t0_s", "tf_s")) and lower:
             what = "response" if name.startswith("t0_s") else "fall"
             sentences.append(
-                f"{name} is at its lower bound ({low:.6g} s, the commanded time or the earliest "
+                f"{name} is at its lower bound ({low:.10g} s, the commanded time or the earliest "
                 f"that was tried): the {what} seems to begin no later than the command. Check "
                 "that time: one written too late makes tau too small."
             )
         else:
             side, own = "lower" if lower else "upper", unit_of(name.partition("[")[0], unit)
+            digits = 10 if own == "s" else 6  # clocks may show anything
             sentences.append(
-                f"{labels.get(name, name)} is at its {side} bound ({low if lower else high:.6g} "
-                f"{own}): what lies beyond was not looked for, so distrust it; check flows and "
-                "times, or give fit_least_squares other bounds."
+                f"{labels.get(name, name)} is at its {side} bound "
+                f"({low if lower else high:.{digits}g} {own}): what lies beyond was not looked for, "
+                "so distrust it; check flows and times, or give fit_least_squares other bounds."
             )
     return sentences
 

@@ -47,6 +47,12 @@ class Sketch:
     """concentrations before each experiment where the campaign does not tell: some are left out"""
 
     @cached_property
+    def height(self) -> float:
+        """V, :attr:`signal_scale` with the sign of the steps: what goes with it turns with them."""
+        beta = [float(self.base[at + 1]) for at in self.local(SHARED)[:-1]]
+        return self.signal_scale if np.median(beta) >= 0.0 else -self.signal_scale
+
+    @cached_property
     def inverse_factors(self) -> tuple[FloatArray, ...]:
         """Inverses of the floor's Cholesky factors."""
         return tuple(np.asarray(np.linalg.inv(c), dtype=float) for c in self.floor.cholesky)
