@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.fit.misfit import Misfit, warning
 from bayes_sensor.likelihood import Problem
 
 
 def caveats(
-    problem: Problem, vector: FloatArray, residuals: list[tuple[FloatArray, FloatArray]]
+    problem: Problem,
+    vector: FloatArray,
+    residuals: list[tuple[FloatArray, FloatArray]],
+    misfit: Mapping[str, Misfit],
 ) -> list[str]:
     """Sentences that belong before the headline; empty where it stands as it is.
 
-    ``vector`` (n_theta,): the fit; ``residuals``: of every experiment r (n_t,) in V and x3 (n_t,).
+    ``vector`` (n_theta,): the fit; ``residuals``: of every experiment r (n_t,) in V and x3 (n_t,);
+    ``misfit``: of every experiment by name.
     """
-    return []
+    return [s for s in (warning(misfit, problem.campaign.signal_unit),) if s]

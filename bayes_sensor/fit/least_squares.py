@@ -16,6 +16,7 @@ from bayes_sensor.fit.caveats import caveats
 from bayes_sensor.fit.diagnostics import at_bounds, bound_warnings, warn
 from bayes_sensor.fit.identifiability import cannot_tell, step_is_seen
 from bayes_sensor.fit.looks import Look, first_look, initial_bounds
+from bayes_sensor.fit.misfit import misfits, of_all
 from bayes_sensor.fit.noise import all_residuals, estimate_noise, mean_square
 from bayes_sensor.fit.points import averages, scatter
 from bayes_sensor.fit.record import Fit, Progress
@@ -147,6 +148,8 @@ def fit_least_squares(
                 warnings.append(f"V{twin[1:]}.")
     mute = cannot_tell(problem, vector, residuals)
     seen = step_is_seen(problem, vector, residuals)
+    missed = misfits(problem, residuals, looks)
+    overall = of_all(problem, missed)
     if mute:
         warnings.insert(0, f"No interval can be given: {mute}.")
     if not seen:
@@ -181,7 +184,10 @@ def fit_least_squares(
         cannot_tell=mute,
         twin=twin,
         step_seen=seen,
-        caveats=tuple(caveats(problem, vector, residuals)),
+        caveats=tuple(caveats(problem, vector, residuals, missed)),
+        noise=overall.baseline,
+        misfit=overall.ratio,
+        misfit_per_experiment={name: each.ratio for name, each in missed.items()},
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from bayes_sensor.campaign import FloatArray
@@ -60,6 +60,12 @@ class Fit:
     caveats: tuple[str, ...] = ()
     """sentences that decide whether the headline stands: posterior, bounds and report repeat them
     before anything else"""
+    noise: float | None = None
+    """V, RMS of the noise without test gas, from the quiet stretches; None where none is quiet"""
+    misfit: float | None = None
+    """RMS over what the noise of the quiet stretches would leave; None where it cannot be told"""
+    misfit_per_experiment: dict[str, float | None] = field(default_factory=dict)
+    """the same by experiment"""
 
     def __repr__(self) -> str:
         """The shared time constants and the status."""
@@ -80,6 +86,9 @@ class Fit:
     def to_json(self) -> dict[str, Any]:
         """The content of ``fit.json``."""
         return {
+            "noise_V": self.noise,
+            "misfit": self.misfit,
+            "misfit_per_experiment": dict(self.misfit_per_experiment),
             "rms_V": self.rms,
             "n_samples": self.n_samples,
             "parameters": self.parameters,
