@@ -222,7 +222,8 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
     """(kind, sentence) for the top of the page: ``bad`` for what failed, else ``note``."""
     from bayes_sensor.figures import METHOD_LABELS  # draws, so slow to import
 
-    found: list[tuple[str, str]] = []
+    caveats = (saved.fit or {}).get("caveats") or []
+    found = [("bad", sentence(typeset(caveat))) for caveat in caveats]
     if saved.fit is not None and not saved.fit["converged"]:
         found.append(("bad", f"The least-squares fit did not converge. {saved.fit['status']}"))
     if saved.posterior is not None and not saved.posterior["converged"]:
@@ -272,7 +273,7 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
             if status != "ok" and "lower bound" not in status and "upper limit" not in status:
                 label = METHOD_LABELS.get(method, method)
                 notes.append(f"{label}: {status}")
-    seen: set[str] = set()
+    seen = set(caveats)
     for note in notes:
         if note not in seen and not any(note == text for _, text in found):
             seen.add(note)
