@@ -16,7 +16,7 @@ from bayes_sensor.fit.caveats import caveats
 from bayes_sensor.fit.diagnostics import at_bounds, bound_warnings, warn
 from bayes_sensor.fit.identifiability import cannot_tell, step_is_seen
 from bayes_sensor.fit.looks import Look, first_look, initial_bounds
-from bayes_sensor.fit.misfit import misfits, of_all
+from bayes_sensor.fit.misfit import misfits, overall
 from bayes_sensor.fit.noise import all_residuals, estimate_noise, mean_square
 from bayes_sensor.fit.points import averages, scatter
 from bayes_sensor.fit.record import Fit, Progress
@@ -149,7 +149,7 @@ def fit_least_squares(
     mute = cannot_tell(problem, vector, residuals)
     seen = step_is_seen(problem, vector, residuals)
     missed = misfits(problem, residuals, looks)
-    overall = of_all(problem, missed)
+    noise, misfit = overall(problem, missed)
     if mute:
         warnings.insert(0, f"No interval can be given: {mute}.")
     if not seen:
@@ -185,8 +185,8 @@ def fit_least_squares(
         twin=twin,
         step_seen=seen,
         caveats=tuple(caveats(problem, vector, residuals, missed)),
-        noise=overall.baseline,
-        misfit=overall.ratio,
+        noise=noise,
+        misfit=misfit,
         misfit_per_experiment={name: each.ratio for name, each in missed.items()},
     )
 

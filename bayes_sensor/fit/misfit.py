@@ -34,19 +34,21 @@ from bayes_sensor.likelihood import Problem
 
 TOLERATED = 1.5
 """RMS of the residuals over that of the noise, above which the fit misses the record"""
-CHANCE = 1e-3
+CHANCE = 0.02
 """of a warning from noise alone, in all experiments of a campaign together"""
 SPARE = 4
 """averages that a stretch must hold at the longest scale measured in it"""
-FEWEST = 6
+FEWEST = 8
 """samples of a quiet stretch"""
 SHARES = (1.0, 0.5, 0.25, 0.125)
 """of a stretch, from its end back: the longest part that is still is taken"""
 STILL = 0.05
 """chance that a stretch of 1/f noise is taken for one that moves"""
+LONGEST = 3
+"""scales, of those measured, that the growth towards longer ones is estimated from"""
 GROWTH = (-0.5, 1.0)
 """mean and sd of d ln A / d ln m before anything is measured: white noise has -1, 1/f noise 0"""
-STANDARD_ERRORS = 2.0
+STANDARD_ERRORS = 1.5
 """by which A may grow faster towards longer scales than estimated, before a misfit counts"""
 SPIKE = 8.0
 """robust standard deviations by which a spike leaves the median of the samples around it"""
@@ -58,9 +60,9 @@ FINEST = 1e-5
 
 @dataclass(frozen=True)
 class Misfit:
-    """The residuals of an experiment, or of a campaign, against the noise of quiet stretches."""
+    """The residuals of one experiment against the noise of its quiet stretches."""
 
-    rms: float | None = None
+    rms: float
     """V, of the residuals without single spikes"""
     noise: float | None = None
     """V, RMS that the noise of the quiet stretches leaves over the same samples; None where there
@@ -124,10 +126,8 @@ def is_still(y: FloatArray, rounding: float) -> bool:
     """
     found = scales_of(y, rounding)
     fine = max(len(found.a) - 3, 0)
-    usual = (
-        0.5 * float(np.median(_differences(_sums(y), 2**fine) ** 2)) / 0.4549
-    )  # of chi-squared, 1 dof
-    usual += rounding / 2**fine
+    middle = float(np.median(_differences(_sums(y), 2**fine) ** 2))
+    usual = 0.5 * middle / 0.4549 + rounding / 2**fine  # the median of chi-squared with 1 dof
     # a median of squares is worth .37 of as many means
     most = float(fdtri(found.dof[-1], 0.37 * found.dof[fine], 1.0 - STILL))
     return bool(found.a[-1] <= most * usual)
@@ -178,12 +178,12 @@ class Variance:
 def variance(scales: Scales, n: int, cautious: bool) -> Variance:
     """V(n), from the scales measured and their continuation ``level * m^growth`` to longer ones.
 
-    The growth is estimated from the four longest scales measured, with :data:`GROWTH` as prior.
+    The growth is estimated from the :data:`LONGEST` scales measured, with :data:`GROWTH` as prior.
     It is kept between white and 1/f noise or, ``cautious``, between 1/f noise and a random walk
     after two standard errors were added.
     """
     n_seen, octaves = len(scales.a), float(np.log2(max(n, 2)))
-    last = np.arange(max(n_seen - 4, 0), n_seen)
+    last = np.arange(max(n_seen - LONGEST, 0), n_seen)
     half = scales.dof[last] / 2.0
     log_a = np.log(scales.a[last]) - psi(half) + np.log(half)  # of a chi-squared variable
     weight = 1.0 / polygamma(1, half)
@@ -208,93 +208,6 @@ def variance(scales: Scales, n: int, cautious: bool) -> Variance:
     return Variance(value, value**2 / error, value**2 / float(np.sum(share**2 / own)))
 
 
-def misfits(
-    problem: Problem, residuals: Sequence[tuple[FloatArray, FloatArray]], looks: Sequence[Look]
-) -> dict[str, Misfit]:
-    """The misfit of every experiment by name.
-
-    ``residuals``: of every experiment r (n_t,) in V and x3 (n_t,).
-    """
-    chance = CHANCE / len(looks)
-    return {
-        e.name: misfit_of(e, look, r[e.used], x[e.used], chance)
-        for e, look, (r, x) in zip(problem.campaign, looks, residuals, strict=True)
-    }
-
-
-def misfit_of(e: Experiment, look: Look, r: FloatArray, x: FloatArray, chance: float) -> Misfit:
-    """The misfit of one experiment with residuals ``r`` and response ``x`` (n_samples,).
-
-    A ratio above :data:`TOLERATED` counts where noise, drawn from what the quiet stretches leave
-    possible, reaches it with less than ``chance`` (an F law).
-    """
-    rms = float(np.sqrt(np.mean(without_spikes(r, 0.0) ** 2)))
-    base, gas = quiet_stretches(e, look)
-    if base is None or gas is None:
-        return Misfit(rms)
-    share = float(np.clip(x, 0.0, 1.0).mean())
-    usual, cautious = (
-        [variance(scales, len(r), side) for scales in (base, gas)] for side in (False, True)
-    )
-    square = (1.0 - share) * usual[0].value + share * usual[1].value
-    if square <= 0.0:
-        return Misfit(rms)
-    noise, baseline = sqrt(square), sqrt(usual[0].value)
-    parts = [(1.0 - share) * cautious[0].value, share * cautious[1].value]
-    most = sum(parts)
-    dof = most / sum(part / law.dof for part, law in zip(parts, cautious, strict=True))
-    own = most / sum(part / law.own for part, law in zip(parts, cautious, strict=True))
-    by_chance = most * float(fdtri(own, dof, 1.0 - chance))
-    told = rms**2 <= TOLERATED**2 * square or rms**2 > TOLERATED**2 * by_chance
-    return Misfit(rms, noise, baseline, rms / noise if told else None)
-
-
-def of_all(problem: Problem, found: Mapping[str, Misfit]) -> Misfit:
-    """The misfit of a campaign: root mean squares over the samples of its experiments.
-
-    ``rms``, ``noise`` and ``ratio`` over those that have a ratio, ``baseline`` over those that
-    have one.
-    """
-    n = {e.name: e.n_samples for e in problem.campaign}
-
-    def mean(field: str, names: list[str]) -> float | None:
-        total = sum(n[name] for name in names)
-        if not total:
-            return None
-        return sqrt(sum(n[name] * getattr(found[name], field) ** 2 for name in names) / total)
-
-    told = [name for name, misfit in found.items() if misfit.ratio is not None]
-    quiet = [name for name, misfit in found.items() if misfit.baseline is not None]
-    rms, noise = mean("rms", told), mean("noise", told)
-    ratio = rms / noise if rms is not None and noise is not None else None
-    return Misfit(rms, noise, mean("baseline", quiet), ratio)
-
-
-def warning(found: Mapping[str, Misfit], unit: str) -> str:
-    """Which experiments the fit misses, by how much, and what to look at; else empty."""
-    missed = {
-        name: misfit.ratio
-        for name, misfit in found.items()
-        if misfit.ratio is not None and misfit.ratio > TOLERATED
-    }
-    if not missed:
-        return ""
-    names = sorted(missed, key=lambda name: -missed[name])
-    worst = found[names[0]]
-    listed = ", ".join(repr(name) for name in names[:MOST_NAMES])
-    if len(names) > MOST_NAMES:
-        listed += f" and {len(names) - MOST_NAMES} more"
-    several = len(names) > 1
-    return (
-        f"Experiment{'s' if several else ''} {listed}: the fit misses the record by "
-        f"{'up to ' if several else ''}{missed[names[0]]:.2g} times its noise "
-        f"(RMS {worst.rms:.2g} {unit}; quiet stretches {worst.noise:.2g} {unit}), so the time "
-        "constants and their intervals are not to be trusted: several steps in the record? several "
-        "sensors in one campaign? a readout that is not proportional (resistance, logarithm)? a "
-        "slow recovery? a drift or a jump of the level?"
-    )
-
-
 def quiet_stretches(e: Experiment, look: Look) -> tuple[Scales | None, Scales | None]:
     """Noise of one record without and with test gas; None where no stretch is quiet.
 
@@ -302,6 +215,8 @@ def quiet_stretches(e: Experiment, look: Look) -> tuple[Scales | None, Scales | 
     the baseline the rest.
     """
     y = e.values[e.used]
+    if np.ptp(y) == 0.0:
+        return None, None
     smallest = rounding_step(y) ** 2 / 12.0 + (FINEST * float(np.ptp(y))) ** 2
     y = without_spikes(y, sqrt(smallest))
     at = np.searchsorted(e.t[e.used], [until(e, look), look.start_by, look.off, look.end_by])
@@ -347,3 +262,99 @@ def without_spikes(y: FloatArray, smallest: float) -> FloatArray:
     away = np.abs(y - middle)
     spread = max(1.4826 * float(np.median(away)), smallest)
     return np.where(away > SPIKE * spread, middle, y)
+
+
+def misfits(
+    problem: Problem, residuals: Sequence[tuple[FloatArray, FloatArray]], looks: Sequence[Look]
+) -> dict[str, Misfit]:
+    """The misfit of every experiment by name.
+
+    ``residuals``: of every experiment r (n_t,) in V and x3 (n_t,).
+    """
+    chance = CHANCE / len(looks)
+    return {
+        e.name: misfit_of(e, look, r[e.used], x[e.used], chance)
+        for e, look, (r, x) in zip(problem.campaign, looks, residuals, strict=True)
+    }
+
+
+def misfit_of(e: Experiment, look: Look, r: FloatArray, x: FloatArray, chance: float) -> Misfit:
+    """The misfit of one experiment with residuals ``r`` and response ``x`` (n_samples,).
+
+    A ratio above :data:`TOLERATED` is told where the noise that the quiet stretches leave possible
+    brings it there with less than ``chance``.
+    """
+    square = float(np.mean(without_spikes(r, 0.0) ** 2))
+    base, gas = quiet_stretches(e, look)
+    if base is None or gas is None:
+        return Misfit(sqrt(square))
+    share = float(np.clip(x, 0.0, 1.0).mean())
+    usual, most = (
+        mixed(variance(base, len(r), cautious), variance(gas, len(r), cautious), share)
+        for cautious in (False, True)
+    )
+    # the ratio of two mean squares of such noise follows an F law
+    by_chance = most.value * float(fdtri(most.own, most.dof, 1.0 - chance))
+    told = square <= TOLERATED**2 * usual.value or square > TOLERATED**2 * by_chance
+    return Misfit(
+        sqrt(square),
+        sqrt(usual.value),
+        sqrt(variance(base, len(r), False).value),
+        sqrt(square / usual.value) if told else None,
+    )
+
+
+def mixed(base: Variance, gas: Variance, share: float) -> Variance:
+    """The variance of a record of which ``share`` is under gas."""
+    parts = (1.0 - share) * base.value, share * gas.value
+    value = sum(parts)
+    return Variance(
+        value,
+        value / (parts[0] / base.dof + parts[1] / gas.dof),
+        value / (parts[0] / base.own + parts[1] / gas.own),
+    )
+
+
+def overall(problem: Problem, found: Mapping[str, Misfit]) -> tuple[float | None, float | None]:
+    """Noise without gas in V, and misfit, of a campaign; None where no experiment tells.
+
+    The first is the root mean square over the samples of all experiments with quiet stretches, the
+    second the ratio of two such, over those with a ratio.
+    """
+
+    def squares(chosen: list[tuple[int, float]]) -> float:
+        return sum(n * value**2 for n, value in chosen)
+
+    each = [(e.n_samples, found[e.name]) for e in problem.campaign]
+    quiet = [(n, m.baseline) for n, m in each if m.baseline is not None]
+    told = [(n, m.rms, m.rms / m.ratio) for n, m in each if m.ratio]
+    noise = sqrt(squares(quiet) / sum(n for n, _ in quiet)) if quiet else None
+    if not told:
+        return noise, None
+    missed, left = (squares([(row[0], row[i]) for row in told]) for i in (1, 2))
+    return noise, sqrt(missed / left)
+
+
+def warning(found: Mapping[str, Misfit], unit: str) -> str:
+    """Which experiments the fit misses, by how much, and what to look at; else empty."""
+    missed = {
+        name: misfit.ratio
+        for name, misfit in found.items()
+        if misfit.ratio is not None and misfit.ratio > TOLERATED
+    }
+    if not missed:
+        return ""
+    names = sorted(missed, key=lambda name: -missed[name])
+    worst = found[names[0]]
+    listed = ", ".join(f"'{name}'" for name in names[:MOST_NAMES])
+    if len(names) > MOST_NAMES:
+        listed += f" and {len(names) - MOST_NAMES} more"
+    several = len(names) > 1
+    return (
+        f"Experiment{'s' if several else ''} {listed}: the fit misses the record by "
+        f"{'up to ' if several else ''}{missed[names[0]]:.3g} times its noise "
+        f"(RMS {worst.rms:.3g} {unit}; quiet stretches {worst.noise:.3g} {unit}), so the time "
+        "constants and their intervals are not to be trusted: several steps in the record? several "
+        "sensors in one campaign? a readout that is not proportional (resistance, logarithm)? a "
+        "slow recovery? a drift or a jump of the level?"
+    )
