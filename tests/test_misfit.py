@@ -33,7 +33,7 @@ from bayes_sensor.report.headline import alerts
 
 TABLE = Path(__file__).resolve().parent.parent / "paper" / "tables" / "misfit.csv"
 INTERVAL, DURATION, ON, OFF = 0.02, 60.0, 12.0, 34.0  # s
-SD = 0.004  # of the step
+SD = 0.002  # of the step
 
 
 def flicker(n: int, rng: np.random.Generator) -> FloatArray:
