@@ -16,6 +16,7 @@ from bayes_sensor.fit.caveats import caveats
 from bayes_sensor.fit.diagnostics import at_bounds, bound_warnings, unseen_lags, warn
 from bayes_sensor.fit.identifiability import cannot_tell, step_is_seen
 from bayes_sensor.fit.looks import Look, first_look, initial_bounds
+from bayes_sensor.fit.misfit import misfits, overall
 from bayes_sensor.fit.noise import all_residuals, estimate_noise, mean_square
 from bayes_sensor.fit.points import averages, scatter
 from bayes_sensor.fit.record import Fit, Progress
@@ -153,6 +154,8 @@ def fit_least_squares(
                 f"tau_v = {1e3 * other.tau_v:.4g} ms and V = {other.volume:.4g} mL is as good"
             )
             warnings.append(f"V{twin[1:]}.")
+    missed = misfits(problem, residuals, looks)
+    noise, misfit = overall(problem, missed)
     if mute:
         warnings.insert(0, f"No interval can be given: {mute}.")
     if not seen:
@@ -190,7 +193,10 @@ def fit_least_squares(
         unseen=tuple(labels[name] for name in unseen),
         naming=naming,
         side_information=compared,
-        caveats=tuple(caveats(problem, vector, residuals, compared)),
+        caveats=tuple(caveats(problem, vector, residuals, missed, compared)),
+        noise=noise,
+        misfit=misfit,
+        misfit_per_experiment={name: each.ratio for name, each in missed.items()},
     )
 
 

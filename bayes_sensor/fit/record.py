@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from bayes_sensor.campaign import FloatArray
@@ -69,6 +69,12 @@ class Fit:
     caveats: tuple[str, ...] = ()
     """sentences that decide whether the headline stands: posterior, bounds and report repeat them
     before anything else"""
+    noise: float | None = None
+    """V, RMS of the noise without test gas, from the quiet stretches; None where none is quiet"""
+    misfit: float | None = None
+    """RMS over what the noise of the quiet stretches would leave; None where it cannot be told"""
+    misfit_per_experiment: dict[str, float | None] = field(default_factory=dict)
+    """the same by experiment"""
 
     @property
     def order(self) -> str:
@@ -108,6 +114,9 @@ class Fit:
         """The content of ``fit.json``."""
         return {
             "order": self.order,
+            "noise_V": self.noise,
+            "misfit": self.misfit,
+            "misfit_per_experiment": dict(self.misfit_per_experiment),
             "rms_V": self.rms,
             "n_samples": self.n_samples,
             "parameters": self.parameters,
