@@ -239,6 +239,7 @@ class Campaign:
                 f"{self.source or 'campaign'}: sensor_is must be one of {', '.join(ORDERS)}, but "
                 f"is '{self.sensor_is}'; say which of the lags is the sensor's, or 'unknown'"
             )
+        self._check_order()
         if not self.experiments:
             raise CampaignError(f"{self.source or 'campaign'}: expected at least one experiment")
         names = self.names_of_experiments
@@ -247,6 +248,20 @@ class Campaign:
                 raise CampaignError(
                     f"{self.source or 'campaign'}: two experiments are called '{name}'; rename one"
                 )
+
+    def _check_order(self) -> None:
+        """Raise CampaignError where side information says the other order than ``sensor_is``."""
+        known = self.side_information
+        if self.sensor_is == "unknown" or not {"tau_s", "tau_v_s"} <= known.keys():
+            return
+        tau, tau_v = known["tau_s"], known["tau_v_s"]
+        away = (tau.mean - tau_v.mean) / np.hypot(tau.sd, tau_v.sd)
+        if (away if self.sensor_is == "faster" else -away) > 3.0:
+            raise CampaignError(
+                f"{self.source or 'campaign'}: sensor_is is '{self.sensor_is}', but by side "
+                f"information tau is {tau.mean:g} +- {tau.sd:g} s and tau_v {tau_v.mean:g} +- "
+                f"{tau_v.sd:g} s; expected both to agree: correct one, or leave sensor_is out"
+            )
 
     def __iter__(self) -> Iterator[Experiment]:
         return iter(self.experiments)
