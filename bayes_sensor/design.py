@@ -125,9 +125,7 @@ def record_information(setting: Setting, truth: Truth, tau: float) -> FloatArray
     local = [setting.y0, setting.beta, setting.t0 + truth.tau - tau]
     if setting.tf is not None:
         local.append(setting.tf + truth.tau - tau)
-    vector = np.array(
-        [tau, truth.tau_v, truth.V, *local, phi, truth.sigma0, sigma1]
-    )
+    vector = np.array([tau, truth.tau_v, truth.V, *local, phi, truth.sigma0, sigma1])
     information = expected_information(problem, vector)
     n = len(vector)
     # theta by (tau^2, tau_v, V, y0, beta, t0 + tau, tf + tau, noise), and a column for tau itself

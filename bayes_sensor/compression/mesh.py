@@ -245,7 +245,7 @@ def _widths(
     low, high = region.low, region.high
     e = problem.campaign.experiments[k]
     _, sigma0, sigma1 = vector[problem.layout.noise[k]]
-    # where the variance grows or falls by this factor, 1/s^2 still changes when x3 has all but decayed
+    # where the variance changes by this factor, 1/s^2 still changes when x3 has all but decayed
     weight, fading = problem.noise.weight(problem.campaign, e), problem.noise.fading
     growth = 1.0 + weight * ((sigma1 / sigma0) ** 2 - fading)
     growth = float(min(max(growth, 1.0 / max(growth, 1e-8)), 1e8)) if np.isfinite(growth) else 1.0

@@ -159,7 +159,7 @@ class Compressed:
         return float(kernels.general(k, self.arrays, phi, phi_reference, *parts))
 
     def _law(self, k: int) -> tuple[float, float]:
-        """Weight of the response in the variance of experiment ``k``, share of sigma0 that fades."""
+        """Weight of the response in the variance of experiment ``k``, what fades of sigma0^2."""
         noise, campaign = self.problem.noise, self.problem.campaign
         return noise.weight(campaign, campaign.experiments[k]), noise.fading
 
@@ -177,7 +177,6 @@ class Compressed:
         if noise is None:
             return -np.inf
         phi, phi_reference, sigma0, sigma1 = noise
-        e = self.problem.campaign.experiments[k]
         mean, x, index, d_mean, d_x = mean_derivatives(self.problem, vector, k, self._times(k))
         s2 = scale_squared(x, sigma0, sigma1, *self._law(k))
         by_x, by_sigma0, by_sigma1 = scale_slopes(x, sigma0, sigma1, *self._law(k))
