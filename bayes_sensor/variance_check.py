@@ -19,6 +19,7 @@ from bayes_sensor.campaign import FloatArray
 
 NEIGHBOURS = np.array([-0.25, -0.25, 1.0, -0.25, -0.25])
 """a residual less the mean of the two before and the two after it"""
+GAIN = float(NEIGHBOURS @ NEIGHBOURS)
 OVERLAP = 1.45
 """variance of a mean of their squares over that of independent ones, white residuals"""
 FEWEST = 40
@@ -99,6 +100,14 @@ class VarianceCheck:
         }  # fmt: skip
 
 
+def local_squares(whitened: FloatArray) -> FloatArray:
+    """(n - 4,) squares of residuals (n,) less their neighbours' mean, as large as without it."""
+    if len(whitened) < len(NEIGHBOURS):
+        return np.array([])
+    squares: FloatArray = np.convolve(whitened, NEIGHBOURS, "valid") ** 2 / GAIN
+    return squares
+
+
 def check_variance(
     whitened: list[FloatArray], places: list[FloatArray], edges: FloatArray, each: bool = False
 ) -> VarianceCheck:
@@ -114,10 +123,8 @@ def check_variance(
     """
     squares, bins = [], []
     for e, x in zip(whitened, places, strict=True):
-        if len(e) < len(NEIGHBOURS):
-            continue
-        square = np.convolve(e, NEIGHBOURS, "valid") ** 2
-        mean = float(square.mean())
+        square = local_squares(e)
+        mean = float(square.mean()) if len(square) else 0.0
         if mean > 0.0:
             squares.append(square / mean if each else square)
             bins.append(np.clip(np.searchsorted(edges, x[2:-2], "right") - 1, 0, len(edges) - 2))

@@ -29,8 +29,8 @@ def residuals_of(problem: Problem, vector: FloatArray, k: int) -> tuple[FloatArr
     return r, problem.model.response(e.t, vector, problem.layout, e)
 
 
-class _Spread(NamedTuple):
-    """Sums over one experiment's residuals from which the noise is estimated."""
+class Spread(NamedTuple):
+    """What is needed of one experiment's residuals to estimate the noise."""
 
     r2: FloatArray  # r^2 of the used samples
     x: FloatArray  # weight * x3 there
@@ -62,7 +62,7 @@ def estimate_noise(
         if fading:
             variable = np.minimum(variable, 1.0)
         used, steps = e.used, problem.steps(e)
-        spreads.append(_Spread(r[used] ** 2, variable[used], r, variable, used, steps, fading))
+        spreads.append(Spread(r[used] ** 2, variable[used], r, variable, used, steps, fading))
     values: dict[str, float] = {}
     groups = [[k] for k in range(len(spreads))] if layout.noise_per_experiment else None
     for group in groups or [list(range(len(spreads)))]:
@@ -70,7 +70,7 @@ def estimate_noise(
         own = rms
         if layout.noise_per_experiment:
             own = sqrt(sum(s.r2.sum() for s in chosen) / sum(len(s.r2) for s in chosen))
-        v0, v1 = _variances(chosen, problem.noise.variance != "constant")
+        v0, v1 = fitted_variances(chosen, problem.noise.variance != "constant")
         v0 = max(v0, (1e-3 * own) ** 2, 1e-30)
         v1 = max(v1, fading * (1e-3 * own) ** 2)
         phi = 0.0
@@ -84,7 +84,8 @@ def estimate_noise(
     return values
 
 
-def _variances(spreads: list[_Spread], grows: bool) -> tuple[float, float]:
+def fitted_variances(spreads: list[Spread], grows: bool) -> tuple[float, float]:
+    """sigma0^2 and sigma1^2 that describe the squares ``r2`` best; ``grows``: sigma1 is free."""
     n = sum(len(s.r2) for s in spreads)
     mean = sum(float(s.r2.sum()) for s in spreads) / n
     if not grows or mean <= 0.0:
@@ -107,7 +108,7 @@ def _variances(spreads: list[_Spread], grows: bool) -> tuple[float, float]:
     return v0, v1
 
 
-def _lag_one(spreads: list[_Spread], v0: float, v1: float) -> float:
+def _lag_one(spreads: list[Spread], v0: float, v1: float) -> float:
     """phi from neighbouring samples; from used ones further apart where most are not neighbours."""
     distances = [np.diff(np.flatnonzero(s.used)) for s in spreads]
     next_to_each_other = sum(int(np.sum(d == 1)) for d in distances)
