@@ -25,7 +25,7 @@ from bayes_sensor.fit.noise import Spread, fitted_variances
 from bayes_sensor.lattice import lattice_step
 from bayes_sensor.likelihood import Problem, as_problem, grid_response, mean_and_variance
 from bayes_sensor.model import Cascade, local_parameters, time_constants
-from bayes_sensor.noise import lag_coefficient
+from bayes_sensor.noise import VARIANCES, lag_coefficient
 from bayes_sensor.variance_check import FACTOR, VarianceCheck, check_variance, local_squares
 
 HISTOGRAM_BIN = 0.05
@@ -52,8 +52,6 @@ COARSE = 2.0
 normal noise of 0.4 steps rounding biases a mean by 1 % of a step, and by 5 % with 0.3 steps"""
 NEGLIGIBLE = 1e-4
 """of the larger level's variance, below which no level is taken to be"""
-NONE_LEFT = 0.1
-"""of sigma0, up to which a sigma1 counts as none"""
 
 
 class Fitted(Protocol):
@@ -524,13 +522,11 @@ def _judge(
 ) -> _Judgement:
     """Correlation, variance and rounding: what fails, with its numbers and what helps."""
     correlated = _correlation_check(problem, vector, series, slow_part, correlation, whitened)
-    whites = _at_the_laws_best(problem, series)
-    by_gas = check_variance(whites, _concentrations(problem, series), CONCENTRATION_EDGES)
-    by_slope = check_variance(whites, _slopes(series), SLOPE_EDGES, each=True)
+    by_gas, by_slope = _variance_checks(problem, series)
     rounding = _rounding_check(problem, series)
     failing = [
         *([] if correlated["adequate"] else [correlated["sentence"]]),
-        *_variance_sentences(problem, vector, by_gas, by_slope),
+        *_variance_sentences(problem, series, by_gas, by_slope),
         *([] if rounding["adequate"] else [rounding["sentence"]]),
     ]
     beyond = "" if rounding["adequate"] else f" {TOO_COARSE}"
@@ -574,11 +570,22 @@ def _at_the_laws_best(problem: Problem, series: list[_Series]) -> list[FloatArra
     return whites
 
 
+def _variance_checks(
+    problem: Problem, series: list[_Series]
+) -> tuple[VarianceCheck, VarianceCheck]:
+    """The variance law against concentration, and against the slope of the response."""
+    whites = _at_the_laws_best(problem, series)
+    return (
+        check_variance(whites, _concentrations(problem, series), CONCENTRATION_EDGES),
+        check_variance(whites, _slopes(series), SLOPE_EDGES, each=True),
+    )
+
+
 def _variance_sentences(
-    problem: Problem, vector: FloatArray, by_gas: VarianceCheck, by_slope: VarianceCheck
+    problem: Problem, series: list[_Series], by_gas: VarianceCheck, by_slope: VarianceCheck
 ) -> list[str]:
     """What the variance law fails in, and what helps; empty where it does not."""
-    told, advice = [], ""
+    told, falls = [], False
     if not by_gas.adequate:
         low, high = float(by_gas.factor[0]), float(by_gas.factor[-1])
         place = "of the highest concentration"
@@ -588,11 +595,9 @@ def _variance_sentences(
         )
         if low > FACTOR and high < 1.0 / FACTOR:
             told.append(f"the noise falls with gas: {ends}")
-            advice = _levels(problem, vector)
+            falls = True
         elif high > FACTOR and low < 1.0 / FACTOR:
             told.append(f"the noise rises with gas by more than it says: {ends}")
-            if problem.noise.variance == "constant":
-                advice = _ask_for("concentration", "Noise that rises with gas can be fitted")
         else:
             told.append(f"against concentration {_one_bin(by_gas, place)}")
     if not by_slope.adequate:
@@ -605,7 +610,7 @@ def _variance_sentences(
     law = f'variance = "{problem.noise.variance}"'
     return [
         f"The variance law ({law}) does not describe the residuals: {'; '.join(told)}; intervals "
-        f"that rest on it are then not to be trusted.{advice}"
+        f"that rest on it are then not to be trusted.{_better_law(problem, series, falls)}"
     ]
 
 
@@ -639,16 +644,20 @@ def _one_bin(check: VarianceCheck, place: str) -> str:
     )
 
 
-def _levels(problem: Problem, vector: FloatArray) -> str:
-    """The law that may fall with gas, where the present one cannot."""
-    sigma0, sigma1 = vector[problem.layout.noise[:, 1:]].T
-    if problem.noise.fading or np.any(sigma1 > NONE_LEFT * sigma0):
-        return ""
-    return _ask_for("levels", "Noise that falls with gas can be fitted")
+def _better_law(problem: Problem, series: list[_Series], falls: bool) -> str:
+    """A variance law that describes the residuals, or may at least fall with gas as they do."""
+    for law in VARIANCES:
+        other = replace(problem, noise=replace(problem.noise, variance=law))
+        fits = all(check.adequate for check in _variance_checks(other, series))
+        if law != problem.noise.variance and fits:
+            return f" The law {law!r} describes them: {_ask_for(law)}"
+    if falls and not problem.noise.fading:
+        return f" Noise that falls with gas can be fitted, if not exactly: {_ask_for('levels')}"
+    return ""
 
 
-def _ask_for(law: str, what: str) -> str:
-    return f' {what}: write `variance = "{law}"` under [noise] of --config, or Noise("{law}").'
+def _ask_for(law: str) -> str:
+    return f'write `variance = "{law}"` under [noise] of --config, or Noise("{law}").'
 
 
 def _rounding_check(problem: Problem, series: list[_Series]) -> dict[str, Any]:
