@@ -107,8 +107,8 @@ def simulate_setting(design: Campaign, theta: FloatArray, setting: Setting, seed
         if tf is not None:
             slower = time_constants(tau, setting.closing * tau_v, V, e.total_flow)
             x -= grid_response(e, slower, tf, None)
-        weight = problem.noise.weight(design, e)
-        scale = np.sqrt(scale_squared(x, setting.sigma0, setting.sigma1, weight))
+        law = problem.noise.weight(design, e), problem.noise.fading
+        scale = np.sqrt(scale_squared(x, setting.sigma0, setting.sigma1, *law))
         rng = np.random.default_rng(stream)
         noise = simulate_noise(np.sqrt(1.0 - setting.white) * scale, setting.phi, rng)
         if setting.white > 0.0:

@@ -120,13 +120,12 @@ def record_information(setting: Setting, truth: Truth, tau: float) -> FloatArray
     steps = e.interval / truth.interval
     phi = lag_coefficient(truth.phi, steps)
     own = truth.noise.weight(alone, e)
-    stretch = float(np.sqrt(setting.weight / own)) if own > 0 else 0.0
+    times = setting.weight / own if own > 0 else 0.0
+    sigma1 = truth.noise.referred(truth.sigma0, truth.sigma1, times)
     local = [setting.y0, setting.beta, setting.t0 + truth.tau - tau]
     if setting.tf is not None:
         local.append(setting.tf + truth.tau - tau)
-    vector = np.array(
-        [tau, truth.tau_v, truth.V, *local, phi, truth.sigma0, stretch * truth.sigma1]
-    )
+    vector = np.array([tau, truth.tau_v, truth.V, *local, phi, truth.sigma0, sigma1])
     information = expected_information(problem, vector)
     n = len(vector)
     # theta by (tau^2, tau_v, V, y0, beta, t0 + tau, tf + tau, noise), and a column for tau itself
@@ -134,7 +133,7 @@ def record_information(setting: Setting, truth: Truth, tau: float) -> FloatArray
     slopes[0, 0] = 0.5 / tau
     slopes[5 : 3 + len(local), 0] = -0.5 / tau
     slopes[-3, -3] = steps * phi / truth.phi if truth.phi != 0 else float(steps == 1.0)
-    slopes[-1, -1] = stretch
+    slopes[-1, -2:] = truth.noise.referred_slopes(truth.sigma0, truth.sigma1, times)
     full = np.zeros((n + 1, n + 1))
     place = np.array([0, *range(2, n + 1)])
     full[np.ix_(place, place)] = slopes.T @ information @ slopes
@@ -468,10 +467,10 @@ class Design:
         own parameters are there.
         """
         shared, theta = self.campaign, self.theta.copy()
-        i_phi, _, i_sigma1 = Layout.of(shared).noise[0]
-        if self.noise.variance == "concentration":
+        i_phi, i_sigma0, i_sigma1 = Layout.of(shared).noise[0]
+        if self.noise.by_concentration:
             of = campaign.reference_concentration / shared.reference_concentration
-            theta[i_sigma1] *= float(np.sqrt(of))
+            theta[i_sigma1] = self.noise.referred(theta[i_sigma0], theta[i_sigma1], of)
         if campaign.reference_interval != shared.reference_interval:
             steps = campaign.reference_interval / shared.reference_interval
             theta[i_phi] = lag_coefficient(float(theta[i_phi]), steps)
@@ -608,9 +607,7 @@ def _candidates(
                 slowest = max(truth.tau_v, truth.V / flow, truth.tau)
                 if (END - BEGIN) * duration < 6.0 * slowest:
                     continue
-                weight = {
-                    "concentration": float(fraction / reference), "signal": 1.0, "constant": 0.0,
-                }[truth.noise.variance]  # fmt: skip
+                weight = truth.noise.weight_of(float(fraction / reference))
                 result.append(
                     planned(
                         "candidate", float(flow), float(fraction), float(duration),
@@ -707,10 +704,10 @@ def _proposal(
     )  # fmt: skip
     n = problem.layout.n_mean
     noise = [truth.phi, truth.sigma0, truth.sigma1]
-    weight = problem.campaign.reference_concentration
-    if truth.noise.variance == "concentration":
+    if truth.noise.by_concentration:
         # sigma1 refers to the highest concentration, which a proposal may raise
-        noise[2] *= float(np.sqrt(combined.reference_concentration / weight))
+        times = combined.reference_concentration / problem.campaign.reference_concentration
+        noise[2] = truth.noise.referred(truth.sigma0, truth.sigma1, times)
     if combined.reference_interval != truth.interval:
         noise[0] = lag_coefficient(truth.phi, combined.reference_interval / truth.interval)
     theta = np.concatenate([vector[:n], local, noise])

@@ -4,7 +4,8 @@ The data hold tau through tau^2 and trade it against the switch times, so in
 psi = (tau^2, tau_v, V, y0, beta, t0 + tau, tf + tau, atanh phi, log sigma0, sigma1^2) the
 log-likelihood is nearly quadratic.  The Gaussian is expanded at a positive tau, may have a negative
 mean of tau^2, and is re-expanded once; tau (and sigma1 likewise) is drawn from the Gaussian in its
-square cut at zero, the rest conditionally.
+square cut at zero, the rest conditionally.  Where sigma1 is a level of its own (``levels``), which
+cannot be zero, its coordinate is log sigma1.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compression import Compressed, Region, compress
 from bayes_sensor.likelihood import Problem, log_prior_derivatives, log_priors
+from bayes_sensor.noise import Noise
 
+NOISE_SIZES = ("sigma0_V", "sigma1_V")
 MESH_LIMIT = 5e-4
 """error in log L at a few draws above which blocks are made narrower; promised is 1e-3"""
 
@@ -50,8 +53,8 @@ class Coordinates:
 
     @cached_property
     def squared(self) -> np.ndarray:
-        """Positions in psi that hold a square: of tau, of each sigma1."""
-        return self._where("tau_s", "sigma1_V")
+        """Positions in psi that hold a square: of tau, of each sigma1 that may be zero."""
+        return self._where("tau_s", *(set(NOISE_SIZES) - set(self._sizes)))
 
     @cached_property
     def switches(self) -> np.ndarray:
@@ -64,9 +67,14 @@ class Coordinates:
         return self._where("phi")
 
     @cached_property
-    def sigma0(self) -> np.ndarray:
-        """Positions in psi of log sigma0."""
-        return self._where("sigma0_V")
+    def _sizes(self) -> tuple[str, ...]:
+        """Which sizes of noise cannot be zero: sigma0, and sigma1 where it is a level."""
+        return NOISE_SIZES if self.problem.noise.fading else NOISE_SIZES[:1]
+
+    @cached_property
+    def log_sigmas(self) -> np.ndarray:
+        """Positions in psi of log sigma0, and of log sigma1 where it is a level of its own."""
+        return self._where(*self._sizes)
 
     @cached_property
     def logs(self) -> np.ndarray:
@@ -119,9 +127,9 @@ class Coordinates:
         tau = psi[..., :1].copy()
         psi[..., self.switches] += tau
         psi[..., self.squared] **= 2
-        phi, sigma0 = self.phi, self.sigma0
+        phi, sigmas = self.phi, self.log_sigmas
         psi[..., phi] = np.arctanh(psi[..., phi])
-        psi[..., sigma0] = np.log(psi[..., sigma0])
+        psi[..., sigmas] = np.log(psi[..., sigmas])
         psi[..., self.logs] = np.log(psi[..., self.logs])
         return psi
 
@@ -130,10 +138,10 @@ class Coordinates:
         values = np.array(psis, dtype=float)
         values[..., self.squared] = np.sqrt(np.maximum(values[..., self.squared], 0.0))
         values[..., self.switches] -= values[..., :1]
-        phi, sigma0 = self.phi, self.sigma0
+        phi, sigmas = self.phi, self.log_sigmas
         # 1 - 1e-12: tanh rounds to 1 far out, where the density is zero anyway
         values[..., phi] = np.clip(np.tanh(values[..., phi]), -1 + 1e-12, 1 - 1e-12)
-        values[..., sigma0] = np.exp(np.minimum(values[..., sigma0], 300.0))
+        values[..., sigmas] = np.exp(np.minimum(values[..., sigmas], 300.0))
         values[..., self.logs] = np.exp(np.minimum(values[..., self.logs], 300.0))
         theta = np.zeros((*values.shape[:-1], len(self.problem.layout)))
         for name, value in self.problem.fixed.items():
@@ -144,10 +152,10 @@ class Coordinates:
     def log_jacobian(self, thetas: FloatArray, roots: bool = False) -> FloatArray:
         """log |d theta / d psi| (..,).  ``roots``: with tau and sigma1 themselves, not squared."""
         values = np.asarray(thetas)[..., self.free]
-        phi, sigma0 = self.phi, self.sigma0
+        phi, sigmas = self.phi, self.log_sigmas
         with np.errstate(divide="ignore"):
             total: FloatArray = np.log(1.0 - values[..., phi] ** 2).sum(axis=-1)
-            total = total + np.log(values[..., sigma0]).sum(axis=-1)
+            total = total + np.log(values[..., sigmas]).sum(axis=-1)
             total = total + np.log(values[..., self.logs]).sum(axis=-1)
             if not roots:
                 total = total - np.log(2.0 * values[..., self.squared]).sum(axis=-1)
@@ -161,7 +169,7 @@ class Coordinates:
         least = np.where(self.squared == 0, 1e-12, 1e-12 * values[self.sigma0].min())
         diagonal[self.squared] = 0.5 / np.maximum(values[self.squared], least)
         diagonal[self.phi] = 1.0 - values[self.phi] ** 2
-        diagonal[self.sigma0] = values[self.sigma0]
+        diagonal[self.log_sigmas] = values[self.log_sigmas]
         diagonal[self.logs] = values[self.logs]
         slopes = np.diag(diagonal)
         slopes[self.switches, 0] = -diagonal[0]
@@ -505,10 +513,12 @@ def _prior_curvature(problem: Problem, theta: FloatArray) -> FloatArray:
     return log_prior_derivatives(problem, theta)[1]
 
 
-def names_of_psi(names: Sequence[str]) -> list[str]:
+def names_of_psi(names: Sequence[str], noise: Noise | None = None) -> list[str]:
     """What each coordinate is, for figures and tables: ``tau_s^2``, ``t0_s[1] + tau_s``, .."""
     labels = {
         "tau_s": "{}^2", "sigma1_V": "{}^2", "t0_s": "{} + tau_s", "tf_s": "{} + tau_s",
         "phi": "atanh {}", "sigma0_V": "log {}",
     }  # fmt: skip
+    if noise is not None and noise.fading:
+        labels["sigma1_V"] = "log {}"
     return [labels.get(name.split("[")[0], "{}").format(name) for name in names]

@@ -748,6 +748,8 @@ def noise_in_range(
         raise CampaignError("theta lacks sigma0_V; a likelihood needs the noise's size in volts")
     if not (abs(phi_reference) < 1.0 and sigma0 > 0.0 and sigma1 >= 0.0):
         return None
+    if problem.noise.fading and sigma1 == 0.0:
+        return None  # no noise at all is left at the highest concentration
     phi = lag_coefficient(phi_reference, problem.steps(problem.campaign.experiments[k]))
     if not (abs(phi) < 1.0 and (vector[:3] > 0).all()):
         return None
@@ -820,14 +822,14 @@ def mean_and_variance(
     layout, model = problem.layout, problem.model
     e = problem.campaign.experiments[k]
     _, sigma0, sigma1 = vector[layout.noise[k]]
-    weight = problem.noise.weight(problem.campaign, e)
+    law = problem.noise.weight(problem.campaign, e), problem.noise.fading
     if type(model) is Cascade and model.method == "exact":
         y0, beta, t0, tf = local_parameters(vector, layout, e.name)
         taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
         x = grid_response(e, taus, t0, tf)
-        return y0 + beta * x, scale_squared(x, sigma0, sigma1, weight)
+        return y0 + beta * x, scale_squared(x, sigma0, sigma1, *law)
     mean, x = mean_and_response(problem, vector, e, e.t)
-    return mean, scale_squared(x, sigma0, sigma1, weight)
+    return mean, scale_squared(x, sigma0, sigma1, *law)
 
 
 def log_likelihood(campaign: Campaign | Problem, theta: Theta) -> float:

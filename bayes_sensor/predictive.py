@@ -13,7 +13,7 @@ for recordings; it makes the u_i slightly too central, never too extreme.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,6 +23,7 @@ from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
 from bayes_sensor.likelihood import Problem, mean_and_variance
 from bayes_sensor.noise import lag_coefficient, simulate_noise
 from bayes_sensor.posterior import Posterior
+from bayes_sensor.residuals import TAKE_AS_THEY_ARE
 
 LAGS = (1, 2, 3, 5, 10, 20, 50, 100)
 N_VARIANCE_BINS = 8
@@ -171,6 +172,16 @@ class PredictiveCheck:
             "spectrum": self.spectrum.to_json(),
             "pit": self.pit.to_json(),
         }
+
+
+def checked(posterior: Posterior, check: PredictiveCheck) -> Posterior:
+    """The posterior with what ``check`` failed in among its doubts."""
+    if not check.failed:
+        return posterior
+    doubt = f"{check.status} Intervals that rest on the noise law are then not to be trusted."
+    if not posterior.doubts:  # else it is said already
+        doubt = f"{doubt} {TAKE_AS_THEY_ARE}"
+    return replace(posterior, doubts=(*posterior.doubts, doubt))
 
 
 def _p_words(p: float) -> str:

@@ -124,6 +124,7 @@ def small_problem(
     noise: Noise | None = None,
     tau: float = 0.1,
     sigma: float = 0.02,
+    sigma1: float | None = None,
     **design: Any,
 ) -> tuple[Problem, FloatArray]:
     """A simulated small campaign as a Problem, and the flat vector it was drawn at.
@@ -132,7 +133,7 @@ def small_problem(
     """
     campaign = small_design(**design)
     problem = Problem(campaign, noise=noise or Noise())
-    theta = small_theta(campaign, phi, sigma, sigma, tau)
+    theta = small_theta(campaign, phi, sigma, sigma if sigma1 is None else sigma1, tau)
     theta.update(problem.noise.fixed)
     problem = replace(problem, campaign=simulate(problem, theta, seed=seed))
     return problem, problem.layout.flat(theta)
@@ -147,8 +148,11 @@ def dense_covariance(problem: Problem, theta: FloatArray, k: int) -> FloatArray:
         "concentration": e.concentration / max(o.concentration for o in problem.campaign),
         "signal": 1.0,
         "constant": 0.0,
+        "levels": e.concentration / max(o.concentration for o in problem.campaign),
     }[problem.noise.variance]
-    s = np.sqrt(sigma0**2 + sigma1**2 * weight * np.maximum(x, 0.0))
+    share = weight * np.maximum(x, 0.0)
+    rest = 1.0 - share if problem.noise.variance == "levels" else 1.0
+    s = np.sqrt(sigma0**2 * rest + sigma1**2 * share)
     lags = np.abs(np.subtract.outer(e.t[e.used], e.t[e.used])) / problem.campaign.reference_interval
     if phi < 0:  # a real power exists for whole lags only
         correlation = np.where(np.round(lags) % 2 == 0, 1.0, -1.0) * abs(phi) ** np.round(lags)

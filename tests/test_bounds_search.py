@@ -96,7 +96,7 @@ def test_coordinates_are_those_of_the_laplace_approximation() -> None:
     psi = coordinates.psi(vector)
     places = (
         coordinates.free, coordinates.squared, coordinates.switches, coordinates.phi,
-        coordinates.sigma0,
+        coordinates.log_sigmas,
     )  # fmt: skip
     for point in (psi, np.where(np.arange(len(psi)) == 0, -1.0, psi)):
         np.testing.assert_allclose(

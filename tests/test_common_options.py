@@ -78,6 +78,33 @@ def test_simulate_draws_noise_of_the_law_in_the_settings(tmp_path: Path) -> None
     assert np.corrcoef(usual[plateau][:-1], usual[plateau][1:])[0, 1] > 0.7
 
 
+def test_noise_that_falls_with_gas_is_told_by_a_fit_and_fitted_with_levels(tmp_path: Path) -> None:
+    levels = settings(tmp_path, '[noise]\nvariance = "levels"\n')
+    made = tmp_path / "falling"
+    assert run("simulate", "--out", made, "--experiments", "4,5", "--duration", "40 s",
+               "--interval", "10 ms", "--sigma0", "40 mV", "--sigma1", "10 mV", "--phi", "0.5",
+               "--quiet", "--config", levels) == 0  # fmt: skip
+    found = {}
+    for law, options in (("usual", []), ("levels", ["--config", levels])):
+        out = tmp_path / law
+        assert run("fit", made / "campaign.toml", "--out", out, "--quiet", *options) == 0
+        names = ("fit", "residuals", "run")
+        found[law] = {n: json.loads((out / f"{n}.json").read_text("utf-8")) for n in names}
+    usual, fitted = found["usual"], found["levels"]
+    assert not usual["residuals"]["adequate"] and "falls with gas" in usual["residuals"]["verdict"]
+    doubt = f"{usual['residuals']['verdict']} {usual['residuals']['recommendation']}"
+    assert doubt in usual["fit"]["warnings"]
+    assert doubt in usual["run"]["commands"]["fit"]["warnings"]
+    assert fitted["residuals"]["adequate"], fitted["residuals"]["verdict"]
+    assert not any("variance law" in text for text in fitted["fit"]["warnings"])
+    assert fitted["residuals"]["ar1"]["sigma0_V"] == pytest.approx(0.04, rel=0.1)
+    assert fitted["residuals"]["ar1"]["sigma1_V"] == pytest.approx(0.01, rel=0.2)
+    assert set(usual["residuals"]["checks"]) >= {
+        "correlation", "variance_concentration", "variance_slope",
+    }  # fmt: skip
+    assert len(usual["residuals"]["variance_vs_slope"]["sd_V"]) == 11
+
+
 def test_check_looks_at_the_settings_with_the_campaign(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

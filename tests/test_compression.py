@@ -103,6 +103,44 @@ def test_the_other_variances(variance: str) -> None:
     assert mesh.error(points) < 2e-4
 
 
+@pytest.mark.parametrize("sigma1", [0.002, 0.06])
+@pytest.mark.parametrize("per_experiment", [False, True])
+def test_levels_of_noise_rise_and_fall(sigma1: float, per_experiment: bool) -> None:
+    noise = Noise("levels")
+    problem, theta = small_problem(0.6, noise=noise, sigma1=sigma1, **DESIGNS["masks"])
+    if per_experiment:
+        problem = replace(problem, noise=replace(noise, per_experiment=True))
+        theta = np.concatenate([theta[:-3], np.tile(theta[-3:], 2)])
+    mesh = compress(problem, theta)
+    assert mesh.error(principal_points(problem, mesh, theta)) < 2e-4
+    points = scattered(problem, mesh, theta, 2, seed=5)
+    assert_gradients_agree(problem, mesh, points)
+    assert mesh.n_full_passes == 0
+    # the other route, which serves models that are not the cascade
+    one = mesh.gradient(points[0])
+    other = np.zeros(len(theta))
+    for k in range(2):
+        mesh._general_gradient(points[0], k, other)
+    sd = 1 / np.sqrt(np.maximum(np.diag(mesh.information(theta)), 1e-12))
+    np.testing.assert_allclose(one * sd, other * sd, atol=2e-3, rtol=1e-4)
+    assert mesh.marginal(theta)[0] == pytest.approx(mesh._marginal_by_values(theta)[0], abs=1e-5)
+    # without noise at the highest concentration there is no density
+    theta[problem.layout.noise[:, 2]] = 0.0
+    assert mesh.log_likelihood(theta) == full_pass(problem, theta) == -np.inf
+
+
+def test_the_information_under_levels_is_slepian_bangs() -> None:
+    problem, theta = small_problem(
+        0.6, noise=Noise("levels"), sigma1=0.008, n=2, interval=0.02, duration=9.0
+    )
+    expected = dense_information(problem, theta)
+    found = compress(problem, theta).information(theta)
+    scale = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        found / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-4
+    )
+
+
 def test_noise_per_experiment() -> None:
     problem, theta = small_problem(0.6, noise=Noise(per_experiment=True), n=2, interval=1e-3)
     mesh = compress(problem, theta)

@@ -255,7 +255,7 @@ def test_what_is_known_about_the_volume_enters_every_prediction():
     assert coarse == pytest.approx(first, rel=1e-3)
 
 
-@pytest.mark.parametrize("variance", ["concentration", "signal"])
+@pytest.mark.parametrize("variance", ["concentration", "signal", "levels"])
 def test_the_truth_belongs_to_the_new_campaign(variance: str) -> None:
     # weaker proposals than there were, so that sigma1 refers to another concentration
     design = replace_intervals(design_of(), [0.02, 0.02, 0.01])

@@ -483,6 +483,16 @@ def test_noise_is_estimated(phi):
     assert found["sigma1_V"] == pytest.approx(0.03, rel=0.08)
 
 
+@pytest.mark.parametrize("sigma1", [0.005, 0.05])
+def test_levels_of_noise_are_estimated(sigma1):
+    plan = design(7, duration=40.0)
+    found = noise_of(Problem(plan, noise=Noise("levels")), truth(plan, phi=0.5, sigma1=sigma1))
+    assert found["phi"] == pytest.approx(0.5, abs=0.02)
+    assert found["sigma0_V"] == pytest.approx(0.02, rel=0.06)
+    # some 9 000 samples are on the plateau of the highest concentration, 5 000 independent ones
+    assert found["sigma1_V"] == pytest.approx(sigma1, rel=0.15)
+
+
 def test_pinned_noise_stays_pinned():
     plan = design(3)
     found = noise_of(Problem(plan, noise=Noise("constant", "white")), truth(plan))

@@ -16,7 +16,7 @@ from bayes_sensor.gap.diagnosis import _best, ar1_whiteness, diagnose_gap
 from bayes_sensor.gap.effect import Effect, Strength, own_effect
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.events import _blocks
-from bayes_sensor.gap.floor import Stretch, clean, lattice_step
+from bayes_sensor.gap.floor import Stretch, clean
 from bayes_sensor.gap.full_rate import FullRate, _innovations, look_at_tails
 from bayes_sensor.gap.lines import _look_for_lines
 from bayes_sensor.gap.model import EffectModel, check_effects, find_form, with_effects
@@ -33,6 +33,7 @@ from bayes_sensor.gap.verdict import (
 )
 from bayes_sensor.gap.which import Weighing
 from bayes_sensor.gap.words import family_words, looks_most, second_words, undecided_words
+from bayes_sensor.lattice import lattice_step
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.model import Cascade
 from tests.gap_cases import measured

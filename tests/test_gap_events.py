@@ -11,7 +11,7 @@ from bayes_sensor.gap import diagnose_gap
 from bayes_sensor.gap.bins import PHASES
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.events import look_for_events
-from bayes_sensor.gap.floor import Quiet, Stretch, lattice_step, rounding_bias
+from bayes_sensor.gap.floor import Quiet, Stretch, rounding_bias
 from bayes_sensor.gap.full_rate import FullRate, Place, look_at_tails, rounds_away
 from bayes_sensor.gap.lines import look_for_lines
 from bayes_sensor.gap.patches import (
@@ -29,6 +29,7 @@ from bayes_sensor.gap.verdict import (
     standing,
     stands_beside,
 )
+from bayes_sensor.lattice import lattice_step
 from bayes_sensor.model import Layout
 from bayes_sensor.reality import draw_case, make_campaign
 from tests.gap_cases import design, diagnosed, measured, noise, theta

@@ -21,7 +21,10 @@ from bayes_sensor.laplace import (
 from bayes_sensor.likelihood import Prior, log_likelihood, log_prior
 from bayes_sensor.noise import Noise
 
-NOISES = [Noise(), Noise("constant"), Noise("signal", "white"), Noise(per_experiment=True)]
+NOISES = [
+    Noise(), Noise("constant"), Noise("signal", "white"), Noise(per_experiment=True),
+    Noise("levels"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("noise", NOISES, ids=str)
@@ -32,10 +35,12 @@ def test_the_coordinates_round_trip(noise: Noise) -> None:
     psi = coordinates.psi(theta)
     np.testing.assert_allclose(coordinates.theta(psi), theta, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(coordinates.theta(np.array([psi, psi])), [theta, theta], rtol=1e-12)
-    labels = dict(zip(names_of_psi(coordinates.names), psi))
+    labels = dict(zip(names_of_psi(coordinates.names, noise), psi))
     assert labels["tau_s^2"] == pytest.approx(0.01)
     assert labels["t0_s[a] + tau_s"] == pytest.approx(2.1037)
     assert ("phi" in problem.fixed) or any("atanh phi" in label for label in labels)
+    if noise.fading:
+        assert labels["log sigma1_V"] == pytest.approx(np.log(0.02))
 
 
 @pytest.mark.parametrize("noise", NOISES, ids=str)

@@ -8,11 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import Campaign, Experiment
+from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood import Problem, simulate
 from bayes_sensor.noise import Noise
 from bayes_sensor.posterior import Posterior, Settings, sample_posterior
-from bayes_sensor.predictive import PredictiveCheck, check_predictive
+from bayes_sensor.predictive import PredictiveCheck, check_predictive, checked
+from bayes_sensor.residuals import TAKE_AS_THEY_ARE
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 SETTINGS = Settings(n_chains=2, n_draws=400, target_ess=100, max_draws=1600, max_steps=300)
@@ -76,6 +79,34 @@ def test_constant_variance_model_of_growing_variance_fails() -> None:
     check = check_predictive(posterior(Noise("constant", "ar1")))
     assert {"variance", "pit_uniform"} <= set(check.failed)
     assert "autocorrelation" not in check.failed
+
+
+def test_a_failed_check_is_a_doubt_of_the_posterior_and_of_what_rests_on_its_noise(
+    right: PredictiveCheck,
+) -> None:
+    good = posterior(Noise())
+    assert checked(good, right) is good and good.doubts == ()
+    # residuals that pass by themselves, and replicates that do not look like the data
+    pit = replace(right.pit, p_independent=1e-17)
+    wrong = replace(right, pit=pit)
+    assert wrong.failed == ["pit_independent"]
+    doubted = checked(good, wrong)
+    assert doubted.converged == good.converged and doubted.convergence == good.status
+    (doubt,) = doubted.doubts
+    assert doubt.startswith(wrong.status) and doubt.endswith(TAKE_AS_THEY_ARE)
+    assert doubt in doubted.warnings and doubt in doubted.status
+    record = json.loads(json.dumps(doubted.to_json(), allow_nan=False))
+    assert doubt in record["warnings"] and record["doubts"] == [doubt]
+    # what to compare with is said once
+    twice = checked(doubted, wrong).doubts
+    assert len(twice) == 2 and TAKE_AS_THEY_ARE not in twice[1]
+    fit = fit_least_squares(good.problem, seed=1, swarms=1, euler=False)
+    methods = ["crlb_iid", "crlb_iid_one_percent_step", "crlb_ar1", "sandwich", "profile"]
+    for given, count in ((good, 0), (doubted, 1)):
+        bounds = compare_bounds(good.problem, fit, given, methods=[*methods, "posterior"])
+        for name in ("crlb_iid", "crlb_iid_one_percent_step", "crlb_ar1", "profile", "posterior"):
+            assert bounds[name].status.count(doubt) == count, name
+        assert doubt not in bounds["sandwich"].status
 
 
 def test_a_mean_that_is_off_fails() -> None:

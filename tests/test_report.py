@@ -54,6 +54,7 @@ from bayes_sensor.report.sections.fit import fitted
 from bayes_sensor.report.sections.gap_tables import strength_words
 from bayes_sensor.report.sections.noise import noise
 from bayes_sensor.report.sections.tau import time_constant
+from bayes_sensor.residuals import TAKE_AS_THEY_ARE
 from bayes_sensor.results import plain
 from bayes_sensor.samples import load_samples
 
@@ -1007,3 +1008,37 @@ def test_every_colour_has_its_counterpart_in_the_dark(analysed: Path) -> None:
     text = (analysed / "report.html").read_text(encoding="utf-8")
     for colour in figures.COLOURS:
         assert f"--f-{colour[1:]}:" in text
+
+
+def test_what_the_noise_law_fails_in_stands_at_the_top_once_with_what_to_compare(
+    parts: tuple[Saved, list[Section]],
+) -> None:
+    saved = parts[0]
+    assert saved.residuals is not None and saved.bounds is not None
+    assert saved.posterior is not None and saved.predictive is not None
+    verdict = "The variance law fails; intervals are not to be trusted."
+    residuals = {
+        **saved.residuals, "adequate": False, "verdict": verdict,
+        "recommendation": f"{TAKE_AS_THEY_ARE} Here these fail as well.",
+    }  # fmt: skip
+    doubt = f"{verdict} {residuals['recommendation']}"
+    methods = saved.bounds["methods"]
+    name = next(name for name in methods if name != "crlb_iid_one_percent_step")
+    entry = {**methods[name], "status": f"zero is not excluded; {doubt}"}
+    bounds = {**saved.bounds, "methods": {**methods, name: entry}}
+    posterior = {**saved.posterior, "doubts": [doubt], "warnings": [doubt]}
+    told = alerts(replace(saved, residuals=residuals, bounds=bounds, posterior=posterior))
+    (kind, text), *others = [pair for pair in told if verdict in pair[1]]
+    assert kind == "bad" and not others
+    assert "the posterior, the profile and the Cramér-Rao bounds" in text
+    assert text.endswith("Here these fail as well.")
+    assert any("zero is not excluded" in note for _, note in told)
+    section = noise(replace(saved, residuals=residuals), Pictures())
+    assert section is not None and "Here these fail as well" in section.answer
+    (table,) = [p for p in section.content if getattr(p, "key", "") == "noise-checks"]
+    assert [row[-1] for row in table.rows] == ["passes"] * 4
+    # replicates alone
+    fine = {**saved.residuals, "adequate": True}
+    failed = {**saved.predictive, "failed": ["pit_uniform"], "status": "Not alike: forecasts."}
+    told = alerts(replace(saved, residuals=fine, predictive=failed))
+    assert any(k == "bad" and t.startswith("Not alike") and TAKE_AS_THEY_ARE in t for k, t in told)

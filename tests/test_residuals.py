@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -18,6 +18,8 @@ from bayes_sensor.noise import Noise, simulate_noise
 from bayes_sensor.posterior import sample_posterior
 from bayes_sensor.residuals import (
     HISTOGRAM_BIN,
+    TAKE_AS_THEY_ARE,
+    TOO_COARSE,
     _histogram,
     _portmanteau,
     autocorrelation,
@@ -25,6 +27,7 @@ from bayes_sensor.residuals import (
     noise_doubt,
     whiten,
 )
+from bayes_sensor.variance_check import check_variance
 
 EXPERIMENTS = {
     "a": {"y0_V": 0.2, "beta_V": 1.5, "t0_s": 3.0, "tf_s": 11.0},
@@ -361,3 +364,180 @@ def test_experiments_of_other_intervals_have_the_law_at_their_own():
     slow, few = 0.6**0.1, 3000 / 36000  # ten times as many samples are ten times as close
     expected = 2.0 * few * 0.6**lag + (1.0 - 2.0 * few) * slow**lag
     assert np.abs(np.array(found.acf["ar1"]) - expected).max() < 0.05
+
+
+# --- what adequate asks of the variance
+
+
+def scaled_noise(scale, phi=0.8, seed=1, interval=0.01):
+    """A campaign of 18 s records whose noise is ``scale(x3, slope)`` V times an AR(1), its truth.
+
+    ``slope``: |dx3/dt| over the largest.
+    """
+    design = plan(interval, 18.0)
+    problem, rng = Problem(design), np.random.default_rng(seed)
+    theta = problem.layout.flat({**MEAN, "phi": 0.0, "sigma0_V": 1.0, "sigma1_V": 0.0})
+    values = {}
+    for e in design:
+        x = problem.model.response(e.t, theta, problem.layout, e)
+        slope = np.abs(np.gradient(x, e.t))
+        noise = simulate_noise(scale(x, slope / slope.max()), phi, rng)
+        values[e.name] = problem.model.mean(e.t, theta, problem.layout, e) + noise
+    return design.with_data(values)
+
+
+def judged(campaign, law="concentration"):
+    problem = Problem(campaign, noise=Noise(law))
+    fit = fit_least_squares(problem, seed=1, swarms=1, euler=False)
+    return problem, fit, diagnose_residuals(problem, fit)
+
+
+@pytest.mark.parametrize("law", ["concentration", "signal", "constant", "levels"])
+def test_the_right_variance_law_is_adequate(law):
+    for seed in range(12):
+        theta = {**MEAN, "phi": (0.0, 0.5, 0.9)[seed % 3], "sigma0_V": 0.03, "sigma1_V": 0.02}
+        theta.update(Noise(law).fixed)
+        interval, duration = (0.01, 18.0) if seed % 2 else (0.002, 13.0)
+        problem = Problem(plan(interval, duration), noise=Noise(law))
+        problem = replace(problem, campaign=simulate(problem, theta, seed=seed))
+        found = diagnose_residuals(problem, Known(problem.layout.flat(theta)))
+        assert found.adequate and found.recommendation == found.doubt == "", found.verdict
+        assert set(found.checks) == {
+            "correlation", "variance_concentration", "variance_slope", "rounding",
+        }  # fmt: skip
+        assert "variance is" in found.verdict
+
+
+def test_p_values_of_the_variance_are_not_small_too_often_where_nothing_is_wrong():
+    rng = np.random.default_rng(3)
+    place = np.clip(np.cumsum(rng.standard_normal(2000)) / 50.0, 0.0, 1.0)
+    edges = np.linspace(0.0, 1.0, 6)
+    p = np.array([
+        check_variance([rng.standard_normal(2000)], [place], edges).p_value for _ in range(400)
+    ])  # fmt: skip
+    # Bonferroni's bound is 20 expected, sd 4.4
+    assert np.sum(p < 0.05) <= 34 and np.sum(p < 0.2) > 20
+
+
+def test_heavy_tails_do_not_pass_for_another_variance():
+    rng = np.random.default_rng(4)
+    place, edges = np.repeat([0.1, 0.9], [1900, 100]), np.array([0.0, 0.5, 1.0])
+    failed = 0
+    for _ in range(200):
+        e = rng.standard_t(3.0, 2000)
+        failed += not check_variance([e], [place], edges).adequate
+    assert failed <= 4
+
+
+def test_a_small_difference_of_variance_is_no_doubt_however_certain():
+    rng = np.random.default_rng(5)
+    place, edges = np.repeat([0.1, 0.9], 100_000), np.array([0.0, 0.5, 1.0])
+    for factor, adequate in ((1.15, True), (2.0, False)):
+        e = rng.standard_normal(200_000) * np.where(place > 0.5, np.sqrt(factor), 1.0)
+        found = check_variance([e], [place], edges)
+        assert found.p_value < 1e-6 and found.adequate == adequate
+        assert found.trend == pytest.approx(factor, rel=0.03)
+
+
+def test_a_misfit_does_not_pass_for_variance():
+    rng = np.random.default_rng(6)
+    place, edges = np.linspace(0.0, 1.0, 4000), np.array([0.0, 0.4, 0.6, 1.0])
+    e = rng.standard_normal(4000) + 3.0 * np.exp(-(((place - 0.5) / 0.05) ** 2))
+    assert check_variance([e], [place], edges).adequate
+    assert np.mean(e[1600:2400] ** 2) > 2.0  # though the squares themselves would say so
+
+
+def test_empty_bins_join_the_one_below_and_few_samples_say_nothing():
+    rng = np.random.default_rng(7)
+    place = np.repeat([0.05, 0.5, 0.95], [500, 10, 60])
+    found = check_variance([rng.standard_normal(570)], [place], np.array([0.0, 0.1, 0.6, 0.9, 1.0]))
+    assert found.low.tolist() == [0.0, 0.9] and found.high.tolist() == [0.9, 1.0]
+    assert found.count.tolist() == [508.0, 58.0]  # two at either end have no neighbours
+    for n in (0, 3, 30):
+        few = check_variance([rng.standard_normal(n)], [np.zeros(n)], np.array([0.0, 0.5, 1.0]))
+        assert few.adequate and few.p_value is None and few.worst is None
+        json.dumps(few.to_json(), allow_nan=False)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.9])
+def test_noise_that_rises_with_the_slope_is_told_and_not_trusted(phi):
+    campaign = scaled_noise(lambda x, slope: 0.004 + 0.03 * slope, phi)
+    problem, fit, found = judged(campaign)
+    assert not found.adequate and found.checks["correlation"]["adequate"]
+    check = found.checks["variance_slope"]
+    assert not check["adequate"] and check["p_value"] < 1e-6
+    assert "rises with the slope of the response" in found.verdict
+    assert found.doubt == noise_doubt(problem, problem.layout.flat(fit.theta_hat))
+    assert found.doubt.endswith(TAKE_AS_THEY_ARE)
+    table = found.variance_vs_slope
+    filled = [i for i, n in enumerate(table["count"]) if n > 50]
+    ratio = [table["sd_V"][i] / table["law_sd_V"][i] for i in filled]
+    assert ratio[-1] > 2.0 * ratio[0]
+    if phi:
+        return  # the independence sampler gives up, and emcee takes two minutes
+    posterior = sample_posterior(problem, fit, sampler="independence", seed=1)
+    assert found.doubt in posterior.warnings and found.doubt in posterior.status
+    assert posterior.convergence in posterior.status
+    methods = ["crlb_iid", "crlb_iid_one_percent_step", "crlb_ar1", "profile", "sandwich"]
+    bounds = compare_bounds(problem, fit, posterior, methods=[*methods, "posterior"])
+    for method in (*methods[:4], "posterior"):
+        assert bounds[method].status.count(found.doubt) == 1, method
+    assert "variance" not in bounds["sandwich"].status
+
+
+def test_noise_that_falls_with_gas_fails_under_the_usual_law_and_not_under_levels():
+    top = 25.0 / 125.0
+
+    def falling(experiment):
+        share = experiment.concentration / top
+        return lambda x: np.sqrt(0.02**2 * (1.0 - share * x) + 0.005**2 * share * x)
+
+    design, rng = plan(0.01, 18.0), np.random.default_rng(2)
+    theta = Problem(design).layout.flat({**MEAN, "phi": 0.5, "sigma0_V": 1.0, "sigma1_V": 0.0})
+    layout, model = Problem(design).layout, Problem(design).model
+    campaign = design.with_data({
+        e.name: model.mean(e.t, theta, layout, e)
+        + simulate_noise(falling(e)(model.response(e.t, theta, layout, e)), 0.5, rng)
+        for e in design
+    })  # fmt: skip
+    _, _, usual = judged(campaign)
+    assert not usual.checks["variance_concentration"]["adequate"]
+    assert "falls with gas" in usual.verdict
+    assert "The law 'levels' describes them" in usual.verdict and 'Noise("levels")' in usual.verdict
+    assert not judged(campaign, "constant")[2].adequate
+    problem, fit, found = judged(campaign, "levels")
+    assert found.adequate, found.verdict
+    assert found.ar1["sigma0_V"] == pytest.approx(0.02, rel=0.1)
+    assert found.ar1["sigma1_V"] == pytest.approx(0.005, rel=0.2)
+    posterior = sample_posterior(problem, fit, sampler="independence", seed=1)
+    assert posterior.converged and posterior.warnings == ()
+    low, high = posterior.quantiles("sigma1_V", [0.005, 0.995])
+    assert low < 0.005 < high and high < 0.007
+
+
+def test_the_law_that_would_do_is_named_and_where_none_does_levels_come_nearest():
+    rising = scaled_noise(lambda x, slope: 0.005 + 0.02 * x, 0.5)
+    assert "rises with gas by more" in judged(rising, "constant")[2].verdict
+    assert "The law 'concentration' describes them" in judged(rising, "constant")[2].verdict
+    steep = scaled_noise(lambda x, slope: 0.02 * (1.45 - 1.4 * np.sqrt(np.clip(x, 0, 1))), 0.5)
+    verdict = judged(steep)[2].verdict
+    assert "falls with gas" in verdict and "can be fitted, if not exactly" in verdict
+    assert '"levels"' in verdict and '"levels"' not in judged(steep, "levels")[2].recommendation
+
+
+@pytest.mark.parametrize(("steps", "adequate"), [(0.0, True), (0.5, True), (5.0, False)])
+def test_rounding_that_exceeds_the_noise_is_said_to_fail_every_method(steps, adequate):
+    sigma = 0.01
+    campaign = scaled_noise(lambda x, slope: np.full(len(x), sigma), 0.0)
+    if steps:
+        step = steps * sigma
+        campaign = campaign.with_data({e.name: step * np.rint(e.values / step) for e in campaign})
+    _, _, found = judged(campaign)
+    assert found.checks["rounding"]["adequate"] == adequate
+    if steps:
+        assert found.checks["rounding"]["step_V"] == pytest.approx(steps * sigma)
+    if not adequate:
+        assert not found.adequate and "rounding errors more than noise" in found.verdict
+        assert found.recommendation == f"{TAKE_AS_THEY_ARE} {TOO_COARSE}"
+    else:
+        assert found.adequate, found.verdict

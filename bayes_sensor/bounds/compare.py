@@ -91,10 +91,11 @@ def doubts(evidence: Evidence, name: str) -> list[str]:
         found.append(CLOSE_WORDS)
     if name in TAKES_WHITE:
         found.append(coloured_noise(evidence.problem, theta))
+        found += evidence.noise_doubts
     if name in MODELS_NOISE:
         slow = slow_noise(evidence.problem, evidence.coloured_theta)
         found.append(slow and f"{slow}: {FEW_STRETCHES}")
-        found.append(evidence.noise_doubt)
+        found += evidence.noise_doubts
     return [sentence for sentence in found if sentence]
 
 

@@ -167,10 +167,12 @@ def _converged(problem: Problem, vector: FloatArray, sigma: float, noise: str) -
     if np.isnan(vector[layout.noise[:, 1]]).any():
         raise CampaignError("cramer_rao: noise='ar1' needs phi, sigma0_V and sigma1_V in theta")
     for i in layout.noise[:, 1:].ravel():
-        if vector[i] < 0.0 or (vector[i] == 0.0 and layout.names[i].startswith("sigma0")):
+        least = layout.names[i].startswith("sigma0") or problem.noise.fading
+        if vector[i] < 0.0 or (vector[i] == 0.0 and least):
             raise CampaignError(
                 f"cramer_rao: {layout.names[i]} is {vector[i]:g} V; expected noise of some size, "
-                "sigma0 above zero and sigma1 not below it: correct it"
+                "sigma0 above zero and sigma1 not below it (nor at it, of noise with levels): "
+                "correct it"
             )
     information = expected_information(problem, vector)
     rest = [i for i in range(n, len(vector)) if layout.names[i] not in problem.fixed]

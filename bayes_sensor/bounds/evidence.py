@@ -53,9 +53,13 @@ class Evidence:
         return np.array(self.fit.theta_hat, dtype=float)
 
     @cached_property
-    def noise_doubt(self) -> str:
-        """Why the noise is not the problem's own; empty where it is."""
-        return noise_doubt(self.problem, self.theta)
+    def noise_doubts(self) -> list[str]:
+        """Why the noise is not the problem's own; empty where it is.
+
+        What the residuals say, and what replicated data do where a posterior was checked.
+        """
+        found = [noise_doubt(self.problem, self.theta), *getattr(self.posterior, "doubts", ())]
+        return list(dict.fromkeys(text for text in found if text))
 
     @cached_property
     def _coloured(self) -> tuple[Surface, Maximum]:

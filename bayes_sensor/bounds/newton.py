@@ -178,7 +178,7 @@ def theta_of(
     squared: IntArray,
     switches: IntArray,
     phi: IntArray,
-    sigma0: IntArray,
+    log_sigmas: IntArray,
 ) -> FloatArray:  # pragma: no cover - compiled
     """(n_theta,) of psi: ``Coordinates.theta`` for one vector; ``template`` holds what is fixed."""
     theta = template.copy()
@@ -190,7 +190,7 @@ def theta_of(
         theta[free[i]] -= theta[free[0]]
     for i in phi:
         theta[free[i]] = min(max(tanh(psi[i]), -1.0 + 1e-12), 1.0 - 1e-12)
-    for i in sigma0:
+    for i in log_sigmas:
         theta[free[i]] = exp(min(psi[i], 300.0))
     return theta
 
@@ -203,7 +203,7 @@ def gradient_by_psi(
     squared: IntArray,
     switches: IntArray,
     phi: IntArray,
-    sigma0: IntArray,
+    log_sigmas: IntArray,
 ) -> FloatArray:  # pragma: no cover - compiled
     """(n_psi,) of a gradient by theta: the transposed ``Coordinates.slopes`` without its matrix."""
     result = gradient[free]
@@ -217,7 +217,7 @@ def gradient_by_psi(
         result[i] *= 0.5 / max(theta[free[i]], 1e-12 if i == 0 else least)
     for i in phi:
         result[i] *= 1.0 - theta[free[i]] ** 2
-    for i in sigma0:
+    for i in log_sigmas:
         result[i] *= theta[free[i]]
     result[0] -= 0.5 / max(theta[free[0]], 1e-12) * pulled
     return result

@@ -204,7 +204,7 @@ class Surface:
     def _places(self) -> tuple[np.ndarray, ...]:
         """What :func:`theta_of` needs beside psi."""
         c = self.coordinates
-        return c.theta(np.zeros(len(c.names))), c.free, c.squared, c.switches, c.phi, c.sigma0
+        return c.theta(np.zeros(len(c.names))), c.free, c.squared, c.switches, c.phi, c.log_sigmas
 
     @cached_property
     def _flows(self) -> list[float]:

@@ -3,7 +3,7 @@
 ::
 
     [noise]
-    variance = "concentration"         # or "signal", "constant"
+    variance = "concentration"         # or "signal", "constant", "levels" (may fall with gas)
     autocorrelation = "ar1"            # or "white"
     per_experiment = false
 
@@ -64,7 +64,7 @@ class Part(BaseModel):
 class NoisePart(Part):
     """The noise law."""
 
-    variance: Literal["concentration", "signal", "constant"] = "concentration"
+    variance: Literal["concentration", "signal", "constant", "levels"] = "concentration"
     autocorrelation: Literal["ar1", "white"] = "ar1"
     per_experiment: bool = False
 

@@ -289,12 +289,13 @@ def _watching(job: Job, tell: Progress) -> Progress:
 
 
 def _do_predictive(job: Job) -> None:
-    from bayes_sensor.predictive import check_predictive
+    from bayes_sensor.predictive import check_predictive, checked
 
     if job.options.get("with_effects"):
         return  # replicates are drawn from the cascade
     with job.timed("predictive"):
         job.predictive = check_predictive(job.posterior, seed=job.seed)
+    job.posterior = checked(job.posterior, job.predictive)
 
 
 def _coating(job: Job) -> dict[str, Any]:
@@ -484,7 +485,10 @@ def _put(job: Job, stage: Stage) -> None:
     saves = SAVES[job.command]
     unit = {"signal_unit": job.problem.campaign.signal_unit}
     if "fit" in saves:
-        stage.json("fit.json", job.fit.to_json())
+        record = job.fit.to_json()
+        if job.residuals is not None and not job.residuals.adequate:
+            record["warnings"] = [*record["warnings"], job.residuals.doubt]
+        stage.json("fit.json", record)
         save_traces(stage.path("traces.npz"), make_traces(job.problem, job.fit))
         save_samples(stage.path("samples.npz"), make_samples(job.problem, job.fit))
     if "residuals" in saves:
@@ -644,6 +648,8 @@ def _warnings(job: Job, remarks: Sequence[str]) -> list[str]:
     found = [] if job.posterior is None else list(job.posterior.warnings)
     found += [text for text in remarks if text != SAME_FLOW]  # the fit says it, with consequences
     found += [*job.fit.caveats, *job.fit.warnings]
+    if job.residuals is not None and not job.residuals.adequate:
+        found.append(job.residuals.doubt)
     if job.no_gap:
         found.append(f"not diagnosed: {job.no_gap}")
     return list(dict.fromkeys(found))
@@ -730,7 +736,7 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
         place = "the report" if command == "analyze" else "run.json"
         say(f"warning: {len(warnings) - MOST_WARNINGS} more in {place}", quiet)
     if code == 3:
-        status = job.fit.status if not job.fit.converged else job.posterior.status
+        status = job.fit.status if not job.fit.converged else job.posterior.convergence
         hint = "" if not job.fit.converged else "; more --steps with --resume may help"
         status = status.removeprefix("NOT converged: ").rstrip(".")  # a part of the sentence
         print(f"not converged: {status}{hint}; the results are marked so", file=sys.stderr)

@@ -43,9 +43,10 @@ class Arrays(NamedTuple):
     noise: np.ndarray  # (n_exp, 3) positions of phi, sigma0, sigma1
     blocks: np.ndarray  # (n_exp + 1,) first block of each experiment
     runs: np.ndarray  # (n_exp + 1,) first run of each experiment
-    setting: np.ndarray  # (n_exp, 7) interval, total flow, variance weight, interval/reference,
-    # least tau that is no delay, the reference's y0 and beta; y0 is the level that means and edge
-    # samples below count from, so that a signal far from zero keeps its digits
+    setting: np.ndarray  # (n_exp, 8) interval, total flow, variance weight, interval/reference,
+    # least tau that is no delay, the reference's y0 and beta, share of sigma0^2 that fades; y0 is
+    # the level that means and edge samples below count from, so that a signal far from zero keeps
+    # its digits
     n_samples: np.ndarray  # (n_exp,)
     base: np.ndarray  # (n_blocks,) s, half a sample before the block's first sample
     kind: np.ndarray  # (n_blocks,) 0: pointwise; k: 8 2^k samples
@@ -465,6 +466,13 @@ def _per_sample(phi_reference, steps):  # pragma: no cover - compiled
 
 
 @njit(cache=True, error_model="numpy", inline="always")
+def _variances(sigma0, sigma1, weight, fading):  # pragma: no cover - compiled
+    # v0, v1 of s^2 = v0 + v1 x3, as noise.scale_squared has it between 0 and the highest level
+    v0 = sigma0 * sigma0
+    return v0, (sigma1 * sigma1 - fading * v0) * weight
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def _constants(theta, k, mesh, taus):  # pragma: no cover - compiled
     # Time constants of experiment k (valve, manifold, sensor) and its two switch times.  A sensor
     # far faster than a block is replaced by a slower one with the same delay: exp(h/tau) would
@@ -576,7 +584,7 @@ def value(theta, mesh, room, each):  # pragma: no cover - compiled
             each[:] = -np.inf
             return -np.inf
         y0, beta = theta[mesh.local[k, 0]] - mesh.setting[k, 5], theta[mesh.local[k, 1]]
-        v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * mesh.setting[k, 2]
+        v0, v1 = _variances(sigma0, sigma1, mesh.setting[k, 2], mesh.setting[k, 7])
         separate, _ = _responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
         _edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
         for run in range(mesh.runs[k], mesh.runs[k + 1]):
@@ -647,10 +655,10 @@ def value_and_gradient(theta, mesh, room, gradient):  # pragma: no cover
         i_phi, i_s0, i_s1 = mesh.noise[k]
         h, t0, tf = _constants(theta, k, mesh, taus)
         phi_reference, sigma0, sigma1 = theta[i_phi], theta[i_s0], theta[i_s1]
-        steps, weight = mesh.setting[k, 3], mesh.setting[k, 2]
+        steps, weight, fading = mesh.setting[k, 3], mesh.setting[k, 2], mesh.setting[k, 7]
         phi = _per_sample(phi_reference, steps)
         y0, beta = theta[i_y0] - mesh.setting[k, 5], theta[i_beta]
-        v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * weight
+        v0, v1 = _variances(sigma0, sigma1, weight, fading)
         separate, acts = _responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
         if not separate:
             return np.nan  # nearly equal time constants: the caller takes the stable route
@@ -693,7 +701,7 @@ def value_and_gradient(theta, mesh, room, gradient):  # pragma: no cover
                     _add_exponentials(s, taus, g_x, by_off)
         gradient[i_y0] += g_y0
         gradient[i_beta] += g_beta
-        gradient[i_s0] += 2.0 * sigma0 * g_v0
+        gradient[i_s0] += 2.0 * sigma0 * (g_v0 - fading * weight * g_v1)
         gradient[i_s1] += 2.0 * sigma1 * weight * g_v1
 
         # x3 = 1 - sum c_j E_j after the step up, less the same after the step down
@@ -765,7 +773,7 @@ def marginal(theta, mesh, room, best, factor):  # pragma: no cover - compiled
         rest = 1.0 - phi * phi
         # any y0, beta serves as origin: the mesh's own reference keeps the numbers small
         y0, beta = 0.0, mesh.setting[k, 6]
-        v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * mesh.setting[k, 2]
+        v0, v1 = _variances(sigma0, sigma1, mesh.setting[k, 2], mesh.setting[k, 7])
         separate, _ = _responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
         _edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
         change = _gram_sums(

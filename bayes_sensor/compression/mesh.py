@@ -129,7 +129,7 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
     layout, campaign = problem.layout, problem.campaign
     low, high = region.low, region.high
     blocks, runs = [0], [0]
-    setting = np.zeros((len(campaign), 7))
+    setting = np.zeros((len(campaign), 8))
     base: list[float] = []
     kinds: list[int] = []
     follows: list[bool] = []
@@ -155,6 +155,7 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
             least,
             level,
             vector[i_beta],
+            problem.noise.fading,
         )
         with_data = data and e.y is not None
         if with_data:
@@ -246,9 +247,10 @@ def _widths(
     low, high = region.low, region.high
     e = problem.campaign.experiments[k]
     _, sigma0, sigma1 = vector[problem.layout.noise[k]]
-    # where the variance grows by this factor, 1/s^2 still changes when x3 has all but decayed
-    growth = 1.0 + problem.noise.weight(problem.campaign, e) * (sigma1 / sigma0) ** 2
-    growth = float(min(growth, 1e8)) if np.isfinite(growth) else 1.0
+    # where the variance changes by this factor, 1/s^2 still changes when x3 has all but decayed
+    weight, fading = problem.noise.weight(problem.campaign, e), problem.noise.fading
+    growth = 1.0 + weight * ((sigma1 / sigma0) ** 2 - fading)
+    growth = float(min(max(growth, 1.0 / max(growth, 1e-8)), 1e8)) if np.isfinite(growth) else 1.0
     candidates = np.array(
         [
             (tau_v, V / e.total_flow, tau)
@@ -276,5 +278,6 @@ def at_times(
     """Mean and variance of one experiment at any times, in the shape of ``times``."""
     _, sigma0, sigma1 = vector[problem.layout.noise[k]]
     mean, x = mean_and_response(problem, vector, e, np.ascontiguousarray(times).ravel())
-    s2 = scale_squared(x, sigma0, sigma1, problem.noise.weight(problem.campaign, e))
+    law = problem.noise.weight(problem.campaign, e), problem.noise.fading
+    s2 = scale_squared(x, sigma0, sigma1, *law)
     return mean.reshape(times.shape), s2.reshape(times.shape)

@@ -32,7 +32,7 @@ from bayes_sensor.model import (
     local_parameters,
     time_constants,
 )
-from bayes_sensor.noise import check_phi, lag_coefficient, scale_squared
+from bayes_sensor.noise import check_phi, lag_coefficient, scale_slopes, scale_squared
 
 NO_TAU = 1e-6
 """of the fastest other time constant: a tau that no data tell from zero"""
@@ -158,9 +158,14 @@ class Compressed:
     ) -> float:
         """Log-likelihood of an experiment with ``mean`` and response ``x`` at :meth:`_times`."""
         phi, phi_reference, sigma0, sigma1 = noise
-        s2 = scale_squared(x, sigma0, sigma1, self.arrays.setting[k, 2])
+        s2 = scale_squared(x, sigma0, sigma1, *self._law(k))
         parts = [*self._split(mean - self.arrays.setting[k, 5], k), *self._split(s2, k)]
         return float(kernels.general(k, self.arrays, phi, phi_reference, *parts))
+
+    def _law(self, k: int) -> tuple[float, float]:
+        """Weight of the response in the variance of experiment ``k``, what fades of sigma0^2."""
+        noise, campaign = self.problem.noise, self.problem.campaign
+        return noise.weight(campaign, campaign.experiments[k]), noise.fading
 
     def _general(self, vector: FloatArray, k: int) -> float:
         # experiment number k under any model, inside the region
@@ -176,21 +181,19 @@ class Compressed:
         if noise is None:
             return -np.inf
         phi, phi_reference, sigma0, sigma1 = noise
-        e = self.problem.campaign.experiments[k]
         mean, x, index, d_mean, d_x = mean_derivatives(self.problem, vector, k, self._times(k))
-        weight = self.problem.noise.weight(self.problem.campaign, e)
-        s2 = scale_squared(x, sigma0, sigma1, weight)
+        s2 = scale_squared(x, sigma0, sigma1, *self._law(k))
+        by_x, by_sigma0, by_sigma1 = scale_slopes(x, sigma0, sigma1, *self._law(k))
         g_mean, g_s2 = np.empty_like(mean), np.empty_like(mean)
         parts = [*self._split(mean - self.arrays.setting[k, 5], k), *self._split(s2, k)]
         slopes = [*self._split(g_mean, k), *self._split(g_s2, k)]
         value, g_phi = kernels.general_gradient(k, self.arrays, phi, phi_reference, *parts, *slopes)
-        positive = np.maximum(x, 0.0)
         i_phi, i_sigma0, i_sigma1 = self.problem.layout.noise[k]
         gradient[index] += d_mean @ g_mean
-        gradient[index] += sigma1**2 * weight * (d_x @ np.where(x > 0.0, g_s2, 0.0))
+        gradient[index] += d_x @ (by_x * g_s2)
         gradient[i_phi] += g_phi
-        gradient[i_sigma0] += 2.0 * sigma0 * g_s2.sum()
-        gradient[i_sigma1] += 2.0 * sigma1 * weight * float(g_s2 @ positive)
+        gradient[i_sigma0] += float(g_s2 @ by_sigma0)
+        gradient[i_sigma1] += float(g_s2 @ by_sigma1)
         return float(value)
 
     def value_and_gradient(self, theta: Theta) -> tuple[float, FloatArray]:
@@ -412,21 +415,20 @@ class Compressed:
         layout = problem.layout
         total = np.zeros((len(vector), len(vector)))
         for k, e in enumerate(problem.campaign):
-            phi_reference, sigma0, sigma1 = (float(v) for v in vector[layout.noise[k]])
+            phi_reference = float(vector[layout.noise[k, 0]])
             steps = problem.steps(e)
             check_phi(phi_reference, steps, e.name)
             phi = lag_coefficient(phi_reference, steps)
             rest = 1.0 - phi**2
-            weight = problem.noise.weight(problem.campaign, e)
             times = self.node_times(k)
             count = mesh.moments[0, self._part(k)]
-            J, u, _ = self._scaled(vector, k, times.ravel(), sigma0, sigma1, weight)
-            Jl, ul, _ = self._scaled(vector, k, times.ravel() - e.interval, sigma0, sigma1, weight)
+            J, u, _ = self._scaled(vector, k, times.ravel())
+            Jl, ul, _ = self._scaled(vector, k, times.ravel() - e.interval)
             cross = (J * count[:, None]).T @ Jl
             info = ((1 + phi**2) * (J * count[:, None]).T @ J - phi * (cross + cross.T)) / rest
             runs = slice(mesh.runs[k], mesh.runs[k + 1])
-            f, uf, _ = self._scaled(vector, k, mesh.edge_t[runs, 0], sigma0, sigma1, weight)
-            last, ulast, _ = self._scaled(vector, k, mesh.edge_t[runs, 1], sigma0, sigma1, weight)
+            f, uf, _ = self._scaled(vector, k, mesh.edge_t[runs, 0])
+            last, ulast, _ = self._scaled(vector, k, mesh.edge_t[runs, 1])
             info += phi**2 / rest * (f.T @ f - last.T @ last)
             info += np.outer(f[0], f[0])
             # covariance: u = d log s by the parameters
@@ -454,13 +456,7 @@ class Compressed:
         return total
 
     def _scaled(
-        self,
-        vector: FloatArray,
-        k: int,
-        t: FloatArray,
-        sigma0: float,
-        sigma1: float,
-        weight: float,
+        self, vector: FloatArray, k: int, t: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Derivatives of the mean over s (n_t, n), of log s (n_t, n), and s (n_t,) at times t."""
         problem = self.problem
@@ -478,31 +474,30 @@ class Compressed:
         slope[:, i_t0] = dx[:, 3]
         if i_tf >= 0:
             slope[:, i_tf] = dx[:, 4]
-        s2 = scale_squared(x, sigma0, sigma1, weight)
-        s = np.sqrt(s2)
         J = beta * slope
         J[:, i_y0] = 1.0
         J[:, i_beta] = x
-        u = 0.5 * sigma1**2 * weight * slope / s2[:, None]
-        u[:, layout.noise[k, 1]] = sigma0 / s2
-        u[:, layout.noise[k, 2]] = sigma1 * weight * x / s2
-        return J / s[:, None], u, s
+        return self._standardised(vector, k, x, J, slope)
 
     def _scaled_numerically(
         self, vector: FloatArray, k: int, t: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        layout = self.problem.layout
-        e = self.problem.campaign.experiments[k]
-        _, sigma0, sigma1 = vector[layout.noise[k]]
-        weight = self.problem.noise.weight(self.problem.campaign, e)
         _, x, index, d_mean, d_x = mean_derivatives(self.problem, vector, k, t)
-        positive = np.maximum(x, 0.0)
-        s2 = scale_squared(x, sigma0, sigma1, weight)
-        J, u = np.zeros((len(t), len(vector))), np.zeros((len(t), len(vector)))
-        J[:, index] = d_mean.T
-        u[:, index] = 0.5 * sigma1**2 * weight * (d_x * (x > 0.0) / s2).T
-        u[:, layout.noise[k, 1]] = sigma0 / s2
-        u[:, layout.noise[k, 2]] = sigma1 * weight * positive / s2
+        J, slope = np.zeros((len(t), len(vector))), np.zeros((len(t), len(vector)))
+        J[:, index], slope[:, index] = d_mean.T, d_x.T
+        return self._standardised(vector, k, x, J, slope)
+
+    def _standardised(
+        self, vector: FloatArray, k: int, x: FloatArray, J: FloatArray, slope: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """J over s, derivatives of log s, and s, from those of the mean (``J``) and response."""
+        _, i_sigma0, i_sigma1 = self.problem.layout.noise[k]
+        sigma0, sigma1 = vector[i_sigma0], vector[i_sigma1]
+        s2 = scale_squared(x, sigma0, sigma1, *self._law(k))
+        by_x, by_sigma0, by_sigma1 = scale_slopes(x, sigma0, sigma1, *self._law(k))
+        u = 0.5 * by_x[:, None] * slope / s2[:, None]
+        u[:, i_sigma0] = 0.5 * by_sigma0 / s2
+        u[:, i_sigma1] = 0.5 * by_sigma1 / s2
         s = np.sqrt(s2)
         return J / s[:, None], u, s
 
@@ -547,7 +542,8 @@ def default_region(problem: Problem, vector: FloatArray, spread: float = 7.0) ->
                 high[i] = vector[i] + tau + sd
     for row in layout.noise:
         low[row[0]], high[row[0]] = -1.0 + 1e-9, 1.0 - 1e-9
-        low[row[1]], low[row[2]] = NO_NOISE * vector[row[1]], 0.0
+        least = NO_NOISE * vector[row[1]]
+        low[row[1]], low[row[2]] = least, least * problem.noise.fading
     for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
         prior = problem.priors.get(name)
         if prior is not None and prior.law is not None:

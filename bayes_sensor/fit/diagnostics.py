@@ -13,6 +13,7 @@ from bayes_sensor.fit.identifiability import step_error
 from bayes_sensor.fit.looks import Look
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.model import SHARED, Layout, unit_of
+from bayes_sensor.noise import scale_squared
 
 
 def local_noise(z: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
@@ -113,9 +114,8 @@ def warn(
     for k, e in enumerate(campaign):
         r, x = residuals[k]
         _, sigma0, sigma1 = vector[layout.noise[k]]
-        scale = np.sqrt(
-            sigma0**2 + sigma1**2 * problem.noise.weight(campaign, e) * np.maximum(x, 0)
-        )
+        law = problem.noise.weight(campaign, e), problem.noise.fading
+        scale = np.sqrt(scale_squared(x, sigma0, sigma1, *law))
         beta = abs(vector[layout.local[k, 1]])
         error = step_error(e, r, x)
         if beta <= 3.0 * error:

@@ -29,8 +29,8 @@ def residuals_of(problem: Problem, vector: FloatArray, k: int) -> tuple[FloatArr
     return r, problem.model.response(e.t, vector, problem.layout, e)
 
 
-class _Spread(NamedTuple):
-    """Sums over one experiment's residuals from which the noise is estimated."""
+class Spread(NamedTuple):
+    """What is needed of one experiment's residuals to estimate the noise."""
 
     r2: FloatArray  # r^2 of the used samples
     x: FloatArray  # weight * x3 there
@@ -38,6 +38,11 @@ class _Spread(NamedTuple):
     variable: FloatArray  # (n_t,) weight * x3
     used: NDArray[np.bool_]
     steps: float
+    fading: float
+
+    def law(self, v0: float, v1: float, variable: FloatArray) -> FloatArray:
+        """Variance at ``variable`` (n,) with sigma0^2 ``v0``, sigma1^2 ``v1``."""
+        return v0 * (1.0 - self.fading * variable) + v1 * variable
 
 
 def estimate_noise(
@@ -45,16 +50,19 @@ def estimate_noise(
 ) -> dict[str, float]:
     """phi, sigma0, sigma1 by flat name.
 
-    sigma0^2, sigma1^2: regression of r^2 on (1, weight x3), neither negative, weighted once more
-    by the inverse of the fitted variance squared.  phi: maximum of the AR(1) likelihood of r/s,
+    sigma0^2, sigma1^2: regression of r^2 on (1, weight x3), or where these are levels on
+    (1 - weight x3, weight x3), neither negative, weighted once more by the inverse of the fitted
+    variance squared.  phi: maximum of the AR(1) likelihood of r/s,
     with phi^(interval/reference) between neighbours.
     """
-    campaign, layout = problem.campaign, problem.layout
+    campaign, layout, fading = problem.campaign, problem.layout, problem.noise.fading
     spreads = []
     for e, (r, x) in zip(campaign, residuals):
         variable = problem.noise.weight(campaign, e) * np.maximum(x, 0.0)
-        used = e.used
-        spreads.append(_Spread(r[used] ** 2, variable[used], r, variable, used, problem.steps(e)))
+        if fading:
+            variable = np.minimum(variable, 1.0)
+        used, steps = e.used, problem.steps(e)
+        spreads.append(Spread(r[used] ** 2, variable[used], r, variable, used, steps, fading))
     values: dict[str, float] = {}
     groups = [[k] for k in range(len(spreads))] if layout.noise_per_experiment else None
     for group in groups or [list(range(len(spreads)))]:
@@ -62,8 +70,9 @@ def estimate_noise(
         own = rms
         if layout.noise_per_experiment:
             own = sqrt(sum(s.r2.sum() for s in chosen) / sum(len(s.r2) for s in chosen))
-        v0, v1 = _variances(chosen, problem.noise.variance != "constant")
+        v0, v1 = fitted_variances(chosen, problem.noise.variance != "constant")
         v0 = max(v0, (1e-3 * own) ** 2, campaign.rounding**2)
+        v1 = max(v1, fading * (1e-3 * own) ** 2)
         phi = 0.0
         if problem.noise.autocorrelation == "ar1":
             phi = _lag_one(chosen, v0, v1)
@@ -75,19 +84,21 @@ def estimate_noise(
     return values
 
 
-def _variances(spreads: list[_Spread], grows: bool) -> tuple[float, float]:
+def fitted_variances(spreads: list[Spread], grows: bool) -> tuple[float, float]:
+    """sigma0^2 and sigma1^2 that describe the squares ``r2`` best; ``grows``: sigma1 is free."""
     n = sum(len(s.r2) for s in spreads)
     mean = sum(float(s.r2.sum()) for s in spreads) / n
     if not grows or mean <= 0.0:
         return mean, 0.0
-    v0, v1 = mean, 0.0
+    v0, v1 = mean, mean * spreads[0].fading
     for _ in range(3):
         A, b = np.zeros((2, 2)), np.zeros(2)
         for s in spreads:
-            w = 1.0 / np.square(max(v0, 1e-4 * mean) + v1 * s.x)
-            wx = w * s.x
-            A += [[w.sum(), wx.sum()], [wx.sum(), wx @ s.x]]
-            b += [w @ s.r2, wx @ s.r2]
+            w = 1.0 / np.square(s.law(max(v0, 1e-4 * mean), max(v1, s.fading * 1e-4 * mean), s.x))
+            rest = 1.0 - s.fading * s.x
+            wr, wx = w * rest, w * s.x
+            A += [[(wr * rest).sum(), (wr * s.x).sum()], [(wr * s.x).sum(), wx @ s.x]]
+            b += [wr @ s.r2, wx @ s.r2]
         scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
         if A[1, 1] <= 0.0:
             return mean, 0.0
@@ -97,14 +108,14 @@ def _variances(spreads: list[_Spread], grows: bool) -> tuple[float, float]:
     return v0, v1
 
 
-def _lag_one(spreads: list[_Spread], v0: float, v1: float) -> float:
+def _lag_one(spreads: list[Spread], v0: float, v1: float) -> float:
     """phi from neighbouring samples; from used ones further apart where most are not neighbours."""
     distances = [np.diff(np.flatnonzero(s.used)) for s in spreads]
     next_to_each_other = sum(int(np.sum(d == 1)) for d in distances)
     gaps = 2 * next_to_each_other < sum(len(d) for d in distances)
     sums: dict[float, FloatArray] = {}
     for s, distance in zip(spreads, distances, strict=True):
-        z = (s.r / np.sqrt(v0 + v1 * s.variable))[s.used]
+        z = (s.r / np.sqrt(s.law(v0, v1, s.variable)))[s.used]
         for d in np.unique(distance) if gaps else [1]:
             a, b = z[1:][distance == d], z[:-1][distance == d]
             row = np.array([a @ a, a @ b, b @ b, len(a)])

@@ -19,6 +19,7 @@ from scipy.signal import windows
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.gap.bins import ExperimentBins
+from bayes_sensor.lattice import lattice_step
 
 SPIKE = 6.5
 """robust standard deviations beyond which a sample is taken for a glitch"""
@@ -607,23 +608,6 @@ def rounding_bias(
             angle = 2.0 * np.pi * m * fit / step
             columns += [size * bins.average(np.cos(angle)), size * bins.average(np.sin(angle))]
     return np.column_stack(columns) / np.sqrt(2.0) if columns else None
-
-
-def lattice_step(values: FloatArray) -> float:
-    """The step of the lattice that all values (n,) lie on, or 0 where they lie on none."""
-    distinct = np.unique(values)
-    if len(distinct) < 3 or len(distinct) > 0.5 * len(values):
-        return 0.0
-    gaps = np.diff(distinct)
-    span = float(distinct[-1] - distinct[0])
-    gaps = gaps[gaps > 1e-9 * span]
-    if len(gaps) == 0:
-        return 0.0
-    step = float(np.min(gaps))
-    # converted values carry rounding: the mean over many steps is sharper than one
-    step = span / round(span / step) if span / step < 1e6 else step
-    away = np.abs((distinct - distinct[0]) / step - np.rint((distinct - distinct[0]) / step))
-    return step if float(np.max(away)) < 0.02 else 0.0
 
 
 def _bin_cholesky(

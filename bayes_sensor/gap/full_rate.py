@@ -16,7 +16,8 @@ from scipy.signal import lfilter
 from scipy.special import gammaln, logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.gap.floor import Stretch, detrended, lattice_step
+from bayes_sensor.gap.floor import Stretch, detrended
+from bayes_sensor.lattice import lattice_step
 
 TAIL_DOF = (2.5, 3.0, 4.0, 5.0, 7.0, 10.0)
 """degrees of freedom that count as heavy tails"""

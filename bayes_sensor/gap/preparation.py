@@ -15,12 +15,12 @@ from bayes_sensor.gap.floor import (
     Stretch,
     clean,
     estimate_floor,
-    lattice_step,
     quiet_stretches,
 )
 from bayes_sensor.gap.plan import FASTER, Plan
 from bayes_sensor.gap.refit import Refit, base_starts, refit
 from bayes_sensor.gap.sketch import Sketch
+from bayes_sensor.lattice import lattice_step
 from bayes_sensor.likelihood import grid_response
 from bayes_sensor.model import Layout, cascade_response
 

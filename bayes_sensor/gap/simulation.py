@@ -131,8 +131,8 @@ def simulate_with_effects(
     for k, (e, stream) in enumerate(zip(problem.campaign, streams, strict=True)):
         mean, x = model(k)
         _, sigma0, sigma1 = vector[layout.noise[k]]
-        weight = problem.noise.weight(problem.campaign, e)
-        scale = np.sqrt(scale_squared(x, sigma0, sigma1, weight))
+        law = problem.noise.weight(problem.campaign, e), problem.noise.fading
+        scale = np.sqrt(scale_squared(x, sigma0, sigma1, *law))
         phi = lag_coefficient(float(vector[layout.noise[k, 0]]), problem.steps(e))
         generator = np.random.default_rng(stream)
         noise = scale * _unit_noise(len(e.t), phi, chosen, generator)

@@ -51,7 +51,7 @@ class Whitened:
     def value_and_gradient(self, q: FloatArray) -> tuple[float, FloatArray]:
         """Log density (up to a constant) and its gradient (n,) at one point q (n,)."""
         coordinates = self.coordinates
-        squared, phi, sigma0 = coordinates.squared, coordinates.phi, coordinates.sigma0
+        squared, phi, sigmas = coordinates.squared, coordinates.phi, coordinates.log_sigmas
         logs = coordinates.logs
         roots = self.centre + self.factor @ q
         # the same as coordinates.theta, in fewer steps: this is the innermost loop
@@ -59,7 +59,7 @@ class Whitened:
         values[squared] = np.abs(values[squared])
         values[coordinates.switches] -= values[0]
         values[phi] = np.tanh(values[phi])
-        values[sigma0] = np.exp(np.minimum(values[sigma0], 300.0))
+        values[sigmas] = np.exp(np.minimum(values[sigmas], 300.0))
         values[logs] = np.exp(np.minimum(values[logs], 300.0))
         theta = self.pinned.copy()
         theta[coordinates.free] = values
@@ -74,14 +74,14 @@ class Whitened:
                 self.outside = []
         value, gradient = self.compressed.value_and_gradient(theta)
         slope = 1.0 - values[phi] ** 2
-        value += prior + float(np.log(slope).sum() + np.log(values[sigma0]).sum())
+        value += prior + float(np.log(slope).sum() + np.log(values[sigmas]).sum())
         value += float(np.log(values[logs]).sum())
         g = (gradient + prior_gradient(coordinates.problem, theta))[coordinates.free]
         # t0 = root - tau, and tau = |root|: its derivative is a sign
         g[0] -= g[coordinates.switches].sum()
         g[squared] *= np.sign(roots[squared])
         g[phi] = g[phi] * slope - 2.0 * values[phi]
-        g[sigma0] = g[sigma0] * values[sigma0] + 1.0
+        g[sigmas] = g[sigmas] * values[sigmas] + 1.0
         g[logs] = g[logs] * values[logs] + 1.0
         return float(value), self.factor.T @ g
 

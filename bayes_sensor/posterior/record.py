@@ -59,6 +59,8 @@ class Posterior:
     """sentences of the fit that decide whether the headline stands"""
     remarks: tuple[str, ...] = ()
     """further sentences of the fit that concern the posterior too"""
+    doubts: tuple[str, ...] = ()
+    """sentences on what the noise law fails in, so that intervals are not to be trusted"""
 
     @property
     def layout(self) -> Layout:
@@ -152,6 +154,11 @@ class Posterior:
 
     @property
     def status(self) -> str:
+        """Whether it converged, and what its noise law fails in."""
+        return "; ".join([self.convergence, *self.doubts])
+
+    @property
+    def convergence(self) -> str:
         """One sentence: converged, or what falls short."""
         free = self.free
         worst = free[int(np.nanargmax(self.r_hat[free]))]
@@ -166,7 +173,8 @@ class Posterior:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences a reader must see."""
-        found = [*self.caveats, *([] if self.converged else [self.status]), *self.remarks]
+        found = [*self.caveats, *([] if self.converged else [self.convergence]), *self.remarks]
+        found += self.doubts
         found += self._of_names()
         if self.hidden_by_sampling is not None:
             found.append(
@@ -283,7 +291,7 @@ class Posterior:
 
     def __repr__(self) -> str:
         """Size and status."""
-        return f"Posterior({len(self.draws)} draws by {self.sampler}; {self.status})"
+        return f"Posterior({len(self.draws)} draws by {self.sampler}; {self.convergence})"
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it."""
@@ -295,8 +303,8 @@ class Posterior:
             for name, row in self.rows.items()
         ]  # fmt: skip
         columns = ["parameter", "median", "95 % low", "95 % high", "effective draws", "R-hat"]
-        warnings = [text for text in self.warnings if text != self.status]
-        return card(f"posterior: {self.status}", warnings, columns, rows)
+        warnings = [text for text in self.warnings if text != self.convergence]
+        return card(f"posterior: {self.convergence}", warnings, columns, rows)
 
     def to_json(self) -> dict[str, Any]:
         """The contents of ``posterior.json``; parameters that the noise law pins are null."""
@@ -312,6 +320,8 @@ class Posterior:
             "n_draws": len(self.draws),
             "converged": self.converged,
             "status": self.status,
+            "convergence": self.convergence,
+            "doubts": list(self.doubts),
             "sampler": self.sampler,
             "reasons": list(self.reasons),
             "caveats": list(self.caveats),

@@ -127,14 +127,8 @@ def sample_posterior(
         k_hat=run.k_hat,
         acceptance=run.acceptance,
         caveats=getattr(fit, "caveats", ()),
-        remarks=tuple(
-            text
-            for text in (
-                f"{twin}; the draws are about one of the two" if twin else "",
-                noise_doubt(problem, start),
-            )
-            if text
-        ),
+        remarks=(f"{twin}; the draws are about one of the two",) if twin else (),
+        doubts=tuple(text for text in [noise_doubt(problem, start)] if text),
     )
 
 

@@ -119,8 +119,8 @@ def _predictive(posterior: Posterior, n_times: int = 240, n_draws: int = 120) ->
         row = some.mean(axis=0)
         x = problem.model.response(t[k], row, layout, e)
         _, sigma0, sigma1 = row[layout.noise[k]]
-        weight = problem.noise.weight(campaign, e)
-        spread[k] = np.sqrt(scale_squared(x, sigma0, sigma1, weight))
+        law = problem.noise.weight(campaign, e), problem.noise.fading
+        spread[k] = np.sqrt(scale_squared(x, sigma0, sigma1, *law))
     dims = ("experiment", "bin")
     coordinates = {"experiment": campaign.names_of_experiments, "bin": np.arange(n_times)}
     predictive = xarray.Dataset(

@@ -346,6 +346,21 @@ def _naive_words(bounds: Mapping[str, Any] | None) -> str:
     return ", ".join(parts)
 
 
+CONCERNED = (
+    "This concerns every interval that rests on the noise law: the posterior, the profile and the "
+    "Cramér-Rao bounds."
+)
+
+
+def doubts(saved: Saved) -> list[str]:
+    """What the noise law fails in, as it stands in the warnings of every interval."""
+    found = list((saved.posterior or {}).get("doubts", []))
+    record = saved.residuals
+    if record is not None and not record["adequate"]:
+        found.append(f"{record['verdict']} {record.get('recommendation') or TAKE_AS_THEY_ARE}")
+    return found
+
+
 def alerts(saved: Saved) -> list[tuple[str, str]]:
     """(kind, sentence) for the top of the page: ``bad`` for what failed, else ``note``."""
     from bayes_sensor.figures import METHOD_LABELS  # draws, so slow to import
@@ -355,11 +370,12 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
     if saved.fit is not None and not saved.fit["converged"]:
         found.append(("bad", f"The least-squares fit did not converge. {saved.fit['status']}"))
     if saved.posterior is not None and not saved.posterior["converged"]:
+        status = saved.posterior.get("convergence", saved.posterior["status"])
         found.append(
             (
                 "bad",
-                "The posterior did not converge, so its intervals must not be quoted "
-                f"({saved.posterior['status']}). Continue it with --resume and more steps.",
+                f"The posterior did not converge, so its intervals must not be quoted ({status}). "
+                "Continue it with --resume and more steps.",
             )
         )
     n = len(saved.campaign["experiments"])
@@ -377,10 +393,13 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
         found.append(
             (
                 "bad",
-                f"{saved.residuals['verdict']} That is so of the posterior, the profile and the "
-                f"AR(1) Cramér-Rao bound. {TAKE_AS_THEY_ARE}",
+                f"{saved.residuals['verdict']} {CONCERNED} "
+                f"{saved.residuals.get('recommendation') or TAKE_AS_THEY_ARE}",
             )
         )
+    elif saved.predictive is not None and saved.predictive["failed"]:
+        status = sentence(typeset(saved.predictive["status"]))
+        found.append(("bad", f"{status} {CONCERNED} {TAKE_AS_THEY_ARE}"))
     stale = of_other_data(saved.run)
     if stale:
         found.append(
@@ -396,6 +415,8 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
     if saved.bounds:
         for method, entry in saved.bounds["methods"].items():
             status = entry.get("status", "ok")
+            for doubt in doubts(saved):  # an alert says it once for all
+                status = "; ".join(filter(None, status.replace(doubt, "").split("; "))) or "ok"
             if method == "crlb_iid_one_percent_step":  # its caveats stand in the table of methods
                 continue
             if status != "ok" and "lower bound" not in status and "upper limit" not in status:
@@ -404,7 +425,11 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
     seen = set(caveats)
     for note in notes:
         told = sentence(typeset(note))
-        if note not in seen and not any(text in (note, told) for _, text in found):
+        if (
+            note not in seen
+            and note not in doubts(saved)
+            and not any(text in (note, told) for _, text in found)
+        ):
             seen.add(note)
             if note.startswith("tau is at"):  # beside the posterior's tau at the top
                 note = f"the least-squares {note}"

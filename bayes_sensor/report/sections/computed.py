@@ -23,7 +23,9 @@ def computed(saved: Saved, pictures: Pictures) -> Section:
     paragraphs = []
     content: list[Part] = []
     if saved.posterior is not None:
-        status = sentence(saved.posterior["status"]).removesuffix(".")
+        status = sentence(
+            saved.posterior.get("convergence", saved.posterior["status"])
+        ).removesuffix(".")
         paragraphs.append(f"{status}{see('posterior-shared', 'posterior-experiments')}.")
         paragraphs += [sentence(reason) for reason in saved.posterior.get("reasons", [])]
         paragraphs.append(

@@ -21,6 +21,8 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
     answer = ("Yes. " if residuals["adequate"] and not failed else "Not fully. ") + sentence(
         typeset(residuals["verdict"])
     )
+    if residuals.get("recommendation"):
+        answer = f"{answer.removesuffix('.')}. {residuals['recommendation']}"
     test = residuals["variance_vs_concentration"]["breusch_pagan"]
     before, after = (residuals["durbin_watson"][k] for k in ("before", "after"))
     if saved.predictive is not None:
@@ -36,8 +38,9 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
     if test.get("p_value") is not None:
         verb = "does" if test["p_value"] < 0.05 else "does not clearly"
         paragraphs.append(
-            f"The spread {verb} grow with concentration (Breusch-Pagan test on {test['n']} samples "
-            f"far enough apart to be independent, p {p_equals(test['p_value'])}){see('spread')}."
+            f"The spread {verb} change with concentration (Breusch-Pagan test on {test['n']} "
+            f"samples far enough apart to be independent, p {p_equals(test['p_value'])})"
+            f"{see('spread')}."
         )
     content: list[Part] = [
         pictures.add(
@@ -58,6 +61,7 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
             f"Distribution of the residuals ({residuals['histogram']['note']}).",
         ),
     ]
+    content += _checks(residuals)
     content += _predictive(saved, pictures)
     lb = residuals["ljung_box"]
     content.append(
@@ -100,6 +104,40 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
         )
     )  # fmt: skip
     return Section("noise", "Is the noise model adequate", answer, paragraphs, content)
+
+
+OF_THE_LAW = {
+    "correlation": ("slow part of the whitened residuals", ""),
+    "variance_concentration": ("variance against concentration", "of the highest concentration"),
+    "variance_slope": ("variance against the response's slope", "of the largest slope"),
+    "rounding": ("the converter's step over the standard deviation", ""),
+}
+
+
+def _checks(residuals: Mapping[str, Any]) -> list[Part]:
+    """What was asked of the noise law, and how far it is off."""
+    checks = residuals.get("checks") or {}
+    rows = []
+    for name, check in checks.items():
+        words, place = OF_THE_LAW.get(name, (name, ""))
+        low, high = check.get("low"), check.get("high")
+        if place and low is not None and high is not None:
+            words += f", {100.0 * low:.3g} to {100.0 * high:.3g} % {place}"
+        p = check.get("p_value")
+        verdict = "passes" if check["adequate"] else "fails"
+        rows.append([words, check.get("factor"), "" if p is None else p_words(p), verdict])
+    if not rows:
+        return []
+    return [
+        Table(
+            "noise-checks",
+            "What was asked of the noise law: the measured value over the law's, where it is "
+            "furthest off. A check fails where that is no chance and large enough to matter.",
+            ["check", "factor", "p-value", "verdict"],
+            rows,
+            digits=3,
+        )
+    ]
 
 
 CHECKS = {
