@@ -68,8 +68,7 @@ def row_of(results: Results, name: str, file: str, report: str, message: str) ->
         verdict = gap["verdict"]
         row["gap"], row["gap_probability"] = verdict["kind"], verdict["probability"]
         row["gap_effects"] = " ".join(verdict["effects"])
-        envelope = gap["hidden"]["tau_envelope_s"] or (None, None)
-        row["tau_envelope_lo_s"], row["tau_envelope_hi_s"] = envelope
+        row["tau_envelope_lo_s"], row["tau_envelope_hi_s"] = gap["hidden"]["tau_envelope_s"]
     return row
 
 

@@ -292,7 +292,7 @@ def _average(
     for i in np.flatnonzero(p > SMALL_SHARE) if mass >= least else ():
         fitted, beside_it = owners[i]
         # the profile is that of the shorter lag
-        if beside_it is None and not fitted.plan.sketch.sensor and _leaps(fitted, base):
+        if beside_it is None and _leaps(fitted, base) and not fitted.plan.sketch.sensor:
             profile = swept(fitted)
             taus[i] = profile.log_tau, profile.sd_log_tau
     mean = float(p @ taus[:, 0])
