@@ -169,6 +169,15 @@ class Naming:
         return best if shares[best] >= DECIDED else None
 
     @property
+    def exchanged(self) -> Assignment | None:
+        """The likeliest assignment, where it may be stated that the sensor's is not the shortest.
+
+        >>> Naming("slower", assignments("slower", False), (1.0,), None).exchanged
+        Assignment(sensor=1, valve=0, manifold=None)
+        """
+        return self.choices[int(np.argmax(self.probabilities))] if self.place("sensor") else None
+
+    @property
     def order(self) -> str:
         """``given``, ``decided`` (by what is known beside the data) or ``undecided``."""
         if self.place("sensor") is None:

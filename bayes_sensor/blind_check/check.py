@@ -98,7 +98,7 @@ def trimmed(gap: Mapping[str, Any]) -> dict[str, Any]:
     kept["unlisted"] = dict(gap.get("unlisted") or {})
     of_budget = ("excess_d", "p_value", "p_value_of_size")
     kept["budget"] = {k: gap["budget"].get(k) for k in of_budget}
-    kept["tau_envelope_s"] = gap["hidden"]["tau_envelope_s"]
+    kept["tau_envelope_s"] = gap["hidden"]["tau_envelope_s"] or [None, None]
     kept["whiteness_p"] = gap.get("whiteness_p")
     result: dict[str, Any] = plain(kept)
     return result

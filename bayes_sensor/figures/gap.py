@@ -246,6 +246,15 @@ def gap_residuals(residuals: Sequence[Mapping[str, Any]], most: int = 10) -> Fig
     return figure
 
 
+def lag_of(hidden: Mapping[str, Any]) -> tuple[str, str]:
+    """Key and words of the lag that a diagnosis speaks of, by ``hidden`` of ``gap.json``.
+
+    Tau, or the shorter lag where nobody knows whose it is.
+    """
+    unknown = "lag_fast_envelope_s" in hidden
+    return ("lag_fast", "the shorter lag") if unknown else ("tau", "τ")
+
+
 def gap_hidden(hidden: Mapping[str, Any], tau: float | None = None) -> Figure:
     """What may hide: how visible each effect would be, and what tau would be with it.
 
@@ -253,13 +262,14 @@ def gap_hidden(hidden: Mapping[str, Any], tau: float | None = None) -> Figure:
     not have been seen; the envelope of tau over them is shaded.  Dotted lines are the intervals
     with the strength left free.
     """
-    rows = [r for r in hidden["effects"] if r["d"] is not None and r["tau_shift_s"] is not None]
+    of, lag = lag_of(hidden)
+    rows = [r for r in hidden["effects"] if r["d"] is not None and r[f"{of}_shift_s"] is not None]
     rows.sort(key=lambda row: row["d"])
     d = np.array([max(row["d"], 1e-2) for row in rows])
     place = np.arange(len(rows))
-    whole = all(row.get("tau_with_it_s") is not None for row in rows)
-    shift = [row["tau_with_it_s"] if whole else row["tau_shift_s"] for row in rows]
-    envelope = hidden.get("tau_envelope_s") or (None, None)
+    whole = all(row.get(f"{of}_with_it_s") is not None for row in rows)
+    shift = [row[f"{of}_with_it_s"] if whole else row[f"{of}_shift_s"] for row in rows]
+    envelope = hidden.get(f"{of}_envelope_s") or (None, None)
     with style():
         figure = new_figure(1.1 + 0.22 * max(len(rows), 3))
         left, right = figure.subplots(1, 2, sharey=True)
@@ -281,22 +291,22 @@ def gap_hidden(hidden: Mapping[str, Any], tau: float | None = None) -> Figure:
         if whole:
             label: str | None = "strength left free"
             for i, row in enumerate(rows):
-                ends = [1e3 * row["tau_low_s"], 1e3 * row["tau_high_s"]]
+                ends = [1e3 * row[f"{of}_low_s"], 1e3 * row[f"{of}_high_s"]]
                 right.plot(ends, [i, i], color=MIDDLE, lw=1.1)
-                if row.get("tau_free_low_s") is not None:
-                    ends = [1e3 * row["tau_free_low_s"], 1e3 * row["tau_free_high_s"]]
+                if row.get(f"{of}_free_low_s") is not None:
+                    ends = [1e3 * row[f"{of}_free_low_s"], 1e3 * row[f"{of}_free_high_s"]]
                     right.plot(ends, [i + 0.25, i + 0.25], color=INK, lw=1.0, ls=":", label=label)
                     label = None
-            right.set_xlabel("τ with it (ms), 95 % intervals")
+            right.set_xlabel(f"{lag} with it (ms), 95 % intervals")
         else:
             right.hlines(place, 0.0, 1e3 * np.array(shift), color=MIDDLE, lw=0.7)
-            right.set_xlabel("shift of τ (ms)")
+            right.set_xlabel(f"shift of {lag} (ms)")
         origin = 0.0 if whole or tau is None else tau
         low, high = envelope
         if low is not None and high is not None and (whole or tau is not None):
             right.axvspan(
                 1e3 * (low - origin), 1e3 * (high - origin), color=PALE, lw=0, zorder=0,
-                label="envelope of τ",
+                label=f"envelope of {lag}",
             )  # fmt: skip
         if tau is not None:
             right.axvline(1e3 * (tau - origin), color=INK, lw=0.9)

@@ -39,7 +39,7 @@ from bayes_sensor.gap.lines import (
 from bayes_sensor.gap.passing import look_for_passing_lines
 from bayes_sensor.gap.patches import look_for_breaks, look_for_patches
 from bayes_sensor.gap.preparation import Prepared, fit_base, full_rate_residuals, prepare
-from bayes_sensor.gap.record import Gap, HiddenEffects, Round, Shrink
+from bayes_sensor.gap.record import Gap, HiddenEffects, Round, Shrink, nameless, without_tau
 from bayes_sensor.gap.refit import Refit
 from bayes_sensor.gap.ringing import look_for_ringing
 from bayes_sensor.gap.separate import Separation, confusable, what_would_separate
@@ -140,8 +140,10 @@ def diagnose_gap(
     if fit.cannot_tell and fit.rms <= least_noise(campaign):  # a floor of nothing judges nothing
         raise CampaignError(f"gap: {fit.cannot_tell}")
     tell(0.02, "noise floor")
-    prepared = prepare(campaign, _mean_of(campaign, fit))
+    prepared = prepare(campaign, _mean_of(campaign, fit), fit.naming)
     sketch = prepared.sketch
+    if not sketch.order_known:
+        catalogue = {name: effect.nameless for name, effect in catalogue.items()}
     base = fit_base(sketch)
     full_rate = [
         f
@@ -186,12 +188,18 @@ def diagnose_gap(
         said = without_a_step(kind, said)
     beside = looks_most(full_rate, names, unit) if kind == "none" else []
     tell(1.0, "done")
+    budget = _budget(campaign, prepared, base, located, nominal)
+    may_hide = HiddenEffects(tuple(found), envelope)
+    if not sketch.order_known:
+        rows, budget = [without_tau(row) for row in rows], without_tau(budget)
+        found = [nameless(each) for each in found]
+        shrink, may_hide = nameless(shrink), nameless(HiddenEffects(tuple(found), envelope))
     return Gap(
         verdict=Verdict(kind, named, family, float(min(max(probability, 0.0), 1.0)), said),
-        budget=_budget(campaign, prepared, base, located, nominal),
+        budget=budget,
         map=located,
         shrink=shrink,
-        hidden=HiddenEffects(tuple(found), envelope),
+        hidden=may_hide,
         rounds=tuple(rounds),
         separations=tuple(separations),
         full_rate=tuple(full_rate),
@@ -508,6 +516,8 @@ def _rows(
         first = next((n for n in named if catalogue[n].on_mean), None)
         if first is not None and first in looked:
             alike = next(r["confusable_with"] for r in made if r["effect"] == first)
+            if not sketch.order_known:  # no measurement of the response tells whose the lag is
+                alike = [n for n in alike if n != catalogue[first].exchanged]
             h = weighing.find(first)
             # nothing tells what is one response apart: the next in likeness is worth a look, too
             most = 2 if alike[:1] == [catalogue[first].same_response] else 1

@@ -9,7 +9,7 @@ changes settings of the rig (:data:`bayes_sensor.gap.rig.SETTINGS`) or computes 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import exp, log
 from typing import TYPE_CHECKING, Any
 
@@ -193,6 +193,17 @@ class Effect:
     same_response: str = ""
     """an effect that no measurement of the response can tell from this one: it is not named
     alone"""
+    stage: str = ""
+    """what it acts on: ``command``, ``valve``, ``flow``, ``manifold``, ``sensor``, ``readout`` or
+    ``record``; where nobody knows which lag is the valve's and which the sensor's, what acts on one
+    of the two may be an effect of the other"""
+    exchanged: str = ""
+    """the effect that this one then is, unless :attr:`same_response` says so anyway"""
+
+    @property
+    def nameless(self) -> Effect:
+        """The effect where nobody knows whose the lags are: its counterpart may be the cause."""
+        return replace(self, same_response=self.same_response or self.exchanged)
 
     def apply(self, problem: Problem) -> Problem:
         """The problem with this effect in its model."""

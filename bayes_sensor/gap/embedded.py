@@ -137,32 +137,40 @@ class Rival:
     """in plain words; may hold ``{strength}``"""
     named_by: tuple[str, ...] = ()
     """listed effects that are this dependence"""
+    stage: str = ""
+    """whose lag it is of, ``valve`` or ``sensor``"""
 
 
 RIVALS = {
     "valve by flow": Rival(
         (_power("valve_factor", "valve_by_flow"),),
         "the valve's time constant depends on the flow ({strength})",
+        stage="valve",
     ),
     "volume by flow": Rival(
         (_power("flow_factor", "volume_by_flow"),),
         "the manifold's time constant follows another power of the flow ({strength})",
     ),
     "sensor by concentration": Rival(
-        (_BY_CONCENTRATION,), "the sensor's time constant depends on the concentration ({strength})"
+        (_BY_CONCENTRATION,),
+        "the sensor's time constant depends on the concentration ({strength})",
+        stage="sensor",
     ),
     "valve by experiment": Rival(
         (_by_experiment("valve_factor", 0.05),),
         "the valve's time constant differs from experiment to experiment ({strength})",
+        stage="valve",
     ),
     "sensor by experiment": Rival(
         (_by_experiment("sensor_factor", 0.3),),
         "the sensor's time constant differs from experiment to experiment ({strength})",
+        stage="sensor",
     ),
     "valve by direction": Rival(
         (_direction("closing_ratio"),),
         "the valve shuts at another speed than it opens ({strength})",
         ("valve_asymmetry",),
+        stage="valve",
     ),
     "volume by direction": Rival(
         (_direction("emptying_ratio"),),
@@ -173,6 +181,7 @@ RIVALS = {
         (_direction("release_ratio"),),
         "the sensor releases at another speed than it takes up ({strength})",
         ("sorption_asymmetry",),
+        stage="sensor",
     ),
     "part later": Rival(
         (
@@ -208,6 +217,7 @@ def embedded_rivals(
             Effect(
                 name=name,
                 family="unlisted",
+                stage=rival.stage,
                 sentence=rival.sentence,
                 forms=rival.forms,
                 plausible={},

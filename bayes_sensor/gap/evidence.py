@@ -171,15 +171,17 @@ def _laplace(
     sign, log_matrix = np.linalg.slogdet(matrix * unit[..., :, None] * unit[..., None, :])
     log_matrix = log_matrix - 2.0 * np.sum(np.log(unit), axis=-1)
     sound = sign > 0
-    # the covariance of the first two coordinates, in which ln tau is the second minus the first
+    # the covariance of the first two coordinates: ln tau is the second minus the first where the
+    # sensor's is the shorter lag, else the second
+    minus = 1.0 - refit.plan.sketch.sensor
     first_two = np.broadcast_to(np.eye(len(away), 2), (*matrix.shape[:-1], 2))
     covariance = solved(matrix, first_two)[..., :2, :]
-    # ln tau <= ln tau_v - FASTER cuts the Gaussian
+    # that the shorter lag is below the longer by FASTER cuts the Gaussian
     inside = refit.x[0] + step[..., 0]
     with np.errstate(invalid="ignore"):  # of a matrix that is not positive definite
         sd = np.sqrt(covariance[..., 0, 0])
         spread = np.sqrt(
-            covariance[..., 0, 0] - 2.0 * covariance[..., 0, 1] + covariance[..., 1, 1]
+            minus * (covariance[..., 0, 0] - 2.0 * covariance[..., 0, 1]) + covariance[..., 1, 1]
         )
         cut = log_ndtr(inside / sd)
     drawn = np.sum(moved * (prior @ moved[..., None])[..., 0], axis=-1)
@@ -191,7 +193,7 @@ def _laplace(
         - 0.5 * log_det[:, None]
         + cut
     )
-    log_tau = np.log(refit.tau) + step[..., 1] - step[..., 0]
+    log_tau = np.log(refit.tau) + step[..., 1] - minus * step[..., 0]
     return _Laplace(
         np.where(sound, log_z, -np.inf),
         misfit,

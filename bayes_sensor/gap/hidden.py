@@ -10,8 +10,9 @@ envelope is the union over everything that could not have been seen.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import exp, log
+from typing import Any
 
 import numpy as np
 
@@ -39,12 +40,13 @@ class Hidden:
     strength: dict[str, float]
     d: float
     """detectability after the refit of the model without it"""
-    tau_shift_s: float
-    """refitted minus true tau when the model ignores it"""
-    tau_with_it_s: float
+    tau_shift_s: float | None
+    """refitted minus true tau when the model ignores it; None, as all of tau, where nobody knows
+    which lag is the sensor's"""
+    tau_with_it_s: float | None
     """tau refitted to the measurement with the effect held at this strength"""
-    tau_low_s: float
-    tau_high_s: float
+    tau_low_s: float | None
+    tau_high_s: float | None
     """its 95 % interval"""
     contradicted: bool
     """whether the measurement speaks against the effect at this strength"""
@@ -52,6 +54,12 @@ class Hidden:
     tau_free_high_s: float | None = None
     """the 95 % interval of tau with the effect alone in the model, its strength left to data and
     prior; None where another explanation fits the data clearly better"""
+    lag_fast: Mapping[str, Any] = field(default_factory=dict)
+    """what is then said of the shorter lag in place of tau, by key of gap.json"""
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of gap.json."""
+        return {**{k: v for k, v in vars(self).items() if k != "lag_fast"}, **self.lag_fast}
 
 
 def plausible(effect: Effect, sketch: Sketch) -> dict[str, float]:

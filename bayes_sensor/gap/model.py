@@ -18,6 +18,7 @@ from bayes_sensor.gap.effect import Effect, Form, RigView, Setting, Strength, ch
 from bayes_sensor.gap.effects import CATALOGUE, check_names
 from bayes_sensor.gap.plan import coating_modes
 from bayes_sensor.gap.rig import FIRST, INDEX, NEUTRAL, rig_mean, rig_response
+from bayes_sensor.lags import Assignment, named
 from bayes_sensor.likelihood import Prior, Problem, as_problem
 from bayes_sensor.model import Cascade, Layout, local_parameters
 
@@ -147,6 +148,10 @@ class EffectModel:
     """t0 and tf of the first experiment, s: only for strengths that ask for them"""
     held: tuple[tuple[str, float], ...] = ()
     """strengths that are held at a value, not parameters"""
+    assignment: Assignment | None = None
+    """whose the lags are that theta holds by size; None: tau, tau_v and V stand there by name"""
+    flow: float | None = None
+    """mL/s, the common total flow, where V/Q is one of those lags"""
 
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}
@@ -211,8 +216,11 @@ class EffectModel:
         y0, beta, t0, tf = local_parameters(theta, layout, e.name)
         p = np.empty(FIRST + len(NEUTRAL))
         p[FIRST:] = NEUTRAL
+        tau, tau_v, volume = theta[:3]
+        if self.assignment is not None:
+            tau, tau_v, volume = named(theta, self.flow, [self.assignment])
         p[:FIRST] = (
-            theta[0], theta[1], theta[2] / e.total_flow, y0, beta, t0,
+            tau, tau_v, volume / e.total_flow, y0, beta, t0,
             1e30 if tf is None else tf, e.concentration, e.t[0] - 0.5 * e.interval,
             0.5 * (e.t[0] + e.t[-1]),
         )  # fmt: skip
@@ -319,7 +327,8 @@ def with_effects(
     """The problem with effects in its model and priors on their strengths.
 
     ``effects``: names (``NAME`` or ``NAME:FORM``) or effects of one's own; ``theta``: flat
-    parameters of a fit that scale the priors.
+    parameters of a fit that scale the priors.  Where nobody knows whose the lags are, the shorter
+    one is taken for the sensor's.
 
     Raises
     ------
@@ -344,12 +353,15 @@ def with_effects(
     first = campaign.experiments[0]
     on = first.commanded_on if first.commanded_on is not None else float(first.t[0])
     off = first.commanded_off if first.commanded_off is not None else float(first.t[-1])
+    naming = problem.naming(None if theta is None else problem.shares(theta))
     model = EffectModel(
         chosen=tuple(chosen),
         scales=Scales.of(campaign, theta),
         experiments=tuple(campaign.names_of_experiments),
         reference=(on, off),
         held=tuple(sorted((held or {}).items())),
+        assignment=naming.exchanged,
+        flow=naming.flow,
     )
     given = {**problem.given_priors, **model.priors}
     return replace(problem, model=model, given_priors=given)  # type: ignore[arg-type]

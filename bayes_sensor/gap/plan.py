@@ -1,7 +1,7 @@
 """The coordinates of a hypothesis: what a refit may move, its priors, and the means that follow.
 
-Coordinates have standard priors.  The cascade is unchanged when tau and tau_v swap places, so the
-sensor is taken to be the faster one: ``ln tau <= ln tau_v - .3``.
+Coordinates have standard priors.  The cascade is unchanged when tau and tau_v swap places, so they
+hold the two by size: ``ln shorter <= ln longer - .3``.  Whose each is the sketch says.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from bayes_sensor.gap.rig import (
 from bayes_sensor.gap.sketch import SHARED, Sketch
 
 FASTER = 0.3
-"""the sensor's time constant is below the valve's by at least this in the logarithm"""
+"""the shorter lag is below the longer by at least this in the logarithm"""
 WIDE = 100.0
 """step heights; spread of the priors of y0 and beta"""
 LOOSER = 30.0
@@ -114,7 +114,7 @@ class Plan:
     def prior(self) -> tuple[FloatArray, FloatArray]:
         """Means and precisions (n,) of the coordinates.
 
-        The first coordinate's prior is that of ln tau given ln tau_v and enters through
+        The first coordinate's prior is that of the shorter lag given the longer and enters through
         :meth:`prior_matrix`.  y0, beta, t0 and tf have priors so wide that they only matter for an
         experiment that does not show its step.
         """
@@ -138,7 +138,7 @@ class Plan:
         widths = np.ones(self.size) if widths is None else widths
         matrix = np.diag(precision / widths**2)
         tau = 1.0 / self.sketch.sd[0] ** 2
-        # ln tau = x1 - FASTER - x0
+        # the logarithm of the shorter lag is x1 - FASTER - x0
         matrix[0, 0] += tau
         matrix[1, 1] += tau
         matrix[0, 1] -= tau
@@ -316,7 +316,8 @@ class Plan:
         """The kernel's parameters for experiment ``k``, and a user's own mean if there is one."""
         at = self.local[k]
         p = self._fixed[k].copy()
-        p[TAU], p[TAU_V], volume = _lags(*x[:SHARED].tolist())
+        shorter, longer = self._slots
+        p[shorter], p[longer], volume = _lags(*x[:SHARED].tolist())
         p[TAU_M] = volume / self._flows[k]
         m = 4 if self._falls[k] else 3
         p[Y0 : Y0 + m] = x[at : at + m]
@@ -333,6 +334,11 @@ class Plan:
             if part.form.mean is not None:
                 own = (part.form, values)
         return own
+
+    @cached_property
+    def _slots(self) -> tuple[int, int]:
+        # the kernel's parameters that are the shorter and the longer lag
+        return (TAU_V, TAU) if self.sketch.sensor else (TAU, TAU_V)
 
     @cached_property
     def _flows(self) -> FloatArray:
@@ -387,7 +393,8 @@ class Plan:
     def _rigs(self, x: FloatArray) -> FloatArray:
         """(n_experiments, n_parameters) of the kernel."""
         rigs = self._fixed.copy()
-        rigs[:, TAU], rigs[:, TAU_V], volume = _lags(*x[:SHARED].tolist())
+        shorter, longer = self._slots
+        rigs[:, shorter], rigs[:, longer], volume = _lags(*x[:SHARED].tolist())
         rigs[:, TAU_M] = volume / self._flows
         first = self._first
         for i, name in enumerate((Y0, BETA, T0)):
@@ -438,7 +445,7 @@ class Plan:
     def lowest(self) -> FloatArray:
         """(n,) what coordinates may not go below.
 
-        The sensor stays the faster lag, and normal strengths at or above their lower limits.
+        The shorter lag stays the shorter, and normal strengths at or above their lower limits.
         """
         least = np.full(self.size, -inf)
         least[0] = 0.0
@@ -506,8 +513,9 @@ class Plan:
         first = self._of_rigs[:-1]
         rigs = np.repeat(self._rigs(x), np.diff(self._of_rigs), axis=0)
         (x0, x1, x2), (h0, h1, h2) = x[:SHARED].tolist(), steps[:SHARED].tolist()
-        rigs[first + 1, TAU], _, _ = _lags(x0 + h0, x1, x2)
-        rigs[first + 2, TAU], rigs[first + 2, TAU_V], _ = _lags(x0, x1 + h1, x2)
+        shorter, longer = self._slots
+        rigs[first + 1, shorter], _, _ = _lags(x0 + h0, x1, x2)
+        rigs[first + 2, shorter], rigs[first + 2, longer], _ = _lags(x0, x1 + h1, x2)
         rigs[first + 3, TAU_M] = _lags(x0, x1, x2 + h2)[2] / self._flows
         moved = x + steps
         for i, name in enumerate((Y0, BETA, T0)):
@@ -528,5 +536,6 @@ class Plan:
 
 
 def _lags(x0: float, x1: float, x2: float) -> tuple[float, float, float]:
-    # tau s, tau_v s and V mL of the shared coordinates, kept within what the kernel can bear
+    # s, the shorter and the longer lag, and V mL, of the shared coordinates, kept within what the
+    # kernel can bear
     return exp(max(x1 - FASTER - x0, -60.0)), exp(min(x1, 40.0)), exp(min(x2, 60.0))

@@ -20,14 +20,15 @@ from bayes_sensor.gap.floor import (
 from bayes_sensor.gap.plan import FASTER, Plan
 from bayes_sensor.gap.refit import Refit, base_starts, refit
 from bayes_sensor.gap.sketch import Sketch
+from bayes_sensor.lags import Naming, named
 from bayes_sensor.lattice import lattice_step
-from bayes_sensor.likelihood import grid_response
+from bayes_sensor.likelihood import Problem, grid_response
 from bayes_sensor.model import Layout, cascade_response
 
-NUISANCE_SD = {"tau": 1.0, "tau_v": 0.7, "V": 0.3}
+NUISANCE_SD = {"shorter": 1.0, "longer": 0.7, "V": 0.3}
 """sd of the logarithms around plausible values"""
-TAU_OVER_TAU_V = 0.07
-"""plausible ratio of the sensor's to the valve's time constant"""
+SHORTER_OVER_LONGER = 0.07
+"""plausible ratio of the two lags that do not depend on the flow"""
 
 
 def full_rate_residuals(campaign: Campaign, theta: FloatArray) -> list[FloatArray]:
@@ -44,10 +45,7 @@ def full_rate_residuals(campaign: Campaign, theta: FloatArray) -> list[FloatArra
 
 
 def coordinates(campaign: Campaign, theta: FloatArray) -> FloatArray:
-    """Coordinates of the fit without effects at a flat ``theta``.
-
-    The faster of the two lags that do not depend on the flow is taken for the sensor.
-    """
+    """Coordinates of the fit without effects at a flat ``theta``, tau and tau_v in either order."""
     layout = Layout.of(campaign)
     tau, tau_v = sorted((float(theta[0]), float(theta[1])))
     tau = max(tau, 1e-4 * tau_v)
@@ -59,7 +57,7 @@ def coordinates(campaign: Campaign, theta: FloatArray) -> FloatArray:
 
 
 def flat_theta(campaign: Campaign, x: FloatArray) -> FloatArray:
-    """The flat ``theta`` of the mean at coordinates of the fit without effects."""
+    """The flat ``theta``, lags by size, of the mean at coordinates of the fit without effects."""
     theta = np.array(x, dtype=float)
     theta[0] = np.exp(x[1] - FASTER - x[0])
     theta[1], theta[2] = np.exp(x[1]), np.exp(x[2])
@@ -80,7 +78,7 @@ class Prepared:
     quiet: tuple[Quiet, ...]
     """switches and quiet spans of every experiment, and its noise"""
     theta: FloatArray
-    """the flat fit that the residuals belong to"""
+    """the flat fit that the residuals belong to, tau and tau_v by size"""
     settle: tuple[float, ...]
     """s after a switch that every experiment's quiet spans leave out"""
 
@@ -122,15 +120,19 @@ FINE = 0.005
 
 
 def _taus(theta: FloatArray, flow: float) -> FloatArray:
-    """(3,) s, valve, manifold, sensor of a flat theta."""
+    """(3,) s, the longer lag, the manifold's, the shorter lag of a flat theta."""
     return np.array([theta[1], theta[2] / flow, theta[0]])
 
 
-def prepare(campaign: Campaign, theta: FloatArray) -> Prepared:
-    """Bins, floor and priors of a measured campaign around a fit (flat ``theta``).
+def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None) -> Prepared:
+    """Bins, floor and priors of a measured campaign around a fit (flat ``theta``, lags by size).
+
+    ``naming``: what may be said of the lags' names; default what the campaign says.
 
     Raises CampaignError where no record has a quiet stretch.
     """
+    naming = naming or Problem(campaign).naming()
+    theta, lags = _by_name(theta, naming)
     layout = Layout.of(campaign)
     x = coordinates(campaign, theta)
     flat = flat_theta(campaign, x)
@@ -157,11 +159,14 @@ def prepare(campaign: Campaign, theta: FloatArray) -> Prepared:
     fits = [e.values - r for e, r in zip(campaign, raw, strict=True)]
     floor = estimate_floor(campaign, cleaned, bins, settle, levels, spikes, fits)
     steps = [abs(float(flat[layout.local[k][1]])) for k in range(len(campaign))]
-    centre, sd = _plausible(campaign, flat), _spread(campaign)
+    # at one flow V/Q is one of the lags, and V a name that may be another's
+    names = (*lags, "V_mL" if "tau_s" in lags or naming.flow is None else "")
+    centre, sd = _plausible(campaign, flat, names), _spread(campaign, names)
     flow = float(np.median([e.total_flow for e in campaign]))
-    if flat[2] < NO_VOLUME * flat[1] * flow and "V_mL" not in campaign.side_information:
+    tau_v = float(flat[0 if lags[0] == "tau_v_s" else 1])
+    if flat[2] < NO_VOLUME * tau_v * flow and "V_mL" not in campaign.side_information:
         # no rig is without a manifold: the fit has bent it away to do some effect's work
-        centre[2], sd[2] = log(0.5 * flat[1] * flow), ANY_VOLUME
+        centre[2], sd[2] = log(0.5 * tau_v * flow), ANY_VOLUME
     sketch = Sketch(
         campaign=campaign,
         bins=tuple(bins),
@@ -174,6 +179,7 @@ def prepare(campaign: Campaign, theta: FloatArray) -> Prepared:
         signal_scale=float(np.median(steps)) or 1.0,
         reference_flow=flow,
         duration=float(np.median([len(e.t) * e.interval for e in campaign])),
+        lags=lags,
     )
     return Prepared(
         sketch,
@@ -219,18 +225,33 @@ def settling_time(taus: FloatArray) -> float:
     return float(grid[np.flatnonzero(away)[-1]])
 
 
-def _plausible(campaign: Campaign, theta: FloatArray) -> FloatArray:
-    centre = np.array([log(TAU_OVER_TAU_V * theta[1]), log(theta[1]), log(theta[2])])
+def _by_name(theta: FloatArray, naming: Naming) -> tuple[FloatArray, tuple[str, str]]:
+    """``theta`` with tau, tau_v and V in its first places, and names of the lesser and the greater
+    of the first two.
+
+    The shorter lag stands for tau where nobody knows.
+    """
+    if naming.place("sensor") is None:
+        return theta, ("lag_fast_s", "lag_slow_s")
+    if naming.exchanged is None:
+        return theta, ("tau_s", "tau_v_s")
+    made = np.array(theta, dtype=float)
+    made[:3] = named(made, naming.flow, [naming.exchanged])
+    return made, ("tau_v_s", "tau_s") if made[0] > made[1] else ("tau_s", "tau_v_s")
+
+
+def _plausible(campaign: Campaign, theta: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    centre = np.array([log(SHORTER_OVER_LONGER * theta[1]), log(theta[1]), log(theta[2])])
     given = campaign.side_information
-    for i, name in enumerate(("tau_s", "tau_v_s", "V_mL")):
+    for i, name in enumerate(names):
         if name in given and given[name].mean > 0:
             centre[i] = log(given[name].mean)
     return centre
 
 
-def _spread(campaign: Campaign) -> FloatArray:
+def _spread(campaign: Campaign, names: tuple[str, ...]) -> FloatArray:
     sd = np.array(list(NUISANCE_SD.values()))
-    for i, name in enumerate(("tau_s", "tau_v_s", "V_mL")):
+    for i, name in enumerate(names):
         if name in campaign.side_information and campaign.side_information[name].mean > 0:
             known = campaign.side_information[name]
             sd[i] = max(known.sd / known.mean, 1e-4)

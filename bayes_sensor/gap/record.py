@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bayes_sensor.gap.full_rate import FullRate
 from bayes_sensor.gap.hidden import Hidden
@@ -20,6 +20,28 @@ from bayes_sensor.results import plain
 if TYPE_CHECKING:
     import pandas as pd
 
+Said = TypeVar("Said", "Shrink", Hidden, "HiddenEffects")
+
+
+def without_tau(said: Mapping[str, Any]) -> dict[str, Any]:
+    """None for what is said of tau, and the same as said of the shorter lag.
+
+    For a diagnosis that takes the shorter lag for the sensor's where nobody knows whose it is.
+
+    >>> without_tau({"d": 2.0, "tau_s": 0.1})
+    {'d': 2.0, 'tau_s': None, 'lag_fast_s': 0.1}
+    """
+    of_tau = [key for key in said if key.startswith("tau_")]
+    shorter = {key.replace("tau", "lag_fast", 1): said[key] for key in of_tau}
+    return {**said, **dict.fromkeys(of_tau), **shorter}
+
+
+def nameless(said: Said) -> Said:
+    """The same of a record: fields of tau are None, ``lag_fast`` holds the shorter lag's."""
+    keys = without_tau(said.to_json()).items()
+    of_tau: dict[str, Any] = {f.name: None for f in fields(said) if f.name.startswith("tau_")}
+    return replace(said, **of_tau, lag_fast={k: v for k, v in keys if k.startswith("lag_fast")})
+
 
 @dataclass(frozen=True)
 class Shrink:
@@ -27,17 +49,20 @@ class Shrink:
 
     closure: Closure
     held_out_fraction_closed: float | None
-    tau_before_s: float
-    tau_after_s: float
+    tau_before_s: float | None
+    """None, as all of tau, where nobody knows which lag is the sensor's"""
+    tau_after_s: float | None
     """averaged over the explanations that hold 95 % of the probability"""
-    tau_after_low_s: float
-    tau_after_high_s: float
+    tau_after_low_s: float | None
+    tau_after_high_s: float | None
     explanation: str
     rival: str | None
     """the best explanation outside the family"""
     rival_fraction_closed: float | None
     held_out_interval: tuple[float, float] | None = None
     """95 %; None where nothing was held out, and for the mains"""
+    lag_fast: Mapping[str, Any] = field(default_factory=dict)
+    """what is then said of the shorter lag in place of tau, by key of gap.json"""
 
     def to_json(self) -> dict[str, Any]:
         """The keys of gap.json."""
@@ -62,6 +87,7 @@ class Shrink:
             "explanation": self.explanation,
             "rival": self.rival,
             "rival_fraction_closed": self.rival_fraction_closed,
+            **self.lag_fast,
         }
 
 
@@ -70,14 +96,22 @@ class HiddenEffects:
     """What this campaign could not have seen."""
 
     effects: tuple[Hidden, ...]
-    tau_envelope_s: tuple[float, float]
+    tau_envelope_s: tuple[float, float] | None
+    """None where nobody knows which lag is the sensor's"""
+    lag_fast: Mapping[str, Any] = field(default_factory=dict)
+    """what is then said of the shorter lag in place of tau, by key of gap.json"""
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of gap.json."""
+        effects = [h.to_json() for h in self.effects]
+        return {"effects": effects, "tau_envelope_s": self.tau_envelope_s, **self.lag_fast}
 
     @cached_property
     def table(self) -> pd.DataFrame:
         """One row per effect: d, shift of tau, tau with it in place."""
         import pandas as pd
 
-        return pd.DataFrame([vars(e) for e in self.effects])
+        return pd.DataFrame([e.to_json() for e in self.effects])
 
 
 @dataclass(frozen=True)
@@ -131,11 +165,12 @@ class Gap:
         """Verdict, size of the gap, and tau without and with the explanation."""
         v, s = self.verdict, self.shrink
         which = (" and " if v.kind == "effect" else " or ").join(v.effects)
-        before, after = 1e3 * s.tau_before_s, 1e3 * s.tau_after_s
+        lag, key = ("shorter lag", "lag_fast") if s.lag_fast else ("tau", "tau")
+        before, after = (1e3 * s.to_json()[f"{key}_{when}_s"] for when in ("before", "after"))
         return (
             f"Gap({v.kind} {which}".rstrip()
             + f", probability {v.probability:.2f}; d {self.budget['excess_d']:.1f}; "
-            f"tau {before:.4g} ms without, {after:.4g} ms with the best explanation)"
+            f"{lag} {before:.4g} ms without, {after:.4g} ms with the best explanation)"
         )
 
     def _repr_html_(self) -> str:
@@ -183,10 +218,7 @@ class Gap:
                 "by_mean": self.standing.looks_by_mean,
             },
             "shrink": self.shrink.to_json(),
-            "hidden": {
-                "effects": [vars(h) for h in self.hidden.effects],
-                "tau_envelope_s": list(self.hidden.tau_envelope_s),
-            },
+            "hidden": self.hidden.to_json(),
             "rounds": [{**vars(r), "added": list(r.added)} for r in self.rounds],
             "separate": [vars(s) for s in self.separations],
             "full_rate": [self._finding(f) for f in self.full_rate],

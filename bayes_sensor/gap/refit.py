@@ -103,14 +103,19 @@ class Refit:
         return found
 
     @property
+    def lags(self) -> tuple[float, float]:
+        """s, the shorter and the longer of tau and tau_v."""
+        return exp(max(self.x[1] - FASTER - self.x[0], -60.0)), exp(self.x[1])
+
+    @property
     def tau(self) -> float:
         """s"""
-        return exp(max(self.x[1] - FASTER - self.x[0], -60.0))
+        return self.lags[self.plan.sketch.sensor]
 
     @property
     def tau_v(self) -> float:
         """s"""
-        return exp(self.x[1])
+        return self.lags[1 - self.plan.sketch.sensor]
 
     @property
     def V(self) -> float:
@@ -248,8 +253,8 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray | None:
 def _stepped(plan: Plan, x: FloatArray, index: NDArray[np.int64], step: FloatArray) -> FloatArray:
     """Coordinates (n,) after a ``step`` of those in ``index``, none of them too long.
 
-    A lag of tau delays the response by tau, so that what tau gains the switch times lose.  Tau is
-    exponential in the coordinates: the switch times make up for what it gains beyond the linear.
+    A lag delays the response by itself, so that what the shorter one gains the switch times lose.
+    It is exponential in the coordinates: they make up for what it gains beyond the linear.
     """
     most = plan.longest_steps[index]
     moved = x.copy()
@@ -264,9 +269,10 @@ def _stepped(plan: Plan, x: FloatArray, index: NDArray[np.int64], step: FloatArr
 
 
 def with_tau(plan: Plan, x: FloatArray, log_tau: float) -> FloatArray:
-    """Coordinates (n,) with another ``log_tau`` (of s), and the switch times moved back by it.
+    """Coordinates (n,) with another shorter lag, tau unless the sensor's is the longer one.
 
-    A lag of tau delays the response by tau, so that what tau gains the switch times lose.
+    ``log_tau``: its logarithm (of s).  A lag delays the response by itself, so that what it gains
+    the switch times lose.
     """
     made = x.copy()
     made[0] = max(float(x[1]) - FASTER - log_tau, 0.0)

@@ -41,7 +41,7 @@ def isolability(sketch: Sketch, truth: Refit, rival: Effect, given: Sequence[Par
     """Detectability left when ``truth``'s noise-free mean is refitted with ``rival``."""
     data = tuple(truth.plan.means(truth.x))
     # priors lie where the truth is, or its own distance from them would count against every rival
-    exact = replace(sketch, data=data, centre=np.log([truth.tau, truth.tau_v, truth.V]))
+    exact = replace(sketch, data=data, centre=np.log([*truth.lags, truth.V]))
     base = refit(
         Plan(exact, tuple(given), loose=truth.plan.loose), _bare(truth, len(given)), most_steps=15
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.signal import lfilter
@@ -204,8 +204,8 @@ def _mean_model(
         name = forms[n] or next(alike, effect.forms[0]).name
         texts.append(f"{n}:{name}" if name else n)
     made = with_effects(Problem(campaign, noise=problem.noise), texts, vector)
-    model = made.model
-    assert isinstance(model, EffectModel)
+    # a truth says by name whose its lags are
+    model = replace(cast(EffectModel, made.model), assignment=None)
     layout = made.layout
     full = np.zeros(len(layout))
     full[: layout.n_mean] = vector[: layout.n_mean]

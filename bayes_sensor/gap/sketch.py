@@ -17,7 +17,8 @@ from bayes_sensor.gap.floor import Floor
 from bayes_sensor.gap.squares import whiten
 
 SHARED = 3
-"""coordinates shared by all experiments: ln tau_v - ln tau - FASTER, ln tau_v, ln V"""
+"""coordinates shared by all experiments, of the shorter and the longer of tau and tau_v:
+ln longer - ln shorter - FASTER, ln longer, ln V"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +33,7 @@ class Sketch:
     base: FloatArray
     """coordinates of the fit without effects"""
     centre: FloatArray
-    """(3,) prior means of ln tau, ln tau_v, ln V"""
+    """(3,) prior means of the logarithms of the shorter lag, the longer one and V"""
     sd: FloatArray
     """(3,) their prior sds"""
     time_scale: float
@@ -45,6 +46,19 @@ class Sketch:
     """s, median length of a record"""
     given_before: tuple[float, ...] | None = None
     """concentrations before each experiment where the campaign does not tell: some are left out"""
+    lags: tuple[str, str] = ("tau_s", "tau_v_s")
+    """names of the shorter and the longer of the sensor's and the valve's lag; by size where
+    nobody knows whose is which"""
+
+    @property
+    def sensor(self) -> int:
+        """The sensor's lag: 0, the shorter, also where nobody knows; 1, the longer."""
+        return int(self.lags[1] == "tau_s")
+
+    @property
+    def order_known(self) -> bool:
+        """Whether it is known which of the two lags is the sensor's."""
+        return "tau_s" in self.lags
 
     @cached_property
     def height(self) -> float:

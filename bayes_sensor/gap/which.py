@@ -33,8 +33,9 @@ PRIOR_UNLISTED = 0.15
 INCOMPLETE = 0.15
 """prior share of an effect's probability for "it is there, and something else with it" """
 UNUSUAL = 1.2
-"""distance of ln tau from its plausible value from which fits also start at that value, and as far
-below it: the faster optimum of an effect that slows the rise is not reached from elsewhere"""
+"""distance of the shorter lag's logarithm from its plausible value from which fits also start at
+that value, and as far below it: the faster optimum of an effect that slows the rise is not reached
+from elsewhere"""
 BENT = 3.0
 """prior sd that ln V of a fit may be from its plausible value before fits start there, too"""
 MOST_FOLLOWED = 3
@@ -294,7 +295,8 @@ def _average(
     taus = np.array([(f.log_tau, f.sd_log_tau) for f in found])
     for i in np.flatnonzero(p > SMALL_SHARE) if mass >= least else ():
         fitted, beside_it = owners[i]
-        if beside_it is None and _leaps(fitted, base):
+        # the profile is that of the shorter lag
+        if beside_it is None and _leaps(fitted, base) and not fitted.plan.sketch.sensor:
             profile = swept(fitted)
             taus[i] = profile.log_tau, profile.sd_log_tau
     mean = float(p @ taus[:, 0])

@@ -67,9 +67,19 @@ def notes_on(sketch: Sketch) -> list[str]:
             f"Noise is louder for a while in experiment {', '.join(spells[:3])}{more}: what stands "
             "out there counts less."
         )
-    notes.append(
-        "The sensor is taken to be faster than the valve: a cascade cannot tell them apart."
-    )
+    if sketch.order_known:
+        than = "slower" if sketch.sensor else "faster"
+        taken = (
+            f"The sensor is taken to be {than} than the valve: a cascade cannot tell them apart."
+        )
+    else:
+        taken = (
+            "Nobody knows which lag is the sensor's and which the valve's: effects of the valve "
+            "are tried on the longer one, effects of the sensor on the shorter one. Say in the "
+            "campaign which one is the sensor's (sensor_is), or give side information on tau or "
+            "tau_v."
+        )
+    notes.append(taken)
     return notes
 
 
@@ -92,20 +102,41 @@ def looks_most(full_rate: Sequence[FullRate], names: Sequence[str], unit: str) -
     ]
 
 
+def whose(effect: Effect) -> str:
+    """An effect, and where nobody knows whose the lags are the other that it may be."""
+    name, other = effect.name, effect.exchanged
+    if not other or effect.same_response != other:
+        return name
+    rival = next(stage for stage in LAGS if stage != effect.stage)
+    return (
+        f"{name} if the {LAGS[effect.stage]} lag is the {effect.stage}'s, or {other} if it is the "
+        f"{rival}'s"
+    )
+
+
 def family_words(
-    named: Sequence[str], probability: float, leading: float, place: str, other: str
+    named: Sequence[str],
+    probability: float,
+    leading: float,
+    place: str,
+    other: str,
+    first: str = "",
 ) -> str:
-    """What is said of a family; ``leading``: probability of its likeliest member."""
+    """What is said of a family; ``leading``: probability of its likeliest member.
+
+    ``first``: that member in words, where they are more than its name.
+    """
     leads = leading > MOSTLY * probability
     names = ", ".join(named)
     if probability < 0.5:
-        one = named[0] if leads else f"one of {names}"
+        one = (first or named[0]) if leads else f"one of {names}"
         return (
             f"No cause is likelier than not{place}; the likeliest is {one} "
             f"({100.0 * probability:.0f} %)."
         )
     if leads and other:
-        return f"{named[0]}, or {other}, whose response is the same, explains the gap{place}."
+        pair = first or f"{named[0]}, or {other}, whose response is the same"
+        return f"{pair}, explains the gap{place}."
     if leads:
         return (
             f"Most likely {named[0]} ({100.0 * leading:.0f} %) explains the gap{place}, but a "
@@ -135,6 +166,10 @@ def moment(t: float) -> str:
     return f"{t:.4g}" if abs(t) < 1e3 else f"{t:.2f}"
 
 
+LAGS = {"valve": "longer", "sensor": "shorter"}
+"""lag on which a stage's effects are tried where nobody knows whose it is"""
+OTHER_PARTNERS = "the sensor behind another valve, or the valve with another sensor"
+"""the measurement that tells whose a lag is"""
 LABELS = {"mains_V": "amplitude", "mains_Hz": "frequency"}
 """of strengths whose names are those of their units"""
 
@@ -159,7 +194,10 @@ def _effect_words(
     """The effect's sentence with those of the strengths that are its own."""
     units = units_of([effect], sketch.settings[0], signal_unit)
     own = {k: v for k, v in strength.items() if k in units}
-    return effect.sentence.replace("{strength}", _strength_words(own, units))
+    said = effect.sentence.replace("{strength}", _strength_words(own, units))
+    if not sketch.order_known and effect.stage in LAGS:
+        said = said.replace(f"the {effect.stage}", f"the {LAGS[effect.stage]} lag")
+    return said
 
 
 WANDERS = (
@@ -286,11 +324,13 @@ def sentence(
                 f"noise floor ({100.0 * probability:.0f} %); yet noise alone would seldom leave as "
                 f"much (p = {shown(located.p_value, 2)})."
             )
+        lag = "tau" if best.refit.plan.sketch.order_known else "the shorter lag"
         return (
-            f"{nothing} Effects that this campaign cannot see may still hide: with them tau could "
-            f"lie anywhere from {low} to {high} ms."
+            f"{nothing} Effects that this campaign cannot see may still hide: with them {lag} "
+            f"could lie anywhere from {low} to {high} ms."
         )
-    names = [e.name for e in best.refit.plan.sketch.campaign]
+    sketch = best.refit.plan.sketch
+    names = [e.name for e in sketch.campaign]
     findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > FOUND]
     findings.sort(key=lambda f: -f.log_bayes_factor)  # the clearest first
     found = [_finding_words(f, names, unit) for f in findings]
@@ -301,9 +341,9 @@ def sentence(
         by_mean = worst is not None and located.shared_by != "findings"
         closing = ""
         if best.effects and stand.looks_by_mean < 0.5 and closed.fraction is not None:
+            causes = " and ".join(whose(catalogue[name]) for name in best.effects)
             closing = (
-                f"{' and '.join(best.effects)} would close {100.0 * closed.fraction:.0f} % of the "
-                f"gap{place}, yet "
+                f"{causes} would close {100.0 * closed.fraction:.0f} % of the gap{place}, yet "
             )
         if closing and leaves_too_much(best, weighing.base):
             leave = "leaves" if len(best.effects) == 1 else "leave"
@@ -327,7 +367,6 @@ def sentence(
         if findings and stand.looks_by_mean < 0.5:
             words.append(OFTEN_NOISE)
         return " ".join([*words, _likeness(weighing, unit)]).rstrip()
-    sketch = best.refit.plan.sketch
     besides = [
         text
         for f, text in zip(findings, found, strict=True)
@@ -335,10 +374,13 @@ def sentence(
     ]
     if kind == "family":
         helps = next((s for s in separations if s.addition), None)
+        first = whose(catalogue[named[0]])
+        first = "" if first == named[0] else first
+        reveal = OTHER_PARTNERS if first else catalogue[named[0]].reveal
         advice = (
             f"To tell {helps.effect} from {helps.rival}: {helps.addition}."
             if helps
-            else f"What would show it: {catalogue[named[0]].reveal}."
+            else f"What would show it: {reveal}."
         )
         beside = [
             _effect_words(catalogue[f.name], f.strength, sketch, unit)
@@ -347,13 +389,13 @@ def sentence(
         ]
         other = catalogue[named[0]].same_response
         if of_one_family(best, catalogue):
-            a, b = best.effects
+            a, b = (whose(catalogue[name]) for name in best.effects)
             said = (
                 f"{a} and {b} together explain the gap best{place}: two causes of one family, or "
                 "one that acts otherwise than the catalogue's."
             )
         else:
-            leading = family_words(named, probability, stand.effects[named[0]], place, other)
+            leading = family_words(named, probability, stand.effects[named[0]], place, other, first)
             said = " ".join([leading, *form_words(weighing, named)])
         return " ".join([said, advice, *beside, *besides])
     words = []
@@ -414,11 +456,12 @@ def second_words(
         return []
     members = [n for n in catalogue if catalogue[n].family == other]
     leading = max(members, key=lambda n: stand.effects[n])
-    alike = catalogue[leading].same_response
-    also = f" or {alike}, whose response is the same" if alike else ""
+    alike, words = catalogue[leading].same_response, whose(catalogue[leading])
+    if alike and words == leading:
+        words += f" or {alike}, whose response is the same"
     return [
         f"Beside it something else is likely, of the family {other} ({100.0 * others[other]:.0f} "
-        f"%), most likely {leading}{also}."
+        f"%), most likely {words}."
     ]
 
 

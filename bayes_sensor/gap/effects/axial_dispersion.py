@@ -9,6 +9,7 @@ from bayes_sensor.gap.effect import Effect, Form, Strength
 EFFECT = Effect(
     name="axial_dispersion",
     family="mixing",
+    stage="manifold",
     sentence="The manifold mixes like tanks in series, not like one: {strength}.",
     forms=(
         Form(

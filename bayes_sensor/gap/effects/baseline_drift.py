@@ -34,6 +34,7 @@ def _twisted(s: Setting) -> tuple[Strength, ...]:
 EFFECT = Effect(
     name="baseline_drift",
     family="baseline",
+    stage="readout",
     sentence="The baseline drifts during the records: {strength}.",
     forms=(
         Form(lambda s: _drift(s, False), lambda v, s: {"drift": v["drift"]}, name="common"),

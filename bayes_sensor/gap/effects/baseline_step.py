@@ -61,6 +61,7 @@ def _after_pulse(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
 EFFECT = Effect(
     name="baseline_step",
     family="baseline",
+    stage="readout",
     sentence="The baseline steps to another level and stays there: {strength}.",
     forms=(
         Form(_step(False), _after_pulse, name="common", weight=0.3, jumps=True),

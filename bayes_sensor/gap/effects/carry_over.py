@@ -48,6 +48,7 @@ _STARTS = ({"carry_time*": 4.0}, {"carry_time*": 20.0})
 EFFECT = Effect(
     name="carry_over",
     family="initial state",
+    stage="manifold",
     sentence="Gas from before is still leaving when the records begin: {strength}.",
     forms=tuple(
         Form(strengths, settings, name=name, weight=weight, starts=starts)

@@ -9,6 +9,7 @@ from bayes_sensor.gap.effect import Effect, Form, Strength
 EFFECT = Effect(
     name="daq_filter",
     family="fast shape",
+    stage="record",
     sentence="A low-pass in the acquisition slows the signal: {strength}.",
     forms=(
         Form(

@@ -24,6 +24,7 @@ _STARTS = (
 EFFECT = Effect(
     name="dead_volume",
     family="slow exchange",
+    stage="manifold",
     sentence="A stagnant pocket trades gas with the manifold: {strength}.",
     forms=(
         Form(_strengths, lambda v, s: dict(v), name="exchange by diffusion", starts=_STARTS),

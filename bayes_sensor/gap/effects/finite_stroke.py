@@ -1,7 +1,8 @@
 """The valve's stroke takes a finite time: its command does not jump from shut to open.
 
 A needle or a proportional valve is driven at a finite speed, a plunger is accelerated over its
-whole way; the lag then follows a ramp or a parabola.
+whole way; the lag then follows a ramp or a parabola.  That is what enters the chain: the response
+is the same whichever of its lags comes first.
 """
 
 from collections.abc import Mapping
@@ -23,6 +24,7 @@ STARTS = ({"stroke*": 0.4}, {"stroke*": 1.5})
 EFFECT = Effect(
     name="finite_stroke",
     family="fast shape",
+    stage="command",
     sentence="The valve takes a finite stroke to open and shut: {strength}.",
     forms=(
         Form(_strengths, lambda v, s: {"stroke": v["stroke"]}, name="even", starts=STARTS),

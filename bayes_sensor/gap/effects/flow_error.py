@@ -9,6 +9,7 @@ from bayes_sensor.gap.effect import Effect, Form, Strength
 EFFECT = Effect(
     name="flow_error",
     family="flow",
+    stage="flow",
     sentence="The flows are not what was set, in each experiment by its own factor: {strength}.",
     forms=(
         Form(

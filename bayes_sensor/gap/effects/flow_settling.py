@@ -32,6 +32,7 @@ _STARTS = (
 EFFECT = Effect(
     name="flow_settling",
     family="asymmetry",
+    stage="flow",
     sentence="The flow controller needs time to settle after the valve has opened: {strength}.",
     forms=(
         Form(_strengths, lambda v, s: dict(v), starts=_STARTS),

@@ -42,6 +42,7 @@ def _of_the_light(v: Mapping[str, float], s: Setting) -> Mapping[str, float]:
 EFFECT = Effect(
     name="gain_drift",
     family="gain",
+    stage="readout",
     sentence="The sensitivity drifts during the records, or what is supplied does, which looks the "
     "same: {strength}.",
     forms=tuple(

@@ -8,6 +8,7 @@ from bayes_sensor.gap.effect import Effect
 EFFECT = Effect(
     name="heavy_tails",
     family="noise law",
+    stage="record",
     sentence="The noise has heavier tails than a Gaussian: {strength}.",
     forms=(),
     plausible={"tail_dof": 4.0},

@@ -9,6 +9,7 @@ from bayes_sensor.gap.effect import Effect
 EFFECT = Effect(
     name="mains_pickup",
     family="interference",
+    stage="record",
     sentence="The mains couple into the signal: {strength}.",
     forms=(),
     plausible={"mains_V": 0.01, "mains_Hz": 50.0},

@@ -25,6 +25,7 @@ def _cubic(s: Setting) -> tuple[Strength, ...]:
 EFFECT = Effect(
     name="optical_nonlinearity",
     family="asymmetry",
+    stage="readout",
     sentence="The readout bends: the voltage is not proportional to the concentration, {strength}.",
     forms=(
         Form(_square, lambda v, s: dict(v)),

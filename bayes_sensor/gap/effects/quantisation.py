@@ -9,6 +9,7 @@ from bayes_sensor.gap.effect import Effect
 EFFECT = Effect(
     name="quantisation",
     family="converter",
+    stage="record",
     sentence="The converter's steps are coarse beside the noise: {strength}.",
     forms=(),
     plausible={"adc_step": 0.039},

@@ -9,6 +9,8 @@ from bayes_sensor.gap.effect import Effect, Form, Strength
 EFFECT = Effect(
     name="sensor_diffusion",
     family="fast shape",
+    stage="sensor",
+    exchanged="valve_second_order",
     sentence="The sensor follows the diffusion through its coating, not a single lag.",
     forms=(
         Form(lambda s: (), lambda v, s: {"coating": 1.0}, name="full", weight=0.7),

@@ -27,6 +27,7 @@ _STARTS = (
 EFFECT = Effect(
     name="slow_sorption",
     family="slow exchange",
+    stage="sensor",
     sentence="Part of the sensor's response follows slowly: {strength}.",
     forms=(
         Form(_strengths, lambda v, s: dict(v), starts=_STARTS),

@@ -11,6 +11,7 @@ from bayes_sensor.gap.effect import Effect, Form, Strength
 EFFECT = Effect(
     name="two_rate_valve",
     family="slow exchange",
+    stage="valve",
     sentence="Part of the valve's opening follows slowly: {strength}.",
     forms=(
         Form(

@@ -15,6 +15,8 @@ STARTS = ({"closing_ratio": 1.15}, {"closing_ratio": 0.87})
 EFFECT = Effect(
     name="valve_asymmetry",
     family="asymmetry",
+    stage="valve",
+    exchanged="sorption_asymmetry",
     sentence="The valve shuts with another time constant than it opens with: {strength}.",
     forms=(
         Form(lambda s: (RATIO,), lambda v, s: dict(v), weight=0.7, starts=STARTS),

@@ -8,6 +8,8 @@ from bayes_sensor.gap.effect import Effect, Form, Strength
 EFFECT = Effect(
     name="valve_second_order",
     family="fast shape",
+    stage="valve",
+    exchanged="sensor_diffusion",
     sentence="The valve moves like a mass on a spring, not like a single lag: {strength}.",
     forms=(
         Form(

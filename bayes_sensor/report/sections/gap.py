@@ -7,6 +7,7 @@ from typing import Any
 
 from bayes_sensor import figures
 from bayes_sensor.figures import effect_words
+from bayes_sensor.figures.gap import lag_of
 from bayes_sensor.report.headline import gap_sentence, headline
 from bayes_sensor.report.parts import Part, Pictures, Section, see
 from bayes_sensor.report.saved import Saved
@@ -88,15 +89,16 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
         which_table(record),
     ]
     if record["hidden"]["effects"]:
-        tau = record["shrink"].get("tau_before_s")
+        of, lag = lag_of(record["hidden"])
+        tau = record["shrink"].get(f"{of}_before_s")
         content += [
             pictures.add(
                 "gap-hidden",
                 figures.gap_hidden(record["hidden"], tau),
                 "What may hide: how visible each effect would be at its plausible strength, and "
-                "what τ would be with it in the model. Left of the dashed line this campaign could "
-                "not have seen it; dotted, τ with the strength left to the data; shaded, the "
-                "envelope of τ over all that may hide.",
+                f"what {lag} would be with it in the model. Left of the dashed line this campaign "
+                f"could not have seen it; dotted, {lag} with the strength left to the data; "
+                f"shaded, the envelope of {lag} over all that may hide.",
             ),
             hidden_table(record),
         ]
@@ -197,14 +199,16 @@ def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
                 f"{100 * shrink['held_out_fraction_closed_hi']:.0f} %)"
             )
     said += see("budget-table") + "."
-    before, after = shrink.get("tau_before_s"), shrink.get("tau_after_s")
+    of, lag = lag_of(record["hidden"])
+    before, after = shrink.get(f"{of}_before_s"), shrink.get(f"{of}_after_s")
     if before is not None and after is not None and not mains:
-        said += f" τ moves from {number(1e3 * before)} to {number(1e3 * after)} ms"
-        low, high = shrink.get("tau_after_lo_s"), shrink.get("tau_after_hi_s")
+        moves = f"{lag.replace('the', 'The')} moves"
+        said += f" {moves} from {number(1e3 * before)} to {number(1e3 * after)} ms"
+        low, high = shrink.get(f"{of}_after_lo_s"), shrink.get(f"{of}_after_hi_s")
         if low is not None and high is not None:
             said += f" (95 % interval {number(1e3 * low)} to {number(1e3 * high)} ms)"
         said += (
-            ", by what was weighed here: the cause is not known, and τ may lie outside."
+            f", by what was weighed here: the cause is not known, and {lag} may lie outside."
             if unknown
             else "."
         )
@@ -232,13 +236,14 @@ def _envelope(record: Mapping[str, Any], is_limit: bool) -> list[str]:
     ]
     if not unseen:
         return []
-    unseen.sort(key=lambda row: -abs(row["tau_shift_s"] or 0.0))
+    of, lag = lag_of(hidden)
+    unseen.sort(key=lambda row: -abs(row[f"{of}_shift_s"] or 0.0))
     names = list_words([effect_words(row["effect"]) for row in unseen], most=5)
     said = f"Present at plausible strength, {names} would leave no trace that these data could show"
-    low, high = hidden.get("tau_envelope_s") or (None, None)
+    low, high = hidden.get(f"{of}_envelope_s") or (None, None)
     if low is not None and high is not None:
         said += (
-            f"; over all that may hide, τ lies between {number(ms(low), 2)} and "
+            f"; over all that may hide, {lag} lies between {number(ms(low), 2)} and "
             f"{number(ms(high), 2)} ms"
         )
     said += see("hidden") + "."

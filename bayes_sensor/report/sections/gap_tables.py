@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bayes_sensor.figures import effect_words
+from bayes_sensor.figures.gap import lag_of
 from bayes_sensor.report.parts import Shown, Table, p_value
 from bayes_sensor.report.words import ms, number, powers
 
@@ -30,6 +31,7 @@ UNSEEN = 3.0
 def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
     """The budget and what is left of it."""
     budget, shrink = record["budget"], record["shrink"]
+    of, lag = lag_of(record["hidden"])
 
     def scaled(value: float | None) -> float | None:
         return None if value is None else factor * value
@@ -53,13 +55,13 @@ def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
         ["fraction closed, held out", shrink.get("held_out_fraction_closed")],
         ["fraction closed, held out, 95 % low", shrink.get("held_out_fraction_closed_lo")],
         ["fraction closed, held out, 95 % high", shrink.get("held_out_fraction_closed_hi")],
-        ["τ without the effect (ms)", ms(shrink.get("tau_before_s"))],
+        [f"{lag} without the effect (ms)", ms(shrink.get(f"{of}_before_s"))],
     ]
     if not shrink.get("withheld"):
         rows += [
-            ["τ with the effect (ms)", ms(shrink.get("tau_after_s"))],
-            ["τ with the effect, 95 % low (ms)", ms(shrink.get("tau_after_lo_s"))],
-            ["τ with the effect, 95 % high (ms)", ms(shrink.get("tau_after_hi_s"))],
+            [f"{lag} with the effect (ms)", ms(shrink.get(f"{of}_after_s"))],
+            [f"{lag} with the effect, 95 % low (ms)", ms(shrink.get(f"{of}_after_lo_s"))],
+            [f"{lag} with the effect, 95 % high (ms)", ms(shrink.get(f"{of}_after_hi_s"))],
             [
                 "best rival outside the family",
                 effect_words(shrink["rival"]) if shrink.get("rival") else None,
@@ -112,6 +114,7 @@ def where_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
 
 def which_table(record: Mapping[str, Any]) -> Table:
     """The explanations, the likeliest first."""
+    of, lag = lag_of(record["hidden"])
     units = record.get("strength_units", {})
     named = set(record["verdict"]["effects"])
     ranked = sorted(record["which"], key=lambda row: -row["probability"])
@@ -125,14 +128,14 @@ def which_table(record: Mapping[str, Any]) -> Table:
         "which",
         caption,
         [
-            "effect", "family", "probability", "d", "strength", "τ with it (ms)",
+            "effect", "family", "probability", "d", "strength", f"{lag} with it (ms)",
             "closed (%)", "confusable with",
         ],
         [
             [
                 effect_words(row["effect"]), effect_words(row["family"] or ""),
                 p_value(row["probability"]), row["d"], strength_words(row.get("strength"), units),
-                ms(row["tau_s"]),
+                ms(row[f"{of}_s"]),
                 _percent(row["fraction_closed"]),
                 ", ".join(effect_words(name) for name in row.get("confusable_with") or []),
             ]
@@ -190,24 +193,25 @@ def _one(value: float) -> str:
 def hidden_table(record: Mapping[str, Any]) -> Table:
     """What may hide."""
     units = record.get("strength_units", {})
+    of, lag = lag_of(record["hidden"])
     rows = sorted(record["hidden"]["effects"], key=lambda row: (row["d"] is None, row["d"]))
     return Table(
         "hidden",
-        "What may hide: detectability d after refitting, the error of τ when the effect is there "
-        "and left out, and the τ of this campaign with it in the model, at plausible strength. "
+        f"What may hide: detectability d after refitting, the error of {lag} when the effect is "
+        f"there and left out, and {lag} in this campaign with it in the model, at plausible "
+        "strength. "
         f"Below d = {UNSEEN:g} an effect could be there unseen, unless the data contradict it: "
-        "with it in the model no value of τ fits them. What is hidden so well may be stronger than "
-        "plausible: the last interval of τ leaves the strength to the data.",
+        f"with it in the model no value of {lag} fits them. What is hidden so well may be stronger "
+        f"than plausible: the last interval of {lag} leaves the strength to the data.",
         [
-            "effect", "strength", "d", "error of τ (ms)", "τ with it (ms)", "95 % low",
+            "effect", "strength", "d", f"error of {lag} (ms)", f"{lag} with it (ms)", "95 % low",
             "95 % high", "could hide", "strength free: low", "strength free: high",
         ],
         [
             [
                 effect_words(row["effect"]), strength_words(row.get("strength"), units), row["d"],
-                ms(row["tau_shift_s"]), ms(row.get("tau_with_it_s")), ms(row.get("tau_low_s")),
-                ms(row.get("tau_high_s")), _hides(row), ms(row.get("tau_free_low_s")),
-                ms(row.get("tau_free_high_s")),
+                *(ms(row.get(f"{of}_{of_it}_s")) for of_it in ("shift", "with_it", "low", "high")),
+                _hides(row), ms(row.get(f"{of}_free_low_s")), ms(row.get(f"{of}_free_high_s")),
             ]
             for row in rows
         ],
