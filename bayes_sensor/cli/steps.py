@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, CampaignError, counted
+from bayes_sensor.campaign import STAGES, Campaign, CampaignError, counted
 from bayes_sensor.cli.notes import noted
 from bayes_sensor.results import (
     Results,
@@ -169,6 +169,7 @@ def print_check(path: Path, quiet: bool, config: Path | None = None) -> None:
             for i, (text, w) in enumerate(zip(row, widths, strict=True))
         ]
         print("  ".join(cells).rstrip())
+    print(f"rig: {', '.join(STAGES)}; which lag is the sensor: {campaign.sensor_is}")
     for name, info in campaign.side_information.items():
         print(f"known beforehand: {name} = {info.mean:g} +- {info.sd:g}")
     for remark in remarks:
@@ -359,9 +360,10 @@ def _do_bounds(job: Job) -> None:
         record["step_study"] = _study(job) if asked.step_study else None
         record["what_makes_tau_hard"] = record["what_would_help"] = None
         record["not_explained"] = None
-        if asked.explain and (theta := _named_theta(job)) is None:
+        theta = _named_theta(job) if asked.explain else None
+        if asked.explain and theta is None:
             record["not_explained"] = NOT_EXPLAINED
-        elif asked.explain:
+        elif theta is not None:
             tell(0.95, "what makes tau hard")
             record["what_makes_tau_hard"] = _hardness(job, theta, compared)
             record["what_would_help"] = _help(job, theta)
@@ -375,8 +377,8 @@ NOT_EXPLAINED = (
 
 
 def reference_theta(job: Job) -> Any:
-    """Where the classical bounds are compared: the posterior's medians, else the fit; lags by size.
-    """
+    """Where the classical bounds are compared, lags by size: the posterior's medians, else the
+    fit."""
     vector = np.array(job.fit.theta_hat, dtype=float)
     if job.posterior is not None:
         vector = np.median(job.posterior.draws, axis=0)

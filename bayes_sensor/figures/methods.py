@@ -17,9 +17,10 @@ from bayes_sensor.figures.style import (
     METHOD_LABELS,
     MIDDLE,
     ORANGE,
-    SHARED_LABELS,
+    labels_of_bounds,
     logarithmic,
     new_figure,
+    shared_labels,
     style,
 )
 
@@ -27,13 +28,15 @@ from bayes_sensor.figures.style import (
 def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = None) -> Figure:
     """Every bound method side by side for tau, tau_v, V: 68 % thick, 95 % thin.
 
-    ``bounds``: the content of ``bounds.json``; ``truth`` by flat name draws a line.
+    Where it is not known whose a lag is, it has its place by size.  ``bounds``: the content of
+    ``bounds.json``; ``truth`` by flat name draws a line.
     """
     methods = list(bounds["methods"])
+    shown_labels = labels_of_bounds(bounds)
     with style():
         figure = new_figure(0.32 * len(methods) + 1.0)
-        row = figure.subplots(1, 3, sharey=True)
-        for axes, (name, (symbol, unit, factor)) in zip(row, SHARED_LABELS.items(), strict=True):
+        row = figure.subplots(1, len(shown_labels), sharey=True, squeeze=False)[0]
+        for axes, (name, (symbol, unit, factor)) in zip(row, shown_labels.items(), strict=True):
             rows = [bounds["methods"][m]["parameters"].get(name) or {} for m in methods]
             low, high = _visible(rows, factor)
             for i, method in enumerate(methods):
@@ -114,7 +117,8 @@ def step_study(
     with style():
         figure = new_figure(3.0)
         row = figure.subplots(1, 3)
-        for axes, (name, (symbol, unit, factor)) in zip(row, SHARED_LABELS.items(), strict=True):
+        shown = shared_labels(rows[0])
+        for axes, (name, (symbol, unit, factor)) in zip(row, shown.items(), strict=True):
             for method, difference, label, colour, dash, marker in lines:
                 chosen = [
                     r for r in rows

@@ -8,6 +8,7 @@ same records give the same bytes.
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import matplotlib as mpl
@@ -90,9 +91,46 @@ METHOD_LABELS = {
 SHARED_LABELS = {
     "tau_s": ("sensor τ", "ms", 1e3),
     "tau_v_s": ("valve τᵥ", "ms", 1e3),
+    "lag_fast_s": ("short lag", "s", 1.0),
+    "lag_between_s": ("middle lag", "s", 1.0),
+    "lag_slow_s": ("long lag", "s", 1.0),
     "V_mL": ("volume V", "mL", 1.0),
 }
-"""flat name to words, unit shown and the factor to it"""
+"""flat name to words, unit shown and the factor to it; lags by size are those of unknown owners"""
+
+
+def shared_labels(names: Iterable[str]) -> dict[str, tuple[str, str, float]]:
+    """Those of :data:`SHARED_LABELS` that are among ``names``; lags by size in place of tau and
+    tau_v where it is not known whose they are.
+
+    >>> list(shared_labels(["tau_s", "tau_v_s", "V_mL"]))
+    ['tau_s', 'tau_v_s', 'V_mL']
+    """
+    names = set(names)
+    return {name: words for name, words in SHARED_LABELS.items() if name in names}
+
+
+def told_apart(names: Iterable[str]) -> list[str]:
+    """``names`` of a posterior without those of which it is not known which lag they are.
+
+    >>> told_apart(["tau_s", "tau_v_s", "V_mL", "lag_fast_s", "lag_slow_s", "phi"])
+    ['V_mL', 'lag_fast_s', 'lag_slow_s', 'phi']
+    """
+    names = list(names)
+    unknown = set()
+    if any(name.startswith("lag_") for name in names):
+        unknown = {"tau_s", "tau_v_s"}
+    if "lag_between_s" in names:  # at one flow that may be V/Q
+        unknown.add("V_mL")
+    return [name for name in names if name not in unknown]
+
+
+def labels_of_bounds(bounds: Mapping[str, Any]) -> dict[str, tuple[str, str, float]]:
+    """:func:`shared_labels` of the content of ``bounds.json``."""
+    rows = [row for entry in bounds["methods"].values() for row in entry["parameters"].items()]
+    if not any(name.startswith("lag_") for name, _ in rows):
+        return shared_labels(["tau_s", "tau_v_s", "V_mL"])
+    return shared_labels(name for name, row in rows if row)
 
 
 def style() -> Any:

@@ -117,6 +117,10 @@ class Fit:
             "rms_V": self.rms,
             "n_samples": self.n_samples,
             "parameters": self.parameters,
+            "estimates": {
+                name: None if self.is_unseen(name) else float(value)
+                for name, value in zip(self.names[:3], self.theta_hat)
+            },
             "lags_s": self.lags.tolist(),
             "side_information": [each.to_json() for each in self.side_information],
             "at_bound": list(self.at_bound),
