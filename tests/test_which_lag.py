@@ -280,7 +280,7 @@ def test_undecided_results_name_no_tau(undecided: Path) -> None:
 
 def test_an_undecided_report_shows_lags_by_size(undecided: Path) -> None:
     text = (undecided / "report.html").read_text()
-    for words in ("short lag", "long lag", "does not say which of those"):
+    for words in ("shorter lag", "longer lag", "does not say which of those"):
         assert words in text
     for words in (
         "sensor τ",
@@ -314,7 +314,7 @@ def test_the_report_of_a_slow_sensor_speaks_of_its_lag(slower: Path) -> None:
     ]
     assert abs(sensor["t63_s"] - 2.0) < 0.1
     text = (slower / "report.html").read_text()
-    assert "short lag" not in text and "the longest of the lags" in text
+    assert "shorter lag" not in text and "the longest of the lags" in text
 
 
 def test_a_design_refuses_what_is_undecided(

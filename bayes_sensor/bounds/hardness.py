@@ -308,7 +308,7 @@ def _square_sentences(tau: float, sd_square: float, law: str) -> list[str]:
     return [
         f"Under {law} tau^2 is known to +-{_plain(sd_square * 1e6)} ms^2 (one standard "
         f"deviation), against tau^2 = {_plain(tau**2 * 1e6)} ms^2: "
-        f"{tau**2 / sd_square:.2g} standard deviations "
+        f"{_plain(tau**2 / sd_square, 2)} standard deviations "
         "from zero.",
         f"At 95 % that is tau between {1e3 * low:.1f} and {1e3 * high:.1f} ms."
         if low > 0
@@ -316,13 +316,13 @@ def _square_sentences(tau: float, sd_square: float, law: str) -> list[str]:
     ]
 
 
-def _plain(value: float) -> str:
+def _plain(value: float, digits: int = 3) -> str:
     """Three digits without a power of ten.
 
     >>> _plain(2454.3), _plain(0.03214)
     ('2450', '0.0321')
     """
-    return f"{float(f'{value:.3g}'):.10g}"
+    return f"{float(f'{value:.{digits}g}'):.10g}"
 
 
 def _bound_words(sd: float) -> str:

@@ -410,9 +410,9 @@ def naive_bounds(job: Job) -> dict[str, Any]:
     from bayes_sensor.bounds import cramer_rao
 
     vector, sigma = reference_theta(job), float(job.fit.rms)
-    names = _naming(job).names
+    names, factors = zip(*_naming(job).labels, strict=True)
     found: dict[str, Any] = {
-        "at": {name: float(vector[i]) for i, name in enumerate(names)},
+        "at": plain(dict(zip(names, vector[:3] * factors, strict=True))),
         "sigma_V": sigma,
     }
     for method, options in (
@@ -422,7 +422,7 @@ def naive_bounds(job: Job) -> dict[str, Any]:
     ):
         try:
             bound = cramer_rao(job.problem, vector, sigma, **options)
-            found[method] = plain(dict(zip(names, bound.sd[:3], strict=True)))
+            found[method] = plain(dict(zip(names, bound.sd[:3] * factors, strict=True)))
         except CampaignError:  # forward Euler is unstable for a tau below half a sample
             found[method] = None
     return found
@@ -436,7 +436,9 @@ def _study(job: Job) -> list[dict[str, Any]] | None:
         table = step_study(job.problem, reference_theta(job), float(job.fit.rms))
     except CampaignError:
         return None
-    table = table.rename(columns=dict(zip(SHARED, _naming(job).names, strict=True)))
+    names, factors = zip(*_naming(job).labels, strict=True)
+    table[list(SHARED)] *= factors
+    table = table.rename(columns=dict(zip(SHARED, names, strict=True)))
     rows: list[dict[str, Any]] = table.to_dict(orient="records")
     return rows
 

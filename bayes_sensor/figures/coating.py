@@ -179,12 +179,12 @@ def sensor_words(row: Mapping[str, Any]) -> str:
     """What a row of the sensor is called: the lag that is taken for its, where that is not known.
 
     >>> sensor_words({"sensor_is": "slower", "probability": 0.5})
-    'sensor, if its is the long lag (50 %)'
+    'sensor, if it has the longer lag (50 %)'
     """
     if "sensor_is" not in row:
         return "sensor alone"
-    lag = {"faster": "short", "between": "middle", "slower": "long"}[row["sensor_is"]]
-    return f"sensor, if its is the {lag} lag ({100 * row['probability']:.0f} %)"
+    lag = {"faster": "shorter", "between": "middle", "slower": "longer"}[row["sensor_is"]]
+    return f"sensor, if it has the {lag} lag ({100 * row['probability']:.0f} %)"
 
 
 def response_times(rows: Sequence[Mapping[str, Any]]) -> Figure:

@@ -91,9 +91,9 @@ METHOD_LABELS = {
 SHARED_LABELS = {
     "tau_s": ("sensor τ", "ms", 1e3),
     "tau_v_s": ("valve τᵥ", "ms", 1e3),
-    "lag_fast_s": ("short lag", "s", 1.0),
+    "lag_fast_s": ("shorter lag", "s", 1.0),
     "lag_between_s": ("middle lag", "s", 1.0),
-    "lag_slow_s": ("long lag", "s", 1.0),
+    "lag_slow_s": ("longer lag", "s", 1.0),
     "V_mL": ("volume V", "mL", 1.0),
 }
 """flat name to words, unit shown and the factor to it; lags by size are those of unknown owners"""
@@ -111,10 +111,10 @@ def shared_labels(names: Iterable[str]) -> dict[str, tuple[str, str, float]]:
 
 
 def told_apart(names: Iterable[str]) -> list[str]:
-    """``names`` of a posterior without those of which it is not known which lag they are.
+    """``names`` of a posterior, shared ones first, without those whose lag is not known.
 
     >>> told_apart(["tau_s", "tau_v_s", "V_mL", "lag_fast_s", "lag_slow_s", "phi"])
-    ['V_mL', 'lag_fast_s', 'lag_slow_s', 'phi']
+    ['lag_fast_s', 'lag_slow_s', 'V_mL', 'phi']
     """
     names = list(names)
     unknown = set()
@@ -122,7 +122,9 @@ def told_apart(names: Iterable[str]) -> list[str]:
         unknown = {"tau_s", "tau_v_s"}
     if "lag_between_s" in names:  # at one flow that may be V/Q
         unknown.add("V_mL")
-    return [name for name in names if name not in unknown]
+    shared = list(shared_labels(names))
+    rest = [name for name in names if name not in shared]
+    return [name for name in [*shared, *rest] if name not in unknown]
 
 
 def labels_of_bounds(bounds: Mapping[str, Any]) -> dict[str, tuple[str, str, float]]:

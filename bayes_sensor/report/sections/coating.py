@@ -30,9 +30,7 @@ def coating(saved: Saved, pictures: Pictures) -> Section | None:
     if len(sensors) == 1:
         alone = f"The sensor alone reaches 90 % within {_time(sensors[0], 't90', 1e3)} ms"
     else:
-        alone = (
-            "How long the sensor alone takes is not known, because it is not known which lag is its"
-        )
+        alone = "How long the sensor alone takes depends on which lag is its, and that is not known"
     answer = (
         f"{alone}; the whole chain of "
         f"valve, manifold and sensor takes {_time(slow, 't90', 1.0)} s at "

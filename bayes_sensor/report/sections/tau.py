@@ -26,7 +26,7 @@ PUBLISHED_FLOWS = (
 """L/min, carrier and test gas: the paper's Table I"""
 SAME = 5e-3
 """relative, of flows and concentrations that count as the same"""
-LAG_WORDS = {"faster": "short", "between": "middle", "slower": "long"}
+LAG_WORDS = {"faster": "shorter", "between": "middle", "slower": "longer"}
 PRIOR_WORDS = {
     "flat": "flat",
     "half_normal": "half-normal, the default",
