@@ -437,7 +437,7 @@ def _study(job: Job) -> list[dict[str, Any]] | None:
     except CampaignError:
         return None
     names, factors = zip(*_naming(job).labels, strict=True)
-    table[list(SHARED)] *= factors
+    table[list(SHARED)] *= np.array(factors)
     table = table.rename(columns=dict(zip(SHARED, names, strict=True)))
     rows: list[dict[str, Any]] = table.to_dict(orient="records")
     return rows
