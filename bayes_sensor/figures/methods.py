@@ -21,6 +21,7 @@ from bayes_sensor.figures.style import (
     logarithmic,
     new_figure,
     shared_labels,
+    show_zero,
     style,
 )
 
@@ -175,7 +176,9 @@ def priors_on_tau(rows: Sequence[Mapping[str, Any]], words: Mapping[str, str]) -
                 )  # fmt: skip
         axes.set_yticks(range(len(rows)), [words.get(r["prior"], r["prior"]) for r in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
-        axes.set_xlim(0.0, 1.08 * 1e3 * max(row["upper99_s"] for row in rows))
+        low, high = min(row["lo95_s"] for row in rows), max(row["upper99_s"] for row in rows)
+        axes.set_xlim(right=1e3 * (high + 0.08 * min(high, 4.0 * (high - low))))
+        show_zero(axes, low, high)
         axes.set_xlabel("sensor τ (ms)")
         axes.grid(axis="y", visible=False)
         figure.legend(loc="outside upper right", ncols=4)
@@ -200,7 +203,7 @@ def posteriors_of_tau(rows: Sequence[Mapping[str, Any]]) -> Figure:
             axes.plot(1e3 * row["q50"], i, "D", color=GROUND, mec=colour, ms=4.5, mew=1.2)
         axes.set_yticks(range(len(rows)), [row["model"] for row in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
-        axes.set_xlim(0.0, None)
+        show_zero(axes, min(row["q2.5"] for row in rows), max(row["q97.5"] for row in rows))
         axes.set_xlabel("sensor τ (ms)")
         axes.grid(axis="y", visible=False)
     return figure

@@ -204,6 +204,12 @@ def logarithmic(axes: Axes, which: str) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
+def show_zero(axes: Axes, low: float, high: float) -> None:
+    """Start the axis at zero, unless all values between ``low`` and ``high`` lie far from it."""
+    if not low > 0.5 * high:
+        axes.set_xlim(left=0.0)
+
+
 def plain(value: float) -> str:
     """A number as a reader writes it: small ones as powers of ten.
 
