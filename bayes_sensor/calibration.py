@@ -244,12 +244,20 @@ class CoverageStudy:
 
     problem: Problem
     theta: FloatArray
-    """(n_theta,) the truth"""
+    """(n_theta,) the truth, as the draws of a posterior: lags by size"""
     sampler: str = "independence"
     settings: Settings = field(default_factory=Settings)
     levels: tuple[float, ...] = LEVELS
     seed: int = 1
     start: str = "truth"
+
+    def __post_init__(self) -> None:
+        if self.problem.naming().place("sensor") is None:
+            raise CampaignError(
+                "CoverageStudy: expected a campaign that says which lag is the sensor's, but it is "
+                "unknown, so tau has no interval to count; give it sensor_is"
+            )
+        object.__setattr__(self, "theta", self.problem.by_size(self.theta))
 
     @property
     def key(self) -> str:

@@ -23,7 +23,7 @@ from bayes_sensor.calibration import binomial_interval, run_chunks, seed_of, stu
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood import Problem, grid_response
-from bayes_sensor.model import local_parameters, time_constants
+from bayes_sensor.model import SHARED, local_parameters, time_constants
 from bayes_sensor.noise import scale_squared, simulate_noise
 from bayes_sensor.posterior import Settings, sample_posterior
 
@@ -124,7 +124,7 @@ class BoundsStudy:
     setting: Setting
     design: Campaign = field(default_factory=lambda: small_design()[0])
     theta: FloatArray = field(default_factory=lambda: small_design()[1])
-    """(n_mean,) the truth"""
+    """(n_mean,) the truth, by name"""
     methods: tuple[str, ...] = tuple(METHODS)
     n_resamples: int = 200
     """of the bootstrap; the fewest from which a 95 % interval can be read off"""
@@ -142,8 +142,15 @@ class BoundsStudy:
 
     @cached_property
     def names(self) -> list[str]:
-        """Flat names of the mean's parameters, in the order of ``theta``."""
-        return Problem(self.design).layout.mean_names
+        """Flat names of the mean's parameters, in the order of ``truth``: a lag whose owner is not
+        known is called by its size."""
+        problem = Problem(self.design)
+        return [*problem.naming().names, *problem.layout.mean_names[len(SHARED) :]]
+
+    @cached_property
+    def truth(self) -> FloatArray:
+        """``theta`` with its lags by size, as the methods hold them."""
+        return Problem(self.design).by_size(self.theta)[: len(self.theta)]
 
     @property
     def key(self) -> str:
@@ -183,7 +190,7 @@ class BoundsStudy:
                 bound = METHODS[method](evidence)
             except (CampaignError, np.linalg.LinAlgError):  # counted as no interval
                 continue
-            at = [bound.names.index(name) for name in self.names]
+            at = [bound.names.index(name) for name in problem.layout.mean_names]
             found["low"][j], found["high"][j] = bound.low[at], bound.high[at]
         return found
 
@@ -211,7 +218,7 @@ def coverage_of_methods(
                 low = results["low"][:, j, at, level]
                 high = results["high"][:, j, at, level]
                 given = np.isfinite(low) & np.isfinite(high)
-                inside = given & (low <= study.theta[at]) & (study.theta[at] <= high)
+                inside = given & (low <= study.truth[at]) & (study.truth[at] <= high)
                 n, covered = int(given.sum()), int(inside.sum())
                 share = covered / n if n else np.nan
                 lo, hi = _limits(inside, given)

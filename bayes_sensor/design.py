@@ -220,8 +220,8 @@ def predict_tau(
 
 def known_volume(problem: Problem) -> float | None:
     """sd (mL) with which V is known beforehand; None without side information."""
-    prior = problem.priors["V_mL"]
-    return prior.b if prior.kind == "normal" else None
+    prior = problem.named_laws.get("V_mL")
+    return prior.b if prior is not None and prior.kind == "normal" else None
 
 
 def predict(
@@ -278,13 +278,15 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
     A pulse train is approximated by as many short experiments as there are pulses
     (each with its own y0, beta and switch times, started from rest), which is pessimistic: a real
     train shares them.  A design is enough.
+
+    tau is the sensor's lag, be it the shorter or the longer one (:meth:`Problem.by_name`).
     """
     import pandas as pd
 
     problem = as_problem(campaign)
-    vector = problem.flat(theta)
+    vector = problem.by_name(theta)
     settings, truth = settings_of(problem, vector), truth_of(problem, vector)
-    prior = prior or problem.priors["tau_s"]
+    prior = prior or problem.prior_of_tau(vector)
     volume = known_volume(problem)
     rows: list[dict[str, Any]] = []
     known: Known = {}
@@ -528,10 +530,13 @@ def design_experiments(
     switch times will be known.  The step's size is taken proportional to the concentration, by
     least squares over the campaign; noise as in ``theta``; the existing experiments count as done.
 
-    Raises CampaignError for limits that are not a range or a target that is not positive.
+    tau is the sensor's lag, be it the shorter or the longer one (:meth:`Problem.by_name`).
+
+    Raises CampaignError for limits that are not a range, a target that is not positive, or where
+    neither the campaign nor ``theta`` says which lag is the sensor's.
     """
     problem = as_problem(campaign)
-    vector = problem.flat(theta)
+    vector = problem.by_name(theta)
     if not target_tau > 0:
         raise CampaignError(f"design: the target must be a positive time, but is {target_tau} s")
     for label, (low, high) in (
@@ -544,7 +549,7 @@ def design_experiments(
     if concentrations[1] >= 1.0:
         raise CampaignError("design: concentrations are fractions below 1")
     truth, present = truth_of(problem, vector), settings_of(problem, vector)
-    prior = prior or problem.priors["tau_s"]
+    prior = prior or problem.prior_of_tau(vector)
     candidates = _candidates(
         problem, vector, present, truth, flows, concentrations, durations, n_grid
     )
@@ -697,10 +702,13 @@ def _proposal(
                 "beta_V": setting.beta,
             }
         )
+    order = problem.campaign.sensor_is
+    if order == "unknown":  # theta says it
+        order = "faster" if truth.tau <= truth.tau_v else "slower"
     combined = Campaign(
         f"{problem.campaign.title}, with proposals", tuple(experiments),
         problem.campaign.side_information, problem.campaign.signal_unit,
-        sensor_is=problem.campaign.sensor_is,
+        sensor_is=order,
     )  # fmt: skip
     n = problem.layout.n_mean
     noise = [truth.phi, truth.sigma0, truth.sigma1]

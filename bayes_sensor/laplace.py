@@ -166,7 +166,7 @@ class Coordinates:
         values = theta[self.free]
         diagonal = np.ones(len(values))
         # a root has no slope at zero: a time of almost nothing, a sigma1 of almost no sigma0
-        least = np.where(self.squared == 0, 1e-12, 1e-12 * values[self.sigma0].min())
+        least = np.where(self.squared == 0, 1e-12, 1e-12 * values[self.log_sigmas].min())
         diagonal[self.squared] = 0.5 / np.maximum(values[self.squared], least)
         diagonal[self.phi] = 1.0 - values[self.phi] ** 2
         diagonal[self.log_sigmas] = values[self.log_sigmas]

@@ -22,7 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
-from bayes_sensor.lags import Assignment, Naming, assignments, by_size, common_flow
+from bayes_sensor.lags import Assignment, Naming, assignments, by_size, common_flow, lags_of, named
 from bayes_sensor.model import (
     SHARED,
     Cascade,
@@ -386,6 +386,28 @@ class Problem:
         return found
 
     @cached_property
+    def lag_priors(self) -> tuple[Prior, ...]:
+        """The prior law of every lag (s) that the flows do not tell apart, shortest first."""
+        shortest, longest, volume = (self.priors[name] for name in SHARED)
+        if self.flow is None:
+            return shortest, longest
+        middle = volume
+        if volume.kind == "half_normal":
+            middle = Prior("half_normal", volume.a / self.flow)
+        return shortest, middle, longest
+
+    def prior_of_tau(self, theta: FloatArray) -> Prior:
+        """The prior law of the sensor's lag at ``theta`` (n_theta,), which is by name: what is
+        known of it, or the law of its place among the lags."""
+        if "tau_s" in self.named_laws:
+            return self.named_laws["tau_s"]
+        place = self.naming().place("sensor")
+        if place is None:
+            lags = lags_of(by_size(theta, self.flow), self.flow)
+            place = int(np.argmin(np.abs(lags - theta[0])))
+        return self.lag_priors[place]
+
+    @cached_property
     def name_factors(self) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
         """What is known by name and weighs the assignments, as factors of the prior.
 
@@ -455,6 +477,26 @@ class Problem:
         if self.flow is None and self.campaign.sensor_is == "faster":
             return vector
         return by_size(vector, self.flow)
+
+    def by_name(self, theta: Theta) -> FloatArray:
+        """:meth:`flat` with tau, tau_v and V in the first three places.
+
+        A mapping says which lag is which.  A flat vector may come from a fit or a posterior, with
+        lags by size: then the campaign has to say it.
+
+        Raises CampaignError where neither does.
+        """
+        vector = self.flat(theta)
+        if isinstance(theta, Mapping) or self.campaign.sensor_is == "faster":
+            return vector
+        if self.naming().order == "undecided":
+            raise CampaignError(
+                f"{self.campaign.source or self.campaign.title}: expected to be told which lag is "
+                "the sensor's, but [rig] sensor_is is unknown and theta has no names; say "
+                'sensor_is = "faster" or "slower" in the campaign, or give theta as a mapping'
+            )
+        vector[:3] = named(by_size(vector, self.flow), self.flow, self.assignments)
+        return vector
 
     @cached_property
     def fixed(self) -> dict[str, float]:

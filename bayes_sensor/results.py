@@ -31,7 +31,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from bayes_sensor import __version__
-from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.campaign import STAGES, Campaign, CampaignError, FloatArray
 from bayes_sensor.disk import own_folder, remove, remove_links, replacing, write_bytes, write_text
 from bayes_sensor.likelihood import Problem, as_problem, mean_and_variance
 from bayes_sensor.model import local_parameters
@@ -336,6 +336,8 @@ def campaign_record(
         "signal_unit": campaign.signal_unit,
         "reference_interval_s": campaign.reference_interval,
         "same_flow": campaign.same_flow,
+        "stages": list(STAGES),
+        "sensor_is": campaign.sensor_is,
         "n_samples": campaign.n_samples,
         "side_information": {
             name: {"mean": info.mean, "sd": info.sd}

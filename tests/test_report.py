@@ -66,6 +66,8 @@ ORDER = [
     "How it was computed",
 ]  # fmt: skip
 DESIGN = """title = "</title><script>document.title='taken'</script>"
+[rig]
+sensor_is = "faster"
 """
 
 

@@ -61,6 +61,10 @@ def cramer_rao(
 ) -> CramerRao:
     """Cramer-Rao bound on tau, tau_v, V and every y0, beta, t0, tf; a design is enough.
 
+    tau is what ``theta`` calls so, whether it is the shorter or the longer lag.  For a flat vector
+    of a fit or a posterior, whose lags stand by size, the first two names are those of the shorter
+    and the longer lag (``Fit.names``).
+
     ``step`` None: converged, from closed-form sensitivities.  ``step`` 0.01 is the paper's recipe:
     forward Euler, forward differences, every parameter moved by +1 % of its value.  That moves t0
     and tf by 0.2-0.9 s at the published experiments, far beyond the range in which the response is

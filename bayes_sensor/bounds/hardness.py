@@ -19,6 +19,7 @@ from bayes_sensor.bounds.gaussian import normal_factor
 from bayes_sensor.bounds.profile import Profiler, profile_curve
 from bayes_sensor.bounds.surface import Maximum, Surface, coloured_surface
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.lags import by_size
 from bayes_sensor.likelihood import Problem, as_problem
 from bayes_sensor.model import Layout, Theta
 from bayes_sensor.results import plain
@@ -190,13 +191,18 @@ def explain_tau(
     by_tau = pd.DataFrame(
         [_at_tau(design, at, float(t), sigma, noise) for t in _taus(at, sd_square)]
     )
+    ordered = by_size(vector, problem.flow)
+    place = int(tau != ordered[0])
     if coloured and not problem.campaign.is_design and likelihood is None:
-        likelihood = coloured_surface(problem, vector)
+        likelihood = coloured_surface(problem, ordered)
     status = "ok"
+    if tau not in ordered[:2]:
+        likelihood = None
+        status = "the sensor's is the middle lag: the profile is the one to be expected"
     if likelihood is not None and not likelihood[1].converged:
         status = "the likelihood's maximum was not found: the profile is the one to be expected"
         likelihood = None
-    curve = _curve(likelihood, tau, sd_square, n_curve)
+    curve = _curve(likelihood, place, tau, sd_square, n_curve)
     return TauExplained(
         bound.names, values, weakest, float(np.sqrt(values[-1] / max(values[0], 1e-300))),
         correlation, collinearity, known, tau, sd_square, by_tau, curve,
@@ -223,21 +229,25 @@ def _at_tau(
 
 
 def _curve(
-    likelihood: tuple[Surface, Maximum] | None, tau: float, sd_square: float, n: int
+    likelihood: tuple[Surface, Maximum] | None, place: int, tau: float, sd_square: float, n: int
 ) -> pd.DataFrame:
+    """``place``: 0 where tau is the shorter of the lags, 1 where it is the longer."""
     import pandas as pd
 
     centre = tau**2
     if likelihood is not None:
         surface, maximum = likelihood
-        centre = float(maximum.psi[0])
         profiler = Profiler.of(surface, maximum)
-        if profiler.cov[0, 0] > 0.0:  # zero stands for "not identified"
-            sd_square = float(np.sqrt(profiler.cov[0, 0]))
-        taus = np.linspace(0.0, np.sqrt(max(centre, 0.0) + 3.5 * sd_square), n)
-        drop = profile_curve(profiler, taus)
+        centre, sd = float(maximum.psi[place]), float(np.sqrt(profiler.cov[place, place]))
+        if place == 1:  # which psi holds itself, not its square
+            centre, sd = centre**2, 2.0 * centre * sd
+        sd_square = sd or sd_square  # zero stands for "not identified"
+    # the shorter lag's course down to zero tells how nearly it is a later switch
+    low = 0.0 if place == 0 else np.sqrt(max(centre - 3.5 * sd_square, 0.0))
+    taus = np.linspace(low, np.sqrt(max(centre, 0.0) + 3.5 * sd_square), n)
+    if likelihood is not None:
+        drop = profile_curve(profiler, taus, place)
     else:
-        taus = np.linspace(0.0, np.sqrt(centre + 3.5 * sd_square), n)
         drop = 0.5 * ((taus**2 - centre) / sd_square) ** 2
     best = float(np.sqrt(centre))
     sd_tau = sd_square / (2.0 * best) if best > 0 else np.inf
@@ -298,7 +308,7 @@ def _square_sentences(tau: float, sd_square: float, law: str) -> list[str]:
     return [
         f"Under {law} tau^2 is known to +-{_plain(sd_square * 1e6)} ms^2 (one standard "
         f"deviation), against tau^2 = {_plain(tau**2 * 1e6)} ms^2: "
-        f"{tau**2 / sd_square:.2g} standard deviations "
+        f"{_plain(tau**2 / sd_square, 2)} standard deviations "
         "from zero.",
         f"At 95 % that is tau between {1e3 * low:.1f} and {1e3 * high:.1f} ms."
         if low > 0
@@ -306,13 +316,13 @@ def _square_sentences(tau: float, sd_square: float, law: str) -> list[str]:
     ]
 
 
-def _plain(value: float) -> str:
+def _plain(value: float, digits: int = 3) -> str:
     """Three digits without a power of ten.
 
     >>> _plain(2454.3), _plain(0.03214)
     ('2450', '0.0321')
     """
-    return f"{float(f'{value:.3g}'):.10g}"
+    return f"{float(f'{value:.{digits}g}'):.10g}"
 
 
 def _bound_words(sd: float) -> str:

@@ -211,7 +211,7 @@ def gradient_by_psi(
     for i in switches:
         pulled += result[i]
     least = np.inf
-    for i in sigma0:
+    for i in log_sigmas:
         least = min(least, 1e-12 * theta[free[i]])
     for i in squared:
         result[i] *= 0.5 / max(theta[free[i]], 1e-12 if i == 0 else least)

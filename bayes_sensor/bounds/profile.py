@@ -311,7 +311,10 @@ def _tau_ends(
     return low, high
 
 
-def profile_curve(profiler: Profiler, taus: FloatArray) -> FloatArray:
-    """(n,) drop in log-likelihood (max log L - profile) at each tau (n,) s."""
-    squares = np.maximum(np.asarray(taus, dtype=float) ** 2, profiler.surface.floor[0])
-    return np.array([0.5 * profiler.drop(0, float(q)) ** 2 for q in squares])
+def profile_curve(profiler: Profiler, taus: FloatArray, place: int = 0) -> FloatArray:
+    """(n,) drop in log-likelihood (max log L - profile) at each value (n,) s of the shorter lag
+    (``place`` 0) or of the longer one (1)."""
+    values = np.asarray(taus, dtype=float)
+    if place == 0:
+        values = np.maximum(values**2, profiler.surface.floor[0])
+    return np.array([0.5 * profiler.drop(place, float(value)) ** 2 for value in values])

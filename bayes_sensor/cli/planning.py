@@ -17,6 +17,8 @@ from bayes_sensor.cli.settings import make_problem, read_overrides
 from bayes_sensor.cli.simulation import read_option, read_truth
 from bayes_sensor.cli.steps import Progress, load, progress_bar, say
 from bayes_sensor.design import Design, check_design, design_experiments
+from bayes_sensor.fit.side_information import named_parameters
+from bayes_sensor.lags import Naming
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.readers.quantities import FLOW, TIME, Kind
 from bayes_sensor.results import Results, now, run_record, sha256
@@ -64,18 +66,20 @@ def plan_experiments(
             f"{campaign_path.name}: this is a design without data; expected --truth THETA.json "
             "with the parameters to plan for: give one, or plan from measured experiments"
         )
+    elif not len(problem.name_factors[1]):  # nothing that the data may decide
+        _check_order(problem.naming(), campaign_path)
     results = Results(out)
     with results.locked():
         with progress_bar("design", quiet) as tell:
             if vector is None:
-                vector = _estimated(problem, seed, tell)
+                vector = _estimated(problem, seed, tell, campaign_path)
             if assumed is not None:
                 vector = vector.copy()
                 vector[0] = assumed
             tell(0.5, "choosing experiments")
             found = design_experiments(
-                problem, vector, goal, ranges["flow"], ranges["concentration"], ranges["duration"],
-                k=k, k_max=most, trigger=known,
+                problem, problem.layout.nested(vector), goal, ranges["flow"],
+                ranges["concentration"], ranges["duration"], k=k, k_max=most, trigger=known,
             )  # fmt: skip
         record = found.to_json()
         record["assumed"] = {
@@ -183,8 +187,18 @@ def _ranges(
     return found
 
 
-def _estimated(problem: Problem, seed: int, tell: Progress) -> FloatArray:
-    """The posterior's medians: least squares may have tau at its bound."""
+def _check_order(naming: Naming, path: Path) -> None:
+    """Raise CampaignError where it is not known which lag is the sensor's."""
+    if naming.order == "undecided":
+        raise CampaignError(
+            f"{path.name}: expected to be told which lag is the sensor's, since it is its interval "
+            "that is planned for, but [rig] sensor_is is unknown; write [rig] and sensor_is = "
+            '"faster" or "slower", or give --truth THETA.json'
+        )
+
+
+def _estimated(problem: Problem, seed: int, tell: Progress, path: Path) -> FloatArray:
+    """The posterior's medians, by name: least squares may have tau at its bound."""
     from bayes_sensor.fit import fit_least_squares
     from bayes_sensor.posterior import sample_posterior
 
@@ -193,7 +207,9 @@ def _estimated(problem: Problem, seed: int, tell: Progress) -> FloatArray:
     )
     tell(0.3, "posterior")
     posterior = sample_posterior(problem, fit, seed=seed, sampler="independence")
+    _check_order(posterior.naming, path)
     median: FloatArray = np.median(posterior.draws, axis=0)
+    median[:3] = list(named_parameters(posterior.naming, median).values())
     return median
 
 

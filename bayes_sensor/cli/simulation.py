@@ -52,7 +52,10 @@ def default_truth(design: Campaign) -> dict[str, Any]:
         if e.commanded_off is not None:
             own["tf_s"] = e.commanded_off + END_DELAY[0] + END_DELAY[1] / e.total_flow
         experiments[e.name] = own
-    return {**DEFAULTS, "experiments": experiments}
+    theta = {**DEFAULTS, "experiments": experiments}
+    if design.sensor_is == "slower":
+        theta["tau_s"], theta["tau_v_s"] = theta["tau_v_s"], theta["tau_s"]
+    return theta
 
 
 def resized(
@@ -271,6 +274,9 @@ def simulate_campaign(
         theta["phi"] = phi
     for name in ("phi", "sigma0_V", "sigma1_V"):
         theta.setdefault(name, DEFAULTS[name] if name == "sigma0_V" else 0.0)
+    if plan.sensor_is != "unknown":  # the truth says it as well
+        order = "faster" if theta["tau_s"] <= theta["tau_v_s"] else "slower"
+        plan = replace(plan, sensor_is=order)
     problem = make_problem(plan, overrides, config.name if config is not None else "--config")
     theta = problem.layout.nested({**theta, **problem.noise.fixed})
     results = Results(out)

@@ -10,12 +10,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field, fields
+from math import log
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, CampaignError, counted
+from bayes_sensor.campaign import STAGES, Campaign, CampaignError, counted
 from bayes_sensor.cli.notes import noted
 from bayes_sensor.results import (
     Results,
@@ -168,6 +169,7 @@ def print_check(path: Path, quiet: bool, config: Path | None = None) -> None:
             for i, (text, w) in enumerate(zip(row, widths, strict=True))
         ]
         print("  ".join(cells).rstrip())
+    print(f"rig: {', '.join(STAGES)}; which lag is the sensor: {campaign.sensor_is}")
     for name, info in campaign.side_information.items():
         print(f"known beforehand: {name} = {info.mean:g} +- {info.sd:g}")
     for remark in remarks:
@@ -298,20 +300,46 @@ def _do_predictive(job: Job) -> None:
     job.posterior = checked(job.posterior, job.predictive)
 
 
+RESPONSE = {"t10": -log(0.9), "t63": 1.0, "t90": log(10.0), "rise": log(9.0)}
+"""response times of a single lag over that lag"""
+WHOSE_COATING = "which lag is the sensor's is not known, so no diffusivity can be told from it"
+
+
 def _coating(job: Job) -> dict[str, Any]:
-    """Response times of sensor and chain; for ``analyze`` the diffusivity that tau implies too."""
+    """Response times of sensor and chain; for ``analyze`` the diffusivity that tau implies too.
+
+    Where it is not known which lag is the sensor's there is a row for each, with its probability.
+    """
     from bayes_sensor.readout import response_time_table
 
+    undecided = job.posterior.naming.order == "undecided"
     tau, tau_v, volume = (job.posterior.of(name) for name in ("tau_s", "tau_v_s", "V_mL"))
     some = slice(None, None, max(1, len(tau) // MOST_DRAWS))
     flows = [e.total_flow for e in job.problem.campaign]
-    table = response_time_table(tau[some], tau_v[some], volume[some], flows)
+    rows = response_time_table(tau[some], tau_v[some], volume[some], flows).to_dict("records")
+    if undecided:
+        rows[:1] = [_sensor_row(each) for each in job.posterior.assignments]
     found = None
-    if job.command == "analyze":  # three seconds that a posterior alone need not wait for
+    if job.command == "analyze" and not undecided:
+        # three seconds that a posterior alone need not wait for
         from bayes_sensor.diffusion import infer_d_zif8
 
         found = infer_d_zif8(tau, seed=job.seed).to_json()
-    return {"response_times": table.to_dict("records"), "d_zif8": found}
+    left_out = {"d_zif8_left_out": WHOSE_COATING} if undecided else {}
+    return {"response_times": rows, "d_zif8": found, **left_out}
+
+
+def _sensor_row(assignment: Mapping[str, Any]) -> dict[str, Any]:
+    """Response times of the sensor, if its lag is that of an assignment of the posterior."""
+    lag = assignment["tau_s"]
+    ends = {"": "q50", "_lo": "q2.5", "_hi": "q97.5"}
+    times = {
+        f"{name}{end}_s": factor * lag[percentile]
+        for name, factor in RESPONSE.items()
+        for end, percentile in ends.items()
+    }
+    about = {key: assignment[key] for key in ("sensor_is", "probability")}
+    return {"system": "sensor", "total_flow_L_per_min": None, **about, **times}
 
 
 def _do_bounds(job: Job) -> None:
@@ -332,19 +360,46 @@ def _do_bounds(job: Job) -> None:
         record["naive"] = naive_bounds(job)
         record["step_study"] = _study(job) if asked.step_study else None
         record["what_makes_tau_hard"] = record["what_would_help"] = None
-        if asked.explain:
+        record["not_explained"] = None
+        theta = _named_theta(job) if asked.explain else None
+        if asked.explain and theta is None:
+            record["not_explained"] = NOT_EXPLAINED
+        elif theta is not None:
             tell(0.95, "what makes tau hard")
-            record["what_makes_tau_hard"] = _hardness(job, compared)
-            record["what_would_help"] = _help(job)
+            record["what_makes_tau_hard"] = _hardness(job, theta, compared)
+            record["what_would_help"] = _help(job, theta)
     job.bounds = (compared, record)
 
 
+NOT_EXPLAINED = (
+    "which lag is the sensor's is not known, so what makes tau hard and what would help is not "
+    "told; say [rig] sensor_is in the campaign"
+)
+
+
 def reference_theta(job: Job) -> Any:
-    """Where the classical bounds are compared: the posterior's medians, else the fit."""
+    """Where the classical bounds are compared, lags by size: the posterior's medians, else the
+    fit."""
     vector = np.array(job.fit.theta_hat, dtype=float)
     if job.posterior is not None:
         vector = np.median(job.posterior.draws, axis=0)
     return vector
+
+
+def _naming(job: Job) -> Any:
+    """What is known of the lags' names; the draws know more of them than the fit."""
+    return (job.fit if job.posterior is None else job.posterior).naming
+
+
+def _named_theta(job: Job) -> dict[str, Any] | None:
+    """The reference point by name; None where it is not known which lag is the sensor's."""
+    from bayes_sensor.fit.side_information import named_parameters
+
+    naming, theta = _naming(job), reference_theta(job)
+    if naming.order == "undecided":
+        return None
+    nested: dict[str, Any] = job.problem.layout.nested(theta)
+    return {**nested, **named_parameters(naming, theta)}
 
 
 def naive_bounds(job: Job) -> dict[str, Any]:
@@ -356,9 +411,9 @@ def naive_bounds(job: Job) -> dict[str, Any]:
     from bayes_sensor.bounds import cramer_rao
 
     vector, sigma = reference_theta(job), float(job.fit.rms)
-    names = (job.fit if job.posterior is None else job.posterior).naming.names
+    names, factors = zip(*_naming(job).labels, strict=True)
     found: dict[str, Any] = {
-        "at": {name: float(vector[i]) for i, name in enumerate(names)},
+        "at": plain(dict(zip(names, vector[:3] * factors, strict=True))),
         "sigma_V": sigma,
     }
     for method, options in (
@@ -368,7 +423,7 @@ def naive_bounds(job: Job) -> dict[str, Any]:
     ):
         try:
             bound = cramer_rao(job.problem, vector, sigma, **options)
-            found[method] = plain(dict(zip(names, bound.sd[:3], strict=True)))
+            found[method] = plain(dict(zip(names, bound.sd[:3] * factors, strict=True)))
         except CampaignError:  # forward Euler is unstable for a tau below half a sample
             found[method] = None
     return found
@@ -376,27 +431,31 @@ def naive_bounds(job: Job) -> dict[str, Any]:
 
 def _study(job: Job) -> list[dict[str, Any]] | None:
     from bayes_sensor.bounds import step_study
+    from bayes_sensor.model import SHARED
 
     try:
         table = step_study(job.problem, reference_theta(job), float(job.fit.rms))
     except CampaignError:
         return None
+    names, factors = zip(*_naming(job).labels, strict=True)
+    table[list(SHARED)] *= np.array(factors)
+    table = table.rename(columns=dict(zip(SHARED, names, strict=True)))
     rows: list[dict[str, Any]] = table.to_dict(orient="records")
     return rows
 
 
-def _hardness(job: Job, compared: Any) -> dict[str, Any]:
+def _hardness(job: Job, theta: dict[str, Any], compared: Any) -> dict[str, Any]:
     from bayes_sensor.bounds import explain_tau
 
-    told = explain_tau(job.problem, reference_theta(job), likelihood=compared.likelihood)
+    told = explain_tau(job.problem, theta, likelihood=compared.likelihood)
     record: dict[str, Any] = told.to_json()
     return record
 
 
-def _help(job: Job) -> list[dict[str, Any]]:
+def _help(job: Job, theta: dict[str, Any]) -> list[dict[str, Any]]:
     from bayes_sensor.design import what_if
 
-    rows: list[dict[str, Any]] = what_if(job.problem, reference_theta(job)).to_dict("records")
+    rows: list[dict[str, Any]] = what_if(job.problem, theta).to_dict("records")
     return rows
 
 

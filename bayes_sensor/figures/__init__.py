@@ -8,6 +8,7 @@ from bayes_sensor.figures.coating import (
     diffusion_figure,
     diffusivity,
     response_times,
+    sensor_words,
     spectra_figure,
 )
 from bayes_sensor.figures.draws import corner, main_parameters, traces_and_ranks
@@ -46,11 +47,14 @@ from bayes_sensor.figures.style import (
     SHARED_LABELS,
     STYLE,
     WIDTH,
+    labels_of_bounds,
     parameter_words,
     pdf,
     png,
+    shared_labels,
     style,
     svg,
+    told_apart,
 )
 from bayes_sensor.figures.switching import delays
 from bayes_sensor.figures.tau import coverage, tau_hard, what_would_help
@@ -88,6 +92,7 @@ __all__ = [
     "gap_which",
     "histogram",
     "intervals",
+    "labels_of_bounds",
     "main_parameters",
     "overlay",
     "parameter_words",
@@ -100,12 +105,15 @@ __all__ = [
     "responses",
     "rms_bars",
     "schematic",
+    "sensor_words",
+    "shared_labels",
     "spectra_figure",
     "spread",
     "step_study",
     "style",
     "svg",
     "tau_hard",
+    "told_apart",
     "traces_and_ranks",
     "what_would_help",
 ]

@@ -175,6 +175,18 @@ def diffusion(record: Mapping[str, Any]) -> Figure:
     return figure
 
 
+def sensor_words(row: Mapping[str, Any]) -> str:
+    """What a row of the sensor is called: the lag that is taken for its, where that is not known.
+
+    >>> sensor_words({"sensor_is": "slower", "probability": 0.5})
+    'sensor, if it has the longer lag (50 %)'
+    """
+    if "sensor_is" not in row:
+        return "sensor alone"
+    lag = {"faster": "shorter", "between": "middle", "slower": "longer"}[row["sensor_is"]]
+    return f"sensor, if it has the {lag} lag ({100 * row['probability']:.0f} %)"
+
+
 def response_times(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """t10, t63 and t90 of the sensor alone and of the chain at each flow, with intervals.
 
@@ -182,7 +194,7 @@ def response_times(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """
     kinds = (("t10", BLUE, "^", -0.2), ("t63", ORANGE, "o", 0.0), ("t90", INK, "s", 0.2))
     names = [
-        "sensor alone"
+        sensor_words(row)
         if row["system"] == "sensor"
         else f"chain, {row['total_flow_L_per_min']:.3g} L/min"
         for row in rows

@@ -18,20 +18,25 @@ from bayes_sensor.figures.style import (
     ORANGE,
     PALE,
     REGIONS,
+    SHARED_LABELS,
     SMALLEST,
     WIDTH,
     axis_label,
     new_figure,
     parameter_words,
     style,
+    told_apart,
 )
 from bayes_sensor.inference_data import import_quietly
 
 
 def main_parameters(names: Sequence[str]) -> list[str]:
-    """Those of tau, tau_v, V, sigma0, sigma1, phi that are among ``names``."""
-    wanted = ("tau_s", "tau_v_s", "V_mL", "sigma0_V", "sigma1_V", "phi")
-    return [name for name in wanted if name in names]
+    """Those of tau, tau_v, V, sigma0, sigma1, phi that are among ``names``.
+
+    Lags by size where it is not known whose they are.
+    """
+    known = told_apart(names)
+    return [name for name in (*SHARED_LABELS, "sigma0_V", "sigma1_V", "phi") if name in known]
 
 
 def _chosen(

@@ -28,8 +28,8 @@ LONGEST_NAME = 28
 def forest(rows: Sequence[Mapping[str, Any]], median_s: float | None = None) -> Figure:
     """Forest plot of tau, smallest first: median, 68 % thick, 95 % thin.
 
-    ``rows``: the table of a fleet; those without a tau are named at the foot.  An arrow to the left
-    ends at the one-sided 95 % limit of a campaign that does not exclude zero.
+    ``rows``: the table of a fleet; those without a tau are named at the foot with the reason.  An
+    arrow to the left ends at the one-sided 95 % limit of a campaign that does not exclude zero.
     """
     known = sorted((r for r in rows if r["tau_s"] is not None), key=lambda r: r["tau_s"])
     lost = [r for r in rows if r["tau_s"] is None]
@@ -60,7 +60,7 @@ def forest(rows: Sequence[Mapping[str, Any]], median_s: float | None = None) -> 
             handles.setdefault(kind, line[0])
         for i, row in enumerate(lost if named else [], len(known)):
             axes.annotate(
-                row["status"], (0.5, i), xycoords=("axes fraction", "data"), ha="center",
+                _why_none(row), (0.5, i), xycoords=("axes fraction", "data"), ha="center",
                 va="center", fontsize=7, color=MIDDLE,
             )  # fmt: skip
         if median_s is not None:
@@ -78,6 +78,13 @@ def forest(rows: Sequence[Mapping[str, Any]], median_s: float | None = None) -> 
         axes.grid(axis="y", visible=False)
         figure.legend(handles.values(), handles.keys(), loc="outside upper right", ncols=4)
     return figure
+
+
+def _why_none(row: Mapping[str, Any]) -> str:
+    if row.get("order") != "undecided":
+        return str(row["status"])
+    lags = " or ".join(f"{row[name]:.3g} s" for name in ("lag_fast_s", "lag_slow_s"))
+    return f"which lag is the sensor's is not known: {lags}"
 
 
 def _kind(row: Mapping[str, Any]) -> tuple[str, str]:

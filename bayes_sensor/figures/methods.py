@@ -17,9 +17,11 @@ from bayes_sensor.figures.style import (
     METHOD_LABELS,
     MIDDLE,
     ORANGE,
-    SHARED_LABELS,
+    labels_of_bounds,
     logarithmic,
     new_figure,
+    shared_labels,
+    show_zero,
     style,
 )
 
@@ -27,13 +29,15 @@ from bayes_sensor.figures.style import (
 def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = None) -> Figure:
     """Every bound method side by side for tau, tau_v, V: 68 % thick, 95 % thin.
 
-    ``bounds``: the content of ``bounds.json``; ``truth`` by flat name draws a line.
+    Where it is not known whose a lag is, it has its place by size.  ``bounds``: the content of
+    ``bounds.json``; ``truth`` by flat name draws a line.
     """
     methods = list(bounds["methods"])
+    shown_labels = labels_of_bounds(bounds)
     with style():
         figure = new_figure(0.32 * len(methods) + 1.0)
-        row = figure.subplots(1, 3, sharey=True)
-        for axes, (name, (symbol, unit, factor)) in zip(row, SHARED_LABELS.items(), strict=True):
+        row = figure.subplots(1, len(shown_labels), sharey=True, squeeze=False)[0]
+        for axes, (name, (symbol, unit, factor)) in zip(row, shown_labels.items(), strict=True):
             rows = [bounds["methods"][m]["parameters"].get(name) or {} for m in methods]
             low, high = _visible(rows, factor)
             for i, method in enumerate(methods):
@@ -114,7 +118,8 @@ def step_study(
     with style():
         figure = new_figure(3.0)
         row = figure.subplots(1, 3)
-        for axes, (name, (symbol, unit, factor)) in zip(row, SHARED_LABELS.items(), strict=True):
+        shown = shared_labels(rows[0])
+        for axes, (name, (symbol, unit, factor)) in zip(row, shown.items(), strict=True):
             for method, difference, label, colour, dash, marker in lines:
                 chosen = [
                     r for r in rows
@@ -171,7 +176,9 @@ def priors_on_tau(rows: Sequence[Mapping[str, Any]], words: Mapping[str, str]) -
                 )  # fmt: skip
         axes.set_yticks(range(len(rows)), [words.get(r["prior"], r["prior"]) for r in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
-        axes.set_xlim(0.0, 1.08 * 1e3 * max(row["upper99_s"] for row in rows))
+        low, high = min(row["lo95_s"] for row in rows), max(row["upper99_s"] for row in rows)
+        axes.set_xlim(right=1e3 * (high + 0.08 * min(high, 4.0 * (high - low))))
+        show_zero(axes, low, high)
         axes.set_xlabel("sensor τ (ms)")
         axes.grid(axis="y", visible=False)
         figure.legend(loc="outside upper right", ncols=4)
@@ -196,7 +203,7 @@ def posteriors_of_tau(rows: Sequence[Mapping[str, Any]]) -> Figure:
             axes.plot(1e3 * row["q50"], i, "D", color=GROUND, mec=colour, ms=4.5, mew=1.2)
         axes.set_yticks(range(len(rows)), [row["model"] for row in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
-        axes.set_xlim(0.0, None)
+        show_zero(axes, min(row["q2.5"] for row in rows), max(row["q97.5"] for row in rows))
         axes.set_xlabel("sensor τ (ms)")
         axes.grid(axis="y", visible=False)
     return figure

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -94,9 +94,49 @@ METHOD_LABELS = {
 SHARED_LABELS = {
     "tau_s": ("sensor τ", "ms", 1e3),
     "tau_v_s": ("valve τᵥ", "ms", 1e3),
+    "lag_fast_s": ("shorter lag", "s", 1.0),
+    "lag_between_s": ("middle lag", "s", 1.0),
+    "lag_slow_s": ("longer lag", "s", 1.0),
     "V_mL": ("volume V", "mL", 1.0),
 }
-"""flat name to words, unit shown and the factor to it"""
+"""flat name to words, unit shown and the factor to it; lags by size are those of unknown owners"""
+
+
+def shared_labels(names: Iterable[str]) -> dict[str, tuple[str, str, float]]:
+    """Those of :data:`SHARED_LABELS` that are among ``names``; lags by size in place of tau and
+    tau_v where it is not known whose they are.
+
+    >>> list(shared_labels(["tau_s", "tau_v_s", "V_mL"]))
+    ['tau_s', 'tau_v_s', 'V_mL']
+    """
+    names = set(names)
+    return {name: words for name, words in SHARED_LABELS.items() if name in names}
+
+
+def told_apart(names: Iterable[str]) -> list[str]:
+    """``names`` of a posterior, shared ones first, without those whose lag is not known.
+
+    >>> told_apart(["tau_s", "tau_v_s", "V_mL", "lag_fast_s", "lag_slow_s", "phi"])
+    ['lag_fast_s', 'lag_slow_s', 'V_mL', 'phi']
+    """
+    names = list(names)
+    unknown = set()
+    if any(name.startswith("lag_") for name in names):
+        unknown = {"tau_s", "tau_v_s"}
+    if "lag_between_s" in names:  # at one flow that may be V/Q
+        unknown.add("V_mL")
+    shared = list(shared_labels(names))
+    rest = [name for name in names if name not in shared]
+    return [name for name in [*shared, *rest] if name not in unknown]
+
+
+def labels_of_bounds(bounds: Mapping[str, Any]) -> dict[str, tuple[str, str, float]]:
+    """:func:`shared_labels` of the content of ``bounds.json``."""
+    rows = [row for entry in bounds["methods"].values() for row in entry["parameters"].items()]
+    if not any(name.startswith("lag_") for name, _ in rows):
+        return shared_labels(["tau_s", "tau_v_s", "V_mL"])
+    return shared_labels(name for name, row in rows if row)
+
 
 _NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """characters that XML does not know, but a name may hold"""
@@ -177,6 +217,12 @@ def logarithmic(axes: Axes, which: str) -> None:
         axis.set_major_locator(LogLocator(subs=(1, 2, 3, 5, 7) if high < 5 * low else (1, 2, 5)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
     axis.set_minor_formatter(NullFormatter())
+
+
+def show_zero(axes: Axes, low: float, high: float) -> None:
+    """Start the axis at zero, unless all values between ``low`` and ``high`` lie far from it."""
+    if not low > 0.5 * high:
+        axes.set_xlim(left=0.0)
 
 
 def plain(value: float) -> str:

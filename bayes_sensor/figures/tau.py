@@ -22,6 +22,7 @@ from bayes_sensor.figures.style import (
     new_figure,
     parameter_words,
     shortened,
+    show_zero,
     style,
 )
 
@@ -148,7 +149,8 @@ def what_would_help(rows: Sequence[Mapping[str, Any]]) -> Figure:
                 )  # fmt: skip
         axes.set_yticks(range(len(rows)), [row["change"].replace("+-", "± ") for row in rows])
         axes.set_ylim(len(rows) - 0.4, -0.6)
-        axes.set_xlim(left=0.0)
+        low, high = (_numbers([row[key] for row in rows]) for key in ("lo95_s", "hi95_s"))
+        show_zero(axes, float(np.nanmin(low)), float(np.nanmax(high)))
         axes.set_xlabel("predicted interval of τ (ms): 68 % thick, 95 % thin; at right the gain")
     return figure
 

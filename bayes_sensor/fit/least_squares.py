@@ -24,6 +24,7 @@ from bayes_sensor.fit.refinement import Refined, around, mesh_points, refine, wi
 from bayes_sensor.fit.side_information import named_parameters, weigh_names
 from bayes_sensor.fit.starts import guess, limits, swarm_problem
 from bayes_sensor.fit.swarm import particle_swarm
+from bayes_sensor.lags import Naming
 from bayes_sensor.likelihood import Problem, as_problem, mean_and_variance
 from bayes_sensor.model import SHARED, Cascade, exchanged
 from bayes_sensor.workers import one_thread
@@ -138,7 +139,7 @@ def fit_least_squares(
     comparison = None
     if euler and plain and problem.model.method == "exact":
         tell(0.85, "Euler")
-        comparison = _compare_euler(problem, theta, box, looks, rms, count)
+        comparison = _compare_euler(problem, theta, box, looks, rms, count, naming)
     tell(1.0, "done")
     status = "Converged." if success else "The refinement stopped before it converged."
     if success and at_bound:
@@ -457,6 +458,7 @@ def _compare_euler(
     looks: list[Look],
     rms: float,
     count: Count,
+    naming: Naming,
 ) -> dict[str, Any]:
     other = replace(problem, model=Cascade("euler"))
     found, success = _fit_euler(other, theta, box, looks, count)
@@ -465,10 +467,13 @@ def _compare_euler(
     for k, e in enumerate(problem.campaign):
         r = (e.values - mean_and_variance(other, vector, k)[0])[e.used]
         squares += float(r @ r)
-    names = problem.layout.mean_names
+    names = [*naming.names, *problem.layout.mean_names[len(SHARED) :]]
     own = sqrt(squares / problem.campaign.n_samples)
     return {
-        "parameters": problem.layout.nested(vector, noise=False),
+        "parameters": {
+            **problem.layout.nested(vector, noise=False),
+            **named_parameters(naming, vector),
+        },
         "rms_V": own,
         "rms_difference_V": own - rms,
         "cost_V2": squares,

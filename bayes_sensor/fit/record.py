@@ -110,6 +110,16 @@ class Fit:
         sentences = [*self.caveats, self.status, *self.warnings]
         return card(title, sentences, ["parameter", "value", ""], rows)
 
+    def _estimates(self) -> dict[str, float | None]:
+        """The shared values under what may be stated of their names; None where one is too small
+        to be seen."""
+        names = self.names[:3]
+        labels = [(name, 1.0) for name in names] if self.naming is None else self.naming.labels
+        return {
+            label: None if self.is_unseen(name) else float(factor * value)
+            for name, (label, factor), value in zip(names, labels, self.theta_hat)
+        }
+
     def to_json(self) -> dict[str, Any]:
         """The content of ``fit.json``."""
         return {
@@ -120,6 +130,7 @@ class Fit:
             "rms_V": self.rms,
             "n_samples": self.n_samples,
             "parameters": self.parameters,
+            "estimates": self._estimates(),
             "lags_s": self.lags.tolist(),
             "unseen": list(self.unseen),
             "side_information": [each.to_json() for each in self.side_information],

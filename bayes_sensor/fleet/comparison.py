@@ -37,15 +37,17 @@ def comparison(rows: Sequence[Row]) -> dict[str, Any]:
     count = {
         state: sum(r["status"] == state for r in rows) for state in (DONE, NOT_CONVERGED, FAILED)
     }
-    known = [r for r in rows if r["status"] == DONE and not r["tau_is_limit"] and r["tau_sd_s"]]
+    done = [r for r in rows if r["status"] == DONE]
+    known = [r for r in done if not r["tau_is_limit"] and r["tau_sd_s"]]
     found: dict[str, Any] = {
         "n": len(rows), "done": count[DONE], "not_converged": count[NOT_CONVERGED],
         "failed": count[FAILED],
-        "limits": sum(r["status"] == DONE and bool(r["tau_is_limit"]) for r in rows),
+        "limits": sum(bool(r["tau_is_limit"]) for r in done),
+        "undecided": sum(r.get("order") == "undecided" for r in done),
         "median_tau_s": None, "mean_tau_s": None, "mean_tau_sd_s": None,
         "between_sensors_sd_s": None, "cochran_q": None, "p_value": None, "n_compared": len(known),
     }  # fmt: skip
-    shown = [r["tau_s"] for r in rows if r["status"] == DONE]
+    shown = [r["tau_s"] for r in done if r["tau_s"] is not None]
     if shown:
         found["median_tau_s"] = float(np.median(shown))
     if len(known) >= 3:
@@ -76,6 +78,11 @@ def sentences(found: Mapping[str, Any]) -> list[str]:
     ]
     if found["limits"]:
         said.append(f"Of those done {found['limits']} know τ only as an upper limit.")
+    if found.get("undecided"):
+        said.append(
+            f"Of those done {found['undecided']} do not say which lag is the sensor's ([rig] "
+            "sensor_is): they have no τ and are left out of what is said of it."
+        )
     if found["p_value"] is not None:
         p = p_words(found["p_value"])
         differ = found["p_value"] < 0.05

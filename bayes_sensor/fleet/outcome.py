@@ -18,7 +18,7 @@ COLUMNS = (
     *(f"{name}{end}_{unit}" for name, unit in SHARED for end in (*PERCENTILES, "_sd")),
     "tau_upper95_s", "tau_is_limit", "phi", "sigma0_V", "sigma1_V", "rms_V", "crlb_iid_tau_sd_s",
     "least_ess", "largest_r_hat", "gap", "gap_effects", "gap_probability",
-    "tau_envelope_lo_s", "tau_envelope_hi_s", "report",
+    "tau_envelope_lo_s", "tau_envelope_hi_s", "report", "order", "lag_fast_s", "lag_slow_s",
 )  # fmt: skip
 """of the table: medians of the posterior, equal-tailed limits, ``_V`` in the campaign's own unit"""
 
@@ -26,7 +26,9 @@ COLUMNS = (
 def row_of(results: Results, name: str, file: str, report: str, message: str) -> dict[str, Any]:
     """The row of an analysed campaign, from its results folder.
 
-    ``tau_is_limit``: zero is not excluded, so that ``tau_upper95_s`` is what can be said.
+    ``tau_is_limit``: zero is not excluded, so that ``tau_upper95_s`` is what can be said.  Where it
+    is not known which lag is the sensor's (``order`` undecided), tau and tau_v have no values, and
+    at one flow V has none.
     """
     from bayes_sensor.report import headline  # draws, so slow to import
 
@@ -47,7 +49,12 @@ def row_of(results: Results, name: str, file: str, report: str, message: str) ->
         report=report,
     )
     parameters = posterior["parameters"]
+    row["order"] = order = posterior.get("order", "given")
+    if lags := posterior.get("lags_s"):
+        row["lag_fast_s"], row["lag_slow_s"] = lags[0]["q50"], lags[-1]["q50"]
     for symbol, unit in SHARED:
+        if order == "undecided" and (symbol != "V" or campaign["same_flow"]):
+            continue
         own = parameters[f"{symbol}_{unit}"]
         for end, percentile in PERCENTILES.items():
             row[f"{symbol}{end}_{unit}"] = own[percentile]
@@ -58,9 +65,10 @@ def row_of(results: Results, name: str, file: str, report: str, message: str) ->
     row["least_ess"] = _least(p["ess_bulk"] for p in parameters.values())
     row["largest_r_hat"] = _largest(p["r_hat"] for p in parameters.values())
     head = headline(posterior, bounds)
-    row["tau_is_limit"] = bool(head is not None and head.is_limit)
+    if order != "undecided":
+        row["tau_is_limit"] = bool(head is not None and head.is_limit)
     for prior in posterior.get("tau_under_priors") or []:
-        if prior["prior"] == "half_normal":
+        if order != "undecided" and prior["prior"] == "half_normal":
             row["tau_upper95_s"] = prior["upper95_s"]
     naive = ((bounds or {}).get("naive") or {}).get("crlb_iid") or {}
     row["crlb_iid_tau_sd_s"] = naive.get("tau_s")
@@ -68,7 +76,9 @@ def row_of(results: Results, name: str, file: str, report: str, message: str) ->
         verdict = gap["verdict"]
         row["gap"], row["gap_probability"] = verdict["kind"], verdict["probability"]
         row["gap_effects"] = " ".join(verdict["effects"])
-        row["tau_envelope_lo_s"], row["tau_envelope_hi_s"] = gap["hidden"]["tau_envelope_s"]
+        envelope = gap["hidden"].get("tau_envelope_s") or (None, None)
+        if order != "undecided":
+            row["tau_envelope_lo_s"], row["tau_envelope_hi_s"] = envelope
     return row
 
 

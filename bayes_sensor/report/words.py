@@ -95,6 +95,7 @@ _SYMBOLS = {
     "tau_v": "τᵥ", "tau_v_s": "τᵥ", "tau": "τ", "tau_s": "τ", "V_mL": "V", "t0": "t₀", "t0_s": "t₀",
     "tf": "t_f", "tf_s": "t_f", "y0": "y₀", "y0_V": "y₀", "beta": "β", "beta_V": "β", "phi": "φ",
     "sigma0_V": "σ₀", "sigma1_V": "σ₁",
+    "lag_fast_s": "shorter lag", "lag_between_s": "middle lag", "lag_slow_s": "longer lag",
 }  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from bayes_sensor import figures
 from bayes_sensor.report.headline import with_the_effect
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import interval, number, powers, with_spread
+from bayes_sensor.report.words import interval, number, powers, sentence, with_spread
 
 TOLERANCE_WORDS = {
     "d_pdms": "diffusivity of PDMS",
@@ -24,11 +24,15 @@ def coating(saved: Saved, pictures: Pictures) -> Section | None:
     if record is None:
         return None
     rows = record["response_times"]
-    sensor = next(row for row in rows if row["system"] == "sensor")
+    sensors = [row for row in rows if row["system"] == "sensor"]
     chain = [row for row in rows if row["system"] == "chain"]
     fast, slow = chain[-1], chain[0]
+    if len(sensors) == 1:
+        alone = f"The sensor alone reaches 90 % within {_time(sensors[0], 't90', 1e3)} ms"
+    else:
+        alone = "How long the sensor alone takes depends on which lag is its, and that is not known"
     answer = (
-        f"The sensor alone reaches 90 % within {_time(sensor, 't90', 1e3)} ms; the whole chain of "
+        f"{alone}; the whole chain of "
         f"valve, manifold and sensor takes {_time(slow, 't90', 1.0)} s at "
         f"{slow['total_flow_L_per_min']:.3g} L/min"
     )
@@ -40,6 +44,8 @@ def coating(saved: Saved, pictures: Pictures) -> Section | None:
         "flow drop when the valve shuts, or the sensor release more slowly than it takes up, the "
         "section on the gap says so."
     ]
+    if record.get("d_zif8_left_out"):
+        paragraphs.append(sentence(record["d_zif8_left_out"]))
     if with_the_effect(saved):
         paragraphs.append(
             "All this rests on the posterior without the effect that the gap names"
@@ -82,7 +88,8 @@ def _times_table(rows: list[dict[str, Any]]) -> Table:
             for name in ("t10", "t63", "t90", "rise")
             for end in ("", "_lo", "_hi")
         ]
-        label = "sensor" if row["system"] == "sensor" else "chain"
+        label = figures.sensor_words(row) if row["system"] == "sensor" else "chain"
+        label = "sensor" if label == "sensor alone" else label
         made.append([label, row["total_flow_L_per_min"], *values])
     columns = ["system", "flow (L/min)"]
     for name in ("t10", "t63", "t90", "t90 − t10"):

@@ -14,8 +14,9 @@ def posterior_table(saved: Saved, shared: bool) -> Table:
     assert saved.posterior is not None
     keys = ("mean", "sd", "q2.5", "q16", "q50", "q84", "q97.5")
     rows: list[list[Any]] = []
-    for name, row in saved.posterior["parameters"].items():
-        is_local = "[" in name
+    parameters = saved.posterior["parameters"]
+    for name in figures.told_apart(parameters):
+        row, is_local = parameters[name], "[" in name
         if row is None or is_local == shared:
             continue
         symbol, unit, factor = figures.parameter_words(name, saved.unit)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from bayes_sensor import figures
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
@@ -45,13 +48,16 @@ def _remarks(saved: Saved) -> list[str]:
     fit = saved.fit
     assert fit is not None
     said = []
-    if "tau_s" in fit["at_bound"]:
+    unseen = [name for name, value in _estimates(fit).items() if value is None]
+    if unseen:
+        words = list_words([figures.parameter_words(name)[0] for name in unseen])
         said.append(
-            "The best τ sits at the lower edge of its search range. That is an answer: the data do "
-            "not exclude smaller values, and the least-squares number by itself must be read as a "
-            "limit."
+            f"The best {words} {'sits' if len(unseen) == 1 else 'sit'} at the lower edge of "
+            f"{'its' if len(unseen) == 1 else 'their'} search range. That is an answer: the data "
+            "do not exclude smaller values, so that no least-squares number is given; the "
+            "posterior has upper limits."
         )
-    others = [figures.parameter_words(n)[0] for n in fit["at_bound"] if n != "tau_s"]
+    others = [figures.parameter_words(n)[0] for n in fit["at_bound"] if n not in unseen]
     if others:
         said.append(
             f"The best value of {list_words(others)} sits on the edge of its search range: widen "
@@ -64,12 +70,31 @@ def _remarks(saved: Saved) -> list[str]:
         said.append(f"{n} independent particle swarms ended, after refinement, at one place.")
     if fit.get("euler"):
         change = fit["euler"]["difference"]
+        moves = [
+            f"{words.split()[-1] if name in _SYMBOLS else f'the {words}'} by "
+            f"{number(factor * change[name], 2)} {unit}"
+            for name, (words, unit, factor) in figures.shared_labels(change).items()
+            if name not in unseen
+        ]
         said.append(
             "Solved by forward Euler instead of exactly, as in the published analysis, the same "
-            f"fit moves τ by {number(1e3 * change['tau_s'], 2)} ms, τᵥ by "
-            f"{number(1e3 * change['tau_v_s'], 2)} ms and V by {number(change['V_mL'], 2)} mL."
+            f"fit moves {list_words(moves)}."
         )
     return said
+
+
+_SYMBOLS = ("tau_s", "tau_v_s", "V_mL")
+
+
+def _estimates(fit: Mapping[str, Any]) -> dict[str, float | None]:
+    """The shared values by name, or by the lags' sizes; None where one is too small to be seen."""
+    found = fit.get("estimates")
+    if found is None:  # results of an older version
+        p = fit["parameters"]
+        found = {name: p[name] for name in _SYMBOLS if name in p}
+        if "tau_s" in fit["at_bound"]:
+            found["tau_s"] = None
+    return {name: found[name] for name in figures.shared_labels(found)}
 
 
 def _overlays(saved: Saved, pictures: Pictures) -> list[Part]:
@@ -91,11 +116,11 @@ def _tables(saved: Saved) -> list[Part]:
     assert saved.fit is not None
     unit, (shown, factor) = saved.unit, saved.small_unit
     p = saved.fit["parameters"]
-    rows = []
-    for name in (*figures.SHARED_LABELS, "phi", "sigma0_V", "sigma1_V"):
-        if name in p:
-            symbol, unit_shown, scale = figures.parameter_words(name, unit)
-            rows.append([symbol, unit_shown, scale * p[name]])
+    noise = {name: p[name] for name in ("phi", "sigma0_V", "sigma1_V") if name in p}
+    rows: list[list[Any]] = []
+    for name, value in (_estimates(saved.fit) | noise).items():
+        symbol, unit_shown, scale = figures.parameter_words(name, unit)
+        rows.append([symbol, unit_shown, None if value is None else scale * value])
     rms_of = saved.fit.get("rms_per_experiment_V", {})
     return [
         Table(

@@ -20,19 +20,25 @@ KNOWN_WORDS = {
     "t0, tf, V, tau_v": "all of these",
 }
 MOST_ROWS = 12
+ALIKE = 0.95
+"""multiple correlation with the switch times above which both look almost the same"""
 
 
 def hardness(saved: Saved, pictures: Pictures) -> Section | None:
     """Collinearity with the switch times, and what the bound would be if they were known."""
     record = (saved.bounds or {}).get("what_makes_tau_hard")
     if not record:
-        return None
+        reason = (saved.bounds or {}).get("not_explained")
+        return reason and Section("hardness", "What makes it hard", sentence(typeset(reason)))
     known = record["sd_tau_if_known_s"]
     now, timed = known.get("nothing"), known.get("t0, tf") or known.get("t0")
+    switches = record["collinearity"]["switches"]
     answer = (
         "A slower sensor and a later switch change the trace almost alike"
-        f"{see('tau-hard', 'weakest')}."
-    )
+        if switches > ALIKE
+        else f"Moving the switch times imitates {100 * switches**2:.0f} % of what τ does to the "
+        "trace"
+    ) + f"{see('tau-hard', 'weakest')}."
     if now and timed:
         answer += (
             f" At τ = {number(1e3 * record['tau_s'])} ms one standard deviation of τ is "

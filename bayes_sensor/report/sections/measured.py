@@ -41,6 +41,8 @@ def measured(saved: Saved, pictures: Pictures) -> Section | None:
             "All experiments share one total flow. The valve's time constant τᵥ and the volume V "
             "then act alike and cannot be separated by these data."
         )
+    if "sensor_is" in campaign:
+        paragraphs.append(_of_rig(campaign))
     for name, info in campaign.get("side_information", {}).items():
         symbol, unit, factor = figures.parameter_words(name, saved.unit)
         paragraphs.append(
@@ -79,6 +81,18 @@ def measured(saved: Saved, pictures: Pictures) -> Section | None:
             )
         )
     return Section("measured", "What was measured", answer, paragraphs, content)
+
+
+def _of_rig(campaign: Mapping[str, Any]) -> str:
+    """What is said of the rig, as a sentence."""
+    said = f"The gas passes {list_words(campaign['stages'])}"
+    if campaign["sensor_is"] == "unknown":
+        return (
+            f"{said}. Lags in a row commute, and the campaign does not say which of those that do "
+            'not depend on flow is the sensor\'s ([rig] sensor_is = "faster" or "slower").'
+        )
+    lag = {"faster": "shortest", "slower": "longest"}[campaign["sensor_is"]]
+    return f"{said}; the sensor is said to be the {lag} of the lags that do not depend on flow."
 
 
 def _span(rows: Sequence[Mapping[str, Any]], key: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from math import isclose
 from typing import Any
 
@@ -26,6 +26,7 @@ PUBLISHED_FLOWS = (
 """L/min, carrier and test gas: the paper's Table I"""
 SAME = 5e-3
 """relative, of flows and concentrations that count as the same"""
+LAG_WORDS = {"faster": "shorter", "between": "middle", "slower": "longer"}
 PRIOR_WORDS = {
     "flat": "flat",
     "half_normal": "half-normal, the default",
@@ -74,7 +75,9 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
         )
     if posterior is not None:
         rows = posterior.get("tau_under_priors", [])
-        if rows:
+        if len({row.get("sensor_is") for row in rows}) > 1:  # one lag or the other
+            content.append(_prior_table(rows))
+        elif rows:
             limits = [row["upper95_s"] for row in rows]
             lows = [row["lo95_s"] for row in rows]
             here = ". "
@@ -119,7 +122,7 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
 def _both(saved: Saved, pictures: Pictures) -> list[Part]:
     """The posteriors of tau with and without the effects."""
     earlier, newest = saved.posterior_without_effects, saved.posterior
-    if earlier is None or newest is None:
+    if earlier is None or newest is None or "undecided" in (_order(earlier), _order(newest)):
         return []
     rows = [
         {"model": label, **{key: record["parameters"]["tau_s"][key] for key in _QUANTILES}}
@@ -142,6 +145,10 @@ def _both(saved: Saved, pictures: Pictures) -> list[Part]:
             digits=3,
         ),
     ]
+
+
+def _order(posterior: Mapping[str, Any] | None) -> str:
+    return str((posterior or {}).get("order", "given"))
 
 
 _QUANTILES = ("q2.5", "q16", "q50", "q84", "q97.5")
@@ -188,6 +195,7 @@ def _steps(
 
 def _naive_table(naive: Mapping[str, Any]) -> Table:
     rows: list[list[Any]] = []
+    shown = figures.shared_labels(naive["at"])
     for method in ("crlb_iid_one_percent_step", "crlb_iid", "crlb_ar1"):
         found = naive.get(method) or {}
         label = figures.METHOD_LABELS[method]
@@ -198,7 +206,7 @@ def _naive_table(naive: Mapping[str, Any]) -> Table:
                 label,
                 *(
                     None if found.get(name) is None else k * factor * found[name]
-                    for name, (_, _, factor) in figures.SHARED_LABELS.items()
+                    for name, (_, _, factor) in shown.items()
                     for k in (1.0, 1.96)
                 ),
             ]
@@ -206,7 +214,7 @@ def _naive_table(naive: Mapping[str, Any]) -> Table:
     at = naive["at"]
     place = ", ".join(
         f"{symbol} = {number(factor * at[name])} {unit}"
-        for name, (symbol, unit, factor) in figures.SHARED_LABELS.items()
+        for name, (symbol, unit, factor) in shown.items()
     )
     return Table(
         "naive",
@@ -216,7 +224,7 @@ def _naive_table(naive: Mapping[str, Any]) -> Table:
             "bound",
             *(
                 f"{symbol}, {what} ({unit})"
-                for symbol, unit, _ in figures.SHARED_LABELS.values()
+                for symbol, unit, _ in shown.values()
                 for what in ("sd", "± 95 %")
             ),
         ],
@@ -262,6 +270,8 @@ def _why(saved: Saved) -> list[str]:
 def _why_they_differ(saved: Saved) -> list[str]:
     """What each 95 % interval of tau on the page assumes, where there are several."""
     found = []
+    if _order(saved.posterior) == "undecided":
+        return []
     if saved.posterior is not None:
         row = saved.posterior["parameters"]["tau_s"]
         found.append(
@@ -292,7 +302,7 @@ def _why_they_differ(saved: Saved) -> list[str]:
 def _method_table(bounds: Mapping[str, Any]) -> Table:
     rows: list[list[Any]] = []
     marked: list[int] = []
-    for name, (symbol, unit, factor) in figures.SHARED_LABELS.items():
+    for name, (symbol, unit, factor) in figures.labels_of_bounds(bounds).items():
         found = [entry["parameters"].get(name) or {} for entry in bounds["methods"].values()]
         widths = [row["hi68"] - row["lo68"] for row in found if _is_bounded(row)]
         narrowest = factor * min(filter(None, widths), default=0.0)
@@ -338,22 +348,25 @@ def _assumption_table(bounds: Mapping[str, Any]) -> Table:
     )
 
 
-def _how_many(rows: Sequence[Mapping[str, Any]]) -> str:
+def _how_many(rows: Collection[Any]) -> str:
     """The priors that draws tell of: a bounded prior's say nothing beyond its end."""
     return {1: "one prior", 2: "two priors"}.get(len(rows), "three priors")
 
 
 def _prior_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    several = len({row.get("sensor_is") for row in rows}) > 1
     return Table(
         "priors-on-tau",
-        f"τ under {_how_many(rows)}, from the same draws by reweighting (ms). With fewer than "
-        "about 400 effective draws a row is rough.",
+        f"τ under {_how_many({row['prior'] for row in rows})}, from the same draws by reweighting "
+        "(ms). With fewer than about 400 effective draws a row is rough.",
         [
+            *(["sensor's lag"] if several else []),
             "prior on τ", "95 % low", "95 % high", "densest 95 % low", "densest 95 % high",
             "95 % upper limit", "99 % upper limit", "effective draws",
         ],
         [
             [
+                *([LAG_WORDS[r["sensor_is"]]] if several else []),
                 PRIOR_WORDS.get(r["prior"], r["prior"]),
                 *(
                     ms(r[key])
