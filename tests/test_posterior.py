@@ -281,6 +281,20 @@ def test_the_whitened_density_and_gradient_are_those_of_psi() -> None:
     mirrored[laplace.coordinates.squared] *= -1
     back = np.linalg.solve(target.factor, mirrored - target.centre)
     assert target.value_and_gradient(back)[0] == pytest.approx(values[0], rel=1e-12)
+    # nor does the order of the lags: switch times stay where they are, t0 + tau moves
+    exchanged = thetas[0].copy()
+    exchanged[:2] = thetas[0, [1, 0]]
+    back = target.q(exchanged[None])[0]
+    np.testing.assert_allclose(target.theta(back), thetas[0], rtol=1e-9)
+    value, gradient = target.value_and_gradient(back)
+    assert value == pytest.approx(values[0], rel=1e-10)
+    for i in range(len(back)):
+        step = np.zeros(len(back))
+        step[i] = 1e-4
+        difference = (
+            target.value_and_gradient(back + step)[0] - target.value_and_gradient(back - step)[0]
+        ) / 2e-4
+        assert gradient[i] == pytest.approx(difference, rel=1e-5, abs=2e-3)
 
 
 def test_side_information_is_respected() -> None:

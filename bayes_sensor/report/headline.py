@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -116,17 +116,39 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
     return Headline(text, naive, is_limit, limit)
 
 
+def stated_set(posterior: Mapping[str, Any]) -> list[tuple[float, float]]:
+    """Intervals (s) one of which holds tau with 95 %, as the headline states them.
+
+    One interval where it is known whose the lags are.  Else that of every lag, the shortest ones
+    from zero to their upper limit where zero is not excluded.
+    """
+    lags = posterior["lags_s"]
+    if posterior.get("hidden_by_sampling_s") is not None:
+        return [(0.0, lags[-1]["q95"])]
+    if posterior.get("order") != "undecided":
+        row = posterior["parameters"]["tau_s"]
+        return [(row["q2.5"], row["q97.5"])]
+    n_limits = _n_limits(lags)
+    found = [(row["q2.5"], row["q97.5"]) for row in lags[n_limits:]]
+    return [(0.0, lags[n_limits - 1]["q95"]), *found] if n_limits else found
+
+
+def _n_limits(lags: Sequence[Mapping[str, float]]) -> int:
+    """How many of the lags, shortest first, are not told from zero."""
+    n = 0
+    for row in lags:
+        ratio = row["q2.5"] / row["q50"] if row["q50"] > 0 else 0.0
+        if ratio >= LIMIT ** (1.0 / (n + 1)):
+            break
+        n += 1
+    return n
+
+
 def _of_lags(posterior: Mapping[str, Any]) -> str:
     """The lags by size where it is not known which is the sensor's, as a sentence."""
     lags = posterior["lags_s"]
-    seen: list[Mapping[str, float]] = []
-    n_limits = 0
-    for row in lags:
-        ratio = row["q2.5"] / row["q50"] if row["q50"] > 0 else 0.0
-        if not seen and ratio < LIMIT ** (1.0 / (n_limits + 1)):
-            n_limits += 1
-        else:
-            seen.append(row)
+    n_limits = _n_limits(lags)
+    seen = lags[n_limits:]
     if not seen:
         return (
             f"no lag is told from zero: all are shorter than {upper_words(lags[-1]['q95'])} "

@@ -22,6 +22,7 @@ import study_gap
 import study_hostile
 import study_misfit
 import study_odds
+import study_order
 import study_predictive
 import study_published_bounds
 import study_real
@@ -44,6 +45,7 @@ STUDIES = {
     "unlisted-kinds": study_unlisted_kinds.run,
     "blind-check": study_blind_check.run,
     "odds": study_odds.run,
+    "order": study_order.run,
     "strong": study_strong.run,
     "extremes": study_extremes.run,
     "hostile": study_hostile.run,
