@@ -116,7 +116,7 @@ class Fit:
         names = self.names[:3]
         labels = [(name, 1.0) for name in names] if self.naming is None else self.naming.labels
         return {
-            label: None if self.is_unseen(name) else float(factor * value)
+            label: None if name in self.unseen else float(factor * value)
             for name, (label, factor), value in zip(names, labels, self.theta_hat)
         }
 
