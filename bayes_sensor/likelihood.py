@@ -103,6 +103,16 @@ class Prior:
                 density = -np.log(positive * log(self.b / self.a))
         return np.where(inside, density, -np.inf)
 
+    def scaled(self, factor: float) -> Prior:
+        """The law of ``factor`` (positive) times the parameter.
+
+        >>> Prior("uniform", 0.0, 60.0).scaled(0.5), Prior("log_normal", 4.0, 1.5).scaled(0.5).b
+        (Prior(kind='uniform', a=0.0, b=30.0), 1.5)
+        """
+        if self.kind in ("half_normal", "log_normal"):
+            return replace(self, a=factor * self.a)
+        return replace(self, a=factor * self.a, b=factor * self.b)
+
     @cached_property
     def law(self) -> Any:
         """The same law as a frozen ``scipy.stats`` distribution; None for ``flat``."""
@@ -391,10 +401,7 @@ class Problem:
         shortest, longest, volume = (self.priors[name] for name in SHARED)
         if self.flow is None:
             return shortest, longest
-        middle = volume
-        if volume.kind == "half_normal":
-            middle = Prior("half_normal", volume.a / self.flow)
-        return shortest, middle, longest
+        return shortest, volume.scaled(1.0 / self.flow), longest
 
     def prior_of_tau(self, theta: FloatArray) -> Prior:
         """The prior law of the sensor's lag at ``theta`` (n_theta,), which is by name: what is

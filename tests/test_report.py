@@ -206,7 +206,8 @@ def test_a_newcomer_is_told_what_tau_is_and_why_the_bound_misleads(
         residuals={**saved.residuals, "ar1": {"phi": 0.8}},
         gap=found,
     )  # fmt: skip
-    what, limit, why, model = remarks(saved)
+    what, chain, limit, why, model = remarks(saved)
+    assert "the whole chain" in chain.text.lower()
     assert "63 %" in what.text and "upper limit" in limit.text and "57 ms" in limit.text
     assert "neighbours are alike (φ = 0.80)" in why.text and "steps of 1 %" in why.text
     assert "The classical Cramér-Rao bound alone" in why.text

@@ -146,7 +146,9 @@ def test_at_one_flow_the_prior_of_the_middle_lag_is_one_of_time() -> None:
     one = replace(design, experiments=(first,))
     problem = Problem(one)
     vector = problem.flat({**theta, "V_mL": 0.1 * first.total_flow})
-    assert problem.prior_of_tau(vector) == problem.priors["tau_s"]  # all have one law
+    found, wanted = problem.prior_of_tau(vector), problem.priors["tau_s"]  # all have one law
+    assert found.kind == wanted.kind
+    assert (found.a, found.b) == pytest.approx((wanted.a, wanted.b), rel=1e-12)
 
 
 # --- studies

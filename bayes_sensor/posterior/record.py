@@ -362,7 +362,7 @@ class Posterior:
             for name, place in zip(LAG_NAMES[self.naming.n_lags], shown, strict=True):
                 law = priors[place]
                 if place == "V_mL" and flow is not None:
-                    law = Prior(law.kind, law.a / flow, law.b / flow)
+                    law = law.scaled(1.0 / flow)
                 found[name] = str(law)
             if flow is None:
                 found["V_mL"] = str(priors["V_mL"])
@@ -393,12 +393,7 @@ class Posterior:
 
     def _tau_at(self, place: int, sensor_is: str) -> list[dict[str, Any]]:
         """Rows of :meth:`tau_under_priors` if the sensor is the lag at this place."""
-        own = self.layout.names
-        flow = self.problem.flow
-        name = own[place] if flow is None else (own[0], own[2], own[1])[place]
-        current = self.problem.priors[name]
-        if name == "V_mL" and flow is not None:
-            current = Prior(current.kind, current.a / flow, current.b / flow)
+        current = self.problem.lag_priors[place]
         usual = current
         if current.kind != "half_normal":
             usual = default_priors(self.problem.campaign, self.layout)["tau_s"]
