@@ -195,7 +195,10 @@ def _beside(
         if flow is not None:
             factor = (1.0 / flow if position == 2 else 1.0) * (flow if name == "V_mL" else 1.0)
     value, sd = float(estimates.mean[position]), sqrt(float(estimates.cov[position, position]))
-    if position == 0:  # compared in the square, where a lag near zero is nearly Gaussian
+    longest = place is None or position == 1
+    if not longest:  # compared in the square, where a lag near zero is nearly Gaussian
+        if position == 2:
+            value, sd = value**2, 2.0 * value * sd
         own = law.a / factor
         joint = sqrt(sd**2 + (2.0 * own * law.b / factor) ** 2)
         distance = abs(value - own**2) / joint

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 NEAR_EQUAL, MAY_BE_EQUAL = 0.8, 0.025
 """ratio of two lags that counts as equal, and the probability of it that is worth a warning"""
+NEVER = 1e-6
+"""probability below which nothing is said of an assignment of names"""
 MOST_TIMES = 2000
 """draws from which response times are summarised"""
 QUANTILES = (0.5, 2.5, 16.0, 50.0, 84.0, 97.5, 99.5)
@@ -250,7 +252,7 @@ class Posterior:
             weights = self.shares[:, members]
             probability = float(weights.sum() / len(self.draws))
             # of the draws, each with the weight of this sensor; of all where that is nil
-            if probability < 1e-6:
+            if probability <= NEVER:
                 weights = np.full(weights.shape, 1.0 / weights.size)
             valve = np.concatenate([self.lags[:, choices[j].valve] for j in members])
             w = weights.sum(axis=1)
@@ -387,7 +389,8 @@ class Posterior:
 
         rows = []
         for assignment in self.assignments:
-            if self.naming.place("sensor") in (None, assignment["lag"]):
+            stated = self.naming.place("sensor") in (None, assignment["lag"])
+            if stated and assignment["probability"] > NEVER:
                 rows += self._tau_at(assignment["lag"], assignment["sensor_is"])
         return pd.DataFrame(rows)
 

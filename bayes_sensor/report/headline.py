@@ -165,11 +165,11 @@ def _of_lags(posterior: Mapping[str, Any]) -> str:
         return f"tau is either {', or '.join(each)}: {SAY_WHICH}"
     other = upper_words(lags[n_limits - 1]["q95"])
     if len(seen) == 1:
-        rest = "it" if n_limits == 1 else "they"
+        own = shares.get(len(lags) - 1, 0.0)
         return (
-            f"one lag of {words[0]}; any other is shorter than {other} (95 %); that lag is the "
-            f"sensor's with {100.0 * shares.get(len(lags) - 1, 0.0):.0f} %, if it is not, {rest} "
-            f"may be: {SAY_WHICH}"
+            f"one lag of {words[0]}; any other is shorter than {other} (95 %); the sensor's is the "
+            f"long one with {100.0 * own:.0f} %, a short one with {100.0 * (1.0 - own):.0f} %: "
+            f"{SAY_WHICH}"
         )
     each = [f"{text}{share(n_limits + i)}" for i, text in enumerate(words)]
     return (
