@@ -250,8 +250,8 @@ def test_json_and_report_say_it() -> None:
     assert saved["misfit"] == fit.misfit and saved["noise_V"] == fit.noise
     assert set(saved["misfit_per_experiment"]) == {"a", "b"}
     results = SimpleNamespace(
-        fit=saved, posterior=None, bounds=None, residuals=None, run={"commands": {}, "last": "fit"}, missed=0,
-        campaign={"experiments": ["a", "b"], "remarks": []},
+        fit=saved, posterior=None, bounds=None, residuals=None, run={"commands": {}, "last": "fit"},
+        missed=0, campaign={"experiments": ["a", "b"], "remarks": []},
     )  # fmt: skip
     shown = alerts(results)  # type: ignore[arg-type]
     assert shown[0][0] == "bad" and "times its noise" in shown[0][1]
