@@ -19,7 +19,6 @@ import hashlib
 import io
 import json
 import logging
-import os
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -32,6 +31,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.disk import write_bytes
 from bayes_sensor.likelihood import Problem, log_priors, simulate
 from bayes_sensor.posterior import SAMPLERS, Posterior, Settings, sample_posterior
 from bayes_sensor.workers import WorkerDied, completed, dask_client
@@ -454,7 +454,7 @@ def run_chunks(
                 continue  # said when all others are done and kept
             buffer = io.BytesIO()
             np.savez_compressed(buffer, **result)
-            _write(_file(folder, span), buffer.getvalue())
+            write_bytes(_file(folder, span), buffer.getvalue())
             parts[span] = result
             done += span[1] - span[0]
             tell(done, n)
@@ -503,7 +503,7 @@ def _claim(folder: Path, settings: dict[str, Any]) -> None:
                 "%s: %d finished parts are of other %s and are not used; all is computed anew",
                 folder, len(parts), "settings" if code == settings["code"] else "code",
             )  # fmt: skip
-        _write(marker, json.dumps(settings).encode())
+        write_bytes(marker, json.dumps(settings).encode())
 
 
 def _load(path: Path) -> dict[str, np.ndarray] | None:
@@ -522,9 +522,3 @@ def _run(task: Task, span: tuple[int, int]) -> dict[str, np.ndarray]:
 
 def _file(folder: Path, span: tuple[int, int]) -> Path:
     return folder / f"chunk-{span[0]:06d}-{span[1]:06d}.npz"
-
-
-def _write(path: Path, content: bytes) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_bytes(content)
-    os.replace(temporary, path)

@@ -182,6 +182,12 @@ class Experiment:
             )
         return self.y
 
+    @property
+    def rounding(self) -> float:
+        """V, what a float as large as the largest used sample is rounded to; of 1 V where all
+        samples are zero."""
+        return float(np.finfo(float).eps * (np.abs(self.values[self.used]).max() or 1.0))
+
     @cached_property
     def runs(self) -> NDArray[np.int64]:
         """(n_runs, 2) start and end (exclusive) index of each stretch of used samples."""
@@ -268,6 +274,11 @@ class Campaign:
     def is_design(self) -> bool:
         """Whether any experiment has no data yet."""
         return any(experiment.y is None for experiment in self.experiments)
+
+    @cached_property
+    def rounding(self) -> float:
+        """V, the largest :attr:`Experiment.rounding`: no noise is told below it."""
+        return max(experiment.rounding for experiment in self.experiments)
 
     @cached_property
     def reference_interval(self) -> float:

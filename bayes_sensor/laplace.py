@@ -104,6 +104,15 @@ class Coordinates:
         y0, beta = self._where("y0_V"), self._where("beta_V")
         return np.stack([y0, beta], axis=1)
 
+    def signs(self, theta: FloatArray) -> FloatArray:
+        """(n_psi,) the sign of each experiment's step at its y0 and beta, 1 elsewhere.
+
+        Random numbers times this give draws of a signal upside down that are upside down.
+        """
+        signs = np.ones(len(self.names))
+        signs[self.linear] = np.where(theta[self.free[self.linear[:, 1:]]] < 0.0, -1.0, 1.0)
+        return signs
+
     def psi(self, thetas: FloatArray) -> FloatArray:
         """(.., n_psi) coordinates of ``thetas`` (.., n_theta)."""
         psi = np.array(thetas, dtype=float)[..., self.free]
@@ -148,7 +157,9 @@ class Coordinates:
         """(n_psi, n_psi) derivatives of the varying theta by psi at one theta (n_theta,)."""
         values = theta[self.free]
         diagonal = np.ones(len(values))
-        diagonal[self.squared] = 0.5 / np.maximum(values[self.squared], 1e-12)
+        # a root has no slope at zero: a time of almost nothing, a sigma1 of almost no sigma0
+        least = np.where(self.squared == 0, 1e-12, 1e-12 * values[self.sigma0].min())
+        diagonal[self.squared] = 0.5 / np.maximum(values[self.squared], least)
         diagonal[self.phi] = 1.0 - values[self.phi] ** 2
         diagonal[self.sigma0] = values[self.sigma0]
         diagonal[self.logs] = values[self.logs]
@@ -272,7 +283,7 @@ class Laplace:
                 log_q += -0.5 * (z[:, j:] ** 2).sum(axis=1)
                 log_q -= 0.5 * (n_psi - j) * log(2 * pi) + np.log(np.diag(L)[j:]).sum()
                 break
-        psi[:, order] = self.mean[order] + z @ L.T
+        psi[:, order] = self.mean[order] + (z * self.coordinates.signs(self.theta)[order]) @ L.T
         return self.coordinates.theta(psi), log_q
 
 
@@ -345,7 +356,9 @@ def approximate(
         held = ((psi <= low + near) & (g < 0.0)) | ((psi >= high - near) & (g > 0.0))
         step = np.zeros(len(psi))
         move = np.flatnonzero(~held)
-        step[move] = np.linalg.solve(info[np.ix_(move, move)], g[move])
+        spread = 1.0 / np.sqrt(np.diag(info)[move])  # parameters have units of their own
+        scaled = info[np.ix_(move, move)] * np.outer(spread, spread)
+        step[move] = spread * np.linalg.solve(scaled, spread * g[move])
         expected = float(g @ step)
         if expected < 1e-6:
             converged = True
@@ -478,8 +491,8 @@ def _expand(
     # the observed Hessian is the better Gaussian; far from the maximum it may not be positive, and
     # where a step leaves what can be evaluated it is none
     observed = np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled).min() > 1e-4
-    precision = hessian if observed else info
-    cov = np.linalg.inv(precision)
+    precision = scaled if observed else info / np.outer(scale, scale)
+    cov = np.linalg.inv(precision) / np.outer(scale, scale)
     return psi + cov @ gradient(psi), 0.5 * (cov + cov.T)
 
 

@@ -144,6 +144,8 @@ KINDS = ("flat", "normal", "half_normal", "log_normal", "uniform", "log_uniform"
 # (9 L/min) takes from 10 to 90 %; another rig's scale follows in proportion.
 TAU_PRIOR_SCALE = 0.200
 PUBLISHED_TIMES = (0.0481, 0.8577, 0.05823 / 0.15)
+MOST_RISES = 10.0
+"""fastest rises up to which a lag of unknown name is looked for"""
 FEWEST_OF_RISE = 16
 """samples of a step from which its rise may be read off"""
 
@@ -182,11 +184,8 @@ def fastest_rise(campaign: Campaign) -> float:
     return min(times) if times else published_rise_time()
 
 
-def longest_lag_expected(campaign: Campaign) -> float:
-    """s, to one digit, the scale of a lag of unknown name: the fastest rise that is seen.
-
-    No lag is longer than half of it.  Where no step can be seen, the longest step commanded.
-    """
+def usual_rise(campaign: Campaign) -> float:
+    """s, to one digit: the fastest rise that is seen, or the longest step where none is."""
     seen = [found for e in campaign if e.y is not None and (found := _measured_rise(e))]
     if seen:
         scale = fastest_rise(campaign)
@@ -224,7 +223,9 @@ def _measured_rise(e: Experiment) -> tuple[float, float] | None:
     return None if rise is None else (abs(high - low), max(rise, n_bin * e.interval))
 
 
-def default_priors(campaign: Campaign, layout: Layout) -> dict[str, Prior]:
+def default_priors(
+    campaign: Campaign, layout: Layout, shortest_is_tau: bool | None = None
+) -> dict[str, Prior]:
     """Weakly informative priors for every parameter of a campaign, by flat name.
 
     theta holds lags by size (:mod:`bayes_sensor.lags`): ``tau_s`` is the name of the shortest lag's
@@ -236,7 +237,7 @@ def default_priors(campaign: Campaign, layout: Layout) -> dict[str, Prior]:
       choice matters near zero; see the prior table in the report.  Where flows differ ``tau_v`` is
       log-normal around a third of the fastest rise, sd 1.5 in the logarithm.
     * All other lags that may be exchanged have one law, so that no prior decides which is which:
-      half-normal, as wide as the fastest rise.
+      uniform up to ten times the fastest rise.
     * ``V``, where flows tell it: log-normal around the volume that flow would fill in a third of
       the rise, sd 1.5.
     * ``t0``, ``tf``: uniform from the commanded time (nothing happens before the command) to the
@@ -246,24 +247,29 @@ def default_priors(campaign: Campaign, layout: Layout) -> dict[str, Prior]:
     * ``sigma0``, ``sigma1``: half-normal, ten times the campaign's sample-to-sample scatter.
 
     Side information and priors that the user gives come on top (:attr:`Problem.priors`).
+    ``shortest_is_tau``: whether the shortest lag is the sensor's for sure; default as the campaign
+    says.
     """
+    if shortest_is_tau is None:
+        shortest_is_tau = campaign.sensor_is == "faster"
     rise = fastest_rise(campaign)
     scale = TAU_PRIOR_SCALE * rise / published_rise_time()
     scale = float(f"{scale:.0e}")
     flow = float(np.median([e.total_flow for e in campaign]))
-    scatter = max([1e-9, *(_scatter(e) for e in campaign if e.y is not None)])
+    measured = [e for e in campaign if e.y is not None]
+    scatter = max((max(_scatter(e), e.rounding) for e in measured), default=1e-9)
     priors: dict[str, Prior] = {
         "tau_s": Prior("half_normal", scale),
         "tau_v_s": Prior("log_normal", rise / 3.0, 1.5),
         "V_mL": Prior("log_normal", flow * rise / 3.0, 1.5),
     }
-    if campaign.same_flow or campaign.sensor_is != "faster":
-        any_lag = Prior("half_normal", longest_lag_expected(campaign))
-        priors["tau_v_s"] = any_lag
-        if campaign.sensor_is != "faster":
-            priors["tau_s"] = any_lag
+    if campaign.same_flow or not shortest_is_tau:
+        most = MOST_RISES * usual_rise(campaign)
+        priors["tau_v_s"] = Prior("uniform", 0.0, most)
+        if not shortest_is_tau:
+            priors["tau_s"] = Prior("uniform", 0.0, most)
         if campaign.same_flow:
-            priors["V_mL"] = Prior("half_normal", any_lag.a * flow)
+            priors["V_mL"] = Prior("uniform", 0.0, most * flow)
     for e in campaign:
         priors[f"y0_V[{e.name}]"] = Prior("flat")
         priors[f"beta_V[{e.name}]"] = Prior("flat")
@@ -345,9 +351,9 @@ class Problem:
     def priors(self) -> dict[str, Prior]:
         """The prior law of every place in theta, by flat name.
 
-        Lags stand in theta by size (see :func:`default_priors`).  Where only one assignment of
-        names to them is possible, what is known by name replaces the law of its place; where there
-        are several, it weighs them (:attr:`name_factors`) and the laws here stay as they are.
+        Lags stand in theta by size (see :func:`default_priors`).  What is known by name replaces
+        the law of its place where all possible assignments of names agree on that; where they do
+        not it weighs them (:attr:`name_factors`), and the laws of the places stay as they are.
 
         Raises CampaignError where one is given for a name that no parameter has.
         """
@@ -359,31 +365,39 @@ class Problem:
             kind = name.split("[")[0]
             if kind in given:
                 given.setdefault(name, given[kind])
-        known = self.named_laws
-        if self.flow is None and "V_mL" in known:
-            given["V_mL"] = known["V_mL"]
-        if len(self.assignments) == 1:
-            (only,) = self.assignments
-            for name, place in (("tau_s", only.sensor), ("tau_v_s", only.valve)):
-                if name in known:
-                    given[SHARED[place]] = known[name]
-        return {**default_priors(self.campaign, self.layout), **given}
+        settled = self._settled
+        for name, law in self.named_laws.items():
+            if name in settled:
+                given[SHARED[settled[name]]] = law
+        faster = self.campaign.sensor_is == "faster" and settled.get("tau_s") == 0
+        return {**default_priors(self.campaign, self.layout, faster), **given}
+
+    @cached_property
+    def _settled(self) -> dict[str, int]:
+        """Place in theta of tau, tau_v and V, where it is the same in all assignments."""
+        found = {}
+        for name, role in (("tau_s", "sensor"), ("tau_v_s", "valve"), ("V_mL", "manifold")):
+            places = {getattr(choice, role) for choice in self.assignments}
+            if len(places) == 1:
+                (place,) = places
+                # the lags' places in theta, shortest first; V where flows tell it
+                of_lags = (0, 1) if self.flow is None else (0, 2, 1)
+                found[name] = 2 if place is None else of_lags[place]
+        return found
 
     @cached_property
     def name_factors(self) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
-        """What is known by name, as factors of the prior of every assignment.
+        """What is known by name and weighs the assignments, as factors of the prior.
 
         The law of factor ``j`` under assignment ``a`` is ``KINDS[kind[j]]`` with ``numbers[j]``, at
         ``theta[place[a, j]] * scale[a, j]``: place (n_assignments, n_factors), kind (n_factors,),
         numbers (n_factors, 2), scale (n_assignments, n_factors).  The prior is the mean over the
-        assignments of their products.  No factors where one assignment is possible, or nothing is
-        known by name.
+        assignments of their products, on top of the uniform law that all lags have.
         """
-        several = len(self.assignments) > 1
         names = [
             name
             for name, law in self.named_laws.items()
-            if several and (name != "V_mL" or self.flow is not None) and law.kind != "flat"
+            if name not in self._settled and law.kind != "flat"
         ]
         # the places of the lags in theta, shortest first, and what makes a lag of their values
         places = (0, 1) if self.flow is None else (0, 2, 1)
@@ -555,12 +569,16 @@ def log_prior_derivatives(problem: Problem, theta: FloatArray) -> tuple[FloatArr
         weights = problem.log_weights(theta)
         with np.errstate(invalid="ignore"):  # where none is possible the prior is zero anyway
             share = np.exp(weights - np.logaddexp.reduce(weights))
-        slope, curve = np.zeros(len(kind)), np.zeros(len(kind))
+        slopes, curves = np.zeros((2, len(weights), len(theta)))
         for a in np.flatnonzero(share > 0.0):
-            slope[:], curve[:] = 0.0, 0.0
+            slope, curve = np.zeros(len(kind)), np.zeros(len(kind))
             _prior_derivatives(theta[place[a]] * scale[a], kind, numbers, slope, curve)
-            np.add.at(first, place[a], share[a] * slope * scale[a])
-            np.add.at(second, place[a], share[a] * curve * scale[a] ** 2)
+            np.add.at(slopes[a], place[a], slope * scale[a])
+            np.add.at(curves[a], place[a], curve * scale[a] ** 2)
+        mean = share @ slopes
+        first += mean
+        # the mixture is flatter than its parts by the spread of their slopes
+        second += np.maximum(share @ curves - (share @ slopes**2 - mean**2), 0.0)
     return first, second
 
 
@@ -697,14 +715,16 @@ def _log_density(
             rest = 1.0 - across * across
             e = z - across * last
             total += e * e / rest + log(rest)
-        product = s2[a]
+        product = 1.0
         squares = 0.0
+        unit = 1.0 / s2[a]  # of the variance, whatever the volts are
+        total -= (b - a) * log(unit)
         for i in range(a + 1, b):
             z_next = (y[i] - m[i]) / sqrt(s2[i])
             e = z_next - phi * z
             squares += e * e
             z = z_next
-            product *= s2[i]
+            product *= s2[i] * unit
             # products leave the range of doubles long after 8 factors of any sensible variance
             if (i - a) & 7 == 0:
                 total += log(product)
@@ -743,8 +763,12 @@ def experiment_log_likelihood(
     if noise is None:
         return -np.inf
     phi, phi_reference, _, _ = noise
-    mean, s2 = mean_and_variance(problem, vector, k)
     values, steps = e.values if y is None else y, problem.steps(e)
+    if is_affine(problem):  # from its own level a signal far from zero keeps its digits
+        i_y0 = problem.layout.local[k, 0]
+        values, vector = values - vector[i_y0], vector.copy()
+        vector[i_y0] = 0.0
+    mean, s2 = mean_and_variance(problem, vector, k)
     return float(_log_density(values, mean, s2, e.runs, phi, phi_reference, steps))
 
 

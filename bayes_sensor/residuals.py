@@ -9,7 +9,7 @@ enough about the slow part, which is what widens intervals.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import log, sqrt
 from typing import Any, Protocol
 
 import numpy as np
@@ -338,12 +338,24 @@ def _breusch_pagan(series: list[_Series]) -> dict[str, Any]:
     }
 
 
+def _round_near(value: float) -> float:
+    """The nearest of 1, 2 and 5 times the powers of ten.
+
+    >>> _round_near(0.0502), _round_near(8e-13)
+    (0.05, 1e-12)
+    """
+    k = int(np.floor(np.log10(value)))
+    near = [float(f"{digit}e{power}") for power in (k, k + 1) for digit in (1, 2, 5)]
+    return min(near, key=lambda width: abs(log(width / value)))
+
+
 def _histogram(r: FloatArray) -> dict[str, Any]:
-    """Counts in 0.05 V bins, or in a width that suits a signal of another size."""
+    """Counts in bins of 1, 2 or 5 times a power of ten, the nearest to three quarters of the
+    spread: 0.05 V in the paper's data."""
     spread = float(np.std(r))
-    width, note = HISTOGRAM_BIN, f"bins of {HISTOGRAM_BIN:g} as in the paper"
-    if spread > 0.0 and not spread / 8.0 < HISTOGRAM_BIN < 2.0 * spread:
-        width = float(f"{spread / 1.3:.0e}")
+    width = _round_near(spread / 1.3) if spread > 0.0 else HISTOGRAM_BIN
+    note = f"bins of {width:g} as in the paper"
+    if width != HISTOGRAM_BIN:
         note = (
             f"bins of {width:g}: the paper's {HISTOGRAM_BIN:g} does not suit a spread of "
             f"{spread:.3g}"

@@ -7,11 +7,14 @@ stretches, which looks the same as all samples and stays small.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
+import logging
 import os
 import platform
 import shutil
+import stat
 import sys
 import tempfile
 import time
@@ -29,17 +32,27 @@ import numpy as np
 
 from bayes_sensor import __version__
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.disk import own_folder, remove, remove_links, replacing, write_bytes, write_text
 from bayes_sensor.likelihood import Problem, as_problem, mean_and_variance
 from bayes_sensor.model import local_parameters
 
 LOCK, RUN = ".lock", "run.json"
 STAGE, COMPLETE, OLD, DROP = ".stage-", ".complete", ".old-", ".drop.json"
 """of a run's results: being written; complete, about to be moved; replaced; names to remove"""
+VOID = (
+    "posterior_without_effects.json", "predictive.json", "gap.json", "gap_where.csv",
+    "gap_which.csv", "report.html", "fleet.svg", "fleet.png", "next.toml", "next_truth.json",
+)  # fmt: skip
+"""earlier results that a run may make void: nothing else is ever removed by name"""
+FOLDERS = ("figures", "campaigns", "sealed", "verdicts")
+"""folders among results: no other is ever moved or replaced"""
 BINS_WHOLE = 600
 """stretches of an envelope over a whole record"""
 BINS_SWITCH = 260
 """stretches of an envelope around a switch"""
 RUN_VERSION = 1
+
+LOG = logging.getLogger(__name__)
 
 try:
     import fcntl
@@ -77,17 +90,6 @@ def plain(value: Any, where: str = "result") -> Any:
 def json_text(content: Any) -> str:
     """UTF-8 text of a result, with a closing line feed."""
     return json.dumps(plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write under a temporary name beside ``path``, then rename: the name never holds a half."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def write_json(path: str | os.PathLike[str], content: Any) -> None:
@@ -270,14 +272,8 @@ def save_traces(path: str | os.PathLike[str], traces: Sequence[Trace]) -> None:
                 arrays[f"{k}_{part}"] = table.astype(np.float32)
     text = json.dumps(plain(facts), allow_nan=False)
     arrays["facts"] = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with temporary.open("wb") as stream:
-            np.savez_compressed(stream, **arrays)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as new, new.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)
 
 
 def load_traces(path: str | os.PathLike[str]) -> list[Trace]:
@@ -376,7 +372,7 @@ class Stage:
     inside: Path
     """a folder in it, of the same file system, removed at the end"""
     drop: list[str] = field(default_factory=list)
-    """names of earlier results that the new ones make void"""
+    """names of earlier results that the new ones make void, of :data:`VOID`"""
 
     def json(self, name: str, content: Any) -> None:
         """Put a JSON result."""
@@ -386,9 +382,21 @@ class Stage:
         """Put a text file."""
         write_text(self.inside / name, content)
 
+    def binary(self, name: str, content: bytes) -> None:
+        """Put a file, such as a picture."""
+        write_bytes(self.inside / name, content)
+
     def path(self, name: str) -> Path:
         """Where another writer shall put ``name``."""
         return self.inside / name
+
+    def complete(self) -> None:
+        """Write down what to remove; ValueError for what no run may replace or remove."""
+        folders = {p.name for p in self.inside.iterdir() if p.is_dir()}
+        if unknown := sorted({*self.drop} - {*VOID} | folders - {*FOLDERS}):
+            raise ValueError(f"{', '.join(unknown)}: not in VOID or FOLDERS of results.py; add it")
+        if self.drop:
+            write_json(self.inside / DROP, self.drop)
 
 
 class Results:
@@ -415,6 +423,10 @@ class Results:
     def path(self, name: str) -> Path:
         """The path of a result."""
         return self.folder / name
+
+    def own_folder(self, name: str) -> Path:
+        """The path of a folder inside; CampaignError where a link stands in its place."""
+        return own_folder(self.folder / name)
 
     @contextmanager
     def locked(self, patience: float = 0.0) -> Iterator[None]:
@@ -471,35 +483,57 @@ class Results:
         stage = Stage(self.folder, inside)
         try:
             yield stage
-            if stage.drop:
-                write_json(inside / DROP, stage.drop)
+            stage.complete()
             os.replace(inside, self.folder / COMPLETE)
             self._put_in_place()
         finally:
             shutil.rmtree(inside, ignore_errors=True)
 
     def _put_in_place(self) -> None:
-        """Move what stands on a complete stage to its place; clear what a killed run left."""
+        """Move what stands on a complete stage to its place; clear what a killed run left.
+
+        The folder may be a stranger's.  Links are not followed; a folder is replaced only where it
+        is one of :data:`FOLDERS`, a file removed only where it is one of :data:`VOID`.
+        """
         for rest in (*self.folder.glob(f"{STAGE}*"), *self.folder.glob(f"{OLD}*")):
-            shutil.rmtree(rest, ignore_errors=True)
+            if rest.is_dir() and not rest.is_symlink():
+                remove(rest)
         complete = self.folder / COMPLETE
+        if complete.is_symlink():
+            complete.unlink()
         if not complete.is_dir():
             return
-        sources = [p for p in complete.iterdir() if p.name != DROP]
-        for source in sorted(p for p in sources if p.is_dir()):
+        remove_links(complete)
+        sources = sorted(p for p in complete.iterdir() if not p.name.startswith("."))
+        for source in (p for p in sources if p.name in FOLDERS and p.is_dir()):
             target = self.folder / source.name
-            old = self.folder / f"{OLD}{source.name}"
-            if target.exists():
-                os.replace(target, old)
-            os.replace(source, target)
-            shutil.rmtree(old, ignore_errors=True)
+            if target.is_dir() and not target.is_symlink():
+                old = Path(tempfile.mkdtemp(prefix=OLD, dir=self.folder))
+                os.replace(target, old / source.name)
+                os.replace(source, target)
+                remove(old)
+            else:
+                target.unlink(missing_ok=True)
+                os.replace(source, target)
         # run.json last: it speaks of what is there
         for source in sorted((p for p in sources if p.is_file()), key=lambda p: p.name == RUN):
             os.replace(source, self.folder / source.name)
-        if (complete / DROP).is_file():
-            for name in read_json(complete / DROP):
-                (self.folder / name).unlink(missing_ok=True)
-        shutil.rmtree(complete)
+        for void in (self.folder / name for name in _void(complete / DROP)):
+            if void.is_file() or void.is_symlink():
+                void.unlink()
+        remove(complete)
+
+
+def _void(path: Path) -> list[str]:
+    """The names in a list of what to remove; those that are not in :data:`VOID` are left out."""
+    if not path.is_file():
+        return []
+    try:
+        listed = read_json(path)
+    except CampaignError as error:  # cut off by a power failure: nobody can mend it
+        LOG.warning("earlier results that were to be removed may still be there: %s", error)
+        return []
+    return [name for name in VOID if isinstance(listed, list) and name in listed]
 
 
 class Lock:
@@ -511,7 +545,7 @@ class Lock:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.handle: IO[str] | None = path.open("a+", encoding="utf-8")
+        self.handle: IO[str] | None = _open_lock(path)
         self.advice = ""
         try:
             self.held = self._take()
@@ -579,6 +613,33 @@ class Lock:
             self.path.unlink(missing_ok=True)
         self.handle.close()
         self.handle = None
+
+
+def _open_lock(path: Path) -> IO[str]:
+    """A lock file open for appending; CampaignError where writing to it would change another."""
+    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT
+    for name in ("O_NOFOLLOW", "O_NONBLOCK"):  # Windows has neither
+        flags |= getattr(os, name, 0)
+    found = ""
+    try:
+        descriptor = os.open(path, flags, 0o666)
+    except OSError as error:
+        if error.errno != errno.ELOOP:
+            raise
+        found = f"a symbolic link to {os.readlink(path)}"
+    else:
+        state = os.fstat(descriptor)
+        if not stat.S_ISREG(state.st_mode):
+            found = "not a regular file"
+        elif state.st_nlink > 1:
+            found = "a hard link to another file"
+        if not found:
+            return os.fdopen(descriptor, "a+", encoding="utf-8")
+        os.close(descriptor)
+    raise CampaignError(
+        f"{path}: expected the lock file of a run, but it is {found}, and a lock is written to no "
+        "file but its own; remove it"
+    )
 
 
 def _alive(pid: int) -> bool:

@@ -21,6 +21,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.disk import replacing
 from bayes_sensor.likelihood import Problem, as_problem, mean_and_variance
 
 FRACTION = 16.0
@@ -217,14 +218,8 @@ def save_samples(path: str | os.PathLike[str], samples: Sequence[Samples]) -> No
         arrays[f"{k}_model"] = each.model
     text = json.dumps(facts, allow_nan=False)
     arrays["facts"] = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with temporary.open("wb") as stream:
-            np.savez_compressed(stream, **arrays)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as new, new.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)
 
 
 def load_samples(path: str | os.PathLike[str]) -> list[Samples]:

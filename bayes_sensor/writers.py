@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.disk import write_bytes
 
 FORMATS = ("csv", "picoscope-csv", "mat", "npz")
 """what :func:`write_campaign` can write"""
@@ -138,7 +139,7 @@ def write_csv(
         ``,`` ``;`` or tab, and ``.`` or ``,`` (not both commas).
     digits
         Significant digits; more for the first column where its steps need them, as the seconds
-        since an epoch do.
+        since an epoch do, and for others that are far from zero.
     """
     if separator == decimal:
         raise CampaignError(
@@ -147,7 +148,10 @@ def write_csv(
         )
     values = [np.asarray(column) for column in columns.values()]
     pattern = separator.join(
-        [f"%.{max(digits, _digits(values[0]))}g", *[f"%.{digits}g"] * (len(values) - 1)]
+        [
+            f"%.{max(digits, _digits(values[0]))}g",
+            *(f"%.{digits + _far_from_zero(column)}g" for column in values[1:]),
+        ]
     )
     rows = _rows(pattern + "\n", values)
     if decimal != ".":
@@ -338,6 +342,18 @@ def _quoted(text: str) -> str:
     return '"' + re.sub(r"[\x00-\x1f\x7f]", lambda m: f"\\u{ord(m[0]):04x}", escaped) + '"'
 
 
+def _far_from_zero(y: FloatArray) -> int:
+    """Digits that all values (n,) share, about; no more than any float has.
+
+    >>> _far_from_zero(np.array([1.5e6, 1.5e6 + 1.5])), _far_from_zero(np.array([0.3, 1.8]))
+    (6, 0)
+    """
+    spread, largest = float(np.ptp(y)), float(np.abs(y).max())
+    if not 0.0 < spread < largest < np.inf:
+        return 0
+    return min(int(np.floor(np.log10(largest / spread))), 8)
+
+
 def _digits(t: FloatArray) -> int:
     """Significant digits that tell hundredths of the steps of ``t`` (n,); 17 hold any float."""
     steps = np.abs(np.diff(t))
@@ -355,16 +371,9 @@ def _rows(pattern: str, columns: Sequence[FloatArray]) -> str:
 
 
 def _write(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write to a neighbour and rename, so that no half-written file has the name."""
-    path = Path(path)
-    neighbour = path.with_name(f".{path.name}.{os.getpid()}.part")
+    """Write a file whole; CampaignError where that cannot be."""
     try:
-        try:
-            neighbour.write_bytes(content)
-            os.replace(neighbour, path)
-        except BaseException:
-            neighbour.unlink(missing_ok=True)
-            raise
+        write_bytes(path, content)
     except OSError as error:
         raise CampaignError(
             f"{path}: cannot be written ({error.strerror}); check the folder, its permissions and "

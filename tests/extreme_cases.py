@@ -202,7 +202,7 @@ def ask(
     fit = fit_least_squares(problem, seed=seed, swarms=1, particles=6, euler=False)
     told = Told(fit)
     # that tau is an upper limit is an answer, not a doubt
-    doubts = [text for text in fit.warnings if not text.startswith("tau is at its lower bound")]
+    doubts = [text for text in fit.warnings if not text.startswith("tau is too small")]
     said = bool(doubts) or not fit.converged
     try:
         told.posterior = posterior = sample_posterior(problem, fit, seed, sampler, settings)
@@ -217,7 +217,10 @@ def ask(
     try:
         bounds = compare_bounds(problem, fit, None, METHODS, seed, n_resamples=n_resamples)
         for name, bound in bounds.methods.items():
-            told.intervals[name] = np.array([bound.interval(p) for p in SHARED])
+            # a lag that is nobody's for sure has no name, and the names no value
+            told.intervals[name] = np.array(
+                [bound.interval(p) if p in bound.names else (np.nan, np.nan) for p in SHARED]
+            )
             rest = [part for part in bound.status.split("; ") if not ordinary(part)]
             told.warned[name] = said or bool(rest)
     except CampaignError as error:

@@ -109,10 +109,10 @@ def test_results_are_old_or_new_wherever_the_run_ends(
                 stage.json(name, text)
             stage.path("figures").mkdir()
             (stage.path("figures") / f"{text}.svg").write_text(text)
-            stage.drop.append("c.json")
+            stage.drop.append("gap.json")
 
     save("old")
-    (folder.folder / "c.json").write_text('"old"')
+    (folder.folder / "gap.json").write_text('"old"')
     replace, done = os.replace, 0
 
     def stops(source: Any, target: Any) -> None:
@@ -131,10 +131,10 @@ def test_results_are_old_or_new_wherever_the_run_ends(
             pass
     with folder.locked():  # whoever comes next
         pass
-    found = {n: folder.json(n) for n in ("a.json", "b.json", "run.json", "c.json")}
+    found = {n: folder.json(n) for n in ("a.json", "b.json", "run.json", "gap.json")}
     expected = "old" if moves == 0 else "new"  # the first move makes the stage complete
     assert found == {"a.json": expected, "b.json": expected, "run.json": expected,
-                     "c.json": "old" if moves == 0 else None}  # fmt: skip
+                     "gap.json": "old" if moves == 0 else None}  # fmt: skip
     assert [p.name for p in folder.path("figures").iterdir()] == [f"{expected}.svg"]
     assert not [p.name for p in folder.folder.iterdir() if p.name.startswith(".")]
 

@@ -189,7 +189,10 @@ def test_reduced_rows_keep_the_normal_equations(measured):
     points = averages(measured, [first_look(e) for e in measured], 40, 150)
     squares = Squares(problem, points, straight=False)
     theta = problem.layout.flat(truth(measured))[: problem.layout.n_mean] * 1.01
-    r, J = squares.evaluate(theta)
+    r, J = squares.evaluate(squares.coordinates(theta))
+    # in volts: the levels count in the signal's own unit, as the residuals do
+    r = r * squares.unit
+    J[:, np.setdiff1d(np.arange(len(theta)), problem.layout.local[:, :2])] *= squares.unit
     assert len(r) == 7 * 8 < len(points.t)
     full_J, full_r = [], []
     vector = np.r_[theta, 0.0, 1.0, 0.0]

@@ -21,6 +21,7 @@ ROOMS = (
     "compiled",
     "notebook",
     "campaign",
+    "disk",
     "workers",
     "readers",
     "reality",

@@ -9,12 +9,13 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from bayes_sensor import figures
+from bayes_sensor import figures, report
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.check import campaign_rows
 from bayes_sensor.cli import _guarded, steps
@@ -33,8 +34,9 @@ from bayes_sensor.report import (
     typeset,
     with_spread,
 )
+from bayes_sensor.report.drawing import inline_svg
 from bayes_sensor.report.headline import gap_sentence, remarks, with_the_effect
-from bayes_sensor.report.html import inline_svg, zoom_data
+from bayes_sensor.report.html import zoom_data
 from bayes_sensor.report.markdown import escaped
 from bayes_sensor.report.parts import (
     Pictures,
@@ -300,10 +302,149 @@ def test_a_noise_law_whose_replicas_differ_is_not_called_adequate(
     assert "spectrum (p below 0.001)" in section.answer
 
 
-def test_a_drawing_that_could_run_something_is_refused() -> None:
-    for bad in ("<svg><script>1</script></svg>", '<svg onload="x"/>', "<svg><a href='x'/></svg>"):
-        with pytest.raises(ValueError, match="must not hold"):
-            inline_svg(bad, "k", "label")
+@pytest.mark.parametrize(
+    "bad",
+    [
+        "<svg><script>1</script></svg>", '<svg onload="x"/>', "<svg><a href='x'/></svg>",
+        '<svg><g><path onClick="x"/></g></svg>', "<svg><image href='#a'/></svg>",
+        "<svg><use href='other.svg#a'/></svg>", "<svg><foreignObject/></svg>",
+        '<svg xmlns:l="http://www.w3.org/1999/xlink"><use l:href="javascript:x"/></svg>',
+        '<s:svg xmlns:s="http://www.w3.org/2000/svg"><s:script/></s:svg>',
+        '<svg><p:script xmlns:p="http://www.w3.org/1999/xhtml"/></svg>',
+        '<svg><path style="fill: url(http://x)"/></svg>', "<svg><style>@import 'x'</style></svg>",
+        '<svg><set attributeName="href" to="x"/></svg>',
+    ],
+)  # fmt: skip
+def test_a_drawing_that_could_run_something_is_refused(bad: str) -> None:
+    with pytest.raises(ValueError, match="must not hold"):
+        inline_svg(bad, "k", "label")
+
+
+def test_a_drawing_that_is_cut_off_is_named() -> None:
+    with pytest.raises(ValueError, match="figure k: expected an SVG element"):
+        inline_svg("<svg><g></svg>", "k", "label")
+
+
+def test_elements_and_attributes_are_made_the_pages_and_text_stays() -> None:
+    text = 'gas only = CO2 id="x" d="1.23456" url(#a) href="#a" fill: #1b1b1b &lt;script&gt;'
+    drawing = (
+        '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
+        'width="9pt" height="8pt"><metadata><x/></metadata><g id="a" clip-path="url(#a)"/>'
+        f'<use xlink:href="#a" style="fill: #1b1b1b"/><text fill="#1b1b1b">{text}</text></svg>'
+    )
+    found = inline_svg(drawing, "k", 'a "label" <b>')
+    assert f">{text}</text>" in found
+    assert '<g id="k-a" clip-path="url(#k-a)" />' in found
+    assert '<use xlink:href="#k-a" style="fill: var(--f-1b1b1b, #1b1b1b)" />' in found
+    assert '<text fill="var(--f-1b1b1b, #1b1b1b)">' in found
+    assert found.startswith(
+        '<svg role="img" aria-label="a &quot;label&quot; &lt;b&gt;" style="--made: 9pt" '
+    )
+    assert "metadata" not in found and "8pt" not in found
+
+
+ODD = (
+    "gas only = CO2", "onload=x", "\"CO2\" it's", "<b>&amp;</b> &", "javascript:1", 'href="#x"',
+    'id="y" d="1.234"', "url(#a)", "fill: #1b1b1b", "{a} {{}} {0}", "%s 100 % %(x)d", "$x^2$ \\a",
+    "Ω 气 🧪 e\u0301", "\ue000fit\ue001", "a\uffffb", "--> ]]> <!--", "[1] a[b]", "../../etc",
+    "| *b* `c` # _d_", "#let x = @a", "x" * 500,
+)  # fmt: skip
+"""names that some language takes for its own"""
+
+
+def test_names_that_mean_something_elsewhere_are_only_names_here(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = 'title = "odd = 1"\n' + "".join(
+        f"[[experiment]]\nname = {json.dumps(name, ensure_ascii=False)}\n"
+        f'carrier_flow = "{4 + k % 5} L/min"\ntest_gas_flow = "0.5 L/min"\ncommanded_on = "2 s"\n'
+        'interval = "50 ms"\nduration = "12 s"\n'
+        for k, name in enumerate(ODD)
+    )
+    (tmp_path / "design.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "few.toml").write_text("[fit]\nswarms = 1\nparticles = 6\neuler = false\n")
+    data, out = tmp_path / "data", tmp_path / "out"
+    assert run("simulate", "--design", tmp_path / "design.toml", "--out", data, "--quiet") == 0
+    options = ["--config", tmp_path / "few.toml", "--out", out, "--quiet"]
+    assert run("fit", data / "campaign.toml", *options) in (0, 3)
+    for form in FORMATS:
+        assert run("report", out, "--format", form, "--quiet") == 0
+    assert "error" not in capsys.readouterr().err
+    page = Page((out / "report.html").read_text(encoding="utf-8"))
+    assert page.open == []
+    for _, attributes in page.tags:
+        assert not [a for a in attributes if a.startswith("on")]
+        assert (attributes.get("href") or "#").startswith(("#", "data:"))
+    drawn = ElementTree.parse(out / "figures" / "rms.svg").getroot()
+    labels = ["".join(element.itertext()) for element in drawn.iter()]
+    for name in ODD:
+        assert sum(("td", name) == text or ("th", name) == text for text in page.texts) >= 3, name
+        shown = name.replace("\uffff", "\ufffd")  # which XML does not know
+        assert (shown if len(name) <= 18 else name[:17] + "…") in labels, name
+        if len(name) <= 18:
+            assert ("text", shown) in page.texts, name
+
+
+# --- a report that fails
+
+
+@pytest.fixture
+def short_analyze(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str | Path]:
+    """The arguments of an ``analyze`` that fits and reports, into ``tmp_path / "out"``."""
+    for table in (steps.STEPS, steps.SAVES):
+        monkeypatch.setitem(table, "analyze", ("fit", "residuals", "report"))
+    options = ["--experiments", "1,4", "--duration", "15 s", "--interval", "20 ms", "--quiet"]
+    assert run("simulate", "--out", tmp_path / "data", *options) == 0
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "report.html").write_text("of other results")
+    campaign = tmp_path / "data" / "campaign.toml"
+    return ["analyze", campaign, "--out", tmp_path / "out", "--quiet"]
+
+
+@pytest.mark.parametrize(
+    ("failure", "code", "said"),
+    [
+        (CampaignError("traces.npz: bad"), 2, "the report was not made: traces.npz: bad; "),
+        (
+            OSError(28, "No space left on device", "a.svg"),
+            2,
+            r"a\.svg: .*\(No space left on",
+        ),
+        (ValueError("unforeseen"), None, "error: the report was not made; "),
+        (KeyboardInterrupt(), 130, "stopped: interrupted"),
+    ],
+)
+def test_a_report_that_fails_leaves_all_other_results(
+    short_analyze: list[str | Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    failure: BaseException,
+    code: int | None,
+    said: str,
+) -> None:
+    def fails(*arguments: Any) -> None:
+        raise failure
+
+    with monkeypatch.context() as patch:
+        patch.setattr(report, "write_report", fails)
+        if code is None:
+            with pytest.raises(ValueError, match="unforeseen"):
+                run(*short_analyze)
+        else:
+            assert run(*short_analyze) == code
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and re.search(said, error)
+    out = tmp_path / "out"
+    if code != 130:
+        again = f"all other results are in place, and bayes-sensor report {out} makes it"
+        assert again in error
+    names = {p.name for p in out.iterdir()}
+    assert names == {"campaign.json", "fit.json", "residuals.json", "run.json", "samples.npz",
+                     "traces.npz"}  # fmt: skip
+    assert json.loads((out / "run.json").read_text())["commands"]["analyze"]["exit_code"] == 0
+    assert run("report", out, "--quiet") == 0
+    assert "How well does the model fit" in (out / "report.html").read_text(encoding="utf-8")
 
 
 def test_table_cells_are_rounded_but_sort_by_the_full_value() -> None:
@@ -333,12 +474,13 @@ def test_a_strength_has_its_unit_and_no_second_one_in_its_name() -> None:
 
 
 class Page(HTMLParser):
-    """Tags, ids and links of a page, with a check that what is opened is closed."""
+    """Tags, ids, links and texts of a page, with a check that what is opened is closed."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
         self.tags: list[tuple[str, dict[str, str | None]]] = []
         self.open: list[str] = []
+        self.texts: list[tuple[str, str]] = []
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -351,6 +493,9 @@ class Page(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append((self.open[-1] if self.open else "", data))
 
 
 def test_page_is_whole_self_contained_and_in_order(analysed: Path) -> None:

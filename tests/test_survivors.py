@@ -74,8 +74,9 @@ def test_every_parameter_with_limits_is_drawn_within_them() -> None:
                     [0.0, 0.3, 0.4, 1.0]])  # fmt: skip
     limits = (np.array([-9.0, -0.5, -9.0, -9.0]), np.array([9.0, 9.0, 0.5, 9.0]))
     coordinates = SimpleNamespace(
-        squared=np.array([0]), limited=np.array([1, 2]), limits=limits, theta=lambda psi: psi
-    )
+        squared=np.array([0]), limited=np.array([1, 2]), limits=limits, theta=lambda psi: psi,
+        signs=lambda theta: np.ones(4),
+    )  # fmt: skip
     laplace = Laplace(coordinates, np.zeros(4), cov, np.zeros(4), 0.0, True)
     drawn, log_q = laplace.draw(4000, np.random.default_rng(7))
     assert (drawn[:, 1] >= -0.5).all() and (drawn[:, 2] <= 0.5).all()

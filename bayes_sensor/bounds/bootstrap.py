@@ -273,7 +273,7 @@ def resample_and_refit(
             _to_nodes(r, starts[k], counts[k], mesh.kind[part], offset, table, node_sums[part])
             runs = slice(mesh.runs[k], mesh.runs[k + 1])
             edges = np.stack([e.runs[:, 0], e.runs[:, 1] - 1], axis=1)
-            mesh.edge_y[runs] = (means[k] + r)[edges]
+            mesh.edge_y[runs] = (means[k] + r)[edges] - mesh.setting[k, 5]
         found = maximise(
             surface.guarded, curvature, evidence.psi_white, surface.mean,
             *surface.box, tolerance=1e-5 * unit, settled=3e-4 * unit,

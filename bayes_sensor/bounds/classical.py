@@ -116,7 +116,7 @@ def posterior_intervals(evidence: Evidence) -> Bound:
     """
     names = evidence.mean_names
     draws = np.asarray(evidence.posterior.draws)
-    index = [evidence.posterior.layout.index(name) for name in names]
+    index = [evidence.problem.layout.index(name) for name in names]
     draws = draws[:, index]
     tails = [0.5 - 0.5 * level for level in LEVELS.values()]
     # Weibull's plotting position: the mass beyond an end is right on average over the draws

@@ -158,7 +158,8 @@ def check_data(problem: Problem, fit: Fit, posterior: Any) -> None:
     check_data_of_fit(problem, fit)
     if posterior is None:
         return
-    missing = [n for n in problem.layout.names if n not in posterior.layout.names]
+    # the lags' own names depend on what is known of them
+    missing = [n for n in problem.layout.names[len(SHARED) :] if n not in posterior.names]
     of = getattr(getattr(posterior, "problem", None), "campaign", None)
     if missing or (of is not None and not _same_data(of, problem.campaign)):
         what = f"has no {missing[0]}" if missing else "is of other data"

@@ -210,8 +210,11 @@ def gradient_by_psi(
     pulled = 0.0
     for i in switches:
         pulled += result[i]
+    least = np.inf
+    for i in sigma0:
+        least = min(least, 1e-12 * theta[free[i]])
     for i in squared:
-        result[i] *= 0.5 / max(theta[free[i]], 1e-12)
+        result[i] *= 0.5 / max(theta[free[i]], 1e-12 if i == 0 else least)
     for i in phi:
         result[i] *= 1.0 - theta[free[i]] ** 2
     for i in sigma0:

@@ -23,6 +23,8 @@ from bayes_sensor.bounds.gaussian import invert, normal_factor
 from bayes_sensor.bounds.records import LEVELS, Bound
 from bayes_sensor.bounds.surface import Curvature, Maximum, Surface, curvature_along_tau, maximise
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compression import sizes
+from bayes_sensor.model import SHARED
 
 REFERENCE = "Venzon and Moolgavkar (1988); Self and Liang (1987)"
 CLOSE = 2e-3
@@ -203,7 +205,7 @@ def _next(
             return guess
         stretch = min(max(1.02 * target / max(below.drop, 1e-9), 1.05), 3.0)
         return float(centre + stretch * (below.value - centre))
-    if abs(above.value - below.value) < 1e-12 * max(abs(above.value), 1e-12):
+    if abs(above.value - below.value) < 1e-9 * abs(above.value - centre):
         return None
     share = (
         0.5 if not np.isfinite(above.drop) else (target - below.drop) / (above.drop - below.drop)
@@ -226,13 +228,16 @@ def profile(evidence: Evidence) -> Bound:
     theta = evidence.coloured_theta
     estimate = theta[[evidence.problem.layout.index(name) for name in names]]
     at_zero = False
+    size = sizes(evidence.problem, theta)
     for row, name in enumerate(names):
         i = int(surface.mean[row])
         centre = float(estimate[row])
         below, above = rough.low[row], rough.high[row]
         if not np.isfinite([below, above]).all():  # not identified to first order
-            width = 0.02 * max(abs(centre), 1e-3) * np.array(targets)
-            below, above = np.maximum(centre - width, 0.5 * centre), centre + width
+            width = 0.02 * size[surface.coordinates.free[i]] * np.array(targets)
+            below, above = centre - width, centre + width
+            if name in SHARED:
+                below = np.maximum(below, 0.5 * centre)
         # an asymmetric interval need not hold the estimate: look on either side of it all the same
         width = above - below
         below = np.where(below < centre, below, centre - 0.5 * width)

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compression import sizes
 from bayes_sensor.likelihood import Problem, grid_response
 from bayes_sensor.model import Cascade, cascade_sensitivities, local_parameters, time_constants
 
@@ -83,8 +84,11 @@ def local_jacobian(problem: Problem, vector: FloatArray, k: int) -> tuple[FloatA
         J = _cascade_jacobian(problem, vector, k)
     else:
         J = np.empty((len(e.t), len(index)))
+        steps = 1e-6 * sizes(problem, vector)
+        # what the mean is linear in, or nearly, far from rounding: a signal may be far from zero
+        steps[local[:2]] *= 1e3
         for column, i in enumerate(index):
-            step = 1e-6 * max(abs(vector[i]), 1e-3)
+            step = steps[i]
             up, down = vector.copy(), vector.copy()
             up[i] += step
             down[i] -= step

@@ -19,7 +19,13 @@ from bayes_sensor.bounds.newton import (
     theta_of,
 )
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compression import Compressed, Region, compress, default_region
+from bayes_sensor.compression import (
+    NO_NOISE,
+    Compressed,
+    Region,
+    compress,
+    default_region,
+)
 from bayes_sensor.laplace import Coordinates
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.noise import Noise
@@ -422,5 +428,6 @@ def region_of(problem: Problem, surface: Surface, theta: FloatArray) -> Region:
     low[free], high[free] = -np.inf, np.inf
     low[0] = 0.0
     for row in problem.layout.noise:
-        low[row], high[row] = (-1.0 + 1e-9, 1e-12, 0.0), (1.0 - 1e-9, np.inf, np.inf)
+        least = NO_NOISE * about[row[1]]
+        low[row], high[row] = (-1.0 + 1e-9, least, 0.0), (1.0 - 1e-9, np.inf, np.inf)
     return Region(low, high)

@@ -21,7 +21,7 @@ from bayes_sensor.blind_check import (
 )
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli.notes import noted
-from bayes_sensor.cli.steps import progress_bar, say, stage_report
+from bayes_sensor.cli.steps import last_step, progress_bar, put_report, say
 from bayes_sensor.figures.blind_check import score_card
 from bayes_sensor.results import Results, Stage, now, read_json, run_record
 
@@ -66,7 +66,7 @@ def blind_check(
         keep = cases <= KEEP_UP_TO
     card: dict[str, Any] | None = None
     with results.locked():
-        parts = results.path(PARTS)
+        parts = results.own_folder(PARTS)
         if not resume:
             shutil.rmtree(parts, ignore_errors=True)
         with results.writing() as stage:
@@ -103,8 +103,8 @@ def blind_check(
                 ),
             )  # fmt: skip
         if card is not None:  # from the whole folder, which may hold an analysis as well
-            with results.writing() as stage, progress_bar("report", quiet) as tell:
-                stage_report(results.folder, stage, tell)
+            with progress_bar("report", quiet) as tell, last_step(results):
+                put_report(results, tell)
         shutil.rmtree(parts, ignore_errors=True)
     if card is not None:
         say(summary(card), quiet)
@@ -131,7 +131,7 @@ def _write_card(stage: Stage, folder: Path) -> dict[str, Any]:
     stage.text("score.csv", card_table(card).to_csv(index=False, lineterminator="\n"))
     figure = score_card(card)
     stage.text("score_card.svg", figures.svg(figure))
-    stage.path("score_card.png").write_bytes(figures.png(figure))
+    stage.binary("score_card.png", figures.png(figure))
     return card
 
 

@@ -48,7 +48,7 @@ def study_coverage(
     BoundsStudy(next(iter(chosen.values())), methods=names)  # refuses unknown methods
     resamples = asked.resamples if "resamples" in asked.model_fields_set else None
     results = Results(out)
-    parts = results.path(CHUNKS)
+    parts = results.own_folder(CHUNKS)
     with results.locked():
         if not resume:
             shutil.rmtree(parts, ignore_errors=True)
@@ -72,7 +72,7 @@ def study_coverage(
                 },
             )
             stage.text("coverage.svg", figures.svg(figure))
-            stage.path("coverage.png").write_bytes(figures.png(figure))
+            stage.binary("coverage.png", figures.png(figure))
             stage.json(
                 "run.json",
                 run_record(

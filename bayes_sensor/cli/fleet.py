@@ -19,6 +19,7 @@ from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli.notes import noted
 from bayes_sensor.cli.settings import Overrides, read_overrides
 from bayes_sensor.cli.steps import progress_bar, run, say
+from bayes_sensor.disk import own_folder
 from bayes_sensor.fleet import Entry, failed_row, read_list, row_of, table, write_comparison
 from bayes_sensor.fleet.comparison import sentences
 from bayes_sensor.fleet.outcome import fingerprint, unchanged
@@ -69,6 +70,7 @@ class Analysis:
         try:
             told = io.StringIO()
             with redirect_stdout(io.StringIO()), redirect_stderr(told):
+                own_folder(results.folder)
                 results.path(OUTCOME).unlink(missing_ok=True)
                 run(
                     "analyze", entry.file, results.folder, seed=self.seed, jobs=1, quiet=True,
@@ -200,6 +202,7 @@ def _run(
         if scheduler is not None:  # before anything is written: it may not answer
             client = stack.enter_context(dask_client(scheduler))
         stack.enter_context(results.locked())
+        results.own_folder(FOLDER)
         outcomes = _outcomes(task, entries, jobs, client, tell)
         rows = [outcome["row"] for outcome in outcomes]
         _check_visible(out, rows, scheduler)

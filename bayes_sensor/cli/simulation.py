@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -185,7 +186,7 @@ def _check_free(results: Results, written: Path) -> None:
     if isinstance(earlier, Mapping) and "simulate" in earlier.get("commands", {}):
         return
     for path in sorted(written.iterdir()):
-        if results.path(path.name).exists():
+        if os.path.lexists(results.path(path.name)):
             raise CampaignError(
                 f"--out {results.folder}: it holds a {path.name} that no simulation wrote; "
                 "expected a new folder, so that no measurement is lost: choose another"

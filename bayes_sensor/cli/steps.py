@@ -221,7 +221,7 @@ class Job:
     @property
     def checkpoint(self) -> Path:
         """Where unfinished ensembles are kept."""
-        return self.results.path(CHECKPOINT)
+        return self.results.own_folder(CHECKPOINT)
 
 
 def _do_fit(job: Job) -> None:
@@ -566,6 +566,7 @@ def run(
             "%s: [noise] does not act on gap, which takes the noise of every record from it", label
         )
     with results.locked(patience):
+        results.own_folder(CHECKPOINT)  # refused now rather than after the fit
         job = Job(
             command, problem, overrides, label, seed, jobs, quiet, resume, results, basis,
             {"read": read_seconds}, options=options or {},
@@ -593,8 +594,10 @@ def run(
             )
             stage.json("run.json", {**entry, "signal_unit": campaign.signal_unit})
             if "report" in SAVES[command]:
-                with job.timed("report") as tell:
-                    stage_report(stage.inside, stage, tell)
+                stage.drop.append("report.html")  # it speaks of other results
+        if "report" in SAVES[command]:  # all else is in place by now, whatever becomes of it
+            with job.timed("report") as tell, last_step(results):
+                put_report(results, tell)
         if code == 0 and job.posterior is not None:
             import shutil
 
@@ -646,11 +649,35 @@ def _warnings(job: Job, remarks: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def stage_report(source: Path, stage: Stage, tell: Progress, form: str = "html") -> None:
-    """Write the report of the results in ``source``, and its figures, to the stage."""
+def put_report(results: Results, tell: Progress, form: str = "html") -> None:
+    """Write the report of what the folder holds, with its figures, into the folder."""
     from bayes_sensor.report import write_report
 
-    write_report(source, stage.inside, form, tell)
+    with results.writing() as stage:
+        write_report(results.folder, stage.inside, form, tell)
+
+
+@contextmanager
+def last_step(results: Results) -> Iterator[None]:
+    """Where a report is made after a run: if it fails, one is told that all else is in place."""
+    again = f"all other results are in place, and bayes-sensor report {results.folder} makes it"
+    unforeseen = True
+    try:
+        yield
+        unforeseen = False
+    except CampaignError as error:
+        unforeseen = False
+        raise CampaignError(f"the report was not made: {error}; {again}") from None
+    except OSError as error:  # no room, say
+        unforeseen = False
+        said = f"{error.strerror or error}; the report was not made; {again}"
+        raise OSError(error.errno, said, error.filename) from None
+    except KeyboardInterrupt:  # who pressed it is told how to go on
+        unforeseen = False
+        raise
+    finally:
+        if unforeseen:
+            print(f"error: the report was not made; {again}", file=sys.stderr)
 
 
 def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
@@ -725,7 +752,7 @@ def _lags_of_fit(fit: Any) -> str:
         return f"{number(value)} s" if value >= 1.0 else f"{number(1e3 * value)} ms"
 
     names, flow = fit.names[:3], fit.naming.flow
-    unseen = {name for name in names if name in fit.at_bound and fit.is_unseen(name)}
+    unseen = fit.unseen
     if fit.order == "undecided":
         places = names[:2] if flow is None else [names[0], names[2], names[1]]
         seen = [
@@ -770,8 +797,8 @@ def rebuild_report(folder: Path, quiet: bool, form: str = "html") -> None:
         )
     read_results(folder)
     results = Results(folder)
-    with results.locked(), results.writing() as stage, progress_bar("report", quiet) as tell:
-        stage_report(folder, stage, tell, form)
+    with results.locked(), progress_bar("report", quiet) as tell:
+        put_report(results, tell, form)
     say(f"report: {results.path(FORMATS[form])}", quiet)
 
 
@@ -813,7 +840,7 @@ def solve_diffusion(out: Path, quantities: Mapping[str, str], tolerance: float, 
             stage.json("diffusion.json", record)
             figure = figures.diffusion(record)
             stage.text("diffusion.svg", figures.svg(figure))
-            stage.path("diffusion.png").write_bytes(figures.png(figure))
+            stage.binary("diffusion.png", figures.png(figure))
             stage.json(
                 "run.json",
                 run_record(

@@ -11,10 +11,11 @@ and with them the pairs across gaps.
 Outside the region for which the mesh was built the exact full pass answers instead.
 """
 
-from bayes_sensor.compression.derivatives import mean_derivatives
+from bayes_sensor.compression.derivatives import mean_derivatives, sizes
 from bayes_sensor.compression.kernels import Arrays, K
 from bayes_sensor.compression.mesh import Region, build
 from bayes_sensor.compression.record import (
+    NO_NOISE,
     Compressed,
     Nodes,
     above_zero,
@@ -24,6 +25,7 @@ from bayes_sensor.compression.record import (
 )
 
 __all__ = [
+    "NO_NOISE",
     "Arrays",
     "Compressed",
     "K",
@@ -35,4 +37,5 @@ __all__ = [
     "default_region",
     "log_likelihood",
     "mean_derivatives",
+    "sizes",
 ]

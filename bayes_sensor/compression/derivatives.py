@@ -21,8 +21,8 @@ def mean_derivatives(
 
     Returns mean (n_t,) V, response (n_t,), positions in theta (m,) of the parameters that move
     either, and the derivatives (m, n_t) of both by central differences.  Steps are a thousandth
-    of a time constant or of a prior's width: their error is a millionth, and a model that is
-    computed numerically to five digits still gives a slope.
+    of a time constant, of the step's height or of a prior's width: their error is a millionth, and
+    a model that is computed numerically to five digits still gives a slope.
     """
     layout = problem.layout
     e = problem.campaign.experiments[k]
@@ -37,7 +37,7 @@ def mean_derivatives(
         moves[i] = _extra_step(problem.priors.get(name), float(vector[i]))
     plain = has_plain_mean(problem)
     if not plain:
-        size = (1.0 if is_affine(problem) else 1e-3) * max(abs(vector[i_beta]), 1e-3)
+        size = (1.0 if is_affine(problem) else 1e-3) * height(problem, vector, k)
         moves |= {i: (size, -np.inf, np.inf) for i in (i_y0, i_beta)}
     index = np.array([*moves, *([i_y0, i_beta] if plain else [])])
     d_mean, d_x = np.zeros((len(index), len(t))), np.zeros((len(index), len(t)))
@@ -51,6 +51,35 @@ def mean_derivatives(
     if plain:
         d_mean[-2], d_mean[-1] = 1.0, x
     return mean, x, index, d_mean, d_x
+
+
+def height(problem: Problem, vector: FloatArray, k: int) -> float:
+    """V, the step of experiment number ``k``, by which its levels are moved; its noise where the
+    step is smaller."""
+    layout = problem.layout
+    sigma0 = float(vector[layout.noise[k, 1]])
+    return max(abs(float(vector[layout.local[k, 1]])), sigma0 if sigma0 > 0.0 else 0.0) or 1.0
+
+
+def sizes(problem: Problem, vector: FloatArray) -> FloatArray:
+    """(n_theta,) what a change of each parameter is small or large beside.
+
+    Its own size; for y0 and beta the step's height, for switch times the slowest lag, for noise
+    sigma0, for a model's own parameters the width of their prior.
+    """
+    layout = problem.layout
+    found = np.maximum(np.abs(vector), 1e-3)
+    for k, e in enumerate(problem.campaign):
+        _, _, *switches = (int(i) for i in layout.local[k])
+        found[layout.local[k, :2]] = height(problem, vector, k)
+        slowest = max(vector[0], vector[1], vector[2] / e.total_flow)
+        found[[i for i in switches if i >= 0]] = slowest
+        found[layout.noise[k, 1:]] = vector[layout.noise[k, 1]]
+    for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
+        prior = problem.priors.get(name)
+        if prior is not None and not np.isnan(prior.width):
+            found[i] = prior.width
+    return found
 
 
 def _extra_step(prior: Prior | None, value: float) -> tuple[float, float, float]:

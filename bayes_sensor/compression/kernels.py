@@ -43,7 +43,9 @@ class Arrays(NamedTuple):
     noise: np.ndarray  # (n_exp, 3) positions of phi, sigma0, sigma1
     blocks: np.ndarray  # (n_exp + 1,) first block of each experiment
     runs: np.ndarray  # (n_exp + 1,) first run of each experiment
-    setting: np.ndarray  # (n_exp, 4) interval, total flow, variance weight, interval/reference
+    setting: np.ndarray  # (n_exp, 7) interval, total flow, variance weight, interval/reference,
+    # least tau that is no delay, the reference's y0 and beta; y0 is the level that means and edge
+    # samples below count from, so that a signal far from zero keeps its digits
     n_samples: np.ndarray  # (n_exp,)
     base: np.ndarray  # (n_blocks,) s, half a sample before the block's first sample
     kind: np.ndarray  # (n_blocks,) 0: pointwise; k: 8 2^k samples
@@ -573,7 +575,7 @@ def value(theta, mesh, room, each):  # pragma: no cover - compiled
         if not abs(phi) < 1.0:  # a negative phi has no root for a shorter interval
             each[:] = -np.inf
             return -np.inf
-        y0, beta = theta[mesh.local[k, 0]], theta[mesh.local[k, 1]]
+        y0, beta = theta[mesh.local[k, 0]] - mesh.setting[k, 5], theta[mesh.local[k, 1]]
         v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * mesh.setting[k, 2]
         separate, _ = _responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
         _edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
@@ -647,7 +649,7 @@ def value_and_gradient(theta, mesh, room, gradient):  # pragma: no cover
         phi_reference, sigma0, sigma1 = theta[i_phi], theta[i_s0], theta[i_s1]
         steps, weight = mesh.setting[k, 3], mesh.setting[k, 2]
         phi = _per_sample(phi_reference, steps)
-        y0, beta = theta[i_y0], theta[i_beta]
+        y0, beta = theta[i_y0] - mesh.setting[k, 5], theta[i_beta]
         v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * weight
         separate, acts = _responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
         if not separate:
@@ -762,7 +764,7 @@ def marginal(theta, mesh, room, best, factor):  # pragma: no cover - compiled
             return -np.inf
         rest = 1.0 - phi * phi
         # any y0, beta serves as origin: the mesh's own reference keeps the numbers small
-        y0, beta = mesh.setting[k, 5], mesh.setting[k, 6]
+        y0, beta = 0.0, mesh.setting[k, 6]
         v0, v1 = sigma0 * sigma0, sigma1 * sigma1 * mesh.setting[k, 2]
         separate, _ = _responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
         _edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
@@ -809,7 +811,7 @@ def marginal(theta, mesh, room, best, factor):  # pragma: no cover - compiled
         u2 = (Q[0, 2] - l21 * u1) / l22
         best[k, 1] = u2 / l22
         best[k, 0] = (u1 - l21 * best[k, 1]) / l11
-        best[k, 0] += y0
+        best[k, 0] += mesh.setting[k, 5]
         best[k, 1] += beta
         factor[k, 0], factor[k, 1], factor[k, 2] = l11, l21, l22
         total += -0.5 * (logs + Q[0, 0] - u1 * u1 - u2 * u2) - log(l11) - log(l22) + log(2.0 * pi)

@@ -139,6 +139,7 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
     for k, e in enumerate(campaign):
         h = e.interval
         i_y0, i_beta, i_t0, i_tf = layout.local[k]
+        level = vector[i_y0]
         decays, amplitude, narrow = _widths(problem, vector, region, k)
         kinks = _kinks(problem, region, e)
         # a sensor faster than this is replaced by a delay: no exponential may overflow
@@ -152,7 +153,7 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
             problem.noise.weight(campaign, e),
             problem.steps(e),
             least,
-            vector[i_y0],
+            level,
             vector[i_beta],
         )
         with_data = data and e.y is not None
@@ -163,7 +164,8 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
         first_block = len(base)
         for a, b in e.runs:
             edge_t.append((e.t[a], e.t[b - 1]))
-            edge_y.append((e.values[a], e.values[b - 1]) if with_data else (0.0, 0.0))
+            ends = e.values[[a, b - 1]] - level if with_data else np.zeros(2)
+            edge_y.append((ends[0], ends[1]))
             distance.append(a - previous)
             previous = b - 1
             n_pairs += b - a - 1
@@ -191,7 +193,7 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
         node_mean, node_s2 = at_times(problem, vector, e, k, times)
         lag_mean, _ = at_times(problem, vector, e, k, times - h)
         node_time.append(times.ravel())
-        reference.append(np.stack([node_mean.ravel(), lag_mean.ravel()]))
+        reference.append(np.stack([node_mean.ravel(), lag_mean.ravel()]) - level)
         reference_s2.append(node_s2.ravel())
         counts = np.array([m[0] for m in moments[first_block:]]).reshape(-1, K)
         log_s2.append(float((counts * np.log(node_s2)).sum()))

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.compression import kernels
-from bayes_sensor.compression.derivatives import mean_derivatives
+from bayes_sensor.compression.derivatives import height, mean_derivatives, sizes
 from bayes_sensor.compression.kernels import K
 from bayes_sensor.compression.mesh import Region, at_times, build
 from bayes_sensor.likelihood import (
@@ -36,6 +36,10 @@ from bayes_sensor.noise import check_phi, lag_coefficient, scale_squared
 
 NO_TAU = 1e-6
 """of the fastest other time constant: a tau that no data tell from zero"""
+
+
+NO_NOISE = 1e-10
+"""of sigma0: another sigma0 that no data tell from zero"""
 
 
 def above_zero(vector: FloatArray, total_flow: float) -> float:
@@ -155,7 +159,7 @@ class Compressed:
         """Log-likelihood of an experiment with ``mean`` and response ``x`` at :meth:`_times`."""
         phi, phi_reference, sigma0, sigma1 = noise
         s2 = scale_squared(x, sigma0, sigma1, self.arrays.setting[k, 2])
-        parts = [*self._split(mean, k), *self._split(s2, k)]
+        parts = [*self._split(mean - self.arrays.setting[k, 5], k), *self._split(s2, k)]
         return float(kernels.general(k, self.arrays, phi, phi_reference, *parts))
 
     def _general(self, vector: FloatArray, k: int) -> float:
@@ -177,7 +181,7 @@ class Compressed:
         weight = self.problem.noise.weight(self.problem.campaign, e)
         s2 = scale_squared(x, sigma0, sigma1, weight)
         g_mean, g_s2 = np.empty_like(mean), np.empty_like(mean)
-        parts = [*self._split(mean, k), *self._split(s2, k)]
+        parts = [*self._split(mean - self.arrays.setting[k, 5], k), *self._split(s2, k)]
         slopes = [*self._split(g_mean, k), *self._split(g_s2, k)]
         value, g_phi = kernels.general_gradient(k, self.arrays, phi, phi_reference, *parts, *slopes)
         positive = np.maximum(x, 0.0)
@@ -214,9 +218,9 @@ class Compressed:
         owner = {int(i): k for k in range(n_exp) for i in layout.local[k] if i >= 0}
         if layout.noise_per_experiment:
             owner |= {int(i): k for k in range(n_exp) for i in layout.noise[k]}
-        gradient = np.zeros(len(vector))
+        gradient, steps = np.zeros(len(vector)), 1e-5 * sizes(self.problem, vector)
         for i in range(len(vector)):
-            step = 1e-5 * max(abs(vector[i]), 1e-3)
+            step = steps[i]
             up, down = vector.copy(), vector.copy()
             up[i] += step
             down[i] -= step
@@ -294,7 +298,7 @@ class Compressed:
         self.n_full_passes += not inside
         for k in range(n_exp):
             origin = vector[local[k, :2]]
-            unit = max(abs(origin[1]), 1e-3)
+            unit = height(problem, vector, k)
             at = self._along(vector, k, unit, inside)
             f00 = at(0.0, 0.0)
             if not np.isfinite(f00):
@@ -353,9 +357,10 @@ class Compressed:
         mesh, part = self.arrays, self._part(k)
         count = mesh.moments[0, part]
         keep = count > 1e-9
-        mean = mesh.reference[0, part][keep] + mesh.moments[1, part][keep] / count[keep]
+        level = mesh.setting[k, 5]
+        mean = level + mesh.reference[0, part][keep] + mesh.moments[1, part][keep] / count[keep]
         runs = slice(mesh.runs[k], mesh.runs[k + 1])
-        first = mesh.edge_y[runs, 0]
+        first = level + mesh.edge_y[runs, 0]
         if self.problem.campaign.experiments[k].y is None:
             e = self.problem.campaign.experiments[k]
             first, _ = at_times(self.problem, self.reference, e, k, mesh.edge_t[runs, 0])
@@ -542,7 +547,7 @@ def default_region(problem: Problem, vector: FloatArray, spread: float = 7.0) ->
                 high[i] = vector[i] + tau + sd
     for row in layout.noise:
         low[row[0]], high[row[0]] = -1.0 + 1e-9, 1.0 - 1e-9
-        low[row[1]], low[row[2]] = 1e-12, 0.0
+        low[row[1]], low[row[2]] = NO_NOISE * vector[row[1]], 0.0
     for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
         prior = problem.priors.get(name)
         if prior is not None and prior.law is not None:

@@ -8,7 +8,17 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayes_sensor.figures.style import BLUE, GREEN, GROUND, INK, MIDDLE, ORANGE, new_figure, style
+from bayes_sensor.figures.style import (
+    BLUE,
+    GREEN,
+    GROUND,
+    INK,
+    MIDDLE,
+    ORANGE,
+    new_figure,
+    shortened,
+    style,
+)
 
 MOST_NAMES = 60
 """campaigns whose names fit beside the figure; more are only ranked"""
@@ -58,8 +68,7 @@ def forest(rows: Sequence[Mapping[str, Any]], median_s: float | None = None) -> 
                 1e3 * median_s, color=GREEN, ls="--", lw=1, zorder=1
             )
         if named:
-            names = [str(r["campaign"]) for r in shown]
-            names = [n if len(n) <= LONGEST_NAME else n[: LONGEST_NAME - 1] + "…" for n in names]
+            names = [shortened(str(r["campaign"]), LONGEST_NAME) for r in shown]
             axes.set_yticks(range(len(shown)), names)
         else:
             axes.set_ylabel(f"{len(known)} campaigns, smallest τ first")

@@ -27,6 +27,7 @@ from bayes_sensor.figures.style import (
     SMALLEST,
     logarithmic,
     new_figure,
+    shortened,
     style,
     volts,
 )
@@ -44,10 +45,6 @@ def effect_words(name: str) -> str:
     'flow switching + daq filter'
     """
     return name.replace("_", " ").replace("+", " + ")
-
-
-def _short(text: str, most: int = 26) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"
 
 
 def gap_budget(gap: Mapping[str, Any], unit: str = "V") -> Figure:
@@ -138,7 +135,7 @@ def gap_where(where: Sequence[Mapping[str, Any]], unit: str = "V") -> Figure:
                         fontsize=7.5, color=GROUND if dark else INK,
                     )  # fmt: skip
         axes.set_xticks(np.arange(size[1]) + 0.5, phases)
-        axes.set_yticks(np.arange(size[0]) + 0.5, [_short(e, 18) for e in experiments])
+        axes.set_yticks(np.arange(size[0]) + 0.5, [shortened(e) for e in experiments])
         if many:
             axes.tick_params(axis="y", labelsize=SMALLEST)
         axes.set_ylim(size[0], 0)
@@ -200,7 +197,7 @@ def _bars(axes: Any, rows: Sequence[tuple[str, float]], n: int, title: str) -> N
             text, (100 * probability, i), xytext=(3, 0), textcoords="offset points", va="center",
             fontsize=7.5,
         )  # fmt: skip
-    axes.set_yticks(range(len(rows)), [_short(effect_words(name), 32) for name, _ in rows])
+    axes.set_yticks(range(len(rows)), [shortened(effect_words(name), 32) for name, _ in rows])
     axes.set_ylim(n - 0.4, -0.6)
     axes.set_xlim(0, 114)
     axes.set_xticks(range(0, 101, 25))
@@ -243,7 +240,7 @@ def gap_residuals(residuals: Sequence[Mapping[str, Any]], most: int = 10) -> Fig
             axes.set_xticks([])
             axes.set_yticks([0], [""])  # a number there would read as part of the name
             axes.grid(axis="x", visible=False)
-            axes.set_ylabel(_short(row["experiment"], 9), rotation=0, ha="right", va="center")
+            axes.set_ylabel(shortened(row["experiment"], 9), rotation=0, ha="right", va="center")
         strips[-1].set_xlabel("bins, from the baseline to the tail (they widen after a switch)")
         figure.supylabel(f"whitened residual (sd)\nstrips of ± {reach:.2g}", fontsize=8.5)
     return figure
@@ -287,7 +284,7 @@ def gap_hidden(hidden: Mapping[str, Any], tau: float | None = None) -> Figure:
                     mfc=colour if face else GROUND, zorder=3,
                 )  # fmt: skip
         left.set_ylim(len(rows) - 0.4, -0.6)
-        left.set_yticks(place, [_short(effect_words(row["effect"])) for row in rows])
+        left.set_yticks(place, [shortened(effect_words(row["effect"]), 26) for row in rows])
         logarithmic(left, "x")
         left.axvline(VISIBLE, color=INK, lw=0.9, ls="--")
         left.set_xlabel("detectability d (sd)")

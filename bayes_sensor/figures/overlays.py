@@ -18,6 +18,7 @@ from bayes_sensor.figures.style import (
     MODEL,
     ORANGE,
     new_figure,
+    shortened,
     style,
     volts,
 )
@@ -108,7 +109,7 @@ def rms_bars(traces: Sequence[Trace]) -> Figure:
         axes.bar(place, rms, 0.62, color=DATA, edgecolor=INK, lw=0.5, label="RMS residual")
         axes.plot(place, law, "_", color=MODEL, ms=14, mew=2, label="noise law")
         long = len(traces) > 12 or max(len(n) for n in names) > 8
-        labels = [n if len(n) <= 18 else n[:17] + "…" for n in names]
+        labels = [shortened(n) for n in names]
         axes.set_xticks(place, labels, rotation=90 if long else 0, fontsize=7 if long else 8)
         axes.set_xlabel("experiment")
         axes.set_ylabel(f"RMS ({unit})")

@@ -8,6 +8,10 @@ same records give the same bytes.
 from __future__ import annotations
 
 import io
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import matplotlib as mpl
@@ -94,10 +98,21 @@ SHARED_LABELS = {
 }
 """flat name to words, unit shown and the factor to it"""
 
+_NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""characters that XML does not know, but a name may hold"""
+
 
 def style() -> Any:
     """The context in which every figure is made and saved."""
     return mpl.rc_context(STYLE)  # type: ignore[arg-type]  # keys are checked when set
+
+
+@contextmanager
+def _drawing() -> Iterator[None]:
+    """The style; a letter that the font has not is a box, and no warning."""
+    with style(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
+        yield
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
@@ -126,17 +141,17 @@ def settle(figure: Figure) -> None:
 def svg(figure: Figure) -> str:
     """The figure as the text of an SVG element, without date or XML header."""
     stream = io.StringIO()
-    with style():
+    with _drawing():
         settle(figure)
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    text = stream.getvalue()
+    text = _NO_XML.sub("\ufffd", stream.getvalue())
     return text[text.index("<svg") :]
 
 
 def png(figure: Figure, dpi: int = 160) -> bytes:
     """The figure as a PNG on white."""
     stream = io.BytesIO()
-    with style():
+    with _drawing():
         settle(figure)
         figure.savefig(
             stream, format="png", dpi=dpi, facecolor="white", metadata={"Software": None}
@@ -147,7 +162,7 @@ def png(figure: Figure, dpi: int = 160) -> bytes:
 def pdf(figure: Figure) -> bytes:
     """The figure as a PDF page, without a date."""
     stream = io.BytesIO()
-    with style():
+    with _drawing():
         settle(figure)
         figure.savefig(stream, format="pdf", facecolor="white", metadata={"CreationDate": None})
     return stream.getvalue()
@@ -194,6 +209,15 @@ def thousands(count: float) -> str:
 def volts(unit: str, size: float) -> tuple[str, float]:
     """Unit and factor that make values near ``size`` readable."""
     return ("mV", 1e3) if unit == "V" and size < 0.5 else (unit, 1.0)
+
+
+def shortened(text: str, most: int = 18) -> str:
+    """A text of at most ``most`` characters; the tables have all of it.
+
+    >>> shortened("the same gas, once more", 9)
+    'the same…'
+    """
+    return text if len(text) <= most else text[: most - 1] + "…"
 
 
 def parameter_words(name: str, unit: str = "V") -> tuple[str, str, float]:

@@ -17,6 +17,7 @@ from bayes_sensor.figures.style import (
     PALE,
     WIDTH,
     new_figure,
+    shortened,
     style,
 )
 
@@ -55,7 +56,7 @@ def delays(record: Mapping[str, Any], concentration: Mapping[str, float]) -> Fig
                 )
                 if not used:
                     axes.annotate(
-                        f"{point['experiment']}, outlier",
+                        f"{shortened(point['experiment'])}, outlier",
                         (point["inverse_flow_s_per_L"], point["delay_s"]),
                         xytext=(7, -3),
                         textcoords="offset points",

@@ -21,6 +21,7 @@ from bayes_sensor.figures.style import (
     logarithmic,
     new_figure,
     parameter_words,
+    shortened,
     style,
 )
 
@@ -120,7 +121,7 @@ def _weakest(axes: Axes, record: Mapping[str, float]) -> None:
     colours = [ORANGE if name == "tau_s" else BLUE for name in names]
     axes.barh(rows, values, height=0.6, color=colours)
     axes.axvline(0.0, color=MIDDLE, lw=0.8)
-    axes.set_yticks(rows, [parameter_words(name)[0] for name in names])
+    axes.set_yticks(rows, [shortened(parameter_words(name)[0]) for name in names])
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
     axes.set_xlabel("share in the direction (scaled)")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,6 +149,24 @@ def at_bounds(
     return names
 
 
+def unseen_lags(
+    at_bound: Sequence[str],
+    vector: FloatArray,
+    layout: Layout,
+    box: Mapping[str, tuple[float, float]],
+    given: Container[str],
+) -> list[str]:
+    """Flat names of lags, and V, at the lower end of a search that nobody has narrowed (``given``):
+    the data see nothing of them."""
+    found = []
+    for name in at_bound:
+        low, high = box[name]
+        value = vector[layout.index(name)]
+        if name in SHARED and name not in given and value - low < high - value:
+            found.append(name)
+    return found
+
+
 def bound_warnings(
     at_bound: list[str],
     box: Mapping[str, tuple[float, float]],
@@ -156,16 +174,18 @@ def bound_warnings(
     layout: Layout,
     unit: str,
     labels: Mapping[str, str],
+    unseen: Sequence[str],
 ) -> list[str]:
     """A sentence for every estimate at a search bound.
 
-    ``labels``: by flat name of theta's places, what may be stated of whose each lag is.
+    ``labels``: by flat name of theta's places, what may be stated of whose each lag is;
+    ``unseen``: the lags and V that are too small to be seen.
     """
     sentences = []
     for name in at_bound:
         low, high = box[name]
         lower = vector[layout.index(name)] - low < high - vector[layout.index(name)]
-        if name in SHARED and lower:
+        if name in unseen:
             word = OF_LAGS.get(labels[name], labels[name])
             sentences.append(
                 f"{word} is too small for these data to see: they give an upper limit only; see "
@@ -174,16 +194,18 @@ def bound_warnings(
         elif name.startswith(("t0_s", "tf_s")) and lower:
             what = "response" if name.startswith("t0_s") else "fall"
             sentences.append(
-                f"{name} is at its lower bound ({low:.6g} s, the commanded time or the earliest "
+                f"{name} is at its lower bound ({low:.10g} s, the commanded time or the earliest "
                 f"that was tried): the {what} seems to begin no later than the command. Check "
                 "that time: one written too late makes tau too small."
             )
         else:
             side, own = "lower" if lower else "upper", unit_of(name.partition("[")[0], unit)
+            digits = 10 if own == "s" else 6  # clocks may show anything
             sentences.append(
-                f"{labels.get(name, name)} is at its {side} bound ({low if lower else high:.6g} "
-                f"{own}): what lies beyond was not looked for, so distrust it; check flows and "
-                "times, or give fit_least_squares other bounds."
+                f"{labels.get(name, name)} is at its {side} bound "
+                f"({low if lower else high:.{digits}g} {own}): what lies beyond was not looked "
+                "for, so distrust it; check flows and times, or give fit_least_squares other "
+                "bounds."
             )
     return sentences
 

@@ -6,13 +6,15 @@ from math import sqrt
 
 import numpy as np
 
-from bayes_sensor.campaign import Experiment, FloatArray
+from bayes_sensor.campaign import Campaign, Experiment, FloatArray
 from bayes_sensor.likelihood import Problem
 
 FEWEST = 5
 """samples of one experiment; y0, beta, t0 and tf alone are four parameters"""
 ROUNDING = 1e-10
-"""RMS residual over the largest |y| below which nothing but rounding is left"""
+"""RMS residual over the range of the samples below which nothing but rounding is left"""
+ROUNDINGS = 8.0
+"""the same over the rounding of the largest sample: y0 + beta x rounds as often on its way"""
 LEAST_RANGE = 0.02
 """of the response over the used samples, below which y0 and beta cannot be told apart"""
 SEEN = 8.0
@@ -38,6 +40,16 @@ def step_error(e: Experiment, r: FloatArray, x: FloatArray) -> float:
     # in blocks, and not rounded up: a spike of a few samples is no better known than these
     n_high = float(np.clip(x[e.used].sum() / size, 1e-12, n))
     return spread * sqrt(1.0 / n_high + 1.0 / max(n - n_high, 1.0))
+
+
+def least_noise(campaign: Campaign) -> float:
+    """V, the RMS of residuals up to which they may be rounding alone.
+
+    Rounding of the model goes with the samples' range, that of the floats with their distance from
+    zero.
+    """
+    ranges = (float(np.ptp(e.values[e.used])) for e in campaign)
+    return max(ROUNDING * max(ranges), ROUNDINGS * campaign.rounding)
 
 
 def cannot_tell(
@@ -69,8 +81,7 @@ def cannot_tell(
             "for each experiment: shorten mask and keep, or record longer"
         )
     rms = sqrt(sum(float(r @ r) for r, _ in residuals) / campaign.n_samples)
-    largest = max(float(np.abs(e.values[e.used]).max()) for e in campaign)
-    if rms <= ROUNDING * largest:
+    if rms <= least_noise(campaign):
         return (
             f"the model meets every sample to within rounding (RMS {rms:.1e} {unit}), so there is "
             "no noise by which to judge an interval; expected a measured signal: check that the "

@@ -13,9 +13,10 @@ from scipy import optimize
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.fit.caveats import caveats
-from bayes_sensor.fit.diagnostics import at_bounds, bound_warnings, warn
+from bayes_sensor.fit.diagnostics import at_bounds, bound_warnings, unseen_lags, warn
 from bayes_sensor.fit.identifiability import cannot_tell, step_is_seen
 from bayes_sensor.fit.looks import Look, first_look, initial_bounds
+from bayes_sensor.fit.misfit import misfits, overall
 from bayes_sensor.fit.noise import all_residuals, estimate_noise, mean_square
 from bayes_sensor.fit.points import averages, scatter
 from bayes_sensor.fit.record import Fit, Progress
@@ -127,7 +128,8 @@ def fit_least_squares(
     labels = dict(zip(SHARED, naming.names, strict=True))
     warnings = warn(problem, vector, residuals, looks, unit)
     at_bound = at_bounds(problem.layout, vector, box)
-    warnings += bound_warnings(at_bound, box, vector, problem.layout, unit, labels)
+    unseen = unseen_lags(at_bound, vector, problem.layout, box, bounds or {})
+    warnings += bound_warnings(at_bound, box, vector, problem.layout, unit, labels, unseen)
     if not record["agree"]:
         warnings.append(
             "Independent particle swarms ended in different places after refinement; "
@@ -152,6 +154,8 @@ def fit_least_squares(
                 f"tau_v = {1e3 * other.tau_v:.4g} ms and V = {other.volume:.4g} mL is as good"
             )
             warnings.append(f"V{twin[1:]}.")
+    missed = misfits(problem, residuals, looks)
+    noise, misfit = overall(problem, missed)
     if mute:
         warnings.insert(0, f"No interval can be given: {mute}.")
     if not seen:
@@ -186,9 +190,13 @@ def fit_least_squares(
         cannot_tell=mute,
         twin=twin,
         step_seen=seen,
+        unseen=tuple(labels[name] for name in unseen),
         naming=naming,
         side_information=compared,
-        caveats=tuple(caveats(problem, vector, residuals, compared)),
+        caveats=tuple(caveats(problem, vector, residuals, missed, compared)),
+        noise=noise,
+        misfit=misfit,
+        misfit_per_experiment={name: each.ratio for name, each in missed.items()},
     )
 
 

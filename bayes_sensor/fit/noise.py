@@ -63,7 +63,7 @@ def estimate_noise(
         if layout.noise_per_experiment:
             own = sqrt(sum(s.r2.sum() for s in chosen) / sum(len(s.r2) for s in chosen))
         v0, v1 = _variances(chosen, problem.noise.variance != "constant")
-        v0 = max(v0, (1e-3 * own) ** 2, 1e-30)
+        v0 = max(v0, (1e-3 * own) ** 2, campaign.rounding**2)
         phi = 0.0
         if problem.noise.autocorrelation == "ar1":
             phi = _lag_one(chosen, v0, v1)

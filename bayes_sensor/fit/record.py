@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from bayes_sensor.campaign import FloatArray
@@ -60,6 +60,8 @@ class Fit:
     """that another valve and manifold fit as well, as a sentence; empty where they do not"""
     step_seen: bool = True
     """whether the step of any experiment stands out of the noise"""
+    unseen: tuple[str, ...] = ()
+    """lags, or V, at the lower end of the search: too small for these data to see"""
     naming: Naming | None = None
     """what may be said of the names of the lags"""
     side_information: tuple[Comparison, ...] = ()
@@ -67,6 +69,12 @@ class Fit:
     caveats: tuple[str, ...] = ()
     """sentences that decide whether the headline stands: posterior, bounds and report repeat them
     before anything else"""
+    noise: float | None = None
+    """V, RMS of the noise without test gas, from the quiet stretches; None where none is quiet"""
+    misfit: float | None = None
+    """RMS over what the noise of the quiet stretches would leave; None where it cannot be told"""
+    misfit_per_experiment: dict[str, float | None] = field(default_factory=dict)
+    """the same by experiment"""
 
     @property
     def order(self) -> str:
@@ -78,18 +86,10 @@ class Fit:
         """(n_lags,) s, the lags that flows do not tell apart, shortest first."""
         return lags_of(self.theta_hat, None if self.naming is None else self.naming.flow)
 
-    def is_unseen(self, name: str) -> bool:
-        """Whether a lag, or V, sits at the lower end of its search: too small for these data."""
-        if name not in self.at_bound:
-            return False
-        low, high = self.bounds[name]
-        value = float(self.theta_hat[self.names.index(name)])
-        return value - low < high - value
-
     def __repr__(self) -> str:
         """The shared time constants and the status."""
         shared = ", ".join(
-            f"{name} too small to be seen" if self.is_unseen(name) else f"{name} {value:.4g}"
+            f"{name} too small to be seen" if name in self.unseen else f"{name} {value:.4g}"
             for name, value in zip(self.names[:3], self.theta_hat[:3])
         )
         return f"Fit({shared}; RMS {self.rms:.4g} {self.signal_unit}; {self.status})"
@@ -100,8 +100,8 @@ class Fit:
         rows = [
             [
                 name,
-                None if self.is_unseen(name) else value,
-                "too small to be seen" if self.is_unseen(name)
+                None if name in self.unseen else value,
+                "too small to be seen" if name in self.unseen
                 else "at a search bound" if name in limit else "",
             ]
             for name, value in zip(self.names, self.theta_hat.tolist(), strict=True)
@@ -114,10 +114,14 @@ class Fit:
         """The content of ``fit.json``."""
         return {
             "order": self.order,
+            "noise_V": self.noise,
+            "misfit": self.misfit,
+            "misfit_per_experiment": dict(self.misfit_per_experiment),
             "rms_V": self.rms,
             "n_samples": self.n_samples,
             "parameters": self.parameters,
             "lags_s": self.lags.tolist(),
+            "unseen": list(self.unseen),
             "side_information": [each.to_json() for each in self.side_information],
             "at_bound": list(self.at_bound),
             "converged": self.converged,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import sqrt
 from typing import Any, NamedTuple
 
@@ -27,10 +28,11 @@ class Squares:
     """Residuals and Jacobian on points in the coordinates of the refinement.
 
     Coordinates: tau^2, tau_v, V, per experiment y0, beta, t0 + tau, tf + tau, then extra
-    parameters; ``straight=False``: theta itself.  Times count from the start of each record, or the
-    tolerance on steps would grow with the clock.  Each experiment's block [J r] is replaced by the
-    triangular factor of its QR decomposition: same norm, same J'J and J'r, a few rows in place of
-    hundreds.
+    parameters; ``straight=False``: theta itself.  Times count from the start of each record, and
+    the signal from its own level in its own unit: else tolerances on steps and gradients would
+    mean another thing for every clock, offset and unit.  Each experiment's block [J r] is replaced
+    by the triangular factor of its QR decomposition: same norm, same J'J and J'r, a few rows in
+    place of hundreds.
     """
 
     def __init__(self, problem: Problem, points: Points, straight: bool = True) -> None:
@@ -40,6 +42,8 @@ class Squares:
         self.edges = self.layout.local[:, 2:][there]
         begin = np.array([float(e.t[0]) for e in problem.campaign])
         self.begin = np.stack([begin, begin], axis=1)[there]
+        self.starts = begin
+        self.levels, self.unit = own_units(points)
         self.n_evaluations = 0
         self._at: bytes = b""
         self._last: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty((0, 0)))
@@ -49,29 +53,41 @@ class Squares:
     def coordinates(self, theta: FloatArray) -> FloatArray:
         """From (tau, .., t0, tf, ..) to the refinement's coordinates."""
         p = np.array(theta, dtype=float)
+        y0, beta = self.layout.local[:, 0], self.layout.local[:, 1]
         p[self.edges] -= self.begin
+        p[y0] = (p[y0] - self.levels) / self.unit
+        p[beta] /= self.unit
         if self.straight:
             p[self.edges] += p[0]
             p[0] = p[0] ** 2
         return p
 
-    def theta(self, p: FloatArray) -> FloatArray:
-        """Back to (tau, .., t0, tf, ..)."""
+    def _own(self, p: FloatArray) -> FloatArray:
+        """(tau, .., t0, tf, ..) with time and signal as the coordinates count them."""
         theta = np.array(p, dtype=float)
         if self.straight:
             theta[0] = sqrt(max(theta[0], 0.0))
             theta[self.edges] -= theta[0]
-        theta[self.edges] += self.begin
         return theta
 
-    def _block(self, theta: FloatArray, k: int) -> tuple[FloatArray, FloatArray, list[int]]:
-        # mean, its derivatives by the columns it depends on, and which those are
+    def theta(self, p: FloatArray) -> FloatArray:
+        """Back to (tau, .., t0, tf, ..)."""
+        theta = self._own(p)
+        y0, beta = self.layout.local[:, 0], self.layout.local[:, 1]
+        theta[self.edges] += self.begin
+        theta[y0] = self.levels + theta[y0] * self.unit
+        theta[beta] *= self.unit
+        return theta
+
+    def _block(self, p: FloatArray, k: int) -> tuple[FloatArray, FloatArray, list[int]]:
+        # residual, its derivatives by the columns it depends on, and which those are
         e = self.problem.campaign.experiments[k]
         part = slice(self.points.first[k], self.points.first[k + 1])
-        t = self.points.t[part]
         i_y0, i_beta, i_t0, i_tf = (int(i) for i in self.layout.local[k])
         if self.kind == "general":
-            return self._block_general(theta, k, t)
+            return self._block_general(self.theta(p), k, part)
+        theta, t = self._own(p), self.points.t[part] - self.starts[k]
+        y = (self.points.y[part] - self.levels[k]) / self.unit
         y0, beta, t0 = theta[i_y0], theta[i_beta], theta[i_t0]
         tf = float(theta[i_tf]) if i_tf >= 0 else None
         taus = time_constants(theta[0], theta[1], theta[2], e.total_flow)
@@ -93,36 +109,38 @@ class Squares:
             J[:, 6] = beta * dx[:, 4]
         if self.straight:
             J[:, 0] = (J[:, 0] - J[:, 5:].sum(axis=1)) / (2.0 * theta[0])
-        return y0 + beta * x, J, columns
+        return y0 + beta * x - y, J, columns
 
     def _block_general(
-        self, theta: FloatArray, k: int, t: FloatArray
+        self, theta: FloatArray, k: int, part: slice
     ) -> tuple[FloatArray, FloatArray, list[int]]:
         layout = self.layout
         full = with_noise(layout, theta)
-        mean, _, index, slopes, _ = mean_derivatives(self.problem, full, k, t)
+        mean, _, index, slopes, _ = mean_derivatives(self.problem, full, k, self.points.t[part])
+        # the levels count in the same unit as the residual
+        slopes[~np.isin(index, layout.local[k, :2])] /= self.unit
         n_noise = len(layout.noise_names)
         columns = [int(i) if i < layout.n_mean else int(i) - n_noise for i in index]
         if self.straight:
             switches = [row for row, i in enumerate(columns) if i in self.edges]
             slopes[0] = (slopes[0] - slopes[switches].sum(axis=0)) / (2.0 * theta[0])
-        return mean, slopes.T, columns
+        return (mean - self.points.y[part]) / self.unit, slopes.T, columns
 
     def evaluate(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Reduced residuals (n_rows,) and Jacobian (n_rows, n) at coordinates ``p`` (n,)."""
+        """Reduced residuals (n_rows,) and Jacobian (n_rows, n) at coordinates ``p`` (n,), in units
+        of the signal."""
         key = p.tobytes()
         if key == self._at:
             return self._last
         self.n_evaluations += 1
-        theta = self.theta(p)
         rows, values = [], []
         for k in range(len(self.points.first) - 1):
             part = slice(self.points.first[k], self.points.first[k + 1])
-            mean, J, columns = self._block(theta, k)
+            residual, J, columns = self._block(p, k)
             weight = np.sqrt(self.points.weight[part])
-            block = np.empty((len(mean), J.shape[1] + 1))
+            block = np.empty((len(residual), J.shape[1] + 1))
             block[:, :-1] = J * weight[:, None]
-            block[:, -1] = (mean - self.points.y[part]) * weight
+            block[:, -1] = residual * weight
             R: Any = np.linalg.qr(block, mode="r")
             wide = np.zeros((len(R), len(p)))
             wide[:, columns] = R[:, :-1]
@@ -133,8 +151,21 @@ class Squares:
         return self._last
 
     def cost(self, theta: FloatArray) -> float:
-        """Sum of squares on the points (without the scatter inside them)."""
-        return float(np.sum(self.evaluate(self.coordinates(theta))[0] ** 2))
+        """Sum of squares on the points (without the scatter inside them), V^2."""
+        return float(np.sum(self.evaluate(self.coordinates(theta))[0] ** 2)) * self.unit**2
+
+
+def own_units(points: Points) -> tuple[FloatArray, float]:
+    """A level of every experiment (n_exp,) V and the signal's unit V, a power of two.
+
+    The unit divides without rounding, and so does a level near a record far from zero; results
+    then are those of the record in any other unit.
+    """
+    parts = [points.y[a:b] for a, b in pairwise(points.first)]
+    widest = max(float(np.ptp(y)) for y in parts)
+    largest = float(np.abs(points.y).max())
+    unit = 2.0 ** np.floor(np.log2(widest or largest or 1.0))
+    return np.array([float(y[0]) for y in parts]), float(unit)
 
 
 def with_noise(layout: Layout, theta: FloatArray) -> FloatArray:
@@ -212,8 +243,9 @@ def _trust_region(
     )  # fmt: skip
     p[free] = result.x
     return Refined(
-        squares.theta(p), float(2.0 * result.cost), result.status > 0, squares.n_evaluations
-    )
+        squares.theta(p), float(2.0 * result.cost) * squares.unit**2, result.status > 0,
+        squares.n_evaluations,
+    )  # fmt: skip
 
 
 def mesh_points(problem: Problem, theta: FloatArray, low: FloatArray, high: FloatArray) -> Points:

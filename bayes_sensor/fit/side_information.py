@@ -64,7 +64,11 @@ class Estimates:
 
     def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
         """(n, 3) shortest lag, longest lag (s) and V (mL), the lags by size."""
-        values, vectors = np.linalg.eigh(self.cov)
+        # what the data say nothing of may be anything up to a thousand times its estimate
+        known = np.isfinite(np.diag(self.cov))
+        cov = np.where(np.outer(known, known), self.cov, 0.0)
+        cov += np.diag(np.where(known, 0.0, (1e3 * self.mean) ** 2))
+        values, vectors = np.linalg.eigh(cov)
         z = rng.standard_normal((n, 3)) * np.sqrt(np.maximum(values, 0.0))
         drawn: FloatArray = self.mean + z @ vectors.T
         drawn[:, 0] = np.sqrt(np.maximum(drawn[:, 0], 0.0))
@@ -74,11 +78,18 @@ class Estimates:
 
 
 def _inverse(information: FloatArray) -> FloatArray:
-    """Covariance (n, n) of an information matrix; what it does not hold has a huge variance."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    """Covariance (n, n) of an information matrix, by its pseudo-inverse.
+
+    A direction that it holds next to nothing of has a variance 1e12 times that of the others; a
+    parameter that it holds nothing of at all an infinite one.
+    """
+    informed = np.diag(information) > 0.0
+    some = np.flatnonzero(informed)
+    scale = np.sqrt(np.diag(information)[some])
+    values, vectors = np.linalg.eigh(information[np.ix_(some, some)] / np.outer(scale, scale))
     inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T
-    found: FloatArray = inverse / np.outer(scale, scale)
+    found = np.diag(np.where(informed, 0.0, np.inf))
+    found[np.ix_(some, some)] = inverse / np.outer(scale, scale)
     return found
 
 
@@ -109,6 +120,7 @@ class Comparison:
         data = f"{self.data:.4g} +- {self.data_sd:.2g} {unit}"
         if self.data < 2.0 * self.data_sd:
             data = f"less than {self.data + Z95 * self.data_sd:.3g} {unit} (95 %)"
+        symbols = symbol if symbol == "tau" else f"{symbol} and tau"
         lag = ""
         if self.known_lag is not None:
             seen = self.data * self.known_lag / self.mean
@@ -116,8 +128,8 @@ class Comparison:
         return (
             f"side information and data contradict each other in {symbol}: {self.mean:.4g} +- "
             f"{self.sd:.2g} {unit} is given, the data alone say {data}{lag}, {self.distance:.3g} "
-            f"joint standard deviations apart; neither {symbol} nor tau is to be quoted before one "
-            "of the two is found to be wrong"
+            f"joint standard deviations apart; do not quote {symbols} before one of the two is "
+            "found to be wrong"
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -102,7 +102,7 @@ def write_comparison(stage: Stage, rows: Sequence[Row], version: str) -> dict[st
         figure = figures.forest(rows, found["median_tau_s"])
         drawing = figures.svg(figure)
         stage.text("fleet.svg", drawing)
-        stage.path("fleet.png").write_bytes(figures.png(figure))
+        stage.binary("fleet.png", figures.png(figure))
     else:
         stage.drop += ["fleet.svg", "fleet.png"]
     stage.text("index.html", page(rows, found, drawing, version))
@@ -125,7 +125,7 @@ def page(rows: Sequence[Row], found: Mapping[str, Any], drawing: str | None, ver
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
-    from bayes_sensor.report.html import inline_svg
+    from bayes_sensor.report.drawing import inline_svg
     from bayes_sensor.report.parts import Table
 
     places = resources.files("bayes_sensor") / "templates"

@@ -34,6 +34,8 @@ LONGEST = 17.0
 """time scales; no bin is longer, so that drifts stay visible"""
 ENOUGH = 100
 """bins of even length that show a drift, however short the time scale is beside the record"""
+ROUNDING = 1e-6
+"""share of a length by which it may be rounded, on a clock that shows large numbers"""
 QUADRATURE = np.polynomial.legendre.leggauss(4)
 
 
@@ -240,8 +242,9 @@ def _thin(edges: FloatArray, shortest: float, longest: float) -> FloatArray:
     """Edges (m,) of bins that are neither ``shortest`` s or shorter nor longer than ``longest``."""
     kept = [float(edges[0])]
     for x in edges[1:]:
-        if x - kept[-1] > shortest:
-            n = int(np.ceil((x - kept[-1]) / longest))
+        if x - kept[-1] > shortest * (1.0 + ROUNDING):
+            # steps of exactly the longest are meant to stay whole, however they are rounded
+            n = int(np.ceil((x - kept[-1]) / longest * (1.0 - ROUNDING)))
             kept += list(kept[-1] + (x - kept[-1]) * np.arange(1, n + 1) / n)
     kept[-1] = max(kept[-1], float(edges[-1]))
     return np.array(kept)

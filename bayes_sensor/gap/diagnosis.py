@@ -133,12 +133,11 @@ def diagnose_gap(
         )
     catalogue = _catalogue(effects, without)
     from bayes_sensor.fit import fit_least_squares
-    from bayes_sensor.fit.identifiability import ROUNDING
+    from bayes_sensor.fit.identifiability import least_noise
 
     if fit is None:
         fit = fit_least_squares(campaign, seed=seed, euler=False)
-    largest = max(float(np.abs(e.values[e.used]).max()) for e in campaign)
-    if fit.cannot_tell and fit.rms <= ROUNDING * largest:  # a floor of nothing judges nothing
+    if fit.cannot_tell and fit.rms <= least_noise(campaign):  # a floor of nothing judges nothing
         raise CampaignError(f"gap: {fit.cannot_tell}")
     tell(0.02, "noise floor")
     prepared = prepare(campaign, _mean_of(campaign, fit), fit.naming)

@@ -359,7 +359,7 @@ def _slopes(sketch: Sketch, base: Refit) -> list[FloatArray]:
 def _readout_parts(sketch: Sketch, base: Refit) -> list[Parts]:
     """A readout that is off by a function of what it reads, for each of the lengths."""
     means = _means(sketch, base)
-    read = [m / sketch.signal_scale for m in means]
+    read = [m / sketch.height for m in means]
     volts = [np.full(len(m), sketch.signal_scale) for m in means]
     return [[_part(sketch, read, volts, w)] for w in READOUT_LENGTHS]
 

@@ -136,7 +136,8 @@ class Form:
     weight: float = 1.0
     """prior weight among the forms of the effect"""
     starts: tuple[Mapping[str, float], ...] = ({},)
-    """strengths (in units of the time scale for times ending in ``*``) from which fits begin"""
+    """strengths from which fits begin; names ending in ``*``: in units of the time scale, or of
+    the step's height"""
     grid: tuple[Mapping[str, float], ...] = ()
     """further starts, of which only those are followed that promise most"""
     mean: Callable[[FloatArray, Mapping[str, float], RigView], FloatArray] | None = None
@@ -337,7 +338,7 @@ class _Checked:
             at = ", ".join(f"{s.name} = {values[s.name]:.4g}" for s in self.strengths)
             raise CampaignError(
                 f"effect {self.effect}: expected finite voltages from its function, but got "
-                f"{found[i]} at t = {t[i]:.6g} s of experiment '{rig.experiment.name}' with {at}; "
+                f"{found[i]} at t = {t[i]:.10g} s of experiment '{rig.experiment.name}' with {at}; "
                 "correct it"
             )
         return found

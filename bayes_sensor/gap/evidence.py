@@ -19,6 +19,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.discrepancy import Discrepancy
 from bayes_sensor.gap.floor import DOF
 from bayes_sensor.gap.refit import Refit
+from bayes_sensor.gap.squares import own_units, solved
 
 WIDTHS = (1.0 / 3.0, 1.0, 3.0)
 """an amplitude's plausible size is averaged over these multiples of its stated spread"""
@@ -86,7 +87,7 @@ class Linearised:
         free[0] = x[0] > 0.0 or slope[0] > 0.0
         normal = (self.gram[1:, 1:] + prior)[np.ix_(free, free)]
         step = np.zeros(plan.size)
-        step[free] = np.linalg.solve(normal, slope[free])
+        step[free] = solved(normal, slope[free])
         return step if float(slope @ step) > AT_REST else None
 
     def _at_rest(self, gram: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -107,7 +108,7 @@ class Linearised:
         gradient, normal = self._at_rest(self.gram - discrepancy.absorbed(self.both))
         prior = plan.own_prior_matrix
         pulled = prior @ (self.refit.x - plan.prior_centre)
-        step = np.linalg.solve(normal + prior, gradient - pulled)
+        step = solved(normal + prior, gradient - pulled)
         return discrepancy.leave(self.refit.residual - self.refit.jacobian @ step)
 
     def evidence(self, discrepancy: Discrepancy | None) -> Evidence:
@@ -159,20 +160,22 @@ def _laplace(
     scale = np.ones((len(square), len(priors)))
     for _ in range(3):
         matrix = scale[..., None, None] * normal + prior
-        step = np.linalg.solve(matrix, (scale[..., None] * gradient - pulled)[..., None])[..., 0]
+        step = solved(matrix, (scale[..., None] * gradient - pulled)[..., None])[..., 0]
         bent = (normal @ step[..., None])[..., 0]
         misfit = square + np.sum(step * (bent - 2.0 * gradient), axis=-1)
         misfit = np.maximum(misfit, 1e-9)
         scale = (DOF + n) / (DOF + misfit)
     matrix = scale[..., None, None] * normal + prior
     moved = away + step
-    sign, log_matrix = np.linalg.slogdet(matrix)
+    unit = own_units(matrix)
+    sign, log_matrix = np.linalg.slogdet(matrix * unit[..., :, None] * unit[..., None, :])
+    log_matrix = log_matrix - 2.0 * np.sum(np.log(unit), axis=-1)
     sound = sign > 0
     # the covariance of the first two coordinates: ln tau is the second minus the first where the
     # sensor's is the shorter lag, else the second
     minus = 1.0 - refit.plan.sketch.sensor
     first_two = np.broadcast_to(np.eye(len(away), 2), (*matrix.shape[:-1], 2))
-    covariance = np.linalg.solve(matrix, first_two)[..., :2, :]
+    covariance = solved(matrix, first_two)[..., :2, :]
     # that the shorter lag is below the longer by FASTER cuts the Gaussian
     inside = refit.x[0] + step[..., 0]
     with np.errstate(invalid="ignore"):  # of a matrix that is not positive definite

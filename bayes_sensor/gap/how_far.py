@@ -25,6 +25,7 @@ from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.floor import DOF
 from bayes_sensor.gap.refit import Refit, refit
 from bayes_sensor.gap.sketch import Sketch
+from bayes_sensor.gap.squares import inverted, solved
 from bayes_sensor.gap.where import Leverage, _mean_square
 from bayes_sensor.gap.which import INCOMPLETE
 
@@ -122,14 +123,14 @@ def _squared_sizes(
     normal = jacobian.T @ jacobian
     seen = basis.T @ jacobian
     inner = basis.T @ fitted.residual
-    beside = np.linalg.inv(normal - seen.T @ (shrink[:, None] * seen) + prior)
+    beside = inverted(normal - seen.T @ (shrink[:, None] * seen) + prior)
     gradient = jacobian.T @ fitted.residual - seen.T @ (shrink * inner) - pull
     mean = shrink * (inner - seen @ (beside @ gradient))
     part = shrink[:, None] * seen
     covariance = np.diag(shrink) + part @ beside @ part.T
     a = mean[:, None] + np.linalg.cholesky(covariance) @ rng.standard_normal((len(mean), n))
     slope = seen.T @ a
-    step = np.linalg.solve(normal + prior, slope)
+    step = solved(normal + prior, slope)
     sizes = np.sum(a * a, axis=0) - 2.0 * np.sum(slope * step, axis=0)
     made: FloatArray = np.maximum(sizes + np.sum(step * (normal @ step), axis=0), 0.0)
     return made
@@ -274,7 +275,7 @@ def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
     free = np.zeros(one.size, dtype=bool)
     free[n_shared:] = True
     covariance = np.zeros((one.size, one.size))
-    covariance[:n_shared, :n_shared] = np.linalg.inv(rest.normal)[:n_shared, :n_shared]
+    covariance[:n_shared, :n_shared] = inverted(rest.normal)[:n_shared, :n_shared]
     if not local:
         made = refit(one, start, most_steps=10, tolerance=0.2, free=free)
         return _prediction(made, free, covariance)
@@ -282,7 +283,7 @@ def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
     falling = alone.bins[0].falling
     rise = replace(plan, sketch=alone.restricted([~falling]))
     first = refit(rise, start, most_steps=10, tolerance=0.2, free=free)
-    covariance[n_shared:, n_shared:] = np.linalg.inv(first.normal)[n_shared:, n_shared:]
+    covariance[n_shared:, n_shared:] = inverted(first.normal)[n_shared:, n_shared:]
     free[:] = False
     free[n_shared + 3] = True  # tf
     fall = replace(plan, sketch=alone.restricted([falling]))
@@ -293,6 +294,8 @@ def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
 def _prediction(made: Refit, free: NDArray[np.bool_], covariance: FloatArray) -> _Prediction:
     """``covariance`` (n, n) of the coordinates that were not ``free``."""
     loose, given = made.jacobian[:, free], made.jacobian[:, ~free]
+    unit = np.linalg.norm(loose, axis=0)
+    loose = loose / np.where(unit > 0.0, unit, 1.0)
     given = given - loose @ np.linalg.lstsq(loose, given, rcond=None)[0]
     n = len(made.residual) - loose.shape[1]
     seen = given @ covariance[np.ix_(~free, ~free)] @ given.T

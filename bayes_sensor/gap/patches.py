@@ -29,6 +29,7 @@ from bayes_sensor.gap.events import (
 from bayes_sensor.gap.floor import DOF, Quiet
 from bayes_sensor.gap.full_rate import FullRate, Place, any_of
 from bayes_sensor.gap.refit import Refit
+from bayes_sensor.gap.squares import inverted
 
 PATCH_SPAN = (-1.2, 8.0)
 """time scales around a switch"""
@@ -244,7 +245,7 @@ def look_for_breaks(found: Refit, tail: float = np.inf) -> FullRate:
     """
     dof = min(DOF, tail)
     sketch, plan = found.plan.sketch, found.plan
-    covariance = np.linalg.inv(found.normal)
+    covariance = inverted(found.normal)
     places: list[dict[Hashable, float]] = []
     clearest = []
     for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):

@@ -237,19 +237,19 @@ class Plan:
     def start(self, base: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
         """Coordinates from the base fit's, strengths at ``chosen`` or at their centres.
 
-        Strengths whose name ends in ``*`` in ``chosen`` are in units of the time scale.
+        Strengths whose name ends in ``*`` in ``chosen`` are in units of the time scale, those of
+        volts in units of the step's height.
         """
         x = np.zeros(self.size)
         x[:SHARED] = base[:SHARED]
         at = SHARED
         n = len(self.own)
-        given = {
-            name.rstrip("*"): value * (self.sketch.time_scale if name.endswith("*") else 1.0)
-            for name, value in chosen.items()
-        }
+        time, scales = self.sketch.time_scale, {"V": self.sketch.height}
 
         def begin(s: Strength) -> float:
-            return s.coordinate(given[s.name]) if s.name in given else 0.0
+            if f"{s.name}*" in chosen:
+                return s.coordinate(chosen[f"{s.name}*"] * scales.get(s.unit, time))
+            return s.coordinate(chosen[s.name]) if s.name in chosen else 0.0
 
         for i, s in enumerate(self.shared):
             x[SHARED + i] = begin(s)
@@ -426,7 +426,7 @@ class Plan:
         steps[1:SHARED] = 1e-3
         for k, e in enumerate(self.sketch.campaign):
             at = self.local[k]
-            steps[at : at + 2] = 1e-3 * self.sketch.signal_scale
+            steps[at : at + 2] = 1e-3 * self.sketch.height
             steps[at + 2 : at + (4 if e.has_fall else 3)] = 1e-3 * self.sketch.time_scale
         return steps
 

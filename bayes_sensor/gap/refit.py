@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dposv
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.gap.plan import FASTER, Plan
 from bayes_sensor.gap.sketch import Sketch
-from bayes_sensor.gap.squares import carry_on, normal_equations
+from bayes_sensor.gap.squares import carry_on, inverted, normal_equations
 
 STRAIGHT = 0.25
 """share of the promised gain that a step must make for the derivatives to be carried on"""
@@ -94,7 +94,7 @@ class Refit:
         ]
         if not far:  # as a rule; the covariance is not needed then
             return set()
-        covariance = np.linalg.inv(self.normal)
+        covariance = inverted(self.normal)
         found = set()
         for name, here in far:
             pull = prior[np.ix_(here, here)] @ away[here]
@@ -194,7 +194,9 @@ def refit(
         accepted = False
         for _ in range(8):
             damped = normal[within]
-            damped[np.diag_indices_from(damped)] += damping * (squares[index] + 1e-12)
+            # what neither data nor prior hold must have some damping, too
+            own = squares[index]
+            damped[np.diag_indices_from(damped)] += damping * np.where(own > 0.0, own, 1e-12)
             step = _solved(damped, gradient[index])
             if step is None:
                 damping = max(damping, 1e-6) * 10.0

@@ -656,7 +656,9 @@ def rig_mean(
 @njit(cache=True)
 def _read(times: FloatArray, p: FloatArray, response: FloatArray) -> FloatArray:  # pragma: no cover
     # V at the times of a response x3
-    y0, beta, middle, curvature, cubic = p[Y0], p[BETA], p[MIDDLE], p[CURVATURE], p[CUBIC]
+    y0, beta, middle, cubic = p[Y0], p[BETA], p[MIDDLE], p[CUBIC]
+    # towards the step: a signal upside down bends upside down
+    curvature = p[CURVATURE] if beta >= 0.0 else -p[CURVATURE]
     gain, gain_curve, gain_twist, of_all = p[GAIN], p[GAIN_CURVE], p[GAIN_TWIST], p[GAIN_OF_ALL]
     drift, drift_curve, drift_twist = p[DRIFT], p[DRIFT_CURVE], p[DRIFT_TWIST]
     volts = np.empty(len(times))

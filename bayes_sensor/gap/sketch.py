@@ -61,6 +61,12 @@ class Sketch:
         return "tau_s" in self.lags
 
     @cached_property
+    def height(self) -> float:
+        """V, :attr:`signal_scale` with the sign of the steps: what goes with it turns with them."""
+        beta = [float(self.base[at + 1]) for at in self.local(SHARED)[:-1]]
+        return self.signal_scale if np.median(beta) >= 0.0 else -self.signal_scale
+
+    @cached_property
     def inverse_factors(self) -> tuple[FloatArray, ...]:
         """Inverses of the floor's Cholesky factors."""
         return tuple(np.asarray(np.linalg.inv(c), dtype=float) for c in self.floor.cholesky)

@@ -15,6 +15,36 @@ from numpy.typing import NDArray
 from bayes_sensor.campaign import FloatArray
 
 
+def own_units(matrix: FloatArray) -> FloatArray:
+    """(.., n) factors that give a normal matrix (.., n, n) a diagonal of ones.
+
+    Volts, seconds and logarithms stand side by side in it: elimination compares its rows, and would
+    lose another number of digits in every unit of the signal.
+    """
+    diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
+
+
+def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solution of normal equations (.., n, n) for right-hand sides (n,) or (.., n, m)."""
+    unit = own_units(matrix)
+    scaled = matrix * unit[..., :, None] * unit[..., None, :]
+    if right.ndim == 1:
+        return np.asarray(unit * np.linalg.solve(scaled, unit * right))
+    return np.asarray(unit[..., None] * np.linalg.solve(scaled, unit[..., None] * right))
+
+
+def inverted(matrix: FloatArray) -> FloatArray:
+    """Inverse of a normal matrix (n, n).
+
+    >>> inverted(np.array([[1e24, 1e12], [1e12, 2.0]])).round(3).tolist()
+    [[0.0, -0.0], [-0.0, 1.0]]
+    """
+    unit = own_units(matrix)
+    both = np.outer(unit, unit)
+    return np.asarray(np.linalg.inv(matrix * both) * both)
+
+
 @njit(cache=True)
 def whiten(
     factors: FloatArray, of_bins: NDArray[np.int64], values: FloatArray

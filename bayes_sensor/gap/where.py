@@ -22,6 +22,7 @@ from bayes_sensor.gap.bins import PHASES
 from bayes_sensor.gap.floor import DOF
 from bayes_sensor.gap.refit import Refit, refit
 from bayes_sensor.gap.sketch import Sketch
+from bayes_sensor.gap.squares import inverted
 
 DRAWS = 2000
 """simulated noises behind the p-values"""
@@ -90,12 +91,12 @@ class Leverage:
         """Of a refit, its priors counted as data."""
         j = fitted.jacobian
         normal = j.T @ j
-        solve = np.asarray(np.linalg.inv(normal + fitted.plan.own_prior_matrix), dtype=float)
+        solve = inverted(normal + fitted.plan.own_prior_matrix)
         if fitted.x[0] <= 0.0:  # tau at its upper limit: its own coordinate did not move
             keep = np.arange(1, len(solve))
             inverse = np.zeros_like(solve)
             matrix = (normal + fitted.plan.own_prior_matrix)[np.ix_(keep, keep)]
-            inverse[np.ix_(keep, keep)] = np.linalg.inv(matrix)
+            inverse[np.ix_(keep, keep)] = inverted(matrix)
             solve = np.asarray(inverse, dtype=float)
         inner = np.asarray(2.0 * solve - solve @ normal @ solve, dtype=float)
         return cls(j, inner, solve)
@@ -389,7 +390,7 @@ def predict_left_out(sketch: Sketch, base: Refit) -> dict[str, float]:
         other = sketch.restricted(rest)
         fitted = refit(replace(plan, sketch=other), base.x, most_steps=10, tolerance=0.2)
         normal = fitted.jacobian.T @ fitted.jacobian
-        posterior = np.linalg.inv(normal + fitted.plan.own_prior_matrix)
+        posterior = inverted(normal + fitted.plan.own_prior_matrix)
         x = fitted.x
         switch = {"onset": 2, "rise": 2, "fall": 3}.get(name)
         if switch is not None:

@@ -26,6 +26,7 @@ from bayes_sensor.gap.jumps import SEEN, jumps, swept
 from bayes_sensor.gap.plan import FASTER, Part, Plan
 from bayes_sensor.gap.refit import Refit, refit, with_tau
 from bayes_sensor.gap.sketch import Sketch
+from bayes_sensor.gap.squares import solved
 
 PRIOR_NONE = 0.5
 PRIOR_UNLISTED = 0.15
@@ -227,14 +228,17 @@ def _most_promising(
         template = course(plan, begun, here, start)
         inside = base.jacobian.T @ template
         whole = float(template @ template)
-        left = whole - float(inside @ np.linalg.solve(normal, inside))
+        left = whole - float(inside @ solved(normal, inside))
         if left > ABSORBED * whole:
             sizes[i] = float(template @ base.residual) / left
             gains[i] = sizes[i] ** 2 * left
     around = np.concatenate([[-np.inf], gains, [-np.inf]])
     peaks = np.flatnonzero((gains >= around[:-2]) & (gains >= around[2:]))
     return [
-        {name: v * (sizes[i] if name in amplitudes else 1.0) for name, v in grid[i].items()}
+        {
+            name: v * (sizes[i] if name.rstrip("*") in amplitudes else 1.0)
+            for name, v in grid[i].items()
+        }
         for i in peaks[np.argsort(-gains[peaks])][:MOST_PROMISING]
     ]
 

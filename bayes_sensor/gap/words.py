@@ -157,6 +157,15 @@ def _louder_spells(sketch: Sketch) -> list[str]:
     return found
 
 
+def moment(t: float) -> str:
+    """A time ``t`` s on the record's clock, to a hundredth where four digits do not tell it.
+
+    >>> moment(24.6699), moment(1000024.6699)
+    ('24.67', '1000024.67')
+    """
+    return f"{t:.4g}" if abs(t) < 1e3 else f"{t:.2f}"
+
+
 LAGS = {"valve": "longer", "sensor": "shorter"}
 """lag on which a stage's effects are tried where nobody knows whose it is"""
 OTHER_PARTNERS = "the sensor behind another valve, or the valve with another sensor"
@@ -248,8 +257,8 @@ def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
     if found.name == "event":
         return (
             f"In experiment {names[int(s['event_experiment'])]} something happens once, near "
-            f"{s['event_s']:.4g} s: {s['event_ratio']:.2g} times the noise's usual size at that "
-            "time scale."
+            f"{moment(s['event_s'])} s: {s['event_ratio']:.2g} times the noise's usual size at "
+            "that time scale."
         )
     if found.name == "unsteady":
         return (
@@ -260,7 +269,7 @@ def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
     if found.name == "break":
         return (
             f"In experiment {names[int(s['break_experiment'])]} the level changes at about "
-            f"{s['break_s']:.4g} s in a way of its own"
+            f"{moment(s['break_s'])} s in a way of its own"
             f" ({s['break_ratio']:.2g} standard deviations)."
         )
     side = "after" if s["patch_since_s"] >= 0.0 else "before"

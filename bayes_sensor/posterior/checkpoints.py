@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.disk import write_bytes
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.posterior.settings import Settings
 
@@ -35,7 +35,7 @@ class Checkpoint:
         if not resume or known != {"digest": digest}:
             for old in folder.glob("ensemble-*.npz"):
                 old.unlink()
-            replace_file(marker, json.dumps({"digest": digest}).encode())
+            write_bytes(marker, json.dumps({"digest": digest}).encode())
 
     def _path(self, j: int, i: int) -> Path:
         assert self.folder is not None  # only reached with a folder
@@ -74,13 +74,7 @@ class Checkpoint:
             buffer, chain=chain, coords=coords, log_prob=log_prob, acceptance=rate,
             keys=random[1], position=random[2], has_gauss=random[3], gauss=random[4],
         )  # fmt: skip
-        replace_file(self._path(j, i), buffer.getvalue())
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_bytes(content)
-    os.replace(temporary, path)
+        write_bytes(self._path(j, i), buffer.getvalue())
 
 
 def digest(

@@ -82,7 +82,8 @@ class Marginal:
         if not self.marginalise:
             return thetas
         _, best, factor = self.compressed.marginals(thetas)
-        z = rng.standard_normal(best.shape)
+        # a signal upside down has its draws upside down
+        z = rng.standard_normal(best.shape) * np.where(best[:, :, 1:] < 0.0, -1.0, 1.0)
         beta = z[:, :, 1] / factor[:, :, 2]
         y0 = (z[:, :, 0] - factor[:, :, 1] * beta) / factor[:, :, 0]
         local = self.coordinates.problem.layout.local

@@ -33,7 +33,7 @@ class Whitened:
         self.centre = roots.mean(axis=0)
         self.factor = np.linalg.cholesky(
             np.cov(roots.T) + 1e-12 * np.diag(roots.var(axis=0) + 1e-300)
-        )
+        ) * self.coordinates.signs(laplace.theta)
 
     def _roots(self, thetas: FloatArray) -> FloatArray:
         psi = self.coordinates.psi(thetas)

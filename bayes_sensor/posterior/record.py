@@ -13,7 +13,7 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.lags import LAG_NAMES, Naming, lags_of, named
 from bayes_sensor.laplace import Coordinates
-from bayes_sensor.likelihood import Prior, Problem, default_priors
+from bayes_sensor.likelihood import MOST_RISES, Prior, Problem, default_priors
 from bayes_sensor.model import SHARED, Layout
 from bayes_sensor.notebook import card
 from bayes_sensor.posterior.convergence import ESS_LIMIT, MESH_ERROR_LIMIT, R_HAT_LIMIT
@@ -352,7 +352,7 @@ class Posterior:
             for name, place in zip(LAG_NAMES[self.naming.n_lags], shown, strict=True):
                 law = priors[place]
                 if place == "V_mL" and flow is not None:
-                    law = Prior(law.kind, law.a / flow)
+                    law = Prior(law.kind, law.a / flow, law.b / flow)
                 found[name] = str(law)
             if flow is None:
                 found["V_mL"] = str(priors["V_mL"])
@@ -388,13 +388,12 @@ class Posterior:
         name = own[place] if flow is None else (own[0], own[2], own[1])[place]
         current = self.problem.priors[name]
         if name == "V_mL" and flow is not None:
-            current = Prior(current.kind, current.a / flow)
+            current = Prior(current.kind, current.a / flow, current.b / flow)
         usual = current
         if current.kind != "half_normal":
-            usual = default_priors(self.problem.campaign, self.layout)[name]
-        if usual.kind != "half_normal":  # of a valve's lag in the paper's order
             usual = default_priors(self.problem.campaign, self.layout)["tau_s"]
-        scale = usual.a
+        # where lags have no names their law is uniform up to ten rises
+        scale = usual.a if usual.kind == "half_normal" else usual.b / MOST_RISES
         tau = self.lags[:, place]
         chosen = [j for j, a in enumerate(self.problem.assignments) if a.sensor == place]
         share = self.shares[:, chosen].sum(axis=1)

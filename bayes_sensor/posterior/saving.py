@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from bayes_sensor import inference_data as idata
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.disk import replacing
 from bayes_sensor.lags import LAG_NAMES
 from bayes_sensor.model import SHARED, unit_of
 from bayes_sensor.noise import scale_squared
@@ -28,14 +28,9 @@ def to_inference_data(posterior: Posterior) -> Any:
 
 
 def save(posterior: Posterior, path: str | Path) -> None:
-    """Write ``posterior.nc``, under a temporary name first."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        idata.save(*_contents(posterior), temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    """Write ``posterior.nc``, complete or not at all."""
+    with replacing(path) as new:
+        idata.save(*_contents(posterior), new)
 
 
 def _contents(posterior: Posterior) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -32,7 +32,10 @@ MOST_CLIPPED = 0.8
 """of the record that may be clipped before it is an error"""
 DISAGREEMENT = 0.05
 """s between commanded time and drive edge that is worth a warning"""
-_LARGEST_VALUE = 1e12
+OUT_OF_PROPORTION = 1e12
+"""times the median size of the samples: no measurement goes so far"""
+LARGEST_VALUE = 1e100
+"""whose squares and cubes are numbers still"""
 _LARGEST_VOLTAGE = 20.0
 """V; what lies above was probably recorded in mV"""
 _USUAL_FLOWS = (0.5, 5000.0)
@@ -151,7 +154,7 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
         used &= ~clipped
     if not used.any():
         raise file.error("no sample is left to use; widen keep or drop the mask")
-    unusable = ~used & ~(np.abs(y) <= _LARGEST_VALUE)
+    unusable = ~used & ~(np.abs(y) <= _largest_of(y[used]))
     if unusable.any():  # never looked at, but figures and sums want finite numbers
         y = np.where(unusable, np.interp(t, t[used], y[used]), y)
     _look_for_mistakes(where, t, y, used, unit, drive, notes)
@@ -282,7 +285,7 @@ def _check_gaps(
     count = "one gap" if len(lengths) == 1 else f"{len(lengths)} gaps"
     notes.append(
         f"{file.where}: {count} in time, {int(missing.sum())} missing samples, the longest "
-        f"{duration:.4g} s at {t[starts[long]]:.6g} s; left out"
+        f"{duration:.4g} s at {t[starts[long]]:.10g} s; left out"
     )
 
 
@@ -370,6 +373,13 @@ def _compare(
 # --------------------------------------------------------------------------- samples
 
 
+def _largest_of(y: FloatArray) -> float:
+    """What a sample may be at most beside samples ``y`` (n,)."""
+    sizes = np.abs(y[np.isfinite(y) & (y != 0.0)])
+    usual = float(np.median(sizes)) if len(sizes) else 1.0
+    return min(OUT_OF_PROPORTION * usual, LARGEST_VALUE)
+
+
 def _check_finite(
     file: DataFile,
     t: FloatArray,
@@ -379,7 +389,7 @@ def _check_finite(
     notes: list[str],
 ) -> None:
     assert callable(place)
-    huge = used & np.isfinite(y) & (np.abs(y) > _LARGEST_VALUE)
+    huge = used & np.isfinite(y) & (np.abs(y) > _largest_of(y[used]))
     if huge.any():
         i = int(np.argmax(huge))
         raise file.error(
@@ -391,7 +401,7 @@ def _check_finite(
     if not lost.any():
         return
     i = int(np.argmax(lost))
-    at = f"the first at {place(i)} ({t[i]:.6g} s)"
+    at = f"the first at {place(i)} ({t[i]:.10g} s)"
     if lost.all() or lost.sum() == used.sum():
         raise file.error(
             f"none of the {int(used.sum())} samples is a finite number ({at} is {y[i]}); "
@@ -407,7 +417,7 @@ def _check_finite(
         s = "s are" if bad.sum() > 1 else " is"
         notes.append(
             f"{file.where}: {int(bad.sum())} sample{s} not a number, the first at {place(i)} "
-            f"({t[i]:.6g} s); left out"
+            f"({t[i]:.10g} s); left out"
         )
 
 
@@ -429,7 +439,7 @@ def _check_clipped(
     if len(finite):  # the rail that more samples lie at; others were caught among them
         rail = max(finite.max(), finite.min(), key=lambda edge: np.count_nonzero(finite == edge))
         level = f"{rail:.4g}"
-    begins = f"{t[i]:.6g} s"
+    begins = f"{t[i]:.10g} s"
     fix = "record again with a wider input range"
     if on is not None:
         end = off if off is not None else float(t[-1])

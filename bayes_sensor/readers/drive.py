@@ -65,18 +65,18 @@ def commanded_times(
         )
     if levels[0] == 1:
         raise error(
-            f"the drive starts high and first falls at {t[starts[1]]:.6g} s; expected it to start "
+            f"the drive starts high and first falls at {t[starts[1]]:.10g} s; expected it to start "
             "low and rise when the valve opens: it may be inverted, so give commanded_on and "
             "commanded_off instead of drive, or keep only the step"
         )
     middle = (low + high) / 2
     times = [round(float(t[_crossing(smooth, int(i), middle)]), 9) for i in starts[1:]]
     if len(times) > 2:
-        listed = ", ".join(f"{time:.6g} s" for time in times[:6])
+        listed = ", ".join(f"{time:.10g} s" for time in times[:6])
         more = ", ..." if len(times) > 6 else ""
         raise error(
             f"the drive has {len(times)} edges ({listed}{more}); expected one pulse: give "
-            f'keep = ["0 s", "{times[2]:.6g} s"] or the like to crop to one, or commanded_on '
+            f'keep = ["0 s", "{times[2]:.10g} s"] or the like to crop to one, or commanded_on '
             "and commanded_off"
         )
     return times[0], times[1] if len(times) == 2 else None

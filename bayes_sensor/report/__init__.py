@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from bayes_sensor.disk import own_folder, write_bytes, write_text
 from bayes_sensor.report.headline import Headline, alerts, chain_words, headline
 from bayes_sensor.report.parts import Picture, Pictures, Section, Table
 from bayes_sensor.report.saved import Saved, read_results
@@ -67,16 +68,15 @@ def write_report(
     from bayes_sensor.report import html, markdown, typeset
 
     place = Path(target) / FORMATS[form]
-    figure_folder = Path(target) / FIGURES
+    figure_folder = own_folder(Path(target) / FIGURES)
     figure_folder.mkdir(exist_ok=True)
     saved, sections = _read(source, figure_folder, progress)
     if form == "html":
-        place.write_text(html.page(saved, sections), encoding="utf-8", newline="\n")
+        write_text(place, html.page(saved, sections))
     elif form == "md":
-        text = markdown.document(saved, sections, FIGURES)
-        place.write_text(text, encoding="utf-8", newline="\n")
+        write_text(place, markdown.document(saved, sections, FIGURES))
     else:
-        place.write_bytes(typeset.document(saved, sections))
+        write_bytes(place, typeset.document(saved, sections))
     return place
 
 

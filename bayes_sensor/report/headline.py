@@ -350,9 +350,8 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
     """(kind, sentence) for the top of the page: ``bad`` for what failed, else ``note``."""
     from bayes_sensor.figures import METHOD_LABELS  # draws, so slow to import
 
-    found: list[tuple[str, str]] = []
-    for text in (saved.fit or {}).get("caveats", []):  # what decides the headline
-        found.append(("bad", sentence(typeset(text))))
+    caveats = (saved.fit or {}).get("caveats") or []
+    found = [("bad", sentence(typeset(caveat))) for caveat in caveats]
     if saved.fit is not None and not saved.fit["converged"]:
         found.append(("bad", f"The least-squares fit did not converge. {saved.fit['status']}"))
     if saved.posterior is not None and not saved.posterior["converged"]:
@@ -402,7 +401,7 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
             if status != "ok" and "lower bound" not in status and "upper limit" not in status:
                 label = METHOD_LABELS.get(method, method)
                 notes.append(f"{label}: {status}")
-    seen: set[str] = set()
+    seen = set(caveats)
     for note in notes:
         told = sentence(typeset(note))
         if note not in seen and not any(text in (note, told) for _, text in found):

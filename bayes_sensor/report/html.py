@@ -9,16 +9,15 @@ from __future__ import annotations
 import base64
 import html
 import json
-import re
 from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
 from markupsafe import Markup, escape
 
-from bayes_sensor import figures
+from bayes_sensor.report.drawing import inline_svg
 from bayes_sensor.report.headline import alerts, headline, remarks
-from bayes_sensor.report.parts import Picture, Section, Table, compact, numbering, pieces
+from bayes_sensor.report.parts import Picture, Section, Table, numbering, pieces
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import typeset
 from bayes_sensor.samples import coded, thinned
@@ -29,27 +28,6 @@ MOST_PIXELS = 2 << 20
 """bytes of overlays as pixels; beyond, they are only saved beside the page"""
 MOST_SAMPLES = 6 << 20
 """bytes of samples for the zoom; beyond, samples far from the switches are thinned"""
-
-
-def inline_svg(text: str, key: str, label: str) -> str:
-    """An SVG element for the page: own ids, colours that follow the page, a label for readers.
-
-    Raises ValueError if the drawing holds a script or a link, which figures never do.
-    """
-    if re.search(r"<(script|foreignObject|image|a)\b|\son\w+\s*=", text, re.IGNORECASE):
-        raise ValueError(f"figure {key}: a drawing must not hold scripts, links or images")
-    text = compact(text)
-    text = re.sub(r'\bid="', f'id="{key}-', text)
-    text = re.sub(r'(url\(|href=")#', rf"\1#{key}-", text)
-    for colour in figures.COLOURS:
-        text = re.sub(
-            rf'((?:fill|stroke|color)(?:: |="))({colour})', rf"\1var(--f-{colour[1:]}, \2)", text
-        )
-    # the page shows no drawing much smaller or larger than it was made
-    text = re.sub(r'<svg\b([^>]*?) width="([^"]*)"', r'<svg style="--made: \2"\1', text, count=1)
-    text = re.sub(r'<svg\b([^>]*?) height="[^"]*"', r"<svg\1", text, count=1)
-    safe = html.escape(label, quote=True)
-    return text.replace("<svg", f'<svg role="img" aria-label="{safe}"', 1)
 
 
 def _drawings(sections: Sequence[Section]) -> dict[str, Markup]:

@@ -12,9 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bayes_sensor.disk import write_bytes, write_text
 from bayes_sensor.report.words import number, p_words, with_spread
 
-_OPEN, _CLOSE = "\ue000", "\ue001"
+_OPEN, _CLOSE = "\x02", "\x03"
+"""no name holds control characters"""
 
 
 def see(*keys: str) -> str:
@@ -166,31 +168,17 @@ class Pictures:
     def add(self, key: str, figure: Any, caption: str, overlay: int | None = None) -> Picture:
         """The picture of a figure."""
         from bayes_sensor import figures  # slow to import
+        from bayes_sensor.report.drawing import compact
 
         drawing = figures.svg(figure)
         self.done += 1
         self.progress(min(0.99, self.done / max(self.total, 1)), f"figure {key}")
         if self.folder is not None:
-            (self.folder / f"{key}.svg").write_text(drawing, encoding="utf-8")
-            (self.folder / f"{key}.png").write_bytes(figures.png(figure))
+            write_text(self.folder / f"{key}.svg", drawing)
+            write_bytes(self.folder / f"{key}.png", figures.png(figure))
         pixels = None
         if overlay is not None and self.most_vectors is not None:
             self.overlay_bytes += len(compact(drawing))
             if self.overlay_bytes > self.most_vectors:
                 pixels = figures.png(figure, 80)
         return Picture(key, caption, drawing, pixels, overlay)
-
-
-def compact(drawing: str) -> str:
-    """An SVG with coordinates to a tenth of a point and without metadata.
-
-    >>> compact('<path d="M 1.25 2.449&#10;L 3 4.06"/>')
-    '<path d="M 1.2 2.4 L 3 4.1"/>'
-    """
-    drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
-
-    def shorter(match: re.Match[str]) -> str:
-        text = re.sub(r"\s+|&#10;", " ", match[0])
-        return re.sub(r"\d+\.\d\d+", lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), text)
-
-    return re.sub(r'\bd="[^"]*"', shorter, drawing)

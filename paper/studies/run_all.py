@@ -20,6 +20,7 @@ import study_faults
 import study_fleet
 import study_gap
 import study_hostile
+import study_misfit
 import study_odds
 import study_predictive
 import study_published_bounds
@@ -46,6 +47,7 @@ STUDIES = {
     "strong": study_strong.run,
     "extremes": study_extremes.run,
     "hostile": study_hostile.run,
+    "misfit": study_misfit.run,
     "real": study_real.run,
     "faults": study_faults.run,
     "determinism": study_determinism.run,

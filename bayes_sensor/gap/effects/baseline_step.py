@@ -74,7 +74,7 @@ EFFECT = Effect(
                 settings,
                 name=f"own, {name}" if own else name,
                 weight=0.05,
-                grid=tuple({"step": 1e-4, **begin} for begin in begins),
+                grid=tuple({"step*": 1e-4, **begin} for begin in begins),
             )
             for strengths, settings, name, begins in (
                 (_anywhere, _at_place, "at any time", PLACES),
