@@ -288,7 +288,9 @@ class Posterior:
                         )
                     }
                     for key, values in (
-                        ("t63", times.t63), ("t90", times.t90), ("rise", times.rise)
+                        ("t63", times.t63),
+                        ("t90", times.t90),
+                        ("rise", times.rise),
                     )
                 }
             found[e.name] = by_flow[e.total_flow]
