@@ -102,7 +102,7 @@ class Estimates:
     @property
     def polynomials(self) -> FloatArray:
         """(n_lags,) e_1, e_2, .. of the fit."""
-        found: FloatArray = -np.poly((self.lags / self.scale) ** 2)[1:]
+        found = np.array(-np.poly((self.lags / self.scale) ** 2)[1:], dtype=float)
         found[1::2] *= -1.0
         return found
 
@@ -222,6 +222,7 @@ class Comparison:
         data = f"{self.data:.4g} +- {self.data_sd:.2g} {unit}"
         if self.data < 2.0 * self.data_sd:
             data = f"less than {self.data + Z95 * self.data_sd:.3g} {unit} (95 %)"
+        symbols = symbol if symbol == "tau" else f"{symbol} and tau"
         lag = ""
         if self.known_lag is not None:
             seen = self.data * self.known_lag / self.mean
@@ -229,8 +230,8 @@ class Comparison:
         return (
             f"side information and data contradict each other in {symbol}: {self.mean:.4g} +- "
             f"{self.sd:.2g} {unit} is given, the data alone say {data}{lag}, {self.distance:.3g} "
-            f"joint standard deviations apart; neither {symbol} nor tau is to be quoted before one "
-            "of the two is found to be wrong"
+            f"joint standard deviations apart; do not quote {symbols} before one of the two is "
+            "found to be wrong"
         )
 
     def to_json(self) -> dict[str, Any]:
