@@ -605,10 +605,10 @@ def _variance_sentences(
             f"the measured variance is {low:.2g} times the law's at {_range(by_gas, 0)} {place} "
             f"and {high:.2g} times at {_range(by_gas, -1)}"
         )
-        if low > FACTOR and high < 1.0 / FACTOR:
+        if low > 1.0 > high and low > FACTOR * high:
             told.append(f"the noise falls with gas: {ends}")
             falls = True
-        elif high > FACTOR and low < 1.0 / FACTOR:
+        elif high > 1.0 > low and high > FACTOR * low:
             told.append(f"the noise rises with gas by more than it says: {ends}")
         else:
             told.append(f"against concentration {_one_bin(by_gas, place)}")

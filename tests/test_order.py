@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import stats
 
 from bayes_sensor.campaign import Campaign, Experiment, SideInformation
 from bayes_sensor.fit import Fit, fit_least_squares
-from bayes_sensor.fit.side_information import Comparison, Estimates, weigh_names
-from bayes_sensor.lags import Assignment, Naming, assignments, by_size, named
+from bayes_sensor.fit.side_information import Estimates, weigh_names
+from bayes_sensor.lags import Assignment, assignments, by_size, named
 from bayes_sensor.likelihood import (
-    Prior,
     Problem,
     log_likelihood,
     log_prior,
@@ -190,3 +186,45 @@ def test_the_mixed_priors_derivatives_match_finite_differences(
         slope = (log_prior(problem, up) - log_prior(problem, down)) / (2.0 * h)
         # central differences: relative error h^2 = 1e-10, rounding 1e-16 / 1e-5
         assert first[i] == pytest.approx(slope, rel=1e-6, abs=1e-7), problem.layout.names[i]
+
+
+def test_what_the_data_say_of_lags_is_what_a_posterior_says() -> None:
+    campaign, fit = sharp()
+    estimates = Estimates.of(Problem(campaign), fit.theta_hat)
+    lags = posterior_with().lags
+    drawn = estimates.draw(20000, np.random.default_rng(1))
+    for place in (0, 1):
+        value, sd = estimates.lag(place)
+        assert value == fit.theta_hat[place]
+        # expected information against observed, and the sd of some 400 independent draws
+        assert sd == pytest.approx(lags[:, place].std(), rel=0.15)
+        assert drawn[:, place].std() == pytest.approx(sd, rel=0.03)
+        # two sd either way, and joint with side information, as for Gaussian numbers
+        assert estimates.away(np.array(value + 2.0 * sd)) == pytest.approx(2.0, rel=0.02)
+        assert estimates.distance(place, value + 6.0 * sd, 2.0 * sd) == (
+            pytest.approx(6.0 / np.sqrt(5.0), rel=0.02)
+        )
+
+
+@pytest.mark.parametrize("flow", [None, 50.0])
+def test_equal_lags_are_told_from_others(flow: float | None) -> None:
+    # e_1 and e_2 of squares 1, 1 (, .04) in units of the longest, known to a thousandth
+    lags = np.array([1.0, 1.0]) if flow is None else np.array([0.2, 1.0, 1.0])
+    estimates = Estimates(lags, 50.0, flow, 1.0, 1e-6 * np.eye(3))
+    a, b = (estimates.lag(place) for place in (len(lags) - 2, len(lags) - 1))
+    # (x^2 - 1)^2 is known to a thousandth: x to a few hundredths, not to infinity
+    assert 0.003 < a[1] < 0.05 and 0.003 < b[1] < 0.05
+    assert estimates.distance(len(lags) - 1, 1.5, 0.02) > 10.0
+    assert estimates.distance(len(lags) - 1, 1.02, 0.02) < 1.0
+    drawn = estimates.draw(4000, np.random.default_rng(1))
+    assert (drawn[:, 0] <= drawn[:, 1]).all()
+    assert drawn[:, 1].mean() == pytest.approx(1.02, abs=0.02)
+
+
+def test_right_side_information_is_seldom_called_wrong() -> None:
+    # 50 % of a lag that the data hold to a thousandth: a fixed formula would miss the square
+    estimates = Estimates(np.array([0.3, 1.0]), 50.0, None, 1.0, 1e-9 * np.eye(3))
+    rng = np.random.default_rng(4)
+    told = [estimates.distance(0, rng.normal(0.3, 0.15), 0.15) for _ in range(2000)]
+    assert np.mean(np.array(told) > 3.0) < 0.0027 + 3.0 * np.sqrt(0.0027 / 2000)
+    assert np.mean(np.array(told) > 1.0) == pytest.approx(0.317, abs=0.04)

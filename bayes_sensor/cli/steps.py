@@ -700,15 +700,24 @@ def _exit_code(job: Job) -> int:
     return 3 if bad else 0
 
 
+def _decisive(job: Job) -> list[str]:
+    """What decides whether the headline stands: it is said before it."""
+    found = list(job.fit.caveats)
+    if job.posterior is not None:
+        found += job.posterior.doubts
+    elif job.residuals is not None and not job.residuals.adequate:
+        found.append(job.residuals.doubt)
+    return found
+
+
 def _warnings(job: Job, remarks: Sequence[str]) -> list[str]:
     from bayes_sensor.check import SAME_FLOW
 
     # what concerns the last answer comes first, since a terminal shows only so many
-    found = [] if job.posterior is None else list(job.posterior.warnings)
+    found = _decisive(job)
+    found += [] if job.posterior is None else job.posterior.warnings
     found += [text for text in remarks if text != SAME_FLOW]  # the fit says it, with consequences
-    found += [*job.fit.caveats, *job.fit.warnings]
-    if job.residuals is not None and not job.residuals.adequate:
-        found.append(job.residuals.doubt)
+    found += job.fit.warnings
     if job.no_gap:
         found.append(f"not diagnosed: {job.no_gap}")
     return list(dict.fromkeys(found))
@@ -750,7 +759,7 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
     from bayes_sensor.report import chain_words, headline, number
 
     command, quiet = job.command, job.quiet
-    for sentence in job.fit.caveats:  # what decides the headline is said before it
+    for sentence in _decisive(job):
         say(f"warning: {sentence}", quiet)
     if command in ("analyze", "posterior", "bounds"):
         bounds = None if job.bounds is None else job.bounds[1]
@@ -787,7 +796,7 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
         say(f"not diagnosed: {job.no_gap}", quiet)
     # non-convergence is said below, on stderr
     unsaid = ("NOT converged", "not diagnosed")
-    said = set(job.fit.caveats)
+    said = set(_decisive(job))
     warnings = [w for w in _warnings(job, remarks) if not w.startswith(unsaid) and w not in said]
     for warning in warnings[:MOST_WARNINGS]:
         say(f"warning: {warning}", quiet)

@@ -38,7 +38,7 @@ CHANCE = 0.02
 """of a warning from noise alone, in all experiments of a campaign together"""
 SPARE = 4
 """averages that a stretch must hold at the longest scale measured in it"""
-FEWEST = 8
+FEWEST = 12
 """samples of a quiet stretch"""
 SHARES = (1.0, 0.5, 0.25, 0.125)
 """of a stretch, from its end back: the longest part that is still is taken"""

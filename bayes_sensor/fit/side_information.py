@@ -1,17 +1,24 @@
 """What the data alone say of parameters that were measured elsewhere, and whether both agree.
 
-The fit knows nothing of side information.  Its lags are taken as Gaussian with the information
-that the data hold under their own noise, the shortest in its square, in which a least-squares lag
-near zero is nearly so.
+The fit knows nothing of side information.  Lags near zero and lags that are nearly equal are not
+Gaussian: the data hold the squares of all lags, in any order.  What is taken as Gaussian, with the
+information that the data hold under their own noise, are therefore the elementary symmetric
+polynomials e_1 = z_1 + z_2 (+ z_3), e_2, .. of these squares z, which have a regular information
+matrix there, too.  A lag x is then what solves the polynomial
+
+    P(x^2) = x^(2n) - e_1 x^(2n-2) + e_2 x^(2n-4) - .. = 0,
+
+linear in the e: it lies |P(x^2)| / sd(P(x^2)) standard deviations from what the data say.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
+from scipy import optimize
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compression import Region, compress
@@ -28,26 +35,40 @@ Z95 = 1.6449
 SYMBOLS = {"tau_s": ("tau", "s"), "tau_v_s": ("tau_v", "s"), "V_mL": ("V", "mL")}
 
 
+LEAST_APART = 0.05
+"""relative half distance of two squares below which derivatives keep the limit for equal lags"""
+N_GRID = 2001
+"""values of a lag at which it is weighed against side information"""
+
+
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """What the data alone say of the lags and the volume, as a Gaussian in (tau_1^2, tau_2, V).
+    """What the data alone say of the lags that flows do not tell apart, and of the volume."""
 
-    ``tau_1`` and ``tau_2`` are the shortest and the longest lag, in theta's first two places.
-    """
-
-    mean: FloatArray
-    """(3,) s^2, s, mL"""
+    lags: FloatArray
+    """(n_lags,) s, of the fit, shortest first"""
+    volume: float
+    """mL, of the fit"""
+    flow: float | None
+    """mL/s, the common total flow, where V/Q is one of the lags"""
+    scale: float
+    """s, the longest lag: squares are in units of its square"""
     cov: FloatArray
-    """(3, 3)"""
+    """(3, 3) of the symmetric polynomials and, where flows differ, V (mL)"""
 
     @classmethod
     def of(cls, problem: Problem, vector: FloatArray) -> Estimates:
         """From the expected information at the fit ``vector`` (n_theta,), noise included."""
+        flow, lags, volume = problem.flow, lags_of(vector, problem.flow), float(vector[2])
+        scale = float(lags[-1])
         vector = vector.copy()
-        mean = np.array([vector[0] ** 2, vector[1], vector[2]])
         # below this the derivative by the square keeps its limit
-        flow = max(e.total_flow for e in problem.campaign)
-        vector[0] = max(vector[0], 0.02 * min(vector[1], vector[2] / flow))
+        highest = max(e.total_flow for e in problem.campaign)
+        vector[0] = max(vector[0], 0.02 * min(vector[1], vector[2] / highest))
+        squares: FloatArray = _apart(lags_of(vector, flow) ** 2)
+        vector[0], vector[1] = np.sqrt(squares[[0, -1]])
+        if flow is not None:
+            vector[2] = sqrt(squares[1]) * flow
         low, high = vector - np.inf, vector + np.inf
         low[:3], high[:3] = 0.9 * vector[:3], 1.1 * vector[:3]
         longest = max(e.interval for e in problem.campaign)
@@ -58,38 +79,119 @@ class Estimates:
             low[row], high[row[0]] = (-1.0, 0.0, 0.0), 1.0
         compressed = compress(problem, vector, Region(low, high))
         coordinates = Coordinates(problem)
-        slopes, free = coordinates.slopes(vector), coordinates.free
+        slopes: FloatArray = coordinates.slopes(vector)
+        free = coordinates.free
         information = slopes.T @ compressed.information(vector)[np.ix_(free, free)] @ slopes
-        return cls(mean, np.array(_inverse(information)[:3, :3]))
+        # from (tau_1^2, tau_2, V) to the squares and on to their polynomials
+        to_squares = np.diag([1.0, 2.0 * vector[1], 1.0])
+        squares /= scale**2
+        if flow is None:
+            to_squares[:2] /= scale**2
+            of_squares = np.eye(3)
+            of_squares[:2, :2] = _slopes(squares)
+        else:
+            to_squares[2, 2] = 2.0 * vector[2] / flow**2
+            to_squares = to_squares[[0, 2, 1]] / scale**2
+            of_squares = _slopes(squares)
+        to_ours = of_squares @ to_squares
+        with np.errstate(over="ignore"):  # where there is no information at all
+            cov = to_ours @ np.array(_inverse(information)[:3, :3]) @ to_ours.T
+        cov = np.nan_to_num(np.clip(cov, -1e200, 1e200))
+        return cls(lags, volume, flow, scale, cov)
+
+    @property
+    def polynomials(self) -> FloatArray:
+        """(n_lags,) e_1, e_2, .. of the fit."""
+        found = np.array(-np.poly((self.lags / self.scale) ** 2)[1:], dtype=float)
+        found[1::2] *= -1.0
+        return found
+
+    def away(self, lag: FloatArray) -> FloatArray:
+        """(n,) standard deviations between what the data say and a lag (n,) s."""
+        z = (np.asarray(lag, dtype=float) / self.scale) ** 2
+        n = len(self.lags)
+        # of (e_1, e_2, ..) in the polynomial
+        factors = np.stack([(-1.0) ** k * z ** (n - k) for k in range(1, n + 1)], axis=-1)
+        value = z**n + factors @ self.polynomials
+        variance = np.einsum("...i,ij,...j", factors, self.cov[:n, :n], factors)
+        found: FloatArray = np.abs(value) / np.sqrt(np.maximum(variance, 1e-300))
+        return found
+
+    def range_of(self, place: int) -> tuple[float, float]:
+        """s, between which a lag has this place: half way, in squares, to its neighbours."""
+        squares = self.lags**2
+        ends = np.sqrt(0.5 * (squares[1:] + squares[:-1]))
+        return float([0.0, *ends][place]), float([*ends, np.inf][place])
+
+    def lag(self, place: int) -> tuple[float, float]:
+        """The lag at this place and its standard deviation, s."""
+        value = float(self.lags[place])
+        ends = []
+        for end in self.range_of(place):
+            end = min(end, 10.0 * self.scale)
+            if end != value and float(self.away(np.array(end))) > 1.0:
+                end = optimize.brentq(lambda x: float(self.away(np.array(x))) - 1.0, value, end)
+            ends.append(end)
+        return value, 0.5 * (ends[1] - ends[0])
+
+    def distance(self, place: int, mean: float, sd: float) -> float:
+        """Joint standard deviations between the lag at this place and ``mean`` +- ``sd``, s.
+
+        The root of the least of both squared distances together over all lags.  To linearise
+        about ``mean`` instead says of one in ten pieces of right side information of 50 % that
+        they are wrong.
+        """
+        low, high = self.range_of(place)
+        lag = np.linspace(self.lags[place], min(max(mean, low), high), N_GRID)
+        return sqrt(float(np.min(self.away(lag) ** 2 + ((lag - mean) / sd) ** 2)))
 
     def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
-        """(n, 3) shortest lag, longest lag (s) and V (mL), the lags by size."""
-        # what the data say nothing of may be anything up to a thousand times its estimate
-        known = np.isfinite(np.diag(self.cov))
-        cov = np.where(np.outer(known, known), self.cov, 0.0)
-        cov += np.diag(np.where(known, 0.0, (1e3 * self.mean) ** 2))
-        values, vectors = np.linalg.eigh(cov)
+        """(n, 3) of theta's first three values, lags by size."""
+        n_lags = len(self.lags)
+        spread = np.sqrt(np.maximum(np.diag(self.cov), 1e-300))
+        values, vectors = np.linalg.eigh(self.cov / np.outer(spread, spread))
         z = rng.standard_normal((n, 3)) * np.sqrt(np.maximum(values, 0.0))
-        drawn: FloatArray = self.mean + z @ vectors.T
-        drawn[:, 0] = np.sqrt(np.maximum(drawn[:, 0], 0.0))
-        drawn = np.maximum(drawn, 0.0)
-        drawn[:, :2] = np.sort(drawn[:, :2], axis=1)
-        return drawn
+        drawn = spread * (z @ vectors.T)
+        e = self.polynomials + drawn[:, :n_lags]
+        companion = np.zeros((n, n_lags, n_lags))
+        companion[:, 0] = e * (-1.0) ** np.arange(n_lags)
+        companion[:, range(1, n_lags), range(n_lags - 1)] = 1.0
+        # a complex pair stands for equal lags, a negative square for a lag of zero
+        squares = np.sort(np.maximum(np.linalg.eigvals(companion).real, 0.0), axis=1)
+        lags = self.scale * np.sqrt(squares)
+        if self.flow is None:
+            third = np.maximum(self.volume + drawn[:, 2], 0.0)
+        else:
+            third = lags[:, 1] * self.flow
+        return np.stack([lags[:, 0], lags[:, -1], third], axis=1)
+
+
+def _apart(squares: FloatArray) -> FloatArray:
+    """Squares (n_lags,) by size, those nearly equal moved apart about their mean."""
+    found = squares.copy()
+    for i in range(len(found) - 1):
+        middle = 0.5 * (found[i] + found[i + 1])
+        if found[i + 1] - found[i] < 2.0 * LEAST_APART * middle:
+            found[i], found[i + 1] = (1.0 - LEAST_APART) * middle, (1.0 + LEAST_APART) * middle
+    return np.sort(found)
+
+
+def _slopes(squares: FloatArray) -> FloatArray:
+    """(n, n) derivatives of the elementary symmetric polynomials by the squares (n,): e_k without
+    that square, one degree lower."""
+    n = len(squares)
+    found = np.empty((n, n))
+    for j in range(n):
+        found[:, j] = np.poly(-np.delete(squares, j))
+    return found
 
 
 def _inverse(information: FloatArray) -> FloatArray:
-    """Covariance (n, n) of an information matrix, by its pseudo-inverse.
-
-    A direction that it holds next to nothing of has a variance 1e12 times that of the others; a
-    parameter that it holds nothing of at all an infinite one.
-    """
-    informed = np.diag(information) > 0.0
-    some = np.flatnonzero(informed)
-    scale = np.sqrt(np.diag(information)[some])
-    values, vectors = np.linalg.eigh(information[np.ix_(some, some)] / np.outer(scale, scale))
+    """Covariance (n, n) of an information matrix; what it does not hold has a huge variance."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T
-    found = np.diag(np.where(informed, 0.0, np.inf))
-    found[np.ix_(some, some)] = inverse / np.outer(scale, scale)
+    found: FloatArray = inverse / np.outer(scale, scale)
     return found
 
 
@@ -159,9 +261,6 @@ def weigh_names(problem: Problem, vector: FloatArray) -> tuple[Naming, tuple[Com
     probabilities = None
     if len(problem.name_factors[1]):
         thetas = estimates.draw(N_DRAWS, np.random.default_rng(0))
-        if problem.flow is not None:  # three lags by size
-            lags = np.sort(lags_of(thetas, problem.flow), axis=1)
-            thetas = np.stack([lags[:, 0], lags[:, 2], lags[:, 1] * problem.flow], axis=1)
         log_mean = np.logaddexp.reduce(problem.log_weights(thetas), axis=0)
         if np.isfinite(log_mean).any():
             probabilities = np.exp(log_mean - np.logaddexp.reduce(log_mean))
@@ -188,26 +287,14 @@ def _beside(
     name: str, law: Prior, place: int | None, flow: float | None, estimates: Estimates
 ) -> Comparison:
     """Side information on one parameter beside the lag, or the volume, that it speaks of."""
-    # theta's place of a lag, and what makes the parameter of its value there
-    position, factor = 2, 1.0
-    if place is not None:
-        position = (0, 1)[place] if flow is None else (0, 2, 1)[place]
-        if flow is not None:
-            factor = (1.0 / flow if position == 2 else 1.0) * (flow if name == "V_mL" else 1.0)
-    value, sd = float(estimates.mean[position]), sqrt(float(estimates.cov[position, position]))
-    longest = place is None or position == 1
-    if not longest:  # compared in the square, where a lag near zero is nearly Gaussian
-        if position == 2:
-            value, sd = value**2, 2.0 * value * sd
-        own = law.a / factor
-        joint = sqrt(sd**2 + (2.0 * own * law.b / factor) ** 2)
-        distance = abs(value - own**2) / joint
-        spread = sqrt(max(value + sd, 0.0)) - sqrt(max(value, 0.0))
-        value, sd = sqrt(max(value, 0.0)) * factor, spread * factor
-    else:
-        value, sd = value * factor, sd * factor
-        distance = abs(value - law.a) / sqrt(sd**2 + law.b**2)
-    lag = law.a / flow if name == "V_mL" and flow is not None else None
+    if place is None:
+        value, sd = estimates.volume, sqrt(float(estimates.cov[2, 2]))
+        distance = abs(value - law.a) / hypot(sd, law.b)
+        return Comparison(name, law.a, law.b, value, sd, distance)
+    factor = flow if name == "V_mL" and flow is not None else 1.0
+    value, sd = (factor * each for each in estimates.lag(place))
+    distance = estimates.distance(place, law.a / factor, law.b / factor)
+    lag = law.a / factor if name == "V_mL" else None
     return Comparison(name, law.a, law.b, value, sd, distance, lag)
 
 

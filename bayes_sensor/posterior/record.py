@@ -269,7 +269,8 @@ class Posterior:
 
     @cached_property
     def chain(self) -> dict[str, dict[str, dict[str, float]]]:
-        """By experiment, s after the switch until the whole chain has covered 63 and 90 %.
+        """By experiment, s after the switch until the whole chain has covered 63 and 90 %, and its
+        rise from 10 to 90 %.
 
         They need no names of lags.
         """
@@ -286,7 +287,11 @@ class Posterior:
                             QUANTILES, np.percentile(values, QUANTILES), strict=True
                         )
                     }
-                    for key, values in (("t63", times.t63), ("t90", times.t90))
+                    for key, values in (
+                        ("t63", times.t63),
+                        ("t90", times.t90),
+                        ("rise", times.rise),
+                    )
                 }
             found[e.name] = by_flow[e.total_flow]
         return found
@@ -447,8 +452,8 @@ class Posterior:
 
     @property
     def hidden_by_sampling(self) -> float | None:
-        """s, the sampling interval where the whole response is over within it; else None."""
-        over = [self.chain[e.name]["t90_s"]["q50"] < e.interval for e in self.problem.campaign]
+        """s, the sampling interval where the response rises within it at every flow; else None."""
+        over = [self.chain[e.name]["rise_s"]["q50"] < e.interval for e in self.problem.campaign]
         return min(e.interval for e in self.problem.campaign) if all(over) else None
 
     @cached_property

@@ -8,7 +8,7 @@ uncertain as it says, or ``sensor_is``.  A second group has side information tha
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import sqrt
@@ -33,7 +33,7 @@ from bayes_sensor.report.headline import stated_set
 N, N_WRONG, SEED = 200, 40, 83
 DECADES = 0.75
 """half the range of log10 tau and of log10 tau_v; V/Q has two thirds of it"""
-ONE_FLOW = 0.15
+ONE_FLOW = 0.1
 """share of the campaigns whose experiments have one total flow"""
 SPREADS = (0.03, 0.5)
 """sd of side information over the true value, from and to"""
@@ -138,10 +138,7 @@ def _wrong(drawn: Drawn, rng: np.random.Generator) -> dict[str, SideInformation]
     problem = Problem(drawn.campaign)
     vector = by_size(drawn.theta, problem.flow)
     estimates = Estimates.of(problem, vector)
-    sds = np.sqrt(np.diag(estimates.cov))
-    spread = np.array([0.5 * sds[0] / vector[0], sds[1]])
-    if problem.flow is not None:
-        spread = np.array([spread[0], sds[2] / problem.flow, spread[1]])
+    spread = np.array([estimates.lag(place)[1] for place in range(len(drawn.lags))])
     while True:
         i = int(rng.integers(2))
         true = drawn.theta[i]
@@ -193,23 +190,16 @@ def judge(drawn: Drawn, posterior: Posterior) -> dict[str, Any]:
     tau, tau_v, volume = drawn.theta[:3]
     place = drawn.place
     stated, alone = stated_set(said), posterior.naming.place("sensor")
-    likely = [
-        (row["tau_s"]["q2.5"], row["tau_s"]["q97.5"])
-        for row in said["assignments"]
-        if row["probability"] >= LIKELY
-    ]
+    likely = [_ends(row["tau_s"]) for row in said["assignments"] if row["probability"] >= LIKELY]
     shares = {row["lag"]: row["probability"] for row in said["assignments"]}
     best = max(shares, key=lambda lag: shares[lag])
     lags_hold = np.full(3, np.nan)
     for i, (row, lag) in enumerate(zip(said["lags_s"], drawn.lags, strict=True)):
-        lags_hold[i] = row["q2.5"] <= lag <= row["q97.5"]
-    times_hold = {"t63_s": 1, "t90_s": 1}
-    for e in drawn.campaign:
-        times = response_times([tau_v, volume / e.total_flow, tau])
-        for key, value in (("t63_s", times.t63), ("t90_s", times.t90)):
-            row = said["chain"][e.name][key]
-            times_hold[key] &= int(row["q2.5"] <= value <= row["q97.5"])
-    row = said["parameters"]["V_mL"]
+        lags_hold[i] = _within([_ends(row)], lag)
+    # at one flow: those of several are nearly one number
+    first = drawn.campaign.experiments[0]
+    times = response_times([tau_v, volume / first.total_flow, tau])
+    chain = said["chain"][first.name]
     return {
         "order": said["order"],
         "holds": int(_within(stated, tau)),
@@ -219,11 +209,16 @@ def judge(drawn: Drawn, posterior: Posterior) -> dict[str, Any]:
         "p_best": shares[best],
         "best_right": int(best == place),
         "lags_hold": lags_hold,
-        "t63_holds": times_hold["t63_s"],
-        "t90_holds": times_hold["t90_s"],
-        "V_holds": int(row["q2.5"] <= volume <= row["q97.5"]),
+        "t63_holds": int(_within([_ends(chain["t63_s"])], float(times.t63))),
+        "t90_holds": int(_within([_ends(chain["t90_s"])], float(times.t90))),
+        "V_holds": int(_within([_ends(said["parameters"]["V_mL"])], volume)),
         "width": sum(high - low for low, high in stated) / tau,
     }  # fmt: skip
+
+
+def _ends(row: Mapping[str, float]) -> tuple[float, float]:
+    """The 95 % interval among percentiles."""
+    return row["q2.5"], row["q97.5"]
 
 
 def _within(intervals: list[tuple[float, float]], value: float) -> bool:
@@ -287,8 +282,8 @@ def table(honest: pd.DataFrame, wrong: pd.DataFrame) -> pd.DataFrame:
         add(group, "no assignment alone", of["order"] == "undecided", np.nan)
         held = [of[name] for name in ("fast_holds", "second_holds", "third_holds")]
         add(group, "the interval of a lag, by size, holds it", pd.concat(held), 0.95)
-        add(group, "t63 of the chain at every flow", of["t63_holds"], 0.95)
-        add(group, "t90 of the chain at every flow", of["t90_holds"], 0.95)
+        add(group, "t63 of the chain at the lowest flow", of["t63_holds"], 0.95)
+        add(group, "t90 of the chain at the lowest flow", of["t90_holds"], 0.95)
         add(group, "the interval of V holds it", of["V_holds"], 0.95)
         add(group, "posterior not converged", of["converged"] == 0, 0.0)
         add(group, f"took longer than {SLOW:g} s", of["seconds"] > SLOW, 0.0)
