@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from bayes_sensor import figures
-from bayes_sensor.bounds import cramer_rao, explain_tau, step_study
+from bayes_sensor.bounds import Bound, cramer_rao, explain_tau, step_study
+from bayes_sensor.bounds.compare import with_words
 from bayes_sensor.calibration import CoverageStudy
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.cli import _guarded
@@ -19,6 +20,7 @@ from bayes_sensor.design import design_experiments, what_if
 from bayes_sensor.fleet import comparison, row_of
 from bayes_sensor.fleet.comparison import sentences
 from bayes_sensor.likelihood import Prior, Problem, log_likelihood, mean_on_grid, simulate
+from bayes_sensor.model import SHARED
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.results import Results
 
@@ -61,6 +63,25 @@ def test_the_bound_is_that_of_what_theta_calls_tau(tau: float, tau_v: float) -> 
     assert bound.names[:3] == ["tau_s", "tau_v_s", "V_mL"]
     swapped = cramer_rao(design, {**theta, "tau_s": tau_v, "tau_v_s": tau}, sigma=0.05)
     assert bound.sd[:3] == pytest.approx(swapped.sd[[1, 0, 2]], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        ("faster", "tau's estimate, tau_s and tau_v_s"),
+        ("slower", "tau_v's estimate, tau_v_s and tau_s"),
+        ("unknown", "the shorter lag's estimate, lag_fast_s and lag_slow_s"),
+    ],
+)
+def test_a_status_calls_lags_as_the_columns_do(order: str, said: str) -> None:
+    design, _ = rig(order, 0.15, 2.0)
+    problem = Problem(design)
+    empty = np.zeros((3, 3))
+    place = "tau's estimate, tau_s and tau_v_s"
+    bound = Bound("crlb_ar1", "", "", list(SHARED), empty[0], empty[0], empty, empty, place)
+    assert with_words(bound, problem.naming()).status == said
+    own = replace(bound, method="posterior")
+    assert with_words(own, problem.naming()).status == place
 
 
 def test_the_step_study_follows_the_names() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -23,6 +24,7 @@ from bayes_sensor.bounds.records import LEVELS, Bound, Bounds
 from bayes_sensor.bounds.sandwich import sandwich
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.fit import Fit
+from bayes_sensor.fit.diagnostics import OF_LAGS
 from bayes_sensor.fit.identifiability import coloured_noise, slow_noise
 from bayes_sensor.lags import Naming
 from bayes_sensor.likelihood import Problem, as_problem
@@ -137,6 +139,20 @@ def with_names(bound: Bound, naming: Naming) -> Bound:
     return replace(bound, names=names, estimate=estimate, sd=sd, low=low, high=high)
 
 
+def with_words(bound: Bound, naming: Naming) -> Bound:
+    """The bound with what its status calls tau, tau_v and V, by their places, as it may be called.
+
+    The posterior's status has the right names already.
+    """
+    if bound.method == "posterior":
+        return bound
+    called = dict(zip(SHARED, (name for name, _ in naming.labels), strict=True))
+    spoken = {name: OF_LAGS.get(label, label) for name, label in called.items()}
+    words = called | {"tau": spoken["tau_s"], "tau_v": spoken["tau_v_s"]}
+    status = re.sub(r"\b(tau_v_s|tau_s|V_mL|tau_v|tau)\b", lambda m: words[m[0]], bound.status)
+    return replace(bound, status=status)
+
+
 @one_thread
 def compare_bounds(
     campaign: Campaign | Problem,
@@ -195,7 +211,9 @@ def compare_bounds(
         report(0.0, name)
         start = time.perf_counter()
         mute = why_mute(evidence, name)
-        bounds[name] = silent(evidence, name, mute) if mute else method(evidence)
+        bounds[name] = (
+            silent(evidence, name, mute) if mute else with_words(method(evidence), naming)
+        )
         if fit.twin and not mute and name != "posterior":
             bounds[name] = without_roles(bounds[name], fit.twin)
         for doubt in [] if mute else doubts(evidence, name):

@@ -215,6 +215,7 @@ OF_LAGS = {
     "tau_v_s": "tau_v",
     "V_mL": "V",
     "lag_fast_s": "the shorter lag",
+    "lag_between_s": "the middle lag",
     "lag_slow_s": "the longer lag",
 }
 """words for the names of theta's first three values"""
