@@ -130,7 +130,8 @@ def fit_least_squares(
     warnings = warn(problem, vector, residuals, looks, unit)
     at_bound = at_bounds(problem.layout, vector, box)
     unseen = unseen_lags(at_bound, vector, problem.layout, box, bounds or {})
-    warnings += bound_warnings(at_bound, box, vector, problem.layout, unit, labels, unseen)
+    words = {name: label for name, (label, _) in zip(SHARED, naming.labels, strict=True)}
+    warnings += bound_warnings(at_bound, box, vector, problem.layout, unit, words, unseen)
     if not record["agree"]:
         warnings.append(
             "Independent particle swarms ended in different places after refinement; "
