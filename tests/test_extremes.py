@@ -76,7 +76,9 @@ def test_plain_intervals_hold_the_truth(case: str) -> None:
                 continue
             stated += 1
             assert low - 0.5 * (high - low) <= true <= high + 0.5 * (high - low), method
-    if case in ("ordinary", "phi negative", "only the fall", "tau below the interval"):
+    # where only the fall is recorded the response runs from gas to none, and noise that grows with
+    # gas falls with it: the noise law is doubted, rightly
+    if case in ("ordinary", "phi negative", "tau below the interval"):
         assert stated >= 3 * len(METHODS) - 6
 
 

@@ -250,7 +250,7 @@ def test_json_and_report_say_it() -> None:
     assert saved["misfit"] == fit.misfit and saved["noise_V"] == fit.noise
     assert set(saved["misfit_per_experiment"]) == {"a", "b"}
     results = SimpleNamespace(
-        fit=saved, posterior=None, bounds=None, residuals=None, missed=0,
+        fit=saved, posterior=None, bounds=None, residuals=None, predictive=None, missed=0,
         run={"commands": {}, "last": "fit"}, campaign={"experiments": ["a", "b"], "remarks": []},
     )  # fmt: skip
     shown = alerts(results)  # type: ignore[arg-type]
