@@ -202,7 +202,7 @@ def ask(
     fit = fit_least_squares(problem, seed=seed, swarms=1, particles=6, euler=False)
     told = Told(fit)
     # that tau is an upper limit is an answer, not a doubt
-    doubts = [text for text in fit.warnings if not text.startswith("tau is too small")]
+    doubts = [text for text in fit.warnings if "cannot tell tau from zero" not in text]
     said = bool(doubts) or not fit.converged
     try:
         told.posterior = posterior = sample_posterior(problem, fit, seed, sampler, settings)

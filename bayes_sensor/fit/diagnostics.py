@@ -188,8 +188,8 @@ def bound_warnings(
         if name in unseen:
             word = OF_LAGS.get(labels[name], labels[name])
             sentences.append(
-                f"{word} is too small for these data to see: they give an upper limit only; see "
-                "the posterior's limits."
+                f"least squares cannot tell {word} from zero: these data give an upper limit "
+                "only; see the posterior's limits."
             )
         elif name.startswith(("t0_s", "tf_s")) and lower:
             what = "response" if name.startswith("t0_s") else "fall"

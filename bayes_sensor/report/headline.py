@@ -453,7 +453,5 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
             and not any(text in (note, told) for _, text in found)
         ):
             seen.add(note)
-            if note.startswith("tau is at"):  # beside the posterior's tau at the top
-                note = f"the least-squares {note}"
             found.append(("note", sentence(typeset(note))))
     return found
