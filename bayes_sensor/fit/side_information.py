@@ -102,7 +102,7 @@ class Estimates:
     @property
     def polynomials(self) -> FloatArray:
         """(n_lags,) e_1, e_2, .. of the fit."""
-        found: FloatArray = -np.poly((self.lags / self.scale) ** 2)[1:]
+        found = -np.asarray(np.poly((self.lags / self.scale) ** 2)[1:], dtype=np.float64)
         found[1::2] *= -1.0
         return found
 
