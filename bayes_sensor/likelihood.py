@@ -160,7 +160,7 @@ FEWEST_OF_RISE = 16
 """samples of a step from which its rise may be read off"""
 
 
-def _rise_time(t: FloatArray, x: FloatArray) -> float | None:
+def rise_time(t: FloatArray, x: FloatArray) -> float | None:
     """10 to 90 % time of the last lasting rise through one half; earlier spikes do not count."""
     below = np.flatnonzero(x < 0.5)
     if len(below) == 0 or below[-1] + 1 >= len(x):
@@ -176,7 +176,7 @@ def _rise_time(t: FloatArray, x: FloatArray) -> float | None:
 def published_rise_time() -> float:
     """s, 10 to 90 % of the published model at 9 L/min."""
     t = np.linspace(0.0, 20.0, 20001)
-    rise = _rise_time(t, cascade_response(t, PUBLISHED_TIMES, 0.0))
+    rise = rise_time(t, cascade_response(t, PUBLISHED_TIMES, 0.0))
     assert rise is not None  # the published response rises
     return rise
 
@@ -229,7 +229,7 @@ def _measured_rise(e: Experiment) -> tuple[float, float] | None:
     scatter = float(np.std(np.diff(means[-tenth:]))) / sqrt(2.0)
     if abs(high - low) < 20.0 * scatter or high == low:
         return None
-    rise = _rise_time(times, (means - low) / (high - low))
+    rise = rise_time(times, (means - low) / (high - low))
     return None if rise is None else (abs(high - low), max(rise, n_bin * e.interval))
 
 

@@ -74,7 +74,9 @@ def why_mute(evidence: Evidence, name: str) -> str:
     """Why a method can say nothing about these data, as a sentence; empty where it can."""
     if name != "posterior" and not evidence.fit.step_seen:
         return "no step is seen in any experiment"
-    walled = [n for n in evidence.fit.names[:3] if n in evidence.fit.at_bound]
+    # a lag, or a volume, too small to see is an ordinary outcome
+    walled = [n for n in evidence.fit.at_bound if n in evidence.fit.names[:3]]
+    walled = [n for n in walled if n not in evidence.fit.unseen]
     if evidence.at_bound:  # a lag too short to see is an ordinary outcome
         walled = [n for n in walled if n != evidence.fit.names[0]]
     if name not in ("crlb_ar1", "profile", "posterior") and walled:
@@ -222,5 +224,9 @@ def compare_bounds(
         seconds[name] = time.perf_counter() - start
         done += 1
     return Bounds(
-        bounds, problem.campaign.signal_unit, seconds, tuple(fit.caveats), evidence.likelihood
+        bounds,
+        problem.campaign.signal_unit,
+        seconds,
+        (*fit.caveats, *evidence.noise_doubts),
+        evidence.likelihood,
     )

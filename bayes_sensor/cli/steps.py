@@ -825,32 +825,27 @@ def _lags_of_fit(fit: Any) -> str:
     def time_words(value: float) -> str:
         return f"{number(value)} s" if value >= 1.0 else f"{number(1e3 * value)} ms"
 
-    names, flow = fit.names[:3], fit.naming.flow
-    unseen = fit.unseen
+    estimates = fit.estimates()
+    volume = estimates.pop("V_mL", None)
+    seen = {name: value for name, value in estimates.items() if value is not None}
+    said = []
+    for name, symbol in (("tau_s", "tau"), ("tau_v_s", "tau_v")):
+        if name in estimates:
+            value = estimates[name]
+            said.append(
+                f"{symbol} too short to be seen" if value is None
+                else f"{symbol} = {time_words(value)}"
+            )  # fmt: skip
+    lags = [time_words(value) for name, value in seen.items() if name.startswith("lag_")]
+    if lags:
+        said.append(f"{'a lag' if len(lags) == 1 else 'lags'} of {' and '.join(lags)}")
+    if len(seen) < len(estimates) and fit.order == "undecided":
+        said.append("any other is too short to be seen" if seen else "no lag can be seen")
     if fit.order == "undecided":
-        places = names[:2] if flow is None else [names[0], names[2], names[1]]
-        seen = [
-            time_words(lag) for name, lag in zip(places, fit.lags, strict=True)
-            if name not in unseen
-        ]  # fmt: skip
-        text = f"one lag of {seen[0]}" if len(seen) == 1 else f"lags of {' and '.join(seen)}"
-        if not seen:
-            text = "no lag can be seen"
-        if unseen and seen:
-            text += "; any other is too short to be seen"
-        if len(seen) > 1 or flow is not None:
-            text += " (which is the sensor's is not known: say [rig] sensor_is)"
-    else:
-        p = fit.parameters
-        text = ", ".join(
-            f"{name.removesuffix('_s')} too short to be seen"
-            if name in unseen
-            else f"{name.removesuffix('_s')} = {time_words(p[name])}"
-            for name in ("tau_s", "tau_v_s")
-        )
-    if flow is None and "V_mL" not in unseen:
-        text += f", V = {number(fit.parameters['V_mL'])} mL"
-    return text
+        said[-1] += " (which is the sensor's is not known: say [rig] sensor_is)"
+    if volume is not None:
+        said.append(f"V = {number(volume)} mL")
+    return ", ".join(said)
 
 
 def _place(job: Job) -> Path:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.fit.misfit import Misfit, warning
 from bayes_sensor.fit.side_information import Comparison
-from bayes_sensor.likelihood import Problem
+from bayes_sensor.likelihood import Problem, rise_time
+from bayes_sensor.model import cascade_response, time_constants
 
 
 def caveats(
@@ -16,13 +19,31 @@ def caveats(
     residuals: list[tuple[FloatArray, FloatArray]],
     misfit: Mapping[str, Misfit],
     compared: Sequence[Comparison] = (),
+    hidden: float | None = None,
 ) -> list[str]:
     """Sentences that belong before the headline; empty where it stands as it is.
 
     ``vector`` (n_theta,): the fit; ``residuals``: of every experiment r (n_t,) in V and x3 (n_t,);
     ``misfit``: of every experiment by name; ``compared``: side information beside what the data
-    alone say.
+    alone say; ``hidden``: the sampling interval (s) that hides the response.
     """
     found = [warning(misfit, problem.campaign.signal_unit)]
     found += [each.sentence() for each in compared if each.contradicts]
+    if hidden is not None:
+        found.append(
+            f"the response is over within one sampling interval ({hidden:g} s), which hides its "
+            "course: every lag is an upper limit only; sample faster to see more"
+        )
     return [text for text in found if text]
+
+
+def hiding_interval(problem: Problem, vector: FloatArray) -> float | None:
+    """s, the shortest sampling interval where the fitted response rises from 10 to 90 % within one
+    interval in every experiment; else None."""
+    for e in problem.campaign:
+        taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
+        t = np.linspace(0.0, 8.0 * float(taus.sum()), 4001)
+        rise = rise_time(t, cascade_response(t, taus, 0.0))
+        if rise is None or rise >= e.interval:
+            return None
+    return min(e.interval for e in problem.campaign)

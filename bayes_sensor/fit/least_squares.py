@@ -12,7 +12,7 @@ import numpy as np
 from scipy import optimize
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.fit.caveats import caveats
+from bayes_sensor.fit.caveats import caveats, hiding_interval
 from bayes_sensor.fit.diagnostics import at_bounds, bound_warnings, unseen_lags, warn
 from bayes_sensor.fit.identifiability import cannot_tell, step_is_seen
 from bayes_sensor.fit.looks import Look, first_look, initial_bounds
@@ -127,6 +127,7 @@ def fit_least_squares(
     can_tell = seen and not mute
     naming, compared = weigh_names(problem, vector) if can_tell else (problem.naming(), ())
     labels = dict(zip(SHARED, naming.names, strict=True))
+    hidden = hiding_interval(problem, vector) if can_tell else None
     warnings = warn(problem, vector, residuals, looks, unit)
     at_bound = at_bounds(problem.layout, vector, box)
     unseen = unseen_lags(at_bound, vector, problem.layout, box, bounds or {})
@@ -195,7 +196,8 @@ def fit_least_squares(
         unseen=tuple(labels[name] for name in unseen),
         naming=naming,
         side_information=compared,
-        caveats=tuple(caveats(problem, vector, residuals, missed, compared)),
+        hidden_by_sampling=hidden,
+        caveats=tuple(caveats(problem, vector, residuals, missed, compared, hidden)),
         noise=noise,
         misfit=misfit,
         misfit_per_experiment={name: each.ratio for name, each in missed.items()},

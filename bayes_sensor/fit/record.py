@@ -66,6 +66,8 @@ class Fit:
     """what may be said of the names of the lags"""
     side_information: tuple[Comparison, ...] = ()
     """each piece of side information beside what the data alone say"""
+    hidden_by_sampling: float | None = None
+    """s, the sampling interval where the whole response is over within it"""
     caveats: tuple[str, ...] = ()
     """sentences that decide whether the headline stands: posterior, bounds and report repeat them
     before anything else"""
@@ -110,7 +112,7 @@ class Fit:
         sentences = [*self.caveats, self.status, *self.warnings]
         return card(title, sentences, ["parameter", "value", ""], rows)
 
-    def _estimates(self) -> dict[str, float | None]:
+    def estimates(self) -> dict[str, float | None]:
         """The shared values under what may be stated of their names; None where one is too small
         to be seen."""
         names = self.names[:3]
@@ -130,9 +132,10 @@ class Fit:
             "rms_V": self.rms,
             "n_samples": self.n_samples,
             "parameters": self.parameters,
-            "estimates": self._estimates(),
+            "estimates": self.estimates(),
             "lags_s": self.lags.tolist(),
             "unseen": list(self.unseen),
+            "hidden_by_sampling_s": self.hidden_by_sampling,
             "side_information": [each.to_json() for each in self.side_information],
             "at_bound": list(self.at_bound),
             "converged": self.converged,

@@ -13,7 +13,8 @@ linear in the e: it lies |P(x^2)| / sd(P(x^2)) standard deviations from what the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import Any
 
@@ -210,6 +211,8 @@ class Comparison:
     """between the two, in joint standard deviations"""
     known_lag: float | None = None
     """s, V/Q by side information where flows are equal"""
+    suits: float | None = None
+    """s, the lag of another place that it does not contradict"""
 
     @property
     def contradicts(self) -> bool:
@@ -223,6 +226,9 @@ class Comparison:
         if self.data < 2.0 * self.data_sd:
             data = f"less than {self.data + Z95 * self.data_sd:.3g} {unit} (95 %)"
         symbols = symbol if symbol == "tau" else f"{symbol} and tau"
+        other = ""
+        if self.suits is not None:
+            other = f", but it suits the other lag, of {self.suits:.4g} s: is sensor_is right?"
         lag = ""
         if self.known_lag is not None:
             seen = self.data * self.known_lag / self.mean
@@ -230,8 +236,8 @@ class Comparison:
         return (
             f"side information and data contradict each other in {symbol}: {self.mean:.4g} +- "
             f"{self.sd:.2g} {unit} is given, the data alone say {data}{lag}, {self.distance:.3g} "
-            f"joint standard deviations apart; do not quote {symbols} before one of the two is "
-            "found to be wrong"
+            f"joint standard deviations apart{other}; it is left out of the posterior: do not "
+            f"quote {symbols} before one of the two is found to be wrong"
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -264,7 +270,27 @@ def weigh_names(problem: Problem, vector: FloatArray) -> tuple[Naming, tuple[Com
         log_mean = np.logaddexp.reduce(problem.log_weights(thetas), axis=0)
         if np.isfinite(log_mean).any():
             probabilities = np.exp(log_mean - np.logaddexp.reduce(log_mean))
-    return problem.naming(probabilities), _compare(problem, known, estimates)
+    compared = _compare(problem, known, estimates)
+    if any(each.contradicts for each in compared):  # what is wrong names nothing
+        return weigh_names(without_contradicted(problem, compared), vector)[0], compared
+    return problem.naming(probabilities), compared
+
+
+def without_contradicted(problem: Problem, compared: Sequence[Comparison]) -> Problem:
+    """The problem without what is known by name and the data contradict.
+
+    An average of two values of which one is wrong is of use to nobody.
+    """
+    wrong = {each.name for each in compared if each.contradicts}
+    if not wrong:
+        return problem
+    known = problem.campaign.side_information
+    campaign = replace(
+        problem.campaign,
+        side_information={name: info for name, info in known.items() if name not in wrong},
+    )
+    given = {name: law for name, law in problem.given_priors.items() if name not in wrong}
+    return replace(problem, campaign=campaign, given_priors=given)
 
 
 def _compare(
@@ -295,7 +321,10 @@ def _beside(
     value, sd = (factor * each for each in estimates.lag(place))
     distance = estimates.distance(place, law.a / factor, law.b / factor)
     lag = law.a / factor if name == "V_mL" else None
-    return Comparison(name, law.a, law.b, value, sd, distance, lag)
+    suits = None
+    if flow is None and estimates.distance(1 - place, law.a, law.b) < CONTRADICT:
+        suits = float(estimates.lags[1 - place])
+    return Comparison(name, law.a, law.b, value, sd, distance, lag, suits)
 
 
 def named_parameters(naming: Naming, theta: FloatArray) -> dict[str, float]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.fit.side_information import without_contradicted
 from bayes_sensor.gap.courses import courses
 from bayes_sensor.gap.effect import Effect
 from bayes_sensor.gap.effects import CATALOGUE, check_names
@@ -60,7 +61,7 @@ from bayes_sensor.model import NOISE, SHARED, Cascade, Layout, Theta
 from bayes_sensor.workers import one_thread
 
 if TYPE_CHECKING:
-    from bayes_sensor.fit import Fit
+from bayes_sensor.fit import Fit
 
 BOOTSTRAP = 60
 """simulated campaigns behind the calibrated p-values and the interval of the closed fraction"""
@@ -140,6 +141,7 @@ def diagnose_gap(
     if fit.cannot_tell and fit.rms <= least_noise(campaign):  # a floor of nothing judges nothing
         raise CampaignError(f"gap: {fit.cannot_tell}")
     tell(0.02, "noise floor")
+    campaign = without_contradicted(Problem(campaign), fit.side_information).campaign
     prepared = prepare(campaign, _mean_of(campaign, fit), fit.naming)
     sketch = prepared.sketch
     if not sketch.order_known:

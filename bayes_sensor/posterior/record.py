@@ -57,6 +57,8 @@ class Posterior:
     seconds: float = 0.0
     k_hat: float | None = None
     acceptance: float | None = None
+    hidden_by_sampling: float | None = None
+    """s, the sampling interval where the whole response is over within it"""
     caveats: tuple[str, ...] = ()
     """sentences of the fit that decide whether the headline stands"""
     remarks: tuple[str, ...] = ()
@@ -178,11 +180,6 @@ class Posterior:
         found = [*self.caveats, *([] if self.converged else [self.convergence]), *self.remarks]
         found += self.doubts
         found += self._of_names()
-        if self.hidden_by_sampling is not None:
-            found.append(
-                f"the response is over within one sampling interval ({self.hidden_by_sampling:g} "
-                "s), which hides its course: read every lag as an upper limit, or sample faster"
-            )
         if self.mesh_error > MESH_ERROR_LIMIT:
             found.append(f"the mesh is off by {self.mesh_error:.1e} in log L, more than 1e-3")
         return tuple(found)
@@ -449,12 +446,6 @@ class Posterior:
                 }
             )
         return rows
-
-    @property
-    def hidden_by_sampling(self) -> float | None:
-        """s, the sampling interval where the response rises within it at every flow; else None."""
-        over = [self.chain[e.name]["rise_s"]["q50"] < e.interval for e in self.problem.campaign]
-        return min(e.interval for e in self.problem.campaign) if all(over) else None
 
     @cached_property
     def inference_data(self) -> Any:

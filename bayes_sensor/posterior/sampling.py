@@ -15,6 +15,7 @@ from bayes_sensor.compression import Compressed
 from bayes_sensor.fit import Fit, fit_least_squares, refit
 from bayes_sensor.fit.identifiability import cannot_tell
 from bayes_sensor.fit.noise import all_residuals
+from bayes_sensor.fit.side_information import without_contradicted
 from bayes_sensor.laplace import Laplace, approximate
 from bayes_sensor.likelihood import Problem, as_problem
 from bayes_sensor.posterior.checkpoints import digest
@@ -81,6 +82,8 @@ def sample_posterior(
     report = progress or (lambda fraction, text: None)
     if fit is None:
         fit = fit_least_squares(problem, seed=seed)
+    # what the data contradict is said, and not averaged with them
+    problem = without_contradicted(problem, getattr(fit, "side_information", ()))
     problem.prior_table  # noqa: B018 - raises CampaignError where a parameter has no prior
     start = problem.by_size(_start(problem, getattr(fit, "theta_hat", fit)))
     mute = fit.cannot_tell if isinstance(fit, Fit) else _cannot_tell(problem, start)
@@ -127,6 +130,7 @@ def sample_posterior(
         k_hat=run.k_hat,
         acceptance=run.acceptance,
         caveats=getattr(fit, "caveats", ()),
+        hidden_by_sampling=getattr(fit, "hidden_by_sampling", None),
         remarks=(f"{twin}; the draws are about one of the two",) if twin else (),
         doubts=tuple(text for text in [noise_doubt(problem, start)] if text),
     )

@@ -95,10 +95,11 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
         noise += "; NOT CONVERGED, do not quote"
     source = f"(posterior, {noise})"
     if (hidden := posterior.get("hidden_by_sampling_s")) is not None:
-        most = posterior["lags_s"][-1]["q95"]
+        # a lag alone rises from 10 to 90 % in 2.2 of it
+        most = min(posterior["lags_s"][-1]["q95"], hidden / 2.2)
         text = (
             f"the response is over within one sampling interval ({number(hidden)} s), which hides "
-            f"it: an upper limit only, no lag is longer than {upper_words(most)} (95 %) {source}"
+            f"it: an upper limit only, no lag is longer than {upper_words(most)} {source}"
         )
         return Headline(text, "", True, upper_words(most), hidden=True)
     if posterior.get("order") == "undecided":
@@ -159,6 +160,11 @@ def _of_lags(posterior: Mapping[str, Any]) -> str:
     def share(place: int) -> str:
         return f" ({100.0 * shares.get(place, 0.0):.0f} %)"
 
+    if len(seen) > 1 and seen[-2]["q97.5"] >= seen[-1]["q2.5"] and n_limits == 0:
+        low, high = seen[0]["q2.5"], seen[-1]["q97.5"]
+        factor, unit = (1.0, "s") if high >= SECONDS_FROM else (1e3, "ms")
+        ends = interval(factor * low, factor * high)
+        return f"tau is one of lags that may be equal, all in {ends} {unit} (95 %): {SAY_WHICH}"
     words = [lag_words(row["q2.5"], row["q50"], row["q97.5"]) for row in seen]
     if n_limits == 0:
         each = [f"{text}{share(place)}" for place, text in enumerate(words)]
@@ -383,12 +389,16 @@ def doubts(saved: Saved) -> list[str]:
     return found
 
 
+def decisive(saved: Saved) -> list[str]:
+    """What decides whether the headline stands: the page says it before that."""
+    return [sentence(typeset(text)) for text in (saved.fit or {}).get("caveats") or []]
+
+
 def alerts(saved: Saved) -> list[tuple[str, str]]:
     """(kind, sentence) for the top of the page: ``bad`` for what failed, else ``note``."""
     from bayes_sensor.figures import METHOD_LABELS  # draws, so slow to import
 
-    caveats = (saved.fit or {}).get("caveats") or []
-    found = [("bad", sentence(typeset(caveat))) for caveat in caveats]
+    found = [("bad", caveat) for caveat in decisive(saved)]
     if saved.fit is not None and not saved.fit["converged"]:
         found.append(("bad", f"The least-squares fit did not converge. {saved.fit['status']}"))
     if saved.posterior is not None and not saved.posterior["converged"]:
@@ -444,7 +454,7 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
             if status != "ok" and "lower bound" not in status and "upper limit" not in status:
                 label = METHOD_LABELS.get(method, method)
                 notes.append(f"{label}: {status}")
-    seen = set(caveats)
+    seen = set((saved.fit or {}).get("caveats") or [])
     for note in notes:
         told = sentence(typeset(note))
         if (
