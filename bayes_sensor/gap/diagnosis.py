@@ -61,7 +61,7 @@ from bayes_sensor.model import NOISE, SHARED, Cascade, Layout, Theta
 from bayes_sensor.workers import one_thread
 
 if TYPE_CHECKING:
-from bayes_sensor.fit import Fit
+    from bayes_sensor.fit import Fit
 
 BOOTSTRAP = 60
 """simulated campaigns behind the calibrated p-values and the interval of the closed fraction"""
