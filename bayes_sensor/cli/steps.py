@@ -769,7 +769,7 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
             say(str(found), quiet)
             if found.is_limit and found.limit and not found.hidden:
                 say(f"zero is not excluded: tau < {found.limit} (95 %)", quiet)
-            if record is not None:
+            if record is not None and not found.hidden:
                 say(chain_words(record), quiet)
     if command == "fit":
         unit = job.fit.signal_unit

@@ -194,7 +194,8 @@ class Posterior:
                 "tells which is which, their intervals hold both"
             )
         fast, slow = self.lags[:, 0], self.lags[:, -1]
-        if naming.flow is None and np.mean(fast > NEAR_EQUAL * slow) > MAY_BE_EQUAL:
+        unhidden = naming.flow is None and self.hidden_by_sampling is None
+        if unhidden and np.mean(fast > NEAR_EQUAL * slow) > MAY_BE_EQUAL:
             low, high = np.quantile(fast, 0.025), np.quantile(slow, 0.975)
             found.append(
                 f"tau and tau_v may be equal and can then not be told apart: both lie between "

@@ -257,7 +257,8 @@ def remarks(saved: Saved) -> list[Remark]:
             "tau",
         )
     ]
-    if saved.posterior is not None and (times := chain_words(saved.posterior)):
+    times = "" if saved.posterior is None or head.hidden else chain_words(saved.posterior)
+    if times:
         said.append(Remark(sentence(typeset(times)), "tau"))
     if head.is_limit and head.limit and not head.hidden:
         said.append(
