@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_sensor.bounds import expected_information
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray, counted
+from bayes_sensor.compression import expected_information
 from bayes_sensor.likelihood import Prior, Problem, as_problem, simulate
 from bayes_sensor.model import Layout, Theta, local_parameters
 from bayes_sensor.noise import Noise, lag_coefficient

@@ -82,6 +82,11 @@ def assignments(
     return tuple(a for a in found if (a.sensor < a.valve) == (sensor_is == "faster"))
 
 
+def places_of_lags(flow: float | None) -> tuple[int, ...]:
+    """Where the lags stand in theta, shortest first; the middle one as V where ``flow`` is one."""
+    return (0, 1) if flow is None else (0, 2, 1)
+
+
 def lags_of(thetas: FloatArray, flow: float | None) -> FloatArray:
     """(.., n_lags) s, shortest first, of ``thetas`` (.., n_theta) that hold them by size.
 

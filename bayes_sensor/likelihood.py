@@ -22,7 +22,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
-from bayes_sensor.lags import Assignment, Naming, assignments, by_size, common_flow, lags_of, named
+from bayes_sensor.lags import (
+    Assignment,
+    Naming,
+    assignments,
+    by_size,
+    common_flow,
+    lags_of,
+    named,
+    places_of_lags,
+)
 from bayes_sensor.model import (
     SHARED,
     Cascade,
@@ -188,19 +197,21 @@ def fastest_rise(campaign: Campaign) -> float:
     of the largest, or than twenty times the scatter of these averages, are left out; without any
     usable step the published rig's time is returned.
     """
+    seen = _fastest_seen(campaign)
+    return published_rise_time() if seen is None else seen
+
+
+def _fastest_seen(campaign: Campaign) -> float | None:
+    """s, the shortest rise among the steps that can be used; None where there is none."""
     seen = [found for e in campaign if e.y is not None and (found := _measured_rise(e))]
     largest = max((step for step, _ in seen), default=0.0)
-    times = [rise for step, rise in seen if step >= 0.1 * largest]
-    return min(times) if times else published_rise_time()
+    return min((rise for step, rise in seen if step >= 0.1 * largest), default=None)
 
 
 def usual_rise(campaign: Campaign) -> float:
     """s, to one digit: the fastest rise that is seen, or the longest step where none is."""
-    seen = [found for e in campaign if e.y is not None and (found := _measured_rise(e))]
-    if seen:
-        scale = fastest_rise(campaign)
-    else:
-        scale = max(_step_end(e) - _step_begin(e) for e in campaign)
+    seen = _fastest_seen(campaign)
+    scale = max(_step_end(e) - _step_begin(e) for e in campaign) if seen is None else seen
     return float(f"{scale:.0e}")
 
 
@@ -343,8 +354,7 @@ class Problem:
             name: Prior("normal", info.mean, info.sd)
             for name, info in self.campaign.side_information.items()
         }
-        known |= {name: law for name, law in self.given_priors.items() if name in SHARED}
-        return {name: law for name, law in known.items() if name in SHARED}
+        return {name: law for name, law in {**known, **self.given_priors}.items() if name in SHARED}
 
     @cached_property
     def assignments(self) -> tuple[Assignment, ...]:
@@ -390,9 +400,8 @@ class Problem:
             places = {getattr(choice, role) for choice in self.assignments}
             if len(places) == 1:
                 (place,) = places
-                # the lags' places in theta, shortest first; V where flows tell it
-                of_lags = (0, 1) if self.flow is None else (0, 2, 1)
-                found[name] = 2 if place is None else of_lags[place]
+                # V where flows tell it, else a lag
+                found[name] = 2 if place is None else places_of_lags(self.flow)[place]
         return found
 
     @cached_property
@@ -428,8 +437,8 @@ class Problem:
             for name, law in self.named_laws.items()
             if name not in self._settled and law.kind != "flat"
         ]
-        # the places of the lags in theta, shortest first, and what makes a lag of their values
-        places = (0, 1) if self.flow is None else (0, 2, 1)
+        places = places_of_lags(self.flow)
+        # what makes a lag of theta's values there
         to_lag = (1.0, 1.0) if self.flow is None else (1.0, 1.0 / self.flow, 1.0)
         shape = (len(self.assignments), len(names))
         place, scale = np.zeros(shape, dtype=np.int64), np.ones(shape)

@@ -12,11 +12,10 @@ from scipy.stats import kstest
 import bayes_sensor.posterior.sampling as sampling
 from bayes_sensor import coverage
 from bayes_sensor.blind_check import oracle
-from bayes_sensor.bounds import expected_information
 from bayes_sensor.bounds.bootstrap import _series
 from bayes_sensor.calibration import Ranks, coverage_row
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.compression import compress
+from bayes_sensor.compression import compress, expected_information
 from bayes_sensor.delays import regress_line
 from bayes_sensor.design import _candidates, record_information, settings_of, truth_of
 from bayes_sensor.diffusion import find_outer_radius

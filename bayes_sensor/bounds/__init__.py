@@ -1,7 +1,7 @@
 """Bounds on the parameters by every method, side by side: see :func:`compare_bounds`."""
 
 from bayes_sensor.bounds.compare import METHODS, compare_bounds
-from bayes_sensor.bounds.cramer_rao import CramerRao, cramer_rao, expected_information, step_study
+from bayes_sensor.bounds.cramer_rao import CramerRao, cramer_rao, step_study
 from bayes_sensor.bounds.hardness import TauExplained, explain_tau
 from bayes_sensor.bounds.profile import Profiler, profile_curve
 from bayes_sensor.bounds.records import LEVELS, Bound, Bounds
@@ -16,7 +16,6 @@ __all__ = [
     "TauExplained",
     "compare_bounds",
     "cramer_rao",
-    "expected_information",
     "explain_tau",
     "profile_curve",
     "step_study",

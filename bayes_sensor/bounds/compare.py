@@ -75,10 +75,9 @@ def why_mute(evidence: Evidence, name: str) -> str:
     if name != "posterior" and not evidence.fit.step_seen:
         return "no step is seen in any experiment"
     # a lag, or a volume, too small to see is an ordinary outcome
-    walled = [n for n in evidence.fit.at_bound if n in evidence.fit.names[:3]]
-    walled = [n for n in walled if n not in evidence.fit.unseen]
-    if evidence.at_bound:  # a lag too short to see is an ordinary outcome
-        walled = [n for n in walled if n != evidence.fit.names[0]]
+    ordinary = [*evidence.fit.unseen, *(evidence.fit.names[:1] if evidence.at_bound else [])]
+    shared = [n for n in evidence.fit.at_bound if n in evidence.fit.names[:3]]
+    walled = [n for n in shared if n not in ordinary]
     if name not in ("crlb_ar1", "profile", "posterior") and walled:
         return f"least squares ended at the edge of its search in {', '.join(walled)}"
     if name in SPREAD_OF_LEAST_SQUARES:

@@ -15,7 +15,7 @@ import numpy as np
 
 from bayes_sensor.bounds.gaussian import invert
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
-from bayes_sensor.compression import Region, above_zero, compress
+from bayes_sensor.compression import above_zero, expected_information
 from bayes_sensor.likelihood import Problem, as_problem, grid_response
 from bayes_sensor.model import Layout, Theta, euler_response, local_parameters, time_constants
 from bayes_sensor.noise import Noise
@@ -131,31 +131,6 @@ def bound_of(layout: Layout, information: FloatArray, fixed: Sequence[str]) -> C
         lost = [names[i] for i in free[~identified]]
         status = f"the data do not identify {', '.join(lost)}"
     return CramerRao(names, cov, information, status)
-
-
-def narrow_region(layout: Layout, vector: FloatArray, width: float) -> Region:
-    """A box about ``vector``, no wider than it must be; switch times within ``width`` s."""
-    low, high = np.full(len(vector), -np.inf), np.full(len(vector), np.inf)
-    low[:3], high[:3] = 0.9 * vector[:3], 1.1 * vector[:3]
-    for i in layout.local[:, 2:].ravel():
-        if i >= 0:
-            low[i], high[i] = vector[i] - width, vector[i] + width
-    for row in layout.noise:
-        low[row[0]], high[row[0]] = -1.0, 1.0
-        low[row[1:]] = 0.0
-    return Region(low, high)
-
-
-def expected_information(problem: Problem, vector: FloatArray) -> FloatArray:
-    """Expected Fisher information (n_theta, n_theta) at ``vector``, on a mesh made for it alone.
-
-    A tau of zero is raised to one too small to tell from it.
-    """
-    longest = max(e.interval for e in problem.campaign)
-    vector = vector.copy()
-    vector[0] = above_zero(vector, max(e.total_flow for e in problem.campaign))
-    region = narrow_region(problem.layout, vector, 2.0 * longest)
-    return compress(problem, vector, region).information(vector)
 
 
 def _converged(problem: Problem, vector: FloatArray, sigma: float, noise: str) -> FloatArray:

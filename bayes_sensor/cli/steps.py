@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field, fields
-from math import log
 from pathlib import Path
 from typing import Any
 
@@ -300,8 +299,6 @@ def _do_predictive(job: Job) -> None:
     job.posterior = checked(job.posterior, job.predictive)
 
 
-RESPONSE = {"t10": -log(0.9), "t63": 1.0, "t90": log(10.0), "rise": log(9.0)}
-"""response times of a single lag over that lag"""
 WHOSE_COATING = "which lag is the sensor's is not known, so no diffusivity can be told from it"
 
 
@@ -331,12 +328,15 @@ def _coating(job: Job) -> dict[str, Any]:
 
 def _sensor_row(assignment: Mapping[str, Any]) -> dict[str, Any]:
     """Response times of the sensor, if its lag is that of an assignment of the posterior."""
-    lag = assignment["tau_s"]
+    from bayes_sensor.readout import response_times
+
     ends = {"": "q50", "_lo": "q2.5", "_hi": "q97.5"}
+    # of one lag they rise with it, so that their quantiles are those of its quantiles
+    found = response_times([np.array([assignment["tau_s"][key] for key in ends.values()])])
     times = {
-        f"{name}{end}_s": factor * lag[percentile]
-        for name, factor in RESPONSE.items()
-        for end, percentile in ends.items()
+        f"{name}{end}_s": float(value)
+        for name in ("t10", "t63", "t90", "rise")
+        for end, value in zip(ends, getattr(found, name), strict=True)
     }
     about = {key: assignment[key] for key in ("sensor_is", "probability")}
     return {"system": "sensor", "total_flow_L_per_min": None, **about, **times}
@@ -820,10 +820,7 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
 
 def _lags_of_fit(fit: Any) -> str:
     """The fitted lags and volume in words; a lag at the lower end of its search is no value."""
-    from bayes_sensor.report import number
-
-    def time_words(value: float) -> str:
-        return f"{number(value)} s" if value >= 1.0 else f"{number(1e3 * value)} ms"
+    from bayes_sensor.report import number, time_words
 
     estimates = fit.estimates()
     volume = estimates.pop("V_mL", None)

@@ -21,6 +21,7 @@ from bayes_sensor.compression.record import (
     above_zero,
     compress,
     default_region,
+    expected_information,
     log_likelihood,
 )
 
@@ -35,6 +36,7 @@ __all__ = [
     "build",
     "compress",
     "default_region",
+    "expected_information",
     "log_likelihood",
     "mean_derivatives",
     "sizes",

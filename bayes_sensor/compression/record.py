@@ -26,6 +26,7 @@ from bayes_sensor.likelihood import (
 from bayes_sensor.likelihood import log_likelihood as full_log_likelihood
 from bayes_sensor.model import (
     Cascade,
+    Layout,
     Theta,
     cascade_response,
     cascade_sensitivities,
@@ -641,3 +642,28 @@ def log_likelihood(campaign: Campaign | Problem, theta: Theta, compressed: bool 
             e.values  # noqa: B018 - raises CampaignError for a design
         return compress(problem, vector).log_likelihood(vector)
     return full_log_likelihood(campaign, theta)
+
+
+def narrow_region(layout: Layout, vector: FloatArray, width: float) -> Region:
+    """A box about ``vector``, no wider than it must be; switch times within ``width`` s."""
+    low, high = np.full(len(vector), -np.inf), np.full(len(vector), np.inf)
+    low[:3], high[:3] = 0.9 * vector[:3], 1.1 * vector[:3]
+    for i in layout.local[:, 2:].ravel():
+        if i >= 0:
+            low[i], high[i] = vector[i] - width, vector[i] + width
+    for row in layout.noise:
+        low[row[0]], high[row[0]] = -1.0, 1.0
+        low[row[1:]] = 0.0
+    return Region(low, high)
+
+
+def expected_information(problem: Problem, vector: FloatArray) -> FloatArray:
+    """Expected Fisher information (n_theta, n_theta) at ``vector``, on a mesh made for it alone.
+
+    A tau of zero is raised to one too small to tell from it.
+    """
+    longest = max(e.interval for e in problem.campaign)
+    vector = vector.copy()
+    vector[0] = above_zero(vector, max(e.total_flow for e in problem.campaign))
+    region = narrow_region(problem.layout, vector, 2.0 * longest)
+    return compress(problem, vector, region).information(vector)

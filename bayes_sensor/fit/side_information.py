@@ -22,7 +22,7 @@ import numpy as np
 from scipy import optimize
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compression import Region, compress
+from bayes_sensor.compression import expected_information
 from bayes_sensor.lags import Naming, lags_of, named
 from bayes_sensor.laplace import Coordinates
 from bayes_sensor.likelihood import Prior, Problem
@@ -34,8 +34,6 @@ N_DRAWS = 20000
 Z95 = 1.6449
 """one-sided 95 % point of a standard normal"""
 SYMBOLS = {"tau_s": ("tau", "s"), "tau_v_s": ("tau_v", "s"), "V_mL": ("V", "mL")}
-
-
 LEAST_APART = 0.05
 """relative half distance of two squares below which derivatives keep the limit for equal lags"""
 N_GRID = 2001
@@ -70,19 +68,10 @@ class Estimates:
         vector[0], vector[1] = np.sqrt(squares[[0, -1]])
         if flow is not None:
             vector[2] = sqrt(squares[1]) * flow
-        low, high = vector - np.inf, vector + np.inf
-        low[:3], high[:3] = 0.9 * vector[:3], 1.1 * vector[:3]
-        longest = max(e.interval for e in problem.campaign)
-        for i in problem.layout.local[:, 2:].ravel():
-            if i >= 0:
-                low[i], high[i] = vector[i] - 2.0 * longest, vector[i] + 2.0 * longest
-        for row in problem.layout.noise:
-            low[row], high[row[0]] = (-1.0, 0.0, 0.0), 1.0
-        compressed = compress(problem, vector, Region(low, high))
         coordinates = Coordinates(problem)
         slopes: FloatArray = coordinates.slopes(vector)
         free = coordinates.free
-        information = slopes.T @ compressed.information(vector)[np.ix_(free, free)] @ slopes
+        information = slopes.T @ expected_information(problem, vector)[np.ix_(free, free)] @ slopes
         # from (tau_1^2, tau_2, V) to the squares and on to their polynomials
         to_squares = np.diag([1.0, 2.0 * vector[1], 1.0])
         squares /= scale**2
@@ -264,15 +253,14 @@ def weigh_names(problem: Problem, vector: FloatArray) -> tuple[Naming, tuple[Com
     if not problem.named_laws:
         return problem.naming(), ()
     estimates = Estimates.of(problem, vector)
+    compared = _compare(problem, known, estimates)
+    problem = without_contradicted(problem, compared)  # what is wrong names nothing
     probabilities = None
     if len(problem.name_factors[1]):
         thetas = estimates.draw(N_DRAWS, np.random.default_rng(0))
         log_mean = np.logaddexp.reduce(problem.log_weights(thetas), axis=0)
         if np.isfinite(log_mean).any():
             probabilities = np.exp(log_mean - np.logaddexp.reduce(log_mean))
-    compared = _compare(problem, known, estimates)
-    if any(each.contradicts for each in compared):  # what is wrong names nothing
-        return weigh_names(without_contradicted(problem, compared), vector)[0], compared
     return problem.naming(probabilities), compared
 
 

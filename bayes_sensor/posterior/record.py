@@ -194,8 +194,8 @@ class Posterior:
                 "tells which is which, their intervals hold both"
             )
         fast, slow = self.lags[:, 0], self.lags[:, -1]
-        unhidden = naming.flow is None and self.hidden_by_sampling is None
-        if unhidden and np.mean(fast > NEAR_EQUAL * slow) > MAY_BE_EQUAL:
+        told = naming.flow is None and self.hidden_by_sampling is None
+        if told and np.mean(fast > NEAR_EQUAL * slow) > MAY_BE_EQUAL:
             low, high = np.quantile(fast, 0.025), np.quantile(slow, 0.975)
             found.append(
                 f"tau and tau_v may be equal and can then not be told apart: both lie between "
@@ -361,15 +361,10 @@ class Posterior:
         priors, own = self.problem.priors, self.layout.names
         found = {self.names[i]: str(priors[own[i]]) for i in self.free}
         if len(self.problem.assignments) > 1:
-            flow = self.problem.flow
-            shown = [own[0], own[1]] if flow is None else [own[0], own[2], own[1]]
             found = {name: law for name, law in found.items() if name not in self.names[:3]}
-            for name, place in zip(LAG_NAMES[self.naming.n_lags], shown, strict=True):
-                law = priors[place]
-                if place == "V_mL" and flow is not None:
-                    law = law.scaled(1.0 / flow)
-                found[name] = str(law)
-            if flow is None:
+            by_size = zip(LAG_NAMES[self.naming.n_lags], self.problem.lag_priors, strict=True)
+            found |= {name: str(law) for name, law in by_size}
+            if self.problem.flow is None:
                 found["V_mL"] = str(priors["V_mL"])
             found |= {name: str(law) for name, law in self.problem.named_laws.items()}
         return found

@@ -13,7 +13,7 @@ from bayes_sensor.disk import own_folder, write_bytes, write_text
 from bayes_sensor.report.headline import Headline, alerts, chain_words, headline
 from bayes_sensor.report.parts import Picture, Pictures, Section, Table
 from bayes_sensor.report.saved import Saved, read_results
-from bayes_sensor.report.words import list_words, number, p_words, with_spread
+from bayes_sensor.report.words import list_words, number, p_words, time_words, with_spread
 
 __all__ = [
     "FORMATS",
@@ -30,6 +30,7 @@ __all__ = [
     "number",
     "p_words",
     "read_results",
+    "time_words",
     "with_spread",
     "write_report",
 ]

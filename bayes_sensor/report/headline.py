@@ -15,6 +15,7 @@ from bayes_sensor.report.words import (
     ms,
     number,
     sentence,
+    time_unit,
     typeset,
     with_spread,
 )
@@ -42,8 +43,6 @@ class Headline:
         return f"{self.text}; {self.naive}" if self.naive else self.text
 
 
-SECONDS_FROM = 1.0
-"""s, above which a lag is said in seconds, below in ms"""
 LIMIT = 0.15
 """of the median, below which the lower end of a 95 % interval says that zero is not excluded.  Of a
 lag with k shorter ones that are limits, too, the k-th root: so small are the ends of the k-th
@@ -60,14 +59,14 @@ def lag_words(low: float, middle: float, high: float) -> str:
     >>> lag_words(0.0986, 0.13755, 0.1735), lag_words(1.9917, 2.0021, 2.013)
     ('138 ms, 95 % interval [99, 174] ms', '2.002 s, 95 % interval [1.992, 2.013] s')
     """
-    factor, unit = (1.0, "s") if middle >= SECONDS_FROM else (1e3, "ms")
+    factor, unit = time_unit(middle)
     value = with_spread(factor * middle, factor * (high - low))
     return f"{value} {unit}, 95 % interval {interval(factor * low, factor * high)} {unit}"
 
 
 def upper_words(high: float, low: float = 0.0) -> str:
     """An upper limit (s) in the unit that suits it, to two digits of its distance from ``low``."""
-    factor, unit = (1.0, "s") if high >= SECONDS_FROM else (1e3, "ms")
+    factor, unit = time_unit(high)
     return f"{with_spread(factor * high, factor * (high - low))} {unit}"
 
 
@@ -162,7 +161,7 @@ def _of_lags(posterior: Mapping[str, Any]) -> str:
 
     if len(seen) > 1 and seen[-2]["q97.5"] >= seen[-1]["q2.5"] and n_limits == 0:
         low, high = seen[0]["q2.5"], seen[-1]["q97.5"]
-        factor, unit = (1.0, "s") if high >= SECONDS_FROM else (1e3, "ms")
+        factor, unit = time_unit(high)
         ends = interval(factor * low, factor * high)
         return f"tau is one of lags that may be equal, all in {ends} {unit} (95 %): {SAY_WHICH}"
     words = [lag_words(row["q2.5"], row["q50"], row["q97.5"]) for row in seen]
@@ -189,7 +188,7 @@ def _of_bounds(entry: Mapping[str, Any], method: str, naive: str) -> Headline | 
     rows = entry["parameters"]
 
     def words(row: Mapping[str, Any]) -> str:
-        unit, scale = ("s", 1.0) if (row["estimate"] or 0.0) >= SECONDS_FROM else ("ms", 1e3)
+        scale, unit = time_unit(row["estimate"] or 0.0)
         low, middle, high = (
             number(None if row[key] is None else scale * row[key])
             for key in ("lo95", "estimate", "hi95")
@@ -213,10 +212,9 @@ def chain_words(posterior: Mapping[str, Any]) -> str:
 
     They need no names of lags; empty for results that do not have them.
     """
-    rows = [row for row in posterior.get("chain", {}).values()]
+    rows = sorted(posterior.get("chain", {}).values(), key=lambda row: -row["t90_s"]["q50"])
     if not rows:
         return ""
-    rows.sort(key=lambda row: -row["t90_s"]["q50"])
     shown = [rows[0], rows[-1]] if rows[0] != rows[-1] else [rows[0]]
     labels = ["at the lowest flow", "at the highest"] if len(shown) > 1 else [""]
     said = []
@@ -224,7 +222,7 @@ def chain_words(posterior: Mapping[str, Any]) -> str:
         times = []
         for key in ("t63", "t90"):
             lo, mid, hi = (row[f"{key}_s"][q] for q in ("q2.5", "q50", "q97.5"))
-            factor, unit = (1.0, "s") if mid >= SECONDS_FROM else (1e3, "ms")
+            factor, unit = time_unit(mid)
             value = with_spread(factor * mid, factor * (hi - lo))
             times.append(f"{key} {value} {unit} {interval(factor * lo, factor * hi)}")
         said.append(f"{', '.join(times)} {label}".rstrip())

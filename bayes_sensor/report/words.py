@@ -60,6 +60,29 @@ def interval(low: float, high: float) -> str:
     return f"[{with_spread(low, high - low)}, {with_spread(high, high - low)}]"
 
 
+SECONDS_FROM = 1.0
+"""s, from which a lag is said in seconds, below in ms"""
+
+
+def time_unit(seconds: float) -> tuple[float, str]:
+    """The factor and the unit in which a lag of so many seconds is said.
+
+    >>> time_unit(0.048), time_unit(20.0)
+    ((1000.0, 'ms'), (1.0, 's'))
+    """
+    return (1.0, "s") if seconds >= SECONDS_FROM else (1e3, "ms")
+
+
+def time_words(seconds: float) -> str:
+    """A time in the unit that suits it.
+
+    >>> time_words(0.0481), time_words(20.07)
+    ('48.1 ms', '20.1 s')
+    """
+    factor, unit = time_unit(seconds)
+    return f"{number(factor * seconds)} {unit}"
+
+
 def p_words(p: float | None) -> str:
     """A p-value in words that do not pretend.
 
