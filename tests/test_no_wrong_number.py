@@ -16,7 +16,7 @@ from bayes_sensor import compare_bounds, fit_least_squares, sample_posterior, si
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, SideInformation
 from bayes_sensor.posterior import Settings
 from bayes_sensor.report import headline
-from bayes_sensor.report.headline import chain_words
+from bayes_sensor.report.headline import chain_words, stated_set
 
 FLOWS = (40.0, 75.0, 135.0)  # mL/s
 QUICK = Settings(n_draws=400, target_ess=400)
@@ -139,6 +139,7 @@ def test_a_response_within_one_sample_is_an_upper_limit() -> None:
     record = {"hidden_by_sampling_s": 1.0, "lags_s": [{"q95": 9.0}], "parameters": {}}
     text = str(headline(record, None))
     assert "an upper limit only" in text and "longer than" in text and "455 ms" in text
+    assert stated_set(record) == [(0.0, 1.0 / 2.2)]
 
 
 def test_bounds_survive_what_is_too_small_to_be_seen() -> None:
@@ -149,3 +150,19 @@ def test_bounds_survive_what_is_too_small_to_be_seen() -> None:
     for bound in bounds.methods.values():
         low, high = bound.interval("tau_s", "997")
         assert low < 2.0 < high < 2.2
+
+
+@pytest.mark.parametrize("third", [False, True])
+def test_lags_that_may_be_equal_are_stated_together(third: bool) -> None:
+    lags = [{"q2.5": 1.6, "q50": 1.85, "q95": 1.98, "q97.5": 2.0},
+            {"q2.5": 2.0, "q50": 2.15, "q95": 2.3, "q97.5": 2.33}]  # fmt: skip
+    if third:  # one that is told apart from both
+        lags.insert(0, {"q2.5": 0.9, "q50": 1.0, "q95": 1.09, "q97.5": 1.1})
+    rows = [{"lag": i, "probability": 1.0 / len(lags)} for i in range(len(lags))]
+    record = {"order": "undecided", "lags_s": lags, "assignments": rows, "parameters": {}}
+    text, stated = str(headline(record, None)), stated_set(record)
+    if third:
+        assert text.startswith("tau is either 1.00 s") and text.count("(33 %)") == 3
+        assert len(stated) == 3
+    else:
+        assert "may be equal, all in [1.60, 2.33] s" in text and stated == [(1.6, 2.33)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from bayes_sensor.figures import effect_words
@@ -94,8 +95,7 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
         noise += "; NOT CONVERGED, do not quote"
     source = f"(posterior, {noise})"
     if (hidden := posterior.get("hidden_by_sampling_s")) is not None:
-        # a lag alone rises from 10 to 90 % in 2.2 of it
-        most = min(posterior["lags_s"][-1]["q95"], hidden / 2.2)
+        most = _longest_hidden(posterior)
         text = (
             f"the response is over within one sampling interval ({number(hidden)} s), which hides "
             f"it: an upper limit only, no lag is longer than {upper_words(most)} {source}"
@@ -124,13 +124,28 @@ def stated_set(posterior: Mapping[str, Any]) -> list[tuple[float, float]]:
     """
     lags = posterior["lags_s"]
     if posterior.get("hidden_by_sampling_s") is not None:
-        return [(0.0, lags[-1]["q95"])]
+        return [(0.0, _longest_hidden(posterior))]
     if posterior.get("order") != "undecided":
         row = posterior["parameters"]["tau_s"]
         return [(row["q2.5"], row["q97.5"])]
     n_limits = _n_limits(lags)
     found = [(row["q2.5"], row["q97.5"]) for row in lags[n_limits:]]
+    if _may_all_be_equal(lags):
+        found = [(found[0][0], found[-1][1])]
     return [(0.0, lags[n_limits - 1]["q95"]), *found] if n_limits else found
+
+
+def _longest_hidden(posterior: Mapping[str, Any]) -> float:
+    """s, the upper limit of all lags where the response is over within one sampling interval."""
+    # a lag alone rises from 10 to 90 % in 2.2 of it
+    return float(min(posterior["lags_s"][-1]["q95"], posterior["hidden_by_sampling_s"] / 2.2))
+
+
+def _may_all_be_equal(lags: Sequence[Mapping[str, float]]) -> bool:
+    """Whether all lags are told from zero and none from its neighbour: intervals by size leave out
+    that they are equal, so one is stated for all."""
+    neighbours = pairwise(lags)
+    return _n_limits(lags) == 0 and all(a["q97.5"] >= b["q2.5"] for a, b in neighbours)
 
 
 def _n_limits(lags: Sequence[Mapping[str, float]]) -> int:
@@ -159,8 +174,8 @@ def _of_lags(posterior: Mapping[str, Any]) -> str:
     def share(place: int) -> str:
         return f" ({100.0 * shares.get(place, 0.0):.0f} %)"
 
-    if len(seen) > 1 and seen[-2]["q97.5"] >= seen[-1]["q2.5"] and n_limits == 0:
-        low, high = seen[0]["q2.5"], seen[-1]["q97.5"]
+    if _may_all_be_equal(lags):
+        ((low, high),) = stated_set(posterior)
         factor, unit = time_unit(high)
         ends = interval(factor * low, factor * high)
         return f"tau is one of lags that may be equal, all in {ends} {unit} (95 %): {SAY_WHICH}"
