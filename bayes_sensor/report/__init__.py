@@ -66,7 +66,7 @@ def write_report(
 
     ``form``: ``html``, ``pdf`` or ``md``.
     """
-    from bayes_sensor.report import html, markdown, typeset
+    from bayes_sensor.report import html, markdown, pdf
 
     place = Path(target) / FORMATS[form]
     figure_folder = own_folder(Path(target) / FIGURES)
@@ -77,7 +77,7 @@ def write_report(
     elif form == "md":
         write_text(place, markdown.document(saved, sections, FIGURES))
     else:
-        write_bytes(place, typeset.document(saved, sections))
+        write_bytes(place, pdf.document(saved, sections))
     return place
 
 

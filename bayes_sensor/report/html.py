@@ -16,7 +16,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from bayes_sensor.report.drawing import inline_svg
-from bayes_sensor.report.headline import alerts, decisive, headline, remarks
+from bayes_sensor.report.headline import alerts, headline, remarks
 from bayes_sensor.report.parts import Picture, Section, Table, numbering, pieces
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import typeset
@@ -118,7 +118,6 @@ def page(saved: Saved, sections: Sequence[Section]) -> str:
         title=saved.name,
         version=saved.last["versions"].get("bayes-sensor", ""),
         finished=saved.last["finished"],
-        caveats=decisive(saved),
         head=headline(saved.posterior, saved.bounds, saved.settings),
         remarks=remarks(saved),
         alerts=alerts(saved),
