@@ -18,9 +18,11 @@ from matplotlib.image import imread
 
 from bayes_sensor import figures, report
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.check import campaign_rows
-from bayes_sensor.cli import _guarded, steps
-from bayes_sensor.cli.simulation import published_design
+from bayes_sensor.cli import _guarded, analysis_steps
+from bayes_sensor.cli.simulate_campaigns import published_design
+from bayes_sensor.fit.samples import load_samples
+from bayes_sensor.io.check import campaign_rows
+from bayes_sensor.io.json_files import plain
 from bayes_sensor.report import (
     FORMATS,
     Table,
@@ -50,15 +52,13 @@ from bayes_sensor.report.parts import (
 )
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections import make_sections
-from bayes_sensor.report.sections.coating import coating
-from bayes_sensor.report.sections.fit import fitted
+from bayes_sensor.report.sections.coating_section import coating
+from bayes_sensor.report.sections.fit_section import fitted
 from bayes_sensor.report.sections.gap_tables import strength_words
-from bayes_sensor.report.sections.noise import noise
-from bayes_sensor.report.sections.tau import time_constant
+from bayes_sensor.report.sections.noise_section import noise
+from bayes_sensor.report.sections.tau_section import time_constant
 from bayes_sensor.report.words import typeset
 from bayes_sensor.residuals import TAKE_AS_THEY_ARE
-from bayes_sensor.results import plain
-from bayes_sensor.samples import load_samples
 
 HOSTILE = "<script>document.title='taken'</script> $x^2$ \"&'"
 ORDER = [
@@ -100,7 +100,7 @@ def analysed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     options = ["--sampler", "independence", "--config", folder / "over.toml", "--quiet"]
     with pytest.MonkeyPatch.context() as patch:  # the diagnosis takes long and has its own tests
-        for table in (steps.STEPS, steps.SAVES):
+        for table in (analysis_steps.STEPS, analysis_steps.SAVES):
             patch.setitem(table, "analyze", tuple(s for s in table["analyze"] if s != "gap"))
         code = run("analyze", data / "campaign.toml", "--out", folder / "out", *options)
     assert code in (0, 3)
@@ -397,7 +397,7 @@ def test_names_that_mean_something_elsewhere_are_only_names_here(
 @pytest.fixture
 def short_analyze(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str | Path]:
     """The arguments of an ``analyze`` that fits and reports, into ``tmp_path / "out"``."""
-    for table in (steps.STEPS, steps.SAVES):
+    for table in (analysis_steps.STEPS, analysis_steps.SAVES):
         monkeypatch.setitem(table, "analyze", ("fit", "residuals", "report"))
     options = ["--experiments", "1,4", "--duration", "15 s", "--interval", "20 ms", "--quiet"]
     assert run("simulate", "--out", tmp_path / "data", *options) == 0

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bayes_sensor.disk import own_folder, write_bytes, write_text
+from bayes_sensor.io.disk import own_folder, write_bytes, write_text
 from bayes_sensor.report.headline import Headline, alerts, chain_words, headline
 from bayes_sensor.report.parts import Picture, Pictures, Section, Table
 from bayes_sensor.report.saved import Saved, read_results

@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 from bayes_sensor.figures import effect_words
+from bayes_sensor.io.run_record import of_other_data
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import (
     interval,
@@ -21,7 +22,6 @@ from bayes_sensor.report.words import (
     with_spread,
 )
 from bayes_sensor.residuals import TAKE_AS_THEY_ARE
-from bayes_sensor.results import of_other_data
 
 
 @dataclass(frozen=True)
