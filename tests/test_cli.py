@@ -388,7 +388,7 @@ def test_closed_streams_are_no_obstacle(campaign: Path, tmp_path: Path) -> None:
 def test_a_terminal_that_cannot_show_a_letter_shows_its_number() -> None:
     pty = pytest.importorskip("pty", reason="terminals are opened as on Unix")
     code = (
-        "from bayes_sensor.cli import steps\n"
+        "from bayes_sensor.cli import analysis_steps as steps\n"
         "with steps.progress_bar('fit', False) as tell: tell(0.5, chr(0x3c4))"
     )
     plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "TERM": "xterm",
