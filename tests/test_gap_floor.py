@@ -23,7 +23,7 @@ from bayes_sensor.diagnosis.data.noise_floor import (
     quiet_stretches,
 )
 from bayes_sensor.diagnosis.data.preparation import fit_base, full_rate_residuals, prepare
-from bayes_sensor.diagnosis.signals.local_misfit import look_for_breaks
+from bayes_sensor.diagnosis.signals.local_misfit import look_for_level_changes
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.reality import draw_case, make_campaign
@@ -132,9 +132,9 @@ def test_pure_noise_whitens_to_one(kind):
                 slow = lfilter([1], [1, -decay], rng.standard_normal(len(e.t) + 2000))[2000:]
                 values[e.name] = e.values + 0.004 * np.sqrt(1 - decay**2) * slow
             campaign = campaign.with_data(values)
-        sketch = prepare(campaign, Layout.of(plan).flat(parameters)).sketch
-        fitted = fit_base(sketch)
-        ratios.append(fitted.misfit / (sketch.n_bins - fitted.plan.size))
+        binned = prepare(campaign, Layout.of(plan).flat(parameters)).binned
+        fitted = fit_base(binned)
+        ratios.append(fitted.misfit / (binned.n_bins - fitted.coords.size))
     # each has a spread of about .1 from the floor's own uncertainty
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
     assert max(ratios) < 1.45
@@ -176,8 +176,10 @@ def test_a_drill_next_door_breaks_nothing_and_is_told(monkeypatch):
     parameters = Layout.of(campaign).flat(fit_least_squares(campaign, euler=False).theta_hat)
 
     def found():
-        base = fit_base(prepare(campaign, parameters).sketch)
-        return look_for_breaks(base).log_bayes_factor, base.misfit / base.plan.sketch.n_bins
+        base = fit_base(prepare(campaign, parameters).binned)
+        return look_for_level_changes(
+            base
+        ).log_bayes_factor, base.misfit / base.coords.binned.n_bins
 
     counted, ratio = found()
     assert counted < 1.0 and ratio < 1.2
@@ -253,7 +255,7 @@ def test_the_floor_of_a_record_that_is_never_quiet_on_its_plateau():
     ratios = []
     for seed in range(8):
         campaign, flat = short_record(seed)
-        noise_floor = prepare(campaign, flat).sketch.floor
+        noise_floor = prepare(campaign, flat).binned.floor
         f = np.sqrt(noise_floor.edges[:-1] * noise_floor.edges[1:])
         # one-sided density of an AR(1)
         shape = 2.0 * 0.02 * (1 - 0.85**2) / (1 + 0.85**2 - 1.7 * np.cos(2 * np.pi * f * 0.02))
@@ -355,8 +357,8 @@ def test_records_of_other_memories_whiten_to_one_each(monkeypatch):
         found = []
         for _ in range(5):
             campaign, vector = remembering(rng, MEMORIES)
-            base = fit_base(prepare(campaign, vector).sketch)
-            rows = base.plan.sketch.rows
+            base = fit_base(prepare(campaign, vector).binned)
+            rows = base.coords.binned.rows
             found.append([np.mean(base.residual[own] ** 2) for own in rows])
         return np.mean(found, axis=0)
 

@@ -14,11 +14,11 @@ from bayes_sensor.diagnosis.signals.spectral_lines import (
     _look_for_lines,
     look_for_bursts,
     look_for_mains,
-    look_for_swings,
+    look_for_slow_lines,
     mains_closure,
     own_shapes,
 )
-from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate
+from bayes_sensor.diagnosis.signals.tails_and_converter import Finding
 from tests.gap_cases import design, measured
 
 
@@ -38,7 +38,7 @@ def residuals(rng, period=None, size=0.0, memory=0.0, n=4):
 
 
 def test_a_slow_swing_is_found_with_its_period_and_size():
-    found = look_for_swings(*residuals(np.random.default_rng(1), period=7.0, size=0.0012))[0]
+    found = look_for_slow_lines(*residuals(np.random.default_rng(1), period=7.0, size=0.0012))[0]
     assert found.log_bayes_factor > 5.0
     assert 1.0 / found.strength["swing_Hz"] == pytest.approx(7.0, rel=0.04)
     assert found.strength["swing_V"] == pytest.approx(0.0012, rel=0.25)
@@ -47,7 +47,7 @@ def test_a_slow_swing_is_found_with_its_period_and_size():
 @pytest.mark.parametrize("memory", [0.0, 0.5, 3.0])
 def test_slow_noise_is_no_swing(memory):
     rng = np.random.default_rng(2)
-    values = [look_for_swings(*residuals(rng, memory=memory))[0].log_bayes_factor
+    values = [look_for_slow_lines(*residuals(rng, memory=memory))[0].log_bayes_factor
               for _ in range(15)]  # fmt: skip
     assert max(values) < 3.0 and np.median(values) < 0.0
 
@@ -271,7 +271,7 @@ def humming(rng, fundamental, third=0.0, steady=True, n=6):
 
 def test_the_mains_closed_fraction_is_the_share_that_one_sine_explains():
     rng = np.random.default_rng(5)
-    mains = FullRate("mains_pickup", 50.0, {"mains_V": 0.01, "mains_Hz": 50.0}, 60.0)
+    mains = Finding("mains_pickup", 50.0, {"mains_V": 0.01, "mains_Hz": 50.0}, 60.0)
     pure, out = mains_closure(humming(rng, 0.01), mains)
     assert pure.fraction == pytest.approx(1.0, abs=0.03) and pure.low < 1.0 < pure.high
     assert pure.before_V == pytest.approx(0.01 / np.sqrt(2.0), rel=0.03)
@@ -286,7 +286,7 @@ def test_the_mains_closed_fraction_is_the_share_that_one_sine_explains():
 
 
 def test_too_little_of_the_mains_has_no_closed_fraction():
-    faint = FullRate("mains_pickup", 0.0, {"mains_V": 1e-4, "mains_Hz": 150.0}, 1.0)
+    faint = Finding("mains_pickup", 0.0, {"mains_V": 1e-4, "mains_Hz": 150.0}, 1.0)
     closed, out = mains_closure(humming(np.random.default_rng(6), 0.0), faint)
     assert closed.withheld and out is None
 
@@ -374,7 +374,7 @@ def test_one_spectrum_or_one_too_short_has_no_shape_of_its_own():
     assert all(np.all(shape > 0.0) for shape in own_shapes(silent, [1.0, 1.0], 40.0))
 
 
-@pytest.mark.parametrize("look", [look_for_mains, look_for_swings])
+@pytest.mark.parametrize("look", [look_for_mains, look_for_slow_lines])
 def test_a_record_without_noise_among_others_breaks_nothing(look):
     campaign, noise, deviations = other_memories(np.random.default_rng(36))
     noise[2] = np.zeros(len(noise[2]))

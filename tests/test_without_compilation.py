@@ -106,14 +106,16 @@ for seed, (name, cause) in enumerate(sorted(CAUSES.items())):
     say(*clean.values())
 """,
     "squares": """
-from bayes_sensor.diagnosis.evidence.block_least_squares import carry_on, normal_equations, whiten
+from bayes_sensor.diagnosis.evidence.block_least_squares import (
+    broyden_update, normal_equations, whiten,
+)
 rng = np.random.RandomState(2)
 ends, places = np.array([0, 3, 5]), np.array([[0, 1, 2], [0, 3, -1]])
 factors, values = rng.normal(size=13), rng.normal(size=(5, 3))
 say(whiten(factors, ends, values), whiten(factors, ends, values[:, 0].copy()))
 values[3:, 2] = 0.0
 say(*normal_equations(values, rng.normal(size=5), ends, places, 4))
-carry_on(values, rng.normal(size=5), rng.normal(size=4), np.ones(4), ends, places)
+broyden_update(values, rng.normal(size=5), rng.normal(size=4), np.ones(4), ends, places)
 say(values)
 """,
     "rig": """

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.noise_floor import DOF
 from bayes_sensor.diagnosis.evidence.block_least_squares import inverted, solved
 from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy
@@ -61,7 +61,7 @@ class Closure:
         return self.fraction is None
 
 
-def taken_away(base: Refit, fitted: Refit) -> float:
+def misfit_removed(base: Refit, fitted: Refit) -> float:
     """Misfit, in squared standard deviations, that ``fitted`` does not have and ``base`` has.
 
     Less what its further freedom takes from noise alone.
@@ -70,7 +70,7 @@ def taken_away(base: Refit, fitted: Refit) -> float:
     return max(excess[0] - excess[1], 0.0)
 
 
-def what_is_left(
+def draw_remaining_misfit(
     fitted: Refit, discrepancies: Sequence[Discrepancy], seed: int = 1
 ) -> tuple[float, FloatArray]:
     """The chance that an explanation leaves something, and how much then.
@@ -115,9 +115,9 @@ def _squared_sizes(
     # out under their priors, and P what a refit without the discrepancy leaves of it
     at_limit = int(fitted.x[0] <= 0.0)  # tau there: its own coordinate does not move
     jacobian = fitted.jacobian[:, at_limit:]
-    plan = fitted.plan
-    prior = plan.own_prior_matrix[at_limit:, at_limit:]
-    pull = (plan.own_prior_matrix @ (fitted.x - plan.prior_centre))[at_limit:]
+    coords = fitted.coords
+    prior = coords.own_prior_matrix[at_limit:, at_limit:]
+    pull = (coords.own_prior_matrix @ (fitted.x - coords.prior_centre))[at_limit:]
     basis, variance = discrepancy.basis, discrepancy.variance
     shrink = variance / (1.0 + variance)
     normal = jacobian.T @ jacobian
@@ -151,9 +151,9 @@ def closure(
     ruled out (a chance of 5 %) the interval is one-sided and reaches up to one; elsewhere it is
     equal-tailed.
     """
-    volts = [np.sqrt(max(_mean_volts(base.plan.sketch, r), 0.0)) for r in (base, fitted)]
-    taken = taken_away(base, fitted)
-    chance, sizes = what_is_left(fitted, discrepancies, seed)
+    volts = [np.sqrt(max(_mean_volts(base.coords.binned, r), 0.0)) for r in (base, fitted)]
+    taken = misfit_removed(base, fitted)
+    chance, sizes = draw_remaining_misfit(fitted, discrepancies, seed)
     left = chance * float(np.mean(sizes))
     d = float(np.sqrt(taken + left)), float(np.sqrt(left))
     if d[0] < VISIBLE:
@@ -177,11 +177,11 @@ def closure(
     return Closure(fraction, low, high, float(volts[0]), float(volts[1]), *d)
 
 
-def _mean_volts(sketch: Sketch, fitted: Refit) -> float:
+def _mean_volts(binned: BinnedCampaign, fitted: Refit) -> float:
     leverage = Leverage.of(fitted)
     pairs = [
-        _mean_square(sketch, leverage, fitted.residual, k, np.arange(rows.start, rows.stop))
-        for k, rows in enumerate(sketch.rows)
+        _mean_square(binned, leverage, fitted.residual, k, np.arange(rows.start, rows.stop))
+        for k, rows in enumerate(binned.rows)
     ]
     count = sum(n for _, n in pairs)
     return sum(v * n for v, n in pairs) / count
@@ -208,16 +208,16 @@ def held_out(base: Refit, fitted: Refit, seed: int = 1) -> HeldOut | None:
     and judged on the fall.  None where there is one experiment, no fall to judge local strengths
     on, or too little to divide by.
     """
-    sketch = base.plan.sketch
-    n_e = len(sketch.bins)
-    local = bool(fitted.plan.own)
+    binned = base.coords.binned
+    n_e = len(binned.bins)
+    local = bool(fitted.coords.own)
     if n_e < 2:
         return None
     before = after = 0.0
     n = 0
     unsure: list[list[FloatArray]] = [[], []]
     for k in range(n_e):
-        if local and not sketch.bins[k].falling.any():
+        if local and not binned.bins[k].falling.any():
             continue
         pair = [_predicted(r, k, local) for r in (base, fitted)]
         before += pair[0].excess
@@ -255,21 +255,21 @@ class _Prediction:
 
 def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
     """Experiment ``k`` predicted from the others; with ``local`` its fall from all before it."""
-    sketch, plan = fitted.plan.sketch, fitted.plan
-    n_e = len(sketch.bins)
+    binned, coords = fitted.coords.binned, fitted.coords
+    n_e = len(binned.bins)
     others = [j for j in range(n_e) if j != k]
-    all_but = sketch.restricted([np.full(len(b.first), j != k) for j, b in enumerate(sketch.bins)])
-    own = len(plan.own)
+    all_but = binned.restricted([np.full(len(b.first), j != k) for j, b in enumerate(binned.bins)])
+    own = len(coords.own)
     rest = refit(
-        replace(plan, sketch=all_but),
-        sketch.local_coordinates(fitted.x, others, own),
+        replace(coords, binned=all_but),
+        binned.local_coordinates(fitted.x, others, own),
         most_steps=10,
         tolerance=0.2,
     )
-    only = [np.full(len(b.first), j == k) for j, b in enumerate(sketch.bins)]
-    alone = sketch.restricted(only)
-    one = replace(plan, sketch=alone)
-    start = sketch.local_coordinates(fitted.x, [k], own)
+    only = [np.full(len(b.first), j == k) for j, b in enumerate(binned.bins)]
+    alone = binned.restricted(only)
+    one = replace(coords, binned=alone)
+    start = binned.local_coordinates(fitted.x, [k], own)
     n_shared = one.local[0]
     start[:n_shared] = rest.x[:n_shared]
     free = np.zeros(one.size, dtype=bool)
@@ -281,12 +281,12 @@ def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
         return _prediction(made, free, covariance)
     # strengths of its own: everything before the fall decides them, the fall judges
     falling = alone.bins[0].falling
-    rise = replace(plan, sketch=alone.restricted([~falling]))
+    rise = replace(coords, binned=alone.restricted([~falling]))
     first = refit(rise, start, most_steps=10, tolerance=0.2, free=free)
     covariance[n_shared:, n_shared:] = inverted(first.normal)[n_shared:, n_shared:]
     free[:] = False
     free[n_shared + 3] = True  # tf
-    fall = replace(plan, sketch=alone.restricted([falling]))
+    fall = replace(coords, binned=alone.restricted([falling]))
     made = refit(fall, first.x, most_steps=10, tolerance=0.2, free=free)
     return _prediction(made, free, covariance)
 

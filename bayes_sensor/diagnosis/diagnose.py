@@ -12,38 +12,41 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
-from bayes_sensor.diagnosis.closure import Closure, closure, held_out, taken_away
+from bayes_sensor.diagnosis.closure import Closure, closure, held_out, misfit_removed
 from bayes_sensor.diagnosis.data.preparation import (
-    Prepared,
+    PreparedCampaign,
     fit_base,
     full_rate_residuals,
     prepare,
 )
 from bayes_sensor.diagnosis.effects import CATALOGUE, check_names
 from bayes_sensor.diagnosis.effects.effect import Effect
-from bayes_sensor.diagnosis.evidence.explained_excess import explained
-from bayes_sensor.diagnosis.evidence.hypotheses import Hypothesis, Weighing, weigh
+from bayes_sensor.diagnosis.evidence.explained_excess import explained_excess
+from bayes_sensor.diagnosis.evidence.hypotheses import Comparison, Hypothesis, compare_hypotheses
 from bayes_sensor.diagnosis.evidence.refit import Refit
 from bayes_sensor.diagnosis.gap import Gap, HiddenEffects, Round, Shrink, nameless, without_tau
-from bayes_sensor.diagnosis.hidden import Hidden, what_may_hide
+from bayes_sensor.diagnosis.hidden import HiddenEffect, hidden_effects
 from bayes_sensor.diagnosis.isolability import Separation, confusable, what_would_separate
 from bayes_sensor.diagnosis.location import (
     CLEAR,
-    Map,
+    ExcessMap,
     locate,
     shared_by_explanations,
     shared_by_findings,
 )
-from bayes_sensor.diagnosis.signals.effect_signatures import courses
+from bayes_sensor.diagnosis.signals.effect_signatures import signatures
 from bayes_sensor.diagnosis.signals.events import HEAVY_DOF, look_for_events
-from bayes_sensor.diagnosis.signals.local_misfit import look_for_breaks, look_for_patches
-from bayes_sensor.diagnosis.signals.plateau_noise import look_for_unsteadiness
+from bayes_sensor.diagnosis.signals.local_misfit import (
+    look_for_level_changes,
+    look_for_local_misfit,
+)
+from bayes_sensor.diagnosis.signals.plateau_noise import look_for_plateau_noise
 from bayes_sensor.diagnosis.signals.ringing import look_for_ringing
 from bayes_sensor.diagnosis.signals.spectral_lines import (
     look_for_bursts,
     look_for_lines,
     look_for_mains,
-    look_for_swings,
+    look_for_slow_lines,
     mains_closure,
     pieces_of_records,
 )
@@ -51,16 +54,16 @@ from bayes_sensor.diagnosis.signals.tails_and_converter import (
     FOUND,
     LUMPY,
     OF_UNLISTED_ORIGIN,
-    FullRate,
+    Finding,
+    hides_the_noise,
     look_at_tails,
     look_for_steps,
-    rounds_away,
 )
-from bayes_sensor.diagnosis.signals.transient_lines import look_for_passing_lines
-from bayes_sensor.diagnosis.verdict import NAMED, Standing, Verdict, judge, standing
+from bayes_sensor.diagnosis.signals.transient_lines import look_for_transient_lines
+from bayes_sensor.diagnosis.verdict import NAMED, Probabilities, Verdict, combine, judge
 from bayes_sensor.diagnosis.wording import (
     held_by_commands,
-    looks_most,
+    nearest_finding,
     notes_on,
     sentence,
     units_of,
@@ -155,56 +158,58 @@ def diagnose_gap(
     tell(0.02, "noise floor")
     campaign = without_contradicted(Problem(campaign), fit.side_information).campaign
     prepared = prepare(campaign, _mean_of(campaign, fit), fit.naming)
-    sketch = prepared.sketch
-    if not sketch.order_known:
+    binned = prepared.binned
+    if not binned.order_known:
         catalogue = {name: effect.nameless for name, effect in catalogue.items()}
-    base = fit_base(sketch)
-    full_rate = [
+    base = fit_base(binned)
+    findings = [
         f
         for f in map(partial(_without_mains, catalogue), _samples(prepared))
         if f.name in catalogue or f.name in OF_UNLISTED_ORIGIN
     ]
     tell(0.08, "where")
-    located = locate(sketch, base, seed, bootstrap, courses(base, catalogue))
-    weighing = weigh(sketch, base, catalogue, lambda s, t: tell(0.15 + 0.4 * s, t))
-    full_rate += _events(prepared, weighing, full_rate)
-    stand = standing(weighing, full_rate, catalogue)
-    kind, named, family, probability = judge(weighing, stand, catalogue)
-    best = _best(weighing, kind, named, stand, catalogue)
-    located = _shared_out(located, weighing, full_rate, kind)
+    located = locate(binned, base, seed, bootstrap, signatures(base, catalogue))
+    comparison = compare_hypotheses(binned, base, catalogue, lambda s, t: tell(0.15 + 0.4 * s, t))
+    findings += _events(prepared, comparison, findings)
+    combined = combine(comparison, findings, catalogue)
+    kind, named, family, probability = judge(comparison, combined, catalogue)
+    best = _best(comparison, kind, named, combined, catalogue)
+    located = _shared_out(located, comparison, findings, kind)
     tell(0.6, "what is left")
     rounds: list[Round] = []
     if follow and kind == "effect" and best.effects:
-        rounds = _look_again(weighing, best, probability, catalogue, seed)
+        rounds = _look_again(comparison, best, probability, catalogue, seed)
     tell(0.7, "how far")
-    closed = closure(base, best.refit, weighing.discrepancies, seed, _others(weighing, best))
-    shrink = _shrink(weighing, best, closed, catalogue, seed)
+    closed = closure(base, best.refit, comparison.discrepancies, seed, _others(comparison, best))
+    shrink = _shrink(comparison, best, closed, catalogue, seed)
     if kind == "effect" and "mains_pickup" in named and not best.effects:
-        shrink = _of_the_mains(shrink, prepared, full_rate)
+        shrink = _of_the_mains(shrink, prepared, findings)
     tell(0.85, "what may hide")
     accepted = best.refit if kind == "effect" else base
-    found: list[Hidden] = []
+    found: list[HiddenEffect] = []
     if hidden:
-        found, envelope = what_may_hide(weighing, accepted, catalogue, jobs)
+        found, envelope = hidden_effects(comparison, accepted, catalogue, jobs)
     else:
         spread = 1.96 * best.sd_log_tau
         envelope = (exp(best.log_tau - spread), exp(best.log_tau + spread))
     tell(0.93, "look-alikes")
-    rows, separations = _rows(weighing, stand, full_rate, catalogue, closed, separate, kind, named)
+    rows, separations = _rows(
+        comparison, combined, findings, catalogue, closed, separate, kind, named
+    )
     names, unit = [e.name for e in campaign], campaign.signal_unit
-    said = sentence(kind, named, probability, weighing, stand, best, located, catalogue,
-                    separations, shrink.closure, full_rate, envelope, unit)  # fmt: skip
+    said = sentence(kind, named, probability, comparison, combined, best, located, catalogue,
+                    separations, shrink.closure, findings, envelope, unit)  # fmt: skip
     held = [n for n in fit.at_bound if n.startswith(("t0_s", "tf_s"))]
     switches = sum(1 + e.has_fall for e in campaign)
     if len(held) > MANY_HELD * switches:
         said = held_by_commands(len(held), switches, said)
     if not fit.step_seen:
         said = without_a_step(kind, said)
-    beside = looks_most(full_rate, names, unit) if kind == "none" else []
+    beside = nearest_finding(findings, names, unit) if kind == "none" else []
     tell(1.0, "done")
     budget = _budget(campaign, prepared, base, located, nominal)
     may_hide = HiddenEffects(tuple(found), envelope)
-    if not sketch.order_known:
+    if not binned.order_known:
         rows, budget = [without_tau(row) for row in rows], without_tau(budget)
         found = [nameless(each) for each in found]
         shrink, may_hide = nameless(shrink), nameless(HiddenEffects(tuple(found), envelope))
@@ -216,13 +221,13 @@ def diagnose_gap(
         hidden=may_hide,
         rounds=tuple(rounds),
         separations=tuple(separations),
-        full_rate=tuple(full_rate),
-        weighing=weighing,
-        standing=stand,
+        findings=tuple(findings),
+        comparison=comparison,
+        probabilities=combined,
         rows=tuple(rows),
-        strength_units=units_of(catalogue.values(), sketch.settings[0], unit),
+        strength_units=units_of(catalogue.values(), binned.settings[0], unit),
         signal_unit=unit,
-        notes=(*notes_on(sketch), *beside),
+        notes=(*notes_on(binned), *beside),
     )
 
 
@@ -270,7 +275,7 @@ def _catalogue(
 # --------------------------------------------------------------------------- explanation
 
 
-def _without_mains(catalogue: Mapping[str, Effect], found: FullRate) -> FullRate:
+def _without_mains(catalogue: Mapping[str, Effect], found: Finding) -> Finding:
     """Where the mains are not in the catalogue, theirs is a line like any other."""
     if found.name != "mains_pickup" or found.name in catalogue:
         return found
@@ -278,14 +283,14 @@ def _without_mains(catalogue: Mapping[str, Effect], found: FullRate) -> FullRate
     return replace(found, name="line", strength={"line_V": s["mains_V"], "line_Hz": s["mains_Hz"]})
 
 
-def _samples(prepared: Prepared) -> list[FullRate]:
+def _samples(prepared: PreparedCampaign) -> list[Finding]:
     """The mains, tails and the converter's steps, whatever explains the mean."""
-    campaign, stretches = prepared.sketch.campaign, prepared.stretches
+    campaign, stretches = prepared.binned.campaign, prepared.stretches
     coarse = look_for_steps(campaign, stretches)
     # on a coarse lattice the innovations are lumps, not tails: spread them over the step again
     step = coarse.strength["adc_step"] if coarse.log_bayes_factor > LUMPY else 0.0
     found = [look_at_tails(prepared.raw, step), coarse]
-    if rounds_away(stretches, coarse.strength["adc_step"]):
+    if hides_the_noise(stretches, coarse.strength["adc_step"]):
         return found
     records = (campaign, prepared.residuals, prepared.deviations)
     mains = look_for_mains(*records)
@@ -294,46 +299,48 @@ def _samples(prepared: Prepared) -> list[FullRate]:
 
 
 def _events(
-    prepared: Prepared, weighing: Weighing, full_rate: Sequence[FullRate]
-) -> list[FullRate]:
+    prepared: PreparedCampaign, comparison: Comparison, findings: Sequence[Finding]
+) -> list[Finding]:
     """Lines, events and ringing in what the best complete explanation leaves."""
-    campaign = prepared.sketch.campaign
-    step = max((f.strength.get("adc_step", 0.0) for f in full_rate), default=0.0)
-    heavy = any(f.name == "heavy_tails" and f.probability > FOUND for f in full_rate)
-    if rounds_away(prepared.stretches, step):
+    campaign = prepared.binned.campaign
+    step = max((f.strength.get("adc_step", 0.0) for f in findings), default=0.0)
+    heavy = any(f.name == "heavy_tails" and f.probability > FOUND for f in findings)
+    if hides_the_noise(prepared.stretches, step):
         return []
-    best = weighing.likeliest.refit
+    best = comparison.likeliest.refit
     residuals = prepared.residuals_of(best)
     stretches = prepared.stretches_of(residuals)
     events = look_for_events(campaign, stretches, heavy)
     return [
         *look_for_lines(campaign, stretches),
-        look_for_patches(best, residuals, prepared.quiet, events.lasting),
-        look_for_breaks(best, events.lasting),
+        look_for_local_misfit(best, residuals, prepared.quiet, events.lasting),
+        look_for_level_changes(best, events.lasting),
         events.found,
         look_for_ringing(campaign, residuals, prepared.quiet),
-        *look_for_swings(campaign, residuals, prepared.deviations),
-        *look_for_passing_lines(campaign, residuals, prepared.deviations),
-        *(look_for_unsteadiness(campaign, stretches) if events.tails[0] >= HEAVY_DOF else []),
+        *look_for_slow_lines(campaign, residuals, prepared.deviations),
+        *look_for_transient_lines(campaign, residuals, prepared.deviations),
+        *(look_for_plateau_noise(campaign, stretches) if events.tails[0] >= HEAVY_DOF else []),
     ]
 
 
-def _shared_out(located: Map, weighing: Weighing, full_rate: Sequence[FullRate], kind: str) -> Map:
+def _shared_out(
+    located: ExcessMap, comparison: Comparison, findings: Sequence[Finding], kind: str
+) -> ExcessMap:
     """Where the excess lies by all that explains it, or by what samples tell that nothing does.
 
     As measured where neither is there; nowhere where the verdict is that nothing exceeds the floor.
     """
-    sketch = weighing.sketch
+    binned = comparison.binned
     clear = located.p_value_of_size < CLEAR
     if kind == "none" and not clear:
         return located
-    keys = [h.key for h in weighing.hypotheses]
-    if weighing.probabilities[keys.index("none")] < UNMOVED:
-        return shared_by_explanations(located, sketch, explained(weighing))
+    keys = [h.key for h in comparison.hypotheses]
+    if comparison.probabilities[keys.index("none")] < UNMOVED:
+        return shared_by_explanations(located, binned, explained_excess(comparison))
     if kind != "unlisted":
         return located
-    found = [f for f in full_rate if f.probability > FOUND]
-    names = [e.name for e in sketch.campaign]
+    found = [f for f in findings if f.probability > FOUND]
+    names = [e.name for e in binned.campaign]
     places = [(names[p.experiment], p.time, p.size) for f in found for p in f.places]
     for f in found:
         if f.name == "unsteady" and not clear:
@@ -344,18 +351,20 @@ def _shared_out(located: Map, weighing: Weighing, full_rate: Sequence[FullRate],
 
 
 def _best(
-    weighing: Weighing,
+    comparison: Comparison,
     kind: str,
     named: Sequence[str],
-    stand: Standing,
+    combined: Probabilities,
     catalogue: Mapping[str, Effect],
 ) -> Hypothesis:
     """The explanation that the verdict stands for; for unlisted the best effect, if any."""
     on_mean = {n for n in named if catalogue[n].on_mean}
-    complete = weighing.complete
+    complete = comparison.complete
     if kind == "effect":
         # one that shares its response is there beside them, but is not named
-        on_mean |= {n for n in catalogue if catalogue[n].same_response and stand.effects[n] > NAMED}
+        on_mean |= {
+            n for n in catalogue if catalogue[n].same_response and combined.effects[n] > NAMED
+        }
         fitting = [h for h in complete if set(h.effects) == on_mean]
         fitting = fitting or [h for h in complete if on_mean <= set(h.effects)]
         fitting = fitting or [h for h in complete if set(h.effects) & on_mean]
@@ -370,17 +379,17 @@ def _best(
     return max(fitting, key=lambda h: h.log_weight)
 
 
-def _others(weighing: Weighing, best: Hypothesis) -> list[tuple[Refit, float]]:
+def _others(comparison: Comparison, best: Hypothesis) -> list[tuple[Refit, float]]:
     """Every other complete explanation with its odds against ``best``."""
     return [
         (h.refit, exp(min(h.log_weight - best.log_weight, 30.0)))
-        for h in weighing.complete
+        for h in comparison.complete
         if h is not best
     ]
 
 
 def _look_again(
-    weighing: Weighing,
+    comparison: Comparison,
     best: Hypothesis,
     probability: float,
     catalogue: Mapping[str, Effect],
@@ -388,47 +397,49 @@ def _look_again(
 ) -> list[Round]:
     """Add what was named and look again, until nothing is left or the rest is unlisted."""
     rounds: list[Round] = []
-    sketch = weighing.sketch
+    binned = comparison.binned
     added, p = best.effects, probability
     while True:
-        used = {catalogue[n].family for part in best.refit.plan.parts for n in [part.effect.name]}
+        used = {catalogue[n].family for part in best.refit.coords.parts for n in [part.effect.name]}
         others = {n: e for n, e in catalogue.items() if e.family not in used}
-        left = locate(sketch, best.refit, seed, courses=courses(best.refit, others))
-        again = weigh(sketch, best.refit, others, pairs=False)
-        stand = standing(again, [], others)
-        rounds.append(Round(tuple(added), float(p), left.d, left.p_value, stand.unlisted))
-        name = max(stand.effects, key=lambda n: stand.effects[n]) if stand.effects else None
+        left = locate(binned, best.refit, seed, signatures=signatures(best.refit, others))
+        again = compare_hypotheses(binned, best.refit, others, pairs=False)
+        combined = combine(again, [], others)
+        rounds.append(Round(tuple(added), float(p), left.d, left.p_value, combined.unlisted))
+        name = (
+            max(combined.effects, key=lambda n: combined.effects[n]) if combined.effects else None
+        )
         if (
             name is None
-            or stand.effects[name] < 0.9
+            or combined.effects[name] < 0.9
             or len(rounds) >= MOST_ROUNDS
             or left.p_value > CLEAR
         ):
             return rounds
         best = again.find(name)
-        added, p = (name,), stand.effects[name]
+        added, p = (name,), combined.effects[name]
 
 
 def _shrink(
-    weighing: Weighing,
+    comparison: Comparison,
     best: Hypothesis,
     closed: Closure,
     catalogue: Mapping[str, Effect],
     seed: int,
 ) -> Shrink:
-    base = weighing.base
+    base = comparison.base
     out = None
     if best.effects and not closed.withheld:
         out = held_out(base, best.refit, seed)
     families = {catalogue[n].family for n in best.effects}
     rivals = [
         h
-        for h in weighing.complete
+        for h in comparison.complete
         if len(h.effects) == 1 and catalogue[h.effects[0]].family not in families
     ]
     rival = max(rivals, key=lambda h: h.log_weight) if rivals and best.effects else None
-    none = weighing.find()
-    tau, low, high = _averaged_tau(weighing)
+    none = comparison.find()
+    tau, low, high = _averaged_tau(comparison)
     return Shrink(
         closure=closed,
         held_out_fraction_closed=out.fraction if out else None,
@@ -445,25 +456,27 @@ def _shrink(
 
 def _fraction(base: Refit, fitted: Refit, closed: Closure) -> float | None:
     """What another explanation takes away of the gap whose whole size ``closed`` knows."""
-    return None if closed.withheld else taken_away(base, fitted) / closed.d_before**2
+    return None if closed.withheld else misfit_removed(base, fitted) / closed.d_before**2
 
 
-def _of_the_mains(shrink: Shrink, prepared: Prepared, full_rate: Sequence[FullRate]) -> Shrink:
+def _of_the_mains(
+    shrink: Shrink, prepared: PreparedCampaign, findings: Sequence[Finding]
+) -> Shrink:
     """The gap that the mains make is one of power at their frequencies, not of the mean."""
-    found = next(f for f in full_rate if f.name == "mains_pickup")
-    pieces = pieces_of_records(prepared.sketch.campaign, prepared.residuals, prepared.deviations)
+    found = next(f for f in findings if f.name == "mains_pickup")
+    pieces = pieces_of_records(prepared.binned.campaign, prepared.residuals, prepared.deviations)
     closed, out = mains_closure(pieces, found)
     return replace(shrink, closure=closed, held_out_fraction_closed=out, explanation="mains_pickup")
 
 
-def _averaged_tau(weighing: Weighing) -> tuple[float, float, float]:
+def _averaged_tau(comparison: Comparison) -> tuple[float, float, float]:
     """Median and 95 % interval of tau over the explanations that hold 95 % of the probability."""
-    p = weighing.probabilities
+    p = comparison.probabilities
     order = np.argsort(-p)
     count = int(np.searchsorted(np.cumsum(p[order]), 0.95)) + 1
     kept = order[:count]
     weight = p[kept] / p[kept].sum()
-    chosen = [weighing.hypotheses[i] for i in kept]
+    chosen = [comparison.hypotheses[i] for i in kept]
     from scipy.special import ndtr
 
     grid = np.linspace(
@@ -482,24 +495,24 @@ def _averaged_tau(weighing: Weighing) -> tuple[float, float, float]:
 
 
 def _rows(
-    weighing: Weighing,
-    stand: Standing,
-    full_rate: Sequence[FullRate],
+    comparison: Comparison,
+    combined: Probabilities,
+    findings: Sequence[Finding],
     catalogue: Mapping[str, Effect],
     closed: Closure,
     separate: bool,
     kind: str,
     named: Sequence[str],
 ) -> tuple[list[dict[str, Any]], list[Separation]]:
-    base = weighing.base
-    sketch = weighing.sketch
-    by_name = {f.name: f for f in full_rate}
-    none = weighing.find()
+    base = comparison.base
+    binned = comparison.binned
+    by_name = {f.name: f for f in findings}
+    none = comparison.find()
     made, separations = [], []
-    total = sum(stand.rows.values())
-    ranked = sorted(stand.effects, key=lambda n: -stand.effects[n])
-    looked = [n for n in ranked if catalogue[n].on_mean and stand.effects[n] > LIKELY][:3]
-    for key, p in sorted(stand.rows.items(), key=lambda item: -item[1]):
+    total = sum(combined.rows.values())
+    ranked = sorted(combined.effects, key=lambda n: -combined.effects[n])
+    looked = [n for n in ranked if catalogue[n].on_mean and combined.effects[n] > LIKELY][:3]
+    for key, p in sorted(combined.rows.items(), key=lambda item: -item[1]):
         names = () if key in ("none", "unlisted") else tuple(key.split("+"))
         families = {catalogue[n].family for n in names}
         row: dict[str, Any] = {
@@ -519,24 +532,24 @@ def _rows(
         if key == "none":
             row.update(_measures(none, none, base, closed), d=0.0)
         elif names:
-            _fill(row, names, weighing, none, by_name, catalogue, closed)
+            _fill(row, names, comparison, none, by_name, catalogue, closed)
             if separate and len(names) == 1 and names[0] in looked:
-                h = weighing.find(names[0])
+                h = comparison.find(names[0])
                 row["confusable_with"] = [
-                    n for n, _ in confusable(sketch, h.refit, names[0], catalogue)
+                    n for n, _ in confusable(binned, h.refit, names[0], catalogue)
                 ]
         made.append(row)
     if separate and kind in ("family", "effect") and named:
         first = next((n for n in named if catalogue[n].on_mean), None)
         if first is not None and first in looked:
             alike = next(r["confusable_with"] for r in made if r["effect"] == first)
-            if not sketch.order_known:  # no measurement of the response tells whose the lag is
+            if not binned.order_known:  # no measurement of the response tells whose the lag is
                 alike = [n for n in alike if n != catalogue[first].exchanged]
-            h = weighing.find(first)
+            h = comparison.find(first)
             # nothing tells what is one response apart: the next in likeness is worth a look, too
             most = 2 if alike[:1] == [catalogue[first].same_response] else 1
             separations = [
-                what_would_separate(sketch, h.refit, first, rival, catalogue)
+                what_would_separate(binned, h.refit, first, rival, catalogue)
                 for rival in alike[:most]
             ]
     return made, separations
@@ -545,17 +558,17 @@ def _rows(
 def _fill(
     row: dict[str, Any],
     names: Sequence[str],
-    weighing: Weighing,
+    comparison: Comparison,
     none: Hypothesis,
-    by_name: Mapping[str, FullRate],
+    by_name: Mapping[str, Finding],
     catalogue: Mapping[str, Effect],
     closed: Closure,
 ) -> None:
     on_mean = [n for n in names if catalogue[n].on_mean]
     strength: dict[str, Any] = {}
     if on_mean:
-        h = weighing.find(*on_mean)
-        row.update(_measures(h, none, weighing.base, closed))
+        h = comparison.find(*on_mean)
+        row.update(_measures(h, none, comparison.base, closed))
         strength.update(h.refit.strength())
     for n in names:
         if n in by_name:
@@ -568,18 +581,18 @@ def _fill(
 
 
 def _measures(h: Hypothesis, none: Hypothesis, base: Refit, closed: Closure) -> dict[str, Any]:
-    sketch = base.plan.sketch
-    n = sketch.n_bins
+    binned = base.coords.binned
+    n = binned.n_bins
     volts = [
-        sketch.floor.cholesky[k] @ h.refit.residual[rows] for k, rows in enumerate(sketch.rows)
+        binned.floor.cholesky[k] @ h.refit.residual[rows] for k, rows in enumerate(binned.rows)
     ]
-    rss = float(sum(np.sum(b.count * v**2) for b, v in zip(sketch.bins, volts, strict=True)))
+    rss = float(sum(np.sum(b.count * v**2) for b, v in zip(binned.bins, volts, strict=True)))
     return {
         "d": float(np.sqrt(max(none.refit.misfit - h.refit.misfit, 0.0))),
         "tau_s": exp(h.log_tau),
         "fraction_closed": _fraction(base, h.refit, closed) if h.effects else None,
         "rss_V2": rss,
-        "bic": float(n * np.log(max(rss, 1e-300) / n) + h.refit.plan.size * np.log(n)),
+        "bic": float(n * np.log(max(rss, 1e-300) / n) + h.refit.coords.size * np.log(n)),
         "log_evidence_ratio": h.log_z - none.log_z,
         "misfit_left_sd": h.leftover,
     }
@@ -589,7 +602,11 @@ def _measures(h: Hypothesis, none: Hypothesis, base: Refit, closed: Closure) -> 
 
 
 def _budget(
-    campaign: Campaign, prepared: Prepared, base: Refit, located: Map, nominal: Theta | None
+    campaign: Campaign,
+    prepared: PreparedCampaign,
+    base: Refit,
+    located: ExcessMap,
+    nominal: Theta | None,
 ) -> dict[str, Any]:
     used = [r[e.used] for r, e in zip(prepared.residuals, campaign, strict=True)]
     calibrated = float(np.sqrt(np.mean(np.concatenate([u**2 for u in used]))))
@@ -610,7 +627,7 @@ def _budget(
         "p_value_of_size": located.p_value_of_size,
         "p_value_of_form": located.p_value_of_form,
         "ar1_whiteness_p": ar1_whiteness(used),
-        "spikes_replaced": prepared.sketch.floor.spikes,
+        "spikes_replaced": prepared.binned.floor.spikes,
         "tau_s": base.tau,
     }
 

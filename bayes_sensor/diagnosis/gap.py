@@ -8,19 +8,19 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bayes_sensor.diagnosis.closure import Closure
-from bayes_sensor.diagnosis.evidence.hypotheses import Weighing
-from bayes_sensor.diagnosis.hidden import Hidden
+from bayes_sensor.diagnosis.evidence.hypotheses import Comparison
+from bayes_sensor.diagnosis.hidden import HiddenEffect
 from bayes_sensor.diagnosis.isolability import Separation
-from bayes_sensor.diagnosis.location import Map
-from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate
-from bayes_sensor.diagnosis.verdict import Standing, Verdict
+from bayes_sensor.diagnosis.location import ExcessMap
+from bayes_sensor.diagnosis.signals.tails_and_converter import Finding
+from bayes_sensor.diagnosis.verdict import Probabilities, Verdict
 from bayes_sensor.display import card
 from bayes_sensor.io.json_files import plain
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Said = TypeVar("Said", "Shrink", Hidden, "HiddenEffects")
+Said = TypeVar("Said", "Shrink", HiddenEffect, "HiddenEffects")
 
 
 def without_tau(said: Mapping[str, Any]) -> dict[str, Any]:
@@ -95,7 +95,7 @@ class Shrink:
 class HiddenEffects:
     """What this campaign could not have seen."""
 
-    effects: tuple[Hidden, ...]
+    effects: tuple[HiddenEffect, ...]
     tau_envelope_s: tuple[float, float] | None
     """None where nobody knows which lag is the sensor's"""
     lag_fast: Mapping[str, Any] = field(default_factory=dict)
@@ -132,14 +132,14 @@ class Gap:
 
     verdict: Verdict
     budget: dict[str, Any]
-    map: Map
+    map: ExcessMap
     shrink: Shrink
     hidden: HiddenEffects
     rounds: tuple[Round, ...]
     separations: tuple[Separation, ...]
-    full_rate: tuple[FullRate, ...]
-    weighing: Weighing
-    standing: Standing
+    findings: tuple[Finding, ...]
+    comparison: Comparison
+    probabilities: Probabilities
     rows: tuple[dict[str, Any], ...]
     strength_units: Mapping[str, str]
     """name of a strength -> its unit; "1": it has none"""
@@ -181,8 +181,8 @@ class Gap:
         title = f"gap: {self.verdict.kind}, probability {self.verdict.probability:.2f}"
         return card(title, sentences, [key.replace("_", " ") for key in keys], rows)
 
-    def _finding(self, found: FullRate) -> dict[str, Any]:
-        experiments = self.weighing.sketch.campaign.experiments
+    def _finding(self, found: Finding) -> dict[str, Any]:
+        experiments = self.comparison.binned.campaign.experiments
         where = found.strength.get(f"{found.name}_experiment")
         return {
             "name": found.name,
@@ -211,17 +211,17 @@ class Gap:
                 "probability": v.probability,
                 "sentence": v.sentence,
             },
-            "families": self.standing.families,
-            "faint": self.standing.faint,
+            "families": self.probabilities.families,
+            "faint": self.probabilities.faint,
             "unlisted": {
-                "looks": self.standing.looks_unlisted,
-                "by_mean": self.standing.looks_by_mean,
+                "looks": self.probabilities.looks_unlisted,
+                "by_mean": self.probabilities.looks_by_mean,
             },
             "shrink": self.shrink.to_json(),
             "hidden": self.hidden.to_json(),
             "rounds": [{**vars(r), "added": list(r.added)} for r in self.rounds],
             "separate": [vars(s) for s in self.separations],
-            "full_rate": [self._finding(f) for f in self.full_rate],
+            "full_rate": [self._finding(f) for f in self.findings],
             "residuals": [
                 {
                     "experiment": name,

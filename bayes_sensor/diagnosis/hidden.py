@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
-from bayes_sensor.diagnosis.evidence.hypotheses import Weighing, joined_start
+from bayes_sensor.diagnosis.evidence.hypotheses import Comparison, joined_start
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit, with_tau
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Part, Plan
+from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Coordinates, Part
 from bayes_sensor.workers import in_order
 
 UNSEEN = 3.0
@@ -33,7 +33,7 @@ CONTRADICTED = 9.0
 
 
 @dataclass(frozen=True)
-class Hidden:
+class HiddenEffect:
     """One effect at plausible strength."""
 
     effect: str
@@ -62,19 +62,19 @@ class Hidden:
         return {**{k: v for k, v in vars(self).items() if k != "lag_fast"}, **self.lag_fast}
 
 
-def plausible(effect: Effect, sketch: Sketch) -> dict[str, float]:
+def plausible(effect: Effect, binned: BinnedCampaign) -> dict[str, float]:
     """Plausible strengths on this rig: times scaled with its time constants, volts with its step.
 
     The strength of a drift is the change over a record.
     """
-    time = sketch.time_scale / PUBLISHED_SCALES["s"]
-    volt = sketch.signal_scale / PUBLISHED_SCALES["V"]
-    duration = sketch.duration / PUBLISHED_SCALES["duration"]
+    time = binned.time_scale / PUBLISHED_SCALES["s"]
+    volt = binned.signal_scale / PUBLISHED_SCALES["V"]
+    duration = binned.duration / PUBLISHED_SCALES["duration"]
     scale = {
         "s": time, "V": volt, "1/V": 1.0 / volt, "V/s": volt / duration, "1/s": 1.0 / duration,
     }  # fmt: skip
     units = {}
-    setting = sketch.settings[0]
+    setting = binned.settings[0]
     for form in effect.forms:
         units.update({s.name: s.unit for s in form.strengths(setting)})
     return {
@@ -83,9 +83,9 @@ def plausible(effect: Effect, sketch: Sketch) -> dict[str, float]:
     }
 
 
-def form_for(effect: Effect, sketch: Sketch, given: Mapping[str, float]) -> Form:
+def form_for(effect: Effect, binned: BinnedCampaign, given: Mapping[str, float]) -> Form:
     """The form that takes the given strengths; the first where several do."""
-    setting = sketch.settings[0]
+    setting = binned.settings[0]
     for form in effect.forms:
         names = {s.name for s in form.strengths(setting)}
         if names and names <= set(given):
@@ -93,31 +93,31 @@ def form_for(effect: Effect, sketch: Sketch, given: Mapping[str, float]) -> Form
     return effect.forms[0]
 
 
-def _all_strengths(effect: Effect, sketch: Sketch) -> list[Strength]:
-    setting = sketch.settings[0]
+def _all_strengths(effect: Effect, binned: BinnedCampaign) -> list[Strength]:
+    setting = binned.settings[0]
     return [s for form in effect.forms for s in form.strengths(setting)]
 
 
-def what_may_hide(
-    weighing: Weighing, base: Refit, catalogue: Mapping[str, Effect], jobs: int = 1
-) -> tuple[list[Hidden], tuple[float, float]]:
+def hidden_effects(
+    comparison: Comparison, base: Refit, catalogue: Mapping[str, Effect], jobs: int = 1
+) -> tuple[list[HiddenEffect], tuple[float, float]]:
     """Every effect on the mean at plausible strength, and the envelope of tau, s.
 
     ``base``: the explanation that was accepted, with or without effects.
     """
-    sketch = weighing.sketch
-    exact = base.plan.means(base.x)
-    none = refit(base.plan, base.x, data=exact, most_steps=10)
+    binned = comparison.binned
+    exact = base.coords.means(base.x)
+    none = refit(base.coords, base.x, data=exact, most_steps=10)
     line = Linearised(base).evidence(None)
     low = line.log_tau - 1.96 * line.sd_log_tau
     high = line.log_tau + 1.96 * line.sd_log_tau
-    already = {part.effect.family for part in base.plan.parts}
+    already = {part.effect.family for part in base.coords.parts}
     each = [
-        (sketch, base, none, name, effect, plausible(effect, sketch))
+        (binned, base, none, name, effect, plausible(effect, binned))
         for name, effect in catalogue.items()
         if effect.on_mean and effect.family not in already
     ]
-    free = _with_strength_free(weighing)
+    free = _with_strength_free(comparison)
     found = []
     for made in in_order(one_hidden, each, jobs):
         if made.d < UNSEEN and not made.contradicted:
@@ -131,47 +131,47 @@ def what_may_hide(
     return found, (exp(low), exp(high))
 
 
-def _with_strength_free(weighing: Weighing) -> dict[str, tuple[float, float]]:
+def _with_strength_free(comparison: Comparison) -> dict[str, tuple[float, float]]:
     """95 % interval of ln tau for every single effect that the data do not contradict.
 
     They do where the likeliest explanation fits them better by ``CONTRADICTED``.
     """
-    best = weighing.likeliest.refit.misfit
+    best = comparison.likeliest.refit.misfit
     return {
         h.effects[0]: (h.log_tau - 1.96 * h.sd_log_tau, h.log_tau + 1.96 * h.sd_log_tau)
-        for h in weighing.complete
+        for h in comparison.complete
         if len(h.effects) == 1 and h.refit.misfit - best <= CONTRADICTED
     }
 
 
 def one_hidden(
-    sketch: Sketch,
+    binned: BinnedCampaign,
     base: Refit,
     none: Refit,
     name: str,
     effect: Effect,
     given: Mapping[str, float],
-) -> Hidden:
+) -> HiddenEffect:
     """An effect at one strength: detectability, shift of tau, tau with the effect in place.
 
     ``none``: the base refitted to its own noise-free mean.
     """
-    form = form_for(effect, sketch, given)
-    own = {s.name for s in _all_strengths(effect, sketch) if s.per_experiment}
+    form = form_for(effect, binned, given)
+    own = {s.name for s in _all_strengths(effect, binned) if s.per_experiment}
     part = Part(effect, form)
-    parts = (*base.plan.parts, part)
-    held = replace(base.plan, parts=parts, held={**base.plan.held, **given})
-    x = held.start(base.x, {}) if not base.plan.parts else joined_start(held, base)
+    parts = (*base.coords.parts, part)
+    held = replace(base.coords, parts=parts, held={**base.coords.held, **given})
+    x = held.start(base.x, {}) if not base.coords.parts else joined_start(held, base)
     data = []
-    for k in range(len(sketch.bins)):
-        plan = held
+    for k in range(len(binned.bins)):
+        coords = held
         if own:  # strengths of each experiment's own: alternating signs around the null
-            plan = replace(held, held={**held.held, **_alternating(effect, given, own, k)})
-        data.append(plan.binned(x, k))
+            coords = replace(held, held={**held.held, **_alternating(effect, given, own, k)})
+        data.append(coords.bin_means(x, k))
     blind = min(
         (
-            refit(base.plan, start, data=data, most_steps=20)
-            for start in ([base.x] if base.plan.parts else base_starts(sketch, base.x)[:3:2])
+            refit(base.coords, start, data=data, most_steps=20)
+            for start in ([base.x] if base.coords.parts else base_starts(binned, base.x)[:3:2])
         ),
         key=lambda r: r.objective,
     )
@@ -184,7 +184,7 @@ def one_hidden(
             key=lambda r: r.objective,
         )
     line = Linearised(with_it).evidence(None)
-    return Hidden(
+    return HiddenEffect(
         effect=name,
         strength=dict(given),
         d=float(np.sqrt(max(excess, 0.0))),
@@ -196,10 +196,10 @@ def one_hidden(
     )
 
 
-def _starts(plan: Plan, x: np.ndarray) -> list[np.ndarray]:
+def _starts(coords: Coordinates, x: np.ndarray) -> list[np.ndarray]:
     """As it is, and with a sensor three times as slow where the valve allows it."""
     slower = min(3.0 * exp(x[1] - FASTER - x[0]), 0.7 * exp(x[1]))
-    return [x, with_tau(plan, x, log(slower))]
+    return [x, with_tau(coords, x, log(slower))]
 
 
 def _alternating(

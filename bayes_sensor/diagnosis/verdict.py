@@ -10,18 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.bins import PHASES
 from bayes_sensor.diagnosis.effects.effect import Effect
-from bayes_sensor.diagnosis.evidence.form_mismatch import another_form, of_its_form, small_enough
+from bayes_sensor.diagnosis.evidence.form_mismatch import (
+    simpler_explanation,
+    small_enough,
+    within_form_mismatch,
+)
 from bayes_sensor.diagnosis.evidence.hypotheses import (
     PRIOR_NONE,
     PRIOR_UNLISTED,
+    Comparison,
     Hypothesis,
-    Weighing,
 )
 from bayes_sensor.diagnosis.evidence.refit import Refit
-from bayes_sensor.diagnosis.signals.tails_and_converter import OF_UNLISTED_ORIGIN, FullRate
+from bayes_sensor.diagnosis.signals.tails_and_converter import OF_UNLISTED_ORIGIN, Finding
 
 NAMED = 0.9
 """probability from which an effect or a family is named"""
@@ -80,7 +84,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Standing:
+class Probabilities:
     """Probabilities that the verdict rests on, effects of the noise included."""
 
     rows: dict[str, float]
@@ -103,29 +107,30 @@ class Standing:
         return min(self.none + self.faint, 1.0)
 
 
-def standing(
-    weighing: Weighing, full_rate: Sequence[FullRate], catalogue: Mapping[str, Effect]
-) -> Standing:
+def combine(
+    comparison: Comparison, findings: Sequence[Finding], catalogue: Mapping[str, Effect]
+) -> Probabilities:
     """Join what explains the mean with what the samples say; the two are independent.
 
     A line of unlisted origin (a pump's, a fan's) is no rival of an effect on the mean, which it
     leaves alone: it stays beside the effect, and is the unlisted cause where nothing else is.  So
-    does what happens on plateaus beside an effect that shows elsewhere (:func:`stands_beside`).
+    does what happens on plateaus beside an effect that shows elsewhere
+    (:func:`leaves_explanation_alone`).
     """
     rows: dict[str, float] = {"none": 0.0, "unlisted": 0.0}
     rows.update({name: 0.0 for name in catalogue})
-    on_noise = {f.name: f.probability for f in full_rate if f.name in catalogue}
+    on_noise = {f.name: f.probability for f in findings if f.name in catalogue}
     silent = float(np.prod([1.0 - p for p in on_noise.values()]))
-    unlisted = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN]
+    unlisted = [f for f in findings if f.name in OF_UNLISTED_ORIGIN]
     odds = {n: q / (1.0 - q + 1e-300) for n, q in on_noise.items()}
     total_odds = sum(odds.values())
     of_samples = 0.0
     unseen: dict[str, float] = {}
-    alike = np.array([_look_alike(weighing, h) for h in weighing.hypotheses])
-    shares = weighing.probabilities / (1.0 + float(weighing.probabilities @ alike))
-    for h, p, other_cause in zip(weighing.hypotheses, shares, alike, strict=True):
+    alike = np.array([_look_alike(comparison, h) for h in comparison.hypotheses])
+    shares = comparison.probabilities / (1.0 + float(comparison.probabilities @ alike))
+    for h, p, other_cause in zip(comparison.hypotheses, shares, alike, strict=True):
         rows["unlisted"] += float(p * other_cause)
-        form = another_form(h, weighing) if p > LEAST else None
+        form = simpler_explanation(h, comparison) if p > LEAST else None
         if form:
             rows["unlisted"] += float(p) * OTHER_CAUSE
             p *= 1.0 - OTHER_CAUSE
@@ -135,7 +140,9 @@ def standing(
         causes = form.effects if form else h.effects
         # nothing stands beside nothing
         rivals = [
-            f for f in unlisted if not (h.effects and stands_beside(f, h.refit, weighing.base))
+            f
+            for f in unlisted
+            if not (h.effects and leaves_explanation_alone(f, h.refit, comparison.base))
         ]
         taken = 1.0 - float(np.prod([1.0 - f.probability for f in rivals]))
         of_samples += float(p) * taken
@@ -143,7 +150,7 @@ def standing(
         rest = float(p) * (1.0 - taken * (1.0 - MISTAKEN_BY_SAMPLES))
         name = "+".join(causes) or "none"
         rows[name] = rows.get(name, 0.0) + rest * silent
-        unseen.setdefault(name, _too_small(h, weighing.base))
+        unseen.setdefault(name, _too_small(h, comparison.base))
         # or some effect of the noise is there, each with its share
         loud = rest * (1.0 - silent)
         if loud > 0.0:
@@ -151,7 +158,7 @@ def standing(
                 joint = n if not causes else "+".join([*causes, n])
                 rows[joint] = rows.get(joint, 0.0) + loud * q / total_odds
                 unseen[joint] = unseen[name]
-    best = weighing.likeliest
+    best = comparison.likeliest
     looks_by_mean = rows["unlisted"]
     looks_unlisted = looks_by_mean + of_samples
     rows["unlisted"] += of_samples * (1.0 - MISTAKEN_BY_SAMPLES)
@@ -171,7 +178,7 @@ def standing(
         effects[n] = max(effects[n], p)
         families[catalogue[n].family] = max(families.get(catalogue[n].family, 0.0), p)
     faint = sum(p * unseen.get(row, 0.0) for row, p in rows.items())
-    return Standing(
+    return Probabilities(
         rows,
         effects,
         families,
@@ -194,7 +201,7 @@ def _too_small(h: Hypothesis, base: Refit) -> float:
     return float(norm.cdf(FAINT - d) - norm.cdf(-FAINT - d))
 
 
-def stands_beside(found: FullRate, fitted: Refit, base: Refit) -> bool:
+def leaves_explanation_alone(found: Finding, fitted: Refit, base: Refit) -> bool:
     """Whether a finding of unlisted origin takes nothing from an explanation of the mean.
 
     A fast line averages out of the bins, whatever the effect.  An event, or plateaus that are
@@ -202,9 +209,9 @@ def stands_beside(found: FullRate, fitted: Refit, base: Refit) -> bool:
     other phases or records.  A short stay off the explanation may be the effect's own, in a form
     that is not quite ours.
     """
-    if found.beside_the_mean or of_its_form(found, fitted, base):
+    if found.beside_the_mean or within_form_mismatch(found, fitted, base):
         return True
-    touched = _touched(found, base.plan.sketch)
+    touched = _touched(found, base.coords.binned)
     if touched is None:
         return False
     gain = base.residual**2 - fitted.residual**2
@@ -212,30 +219,30 @@ def stands_beside(found: FullRate, fitted: Refit, base: Refit) -> bool:
     return elsewhere >= max(ELSEWHERE, MOSTLY_ELSEWHERE * float(gain.sum()))
 
 
-def _touched(found: FullRate, sketch: Sketch) -> NDArray[np.bool_] | None:
+def _touched(found: Finding, binned: BinnedCampaign) -> NDArray[np.bool_] | None:
     """(n_bins in all,) phases that a finding on quiet stretches is in; None for any other."""
     if found.name == "unsteady":
-        return np.concatenate([b.phase == PHASES.index("plateau") for b in sketch.bins])
+        return np.concatenate([b.phase == PHASES.index("plateau") for b in binned.bins])
     if found.name != "event" or not found.places:
         return None
-    touched = [np.zeros(len(b.phase), dtype=bool) for b in sketch.bins]
+    touched = [np.zeros(len(b.phase), dtype=bool) for b in binned.bins]
     for place in found.places:
-        b = sketch.bins[place.experiment]
+        b = binned.bins[place.experiment]
         struck = b.phase[int(np.argmin(np.abs(b.centre - place.time)))]
         touched[place.experiment] |= b.phase == struck
     return np.concatenate(touched)
 
 
-def _look_alike(weighing: Weighing, h: Hypothesis) -> float:
+def _look_alike(comparison: Comparison, h: Hypothesis) -> float:
     """Odds that what looks like this explanation is an unlisted cause with the same residual.
 
     The more can be seen of an effect, the fewer other causes look the same.  Whoever writes an
     effect of their own has a reason to: it is not charged.
     """
-    own = any(part.form.mean is not None for part in h.refit.plan.parts)
+    own = any(part.form.mean is not None for part in h.refit.coords.parts)
     if h.incomplete or not h.effects or own:
         return 0.0
-    d = max(_detectability(h, weighing.base), MIMIC)
+    d = max(_detectability(h, comparison.base), MIMIC)
     return PRIOR_UNLISTED / (1.0 - PRIOR_NONE - PRIOR_UNLISTED) * MIMIC / d
 
 
@@ -256,54 +263,54 @@ def _giving_back(rows: Mapping[str, float], mistaken: float, likeliest: str) -> 
 
 
 def judge(
-    weighing: Weighing, stand: Standing, catalogue: Mapping[str, Effect]
+    comparison: Comparison, combined: Probabilities, catalogue: Mapping[str, Effect]
 ) -> tuple[str, tuple[str, ...], str | None, float]:
     """kind, effects, family, probability."""
-    by_effects = (h for h in weighing.complete if h.effects)
+    by_effects = (h for h in comparison.complete if h.effects)
     best = max(by_effects, key=lambda h: h.log_weight, default=None)
     named = sorted(
-        (n for n, p in stand.effects.items() if p > NAMED), key=lambda n: -stand.effects[n]
+        (n for n, p in combined.effects.items() if p > NAMED), key=lambda n: -combined.effects[n]
     )
     on_mean = [n for n in named if catalogue[n].on_mean]
     on_noise = [n for n in named if not catalogue[n].on_mean]
     of_mean = {
-        f: p for f, p in stand.families.items()
+        f: p for f, p in combined.families.items()
         if any(e.family == f and e.on_mean for e in catalogue.values())
     }  # fmt: skip
     family, of_family = max(of_mean.items(), key=lambda item: item[1], default=("", 0.0))
     # with what only looks so given back it must still be the likeliest
-    likeliest = stand.unlisted >= max(stand.none, of_family)
-    likely = of_family > max(0.5, stand.unlisted)
-    unfit = bool(on_mean or likely) and best is not None and leaves_too_much(best, weighing.base)
-    if (stand.looks_unlisted > LIKELIER and likeliest) or unfit:
-        return "unlisted", (), None, max(stand.unlisted, 0.5 if unfit else 0.0)
-    unmoved = sum(p for row, p in stand.rows.items() if _leaves_the_mean_alone(row, catalogue))
+    likeliest = combined.unlisted >= max(combined.none, of_family)
+    likely = of_family > max(0.5, combined.unlisted)
+    unfit = bool(on_mean or likely) and best is not None and leaves_excess(best, comparison.base)
+    if (combined.looks_unlisted > LIKELIER and likeliest) or unfit:
+        return "unlisted", (), None, max(combined.unlisted, 0.5 if unfit else 0.0)
+    unmoved = sum(p for row, p in combined.rows.items() if _leaves_the_mean_alone(row, catalogue))
     louder = of_family > LOUDER or (likely and unmoved < QUIET)
     apart = [n for n in on_mean if not catalogue[n].same_response]
     if on_mean and not apart:
         # one response: whichever is in the catalogue, the other may be the cause
-        return _family(catalogue[on_mean[0]].family, stand, catalogue)
+        return _family(catalogue[on_mean[0]].family, combined, catalogue)
     if best and of_one_family(best, catalogue) and set(on_mean) & set(best.effects):
         # two members together are a third in another form as often as they are both there
-        return _family(catalogue[best.effects[0]].family, stand, catalogue)
+        return _family(catalogue[best.effects[0]].family, combined, catalogue)
     if apart or (on_noise and not louder):
         # an effect of the noise is named alone only where nothing more is likely in the mean
-        return _effect([*apart, *on_noise], stand, catalogue)
-    if stand.none > QUIET:
-        return "none", (), None, stand.nothing_seen
+        return _effect([*apart, *on_noise], combined, catalogue)
+    if combined.none > QUIET:
+        return "none", (), None, combined.nothing_seen
     if likely:
-        return _family(family, stand, catalogue)
-    clearest, of_clearest = max(stand.families.items(), key=lambda f: f[1], default=("", 0.0))
-    if of_clearest > max(0.5, stand.unlisted):  # of the noise, and too faint to be named
-        return _family(clearest, stand, catalogue)
-    if max(stand.none, unmoved) >= stand.unlisted:
-        return "none", (), None, stand.nothing_seen
-    if of_family > stand.unlisted:  # the likeliest of several
-        return _family(family, stand, catalogue)
-    return "unlisted", (), None, stand.unlisted
+        return _family(family, combined, catalogue)
+    clearest, of_clearest = max(combined.families.items(), key=lambda f: f[1], default=("", 0.0))
+    if of_clearest > max(0.5, combined.unlisted):  # of the noise, and too faint to be named
+        return _family(clearest, combined, catalogue)
+    if max(combined.none, unmoved) >= combined.unlisted:
+        return "none", (), None, combined.nothing_seen
+    if of_family > combined.unlisted:  # the likeliest of several
+        return _family(family, combined, catalogue)
+    return "unlisted", (), None, combined.unlisted
 
 
-def leaves_too_much(h: Hypothesis, base: Refit) -> bool:
+def leaves_excess(h: Hypothesis, base: Refit) -> bool:
     """Whether what an explanation leaves is too much for noise, and for the form of its effects."""
     return h.leftover >= GATE and not small_enough(h.excess, base.misfit - h.refit.misfit)
 
@@ -320,21 +327,21 @@ def _leaves_the_mean_alone(row: str, catalogue: Mapping[str, Effect]) -> bool:
 
 
 def _family(
-    family: str, stand: Standing, catalogue: Mapping[str, Effect]
+    family: str, combined: Probabilities, catalogue: Mapping[str, Effect]
 ) -> tuple[str, tuple[str, ...], str | None, float]:
     members = sorted(
-        (n for n in catalogue if catalogue[n].family == family), key=lambda n: -stand.effects[n]
+        (n for n in catalogue if catalogue[n].family == family), key=lambda n: -combined.effects[n]
     )
-    probability = stand.families[family]
+    probability = combined.families[family]
     if any(catalogue[n].on_mean for n in members):
-        probability += AKIN * stand.unlisted
+        probability += AKIN * combined.unlisted
     return "family", tuple(members[:5]), family, min(probability, 1.0)
 
 
 def _effect(
-    named: Sequence[str], stand: Standing, catalogue: Mapping[str, Effect]
+    named: Sequence[str], combined: Probabilities, catalogue: Mapping[str, Effect]
 ) -> tuple[str, tuple[str, ...], str | None, float]:
     chosen = tuple(named[:2])
     families = {catalogue[n].family for n in chosen}
     family = families.pop() if len(families) == 1 else None
-    return "effect", chosen, family, min(stand.effects[n] for n in chosen)
+    return "effect", chosen, family, min(combined.effects[n] for n in chosen)

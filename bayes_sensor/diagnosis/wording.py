@@ -9,25 +9,25 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.diagnosis.closure import Closure
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect, Setting
-from bayes_sensor.diagnosis.evidence.form_mismatch import another_form
-from bayes_sensor.diagnosis.evidence.hypotheses import Hypothesis, Weighing
+from bayes_sensor.diagnosis.evidence.form_mismatch import simpler_explanation
+from bayes_sensor.diagnosis.evidence.hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.isolability import Separation
-from bayes_sensor.diagnosis.location import CLEAR, Map
+from bayes_sensor.diagnosis.location import CLEAR, ExcessMap
 from bayes_sensor.diagnosis.signals.tails_and_converter import (
     FOUND,
     OF_UNLISTED_ORIGIN,
     UNITS,
-    FullRate,
+    Finding,
 )
 from bayes_sensor.diagnosis.verdict import (
     LIKELIER,
     NAMED,
-    Standing,
-    leaves_too_much,
+    Probabilities,
+    leaves_excess,
+    leaves_explanation_alone,
     of_one_family,
-    stands_beside,
 )
 from bayes_sensor.display import shown
 
@@ -41,9 +41,9 @@ WORTH_A_LOOK = log(2.0)
 """ln Bayes factor from which a finding is worth a note where nothing is said to be missing"""
 
 
-def notes_on(sketch: Sketch) -> list[str]:
+def notes_on(binned: BinnedCampaign) -> list[str]:
     """What the campaign cannot tell, in sentences."""
-    campaign, spikes = sketch.campaign, sketch.floor.spikes
+    campaign, spikes = binned.campaign, binned.floor.spikes
     notes = []
     if not any(e.has_fall for e in campaign):
         notes.append(
@@ -65,15 +65,15 @@ def notes_on(sketch: Sketch) -> list[str]:
         )
     if spikes:
         notes.append(f"{spikes} samples beyond 6.5 standard deviations were taken for spikes.")
-    spells = _louder_spells(sketch)
+    spells = _louder_spells(binned)
     if spells:
         more = f" and {len(spells) - 3} more" if len(spells) > 3 else ""
         notes.append(
             f"Noise is louder for a while in experiment {', '.join(spells[:3])}{more}: what stands "
             "out there counts less."
         )
-    if sketch.order_known:
-        than = "slower" if sketch.sensor else "faster"
+    if binned.order_known:
+        than = "slower" if binned.sensor else "faster"
         taken = (
             f"The sensor is taken to be {than} than the valve: a cascade cannot tell them apart."
         )
@@ -88,14 +88,14 @@ def notes_on(sketch: Sketch) -> list[str]:
     return notes
 
 
-def looks_most(full_rate: Sequence[FullRate], names: Sequence[str], unit: str) -> list[str]:
+def nearest_finding(findings: Sequence[Finding], names: Sequence[str], unit: str) -> list[str]:
     """What comes nearest to an unlisted cause where none was stated, if it is worth a look.
 
     Events are rare, so that one that the data speak for may still pass for noise; whoever plots
     the residual will see it.
     """
     nearest = max(
-        (f for f in full_rate if f.name in OF_UNLISTED_ORIGIN),
+        (f for f in findings if f.name in OF_UNLISTED_ORIGIN),
         key=lambda f: f.probability,
         default=None,
     )
@@ -107,7 +107,7 @@ def looks_most(full_rate: Sequence[FullRate], names: Sequence[str], unit: str) -
     ]
 
 
-def whose(effect: Effect) -> str:
+def with_alternative(effect: Effect) -> str:
     """An effect, and where nobody knows whose the lags are the other that it may be."""
     name, other = effect.name, effect.exchanged
     if not other or effect.same_response != other:
@@ -150,10 +150,10 @@ def family_words(
     return f"One of {names} explains the gap{place}; this campaign does not tell them apart."
 
 
-def _louder_spells(sketch: Sketch) -> list[str]:
+def _louder_spells(binned: BinnedCampaign) -> list[str]:
     """Every experiment whose noise is louder for a while: when, and by how much."""
     found = []
-    for b, times in zip(sketch.bins, sketch.floor.loudness, strict=True):
+    for b, times in zip(binned.bins, binned.floor.loudness, strict=True):
         loud = times > TELLING
         if np.any(loud):
             begins, ends = b.edges
@@ -194,13 +194,13 @@ def _strength_words(strength: Mapping[str, Any], units: Mapping[str, str]) -> st
 
 
 def _effect_words(
-    effect: Effect, strength: Mapping[str, Any], sketch: Any, signal_unit: str
+    effect: Effect, strength: Mapping[str, Any], binned: Any, signal_unit: str
 ) -> str:
     """The effect's sentence with those of the strengths that are its own."""
-    units = units_of([effect], sketch.settings[0], signal_unit)
+    units = units_of([effect], binned.settings[0], signal_unit)
     own = {k: v for k, v in strength.items() if k in units}
     said = effect.sentence.replace("{strength}", _strength_words(own, units))
-    if not sketch.order_known and effect.stage in LAGS:
+    if not binned.order_known and effect.stage in LAGS:
         said = said.replace(f"the {effect.stage}", f"the {LAGS[effect.stage]} lag")
     return said
 
@@ -216,11 +216,11 @@ OFTEN_NOISE = (
 )
 
 
-def _likeness(weighing: Weighing, unit: str) -> str:
+def _likeness(comparison: Comparison, unit: str) -> str:
     """What a cause without a name acts like; empty where nothing of the kind is likely."""
-    shares = weighing.probabilities
+    shares = comparison.probabilities
     likely = int(np.argmax(shares))
-    h = weighing.hypotheses[likely]
+    h = comparison.hypotheses[likely]
     if shares[likely] < 0.5:
         return ""
     wandering = sum(t.share for t in h.terms if t.beside and t.beside.name.startswith("drift"))
@@ -228,12 +228,12 @@ def _likeness(weighing: Weighing, unit: str) -> str:
         return WANDERS
     if not h.within:
         return ""
-    plan = h.refit.plan
-    words = _effect_words(plan.parts[-1].effect, h.refit.strength(), plan.sketch, unit)
+    coords = h.refit.coords
+    words = _effect_words(coords.parts[-1].effect, h.refit.strength(), coords.binned, unit)
     return f"It acts as if {words}."
 
 
-def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
+def _finding_words(found: Finding, names: Sequence[str], unit: str) -> str:
     """One sentence about something of unlisted origin."""
     s = found.strength
     if found.name == "line":
@@ -294,14 +294,14 @@ def sentence(
     kind: str,
     named: Sequence[str],
     probability: float,
-    weighing: Weighing,
-    stand: Standing,
+    comparison: Comparison,
+    combined: Probabilities,
     best: Hypothesis,
-    located: Map,
+    located: ExcessMap,
     catalogue: Mapping[str, Effect],
     separations: Sequence[Separation],
     closed: Closure,
-    full_rate: Sequence[FullRate],
+    findings: Sequence[Finding],
     envelope: tuple[float, float],
     unit: str,
 ) -> str:
@@ -329,28 +329,28 @@ def sentence(
                 f"noise floor ({100.0 * probability:.0f} %); yet noise alone would seldom leave as "
                 f"much (p = {shown(located.p_value, 2)})."
             )
-        lag = "tau" if best.refit.plan.sketch.order_known else "the shorter lag"
+        lag = "tau" if best.refit.coords.binned.order_known else "the shorter lag"
         return (
             f"{nothing} Effects that this campaign cannot see may still hide: with them {lag} "
             f"could lie anywhere from {low} to {high} ms."
         )
-    sketch = best.refit.plan.sketch
-    names = [e.name for e in sketch.campaign]
-    findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > FOUND]
+    binned = best.refit.coords.binned
+    names = [e.name for e in binned.campaign]
+    findings = [f for f in findings if f.name in OF_UNLISTED_ORIGIN and f.probability > FOUND]
     findings.sort(key=lambda f: -f.log_bayes_factor)  # the clearest first
     found = [_finding_words(f, names, unit) for f in findings]
-    if kind == "unlisted" and probability < 0.5 and stand.looks_unlisted <= LIKELIER:
-        return " ".join([undecided_words(place, stand), *found])
+    if kind == "unlisted" and probability < 0.5 and combined.looks_unlisted <= LIKELIER:
+        return " ".join([undecided_words(place, combined), *found])
     if kind == "unlisted":
         words = []
         by_mean = worst is not None and located.shared_by != "findings"
         closing = ""
-        if best.effects and stand.looks_by_mean < 0.5 and closed.fraction is not None:
-            causes = " and ".join(whose(catalogue[name]) for name in best.effects)
+        if best.effects and combined.looks_by_mean < 0.5 and closed.fraction is not None:
+            causes = " and ".join(with_alternative(catalogue[name]) for name in best.effects)
             closing = (
                 f"{causes} would close {100.0 * closed.fraction:.0f} % of the gap{place}, yet "
             )
-        if closing and leaves_too_much(best, weighing.base):
+        if closing and leaves_excess(best, comparison.base):
             leave = "leaves" if len(best.effects) == 1 else "leave"
             words.append(
                 f"{closing}{leave} {best.leftover:.0f} standard deviations of misfit: the cause is "
@@ -369,17 +369,17 @@ def sentence(
                 f"explains it well: the cause is not listed{sure}."
             )
         words += found
-        if findings and stand.looks_by_mean < 0.5:
+        if findings and combined.looks_by_mean < 0.5:
             words.append(OFTEN_NOISE)
-        return " ".join([*words, _likeness(weighing, unit)]).rstrip()
+        return " ".join([*words, _likeness(comparison, unit)]).rstrip()
     besides = [
         text
         for f, text in zip(findings, found, strict=True)
-        if stands_beside(f, best.refit, weighing.base)
+        if leaves_explanation_alone(f, best.refit, comparison.base)
     ]
     if kind == "family":
         helps = next((s for s in separations if s.addition), None)
-        first = whose(catalogue[named[0]])
+        first = with_alternative(catalogue[named[0]])
         first = "" if first == named[0] else first
         reveal = OTHER_PARTNERS if first else catalogue[named[0]].reveal
         advice = (
@@ -388,28 +388,30 @@ def sentence(
             else f"What would show it: {reveal}."
         )
         beside = [
-            _effect_words(catalogue[f.name], f.strength, sketch, unit)
-            for f in full_rate
+            _effect_words(catalogue[f.name], f.strength, binned, unit)
+            for f in findings
             if f.name in catalogue and f.probability > NAMED
         ]
         other = catalogue[named[0]].same_response
         if of_one_family(best, catalogue):
-            a, b = (whose(catalogue[name]) for name in best.effects)
+            a, b = (with_alternative(catalogue[name]) for name in best.effects)
             said = (
                 f"{a} and {b} together explain the gap best{place}: two causes of one family, or "
                 "one that acts otherwise than the catalogue's."
             )
         else:
-            leading = family_words(named, probability, stand.effects[named[0]], place, other, first)
-            said = " ".join([leading, *form_words(weighing, named)])
+            leading = family_words(
+                named, probability, combined.effects[named[0]], place, other, first
+            )
+            said = " ".join([leading, *form_words(comparison, named)])
         return " ".join([said, advice, *beside, *besides])
     words = []
-    by_name = {f.name: f for f in full_rate}
+    by_name = {f.name: f for f in findings}
     fitted = best.refit.strength()
     for n in named:
         strength = fitted if catalogue[n].on_mean else by_name[n].strength
-        words.append(_effect_words(catalogue[n], strength, sketch, unit))
-    beside = second_words(named, stand, catalogue)
+        words.append(_effect_words(catalogue[n], strength, binned, unit))
+    beside = second_words(named, combined, catalogue)
     alone = set(best.effects) <= set(named)
     if closed.fraction is not None and closed.low is not None and closed.high is not None:
         closes = (
@@ -420,10 +422,10 @@ def sentence(
     return " ".join([*words, *beside, *besides])
 
 
-def form_words(weighing: Weighing, named: Sequence[str]) -> list[str]:
+def form_words(comparison: Comparison, named: Sequence[str]) -> list[str]:
     """What is said of a leftover that the form of what is named may make."""
-    likely = weighing.hypotheses[int(np.argmax(weighing.probabilities))]
-    form = another_form(likely, weighing)
+    likely = comparison.hypotheses[int(np.argmax(comparison.probabilities))]
+    form = simpler_explanation(likely, comparison)
     if form is None or not set(form.effects) <= set(named):
         return []
     others = [name for name in likely.effects if name not in form.effects]
@@ -451,17 +453,17 @@ def held_by_commands(held: int, switches: int, said: str) -> str:
 
 
 def second_words(
-    named: Sequence[str], stand: Standing, catalogue: Mapping[str, Effect]
+    named: Sequence[str], combined: Probabilities, catalogue: Mapping[str, Effect]
 ) -> list[str]:
     """What is likely beside the effects that are named: the likeliest of the other families."""
     own = {catalogue[n].family for n in named}
-    others = {f: p for f, p in stand.families.items() if f not in own}
+    others = {f: p for f, p in combined.families.items() if f not in own}
     other = max(others, key=lambda f: others[f], default=None)
     if other is None or others[other] < 0.5:
         return []
     members = [n for n in catalogue if catalogue[n].family == other]
-    leading = max(members, key=lambda n: stand.effects[n])
-    alike, words = catalogue[leading].same_response, whose(catalogue[leading])
+    leading = max(members, key=lambda n: combined.effects[n])
+    alike, words = catalogue[leading].same_response, with_alternative(catalogue[leading])
     if alike and words == leading:
         words += f" or {alike}, whose response is the same"
     return [
@@ -470,15 +472,15 @@ def second_words(
     ]
 
 
-def undecided_words(place: str, stand: Standing) -> str:
+def undecided_words(place: str, combined: Probabilities) -> str:
     """What is said where nothing is likelier than not, or only several families each."""
-    likely = [f for f, p in stand.families.items() if p > 0.5]
+    likely = [f for f, p in combined.families.items() if p > 0.5]
     if likely:
-        each = ", ".join(f"{f} {100.0 * stand.families[f]:.0f} %" for f in likely)
+        each = ", ".join(f"{f} {100.0 * combined.families[f]:.0f} %" for f in likely)
         return (
             f"Something is missing{place}, but which is not clear: an effect of the family is "
             f"likely ({each}), and so nearly is that a cause outside the catalogue has a part in "
-            f"it ({100.0 * stand.unlisted:.0f} %)."
+            f"it ({100.0 * combined.unlisted:.0f} %)."
         )
     return (
         f"Something may be missing{place}, but neither that nothing is, nor any family of "

@@ -81,7 +81,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Quiet:
+class QuietSpans:
     """Where one record is quiet, and what to scale it by."""
 
     switches: tuple[float, ...]
@@ -95,7 +95,7 @@ class Quiet:
 
 
 @dataclass(frozen=True, eq=False)
-class Floor:
+class NoiseFloor:
     """Spectral densities of the noise per experiment and level, and the bins' covariance."""
 
     edges: FloatArray
@@ -231,7 +231,7 @@ def estimate_floor(
     level_of_bins: Sequence[FloatArray],
     spikes: int = 0,
     fits: Sequence[FloatArray] | None = None,
-) -> Floor:
+) -> NoiseFloor:
     """The floor of a campaign from the residuals (n_t,) V of its fit.
 
     ``level_of_bins``: the normalised concentration (n_bins,) in 0..1 of every bin.  ``fits``
@@ -282,7 +282,7 @@ def estimate_floor(
         )
         for k, (e, b, level) in enumerate(zip(campaign, bins, level_of_bins, strict=True))
     )  # fmt: skip
-    return Floor(edges, density, dof, factors, spikes, louder_bins)
+    return NoiseFloor(edges, density, dof, factors, spikes, louder_bins)
 
 
 def periodogram(noise: FloatArray, interval: float) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""From a campaign and its fit to the sketch: bins, noise floor, priors, the refitted base."""
+"""The binned campaign of a campaign and its fit: bins, noise floor, priors, the refitted base."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from math import log
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.bins import make_bins
 from bayes_sensor.diagnosis.data.noise_floor import (
-    Floor,
-    Quiet,
+    NoiseFloor,
+    QuietSpans,
     Stretch,
     clean,
     estimate_floor,
     quiet_stretches,
 )
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Plan
+from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Coordinates
 from bayes_sensor.lattice import lattice_step
 from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.problem import Problem
@@ -46,7 +46,7 @@ def full_rate_residuals(campaign: Campaign, theta: FloatArray) -> list[FloatArra
     return found
 
 
-def coordinates(campaign: Campaign, theta: FloatArray) -> FloatArray:
+def base_coordinates(campaign: Campaign, theta: FloatArray) -> FloatArray:
     """Coordinates of the fit without effects at a flat ``theta``, tau and tau_v in either order."""
     layout = Layout.of(campaign)
     tau, tau_v = sorted((float(theta[0]), float(theta[1])))
@@ -67,17 +67,17 @@ def flat_theta(campaign: Campaign, x: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
-    """A campaign's sketch with what was needed to make it."""
+class PreparedCampaign:
+    """A campaign's binned campaign with what was needed to make it."""
 
-    sketch: Sketch
+    binned: BinnedCampaign
     residuals: tuple[FloatArray, ...]
     """(n_t,) V of each experiment, measurement minus the fit, spikes replaced"""
     stretches: tuple[Stretch, ...]
     """quiet parts, spikes replaced"""
     raw: tuple[Stretch, ...]
     """the same as measured"""
-    quiet: tuple[Quiet, ...]
+    quiet: tuple[QuietSpans, ...]
     """switches and quiet spans of every experiment, and its noise"""
     theta: FloatArray
     """the flat fit that the residuals belong to, tau and tau_v by size"""
@@ -91,7 +91,7 @@ class Prepared:
 
     def residuals_of(self, found: Refit) -> list[FloatArray]:
         """(n_t,) V of every experiment, spikes replaced, measurement minus a refit's mean."""
-        campaign = self.sketch.campaign
+        campaign = self.binned.campaign
         layout = Layout.of(campaign)
         made = []
         for k, (e, r) in enumerate(zip(campaign, self.residuals, strict=True)):
@@ -103,14 +103,14 @@ class Prepared:
             here = float(self.theta[i_y0]) + float(self.theta[i_beta]) * cascade_response(
                 grid, taus, float(self.theta[i_t0]), tf
             )
-            moved = found.plan.mean(found.x, k, grid) - here
+            moved = found.coords.mean(found.x, k, grid) - here
             made.append(np.where(e.used, r - np.interp(e.t, grid, moved), 0.0))
         return made
 
     def stretches_of(self, residuals: list[FloatArray]) -> list[Stretch]:
         """The quiet parts of other residuals (n_t,) V."""
-        sketch = self.sketch
-        return quiet_stretches(sketch.campaign, residuals, sketch.bins, self.settle)
+        binned = self.binned
+        return quiet_stretches(binned.campaign, residuals, binned.bins, self.settle)
 
 
 NO_VOLUME = 0.02
@@ -126,7 +126,9 @@ def _taus(theta: FloatArray, flow: float) -> FloatArray:
     return np.array([theta[1], theta[2] / flow, theta[0]])
 
 
-def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None) -> Prepared:
+def prepare(
+    campaign: Campaign, theta: FloatArray, naming: Naming | None = None
+) -> PreparedCampaign:
     """Bins, floor and priors of a measured campaign around a fit (flat ``theta``, lags by size).
 
     ``naming``: what may be said of the lags' names; default what the campaign says.
@@ -136,7 +138,7 @@ def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None)
     naming = naming or Problem(campaign).naming()
     theta, lags = _by_name(theta, naming)
     layout = Layout.of(campaign)
-    x = coordinates(campaign, theta)
+    x = base_coordinates(campaign, theta)
     flat = flat_theta(campaign, x)
     raw = full_rate_residuals(campaign, flat)
     cleaned, spikes = [], 0
@@ -169,7 +171,7 @@ def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None)
     if flat[2] < NO_VOLUME * tau_v * flow and "V_mL" not in campaign.side_information:
         # no rig is without a manifold: the fit has bent it away to do some effect's work
         centre[2], sd[2] = log(0.5 * tau_v * flow), ANY_VOLUME
-    sketch = Sketch(
+    binned = BinnedCampaign(
         campaign=campaign,
         bins=tuple(bins),
         data=tuple(data),
@@ -183,8 +185,8 @@ def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None)
         duration=float(np.median([len(e.t) * e.interval for e in campaign])),
         lags=lags,
     )
-    return Prepared(
-        sketch,
+    return PreparedCampaign(
+        binned,
         tuple(cleaned),
         tuple(quiet_stretches(campaign, cleaned, bins, settle)),
         tuple(quiet_stretches(campaign, raw, bins, settle)),
@@ -196,12 +198,12 @@ def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None)
 
 def _quiet(
     campaign: Campaign,
-    floor: Floor,
+    floor: NoiseFloor,
     switches: list[tuple[float, float | None]],
     taus: list[FloatArray],
     settle: list[float],
     steps: list[float],
-) -> list[Quiet]:
+) -> list[QuietSpans]:
     deviation = np.sqrt(floor.density @ np.diff(floor.edges))
     found = []
     for k, (e, (t0, tf)) in enumerate(zip(campaign, switches, strict=True)):
@@ -210,7 +212,7 @@ def _quiet(
         x = np.clip(cascade_response(e.t, taus[k], t0, tf), 0.0, 1.0)
         low, high = deviation[k]
         found.append(
-            Quiet(
+            QuietSpans(
                 switches=(t0,) if tf is None else (t0, tf),
                 spans=tuple(zip(begins, ends, strict=True)),
                 deviation=low + (high - low) * x,
@@ -260,9 +262,11 @@ def _spread(campaign: Campaign, names: tuple[str, ...]) -> FloatArray:
     return sd
 
 
-def fit_base(sketch: Sketch) -> Refit:
+def fit_base(binned: BinnedCampaign) -> Refit:
     """The model without effects: the best of several starts."""
-    plan = Plan(sketch)
-    rough = [refit(plan, x, most_steps=12, tolerance=0.5) for x in base_starts(sketch, sketch.base)]
+    coords = Coordinates(binned)
+    rough = [
+        refit(coords, x, most_steps=12, tolerance=0.5) for x in base_starts(binned, binned.base)
+    ]
     best = min(rough, key=lambda r: r.objective)
-    return refit(plan, best.x)
+    return refit(coords, best.x)

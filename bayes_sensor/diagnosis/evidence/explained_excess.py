@@ -12,22 +12,22 @@ from math import sqrt
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.evidence.hypotheses import Weighing
+from bayes_sensor.diagnosis.evidence.hypotheses import Comparison
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 
 LEAST = 1e-3
 """probability of an explanation below which it is left out"""
 
 
-def explained(weighing: Weighing) -> FloatArray:
+def explained_excess(comparison: Comparison) -> FloatArray:
     """(n_bins in all, n) what each explanation takes, times the root of its probability.
 
     Whitened as residuals are: a sum of squares is the excess to be expected there, in variances of
     the noise.
     """
-    before = weighing.base.residual
+    before = comparison.base.residual
     found = [np.zeros_like(before)]
-    for h, p in zip(weighing.hypotheses, weighing.probabilities, strict=True):
+    for h, p in zip(comparison.hypotheses, comparison.probabilities, strict=True):
         if p < LEAST or h.key == "none":
             continue
         for term in h.terms:

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from math import sqrt
 
 from bayes_sensor.diagnosis.closure import VISIBLE
-from bayes_sensor.diagnosis.evidence.hypotheses import Hypothesis, Weighing
+from bayes_sensor.diagnosis.evidence.hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit
-from bayes_sensor.diagnosis.signals.tails_and_converter import FOUND, FullRate
+from bayes_sensor.diagnosis.signals.tails_and_converter import FOUND, Finding
 
 OTHER_FORM = 0.2
 """share of an effect's size that its form may leave: by the law of how far
@@ -26,7 +26,7 @@ OFF_FOR_A_WHILE = ("patch", "break")
 
 
 @dataclass(frozen=True)
-class AnotherForm:
+class SimplerExplanation:
     """What an explanation may be instead."""
 
     effects: tuple[str, ...]
@@ -40,7 +40,7 @@ def small_enough(left: float, whole: float) -> bool:
     return left < OTHER_FORM**2 * whole
 
 
-def another_form(h: Hypothesis, weighing: Weighing) -> AnotherForm | None:
+def simpler_explanation(h: Hypothesis, comparison: Comparison) -> SimplerExplanation | None:
     """Fewer effects, or the same without something else beside them, in a form of their own.
 
     None where an explanation has nothing beside an effect, where that is not seen, or where it is
@@ -49,18 +49,18 @@ def another_form(h: Hypothesis, weighing: Weighing) -> AnotherForm | None:
     if not h.effects:
         return None
     least = h.refit.misfit - (_taken_beside(h) if h.incomplete else 0.0)
-    whole = weighing.base.misfit - least
-    simpler = [weighing.find(name) for name in h.effects]
+    whole = comparison.base.misfit - least
+    simpler = [comparison.find(name) for name in h.effects]
     if h.incomplete and len(h.effects) > 1:
         simpler.append(h)
     for one in sorted(simpler, key=lambda one: (len(one.effects), one.refit.misfit)):
         left = one.refit.misfit - least
         if left > VISIBLE**2 and small_enough(left, whole):
-            return AnotherForm(one.effects, sqrt(left / whole))
+            return SimplerExplanation(one.effects, sqrt(left / whole))
     return None
 
 
-def of_its_form(found: FullRate, fitted: Refit, base: Refit) -> bool:
+def within_form_mismatch(found: Finding, fitted: Refit, base: Refit) -> bool:
     """Whether a finding in what is left is small enough for what an effect's form may leave.
 
     What is hardly there takes little from any explanation, and is left to.

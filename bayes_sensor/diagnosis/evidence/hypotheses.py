@@ -18,14 +18,14 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.evidence.block_least_squares import solved
 from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy, make_discrepancies
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit, with_tau
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Part, Plan
-from bayes_sensor.diagnosis.evidence.tau_profile import SEEN, jumps, swept
+from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Coordinates, Part
+from bayes_sensor.diagnosis.evidence.tau_profile import SEEN, has_jump, profile_tau
 from bayes_sensor.diagnosis.evidence.varying_parameter import WEIGHT, embedded_rivals
 
 PRIOR_NONE = 0.5
@@ -99,12 +99,12 @@ class Hypothesis:
     @property
     def excess(self) -> float:
         """Misfit that it leaves beyond what noise does, the discrepancy aside."""
-        return float(self.refit.misfit - (self.refit.plan.sketch.n_bins - self.refit.plan.size))
+        return float(self.refit.misfit - (self.refit.coords.binned.n_bins - self.refit.coords.size))
 
     @property
     def leftover(self) -> float:
         """The same in standard deviations of what noise does."""
-        return self.excess / sqrt(2.0 * self.refit.plan.sketch.n_bins)
+        return self.excess / sqrt(2.0 * self.refit.coords.binned.n_bins)
 
     @property
     def key(self) -> str:
@@ -117,10 +117,10 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
-class Weighing:
+class Comparison:
     """All hypotheses with their probabilities."""
 
-    sketch: Sketch
+    binned: BinnedCampaign
     base: Refit
     hypotheses: tuple[Hypothesis, ...]
     catalogue: Mapping[str, Effect]
@@ -169,7 +169,7 @@ def family_priors(catalogue: Mapping[str, Effect]) -> dict[str, float]:
 
 
 def fit_effect(
-    sketch: Sketch,
+    binned: BinnedCampaign,
     base: Refit,
     parts: Sequence[Part],
     starts: Sequence[Mapping[str, float]],
@@ -182,36 +182,36 @@ def fit_effect(
     ``enough``: objective above which it does not matter how good it is.  ``faster``: whether to
     begin from a faster sensor than usual, too, where the base has a much slower or faster one.
     """
-    plan = replace(base.plan, parts=(*base.plan.parts, *parts))
-    begun = joined_start(plan, base)
-    starts = [*starts, *_most_promising(plan, begun, base, parts[-1].form.grid)]
-    begins = [with_start(plan, begun, start) for start in starts]
-    usual = float(sketch.centre[0])
+    coords = replace(base.coords, parts=(*base.coords.parts, *parts))
+    begun = joined_start(coords, base)
+    starts = [*starts, *_most_promising(coords, begun, base, parts[-1].form.grid)]
+    begins = [with_start(coords, begun, start) for start in starts]
+    usual = float(binned.centre[0])
     now = float(begun[1]) - FASTER - float(begun[0])
-    if abs(now - usual) >= UNUSUAL and not base.plan.parts:
+    if abs(now - usual) >= UNUSUAL and not base.coords.parts:
         # the fit without the effect may have bent tau far away to do the effect's work
-        begins += [with_start(plan, with_tau(plan, begun, usual), start) for start in starts]
+        begins += [with_start(coords, with_tau(coords, begun, usual), start) for start in starts]
         if faster:
-            begins.append(with_start(plan, with_tau(plan, begun, usual - UNUSUAL), starts[0]))
-    if abs(begun[2] - sketch.centre[2]) > BENT * sketch.sd[2] and not base.plan.parts:
+            begins.append(with_start(coords, with_tau(coords, begun, usual - UNUSUAL), starts[0]))
+    if abs(begun[2] - binned.centre[2]) > BENT * binned.sd[2] and not base.coords.parts:
         # or the volume, where no flow makes any difference: valve and manifold share the lag
         moved = begun.copy()
-        moved[1:3] = sketch.centre[1] - log(2.0), sketch.centre[2]
-        begins += [with_start(plan, with_tau(plan, moved, usual), start) for start in starts]
+        moved[1:3] = binned.centre[1] - log(2.0), binned.centre[2]
+        begins += [with_start(coords, with_tau(coords, moved, usual), start) for start in starts]
     found: list[Refit] = []
     for x in begins:
-        found.append(refit(plan, x, most_steps=most_steps, known=found, enough=enough))
-    best = finished(min(found, key=lambda r: r.objective), enough)
-    return swept(best).best if best.objective <= enough and _leaps(best, base) else best
+        found.append(refit(coords, x, most_steps=most_steps, known=found, enough=enough))
+    best = to_convergence(min(found, key=lambda r: r.objective), enough)
+    return profile_tau(best).best if best.objective <= enough and _leaps(best, base) else best
 
 
 def _leaps(fitted: Refit, base: Refit) -> bool:
     """Whether the mean jumps with a switch, and that is well seen against the base."""
-    return jumps(fitted) and fitted.objective < base.objective - SEEN
+    return has_jump(fitted) and fitted.objective < base.objective - SEEN
 
 
 def _most_promising(
-    plan: Plan, begun: FloatArray, base: Refit, grid: Sequence[Mapping[str, float]]
+    coords: Coordinates, begun: FloatArray, base: Refit, grid: Sequence[Mapping[str, float]]
 ) -> list[Mapping[str, float]]:
     """Those of a grid of starts whose linearised gain is largest, each a peak among its neighbours.
 
@@ -221,11 +221,11 @@ def _most_promising(
     if not grid:
         return []
     normal = base.normal
-    here = base.plan.all_means(base.x)
-    amplitudes = {s.name for s in plan.strengths[-1] if s.scaled}
+    here = base.coords.all_means(base.x)
+    amplitudes = {s.name for s in coords.strengths[-1] if s.scaled}
     gains, sizes = np.zeros(len(grid)), np.zeros(len(grid))
     for i, start in enumerate(grid):
-        template = course(plan, begun, here, start)
+        template = signature(coords, begun, here, start)
         inside = base.jacobian.T @ template
         whole = float(template @ template)
         left = whole - float(inside @ solved(normal, inside))
@@ -243,21 +243,21 @@ def _most_promising(
     ]
 
 
-def course(
-    plan: Plan, begun: FloatArray, here: FloatArray, start: Mapping[str, float]
+def signature(
+    coords: Coordinates, begun: FloatArray, here: FloatArray, start: Mapping[str, float]
 ) -> FloatArray:
     """(n_bins in all,) whitened: what the last part's strengths make of means ``here`` V."""
-    return plan.sketch.whitened(plan.all_means(with_start(plan, begun, start)) - here)
+    return coords.binned.whitened(coords.all_means(with_start(coords, begun, start)) - here)
 
 
-def finished(fitted: Refit, enough: float = np.inf) -> Refit:
+def to_convergence(fitted: Refit, enough: float = np.inf) -> Refit:
     """The refit carried on where it had not converged: an evidence is that of an optimum.
 
     Above the objective ``enough`` it does not matter, and stays as it is.
     """
     if fitted.converged or fitted.objective > enough:
         return fitted
-    return refit(fitted.plan, fitted.x, most_steps=MOST_FURTHER)
+    return refit(fitted.coords, fitted.x, most_steps=MOST_FURTHER)
 
 
 class _Average(NamedTuple):
@@ -296,8 +296,8 @@ def _average(
     for i in np.flatnonzero(p > SMALL_SHARE) if mass >= least else ():
         fitted, beside_it = owners[i]
         # the profile is that of the shorter lag
-        if beside_it is None and _leaps(fitted, base) and not fitted.plan.sketch.sensor:
-            profile = swept(fitted)
+        if beside_it is None and _leaps(fitted, base) and not fitted.coords.binned.sensor:
+            profile = profile_tau(fitted)
             taus[i] = profile.log_tau, profile.sd_log_tau
     mean = float(p @ taus[:, 0])
     square = float(p @ (taus[:, 1] ** 2 + (taus[:, 0] - mean) ** 2))
@@ -306,19 +306,19 @@ def _average(
     return _Average(float(mass), terms[0].refit, mean, float(np.sqrt(square)), terms)
 
 
-def weigh(
-    sketch: Sketch,
+def compare_hypotheses(
+    binned: BinnedCampaign,
     base: Refit,
     catalogue: Mapping[str, Effect],
     progress: Progress | None = None,
     pairs: bool = True,
-) -> Weighing:
+) -> Comparison:
     """Probabilities of every hypothesis for one campaign."""
     tell = progress or (lambda _share, _text: None)
-    discrepancies = make_discrepancies(sketch, base)
+    discrepancies = make_discrepancies(binned, base)
     shares = _shares(discrepancies, [d.weight for d in discrepancies])
     # in later rounds what was named is beside whatever is left
-    by_itself = [d.weight if base.plan.parts else d.alone for d in discrepancies]
+    by_itself = [d.weight if base.coords.parts else d.alone for d in discrepancies]
     priors = family_priors(catalogue)
     hypotheses: list[Hypothesis] = []
 
@@ -337,10 +337,10 @@ def weigh(
 
     add((), float(np.log(PRIOR_NONE)), [(base, 1.0)])
     rivals = embedded_rivals(
-        [*catalogue, *(part.effect.name for part in base.plan.parts)],
-        several_flows=len(sketch.campaign) > 1 and not sketch.campaign.same_flow,
-        has_fall=any(e.has_fall for e in sketch.campaign),
-        commanded=any(e.commanded_on is not None for e in sketch.campaign),
+        [*catalogue, *(part.effect.name for part in base.coords.parts)],
+        several_flows=len(binned.campaign) > 1 and not binned.campaign.same_flow,
+        has_fall=any(e.has_fall for e in binned.campaign),
+        commanded=any(e.commanded_on is not None for e in binned.campaign),
     )
     inside = WEIGHT if rivals else 0.0
     log_prior = float(np.log(PRIOR_UNLISTED * (1.0 - inside)))
@@ -348,7 +348,7 @@ def weigh(
     for rival in rivals:
         made = [
             (
-                fit_effect(sketch, base, [Part(rival, f)], f.starts, 20, faster=False),
+                fit_effect(binned, base, [Part(rival, f)], f.starts, 20, faster=False),
                 1.0 / len(rival.forms),
             )
             for f in rival.forms
@@ -361,7 +361,7 @@ def weigh(
         tell(0.1 + 0.5 * i / len(on_mean), name)
         weight = sum(form.weight for form in effect.forms)
         fits[name] = [
-            (fit_effect(sketch, base, [Part(effect, form)], form.starts), form.weight / weight)
+            (fit_effect(binned, base, [Part(effect, form)], form.starts), form.weight / weight)
             for form in effect.forms
         ]
         log_prior = priors[name] + np.log1p(-INCOMPLETE)
@@ -375,9 +375,9 @@ def weigh(
         log_prior = float(priors[name] + np.log(INCOMPLETE))
         add((name,), log_prior, _leading(fits[name]), some)
     if pairs:
-        _add_pairs(sketch, base, on_mean, fits, singles, hypotheses, priors, some, add, tell)
+        _add_pairs(binned, base, on_mean, fits, singles, hypotheses, priors, some, add, tell)
     tell(1.0, "weighed")
-    return Weighing(sketch, base, tuple(hypotheses), catalogue, tuple(shares))
+    return Comparison(binned, base, tuple(hypotheses), catalogue, tuple(shares))
 
 
 def _shares(discrepancies: Sequence[Discrepancy], weights: Sequence[float]) -> list[Discrepancy]:
@@ -402,7 +402,7 @@ def _promising(base: Refit, discrepancies: Sequence[Discrepancy]) -> list[Discre
 
 
 def _add_pairs(
-    sketch: Sketch,
+    binned: BinnedCampaign,
     base: Refit,
     on_mean: Mapping[str, Effect],
     fits: Mapping[str, list[tuple[Refit, float]]],
@@ -445,12 +445,14 @@ def _add_pairs(
         enough = lowest - 2.0 * (least - single)
         for form in on_mean[b].forms:
             part = Part(on_mean[b], form)
-            fitted = fit_effect(sketch, first, [part], form.starts[:3], 15, enough)
-            if not base.plan.parts:  # what the first effect has swallowed may belong to the second
-                plan = fitted.plan
-                start = plan.start(base.x, form.starts[0])
-                afresh = refit(plan, start, most_steps=15, known=[fitted], enough=enough)
-                fitted = finished(min(fitted, afresh, key=lambda r: r.objective), enough)
+            fitted = fit_effect(binned, first, [part], form.starts[:3], 15, enough)
+            if (
+                not base.coords.parts
+            ):  # what the first effect has swallowed may belong to the second
+                coords = fitted.coords
+                start = coords.start(base.x, form.starts[0])
+                afresh = refit(coords, start, most_steps=15, known=[fitted], enough=enough)
+                fitted = to_convergence(min(fitted, afresh, key=lambda r: r.objective), enough)
             if fitted.converged or fitted.objective <= enough:
                 made.append((fitted, form.weight))
         if not made:  # given up in every form
@@ -499,30 +501,30 @@ def _something_left(hypotheses: Sequence[Hypothesis]) -> bool:
     return bool(left > 0.02 or best.leftover > LEFT)
 
 
-def joined_start(plan: Plan, fitted: Refit) -> FloatArray:
+def joined_start(coords: Coordinates, fitted: Refit) -> FloatArray:
     """Coordinates of a plan with one more part, from a refit without it."""
-    x = plan.start(fitted.x, {})  # the shared ones; the local ones follow another layout
-    old = fitted.plan
+    x = coords.start(fitted.x, {})  # the shared ones; the local ones follow another layout
+    old = fitted.coords
     n_shared, n_own = len(old.shared), len(old.own)
     x[3 : 3 + n_shared] = fitted.x[3 : 3 + n_shared]
-    for k, e in enumerate(plan.sketch.campaign):
+    for k, e in enumerate(coords.binned.campaign):
         m = 4 if e.has_fall else 3
-        here, there = plan.local[k], old.local[k]
+        here, there = coords.local[k], old.local[k]
         x[here : here + m + n_own] = fitted.x[there : there + m + n_own]
     return x
 
 
-def with_start(plan: Plan, x: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
+def with_start(coords: Coordinates, x: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
     """``x`` with the last part's strengths at chosen values."""
-    base = plan.start(np.zeros(plan.size), chosen)
+    base = coords.start(np.zeros(coords.size), chosen)
     made = x.copy()
-    last = {s.name for s in plan.strengths[-1]}
-    for i, s in enumerate(plan.shared):
+    last = {s.name for s in coords.strengths[-1]}
+    for i, s in enumerate(coords.shared):
         if s.name in last:
             made[3 + i] = base[3 + i]
-    n = len(plan.own)
-    for k, (i, s) in product(range(len(plan.sketch.campaign)), enumerate(plan.own)):
+    n = len(coords.own)
+    for k, (i, s) in product(range(len(coords.binned.campaign)), enumerate(coords.own)):
         if s.name in last:
-            at = plan.local[k + 1] - n + i
+            at = coords.local[k + 1] - n + i
             made[at] = base[at]
     return made

@@ -1,7 +1,7 @@
 """The coordinates of a hypothesis: what a refit may move, its priors, and the means that follow.
 
 Coordinates have standard priors.  The cascade is unchanged when tau and tau_v swap places, so they
-hold the two by size: ``ln shorter <= ln longer - .3``.  Whose each is the sketch says.
+hold the two by size: ``ln shorter <= ln longer - .3``.  Whose each is the binned campaign says.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import CampaignError, FloatArray
-from bayes_sensor.diagnosis.data.binned_campaign import SHARED, Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import SHARED, BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import (
     Effect,
     Form,
@@ -71,14 +71,14 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Coordinates:
     """The coordinates of a hypothesis.
 
     Order: the three shared ones; the shared strengths; then per experiment y0, beta, t0, tf
     (where there is a fall) and its own strengths.
     """
 
-    sketch: Sketch
+    binned: BinnedCampaign
     parts: tuple[Part, ...] = ()
     held: Mapping[str, float] = field(default_factory=dict)
     """strengths (by name) that are not fitted but held at a value"""
@@ -89,7 +89,7 @@ class Plan:
     @cached_property
     def strengths(self) -> list[list[Strength]]:
         """Per part, its strengths scaled to the campaign."""
-        return [list(part.form.strengths(self.sketch.settings[0])) for part in self.parts]
+        return [list(part.form.strengths(self.binned.settings[0])) for part in self.parts]
 
     @cached_property
     def shared(self) -> list[Strength]:
@@ -110,7 +110,7 @@ class Plan:
     @cached_property
     def local(self) -> list[int]:
         """First coordinate of each experiment, and one after the last."""
-        return self.sketch.local(SHARED + len(self.shared), len(self.own))
+        return self.binned.local(SHARED + len(self.shared), len(self.own))
 
     @property
     def size(self) -> int:
@@ -126,15 +126,15 @@ class Plan:
         experiment that does not show its step.
         """
         mean, precision = np.zeros(self.size), np.zeros(self.size)
-        mean[1:3] = self.sketch.centre[1:]
-        precision[1:3] = 1.0 / self.sketch.sd[1:] ** 2
+        mean[1:3] = self.binned.centre[1:]
+        precision[1:3] = 1.0 / self.binned.sd[1:] ** 2
         precision[SHARED : SHARED + len(self.shared)] = 1.0
         n = len(self.own)
-        for k, (at, end) in enumerate(itertools.pairwise(self.sketch.local(SHARED))):
+        for k, (at, end) in enumerate(itertools.pairwise(self.binned.local(SHARED))):
             m = end - at
             here = slice(self.local[k], self.local[k] + m)
-            mean[here] = self.sketch.base[at:end]
-            wide = [WIDE * self.sketch.signal_scale] * 2 + [self.sketch.duration] * (m - 2)
+            mean[here] = self.binned.base[at:end]
+            wide = [WIDE * self.binned.signal_scale] * 2 + [self.binned.duration] * (m - 2)
             precision[here] = 1.0 / np.array(wide) ** 2
             precision[self.local[k + 1] - n : self.local[k + 1]] = 1.0
         return mean, precision
@@ -144,7 +144,7 @@ class Plan:
         _, precision = self.prior
         widths = np.ones(self.size) if widths is None else widths
         matrix = np.diag(precision / widths**2)
-        tau = 1.0 / self.sketch.sd[0] ** 2
+        tau = 1.0 / self.binned.sd[0] ** 2
         # the logarithm of the shorter lag is x1 - FASTER - x0
         matrix[0, 0] += tau
         matrix[1, 1] += tau
@@ -162,7 +162,7 @@ class Plan:
         """ln of the determinant of :meth:`prior_matrix`."""
         _, precision = self.prior
         proper = precision > 0
-        total = np.sum(np.log((precision / widths**2)[proper])) - 2.0 * np.log(self.sketch.sd[0])
+        total = np.sum(np.log((precision / widths**2)[proper])) - 2.0 * np.log(self.binned.sd[0])
         for index, alike in self._alike:
             n = len(index)
             total -= (n - 1) * np.log1p(-alike) + np.log1p((n - 1) * alike)
@@ -206,14 +206,14 @@ class Plan:
         """(n,) where the prior is highest."""
         mean, _ = self.prior
         centre = mean.copy()
-        centre[0] = centre[1] - FASTER - self.sketch.centre[0]
+        centre[0] = centre[1] - FASTER - self.binned.centre[0]
         return centre
 
     @cached_property
     def _fitted(self) -> list[list[tuple[int, Strength, int]]]:
         """Per experiment, every fitted strength: its part, itself and its coordinate."""
         made = []
-        for k in range(len(self.sketch.bins)):
+        for k in range(len(self.binned.bins)):
             i, j = SHARED, self.local[k + 1] - len(self.own)
             found = []
             for part, strengths in enumerate(self.strengths):
@@ -251,7 +251,7 @@ class Plan:
         x[:SHARED] = base[:SHARED]
         at = SHARED
         n = len(self.own)
-        time, scales = self.sketch.time_scale, {"V": self.sketch.height}
+        time, scales = self.binned.time_scale, {"V": self.binned.height}
 
         def begin(s: Strength) -> float:
             if f"{s.name}*" in chosen:
@@ -260,7 +260,7 @@ class Plan:
 
         for i, s in enumerate(self.shared):
             x[SHARED + i] = begin(s)
-        for k, e in enumerate(self.sketch.campaign):
+        for k, e in enumerate(self.binned.campaign):
             m = 4 if e.has_fall else 3
             x[self.local[k] : self.local[k] + m] = base[at : at + m]
             at += m
@@ -271,11 +271,11 @@ class Plan:
     def mean(self, x: FloatArray, k: int, times: FloatArray | None = None) -> FloatArray:
         """V (n_times,), the mean of experiment ``k`` at sorted ``times`` (default: the bins')."""
         p, own = self.rig(x, k)
-        at = self.sketch.bins[k].times if times is None else times
+        at = self.binned.bins[k].times if times is None else times
         if own is None:
             return np.asarray(rig_mean(at, p, *coating_modes()))
         form, values = own
-        return self._own_mean(at, p, form, values, self.sketch.settings[k])
+        return self._own_mean(at, p, form, values, self.binned.settings[k])
 
     def _own_mean(
         self,
@@ -334,7 +334,7 @@ class Plan:
         self, p: FloatArray, strengths: Sequence[Mapping[str, float]], k: int
     ) -> tuple[Form, Mapping[str, float]] | None:
         # the settings of ``p`` that go with the parts' strengths; a user's own mean is returned
-        own, setting = None, self.sketch.settings[k]
+        own, setting = None, self.binned.settings[k]
         for part, values in zip(self.parts, strengths, strict=True):
             for name, value in part.form.settings(values, setting).items():
                 p[FIRST + INDEX[name]] = value
@@ -345,15 +345,15 @@ class Plan:
     @cached_property
     def _slots(self) -> tuple[int, int]:
         # the kernel's parameters that are the shorter and the longer lag
-        return (TAU_V, TAU) if self.sketch.sensor else (TAU, TAU_V)
+        return (TAU_V, TAU) if self.binned.sensor else (TAU, TAU_V)
 
     @cached_property
     def _flows(self) -> FloatArray:
-        return np.array([e.total_flow for e in self.sketch.campaign])
+        return np.array([e.total_flow for e in self.binned.campaign])
 
     @cached_property
     def _falls(self) -> NDArray[np.bool_]:
-        return np.array([e.has_fall for e in self.sketch.campaign])
+        return np.array([e.has_fall for e in self.binned.campaign])
 
     @cached_property
     def _first(self) -> NDArray[np.int64]:
@@ -363,33 +363,33 @@ class Plan:
     @cached_property
     def _fixed(self) -> FloatArray:
         # (n_experiments, n_parameters) the kernel's parameters that no coordinate changes
-        found = np.zeros((len(self.sketch.bins), FIRST + len(NEUTRAL)))
+        found = np.zeros((len(self.binned.bins), FIRST + len(NEUTRAL)))
         found[:, FIRST:] = NEUTRAL
         found[:, TF] = 1e30
-        for p, e in zip(found, self.sketch.campaign, strict=True):
+        for p, e in zip(found, self.binned.campaign, strict=True):
             p[CONCENTRATION] = e.concentration
             p[START] = e.t[0] - 0.5 * e.interval
             p[MIDDLE] = 0.5 * (e.t[0] + e.t[-1])
         return found
 
-    def binned(self, x: FloatArray, k: int) -> FloatArray:
+    def bin_means(self, x: FloatArray, k: int) -> FloatArray:
         """V (n_bins,), mean of each bin of experiment ``k``."""
         if self.own_mean:
-            return self.sketch.bins[k].reduce(self.mean(x, k))
+            return self.binned.bins[k].reduce(self.mean(x, k))
         p, _ = self.rig(x, k)
-        made: FloatArray = campaign_means(*self.sketch.bins[k].alone, p[None], *coating_modes())
+        made: FloatArray = campaign_means(*self.binned.bins[k].alone, p[None], *coating_modes())
         return made
 
     def means(self, x: FloatArray) -> list[FloatArray]:
         """V (n_bins,) of every experiment, mean of each of its bins."""
         made = self.all_means(x)
-        return [made[rows] for rows in self.sketch.rows]
+        return [made[rows] for rows in self.binned.rows]
 
     def all_means(self, x: FloatArray) -> FloatArray:
         """V (n_bins in all,), the same of all experiments, one after the other."""
         if self.own_mean:
-            return np.concatenate([self.binned(x, k) for k in range(len(self.sketch.bins))])
-        made: FloatArray = campaign_means(*self.sketch.all_bins, self._rigs(x), *coating_modes())
+            return np.concatenate([self.bin_means(x, k) for k in range(len(self.binned.bins))])
+        made: FloatArray = campaign_means(*self.binned.all_bins, self._rigs(x), *coating_modes())
         return made
 
     @cached_property
@@ -431,10 +431,10 @@ class Plan:
         steps = np.full(self.size, 0.02)
         steps[0] = 0.01
         steps[1:SHARED] = 1e-3
-        for k, e in enumerate(self.sketch.campaign):
+        for k, e in enumerate(self.binned.campaign):
             at = self.local[k]
-            steps[at : at + 2] = 1e-3 * self.sketch.height
-            steps[at + 2 : at + (4 if e.has_fall else 3)] = 1e-3 * self.sketch.time_scale
+            steps[at : at + 2] = 1e-3 * self.binned.height
+            steps[at + 2 : at + (4 if e.has_fall else 3)] = 1e-3 * self.binned.time_scale
         return steps
 
     @cached_property
@@ -444,8 +444,8 @@ class Plan:
         most[:SHARED] = (2.0, 0.7, 0.7)
         for k, fall in enumerate(self._falls):
             at = self.local[k]
-            most[at : at + 2] = 10.0 * self.sketch.signal_scale
-            most[at + 2 : at + (4 if fall else 3)] = self.sketch.time_scale
+            most[at : at + 2] = 10.0 * self.binned.signal_scale
+            most[at + 2 : at + (4 if fall else 3)] = self.binned.time_scale
         return most
 
     @cached_property
@@ -489,23 +489,23 @@ class Plan:
             means = self._moved_own_means(x, steps)
         else:
             means = moved_means(
-                *self.sketch.all_bins, self._moved(x, steps), self._of_rigs, *coating_modes()
+                *self.binned.all_bins, self._moved(x, steps), self._of_rigs, *coating_modes()
             )
-        return self.sketch.whitened((means - here[:, None]) / (finer * self._steps_by_bin))
+        return self.binned.whitened((means - here[:, None]) / (finer * self._steps_by_bin))
 
     @cached_property
     def _steps_by_bin(self) -> FloatArray:
         # (n_bins in all, n_columns); infinite where an experiment has fewer columns than others
         by_experiment = np.where(self.places < 0, inf, self.steps[self.places])
-        return np.repeat(by_experiment, [len(d) for d in self.sketch.data], axis=0)
+        return np.repeat(by_experiment, [len(d) for d in self.binned.data], axis=0)
 
     def _moved_own_means(self, x: FloatArray, steps: FloatArray) -> FloatArray:
-        means = np.zeros((self.sketch.n_bins, self.places.shape[1]))
+        means = np.zeros((self.binned.n_bins, self.places.shape[1]))
         moved = np.array(x)
-        for k, rows in enumerate(self.sketch.rows):
+        for k, rows in enumerate(self.binned.rows):
             for i, c in enumerate(self._columns[k]):
                 moved[c] += steps[c]
-                means[rows, i] = self.binned(moved, k)
+                means[rows, i] = self.bin_means(moved, k)
                 moved[c] = x[c]
         return means
 

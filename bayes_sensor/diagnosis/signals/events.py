@@ -19,7 +19,7 @@ from scipy.stats import t as student_t
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.noise_floor import Stretch, detrended
-from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate, Place, struck
+from bayes_sensor.diagnosis.signals.tails_and_converter import Finding, Place, struck
 
 BLOCK = 0.05
 """s, means over which events are looked for"""
@@ -59,7 +59,7 @@ Key = TypeVar("Key", bound=Hashable)
 class Events:
     """What befalls single stretches, and how much the noise alone makes look like it."""
 
-    found: FullRate
+    found: Finding
     tails: tuple[float, float]
     """degrees of freedom of means over as long a time as is told, at carrier and plateau; inf for
     those of a Gaussian, or where nothing is told"""
@@ -297,7 +297,7 @@ def surprises(square: FloatArray, dof: float | FloatArray) -> FloatArray:
 
 def of_places(
     name: str, found: Sequence[Mapping[Hashable, float]], clearest: Sequence[Place]
-) -> FullRate:
+) -> Finding:
     """What places (records, switches) say, each with ln B per kind of what may strike there.
 
     What strikes has a kind of its own at every place, or the same at all of them.  Told are the
@@ -325,4 +325,4 @@ def of_places(
         f"{name}_ratio": ratio,
     }
     value = float(np.logaddexp(alone, together) - np.log(2.0))
-    return FullRate(name, value, strength, ratio, tuple(p for p in kept if p.size > 0.0))
+    return Finding(name, value, strength, ratio, tuple(p for p in kept if p.size > 0.0))

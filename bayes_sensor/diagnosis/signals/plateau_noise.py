@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.noise_floor import Stretch, detrended, periodogram
-from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate, struck
+from bayes_sensor.diagnosis.signals.tails_and_converter import Finding, struck
 
 EDGES = np.array([0.0, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 """Hz, bands of the baseline's spectrum"""
@@ -77,7 +77,7 @@ class _Ordinates:
         return 1.0 - 1.0 / flat, np.log(flat).sum(axis=0)
 
 
-def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRate]:
+def look_for_plateau_noise(campaign: Campaign, stretches: Sequence[Stretch]) -> list[Finding]:
     """Slow power on the plateaus that the baseline has not; nothing where one of them is short.
 
     Ordinates of the spectra are exponential about their mean (Whittle).  ``ln B`` averages over the
@@ -110,7 +110,7 @@ def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> l
     value = np.logaddexp(_mean(same), _mean(np.logaddexp.reduce(apart, axis=0))) - np.log(2.0)
     i, j = np.unravel_index(int(np.argmax(same)), same.shape)
     strength = {"unsteady_excess": float(EXCESSES[i]), "unsteady_Hz": float(CUTOFFS[j])}
-    return [FullRate("unsteady", float(value - np.logaddexp.reduce(without)), strength, None)]
+    return [Finding("unsteady", float(value - np.logaddexp.reduce(without)), strength, None)]
 
 
 def _mean(logs: FloatArray) -> float:

@@ -21,7 +21,7 @@ from scipy.stats import gamma
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.closure import VISIBLE, Closure
 from bayes_sensor.diagnosis.data.noise_floor import Stretch, detrended
-from bayes_sensor.diagnosis.signals.tails_and_converter import FOUND, FullRate, any_of
+from bayes_sensor.diagnosis.signals.tails_and_converter import FOUND, Finding, any_of
 
 MAINS = (50.0, 60.0)
 """Hz"""
@@ -93,7 +93,7 @@ class Piece:
 
 def look_for_mains(
     campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
-) -> list[FullRate]:
+) -> list[Finding]:
     """The mains in ``residuals`` (n_t,) V of whole records, over which they keep their phase.
 
     ``deviations`` (n_t,) V: of the noise.
@@ -105,8 +105,8 @@ def look_for_bursts(
     campaign: Campaign,
     residuals: Sequence[FloatArray],
     deviations: Sequence[FloatArray],
-    mains: FullRate,
-) -> list[FullRate]:
+    mains: Finding,
+) -> list[Finding]:
     """Whether the ``mains`` that were found come and go, as a heater's do that is fired in bursts.
 
     Whatever comes and goes has a line as far above the mains as below: as in :func:`look_for_mains`
@@ -118,7 +118,7 @@ def look_for_bursts(
     return _bursts(pieces_of_records(campaign, residuals, deviations))
 
 
-def _bursts(pieces: Sequence[Piece]) -> list[FullRate]:
+def _bursts(pieces: Sequence[Piece]) -> list[Finding]:
     used, n, f = _transformed(pieces)
     total, _ = _sum_over_pieces(used, n)
     near, nominal, _ = mains_bands(f, used[0].interval)
@@ -145,7 +145,7 @@ def _bursts(pieces: Sequence[Piece]) -> list[FullRate]:
     each = _log_b(power, count)
     weight = (1.0 / away) / np.sum(1.0 / away)
     value, most = float(logsumexp(each, b=weight)), int(np.argmax(each + np.log(weight)))
-    return [FullRate("bursts", value, {"bursts_Hz": float(f[away[most]])}, None)]
+    return [Finding("bursts", value, {"bursts_Hz": float(f[away[most]])}, None)]
 
 
 def _harmonics(found: float, nominal: float, rate: float) -> FloatArray:
@@ -162,7 +162,7 @@ def _harmonics(found: float, nominal: float, rate: float) -> FloatArray:
     return folded
 
 
-def look_for_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRate]:
+def look_for_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[Finding]:
     """A line in all quiet stretches, or (a pump's, a controller's) in the plateaus alone."""
     pieces = _pieces_of_stretches(campaign, stretches)
     everywhere = _look_for_lines(pieces, "line")
@@ -172,9 +172,9 @@ def look_for_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[Ful
     return [any_of([everywhere[0], plateaus[0]])]
 
 
-def look_for_swings(
+def look_for_slow_lines(
     campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
-) -> list[FullRate]:
+) -> list[Finding]:
     """A slow line (a thermostat's, a pressure controller's) in what an explanation leaves.
 
     ``residuals`` (n_t,) V and ``deviations`` (n_t,) V of whole records: a quiet stretch holds too
@@ -220,7 +220,7 @@ def pieces_of_records(
     return found
 
 
-def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
+def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[Finding]:
     """The mains, a swing, or any other line, from the periodograms of all pieces together.
 
     A line of any phase makes a periodogram ordinate, exponential under noise, ``1 + c`` times as
@@ -267,7 +267,7 @@ def _look_for_lines(pieces: Sequence[Piece], name: str) -> list[FullRate]:
     frequency = nominal[peak] if mains else f[peak]
     short = name.removesuffix("_pickup")
     strength = {f"{short}_V": float(amplitude), f"{short}_Hz": float(frequency)}
-    return [FullRate(name, value, strength, float(np.sqrt(halves * excess)))]
+    return [Finding(name, value, strength, float(np.sqrt(halves * excess)))]
 
 
 def _log_b(power: FloatArray, count: FloatArray) -> FloatArray:
@@ -487,7 +487,7 @@ def mains_bands(
 # --------------------------------------------------------------------------- how far
 
 
-def mains_closure(pieces: Sequence[Piece], found: FullRate) -> tuple[Closure, float | None]:
+def mains_closure(pieces: Sequence[Piece], found: Finding) -> tuple[Closure, float | None]:
     """The closed fraction of the line's power with its 95 % interval, and the held-out fraction.
 
     ``pieces`` are whole records, ``found`` the mains as the test at full rate reports them.  In

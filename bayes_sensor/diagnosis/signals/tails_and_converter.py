@@ -69,7 +69,7 @@ class Place(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FullRate:
+class Finding:
     """What the samples themselves say."""
 
     name: str
@@ -104,7 +104,7 @@ def struck(log_b: FloatArray, share: float) -> FloatArray:
     return np.asarray(np.logaddexp(np.log1p(-share), np.log(share) + log_b))
 
 
-def any_of(found: Sequence[FullRate]) -> FullRate:
+def any_of(found: Sequence[Finding]) -> Finding:
     """What tests that look for the same in several ways say together: the clearest, their mean B.
 
     ``found``: one at least.
@@ -113,7 +113,7 @@ def any_of(found: Sequence[FullRate]) -> FullRate:
     return replace(max(found, key=lambda f: f.log_bayes_factor), log_bayes_factor=value)
 
 
-def rounds_away(stretches: Sequence[Stretch], step: float) -> bool:
+def hides_the_noise(stretches: Sequence[Stretch], step: float) -> bool:
     """Whether the converter's step V is so coarse that the noise hardly crosses it.
 
     Rounding then makes lines, plateaus and jumps of its own.
@@ -122,7 +122,7 @@ def rounds_away(stretches: Sequence[Stretch], step: float) -> bool:
     return bool(spreads) and step > HARDLY_CROSSED * min(spreads)
 
 
-def look_at_tails(stretches: Sequence[Stretch], step: float = 0.0) -> FullRate:
+def look_at_tails(stretches: Sequence[Stretch], step: float = 0.0) -> Finding:
     """Student-t against Gaussian innovations of an AR(4) fitted to each stretch.
 
     In units of their size around, so that noise that swells and fades is not taken for wild.
@@ -142,7 +142,7 @@ def look_at_tails(stretches: Sequence[Stretch], step: float = 0.0) -> FullRate:
             values.append(e / np.maximum(around, 1e-3 * spread))
             spreads.append(spread)
     if not values:
-        return FullRate("heavy_tails", 0.0, {"tail_dof": float("inf")}, None)
+        return Finding("heavy_tails", 0.0, {"tail_dof": float("inf")}, None)
     e = np.concatenate(values)
     if len(e) > 200_000:  # evenly thinned: more changes nothing
         e = e[:: len(e) // 200_000]
@@ -157,7 +157,7 @@ def look_at_tails(stretches: Sequence[Stretch], step: float = 0.0) -> FullRate:
     value = float(logsumexp(logs) - np.log(len(logs)) - gaussian)
     if step > TOO_COARSE * float(np.median(spreads)):
         value = min(value, 0.0)
-    return FullRate("heavy_tails", value, {"tail_dof": best}, None)
+    return Finding("heavy_tails", value, {"tail_dof": best}, None)
 
 
 def _innovations(x: FloatArray, order: int) -> FloatArray:
@@ -185,12 +185,12 @@ def _t_likelihood(e: FloatArray, dof: float) -> tuple[float, float]:
 # --------------------------------------------------------------------------- the converter
 
 
-def look_for_steps(campaign: Campaign, stretches: Sequence[Stretch]) -> FullRate:
+def look_for_steps(campaign: Campaign, stretches: Sequence[Stretch]) -> Finding:
     """Coarse steps: a lattice whose rounding makes up a share of the sample-to-sample variance."""
     steps = [lattice_step(e.values[e.used]) for e in campaign]
     known = [s for s in steps if s > 0]
     if not known or not stretches:
-        return FullRate("quantisation", -5.0, {"adc_step": 0.0}, None)
+        return Finding("quantisation", -5.0, {"adc_step": 0.0}, None)
     step = float(np.median(known))
     innovations = [float(np.var(_innovations(detrended(s.samples), 4))) for s in stretches]
     share = step**2 / 12.0 / max(float(np.median(innovations)), 1e-300)
@@ -199,4 +199,4 @@ def look_for_steps(campaign: Campaign, stretches: Sequence[Stretch]) -> FullRate
     # the lattice itself is certain; what is judged is whether it matters
     value = 8.0 * np.log(min(share / COARSE, of_all / COARSE_OF_ALL))
     value = float(np.clip(value, -30.0, 30.0))
-    return FullRate("quantisation", value, {"adc_step": step}, None)
+    return Finding("quantisation", value, {"adc_step": step}, None)

@@ -25,7 +25,7 @@ from bayes_sensor.diagnosis.signals.spectral_lines import (
     own_shapes,
     pieces_of_records,
 )
-from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate, any_of, struck
+from bayes_sensor.diagnosis.signals.tails_and_converter import Finding, any_of, struck
 
 LENGTHS = (2.5, 5.0, 10.0)
 """s, windows in which lines are looked for that pass, or that records have each for itself"""
@@ -53,9 +53,9 @@ STRUCK = 0.3
 """plausible share of records that have such a line, where there are any"""
 
 
-def look_for_passing_lines(
+def look_for_transient_lines(
     campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
-) -> list[FullRate]:
+) -> list[Finding]:
     """A line that some records have, for a while or throughout, at one place or each at its own.
 
     What passes, or goes with the flow, adds up to nothing over all stretches.  Periodograms of
@@ -67,12 +67,12 @@ def look_for_passing_lines(
     together; the records that are struck share the frequency, or have their own.
     """
     pieces = pieces_of_records(campaign, residuals, deviations)
-    told = [_passing_through(pieces, seconds) for seconds in LENGTHS]
+    told = [_transient_line(pieces, seconds) for seconds in LENGTHS]
     found = [f for f in told if f is not None]
     return [any_of(found)] if found else []
 
 
-def _passing_through(pieces: Sequence[Piece], seconds: float) -> FullRate | None:
+def _transient_line(pieces: Sequence[Piece], seconds: float) -> Finding | None:
     """The same for windows of ``seconds`` s; None where there are too few."""
     common = float(np.median([p.interval for p in pieces])) if pieces else 1.0
     size = max(1, round(BLOCK / common))
@@ -116,7 +116,7 @@ def _passing_through(pieces: Sequence[Piece], seconds: float) -> FullRate | None
         ratio = np.concatenate([some[i] if thin == 1 else spectra(used[i]) for i in here])
         ratio /= usual * np.maximum(shape, 1.0)
         ratio /= np.maximum(_roughly(ratio, round(ROUGHLY * n_fft / n)), 1.0)
-        own = _passing_or_lasting(ratio)
+        own = _once_or_throughout(ratio)
         logs.append(own)
         peak = int(np.argmax(np.where(where, own + np.log(np.maximum(weight, 1e-300)), -np.inf)))
         if own[peak] > best[0]:
@@ -130,7 +130,7 @@ def _passing_through(pieces: Sequence[Piece], seconds: float) -> FullRate | None
     alike = float(logsumexp(struck(each, STRUCK).sum(axis=0), b=weight))
     alone = float(struck(logsumexp(each, b=weight, axis=1), STRUCK).sum())
     value = float(np.logaddexp(alike, alone) - np.log(2.0))
-    return FullRate("passing", value, best[1], None)
+    return Finding("passing", value, best[1], None)
 
 
 def _roughly(ratio: FloatArray, size: int) -> FloatArray:
@@ -143,7 +143,7 @@ def _roughly(ratio: FloatArray, size: int) -> FloatArray:
     return np.array([np.interp(at, centres, own) for own in middles])
 
 
-def _passing_or_lasting(ratio: FloatArray) -> FloatArray:
+def _once_or_throughout(ratio: FloatArray) -> FloatArray:
     """(n_f,) ln B of a record with a line in one of its windows, or in all of them.
 
     From the ratios (n_windows, n_f) of its power to the usual.
