@@ -10,8 +10,8 @@ from scipy.signal import lfilter
 import bayes_sensor as bs
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.diagnosis import CATALOGUE, Gap, Strength, diagnose_gap, own_effect
+from bayes_sensor.diagnosis.budget import ar1_whiteness
 from bayes_sensor.diagnosis.data.bins import PHASES
-from bayes_sensor.diagnosis.diagnose import ar1_whiteness
 from bayes_sensor.diagnosis.effects.effect_model import with_effects
 from bayes_sensor.diagnosis.effects.simulate_effects import (
     default_strengths,

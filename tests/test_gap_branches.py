@@ -11,8 +11,9 @@ from campaigns import small_design, small_problem
 from scipy.stats import binom
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.diagnosis.data.noise_floor import Stretch, clean
-from bayes_sensor.diagnosis.diagnose import _best, ar1_whiteness, diagnose_gap
+from bayes_sensor.diagnosis.budget import ar1_whiteness
+from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, clean, innovations
+from bayes_sensor.diagnosis.diagnose import diagnose_gap
 from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.effects.effect import Effect, Strength, own_effect
 from bayes_sensor.diagnosis.effects.effect_model import (
@@ -21,27 +22,28 @@ from bayes_sensor.diagnosis.effects.effect_model import (
     find_form,
     with_effects,
 )
+from bayes_sensor.diagnosis.effects.heavy_tails import look_at_tails
+from bayes_sensor.diagnosis.effects.mains_pickup import SEARCH
 from bayes_sensor.diagnosis.effects.simulate_effects import read_strength
 from bayes_sensor.diagnosis.evidence import hypotheses
 from bayes_sensor.diagnosis.evidence.hypotheses import Comparison
 from bayes_sensor.diagnosis.signals.events import _blocks
-from bayes_sensor.diagnosis.signals.spectral_lines import _look_for_lines
-from bayes_sensor.diagnosis.signals.tails_and_converter import (
-    Finding,
-    _innovations,
-    look_at_tails,
-)
+from bayes_sensor.diagnosis.signals.finding import Finding
+from bayes_sensor.diagnosis.signals.periodograms import find_line
 from bayes_sensor.diagnosis.verdict import (
     AKIN,
     FAINT,
     MISTAKEN,
     MISTAKEN_BY_SAMPLES,
+    Judgement,
     Probabilities,
     _giving_back,
     _too_small,
+    explanation_of,
     judge,
 )
 from bayes_sensor.diagnosis.wording import (
+    Conclusion,
     family_words,
     nearest_finding,
     second_words,
@@ -50,7 +52,7 @@ from bayes_sensor.diagnosis.wording import (
 from bayes_sensor.lattice import lattice_step
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import Cascade
-from tests.gap_cases import measured
+from tests.gap_cases import SIGNALS, measured
 from tests.sealed_runs import sealed_cases
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
@@ -160,7 +162,7 @@ def test_a_lattice_needs_levels_that_differ_by_more_than_rounding() -> None:
 
 
 def test_no_pieces_hold_no_lines() -> None:
-    assert _look_for_lines([], "mains_pickup") == []
+    assert find_line([], SEARCH) == []
 
 
 def stretch_of(samples: np.ndarray) -> Stretch:
@@ -171,7 +173,7 @@ def test_a_record_of_zeros_has_no_tails() -> None:
     for samples in (np.zeros(100), np.zeros(500)):
         found = look_at_tails([stretch_of(samples)])
         assert found.log_bayes_factor == 0.0 and found.strength == {"tail_dof": float("inf")}
-    assert (_innovations(np.zeros(10), 4) == 0.0).all()
+    assert (innovations(np.zeros(10), 4) == 0.0).all()
 
 
 def test_a_long_record_is_thinned_and_says_the_same() -> None:
@@ -359,14 +361,18 @@ def test_an_effect_that_shares_its_response_is_not_named_beside_another_either()
     sure = {"optical_nonlinearity": 0.95, "slow_sorption": 0.93}
     families = {CATALOGUE[name].family: p for name, p in sure.items()}
     combined = standing(0.0, 0.05, families, sure)
-    kind, named, _, p = judge(NOTHING, combined, CATALOGUE)
-    assert (kind, named, p) == ("effect", ("optical_nonlinearity",), 0.95)
+    judgement = judge(NOTHING, combined, CATALOGUE)
+    named = judgement.effects
+    assert judgement[:2] == ("effect", ("optical_nonlinearity",)) and judgement[3] == 0.95
     # it is in the explanation all the same, and said
     alone, both = (
         SimpleNamespace(effects=effects, log_weight=weight)
         for effects, weight in ((("optical_nonlinearity",), -50.0), (tuple(sure), 0.0))
     )
-    assert _best(SimpleNamespace(complete=[alone, both]), kind, named, combined, CATALOGUE) is both
+    assert (
+        explanation_of(SimpleNamespace(complete=[alone, both]), judgement, combined, CATALOGUE)
+        is both
+    )
     said = "".join(second_words(named, combined, CATALOGUE))
     assert "most likely slow_sorption or two_rate_valve, whose response is the same" in said
 
@@ -415,15 +421,24 @@ def test_forms_are_averaged_by_their_evidence(monkeypatch) -> None:
 
 def test_what_comes_nearest_to_an_unlisted_cause_is_told_where_none_was_stated():
     event = Finding(
-        "event", 1.0, {"event_experiment": 1.0, "event_s": 47.4, "event_ratio": 5.4}, 5.4
+        SIGNALS["event"], 1.0, {"event_experiment": 1.0, "event_s": 47.4, "event_ratio": 5.4}, 5.4
     )
-    listed = Finding("mains_pickup", 1.5, {"mains_V": 1e-3, "mains_Hz": 50.0}, None)
-    (told,) = nearest_finding([listed, event], ["a", "b"], "V")
-    assert "experiment b" in told and "47.4 s" in told and "5.4 times" in told
-    assert f"put down to the noise ({100.0 * (1.0 - event.probability):.0f} %)" in told
+    listed = Finding(SIGNALS["mains_pickup"], 1.5, {"mains_V": 1e-3, "mains_Hz": 50.0}, None)
+
+    def told(findings, kind="none"):
+        campaign = [SimpleNamespace(name=name) for name in "ab"]
+        comparison = SimpleNamespace(binned=SimpleNamespace(campaign=campaign))
+        judgement = Judgement(kind, (), None, 0.9)
+        return nearest_finding(
+            Conclusion(judgement, comparison, *[None] * 4, findings, (), (0.0, 1.0), "V")
+        )
+
+    (said,) = told([listed, event])
+    assert "experiment b" in said and "47.4 s" in said and "5.4 times" in said
+    assert f"put down to the noise ({100.0 * (1.0 - event.probability):.0f} %)" in said
     # what data do not speak for is no news, nor is a listed cause of the noise
-    assert nearest_finding([replace(event, log_bayes_factor=0.5), listed], ["a", "b"], "V") == []
-    assert nearest_finding([], ["a", "b"], "V") == []
+    assert told([replace(event, log_bayes_factor=0.5), listed]) == []
+    assert told([]) == [] and told([event], "effect") == []
 
 
 def test_a_bump_that_passes_for_noise_is_in_the_notes_of_none():

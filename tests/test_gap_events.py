@@ -8,11 +8,15 @@ from scipy.signal import lfilter
 
 from bayes_sensor.campaign import Campaign
 from bayes_sensor.diagnosis import diagnose_gap
+from bayes_sensor.diagnosis.data.bin_covariance import rounding_bias
 from bayes_sensor.diagnosis.data.bins import PHASES
-from bayes_sensor.diagnosis.data.noise_floor import QuietSpans, Stretch, rounding_bias
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans, Stretch, hides_the_noise
 from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects.heavy_tails import look_at_tails
 from bayes_sensor.diagnosis.signals.events import look_for_events
+from bayes_sensor.diagnosis.signals.finding import Finding, Place
+from bayes_sensor.diagnosis.signals.lines import look_for_lines
 from bayes_sensor.diagnosis.signals.local_misfit import (
     _runs_of_bins,
     _short_bumps,
@@ -20,13 +24,6 @@ from bayes_sensor.diagnosis.signals.local_misfit import (
     look_for_local_misfit,
 )
 from bayes_sensor.diagnosis.signals.ringing import look_for_ringing
-from bayes_sensor.diagnosis.signals.spectral_lines import look_for_lines
-from bayes_sensor.diagnosis.signals.tails_and_converter import (
-    Finding,
-    Place,
-    hides_the_noise,
-    look_at_tails,
-)
 from bayes_sensor.diagnosis.verdict import (
     ELSEWHERE,
     MISTAKEN_BY_SAMPLES,
@@ -37,7 +34,7 @@ from bayes_sensor.diagnosis.verdict import (
 from bayes_sensor.lattice import lattice_step
 from bayes_sensor.reality import draw_case, make_campaign
 from bayes_sensor.rig.layout import Layout
-from tests.gap_cases import design, diagnosed, measured, noise, theta
+from tests.gap_cases import SIGNALS, design, diagnosed, measured, noise, theta
 
 INTERVAL = 0.01
 
@@ -429,10 +426,10 @@ def test_a_line_stands_beside_an_effect_on_the_mean_and_is_unlisted_by_itself():
 
 
 def test_a_line_that_moves_the_bins_is_a_rival_of_the_effects():
-    line = Finding("line", 20.0, {"line_V": 0.004, "line_Hz": 17.3}, 10.0)
+    line = Finding(SIGNALS["line"], 20.0, {"line_V": 0.004, "line_Hz": 17.3}, 10.0)
     assert line.beside_the_mean
     assert not replace(line, strength={"line_V": 0.004, "line_Hz": 0.6}).beside_the_mean
-    assert not replace(line, name="swing", strength={"swing_Hz": 17.3}).beside_the_mean
+    assert not replace(line, signal=SIGNALS["swing"], strength={"swing_Hz": 17.3}).beside_the_mean
     comparison = diagnosed("flow_error").comparison
     fast = combine(comparison, [line], CATALOGUE)
     slow = combine(comparison, [replace(line, strength={"line_Hz": 0.6})], CATALOGUE)
@@ -470,8 +467,8 @@ def test_an_effect_that_lives_by_an_event_does_not_stand_beside_it():
     fitted = comparison.find("flow_error").refit
     gain = base.residual**2 - fitted.residual**2
     plateaus = np.concatenate([b.phase == PHASES.index("plateau") for b in binned.bins])
-    event = Finding("event", 20.0, {}, 5.0, (Place(1, 20.0, 30.0),))
-    steady = Finding("unsteady", 20.0, {"unsteady_Hz": 0.2}, None)
+    event = Finding(SIGNALS["event"], 20.0, {}, 5.0, (Place(1, 20.0, 30.0),))
+    steady = Finding(SIGNALS["unsteady"], 20.0, {"unsteady_Hz": 0.2}, None)
     assert gain[~plateaus].sum() > max(ELSEWHERE, MOSTLY_ELSEWHERE * gain.sum())
     assert leaves_explanation_alone(event, fitted, base) and leaves_explanation_alone(
         steady, fitted, base
@@ -480,7 +477,7 @@ def test_an_effect_that_lives_by_an_event_does_not_stand_beside_it():
     assert not leaves_explanation_alone(event, base, base)
     assert not leaves_explanation_alone(replace(event, places=()), fitted, base)
     for name in ("patch", "break", "ringing", "swing"):
-        assert not leaves_explanation_alone(replace(event, name=name), fitted, base)
+        assert not leaves_explanation_alone(replace(event, signal=SIGNALS[name]), fitted, base)
     # the same gain, where the event is
     at = np.flatnonzero(binned.bins[1].phase == PHASES.index("plateau")) + binned.rows[1].start
     moved = base.residual.copy()

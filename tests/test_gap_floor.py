@@ -11,18 +11,12 @@ from scipy.signal import lfilter
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.diagnosis import diagnose_gap
 from bayes_sensor.diagnosis.data import noise_floor
+from bayes_sensor.diagnosis.data.bin_covariance import bin_cholesky
 from bayes_sensor.diagnosis.data.bins import PHASES, make_bins
-from bayes_sensor.diagnosis.data.noise_floor import (
-    ROOT,
-    _bin_cholesky,
-    _check_memory,
-    _correlation,
-    clean,
-    detrended,
-    loudness,
-    quiet_stretches,
-)
+from bayes_sensor.diagnosis.data.loudness import loudness
+from bayes_sensor.diagnosis.data.noise_memory import ROOT, _correlation, check_memory
 from bayes_sensor.diagnosis.data.preparation import fit_base, full_rate_residuals, prepare
+from bayes_sensor.diagnosis.data.quiet_stretches import clean, detrended, quiet_stretches
 from bayes_sensor.diagnosis.signals.local_misfit import look_for_level_changes
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import simulate
@@ -102,7 +96,7 @@ def test_covariance_of_bin_means_is_that_of_the_process(phi):
     edges = 0.5 / h / 1.15 ** np.arange(70, -1, -1)
     f = np.sqrt(edges[:-1] * edges[1:])
     spectrum = 2.0 * h * (1 - phi**2) / (1 + phi**2 - 2 * phi * np.cos(2 * np.pi * f * h))
-    factor = _bin_cholesky(
+    factor = bin_cholesky(
         e, b, edges, np.array([spectrum, spectrum]), np.zeros(len(b.first)), np.ones_like
     )
     covariance = toeplitz(phi ** np.arange(len(e.t)))
@@ -310,9 +304,9 @@ def test_a_smooth_misfit_is_not_taken_for_a_walk():
     walks = [detrended(np.cumsum(rng.standard_normal(4000))) for _ in range(4)]
     for noises in (smooth, walks):
         assert np.mean([x[1:] @ x[:-1] / (x @ x) for x in noises]) > 0.99
-    _check_memory(smooth)
+    check_memory(smooth)
     with pytest.raises(CampaignError, match="the noise wanders"):
-        _check_memory(walks)
+        check_memory(walks)
 
 
 def test_a_strong_misfit_beside_slow_noise_is_not_taken_for_a_walk():
@@ -327,9 +321,9 @@ def test_a_strong_misfit_beside_slow_noise_is_not_taken_for_a_walk():
     for noises in (misfits, walks):
         phi = np.mean([x[1:] @ x[:-1] / (x @ x) for x in noises])
         assert 320 * (1.0 - phi) < ROOT
-    _check_memory(misfits)
+    check_memory(misfits)
     with pytest.raises(CampaignError, match="the noise wanders"):
-        _check_memory(walks)
+        check_memory(walks)
 
 
 def remembering(rng, memories, misfit=0.0, hertz=1.0):
@@ -364,7 +358,7 @@ def test_records_of_other_memories_whiten_to_one_each(monkeypatch):
 
     assert spreads() == pytest.approx(np.full(4, 0.93), abs=0.25)  # less what the fit takes
     # one spectrum for all would make the slower ones look like a misfit
-    monkeypatch.setattr(noise_floor, "_own_memory", lambda campaign, *rest: np.ones(rest[-1].shape))
+    monkeypatch.setattr(noise_floor, "own_memory", lambda campaign, *rest: np.ones(rest[-1].shape))
     alike = spreads()
     assert min(alike[1], alike[3]) > 1.7 * max(alike[0], alike[2])
 
@@ -380,7 +374,7 @@ def test_a_memory_is_told_by_what_is_quick():
         stretches = quiet_stretches(campaign, residuals, bins, [4.0] * len(campaign))
         noises = [detrended(s.samples) for s in stretches]
         ordinates = np.ones((len(campaign), 2, 2)) * np.array(counts)[:, None, None]
-        return noise_floor._own_memory(campaign, stretches, noises, f, ordinates)[:, 0]
+        return noise_floor.own_memory(campaign, stretches, noises, f, ordinates)[:, 0]
 
     own = of(MEMORIES)
     # at low frequencies the densities go as the memories, at high ones against them

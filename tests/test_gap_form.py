@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bayes_sensor.diagnosis.closure import VISIBLE
+from bayes_sensor.diagnosis.closed_fraction import VISIBLE
 from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.evidence.form_mismatch import (
-    OFF_FOR_A_WHILE,
     OTHER_FORM,
     simpler_explanation,
     within_form_mismatch,
 )
-from bayes_sensor.diagnosis.signals.tails_and_converter import FOUND, Finding
+from bayes_sensor.diagnosis.signals.finding import FOUND, Finding
 from bayes_sensor.diagnosis.verdict import (
     GATE,
     OTHER_CAUSE,
@@ -25,6 +24,7 @@ from bayes_sensor.diagnosis.verdict import (
     leaves_explanation_alone,
 )
 from bayes_sensor.diagnosis.wording import form_words
+from tests.gap_cases import SIGNALS
 
 WHOLE = 10_000.0
 """of the misfit that there is to explain: d = 100"""
@@ -163,10 +163,10 @@ def test_an_effect_with_its_form_beside_it_is_not_called_unlisted() -> None:
 
 def off_for_a_while(left: float, name: str = "break", log_b: float = 50.0) -> Finding:
     """A finding of ``left`` of the whole's size in what an explanation leaves."""
-    return Finding(name, log_b, {}, left * np.sqrt(WHOLE))
+    return Finding(SIGNALS[name], log_b, {}, left * np.sqrt(WHOLE))
 
 
-@pytest.mark.parametrize("name", OFF_FOR_A_WHILE)
+@pytest.mark.parametrize("name", ["patch", "break"])
 def test_a_short_stay_off_an_effect_may_be_its_form(name: str) -> None:
     fitted, base = refit(100.0), refit(WHOLE + 100.0)
     for left, may_be in ((0.1, True), (0.19, True), (0.21, False), (0.8, False)):

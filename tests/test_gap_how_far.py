@@ -7,11 +7,11 @@ import pytest
 from scipy.stats import t
 
 from bayes_sensor.diagnosis import CATALOGUE
+from bayes_sensor.diagnosis.closed_fraction import VISIBLE
 from bayes_sensor.diagnosis.closure import (
     DRAWS,
     INEXACT,
     INEXACT_DOF,
-    VISIBLE,
     closure,
     draw_remaining_misfit,
     held_out,

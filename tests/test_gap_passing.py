@@ -7,7 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 import bayes_sensor.diagnosis.signals.transient_lines as passing_lines
-from bayes_sensor.diagnosis.signals.spectral_lines import _look_for_lines, pieces_of_records
+from bayes_sensor.diagnosis.signals.lines import LINES
+from bayes_sensor.diagnosis.signals.periodograms import find_line, pieces_of_records
 from bayes_sensor.diagnosis.signals.transient_lines import look_for_transient_lines
 from tests.gap_cases import design
 
@@ -46,7 +47,7 @@ def test_a_line_that_passes_or_differs_from_record_to_record_is_found(add, hertz
         assert found.strength["passing_experiment"] in (1.0, 4.0)
     # over all stretches it adds up to nothing
     spread = pieces_of_records(*passing(rng, add))
-    assert _look_for_lines(spread, "line")[0].log_bayes_factor < found.log_bayes_factor - 5.0
+    assert find_line(spread, LINES)[0].log_bayes_factor < found.log_bayes_factor - 5.0
 
 
 @pytest.mark.parametrize("hertz", [1.3, 3.0])

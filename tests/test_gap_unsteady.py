@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import expon, norm
 
 from bayes_sensor.diagnosis import diagnose_gap
-from bayes_sensor.diagnosis.data.noise_floor import Stretch
+from bayes_sensor.diagnosis.data.quiet_stretches import Stretch
 from bayes_sensor.diagnosis.signals import plateau_noise
 from bayes_sensor.diagnosis.signals.plateau_noise import look_for_plateau_noise
 from tests.gap_cases import design, measured, noise

@@ -19,19 +19,14 @@ from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
 from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.effects.simulate_effects import simulate_with_effects
 from bayes_sensor.diagnosis.evidence.discrepancy import make_discrepancies
-from bayes_sensor.diagnosis.evidence.explained_excess import explained_excess
 from bayes_sensor.diagnosis.evidence.hypotheses import MOST_TERMS
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import refit
-from bayes_sensor.diagnosis.location import (
-    Leverage,
-    _parts,
-    locate,
-    predict_left_out,
-    shared_by_findings,
-)
+from bayes_sensor.diagnosis.excess_shares import explained_excess, shared_by_findings
+from bayes_sensor.diagnosis.location import Leverage, locate, parts_of_cells, predict_left_out
 from bayes_sensor.diagnosis.signals.effect_signatures import signatures
-from bayes_sensor.diagnosis.wording import sentence
+from bayes_sensor.diagnosis.verdict import Judgement
+from bayes_sensor.diagnosis.wording import Conclusion, sentence
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.rig.layout import Layout
 
@@ -63,7 +58,7 @@ def left_without_noise(gap: Gap, effect: str) -> np.ndarray:
 
 def true_shares(gap: Gap, effect: str) -> tuple[np.ndarray, float]:
     """(n_cells,) shares of what the effect leaves, and its detectability."""
-    left, parts = left_without_noise(gap, effect), _parts(gap.comparison.binned)
+    left, parts = left_without_noise(gap, effect), parts_of_cells(gap.comparison.binned)
     power = np.array([np.sum(left[p.rows] ** 2) for p in parts[: len(gap.map.cells)]])
     return power / power.sum(), float(np.sqrt(power.sum()))
 
@@ -285,9 +280,11 @@ def test_what_noise_would_seldom_leave_is_told_where_nothing_is_stated() -> None
 
     def said(p: float) -> str:
         located = replace(gap.map, p_value=p)
-        rest = (gap.comparison, gap.probabilities, gap.comparison.hypotheses[0], located, {}, (),
-                gap.shrink.closure, gap.findings, (0.0123, 0.2), "V")  # fmt: skip
-        return sentence("none", (), 0.594, *rest)
+        return sentence(Conclusion(
+            Judgement("none", (), None, 0.594), gap.comparison, gap.probabilities,
+            gap.comparison.hypotheses[0], located, gap.shrink.closure, gap.findings, (),
+            (0.0123, 0.2), "V",
+        ))  # fmt: skip
 
     assert said(0.4).startswith("Nothing is missing beyond the noise floor. Effects that")
     assert "nothing may be missing beyond the noise floor (59 %); yet noise" in said(0.021)

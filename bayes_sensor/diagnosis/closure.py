@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.diagnosis.closed_fraction import VISIBLE, Closure, HeldOut
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.noise_floor import DOF
 from bayes_sensor.diagnosis.evidence.block_least_squares import inverted, solved
@@ -27,10 +28,8 @@ from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy
 from bayes_sensor.diagnosis.evidence.hypotheses import INCOMPLETE
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
-from bayes_sensor.diagnosis.location import Leverage, _mean_square
+from bayes_sensor.diagnosis.location import Leverage, excess_mean_square
 
-VISIBLE = 3.0
-"""size of a gap, in standard deviations of the noise, below which no fraction is given"""
 RULED_OUT = 0.05
 """chance of a full closing below which it is"""
 DRAWS = 2000
@@ -41,24 +40,6 @@ a share of its size in standard deviations: noise-free, the forms of the catalog
 listed causes of the blind check in the median, and .12 of one in twenty"""
 NEGLIGIBLE = 1e-4
 """share of the evidence below which a discrepancy is not drawn from"""
-
-
-@dataclass(frozen=True)
-class Closure:
-    """How much of the gap an explanation closes; None where the gap is too small to divide by."""
-
-    fraction: float | None
-    low: float | None
-    high: float | None
-    before_V: float
-    after_V: float
-    d_before: float
-    d_after: float
-
-    @property
-    def withheld(self) -> bool:
-        """Whether no fraction is given."""
-        return self.fraction is None
 
 
 def misfit_removed(base: Refit, fitted: Refit) -> float:
@@ -180,24 +161,11 @@ def closure(
 def _mean_volts(binned: BinnedCampaign, fitted: Refit) -> float:
     leverage = Leverage.of(fitted)
     pairs = [
-        _mean_square(binned, leverage, fitted.residual, k, np.arange(rows.start, rows.stop))
+        excess_mean_square(binned, leverage, fitted.residual, k, np.arange(rows.start, rows.stop))
         for k, rows in enumerate(binned.rows)
     ]
     count = sum(n for _, n in pairs)
     return sum(v * n for v, n in pairs) / count
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """Closed fraction of data that were not fitted to, with its 95 % interval.
-
-    The fraction may pass one, since noise is only taken off on average; nothing closes more than
-    a gap, so that the interval ends at one then, or at the fraction.
-    """
-
-    fraction: float
-    low: float
-    high: float
 
 
 def held_out(base: Refit, fitted: Refit, seed: int = 1) -> HeldOut | None:

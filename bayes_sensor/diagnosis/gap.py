@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from bayes_sensor.diagnosis.closure import Closure
+from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.evidence.hypotheses import Comparison
-from bayes_sensor.diagnosis.hidden import HiddenEffect
+from bayes_sensor.diagnosis.hidden import HiddenEffect, HiddenEffects
 from bayes_sensor.diagnosis.isolability import Separation
 from bayes_sensor.diagnosis.location import ExcessMap
-from bayes_sensor.diagnosis.signals.tails_and_converter import Finding
+from bayes_sensor.diagnosis.signals.finding import Finding
 from bayes_sensor.diagnosis.verdict import Probabilities, Verdict
 from bayes_sensor.display import card
 from bayes_sensor.io.json_files import plain
@@ -92,29 +92,6 @@ class Shrink:
 
 
 @dataclass(frozen=True)
-class HiddenEffects:
-    """What this campaign could not have seen."""
-
-    effects: tuple[HiddenEffect, ...]
-    tau_envelope_s: tuple[float, float] | None
-    """None where nobody knows which lag is the sensor's"""
-    lag_fast: Mapping[str, Any] = field(default_factory=dict)
-    """what is then said of the shorter lag in place of tau, by key of gap.json"""
-
-    def to_json(self) -> dict[str, Any]:
-        """The keys of gap.json."""
-        effects = [h.to_json() for h in self.effects]
-        return {"effects": effects, "tau_envelope_s": self.tau_envelope_s, **self.lag_fast}
-
-    @cached_property
-    def table(self) -> pd.DataFrame:
-        """One row per effect: d, shift of tau, tau with it in place."""
-        import pandas as pd
-
-        return pd.DataFrame([e.to_json() for e in self.effects])
-
-
-@dataclass(frozen=True)
 class Round:
     """One round of the search: what was added, what is left after it."""
 
@@ -180,6 +157,19 @@ class Gap:
         sentences = [self.verdict.sentence, *self.notes]
         title = f"gap: {self.verdict.kind}, probability {self.verdict.probability:.2f}"
         return card(title, sentences, [key.replace("_", " ") for key in keys], rows)
+
+    def without_lag_names(self) -> Gap:
+        """The same where nobody knows which lag is the sensor's."""
+        hidden = HiddenEffects(
+            tuple(nameless(each) for each in self.hidden.effects), self.hidden.tau_envelope_s
+        )
+        return replace(
+            self,
+            rows=tuple(without_tau(row) for row in self.rows),
+            budget=without_tau(self.budget),
+            shrink=nameless(self.shrink),
+            hidden=nameless(hidden),
+        )
 
     def _finding(self, found: Finding) -> dict[str, Any]:
         experiments = self.comparison.binned.campaign.experiments

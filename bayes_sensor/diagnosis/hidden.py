@@ -11,18 +11,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import exp, log
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.effect import Effect, Form
 from bayes_sensor.diagnosis.evidence.hypotheses import Comparison, joined_start
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit, with_tau
 from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Coordinates, Part
 from bayes_sensor.workers import in_order
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 UNSEEN = 3.0
 """detectability below which an effect counts as hidden"""
@@ -62,6 +66,29 @@ class HiddenEffect:
         return {**{k: v for k, v in vars(self).items() if k != "lag_fast"}, **self.lag_fast}
 
 
+@dataclass(frozen=True)
+class HiddenEffects:
+    """What this campaign could not have seen."""
+
+    effects: tuple[HiddenEffect, ...]
+    tau_envelope_s: tuple[float, float] | None
+    """None where nobody knows which lag is the sensor's"""
+    lag_fast: Mapping[str, Any] = field(default_factory=dict)
+    """what is then said of the shorter lag in place of tau, by key of gap.json"""
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of gap.json."""
+        effects = [h.to_json() for h in self.effects]
+        return {"effects": effects, "tau_envelope_s": self.tau_envelope_s, **self.lag_fast}
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """One row per effect: d, shift of tau, tau with it in place."""
+        import pandas as pd
+
+        return pd.DataFrame([e.to_json() for e in self.effects])
+
+
 def plausible(effect: Effect, binned: BinnedCampaign) -> dict[str, float]:
     """Plausible strengths on this rig: times scaled with its time constants, volts with its step.
 
@@ -73,10 +100,7 @@ def plausible(effect: Effect, binned: BinnedCampaign) -> dict[str, float]:
     scale = {
         "s": time, "V": volt, "1/V": 1.0 / volt, "V/s": volt / duration, "1/s": 1.0 / duration,
     }  # fmt: skip
-    units = {}
-    setting = binned.settings[0]
-    for form in effect.forms:
-        units.update({s.name: s.unit for s in form.strengths(setting)})
+    units = {s.name: s.unit for s in effect.strengths(binned.settings[0])}
     return {
         name: value * scale.get(units.get(name, "1"), 1.0)
         for name, value in effect.plausible.items()
@@ -93,14 +117,9 @@ def form_for(effect: Effect, binned: BinnedCampaign, given: Mapping[str, float])
     return effect.forms[0]
 
 
-def _all_strengths(effect: Effect, binned: BinnedCampaign) -> list[Strength]:
-    setting = binned.settings[0]
-    return [s for form in effect.forms for s in form.strengths(setting)]
-
-
 def hidden_effects(
     comparison: Comparison, base: Refit, catalogue: Mapping[str, Effect], jobs: int = 1
-) -> tuple[list[HiddenEffect], tuple[float, float]]:
+) -> HiddenEffects:
     """Every effect on the mean at plausible strength, and the envelope of tau, s.
 
     ``base``: the explanation that was accepted, with or without effects.
@@ -128,7 +147,7 @@ def hidden_effects(
             low, high = min(low, begin), max(high, end)
             made = replace(made, tau_free_low_s=exp(begin), tau_free_high_s=exp(end))
         found.append(made)
-    return found, (exp(low), exp(high))
+    return HiddenEffects(tuple(found), (exp(low), exp(high)))
 
 
 def _with_strength_free(comparison: Comparison) -> dict[str, tuple[float, float]]:
@@ -157,7 +176,7 @@ def one_hidden(
     ``none``: the base refitted to its own noise-free mean.
     """
     form = form_for(effect, binned, given)
-    own = {s.name for s in _all_strengths(effect, binned) if s.per_experiment}
+    own = {s.name for s in effect.strengths(binned.settings[0]) if s.per_experiment}
     part = Part(effect, form)
     parts = (*base.coords.parts, part)
     held = replace(base.coords, parts=parts, held={**base.coords.held, **given})

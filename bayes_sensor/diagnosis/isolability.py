@@ -15,10 +15,13 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
-from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect
+from bayes_sensor.diagnosis.evidence.hypotheses import Comparison, fit_effect
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates, Part
+from bayes_sensor.diagnosis.verdict import Judgement, Probabilities
 
+LIKELY = 0.02
+"""probability from which an effect's look-alikes are listed"""
 ISOLATED = 3.0
 """isolability from which a pair is told apart"""
 FLOW_FACTORS = (0.4, 2.5)
@@ -68,6 +71,43 @@ def _bare(fitted: Refit, n_parts: int) -> FloatArray:
         n = m + len(smaller.own)
         x[smaller.local[k] : smaller.local[k] + n] = fitted.x[coords.local[k] : coords.local[k] + n]
     return x
+
+
+def look_alikes(
+    comparison: Comparison, probabilities: Probabilities, catalogue: Mapping[str, Effect]
+) -> dict[str, list[str]]:
+    """Rivals that this campaign confuses with each of the likeliest effects, most alike first."""
+    ranked = sorted(probabilities.effects, key=lambda n: -probabilities.effects[n])
+    likely = [n for n in ranked if catalogue[n].on_mean and probabilities.effects[n] > LIKELY]
+    return {
+        name: [
+            rival
+            for rival, _ in confusable(
+                comparison.binned, comparison.find(name).refit, name, catalogue
+            )
+        ]
+        for name in likely[:3]
+    }
+
+
+def separate_pairs(
+    comparison: Comparison, judgement: Judgement, alike: Mapping[str, Sequence[str]]
+) -> list[Separation]:
+    """What would tell the first effect of a verdict from those that look most like it.
+
+    ``alike``: of :func:`look_alikes`.
+    """
+    catalogue, binned = comparison.catalogue, comparison.binned
+    first = next((n for n in judgement.effects if catalogue[n].on_mean), None)
+    if judgement.kind not in ("family", "effect") or first is None or first not in alike:
+        return []
+    rivals = list(alike[first])
+    if not binned.order_known:  # no measurement of the response tells whose the lag is
+        rivals = [n for n in rivals if n != catalogue[first].exchanged]
+    truth = comparison.find(first).refit
+    # nothing tells what is one response apart: the next in likeness is worth a look, too
+    most = 2 if rivals[:1] == [catalogue[first].same_response] else 1
+    return [what_would_separate(binned, truth, first, n, catalogue) for n in rivals[:most]]
 
 
 def confusable(

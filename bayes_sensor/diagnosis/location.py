@@ -59,12 +59,12 @@ class ExcessMap:
     left_out: dict[str, float]
     """phase -> detectability of its misfit when it is predicted from a fit without it"""
     p_value: float
-    """of the whole: the smallest of the sum's, the largest cell's and the largest signature's, times
-    how many of them there are"""
+    """of the whole: the smallest of the sum's, the largest cell's and the largest signature's,
+    times how many of them there are"""
     p_value_of_size: float
     """the same of sum and cells alone"""
     p_value_of_form: float | None
-    """of the largest signature of a listed effect, of all of them; None where none was looked for"""
+    """of the largest signature of a listed effect among all; None where none was looked for"""
     excess_rms: float
     """V over all samples"""
     d: float
@@ -125,12 +125,13 @@ def locate(
     """The excess of a fit over the noise floor, in cells.
 
     ``bootstrap``: number of simulated campaigns that are refitted nonlinearly; where these leave
-    more than the linearised refit, the p-values follow them.  ``signatures`` (n, n_bins in all): as of
-    :func:`~bayes_sensor.diagnosis.signals.effect_signatures.signatures`, along which a misfit may be
-    seen that cells do not show.
+    more than the linearised refit, the p-values follow them.  ``signatures``
+    (n, n_bins in all): as of
+    :func:`~bayes_sensor.diagnosis.signals.effect_signatures.signatures`, along which a misfit may
+    be seen that cells do not show.
     """
     leverage = Leverage.of(base)
-    parts = _parts(binned)
+    parts = parts_of_cells(binned)
     groups = [part for part in parts if not part.scale]
     whole = len(groups)
     rng = np.random.default_rng(seed)
@@ -179,7 +180,7 @@ def locate(
     clear = p_size < CLEAR
     weight = np.maximum(np.array(excess) - np.array(spread), 0.0) if clear else 0.0 * own
     made = []
-    shares = _shares(weight, whole)
+    shares = normalised_shares(weight, whole)
     for i, part in enumerate(parts):
         k, rows = part.experiment, part.rows
         b = binned.bins[k]
@@ -201,7 +202,7 @@ def locate(
                 scale_s=part.scale_s,
             )
         )
-    everywhere = [_mean_square(binned, leverage, z, g.experiment, g.rows) for g in groups]
+    everywhere = [excess_mean_square(binned, leverage, z, g.experiment, g.rows) for g in groups]
     count = sum(n for _, n in everywhere)
     mean = sum(value * n for value, n in everywhere) / count
     return ExcessMap(
@@ -223,54 +224,7 @@ def locate(
     )  # fmt: skip
 
 
-def shared_by_explanations(
-    located: ExcessMap, binned: BinnedCampaign, explained_excess: FloatArray
-) -> ExcessMap:
-    """The map with the excess that explanations put into its cells, in place of the measured one.
-
-    ``explained_excess`` (n_bins in all, n): as of
-    :func:`~bayes_sensor.diagnosis.evidence.explained_excess.explained`.
-    """
-    parts = _parts(binned)
-    whole = len(located.cells)
-    power = np.array(
-        [np.sum((part.transform @ explained_excess[part.rows]) ** 2) for part in parts]
-    )
-    shares = _shares(power, whole)
-    volts = np.zeros(len(parts))
-    for i, part in enumerate(parts[:whole]):
-        k = part.experiment
-        local = part.rows - binned.rows[k].start
-        n = binned.bins[k].count[local]
-        volts_there = binned.floor.cholesky[k][local] @ explained_excess[binned.rows[k]]
-        volts[i] = np.sqrt(n @ np.sum(volts_there**2, axis=1) / np.sum(n))
-    cells = [
-        replace(cell, share=float(shares[i]), excess_rms_V=float(volts[i]))
-        for i, cell in enumerate([*located.cells, *located.scales])
-    ]
-    return replace(
-        located,
-        cells=tuple(cells[:whole]), scales=tuple(cells[whole:]), shared_by="explanations",
-    )  # fmt: skip
-
-
-def shared_by_findings(located: ExcessMap, found: Sequence[tuple[str, float, float]]) -> ExcessMap:
-    """The map with shares where samples tell something: experiment, s and size."""
-    power = np.array([
-        sum(
-            size for name, at, size in found
-            if name == cell.experiment and cell.t_start_s <= at < cell.t_end_s
-        )
-        for cell in located.cells
-    ])  # fmt: skip
-    if not np.any(power):
-        return located
-    shares = _shares(power, len(power))
-    cells = [replace(c, share=float(s)) for c, s in zip(located.cells, shares, strict=True)]
-    return replace(located, cells=tuple(cells), shared_by="findings")
-
-
-def _shares(power: FloatArray, whole: int) -> FloatArray:
+def normalised_shares(power: FloatArray, whole: int) -> FloatArray:
     """Of the first ``whole`` cells and of the others, each summing to 1; 0 where there is none."""
     found = np.zeros(len(power))
     for some in (slice(0, whole), slice(whole, None)):
@@ -281,7 +235,7 @@ def _shares(power: FloatArray, whole: int) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class CellPart:
     """A cell, or one of its time scales."""
 
     experiment: int
@@ -294,14 +248,14 @@ class _Part:
     scale_s: float | None = None
 
 
-def _parts(binned: BinnedCampaign) -> list[_Part]:
+def parts_of_cells(binned: BinnedCampaign) -> list[CellPart]:
     """All cells, then the time scales of each."""
     found = []
     for k, b in enumerate(binned.bins):
         for phase in range(len(PHASES)):
             rows = np.flatnonzero(b.phase == phase) + binned.rows[k].start
             if len(rows):
-                found.append(_Part(k, phase, rows, np.eye(len(rows))))
+                found.append(CellPart(k, phase, rows, np.eye(len(rows))))
     for cell in found.copy():
         k, phase, rows = cell.experiment, cell.phase, cell.rows
         cosine = np.asarray(dct(np.eye(len(rows)), axis=0, norm="ortho"))
@@ -311,7 +265,7 @@ def _parts(binned: BinnedCampaign) -> list[_Part]:
         for name, low, high in (("slow", 0, 2), ("middle", 2, 6), ("fast", 6, len(rows))):
             if high > low and len(rows) > low:
                 scale_s = length / max(low, 1)
-                found.append(_Part(k, phase, rows, cosine[low:high], name, scale_s))
+                found.append(CellPart(k, phase, rows, cosine[low:high], name, scale_s))
     return found
 
 
@@ -319,7 +273,7 @@ def _stretch(
     binned: BinnedCampaign,
     base: Refit,
     leverage: Leverage,
-    groups: Sequence[_Part],
+    groups: Sequence[CellPart],
     signatures: FloatArray,
     rng: np.random.Generator,
     bootstrap: int,
@@ -356,7 +310,7 @@ def _stretch(
     return of_cells, of_courses
 
 
-def _mean_square(
+def excess_mean_square(
     binned: BinnedCampaign, leverage: Leverage, z: FloatArray, k: int, rows: NDArray[np.int64]
 ) -> tuple[float, int]:
     """Excess mean square (V^2) of a cell over its samples, and their number."""
@@ -375,7 +329,7 @@ def _mean_square(
 def _volts(
     binned: BinnedCampaign, leverage: Leverage, z: FloatArray, k: int, rows: NDArray[np.int64]
 ) -> float:
-    return float(np.sqrt(max(_mean_square(binned, leverage, z, k, rows)[0], 0.0)))
+    return float(np.sqrt(max(excess_mean_square(binned, leverage, z, k, rows)[0], 0.0)))
 
 
 def predict_left_out(binned: BinnedCampaign, base: Refit) -> dict[str, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from bayes_sensor.diagnosis.evidence.hypotheses import (
     Hypothesis,
 )
 from bayes_sensor.diagnosis.evidence.refit import Refit
-from bayes_sensor.diagnosis.signals.tails_and_converter import OF_UNLISTED_ORIGIN, Finding
+from bayes_sensor.diagnosis.signals.finding import Finding
 
 NAMED = 0.9
 """probability from which an effect or a family is named"""
@@ -83,6 +84,15 @@ class Verdict:
     sentence: str
 
 
+class Judgement(NamedTuple):
+    """A :class:`Verdict` before it is put in words."""
+
+    kind: str
+    effects: tuple[str, ...]
+    family: str | None
+    probability: float
+
+
 @dataclass(frozen=True)
 class Probabilities:
     """Probabilities that the verdict rests on, effects of the noise included."""
@@ -121,7 +131,7 @@ def combine(
     rows.update({name: 0.0 for name in catalogue})
     on_noise = {f.name: f.probability for f in findings if f.name in catalogue}
     silent = float(np.prod([1.0 - p for p in on_noise.values()]))
-    unlisted = [f for f in findings if f.name in OF_UNLISTED_ORIGIN]
+    unlisted = [f for f in findings if not f.signal.listed]
     odds = {n: q / (1.0 - q + 1e-300) for n, q in on_noise.items()}
     total_odds = sum(odds.values())
     of_samples = 0.0
@@ -138,7 +148,7 @@ def combine(
             rows["unlisted"] += float(p)
             continue
         causes = form.effects if form else h.effects
-        # nothing stands beside nothing
+        # with no effect, a finding counts as unlisted
         rivals = [
             f
             for f in unlisted
@@ -221,9 +231,9 @@ def leaves_explanation_alone(found: Finding, fitted: Refit, base: Refit) -> bool
 
 def _touched(found: Finding, binned: BinnedCampaign) -> NDArray[np.bool_] | None:
     """(n_bins in all,) phases that a finding on quiet stretches is in; None for any other."""
-    if found.name == "unsteady":
-        return np.concatenate([b.phase == PHASES.index("plateau") for b in binned.bins])
-    if found.name != "event" or not found.places:
+    if found.signal.phase:
+        return np.concatenate([b.phase == PHASES.index(found.signal.phase) for b in binned.bins])
+    if not found.signal.on_quiet_stretches or not found.places:
         return None
     touched = [np.zeros(len(b.phase), dtype=bool) for b in binned.bins]
     for place in found.places:
@@ -264,8 +274,8 @@ def _giving_back(rows: Mapping[str, float], mistaken: float, likeliest: str) -> 
 
 def judge(
     comparison: Comparison, combined: Probabilities, catalogue: Mapping[str, Effect]
-) -> tuple[str, tuple[str, ...], str | None, float]:
-    """kind, effects, family, probability."""
+) -> Judgement:
+    """None, one or two effects, a family, or something unlisted."""
     by_effects = (h for h in comparison.complete if h.effects)
     best = max(by_effects, key=lambda h: h.log_weight, default=None)
     named = sorted(
@@ -283,7 +293,7 @@ def judge(
     likely = of_family > max(0.5, combined.unlisted)
     unfit = bool(on_mean or likely) and best is not None and leaves_excess(best, comparison.base)
     if (combined.looks_unlisted > LIKELIER and likeliest) or unfit:
-        return "unlisted", (), None, max(combined.unlisted, 0.5 if unfit else 0.0)
+        return Judgement("unlisted", (), None, max(combined.unlisted, 0.5 if unfit else 0.0))
     unmoved = sum(p for row, p in combined.rows.items() if _leaves_the_mean_alone(row, catalogue))
     louder = of_family > LOUDER or (likely and unmoved < QUIET)
     apart = [n for n in on_mean if not catalogue[n].same_response]
@@ -297,17 +307,17 @@ def judge(
         # an effect of the noise is named alone only where nothing more is likely in the mean
         return _effect([*apart, *on_noise], combined, catalogue)
     if combined.none > QUIET:
-        return "none", (), None, combined.nothing_seen
+        return Judgement("none", (), None, combined.nothing_seen)
     if likely:
         return _family(family, combined, catalogue)
     clearest, of_clearest = max(combined.families.items(), key=lambda f: f[1], default=("", 0.0))
     if of_clearest > max(0.5, combined.unlisted):  # of the noise, and too faint to be named
         return _family(clearest, combined, catalogue)
     if max(combined.none, unmoved) >= combined.unlisted:
-        return "none", (), None, combined.nothing_seen
+        return Judgement("none", (), None, combined.nothing_seen)
     if of_family > combined.unlisted:  # the likeliest of several
         return _family(family, combined, catalogue)
-    return "unlisted", (), None, combined.unlisted
+    return Judgement("unlisted", (), None, combined.unlisted)
 
 
 def leaves_excess(h: Hypothesis, base: Refit) -> bool:
@@ -326,22 +336,49 @@ def _leaves_the_mean_alone(row: str, catalogue: Mapping[str, Effect]) -> bool:
     )
 
 
-def _family(
-    family: str, combined: Probabilities, catalogue: Mapping[str, Effect]
-) -> tuple[str, tuple[str, ...], str | None, float]:
+def _family(family: str, combined: Probabilities, catalogue: Mapping[str, Effect]) -> Judgement:
     members = sorted(
         (n for n in catalogue if catalogue[n].family == family), key=lambda n: -combined.effects[n]
     )
     probability = combined.families[family]
     if any(catalogue[n].on_mean for n in members):
         probability += AKIN * combined.unlisted
-    return "family", tuple(members[:5]), family, min(probability, 1.0)
+    return Judgement("family", tuple(members[:5]), family, min(probability, 1.0))
 
 
 def _effect(
     named: Sequence[str], combined: Probabilities, catalogue: Mapping[str, Effect]
-) -> tuple[str, tuple[str, ...], str | None, float]:
+) -> Judgement:
     chosen = tuple(named[:2])
     families = {catalogue[n].family for n in chosen}
     family = families.pop() if len(families) == 1 else None
-    return "effect", chosen, family, min(combined.effects[n] for n in chosen)
+    return Judgement("effect", chosen, family, min(combined.effects[n] for n in chosen))
+
+
+def explanation_of(
+    comparison: Comparison,
+    judgement: Judgement,
+    combined: Probabilities,
+    catalogue: Mapping[str, Effect],
+) -> Hypothesis:
+    """The explanation that the verdict stands for; for unlisted the best effect, if any."""
+    kind, named = judgement.kind, judgement.effects
+    on_mean = {n for n in named if catalogue[n].on_mean}
+    complete = comparison.complete
+    if kind == "effect":
+        # one that shares its response is there beside them, but is not named
+        on_mean |= {
+            n for n in catalogue if catalogue[n].same_response and combined.effects[n] > NAMED
+        }
+        fitting = [h for h in complete if set(h.effects) == on_mean]
+        fitting = fitting or [h for h in complete if on_mean <= set(h.effects)]
+        fitting = fitting or [h for h in complete if set(h.effects) & on_mean]
+    elif kind == "family":
+        fitting = [h for h in complete if h.effects and set(h.effects) <= on_mean]
+    elif kind == "none":
+        fitting = []
+    else:
+        fitting = complete
+    if not fitting:  # what was named acts on the noise: the mean is the model's own
+        fitting = [h for h in complete if not h.effects]
+    return max(fitting, key=lambda h: h.log_weight)

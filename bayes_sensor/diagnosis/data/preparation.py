@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import log
 
 import numpy as np
@@ -10,14 +11,8 @@ import numpy as np
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.bins import make_bins
-from bayes_sensor.diagnosis.data.noise_floor import (
-    NoiseFloor,
-    QuietSpans,
-    Stretch,
-    clean,
-    estimate_floor,
-    quiet_stretches,
-)
+from bayes_sensor.diagnosis.data.noise_floor import NoiseFloor, estimate_floor
+from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans, Stretch, clean, quiet_stretches
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
 from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Coordinates
 from bayes_sensor.lattice import lattice_step
@@ -89,6 +84,18 @@ class PreparedCampaign:
         """(n_t,) V of every experiment, the noise's standard deviation."""
         return [q.deviation for q in self.quiet]
 
+    @property
+    def records(self) -> tuple[Campaign, Sequence[FloatArray], Sequence[FloatArray]]:
+        """The campaign, its residuals and the deviations: what detectors look at."""
+        return self.binned.campaign, self.residuals, self.deviations
+
+    def less_mean_of(self, found: Refit) -> PreparedCampaign:
+        """The same with a refit's mean taken off the samples in place of the fit's."""
+        residuals = self.residuals_of(found)
+        campaign, bins = self.binned.campaign, self.binned.bins
+        stretches = quiet_stretches(campaign, residuals, bins, self.settle)
+        return replace(self, residuals=tuple(residuals), stretches=tuple(stretches))
+
     def residuals_of(self, found: Refit) -> list[FloatArray]:
         """(n_t,) V of every experiment, spikes replaced, measurement minus a refit's mean."""
         campaign = self.binned.campaign
@@ -106,11 +113,6 @@ class PreparedCampaign:
             moved = found.coords.mean(found.x, k, grid) - here
             made.append(np.where(e.used, r - np.interp(e.t, grid, moved), 0.0))
         return made
-
-    def stretches_of(self, residuals: list[FloatArray]) -> list[Stretch]:
-        """The quiet parts of other residuals (n_t,) V."""
-        binned = self.binned
-        return quiet_stretches(binned.campaign, residuals, binned.bins, self.settle)
 
 
 NO_VOLUME = 0.02

@@ -20,6 +20,9 @@ from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
 from bayes_sensor.rig.perturbed import SETTINGS
 
 if TYPE_CHECKING:
+    from bayes_sensor.diagnosis.closed_fraction import Closure
+    from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
+    from bayes_sensor.diagnosis.signals.finding import Finding, Signal
     from bayes_sensor.likelihood.problem import Problem
 
 KINDS = ("normal", "log_normal")
@@ -172,24 +175,64 @@ class RigView:
         return self._response(t, settings)
 
 
+Values = Mapping[str, float]
+"""strengths by name"""
+
+
+@dataclass(frozen=True)
+class OnNoise:
+    """How an effect acts on the noise of a record, and how samples tell that it does.
+
+    A simulation draws innovations, colours and scales them, passes the noise through
+    :attr:`filtered`, adds the mean and passes the sum through :attr:`record`.
+    """
+
+    innovations: Callable[[int, Values, np.random.Generator], FloatArray] | None = None
+    """(n,) of unit variance, in place of Gaussian ones"""
+    filtered: Callable[[FloatArray, float, Values], FloatArray] | None = None
+    """noise (n_t,) V and the sampling interval s -> noise (n_t,) V"""
+    record: Callable[[FloatArray, FloatArray, Values, np.random.Generator], FloatArray] | None = (
+        None
+    )
+    """signal (n_t,) V and its times (n_t,) s -> what is recorded (n_t,) V"""
+    above: Values = field(default_factory=dict)
+    """values that strengths must exceed"""
+    reason: str = ""
+    """why they must, in words that follow the value"""
+    signal: Signal | None = None
+    """what its detector finds"""
+    look: Callable[[PreparedCampaign, Sequence[Finding]], list[Finding]] | None = None
+    """its detector, which is told what the detectors before it have found"""
+    closure: Callable[[PreparedCampaign, Finding], tuple[Closure, float | None]] | None = None
+    """how far it closes a gap that is not one of the mean, in sample and held out"""
+
+
 @dataclass(frozen=True)
 class Effect:
-    """A cause of misfit that the diagnosis can name."""
+    """A cause of misfit that the diagnosis can name.
+
+    It acts on the mean by its forms, on the noise by :attr:`on_noise`, or on both.
+    """
 
     name: str
     family: str
     """effects of one family leave nearly the same residual"""
     sentence: str
     """the verdict in plain words; may hold ``{strength}``"""
-    forms: tuple[Form, ...]
-    plausible: Mapping[str, float]
+    plausible: Values
     """strengths of a rig with this fault, for simulation and for what may hide"""
     reference: str
     reveal: str
     """the measurement that shows it"""
-    on_mean: bool = True
-    """whether it changes the mean; otherwise it acts on the noise and has its own test"""
-    null: Mapping[str, float] = field(default_factory=dict)
+    forms: tuple[Form, ...] = ()
+    """ways in which it may act on the mean"""
+    on_noise: OnNoise | None = None
+    """how it acts on the noise"""
+    affine: bool = True
+    """whether the mean stays linear in y0 and beta; no mean of a user's own counts as such"""
+    labels: Mapping[str, str] = field(default_factory=dict)
+    """what a strength is called in a sentence, where that is not its name"""
+    null: Values = field(default_factory=dict)
     """strengths at which nothing is left of it"""
     same_response: str = ""
     """an effect that no measurement of the response can tell from this one: it is not named
@@ -200,6 +243,20 @@ class Effect:
     of the two may be an effect of the other"""
     exchanged: str = ""
     """the effect that this one then is, unless :attr:`same_response` says so anyway"""
+
+    @property
+    def on_mean(self) -> bool:
+        """Whether it changes the mean."""
+        return bool(self.forms)
+
+    def strengths(self, setting: Setting) -> list[Strength]:
+        """Those of all its forms, one form after the other."""
+        return [s for form in self.forms for s in form.strengths(setting)]
+
+    def units(self, setting: Setting) -> dict[str, str]:
+        """Name of every strength -> its unit, those of the noise included."""
+        of_noise = self.on_noise.signal.units if self.on_noise and self.on_noise.signal else {}
+        return {**of_noise, **{s.name: s.unit for s in self.strengths(setting)}}
 
     @property
     def nameless(self) -> Effect:
@@ -213,8 +270,10 @@ class Effect:
         return with_effects(problem, [self])
 
     def __post_init__(self) -> None:
-        if self.on_mean and not self.forms:
-            raise CampaignError(f"effect {self.name}: expected at least one form")
+        if not self.forms and self.on_noise is None:
+            raise CampaignError(
+                f"effect {self.name}: expected at least one form, or how it acts on the noise"
+            )
 
 
 def check_settings(effect: str, settings: Mapping[str, float]) -> None:

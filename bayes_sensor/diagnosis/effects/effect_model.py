@@ -197,9 +197,7 @@ class EffectModel:
     @cached_property
     def affine(self) -> bool:
         """Whether the mean is linear in y0 and beta."""
-        return not any(
-            c.body.mean is not None or c.effect == "optical_nonlinearity" for c in self.chosen
-        )
+        return all(c.body.mean is None and c.entry.affine for c in self.chosen)
 
     def values(self, theta: FloatArray, layout: Layout, name: str) -> list[dict[str, float]]:
         """Per effect, the strengths of one experiment."""
@@ -282,17 +280,18 @@ class EffectModel:
         """Stretches (s) in which the baseline may jump for theta between ``low`` and ``high``."""
         found = []
         for i, c in enumerate(self.chosen):
-            if c.effect != "baseline_step":
-                continue
             ends = []
             for theta in (low, high):
                 _, _, t0, tf = local_parameters(theta, layout, experiment.name)
                 setting = self.scales.setting(experiment, t0, tf)
                 values = self.values(theta, layout, experiment.name)[i]
-                made = c.body.settings({**values, "step": 1.0}, setting)
+                made = c.body.settings(values, setting)
+                if "step" not in made:
+                    break
                 after = setting.tf if made.get("step_with_fall") else 0.0
                 ends.append(after + made.get("step_time", 0.0))
-            found.append((min(ends) - experiment.interval, max(ends) + experiment.interval))
+            if ends:
+                found.append((min(ends) - experiment.interval, max(ends) + experiment.interval))
         return found
 
 

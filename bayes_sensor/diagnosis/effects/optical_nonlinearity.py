@@ -31,6 +31,7 @@ EFFECT = Effect(
         Form(_square, lambda v, s: dict(v)),
         Form(_cubic, lambda v, s: dict(v), name="cubic", weight=0.5),
     ),
+    affine=False,
     plausible={"curvature": 0.02},
     null={"curvature": 0.0, "cubic": 0.0},
     reference="Lorentzian line shape; bayes_sensor.coating.readout",

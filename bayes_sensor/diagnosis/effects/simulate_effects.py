@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.diagnosis.effects import CATALOGUE
-from bayes_sensor.diagnosis.effects.effect import Strength
+from bayes_sensor.diagnosis.effects.effect import OnNoise, Strength
 from bayes_sensor.diagnosis.effects.effect_model import (
     EffectModel,
     Scales,
@@ -133,6 +133,12 @@ def simulate_with_effects(
         chosen[name], forms[name] = strengths, form
     rng = np.random.default_rng(np.random.SeedSequence([seed, 7]))
     model, extended = _mean_model(problem, vector, chosen, forms, scales, rng)
+    # in the order of the catalogue: what adds to the signal comes before what rounds it
+    on_noise = [
+        (effect.on_noise, chosen[name])
+        for name, effect in CATALOGUE.items()
+        if name in chosen and effect.on_noise
+    ]
     streams = np.random.SeedSequence(seed).spawn(len(problem.campaign))
     values = {}
     for k, (e, stream) in enumerate(zip(problem.campaign, streams, strict=True)):
@@ -142,19 +148,12 @@ def simulate_with_effects(
         scale = np.sqrt(scale_squared(x, sigma0, sigma1, *law))
         phi = lag_coefficient(float(vector[layout.noise[k, 0]]), problem.steps(e))
         generator = np.random.default_rng(stream)
-        noise = scale * _unit_noise(len(e.t), phi, chosen, generator)
-        if "daq_filter" in chosen:
-            decay = float(np.exp(-e.interval / chosen["daq_filter"]["filter"]))
-            start = noise[:1] * decay
-            noise = lfilter([1.0 - decay], [1.0, -decay], noise, zi=start)[0]
+        noise = scale * _unit_noise(len(e.t), phi, on_noise, generator)
+        for act, own in on_noise:
+            noise = act.filtered(noise, e.interval, own) if act.filtered else noise
         y = mean + noise
-        if "mains_pickup" in chosen:
-            own = chosen["mains_pickup"]
-            phase = generator.uniform(0.0, 2.0 * np.pi)
-            y = y + own["mains_V"] * np.sin(2.0 * np.pi * own["mains_Hz"] * e.t + phase)
-        if "quantisation" in chosen:
-            step = chosen["quantisation"]["adc_step"]
-            y = step * np.rint(y / step)
+        for act, own in on_noise:
+            y = act.record(y, e.t, own, generator) if act.record else y
         values[e.name] = y
     simulated = replace(problem.campaign.with_data(values), warnings=())
     chosen = {name: extended.get(name, strengths) for name, strengths in chosen.items()}
@@ -163,21 +162,20 @@ def simulate_with_effects(
 
 def _check(name: str, strengths: Mapping[str, float], scales: Scales) -> None:
     known = {s.name: s for s in _strengths(name, scales)}
+    noise = CATALOGUE[name].on_noise
     for key, value in strengths.items():
-        positive = key in ("adc_step", "mains_Hz", "tail_dof") or (
-            key in known and known[key].kind == "log_normal"
-        )
-        low, high = known[key].limits if key in known else (-np.inf, np.inf)
-        if positive:
-            low = max(low, 0.0)
+        if noise and key in noise.above and value <= noise.above[key]:
+            least = f"more than {noise.above[key]:g}"
+            what = noise.reason or f"as {key}"
+            raise CampaignError(f"--effect {name}={value:g}: expected {least} {what}")
+        if key not in known:
+            continue
+        low, high = known[key].limits
+        positive = known[key].kind == "log_normal"
+        low = max(low, 0.0) if positive else low
         if not low <= value <= high or (positive and value <= 0.0):
             raise CampaignError(
                 f"--effect {name}={value:g}: expected {key} between {low:g} and {high:g}"
-            )
-        if key == "tail_dof" and value <= 2.0:
-            raise CampaignError(
-                f"--effect heavy_tails={value:g}: expected more than 2 degrees of freedom, so that "
-                "the variance exists"
             )
 
 
@@ -240,15 +238,18 @@ def _mean_model(
 
 
 def _unit_noise(
-    n: int, phi: float, chosen: Mapping[str, Mapping[str, float]], rng: np.random.Generator
+    n: int,
+    phi: float,
+    on_noise: Sequence[tuple[OnNoise, Mapping[str, float]]],
+    rng: np.random.Generator,
 ) -> FloatArray:
-    """Stationary AR(1) noise (n,) of unit variance, its innovations heavy-tailed where asked."""
-    if "heavy_tails" not in chosen:
-        e = rng.standard_normal(n)
-        e[1:] *= np.sqrt(1.0 - phi**2)
-        noise: FloatArray = lfilter([1.0], [1.0, -phi], e)
-        return noise
-    dof = chosen["heavy_tails"]["tail_dof"]
-    e = rng.standard_t(dof, n + BURN_IN) / np.sqrt(dof / (dof - 2.0))
-    noise = lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], e)
-    return noise[BURN_IN:]
+    """Stationary AR(1) noise (n,) of unit variance; its innovations are an effect's, if any."""
+    for act, own in on_noise:
+        if act.innovations:
+            e = act.innovations(n + BURN_IN, own, rng)
+            coloured: FloatArray = lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], e)
+            return coloured[BURN_IN:]
+    e = rng.standard_normal(n)
+    e[1:] *= np.sqrt(1.0 - phi**2)
+    noise: FloatArray = lfilter([1.0], [1.0, -phi], e)
+    return noise

@@ -12,17 +12,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import sqrt
 
-from bayes_sensor.diagnosis.closure import VISIBLE
+from bayes_sensor.diagnosis.closed_fraction import VISIBLE
 from bayes_sensor.diagnosis.evidence.hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit
-from bayes_sensor.diagnosis.signals.tails_and_converter import FOUND, Finding
+from bayes_sensor.diagnosis.signals.finding import FOUND, Finding
 
 OTHER_FORM = 0.2
 """share of an effect's size that its form may leave: by the law of how far
 (:data:`~bayes_sensor.diagnosis.closure.INEXACT`) 98 of 100 leave less"""
-OFF_FOR_A_WHILE = ("patch", "break")
-"""findings in what an explanation leaves of the mean"""
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ def within_form_mismatch(found: Finding, fitted: Refit, base: Refit) -> bool:
 
     What is hardly there takes little from any explanation, and is left to.
     """
-    if found.name not in OFF_FOR_A_WHILE or found.d is None or found.probability < FOUND:
+    if not found.signal.of_the_mean or found.d is None or found.probability < FOUND:
         return False
     return small_enough(found.d**2, base.misfit - fitted.misfit)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from math import log, sqrt
+from math import exp, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -107,6 +107,12 @@ class Hypothesis:
         return self.excess / sqrt(2.0 * self.refit.coords.binned.n_bins)
 
     @property
+    def tau_interval(self) -> tuple[float, float]:
+        """s, 95 % interval of tau."""
+        spread = 1.96 * self.sd_log_tau
+        return exp(self.log_tau - spread), exp(self.log_tau + spread)
+
+    @property
     def key(self) -> str:
         """``none``, ``unlisted``, ``a``, ``a+b``; with a discrepancy ``a, unlisted``."""
         name = "+".join(self.effects)
@@ -142,6 +148,14 @@ class Comparison:
     def likeliest(self) -> Hypothesis:
         """Of the complete ones."""
         return max(self.complete, key=lambda h: h.log_weight)
+
+    def others(self, best: Hypothesis) -> list[tuple[Refit, float]]:
+        """Every other complete explanation with its odds against ``best``."""
+        return [
+            (h.refit, exp(min(h.log_weight - best.log_weight, 30.0)))
+            for h in self.complete
+            if h is not best
+        ]
 
     def find(self, *effects: str) -> Hypothesis:
         """The hypothesis of exactly these effects (none given: of none) and nothing else.

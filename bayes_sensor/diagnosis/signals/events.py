@@ -18,8 +18,8 @@ from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.data.noise_floor import Stretch, detrended
-from bayes_sensor.diagnosis.signals.tails_and_converter import Finding, Place, struck
+from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, detrended
+from bayes_sensor.diagnosis.signals.finding import Finding, Place, Signal, moment, struck
 
 BLOCK = 0.05
 """s, means over which events are looked for"""
@@ -53,6 +53,20 @@ _SLOPES = [2.0 * float(norm.pdf(norm.ppf(h)) * norm.ppf(h)) for h in _HALF]
 
 
 Key = TypeVar("Key", bound=Hashable)
+
+
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    return (
+        f"In experiment {names[int(s['event_experiment'])]} something happens once, near "
+        f"{moment(s['event_s'])} s: {s['event_ratio']:.2g} times the noise's usual size at "
+        "that time scale."
+    )
+
+
+SIGNAL = Signal(
+    "event", 0.025, {"event_s": "s", "event_ratio": "1"}, _words, on_quiet_stretches=True
+)
 
 
 @dataclass(frozen=True)
@@ -125,7 +139,7 @@ def look_for_events(
                         stretch, _, dt = use[k]
                         when = stretch.begin + (at + 0.5 * span * blocks[k]) * dt
                         clearest[k] = Place(stretch.experiment, when, float(clear[at]))
-    found_event = of_places("event", found, clearest)
+    found_event = of_places(SIGNAL, found, clearest)
     baseline, plateau = (
         min((min(d) for (_, level), d in tails.items() if level == gas), default=np.inf)
         for gas in (0, 1)
@@ -296,7 +310,7 @@ def surprises(square: FloatArray, dof: float | FloatArray) -> FloatArray:
 
 
 def of_places(
-    name: str, found: Sequence[Mapping[Hashable, float]], clearest: Sequence[Place]
+    signal: Signal, found: Sequence[Mapping[Hashable, float]], clearest: Sequence[Place]
 ) -> Finding:
     """What places (records, switches) say, each with ln B per kind of what may strike there.
 
@@ -320,9 +334,9 @@ def of_places(
     kept = (p for p, o in zip(clearest, odds, strict=True) if o > 0.0 or p is first)
     ratio = first.size**0.5
     strength = {
-        f"{name}_experiment": float(first.experiment),
-        f"{name}_s": first.time,
-        f"{name}_ratio": ratio,
+        f"{signal.name}_experiment": float(first.experiment),
+        f"{signal.name}_s": first.time,
+        f"{signal.name}_ratio": ratio,
     }
     value = float(np.logaddexp(alone, together) - np.log(2.0))
-    return Finding(name, value, strength, ratio, tuple(p for p in kept if p.size > 0.0))
+    return Finding(signal, value, strength, ratio, tuple(p for p in kept if p.size > 0.0))

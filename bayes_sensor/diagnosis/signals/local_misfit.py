@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.bins import ExperimentBins
-from bayes_sensor.diagnosis.data.noise_floor import DOF, QuietSpans
+from bayes_sensor.diagnosis.data.noise_floor import DOF
+from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans
 from bayes_sensor.diagnosis.evidence.block_least_squares import inverted
-from bayes_sensor.diagnosis.evidence.refit import Refit
 from bayes_sensor.diagnosis.signals.events import (
     BUMP_SPAN,
     bump,
@@ -29,7 +30,10 @@ from bayes_sensor.diagnosis.signals.events import (
     surprises,
     tail_dof,
 )
-from bayes_sensor.diagnosis.signals.tails_and_converter import Finding, Place, any_of
+from bayes_sensor.diagnosis.signals.finding import Finding, Place, Signal, any_of, moment
+
+if TYPE_CHECKING:
+    from bayes_sensor.diagnosis.evidence.refit import Refit
 
 SPAN = (-1.2, 8.0)
 """time scales around a switch"""
@@ -55,6 +59,33 @@ ABSORBED = 0.1
 """share of a change that a refit must leave of it, for the change to be looked for"""
 
 
+def _of_a_bump(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    side = "after" if s["patch_since_s"] >= 0.0 else "before"
+    return (
+        "Single switches leave the model for moments, clearest in experiment "
+        f"{names[int(s['patch_experiment'])]}, {abs(s['patch_since_s']):.2g} s {side} a switch."
+    )
+
+
+def _of_a_change(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    return (
+        f"In experiment {names[int(s['break_experiment'])]} the level changes at about "
+        f"{moment(s['break_s'])} s in a way of its own"
+        f" ({s['break_ratio']:.2g} standard deviations)."
+    )
+
+
+BUMP = Signal(
+    "patch", 0.025, {"patch_s": "s", "patch_since_s": "s", "patch_ratio": "1"}, _of_a_bump,
+    of_the_mean=True,
+)  # fmt: skip
+LEVEL_CHANGE = Signal(
+    "break", 0.025, {"break_s": "s", "break_ratio": "1"}, _of_a_change, of_the_mean=True
+)
+
+
 def look_for_local_misfit(
     found: Refit,
     residuals: Sequence[FloatArray],
@@ -74,7 +105,7 @@ def _patch(
     places: Sequence[dict[Hashable, float]], clearest: Sequence[Place], since: Sequence[float]
 ) -> Finding:
     """What all switches say; ``since`` (n,) s, from the switch to its clearest moment."""
-    told = of_places("patch", places, clearest)
+    told = of_places(BUMP, places, clearest)
     first = max(range(len(clearest)), key=lambda i: clearest[i].size, default=None)
     after = 0.0 if first is None else since[first]
     return replace(told, strength={**told.strength, "patch_since_s": after})
@@ -265,7 +296,7 @@ def look_for_level_changes(found: Refit, tail: float = np.inf) -> Finding:
         places.append(dict(zip(kinds, surprises(square, dof), strict=True)))
         begins = b.first[spans[use][int(np.argmax(square)), 0]]
         clearest.append(Place(k, float(b.experiment.t[begins]), float(square.max())))
-    return of_places("break", places, clearest)
+    return of_places(LEVEL_CHANGE, places, clearest)
 
 
 def _edges(b: ExperimentBins) -> list[tuple[str, int]]:

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.data.noise_floor import Stretch, detrended, periodogram
-from bayes_sensor.diagnosis.signals.tails_and_converter import Finding, struck
+from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, detrended, periodogram
+from bayes_sensor.diagnosis.signals.finding import Finding, Signal, struck
 
 EDGES = np.array([0.0, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 """Hz, bands of the baseline's spectrum"""
@@ -48,6 +48,20 @@ STEP = 0.35
 # close enough together for spectra of hundreds of ordinates, between which Gauss's nodes would fall
 _NODES = np.linspace(-3.0, 3.0, 9)
 _LOG_WEIGHTS = -0.5 * _NODES**2 - np.logaddexp.reduce(-0.5 * _NODES**2)
+
+
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    return (
+        "With gas the signal is less steady than its noise on the baseline lets expect: below "
+        f"about {s['unsteady_Hz']:.2g} Hz it has {1.0 + s['unsteady_excess']:.2g} times the "
+        "power."
+    )
+
+
+SIGNAL = Signal(
+    "unsteady", 0.04, {"unsteady_excess": "1", "unsteady_Hz": "Hz"}, _words, phase="plateau"
+)
 
 
 @dataclass(frozen=True)
@@ -110,7 +124,7 @@ def look_for_plateau_noise(campaign: Campaign, stretches: Sequence[Stretch]) -> 
     value = np.logaddexp(_mean(same), _mean(np.logaddexp.reduce(apart, axis=0))) - np.log(2.0)
     i, j = np.unravel_index(int(np.argmax(same)), same.shape)
     strength = {"unsteady_excess": float(EXCESSES[i]), "unsteady_Hz": float(CUTOFFS[j])}
-    return [Finding("unsteady", float(value - np.logaddexp.reduce(without)), strength, None)]
+    return [Finding(SIGNAL, float(value - np.logaddexp.reduce(without)), strength, None)]
 
 
 def _mean(logs: FloatArray) -> float:

@@ -15,8 +15,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.data.noise_floor import QuietSpans
-from bayes_sensor.diagnosis.signals.tails_and_converter import Finding, any_of
+from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans
+from bayes_sensor.diagnosis.signals.finding import Finding, Signal, any_of
 
 RINGING_BLOCK = 0.005
 """s"""
@@ -44,6 +44,13 @@ FEWEST_WINDOWS = 10
 """quiet windows below which the usual power at a frequency is not known"""
 
 
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    return f"After the switches the signal rings at about {found.strength['ringing_Hz']:.3g} Hz."
+
+
+SIGNAL = Signal("ringing", 0.01, {"ringing_Hz": "Hz"}, _words)
+
+
 def look_for_ringing(
     campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[QuietSpans]
 ) -> Finding:
@@ -57,9 +64,9 @@ def look_for_ringing(
 def _ringing(logs: Sequence[float], frequency: float, power: float) -> Finding:
     """What the ``logs``, each ln B of one kind of window, say together."""
     if not logs:
-        return Finding("ringing", 0.0, {"ringing_Hz": 0.0}, None)
+        return Finding(SIGNAL, 0.0, {"ringing_Hz": 0.0}, None)
     value = float(np.logaddexp.reduce(logs) - np.log(len(logs)))
-    return Finding("ringing", value, {"ringing_Hz": frequency}, float(np.sqrt(2.0 * power)))
+    return Finding(SIGNAL, value, {"ringing_Hz": frequency}, float(np.sqrt(2.0 * power)))
 
 
 def _frequencies(length: int, dt: float) -> tuple[int, FloatArray]:

@@ -2,7 +2,7 @@
 
 What signals for a while (a telephone, a motor nearby) or goes with the flow (a hose that flutters)
 adds up to nothing over all quiet stretches, where
-:func:`~bayes_sensor.diagnosis.signals.spectral_lines.look_for_lines`
+:func:`~bayes_sensor.diagnosis.signals.lines.look_for_lines`
 looks.  Windows of seconds show it, beside what others have at its frequency.
 """
 
@@ -17,7 +17,9 @@ from scipy.signal import windows
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.signals.spectral_lines import (
+from bayes_sensor.diagnosis.signals.finding import Finding, Signal, any_of, struck
+from bayes_sensor.diagnosis.signals.lines import FASTER_THAN_BINS
+from bayes_sensor.diagnosis.signals.periodograms import (
     HIGHEST_LINE,
     RATIOS,
     Piece,
@@ -25,7 +27,6 @@ from bayes_sensor.diagnosis.signals.spectral_lines import (
     own_shapes,
     pieces_of_records,
 )
-from bayes_sensor.diagnosis.signals.tails_and_converter import Finding, any_of, struck
 
 LENGTHS = (2.5, 5.0, 10.0)
 """s, windows in which lines are looked for that pass, or that records have each for itself"""
@@ -53,6 +54,21 @@ STRUCK = 0.3
 """plausible share of records that have such a line, where there are any"""
 
 
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    return (
+        f"In experiment {names[int(s['passing_experiment'])]} there is, for a while or "
+        f"throughout, a line at {s['passing_Hz']:.4g} Hz that others lack, with an amplitude "
+        f"of {1e3 * s['passing_V']:.3g} m{unit}."
+    )
+
+
+SIGNAL = Signal(
+    "passing", 0.02, {"passing_V": "V", "passing_Hz": "Hz"}, _words,
+    spares_means_from_hz=FASTER_THAN_BINS,
+)  # fmt: skip
+
+
 def look_for_transient_lines(
     campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
 ) -> list[Finding]:
@@ -63,7 +79,7 @@ def look_for_transient_lines(
     units of what is usual at their frequency, which a line or a resonance that all records have is
     part of, and of what the record and the window have around it, so that neither another memory
     nor a gust is a line.  ``ln B`` of a record averages over its windows what
-    :func:`~bayes_sensor.diagnosis.signals.spectral_lines.look_for_lines` says of one, or takes all
+    :func:`~bayes_sensor.diagnosis.signals.lines.look_for_lines` says of one, or takes all
     together; the records that are struck share the frequency, or have their own.
     """
     pieces = pieces_of_records(campaign, residuals, deviations)
@@ -130,7 +146,7 @@ def _transient_line(pieces: Sequence[Piece], seconds: float) -> Finding | None:
     alike = float(logsumexp(struck(each, STRUCK).sum(axis=0), b=weight))
     alone = float(struck(logsumexp(each, b=weight, axis=1), STRUCK).sum())
     value = float(np.logaddexp(alike, alone) - np.log(2.0))
-    return Finding("passing", value, best[1], None)
+    return Finding(SIGNAL, value, best[1], None)
 
 
 def _roughly(ratio: FloatArray, size: int) -> FloatArray:
