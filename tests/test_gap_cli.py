@@ -24,7 +24,8 @@ from bayes_sensor.diagnosis.effects.effect_model import (
     prior_of,
     with_effects,
 )
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates, Part
+from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem

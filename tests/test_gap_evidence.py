@@ -14,18 +14,16 @@ from bayes_sensor.diagnosis import CATALOGUE
 from bayes_sensor.diagnosis.data.noise_floor import DOF
 from bayes_sensor.diagnosis.data.preparation import base_coordinates, fit_base, flat_theta, prepare
 from bayes_sensor.diagnosis.effects.effect import Form, Strength
+from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER, Part
 from bayes_sensor.diagnosis.evidence.discrepancy import make_discrepancies, matern32
 from bayes_sensor.diagnosis.evidence.hypotheses import (
     _most_promising,
     family_priors,
-    joined_start,
-    with_start,
 )
 from bayes_sensor.diagnosis.evidence.laplace_evidence import AT_REST, STRONG, WIDTHS, Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Coordinates, Part
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.evidence.varying_parameter import embedded_rivals
-from bayes_sensor.diagnosis.location import Leverage
 from bayes_sensor.diagnosis.verdict import Probabilities, judge
 from bayes_sensor.rig.layout import Layout
 from bayes_sensor.rig.perturbed import FIRST, INDEX
@@ -426,7 +424,7 @@ def test_weights_alone_are_those_of_the_study(binned, base):
 
 
 def test_leverage_is_the_projection_of_noise(binned, base):
-    leverage = Leverage.of(base)
+    leverage = base.leverage
     noise = np.random.default_rng(1).standard_normal((binned.n_bins, 400))
     left = leverage.leave(noise)
     assert np.mean(np.sum(left**2, axis=0)) == pytest.approx(leverage.trace(), rel=0.02)
@@ -480,7 +478,7 @@ def test_a_joined_start_keeps_what_was_fitted(binned, base):
     one = Coordinates(binned, (Part(first, first.forms[0]),))
     fitted = refit(one, one.start(base.x, {}), most_steps=5)
     two = Coordinates(binned, (*one.parts, Part(second, second.forms[1])))
-    x = with_start(two, joined_start(two, fitted), {})
+    x = two.with_strengths(two.start_from(fitted.coords, fitted.x), {})
     for k in range(len(binned.bins)):
         assert np.allclose(two.bin_means(x, k), one.bin_means(fitted.x, k), atol=1e-9)
 
@@ -531,7 +529,7 @@ def test_the_starts_of_a_grid_are_those_that_gain(base, binned):
     effect = CATALOGUE["baseline_step"]
     form = next(f for f in effect.forms if f.name == "at any time")
     coords = Coordinates(binned, (Part(effect, form),))
-    begun = joined_start(coords, base)
+    begun = coords.start_from(base.coords, base.x)
     times = [0.3 * 60.0, 0.7 * 60.0]
     stepped = []
     for k, b in enumerate(binned.bins):

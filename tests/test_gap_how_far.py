@@ -18,10 +18,11 @@ from bayes_sensor.diagnosis.closure import (
     misfit_removed,
 )
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
 from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy, make_discrepancies
 from bayes_sensor.diagnosis.evidence.hypotheses import _shares, to_convergence
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates, Part
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.rig.layout import Layout
 from tests.gap_cases import measured, theta
 

@@ -6,9 +6,10 @@ import pytest
 
 from bayes_sensor.diagnosis import CATALOGUE
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER, Part
 from bayes_sensor.diagnosis.evidence.hypotheses import compare_hypotheses, fit_effect
-from bayes_sensor.diagnosis.evidence.refit import refit, with_tau
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Coordinates, Part
+from bayes_sensor.diagnosis.evidence.refit import refit
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.evidence.tau_profile import has_jump, profile_tau
 from bayes_sensor.rig.layout import Layout
 from tests.gap_cases import measured, theta
@@ -29,7 +30,7 @@ def binned():
 def optima(binned):
     coords = Coordinates(binned, (Part(EFFECT, EFFECT.forms[0]),))
     x = coords.start(binned.base, {})
-    return [refit(coords, with_tau(coords, x, t)) for t in TAUS]
+    return [refit(coords, coords.with_tau(x, t)) for t in TAUS]
 
 
 def test_it_takes_the_best_of_several_optima(optima):

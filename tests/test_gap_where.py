@@ -23,7 +23,7 @@ from bayes_sensor.diagnosis.evidence.hypotheses import MOST_TERMS
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import refit
 from bayes_sensor.diagnosis.excess_shares import explained_excess, shared_by_findings
-from bayes_sensor.diagnosis.location import Leverage, locate, parts_of_cells, predict_left_out
+from bayes_sensor.diagnosis.location import locate, parts_of_cells, predict_left_out
 from bayes_sensor.diagnosis.signals.effect_signatures import signatures
 from bayes_sensor.diagnosis.verdict import Judgement
 from bayes_sensor.diagnosis.wording import Conclusion, sentence
@@ -213,7 +213,7 @@ def test_courses_are_what_the_refit_leaves() -> None:
 def test_p_values_of_courses_are_uniform_under_noise() -> None:
     comparison = weak("dead_volume").comparison
     base, binned = comparison.base, comparison.binned
-    along, leverage = signatures(base, CATALOGUE), Leverage.of(base)
+    along, leverage = signatures(base, CATALOGUE), base.leverage
     rng = np.random.default_rng(8)
     found = []
     for _ in range(60):

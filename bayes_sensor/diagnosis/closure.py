@@ -28,7 +28,7 @@ from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy
 from bayes_sensor.diagnosis.evidence.hypotheses import INCOMPLETE
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
-from bayes_sensor.diagnosis.location import Leverage, excess_mean_square
+from bayes_sensor.diagnosis.location import excess_mean_square
 
 RULED_OUT = 0.05
 """chance of a full closing below which it is"""
@@ -47,7 +47,7 @@ def misfit_removed(base: Refit, fitted: Refit) -> float:
 
     Less what its further freedom takes from noise alone.
     """
-    excess = [r.misfit - Leverage.of(r).trace() for r in (base, fitted)]
+    excess = [r.misfit - r.leverage.trace() for r in (base, fitted)]
     return max(excess[0] - excess[1], 0.0)
 
 
@@ -80,7 +80,7 @@ def draw_remaining_misfit(
         if n > 0
     ]
     sizes = np.concatenate(drawn)
-    rough = fitted.misfit - Leverage.of(fitted).trace() - chance * float(np.mean(sizes))
+    rough = fitted.misfit - fitted.leverage.trace() - chance * float(np.mean(sizes))
     n = len(fitted.residual)
     spread = np.sqrt(2.0 * n + 2.0 * n**2 / DOF)
     if rough < VISIBLE * spread:
@@ -159,7 +159,7 @@ def closure(
 
 
 def _mean_volts(binned: BinnedCampaign, fitted: Refit) -> float:
-    leverage = Leverage.of(fitted)
+    leverage = fitted.leverage
     pairs = [
         excess_mean_square(binned, leverage, fitted.residual, k, np.arange(rows.start, rows.stop))
         for k, rows in enumerate(binned.rows)
@@ -243,7 +243,7 @@ def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
     free = np.zeros(one.size, dtype=bool)
     free[n_shared:] = True
     covariance = np.zeros((one.size, one.size))
-    covariance[:n_shared, :n_shared] = inverted(rest.normal)[:n_shared, :n_shared]
+    covariance[:n_shared, :n_shared] = rest.covariance[:n_shared, :n_shared]
     if not local:
         made = refit(one, start, most_steps=10, tolerance=0.2, free=free)
         return _prediction(made, free, covariance)
@@ -251,7 +251,7 @@ def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
     falling = alone.bins[0].falling
     rise = replace(coords, binned=alone.restricted([~falling]))
     first = refit(rise, start, most_steps=10, tolerance=0.2, free=free)
-    covariance[n_shared:, n_shared:] = inverted(first.normal)[n_shared:, n_shared:]
+    covariance[n_shared:, n_shared:] = first.covariance[n_shared:, n_shared:]
     free[:] = False
     free[n_shared + 3] = True  # tf
     fall = replace(coords, binned=alone.restricted([falling]))

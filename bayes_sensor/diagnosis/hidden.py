@@ -19,10 +19,11 @@ import numpy as np
 
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect, Form
-from bayes_sensor.diagnosis.evidence.hypotheses import Comparison, joined_start
+from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER, Part
+from bayes_sensor.diagnosis.evidence.hypotheses import Comparison
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
-from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit, with_tau
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Coordinates, Part
+from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.workers import in_order
 
 if TYPE_CHECKING:
@@ -180,7 +181,7 @@ def one_hidden(
     part = Part(effect, form)
     parts = (*base.coords.parts, part)
     held = replace(base.coords, parts=parts, held={**base.coords.held, **given})
-    x = held.start(base.x, {}) if not base.coords.parts else joined_start(held, base)
+    x = held.start(base.x, {}) if not base.coords.parts else held.start_from(base.coords, base.x)
     data = []
     for k in range(len(binned.bins)):
         coords = held
@@ -218,7 +219,7 @@ def one_hidden(
 def _starts(coords: Coordinates, x: np.ndarray) -> list[np.ndarray]:
     """As it is, and with a sensor three times as slow where the valve allows it."""
     slower = min(3.0 * exp(x[1] - FASTER - x[0]), 0.7 * exp(x[1]))
-    return [x, with_tau(coords, x, log(slower))]
+    return [x, coords.with_tau(x, log(slower))]
 
 
 def _alternating(

@@ -21,7 +21,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.bins import PHASES
 from bayes_sensor.diagnosis.data.noise_floor import DOF
-from bayes_sensor.diagnosis.evidence.block_least_squares import inverted
+from bayes_sensor.diagnosis.evidence.leverage import Leverage
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
 
 DRAWS = 2000
@@ -76,45 +76,6 @@ class ExcessMap:
     are 0"""
 
 
-@dataclass(frozen=True, eq=False)
-class Leverage:
-    """What a refit leaves of noise, from its linearisation."""
-
-    jacobian: FloatArray
-    inner: FloatArray
-    """(n, n): P = I - J inner J'"""
-    solve: FloatArray
-    """(n, n): what the refit takes from a noise e is J solve J'e"""
-
-    @classmethod
-    def of(cls, fitted: Refit) -> Leverage:
-        """Of a refit, its priors counted as data."""
-        j = fitted.jacobian
-        normal = j.T @ j
-        solve = inverted(normal + fitted.coords.own_prior_matrix)
-        if fitted.x[0] <= 0.0:  # tau at its upper limit: its own coordinate did not move
-            keep = np.arange(1, len(solve))
-            inverse = np.zeros_like(solve)
-            matrix = (normal + fitted.coords.own_prior_matrix)[np.ix_(keep, keep)]
-            inverse[np.ix_(keep, keep)] = inverted(matrix)
-            solve = np.asarray(inverse, dtype=float)
-        inner = np.asarray(2.0 * solve - solve @ normal @ solve, dtype=float)
-        return cls(j, inner, solve)
-
-    def block(self, rows: NDArray[np.int64]) -> FloatArray:
-        """P on some rows."""
-        j = self.jacobian[rows]
-        return np.eye(len(rows)) - j @ self.inner @ j.T
-
-    def trace(self) -> float:
-        """tr P, the expected squared residual of unit noise."""
-        return len(self.jacobian) - float(np.sum((self.jacobian @ self.inner) * self.jacobian))
-
-    def leave(self, noise: FloatArray) -> FloatArray:
-        """What is left of noises (n, m) after the refit."""
-        return noise - self.jacobian @ (self.solve @ (self.jacobian.T @ noise))
-
-
 def locate(
     binned: BinnedCampaign,
     base: Refit,
@@ -130,7 +91,7 @@ def locate(
     :func:`~bayes_sensor.diagnosis.signals.effect_signatures.signatures`, along which a misfit may
     be seen that cells do not show.
     """
-    leverage = Leverage.of(base)
+    leverage = base.leverage
     parts = parts_of_cells(binned)
     groups = [part for part in parts if not part.scale]
     whole = len(groups)
@@ -348,8 +309,6 @@ def predict_left_out(binned: BinnedCampaign, base: Refit) -> dict[str, float]:
             continue
         other = binned.restricted(rest)
         fitted = refit(replace(coords, binned=other), base.x, most_steps=10, tolerance=0.2)
-        normal = fitted.jacobian.T @ fitted.jacobian
-        posterior = inverted(normal + fitted.coords.own_prior_matrix)
         x = fitted.x
         switch = {"onset": 2, "rise": 2, "fall": 3}.get(name)
         if switch is not None:
@@ -370,7 +329,7 @@ def predict_left_out(binned: BinnedCampaign, base: Refit) -> dict[str, float]:
             here, columns = means[rows], coords.columns(k)
             jacobian = binned.floor.cholesky[k] @ derivatives[rows, : len(columns)]
             covariance = binned.floor.cholesky[k] @ binned.floor.cholesky[k].T
-            inner = posterior[np.ix_(columns, columns)]
+            inner = fitted.covariance[np.ix_(columns, columns)]
             spread = covariance[np.ix_(mask, mask)] + jacobian[mask] @ inner @ jacobian[mask].T
             away = (binned.data[k] - here)[mask]
             excess += float(away @ np.linalg.solve(spread, away)) - int(np.sum(mask))

@@ -36,10 +36,11 @@ from bayes_sensor.campaign import CampaignError
 from bayes_sensor.checks.calibration import run_chunks, study_key
 from bayes_sensor.diagnosis import CATALOGUE, Gap, diagnose_gap
 from bayes_sensor.diagnosis.data.preparation import base_coordinates, fit_base
-from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect, joined_start, with_start
+from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
+from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates, Part
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.isolability import ISOLATED
 from bayes_sensor.figures import effect_words
 from bayes_sensor.fit import fit_least_squares
@@ -184,7 +185,9 @@ def tau_of_the_cause(gap: Gap, rig: Rig, listed: Listed, amount: float) -> float
     strengths = listed.strengths(amount, 0)
     starts = [
         plan.start(truth, strengths),
-        with_start(plan, joined_start(plan, gap.comparison.base), strengths),
+        plan.with_strengths(
+            plan.start_from(gap.comparison.base.coords, gap.comparison.base.x), strengths
+        ),
     ]
     best = min((refit(plan, x, most_steps=60) for x in starts), key=lambda r: r.objective)
     return float(np.exp(Linearised(best).evidence(None).log_tau))

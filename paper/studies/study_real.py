@@ -37,10 +37,11 @@ from bayes_sensor.diagnosis.data.preparation import (
     full_rate_residuals,
     prepare,
 )
+from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
 from bayes_sensor.diagnosis.evidence.hypotheses import compare_hypotheses, fit_effect
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates, Part
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.verdict import combine, judge
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.io.readers import read_campaign

@@ -13,8 +13,9 @@ from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.bins import make_bins
 from bayes_sensor.diagnosis.data.noise_floor import NoiseFloor, estimate_floor
 from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans, Stretch, clean, quiet_stretches
+from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Coordinates
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.lattice import lattice_step
 from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.problem import Problem

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 from math import exp, log, sqrt
 from typing import NamedTuple
 
@@ -21,10 +20,11 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.evidence.block_least_squares import solved
+from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER, Part
 from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy, make_discrepancies
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
-from bayes_sensor.diagnosis.evidence.refit import Refit, refit, with_tau
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Coordinates, Part
+from bayes_sensor.diagnosis.evidence.refit import Refit, refit
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.evidence.tau_profile import SEEN, has_jump, profile_tau
 from bayes_sensor.diagnosis.evidence.varying_parameter import WEIGHT, embedded_rivals
 
@@ -197,21 +197,21 @@ def fit_effect(
     begin from a faster sensor than usual, too, where the base has a much slower or faster one.
     """
     coords = replace(base.coords, parts=(*base.coords.parts, *parts))
-    begun = joined_start(coords, base)
+    begun = coords.start_from(base.coords, base.x)
     starts = [*starts, *_most_promising(coords, begun, base, parts[-1].form.grid)]
-    begins = [with_start(coords, begun, start) for start in starts]
+    begins = [coords.with_strengths(begun, start) for start in starts]
     usual = float(binned.centre[0])
     now = float(begun[1]) - FASTER - float(begun[0])
     if abs(now - usual) >= UNUSUAL and not base.coords.parts:
         # the fit without the effect may have bent tau far away to do the effect's work
-        begins += [with_start(coords, with_tau(coords, begun, usual), start) for start in starts]
+        begins += [coords.with_strengths(coords.with_tau(begun, usual), start) for start in starts]
         if faster:
-            begins.append(with_start(coords, with_tau(coords, begun, usual - UNUSUAL), starts[0]))
+            begins.append(coords.with_strengths(coords.with_tau(begun, usual - UNUSUAL), starts[0]))
     if abs(begun[2] - binned.centre[2]) > BENT * binned.sd[2] and not base.coords.parts:
         # or the volume, where no flow makes any difference: valve and manifold share the lag
         moved = begun.copy()
         moved[1:3] = binned.centre[1] - log(2.0), binned.centre[2]
-        begins += [with_start(coords, with_tau(coords, moved, usual), start) for start in starts]
+        begins += [coords.with_strengths(coords.with_tau(moved, usual), start) for start in starts]
     found: list[Refit] = []
     for x in begins:
         found.append(refit(coords, x, most_steps=most_steps, known=found, enough=enough))
@@ -239,7 +239,7 @@ def _most_promising(
     amplitudes = {s.name for s in coords.strengths[-1] if s.scaled}
     gains, sizes = np.zeros(len(grid)), np.zeros(len(grid))
     for i, start in enumerate(grid):
-        template = signature(coords, begun, here, start)
+        template = coords.signature(begun, here, start)
         inside = base.jacobian.T @ template
         whole = float(template @ template)
         left = whole - float(inside @ solved(normal, inside))
@@ -255,13 +255,6 @@ def _most_promising(
         }
         for i in peaks[np.argsort(-gains[peaks])][:MOST_PROMISING]
     ]
-
-
-def signature(
-    coords: Coordinates, begun: FloatArray, here: FloatArray, start: Mapping[str, float]
-) -> FloatArray:
-    """(n_bins in all,) whitened: what the last part's strengths make of means ``here`` V."""
-    return coords.binned.whitened(coords.all_means(with_start(coords, begun, start)) - here)
 
 
 def to_convergence(fitted: Refit, enough: float = np.inf) -> Refit:
@@ -513,32 +506,3 @@ def _something_left(hypotheses: Sequence[Hypothesis]) -> bool:
     left = sum(q for q, h in zip(p, hypotheses, strict=True) if h.incomplete)
     best = max((h for h in hypotheses if h.effects), key=lambda h: h.log_weight)
     return bool(left > 0.02 or best.leftover > LEFT)
-
-
-def joined_start(coords: Coordinates, fitted: Refit) -> FloatArray:
-    """Coordinates of a plan with one more part, from a refit without it."""
-    x = coords.start(fitted.x, {})  # the shared ones; the local ones follow another layout
-    old = fitted.coords
-    n_shared, n_own = len(old.shared), len(old.own)
-    x[3 : 3 + n_shared] = fitted.x[3 : 3 + n_shared]
-    for k, e in enumerate(coords.binned.campaign):
-        m = 4 if e.has_fall else 3
-        here, there = coords.local[k], old.local[k]
-        x[here : here + m + n_own] = fitted.x[there : there + m + n_own]
-    return x
-
-
-def with_start(coords: Coordinates, x: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
-    """``x`` with the last part's strengths at chosen values."""
-    base = coords.start(np.zeros(coords.size), chosen)
-    made = x.copy()
-    last = {s.name for s in coords.strengths[-1]}
-    for i, s in enumerate(coords.shared):
-        if s.name in last:
-            made[3 + i] = base[3 + i]
-    n = len(coords.own)
-    for k, (i, s) in product(range(len(coords.binned.campaign)), enumerate(coords.own)):
-        if s.name in last:
-            at = coords.local[k + 1] - n + i
-            made[at] = base[at]
-    return made

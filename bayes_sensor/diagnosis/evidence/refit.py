@@ -21,7 +21,9 @@ from bayes_sensor.diagnosis.evidence.block_least_squares import (
     inverted,
     normal_equations,
 )
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Coordinates
+from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER
+from bayes_sensor.diagnosis.evidence.leverage import Leverage
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 
 STRAIGHT = 0.25
 """share of the promised gain that a step must make for the derivatives to be carried on"""
@@ -77,6 +79,16 @@ class Refit:
         return made
 
     @cached_property
+    def covariance(self) -> FloatArray:
+        """(n, n) inverse of the normal matrix."""
+        return inverted(self.normal)
+
+    @cached_property
+    def leverage(self) -> Leverage:
+        """What the refit leaves of noise."""
+        return Leverage.of(self)
+
+    @cached_property
     def loosened(self) -> Refit:
         """The refit with wider priors for those amplitudes that theirs hold back.
 
@@ -98,7 +110,7 @@ class Refit:
         ]
         if not far:  # as a rule; the covariance is not needed then
             return set()
-        covariance = inverted(self.normal)
+        covariance = self.covariance
         found = set()
         for name, here in far:
             pull = prior[np.ix_(here, here)] @ away[here]
@@ -276,20 +288,8 @@ def _stepped(
     return moved
 
 
-def with_tau(coords: Coordinates, x: FloatArray, log_tau: float) -> FloatArray:
-    """Coordinates (n,) with another shorter lag, tau unless the sensor's is the longer one.
-
-    ``log_tau``: its logarithm (of s).  A lag delays the response by itself, so that what it gains
-    the switch times lose.
-    """
-    made = x.copy()
-    made[0] = max(float(x[1]) - FASTER - log_tau, 0.0)
-    made[coords.switch_times] -= exp(x[1] - FASTER - made[0]) - exp(x[1] - FASTER - x[0])
-    return made
-
-
 def base_starts(binned: BinnedCampaign, base: FloatArray) -> list[FloatArray]:
     """Starts of the fit without effects: tau moved over two decades, t0 and tf with it."""
     coords, log_tau_v = Coordinates(binned), float(base[1])
     ratios = (min(ratio, exp(-FASTER) * 0.999) for ratio in (0.012, 0.07, 0.23, 0.58))
-    return [base.copy(), *(with_tau(coords, base, log_tau_v + log(ratio)) for ratio in ratios)]
+    return [base.copy(), *(coords.with_tau(base, log_tau_v + log(ratio)) for ratio in ratios)]

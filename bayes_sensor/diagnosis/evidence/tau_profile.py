@@ -14,8 +14,8 @@ from math import log
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.evidence.refit import Refit, refit, with_tau
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER
+from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER
+from bayes_sensor.diagnosis.evidence.refit import Refit, refit
 
 SEEN = 25.0
 """what the objective gains by a jump that is well seen"""
@@ -69,7 +69,7 @@ def _sweep(fitted: Refit, ratios: FloatArray) -> list[Refit]:
     for way in (ratios, ratios[::-1]):
         x = fitted.x
         for ratio in way.tolist():
-            held = refit(coords, with_tau(coords, x, float(x[1]) - FASTER - ratio), free=free)
+            held = refit(coords, coords.with_tau(x, float(x[1]) - FASTER - ratio), free=free)
             x = held.x
             if ratio not in best or held.objective < best[ratio].objective:
                 best[ratio] = held

@@ -15,10 +15,9 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.effects.effect import Effect
-from bayes_sensor.diagnosis.evidence.hypotheses import ABSORBED, joined_start, signature
+from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
+from bayes_sensor.diagnosis.evidence.hypotheses import ABSORBED
 from bayes_sensor.diagnosis.evidence.refit import Refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Part
-from bayes_sensor.diagnosis.location import Leverage
 
 FAINT = 1e-3
 """standard deviations of the noise below which a signature is none"""
@@ -31,7 +30,7 @@ def signatures(base: Refit, catalogue: Mapping[str, Effect]) -> FloatArray:
     and one for each experiment alone, at a plausible strength, where an effect has another in each;
     those that the refit takes up nearly whole are left out.
     """
-    leverage, binned = Leverage.of(base), base.coords.binned
+    leverage, binned = base.leverage, base.coords.binned
     here = base.coords.all_means(base.x)
     found = [np.zeros((0, binned.n_bins))]
 
@@ -44,9 +43,9 @@ def signatures(base: Refit, catalogue: Mapping[str, Effect]) -> FloatArray:
     for effect in catalogue.values():
         for form in effect.forms if effect.on_mean else ():
             coords = replace(base.coords, parts=(*base.coords.parts, Part(effect, form)))
-            begun = joined_start(coords, base)
+            begun = coords.start_from(base.coords, base.x)
 
-            from_start = partial(signature, coords, begun, here)
+            from_start = partial(coords.signature, begun, here)
             add(np.array([from_start(start) for start in form.starts]))
             own = {s.name: s.value(1.0) for s in coords.strengths[-1] if s.per_experiment}
             if own:

@@ -19,7 +19,6 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.bins import ExperimentBins
 from bayes_sensor.diagnosis.data.noise_floor import DOF
 from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans
-from bayes_sensor.diagnosis.evidence.block_least_squares import inverted
 from bayes_sensor.diagnosis.signals.events import (
     BUMP_SPAN,
     bump,
@@ -276,7 +275,7 @@ def look_for_level_changes(found: Refit, tail: float = np.inf) -> Finding:
     """
     dof = min(DOF, tail)
     binned, coords = found.coords.binned, found.coords
-    covariance = inverted(found.normal)
+    covariance = found.covariance
     places: list[dict[Hashable, float]] = []
     clearest = []
     for k, (rows, b) in enumerate(zip(binned.rows, binned.bins, strict=True)):
