@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.diagnosis.closed_fraction import Closure
-from bayes_sensor.diagnosis.evidence.hypotheses import Comparison, Hypothesis
+from bayes_sensor.diagnosis.evidence.comparison import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.refit import Refit
 from bayes_sensor.diagnosis.shrinking import closed_by
 from bayes_sensor.diagnosis.signals.finding import Finding

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
-from bayes_sensor.diagnosis.effects.effect import Effect, Form
+from bayes_sensor.diagnosis.effects.effect import Effect
+from bayes_sensor.diagnosis.evidence.comparison import Comparison
 from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER, Part
-from bayes_sensor.diagnosis.evidence.hypotheses import Comparison
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
@@ -108,16 +108,6 @@ def plausible(effect: Effect, binned: BinnedCampaign) -> dict[str, float]:
     }
 
 
-def form_for(effect: Effect, binned: BinnedCampaign, given: Mapping[str, float]) -> Form:
-    """The form that takes the given strengths; the first where several do."""
-    setting = binned.settings[0]
-    for form in effect.forms:
-        names = {s.name for s in form.strengths(setting)}
-        if names and names <= set(given):
-            return form
-    return effect.forms[0]
-
-
 def hidden_effects(
     comparison: Comparison, base: Refit, catalogue: Mapping[str, Effect], jobs: int = 1
 ) -> HiddenEffects:
@@ -176,7 +166,7 @@ def one_hidden(
 
     ``none``: the base refitted to its own noise-free mean.
     """
-    form = form_for(effect, binned, given)
+    form = effect.form_for(given, binned.settings[0])
     own = {s.name for s in effect.strengths(binned.settings[0]) if s.per_experiment}
     part = Part(effect, form)
     parts = (*base.coords.parts, part)

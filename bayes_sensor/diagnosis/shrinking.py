@@ -12,7 +12,7 @@ from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.closure import held_out, misfit_removed
 from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
-from bayes_sensor.diagnosis.evidence.hypotheses import Comparison, Hypothesis
+from bayes_sensor.diagnosis.evidence.comparison import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.refit import Refit
 from bayes_sensor.diagnosis.gap import Shrink
 from bayes_sensor.diagnosis.signals.finding import Finding

@@ -14,17 +14,13 @@ from scipy.stats import norm
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.bins import PHASES
 from bayes_sensor.diagnosis.effects.effect import Effect
+from bayes_sensor.diagnosis.evidence.comparison import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.form_mismatch import (
     simpler_explanation,
     small_enough,
     within_form_mismatch,
 )
-from bayes_sensor.diagnosis.evidence.hypotheses import (
-    PRIOR_NONE,
-    PRIOR_UNLISTED,
-    Comparison,
-    Hypothesis,
-)
+from bayes_sensor.diagnosis.evidence.hypotheses import PRIOR_NONE, PRIOR_UNLISTED
 from bayes_sensor.diagnosis.evidence.refit import Refit
 from bayes_sensor.diagnosis.signals.finding import Finding
 

@@ -9,7 +9,7 @@ itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, log
 from typing import TYPE_CHECKING, Any
@@ -149,6 +149,11 @@ class Form:
     jumps: bool = False
     """whether the mean jumps at the very moment of a switch"""
 
+    def takes(self, names: Collection[str], setting: Setting) -> bool:
+        """Whether it has strengths, and all of them are among ``names``."""
+        own = {s.name for s in self.strengths(setting)}
+        return bool(own) and own <= set(names)
+
 
 class RigView:
     """The rig of one experiment as a user's own effect sees it."""
@@ -248,6 +253,10 @@ class Effect:
     def on_mean(self) -> bool:
         """Whether it changes the mean."""
         return bool(self.forms)
+
+    def form_for(self, names: Collection[str], setting: Setting) -> Form:
+        """The form that takes strengths of these names; the first where none or several do."""
+        return next((f for f in self.forms if f.takes(names, setting)), self.forms[0])
 
     def strengths(self, setting: Setting) -> list[Strength]:
         """Those of all its forms, one form after the other."""
