@@ -11,7 +11,7 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.diagnosis.budget import gap_budget
-from bayes_sensor.diagnosis.closure import closure
+from bayes_sensor.diagnosis.closure import closure, shrinking, shrinking_of_noise
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
 from bayes_sensor.diagnosis.effects import CATALOGUE, check_names
 from bayes_sensor.diagnosis.effects.effect import Effect
@@ -23,18 +23,10 @@ from bayes_sensor.diagnosis.gap import Gap, Round
 from bayes_sensor.diagnosis.hidden import HiddenEffects, hidden_effects
 from bayes_sensor.diagnosis.isolability import look_alikes, separate_pairs
 from bayes_sensor.diagnosis.location import CLEAR, locate
-from bayes_sensor.diagnosis.shrinking import shrinking, shrinking_of_noise
 from bayes_sensor.diagnosis.signals import look_at_noise, look_at_residuals
 from bayes_sensor.diagnosis.signals.effect_signatures import signatures
 from bayes_sensor.diagnosis.verdict import Verdict, combine, explanation_of, judge
-from bayes_sensor.diagnosis.wording import (
-    Conclusion,
-    nearest_finding,
-    notes_on,
-    sentence,
-    units_of,
-    with_doubts,
-)
+from bayes_sensor.diagnosis.wording import Conclusion, notes, units_of, verdict_sentence
 from bayes_sensor.fit.side_information import without_contradicted
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import Cascade
@@ -160,7 +152,7 @@ def diagnose_gap(
             effects_named,
             family,
             float(min(max(probability, 0.0), 1.0)),
-            with_doubts(sentence(conclusion), kind, fit, campaign),
+            verdict_sentence(conclusion, fit),
         ),
         budget=gap_budget(campaign, prepared, base, excess, nominal),
         map=excess,
@@ -174,7 +166,7 @@ def diagnose_gap(
         rows=tuple(rows),
         strength_units=units_of(catalogue.values(), binned.settings[0], campaign.signal_unit),
         signal_unit=campaign.signal_unit,
-        notes=(*notes_on(binned), *nearest_finding(conclusion)),
+        notes=tuple(notes(conclusion)),
     )
     return gap if binned.order_known else gap.without_lag_names()
 

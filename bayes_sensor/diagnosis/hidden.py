@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 UNSEEN = 3.0
 """detectability below which an effect counts as hidden"""
-PUBLISHED_SCALES = {"s": 0.8577, "V": 1.88, "duration": 120.0}
-"""time constant, step height and record length that the catalogue's plausible strengths are for"""
 CONTRADICTED = 9.0
 """rise of the misfit from which the data contradict an effect at this strength"""
 
@@ -90,24 +88,6 @@ class HiddenEffects:
         return pd.DataFrame([e.to_json() for e in self.effects])
 
 
-def plausible(effect: Effect, binned: BinnedCampaign) -> dict[str, float]:
-    """Plausible strengths on this rig: times scaled with its time constants, volts with its step.
-
-    The strength of a drift is the change over a record.
-    """
-    time = binned.time_scale / PUBLISHED_SCALES["s"]
-    volt = binned.signal_scale / PUBLISHED_SCALES["V"]
-    duration = binned.duration / PUBLISHED_SCALES["duration"]
-    scale = {
-        "s": time, "V": volt, "1/V": 1.0 / volt, "V/s": volt / duration, "1/s": 1.0 / duration,
-    }  # fmt: skip
-    units = {s.name: s.unit for s in effect.strengths(binned.settings[0])}
-    return {
-        name: value * scale.get(units.get(name, "1"), 1.0)
-        for name, value in effect.plausible.items()
-    }
-
-
 def hidden_effects(
     comparison: Comparison, base: Refit, catalogue: Mapping[str, Effect], jobs: int = 1
 ) -> HiddenEffects:
@@ -123,7 +103,7 @@ def hidden_effects(
     high = line.log_tau + 1.96 * line.sd_log_tau
     already = {part.effect.family for part in base.coords.parts}
     each = [
-        (binned, base, none, name, effect, plausible(effect, binned))
+        (binned, base, none, name, effect, effect.plausible_on(binned.settings[0]))
         for name, effect in catalogue.items()
         if effect.on_mean and effect.family not in already
     ]

@@ -292,6 +292,17 @@ class Conclusion:
         )
 
 
+def verdict_sentence(found: Conclusion, fit: Fit) -> str:
+    """The sentence of a verdict, after what in the fit casts doubt on it."""
+    campaign = found.comparison.binned.campaign
+    return _with_doubts(sentence(found), found.judgement.kind, fit, campaign)
+
+
+def notes(found: Conclusion) -> list[str]:
+    """What could not be told, and what is worth a look, in sentences."""
+    return [*notes_on(found.comparison.binned), *nearest_finding(found)]
+
+
 def sentence(found: Conclusion) -> str:
     """What a verdict says: what explains the gap, how sure that is, and what would show it."""
     said = {"none": _nothing, "unlisted": _unlisted, "family": _family, "effect": _effects}
@@ -424,7 +435,7 @@ def form_words(comparison: Comparison, named: Sequence[str]) -> list[str]:
     ]
 
 
-def with_doubts(said: str, kind: str, fit: Fit, campaign: Campaign) -> str:
+def _with_doubts(said: str, kind: str, fit: Fit, campaign: Campaign) -> str:
     """A verdict's sentence after what in the fit casts doubt on it.
 
     Switch times may sit at the earliest that their commands allow; or the fit has found no step,

@@ -98,8 +98,8 @@ def add_within(
     states: FloatArray,
     out: FloatArray,
 ) -> None:  # pragma: no cover
-    # adds a share of the states that a lag (see :func:`lag_states`) has at times (n_t,) ``since`` the
-    # begins of the cells at these ``places`` (n_t,)
+    # adds a share of the states that a lag (see :func:`lag_states`) has at times (n_t,) ``since``
+    # the begins of the cells at these ``places`` (n_t,)
     h, a, m, b = cells
     n = len(h)
     of_cell = np.empty((n, 6))

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from bayes_sensor.likelihood.problem import Problem
 
 KINDS = ("normal", "log_normal")
+PUBLISHED_SCALES = (0.8577, 1.88, 120.0)
+"""s, V, s: time constant, step height and record length that plausible strengths are for"""
 NEAR = 3.0
 """spreads from the centre within which an effect of one's own must have a mean"""
 
@@ -149,11 +151,6 @@ class Form:
     jumps: bool = False
     """whether the mean jumps at the very moment of a switch"""
 
-    def takes(self, names: Collection[str], setting: Setting) -> bool:
-        """Whether it has strengths, and all of them are among ``names``."""
-        own = {s.name for s in self.strengths(setting)}
-        return bool(own) and own <= set(names)
-
 
 class RigView:
     """The rig of one experiment as a user's own effect sees it."""
@@ -254,13 +251,41 @@ class Effect:
         """Whether it changes the mean."""
         return bool(self.forms)
 
+    def plausible_on(self, setting: Setting) -> dict[str, float]:
+        """Plausible strengths on a rig: times scaled with its time constants, volts with its step.
+
+        The strength of a drift is the change over a record.
+        """
+        time, volt, duration = (
+            own / published
+            for own, published in zip(
+                (setting.time_scale, setting.signal_scale, setting.duration),
+                PUBLISHED_SCALES,
+                strict=True,
+            )
+        )
+        scale = {
+            "s": time, "V": volt, "1/V": 1.0 / volt, "V/s": volt / duration, "1/s": 1.0 / duration,
+        }  # fmt: skip
+        units = {s.name: s.unit for s in self.strengths(setting)}
+        return {
+            name: value * scale.get(units.get(name, "1"), 1.0)
+            for name, value in self.plausible.items()
+        }
+
     def form_for(self, names: Collection[str], setting: Setting) -> Form:
         """The form that takes strengths of these names; the first where none or several do."""
-        return next((f for f in self.forms if f.takes(names, setting)), self.forms[0])
+        for form, own in self._by_form(setting):
+            if own and {s.name for s in own} <= set(names):
+                return form
+        return self.forms[0]
 
     def strengths(self, setting: Setting) -> list[Strength]:
         """Those of all its forms, one form after the other."""
-        return [s for form in self.forms for s in form.strengths(setting)]
+        return [s for _, own in self._by_form(setting) for s in own]
+
+    def _by_form(self, setting: Setting) -> list[tuple[Form, tuple[Strength, ...]]]:
+        return [(form, form.strengths(setting)) for form in self.forms]
 
     def units(self, setting: Setting) -> dict[str, str]:
         """Name of every strength -> its unit, those of the noise included."""

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.diagnosis.effects import CATALOGUE
-from bayes_sensor.diagnosis.effects.effect import OnNoise, Strength
+from bayes_sensor.diagnosis.effects.effect import OnNoise, Setting, Strength
 from bayes_sensor.diagnosis.effects.effect_model import (
     EffectModel,
     Scales,
@@ -19,7 +19,6 @@ from bayes_sensor.diagnosis.effects.effect_model import (
     parse_effect,
     with_effects,
 )
-from bayes_sensor.diagnosis.hidden import PUBLISHED_SCALES
 from bayes_sensor.likelihood.noise import lag_coefficient, scale_squared
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import local_parameters
@@ -38,30 +37,25 @@ def default_strengths(name: str, scales: Scales, form: str | None = None) -> dic
     effect = CATALOGUE[name]
     if form is not None and not effect.forms:
         raise CampaignError(f"{name} acts on the noise and has no forms; give it alone")
-    time = scales.time_scale / PUBLISHED_SCALES["s"]
-    volt = scales.signal_scale / PUBLISHED_SCALES["V"]
-    duration = scales.duration / PUBLISHED_SCALES["duration"]
-    factor = {
-        "s": time, "V": volt, "1/V": 1.0 / volt, "V/s": volt / duration, "1/s": 1.0 / duration,
-    }  # fmt: skip
-    units = {s.name: s.unit for s in _strengths(name, scales)}
-    plausible = {
-        key: value * factor.get(units.get(key, "1"), 1.0) for key, value in effect.plausible.items()
-    }
+    plausible = effect.plausible_on(_blank_setting(scales))
     if form is None:
         return plausible
     return {s.name: plausible.get(s.name, s.value(0.0)) for s in _strengths(name, scales, form)}
 
 
-def _strengths(name: str, scales: Scales, form: str | None = None) -> list[Strength]:
-    # of one form, or of all
+def _blank_setting(scales: Scales) -> Setting:
     from bayes_sensor.campaign import Experiment
 
     blank = Experiment("blank", np.array([0.0, 1.0]), None, 1.0, 1.0, 1.0)
-    setting = scales.setting(blank, 0.0, None)
-    effect = CATALOGUE[name]
-    forms = effect.forms if form is None else (find_form(effect, form),)
-    return [s for f in forms for s in f.strengths(setting)]
+    return scales.setting(blank, 0.0, None)
+
+
+def _strengths(name: str, scales: Scales, form: str | None = None) -> list[Strength]:
+    # of one form, or of all
+    effect, setting = CATALOGUE[name], _blank_setting(scales)
+    if form is None:
+        return effect.strengths(setting)
+    return list(find_form(effect, form).strengths(setting))
 
 
 def read_strength(text: str) -> tuple[str, float | None]:
