@@ -15,7 +15,7 @@ from bayes_sensor.diagnosis.budget import ar1_whiteness
 from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, clean, innovations
 from bayes_sensor.diagnosis.diagnose import diagnose_gap
 from bayes_sensor.diagnosis.effects import CATALOGUE
-from bayes_sensor.diagnosis.effects.effect import Effect, Strength, own_effect
+from bayes_sensor.diagnosis.effects.effect import Effect, Strength
 from bayes_sensor.diagnosis.effects.effect_model import (
     EffectModel,
     check_effects,
@@ -25,6 +25,7 @@ from bayes_sensor.diagnosis.effects.effect_model import (
 from bayes_sensor.diagnosis.effects.heavy_tails import look_at_tails
 from bayes_sensor.diagnosis.effects.mains_pickup import SEARCH
 from bayes_sensor.diagnosis.effects.simulate_effects import read_strength
+from bayes_sensor.diagnosis.effects.user_effects import own_effect
 from bayes_sensor.diagnosis.evidence import hypotheses
 from bayes_sensor.diagnosis.evidence.comparison import Comparison
 from bayes_sensor.diagnosis.signals.events import _blocks

@@ -18,7 +18,7 @@ from bayes_sensor.blind_check.oracle import Oracle, Refit
 from bayes_sensor.campaign import Campaign, Experiment, FloatArray
 from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.effects.effect import Form, Setting, Strength
-from bayes_sensor.diagnosis.evidence.refit_coordinates import coating_modes
+from bayes_sensor.diagnosis.effects.rig_view import coating_modes
 from bayes_sensor.reality import sample_times
 from bayes_sensor.rig.perturbed import (
     BETA,

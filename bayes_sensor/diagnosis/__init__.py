@@ -2,14 +2,9 @@
 
 from bayes_sensor.diagnosis.diagnose import diagnose_gap
 from bayes_sensor.diagnosis.effects import CATALOGUE
-from bayes_sensor.diagnosis.effects.effect import (
-    Effect,
-    Form,
-    RigView,
-    Setting,
-    Strength,
-    own_effect,
-)
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength
+from bayes_sensor.diagnosis.effects.rig_view import RigView
+from bayes_sensor.diagnosis.effects.user_effects import own_effect
 from bayes_sensor.diagnosis.gap import Gap
 
 __all__ = [

@@ -22,8 +22,9 @@ from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.preparation import prepare
 from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.effects.effect import Effect, Form
+from bayes_sensor.diagnosis.effects.rig_view import coating_modes
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates, coating_modes
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.likelihood.noise import scale_squared, simulate_noise
 from bayes_sensor.rig.cascade import cascade_response
 from bayes_sensor.rig.layout import Layout

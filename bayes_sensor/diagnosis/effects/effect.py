@@ -9,27 +9,25 @@ itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, log
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
-from bayes_sensor.rig.perturbed import SETTINGS
 
 if TYPE_CHECKING:
     from bayes_sensor.diagnosis.closed_fraction import Closure
     from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
+    from bayes_sensor.diagnosis.effects.rig_view import RigView
     from bayes_sensor.diagnosis.signals.finding import Finding, Signal
     from bayes_sensor.likelihood.problem import Problem
 
 KINDS = ("normal", "log_normal")
 PUBLISHED_SCALES = (0.8577, 1.88, 120.0)
 """s, V, s: time constant, step height and record length that plausible strengths are for"""
-NEAR = 3.0
-"""spreads from the centre within which an effect of one's own must have a mean"""
 
 
 @dataclass(frozen=True)
@@ -150,31 +148,6 @@ class Form:
     """a user's own mean; it may call the rig's"""
     jumps: bool = False
     """whether the mean jumps at the very moment of a switch"""
-
-
-class RigView:
-    """The rig of one experiment as a user's own effect sees it."""
-
-    def __init__(
-        self,
-        setting: Setting,
-        y0: float,
-        beta: float,
-        mean: Callable[[FloatArray, Mapping[str, float]], FloatArray],
-        response: Callable[[FloatArray, Mapping[str, float]], FloatArray],
-    ) -> None:
-        self.setting, self.y0, self.beta = setting, y0, beta
-        self.experiment = setting.experiment
-        self.t0, self.tf = setting.t0, setting.tf
-        self._mean, self._response = mean, response
-
-    def mean(self, t: FloatArray, **settings: float) -> FloatArray:
-        """V (n_t,), the mean of the rig with these settings changed."""
-        return self._mean(t, settings)
-
-    def response(self, t: FloatArray, **settings: float) -> FloatArray:
-        """x3 (n_t,), 0 to 1, of the rig with these settings changed."""
-        return self._response(t, settings)
 
 
 Values = Mapping[str, float]
@@ -308,135 +281,3 @@ class Effect:
             raise CampaignError(
                 f"effect {self.name}: expected at least one form, or how it acts on the noise"
             )
-
-
-def check_settings(effect: str, settings: Mapping[str, float]) -> None:
-    """Raise CampaignError where an effect names a setting that the rig does not have."""
-    for name in settings:
-        if name not in SETTINGS:
-            import difflib
-
-            close = difflib.get_close_matches(name, SETTINGS, n=1)
-            hint = f"did you mean '{close[0]}'?" if close else f"known are {', '.join(SETTINGS)}"
-            raise CampaignError(f"effect {effect}: the rig has no setting '{name}'; {hint}")
-
-
-def own_effect(
-    name: str,
-    strengths: Iterable[Strength],
-    mean: Callable[[FloatArray, Mapping[str, float], RigView], FloatArray],
-    *,
-    plausible: Mapping[str, float],
-    family: str | None = None,
-    sentence: str | None = None,
-    starts: Iterable[Mapping[str, float]] | None = None,
-    reference: str = "user's own",
-) -> Effect:
-    """An effect from one function ``mean(t, strength, rig) -> V``.
-
-    ``t`` (n_t,) s is sorted; ``strength`` maps the names of ``strengths`` to values; ``rig``
-    (:class:`RigView`) gives ``mean``, ``response``, ``y0``, ``beta``, ``t0``, ``tf`` and the
-    ``experiment``.  The function must be smooth in the strengths and take any sorted times.
-    ``plausible``: strengths of a rig with this fault.  ``starts``: strengths from which fits
-    begin, the others at their centres; where none are given and there are several strengths, those
-    that are 0 at their centre begin one spread to either side.
-
-    >>> leak = own_effect(
-    ...     "leak", [Strength("leak_V", "V", "normal", 0.0, 0.02)],
-    ...     lambda t, s, rig: rig.mean(t) + s["leak_V"] * (t > rig.t0), plausible={"leak_V": 0.02},
-    ... )
-    >>> leak.family
-    'leak'
-
-    Raises
-    ------
-    CampaignError
-        For a name that cannot be one, without a strength, and where ``plausible`` or ``starts``
-        name a strength that is not there.  A diagnosis raises it where the function stops or
-        returns something else than finite voltages.
-    """
-    fixed = tuple(strengths)
-    if not name.isidentifier() or name in ("none", "unlisted"):
-        # tables write a+b for two effects at once
-        raise CampaignError(
-            f"effect '{name}': expected a name of letters, digits and underscores that is not "
-            "'none' or 'unlisted'; rename it"
-        )
-    if not fixed:
-        raise CampaignError(f"effect {name}: expected at least one strength")
-    begun = _default_starts(fixed) if starts is None else tuple(starts)
-    for where, given in (("plausible", plausible), *(("starts", start) for start in begun)):
-        _check_strengths(name, where, given, fixed)
-    form = Form(
-        strengths=lambda _: fixed,
-        settings=lambda _values, _setting: {},
-        starts=begun,
-        mean=_Checked(name, fixed, mean),
-    )
-    return Effect(
-        name=name,
-        family=family or name,
-        sentence=sentence or f"The effect '{name}' explains what the model misses.",
-        forms=(form,),
-        plausible=plausible,
-        reference=reference,
-        reveal="an experiment in which this effect is switched off",
-    )
-
-
-def _default_starts(strengths: Sequence[Strength]) -> tuple[Mapping[str, float], ...]:
-    """At the centres; of several strengths those that are 0 there one spread to either side.
-
-    Where an amplitude is 0 the data say nothing of a place or a width.
-    """
-    zero = [s for s in strengths if s.value(0.0) == 0.0]
-    if len(strengths) < 2 or not zero:
-        return ({},)
-    sides = [{s.name: s.value(side) for s in zero} for side in (1.0, -1.0)]
-    return tuple(side for side in sides if any(side.values()))
-
-
-def _check_strengths(
-    effect: str, where: str, given: Mapping[str, Any], strengths: Sequence[Strength]
-) -> None:
-    known = [s.name for s in strengths]
-    for name, value in given.items():
-        if (name.rstrip("*") if where == "starts" else name) not in known:
-            raise CampaignError(
-                f"effect {effect}: {where}: expected names of its strengths "
-                f"({', '.join(known)}), but got '{name[:80]}'; correct it"
-            )
-        if not isinstance(value, int | float | np.number) or not np.isfinite(value):
-            raise CampaignError(
-                f"effect {effect}: {where}: expected a number for {name}, but got {value}; "
-                "correct it"
-            )
-
-
-@dataclass(frozen=True)
-class _Checked:
-    """A user's own mean, which tells what is wrong with it rather than spoil the fit."""
-
-    effect: str
-    strengths: tuple[Strength, ...]
-    function: Callable[[FloatArray, Mapping[str, float], RigView], FloatArray]
-
-    def __call__(self, t: FloatArray, values: Mapping[str, float], rig: RigView) -> FloatArray:
-        """V (n_t,), the function's; CampaignError where one is not finite."""
-        with np.errstate(all="ignore"):  # what comes of it is told below
-            found = np.asarray(self.function(t, values, rig), dtype=float)
-        bad = ~np.isfinite(found)
-        # others tell of a wrong shape
-        if found.shape == np.shape(t) and bad.any() and self._likely(values):
-            i = int(np.argmax(bad))
-            at = ", ".join(f"{s.name} = {values[s.name]:.4g}" for s in self.strengths)
-            raise CampaignError(
-                f"effect {self.effect}: expected finite voltages from its function, but got "
-                f"{found[i]} at t = {t[i]:.10g} s of experiment '{rig.experiment.name}' with {at}; "
-                "correct it"
-            )
-        return found
-
-    def _likely(self, values: Mapping[str, float]) -> bool:
-        """Whether all strengths are near their centres: a fit on its way may try any others."""
-        return all(abs(s.coordinate(values[s.name])) <= NEAR for s in self.strengths)

@@ -15,15 +15,8 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.diagnosis.effects import CATALOGUE, check_names
-from bayes_sensor.diagnosis.effects.effect import (
-    Effect,
-    Form,
-    RigView,
-    Setting,
-    Strength,
-    check_settings,
-)
-from bayes_sensor.diagnosis.evidence.refit_coordinates import coating_modes
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength
+from bayes_sensor.diagnosis.effects.rig_view import RigView, check_settings, coating_modes
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import Cascade, local_parameters
@@ -257,7 +250,7 @@ class EffectModel:
         m = rig_mean(at, p, *modes)
         for form, values, setting in own:
             assert form.mean is not None
-            m = np.asarray(form.mean(at, values, _view(setting, p)), dtype=float)
+            m = np.asarray(form.mean(at, values, RigView(setting, p)), dtype=float)
         mean, response = np.empty_like(m), np.empty_like(x)
         mean[order], response[order] = m, x
         return mean, response
@@ -293,23 +286,6 @@ class EffectModel:
             if ends:
                 found.append((min(ends) - experiment.interval, max(ends) + experiment.interval))
         return found
-
-
-def _view(setting: Setting, p: FloatArray) -> RigView:
-    def changed(settings: Mapping[str, float]) -> FloatArray:
-        check_settings("user's own", settings)
-        q = p.copy()
-        for name, value in settings.items():
-            q[FIRST + INDEX[name]] = value
-        return q
-
-    return RigView(
-        setting,
-        float(p[3]),
-        float(p[4]),
-        lambda t, s: np.asarray(rig_mean(t, changed(s), *coating_modes())),
-        lambda t, s: np.asarray(rig_response(t, changed(s), *coating_modes())),
-    )
 
 
 def parse_effect(text: str, where: str = "effect") -> tuple[str, str | None]:

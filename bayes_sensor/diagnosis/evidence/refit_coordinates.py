@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import exp, inf
 
 import numpy as np
@@ -12,12 +12,8 @@ from numpy.typing import NDArray
 
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import SHARED
-from bayes_sensor.diagnosis.effects.effect import (
-    Form,
-    RigView,
-    Setting,
-    check_settings,
-)
+from bayes_sensor.diagnosis.effects.effect import Form, Setting
+from bayes_sensor.diagnosis.effects.rig_view import RigView, coating_modes
 from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER, CoordinatePriors
 from bayes_sensor.rig.perturbed import (
     BETA,
@@ -36,17 +32,7 @@ from bayes_sensor.rig.perturbed import (
     campaign_means,
     moved_means,
     rig_mean,
-    rig_response,
 )
-
-
-@lru_cache(maxsize=1)
-def coating_modes() -> tuple[FloatArray, FloatArray]:
-    """Shares (6,) and time constants (6,) over the time to 63.2 % of the published coating."""
-    from bayes_sensor.coating import Coating, reduced
-
-    modes = reduced(Coating()).with_tau63(1.0)
-    return np.array(modes.amplitude), 1.0 / np.array(modes.rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,18 +58,7 @@ class Coordinates(CoordinatePriors):
     ) -> FloatArray:
         here = replace(setting, t0=float(p[T0]), tf=min(float(p[TF]), setting.tf + 1e6))
 
-        def changed(settings: Mapping[str, float]) -> FloatArray:
-            check_settings("user's own", settings)
-            q = p.copy()
-            for name, value in settings.items():
-                q[FIRST + INDEX[name]] = value
-            return q
-
-        view = RigView(
-            here, float(p[Y0]), float(p[BETA]),
-            lambda t, s: np.asarray(rig_mean(t, changed(s), *coating_modes())),
-            lambda t, s: np.asarray(rig_response(t, changed(s), *coating_modes())),
-        )  # fmt: skip
+        view = RigView(here, p)
         assert form.mean is not None
         try:
             made = np.asarray(form.mean(at, values, view), dtype=float)
