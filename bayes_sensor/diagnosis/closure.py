@@ -49,7 +49,7 @@ NEGLIGIBLE = 1e-4
 
 
 def misfit_removed(base: Refit, fitted: Refit) -> float:
-    """Misfit, in squared standard deviations, that ``fitted`` does not have and ``base`` has.
+    """By how much ``fitted`` lowers the squared misfit of ``base``, in units of the noise.
 
     Less what its further freedom takes from noise alone.
     """
@@ -307,7 +307,7 @@ def shrinking(comparison: Comparison, best: Hypothesis, closed: Closure, seed: i
 
 
 def closed_by(base: Refit, fitted: Refit, closed: Closure) -> float | None:
-    """What another explanation takes away of the gap whose whole size ``closed`` knows."""
+    """Fraction of the gap, whose size ``closed`` holds, that an explanation closes."""
     return None if closed.withheld else misfit_removed(base, fitted) / closed.d_before**2
 
 
@@ -318,7 +318,7 @@ def shrinking_of_noise(
     prepared: PreparedCampaign,
     findings: Sequence[Finding],
 ) -> Shrink:
-    """The same where what is named makes a gap that is not one of the mean, if any does."""
+    """``shrink`` with the closed fraction of a named effect on the noise, if one has its own."""
     for name in named:
         noise = catalogue[name].on_noise
         if noise and noise.closure:

@@ -24,9 +24,9 @@ Said = TypeVar("Said", "Shrink", HiddenEffect, "HiddenEffects")
 
 
 def without_tau(said: Mapping[str, Any]) -> dict[str, Any]:
-    """None for what is said of tau, and the same as said of the shorter lag.
+    """The record with tau None and the shorter lag in its place, under keys of its own.
 
-    For a diagnosis that takes the shorter lag for the sensor's where nobody knows whose it is.
+    For a diagnosis that takes the shorter lag for the sensor's where its owner is not known.
 
     >>> without_tau({"d": 2.0, "tau_s": 0.1})
     {'d': 2.0, 'tau_s': None, 'lag_fast_s': 0.1}
@@ -159,7 +159,7 @@ class Gap:
         return card(title, sentences, [key.replace("_", " ") for key in keys], rows)
 
     def without_lag_names(self) -> Gap:
-        """The same where nobody knows which lag is the sensor's."""
+        """The record for a campaign in which it is not known which lag is the sensor's."""
         hidden = HiddenEffects(
             tuple(nameless(each) for each in self.hidden.effects), self.hidden.tau_envelope_s
         )

@@ -1,10 +1,10 @@
 """What may hide: effects that this campaign cannot see, and what they do to tau.
 
-Fast effects are absorbed by the switch times and tau, leave almost no residual and may double
-tau.  For each effect at plausible strength: its detectability after the refit, the shift of the
-refitted tau, and tau refitted with the effect in place.  What is absorbed so well may be many times
-as strong as is plausible, so tau is stated for each effect with its strength left free, too.  The
-envelope is the union over everything that could not have been seen.
+Fast effects are absorbed by the switch times and tau, leave almost no residual and may double tau.
+For each effect at plausible strength this file computes the detectability after the refit, the
+shift of the refitted tau, and tau refitted with the effect in place.  An absorbed effect may be
+many times stronger than plausible, so tau is also given with the strength left free.  The envelope
+of tau is the union over all effects that could not have been seen.
 """
 
 from __future__ import annotations

@@ -95,7 +95,7 @@ def look_alikes(
 def separate_pairs(
     comparison: Comparison, judgement: Judgement, alike: Mapping[str, Sequence[str]]
 ) -> list[Separation]:
-    """What would tell the first effect of a verdict from those that look most like it.
+    """The additions that separate the first effect of a verdict from those most like it.
 
     ``alike``: of :func:`look_alikes`.
     """

@@ -109,18 +109,18 @@ class Probabilities:
 
     @property
     def nothing_seen(self) -> float:
-        """None, or nothing but an effect too small to be seen."""
+        """Probability of no effect, or of one that is too small to be seen."""
         return min(self.none + self.faint, 1.0)
 
 
 def combine(
     comparison: Comparison, findings: Sequence[Finding], catalogue: Mapping[str, Effect]
 ) -> Probabilities:
-    """Join what explains the mean with what the samples say; the two are independent.
+    """Probabilities of all explanations of the mean and of the findings, which are independent.
 
-    A line of unlisted origin (a pump's, a fan's) is no rival of an effect on the mean, which it
-    leaves alone: it stays beside the effect, and is the unlisted cause where nothing else is.  So
-    does what happens on plateaus beside an effect that shows elsewhere
+    A line of unlisted origin (of a pump, a fan) does not move the mean, so it is no rival of an
+    effect on the mean.  It counts beside the effect, and as the unlisted cause where there is no
+    effect.  The same holds for a finding on plateaus beside an effect that is seen in other phases
     (:func:`leaves_explanation_alone`).
     """
     rows: dict[str, float] = {"none": 0.0, "unlisted": 0.0}
@@ -208,7 +208,7 @@ def _too_small(h: Hypothesis, base: Refit) -> float:
 
 
 def leaves_explanation_alone(found: Finding, fitted: Refit, base: Refit) -> bool:
-    """Whether a finding of unlisted origin takes nothing from an explanation of the mean.
+    """Whether a finding of unlisted origin is compatible with an explanation of the mean.
 
     A fast line averages out of the bins, whatever the effect.  An event, or plateaus that are
     unsteady, may be what an effect is fitted to, unless the effect explains most of what it does in
@@ -226,7 +226,7 @@ def leaves_explanation_alone(found: Finding, fitted: Refit, base: Refit) -> bool
 
 
 def _touched(found: Finding, binned: BinnedCampaign) -> NDArray[np.bool_] | None:
-    """(n_bins in all,) phases that a finding on quiet stretches is in; None for any other."""
+    """(n_bins in all,) bins in the phases of a finding on quiet stretches; None for any other."""
     if found.signal.phase:
         return np.concatenate([b.phase == PHASES.index(found.signal.phase) for b in binned.bins])
     if not found.signal.on_quiet_stretches or not found.places:
@@ -240,10 +240,10 @@ def _touched(found: Finding, binned: BinnedCampaign) -> NDArray[np.bool_] | None
 
 
 def _look_alike(comparison: Comparison, h: Hypothesis) -> float:
-    """Odds that what looks like this explanation is an unlisted cause with the same residual.
+    """Odds of an unlisted cause with the same residual as this explanation.
 
-    The more can be seen of an effect, the fewer other causes look the same.  Whoever writes an
-    effect of their own has a reason to: it is not charged.
+    The clearer an effect is seen, the fewer other causes look the same.  An effect of a user's own
+    is not charged: there is a reason for it.
     """
     own = any(part.form.mean is not None for part in h.refit.coords.parts)
     if h.incomplete or not h.effects or own:
@@ -253,7 +253,7 @@ def _look_alike(comparison: Comparison, h: Hypothesis) -> float:
 
 
 def _detectability(h: Hypothesis, base: Refit) -> float:
-    """Size of what an explanation explains, in standard deviations of the noise."""
+    """Root of the misfit that an explanation removes, in standard deviations of the noise."""
     return sqrt(max(base.misfit - h.refit.misfit, 0.0))
 
 

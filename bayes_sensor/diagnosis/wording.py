@@ -48,7 +48,7 @@ WORTH_A_LOOK = log(2.0)
 
 
 def notes_on(binned: BinnedCampaign) -> list[str]:
-    """What the campaign cannot tell, in sentences."""
+    """Limits of the campaign, in sentences."""
     campaign, spikes = binned.campaign, binned.floor.spikes
     notes = []
     if not any(e.has_fall for e in campaign):
@@ -95,10 +95,10 @@ def notes_on(binned: BinnedCampaign) -> list[str]:
 
 
 def nearest_finding(found: Conclusion) -> list[str]:
-    """What comes nearest to an unlisted cause where nothing was stated, if it is worth a look.
+    """The likeliest finding of unlisted origin where the verdict is none, if it is worth a look.
 
-    Events are rare, so that one that the data speak for may still pass for noise; whoever plots
-    the residual will see it.
+    Events are rare, so that one that the data favour may still be put down to noise; a plot of the
+    residual shows it.
     """
     unlisted = [f for f in found.findings if not f.signal.listed]
     nearest = max(unlisted, key=lambda f: f.probability, default=None)
@@ -113,7 +113,7 @@ def nearest_finding(found: Conclusion) -> list[str]:
 
 
 def with_alternative(effect: Effect) -> str:
-    """An effect, and where nobody knows whose the lags are the other that it may be."""
+    """The effect's name, with its counterpart where the lags cannot be assigned."""
     name, other = effect.name, effect.exchanged
     if not other or effect.same_response != other:
         return name
@@ -132,7 +132,7 @@ def family_words(
     other: str,
     first: str = "",
 ) -> str:
-    """What is said of a family; ``leading``: probability of its likeliest member.
+    """The sentence on a family; ``leading``: probability of its likeliest member.
 
     ``first``: that member in words, where they are more than its name.
     """
@@ -215,7 +215,7 @@ OFTEN_NOISE = (
 
 
 def _likeness(comparison: Comparison, unit: str) -> str:
-    """What a cause without a name acts like; empty where nothing of the kind is likely."""
+    """What an unlisted cause resembles; empty where no resemblance is likely."""
     shares = comparison.probabilities
     likely = int(np.argmax(shares))
     h = comparison.hypotheses[likely]
@@ -243,7 +243,7 @@ def units_of(effects: Iterable[Effect], setting: Setting, signal_unit: str) -> d
 
 @dataclass(frozen=True, eq=False)
 class Conclusion:
-    """What a diagnosis has come to, for its sentence."""
+    """The results of a diagnosis that its sentence is made from."""
 
     judgement: Judgement
     comparison: Comparison
@@ -310,7 +310,7 @@ def sentence(found: Conclusion) -> str:
 
 
 def _nothing(found: Conclusion) -> list[str]:
-    """Of nothing beyond the noise floor."""
+    """The sentence where nothing exceeds the noise floor."""
     probability, excess = found.judgement.probability, found.excess
     low, high = (shown(1e3 * t, 2) for t in found.envelope)
     nothing = "Nothing is missing beyond the noise floor."
@@ -331,7 +331,7 @@ def _nothing(found: Conclusion) -> list[str]:
 
 
 def _unlisted(found: Conclusion) -> list[str]:
-    """Of a cause outside the catalogue."""
+    """The sentences on an unlisted cause."""
     probability, comparison, best = found.judgement.probability, found.comparison, found.best
     probabilities, place = found.probabilities, found.place
     by_samples = found.in_words(found.unlisted)
@@ -370,7 +370,7 @@ def _unlisted(found: Conclusion) -> list[str]:
 
 
 def _family(found: Conclusion) -> list[str]:
-    """Of one of a family, or two of its members together."""
+    """The sentences on a family."""
     _, named, _, probability = found.judgement
     catalogue, best, place = found.comparison.catalogue, found.best, found.place
     leading = catalogue[named[0]]
@@ -401,7 +401,7 @@ def _family(found: Conclusion) -> list[str]:
 
 
 def _effects(found: Conclusion) -> list[str]:
-    """Of the one or two effects that are named."""
+    """The sentences on the one or two effects that are named."""
     named, catalogue = found.judgement.effects, found.comparison.catalogue
     by_name = {f.name: f for f in found.findings}
     fitted = found.best.refit.strength()
@@ -422,7 +422,7 @@ def _effects(found: Conclusion) -> list[str]:
 
 
 def form_words(comparison: Comparison, named: Sequence[str]) -> list[str]:
-    """What is said of a leftover that the form of what is named may make."""
+    """The sentence on a leftover that may be the shape error of a named effect."""
     likely = comparison.hypotheses[int(np.argmax(comparison.probabilities))]
     form = simpler_explanation(likely, comparison)
     if form is None or not set(form.effects) <= set(named):
@@ -459,7 +459,7 @@ def _with_doubts(said: str, kind: str, fit: Fit, campaign: Campaign) -> str:
 def second_words(
     named: Sequence[str], combined: Probabilities, catalogue: Mapping[str, Effect]
 ) -> list[str]:
-    """What is likely beside the effects that are named: the likeliest of the other families."""
+    """The sentence on the likeliest of the other families, beside the effects that are named."""
     own = {catalogue[n].family for n in named}
     others = {f: p for f, p in combined.families.items() if f not in own}
     other = max(others, key=lambda f: others[f], default=None)
@@ -477,7 +477,7 @@ def second_words(
 
 
 def undecided_words(place: str, combined: Probabilities) -> str:
-    """What is said where nothing is likelier than not, or only several families each."""
+    """The sentence where no explanation is likelier than one half, or several families are."""
     likely = [f for f, p in combined.families.items() if p > 0.5]
     if likely:
         each = ", ".join(f"{f} {100.0 * combined.families[f]:.0f} %" for f in likely)

@@ -98,7 +98,7 @@ class BinnedCampaign:
 
     @property
     def concentrations_before(self) -> tuple[float, ...]:
-        """Of the experiment that was run before each, be it in the binned campaign or not."""
+        """Of the experiment that was run before each, whether it is in these bins or not."""
         return self.given_before or self.campaign.concentrations_before
 
     @cached_property
@@ -157,7 +157,7 @@ class BinnedCampaign:
         return np.concatenate([x[: at[0]], *(x[at[k] : at[k + 1]] for k in stay)])
 
     def local(self, first: int, own: int = 0) -> list[int]:
-        """First coordinate of each experiment, that of all being ``first``, and one after the last.
+        """First coordinate of each experiment, starting at ``first``, and the end of the last.
 
         ``own``: strengths that every experiment has for itself.
         """

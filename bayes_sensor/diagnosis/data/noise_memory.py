@@ -69,7 +69,7 @@ def own_memory(
     f: FloatArray,
     count: FloatArray,
 ) -> FloatArray:
-    """What the memory of each record's noise makes of the common spectra, (n_e, 2, n_f).
+    """Factors (n_e, 2, n_f) on the common spectra from the memory of each record's noise.
 
     Of two records that are as loud, one through a filter ten times as slow, this one has ten times
     the power at low frequencies, where an effect shows.  Neighbouring samples tell the memory, not
@@ -131,7 +131,7 @@ def _from_one_to_the_next(series: Sequence[FloatArray]) -> float:
 
 
 def _correlation(noises: Sequence[FloatArray]) -> float:
-    """From sample to sample, what detrending took of it put back; at most WANDERING."""
+    """Correlation from sample to sample, corrected for detrending; at most WANDERING."""
     phi = _from_one_to_the_next(noises)
     if not like_a_walk(noises):  # a smooth misfit is no stationary noise that detrending bent
         return min(max(phi, 0.0), SMOOTH)

@@ -64,7 +64,7 @@ def flat_theta(campaign: Campaign, x: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class PreparedCampaign:
-    """A campaign's binned campaign with what was needed to make it."""
+    """A campaign in bins, with the residuals and quiet stretches that it was made from."""
 
     binned: BinnedCampaign
     residuals: tuple[FloatArray, ...]
@@ -91,7 +91,7 @@ class PreparedCampaign:
         return self.binned.campaign, self.residuals, self.deviations
 
     def less_mean_of(self, found: Refit) -> PreparedCampaign:
-        """The same with a refit's mean taken off the samples in place of the fit's."""
+        """The campaign with residuals of a refit in place of those of the fit."""
         residuals = self.residuals_of(found)
         campaign, bins = self.binned.campaign, self.binned.bins
         stretches = quiet_stretches(campaign, residuals, bins, self.settle)

@@ -121,7 +121,7 @@ class Setting:
 
 
 def spread_of_times(name: str) -> Strength:
-    """By how much half of what is spread over several time constants is slower or faster."""
+    """Factor between the time constants of a process that is spread over several of them."""
     return Strength(name, "1", "log_normal", 3.0, 0.4, limits=(1.01, 30.0))
 
 
@@ -267,7 +267,7 @@ class Effect:
 
     @property
     def nameless(self) -> Effect:
-        """The effect where nobody knows whose the lags are: its counterpart may be the cause."""
+        """The effect where the lags cannot be assigned: its counterpart may be the cause."""
         return replace(self, same_response=self.same_response or self.exchanged)
 
     def apply(self, problem: Problem) -> Problem:

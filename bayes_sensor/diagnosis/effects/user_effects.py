@@ -82,7 +82,7 @@ def own_effect(
 
 
 def _default_starts(strengths: Sequence[Strength]) -> tuple[Mapping[str, float], ...]:
-    """At the centres; of several strengths those that are 0 there one spread to either side.
+    """The centres; with several strengths, amplitudes centred at 0 start at +-1 sd.
 
     Where an amplitude is 0 the data say nothing of a place or a width.
     """

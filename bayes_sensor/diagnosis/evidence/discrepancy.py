@@ -1,4 +1,4 @@
-"""Something else: a smooth Gaussian-process discrepancy as an explicit competitor.
+"""A smooth Gaussian-process discrepancy: the explicit competitor of every effect.
 
 Residual tests cannot say "none of the listed causes"; a rival that explains any smooth,
 event-locked misfit can (Kennedy and O'Hagan 2001; Brynjarsdottir and O'Hagan 2014).  Matern-3/2
@@ -22,10 +22,10 @@ gas that has flowed in place of the time, as what happens on the way of the gas 
 has such a form is explained with half the freedom, and gains by it.  Kernels are factored once per
 campaign; evidences then need only small matrices.
 
-What an effect leaves, whose form is not quite right, is not what a cause leaves that nobody listed:
-configurations have one weight beside an effect and another where they stand alone.  The latter are
-rounded from those that ``paper/studies/study_unlisted.py`` finds in campaigns with unlisted causes;
-half of them go to what is the same in all experiments.
+The shape error of an effect differs from the misfit of an unlisted cause: a configuration has one
+weight beside an effect and another alone.  The latter are rounded from those that
+``paper/studies/study_unlisted.py`` finds in campaigns with unlisted causes; half of the weight goes
+to what is the same in all experiments.
 """
 
 from __future__ import annotations

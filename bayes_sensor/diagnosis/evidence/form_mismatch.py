@@ -1,10 +1,9 @@
-"""Effects in a form that is not quite the catalogue's.
+"""The shape error of an effect: what a listed effect leaves because its form is not exact.
 
-Nature's effects are a little other than ours, by a share of their size that does not depend on how
-well they are seen.  Once an effect is seen far above the noise so is that, and two effects together
-explain it, or an effect and something else: a cause that is not there, stated with confidence.
-What an effect leaves of itself counts for another cause only from a share on that no effect's form
-has been seen to leave.
+A real effect differs from the catalogue's form by a share of its own size.  At a high
+signal-to-noise ratio this shape error is visible, too, and a second effect or an unlisted cause
+would explain it.  A leftover therefore counts as another cause only above the largest share that
+the form of an effect has been seen to leave.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ OTHER_FORM = 0.2
 
 @dataclass(frozen=True)
 class SimplerExplanation:
-    """What an explanation may be instead."""
+    """An explanation by fewer causes whose form is not exact."""
 
     effects: tuple[str, ...]
     """those that need no other form"""
@@ -34,12 +33,12 @@ class SimplerExplanation:
 
 
 def small_enough(left: float, whole: float) -> bool:
-    """Whether a form may leave so much of what is explained; both as squared misfits."""
+    """Whether a shape error may be so large a part of the whole; both as squared misfits."""
     return left < OTHER_FORM**2 * whole
 
 
 def simpler_explanation(h: Hypothesis, comparison: Comparison) -> SimplerExplanation | None:
-    """Fewer effects, or the same without something else beside them, in a form of their own.
+    """Fewer effects, or the same ones without a discrepancy, whose form is not exact.
 
     None where an explanation has nothing beside an effect, where that is not seen, or where it is
     too much for the effect's form.
@@ -59,9 +58,9 @@ def simpler_explanation(h: Hypothesis, comparison: Comparison) -> SimplerExplana
 
 
 def within_form_mismatch(found: Finding, fitted: Refit, base: Refit) -> bool:
-    """Whether a finding in what is left is small enough for what an effect's form may leave.
+    """Whether a finding in the residual mean is small enough to be the effect's shape error.
 
-    What is hardly there takes little from any explanation, and is left to.
+    A finding that is improbable takes little from any explanation and is not excused.
     """
     if not found.signal.of_the_mean or found.d is None or found.probability < FOUND:
         return False
@@ -69,7 +68,7 @@ def within_form_mismatch(found: Finding, fitted: Refit, base: Refit) -> bool:
 
 
 def _taken_beside(h: Hypothesis) -> float:
-    """By how much what is beside the effects lessens the misfit."""
+    """By how much the discrepancy beside the effects lessens the misfit."""
     taken = 0.0
     for term in h.terms:
         left = Linearised(term.refit).left(term.beside)

@@ -1,9 +1,9 @@
-"""Which effect: the evidence of none, every effect, something else, and both together.
+"""Which effect: the evidence of none, of every effect, of a discrepancy, and of both together.
 
-Priors go over families first, then members, so that look-alikes do not gain by their number.  A
-smooth discrepancy stands for "something else"; an effect with a discrepancy beside it says that
-the effect does not explain all.  Pairs are tried within families, too: where two members are
-nearly the same effect the second gains nothing, and its freedom counts against the pair.
+Priors are given to families first, then to members, so that look-alikes do not gain by their
+number.  A smooth discrepancy stands for an unlisted cause; an effect with a discrepancy beside it
+says that the effect does not explain all.  Pairs are tried within families, too: where two members
+are nearly the same effect, the second gains nothing and its freedom counts against the pair.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Explanations whose mean jumps with a switch: tau from its profile.
+"""tau from its profile, for explanations whose mean jumps at a switch.
 
-A jump that falls into a bin moves the bin's mean in proportion to where it falls, one at a bin's
-edge moves another bin: the objective bends at every edge, has an optimum on either side, and its
-curvature at one of them says nothing about the next.  Where the jump is well seen, the ratio of
-tau to tau_v is held at one value after the other instead, everything else refitted.
+A jump inside a bin moves the bin's mean in proportion to its place; a jump at the edge moves
+another bin.  The objective is therefore bent at every edge of a bin, with an optimum on either
+side, and its curvature at one optimum says nothing about the next.  Where the jump is well seen,
+the ratio of tau to tau_v is held at one value after the other and everything else is refitted.
 """
 
 from __future__ import annotations

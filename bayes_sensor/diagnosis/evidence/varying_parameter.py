@@ -1,12 +1,12 @@
-"""Something else, of another kind: a parameter of the model that is not constant.
+"""Embedded rivals of the effects: a parameter of the model that is not constant.
 
-A smooth additive discrepancy sees what is left in the traces.  Many unlisted causes act inside the
-model instead: a lag that depends on the flow, on the concentration, on the direction of the step,
-or that changes from one experiment to the next (embedded discrepancy; Sargsyan, Najm and Ghanem
-2015).  Gas that takes two ways, and a valve that moves in two steps, are two delays in place of
-one; a drive that couples into the signal makes pulses too short for a smooth process.  These rivals
-have no name of their own and count as unlisted.  Where a listed effect is just such a dependence,
-the rival is left out for as long as that effect is in the catalogue: then it has a name.
+An additive discrepancy sees what is left in the traces.  Many unlisted causes act inside the model
+instead: a lag that depends on the flow, on the concentration, on the direction of the step, or that
+changes from one experiment to the next (embedded discrepancy; Sargsyan, Najm and Ghanem 2015).  Two
+paths of the gas, or a valve that moves in two steps, are two delays in place of one.  A drive that
+couples into the signal makes pulses too short for a smooth process.  These rivals have no name and
+count as unlisted.  Where a listed effect is the same dependence, the rival is left out while that
+effect is in the catalogue.
 """
 
 from __future__ import annotations

@@ -45,11 +45,11 @@ def look_for_bursts(
     deviations: Sequence[FloatArray],
     mains: Finding,
 ) -> list[Finding]:
-    """Whether the ``mains`` that were found come and go, as a heater's do that is fired in bursts.
+    """Whether the ``mains`` that were found are switched on and off periodically.
 
-    Whatever comes and goes has a line as far above the mains as below: as for a line,
-    for every distance, of both together, averaged with the weight 1/distance.  Empty where no mains
-    were found or records are too short.
+    A modulated line has side bands at equal distances above and below.  The Bayes factor of a line,
+    for both side bands together, is averaged over distances with the weight 1/distance.  Empty
+    where no mains were found or records are too short.
     """
     if mains.probability < FOUND:
         return []

@@ -1,6 +1,6 @@
-"""The signatures that listed effects leave after a refit, as a screen.
+"""Signatures: what listed effects leave after a refit, as a screen.
 
-Summed over all cells a misfit drowns in the noise of all of them; along the signature of an effect
+Summed over all cells a small misfit is lost in the noise of all; along the signature of an effect
 there is the noise of one number.  The largest of all, against what it is under noise alone
 (max-T; Westfall and Young 1993), says whether anything of such a form is there.
 """

@@ -1,9 +1,9 @@
-"""Something else, again: what happens once or a few times while a record is quiet.
+"""Detector: single events while a record is quiet.
 
-The noise floor comes from the quiet stretches, so an event that befalls one of them raises the
-floor it is judged by.  A test at full rate asks for what stationary Gaussian noise of *any*
-spectrum does not do: to be much larger somewhere than it usually is at the same time scale.  It
-counts as unlisted, whatever explains the rest.
+The noise floor is estimated from the quiet stretches, so an event in one of them raises the floor
+that it is judged by.  This test at full rate looks for what stationary Gaussian noise of *any*
+spectrum does not do: a difference of means much larger than usual at the same time scale.  A
+finding counts as an unlisted cause.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ SIGNAL = Signal(
 
 @dataclass(frozen=True)
 class Events:
-    """What befalls single stretches, and how much the noise alone makes look like it."""
+    """Events in single stretches, and the tails of the noise that they are judged by."""
 
     found: Finding
     tails: tuple[float, float]
@@ -80,7 +80,7 @@ class Events:
 
     @property
     def lasting(self) -> float:
-        """Degrees of freedom where both gases have long tails: then the noise itself has them."""
+        """Degrees of freedom of the lighter tails of the two gases: those of the noise itself."""
         return max(self.tails)
 
 
@@ -312,10 +312,10 @@ def surprises(square: FloatArray, dof: float | FloatArray) -> FloatArray:
 def of_places(
     signal: Signal, found: Sequence[Mapping[Hashable, float]], clearest: Sequence[Place]
 ) -> Finding:
-    """What places (records, switches) say, each with ln B per kind of what may strike there.
+    """The finding of several places (records, switches), each with ln B for every kind of event.
 
-    What strikes has a kind of its own at every place, or the same at all of them.  Told are the
-    ``clearest`` moment of all, and those of the places that are rather struck than not.
+    Affected places have a kind each, or all the same.  Reported are the ``clearest`` moment of all
+    and those of the places that are more likely affected than not.
     """
     each = np.array(
         [np.logaddexp.reduce(list(x.values())) - np.log(len(x)) if x else 0.0 for x in found]

@@ -51,7 +51,7 @@ class Signal:
 
 
 class Place(NamedTuple):
-    """Where something strikes once."""
+    """Where and when a finding is, and how clear."""
 
     experiment: int
     """counted from 0"""
@@ -71,7 +71,7 @@ class Finding:
     d: float | None
     """detectability where there is a signature in the mean, else None"""
     places: tuple[Place, ...] = ()
-    """where it strikes, of what does so here and there"""
+    """where it is, where that is at single moments"""
 
     @property
     def name(self) -> str:
@@ -80,7 +80,7 @@ class Finding:
 
     @property
     def probability(self) -> float:
-        """Given the prior of its signal, whatever explains the rest."""
+        """Posterior probability, from the prior of its signal."""
         prior = self.signal.prior
         odds = np.log(prior / (1.0 - prior)) + self.log_bayes_factor
         return float(1.0 / (1.0 + np.exp(-np.clip(odds, -60.0, 60.0))))
@@ -97,18 +97,12 @@ class Finding:
 
 
 def struck(log_b: FloatArray, share: float) -> FloatArray:
-    """ln B of places that something strikes or spares, from those (..,) where it strikes.
-
-    ``share`` of them are struck, where there is anything.
-    """
+    """ln B of places of which a ``share`` is affected, from those (..,) of an affected one."""
     return np.asarray(np.logaddexp(np.log1p(-share), np.log(share) + log_b))
 
 
 def any_of(found: Sequence[Finding]) -> Finding:
-    """What tests that look for the same in several ways say together: the clearest, their mean B.
-
-    ``found``: one at least.
-    """
+    """Several tests of one signal joined: the clearest finding, with the mean Bayes factor."""
     value = float(logsumexp([f.log_bayes_factor for f in found]) - np.log(len(found)))
     return replace(max(found, key=lambda f: f.log_bayes_factor), log_bayes_factor=value)
 

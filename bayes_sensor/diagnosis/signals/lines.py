@@ -51,7 +51,7 @@ SLOW_LINES = LineSearch(SLOW_LINE, "swing", fastest=FASTEST_SWING, sloping=True)
 
 
 def look_for_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[Finding]:
-    """A line in all quiet stretches, or (a pump's, a controller's) in the plateaus alone."""
+    """A line in all quiet stretches, or in the plateaus alone (of a pump or a controller)."""
     pieces = pieces_of_stretches(campaign, stretches)
     everywhere = find_line(pieces, LINES)
     plateaus = find_line([p for p in pieces if p.group == 1], LINES)
@@ -63,10 +63,10 @@ def look_for_lines(campaign: Campaign, stretches: Sequence[Stretch]) -> list[Fin
 def look_for_slow_lines(
     campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
 ) -> list[Finding]:
-    """A slow line (a thermostat's, a pressure controller's) in what an explanation leaves.
+    """A slow line (of a thermostat or a pressure controller) in the residual of an explanation.
 
     ``residuals`` (n_t,) V and ``deviations`` (n_t,) V of whole records: a quiet stretch holds too
-    few cycles of it, and counts them as its floor.
+    few cycles of it, and its floor includes them.
     """
     found = []
     for piece in pieces_of_records(campaign, residuals, deviations):

@@ -1,9 +1,9 @@
-"""Something else, again: what leaves the best explanation for a while, here or there.
+"""Detector: local misfit after the best explanation.
 
-What goes wrong at one switch and not, or elsewhere, at the next has no common shape, and a process
-that is free everywhere pays for all of it.  Runs of bins at single switches, what is shorter there
-than a bin, and levels that change at any time in single records are therefore looked for one by
-one.  All count as unlisted, whatever explains the rest.
+A misfit at one switch that is absent or different at the next has no common shape, and a smooth
+discrepancy would need one parameter for each of them.  This file therefore tests three kinds one by
+one: runs of bins at a single switch, bumps shorter than a bin, and changes of level in a single
+record.  A finding counts as an unlisted cause.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def look_for_local_misfit(
     quiet: Sequence[QuietSpans],
     tail: float = np.inf,
 ) -> Finding:
-    """Moments at single switches when the measurement leaves a refit, longer than bins or shorter.
+    """Misfit at single switches, for longer than a bin or shorter.
 
     ``residuals``: (n_t,) V of every experiment, what the refit leaves; ``tail``: degrees of
     freedom of the noise's own means.
@@ -266,7 +266,7 @@ def _widths(block: float, time_scale: float) -> FloatArray:
 
 
 def look_for_level_changes(found: Refit, tail: float = np.inf) -> Finding:
-    """Changes that begin at any time in single records: passing, until the fall, or to stay.
+    """Changes of level in single records: passing, until the fall, or permanent.
 
     On a plateau what happens once looks like a drift.  A score test per record: a change of so many
     volts between two edges of bins, what the refit's own coordinates would take up of it left out.

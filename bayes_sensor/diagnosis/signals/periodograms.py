@@ -283,7 +283,7 @@ def own_shapes(
 
 
 def _middle(values: FloatArray) -> float:
-    """The median; of very many, of some of them."""
+    """The median, of every so many values where there are thousands."""
     flat = values.ravel()
     return max(float(np.median(flat[:: 1 + len(flat) // 4000])), 1e-300)
 

@@ -1,10 +1,10 @@
-"""Something else, on the plateaus: gas, or what reads it, that is not steady.
+"""Detector: excess slow noise on the plateaus.
 
-The plateaus' own noise is the floor by which a misfit is judged, so drops that boil off, streaks,
-eddies or sunshine on the cell pass for noise there.  But noise of the light and of the receiver is
-on the baseline, too, with the same spectrum, however much louder or quieter.  What comes and goes
-with the gas passes the manifold and the sensor, and is slow: the plateaus then have more at low
-frequencies than the baseline, as measured by what both have at higher ones.
+The noise on the plateaus is part of the noise floor, so unsteady gas (drops that boil off, eddies,
+light on the cell) is taken for noise there.  Noise of the light source and of the receiver is
+present on the baseline, too, with the same spectrum at another level.  Fluctuations that come with
+the gas pass the manifold and the sensor and are slow.  The test compares the low-frequency power of
+plateaus and baseline, each relative to its own power at higher frequencies.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class _Ordinates:
 
 
 def look_for_plateau_noise(campaign: Campaign, stretches: Sequence[Stretch]) -> list[Finding]:
-    """Slow power on the plateaus that the baseline has not; nothing where one of them is short.
+    """Excess slow power on the plateaus over the baseline; empty where one of them is too short.
 
     Ordinates of the spectra are exponential about their mean (Whittle).  ``ln B`` averages over the
     excess and its cutoff, alike in all records or different in each; with and without it, over

@@ -1,8 +1,8 @@
-"""Something else, again: what rings after the switches.
+"""Detector: a damped oscillation after the switches.
 
-Asked for is what stationary noise of *any* spectrum does not do: to oscillate after the switches
-more than elsewhere, or with the same phase after all of them.  It counts as unlisted, whatever
-explains the rest.
+Stationary noise of *any* spectrum oscillates after the switches as much as elsewhere, and with
+random phases.  The two tests look for more power after the switches, and for a common phase.  A
+finding counts as an unlisted cause.
 """
 
 from __future__ import annotations

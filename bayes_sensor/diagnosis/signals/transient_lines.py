@@ -1,9 +1,9 @@
-"""Lines that pass, or that records have each for itself.
+"""Detector: lines that last for a while, or that single records have.
 
-What signals for a while (a telephone, a motor nearby) or goes with the flow (a hose that flutters)
-adds up to nothing over all quiet stretches, where
-:func:`~bayes_sensor.diagnosis.signals.lines.look_for_lines`
-looks.  Windows of seconds show it, beside what others have at its frequency.
+A source that is on for a while (a telephone, a motor nearby) or that depends on the flow (a hose
+that flutters) averages out over all quiet stretches, where
+:func:`~bayes_sensor.diagnosis.signals.lines.look_for_lines` tests.  This test uses windows of
+seconds and compares each with the other records at the same frequency.
 """
 
 from __future__ import annotations
@@ -72,9 +72,9 @@ SIGNAL = Signal(
 def look_for_transient_lines(
     campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
 ) -> list[Finding]:
-    """A line that some records have, for a while or throughout, at one place or each at its own.
+    """A line in some records, for a while or throughout, at one frequency or each at its own.
 
-    What passes, or goes with the flow, adds up to nothing over all stretches.  Periodograms of
+    Periodograms of
     overlapping windows of ``residuals`` (n_t,) V over the ``deviations`` (n_t,) V of the noise, in
     units of what is usual at their frequency, which a line or a resonance that all records have is
     part of, and of what the record and the window have around it, so that neither another memory
@@ -89,7 +89,7 @@ def look_for_transient_lines(
 
 
 def _transient_line(pieces: Sequence[Piece], seconds: float) -> Finding | None:
-    """The same for windows of ``seconds`` s; None where there are too few."""
+    """The finding from windows of ``seconds`` s; None where there are too few."""
     common = float(np.median([p.interval for p in pieces])) if pieces else 1.0
     size = max(1, round(BLOCK / common))
     dt = size * common
