@@ -2,7 +2,7 @@
 
 from bayes_sensor.diagnosis.diagnose import diagnose_gap
 from bayes_sensor.diagnosis.effects import CATALOGUE
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, OnNoise, Setting, Strength
 from bayes_sensor.diagnosis.effects.rig_view import RigView
 from bayes_sensor.diagnosis.effects.user_effects import own_effect
 from bayes_sensor.diagnosis.gap import Gap
@@ -12,6 +12,7 @@ __all__ = [
     "Effect",
     "Form",
     "Gap",
+    "OnNoise",
     "RigView",
     "Setting",
     "Strength",
