@@ -58,7 +58,7 @@ def hypothesis(effects: tuple[str, ...], misfit: float, p: float, beside: float 
 
 
 def weighed(*hypotheses: Any) -> Any:
-    """A weighing of these, and of what is in none of them with next to no probability."""
+    """A comparison of these, and of what is in none of them with next to no probability."""
     made = list(hypotheses)
     for effects in ((), (A,), (B,)):
         if not any(h.effects == effects and not h.incomplete for h in made):
