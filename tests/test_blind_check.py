@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from bayes_sensor.blind_check.coords import HIDING, SHARES, Entry, counts, draw_truth
 from matplotlib.text import Text
 
 from bayes_sensor.blind_check import (
@@ -44,6 +43,7 @@ from bayes_sensor.blind_check.oracle import (
     rival_distances,
     strength_for,
 )
+from bayes_sensor.blind_check.plan import HIDING, SHARES, Entry, counts, draw_truth
 from bayes_sensor.blind_check.score import level_of, score_case
 from bayes_sensor.blind_check.statistics import Row
 from bayes_sensor.campaign import Campaign, CampaignError

@@ -485,7 +485,9 @@ def test_a_joined_start_keeps_what_was_fitted(binned, base):
 
 def test_a_dependence_that_has_a_name_is_no_rival():
     def names(catalogue, flows=True, fall=True, commanded=True):
-        return {r.name for r in embedded_rivals(catalogue, flows, fall, commanded)}
+        return {
+            r.name for r in embedded_rivals(map(CATALOGUE.get, catalogue), flows, fall, commanded)
+        }
 
     assert "valve by direction" not in names(CATALOGUE)
     fewer = [n for n in CATALOGUE if n != "valve_asymmetry"]

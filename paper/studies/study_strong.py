@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from bayes_sensor.blind_check.coords import Entry, draw_truth, make_plan
 from drawing import TABLES
 
 from bayes_sensor.blind_check import table
 from bayes_sensor.blind_check.check import verdict_on
+from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
 from bayes_sensor.blind_check.score import score_case
 from bayes_sensor.blind_check.statistics import proportion
 from bayes_sensor.blind_check.truth import complete_truth

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from bayes_sensor.blind_check.coords import LEVELS, Entry, draw_truth, make_plan
 from drawing import TABLES
 from scipy.special import logsumexp
 
+from bayes_sensor.blind_check.plan import LEVELS, Entry, draw_truth, make_plan
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.checks.calibration import run_chunks, study_key
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare

@@ -219,6 +219,10 @@ class Effect:
     exchanged: str = ""
     """the effect that this one then is, unless :attr:`same_response` says so anyway"""
 
+    names_rivals: tuple[str, ...] = ()
+    """dependences of :mod:`~bayes_sensor.diagnosis.evidence.varying_parameter` that it is: they are
+    no unlisted causes while it is in the catalogue"""
+
     @property
     def on_mean(self) -> bool:
         """Whether it changes the mean."""

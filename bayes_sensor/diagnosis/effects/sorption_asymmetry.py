@@ -24,6 +24,7 @@ EFFECT = Effect(
     family="asymmetry",
     stage="sensor",
     exchanged="valve_asymmetry",
+    names_rivals=("sensor by direction",),
     sentence="The sensor releases the gas at another rate than it takes it up: {strength}.",
     forms=(
         Form(_strengths, lambda v, s: dict(v), starts=_STARTS),

@@ -243,7 +243,7 @@ def compare_hypotheses(
 
     add((), float(np.log(PRIOR_NONE)), [(base, 1.0)])
     rivals = embedded_rivals(
-        [*catalogue, *(part.effect.name for part in base.coords.parts)],
+        [*catalogue.values(), *(part.effect for part in base.coords.parts)],
         several_flows=len(binned.campaign) > 1 and not binned.campaign.same_flow,
         has_fall=any(e.has_fall for e in binned.campaign),
         commanded=any(e.commanded_on is not None for e in binned.campaign),

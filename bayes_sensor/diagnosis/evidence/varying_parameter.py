@@ -136,8 +136,6 @@ class Rival:
     forms: tuple[Form, ...]
     sentence: str
     """in plain words; may hold ``{strength}``"""
-    named_by: tuple[str, ...] = ()
-    """listed effects that are this dependence"""
     stage: str = ""
     """whose lag it is of, ``valve`` or ``sensor``"""
 
@@ -170,18 +168,15 @@ RIVALS = {
     "valve by direction": Rival(
         (_direction("closing_ratio"),),
         "the valve shuts at another speed than it opens ({strength})",
-        ("valve_asymmetry",),
         stage="valve",
     ),
     "volume by direction": Rival(
         (_direction("emptying_ratio"),),
         "the manifold empties at another speed than it fills ({strength})",
-        ("flow_switching", "valve_asymmetry"),
     ),
     "sensor by direction": Rival(
         (_direction("release_ratio"),),
         "the sensor releases at another speed than it takes up ({strength})",
-        ("sorption_asymmetry",),
         stage="sensor",
     ),
     "part later": Rival(
@@ -200,13 +195,13 @@ RIVALS = {
 
 
 def embedded_rivals(
-    catalogue: Iterable[str], several_flows: bool, has_fall: bool, commanded: bool
+    effects: Iterable[Effect], several_flows: bool, has_fall: bool, commanded: bool
 ) -> list[Effect]:
-    """The rivals that a campaign can have and that no effect of the catalogue names."""
-    known = set(catalogue)
+    """The rivals that a campaign can have and that none of the ``effects`` is."""
+    known = {name for effect in effects for name in effect.names_rivals}
     found = []
     for name, rival in RIVALS.items():
-        if known & set(rival.named_by):
+        if name in known:
             continue
         if not several_flows and any(w in name for w in ("flow", "concentration", "experiment")):
             continue
