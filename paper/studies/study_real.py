@@ -37,6 +37,7 @@ from bayes_sensor.diagnosis.data.preparation import (
     full_rate_residuals,
     prepare,
 )
+from bayes_sensor.diagnosis.data.quiet_stretches import quiet_stretches
 from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
 from bayes_sensor.diagnosis.evidence.hypotheses import compare_hypotheses, fit_effect
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
@@ -220,8 +221,9 @@ def finer(prepared: PreparedCampaign) -> BinnedCampaign:
         data.append(made.average(np.where(e.used, e.values - raw[k] + r, 0.0)))
         levels.append(made.reduce(x))
     fits = [e.values - r for e, r in zip(campaign, raw)]
+    stretches = quiet_stretches(campaign, prepared.residuals, bins, prepared.settle)
     floor = estimate_floor(
-        campaign, prepared.residuals, bins, prepared.settle, levels, binned.floor.spikes, fits
+        campaign, prepared.residuals, bins, stretches, levels, binned.floor.spikes, fits
     )
     return replace(binned, bins=tuple(bins), data=tuple(data), floor=floor)
 

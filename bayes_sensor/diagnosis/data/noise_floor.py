@@ -29,7 +29,6 @@ from bayes_sensor.diagnosis.data.quiet_stretches import (
     Stretch,
     detrended,
     periodogram,
-    quiet_stretches,
 )
 
 SHRINK = 20.0
@@ -84,12 +83,12 @@ def estimate_floor(
     campaign: Campaign,
     residuals: Sequence[FloatArray],
     bins: Sequence[ExperimentBins],
-    settle: Sequence[float],
+    stretches: Sequence[Stretch],
     level_of_bins: Sequence[FloatArray],
     spikes: int = 0,
     fits: Sequence[FloatArray] | None = None,
 ) -> NoiseFloor:
-    """The floor of a campaign from the residuals (n_t,) V of its fit.
+    """The floor of a campaign from the residuals (n_t,) V of its fit and their quiet stretches.
 
     ``level_of_bins``: the normalised concentration (n_bins,) in 0..1 of every bin.  ``fits``
     (n_t,) V: the fitted means, for the bias of a coarse converter's rounding.
@@ -99,7 +98,6 @@ def estimate_floor(
     CampaignError
         If no stretch of any record is quiet and long enough, or the noise outlasts them all.
     """
-    stretches = quiet_stretches(campaign, residuals, bins, settle)
     if not stretches:
         raise CampaignError(
             "gap: no stretch of 64 samples lies outside the switching, so that the noise floor "

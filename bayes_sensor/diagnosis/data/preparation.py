@@ -164,7 +164,8 @@ def prepare(
         levels.append(b.reduce(cascade_response(b.times, taus[k], t0, tf)))
     settle = [settling_time(t) for t in taus]
     fits = [e.values - r for e, r in zip(campaign, raw, strict=True)]
-    floor = estimate_floor(campaign, cleaned, bins, settle, levels, spikes, fits)
+    stretches = quiet_stretches(campaign, cleaned, bins, settle)
+    floor = estimate_floor(campaign, cleaned, bins, stretches, levels, spikes, fits)
     steps = [abs(float(flat[layout.local[k][1]])) for k in range(len(campaign))]
     # at one flow V/Q is one of the lags, and V a name that may be another's
     names = (*lags, "V_mL" if "tau_s" in lags or naming.flow is None else "")
@@ -191,7 +192,7 @@ def prepare(
     return PreparedCampaign(
         binned,
         tuple(cleaned),
-        tuple(quiet_stretches(campaign, cleaned, bins, settle)),
+        tuple(stretches),
         tuple(quiet_stretches(campaign, raw, bins, settle)),
         tuple(_quiet(campaign, floor, switches, taus, settle, steps)),
         flat,

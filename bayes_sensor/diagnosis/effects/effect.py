@@ -1,10 +1,11 @@
-"""What an effect is: a cause of misfit with its parameters, and how it changes the rig.
+"""What an effect is: a cause of misfit, how it changes the rig, and how it changes the noise.
 
 An effect is one file in :mod:`bayes_sensor.diagnosis.effects`, or one function of a user's own
-(:func:`own_effect`).  It has one or several *forms* - a drift may be common to all experiments or
-different in each - and every form declares its strengths with their prior spread.  A form either
-changes settings of the rig (:data:`bayes_sensor.rig.perturbed.SETTINGS`) or computes the mean
-itself.
+(:func:`~bayes_sensor.diagnosis.effects.user_effects.own_effect`).  On the mean it acts by one or
+several *forms*: a drift, for example, may be common to all experiments or different in each.  Every
+form declares its strengths with their prior spread, and either changes settings of the rig
+(:data:`bayes_sensor.rig.perturbed.SETTINGS`) or computes the mean itself.  On the noise it acts by
+an :class:`OnNoise`, which holds its detector, too.
 """
 
 from __future__ import annotations
