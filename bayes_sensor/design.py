@@ -25,7 +25,7 @@ from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.noise import Noise, lag_coefficient
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.posterior import sample_posterior
+from bayes_sensor.posterior import FASTEST, sample_posterior
 from bayes_sensor.rig.cascade import local_parameters
 from bayes_sensor.rig.layout import Layout, Theta
 
@@ -763,7 +763,7 @@ def check_design(
             replace(plan, campaign=campaign, given_priors=priors),
             design.theta,
             int(sampling.generate_state(1)[0]),
-            "independence",
+            FASTEST,
         )
         if posterior.converged:
             low, high = posterior.quantiles("tau_s", [0.025, 0.975])

@@ -11,7 +11,7 @@ from scipy.stats import kstest
 
 import bayes_sensor.posterior.sample as sampling
 from bayes_sensor.blind_check import oracle
-from bayes_sensor.bounds.bootstrap import _series
+from bayes_sensor.bounds.methods.block_bootstrap import _series
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.checks import coverage
 from bayes_sensor.checks.calibration import Ranks, coverage_row

@@ -29,11 +29,6 @@ class Bound:
     Seconds, mL and the campaign's signal unit.
     """
 
-    method: str
-    assumes: str
-    """one sentence"""
-    reference: str
-    """where the method comes from"""
     names: list[str]
     """flat parameter names"""
     estimate: FloatArray
@@ -48,6 +43,11 @@ class Bound:
     """sentences about what was out of the ordinary; ``ok`` when nothing was"""
     details: Mapping[str, Any] = field(default_factory=dict)
     """numbers of interest to this method alone (bandwidth, block length, ..)"""
+    method: str = ""
+    assumes: str = ""
+    """one sentence"""
+    reference: str = ""
+    """where the method comes from"""
 
     def __post_init__(self) -> None:
         n = len(self.names)
