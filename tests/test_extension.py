@@ -211,7 +211,7 @@ particles = 8
 euler = false
 
 [posterior]
-n_chains = 2
+n_draws = 2000
 
 [bounds]
 methods = ["crlb_iid", "toy_bound", "posterior"]
@@ -239,7 +239,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A small campaign in the toy's format, with every toy in its file and all but the effect
     loaded; what they registered is taken back at the end."""
     place = tmp_path_factory.mktemp("toys")
-    rig = ["--experiments", "1,4,6", "--duration", "15 s", "--interval", "10 ms"]
+    rig = ["--experiments", "1,6", "--duration", "12 s", "--interval", "10 ms"]
     noise = ["--tau", "150 ms", "--sigma0", "5 mV", "--sigma1", "3 mV"]
     assert run("simulate", "--out", place / "data", *rig, *noise, "--quiet") == 0
     campaign = place / "data" / "campaign.toml"
@@ -273,8 +273,9 @@ def results(folder: Path) -> Path:
 
 
 def test_a_reader_is_one_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert len(list((folder / "data").glob("*.toy"))) == 2
     assert run("check", folder / "data" / "campaign.toml") == 0
-    assert ".toy" in capsys.readouterr().out
+    assert "2 experiments, 2400 samples in use" in capsys.readouterr().out
 
 
 def test_a_bound_is_one_file(results: Path) -> None:
@@ -286,7 +287,7 @@ def test_a_bound_is_one_file(results: Path) -> None:
     page = (results / "report.html").read_text()
     # in the table of intervals, that of assumptions, and the figure
     assert page.count("toy: iid, doubled") >= 3
-    assert "toy: iid, doubled" in (results / "figures" / "methods-figure.svg").read_text()
+    assert "toy: iid, doubled" in (results / "figures" / "intervals.svg").read_text()
 
 
 def test_a_sampler_is_one_file(results: Path) -> None:

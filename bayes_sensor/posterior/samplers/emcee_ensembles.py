@@ -183,9 +183,7 @@ def run_emcee(given: Target) -> Run:
                 f"{steps} steps ({settings.burn_in} dropped), {how}; acceptance {rate:.2f}; "
                 "convergence judged between ensembles"
             )
-            return Run(
-                drawn, True, reason, rate, diagnosis=found, compressed=target.compressed
-            )
+            return Run(drawn, True, reason, rate, diagnosis=found, compressed=target.compressed)
 
 
 def _hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:

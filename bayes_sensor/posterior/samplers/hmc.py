@@ -137,7 +137,9 @@ def run_hmc(given: Target) -> Run:
                 tried += 1
                 out[i] = states[j][0]
             chains[j] = np.concatenate([chains[j], out])
-            given.report(min(0.95, (len(chains[0]) + j * block / len(rngs)) / settings.max_draws), "HMC")
+            given.report(
+                min(0.95, (len(chains[0]) + j * block / len(rngs)) / settings.max_draws), "HMC"
+            )
         stacked = target.theta(np.stack(chains))
         done, found = enough(given.problem, stacked, settings.target_ess)
         n, most = len(chains[0]), settings.max_draws // 2
