@@ -170,7 +170,7 @@ def resample(target):
         weights = np.exp(log_p - log_q - np.max(log_p - log_q))
         weights /= weights.sum()
         chains.append(thetas[rng.choice(len(thetas), target.settings.n_draws, p=weights)])
-    return Run(np.stack(chains), True, "toy: importance resampling", 1.0)
+    return Run(np.stack(chains), True, "Toy: importance resampling", 1.0)
 
 
 SAMPLER = Sampler("toy_sampler", resample)
@@ -293,7 +293,7 @@ def test_a_bound_is_one_file(results: Path) -> None:
 def test_a_sampler_is_one_file(results: Path) -> None:
     posterior = json.loads((results / "posterior.json").read_text())
     assert posterior["sampler"] == "toy_sampler" and posterior["converged"]
-    assert "toy: importance resampling" in (results / "report.html").read_text()
+    assert "Toy: importance resampling" in (results / "report.html").read_text()
 
 
 def test_a_section_is_one_file(results: Path) -> None:
