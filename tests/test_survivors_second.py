@@ -30,7 +30,7 @@ from bayes_sensor.model import time_constants
 from bayes_sensor.posterior.covering import covered
 from bayes_sensor.predictive import _Statistics
 from bayes_sensor.readout import Ring
-from bayes_sensor.residuals import _breusch_pagan
+from bayes_sensor.residuals.spread import breusch_pagan
 
 
 def published_shape(excess: np.ndarray) -> float:
@@ -334,7 +334,7 @@ def test_residuals_that_stay_correlated_are_thinned_beyond_the_farthest_lag(
     # half a wave over the record: the correlation at a twentieth or tenth of it is still high
     z = np.cos(np.pi * np.arange(n) / n)
     series = SimpleNamespace(z=z, r=0.01 * z, x=np.linspace(0.0, 1.0, n), concentration=0.2)
-    found = _breusch_pagan([series])
+    found = breusch_pagan([series])
     assert found["every"] == farthest + 1
     assert found["n"] == len(range(0, n, farthest + 1))
 
