@@ -22,6 +22,7 @@ ROOMS = (
     "notebook",
     "campaign",
     "disk",
+    "folder_lock",
     "lattice",
     "workers",
     "readers",
