@@ -443,6 +443,40 @@ def test_resamples_are_blocks_of_the_asked_mean_length():
     assert len(np.unique(index)) == 1000
 
 
+@pytest.mark.parametrize("rho", [0.0, 0.6])
+def test_resamples_are_those_of_arch(rho):
+    arch = pytest.importorskip("arch.bootstrap")
+    n, length, n_resamples = 400, 12.0, 3000
+    x = lfilter([1.0], [1.0, -rho], np.random.default_rng(8).standard_normal(n))
+
+    def mean_and_correlation(values):
+        d = values - values.mean()
+        return values.mean(), d[1:] @ d[:-1] / (d @ d)
+
+    def of_arch(length):
+        resamples = arch.StationaryBootstrap(length, x, seed=10).bootstrap(n_resamples)
+        return np.array([mean_and_correlation(*values) for values, _ in resamples])
+
+    rng = np.random.default_rng(9)
+    ours = np.array([
+        mean_and_correlation(x[stationary_indices(n, length, rng)]) for _ in range(n_resamples)
+    ])  # fmt: skip
+    for mine, other in zip(ours.T, of_arch(length).T, strict=True):
+        # the same law: one of a thousand pairs of samples would be told apart
+        assert stats.ks_2samp(mine, other).pvalue > 1e-3
+    # a negative control: shorter blocks are told apart where samples are correlated
+    assert stats.ks_2samp(ours[:, 1], of_arch(length / 4)[:, 1]).pvalue < 1e-6 or rho == 0.0
+
+
+@pytest.mark.parametrize("rho", [-0.5, 0.3, 0.9])
+def test_block_length_is_that_of_arch(rho):
+    arch = pytest.importorskip("arch.bootstrap")
+    x = lfilter([1.0], [1.0, -rho], np.random.default_rng(3).standard_normal(50_000))
+    # arch divides correlations by the variances of both parts: another lag may be the last to count
+    expected = float(arch.optimal_block_length(x)["stationary"].iloc[0])
+    assert optimal_block_length(x) == pytest.approx(expected, rel=0.1)
+
+
 @pytest.mark.parametrize("rho", [0.4, 0.8])
 def test_block_length_of_an_ar1_is_the_theoretical_one(rho):
     n = 60_000

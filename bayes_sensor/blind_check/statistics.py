@@ -18,7 +18,7 @@ SEED = 20260602
 """of the bootstrap: the same cases give the same card"""
 
 
-def wilson(k: int, n: int, z: float = 1.959963984540054) -> tuple[float, float]:
+def wilson(k: int, n: int) -> tuple[float, float]:
     """95 % interval of a proportion after ``k`` of ``n`` (Wilson, J. Am. Stat. Assoc. 22, 1927).
 
     >>> [round(v, 4) for v in wilson(0, 200)]
@@ -26,13 +26,12 @@ def wilson(k: int, n: int, z: float = 1.959963984540054) -> tuple[float, float]:
     >>> wilson(0, 7)[0], wilson(7, 7)[1]
     (0.0, 1.0)
     """
+    from scipy.stats import binomtest
+
     if n == 0:
         return 0.0, 1.0
-    p = k / n
-    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    # at either end the bound is exact, which rounding would miss
-    return 0.0 if k == 0 else centre - half, 1.0 if k == n else centre + half
+    interval = binomtest(k, n).proportion_ci(0.95, "wilson")
+    return float(interval.low), float(interval.high)
 
 
 def proportion(values: Iterable[Any]) -> Row:
