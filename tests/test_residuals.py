@@ -14,11 +14,11 @@ from statsmodels.tsa.stattools import acf
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import Campaign, Experiment
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.likelihood import Problem, simulate
-from bayes_sensor.model import Layout
-from bayes_sensor.noise import Noise, simulate_noise
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.likelihood.noise import Noise, simulate_noise
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import sample_posterior
-from bayes_sensor.readers import read_campaign
 from bayes_sensor.residuals import (
     TAKE_AS_THEY_ARE,
     TOO_COARSE,
@@ -27,9 +27,10 @@ from bayes_sensor.residuals import (
     noise_doubt,
     whiten,
 )
-from bayes_sensor.residuals.correlation import DIRECT_LAGS, LAGS, ljung_box
+from bayes_sensor.residuals.autocorrelation import DIRECT_LAGS, LAGS, ljung_box
 from bayes_sensor.residuals.series import FittedNoise
 from bayes_sensor.residuals.spread import HISTOGRAM_BIN, histogram
+from bayes_sensor.rig.layout import Layout
 from bayes_sensor.variance_check import check_variance
 
 EXPERIMENTS = {

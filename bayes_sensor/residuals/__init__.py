@@ -9,9 +9,9 @@ enough about the slow part, which is what widens intervals.
 concentration and against the slope of the response, and that rounding does not stand for noise.
 """
 
-from bayes_sensor.residuals.correlation import autocorrelation, whiten
-from bayes_sensor.residuals.diagnosis import Residuals, diagnose_residuals, noise_doubt
-from bayes_sensor.residuals.verdict import TAKE_AS_THEY_ARE, TOO_COARSE
+from bayes_sensor.residuals.autocorrelation import autocorrelation, whiten
+from bayes_sensor.residuals.noise_law_check import TAKE_AS_THEY_ARE, TOO_COARSE
+from bayes_sensor.residuals.residual_record import Residuals, diagnose_residuals, noise_doubt
 
 __all__ = [
     "TAKE_AS_THEY_ARE", "TOO_COARSE", "Residuals", "autocorrelation", "diagnose_residuals",

@@ -12,10 +12,11 @@ from scipy import fft
 from scipy.ndimage import uniform_filter1d
 
 from bayes_sensor.campaign import BoolArray, FloatArray
-from bayes_sensor.likelihood import Problem, grid_response, mean_and_variance
-from bayes_sensor.model import Cascade, local_parameters, time_constants
-from bayes_sensor.noise import lag_coefficient
-from bayes_sensor.residuals.correlation import power, whiten
+from bayes_sensor.likelihood.density import grid_response, mean_and_variance
+from bayes_sensor.likelihood.noise import lag_coefficient
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.residuals.autocorrelation import power, whiten
+from bayes_sensor.rig.cascade import Cascade, local_parameters, time_constants
 
 QUICK_SHARE = 40
 """of a record, as one over this, above which residuals are slow"""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.residuals.correlation import autocorrelation
+from bayes_sensor.residuals.autocorrelation import autocorrelation
 from bayes_sensor.residuals.series import FittedNoise, Series
 
 HISTOGRAM_BIN = 0.05
