@@ -307,6 +307,9 @@ def results_of(make: Maker) -> dict[str, Any]:
             return rounded_record(found)
         # where nothing but the ensembles is left, they stop early, converged or not
         settings = bs.Settings(n_walkers=32, max_steps=200)
+        if said["fit"]["hidden_by_sampling_s"] is not None:
+            # no fast form of the likelihood there, and minutes of full ones
+            settings = replace(settings, n_draws=10, burn_in=10, chunk=10, max_steps=20)
         posterior = add(
             "posterior",
             lambda: bs.sample_posterior(
