@@ -245,10 +245,7 @@ def of_gap(said: Mapping[str, Any]) -> dict[str, Any]:
         },
         "verdict": said["verdict"],
         "shrink": said["shrink"],
-        "hidden": {
-            **said["hidden"],
-            "effects": {row["effect"]: row["d"] for row in said["hidden"]["effects"]},
-        },
+        "hidden": {key: value for key, value in said["hidden"].items() if key != "effects"},
         "notes": words(said["notes"]),
     }
 
