@@ -107,7 +107,7 @@ def test_any_one_change_is_seen_and_named() -> None:
         assert list(differences(record, record)) == []
         unseen = []
         for path in places(record):
-            said = list(differences(record, changed(record, path, 1.001)))
+            said = list(differences(record, changed(record, path, 1.01)))
             if len(said) != 1 or not said[0].startswith("/" + "/".join(map(str, path)) + ": "):
                 unseen.append((path, said))
         # what has no unit may be too small to count: a p-value of 1e-40
