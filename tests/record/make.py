@@ -272,8 +272,10 @@ def results_of(make: Maker) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
 
-        def plain(error: bs.CampaignError) -> str:
+        def plain(error: Exception) -> str:
             text = str(error)
+            if not isinstance(error, bs.CampaignError):
+                text = f"{type(error).__name__}: {text}"
             for where in (folder, str(Path(campaign.source).parent) if campaign else ""):
                 text = text.replace(where, "FOLDER") if where else text
             return text
@@ -281,7 +283,7 @@ def results_of(make: Maker) -> dict[str, Any]:
         def add(key: str, compute: Callable[[], Any]) -> Any:
             try:
                 record = compute()
-            except bs.CampaignError as error:
+            except Exception as error:  # whatever this version does is recorded
                 found[key] = {"error": plain(error)}
                 return None
             said[key] = record.to_json()
@@ -291,9 +293,9 @@ def results_of(make: Maker) -> dict[str, Any]:
         campaign: bs.Campaign | None = None
         try:
             campaign = make(Path(folder))
-        except bs.CampaignError as error:
+        except Exception as error:
             # the message names the file; where that lies is this machine's own
-            found["read"] = {"error": re.sub(r"(?<!\S)/\S*/", "", str(error))}
+            found["read"] = {"error": re.sub(r"(?<!\S)/\S*/", "", plain(error))}
             return rounded_record(found)
         found["read"] = {
             "n_samples": campaign.n_samples,
@@ -333,8 +335,8 @@ def rounded_record(found: Mapping[str, Any]) -> dict[str, Any]:
 # --------------------------------------------------------------------------- the comparison
 
 RELATIVE = 1e-6
-"""of two numbers that are the same but for rounding: measured, with other instructions of the
-processor, one number in thousands was 1e-7 apart, but for those below"""
+"""of two numbers that are the same but for rounding: computed with other instructions of the
+processor (no AVX2, no FMA) none but the distances below were further apart"""
 NO_UNIT = 1e-9
 """absolute, of probabilities, shares and p-values, which may be as small as 1e-200"""
 _WITHOUT_UNIT = re.compile(r"p_value|probability|/which/|/where/|fraction")
