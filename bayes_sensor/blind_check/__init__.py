@@ -1,7 +1,7 @@
 """The blind check: is the diagnosis right on data whose cause it does not know?
 
-Cases come from :mod:`bayes_sensor.reality`, which shares nothing with the catalogue; truths are
-sealed before the diagnosis runs and opened after its verdicts are recorded.
+Cases come from :mod:`bayes_sensor.blind_check.simulator`, which shares nothing with the catalogue;
+truths are sealed before the diagnosis runs and opened after its verdicts are recorded.
 """
 
 from bayes_sensor.blind_check.card import card_table, make_card, read_rows, score, table

@@ -29,11 +29,11 @@ import numpy as np
 
 from bayes_sensor.blind_check.baselines import whiteness_p_value
 from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
+from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.blind_check.truth import check_truth, complete_truth
 from bayes_sensor.calibration import run_chunks
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.disk import write_text
-from bayes_sensor.reality import Case, make_campaign
 from bayes_sensor.results import json_text, plain, read_json, sha256, write_json
 
 Diagnose = Callable[[Campaign, int, Sequence[str], str], Mapping[str, Any]]

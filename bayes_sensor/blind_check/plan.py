@@ -1,7 +1,7 @@
 """Which cases a blind check consists of, and how one is drawn and sealed.
 
 The plan depends on the number of cases and the seed alone.  Cases are drawn by
-:mod:`bayes_sensor.reality`; the strength of every cause is set by its detectability.
+:mod:`bayes_sensor.blind_check.simulator`; the strength of every cause is set by its detectability.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ from bayes_sensor.blind_check.oracle import (
     rival_distances,
     strength_for,
 )
-from bayes_sensor.campaign import CampaignError
-from bayes_sensor.reality import (
+from bayes_sensor.blind_check.simulator import (
     CAUSES,
     HEAVY_TAILED,
     OPEN_LAWS,
@@ -36,6 +35,7 @@ from bayes_sensor.reality import (
     acting_places,
     draw_case,
 )
+from bayes_sensor.campaign import CampaignError
 
 LEVELS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """detectabilities asked for"""
@@ -92,8 +92,8 @@ def make_plan(
 
     ``reserve`` also takes the causes and noise laws that are kept for a final run.  ``size``:
     ``mixed`` (two thirds like the paper's campaign, one third of other lengths and intervals) or
-    one of :data:`bayes_sensor.reality.SIZES`.  ``levels``: detectabilities that every listed and
-    every unlisted cause is drawn with.
+    one of :data:`bayes_sensor.blind_check.simulator.SIZES`.  ``levels``: detectabilities that every
+    listed and every unlisted cause is drawn with.
 
     Raises
     ------

@@ -50,7 +50,7 @@ TABLES = ROOT / "paper" / "tables"
 TRIED = TABLES / "mutants_tried.csv"
 REVIEWED = Path(__file__).with_name("mutants_reviewed.csv")
 COMPUTING = (
-    "reality", "model", "noise", "likelihood", "compression", "laplace", "mixing", "fit",
+    "model", "noise", "likelihood", "compression", "laplace", "mixing", "fit",
     "diffusion", "readout", "posterior", "predictive", "residuals", "bounds", "delays", "design",
     "calibration", "coverage", "gap", "blind_check",
 )  # fmt: skip

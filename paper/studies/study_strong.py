@@ -22,10 +22,10 @@ from bayes_sensor.blind_check import table
 from bayes_sensor.blind_check.check import verdict_on
 from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
 from bayes_sensor.blind_check.score import score_case
+from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.blind_check.statistics import proportion
 from bayes_sensor.blind_check.truth import complete_truth
 from bayes_sensor.calibration import run_chunks, study_key
-from bayes_sensor.reality import Case, make_campaign
 
 PLANNED, SEED = 280, 36
 """campaigns of a whole plan, of which the kinds below are taken"""

@@ -30,7 +30,8 @@ def prepared_rigs(case: Case) -> list[Rig]:
             raise CampaignError(f"case: no cause '{name}'; there are {', '.join(CAUSES)}")
     rigs = [Rig(case, step, number) for number, step in enumerate(case.steps)]
     for name, cause in CAUSES.items():
-        cause.apply(rigs, case.strengths.get(name, 0.0), case)
+        for rig in rigs:
+            cause.apply(rig, case.strengths.get(name, 0.0))
     return rigs
 
 

@@ -1,8 +1,7 @@
 """What can go wrong on the simulated rig: one function a cause, one file a place.
 
-A cause draws what all experiments share, and returns what is to be done to the rig of each of them.
-Its random choices depend on the case's seed and the cause's name only, so that the same case with
-another strength differs in the strength alone.
+A cause changes the rig of one experiment.  Its random choices do not depend on its strength: the
+same case with another strength differs in the strength alone.
 """
 
 from bayes_sensor.blind_check.simulator.causes import (

@@ -7,14 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from bayes_sensor.blind_check.simulator.case import Case
 from bayes_sensor.blind_check.simulator.rig import Rig
 
-Change = Callable[[Rig], None]
-"""what is done to the rig of one experiment; called in the campaign's order"""
-Turn = Callable[[float, np.random.Generator, Case], Change]
-"""strength, where random choices come from, the case; what all experiments share is drawn here"""
+Turn = Callable[[Rig, float, Generator, Generator], None]
+"""Changes the rig of one experiment, given the strength and where random choices come from: first
+those that all experiments share (the same numbers for each), then the experiment's own."""
 
 
 @dataclass(frozen=True)
@@ -52,16 +52,15 @@ class Cause:
         """Part of the rig where it acts: valve, flow, manifold, sensor, readout, electronics."""
         return self.turn.__module__.rsplit(".", 1)[-1]
 
-    def generator(self, case: Case) -> np.random.Generator:
-        """Where its own choices come from."""
-        return np.random.default_rng([case.seed, zlib.crc32(self.name.encode())])
+    def generator(self, case: Case, *number: int) -> Generator:
+        """Where its choices come from: the shared ones, or with a ``number`` (> 0) others."""
+        return np.random.default_rng([case.seed, zlib.crc32(self.name.encode()), *number])
 
-    def apply(self, rigs: list[Rig], strength: float, case: Case) -> None:
-        """Change the rigs of all experiments; nothing happens at strength 0."""
+    def apply(self, rig: Rig, strength: float) -> None:
+        """Change the rig of one experiment; nothing happens at strength 0."""
         if strength != 0.0:
-            change = self.turn(float(strength), self.generator(case), case)
-            for rig in rigs:
-                change(rig)
+            shared, own = self.generator(rig.case), self.generator(rig.case, 1 + rig.number)
+            self.turn(rig, float(strength), shared, own)
 
 
 class Causes(dict[str, Cause]):
@@ -86,11 +85,11 @@ class Causes(dict[str, Cause]):
         return register
 
 
-def random_sign(rng: np.random.Generator) -> float:
+def random_sign(rng: Generator) -> float:
     """1 or -1."""
     return 1.0 if rng.random() < 0.5 else -1.0
 
 
-def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(rng: Generator, low: float, high: float) -> float:
     """Uniform in the logarithm."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
