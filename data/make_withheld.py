@@ -1,4 +1,4 @@
-"""Build data/withheld: a campaign of the independent reality with one thing wrong, truth sealed.
+"""Build data/withheld: a campaign of the independent simulator with one thing wrong, truth sealed.
 
 Which of the causes that the catalogue lists it is, and how strong, follows from the seed, which was
 fixed before anything was diagnosed.  Run by ``make data``; the same versions give the same bytes.
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_sensor.blind_check.plan import HIDING, Entry, draw_truth
-from bayes_sensor.reality import CAUSES, Case, make_campaign
+from bayes_sensor.blind_check.simulator import CAUSES, Case, make_campaign
 from bayes_sensor.results import json_text, sha256, write_text
 from bayes_sensor.writers import campaign_text, drive_signal, write_picoscope_mat
 

@@ -45,13 +45,7 @@ from bayes_sensor.blind_check.oracle import (
 )
 from bayes_sensor.blind_check.plan import HIDING, SHARES, Entry, counts, draw_truth
 from bayes_sensor.blind_check.score import level_of, score_case
-from bayes_sensor.blind_check.statistics import Row
-from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.cli import _guarded
-from bayes_sensor.figures import svg
-from bayes_sensor.figures.blind_check import in_words, opened_seal, score_card
-from bayes_sensor.readers import read_campaign
-from bayes_sensor.reality import (
+from bayes_sensor.blind_check.simulator import (
     CAUSES,
     HEAVY_TAILED,
     OPEN_LAWS,
@@ -66,7 +60,13 @@ from bayes_sensor.reality import (
     make_campaign,
     noise_scale,
 )
-from bayes_sensor.reality.noise import draw_noise
+from bayes_sensor.blind_check.simulator.noise import draw_noise
+from bayes_sensor.blind_check.statistics import Row
+from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.cli import _guarded
+from bayes_sensor.figures import svg
+from bayes_sensor.figures.blind_check import in_words, opened_seal, score_card
+from bayes_sensor.readers import read_campaign
 from bayes_sensor.results import read_json
 from tests.sealed_runs import sealed_cases
 

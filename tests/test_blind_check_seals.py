@@ -14,11 +14,11 @@ import pytest
 
 import bayes_sensor.calibration as calibration
 from bayes_sensor.blind_check import diagnose_cases, draw_cases, open_seals, sealed_late
+from bayes_sensor.blind_check.simulator import draw_case, make_campaign
 from bayes_sensor.blind_check.truth import KEYS
 from bayes_sensor.calibration import code_digest, run_chunks
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.cli import _guarded, blind
-from bayes_sensor.reality import draw_case, make_campaign
 from bayes_sensor.results import read_json, sha256
 from bayes_sensor.writers import write_campaign
 

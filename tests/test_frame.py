@@ -25,7 +25,6 @@ ROOMS = (
     "lattice",
     "workers",
     "readers",
-    "reality",
     "writers",
     "drive",
     "check",

@@ -20,18 +20,19 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
 
-from bayes_sensor.campaign import FloatArray
-from bayes_sensor.model import cascade_response, cascade_sensitivities
-from bayes_sensor.reality import (
+from bayes_sensor.blind_check.simulator import (
     CAUSES,
     Case,
     Step,
     as_recorded,
     autocorrelation,
     clean_signals,
+    converter_step,
     noise_scale,
+    tail_mixture,
 )
-from bayes_sensor.reality.causes import converter_step, tail_mixture
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.model import cascade_response, cascade_sensitivities
 
 GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(3)
 FIRST_BIN, GROWTH = 0.015, 0.06

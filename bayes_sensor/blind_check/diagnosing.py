@@ -22,10 +22,10 @@ from bayes_sensor.blind_check.sealing import (
     task_key,
     write_hashes,
 )
+from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.calibration import run_chunks
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.disk import write_text
-from bayes_sensor.reality import Case, make_campaign
 from bayes_sensor.results import json_text, plain, read_json, write_json
 
 Diagnose = Callable[[Campaign, int, Sequence[str], str], Mapping[str, Any]]

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from bayes_sensor.blind_check.simulator import Case, as_recorded, clean_signals, make_campaign
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.gap.effects import CATALOGUE
 from bayes_sensor.gap.plan import Part
 from bayes_sensor.gap.preparation import fit_base, prepare
 from bayes_sensor.gap.which import fit_effect
 from bayes_sensor.model import Layout
-from bayes_sensor.reality import Case, as_recorded, clean_signals, make_campaign
 
 
 def closed_shares(case: Case) -> dict[str, float]:

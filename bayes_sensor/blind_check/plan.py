@@ -19,8 +19,7 @@ from bayes_sensor.blind_check.detectability import (
     strength_for,
 )
 from bayes_sensor.blind_check.lookalikes import closed_shares
-from bayes_sensor.campaign import CampaignError
-from bayes_sensor.reality import (
+from bayes_sensor.blind_check.simulator import (
     CAUSES,
     HEAVY_TAILED,
     OPEN_LAWS,
@@ -29,6 +28,7 @@ from bayes_sensor.reality import (
     acting_places,
     draw_case,
 )
+from bayes_sensor.campaign import CampaignError
 
 LEVELS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """detectabilities asked for"""

@@ -25,10 +25,10 @@ from pathlib import Path
 from typing import Any
 
 from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
+from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.blind_check.truth import check_truth, complete_truth
 from bayes_sensor.calibration import run_chunks
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.reality import Case, make_campaign
 from bayes_sensor.results import json_text, read_json, sha256, write_json
 
 LOG = logging.getLogger(__name__)

@@ -12,9 +12,9 @@ from collections.abc import Callable, Collection, Mapping
 from sys import float_info
 from typing import Any
 
+from bayes_sensor.blind_check.simulator import PHASES
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.reality import PHASES
 
 KINDS = ("null", "listed", "pair", "unlisted", "withheld", "hidden")
 OF_DRAWN = ("seed", "diagnosis_seed", "strengths", "cause_families", "recipe")

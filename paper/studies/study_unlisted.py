@@ -21,6 +21,7 @@ from drawing import TABLES
 from scipy.special import logsumexp
 
 from bayes_sensor.blind_check.plan import LEVELS, Entry, draw_truth, make_plan
+from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.calibration import run_chunks, study_key
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.fit import fit_least_squares
@@ -35,7 +36,6 @@ from bayes_sensor.gap.discrepancy import (
 from bayes_sensor.gap.evidence import Linearised
 from bayes_sensor.gap.preparation import fit_base, prepare
 from bayes_sensor.model import Layout
-from bayes_sensor.reality import Case, make_campaign
 
 SEED = 71
 PLANNED = 1200

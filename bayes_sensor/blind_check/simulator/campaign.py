@@ -1,4 +1,4 @@
-"""Campaigns recorded on the simulated rig."""
+"""Campaigns recorded on the simulated rig, and where in them its causes act."""
 
 from __future__ import annotations
 
@@ -8,30 +8,31 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayes_sensor.blind_check.simulator.case import Case, Step
+from bayes_sensor.blind_check.simulator.causes import CAUSES, converter_step, tail_mixture
+from bayes_sensor.blind_check.simulator.noise import draw_noise
+from bayes_sensor.blind_check.simulator.rig import Rig
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
-from bayes_sensor.reality.causes import CAUSES, Rig, converter_step, tail_mixture
-from bayes_sensor.reality.knobs import Knobs
-from bayes_sensor.reality.noise import draw_noise
-from bayes_sensor.reality.records import Case, Step
-from bayes_sensor.reality.rig import on_the_clock, voltage
 
 PHASES = ("baseline", "onset", "rise", "plateau", "fall", "tail")
 
 
-def prepared_rig(case: Case) -> Rig:
-    """The knobs of every experiment, by name, as the case's causes turn them.
+def prepared_rigs(case: Case) -> list[Rig]:
+    """The rig of every experiment, as the case's causes have changed it.
 
     Raises
     ------
     CampaignError
         If a cause is not known.
     """
-    rig = {step.name: Knobs() for step in case.steps}
-    for name, strength in case.strengths.items():
+    for name in case.strengths:
         if name not in CAUSES:
             raise CampaignError(f"case: no cause '{name}'; there are {', '.join(CAUSES)}")
-        CAUSES[name].apply(rig, strength, case)
-    return rig
+    rigs = [Rig(case, step, number) for number, step in enumerate(case.steps)]
+    for name, cause in CAUSES.items():
+        for rig in rigs:
+            cause.apply(rig, case.strengths.get(name, 0.0))
+    return rigs
 
 
 def sample_times(step: Step) -> FloatArray:
@@ -43,18 +44,10 @@ def clean_signals(
     case: Case, times: Mapping[str, FloatArray] | None = None
 ) -> dict[str, FloatArray]:
     """Voltage without noise (n_t,) of every experiment, at its samples or at given times."""
-    return {name: y for name, (y, _) in _clean(case, times).items()}
-
-
-def _clean(
-    case: Case, times: Mapping[str, FloatArray] | None = None
-) -> dict[str, tuple[FloatArray, FloatArray]]:
-    rig = prepared_rig(case)
     found = {}
-    for step in case.steps:
-        t = sample_times(step) if times is None else times[step.name]
-        y, x = voltage(case, step, rig[step.name], t)
-        found[step.name] = (y, x)
+    for rig in prepared_rigs(case):
+        name = rig.step.name
+        found[name], _ = rig.voltage(sample_times(rig.step) if times is None else times[name])
     return found
 
 
@@ -67,10 +60,10 @@ def noise_scale(case: Case, step: Step, x: FloatArray) -> FloatArray:
 def make_campaign(case: Case) -> Campaign:
     """The campaign that the recorder of this rig would have saved; the same case, the same bits."""
     lsb = converter_step(case)
-    rig = prepared_rig(case)
     experiments = []
-    for step, (y, x) in zip(case.steps, _clean(case).values(), strict=True):
-        knobs = rig[step.name]
+    for rig in prepared_rigs(case):
+        step = rig.step
+        y, x = rig.voltage(sample_times(step))
         rng = np.random.default_rng(
             [case.seed, zlib.crc32(b"noise"), zlib.crc32(step.name.encode())]
         )
@@ -86,8 +79,8 @@ def make_campaign(case: Case) -> Campaign:
                 carrier_flow=step.carrier_flow,
                 test_gas_flow=step.test_gas_flow,
                 interval=step.interval,
-                commanded_on=on_the_clock(knobs, step.commanded_on, step),
-                commanded_off=on_the_clock(knobs, step.commanded_off, step),
+                commanded_on=rig.recorded_time(step.commanded_on),
+                commanded_off=rig.recorded_time(step.commanded_off),
             )
         )
     return Campaign(case.title, tuple(experiments), sensor_is="faster")
@@ -98,6 +91,19 @@ def without_causes(case: Case) -> Case:
     return replace(case, strengths={})
 
 
+def as_recorded(case: Case) -> Case:
+    """The same rig with nothing wrong and its switches at the times that the recorder gave them."""
+    steps = []
+    for rig in prepared_rigs(case):
+        step = rig.step
+        t0, tf, on, off = (
+            rig.recorded_time(true)
+            for true in (step.t0, step.tf, step.commanded_on, step.commanded_off)
+        )
+        steps.append(replace(step, t0=t0, tf=tf, commanded_on=on, commanded_off=off))
+    return replace(case, strengths={}, steps=tuple(steps))
+
+
 def phase_edges(case: Case, step: Step) -> dict[str, tuple[float, float]]:
     """(start, end) s of every phase of an experiment.
 
@@ -105,7 +111,7 @@ def phase_edges(case: Case, step: Step) -> dict[str, tuple[float, float]]:
     likewise from tf; onset is what passes between the command and t0.
     """
     t = np.linspace(0.0, step.duration, 20001)
-    _, x = voltage(without_causes(case), step, Knobs(), t)
+    _, x = Rig(case, step).voltage(t)
     up = t[(t >= step.t0) & (t < step.tf) & (x >= 0.99)]
     down = t[(t >= step.tf) & (x <= 0.01)]
     settled = float(up[0]) if len(up) else step.tf
@@ -119,19 +125,6 @@ def phase_edges(case: Case, step: Step) -> dict[str, tuple[float, float]]:
         "fall": (step.tf, emptied),
         "tail": (emptied, step.duration),
     }
-
-
-def as_recorded(case: Case) -> Case:
-    """The same rig with nothing wrong and its switches at the times that the recorder gave them."""
-    rig = prepared_rig(case)
-    steps = []
-    for step in case.steps:
-        t0, tf, on, off = (
-            on_the_clock(rig[step.name], true, step)
-            for true in (step.t0, step.tf, step.commanded_on, step.commanded_off)
-        )
-        steps.append(replace(step, t0=t0, tf=tf, commanded_on=on, commanded_off=off))
-    return replace(case, strengths={}, steps=tuple(steps))
 
 
 def acting_places(case: Case) -> dict[tuple[str, str], float]:

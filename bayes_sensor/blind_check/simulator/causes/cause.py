@@ -1,4 +1,4 @@
-"""What a cause is, how a place of the rig lists its own, and what several of them need."""
+"""What a cause is, and how a place of the rig lists its own."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
-from bayes_sensor.campaign import FloatArray
-from bayes_sensor.reality.knobs import Course, Knobs
-from bayes_sensor.reality.records import Case
+from bayes_sensor.blind_check.simulator.case import Case
+from bayes_sensor.blind_check.simulator.rig import Rig
 
-Rig = dict[str, Knobs]
-Apply = Callable[[Rig, float, np.random.Generator, Case], None]
+Turn = Callable[[Rig, float, Generator, Generator], None]
+"""Changes the rig of one experiment, given the strength and where random choices come from: first
+those that all experiments share (the same numbers for each), then the experiment's own."""
 
 
 @dataclass(frozen=True)
@@ -22,13 +23,14 @@ class Cause:
 
     name: str
     listed_as: tuple[str, ...]
+    """names in the catalogue of effects that are a right answer, most fitting first"""
     family: str
     """what it resembles: causes of one family are hard to tell apart"""
     unit: str
     """of the strength"""
     highest: float
     """the largest strength that is still plausible in a laboratory"""
-    turn: Apply
+    turn: Turn
     near: tuple[str, ...] = ()
     """names that would not be wrong, although the catalogue's form does not cover the cause"""
     per_experiment: bool = False
@@ -45,14 +47,20 @@ class Cause:
         """Whether the catalogue has a name for it."""
         return bool(self.listed_as)
 
-    def generator(self, case: Case) -> np.random.Generator:
-        """Where its own choices come from."""
-        return np.random.default_rng([case.seed, zlib.crc32(self.name.encode())])
+    @property
+    def place(self) -> str:
+        """Part of the rig where it acts: valve, flow, manifold, sensor, readout, electronics."""
+        return self.turn.__module__.rsplit(".", 1)[-1]
 
-    def apply(self, rig: Rig, strength: float, case: Case) -> None:
-        """Turn the knobs of ``rig``; nothing happens at strength 0."""
+    def generator(self, case: Case, *number: int) -> Generator:
+        """Where its choices come from: the shared ones, or with a ``number`` (> 0) others."""
+        return np.random.default_rng([case.seed, zlib.crc32(self.name.encode()), *number])
+
+    def apply(self, rig: Rig, strength: float) -> None:
+        """Change the rig of one experiment; nothing happens at strength 0."""
         if strength != 0.0:
-            self.turn(rig, float(strength), self.generator(case), case)
+            shared, own = self.generator(rig.case), self.generator(rig.case, 1 + rig.number)
+            self.turn(rig, float(strength), shared, own)
 
 
 class Causes(dict[str, Cause]):
@@ -66,10 +74,10 @@ class Causes(dict[str, Cause]):
         highest: float,
         near: tuple[str, ...] = (),
         **flags: bool,
-    ) -> Callable[[Apply], Apply]:
+    ) -> Callable[[Turn], Turn]:
         """Register the decorated function under its own name."""
 
-        def register(turn: Apply) -> Apply:
+        def register(turn: Turn) -> Turn:
             name = turn.__name__
             self[name] = Cause(name, listed_as, family, unit, highest, turn, near, **flags)
             return turn
@@ -77,24 +85,11 @@ class Causes(dict[str, Cause]):
         return register
 
 
-def _sign(rng: np.random.Generator) -> float:
+def random_sign(rng: Generator) -> float:
+    """1 or -1."""
     return 1.0 if rng.random() < 0.5 else -1.0
 
 
-def _between(rng: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(rng: Generator, low: float, high: float) -> float:
     """Uniform in the logarithm."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-
-def _begins(case: Case) -> FloatArray:
-    """s (n + 1,) at which records begin that follow each other, and the last one's end."""
-    return np.cumsum([0.0, *(step.duration for step in case.steps)])
-
-
-def _mean_step(case: Case) -> float:
-    """V, the campaign's mean step."""
-    return float(np.mean([abs(step.beta) for step in case.steps]))
-
-
-def _interpolated(times: FloatArray, values: FloatArray) -> Course:
-    return lambda t: np.asarray(np.interp(t, times, values), dtype=float)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from bayes_sensor.blind_check.simulator.case import Case, Step
+from bayes_sensor.blind_check.simulator.noise import draw_law
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.reality.noise import draw_law
-from bayes_sensor.reality.records import Case, Step
 
 SIZES = ("paper", "varied", "small")
 LITRES_PER_MINUTE = 1000.0 / 60.0  # mL/s
