@@ -68,7 +68,7 @@ EARLIER = TABLES / "blind_check_earlier.csv.gz"
 FIGURES = TABLES.parent / "figures"
 IN_REPORTS = PAPER.parent / "bayes_sensor" / "templates" / "blind_check.json"
 """the goals of the day, which every report of a gap shows"""
-README, PAGE = PAPER.parent / "README.md", PAPER.parent / "docs" / "blind_check.md"
+PAGE = PAPER.parent / "docs" / "blind_check.md"
 OPENS, CLOSES = "<!-- blind check: study_blind_check.py -->\n", "<!-- end of blind check -->\n"
 
 
@@ -325,36 +325,6 @@ def write_alarms(cases: pd.DataFrame) -> None:
     both.to_csv(path, index=False, float_format="%.3f")
 
 
-def markdown_table(goals: pd.DataFrame, together: pd.DataFrame, over: pd.DataFrame) -> str:
-    """Every goal beside what was reached that day and in all sealed runs, in Markdown.
-
-    Intervals are Wilson's at 95 %.
-    """
-    runs, campaigns = together.loc[0, ["runs", "campaigns"]]
-    lines = [
-        f"| claim | goal | reached | met | last {runs} runs together, {campaigns} campaigns | met "
-        "| met alone in |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    met_in = over.set_index("goal")
-    for row, all_of_it in zip(goals.itertuples(), together.itertuples(), strict=True):
-        counted = met_in.loc[row.goal]
-        said = [row.goal, row.wanted, *_reached(row), *_reached(all_of_it, row.wanted)]
-        lines.append(f"| {' | '.join(said)} | {counted['runs_met']} of {counted['runs']} runs |")
-    return "\n".join(lines) + "\n"
-
-
-def _reached(row: Any, wanted: str | None = None) -> tuple[str, str]:
-    """What a goal's row reached with its interval, and whether that is met.
-
-    Where the goal is another than what is ``wanted`` elsewhere, it stands with it.
-    """
-    between = "" if pd.isna(row.lo95) else f" ({row.lo95:.2g} to {row.hi95:.2g})"
-    other = f" ({row.wanted})" if wanted is not None and row.wanted != wanted else ""
-    # all digits of the table: a goal missed by little must not look as if it was met
-    return f"{row.reached:.4g}{between}{other}", "yes" if row.met else "no"
-
-
 def changed(cases: pd.DataFrame, first: pd.DataFrame) -> str:
     """One sentence: how many verdicts are not those of the day when the seals were opened."""
     both = cases.merge(first, on="case", suffixes=("", "_first"), validate="one_to_one")
@@ -373,23 +343,13 @@ def _sorted(said: str) -> str:
 
 
 def write_pages() -> None:
-    """Put goals and card of the day into the README, and all that was counted into the docs."""
-    goals, together, over, alike = (
-        pd.read_csv(TABLES / f"blind_check_{name}.csv")
-        for name in ("first_goals", "together", "over_runs", "alike")
-    )
+    """Put what was counted into the docs."""
+    alike = pd.read_csv(TABLES / "blind_check_alike.csv")
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
     first = pd.read_csv(TABLES / "blind_check_first.csv", keep_default_na=False)
     card = read_json(TABLES / "blind_check.json")
-    between_marks(README, [
-        markdown_table(goals, together, over),
-        "![The score card of the day on which the seals were opened]"
-        "(paper/figures/blind_check_first.png)\n",
-        *bullets([
-            strictly(), excused(), by_verdict(), left_out(first), out_of_reach(first), odds(),
-        ]),
-    ])  # fmt: skip
     counted = [
+        strictly(), excused(), by_verdict(), odds(),
         named_nulls(cases), alarmed_nulls(cases), left_out(cases), overlooked(cases),
         of_the_reserve(cases), out_of_reach(cases), too_sure(cases), but_for_one_law(cases),
         being_told(card["tau"]), hiding(card["envelope"]), weak_ones(card),
