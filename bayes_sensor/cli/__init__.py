@@ -26,7 +26,7 @@ DONE, BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 0, 2, 3, 130
 
 app = typer.Typer(
     name="bayes-sensor",
-    help="Response times of gas sensors from step experiments, with intervals and a test of the model.",
+    help="Response times of gas sensors from step experiments: intervals and a test of the model.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -103,7 +103,7 @@ def common(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Version and exit."),
     ] = False,
 ) -> None:
-    """Response times of gas sensors from step experiments, with intervals and a test of the model."""
+    """Response times of gas sensors from step experiments: intervals and a test of the model."""
 
 
 @app.command()
