@@ -896,33 +896,19 @@ def test_drifts_of_gain_were_wrong_as_often_as_the_page_says() -> None:
     assert 0.4 < by_verdict["family"] < 0.5  # nearly half
 
 
-def test_the_readme_shows_the_goals_that_were_scored() -> None:
+def test_the_page_and_reports_show_what_was_scored() -> None:
     study = (ROOT / "paper" / "studies" / "study_blind_check.py").read_text(encoding="utf-8")
     begin = "<!-- blind check: study_blind_check.py -->\n"
     assert begin.strip() in study
-    shown, page = (
-        (ROOT / path).read_text(encoding="utf-8").partition(begin)[2]
-        .partition("<!-- end of blind check -->")[0]
-        for path in ("README.md", "docs/blind_check.md")
-    )  # fmt: skip
+    page = (ROOT / "docs" / "blind_check.md").read_text(encoding="utf-8").partition(begin)[2]
+    page = page.partition("<!-- end of blind check -->")[0]
     goals = pd.read_csv(TABLES / "blind_check_first_goals.csv")
-    lines = [line for line in shown.splitlines() if line.startswith("|")]
-    assert len(goals) == len(lines) - 2
-    # the day's figure stands under its table
-    assert shown.index("(paper/figures/blind_check_first.png)") > shown.index(lines[-1])
     cases = pd.read_csv(TABLES / "blind_check_cases.csv", keep_default_na=False)
     nulls = cases[cases["kind"] == "null"]
     for law, some in nulls.groupby("law"):
         n = int((some["verdict"] == "effect").sum())
         assert (f"{law} {n} of {len(some)} (" in page) == (n > 0)
-    for row in goals.itertuples():
-        line = next(line for line in lines if line.startswith(f"| {row.goal} | {row.wanted} | "))
-        reached = float(line.split("|")[3].split()[0])
-        assert reached == pytest.approx(row.reached, rel=5e-3)
-        if row.wanted[:2] in ("<=", ">="):  # the rounded number must not tell another story
-            bound = float(row.wanted[3:])
-            assert (reached <= bound if row.wanted[0] == "<" else reached >= bound) == row.met
-    # and so does every report of a gap
+    # every report of a gap shows the goals
     place = ROOT / "bayes_sensor" / "templates" / "blind_check.json"
     shipped = json.loads(place.read_text(encoding="utf-8"))
     kept = pd.DataFrame(shipped["goals"], dtype=object)[list(goals)]
@@ -930,10 +916,6 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     assert shipped["campaigns"] == len(pd.read_csv(TABLES / "blind_check_first.csv"))
     # every sealed run is counted, the last one as it stands above
     runs = pd.read_csv(TABLES / "blind_check_runs.csv")
-    over = pd.read_csv(TABLES / "blind_check_over_runs.csv").set_index("goal")
-    for line in lines[2:]:
-        goal, *_, met = (cell.strip() for cell in line.strip("|").split("|"))
-        assert met == f"{over.runs_met[goal]} of {over.runs[goal]} runs"
     last = runs[runs["seed"] == runs["seed"].max()].drop(columns="seed").reset_index(drop=True)
     pd.testing.assert_frame_equal(last, goals)
     for row in pd.read_csv(TABLES / "blind_check_over_runs.csv").itertuples():
@@ -949,7 +931,7 @@ def test_the_readme_shows_the_goals_that_were_scored() -> None:
     of_the_day = (
         f"Of {len(withheld)} campaigns whose effect was taken out of the catalogue, {wrong} w"
     )
-    assert of_the_day in " ".join(shown.split())
+    assert of_the_day in " ".join(page.split())
     text = " ".join(page.split())
     if kinds or f"the same {len(cases)} verdicts" not in text:
         assert f"gives {kinds} of another kind" in text

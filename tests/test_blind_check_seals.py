@@ -361,8 +361,8 @@ def test_code_changed_while_it_ran_is_told_and_its_parts_are_not_used(
 # --------------------------------------------------------------------------- the bundled campaign
 
 
-def test_the_readme_shows_the_seal_that_the_demo_opens() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_the_docs_show_the_seal_that_the_demo_opens() -> None:
+    page = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     demo = re.search(r"^demo:.*\n((?:\t.*\n)+)", makefile, re.MULTILINE)
     assert demo is not None
@@ -372,9 +372,9 @@ def test_the_readme_shows_the_seal_that_the_demo_opens() -> None:
         for words in ("analyze data/reference", "gap data/withheld", "data/open_seal.py")
     )
     assert job < diagnosis < opening
-    begin, end = readme.index("## Two commands"), readme.index("## On your own data")
-    about = readme[begin:end]
-    assert "data/withheld/" in about and "](paper/figures/opened_seal.png)" in about
+    begin, end = page.index("## First analysis"), page.index("For your own data")
+    about = page[begin:end]
+    assert "data/withheld/" in about and "](../paper/figures/opened_seal.png)" in about
     # what verdict and truth are is drawn with the study, and not typed here
     truth = json.loads((ROOT / "data" / "withheld" / "sealed.json").read_text(encoding="utf-8"))
     names = {*truth["causes"], *(name for names in truth["listed_as"] for name in names)}

@@ -18,7 +18,6 @@ from bayes_sensor.coverage import (
     Setting,
     chosen_settings,
     coverage_of_methods,
-    markdown_table,
     run_coverage,
     simulate_setting,
     small_design,
@@ -213,12 +212,10 @@ def committed() -> pd.DataFrame:
     return pd.read_csv(ROOT / "paper" / "tables" / "coverage_bounds.csv", dtype={"level": str})
 
 
-def test_the_readme_shows_the_committed_table(committed: pd.DataFrame) -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    begin, end = "<!-- coverage table: study_bounds.py -->\n", "<!-- end of coverage table -->"
-    assert readme.partition(begin)[2].partition(end)[0] == markdown_table(committed)
+def test_the_page_says_how_much_more_slowly_the_valve_closes() -> None:
+    page = (ROOT / "docs" / "choose_a_bound.md").read_text(encoding="utf-8")
     percent = 100 * (SETTINGS["slow_closing"].closing - 1)
-    assert f"closes {percent:.0f} % more slowly" in " ".join(readme.split())
+    assert f"closes {percent:.0f} % more slowly" in " ".join(page.split())
 
 
 def test_the_committed_study_is_complete_and_says_what_it_should(committed: pd.DataFrame) -> None:

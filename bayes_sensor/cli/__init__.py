@@ -26,7 +26,7 @@ DONE, BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 0, 2, 3, 130
 
 app = typer.Typer(
     name="bayes-sensor",
-    help="Response times of gas sensors from step experiments, with intervals that hold.",
+    help="Response times of gas sensors from step experiments: intervals and a test of the model.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -103,7 +103,7 @@ def common(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Version and exit."),
     ] = False,
 ) -> None:
-    """Response times of gas sensors from step experiments, with intervals that hold."""
+    """Response times of gas sensors from step experiments: intervals and a test of the model."""
 
 
 @app.command()
@@ -236,10 +236,10 @@ def gap(
         ),
     ] = 60,
 ) -> None:
-    """Where the model misses, and which effect causes it.
+    """Where the model misses, and which effect explains it.
 
-    Also how far each explanation closes the gap, what becomes of tau, and what may hide.  The
-    README lists the effects.
+    Also how much each explanation explains, the resulting tau, and effects that may stay unseen.
+    The page "How to read a gap report" of the documentation lists the effects.
     """
     from bayes_sensor.cli.simulation import read_nominal
     from bayes_sensor.gap.effects import check_names
