@@ -15,21 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.text import Text
-
-from bayes_sensor.blind_check import (
-    LEVELS,
-    diagnose_cases,
-    draw_cases,
-    make_card,
-    make_plan,
-    open_seals,
-    read_rows,
-    score,
-    wilson,
-)
 from bayes_sensor.blind_check.baselines import by_bic, by_rss, whiteness_p_value
-from bayes_sensor.blind_check.card import card_table, table
 from bayes_sensor.blind_check.check import complete_truth, no_verdict, trimmed
 from bayes_sensor.blind_check.closing import closed_fraction
 from bayes_sensor.blind_check.oracle import (
@@ -43,6 +29,21 @@ from bayes_sensor.blind_check.oracle import (
     rival_distances,
     strength_for,
 )
+from matplotlib.text import Text
+from tests.sealed_runs import sealed_cases
+
+from bayes_sensor.blind_check import (
+    LEVELS,
+    diagnose_cases,
+    draw_cases,
+    make_card,
+    make_plan,
+    open_seals,
+    read_rows,
+    score,
+    wilson,
+)
+from bayes_sensor.blind_check.card import card_table, table
 from bayes_sensor.blind_check.plan import HIDING, SHARES, Entry, counts, draw_truth
 from bayes_sensor.blind_check.score import level_of, score_case
 from bayes_sensor.blind_check.simulator import (
@@ -68,7 +69,6 @@ from bayes_sensor.figures import svg
 from bayes_sensor.figures.blind_check import in_words, opened_seal, score_card
 from bayes_sensor.readers import read_campaign
 from bayes_sensor.results import read_json
-from tests.sealed_runs import sealed_cases
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "data"

@@ -18,6 +18,7 @@ import pytest
 from matplotlib.axes import Axes
 from scipy.special import ndtr
 from scipy.stats import binom
+from tests.sealed_runs import sealed_cases
 
 from bayes_sensor.blind_check import card_table, make_card, read_rows, table, wilson
 from bayes_sensor.blind_check.card import oracle_share
@@ -26,7 +27,6 @@ from bayes_sensor.blind_check.statistics import average, roc
 from bayes_sensor.figures import svg
 from bayes_sensor.figures.blind_check import in_words, score_card
 from bayes_sensor.results import plain, write_json
-from tests.sealed_runs import sealed_cases
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 DAY = TABLES / "blind_check_first.csv"

@@ -59,7 +59,7 @@ ROOMS = (
 )
 DRAWING_ROOMS = ("figures", "report")
 
-MAKE_TARGETS = ("install", "demo", "test", "lint", "bench", "study", "coverage", "mutants", "paper",
+MAKE_TARGETS = ("install", "demo", "test", "lint", "bench", "study", "coverage", "paper",
                 "docs", "data", "dist", "check-dist")  # fmt: skip
 
 

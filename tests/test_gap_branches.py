@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from campaigns import small_design, small_problem
 from scipy.stats import binom
+from tests.sealed_runs import sealed_cases
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.gap import which
@@ -37,7 +38,6 @@ from bayes_sensor.lattice import lattice_step
 from bayes_sensor.likelihood import Problem
 from bayes_sensor.model import Cascade
 from tests.gap_cases import measured
-from tests.sealed_runs import sealed_cases
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 
