@@ -7,10 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bayes_sensor.blind_check.check import trimmed
 
 import bayes_sensor as bs
 from bayes_sensor import figures
+from bayes_sensor.blind_check.diagnosing import trimmed
 from bayes_sensor.campaign import Campaign, FloatArray, SideInformation
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.gap import CATALOGUE, Gap, Strength, diagnose_gap, own_effect
