@@ -1,9 +1,9 @@
 """The blind check at full size: 600 cases, with the causes and noise laws that are held in reserve.
 
 Cases, truths and verdicts are made as ``bayes-sensor blind-check`` makes them; campaigns are not
-kept.  ``blind_check_runs.csv`` has one row for each run of another seed, ``blind_check_together.csv``
-their sums.  The first 24 rows were made by earlier code, with another simulator.  The goals of the
-last run stand in ``blind_check_goals.csv`` and in every report of a gap.
+kept.  ``blind_check_runs.csv`` has one row for each run, ``blind_check_together.csv`` their sums.
+The first 24 rows were made by earlier code, with another simulator.  The goals of the last run
+stand in ``blind_check_goals.csv`` and in every report of a gap.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ def run(
         progress=progress,
     )  # fmt: skip
     diagnose_cases(place, place, parts, "study", jobs=jobs, scheduler=scheduler, progress=progress)
+    write_seconds(place)
     card, rows = score(open_seals(place))
     pd.DataFrame(card["goals"]).to_csv(
         TABLES / "blind_check_goals.csv", index=False, float_format="%.4g"
@@ -58,9 +59,7 @@ def run(
     this = {"run": len(runs) + 1, "date": today, "code": __version__, **counted(rows), "note": ""}
     runs = pd.concat([runs, pd.DataFrame([this])], ignore_index=True)
     runs.to_csv(path, index=False)
-    together(runs).to_csv(
-        TABLES / "blind_check_together.csv", index=False, float_format="%.4g"
-    )
+    together(runs).to_csv(TABLES / "blind_check_together.csv", index=False, float_format="%.4g")
     keep_figure(score_card(card), "blind_check")
     keep_figure(withheld(), "opened_seal")
 
@@ -114,6 +113,18 @@ def together(runs: pd.DataFrame) -> pd.DataFrame:
         rows.append({"what": what, "of": n, "count": k, "share": k / n, "lo95": low, "hi95": high,
                      **shares, "runs": len(some)})  # fmt: skip
     return pd.DataFrame(rows)
+
+
+def write_seconds(place: Path) -> None:
+    """Write blind_check_seconds.csv: processor time of a diagnosis, compilation included."""
+    found = read_json(place / "seconds.json")
+    seconds = pd.Series(found["seconds"], dtype=float)
+    row = {
+        "setting": found["setting"], "cases": len(seconds), "median_s": seconds.median(),
+        "q95_s": seconds.quantile(0.95), "largest_s": seconds.max(),
+    }  # fmt: skip
+    path = TABLES / "blind_check_seconds.csv"
+    pd.DataFrame([row]).to_csv(path, index=False, float_format="%.4g")
 
 
 def keep_figure(figure: Figure, name: str) -> None:

@@ -33,7 +33,7 @@ def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
     kinds = [f"{n} {kind}" for kind, n in card["kinds"].items()]
     paragraphs = [
         f"Of the campaigns {list_words(kinds)}{see('blind-cases')}. Withheld: the true effect was "
-        "taken out of the catalogue first. The size d is what the refit leaves of a gap, in "
+        "taken out of the catalogue first. The size d is the misfit that the refit leaves, in "
         "standard deviations of the noise."
     ]
     if refused := card["failed"]["k"]:
@@ -52,14 +52,11 @@ def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
             pictures.add(
                 "blind-card",
                 score_card(card),
-                "The score card, with 95 % intervals. Top: false alarms on faultless campaigns by "
-                "the kind of their noise, and wrong names given with confidence. Second row, "
-                "against the size d: how often the right effect or family is the likeliest, or "
-                "nothing is said where an oracle cannot tell either, and how often something "
-                "unlisted is flagged. The oracle knows the noise, the cause and its nearest rival "
-                "and must choose between the two. Third row: flagged against flagged wrongly, "
-                "stated against true probabilities, and the closed fraction. Last row: how often "
-                "the 95 % set holds a listed cause, and the error of tau.",
+                "The score card, with 95 % intervals. Top: false alarms on faultless campaigns, "
+                "wrong names given with confidence, and the error of tau. Bottom, against the size "
+                "d: how often the right family is the likeliest, and how often something unlisted "
+                "is found, in blue where a verdict without a name counts if no data would tell; "
+                "and stated against true probabilities.",
             ),
             *_cases(saved.cases or []),
         ],
