@@ -21,7 +21,6 @@ from bayes_sensor.blind_check import (
     make_card,
     make_plan,
     open_seals,
-    read_rows,
     score,
     table,
     wilson,
@@ -562,12 +561,6 @@ def test_the_table_of_the_card_holds_every_number(many: list[Row]) -> None:
     assert rows.value["calibration.verdict.ece"] == card["calibration"]["verdict"]["ece"]
     name = "accuracy at d = 8.family_or_abstained"
     assert rows.lo95[name] < rows.rate[name] < rows.hi95[name]
-
-
-def test_rows_of_a_table_give_the_card_that_the_cases_give(many: list[Row], tmp_path: Path) -> None:
-    table(many[::-1]).to_csv(tmp_path / "cases.csv", index=False)
-    again = read_rows(tmp_path / "cases.csv")
-    assert again == many and make_card(again) == make_card(many)
 
 
 def test_the_figure_has_the_same_bytes_each_time_and_says_where_it_is_empty(

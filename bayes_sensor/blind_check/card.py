@@ -7,7 +7,6 @@ card is made from the rows of the cases alone, so that it can be made again from
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,10 +36,6 @@ SMALL = 0.05
 """p-value below which a gap counts as found"""
 GOALS_AT = (8.0, 16.0)
 """detectabilities that goals are set for"""
-TEXTS = (
-    "case", "kind", "causes", "listed_as", "law", "size", "verdict", "said", "top", "bic_says",
-)  # fmt: skip
-"""columns of the table of cases that hold words"""
 
 
 def score(cases: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> tuple[Row, list[Row]]:
@@ -66,7 +61,7 @@ def make_card(rows: Sequence[Row]) -> Row:
     card: Row = {
         "n": len(rows),
         "kinds": {kind: sum(row["kind"] == kind for row in rows) for kind in kinds},
-        "failed": _share(rows, lambda r: r["verdict"] == "failed"),
+        "failed": _stated(rows, "failed"),
         "nulls": {
             "all": _alarms(nulls),
             "ar1": _alarms([r for r in nulls if r["is_ar1"]]),
@@ -78,7 +73,7 @@ def make_card(rows: Sequence[Row]) -> Row:
         },
         "accuracy": [_accuracy(of["listed"], level) for level in LEVELS],
         "confident_wrong": {
-            **{k: _share(some, lambda r: r["confident_wrong"]) for k, some in at_fault.items()},
+            **{k: _share(some, "confident_wrong") for k, some in at_fault.items()},
             "withheld_outside_family": _share(
                 withheld, lambda r: r["confident_wrong"] and r["wrong_outside_family"]
             ),
@@ -90,11 +85,11 @@ def make_card(rows: Sequence[Row]) -> Row:
         "unlisted": {
             "flagged": [_flagged(of["unlisted"], level) for level in LEVELS],
             "withheld_flagged": [_flagged(withheld, level) for level in LEVELS],
-            "withheld_flagged_or_family": _share(withheld, lambda r: r["verdict_right"]),
+            "withheld_flagged_or_family": _share(withheld, "verdict_right"),
             "roc": area(*([r["p_unlisted"] for r in some] for some in (strong, others))),
         },
         "pairs": {
-            "both_right": _share(pairs, lambda r: r["top_right"]),
+            "both_right": _share(pairs, "top_right"),
             "nothing_wrong_named": _share(pairs, lambda r: not r["wrong_name"]),
             "one_of_them_said": _share(pairs, lambda r: bool(_said(r) & _answers(r))),
         },
@@ -118,13 +113,13 @@ def make_card(rows: Sequence[Row]) -> Row:
         "localisation": _localisation(rows),
         "tau": _tau(of["listed"]),
         "envelope": {
-            "hidden": _share(of["hidden"], lambda r: r["envelope_holds"]),
+            "hidden": _share(of["hidden"], "envelope_holds"),
             "drawn_to_hide": len(drawn_to_hide),
             "drawn_stronger": len(drawn_to_hide) - len(of["hidden"]),
-            "null": _share(nulls, lambda r: r["envelope_holds"]),
+            "null": _share(nulls, "envelope_holds"),
             "d_below_3": _share(
                 [r for r in rows if r["d"] is not None and r["d"] < UNSEEN],
-                lambda r: r["envelope_holds"],
+                "envelope_holds",
             ),
         },
     }  # fmt: skip
@@ -132,8 +127,13 @@ def make_card(rows: Sequence[Row]) -> Row:
     return card
 
 
-def _share(rows: Sequence[Row], of: Callable[[Row], Any]) -> Row:
-    return proportion(of(row) for row in rows)
+def _share(rows: Sequence[Row], of: str | Callable[[Row], Any]) -> Row:
+    """Share of the rows in which a column, or a function of the row, is true."""
+    return proportion(row[of] if isinstance(of, str) else of(row) for row in rows)
+
+
+def _stated(rows: Sequence[Row], verdict: str) -> Row:
+    return proportion(row["verdict"] == verdict for row in rows)
 
 
 def _at(rows: Sequence[Row], level: float) -> list[Row]:
@@ -165,7 +165,7 @@ def _confident_other(row: Row) -> bool:
 
 def _alarms(nulls: Sequence[Row]) -> Row:
     return {
-        "named": _share(nulls, lambda r: r["named"]),
+        "named": _share(nulls, "named"),
         "named_or_family": _share(nulls, lambda r: r["verdict"] in ("effect", "family")),
         "alarmed": _share(nulls, lambda r: r["verdict"] != "none"),
         "bic_named": _share(nulls, lambda r: r["bic_says"] != "none"),
@@ -181,7 +181,7 @@ def _by_verdict(rows: Sequence[Row]) -> dict[str, Row]:
     return {
         kind: {
             **average("said", (row["p_said"] for row in some)),
-            "right": _share(some, lambda r: r["verdict_right"]),
+            "right": _share(some, "verdict_right"),
         }
         for kind, some in sorted(found.items())
     }
@@ -197,7 +197,7 @@ def _scores(rows: Sequence[Row]) -> Row:
 def _set_part(rows: Sequence[Row]) -> Row:
     """How often the 95 % set holds the right answer, and how many rows it holds."""
     return {
-        "coverage": _share(rows, lambda r: r["in_set"]),
+        "coverage": _share(rows, "in_set"),
         **average("mean_size", (r["set_size"] for r in rows)),
     }
 
@@ -207,11 +207,11 @@ def _accuracy(listed: Sequence[Row], level: float) -> Row:
     rows = _at(listed, level)
     return {
         "d": level,
-        "top": _share(rows, lambda r: r["top_right"]),
-        "top_or_abstained": _share(rows, lambda r: r["top_or_abstained"]),
-        "family": _share(rows, lambda r: r["family_right"]),
-        "family_or_abstained": _share(rows, lambda r: r["family_or_abstained"]),
-        "quiet": _share(rows, lambda r: r["verdict"] == "none"),
+        "top": _share(rows, "top_right"),
+        "top_or_abstained": _share(rows, "top_or_abstained"),
+        "family": _share(rows, "family_right"),
+        "family_or_abstained": _share(rows, "family_or_abstained"),
+        "quiet": _stated(rows, "none"),
         "top_bic": _share(rows, lambda r: r["bic_says"] in _answers(r)),
         "family_bic": _share(
             rows, lambda r: families_of([r["bic_says"]]) <= families_of(_listed_as(r))
@@ -225,8 +225,8 @@ def _flagged(rows: Sequence[Row], level: float) -> Row:
     apart = [r for r in at if r["isolability"] >= SEPARABLE_ABOVE]
     return {
         "d": level,
-        "flagged": _share(at, lambda r: r["verdict"] == "unlisted"),
-        "flagged_where_separable": _share(apart, lambda r: r["verdict"] == "unlisted"),
+        "flagged": _stated(at, "unlisted"),
+        "flagged_where_separable": _stated(apart, "unlisted"),
         "flagged_or_unnamed": _share(
             at,
             lambda r: (
@@ -235,7 +235,7 @@ def _flagged(rows: Sequence[Row], level: float) -> Row:
             ),
         ),
         "within_reach": _share(at, lambda r: r["isolability"] >= SEPARABLE_ABOVE),
-        "quiet": _share(at, lambda r: r["verdict"] == "none"),
+        "quiet": _stated(at, "none"),
     }
 
 
@@ -372,21 +372,6 @@ def table(rows: Sequence[Row]) -> pd.DataFrame:
 
     frame = pd.DataFrame(list(rows))
     return frame.sort_values("case", ignore_index=True) if len(frame) else frame
-
-
-def read_rows(path: Path) -> list[Row]:
-    """The rows of a table of cases, as :func:`make_card` takes them."""
-    import pandas as pd
-
-    words = {"True": True, "False": False, "": None}
-    frame = pd.read_csv(path, dtype=str, keep_default_na=False)
-    return [
-        {
-            name: cell if name in TEXTS else words[cell] if cell in words else float(cell)
-            for name, cell in row.items()
-        }
-        for row in frame.to_dict("records")
-    ]
 
 
 def card_table(card: Row) -> pd.DataFrame:
