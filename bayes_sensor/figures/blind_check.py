@@ -33,15 +33,16 @@ Part = Mapping[str, Any]
 FEW = 3
 """campaigns under which a law of noise without an alarm has no bar of its own"""
 ALONE = {"bic_named": "all, by BIC", "whiteness_alarmed": "all, by whiteness"}
-"""methods beside the diagnosis that tell a null from something"""
+"""methods besides the diagnosis that separate a null from a cause"""
 BESIDE = 0.7, 0.2
 """place in a panel that has a diagonal"""
 
 
 def score_card(card: Part) -> Figure:
-    """Ten panels from ``score.json``: is anything seen, named, flagged, calibrated, mended.
+    """Ten panels from ``score.json``: detection, names, unlisted causes, calibration, closed
+    fractions.
 
-    What has no panel stands as sentences beside the last two.
+    Numbers without a panel are sentences beside the last two.
     """
     with style():
         shown = _laws(card["nulls"]["by_law"])
@@ -129,7 +130,7 @@ def _nulls(axes: Axes, every: Part, laws: Mapping[str, Part]) -> None:
 
 
 def _no_case(axes: Axes, words: str = "no case", at: tuple[float, float] = (0.5, 0.5)) -> None:
-    """Say in an empty panel why it is so; ``at``: share of the panel's width and height."""
+    """Write the reason into an empty panel; ``at``: share of the panel's width and height."""
     axes.text(
         *at, words, transform=axes.transAxes, ha="center", va="center", color=MIDDLE,
         fontsize=SMALLEST,
@@ -137,7 +138,7 @@ def _no_case(axes: Axes, words: str = "no case", at: tuple[float, float] = (0.5,
 
 
 def _levels(axes: Axes, levels: Sequence[float], empty: bool) -> None:
-    """``empty``: nothing is drawn that could tell the axis how far it goes."""
+    """``empty``: nothing is drawn that would set the range of the axis."""
     axes.set_xscale("log")
     if empty:
         axes.set_xlim(levels[0] / 1.2, levels[-1] * 1.2)
@@ -321,7 +322,7 @@ def _tau(axes: Axes, tau: Part) -> None:
 
 
 def in_words(card: Part) -> list[str]:
-    """What the card says of tau, places, hidden causes, closed fractions, sets and scores."""
+    """Sentences on tau, places, hidden causes, closed fractions, sets and scores."""
     said = [_of_tau(card["tau"]), _of_places(card["localisation"]), *_of_hidden(card["envelope"])]
     said += [_of_closing(card["closed_fraction"]), _of_sets(card["set95"])]
     said += [_of_scores(card["scores"]), _of_rules(card)]
@@ -461,7 +462,7 @@ def _sentences(axes: Axes, card: Part) -> None:
 
 
 def opened_seal(gap: Part, row: Part) -> Figure:
-    """What a diagnosis said of a withheld campaign, and what was true.
+    """The verdict on a withheld campaign, and the truth.
 
     ``gap``: gap.json; ``row``: the case's row of ``cases.csv``.
     """

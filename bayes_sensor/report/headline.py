@@ -1,4 +1,4 @@
-"""What stands at the top: tau in one sentence, and what failed."""
+"""The top of the report: tau in one sentence, and what failed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from bayes_sensor.results import of_other_data
 
 @dataclass(frozen=True)
 class Headline:
-    """What may be said of tau in one sentence, and the naive bound beside it."""
+    """tau in one sentence, with the naive bound."""
 
     text: str
     """``tau = 24.3 ms, 95 % interval [1.1, 60.5] ms (posterior, AR(1) noise)``"""
@@ -36,7 +36,7 @@ class Headline:
     """whether tau is only bounded from above"""
     limit: str = ""
     undecided: bool = False
-    """whether the sensor's is one of several lags"""
+    """whether the sensor's lag is one of several"""
     hidden: bool = False
     """whether the response is over within one sampling interval"""
 
@@ -45,9 +45,9 @@ class Headline:
 
 
 LIMIT = 0.15
-"""of the median, below which the lower end of a 95 % interval says that zero is not excluded.  Of a
-lag with k shorter ones that are limits, too, the k-th root: so small are the ends of the k-th
-smallest of values of which nothing is known."""
+"""share of the median; if the lower end of a 95 % interval is below it, zero is not excluded.  For
+a lag with k shorter ones that are limits, too, its k-th root is used, because the lower end of the
+k-th smallest of undetermined values has that size."""
 SAY_WHICH = (
     'lags in a row commute, so say which is the sensor\'s: [rig] sensor_is = "faster" or "slower", '
     "or side information on tau or tau_v"
@@ -74,7 +74,7 @@ def upper_words(high: float, low: float = 0.0) -> str:
 def headline(
     posterior: Mapping[str, Any] | None, bounds: Mapping[str, Any] | None, settings: Any = None
 ) -> Headline | None:
-    """The one sentence that the work is about; None where nothing was estimated."""
+    """The first sentence of the report; None if nothing was estimated."""
     naive = _naive_words(bounds)
     if posterior is not None:
         return _of_posterior(posterior, naive, settings)
@@ -117,10 +117,10 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
 
 
 def stated_set(posterior: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """Intervals (s) one of which holds tau with 95 %, as the headline states them.
+    """Intervals (s), one of which contains tau with 95 %, as the headline states them.
 
-    One interval where it is known whose the lags are.  Else that of every lag, the shortest ones
-    from zero to their upper limit where zero is not excluded.
+    One interval if the lags can be assigned.  Else that of every lag; the shortest ones run from
+    zero to their upper limit if zero is not excluded.
     """
     lags = posterior["lags_s"]
     if posterior.get("hidden_by_sampling_s") is not None:
@@ -136,20 +136,20 @@ def stated_set(posterior: Mapping[str, Any]) -> list[tuple[float, float]]:
 
 
 def _longest_hidden(posterior: Mapping[str, Any]) -> float:
-    """s, the upper limit of all lags where the response is over within one sampling interval."""
+    """s, the upper limit of all lags if the response is shorter than one sampling interval."""
     # a lag alone rises from 10 to 90 % in 2.2 of it
     return float(min(posterior["lags_s"][-1]["q95"], posterior["hidden_by_sampling_s"] / 2.2))
 
 
 def _may_all_be_equal(lags: Sequence[Mapping[str, float]]) -> bool:
-    """Whether all lags are told from zero and none from its neighbour: intervals by size leave out
-    that they are equal, so one is stated for all."""
+    """Whether all lags differ from zero and none from its neighbour.  Intervals by size do not
+    contain equal lags, so one interval is stated for all."""
     neighbours = pairwise(lags)
     return _n_limits(lags) == 0 and all(a["q97.5"] >= b["q2.5"] for a, b in neighbours)
 
 
 def _n_limits(lags: Sequence[Mapping[str, float]]) -> int:
-    """How many of the lags, shortest first, are not told from zero."""
+    """Number of lags, shortest first, that are not distinguished from zero."""
     n = 0
     for row in lags:
         ratio = row["q2.5"] / row["q50"] if row["q50"] > 0 else 0.0
@@ -160,7 +160,7 @@ def _n_limits(lags: Sequence[Mapping[str, float]]) -> int:
 
 
 def _of_lags(posterior: Mapping[str, Any]) -> str:
-    """The lags by size where it is not known which is the sensor's, as a sentence."""
+    """The lags by size as a sentence, if it is not known which is the sensor's."""
     lags = posterior["lags_s"]
     n_limits = _n_limits(lags)
     seen = lags[n_limits:]
@@ -225,7 +225,7 @@ def _of_bounds(entry: Mapping[str, Any], method: str, naive: str) -> Headline | 
 def chain_words(posterior: Mapping[str, Any]) -> str:
     """t63 and t90 of the whole chain at the lowest and the highest flow, as a sentence.
 
-    They need no names of lags; empty for results that do not have them.
+    They do not depend on the assignment of the lags; empty for results without them.
     """
     rows = sorted(posterior.get("chain", {}).values(), key=lambda row: -row["t90_s"]["q50"])
     if not rows:
@@ -246,7 +246,7 @@ def chain_words(posterior: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Remark:
-    """A sentence under the headline, and the section that says more."""
+    """A sentence under the headline, and the section with details."""
 
     text: str
     section: str
@@ -255,11 +255,12 @@ class Remark:
 ALIKE = 0.05
 """correlation of neighbouring samples from which the bound for white noise is called wrong"""
 TOO_NARROW = 1.3
-"""times by which the published recipe narrows the bound of tau before it is called wrong"""
+"""ratio of the converged bound of tau to that with 1 % steps from which the latter is called
+wrong"""
 
 
 def remarks(saved: Saved) -> list[Remark]:
-    """What a newcomer must know of the headline: what tau is, how sure, why the bound misleads."""
+    """Explanations for a newcomer: what tau is, its uncertainty, why the bound misleads."""
     head = headline(saved.posterior, saved.bounds, saved.settings)
     if head is None:
         return [] if saved.gap is None else [Remark(gap_sentence(saved.gap, False), "gap")]
@@ -296,7 +297,7 @@ def remarks(saved: Saved) -> list[Remark]:
 
 
 def naive_sentence(head: Headline) -> str:
-    """What the classical bound alone would have said, in the report's words."""
+    """The interval by the classical bound alone, as a sentence."""
     return sentence(head.naive).replace("iid Cramer-Rao", "classical Cramér-Rao")
 
 
@@ -304,7 +305,7 @@ def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
     """The verdict in words.
 
     ``is_limit``: zero is not excluded.  The diagnosis works in ln tau, so the lower end of its
-    envelope is never zero and says nothing there: only the upper end is told.
+    envelope is never zero and has no meaning there.  Only the upper end is stated.
     """
     verdict = gap["verdict"]
     words = verdict["sentence"]
@@ -320,7 +321,7 @@ def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
 
 
 def with_the_effect(saved: Saved) -> str:
-    """tau with what was named in the model, where the posterior leaves it out; else nothing."""
+    """tau with the named effect in the model, if the posterior leaves it out; else nothing."""
     if saved.gap is None:
         return ""
     verdict, shrink = saved.gap["verdict"], saved.gap["shrink"]
@@ -367,7 +368,7 @@ def effect_names(posterior: Mapping[str, Any]) -> list[str]:
 
 
 def _naive_words(bounds: Mapping[str, Any] | None) -> str:
-    """What the iid bound alone would have said about tau, at 95 %."""
+    """The interval of tau by the iid bound alone, at 95 %."""
     if bounds is None:
         return ""
     naive = bounds.get("naive") or {}
@@ -395,7 +396,7 @@ CONCERNED = (
 
 
 def doubts(saved: Saved) -> list[str]:
-    """What the noise law fails in, as it stands in the warnings of every interval."""
+    """Failed checks of the noise law, as in the warnings of every interval."""
     found = list((saved.posterior or {}).get("doubts", []))
     record = saved.residuals
     if record is not None and not record["adequate"]:
@@ -404,12 +405,12 @@ def doubts(saved: Saved) -> list[str]:
 
 
 def decisive(saved: Saved) -> list[str]:
-    """What decides whether the headline stands: the page says it before that."""
+    """Caveats of the headline; the page shows them before it."""
     return [sentence(typeset(text)) for text in (saved.fit or {}).get("caveats") or []]
 
 
 def alerts(saved: Saved) -> list[tuple[str, str]]:
-    """(kind, sentence) for the top of the page: ``bad`` for what failed, else ``note``."""
+    """(kind, sentence) for the top of the page: ``bad`` for failures, else ``note``."""
     from bayes_sensor.figures import METHOD_LABELS  # draws, so slow to import
 
     found = [("bad", caveat) for caveat in decisive(saved)]

@@ -13,7 +13,7 @@ from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import list_words
 
 FEW = 200
-"""campaigns below which intervals are said to be wide"""
+"""campaigns below which the text calls intervals wide"""
 
 
 def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
@@ -67,7 +67,7 @@ def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
 
 
 def goals_table(key: str, caption: str, goals: Sequence[Mapping[str, Any]]) -> Table:
-    """Every goal beside what was reached; those that were missed are marked."""
+    """Every goal with the result; missed goals are marked."""
     return Table(
         key,
         f"{caption} Intervals hold 95 %: Wilson's, the last from the bootstrap.",

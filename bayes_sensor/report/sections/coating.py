@@ -1,4 +1,4 @@
-"""Response times users of gas sensors expect, and what tau says about the coating."""
+"""Response times as in data sheets, and the diffusivity of the coating that follows from tau."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TOLERANCE_WORDS = {
 
 
 def coating(saved: Saved, pictures: Pictures) -> Section | None:
-    """t10, t63, t90 of sensor and chain; the diffusivity that tau implies."""
+    """t10, t63, t90 of sensor and chain; the diffusivity that follows from tau."""
     record = saved.coating
     if record is None:
         return None

@@ -87,7 +87,7 @@ _SYMBOLS = ("tau_s", "tau_v_s", "V_mL")
 
 
 def _estimates(fit: Mapping[str, Any]) -> dict[str, float | None]:
-    """The shared values by name, or by the lags' sizes; None where one is too small to be seen."""
+    """The shared values by name, or by size of the lags; None where one is too small to be seen."""
     found = fit.get("estimates")
     if found is None:  # results of an older version
         p = fit["parameters"]

@@ -1,4 +1,4 @@
-"""Where the gap between model and measurement lies, what explains it, what may hide."""
+"""The gap between model and measurement: its place, its explanation, unseen effects."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SHADES = {
     "probability, something unlisted included: of a cell's own excess most may be noise.",
     "findings": "Shares are of what single samples tell, which bins average.",
 }
-"""what is drawn, by what the shares rest on, where that is not what was measured"""
+"""words for what is drawn, by the origin of the shares, if that is not the measurement"""
 
 
 def gap(saved: Saved, pictures: Pictures) -> Section | None:
@@ -120,7 +120,7 @@ def _strips(record: Mapping[str, Any], pictures: Pictures) -> list[Part]:
 
 
 def _size(budget: Mapping[str, Any], shown: str, factor: float) -> str:
-    """How far model and measurement differ, and whether noise alone would."""
+    """The difference between model and measurement, and whether noise alone explains it."""
     p, of_form = budget["p_value"], budget.get("p_value_of_form")
     of_size = budget.get("p_value_of_size", p)
     by_noise = of_size is not None and of_size > CLEAR

@@ -17,19 +17,19 @@ FEW_EXPLANATIONS = 8
 NEGLIGIBLE = 0.0005
 """probability below which an explanation is only in gap.json, beyond the first few"""
 ENDINGS = ("V", "s", "Hz")
-"""units at the end of a name, which the value has anyway"""
+"""units at the end of a name, which the value repeats"""
 MEASURES = {"V": "amplitude", "s": "time", "Hz": "frequency"}
-"""what tells names apart that are alike but for their ending"""
+"""words for names that differ only in their ending"""
 CLEAR = 0.05
 """p-value below which a difference is more than noise"""
 LEAST_SHARE = 0.005
-"""of the excess, from which a cell is listed"""
+"""share of the excess from which a cell is listed"""
 UNSEEN = 3.0
 """detectability below which an effect could hide"""
 
 
 def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
-    """The budget and what is left of it."""
+    """The budget and its remainder."""
     budget, shrink = record["budget"], record["shrink"]
     of, lag = lag_of(record["hidden"])
 
@@ -226,7 +226,7 @@ def _hides(row: Mapping[str, Any]) -> str | None:
 
 
 def other_tables(record: Mapping[str, Any]) -> list[Table]:
-    """Escalation, pairs that need another measurement, and what was tested at full rate."""
+    """Escalation, pairs that need another measurement, and tests at full rate."""
     units = record.get("strength_units", {})
     made = []
     if record.get("rounds"):

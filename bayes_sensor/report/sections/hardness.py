@@ -1,4 +1,4 @@
-"""What makes the time constant hard to measure."""
+"""Why the time constant is hard to measure."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ALIKE = 0.95
 
 
 def hardness(saved: Saved, pictures: Pictures) -> Section | None:
-    """Collinearity with the switch times, and what the bound would be if they were known."""
+    """Collinearity with the switch times, and the bound if they were known."""
     record = (saved.bounds or {}).get("what_makes_tau_hard")
     if not record:
         reason = (saved.bounds or {}).get("not_explained")

@@ -84,7 +84,7 @@ def measured(saved: Saved, pictures: Pictures) -> Section | None:
 
 
 def _of_rig(campaign: Mapping[str, Any]) -> str:
-    """What is said of the rig, as a sentence."""
+    """The rig as a sentence."""
     said = f"The gas passes {list_words(campaign['stages'])}"
     if campaign["sensor_is"] == "unknown":
         return (

@@ -9,7 +9,7 @@ from bayes_sensor.report.words import ms, number, typeset
 
 
 def measure_next(saved: Saved, pictures: Pictures) -> Section | None:
-    """What extra knowledge or other experiments would do to the interval of tau."""
+    """The interval of tau with additional knowledge or other experiments."""
     rows = (saved.bounds or {}).get("what_would_help")
     if not rows:
         return None

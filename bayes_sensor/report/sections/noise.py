@@ -115,7 +115,7 @@ OF_THE_LAW = {
 
 
 def _checks(residuals: Mapping[str, Any]) -> list[Part]:
-    """What was asked of the noise law, and how far it is off."""
+    """The checks of the noise law, and their deviations."""
     checks = residuals.get("checks") or {}
     rows = []
     for name, check in checks.items():
@@ -150,7 +150,7 @@ CHECKS = {
 
 
 def _predictive(saved: Saved, pictures: Pictures) -> list[Part]:
-    """Data replicated from the posterior beside the data."""
+    """Data replicated from the posterior, compared with the data."""
     record = saved.predictive
     if record is None:
         return []

@@ -1,4 +1,4 @@
-"""The sensor's time constant, its honest interval, and what the naive bound would have said."""
+"""The sensor's time constant, its posterior interval, and the naive bound."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PRIOR_WORDS = {
 
 
 def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
-    """tau, its honest interval, and the classical bound beside it."""
+    """tau, its posterior interval, and the classical bound."""
     posterior, bounds = saved.posterior, saved.bounds
     if posterior is None and bounds is None:
         return None
@@ -161,7 +161,7 @@ def _limit(row: Mapping[str, Any]) -> str:
 def is_published(campaign: Mapping[str, Any]) -> bool:
     """Whether the experiments have the published flows and concentrations, to half a percent.
 
-    ``campaign``: ``campaign.json``.  Bounds depend on them, whatever the time constants are.
+    ``campaign``: ``campaign.json``.  Bounds depend on them for any time constants.
     """
     found = [(e["total_flow_L_min"], e["concentration_percent"]) for e in campaign["experiments"]]
     return len(found) == len(PUBLISHED_FLOWS) and all(
@@ -268,7 +268,7 @@ def _why(saved: Saved) -> list[str]:
 
 
 def _why_they_differ(saved: Saved) -> list[str]:
-    """What each 95 % interval of tau on the page assumes, where there are several."""
+    """The assumptions of each 95 % interval of tau on the page, if there are several."""
     found = []
     if _order(saved.posterior) == "undecided":
         return []
@@ -349,7 +349,8 @@ def _assumption_table(bounds: Mapping[str, Any]) -> Table:
 
 
 def _how_many(rows: Collection[Any]) -> str:
-    """The priors that draws tell of: a bounded prior's say nothing beyond its end."""
+    """The priors for which the draws are valid; draws under a bounded prior are not valid beyond
+    its end."""
     return {1: "one prior", 2: "two priors"}.get(len(rows), "three priors")
 
 
