@@ -275,12 +275,16 @@ def _sentences(
     law = "coloured noise" if noise == "ar1" else "iid noise"
     switches = collinearity["switches"]
     partners = [name for name in weakest if name != "tau_s"][:4]
-    alike = ": a slower sensor and a later valve look almost the same" if switches > 0.95 else ""
+    alike = (
+        ": a slower sensor and a later valve change it in almost the same way"
+        if switches > 0.95
+        else ""
+    )
     said = [
-        f"{100 * switches**2:.1f} % of what tau does to the signal can be imitated by moving the "
-        f"switch times alone, {100 * collinearity['all'] ** 2:.2f} % by moving everything else"
-        f"{alike}.",
-        f"The direction about which the data know least mixes tau with {', '.join(partners)}.",
+        f"{100 * switches**2:.1f} % of what tau does to the signal can be reproduced by moving the "
+        f"switch times alone, {100 * collinearity['all'] ** 2:.2f} % by moving everything "
+        f"else{alike}.",
+        f"The direction with the least information combines tau with {', '.join(partners)}.",
     ]
     free = known["nothing"]
     if not np.isfinite(free):

@@ -287,7 +287,7 @@ def noise_words(evidence: Evidence) -> str:
         "concentration": "with concentration-dependent scale",
         "signal": "with signal-dependent scale",
         "constant": "of constant scale",
-        "levels": "whose scale goes from one level to another with concentration",
+        "levels": "whose standard deviation changes from one level to another with concentration",
     }[noise.variance]
     return f"{law} {scale}"
 

@@ -284,7 +284,7 @@ def sandwich(evidence: Evidence, parametric: bool = False) -> Bound:
     if parametric:
         assumes = (
             "least squares under AR(1) noise with concentration-dependent scale, whose fitted "
-            "parameters stand in the covariance"
+            "parameters give the covariance"
         )
         details: dict[str, object] = {}
         factor = normal_factor

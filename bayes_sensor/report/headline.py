@@ -166,8 +166,8 @@ def _of_lags(posterior: Mapping[str, Any]) -> str:
     seen = lags[n_limits:]
     if not seen:
         return (
-            f"no lag is told from zero: all are shorter than {upper_words(lags[-1]['q95'])} "
-            f"(95 %); {SAY_WHICH}"
+            "no lag can be distinguished from zero: all are shorter than "
+            f"{upper_words(lags[-1]['q95'])} (95 %); {SAY_WHICH}"
         )
     shares = {row["lag"]: row["probability"] for row in posterior["assignments"]}
 
@@ -278,7 +278,7 @@ def remarks(saved: Saved) -> list[Remark]:
         said.append(
             Remark(
                 f"Zero is not excluded: read it as an upper limit, τ < {head.limit} (95 %). The "
-                "data say how slow the sensor can be at most, not how fast it is.",
+                "data give the largest possible time constant only.",
                 "tau",
             )
         )
@@ -291,7 +291,7 @@ def remarks(saved: Saved) -> list[Remark]:
         verdict = saved.gap["verdict"]
         if verdict["kind"] != "none" and verdict["probability"] >= 0.5:
             words = f"No. {words}"
-        text = f"All this takes the model as right. Is it? {words} {with_the_effect(saved)}"
+        text = f"All this assumes that the model is right. Is it? {words} {with_the_effect(saved)}"
         said.append(Remark(text.rstrip(), "gap"))
     return said
 
@@ -350,14 +350,13 @@ def _why_naive_misleads(saved: Saved) -> str:
     phi = ((saved.residuals or {}).get("ar1") or {}).get("phi")
     if right.get("tau_s") and phi is not None and phi > ALIKE:
         found.append(
-            "it counts every sample as new information, but neighbours are alike "
-            f"(φ = {number(phi, 2)})"
+            f"it treats the samples as independent, but neighbours are alike (φ = {number(phi, 2)})"
         )
     if right.get("tau_s") and published.get("tau_s"):
         if right["tau_s"] > TOO_NARROW * published["tau_s"]:
             found.append(
                 "and steps of 1 % move a switch time by tenths of a second, which hides that a "
-                "slower sensor and a later switch look almost the same"
+                "slower sensor and a later switch give almost the same response"
             )
     return "; ".join(found)
 
@@ -382,16 +381,19 @@ def _naive_words(bounds: Mapping[str, Any] | None) -> str:
     if published and published.get("tau_s"):
         said = f"± {number(1.96e3 * published['tau_s'], 2)} ms"
         parts.append(
-            f"or {said} if computed as published, with steps of 1 %"
+            f"or {said} if its derivatives are taken with steps of 1 %"
             if parts
-            else f"the iid Cramer-Rao bound with the published steps of 1 % would have said {said}"
+            else (
+                "the iid Cramer-Rao bound with derivatives from steps of 1 % would have said "
+                f"{said}"
+            )
         )
     return ", ".join(parts)
 
 
 CONCERNED = (
-    "This concerns every interval that rests on the noise law: the posterior, the profile and the "
-    "Cramér-Rao bounds."
+    "This concerns every interval that depends on the noise law: the posterior, the profile and "
+    "the Cramér-Rao bounds."
 )
 
 

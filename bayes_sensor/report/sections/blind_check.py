@@ -39,16 +39,14 @@ def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
     if refused := card["failed"]["k"]:
         paragraphs.append(f"The diagnosis refused {refused} of them, which counts as wrong.")
     if card["n"] < FEW:
-        paragraphs.append(
-            "So few campaigns say little about rates: read the intervals, not the shares."
-        )
+        paragraphs.append("The number of campaigns is small: read the intervals, not the shares.")
     return Section(
         "blind-check",
         "How often is the diagnosis right",
         answer,
         paragraphs,
         [
-            goals_table("blind-goals", "What was wanted and what was reached.", card["goals"]),
+            goals_table("blind-goals", "Goals and results.", card["goals"]),
             pictures.add(
                 "blind-card",
                 score_card(card),
@@ -102,8 +100,8 @@ def _cases(rows: Sequence[Mapping[str, str]]) -> list[Table]:
     return [
         Table(
             "blind-cases",
-            "The cases: what was true, what was said. Marked: a wrong name given with a "
-            "probability above 0.9.",
+            "The cases: truth and verdict. Marked: a wrong name given with a probability above "
+            "0.9.",
             ["case", "kind", "true cause", "noise", "d", "verdict", "said", "probability", "right"],
             [
                 [

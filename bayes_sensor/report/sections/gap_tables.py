@@ -72,8 +72,8 @@ def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
     return Table(
         "budget-table",
         "The budget in numbers. The excess is seen in averages over bins, where the noise is much "
-        "smaller than in single samples: it is no difference of the two RMS values. d counts all "
-        "of it, the p-value only what noise alone would not leave.",
+        "smaller than in single samples: it is not the difference of the two RMS values. d "
+        "contains all of it; the p-value compares it with noise alone.",
         ["quantity", "value"],
         rows,
         digits=3,
@@ -233,7 +233,7 @@ def other_tables(record: Mapping[str, Any]) -> list[Table]:
         made.append(
             Table(
                 "gap-rounds",
-                "The diagnosis repeated with what was named in the model.",
+                "The diagnosis repeated with the named effects in the model.",
                 ["in the model", "probability", "d left", "p left", "unlisted rest"],
                 [
                     [
@@ -266,8 +266,8 @@ def other_tables(record: Mapping[str, Any]) -> list[Table]:
         made.append(
             Table(
                 "gap-full-rate",
-                "What averaging would hide, tested on every sample. Positive logarithms of the "
-                "Bayes factor speak for it.",
+                "Tests on every sample, for what averaging would hide. A positive logarithm of "
+                "the Bayes factor is evidence for it.",
                 ["effect", "log Bayes factor", "probability", "strength", "experiment", "d"],
                 [
                     [

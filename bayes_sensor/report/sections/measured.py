@@ -57,8 +57,8 @@ def measured(saved: Saved, pictures: Pictures) -> Section | None:
     ]  # fmt: skip
     table = Table(
         "experiments",
-        "The experiments as they were understood. On and off are the commanded times; noise is "
-        "that of the baseline.",
+        "The experiments as understood. On and off are the commanded times; noise is that of the "
+        "baseline.",
         columns,
         [
             [
