@@ -10,11 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from bayes_sensor.results import json_text, sha256, write_text
+from bayes_sensor.writers import campaign_text, drive_signal, write_picoscope_mat
 
 from bayes_sensor.blind_check.plan import HIDING, Entry, draw_truth
 from bayes_sensor.reality import CAUSES, Case, make_campaign
-from bayes_sensor.results import json_text, sha256, write_text
-from bayes_sensor.writers import campaign_text, drive_signal, write_picoscope_mat
 
 SEED = 20260401
 LEVEL = 20.0  # detectability: plainly visible, and smaller than the eye would find in the traces

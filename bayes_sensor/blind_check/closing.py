@@ -16,10 +16,11 @@ from scipy.optimize import least_squares
 
 from bayes_sensor.blind_check.oracle import Oracle, Refit
 from bayes_sensor.campaign import Campaign, Experiment, FloatArray
-from bayes_sensor.gap.effect import Form, Setting, Strength
-from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.plan import coating_modes
-from bayes_sensor.gap.rig import (
+from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects.effect import Form, Setting, Strength
+from bayes_sensor.diagnosis.evidence.refit_coordinates import coating_modes
+from bayes_sensor.reality import sample_times
+from bayes_sensor.rig.perturbed import (
     BETA,
     CONCENTRATION,
     FIRST,
@@ -35,7 +36,6 @@ from bayes_sensor.gap.rig import (
     Y0,
     rig_mean,
 )
-from bayes_sensor.reality import sample_times
 
 MOST_STEPS = 60
 """of a refit; stopped too early, the right effect seems to leave something"""

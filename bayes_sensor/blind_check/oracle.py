@@ -21,7 +21,6 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.model import cascade_response, cascade_sensitivities
 from bayes_sensor.reality import (
     CAUSES,
     Case,
@@ -33,6 +32,7 @@ from bayes_sensor.reality import (
     phase_edges,
 )
 from bayes_sensor.reality.causes import converter_step, tail_mixture
+from bayes_sensor.rig.cascade import cascade_response, cascade_sensitivities
 
 GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(3)
 FIRST_BIN, GROWTH = 0.015, 0.06

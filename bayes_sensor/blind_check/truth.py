@@ -13,7 +13,7 @@ from sys import float_info
 from typing import Any
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.gap.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.reality import PHASES
 
 KINDS = ("null", "listed", "pair", "unlisted", "withheld", "hidden")
