@@ -56,11 +56,11 @@ from bayes_sensor.blind_check.statistics import Row, area
 from bayes_sensor.blind_check.truth import complete_truth
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import _guarded
+from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.figures import svg
-from bayes_sensor.figures.blind_check import opened_seal, score_card
-from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.readers import read_campaign
-from bayes_sensor.results import read_json
+from bayes_sensor.figures.plot_blind_check import opened_seal, score_card
+from bayes_sensor.io.json_files import read_json
+from bayes_sensor.io.readers import read_campaign
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "data"

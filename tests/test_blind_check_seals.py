@@ -16,9 +16,9 @@ from bayes_sensor.blind_check import diagnose_cases, draw_cases, open_seals, sea
 from bayes_sensor.blind_check.simulator import draw_case, make_campaign
 from bayes_sensor.blind_check.truth import KEYS
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.cli import _guarded, blind
-from bayes_sensor.results import read_json, sha256
-from bayes_sensor.writers import write_campaign
+from bayes_sensor.cli import _guarded, run_blind_check
+from bayes_sensor.io.json_files import read_json, sha256
+from bayes_sensor.io.writers import write_campaign
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -31,7 +31,9 @@ def refuses(campaign: Campaign, seed: int, without: Any, setting: str) -> Any:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The command, with the stand-in as its diagnosis."""
-    monkeypatch.setattr(blind, "diagnose_cases", partial(diagnose_cases, diagnosis=refuses))
+    monkeypatch.setattr(
+        run_blind_check, "diagnose_cases", partial(diagnose_cases, diagnosis=refuses)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,9 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-import bayes_sensor.calibration as calibration
-from bayes_sensor.calibration import (
+import bayes_sensor.checks.calibration as calibration
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment
+from bayes_sensor.checks.calibration import (
     LEVELS,
     TAU_CLAIMS,
     TAU_PRIORS,
@@ -25,8 +26,9 @@ from bayes_sensor.calibration import (
     run_chunks,
     tau_table,
 )
-from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.likelihood import Prior, Problem, log_priors
+from bayes_sensor.likelihood.prior_density import log_priors
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Settings
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
@@ -346,7 +348,7 @@ def test_a_digest_has_the_source_of_the_task_as_well(
     package: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     digest = code_digest(Squares())
-    monkeypatch.setattr(Squares, "__module__", "bayes_sensor.calibration")
+    monkeypatch.setattr(Squares, "__module__", "bayes_sensor.checks.calibration")
     assert code_digest(Squares()) != digest
 
 

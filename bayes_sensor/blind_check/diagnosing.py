@@ -23,10 +23,10 @@ from bayes_sensor.blind_check.sealing import (
     write_hashes,
 )
 from bayes_sensor.blind_check.simulator import Case, make_campaign
-from bayes_sensor.calibration import run_chunks
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.disk import write_text
-from bayes_sensor.results import json_text, plain, read_json, write_json
+from bayes_sensor.checks.calibration import run_chunks
+from bayes_sensor.io.disk import write_text
+from bayes_sensor.io.json_files import json_text, plain, read_json, write_json
 
 Diagnose = Callable[[Campaign, int, Sequence[str], str], Mapping[str, Any]]
 """campaign, seed, effects taken out, setting -> content of gap.json"""
@@ -44,8 +44,8 @@ def diagnose(campaign: Campaign, seed: int, without: Sequence[str], setting: str
     ``full`` is what ``bayes-sensor gap`` does.  ``study`` is quicker: it leaves out what only the
     report shows and takes linearised intervals instead of bootstrapped ones.
     """
+    from bayes_sensor.diagnosis import diagnose_gap
     from bayes_sensor.fit import fit_least_squares
-    from bayes_sensor.gap import diagnose_gap
 
     if setting == "full":
         fit = fit_least_squares(campaign, seed=seed, euler=False)
@@ -120,7 +120,7 @@ class Diagnosing:
         if source.startswith("{"):
             campaign = make_campaign(Case.from_json(json.loads(source)))
         else:
-            from bayes_sensor.readers import read_campaign
+            from bayes_sensor.io.readers import read_campaign
 
             campaign = read_campaign(source)
         begin = time.process_time()

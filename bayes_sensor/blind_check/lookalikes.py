@@ -11,13 +11,15 @@ from dataclasses import replace
 
 from bayes_sensor.blind_check.simulator import Case, as_recorded, clean_signals, make_campaign
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.plan import Part
-from bayes_sensor.gap.preparation import fit_base, prepare
-from bayes_sensor.gap.which import fit_effect
-from bayes_sensor.model import Layout
+from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Part
+from bayes_sensor.rig.layout import Layout
+from bayes_sensor.workers import one_thread
 
 
+@one_thread
 def closed_shares(case: Case) -> dict[str, float]:
     """1 - d_effect^2/d^2 for every effect of the catalogue that acts on the mean.
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from bayes_sensor.blind_check.plan import HIDDEN_BELOW, LEVELS
 from bayes_sensor.blind_check.statistics import Row
-from bayes_sensor.gap.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects import CATALOGUE
 
 CONFIDENT = 0.9
 BIC_MARGIN = 10.0

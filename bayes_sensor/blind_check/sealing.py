@@ -27,9 +27,9 @@ from typing import Any
 from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
 from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.blind_check.truth import check_truth, complete_truth
-from bayes_sensor.calibration import run_chunks
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.results import json_text, read_json, sha256, write_json
+from bayes_sensor.checks.calibration import run_chunks
+from bayes_sensor.io.json_files import json_text, read_json, sha256, write_json
 
 LOG = logging.getLogger(__name__)
 PLAN, SEALED, VERDICTS, CAMPAIGNS = "plan.json", "sealed", "verdicts", "campaigns"
@@ -92,7 +92,7 @@ def draw_cases(
     write_hashes(folder, SEALED)
     write_json(folder / PLAN, {"cases": plan, "n": n, "seed": seed, "reserve": reserve})
     if keep:
-        from bayes_sensor.writers import write_campaign
+        from bayes_sensor.io.writers import write_campaign
 
         for truth in truths:
             target = folder / CAMPAIGNS / truth["name"]
@@ -130,7 +130,7 @@ def _hashes(folder: Path, what: str) -> dict[str, Any]:
 
 def _tables(toml: Path) -> list[dict[str, Any]]:
     """The experiments of a campaign file, as they are written there."""
-    from bayes_sensor.readers.campaign_file import read_sheet, read_toml
+    from bayes_sensor.io.readers.campaign_file import read_sheet, read_toml
 
     label = f"{CAMPAIGNS}/{toml.parent.name}/{toml.name}"
     return read_sheet(read_toml(toml.read_bytes(), label), label).experiment

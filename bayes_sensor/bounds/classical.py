@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.context import Evidence
 from bayes_sensor.bounds.cramer_rao import cramer_rao
-from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import gaussian_bound, invert, normal_factor
+from bayes_sensor.bounds.gaussian_intervals import gaussian_bound, invert, normal_factor
+from bayes_sensor.bounds.likelihood_surface import spread_along_tau
 from bayes_sensor.bounds.profile import noise_words
-from bayes_sensor.bounds.records import LEVELS, Bound
-from bayes_sensor.bounds.surface import spread_along_tau
 
 PAPER = "the paper, eqs. 16-18; Kay (1993), eq. 3.33"
 
@@ -45,8 +45,8 @@ def crlb_iid_one_percent_step(evidence: Evidence, step: float = 0.01) -> Bound:
     theta = evidence.theta.copy()
     longest = max(e.interval for e in campaign)
     sentences = [
-        "moves t0 and tf by 1 % of their value in the record's own time, so it depends on where "
-        "time starts"
+        "moves t0 and tf by 1 % of their value in the record's own time, so it depends on the "
+        "origin of time"
     ]
     method = "euler"
     fastest = min(theta[1], *(theta[2] / e.total_flow for e in campaign))
@@ -98,7 +98,7 @@ def crlb_ar1(evidence: Evidence) -> Bound:
     }
     return gaussian_bound(
         "crlb_ar1",
-        f"{noise_words(evidence)}, noise parameters estimated along",
+        f"{noise_words(evidence)}, noise parameters estimated with the others",
         "Slepian (1954), Bangs (1971); Kay (1993), eq. 3.31",
         names,
         theta[[evidence.problem.layout.index(name) for name in names]],

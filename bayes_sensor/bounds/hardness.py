@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.bounds.cramer_rao import PUBLISHED_SIGMA, CramerRao, bound_of, cramer_rao
-from bayes_sensor.bounds.gaussian import normal_factor
+from bayes_sensor.bounds.gaussian_intervals import normal_factor
+from bayes_sensor.bounds.likelihood_surface import Maximum, Surface, coloured_surface
 from bayes_sensor.bounds.profile import Profiler, profile_curve
-from bayes_sensor.bounds.surface import Maximum, Surface, coloured_surface
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.lags import by_size
-from bayes_sensor.likelihood import Problem, as_problem
-from bayes_sensor.model import Layout, Theta
-from bayes_sensor.results import plain
+from bayes_sensor.io.json_files import plain
+from bayes_sensor.likelihood.problem import Problem, as_problem
+from bayes_sensor.rig.lags import by_size
+from bayes_sensor.rig.layout import Layout, Theta
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -275,12 +275,16 @@ def _sentences(
     law = "coloured noise" if noise == "ar1" else "iid noise"
     switches = collinearity["switches"]
     partners = [name for name in weakest if name != "tau_s"][:4]
-    alike = ": a slower sensor and a later valve look almost the same" if switches > 0.95 else ""
+    alike = (
+        ": a slower sensor and a later valve change it in almost the same way"
+        if switches > 0.95
+        else ""
+    )
     said = [
-        f"{100 * switches**2:.1f} % of what tau does to the signal can be imitated by moving the "
-        f"switch times alone, {100 * collinearity['all'] ** 2:.2f} % by moving everything else"
-        f"{alike}.",
-        f"The direction about which the data know least mixes tau with {', '.join(partners)}.",
+        f"{100 * switches**2:.1f} % of what tau does to the signal can be reproduced by moving the "
+        f"switch times alone, {100 * collinearity['all'] ** 2:.2f} % by moving everything "
+        f"else{alike}.",
+        f"The direction with the least information combines tau with {', '.join(partners)}.",
     ]
     free = known["nothing"]
     if not np.isfinite(free):

@@ -14,12 +14,12 @@ from math import nan
 import numpy as np
 from scipy import stats
 
-from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import gaussian_bound, invert
-from bayes_sensor.bounds.records import LEVELS, Bound
-from bayes_sensor.bounds.surface import Surface, maximise
+from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.context import Evidence
+from bayes_sensor.bounds.gaussian_intervals import gaussian_bound, invert
+from bayes_sensor.bounds.likelihood_surface import Surface, maximise
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compression import Compressed, Region, compress
+from bayes_sensor.likelihood.mesh import Compressed, Region, compress
 
 REFERENCE = "Tukey (1958); Efron and Tibshirani (1993), ch. 11"
 SHARED = ("tau_s", "tau_v_s", "V_mL")
@@ -110,7 +110,7 @@ def jackknife_experiments(evidence: Evidence) -> Bound:
         evidence.at_bound,
         lambda level: float(stats.t.ppf(0.5 + 0.5 * level, n - 1)),
         identified=identified,
-        status="" if settled else "a refit without one experiment did not settle",
+        status="" if settled else "a refit without one experiment did not converge",
         details={"n_experiments": n},
     )
     if not settled:  # a spread of unfinished fits would say nothing

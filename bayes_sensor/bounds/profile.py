@@ -17,13 +17,19 @@ from math import inf, nan, sqrt
 
 import numpy as np
 
-from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import invert, normal_factor
-from bayes_sensor.bounds.records import LEVELS, Bound
-from bayes_sensor.bounds.surface import Curvature, Maximum, Surface, curvature_along_tau, maximise
+from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.context import Evidence
+from bayes_sensor.bounds.gaussian_intervals import invert, normal_factor
+from bayes_sensor.bounds.likelihood_surface import (
+    Curvature,
+    Maximum,
+    Surface,
+    curvature_along_tau,
+    maximise,
+)
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compression import sizes
-from bayes_sensor.model import SHARED
+from bayes_sensor.likelihood.mesh import sizes
+from bayes_sensor.rig.layout import SHARED
 
 REFERENCE = "Venzon and Moolgavkar (1988); Self and Liang (1987)"
 CLOSE = 2e-3
@@ -287,7 +293,7 @@ def noise_words(evidence: Evidence) -> str:
         "concentration": "with concentration-dependent scale",
         "signal": "with signal-dependent scale",
         "constant": "of constant scale",
-        "levels": "whose scale goes from one level to another with concentration",
+        "levels": "whose standard deviation changes from one level to another with concentration",
     }[noise.variance]
     return f"{law} {scale}"
 

@@ -6,16 +6,16 @@ starts along the flat valley of tau against the switch times. The refinement use
 Jacobian in the coordinates (tau^2, t0 + tau, tf + tau), where that valley is straight.
 
 The sum of squares is taken on weighted points: averages over short stretches for the search, the
-mesh of :mod:`bayes_sensor.compression` for the result. The residuals of the result come from all
-samples.
+mesh of :mod:`bayes_sensor.likelihood.mesh` for the result. The residuals of the result come from
+all samples.
 
 The fit uses the data alone. Side information (a volume measured elsewhere) is a prior and enters
 the posterior, not this fit. The sensor is taken to be the faster lag, tau <= tau_v, because the
 response does not change when the two are exchanged.
 """
 
+from bayes_sensor.fit.fit import Fit, Progress
 from bayes_sensor.fit.least_squares import fit_least_squares, refit
-from bayes_sensor.fit.record import Fit, Progress
 from bayes_sensor.fit.swarm import Swarm, particle_swarm
 
 __all__ = ["Fit", "Progress", "Swarm", "fit_least_squares", "particle_swarm", "refit"]

@@ -1,7 +1,7 @@
 """The report as one self-contained HTML page.
 
 The page needs no network; without scripts it loses sorting and copying of tables and the zoom of
-the overlays, which then stand as drawings.
+the overlays, which are then drawings.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from bayes_sensor.fit.samples import coded, thinned
 from bayes_sensor.report.drawing import inline_svg
-from bayes_sensor.report.headline import alerts, decisive, headline, remarks
+from bayes_sensor.report.headline import alerts, headline, remarks
 from bayes_sensor.report.parts import Picture, Section, Table, numbering, pieces
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import typeset
-from bayes_sensor.samples import coded, thinned
 
 MOST_VECTORS = 4 << 20
 """bytes of vector overlays in a page; beyond, they are embedded as pixels"""
@@ -31,7 +31,7 @@ MOST_SAMPLES = 6 << 20
 
 
 def _drawings(sections: Sequence[Section]) -> dict[str, Markup]:
-    """What to put in the page for each picture."""
+    """The element of the page for each picture."""
     found, pixels = {}, 0
     for section in sections:
         for part in section.content:
@@ -51,7 +51,7 @@ def _drawings(sections: Sequence[Section]) -> dict[str, Markup]:
 
 
 def zoom_data(saved: Saved) -> list[dict[str, Any]]:
-    """What the zoom of each overlay needs, within the page's budget."""
+    """The data for the zoom of each overlay, within the page's budget."""
     samples, traces = saved.samples or [], saved.traces or []
     if len(samples) != len(traces):
         return []
@@ -83,7 +83,7 @@ def zoom_data(saved: Saved) -> list[dict[str, Any]]:
 
 
 def _script_json(content: Any) -> Markup:
-    """JSON that nothing inside can end the script element of."""
+    """JSON whose content cannot end its script element."""
     text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     return Markup(text.replace("<", "\\u003c").replace("&", "\\u0026"))
 
@@ -118,7 +118,6 @@ def page(saved: Saved, sections: Sequence[Section]) -> str:
         title=saved.name,
         version=saved.last["versions"].get("bayes-sensor", ""),
         finished=saved.last["finished"],
-        caveats=decisive(saved),
         head=headline(saved.posterior, saved.bounds, saved.settings),
         remarks=remarks(saved),
         alerts=alerts(saved),

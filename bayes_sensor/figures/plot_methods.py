@@ -1,0 +1,209 @@
+"""Bound methods side by side, and the published bound against its step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from bayes_sensor.figures.style import (
+    BLUE,
+    GREEN,
+    GROUND,
+    INK,
+    METHOD_LABELS,
+    MIDDLE,
+    ORANGE,
+    labels_of_bounds,
+    logarithmic,
+    new_figure,
+    shared_labels,
+    show_zero,
+    style,
+)
+
+
+def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = None) -> Figure:
+    """Every bound method side by side for tau, tau_v, V: 68 % thick, 95 % thin.
+
+    A lag that cannot be assigned is placed by size.  ``bounds``: the content of ``bounds.json``;
+    ``truth`` by flat name draws a line.
+    """
+    methods = list(bounds["methods"])
+    shown_labels = labels_of_bounds(bounds)
+    with style():
+        figure = new_figure(0.32 * len(methods) + 1.0)
+        row = figure.subplots(1, len(shown_labels), sharey=True, squeeze=False)[0]
+        for axes, (name, (symbol, unit, factor)) in zip(row, shown_labels.items(), strict=True):
+            rows = [bounds["methods"][m]["parameters"].get(name) or {} for m in methods]
+            low, high = _visible(rows, factor)
+            for i, method in enumerate(methods):
+                entry = bounds["methods"][method]["parameters"].get(name)
+                if not entry:
+                    axes.annotate(
+                        "no value", (0.5, i), xycoords=("axes fraction", "data"), ha="center",
+                        va="center", fontsize=7, color=MIDDLE,
+                    )  # fmt: skip
+                    continue
+                colour = _method_colour(method)
+                marker = {"posterior": "D"}.get(method, "o")
+                for lo, hi, width in (("lo95", "hi95", 1.4), ("lo68", "hi68", 4.2)):
+                    a, b = (
+                        end if entry[key] is None else factor * entry[key]
+                        for key, end in ((lo, -np.inf), (hi, np.inf))
+                    )  # fmt: skip
+                    shown = [float(np.clip(v, low, high)) for v in (a, b)]
+                    axes.plot(shown, [i, i], color=colour, lw=width, solid_capstyle="butt")
+                    for end, edge, arrow in ((a < low, low, "<"), (b > high, high, ">")):
+                        if end:  # goes on outside the picture
+                            axes.plot(edge, i, arrow, color=colour, ms=5, clip_on=False)
+                if entry["estimate"] is not None and low <= factor * entry["estimate"] <= high:
+                    axes.plot(
+                        factor * entry["estimate"], i, marker, color=GROUND, mec=colour, ms=4.5,
+                        mew=1.2,
+                    )  # fmt: skip
+            if truth and name in truth:
+                axes.axvline(factor * truth[name], color=GREEN, ls="--", lw=1)
+            axes.set_xlim(low, high)
+            axes.set_xlabel(f"{symbol} ({unit})")
+            axes.grid(axis="y", visible=False)
+            axes.xaxis.set_major_locator(MaxNLocator(4))
+        row[0].set_yticks(range(len(methods)), [METHOD_LABELS.get(m, m) for m in methods])
+        row[0].set_ylim(len(methods) - 0.4, -0.6)
+        if row[0].get_xlim()[0] < 0:
+            row[0].axvline(0.0, color=MIDDLE, lw=0.8)  # tau cannot be negative
+    return figure
+
+
+def _visible(rows: Sequence[Mapping[str, Any]], factor: float) -> tuple[float, float]:
+    """The range shown: all 95 % intervals, without those so wide that the others would vanish."""
+    ends = [
+        (factor * row["lo95"], factor * row["hi95"])
+        for row in rows
+        if row and row["lo95"] is not None and row["hi95"] is not None
+    ]
+    if not ends:
+        return 0.0, 1.0
+    widths = sorted(b - a for a, b in ends)
+    most = 4.0 * max(widths[len(widths) // 2], 1e-12)
+    kept = [pair for pair in ends if pair[1] - pair[0] <= most] or ends
+    low, high = min(a for a, _ in kept), max(b for _, b in kept)
+    margin = 0.05 * (high - low) or 1.0
+    return low - margin, high + margin
+
+
+def _method_colour(method: str) -> str:
+    if method.startswith("crlb_iid"):
+        return ORANGE
+    return BLUE if method == "posterior" else INK
+
+
+def step_study(
+    rows: Sequence[Mapping[str, Any]], published: Mapping[str, float] | None = None
+) -> Figure:
+    """Bound of tau, tau_v, V against the relative step of the finite difference (log-log).
+
+    ``rows``: the table of :func:`bayes_sensor.bounds.step_study` as records; ``published``: three
+    standard deviations by flat name, drawn as squares at 1 %.
+    """
+    lines = (
+        ("euler", "forward", "Euler, forward", ORANGE, "-", "o"),
+        ("euler", "central", "Euler, central", ORANGE, "--", "s"),
+        ("exact", "forward", "exact, forward", BLUE, "-", "^"),
+        ("exact", "central", "exact, central", INK, "--", "v"),
+    )
+    with style():
+        figure = new_figure(3.0)
+        row = figure.subplots(1, 3)
+        shown = shared_labels(rows[0])
+        for axes, (name, (symbol, unit, factor)) in zip(row, shown.items(), strict=True):
+            for method, difference, label, colour, dash, marker in lines:
+                chosen = [
+                    r for r in rows
+                    if r["method"] == method and r["difference"] == difference
+                    and r[name] is not None and np.isfinite(r[name])
+                ]  # fmt: skip
+                x = np.array([r["step"] for r in chosen])
+                y = np.array([3 * factor * r[name] for r in chosen])
+                known = np.array([bool(r.get("identified", True)) for r in chosen], dtype=bool)
+                axes.plot(x, y, color=colour, ls=dash, lw=1.1)
+                axes.plot([], [], color=colour, ls=dash, marker=marker, lw=1.1, ms=3.5, label=label)
+                axes.plot(x[known], y[known], marker, color=colour, ms=3.5)
+                axes.plot(x[~known], y[~known], marker, mfc="none", mec=colour, ms=3.5)
+            if published and name in published:
+                axes.plot(
+                    0.01, factor * published[name], "*", color=GREEN, ms=11, mec=INK, mew=0.6,
+                    label="published", ls="none",
+                )  # fmt: skip
+            logarithmic(axes, "x")
+            logarithmic(axes, "y")
+            axes.set_xlabel("relative step")
+            axes.set_ylabel(f"3 sd of {symbol} ({unit})")
+        handles, names = row[0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=5)
+    return figure
+
+
+def priors_on_tau(rows: Sequence[Mapping[str, Any]], words: Mapping[str, str]) -> Figure:
+    """tau under several priors: intervals and one-sided upper limits.
+
+    ``rows``: ``tau_under_priors`` of ``posterior.json``; ``words`` by the name of the prior.
+    """
+    with style():
+        figure = new_figure(0.42 * len(rows) + 1.1)
+        axes = figure.subplots()
+        for i, row in enumerate(rows):
+            first = i == 0
+            for lo, hi, width, lift, label in (
+                ("lo95_s", "hi95_s", 1.6, -0.13, "95 %, equal tails"),
+                ("hdi_lo95_s", "hdi_hi95_s", 4.2, 0.13, "densest 95 %"),
+            ):
+                axes.plot(
+                    [1e3 * row[lo], 1e3 * row[hi]], [i + lift] * 2, lw=width,
+                    color=BLUE if width > 2 else INK, solid_capstyle="butt",
+                    label=label if first else None,
+                )  # fmt: skip
+            for key, marker, label in (
+                ("upper95_s", "v", "95 % upper limit"),
+                ("upper99_s", "s", "99 % upper limit"),
+            ):
+                axes.plot(
+                    1e3 * row[key], i, marker, color=ORANGE, mec=INK, mew=0.5, ms=5.5,
+                    label=label if first else None, zorder=4, ls="none",
+                )  # fmt: skip
+        axes.set_yticks(range(len(rows)), [words.get(r["prior"], r["prior"]) for r in rows])
+        axes.set_ylim(len(rows) - 0.5, -0.5)
+        low, high = min(row["lo95_s"] for row in rows), max(row["upper99_s"] for row in rows)
+        axes.set_xlim(right=1e3 * (high + 0.08 * min(high, 4.0 * (high - low))))
+        show_zero(axes, low, high)
+        axes.set_xlabel("sensor τ (ms)")
+        axes.grid(axis="y", visible=False)
+        figure.legend(loc="outside upper right", ncols=4)
+    return figure
+
+
+def posteriors_of_tau(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """tau under several models: median, 68 % thick, 95 % thin.
+
+    ``rows``: ``model`` and the percentiles ``q2.5``, ``q16``, ``q50``, ``q84``, ``q97.5`` in s.
+    """
+    with style():
+        figure = new_figure(0.36 * len(rows) + 0.8)
+        axes = figure.subplots()
+        for i, row in enumerate(rows):
+            colour = INK if i == 0 else BLUE
+            for lo, hi, width in (("q2.5", "q97.5", 1.4), ("q16", "q84", 4.2)):
+                axes.plot(
+                    [1e3 * row[lo], 1e3 * row[hi]], [i, i], color=colour, lw=width,
+                    solid_capstyle="butt",
+                )  # fmt: skip
+            axes.plot(1e3 * row["q50"], i, "D", color=GROUND, mec=colour, ms=4.5, mew=1.2)
+        axes.set_yticks(range(len(rows)), [row["model"] for row in rows])
+        axes.set_ylim(len(rows) - 0.5, -0.5)
+        show_zero(axes, min(row["q2.5"] for row in rows), max(row["q97.5"] for row in rows))
+        axes.set_xlabel("sensor τ (ms)")
+        axes.grid(axis="y", visible=False)
+    return figure

@@ -1,0 +1,258 @@
+"""Quantities with units: text such as ``"4.5 L/min"`` in, floats in the internal unit out.
+
+The number is split off here.  Only the unit is passed to pint, after a check against a small
+grammar, because pint evaluates what it parses, and ``"9**9**9**9 s"`` must not hang.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from math import isfinite
+from tokenize import TokenError
+from typing import TYPE_CHECKING, Any
+
+from bayes_sensor.campaign import CampaignError
+
+if TYPE_CHECKING:
+    from pint import UnitRegistry
+
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?"
+_QUANTITY = re.compile(rf"({NUMBER})\s*(.*)")
+_SPREAD = re.compile(rf"\(?\s*({NUMBER})\s*(?:\+-|\+/-|±)\s*({NUMBER})\s*\)?\s*(.*)")
+_SYMBOL = r"[A-Za-zµμΩ\u2126%°][A-Za-z_0-9µμΩ\u2126%°]*(?:\*\*-?[1-9])?"
+_UNIT = re.compile(rf"\(?{_SYMBOL}\)?(?:\s*[*/\s]\s*\(?{_SYMBOL}\)?)*")
+_LONGEST = 80
+"""characters, of a quantity's text"""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """The kind of a quantity, its internal unit and an example for messages."""
+
+    name: str
+    unit: str
+    example: str
+
+
+FLOW = Kind("a volume flow", "mL/s", "4.0 L/min")
+TIME = Kind("a time", "s", "24.0 s")
+VOLUME = Kind("a volume", "mL", "60 mL")
+
+
+# What most campaigns are written in: pint takes a quarter of a second to start.
+_COMMON = {
+    **{(u, "mL/s"): f for u, f in (("mL/s", 1.0), ("cm^3/s", 1.0), ("L/s", 1e3),
+                                   ("L/min", 1e3 / 60), ("mL/min", 1 / 60))},
+    **{(u, "s"): f for u, f in (("s", 1.0), ("ms", 1e-3), ("min", 60.0))},
+    **{(u, "mL"): f for u, f in (("mL", 1.0), ("cm^3", 1.0), ("L", 1e3))},
+    **{(u, "V"): f for u, f in (("V", 1.0), ("mV", 1e-3))},
+}  # fmt: skip
+
+
+@cache
+def _registry() -> UnitRegistry[Any]:
+    from pint import UnitRegistry  # slow to import and to build, so only where a unit is read
+
+    return UnitRegistry()
+
+
+@lru_cache(maxsize=1024)
+def conversion_factor(unit: str, target: str) -> float | None:
+    """Factor that takes a number in ``unit`` to ``target``; None where the dimensions differ.
+
+    >>> round(conversion_factor("L/min", "mL/s"), 6)
+    16.666667
+    >>> conversion_factor("s", "mL/s") is None
+    True
+
+    Raises
+    ------
+    CampaignError
+        If ``unit`` is not a unit.
+    """
+    if (unit, target) in _COMMON:
+        return _COMMON[unit, target]
+    from pint.errors import PintError
+
+    registry = _registry()
+    parsed = _parse_unit(unit)
+    wanted = registry.Unit(_normal_form(target))
+    if parsed == wanted:
+        return 1.0
+    if parsed.dimensionality != wanted.dimensionality:
+        return None
+    try:
+        factor = float(registry.Quantity(1.0, parsed).to(wanted).magnitude)
+    except (PintError, ArithmeticError, ValueError, TypeError):  # units with an offset, as degC
+        return None
+    return factor if isfinite(factor) and factor > 0 else None
+
+
+def known_unit(text: str) -> bool:
+    """Whether the text is a unit that can be read.
+
+    >>> known_unit("mV"), known_unit("Channel A")
+    (True, False)
+    """
+    try:
+        _parse_unit(text)
+    except CampaignError:
+        return False
+    return True
+
+
+def unit_text(text: str) -> str:
+    """The unit as the user wrote it, without blanks around it; CampaignError if it is none."""
+    _parse_unit(text)
+    return text.strip()
+
+
+def read_quantity(value: object, kind: Kind, key: str) -> float:
+    """The number of a quantity, in the kind's internal unit.
+
+    >>> read_quantity("4.5 L/min", FLOW, "carrier_flow")
+    75.0
+
+    Raises
+    ------
+    CampaignError
+        If the value is not a text with a number and a unit of the right dimension.
+    """
+    text = _text_of(value, kind, key)
+    match = _QUANTITY.fullmatch(text)
+    if match is None or match[2].startswith(","):
+        raise CampaignError(
+            f"{key}: expected {kind.name} such as \"{kind.example}\", but got '{_shorten(text)}'; "
+            f"write a number (with a decimal point) and a unit"
+        )
+    return _scaled(match[1], match[2], kind, key, text)
+
+
+def read_spread(value: object, kind: Kind, key: str) -> tuple[float, float]:
+    """Mean and standard deviation of ``"60 +- 2 mL"``, in the kind's internal unit.
+
+    >>> read_spread("60 +- 2 mL", VOLUME, "V")
+    (60.0, 2.0)
+
+    Raises
+    ------
+    CampaignError
+        If the text is not of that form, the unit is wrong or a number is not positive.
+    """
+    number = kind.example.split()[0]
+    example = kind.example.replace(number, f"{number} +- {float(number) / 30:g}", 1)
+    text = _text_of(value, Kind(kind.name, kind.unit, example), key)
+    match = _SPREAD.fullmatch(text)
+    if match is None:
+        raise CampaignError(
+            f'{key}: expected {kind.name} with its standard deviation such as "{example}", '
+            f"but got '{_shorten(text)}'; write mean +- sd and a unit"
+        )
+    mean = _scaled(match[1], match[3], kind, key, text)
+    sd = _scaled(match[2], match[3], kind, key, text)
+    if not (mean > 0 and sd > 0):
+        raise CampaignError(
+            f"{key}: expected a positive mean and a positive standard deviation, "
+            f"but got '{_shorten(text)}'; write for example \"{example}\""
+        )
+    return mean, sd
+
+
+def _text_of(value: object, kind: Kind, key: str) -> str:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise CampaignError(
+            f"{key}: expected {kind.name} as text with a unit, but got {_shorten(str(value))}; "
+            f'write {key} = "{kind.example}"'
+        )
+    if not isinstance(value, str):
+        unit = kind.example.split(" ", 1)[1].split()[-1]
+        raise CampaignError(
+            f"{key}: expected {kind.name} with its unit, but got the bare number "
+            f'{value:.12g}; write {key} = "{value:.12g} {unit}"'
+        )
+    text = value.strip()
+    if len(text) > _LONGEST:
+        raise CampaignError(
+            f'{key}: expected {kind.name} such as "{kind.example}", but got {len(text)} '
+            "characters; write a number and a unit"
+        )
+    return text
+
+
+def _scaled(number: str, unit: str, kind: Kind, key: str, text: str) -> float:
+    if not unit.strip():
+        example_unit = kind.example.split()[-1]
+        raise CampaignError(
+            f"{key}: expected {kind.name} with its unit, but got '{_shorten(text)}' without one; "
+            f'write {key} = "{_shorten(text)} {example_unit}"'
+        )
+    try:
+        factor = conversion_factor(unit.strip(), kind.unit)
+    except CampaignError as error:
+        raise CampaignError(f"{key}: {error}") from None
+    if factor is None:
+        fix = f'write for example {key} = "{kind.example}"'
+        if kind is FLOW and conversion_factor(unit.strip(), "dimensionless") is not None:
+            fix = (
+                "a concentration c needs the flow that makes it, "
+                "test_gas_flow = c / (1 - c) x carrier_flow"
+            )
+        raise CampaignError(
+            f"{key}: expected {kind.name}, but '{_shorten(text)}' is in '{_shorten(unit)}', which "
+            f"is not one; {fix}"
+        )
+    value = float(number) * factor
+    if not isfinite(value):
+        raise CampaignError(
+            f"{key}: expected {kind.name} such as \"{kind.example}\", but '{_shorten(text)}' is "
+            "not a finite number; write the value that was set"
+        )
+    # a decimal number such as "12 ms" must become the float 0.012, not 0.012000000000000002
+    short = float(f"{value:.12g}")
+    return short if abs(short - value) <= 1e-15 * abs(value) else value
+
+
+def _normal_form(text: str) -> str:
+    text = text.strip().replace("·", "*").replace("^", "**")
+    text = text.replace("²", "**2").replace("³", "**3")
+    # in small letters: MLPM is on many a controller, and ML would be megalitres
+    text = re.sub(r"(?i)\b(l|ml)pm\b", lambda match: f"{match[1].lower()}/min", text)
+    return re.sub(r"\b([cdm]?m)([23])\b", r"\1**\2", text)
+
+
+@lru_cache(maxsize=1024)
+def _parse_unit(text: str) -> Any:
+    from pint.errors import PintError
+
+    normal = _normal_form(text)
+    if re.fullmatch(r"(?i)(sccm|slm|slpm|sccs|nl/min|nml/min)", normal):
+        raise CampaignError(
+            f"'{normal}' is a flow at standard conditions; give the volume flow at the rig's own "
+            'temperature and pressure, such as "500 mL/min"'
+        )
+    if len(normal) <= _LONGEST and _UNIT.fullmatch(normal):
+        try:
+            return _registry().parse_units(normal)
+        except (
+            PintError,
+            ArithmeticError,
+            AssertionError,
+            AttributeError,
+            KeyError,
+            RecursionError,
+            SyntaxError,
+            TokenError,
+            TypeError,
+            ValueError,
+        ):
+            pass  # all that pint's parser is known to raise on text that is no unit
+    raise CampaignError(
+        f"'{_shorten(text)}' is not a unit that is known; write one such as L/min, cm^3/s, s, ms, "
+        "V, mV, ppm, ohm, or dimensionless"
+    )
+
+
+def _shorten(text: str, longest: int = 60) -> str:
+    return text if len(text) <= longest else text[: longest - 3] + "..."

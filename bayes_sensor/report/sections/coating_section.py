@@ -1,0 +1,153 @@
+"""Response times as in data sheets, and the diffusivity of the coating that follows from tau."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bayes_sensor import figures
+from bayes_sensor.report.headline import with_the_effect
+from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
+from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.words import interval, number, powers, sentence, with_spread
+
+TOLERANCE_WORDS = {
+    "d_pdms": "diffusivity of PDMS",
+    "thickness_zif8": "thickness of ZIF-8",
+    "thickness_pdms": "thickness of PDMS",
+    "outer_radius": "outer radius",
+}
+
+
+def coating(saved: Saved, pictures: Pictures) -> Section | None:
+    """t10, t63, t90 of sensor and chain; the diffusivity that follows from tau."""
+    record = saved.coating
+    if record is None:
+        return None
+    rows = record["response_times"]
+    sensors = [row for row in rows if row["system"] == "sensor"]
+    chain = [row for row in rows if row["system"] == "chain"]
+    fast, slow = chain[-1], chain[0]
+    if len(sensors) == 1:
+        alone = f"The sensor alone reaches 90 % within {_time(sensors[0], 't90', 1e3)} ms"
+    else:
+        alone = "How long the sensor alone takes depends on which lag is its, and that is not known"
+    answer = (
+        f"{alone}; the whole chain of "
+        f"valve, manifold and sensor takes {_time(slow, 't90', 1.0)} s at "
+        f"{slow['total_flow_L_per_min']:.3g} L/min"
+    )
+    if fast is not slow:
+        answer += f" and {_time(fast, 't90', 1.0)} s at {fast['total_flow_L_per_min']:.3g} L/min"
+    answer += f" (median and 95 % interval){see('response-times')}."
+    paragraphs = [
+        "The chain is linear, so a fall takes as long as the rise at the same flow. Should the "
+        "flow drop when the valve shuts, or the sensor release more slowly than it takes up, the "
+        "section on the gap says so."
+    ]
+    if record.get("d_zif8_left_out"):
+        paragraphs.append(sentence(record["d_zif8_left_out"]))
+    if with_the_effect(saved):
+        paragraphs.append(
+            f"All this uses the posterior without the effect that the gap names{see('which')}; "
+            "sample it with the effect before quoting."
+        )
+    content: list[Part] = [
+        pictures.add(
+            "response-times-figure",
+            figures.response_times(rows),
+            "Times to 10, 63 and 90 % of the step: the sensor alone, and the whole chain at each "
+            "flow, with 95 % intervals.",
+        ),
+        _times_table(rows),
+    ]
+    found = record.get("d_zif8")
+    if found is not None:
+        paragraphs += _inverse(found)
+        content += [
+            pictures.add(
+                "d-zif8",
+                figures.diffusivity(found),
+                "Diffusivity of ZIF-8 that explains τ: 68 % (thick) and 95 % (thin) interval, "
+                "with the literature value and the one to which the paper lowers it.",
+            ),
+            _diffusivity_table(found),
+        ]
+    return Section("coating", "Response times and the coating", answer, paragraphs, content)
+
+
+def _time(row: dict[str, Any], name: str, factor: float) -> str:
+    low, middle, high = (factor * row[f"{name}{end}_s"] for end in ("_lo", "", "_hi"))
+    return f"{with_spread(middle, high - low)} {interval(low, high)}"
+
+
+def _times_table(rows: list[dict[str, Any]]) -> Table:
+    made = []
+    for row in rows:
+        values = [
+            1e3 * row[f"{name}{end}_s"]
+            for name in ("t10", "t63", "t90", "rise")
+            for end in ("", "_lo", "_hi")
+        ]
+        label = figures.sensor_words(row) if row["system"] == "sensor" else "chain"
+        label = "sensor" if label == "sensor alone" else label
+        made.append([label, row["total_flow_L_per_min"], *values])
+    columns = ["system", "flow (L/min)"]
+    for name in ("t10", "t63", "t90", "t90 − t10"):
+        columns += [f"{name} (ms)", "2.5 %", "97.5 %"]
+    return Table(
+        "response-times",
+        "Times to 10, 63.2 and 90 % of a step, and from 10 to 90 %, rising or falling: posterior "
+        "medians with 95 % intervals (ms).",
+        columns,
+        made,
+        digits=3,
+    )
+
+
+def _inverse(found: dict[str, Any]) -> list[str]:
+    d = found["d_zif8_m2_per_s"]
+    upper = "no upper limit" if d["hi95"] is None else f"{powers(d['hi95'], 2)} m²/s"
+    inside = (
+        d["lo95"] is not None
+        and d["lo95"] <= found["d_literature_m2_per_s"]
+        and (d["hi95"] is None or found["d_literature_m2_per_s"] <= d["hi95"])
+    )
+    p = max(found["tail_probability"], found["tail_resolution"])
+    literature = found["tau_literature_ms"]
+    said = (
+        f"For the coating of the paper (ZIF-8 under PDMS on the ring), τ implies a diffusivity of "
+        f"ZIF-8 between {powers(d['lo95'], 2)} m²/s and {upper} (95 %). The literature value, "
+        f"{powers(found['d_literature_m2_per_s'])} m²/s, would give "
+        f"{number(literature['median'], 3)} ms and lies {'inside' if inside else 'outside'}: "
+        f"{'it explains these data' if inside else 'it does not explain these data'} (two-sided "
+        f"tail probability {p:.2g}){see('diffusivity')}."
+    )
+    return [
+        said,
+        "This applies to a sensor with that coating only; thicknesses, the diffusivity of PDMS "
+        "and the outer radius are uncertain by the tolerances in the table.",
+    ]
+
+
+def _diffusivity_table(found: dict[str, Any]) -> Table:
+    d, ratio, literature = found["d_zif8_m2_per_s"], found["ratio"], found["tau_literature_ms"]
+    rows: list[list[Any]] = [
+        ["diffusivity of ZIF-8 (m²/s)", d["median"], d["lo95"], d["hi95"]],
+        ["the same, literature (m²/s)", found["d_literature_m2_per_s"], None, None],
+        ["response time at the literature value (ms)", literature["median"], literature["lo95"],
+         literature["hi95"]],
+        ["τ over that", ratio["median"], ratio["lo95"], ratio["hi95"]],
+        ["two-sided tail probability of the literature value", found["tail_probability"], None,
+         None],
+    ]  # fmt: skip
+    rows += [
+        [f"relative tolerance of the {TOLERANCE_WORDS.get(name, name)}", value, None, None]
+        for name, value in found["tolerances"].items()
+    ]
+    return Table(
+        "diffusivity",
+        "The coating of the paper, from τ; an empty end means no limit.",
+        ["quantity", "value", "95 % low", "95 % high"],
+        rows,
+        digits=3,
+    )
