@@ -611,7 +611,7 @@ def of_the_reserve(cases: pd.DataFrame) -> str:
     """One sentence: how many unlisted causes were flagged, new ones and others, at the goals' d."""
     unlisted = cases[cases["kind"] == "unlisted"]
     unlisted = unlisted[unlisted["d_level"].astype(float).isin(GOALS_AT)]
-    unseen = unlisted["causes"].map(lambda name: CAUSES[name].reserve)
+    unseen = unlisted["causes"].isin([name for name, cause in CAUSES.items() if cause.reserve])
     if not unseen.any():
         return ""
     counts = [
