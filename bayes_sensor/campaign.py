@@ -1,7 +1,7 @@
 """Experiments and campaigns: what was measured, with units settled.
 
 Everything here is in seconds, volts (or the campaign's ``signal_unit``) and mL/s.
-Files are read in :mod:`bayes_sensor.readers`; this room only holds and checks the records.
+Files are read in :mod:`bayes_sensor.io.readers`; this room only holds and checks the records.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_sensor.notebook import card
+from bayes_sensor.display import card
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -13,7 +13,7 @@ from pathlib import Path
 VARIABLE = "NUMBA_CACHE_DIR"
 
 
-def give_compiled_code_a_place(
+def ensure_numba_cache_dir(
     environ: MutableMapping[str, str] = os.environ, package: Path = Path(__file__).parent
 ) -> None:
     """Set ``NUMBA_CACHE_DIR`` where it is not set and neither usual place can be written to."""

@@ -19,12 +19,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray, counted
-from bayes_sensor.compression import expected_information
-from bayes_sensor.likelihood import Prior, Problem, as_problem, simulate
-from bayes_sensor.model import Layout, Theta, local_parameters
-from bayes_sensor.noise import Noise, lag_coefficient
+from bayes_sensor.io.json_files import plain
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.likelihood.mesh import expected_information
+from bayes_sensor.likelihood.noise import Noise, lag_coefficient
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.posterior import sample_posterior
-from bayes_sensor.results import plain
+from bayes_sensor.rig.cascade import local_parameters
+from bayes_sensor.rig.layout import Layout, Theta
 
 if TYPE_CHECKING:
     import pandas as pd

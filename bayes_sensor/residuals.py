@@ -21,11 +21,12 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import chdtrc, erfc
 
 from bayes_sensor.campaign import BoolArray, Campaign, FloatArray
-from bayes_sensor.fit.noise import Spread, fitted_variances
+from bayes_sensor.fit.fitted_noise import Spread, fitted_variances
 from bayes_sensor.lattice import lattice_step
-from bayes_sensor.likelihood import Problem, as_problem, grid_response, mean_and_variance
-from bayes_sensor.model import Cascade, local_parameters, time_constants
-from bayes_sensor.noise import VARIANCES, lag_coefficient
+from bayes_sensor.likelihood.density import grid_response, mean_and_variance
+from bayes_sensor.likelihood.noise import VARIANCES, lag_coefficient
+from bayes_sensor.likelihood.problem import Problem, as_problem
+from bayes_sensor.rig.cascade import Cascade, local_parameters, time_constants
 from bayes_sensor.variance_check import FACTOR, VarianceCheck, check_variance, local_squares
 
 HISTOGRAM_BIN = 0.05

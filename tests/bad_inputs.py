@@ -29,10 +29,10 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.check import campaign_remarks
 from bayes_sensor.cli import _complain
-from bayes_sensor.cli.steps import print_check
-from bayes_sensor.readers import read_campaign
+from bayes_sensor.cli.analysis_steps import print_check
+from bayes_sensor.io.check import campaign_remarks
+from bayes_sensor.io.readers import read_campaign
 
 N, INTERVAL, ON, OFF = 800, 0.01, 2.0, 5.5
 T = np.round(np.arange(N) * INTERVAL, 6)

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, Experiment, FloatArray
-from bayes_sensor.likelihood import Problem, simulate
-from bayes_sensor.noise import Noise
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.problem import Problem
 
 LITRES_PER_MINUTE = 1000.0 / 60.0  # mL/s
 

@@ -14,9 +14,10 @@ from campaigns import small_design, small_theta
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.fit import Fit, fit_least_squares
-from bayes_sensor.likelihood import Problem, simulate
-from bayes_sensor.model import local_parameters
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Posterior, Settings, sample_posterior
+from bayes_sensor.rig.cascade import local_parameters
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ def diagnose(problem: Problem, seed: int = 1) -> tuple[str, tuple[str, ...], flo
 
     Nothing is wrong with any of these campaigns but their size, so that every name is a false one.
     """
-    from bayes_sensor.gap import diagnose_gap
+    from bayes_sensor.diagnosis import diagnose_gap
 
     try:
         fit = fit_least_squares(problem, seed=seed, swarms=1, particles=6, euler=False)

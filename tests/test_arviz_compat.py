@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from campaigns import small_problem
 
-from bayes_sensor import inference_data as idata
-from bayes_sensor.mixing import diagnostics, pareto_k
 from bayes_sensor.posterior import Posterior, load_chains
+from bayes_sensor.posterior import inference_data as idata
+from bayes_sensor.posterior.r_hat import diagnostics, pareto_k
 
 pytestmark = pytest.mark.arviz
 

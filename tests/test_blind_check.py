@@ -65,9 +65,9 @@ from bayes_sensor.blind_check.statistics import Row
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.cli import _guarded
 from bayes_sensor.figures import svg
-from bayes_sensor.figures.blind_check import in_words, opened_seal, score_card
-from bayes_sensor.readers import read_campaign
-from bayes_sensor.results import read_json
+from bayes_sensor.figures.plot_blind_check import in_words, opened_seal, score_card
+from bayes_sensor.io.json_files import read_json
+from bayes_sensor.io.readers import read_campaign
 from tests.sealed_runs import sealed_cases
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -293,7 +293,7 @@ def verdict(
     **shrink: Any,
 ) -> dict[str, Any]:
     """gap.json of these probabilities."""
-    from bayes_sensor.gap import CATALOGUE
+    from bayes_sensor.diagnosis import CATALOGUE
 
     which = [
         {
@@ -379,7 +379,7 @@ def test_a_campaign_from_its_recipe_is_diagnosed_like_the_one_on_disk(tmp_path: 
 
 
 def test_campaigns_of_ones_own_with_sealed_truths(tmp_path: Path) -> None:
-    from bayes_sensor.writers import write_campaign
+    from bayes_sensor.io.writers import write_campaign
 
     campaign = make_campaign(draw_case(3, size="small"))
     write_campaign(campaign, tmp_path / "campaigns" / "mine", "npz")
@@ -813,7 +813,7 @@ def test_the_score_card_is_drawn_even_when_nearly_empty() -> None:
 
 
 def test_unlisted_causes_look_listed_as_often_as_the_verdict_assumes() -> None:
-    from bayes_sensor.gap.verdict import MIMIC
+    from bayes_sensor.diagnosis.verdict import MIMIC
 
     runs = pd.read_csv(TABLES / "blind_check_look_alikes.csv")
     assert len(runs) >= 6 and runs["campaigns"].min() > 50

@@ -24,8 +24,8 @@ from bayes_sensor.blind_check.card import oracle_share
 from bayes_sensor.blind_check.simulator import CAUSES
 from bayes_sensor.blind_check.statistics import average, roc
 from bayes_sensor.figures import svg
-from bayes_sensor.figures.blind_check import in_words, score_card
-from bayes_sensor.results import plain, write_json
+from bayes_sensor.figures.plot_blind_check import in_words, score_card
+from bayes_sensor.io.json_files import plain, write_json
 from tests.sealed_runs import sealed_cases
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-import bayes_sensor.calibration as calibration
+import bayes_sensor.checks.calibration as calibration
 from bayes_sensor.blind_check import diagnose_cases, draw_cases, open_seals, sealed_late
 from bayes_sensor.blind_check.simulator import draw_case, make_campaign
 from bayes_sensor.blind_check.truth import KEYS
-from bayes_sensor.calibration import code_digest, run_chunks
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.cli import _guarded, blind
-from bayes_sensor.results import read_json, sha256
-from bayes_sensor.writers import write_campaign
+from bayes_sensor.checks.calibration import code_digest, run_chunks
+from bayes_sensor.cli import _guarded, run_blind_check
+from bayes_sensor.io.json_files import read_json, sha256
+from bayes_sensor.io.writers import write_campaign
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -33,7 +33,9 @@ def refuses(campaign: Campaign, seed: int, without: Any, setting: str) -> Any:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The command, with the stand-in as its diagnosis."""
-    monkeypatch.setattr(blind, "diagnose_cases", partial(diagnose_cases, diagnosis=refuses))
+    monkeypatch.setattr(
+        run_blind_check, "diagnose_cases", partial(diagnose_cases, diagnosis=refuses)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -336,7 +338,7 @@ def test_a_digest_has_the_source_of_the_task_as_well(
     package: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     digest = code_digest(Squares())
-    monkeypatch.setattr(Squares, "__module__", "bayes_sensor.calibration")
+    monkeypatch.setattr(Squares, "__module__", "bayes_sensor.checks.calibration")
     assert code_digest(Squares()) != digest
 
 

@@ -29,8 +29,8 @@ from bayes_sensor.bounds.bootstrap import (
     resample_and_refit,
     stationary_indices,
 )
-from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import (
+from bayes_sensor.bounds.context import Evidence
+from bayes_sensor.bounds.gaussian_intervals import (
     _switch_quantiles,
     gaussian_bound,
     invert,
@@ -38,6 +38,7 @@ from bayes_sensor.bounds.gaussian import (
 )
 from bayes_sensor.bounds.hardness import multiple_correlation
 from bayes_sensor.bounds.jackknife import leave_one_out
+from bayes_sensor.bounds.likelihood_surface import maximise, spread_along_tau, white_surface
 from bayes_sensor.bounds.sandwich import (
     andrews_bandwidth,
     ar1_middle,
@@ -46,12 +47,12 @@ from bayes_sensor.bounds.sandwich import (
     scores_of,
 )
 from bayes_sensor.bounds.sensitivities import local_jacobian
-from bayes_sensor.bounds.surface import maximise, spread_along_tau, white_surface
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.fit.identifiability import coloured_noise
-from bayes_sensor.likelihood import Problem, log_likelihood, mean_and_variance, simulate
-from bayes_sensor.noise import Noise
+from bayes_sensor.likelihood.density import log_likelihood, mean_and_variance, simulate
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.problem import Problem
 
 CONTRACT = (
     "crlb_iid",

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bayes_sensor.bounds import METHODS, compare_bounds
+from bayes_sensor.bounds.likelihood_surface import coloured_surface, maximise
 from bayes_sensor.bounds.newton import (
     factor,
     gradient_by_psi,
@@ -16,11 +17,10 @@ from bayes_sensor.bounds.newton import (
     theta_of,
 )
 from bayes_sensor.bounds.sandwich import ar1_middle
-from bayes_sensor.bounds.surface import coloured_surface, maximise
-from bayes_sensor.coverage import SETTINGS, BoundsStudy, simulate_setting, small_design
+from bayes_sensor.checks.coverage import SETTINGS, BoundsStudy, simulate_setting, small_design
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.laplace import Coordinates
-from bayes_sensor.likelihood import Problem
+from bayes_sensor.likelihood.coordinates import Coordinates
+from bayes_sensor.likelihood.problem import Problem
 
 RNG = np.random.default_rng(11)
 

@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_sensor.coverage import SETTINGS, _limits, simulate_setting, small_design
+from bayes_sensor.checks.coverage import SETTINGS, _limits, simulate_setting, small_design
 from bayes_sensor.posterior import Settings
 from bayes_sensor.posterior.checkpoints import Checkpoint
-from bayes_sensor.posterior.ensembles import _hopeless
+from bayes_sensor.posterior.samplers.emcee_ensembles import _hopeless
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 

@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from bayes_sensor.calibration import (
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment
+from bayes_sensor.checks.calibration import (
     LEVELS,
     TAU_CLAIMS,
     TAU_PRIORS,
@@ -22,8 +23,9 @@ from bayes_sensor.calibration import (
     run_chunks,
     tau_table,
 )
-from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.likelihood import Prior, Problem, log_priors
+from bayes_sensor.likelihood.prior_density import log_priors
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Settings
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayes_sensor.campaign import Campaign, Experiment
-from bayes_sensor.check import campaign_remarks, check_campaign, levels, rise_time
+from bayes_sensor.io.check import campaign_remarks, check_campaign, levels, rise_time
 
 T = np.arange(12_000) * 0.01
 

@@ -18,12 +18,12 @@ import pytest
 import bayes_sensor
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import _guarded
-from bayes_sensor.cli.settings import make_problem, read_overrides, read_prior
-from bayes_sensor.cli.steps import Job, _saved_spreads, _watching
-from bayes_sensor.model import Layout
+from bayes_sensor.cli.analysis_steps import Job, _saved_spreads, _watching
+from bayes_sensor.cli.overrides import make_problem, read_overrides, read_prior
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.io.results import Results
 from bayes_sensor.posterior.checkpoints import Checkpoint
-from bayes_sensor.readers import read_campaign
-from bayes_sensor.results import Results
+from bayes_sensor.rig.layout import Layout
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
@@ -388,7 +388,7 @@ def test_closed_streams_are_no_obstacle(campaign: Path, tmp_path: Path) -> None:
 def test_a_terminal_that_cannot_show_a_letter_shows_its_number() -> None:
     pty = pytest.importorskip("pty", reason="terminals are opened as on Unix")
     code = (
-        "from bayes_sensor.cli import steps\n"
+        "from bayes_sensor.cli import analysis_steps as steps\n"
         "with steps.progress_bar('fit', False) as tell: tell(0.5, chr(0x3c4))"
     )
     plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "TERM": "xterm",
@@ -502,7 +502,7 @@ def test_the_noise_law_does_not_act_on_the_gap_and_this_is_said(
     campaign: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    import bayes_sensor.gap as room
+    import bayes_sensor.diagnosis as room
 
     monkeypatch.setattr(logging.getLogger("bayes_sensor"), "propagate", True)
     given: list[Any] = []
@@ -588,7 +588,7 @@ def test_a_compiler_that_takes_long_is_left_with_one_line_even_where_all_is_mute
     code = (
         "import os, signal, time\n"
         "from bayes_sensor import cli\n"
-        "from bayes_sensor.cli.steps import muted\n"
+        "from bayes_sensor.cli.analysis_steps import muted\n"
         "room = {'__name__': 'numba.core', 'os': os, 'signal': signal, 'time': time}\n"
         "press = 'os.kill(os.getpid(), signal.SIGINT)'\n"
         "exec(f'def build():\\n {press}\\n while True: time.sleep(0.01)', room)\n"

@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 import typer
 
+from bayes_sensor.checks.coverage import SETTINGS, run_coverage
 from bayes_sensor.cli import _guarded, app
-from bayes_sensor.coverage import SETTINGS, run_coverage
-from bayes_sensor.readers import read_campaign
+from bayes_sensor.io.readers import read_campaign
 
 COMMON = {"--seed", "--jobs", "--quiet", "--config"}
 COMMANDS: dict[str, Any] = vars(typer.main.get_command(app))["commands"]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bayes_sensor.compiled import VARIABLE, _own_folder, give_compiled_code_a_place
+from bayes_sensor.compiled import VARIABLE, _own_folder, ensure_numba_cache_dir
 
 ROOT = Path(__file__).resolve().parent.parent
 NOBODY = 65534
@@ -23,7 +23,7 @@ def test_usual_places_are_left_alone(tmp_path: Path) -> None:
         ({"HOME": "/dev/null/me", "XDG_CACHE_HOME": str(tmp_path)}, Path("/dev/null/package")),
     ):
         before = dict(environ)
-        give_compiled_code_a_place(environ, package)
+        ensure_numba_cache_dir(environ, package)
         assert environ == before
 
 
@@ -34,7 +34,7 @@ def test_there_is_a_place_where_the_usual_ones_cannot_be_written_to(
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     for _ in range(2):  # the second time it is there
         environ = {} if home is None else {"HOME": home}
-        give_compiled_code_a_place(environ, Path("/dev/null/package"))
+        ensure_numba_cache_dir(environ, Path("/dev/null/package"))
         place = Path(environ[VARIABLE])
         assert place.parent == tmp_path and os.access(place, os.W_OK)
         assert place.stat().st_mode & 0o077 == 0
@@ -56,7 +56,7 @@ def test_a_place_that_others_may_write_to_is_not_used(
     assert _own_folder(tmp_path) is None
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     environ: dict[str, str] = {}
-    give_compiled_code_a_place(environ, Path("/dev/null/package"))
+    ensure_numba_cache_dir(environ, Path("/dev/null/package"))
     assert Path(environ[VARIABLE]).is_dir() and Path(environ[VARIABLE]) != own
 
 
@@ -69,7 +69,7 @@ def test_an_account_without_a_home_can_compile(tmp_path: Path) -> None:
         if folder.stat().st_uid == 0 and folder.name.startswith("pytest"):
             folder.chmod(folder.stat().st_mode | 0o055)
     environ = {"PATH": os.environ["PATH"], "HOME": "/", "TMPDIR": str(tmp_path)}
-    command = [sys.executable, "-c", "import bayes_sensor.compression; print('done')"]
+    command = [sys.executable, "-c", "import bayes_sensor.likelihood.mesh; print('done')"]
     probe = [sys.executable, "-c", "import bayes_sensor"]
     given = {"env": environ, "cwd": ROOT, "user": NOBODY, "group": NOBODY, "extra_groups": []}
     try:

@@ -14,17 +14,13 @@ from campaigns import (
 )
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.compression import Region, compress, default_region, log_likelihood
-from bayes_sensor.laplace import Coordinates
-from bayes_sensor.likelihood import (
-    Problem,
-    experiment_log_likelihood,
-    mean_and_variance,
-    simulate,
-)
-from bayes_sensor.likelihood import log_likelihood as full_pass
-from bayes_sensor.model import Cascade
-from bayes_sensor.noise import Noise
+from bayes_sensor.likelihood.coordinates import Coordinates
+from bayes_sensor.likelihood.density import experiment_log_likelihood, mean_and_variance, simulate
+from bayes_sensor.likelihood.density import log_likelihood as full_pass
+from bayes_sensor.likelihood.mesh import Region, compress, default_region, log_likelihood
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.cascade import Cascade
 
 GAPS = [(1.95, 1.96), (2.3, 2.31), (3.0, 3.4), (7.2, 7.27), (9.0, 9.001)]
 

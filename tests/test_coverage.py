@@ -9,10 +9,9 @@ import pandas as pd
 import pytest
 
 from bayes_sensor.bounds import LEVELS, METHODS
-from bayes_sensor.calibration import binomial_interval
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import main
-from bayes_sensor.coverage import (
+from bayes_sensor.checks.calibration import binomial_interval
+from bayes_sensor.checks.coverage import (
     SETTINGS,
     BoundsStudy,
     Setting,
@@ -23,8 +22,10 @@ from bayes_sensor.coverage import (
     simulate_setting,
     small_design,
 )
-from bayes_sensor.likelihood import Problem, mean_and_variance, simulate
-from bayes_sensor.model import cascade_response
+from bayes_sensor.cli import main
+from bayes_sensor.likelihood.density import mean_and_variance, simulate
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.cascade import cascade_response
 
 ROOT = Path(__file__).resolve().parent.parent
 QUICK = ("crlb_iid", "crlb_ar1", "sandwich")

@@ -11,11 +11,11 @@ from scipy import stats
 from statsmodels.stats.outliers_influence import OLSInfluence
 
 from bayes_sensor.campaign import Campaign, Experiment
-from bayes_sensor.delays import regress_delays, regress_line
+from bayes_sensor.checks.delays import regress_delays, regress_line
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.likelihood import simulate
-from bayes_sensor.model import Layout
+from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.posterior import sample_posterior
+from bayes_sensor.rig.layout import Layout
 
 FLOWS = np.array([4.5, 3.5, 3.0, 9.0, 7.0, 6.0, 9.0])  # L/min
 CARRIER = np.array([4.0, 3.0, 2.5, 8.0, 6.0, 5.0, 7.5])

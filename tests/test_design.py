@@ -18,10 +18,12 @@ from bayes_sensor.design import (
     truth_of,
     what_if,
 )
-from bayes_sensor.likelihood import Prior, Problem, mean_and_variance, simulate
-from bayes_sensor.model import Layout
-from bayes_sensor.noise import Noise, lag_coefficient
+from bayes_sensor.likelihood.density import mean_and_variance, simulate
+from bayes_sensor.likelihood.noise import Noise, lag_coefficient
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import sample_posterior
+from bayes_sensor.rig.layout import Layout
 
 
 def design_of(n: int = 3, interval: float = 0.01, fall: bool = True) -> Campaign:

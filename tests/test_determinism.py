@@ -15,7 +15,7 @@ TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 EVALUATE = """
 import numpy as np
 from campaigns import small_problem
-from bayes_sensor.compression import compress
+from bayes_sensor.likelihood.mesh import compress
 problem, theta = small_problem(n=2, interval=0.02)
 mesh = compress(problem, theta)
 rng = np.random.default_rng(1)

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from scipy.special import j0, j1, jn_zeros
 from scipy.stats import norm
 
-from bayes_sensor.diffusion import (
+from bayes_sensor.coating import (
     LEVEL_63,
     Coating,
     ReducedResponse,

@@ -11,15 +11,17 @@ import pytest
 from campaigns import small_problem
 
 import bayes_sensor
-from bayes_sensor.calibration import run_chunks
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.checks.calibration import run_chunks
 from bayes_sensor.cli import _guarded
-from bayes_sensor.disk import remove, replacing, write_bytes, write_text
-from bayes_sensor.posterior import saving
+from bayes_sensor.fit.samples import save_samples
+from bayes_sensor.fit.traces import save_traces
+from bayes_sensor.io.disk import remove, replacing, write_bytes, write_text
+from bayes_sensor.io.json_files import write_json
+from bayes_sensor.io.results import VOID, Results
+from bayes_sensor.io.writers import write_campaign
+from bayes_sensor.posterior import save_draws
 from bayes_sensor.posterior.checkpoints import Checkpoint
-from bayes_sensor.results import VOID, Results, save_traces, write_json
-from bayes_sensor.samples import save_samples
-from bayes_sensor.writers import write_campaign
 
 PACKAGE = Path(bayes_sensor.__file__).parent
 
@@ -181,8 +183,8 @@ def _save_posterior(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import xarray
 
     groups = {"posterior": xarray.Dataset({"tau": ("draw", np.ones(3))})}
-    monkeypatch.setattr(saving, "_contents", lambda posterior: (groups, {}))
-    saving.save(None, path)  # type: ignore[arg-type]
+    monkeypatch.setattr(save_draws, "_contents", lambda posterior: (groups, {}))
+    save_draws.save(None, path)  # type: ignore[arg-type]
 
 
 def _one(i: int) -> dict[str, Any]:
@@ -223,7 +225,7 @@ def test_no_writer_writes_through_a_link(
 
 def test_all_files_are_replaced_in_one_way() -> None:
     text = {p.relative_to(PACKAGE).as_posix(): p.read_text() for p in PACKAGE.rglob("*.py")}
-    assert {name for name in text if "os.replace(" in text[name]} == {"disk.py", "results.py"}
+    assert {name for name in text if "os.replace(" in text[name]} == {"io/disk.py", "io/results.py"}
     assert not [name for name in text if ".part" in text[name] and "getpid" in text[name]]
 
 

@@ -16,9 +16,9 @@ from campaigns import small_problem
 import bayes_sensor as bs
 from bayes_sensor.bounds import METHODS
 from bayes_sensor.cli import app
-from bayes_sensor.gap import CATALOGUE
-from bayes_sensor.readers import FORMATS
-from bayes_sensor.readers.campaign_file import SIDE_INFORMATION, Entry
+from bayes_sensor.diagnosis import CATALOGUE
+from bayes_sensor.io.readers import FORMATS
+from bayes_sensor.io.readers.campaign_file import SIDE_INFORMATION, Entry
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -42,9 +42,9 @@ def resolve(dotted: str) -> Any:
 
 
 def test_a_name_that_does_not_exist_is_seen() -> None:
-    assert resolve("bayes_sensor.bounds.records.Bound").__name__ == "Bound"
+    assert resolve("bayes_sensor.bounds.bound.Bound").__name__ == "Bound"
     with pytest.raises(AttributeError):
-        resolve("bayes_sensor.bounds.records.Bounding")
+        resolve("bayes_sensor.bounds.bound.Bounding")
 
 
 def test_the_reference_holds_every_public_name_once() -> None:
@@ -143,7 +143,7 @@ def test_what_can_be_chosen_is_told() -> None:
 
 
 def test_the_settings_and_the_campaign_of_the_page_are_accepted(tmp_path: Path) -> None:
-    from bayes_sensor.cli.settings import read_overrides
+    from bayes_sensor.cli.overrides import read_overrides
 
     campaign, settings = re.findall(r"```toml\n(.*?)```", TEXT["file_formats.md"], flags=re.DOTALL)
     (tmp_path / "overrides.toml").write_text(settings)
@@ -172,7 +172,7 @@ def _step(t: np.ndarray) -> np.ndarray:
 @pytest.fixture
 def examples(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """What the code blocks of extend.md define, run from top to bottom."""
-    monkeypatch.setattr("bayes_sensor.readers.FORMATS", dict(FORMATS))
+    monkeypatch.setattr("bayes_sensor.io.readers.FORMATS", dict(FORMATS))
     made: dict[str, Any] = {}
     blocks = re.findall(r"```python\n(.*?)```", TEXT["extend.md"], flags=re.DOTALL)
     assert len(blocks) == 6

@@ -10,11 +10,13 @@ from extreme_cases import CASES, METHODS, SHARED, Told, ask, diagnose
 
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.compression import compress
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.likelihood import Problem, log_likelihood, log_priors, simulate
+from bayes_sensor.likelihood.density import log_likelihood, simulate
+from bayes_sensor.likelihood.mesh import compress
+from bayes_sensor.likelihood.prior_density import log_priors
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Settings, sample_posterior
-from bayes_sensor.posterior.ensembles import into_priors
+from bayes_sensor.posterior.samplers.emcee_ensembles import into_priors
 
 # short runs: enough to see that the sampler starts, moves and ends
 SHORT = Settings(n_chains=2, n_walkers=32, chunk=25, burn_in=25, max_steps=75, n_draws=400,

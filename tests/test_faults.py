@@ -15,10 +15,10 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from bayes_sensor import results
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import _advice, _guarded
-from bayes_sensor.results import Lock, Results
+from bayes_sensor.io import results
+from bayes_sensor.io.results import Lock, Results
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 QUICK = """
@@ -228,7 +228,7 @@ def test_who_holds_a_folder_is_named(tmp_path: Path) -> None:
 
 def test_a_lock_whose_owner_ended_holds_nobody_up(tmp_path: Path) -> None:
     code = (
-        "import os, sys; from bayes_sensor.results import Results\n"
+        "import os, sys; from bayes_sensor.io.results import Results\n"
         "with Results(sys.argv[1]).locked():\n    os.kill(os.getpid(), 9)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)])

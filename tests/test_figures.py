@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from bayes_sensor import figures
-from bayes_sensor.results import Trace, envelope
+from bayes_sensor.fit.traces import Trace, envelope
 
 RNG = np.random.default_rng(7)
 

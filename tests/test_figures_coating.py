@@ -9,9 +9,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from bayes_sensor import figures
-from bayes_sensor.diffusion import Coating, Response, solve
-from bayes_sensor.figures.coating import _MAP, diffusion_figure, spectra_figure
-from bayes_sensor.readout import Cladding, Readout, Ring, linear_range, matched_readout
+from bayes_sensor.coating import Coating, Response, solve
+from bayes_sensor.coating.readout import Cladding, Readout, Ring, linear_range, matched_readout
+from bayes_sensor.figures.plot_coating import _MAP, diffusion_figure, spectra_figure
 
 
 @pytest.fixture(scope="module")

@@ -20,10 +20,10 @@ from test_figures_tau import coverage_rows, hard, help_rows
 from test_fleet import row as fleet_row
 
 from bayes_sensor import figures
-from bayes_sensor.diffusion import Coating, solve
-from bayes_sensor.figures.blind_check import opened_seal, score_card
+from bayes_sensor.coating import Coating, solve
+from bayes_sensor.coating.readout import matched_readout
+from bayes_sensor.figures.plot_blind_check import opened_seal, score_card
 from bayes_sensor.figures.style import SMALLEST, settle
-from bayes_sensor.readout import matched_readout
 
 ROOT = Path(__file__).resolve().parent.parent
 PAPER = ROOT / "paper"

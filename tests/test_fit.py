@@ -7,17 +7,19 @@ import numpy as np
 import pytest
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.compression import compress
 from bayes_sensor.fit import fit_least_squares, particle_swarm
-from bayes_sensor.fit.diagnostics import local_noise, warn
+from bayes_sensor.fit.block_averages import averages, profiles
 from bayes_sensor.fit.euler import euler_relaxed
-from bayes_sensor.fit.looks import first_look, initial_bounds, split
-from bayes_sensor.fit.noise import all_residuals
-from bayes_sensor.fit.points import averages, profiles
+from bayes_sensor.fit.first_estimates import first_look, initial_bounds, split
+from bayes_sensor.fit.fit_warnings import local_noise, warn
+from bayes_sensor.fit.fitted_noise import all_residuals
 from bayes_sensor.fit.refinement import Squares, mesh_points
-from bayes_sensor.likelihood import Prior, Problem, simulate
-from bayes_sensor.model import Cascade, cascade_response, euler_response, predict
-from bayes_sensor.noise import Noise, simulate_noise
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.likelihood.mesh import compress
+from bayes_sensor.likelihood.noise import Noise, simulate_noise
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.cascade import Cascade, cascade_response, euler_response, predict
 
 FLOWS = ((4.0, 0.5), (3.0, 0.5), (2.5, 0.5), (8.0, 1.0), (6.0, 1.0), (5.0, 1.0), (7.5, 1.5))
 TRUTH = {"tau_s": 0.15, "tau_v_s": 0.8577, "V_mL": 58.23, "phi": 0.5, "sigma0_V": 0.02}

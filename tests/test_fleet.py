@@ -235,16 +235,16 @@ def test_a_bad_campaign_is_a_row_and_the_rest_goes_on(
     assert record["cost"]["good"]["peak_memory_MB"] > 50
 
     # resumed: the good one is not analysed again, and the comparison is the same
-    import bayes_sensor.cli.fleet as fleet
+    import bayes_sensor.cli.run_fleets as fleets
 
     analysed: list[str] = []
-    analyse = fleet.run
+    analyse = fleets.run
 
     def counted(command: str, campaign: Path, *rest: Any, **more: Any) -> int:
         analysed.append(campaign.parent.name)
         return analyse(command, campaign, *rest, **more)
 
-    monkeypatch.setattr(fleet, "run", counted)
+    monkeypatch.setattr(fleets, "run", counted)
     before = {p.name: p.read_bytes() for p in out.iterdir() if p.is_file() and p.name != "run.json"}
     frame = bs.run_fleet(lab / "list.txt", out, config=lab / "quick.toml", resume=True)
     assert analysed == ["broken", "missing"]
@@ -259,7 +259,7 @@ def test_a_bad_campaign_is_a_row_and_the_rest_goes_on(
         analysed.append(campaign.parent.name)
         raise RuntimeError("an accident")
 
-    monkeypatch.setattr(fleet, "run", fails)
+    monkeypatch.setattr(fleets, "run", fails)
     again = bs.run_fleet(lab / "list.txt", out, seed=2, config=lab / "quick.toml", resume=True)
     assert analysed == ["good", "broken", "missing"] and set(again["status"]) == {"failed"}
     assert "unforeseen RuntimeError (an accident)" in again["message"][0]
@@ -267,7 +267,7 @@ def test_a_bad_campaign_is_a_row_and_the_rest_goes_on(
     def full(*arguments: Any, **more: Any) -> int:
         raise OSError(28, "No space left on device", "x")
 
-    monkeypatch.setattr(fleet, "run", full)
+    monkeypatch.setattr(fleets, "run", full)
     assert run("fleet", lab / "list.txt", "--out", out, *options) == 2
     assert "No space left" in capsys.readouterr().err
 
@@ -275,7 +275,7 @@ def test_a_bad_campaign_is_a_row_and_the_rest_goes_on(
 def test_a_campaign_that_kills_its_worker_is_a_row(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from bayes_sensor.cli import fleet
+    from bayes_sensor.cli import run_fleets as fleets
     from bayes_sensor.workers import WorkerDied
 
     def died(function: Any, items: Any, jobs: int, client: Any) -> Any:
@@ -283,7 +283,7 @@ def test_a_campaign_that_kills_its_worker_is_a_row(
         yield 1, {"row": failed_row("b", "b", "bad"), "cost": {}}
         yield 0, WorkerDied("it ended 3 worker processes")
 
-    monkeypatch.setattr(fleet, "completed", died)
+    monkeypatch.setattr(fleets, "completed", died)
     (tmp_path / "l.txt").write_text("a/x.toml\nb/x.toml\n")
     frame = bs.run_fleet(tmp_path / "l.txt", tmp_path / "out", jobs=2)
     assert frame["message"].tolist() == ["it ended 3 worker processes", "bad"]

@@ -19,38 +19,22 @@ PACKAGE = ROOT / "bayes_sensor"
 # A room imports only rooms above it. It is a file or a folder of that name in bayes_sensor/.
 ROOMS = (
     "compiled",
-    "notebook",
+    "display",
     "campaign",
-    "disk",
     "lattice",
     "workers",
-    "readers",
-    "writers",
-    "drive",
-    "check",
-    "model",
-    "noise",
-    "lags",
+    "io",
+    "rig",
     "likelihood",
-    "results",
-    "compression",
-    "laplace",
-    "mixing",
-    "inference_data",
+    "coating",
     "fit",
-    "diffusion",
-    "readout",
     "variance_check",
     "residuals",
     "posterior",
-    "predictive",
     "bounds",
-    "delays",
+    "checks",
     "design",
-    "calibration",
-    "coverage",
-    "gap",
-    "samples",
+    "diagnosis",
     "blind_check",
     "figures",
     "report",
@@ -163,21 +147,21 @@ def test_a_room_imports_only_rooms_above_it() -> None:
     ],
 )
 def test_a_misplaced_import_is_seen(source: str) -> None:
-    assert len(misplaced_imports(source, "model", "bayes_sensor", "model.py")) == 1
+    assert len(misplaced_imports(source, "rig", "bayes_sensor", "rig.py")) == 1
 
 
 @pytest.mark.parametrize(
     ("source", "package"),
     [
-        ("from ..campaign import Campaign", "bayes_sensor.gap"),
-        ("from .locate import where", "bayes_sensor.gap"),
-        ("from bayes_sensor.gap.effects import CATALOGUE", "bayes_sensor.gap"),
-        ("from bayes_sensor import __version__", "bayes_sensor.gap"),
-        ("import numpy as np", "bayes_sensor.gap"),
+        ("from ..campaign import Campaign", "bayes_sensor.diagnosis"),
+        ("from .locate import where", "bayes_sensor.diagnosis"),
+        ("from bayes_sensor.diagnosis.effects import CATALOGUE", "bayes_sensor.diagnosis"),
+        ("from bayes_sensor import __version__", "bayes_sensor.diagnosis"),
+        ("import numpy as np", "bayes_sensor.diagnosis"),
     ],
 )
 def test_a_proper_import_is_left_alone(source: str, package: str) -> None:
-    assert misplaced_imports(source, "gap", package, "gap.py") == []
+    assert misplaced_imports(source, "diagnosis", package, "diagnosis.py") == []
 
 
 # --- tested versions

@@ -9,19 +9,23 @@ from scipy.signal import lfilter
 
 import bayes_sensor as bs
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.gap import CATALOGUE, Gap, Strength, diagnose_gap, own_effect
-from bayes_sensor.gap.bins import PHASES
-from bayes_sensor.gap.diagnosis import ar1_whiteness
-from bayes_sensor.gap.form import OTHER_FORM, another_form
-from bayes_sensor.gap.model import with_effects
-from bayes_sensor.gap.own import read_effects
-from bayes_sensor.gap.simulation import default_strengths, simulate_with_effects
-from bayes_sensor.gap.verdict import NAMED, OTHER_CAUSE
-from bayes_sensor.gap.which import LEFT
-from bayes_sensor.gap.words import WANDERS
-from bayes_sensor.likelihood import Problem, simulate
-from bayes_sensor.model import Cascade, cascade_response
-from bayes_sensor.noise import Noise
+from bayes_sensor.diagnosis import CATALOGUE, Gap, Strength, diagnose_gap, own_effect
+from bayes_sensor.diagnosis.data.bins import PHASES
+from bayes_sensor.diagnosis.diagnose import ar1_whiteness
+from bayes_sensor.diagnosis.effects.effect_model import with_effects
+from bayes_sensor.diagnosis.effects.simulate_effects import (
+    default_strengths,
+    simulate_with_effects,
+)
+from bayes_sensor.diagnosis.effects.user_effects import read_effects
+from bayes_sensor.diagnosis.evidence.form_mismatch import OTHER_FORM, another_form
+from bayes_sensor.diagnosis.evidence.hypotheses import LEFT
+from bayes_sensor.diagnosis.verdict import NAMED, OTHER_CAUSE
+from bayes_sensor.diagnosis.wording import WANDERS
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.cascade import Cascade, cascade_response
 from tests.gap_cases import design, diagnosed, measured, theta
 
 NAMES = (
@@ -501,7 +505,7 @@ def test_an_effect_of_ones_own_is_named():
 def test_own_effects_are_read_from_a_file(tmp_path):
     path = tmp_path / "leak.py"
     path.write_text(
-        "from bayes_sensor.gap import Strength, own_effect\n"
+        "from bayes_sensor.diagnosis import Strength, own_effect\n"
         "LEAK = own_effect('leak', [Strength('leak_V', 'V', 'normal', 0.0, 0.02)],\n"
         "    lambda t, s, rig: rig.mean(t) + s['leak_V'] * (t > rig.t0),\n"
         "    plausible={'leak_V': 0.02})\n"
@@ -540,7 +544,7 @@ def test_every_effect_can_be_simulated_and_changes_the_record():
 
 
 def test_plausible_strengths_follow_the_rig():
-    from bayes_sensor.gap.model import Scales
+    from bayes_sensor.diagnosis.effects.effect_model import Scales
 
     slow = Scales(time_scale=8.577, reference_flow=100.0, signal_scale=1.88, duration=1200.0)
     assert default_strengths("finite_stroke", slow)["stroke"] == pytest.approx(3.0)

@@ -11,17 +11,27 @@ from campaigns import small_design, small_problem
 from scipy.stats import binom
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.gap import which
-from bayes_sensor.gap.diagnosis import _best, ar1_whiteness, diagnose_gap
-from bayes_sensor.gap.effect import Effect, Strength, own_effect
-from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.events import _blocks
-from bayes_sensor.gap.floor import Stretch, clean
-from bayes_sensor.gap.full_rate import FullRate, _innovations, look_at_tails
-from bayes_sensor.gap.lines import _look_for_lines
-from bayes_sensor.gap.model import EffectModel, check_effects, find_form, with_effects
-from bayes_sensor.gap.simulation import read_strength
-from bayes_sensor.gap.verdict import (
+from bayes_sensor.diagnosis.data.noise_floor import Stretch, clean
+from bayes_sensor.diagnosis.diagnose import _best, ar1_whiteness, diagnose_gap
+from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects.effect import Effect, Strength, own_effect
+from bayes_sensor.diagnosis.effects.effect_model import (
+    EffectModel,
+    check_effects,
+    find_form,
+    with_effects,
+)
+from bayes_sensor.diagnosis.effects.simulate_effects import read_strength
+from bayes_sensor.diagnosis.evidence import hypotheses
+from bayes_sensor.diagnosis.evidence.hypotheses import Weighing
+from bayes_sensor.diagnosis.signals.events import _blocks
+from bayes_sensor.diagnosis.signals.spectral_lines import _look_for_lines
+from bayes_sensor.diagnosis.signals.tails_and_converter import (
+    FullRate,
+    _innovations,
+    look_at_tails,
+)
+from bayes_sensor.diagnosis.verdict import (
     AKIN,
     FAINT,
     MISTAKEN,
@@ -31,11 +41,10 @@ from bayes_sensor.gap.verdict import (
     _too_small,
     judge,
 )
-from bayes_sensor.gap.which import Weighing
-from bayes_sensor.gap.words import family_words, looks_most, second_words, undecided_words
+from bayes_sensor.diagnosis.wording import family_words, looks_most, second_words, undecided_words
 from bayes_sensor.lattice import lattice_step
-from bayes_sensor.likelihood import Problem
-from bayes_sensor.model import Cascade
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.cascade import Cascade
 from tests.gap_cases import measured
 from tests.sealed_runs import sealed_cases
 
@@ -378,17 +387,17 @@ def test_a_hypothesis_that_was_not_tried_is_no_answer() -> None:
 def test_forms_are_averaged_by_their_evidence(monkeypatch) -> None:
     forms = {"near": (2.0, -3.0, 0.1), "far": (0.5, -2.0, 0.3)}  # ln evidence, ln tau, its sd
     monkeypatch.setattr(
-        which, "Linearised",
+        hypotheses, "Linearised",
         lambda name: SimpleNamespace(evidences=lambda beside: len(beside) * [SimpleNamespace(
             **dict(zip(("log_z", "log_tau", "sd_log_tau"), forms[name])))]),
     )  # fmt: skip
-    monkeypatch.setattr(which, "_leaps", lambda *_: False)
+    monkeypatch.setattr(hypotheses, "_leaps", lambda *_: False)
 
     class Named(str):
         loosened = property(lambda self: self)
 
     weighted = [(Named("near"), 0.25), (Named("far"), 0.75)]
-    log_z, best, mean, sd, terms = which._average(weighted, None, base=None)
+    log_z, best, mean, sd, terms = hypotheses._average(weighted, None, base=None)
     shares = np.array([0.25 * np.exp(2.0), 0.75 * np.exp(0.5)])
     assert log_z == pytest.approx(np.log(shares.sum())) and best == "near"
     shares /= shares.sum()

@@ -13,9 +13,10 @@ import pytest
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import _guarded
-from bayes_sensor.gap import CATALOGUE, Strength, own_effect
-from bayes_sensor.gap.diagnosis import diagnose_gap
-from bayes_sensor.gap.model import (
+from bayes_sensor.diagnosis import CATALOGUE, Strength, own_effect
+from bayes_sensor.diagnosis.data.preparation import prepare
+from bayes_sensor.diagnosis.diagnose import diagnose_gap
+from bayes_sensor.diagnosis.effects.effect_model import (
     EffectModel,
     Scales,
     find_form,
@@ -23,10 +24,10 @@ from bayes_sensor.gap.model import (
     prior_of,
     with_effects,
 )
-from bayes_sensor.gap.plan import Part, Plan
-from bayes_sensor.gap.preparation import prepare
-from bayes_sensor.likelihood import Prior, Problem
-from bayes_sensor.readers import read_campaign
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Part, Plan
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem
 from tests.gap_cases import design, measured, theta
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -196,7 +197,7 @@ def test_a_withheld_effect_is_not_in_the_record(campaign: Path, tmp_path: Path) 
 
 OWN = """
 import numpy as np
-from bayes_sensor.gap import Strength, own_effect
+from bayes_sensor.diagnosis import Strength, own_effect
 
 def mean(t, strength, rig):
     return rig.mean(t, closing_ratio=1.0 + strength["lateness"])

@@ -8,22 +8,27 @@ from scipy.signal import lfilter
 
 from bayes_sensor.blind_check.simulator import Component, NoiseLaw, draw_case, make_campaign
 from bayes_sensor.campaign import Campaign
-from bayes_sensor.gap import diagnose_gap
-from bayes_sensor.gap.bins import PHASES
-from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.events import look_for_events
-from bayes_sensor.gap.floor import Quiet, Stretch, rounding_bias
-from bayes_sensor.gap.full_rate import FullRate, Place, look_at_tails, rounds_away
-from bayes_sensor.gap.lines import look_for_lines
-from bayes_sensor.gap.patches import (
+from bayes_sensor.diagnosis import diagnose_gap
+from bayes_sensor.diagnosis.data.bins import PHASES
+from bayes_sensor.diagnosis.data.noise_floor import Quiet, Stretch, rounding_bias
+from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.signals.events import look_for_events
+from bayes_sensor.diagnosis.signals.local_misfit import (
     _runs_of_bins,
     _short_patches,
     look_for_breaks,
     look_for_patches,
 )
-from bayes_sensor.gap.preparation import fit_base, prepare
-from bayes_sensor.gap.ringing import look_for_ringing
-from bayes_sensor.gap.verdict import (
+from bayes_sensor.diagnosis.signals.ringing import look_for_ringing
+from bayes_sensor.diagnosis.signals.spectral_lines import look_for_lines
+from bayes_sensor.diagnosis.signals.tails_and_converter import (
+    FullRate,
+    Place,
+    look_at_tails,
+    rounds_away,
+)
+from bayes_sensor.diagnosis.verdict import (
     ELSEWHERE,
     MISTAKEN_BY_SAMPLES,
     MOSTLY_ELSEWHERE,
@@ -31,7 +36,7 @@ from bayes_sensor.gap.verdict import (
     stands_beside,
 )
 from bayes_sensor.lattice import lattice_step
-from bayes_sensor.model import Layout
+from bayes_sensor.rig.layout import Layout
 from tests.gap_cases import design, diagnosed, measured, noise, theta
 
 INTERVAL = 0.01
@@ -346,7 +351,7 @@ def test_what_strikes_again_alike_counts_together(look):
 
 def test_scores_of_changes_have_unit_variance_where_nothing_changes():
     # the refit's own freedom is left out: over noises the squares average to one
-    from bayes_sensor.gap.patches import _changes
+    from bayes_sensor.diagnosis.signals.local_misfit import _changes
 
     squares = []
     for seed in range(6):
@@ -488,7 +493,7 @@ def test_an_effect_that_lives_by_an_event_does_not_stand_beside_it():
 def test_rounding_biases_bins_as_the_covariance_says():
     plan = design(1)
     values = theta(plan, sigma=0.012)
-    from bayes_sensor.likelihood import simulate
+    from bayes_sensor.likelihood.density import simulate
 
     step = 0.05  # four standard deviations: the noise hardly crosses it
     campaign = simulate(plan, values, seed=1)

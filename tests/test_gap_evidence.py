@@ -10,20 +10,25 @@ import pandas as pd
 import pytest
 from scipy.special import logsumexp
 
-from bayes_sensor.gap import CATALOGUE
-from bayes_sensor.gap.discrepancy import make_discrepancies, matern32
-from bayes_sensor.gap.effect import Form, Strength
-from bayes_sensor.gap.embedded import embedded_rivals
-from bayes_sensor.gap.evidence import AT_REST, STRONG, WIDTHS, Linearised
-from bayes_sensor.gap.floor import DOF
-from bayes_sensor.gap.plan import FASTER, Part, Plan
-from bayes_sensor.gap.preparation import coordinates, fit_base, flat_theta, prepare
-from bayes_sensor.gap.refit import Refit, refit
-from bayes_sensor.gap.rig import FIRST, INDEX
-from bayes_sensor.gap.verdict import Standing, judge
-from bayes_sensor.gap.where import Leverage
-from bayes_sensor.gap.which import _most_promising, family_priors, joined_start, with_start
-from bayes_sensor.model import Layout
+from bayes_sensor.diagnosis import CATALOGUE
+from bayes_sensor.diagnosis.data.noise_floor import DOF
+from bayes_sensor.diagnosis.data.preparation import coordinates, fit_base, flat_theta, prepare
+from bayes_sensor.diagnosis.effects.effect import Form, Strength
+from bayes_sensor.diagnosis.evidence.discrepancy import make_discrepancies, matern32
+from bayes_sensor.diagnosis.evidence.hypotheses import (
+    _most_promising,
+    family_priors,
+    joined_start,
+    with_start,
+)
+from bayes_sensor.diagnosis.evidence.laplace_evidence import AT_REST, STRONG, WIDTHS, Linearised
+from bayes_sensor.diagnosis.evidence.refit import Refit, refit
+from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Part, Plan
+from bayes_sensor.diagnosis.evidence.varying_parameter import embedded_rivals
+from bayes_sensor.diagnosis.location import Leverage
+from bayes_sensor.diagnosis.verdict import Standing, judge
+from bayes_sensor.rig.layout import Layout
+from bayes_sensor.rig.perturbed import FIRST, INDEX
 from tests.gap_cases import measured, theta
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"

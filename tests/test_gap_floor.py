@@ -10,10 +10,10 @@ from scipy.signal import lfilter
 
 from bayes_sensor.blind_check.simulator import Component, NoiseLaw, draw_case, make_campaign
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.gap import diagnose_gap, floor
-from bayes_sensor.gap.bins import PHASES, make_bins
-from bayes_sensor.gap.floor import (
+from bayes_sensor.diagnosis import diagnose_gap
+from bayes_sensor.diagnosis.data import noise_floor
+from bayes_sensor.diagnosis.data.bins import PHASES, make_bins
+from bayes_sensor.diagnosis.data.noise_floor import (
     ROOT,
     _bin_cholesky,
     _check_memory,
@@ -23,10 +23,12 @@ from bayes_sensor.gap.floor import (
     loudness,
     quiet_stretches,
 )
-from bayes_sensor.gap.patches import look_for_breaks
-from bayes_sensor.gap.preparation import fit_base, full_rate_residuals, prepare
-from bayes_sensor.likelihood import simulate
-from bayes_sensor.model import Layout, cascade_response
+from bayes_sensor.diagnosis.data.preparation import fit_base, full_rate_residuals, prepare
+from bayes_sensor.diagnosis.signals.local_misfit import look_for_breaks
+from bayes_sensor.fit import fit_least_squares
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.rig.cascade import cascade_response
+from bayes_sensor.rig.layout import Layout
 from tests.gap_cases import design, theta
 
 TAUS = np.array([0.8577, 0.7, 0.06])
@@ -181,7 +183,7 @@ def test_a_drill_next_door_breaks_nothing_and_is_told(monkeypatch):
 
     counted, ratio = found()
     assert counted < 1.0 and ratio < 1.2
-    monkeypatch.setattr(floor, "loudness", lambda _e, _r, _b, level: np.ones(len(level)))
+    monkeypatch.setattr(noise_floor, "loudness", lambda _e, _r, _b, level: np.ones(len(level)))
     as_usual, ratio = found()
     assert as_usual > 20.0 and ratio > 1.3
 
@@ -253,12 +255,12 @@ def test_the_floor_of_a_record_that_is_never_quiet_on_its_plateau():
     ratios = []
     for seed in range(8):
         campaign, flat = short_record(seed)
-        floor = prepare(campaign, flat).sketch.floor
-        f = np.sqrt(floor.edges[:-1] * floor.edges[1:])
+        noise_floor = prepare(campaign, flat).sketch.floor
+        f = np.sqrt(noise_floor.edges[:-1] * noise_floor.edges[1:])
         # one-sided density of an AR(1)
         shape = 2.0 * 0.02 * (1 - 0.85**2) / (1 + 0.85**2 - 1.7 * np.cos(2 * np.pi * f * 0.02))
         known = np.outer([0.045**2, 0.045**2 + 0.072**2], shape)
-        ratios.append(np.log(floor.density[0] / known))
+        ratios.append(np.log(noise_floor.density[0] / known))
     typical = np.exp(np.median(ratios, axis=0))
     # taking out the trend takes some of the slowest noise with it
     assert np.all(typical > 0.35) and np.all(typical < 1.6)
@@ -362,7 +364,7 @@ def test_records_of_other_memories_whiten_to_one_each(monkeypatch):
 
     assert spreads() == pytest.approx(np.full(4, 0.93), abs=0.25)  # less what the fit takes
     # one spectrum for all would make the slower ones look like a misfit
-    monkeypatch.setattr(floor, "_own_memory", lambda campaign, *rest: np.ones(rest[-1].shape))
+    monkeypatch.setattr(noise_floor, "_own_memory", lambda campaign, *rest: np.ones(rest[-1].shape))
     alike = spreads()
     assert min(alike[1], alike[3]) > 1.7 * max(alike[0], alike[2])
 
@@ -378,7 +380,7 @@ def test_a_memory_is_told_by_what_is_quick():
         stretches = quiet_stretches(campaign, residuals, bins, [4.0] * len(campaign))
         noises = [detrended(s.samples) for s in stretches]
         ordinates = np.ones((len(campaign), 2, 2)) * np.array(counts)[:, None, None]
-        return floor._own_memory(campaign, stretches, noises, f, ordinates)[:, 0]
+        return noise_floor._own_memory(campaign, stretches, noises, f, ordinates)[:, 0]
 
     own = of(MEMORIES)
     # at low frequencies the densities go as the memories, at high ones against them

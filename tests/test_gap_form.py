@@ -8,12 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.form import OFF_FOR_A_WHILE, OTHER_FORM, another_form, of_its_form
-from bayes_sensor.gap.full_rate import FOUND, FullRate
-from bayes_sensor.gap.how_far import VISIBLE
-from bayes_sensor.gap.verdict import GATE, OTHER_CAUSE, judge, standing, stands_beside
-from bayes_sensor.gap.words import form_words
+from bayes_sensor.diagnosis.closure import VISIBLE
+from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.evidence.form_mismatch import (
+    OFF_FOR_A_WHILE,
+    OTHER_FORM,
+    another_form,
+    of_its_form,
+)
+from bayes_sensor.diagnosis.signals.tails_and_converter import FOUND, FullRate
+from bayes_sensor.diagnosis.verdict import GATE, OTHER_CAUSE, judge, standing, stands_beside
+from bayes_sensor.diagnosis.wording import form_words
 
 WHOLE = 10_000.0
 """of the misfit that there is to explain: d = 100"""
@@ -67,7 +72,7 @@ def weighed(*hypotheses: Any) -> Any:
 @pytest.fixture(autouse=True)
 def taking(monkeypatch: pytest.MonkeyPatch) -> None:
     """Discrepancies of this file take what they say."""
-    import bayes_sensor.gap.form as form
+    import bayes_sensor.diagnosis.evidence.form_mismatch as form
 
     def linearised(fitted: Any) -> Any:
         return SimpleNamespace(

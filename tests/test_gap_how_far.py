@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
-from bayes_sensor.gap import CATALOGUE
-from bayes_sensor.gap.discrepancy import Discrepancy, make_discrepancies
-from bayes_sensor.gap.how_far import (
+from bayes_sensor.diagnosis import CATALOGUE
+from bayes_sensor.diagnosis.closure import (
     DRAWS,
     INEXACT,
     INEXACT_DOF,
@@ -18,11 +17,12 @@ from bayes_sensor.gap.how_far import (
     taken_away,
     what_is_left,
 )
-from bayes_sensor.gap.plan import Part, Plan
-from bayes_sensor.gap.preparation import fit_base, prepare
-from bayes_sensor.gap.refit import Refit, refit
-from bayes_sensor.gap.which import _shares, finished
-from bayes_sensor.model import Layout
+from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy, make_discrepancies
+from bayes_sensor.diagnosis.evidence.hypotheses import _shares, finished
+from bayes_sensor.diagnosis.evidence.refit import Refit, refit
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Part, Plan
+from bayes_sensor.rig.layout import Layout
 from tests.gap_cases import measured, theta
 
 STEP = 0.05

@@ -4,13 +4,13 @@ import emcee
 import numpy as np
 import pytest
 
-from bayes_sensor.gap import CATALOGUE
-from bayes_sensor.gap.jumps import jumps, swept
-from bayes_sensor.gap.plan import FASTER, Part, Plan
-from bayes_sensor.gap.preparation import fit_base, prepare
-from bayes_sensor.gap.refit import refit, with_tau
-from bayes_sensor.gap.which import fit_effect, weigh
-from bayes_sensor.model import Layout
+from bayes_sensor.diagnosis import CATALOGUE
+from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect, weigh
+from bayes_sensor.diagnosis.evidence.refit import refit, with_tau
+from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Part, Plan
+from bayes_sensor.diagnosis.evidence.tau_profile import jumps, swept
+from bayes_sensor.rig.layout import Layout
 from tests.gap_cases import measured, theta
 
 EFFECT = CATALOGUE["baseline_step"]

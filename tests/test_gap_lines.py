@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, windows
 
-import bayes_sensor.gap.lines as lines
-from bayes_sensor.gap import diagnose_gap
-from bayes_sensor.gap.full_rate import FullRate
-from bayes_sensor.gap.lines import (
+import bayes_sensor.diagnosis.signals.spectral_lines as lines
+from bayes_sensor.diagnosis import diagnose_gap
+from bayes_sensor.diagnosis.signals.spectral_lines import (
     Piece,
     _bursts,
     _look_for_lines,
@@ -19,6 +18,7 @@ from bayes_sensor.gap.lines import (
     mains_closure,
     own_shapes,
 )
+from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate
 from tests.gap_cases import design, measured
 
 

@@ -12,22 +12,22 @@ import bayes_sensor as bs
 from bayes_sensor import figures
 from bayes_sensor.blind_check.check import trimmed
 from bayes_sensor.campaign import Campaign, FloatArray, SideInformation
+from bayes_sensor.diagnosis import CATALOGUE, Gap, Strength, diagnose_gap, own_effect
+from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.effects.effect_model import with_effects
+from bayes_sensor.diagnosis.effects.simulate_effects import simulate_with_effects
+from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Plan
+from bayes_sensor.diagnosis.evidence.varying_parameter import embedded_rivals
+from bayes_sensor.diagnosis.verdict import judge
+from bayes_sensor.diagnosis.wording import _effect_words, second_words, whose
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.gap import CATALOGUE, Gap, Strength, diagnose_gap, own_effect
-from bayes_sensor.gap.embedded import embedded_rivals
-from bayes_sensor.gap.evidence import Linearised
-from bayes_sensor.gap.model import with_effects
-from bayes_sensor.gap.plan import Plan
-from bayes_sensor.gap.preparation import fit_base, prepare
-from bayes_sensor.gap.rig import TAU, TAU_M, TAU_V
-from bayes_sensor.gap.simulation import simulate_with_effects
-from bayes_sensor.gap.sketch import Sketch
-from bayes_sensor.gap.verdict import judge
-from bayes_sensor.gap.words import _effect_words, second_words, whose
-from bayes_sensor.lags import Assignment, Naming, assignments, by_size
-from bayes_sensor.model import Layout
-from bayes_sensor.report.sections.gap import _envelope, _shrink
+from bayes_sensor.report.sections.gap_section import _envelope, _shrink
 from bayes_sensor.report.sections.gap_tables import budget_table, hidden_table, which_table
+from bayes_sensor.rig.lags import Assignment, Naming, assignments, by_size
+from bayes_sensor.rig.layout import Layout
+from bayes_sensor.rig.perturbed import TAU, TAU_M, TAU_V
 from tests.gap_cases import design, theta
 
 SENSOR, VALVE = 2.0, 0.15

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-import bayes_sensor.gap.passing as passing_lines
-from bayes_sensor.gap.lines import _look_for_lines, pieces_of_records
-from bayes_sensor.gap.passing import look_for_passing_lines
+import bayes_sensor.diagnosis.signals.transient_lines as passing_lines
+from bayes_sensor.diagnosis.signals.spectral_lines import _look_for_lines, pieces_of_records
+from bayes_sensor.diagnosis.signals.transient_lines import look_for_passing_lines
 from tests.gap_cases import design
 
 
@@ -96,7 +96,9 @@ def test_what_all_records_have_and_gusts_are_no_passing_line():
 def test_a_share_of_many_windows_tells_what_is_usual(monkeypatch):
     campaign, found, deviations = passing(np.random.default_rng(13), call)
     whole = look_for_passing_lines(campaign, found, deviations)[0]
-    monkeypatch.setattr("bayes_sensor.gap.passing.MOST", 60)  # every third window tells
+    monkeypatch.setattr(
+        "bayes_sensor.diagnosis.signals.transient_lines.MOST", 60
+    )  # every third window tells
     some = look_for_passing_lines(campaign, found, deviations)[0]
     assert some.log_bayes_factor == pytest.approx(whole.log_bayes_factor, rel=0.2)
     assert some.strength["passing_Hz"] == whole.strength["passing_Hz"]

@@ -5,14 +5,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.gap import CATALOGUE
-from bayes_sensor.gap.effect import check_settings
-from bayes_sensor.gap.exponential import HIGHEST, LOWEST, exponentials
-from bayes_sensor.gap.model import with_effects
-from bayes_sensor.gap.plan import coating_modes
-from bayes_sensor.gap.rig import FIRST, INDEX, rig_mean, settings_vector
-from bayes_sensor.likelihood import Problem
-from bayes_sensor.model import cascade_response
+from bayes_sensor.diagnosis import CATALOGUE
+from bayes_sensor.diagnosis.effects.effect import check_settings
+from bayes_sensor.diagnosis.effects.effect_model import with_effects
+from bayes_sensor.diagnosis.evidence.refit_coordinates import coating_modes
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.cascade import cascade_response
+from bayes_sensor.rig.exponential import HIGHEST, LOWEST, exponentials
+from bayes_sensor.rig.perturbed import FIRST, INDEX, rig_mean, settings_vector
 from tests.campaigns import paper_design, paper_theta
 
 T = np.linspace(0.0, 60.0, 1201)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from bayes_sensor.gap.squares import carry_on, normal_equations, whiten
+from bayes_sensor.diagnosis.evidence.block_least_squares import carry_on, normal_equations, whiten
 
 BINS, N = (5, 3, 4), 9
 OF_BINS = np.cumsum([0, *BINS])

@@ -7,9 +7,10 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import expon, norm
 
-from bayes_sensor.gap import diagnose_gap, unsteady
-from bayes_sensor.gap.floor import Stretch
-from bayes_sensor.gap.unsteady import look_for_unsteadiness
+from bayes_sensor.diagnosis import diagnose_gap
+from bayes_sensor.diagnosis.data.noise_floor import Stretch
+from bayes_sensor.diagnosis.signals import plateau_noise
+from bayes_sensor.diagnosis.signals.plateau_noise import look_for_unsteadiness
 from tests.gap_cases import design, measured, noise
 
 NOISES = ("white", "ar1", "slow", "walk", "paced")
@@ -98,12 +99,12 @@ def test_strength_tells_the_excess_and_how_fast_it_is():
     assert found.strength["unsteady_excess"] == pytest.approx(4 * 0.5 * 0.25 / 0.02, rel=0.7)
 
 
-@pytest.mark.parametrize(("sd", "slow", "_"), unsteady.RECORDS)
+@pytest.mark.parametrize(("sd", "slow", "_"), plateau_noise.RECORDS)
 def test_gains_are_those_of_exponential_ordinates(sd, slow, _):
     rng = np.random.default_rng(7)
     f = np.arange(1, 40) * 0.2
     power, expected = rng.exponential(2.0, len(f)), np.linspace(1.6, 1.1, len(f))
-    nothing, gains = unsteady._record(unsteady._Ordinates(f, power), expected, sd, slow)
+    nothing, gains = plateau_noise._record(plateau_noise._Ordinates(f, power), expected, sd, slow)
     nodes = np.linspace(-6.0, 6.0, 1201)
     weights = norm.pdf(nodes) / norm.pdf(nodes).sum()
 
@@ -112,14 +113,14 @@ def test_gains_are_those_of_exponential_ordinates(sd, slow, _):
         lift = sd / (1.0 + (f / slow) ** 2)
         each = [
             np.prod(expon.pdf(power, scale=expected * np.exp(z * lift) * more)
-                    ** unsteady.INDEPENDENT)
+                    ** plateau_noise.INDEPENDENT)
             for z in nodes
         ]  # fmt: skip
         return float(weights @ each)
 
     assert nothing == pytest.approx(np.log(likelihood(1.0)), abs=0.1)
-    for i, excess in enumerate(unsteady.EXCESSES):
-        for j, cutoff in enumerate(unsteady.CUTOFFS):
+    for i, excess in enumerate(plateau_noise.EXCESSES):
+        for j, cutoff in enumerate(plateau_noise.CUTOFFS):
             direct = likelihood(1.0 + excess / (1.0 + (f / cutoff) ** 2))
             assert nothing + gains[i, j] == pytest.approx(np.log(direct), abs=0.1)
 

@@ -12,28 +12,28 @@ from scipy.signal import lfilter
 from scipy.stats import kstest
 from scipy.stats import t as student
 
-from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.gap import Gap, diagnose_gap
-from bayes_sensor.gap.bins import PHASES
-from bayes_sensor.gap.courses import courses
-from bayes_sensor.gap.discrepancy import make_discrepancies
-from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.evidence import Linearised
-from bayes_sensor.gap.explained import explained
-from bayes_sensor.gap.floor import DOF
-from bayes_sensor.gap.preparation import fit_base, prepare
-from bayes_sensor.gap.refit import refit
-from bayes_sensor.gap.simulation import simulate_with_effects
-from bayes_sensor.gap.where import (
+from bayes_sensor.diagnosis import Gap, diagnose_gap
+from bayes_sensor.diagnosis.data.bins import PHASES
+from bayes_sensor.diagnosis.data.noise_floor import DOF
+from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects.simulate_effects import simulate_with_effects
+from bayes_sensor.diagnosis.evidence.discrepancy import make_discrepancies
+from bayes_sensor.diagnosis.evidence.explained_excess import explained
+from bayes_sensor.diagnosis.evidence.hypotheses import MOST_TERMS
+from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
+from bayes_sensor.diagnosis.evidence.refit import refit
+from bayes_sensor.diagnosis.location import (
     Leverage,
     _parts,
     locate,
     predict_left_out,
     shared_by_findings,
 )
-from bayes_sensor.gap.which import MOST_TERMS
-from bayes_sensor.gap.words import sentence
-from bayes_sensor.model import Layout
+from bayes_sensor.diagnosis.signals.effect_signatures import courses
+from bayes_sensor.diagnosis.wording import sentence
+from bayes_sensor.fit import fit_least_squares
+from bayes_sensor.rig.layout import Layout
 
 WEAK = {
     "dead_volume": 0.03, "flow_switching": 0.15, "gain_drift": 0.00025, "baseline_step": 0.0025,

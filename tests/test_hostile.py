@@ -44,7 +44,7 @@ from bad_inputs import (
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bayes_sensor.readers import read_campaign
+from bayes_sensor.io.readers import read_campaign
 
 PIECES = 8
 FUZZ = settings(max_examples=60, suppress_health_check=list(HealthCheck))
@@ -158,7 +158,7 @@ def test_a_file_that_vanishes_while_it_is_read(
 def test_a_file_that_grows_while_it_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from bayes_sensor import readers
+    from bayes_sensor.io import readers
 
     path = write(
         BadInput("csv", "growing", GOOD_TOML.encode(), {"a.csv": GOOD_CSV}), tmp_path / "c"

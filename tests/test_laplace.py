@@ -8,18 +8,19 @@ from campaigns import small_problem
 from scipy import integrate
 from scipy.stats import kstest, multivariate_normal
 
-from bayes_sensor.compression import compress
-from bayes_sensor.laplace import (
-    Coordinates,
+from bayes_sensor.likelihood.coordinates import Coordinates, names_of_psi
+from bayes_sensor.likelihood.density import log_likelihood
+from bayes_sensor.likelihood.mesh import compress
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.prior_density import log_prior
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.posterior.laplace import (
     Laplace,
     approximate,
     draw_root,
     log_posteriors,
-    names_of_psi,
     prior_gradient,
 )
-from bayes_sensor.likelihood import Prior, log_likelihood, log_prior
-from bayes_sensor.noise import Noise
 
 NOISES = [
     Noise(), Noise("constant"), Noise("signal", "white"), Noise(per_experiment=True),

@@ -10,23 +10,22 @@ from scipy import integrate
 from scipy.stats import multivariate_normal
 
 from bayes_sensor.campaign import CampaignError, Experiment, SideInformation
-from bayes_sensor.compression import compress
-from bayes_sensor.compression import log_likelihood as compressed_likelihood
-from bayes_sensor.likelihood import (
-    Prior,
-    Problem,
-    default_priors,
+from bayes_sensor.likelihood.default_priors import default_priors
+from bayes_sensor.likelihood.density import (
     experiment_log_likelihood,
     log_likelihood,
-    log_prior,
-    log_prior_derivatives,
-    log_priors,
     mean_and_variance,
-    published_rise_time,
     simulate,
 )
-from bayes_sensor.model import Cascade, Layout
-from bayes_sensor.noise import Noise
+from bayes_sensor.likelihood.mesh import compress
+from bayes_sensor.likelihood.mesh import log_likelihood as compressed_likelihood
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.prior_density import log_prior, log_prior_derivatives, log_priors
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.likelihood.rise_time import published_rise_time
+from bayes_sensor.rig.cascade import Cascade
+from bayes_sensor.rig.layout import Layout
 
 GAPS = [(1.3, 1.37), (2.1, 2.13), (2.15, 2.16), (5.0, 5.6)]
 

@@ -13,7 +13,9 @@ from campaigns import small_design, small_theta
 
 from bayes_sensor.campaign import Campaign, Experiment, FloatArray
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.fit.looks import first_look
+from bayes_sensor.fit.first_estimates import first_look
+from bayes_sensor.fit.fit import Fit
+from bayes_sensor.fit.fitted_noise import all_residuals
 from bayes_sensor.fit.misfit import (
     TOLERATED,
     is_still,
@@ -25,10 +27,9 @@ from bayes_sensor.fit.misfit import (
     warning,
     without_spikes,
 )
-from bayes_sensor.fit.noise import all_residuals
-from bayes_sensor.fit.record import Fit
-from bayes_sensor.likelihood import Problem, grid_response, simulate
-from bayes_sensor.noise import simulate_noise
+from bayes_sensor.likelihood.density import grid_response, simulate
+from bayes_sensor.likelihood.noise import simulate_noise
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.report.headline import alerts
 
 TABLE = Path(__file__).resolve().parent.parent / "paper" / "tables" / "misfit.csv"

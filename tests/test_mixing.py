@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_sensor.mixing import diagnostics, pareto_k
+from bayes_sensor.posterior.r_hat import diagnostics, pareto_k
 
 
 def test_independent_draws_and_stuck_chains() -> None:

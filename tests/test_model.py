@@ -9,16 +9,16 @@ from campaigns import paper_design, paper_theta, small_design, small_theta
 from scipy.linalg import expm
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.likelihood import grid_response
-from bayes_sensor.model import (
+from bayes_sensor.likelihood.density import grid_response
+from bayes_sensor.rig.cascade import (
     Cascade,
-    Layout,
     cascade_response,
     cascade_sensitivities,
     euler_response,
     predict,
     time_constants,
 )
+from bayes_sensor.rig.layout import Layout
 
 PAPER = (0.8577, 0.05823 / 0.075, 0.0481)  # experiment 1: V/Q at 4.5 L/min
 TIMES = np.concatenate([[-1.0, 0.0], np.geomspace(1e-6, 60.0, 60)])

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.check import campaign_remarks
-from bayes_sensor.cli import _guarded, steps
-from bayes_sensor.notebook import shown
-from bayes_sensor.readers import read_campaign
+from bayes_sensor.cli import _guarded, analysis_steps
+from bayes_sensor.display import shown
+from bayes_sensor.io.check import campaign_remarks
+from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.report import read_results
 from bayes_sensor.report.headline import alerts
 
@@ -343,7 +343,7 @@ def test_without_takes_a_list(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 def test_a_log_gets_no_progress(capfd: pytest.CaptureFixture[str]) -> None:
     for quiet in (True, False):
-        with steps.progress_bar("posterior", quiet) as tell, steps.muted():
+        with analysis_steps.progress_bar("posterior", quiet) as tell, analysis_steps.muted():
             for i in range(100):
                 tell(i / 100, f"step {i}")
         assert capfd.readouterr().err == ""

@@ -5,7 +5,7 @@ import pytest
 from campaigns import small_design
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.noise import (
+from bayes_sensor.likelihood.noise import (
     Noise,
     check_phi,
     lag_coefficient,

@@ -14,7 +14,7 @@ from nbclient import NotebookClient
 
 import bayes_sensor as bs
 from bayes_sensor.bounds import Bounds
-from bayes_sensor.notebook import card, in_kernel, progress_bar, shown
+from bayes_sensor.display import card, in_kernel, progress_bar, shown
 
 HOSTILE = '<script>alert("1")</script>'
 
@@ -114,7 +114,7 @@ def test_there_is_no_bar_outside_a_notebook(capsys: pytest.CaptureFixture[str]) 
 
 SOURCE = f"""
 import time
-import bayes_sensor.notebook as notebook
+import bayes_sensor.display as notebook
 notebook.PATIENCE = notebook.PAUSE = 0.05
 quick, slow = notebook.progress_bar("quick"), notebook.progress_bar("slow")
 quick(1.0, "over before it shows")

@@ -16,17 +16,13 @@ from scipy import stats
 from bayes_sensor.campaign import Campaign, Experiment, SideInformation
 from bayes_sensor.fit import Fit, fit_least_squares
 from bayes_sensor.fit.side_information import Estimates, weigh_names
-from bayes_sensor.lags import Assignment, assignments, by_size, named
-from bayes_sensor.likelihood import (
-    Problem,
-    log_likelihood,
-    log_prior,
-    log_prior_derivatives,
-    simulate,
-)
+from bayes_sensor.likelihood.density import log_likelihood, simulate
+from bayes_sensor.likelihood.prior_density import log_prior, log_prior_derivatives
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Posterior, Settings, sample_posterior
-from bayes_sensor.posterior.summaries import weighted_quantiles
+from bayes_sensor.posterior.quantiles import weighted_quantiles
 from bayes_sensor.report.headline import headline, stated_set
+from bayes_sensor.rig.lags import Assignment, assignments, by_size, named
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 TAU, TAU_V, VOLUME = 0.6, 0.2, 14.0

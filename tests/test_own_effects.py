@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.gap import Strength, diagnose_gap, own_effect
-from bayes_sensor.gap.effect import Effect
+from bayes_sensor.diagnosis import Strength, diagnose_gap, own_effect
+from bayes_sensor.diagnosis.effects.effect import Effect
 from tests.gap_cases import measured
 
 HEIGHT = Strength("bump_V", "V", "normal", 0.0, 0.03)

@@ -9,7 +9,7 @@ import pytest
 
 from bayes_sensor.cli import main
 from bayes_sensor.design import check_design, design_experiments
-from bayes_sensor.readers import read_campaign
+from bayes_sensor.io.readers import read_campaign
 
 
 def run(*arguments: str | Path) -> int:

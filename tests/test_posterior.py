@@ -8,24 +8,26 @@ import numpy as np
 import pytest
 from campaigns import small_design, small_problem, small_theta
 
-import bayes_sensor.posterior.independence as independence
+import bayes_sensor.posterior.samplers.independence as independence
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import CampaignError, SideInformation
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.laplace import approximate, log_posteriors
-from bayes_sensor.likelihood import Prior, Problem, log_likelihood, simulate
-from bayes_sensor.model import (
+from bayes_sensor.likelihood.density import log_likelihood, simulate
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.posterior import Posterior, Settings, load_chains, sample_posterior
+from bayes_sensor.posterior.laplace import approximate, log_posteriors
+from bayes_sensor.posterior.quantiles import reaches_end
+from bayes_sensor.posterior.sample import _start
+from bayes_sensor.posterior.samplers.hmc import Whitened
+from bayes_sensor.rig.cascade import (
     Cascade,
     cascade_response,
     exchanged,
     local_parameters,
     time_constants,
 )
-from bayes_sensor.noise import Noise
-from bayes_sensor.posterior import Posterior, Settings, load_chains, sample_posterior
-from bayes_sensor.posterior.hmc import Whitened
-from bayes_sensor.posterior.sampling import _start
-from bayes_sensor.posterior.summaries import reaches_end
 
 SAMPLERS = ("emcee", "independence", "hmc")
 QUICK = Settings(max_steps=2000, target_ess=500.0, n_draws=600)

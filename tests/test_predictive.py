@@ -10,11 +10,12 @@ import pytest
 
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import Campaign, Experiment
+from bayes_sensor.checks.predictive import PredictiveCheck, check_predictive, checked
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.likelihood import Problem, simulate
-from bayes_sensor.noise import Noise
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Posterior, Settings, sample_posterior
-from bayes_sensor.predictive import PredictiveCheck, check_predictive, checked
 from bayes_sensor.residuals import TAKE_AS_THEY_ARE
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from bayes_sensor.campaign import Campaign, CampaignError, SideInformation
-from bayes_sensor.readers import read_campaign
-from bayes_sensor.readers import saturation as sat
-from bayes_sensor.readers.drive import commanded_times
-from bayes_sensor.readers.quantities import FLOW, TIME, read_quantity
-from bayes_sensor.readers.recording import split_name
-from bayes_sensor.readers.sampling import simplest_near, uniform_grid
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.io.readers import saturation as sat
+from bayes_sensor.io.readers.drive import commanded_times
+from bayes_sensor.io.readers.quantities import FLOW, TIME, read_quantity
+from bayes_sensor.io.readers.recording import split_name
+from bayes_sensor.io.readers.sampling import simplest_near, uniform_grid
 
 REAL = Path(__file__).resolve().parent.parent / ".." / "shared" / "real"
 N = 1000
@@ -1096,7 +1096,7 @@ def test_real_campaigns(name: str, n: int, samples: int, falls: bool) -> None:
 
 
 def test_the_factors_kept_at_hand_are_those_of_pint(monkeypatch: pytest.MonkeyPatch) -> None:
-    from bayes_sensor.readers import quantities
+    from bayes_sensor.io.readers import quantities
 
     known = dict(quantities._COMMON)
     assert ("L/min", "mL/s") in known

@@ -7,26 +7,23 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from bayes_sensor.model import cascade_response
-from bayes_sensor.readout import (
+from bayes_sensor.coating.noise_budget import Receiver, noise_budget, noise_scales
+from bayes_sensor.coating.readout import (
     TABLE_II_BASELINE,
     TABLE_II_CONCENTRATION,
     TABLE_II_RISE,
     Cladding,
     Readout,
-    Receiver,
     Ring,
     curvature,
     curvature_prior,
     excitation_wavelength,
     linear_range,
     matched_readout,
-    noise_budget,
-    noise_scales,
     nonlinearity,
-    response_time_table,
-    response_times,
 )
+from bayes_sensor.rig.cascade import cascade_response
+from bayes_sensor.rig.response_times import response_time_table, response_times
 
 LORENTZIAN, ALL_PASS = Ring(), Ring(shape="all-pass")
 RINGS = [LORENTZIAN, ALL_PASS]

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -17,9 +18,11 @@ from matplotlib.image import imread
 
 from bayes_sensor import figures, report
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.check import campaign_rows
-from bayes_sensor.cli import _guarded, steps
-from bayes_sensor.cli.simulation import published_design
+from bayes_sensor.cli import _guarded, analysis_steps
+from bayes_sensor.cli.simulate_campaigns import published_design
+from bayes_sensor.fit.samples import load_samples
+from bayes_sensor.io.check import campaign_rows
+from bayes_sensor.io.json_files import plain
 from bayes_sensor.report import (
     FORMATS,
     Table,
@@ -30,8 +33,8 @@ from bayes_sensor.report import (
     markdown,
     number,
     p_words,
+    pdf,
     read_results,
-    typeset,
     with_spread,
 )
 from bayes_sensor.report.drawing import inline_svg
@@ -49,14 +52,13 @@ from bayes_sensor.report.parts import (
 )
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections import make_sections
-from bayes_sensor.report.sections.coating import coating
-from bayes_sensor.report.sections.fit import fitted
+from bayes_sensor.report.sections.coating_section import coating
+from bayes_sensor.report.sections.fit_section import fitted
 from bayes_sensor.report.sections.gap_tables import strength_words
-from bayes_sensor.report.sections.noise import noise
-from bayes_sensor.report.sections.tau import time_constant
+from bayes_sensor.report.sections.noise_section import noise
+from bayes_sensor.report.sections.tau_section import time_constant
+from bayes_sensor.report.words import typeset
 from bayes_sensor.residuals import TAKE_AS_THEY_ARE
-from bayes_sensor.results import plain
-from bayes_sensor.samples import load_samples
 
 HOSTILE = "<script>document.title='taken'</script> $x^2$ \"&'"
 ORDER = [
@@ -98,7 +100,7 @@ def analysed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     options = ["--sampler", "independence", "--config", folder / "over.toml", "--quiet"]
     with pytest.MonkeyPatch.context() as patch:  # the diagnosis takes long and has its own tests
-        for table in (steps.STEPS, steps.SAVES):
+        for table in (analysis_steps.STEPS, analysis_steps.SAVES):
             patch.setitem(table, "analyze", tuple(s for s in table["analyze"] if s != "gap"))
         code = run("analyze", data / "campaign.toml", "--out", folder / "out", *options)
     assert code in (0, 3)
@@ -395,7 +397,7 @@ def test_names_that_mean_something_elsewhere_are_only_names_here(
 @pytest.fixture
 def short_analyze(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str | Path]:
     """The arguments of an ``analyze`` that fits and reports, into ``tmp_path / "out"``."""
-    for table in (steps.STEPS, steps.SAVES):
+    for table in (analysis_steps.STEPS, analysis_steps.SAVES):
         monkeypatch.setitem(table, "analyze", ("fit", "residuals", "report"))
     options = ["--experiments", "1,4", "--duration", "15 s", "--interval", "20 ms", "--quiet"]
     assert run("simulate", "--out", tmp_path / "data", *options) == 0
@@ -820,7 +822,7 @@ def test_text_in_markdown_is_no_markup() -> None:
 
 
 def test_the_report_as_pdf(parts: tuple[Saved, list[Section]]) -> None:
-    content = typeset.document(*parts)
+    content = pdf.document(*parts)
     assert content.startswith(b"%PDF") and content.rstrip().endswith(b"%%EOF")
     n_pages = max(int(n) for n in re.findall(rb"/Count (\d+)", content))
     assert 6 <= n_pages <= 40
@@ -839,7 +841,7 @@ def test_no_page_on_paper_is_left_half_empty(
 
     compiled = typst.compile
     monkeypatch.setattr(typst, "compile", as_pictures)
-    typeset.document(*parts)
+    pdf.document(*parts)
     assert len(pages) > 5
     for page_number, page in enumerate(pages[:-1], 1):
         inked = imread(io.BytesIO(page))[..., :3].min(axis=-1) < 0.8
@@ -1045,3 +1047,23 @@ def test_what_the_noise_law_fails_in_stands_at_the_top_once_with_what_to_compare
     failed = {**saved.predictive, "failed": ["pit_uniform"], "status": "Not alike: forecasts."}
     told = alerts(replace(saved, residuals=fine, predictive=failed))
     assert any(k == "bad" and t.startswith("Not alike") and TAKE_AS_THEY_ARE in t for k, t in told)
+
+
+def test_what_decides_whether_the_headline_stands_comes_before_it_in_every_form(
+    parts: tuple[Saved, list[Section]],
+) -> None:
+    saved, sections = parts
+    caveat = "the noise is not what it seems"
+    saved = replace(saved, fit={**(saved.fit or {}), "caveats": [caveat]})
+    head = headline(saved.posterior, saved.bounds, saved.settings)
+    assert head is not None
+    said = escaped(typeset(head.text))
+    page, plain_page = html.page(saved, sections), markdown.document(saved, sections)
+    told = "The noise is not what it seems"
+    assert page.count(told) == plain_page.count(told) == 1
+    assert page.index(told) < page.index('class="big"')
+    assert plain_page.index(told) < plain_page.index(said)
+    template = (files("bayes_sensor") / "templates" / "report.typ").read_text(encoding="utf-8")
+    assert template.index('data.alerts.filter(alert => alert.kind == "bad")') < template.index(
+        "[#data.tau]"
+    )

@@ -12,9 +12,9 @@ from statsmodels.tsa.stattools import acf
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import Campaign, Experiment
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.likelihood import Problem, simulate
-from bayes_sensor.model import Layout
-from bayes_sensor.noise import Noise, simulate_noise
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.likelihood.noise import Noise, simulate_noise
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import sample_posterior
 from bayes_sensor.residuals import (
     HISTOGRAM_BIN,
@@ -27,6 +27,7 @@ from bayes_sensor.residuals import (
     noise_doubt,
     whiten,
 )
+from bayes_sensor.rig.layout import Layout
 from bayes_sensor.variance_check import check_variance
 
 EXPERIMENTS = {

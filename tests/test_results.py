@@ -12,20 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.model import Layout
-from bayes_sensor.results import (
-    BINS_WHOLE,
-    Results,
-    Stage,
-    envelope,
-    load_traces,
-    make_traces,
-    plain,
-    read_json,
-    run_record,
-    save_traces,
-    write_json,
-)
+from bayes_sensor.fit.traces import BINS_WHOLE, envelope, load_traces, make_traces, save_traces
+from bayes_sensor.io.json_files import plain, read_json, write_json
+from bayes_sensor.io.results import Results, Stage
+from bayes_sensor.io.run_record import run_record
+from bayes_sensor.rig.layout import Layout
 
 
 def test_json_holds_neither_nan_nor_infinity(tmp_path: Path) -> None:
@@ -91,7 +82,7 @@ def test_a_failure_leaves_no_empty_folder_behind(tmp_path: Path) -> None:
 def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("fcntl", reason="locks are only kept where fcntl is")
     code = (
-        "import sys; from bayes_sensor.results import Results\n"
+        "import sys; from bayes_sensor.io.results import Results\n"
         "with Results(sys.argv[1]).locked():\n    print('held', flush=True); sys.stdin.read()"
     )
     holder = subprocess.Popen(

@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.likelihood import Problem, mean_and_variance, simulate
-from bayes_sensor.samples import (
+from bayes_sensor.fit.samples import (
     FRACTION,
     LONGEST_RUN,
     Samples,
@@ -25,6 +24,8 @@ from bayes_sensor.samples import (
     save_samples,
     thinned,
 )
+from bayes_sensor.likelihood.density import mean_and_variance, simulate
+from bayes_sensor.likelihood.problem import Problem
 
 
 def unrice(k: int, code: bytes, n: int) -> list[int]:

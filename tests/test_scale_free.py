@@ -21,15 +21,17 @@ from scipy.io import savemat
 
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.check import campaign_remarks
+from bayes_sensor.diagnosis import diagnose_gap
+from bayes_sensor.diagnosis.data.bins import LONGEST, _thin
 from bayes_sensor.fit import Fit, fit_least_squares
 from bayes_sensor.fit.identifiability import least_noise
-from bayes_sensor.gap import diagnose_gap
-from bayes_sensor.gap.bins import LONGEST, _thin
-from bayes_sensor.likelihood import Problem, default_priors, log_likelihood
+from bayes_sensor.io.check import campaign_remarks
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.likelihood.default_priors import default_priors
+from bayes_sensor.likelihood.density import log_likelihood
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import sample_posterior
-from bayes_sensor.posterior.record import Posterior
-from bayes_sensor.readers import read_campaign
+from bayes_sensor.posterior.posterior import Posterior
 from bayes_sensor.residuals import diagnose_residuals
 
 CLOSE = 1e-6
@@ -212,7 +214,7 @@ def test_log_likelihood_shifts_by_the_unit_alone(scale: float) -> None:
     for compressed in (False, True):
         expected = log_likelihood(campaign, fit.theta_hat) - shift
         if compressed:
-            from bayes_sensor.compression import log_likelihood as fast
+            from bayes_sensor.likelihood.mesh import log_likelihood as fast
 
             found = fast(other, again.theta_hat, compressed=True)
         else:

@@ -36,7 +36,7 @@ from bayes_sensor.blind_check.simulator import (
 from bayes_sensor.blind_check.simulator.numerics import layered_film, nodes
 from bayes_sensor.blind_check.simulator.rig import Rig
 from bayes_sensor.campaign import CampaignError, FloatArray
-from bayes_sensor.results import read_json
+from bayes_sensor.io.json_files import read_json
 
 CONTRACT_NAMES = (
     "flow_switching valve_asymmetry valve_second_order two_rate_valve finite_stroke dead_volume "

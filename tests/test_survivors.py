@@ -9,28 +9,30 @@ import statsmodels.api as sm
 from campaigns import small_design, small_problem, small_theta
 from scipy.stats import kstest
 
-import bayes_sensor.posterior.sampling as sampling
-from bayes_sensor import coverage
+import bayes_sensor.posterior.sample as sampling
 from bayes_sensor.blind_check import oracle
 from bayes_sensor.blind_check.simulator import draw, prepared_rigs, sample_times
 from bayes_sensor.bounds.bootstrap import _series
-from bayes_sensor.calibration import Ranks, coverage_row
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.compression import compress, expected_information
-from bayes_sensor.delays import regress_line
+from bayes_sensor.checks import coverage
+from bayes_sensor.checks.calibration import Ranks, coverage_row
+from bayes_sensor.checks.delays import regress_line
+from bayes_sensor.checks.predictive import PredictiveCheck, _compare, _pit
+from bayes_sensor.coating import find_outer_radius
+from bayes_sensor.coating.readout import Cladding, Ring
 from bayes_sensor.design import _candidates, record_information, settings_of, truth_of
-from bayes_sensor.diffusion import find_outer_radius
-from bayes_sensor.fit.looks import first_look
-from bayes_sensor.fit.points import sorted_apart
-from bayes_sensor.laplace import Laplace, approximate, covering_region, draw_root
-from bayes_sensor.likelihood import Prior, Problem, simulate
-from bayes_sensor.mixing import diagnostics, pareto_k
-from bayes_sensor.model import cascade_response
-from bayes_sensor.noise import Noise
-from bayes_sensor.posterior.covering import covered
-from bayes_sensor.predictive import PredictiveCheck, _compare, _pit
-from bayes_sensor.readout import Cladding, Ring
+from bayes_sensor.fit.block_averages import sorted_apart
+from bayes_sensor.fit.first_estimates import first_look
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.likelihood.mesh import compress, expected_information
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.posterior.laplace import Laplace, approximate, covering_region, draw_root
+from bayes_sensor.posterior.r_hat import diagnostics, pareto_k
+from bayes_sensor.posterior.widen_mesh import covered
 from bayes_sensor.residuals import diagnose_residuals
+from bayes_sensor.rig.cascade import cascade_response
 
 
 @dataclass(frozen=True)

@@ -9,28 +9,30 @@ import numpy as np
 import pytest
 from campaigns import PUBLISHED, small_problem
 
-from bayes_sensor import coverage, design
-from bayes_sensor.bounds.gaussian import least_tau
+from bayes_sensor import design
+from bayes_sensor.bounds.gaussian_intervals import least_tau
+from bayes_sensor.bounds.likelihood_surface import _roomy
 from bayes_sensor.bounds.profile import Point, _next
-from bayes_sensor.bounds.surface import _roomy
-from bayes_sensor.calibration import _said
 from bayes_sensor.campaign import CampaignError, Experiment
-from bayes_sensor.compression import compress
-from bayes_sensor.compression.mesh import _blocks_of_run
-from bayes_sensor.compression.record import default_region
-from bayes_sensor.delays import regress_line
+from bayes_sensor.checks import coverage
+from bayes_sensor.checks.calibration import _said
+from bayes_sensor.checks.delays import regress_line
+from bayes_sensor.checks.predictive import _Statistics
+from bayes_sensor.coating import Coating, assemble, march, modal
+from bayes_sensor.coating.readout import Ring
 from bayes_sensor.design import _as_pulse, _candidates, settings_of, truth_of
-from bayes_sensor.diffusion import Coating, assemble, march, modal
-from bayes_sensor.fit.looks import first_look
-from bayes_sensor.fit.points import averages
-from bayes_sensor.laplace import Coordinates, _expand, _information, draw_root
-from bayes_sensor.likelihood import Prior
-from bayes_sensor.mixing import pareto_k
-from bayes_sensor.model import time_constants
-from bayes_sensor.posterior.covering import covered
-from bayes_sensor.predictive import _Statistics
-from bayes_sensor.readout import Ring
+from bayes_sensor.fit.block_averages import averages
+from bayes_sensor.fit.first_estimates import first_look
+from bayes_sensor.likelihood.coordinates import Coordinates
+from bayes_sensor.likelihood.mesh import compress
+from bayes_sensor.likelihood.mesh.blocks import _blocks_of_run
+from bayes_sensor.likelihood.mesh.compressed import default_region
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.posterior.laplace import _expand, _information, draw_root
+from bayes_sensor.posterior.r_hat import pareto_k
+from bayes_sensor.posterior.widen_mesh import covered
 from bayes_sensor.residuals import _breusch_pagan
+from bayes_sensor.rig.cascade import time_constants
 
 
 def published_shape(excess: np.ndarray) -> float:

@@ -11,18 +11,20 @@ import pytest
 from bayes_sensor import figures
 from bayes_sensor.bounds import Bound, cramer_rao, explain_tau, step_study
 from bayes_sensor.bounds.compare import with_words
-from bayes_sensor.calibration import CoverageStudy
 from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.checks.calibration import CoverageStudy
+from bayes_sensor.checks.coverage import SETTINGS, BoundsStudy, coverage_of_methods, small_design
 from bayes_sensor.cli import _guarded
-from bayes_sensor.compression import compress
-from bayes_sensor.coverage import SETTINGS, BoundsStudy, coverage_of_methods, small_design
 from bayes_sensor.design import design_experiments, what_if
 from bayes_sensor.fleet import comparison, row_of
 from bayes_sensor.fleet.comparison import sentences
-from bayes_sensor.likelihood import Prior, Problem, log_likelihood, mean_on_grid, simulate
-from bayes_sensor.model import SHARED
-from bayes_sensor.readers import read_campaign
-from bayes_sensor.results import Results
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.io.results import Results
+from bayes_sensor.likelihood.density import log_likelihood, mean_on_grid, simulate
+from bayes_sensor.likelihood.mesh import compress
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.layout import SHARED
 
 NOISE = {"phi": 0.7, "sigma0_V": 0.01, "sigma1_V": 0.016}
 

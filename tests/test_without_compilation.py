@@ -21,7 +21,7 @@ import numpy as np
 from dataclasses import replace
 from types import SimpleNamespace
 from campaigns import small_problem
-from bayes_sensor.noise import Noise
+from bayes_sensor.likelihood.noise import Noise
 np.set_printoptions(threshold=10**6, precision=17, linewidth=10**6)
 def say(*values):
     for value in values:
@@ -30,8 +30,8 @@ def say(*values):
 
 PARTS = {
     "model": """
-from bayes_sensor.model import cascade_response, cascade_sensitivities, euler_response
-from bayes_sensor.model import impulse_response, step_response
+from bayes_sensor.rig.cascade import cascade_response, cascade_sensitivities, euler_response
+from bayes_sensor.rig.cascade import impulse_response, step_response
 from bayes_sensor.fit.euler import euler_sensitivities
 t = np.concatenate([np.linspace(0.0, 3.0, 40), [60.0]])
 for taus in ([0.8, 0.4, 0.05], [0.5, 0.5, 0.5], [0.5, 0.45, 0.4], [0.3, 0.3 + 1e-9, 0.02]):
@@ -56,7 +56,7 @@ for law in laws:
         say(log_prior(other, moved))
 """,
     "compression": """
-from bayes_sensor.compression import compress
+from bayes_sensor.likelihood.mesh import compress
 designs = [dict(phi=0.5, masked=[(3.0, 3.5), (6.0, 6.1)]), dict(phi=-0.4, masked=[(3.0, 3.5)]),
            dict(phi=0.5, fall=[True, False], interval=[0.05, 0.1]), dict(phi=0.5, tau=0.2999999)]
 for design in designs:
@@ -72,7 +72,7 @@ say(compress(problem, theta).gradient(theta))
 quick = theta.copy()
 quick[0] = 1e-4
 say(compress(problem, quick).gradient(quick))
-from bayes_sensor.gap.model import with_effects
+from bayes_sensor.diagnosis.effects.effect_model import with_effects
 other = with_effects(small_problem(n=1, interval=0.05)[0], ["optical_nonlinearity"])
 theta = np.concatenate([small_problem(n=1, interval=0.05)[1], [0.05] * len(other.layout.extra)])
 say(compress(other, theta).log_likelihood(theta))
@@ -80,10 +80,10 @@ say(compress(other, theta).log_likelihood(theta))
     "bounds": """
 from bayes_sensor.bounds.bootstrap import resample_and_refit
 from bayes_sensor.bounds.cramer_rao import cramer_rao
-from bayes_sensor.bounds.evidence import Evidence
+from bayes_sensor.bounds.context import Evidence
 problem, theta = small_problem(n=2, interval=0.05, masked=[(3.0, 3.5)], fall=[True, False])
 fit = SimpleNamespace(names=problem.layout.names, theta_hat=theta, rms=0.03)
-from bayes_sensor.bounds.gaussian import _switch_quantiles
+from bayes_sensor.bounds.gaussian_intervals import _switch_quantiles
 from bayes_sensor.bounds.sensitivities import local_jacobian
 say(cramer_rao(problem, theta).cov)
 say(*(local_jacobian(problem, theta, k)[0][::20] for k in range(2)))
@@ -106,7 +106,7 @@ for seed, (name, cause) in enumerate(sorted(CAUSES.items())):
     say(*clean.values())
 """,
     "squares": """
-from bayes_sensor.gap.squares import carry_on, normal_equations, whiten
+from bayes_sensor.diagnosis.evidence.block_least_squares import carry_on, normal_equations, whiten
 rng = np.random.RandomState(2)
 ends, places = np.array([0, 3, 5]), np.array([[0, 1, 2], [0, 3, -1]])
 factors, values = rng.normal(size=13), rng.normal(size=(5, 3))
@@ -117,10 +117,10 @@ carry_on(values, rng.normal(size=5), rng.normal(size=4), np.ones(4), ends, place
 say(values)
 """,
     "rig": """
-from bayes_sensor.gap import CATALOGUE
-from bayes_sensor.gap.model import with_effects
-from bayes_sensor.gap.plan import coating_modes
-from bayes_sensor.gap.rig import FIRST, INDEX, campaign_means, moved_means, settings_vector
+from bayes_sensor.diagnosis import CATALOGUE
+from bayes_sensor.diagnosis.effects.effect_model import with_effects
+from bayes_sensor.diagnosis.evidence.refit_coordinates import coating_modes
+from bayes_sensor.rig.perturbed import FIRST, INDEX, campaign_means, moved_means, settings_vector
 times = np.sort(np.random.default_rng(1).uniform(0.0, 20.0, 24))
 first = [0.05, 0.8, 0.6, 0.1, 1.5, 2.0, 9.0, 0.3, 0.0, 10.0]
 neutral = np.concatenate([first, settings_vector({})])
@@ -148,7 +148,7 @@ for name, effect in CATALOGUE.items():
         say(*other.model.mean_and_response(experiment.t, full, other.layout, experiment))
 """,
     "mixing": """
-from bayes_sensor.mixing import diagnostics
+from bayes_sensor.posterior.r_hat import diagnostics
 say(*diagnostics(np.random.default_rng(1).standard_normal((2, 40, 9))))
 """,
 }

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, SideInformation
-from bayes_sensor.readers import read_campaign
-from bayes_sensor.writers import (
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.io.writers import (
     FORMATS,
     campaign_text,
     drive_signal,
@@ -155,7 +155,7 @@ def test_plain_csv_with_decimal_commas(tmp_path: Path) -> None:
 PROGRAM = """
 import sys, numpy as np
 sys.path.insert(0, {root!r})
-from bayes_sensor.writers import write_npz, write_picoscope_mat
+from bayes_sensor.io.writers import write_npz, write_picoscope_mat
 y = np.random.default_rng(1).standard_normal(1000)
 write_picoscope_mat({folder!r} + "/a.mat", {{"A": y}}, 1e-3, compress=False)
 write_picoscope_mat({folder!r} + "/b.mat", {{"A": y}}, 1e-3)

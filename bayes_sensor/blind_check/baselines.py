@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign
-from bayes_sensor.model import Layout, Theta, predict
+from bayes_sensor.rig.cascade import predict
+from bayes_sensor.rig.layout import Layout, Theta
 
 LAGS = 40
 WHITENESS_ALARM = 0.01

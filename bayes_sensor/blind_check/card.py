@@ -27,8 +27,8 @@ from bayes_sensor.blind_check.statistics import (
     proportion,
     roc,
 )
-from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.hidden import UNSEEN
+from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.hidden import UNSEEN
 
 if TYPE_CHECKING:
     import pandas as pd

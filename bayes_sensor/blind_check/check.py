@@ -31,10 +31,10 @@ from bayes_sensor.blind_check.baselines import whiteness_p_value
 from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
 from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.blind_check.truth import check_truth, complete_truth
-from bayes_sensor.calibration import run_chunks
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.disk import write_text
-from bayes_sensor.results import json_text, plain, read_json, sha256, write_json
+from bayes_sensor.checks.calibration import run_chunks
+from bayes_sensor.io.disk import write_text
+from bayes_sensor.io.json_files import json_text, plain, read_json, sha256, write_json
 
 Diagnose = Callable[[Campaign, int, Sequence[str], str], Mapping[str, Any]]
 """campaign, seed, effects taken out, setting -> content of gap.json"""
@@ -65,8 +65,8 @@ def diagnose(campaign: Campaign, seed: int, without: Sequence[str], setting: str
     ``full`` is what ``bayes-sensor gap`` does; ``study`` leaves out what only the report shows and
     takes linearised instead of bootstrapped intervals.
     """
+    from bayes_sensor.diagnosis import diagnose_gap
     from bayes_sensor.fit import fit_least_squares
-    from bayes_sensor.gap import diagnose_gap
 
     if setting == "full":
         fit = fit_least_squares(campaign, seed=seed, euler=False)
@@ -182,7 +182,7 @@ class Diagnosing:
         if source.startswith("{"):
             campaign = make_campaign(Case.from_json(json.loads(source)))
         else:
-            from bayes_sensor.readers import read_campaign
+            from bayes_sensor.io.readers import read_campaign
 
             campaign = read_campaign(source)
         begin = time.process_time()
@@ -241,7 +241,7 @@ def draw_cases(
     ]
     write_json(folder / PLAN, {"cases": plan, "n": n, "seed": seed, "reserve": reserve})
     if keep:
-        from bayes_sensor.writers import write_campaign
+        from bayes_sensor.io.writers import write_campaign
 
         for truth in truths:
             target = folder / CAMPAIGNS / truth["name"]
@@ -305,7 +305,7 @@ def _check_hashes(folder: Path, what: str) -> None:
 
 def _tables(toml: Path) -> list[dict[str, Any]]:
     """The experiments of a campaign file, as they are written there."""
-    from bayes_sensor.readers.campaign_file import read_sheet, read_toml
+    from bayes_sensor.io.readers.campaign_file import read_sheet, read_toml
 
     label = f"{CAMPAIGNS}/{toml.parent.name}/{toml.name}"
     return read_sheet(read_toml(toml.read_bytes(), label), label).experiment

@@ -17,10 +17,10 @@ from scipy.optimize import least_squares
 from bayes_sensor.blind_check.oracle import Oracle, Refit
 from bayes_sensor.blind_check.simulator import sample_times
 from bayes_sensor.campaign import Campaign, Experiment, FloatArray
-from bayes_sensor.gap.effect import Form, Setting, Strength
-from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.plan import coating_modes
-from bayes_sensor.gap.rig import (
+from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects.effect import Form, Setting, Strength
+from bayes_sensor.diagnosis.evidence.refit_coordinates import coating_modes
+from bayes_sensor.rig.perturbed import (
     BETA,
     CONCENTRATION,
     FIRST,

@@ -32,7 +32,7 @@ from bayes_sensor.blind_check.simulator import (
 )
 from bayes_sensor.blind_check.simulator.causes import converter_step, tail_mixture
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.model import cascade_response, cascade_sensitivities
+from bayes_sensor.rig.cascade import cascade_response, cascade_sensitivities
 
 GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(3)
 FIRST_BIN, GROWTH = 0.015, 0.06

@@ -13,7 +13,7 @@ from bayes_sensor.blind_check.baselines import by_bic, by_rss
 from bayes_sensor.blind_check.oracle import HIDDEN_BELOW, SEPARABLE_ABOVE
 from bayes_sensor.blind_check.plan import LEVELS
 from bayes_sensor.blind_check.statistics import Row, f1
-from bayes_sensor.gap.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects import CATALOGUE
 
 CONFIDENT = 0.9
 VISIBLE = 4.0

@@ -14,7 +14,7 @@ from typing import Any
 
 from bayes_sensor.blind_check.simulator import PHASES
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.gap.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects import CATALOGUE
 
 KINDS = ("null", "listed", "pair", "unlisted", "withheld", "hidden")
 OF_DRAWN = (

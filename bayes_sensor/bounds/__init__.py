@@ -1,10 +1,10 @@
 """Bounds on the parameters by every method, side by side: see :func:`compare_bounds`."""
 
+from bayes_sensor.bounds.bound import LEVELS, Bound, Bounds
 from bayes_sensor.bounds.compare import METHODS, compare_bounds
 from bayes_sensor.bounds.cramer_rao import CramerRao, cramer_rao, step_study
 from bayes_sensor.bounds.hardness import TauExplained, explain_tau
 from bayes_sensor.bounds.profile import Profiler, profile_curve
-from bayes_sensor.bounds.records import LEVELS, Bound, Bounds
 
 __all__ = [
     "LEVELS",

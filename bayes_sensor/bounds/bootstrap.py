@@ -20,14 +20,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import gaussian_bound, invert, normal_factor
-from bayes_sensor.bounds.records import LEVELS, Bound
-from bayes_sensor.bounds.surface import Surface, curvature_along_tau, maximise
+from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.context import Evidence
+from bayes_sensor.bounds.gaussian_intervals import gaussian_bound, invert, normal_factor
+from bayes_sensor.bounds.likelihood_surface import Surface, curvature_along_tau, maximise
 from bayes_sensor.campaign import CampaignError, FloatArray
-from bayes_sensor.compression import K, compress
-from bayes_sensor.likelihood import Problem, mean_and_variance
-from bayes_sensor.noise import lag_coefficient
+from bayes_sensor.likelihood.density import mean_and_variance
+from bayes_sensor.likelihood.mesh import K, compress
+from bayes_sensor.likelihood.noise import lag_coefficient
+from bayes_sensor.likelihood.problem import Problem
 
 REFERENCE = "Politis and Romano (1994); Politis and White (2004); Patton, Politis and White (2009)"
 IntArray = NDArray[np.int64]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.context import Evidence
 from bayes_sensor.bounds.cramer_rao import cramer_rao
-from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import gaussian_bound, invert, normal_factor
+from bayes_sensor.bounds.gaussian_intervals import gaussian_bound, invert, normal_factor
+from bayes_sensor.bounds.likelihood_surface import spread_along_tau
 from bayes_sensor.bounds.profile import noise_words
-from bayes_sensor.bounds.records import LEVELS, Bound
-from bayes_sensor.bounds.surface import spread_along_tau
 
 PAPER = "the paper, eqs. 16-18; Kay (1993), eq. 3.33"
 

@@ -11,24 +11,24 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.bounds.bootstrap import block_bootstrap
+from bayes_sensor.bounds.bound import LEVELS, Bound, Bounds
 from bayes_sensor.bounds.classical import (
     crlb_ar1,
     crlb_iid,
     crlb_iid_one_percent_step,
     posterior_intervals,
 )
-from bayes_sensor.bounds.evidence import Evidence, Progress, check_data
+from bayes_sensor.bounds.context import Evidence, Progress, check_data
 from bayes_sensor.bounds.jackknife import jackknife_experiments
 from bayes_sensor.bounds.profile import profile
-from bayes_sensor.bounds.records import LEVELS, Bound, Bounds
 from bayes_sensor.bounds.sandwich import sandwich
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.fit import Fit
-from bayes_sensor.fit.diagnostics import OF_LAGS
+from bayes_sensor.fit.fit_warnings import OF_LAGS
 from bayes_sensor.fit.identifiability import coloured_noise, slow_noise
-from bayes_sensor.lags import Naming
-from bayes_sensor.likelihood import Problem, as_problem
-from bayes_sensor.model import SHARED
+from bayes_sensor.likelihood.problem import Problem, as_problem
+from bayes_sensor.rig.lags import Naming
+from bayes_sensor.rig.layout import SHARED
 from bayes_sensor.workers import one_thread
 
 Method = Callable[[Evidence], Bound]

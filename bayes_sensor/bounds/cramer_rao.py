@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayes_sensor.bounds.gaussian import invert
+from bayes_sensor.bounds.gaussian_intervals import invert
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
-from bayes_sensor.compression import above_zero, expected_information
-from bayes_sensor.likelihood import Problem, as_problem, grid_response
-from bayes_sensor.model import Layout, Theta, euler_response, local_parameters, time_constants
-from bayes_sensor.noise import Noise
+from bayes_sensor.likelihood.density import grid_response
+from bayes_sensor.likelihood.mesh import above_zero, expected_information
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.problem import Problem, as_problem
+from bayes_sensor.rig.cascade import euler_response, local_parameters, time_constants
+from bayes_sensor.rig.layout import Layout, Theta
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.bounds.cramer_rao import PUBLISHED_SIGMA, CramerRao, bound_of, cramer_rao
-from bayes_sensor.bounds.gaussian import normal_factor
+from bayes_sensor.bounds.gaussian_intervals import normal_factor
+from bayes_sensor.bounds.likelihood_surface import Maximum, Surface, coloured_surface
 from bayes_sensor.bounds.profile import Profiler, profile_curve
-from bayes_sensor.bounds.surface import Maximum, Surface, coloured_surface
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.lags import by_size
-from bayes_sensor.likelihood import Problem, as_problem
-from bayes_sensor.model import Layout, Theta
-from bayes_sensor.results import plain
+from bayes_sensor.io.json_files import plain
+from bayes_sensor.likelihood.problem import Problem, as_problem
+from bayes_sensor.rig.lags import by_size
+from bayes_sensor.rig.layout import Layout, Theta
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,12 +13,12 @@ from math import nan
 import numpy as np
 from scipy import stats
 
-from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import gaussian_bound, invert
-from bayes_sensor.bounds.records import LEVELS, Bound
-from bayes_sensor.bounds.surface import Surface, maximise
+from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.context import Evidence
+from bayes_sensor.bounds.gaussian_intervals import gaussian_bound, invert
+from bayes_sensor.bounds.likelihood_surface import Surface, maximise
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compression import Compressed, Region, compress
+from bayes_sensor.likelihood.mesh import Compressed, Region, compress
 
 REFERENCE = "Tukey (1958); Efron and Tibshirani (1993), ch. 11"
 SHARED = ("tau_s", "tau_v_s", "V_mL")

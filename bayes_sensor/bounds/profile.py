@@ -18,13 +18,19 @@ from math import inf, nan, sqrt
 
 import numpy as np
 
-from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import invert, normal_factor
-from bayes_sensor.bounds.records import LEVELS, Bound
-from bayes_sensor.bounds.surface import Curvature, Maximum, Surface, curvature_along_tau, maximise
+from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.context import Evidence
+from bayes_sensor.bounds.gaussian_intervals import invert, normal_factor
+from bayes_sensor.bounds.likelihood_surface import (
+    Curvature,
+    Maximum,
+    Surface,
+    curvature_along_tau,
+    maximise,
+)
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compression import sizes
-from bayes_sensor.model import SHARED
+from bayes_sensor.likelihood.mesh import sizes
+from bayes_sensor.rig.layout import SHARED
 
 REFERENCE = "Venzon and Moolgavkar (1988); Self and Liang (1987)"
 CLOSE = 2e-3

@@ -22,14 +22,15 @@ import numpy as np
 from scipy import stats
 from scipy.signal import lfilter, oaconvolve
 
-from bayes_sensor.bounds.evidence import Evidence
-from bayes_sensor.bounds.gaussian import SINGULAR, gaussian_bound, invert, normal_factor
-from bayes_sensor.bounds.records import Bound
+from bayes_sensor.bounds.bound import Bound
+from bayes_sensor.bounds.context import Evidence
+from bayes_sensor.bounds.gaussian_intervals import SINGULAR, gaussian_bound, invert, normal_factor
+from bayes_sensor.bounds.likelihood_surface import Surface
 from bayes_sensor.bounds.sensitivities import local_jacobian
-from bayes_sensor.bounds.surface import Surface
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.likelihood import Problem, mean_and_variance
-from bayes_sensor.noise import lag_coefficient
+from bayes_sensor.likelihood.density import mean_and_variance
+from bayes_sensor.likelihood.noise import lag_coefficient
+from bayes_sensor.likelihood.problem import Problem
 
 REFERENCE = (
     "Newey and West, Econometrica 55, 703 (1987); Andrews, Econometrica 59, 817 (1991); "

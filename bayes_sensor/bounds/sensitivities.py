@@ -8,9 +8,15 @@ import numpy as np
 from numba import njit
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compression import sizes
-from bayes_sensor.likelihood import Problem, grid_response
-from bayes_sensor.model import Cascade, cascade_sensitivities, local_parameters, time_constants
+from bayes_sensor.likelihood.density import grid_response
+from bayes_sensor.likelihood.mesh import sizes
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.cascade import (
+    Cascade,
+    cascade_sensitivities,
+    local_parameters,
+    time_constants,
+)
 
 APART = 1e-3
 """relative distance of time constants below which the slow, stable form is used"""

@@ -79,13 +79,13 @@ def _given(**values: Any) -> dict[str, Any]:
 def _read_settings(config: Path | None) -> None:
     """Refuse settings with a mistake in them, also where none of them acts."""
     if config is not None:
-        from bayes_sensor.cli.settings import read_overrides
+        from bayes_sensor.cli.overrides import read_overrides
 
         read_overrides(config)
 
 
 def _run(command: str, campaign: Path, out: Path, **options: Any) -> None:
-    from bayes_sensor.cli.steps import run
+    from bayes_sensor.cli.analysis_steps import run
 
     raise typer.Exit(run(command, campaign, out, **options))
 
@@ -163,7 +163,7 @@ def posterior(
 ) -> None:
     """MCMC; interrupted runs continue with --resume."""
     if with_effect:
-        from bayes_sensor.gap.model import check_effects
+        from bayes_sensor.diagnosis.effects.effect_model import check_effects
 
         check_effects(with_effect, "--with-effect")
     _run("posterior", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config,
@@ -241,9 +241,9 @@ def gap(
     Also how far each explanation closes the gap, what becomes of tau, and what may hide.  The
     README lists the effects.
     """
-    from bayes_sensor.cli.simulation import read_nominal
-    from bayes_sensor.gap.effects import check_names
-    from bayes_sensor.gap.own import read_effects
+    from bayes_sensor.cli.simulate_campaigns import read_nominal
+    from bayes_sensor.diagnosis.effects import check_names
+    from bayes_sensor.diagnosis.effects.user_effects import read_effects
 
     without = [name.strip() for text in without or () for name in text.split(",")]
     check_names(without, "--without")
@@ -263,7 +263,7 @@ def check(
     config: Annotated[Path | None, _settings_file("Checked with the campaign.")] = None,
 ) -> None:
     """Load and validate only, print what was understood."""
-    from bayes_sensor.cli.steps import print_check
+    from bayes_sensor.cli.analysis_steps import print_check
 
     print_check(campaign, quiet, config)
 
@@ -279,7 +279,7 @@ def report(
 ) -> None:
     """Rebuild the report from the saved results."""
     _read_settings(config)
-    from bayes_sensor.cli.steps import rebuild_report
+    from bayes_sensor.cli.analysis_steps import rebuild_report
 
     rebuild_report(folder, quiet, form)
 
@@ -337,7 +337,7 @@ def simulate(
 
     Writes data files, campaign.toml and truth.json.
     """
-    from bayes_sensor.cli.simulation import simulate_campaign
+    from bayes_sensor.cli.simulate_campaigns import simulate_campaign
 
     simulate_campaign(
         out, campaign=campaign, seed=seed, quiet=quiet, design=design, truth=truth, phi=phi,
@@ -371,7 +371,7 @@ def coverage(
     config: Annotated[Path | None, _settings_file("Its [bounds]: methods and resamples.")] = None,
 ) -> None:
     """How often each bound holds the truth, by simulation."""
-    from bayes_sensor.cli.coverage import study_coverage
+    from bayes_sensor.cli.run_coverage import study_coverage
 
     raise typer.Exit(
         study_coverage(
@@ -425,7 +425,7 @@ def blind_check(
     score.json lists it as sealed_late.
     """
     _read_settings(config)
-    from bayes_sensor.cli import blind
+    from bayes_sensor.cli import run_blind_check
 
     chosen = [
         name
@@ -440,7 +440,7 @@ def blind_check(
             "out to do the three in a row"
         )
     raise typer.Exit(
-        blind.blind_check(
+        run_blind_check.blind_check(
             out, cases=cases, seed=seed, setting=setting, only=chosen[0] if chosen else None,
             reserve=reserve, keep=keep, jobs=jobs, scheduler=scheduler, resume=resume,
             quiet=quiet, size=size,
@@ -476,7 +476,7 @@ def fleet(
     A campaign that cannot be analysed becomes a row with its message.  Exit status: 0 all done, 3
     some failed or did not converge, 2 a bad list or nowhere to write.
     """
-    from bayes_sensor.cli.fleet import analyse_fleet
+    from bayes_sensor.cli.run_fleets import analyse_fleet
 
     raise typer.Exit(
         analyse_fleet(
@@ -527,7 +527,7 @@ def design(
     config: Config = None,
 ) -> None:
     """The next experiments to reach a wanted interval of tau."""
-    from bayes_sensor.cli.planning import plan_experiments
+    from bayes_sensor.cli.plan_experiments import plan_experiments
 
     raise typer.Exit(
         plan_experiments(
@@ -563,7 +563,7 @@ def diffusion(
 ) -> None:
     """Finite-element response of the coating."""
     _read_settings(config)
-    from bayes_sensor.cli.steps import solve_diffusion
+    from bayes_sensor.cli.analysis_steps import solve_diffusion
 
     quantities = _given(
         outer_radius=outer_radius, d_zif8=d_zif8, d_pdms=d_pdms, thickness_zif8=thickness_zif8,
@@ -608,7 +608,7 @@ def _be_interruptible(arguments: list[str]) -> None:
             raise KeyboardInterrupt
         pressed.append(time.monotonic())
         if pressed[-1] - pressed[0] > PATIENCE_SECONDS:
-            from bayes_sensor.cli.notes import aloud  # the compiler's caller may be muted
+            from bayes_sensor.cli.logged_notes import aloud  # the compiler's caller may be muted
 
             aloud(_stopped(arguments))
             os._exit(INTERRUPTED)
@@ -654,7 +654,7 @@ def main(arguments: list[str] | None = None) -> None:
     """The entry point ``bayes-sensor``; ends the process with the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     _open_streams()
-    from bayes_sensor.cli.notes import take_notes
+    from bayes_sensor.cli.logged_notes import take_notes
 
     take_notes()
     import bayes_sensor.campaign  # noqa: F401  before Ctrl-C is an exception, see _guarded

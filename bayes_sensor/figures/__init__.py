@@ -3,7 +3,7 @@
 One file per subject; everything that a caller needs is here under its own name.
 """
 
-from bayes_sensor.figures.coating import (
+from bayes_sensor.figures.plot_coating import (
     diffusion,
     diffusion_figure,
     diffusivity,
@@ -11,9 +11,10 @@ from bayes_sensor.figures.coating import (
     sensor_words,
     spectra_figure,
 )
-from bayes_sensor.figures.draws import corner, main_parameters, traces_and_ranks
-from bayes_sensor.figures.fleet import forest
-from bayes_sensor.figures.gap import (
+from bayes_sensor.figures.plot_delays import delays
+from bayes_sensor.figures.plot_draws import corner, main_parameters, traces_and_ranks
+from bayes_sensor.figures.plot_fleet import forest
+from bayes_sensor.figures.plot_gap import (
     effect_words,
     gap_budget,
     gap_hidden,
@@ -21,15 +22,16 @@ from bayes_sensor.figures.gap import (
     gap_where,
     gap_which,
 )
-from bayes_sensor.figures.methods import (
+from bayes_sensor.figures.plot_methods import (
     intervals,
     posteriors_of_tau,
     priors_on_tau,
     step_study,
 )
-from bayes_sensor.figures.noise import autocorrelation, histogram, predictive, spread
-from bayes_sensor.figures.overlays import overlay, rms_bars
-from bayes_sensor.figures.rig import responses, schematic
+from bayes_sensor.figures.plot_noise import autocorrelation, histogram, predictive, spread
+from bayes_sensor.figures.plot_overlays import overlay, rms_bars
+from bayes_sensor.figures.plot_rig import responses, schematic
+from bayes_sensor.figures.plot_tau import coverage, tau_hard, what_would_help
 from bayes_sensor.figures.style import (
     BLUE,
     COLOURS,
@@ -56,8 +58,6 @@ from bayes_sensor.figures.style import (
     svg,
     told_apart,
 )
-from bayes_sensor.figures.switching import delays
-from bayes_sensor.figures.tau import coverage, tau_hard, what_would_help
 
 __all__ = [
     "BLUE",

@@ -6,15 +6,15 @@ valley in which tau and the switch times trade off, are refined with the analyti
 coordinates (tau^2, t0 + tau, tf + tau), where that valley is straight.
 
 The sum of squares is taken on weighted points: averages over short stretches for the search, the
-mesh of :mod:`bayes_sensor.compression` for the answer, whose residuals come from all samples.
+mesh of :mod:`bayes_sensor.likelihood.mesh` for the answer, whose residuals come from all samples.
 
 Only the data decide here.  Side information (a volume measured elsewhere) is a prior and enters
 the posterior, not this fit.  The sensor is taken to be the faster lag, tau <= tau_v, because the
 cascade is unchanged when the two swap.
 """
 
+from bayes_sensor.fit.fit import Fit, Progress
 from bayes_sensor.fit.least_squares import fit_least_squares, refit
-from bayes_sensor.fit.record import Fit, Progress
 from bayes_sensor.fit.swarm import Swarm, particle_swarm
 
 __all__ = ["Fit", "Progress", "Swarm", "fit_least_squares", "particle_swarm", "refit"]

@@ -9,8 +9,9 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.fit.misfit import Misfit, warning
 from bayes_sensor.fit.side_information import Comparison
-from bayes_sensor.likelihood import Problem, rise_time
-from bayes_sensor.model import cascade_response, time_constants
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.likelihood.rise_time import rise_time
+from bayes_sensor.rig.cascade import cascade_response, time_constants
 
 
 def caveats(

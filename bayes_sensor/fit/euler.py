@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.fit.points import sorted_apart
+from bayes_sensor.fit.block_averages import sorted_apart
 
 
 @njit(cache=True, error_model="numpy")

@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, Experiment, FloatArray
-from bayes_sensor.likelihood import Problem
+from bayes_sensor.likelihood.problem import Problem
 
 FEWEST = 5
 """samples of one experiment; y0, beta, t0 and tf alone are four parameters"""

@@ -12,21 +12,23 @@ import numpy as np
 from scipy import optimize
 
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.fit.block_averages import averages, scatter
 from bayes_sensor.fit.caveats import caveats, hiding_interval
-from bayes_sensor.fit.diagnostics import at_bounds, bound_warnings, unseen_lags, warn
+from bayes_sensor.fit.first_estimates import Look, first_look, initial_bounds
+from bayes_sensor.fit.fit import Fit, Progress
+from bayes_sensor.fit.fit_warnings import at_bounds, bound_warnings, unseen_lags, warn
+from bayes_sensor.fit.fitted_noise import all_residuals, estimate_noise, mean_square
 from bayes_sensor.fit.identifiability import cannot_tell, step_is_seen
-from bayes_sensor.fit.looks import Look, first_look, initial_bounds
 from bayes_sensor.fit.misfit import misfits, overall
-from bayes_sensor.fit.noise import all_residuals, estimate_noise, mean_square
-from bayes_sensor.fit.points import averages, scatter
-from bayes_sensor.fit.record import Fit, Progress
 from bayes_sensor.fit.refinement import Refined, around, mesh_points, refine, with_noise
 from bayes_sensor.fit.side_information import named_parameters, weigh_names
 from bayes_sensor.fit.starts import guess, limits, swarm_problem
 from bayes_sensor.fit.swarm import particle_swarm
-from bayes_sensor.lags import Naming
-from bayes_sensor.likelihood import Problem, as_problem, mean_and_variance
-from bayes_sensor.model import SHARED, Cascade, exchanged
+from bayes_sensor.likelihood.density import mean_and_variance
+from bayes_sensor.likelihood.problem import Problem, as_problem
+from bayes_sensor.rig.cascade import Cascade, exchanged
+from bayes_sensor.rig.lags import Naming
+from bayes_sensor.rig.layout import SHARED
 from bayes_sensor.workers import one_thread
 
 # Starts along the valley, as fractions of the rise time (10, 60, 200, 500 ms at the published rig).

@@ -29,8 +29,8 @@ from scipy.ndimage import median_filter
 from scipy.special import fdtri, polygamma, psi
 
 from bayes_sensor.campaign import Experiment, FloatArray
-from bayes_sensor.fit.looks import Look
-from bayes_sensor.likelihood import Problem
+from bayes_sensor.fit.first_estimates import Look
+from bayes_sensor.likelihood.problem import Problem
 
 TOLERATED = 1.5
 """RMS of the residuals over that of the noise, above which the fit misses the record"""

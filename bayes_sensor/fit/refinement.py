@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.compression import Region, compress, mean_derivatives
+from bayes_sensor.fit.block_averages import Points, joined
 from bayes_sensor.fit.euler import euler_sensitivities
-from bayes_sensor.fit.points import Points, joined
-from bayes_sensor.likelihood import Problem
-from bayes_sensor.model import (
+from bayes_sensor.likelihood.mesh import Region, compress, mean_derivatives
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.cascade import (
     Cascade,
-    Layout,
     cascade_response,
     cascade_sensitivities,
     time_constants,
 )
+from bayes_sensor.rig.layout import Layout
 
 
 class Squares:

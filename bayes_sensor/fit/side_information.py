@@ -22,10 +22,11 @@ import numpy as np
 from scipy import optimize
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compression import expected_information
-from bayes_sensor.lags import Naming, lags_of, named
-from bayes_sensor.laplace import Coordinates
-from bayes_sensor.likelihood import Prior, Problem
+from bayes_sensor.likelihood.coordinates import Coordinates
+from bayes_sensor.likelihood.mesh import expected_information
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.lags import Naming, lags_of, named
 
 CONTRADICT = 3.0
 """joint standard deviations from which side information and data contradict each other"""

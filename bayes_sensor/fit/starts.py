@@ -8,10 +8,10 @@ from math import log
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.fit.looks import Look
-from bayes_sensor.fit.points import Points, profiles
-from bayes_sensor.likelihood import Problem
-from bayes_sensor.model import Layout
+from bayes_sensor.fit.block_averages import Points, profiles
+from bayes_sensor.fit.first_estimates import Look
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.layout import Layout
 
 
 def limits(layout: Layout, box: Mapping[str, tuple[float, float]]) -> tuple[FloatArray, FloatArray]:

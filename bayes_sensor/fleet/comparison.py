@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.fleet.outcome import COLUMNS, DONE, FAILED, NOT_CONVERGED
-from bayes_sensor.results import Stage, json_text
+from bayes_sensor.io.json_files import json_text
+from bayes_sensor.io.results import Stage
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bayes_sensor.results import Results
+from bayes_sensor.io.results import Results
 
 SHARED = (("tau", "s"), ("tau_v", "s"), ("V", "mL"))
 PERCENTILES = {
@@ -101,7 +101,7 @@ def fingerprint(campaign_file: Path) -> dict[str, str]:
     """SHA-256 of a campaign's file and of its data files, by path relative to its folder."""
     import tomllib
 
-    from bayes_sensor.results import sha256
+    from bayes_sensor.io.json_files import sha256
 
     tables: Mapping[str, Any] = tomllib.loads(campaign_file.read_text(encoding="utf-8-sig"))
     names = [campaign_file.name, *(entry["file"] for entry in tables["experiment"])]
@@ -110,7 +110,7 @@ def fingerprint(campaign_file: Path) -> dict[str, str]:
 
 def unchanged(campaign_file: Path, known: Mapping[str, str]) -> bool:
     """Whether all files still are what :func:`fingerprint` saw."""
-    from bayes_sensor.results import sha256
+    from bayes_sensor.io.json_files import sha256
 
     try:
         return bool(known) and all(

@@ -1,8 +1,8 @@
 """The posterior of a campaign: three samplers behind one call, convergence, and the record.
 
 * ``emcee``: affine-invariant ensembles (Goodman and Weare 2010; differential evolution moves,
-  ter Braak 2006) in the coordinates of :mod:`bayes_sensor.laplace`, with every y0 and beta
-  integrated out analytically and redrawn afterwards.
+  ter Braak 2006) in the coordinates of :mod:`bayes_sensor.posterior.laplace`, with every y0 and
+  beta integrated out analytically and redrawn afterwards.
 * ``independence``: Metropolis-Hastings whose proposal is the Laplace approximation; gated by the
   Pareto k-hat of its weights, and replaced by ``hmc`` and then ``emcee`` when that gate shuts.
 * ``hmc``: Hamiltonian Monte Carlo (Neal 2011) in whitened coordinates from the analytic gradient.
@@ -12,9 +12,9 @@ one ensemble are not independent chains).
 """
 
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT
-from bayes_sensor.posterior.record import Posterior
-from bayes_sensor.posterior.sampling import sample_posterior
-from bayes_sensor.posterior.saving import load_chains
+from bayes_sensor.posterior.posterior import Posterior
+from bayes_sensor.posterior.sample import sample_posterior
+from bayes_sensor.posterior.save_draws import load_chains
 from bayes_sensor.posterior.settings import SAMPLERS, Progress, Settings
 
 __all__ = [

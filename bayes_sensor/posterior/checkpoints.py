@@ -12,8 +12,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.disk import write_bytes
-from bayes_sensor.likelihood import Problem
+from bayes_sensor.io.disk import write_bytes
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior.settings import Settings
 
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compression import Compressed
-from bayes_sensor.laplace import Coordinates
-from bayes_sensor.likelihood import Problem
-from bayes_sensor.mixing import diagnostics
+from bayes_sensor.likelihood.coordinates import Coordinates
+from bayes_sensor.likelihood.mesh import Compressed
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.posterior.r_hat import diagnostics
 
 R_HAT_LIMIT = 1.01
 ESS_LIMIT = 400.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bayes_sensor.disk import own_folder, write_bytes, write_text
+from bayes_sensor.io.disk import own_folder, write_bytes, write_text
 from bayes_sensor.report.headline import Headline, alerts, chain_words, headline
 from bayes_sensor.report.parts import Picture, Pictures, Section, Table
 from bayes_sensor.report.saved import Saved, read_results
@@ -66,7 +66,7 @@ def write_report(
 
     ``form``: ``html``, ``pdf`` or ``md``.
     """
-    from bayes_sensor.report import html, markdown, typeset
+    from bayes_sensor.report import html, markdown, pdf
 
     place = Path(target) / FORMATS[form]
     figure_folder = own_folder(Path(target) / FIGURES)
@@ -77,7 +77,7 @@ def write_report(
     elif form == "md":
         write_text(place, markdown.document(saved, sections, FIGURES))
     else:
-        write_bytes(place, typeset.document(saved, sections))
+        write_bytes(place, pdf.document(saved, sections))
     return place
 
 

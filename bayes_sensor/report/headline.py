@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 from bayes_sensor.figures import effect_words
+from bayes_sensor.io.run_record import of_other_data
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import (
     interval,
@@ -21,7 +22,6 @@ from bayes_sensor.report.words import (
     with_spread,
 )
 from bayes_sensor.residuals import TAKE_AS_THEY_ARE
-from bayes_sensor.results import of_other_data
 
 
 @dataclass(frozen=True)
@@ -403,16 +403,15 @@ def doubts(saved: Saved) -> list[str]:
     return found
 
 
-def decisive(saved: Saved) -> list[str]:
-    """What decides whether the headline stands: the page says it before that."""
-    return [sentence(typeset(text)) for text in (saved.fit or {}).get("caveats") or []]
-
-
 def alerts(saved: Saved) -> list[tuple[str, str]]:
-    """(kind, sentence) for the top of the page: ``bad`` for what failed, else ``note``."""
+    """(kind, sentence) for the top of the page.
+
+    ``bad`` decides whether the headline stands, so the page says it before; the rest are notes.
+    """
     from bayes_sensor.figures import METHOD_LABELS  # draws, so slow to import
 
-    found = [("bad", caveat) for caveat in decisive(saved)]
+    caveats = (saved.fit or {}).get("caveats") or []
+    found = [("bad", sentence(typeset(caveat))) for caveat in caveats]
     if saved.fit is not None and not saved.fit["converged"]:
         found.append(("bad", f"The least-squares fit did not converge. {saved.fit['status']}"))
     if saved.posterior is not None and not saved.posterior["converged"]:
@@ -468,7 +467,7 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
             if status != "ok" and "lower bound" not in status and "upper limit" not in status:
                 label = METHOD_LABELS.get(method, method)
                 notes.append(f"{label}: {status}")
-    seen = set((saved.fit or {}).get("caveats") or [])
+    seen = set(caveats)
     for note in notes:
         told = sentence(typeset(note))
         if (

@@ -15,12 +15,12 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from bayes_sensor.fit.samples import coded, thinned
 from bayes_sensor.report.drawing import inline_svg
-from bayes_sensor.report.headline import alerts, decisive, headline, remarks
+from bayes_sensor.report.headline import alerts, headline, remarks
 from bayes_sensor.report.parts import Picture, Section, Table, numbering, pieces
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import typeset
-from bayes_sensor.samples import coded, thinned
 
 MOST_VECTORS = 4 << 20
 """bytes of vector overlays in a page; beyond, they are embedded as pixels"""
@@ -118,7 +118,6 @@ def page(saved: Saved, sections: Sequence[Section]) -> str:
         title=saved.name,
         version=saved.last["versions"].get("bayes-sensor", ""),
         finished=saved.last["finished"],
-        caveats=decisive(saved),
         head=headline(saved.posterior, saved.bounds, saved.settings),
         remarks=remarks(saved),
         alerts=alerts(saved),

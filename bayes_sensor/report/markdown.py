@@ -44,14 +44,15 @@ def document(saved: Saved, sections: Sequence[Section], figure_folder: str = "fi
     last = saved.last
     version = last["versions"].get("bayes-sensor", "")
     lines += [f"bayes-sensor {escaped(version)}, {escaped(last['finished'])}", ""]
+    told = alerts(saved)
+    # what decides whether the headline stands comes before it
+    lines += [f"> **Attention.** {escaped(text)}\n" for kind, text in told if kind == "bad"]
     head = headline(saved.posterior, saved.bounds, saved.settings)
     if head is not None:
         lines += [f"**{escaped(typeset(head.text))}**", ""]
     for remark in remarks(saved):
         lines += [escaped(remark.text), ""]
-    for kind, text in alerts(saved):
-        mark = "**Attention.** " if kind == "bad" else ""
-        lines += [f"> {mark}{escaped(text)}", ""]
+    lines += [f"> {escaped(text)}\n" for kind, text in told if kind != "bad"]
     for i, section in enumerate(sections, 1):
         lines += [f"## {i}. {escaped(section.title)}", "", f"**{linked(section.answer)}**", ""]
         for text in section.paragraphs:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bayes_sensor.disk import write_bytes, write_text
+from bayes_sensor.io.disk import write_bytes, write_text
 from bayes_sensor.report.words import number, p_words, with_spread
 
 _OPEN, _CLOSE = "\x02", "\x03"

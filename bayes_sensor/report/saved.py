@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.results import Results, Trace, load_traces
-from bayes_sensor.samples import Samples, load_samples
+from bayes_sensor.fit.samples import Samples, load_samples
+from bayes_sensor.fit.traces import Trace, load_traces
+from bayes_sensor.io.results import Results
 
 OF_A_CASE = ("case", "kind", "causes", "law", "d", "verdict", "said", "p_said", "confident_wrong",
              "verdict_right")  # fmt: skip

@@ -27,20 +27,17 @@ import pandas as pd
 from numba import njit
 
 from bayes_sensor.campaign import Campaign
-from bayes_sensor.compression import Compressed, compress
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.laplace import Coordinates, approximate
-from bayes_sensor.likelihood import (
-    Problem,
-    experiment_log_likelihood,
-    grid_response,
-    log_priors,
-    simulate,
-)
-from bayes_sensor.likelihood import log_likelihood as full_log_likelihood
-from bayes_sensor.model import time_constants
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.likelihood.coordinates import Coordinates
+from bayes_sensor.likelihood.density import experiment_log_likelihood, grid_response, simulate
+from bayes_sensor.likelihood.density import log_likelihood as full_log_likelihood
+from bayes_sensor.likelihood.mesh import Compressed, compress
+from bayes_sensor.likelihood.prior_density import log_priors
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Posterior, Settings, sample_posterior
-from bayes_sensor.readers import read_campaign
+from bayes_sensor.posterior.laplace import approximate
+from bayes_sensor.rig.cascade import time_constants
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 CAMPAIGN = ROOT / "data" / "reference" / "campaign.toml"

@@ -17,16 +17,17 @@ import numpy as np
 from scipy.signal import lfilter
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.cli.simulation import published_design
-from bayes_sensor.gap.effect import Effect, Form
-from bayes_sensor.gap.effects import CATALOGUE
-from bayes_sensor.gap.plan import Plan, coating_modes
-from bayes_sensor.gap.preparation import prepare
-from bayes_sensor.gap.refit import Refit, base_starts, refit
-from bayes_sensor.gap.rig import FIRST, INDEX, rig_mean
-from bayes_sensor.gap.sketch import Sketch
-from bayes_sensor.model import Layout, cascade_response
-from bayes_sensor.noise import scale_squared, simulate_noise
+from bayes_sensor.cli.simulate_campaigns import published_design
+from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.preparation import prepare
+from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects.effect import Effect, Form
+from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Plan, coating_modes
+from bayes_sensor.likelihood.noise import scale_squared, simulate_noise
+from bayes_sensor.rig.cascade import cascade_response
+from bayes_sensor.rig.layout import Layout
+from bayes_sensor.rig.perturbed import FIRST, INDEX, rig_mean
 
 LAWS = ("ar1", "ar1 + 1 s", "heavy tails", "1/f")
 SPREAD = {"tau_s": 0.35, "tau_v_s": 0.2, "V_mL": 0.12, "beta": 0.1, "sigma0": 0.15, "sigma1": 0.2}

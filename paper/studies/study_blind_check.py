@@ -41,12 +41,12 @@ from bayes_sensor.blind_check.oracle import SEPARABLE_ABOVE
 from bayes_sensor.blind_check.score import VISIBLE, score_case
 from bayes_sensor.blind_check.simulator import CAUSES
 from bayes_sensor.blind_check.statistics import calibration, proportion
-from bayes_sensor.disk import write_text
+from bayes_sensor.diagnosis import diagnose_gap
 from bayes_sensor.figures import png, svg
-from bayes_sensor.figures.blind_check import opened_seal, score_card
-from bayes_sensor.gap import diagnose_gap
-from bayes_sensor.readers import read_campaign
-from bayes_sensor.results import read_json, write_json
+from bayes_sensor.figures.plot_blind_check import opened_seal, score_card
+from bayes_sensor.io.disk import write_text
+from bayes_sensor.io.json_files import read_json, write_json
+from bayes_sensor.io.readers import read_campaign
 
 N, SEED = 600, 20261214
 """the seed was never used before the run that is reported"""

@@ -1,7 +1,7 @@
 """Bound methods: all on the bundled campaign, and how often their intervals hold the truth.
 
 The first is a figure and a table; the second simulates 1000 small campaigns in each of five
-settings (``bayes_sensor/coverage.py`` says which) and puts its table into the README.
+settings (``bayes_sensor/checks/coverage.py`` says which) and puts its table into the README.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 
 from bayes_sensor import figures
 from bayes_sensor.bounds import compare_bounds
-from bayes_sensor.coverage import SETTINGS, markdown_table, run_coverage
+from bayes_sensor.checks.coverage import SETTINGS, markdown_table, run_coverage
 from bayes_sensor.fit import fit_least_squares
+from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.posterior import sample_posterior
-from bayes_sensor.readers import read_campaign
 
 SEED, CAMPAIGNS = 53, 1000
 REFERENCE = PAPER.parent / "data" / "reference"

@@ -24,8 +24,8 @@ from study_coverage import REFERENCE, design
 
 from bayes_sensor import figures
 from bayes_sensor.bounds import cramer_rao
-from bayes_sensor.calibration import run_chunks
-from bayes_sensor.diffusion import (
+from bayes_sensor.checks.calibration import run_chunks
+from bayes_sensor.coating import (
     Coating,
     DiffusivityPosterior,
     infer_d_zif8,
@@ -33,12 +33,14 @@ from bayes_sensor.diffusion import (
     outer_radius_table,
     solve,
 )
+from bayes_sensor.coating.readout import matched_readout
 from bayes_sensor.figures import diffusion_figure, spectra_figure
 from bayes_sensor.figures.style import logarithmic, plain
-from bayes_sensor.likelihood import Problem, simulate
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Settings, sample_posterior
-from bayes_sensor.readers import read_campaign
-from bayes_sensor.readout import matched_readout, response_time_table
+from bayes_sensor.rig.response_times import response_time_table
 
 N, SEED = 24, 61
 PHIS = (0.0, 0.5, 0.9)

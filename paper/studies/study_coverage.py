@@ -15,7 +15,8 @@ import numpy as np
 import pandas as pd
 from drawing import ACCENT, INK, PAPER, SHADE, TABLES, WIDTH, label, plt, save
 
-from bayes_sensor.calibration import (
+from bayes_sensor.campaign import Campaign
+from bayes_sensor.checks.calibration import (
     LEVELS,
     CoverageStudy,
     binomial_interval,
@@ -23,10 +24,9 @@ from bayes_sensor.calibration import (
     run_chunks,
     tau_table,
 )
-from bayes_sensor.campaign import Campaign
-from bayes_sensor.likelihood import Problem
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import SAMPLERS, Settings
-from bayes_sensor.readers import read_campaign
 
 SEED = 47
 REFERENCE = PAPER.parent / "data" / "reference"

@@ -32,19 +32,19 @@ from gap_rigs import (
 )
 
 from bayes_sensor.blind_check import wilson
-from bayes_sensor.calibration import run_chunks, study_key
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.diagnosis import CATALOGUE, Gap, diagnose_gap
+from bayes_sensor.diagnosis.data.preparation import coordinates, fit_base
+from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect, joined_start, with_start
+from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
+from bayes_sensor.diagnosis.evidence.refit import refit
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Part, Plan
+from bayes_sensor.diagnosis.isolability import ISOLATED
 from bayes_sensor.figures import effect_words
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.gap import CATALOGUE, Gap, diagnose_gap
-from bayes_sensor.gap.evidence import Linearised
-from bayes_sensor.gap.plan import Part, Plan
-from bayes_sensor.gap.preparation import coordinates, fit_base
-from bayes_sensor.gap.refit import refit
-from bayes_sensor.gap.separate import ISOLATED
-from bayes_sensor.gap.which import fit_effect, joined_start, with_start
-from bayes_sensor.model import Layout
-from bayes_sensor.readers import read_campaign
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.rig.layout import Layout
 
 SEED = 700_000
 NULLS = {"ar1": 60, "ar1 + 1 s": 20, "heavy tails": 20, "1/f": 20}

@@ -18,11 +18,11 @@ import pandas as pd
 from drawing import TABLES
 
 from bayes_sensor.blind_check import wilson
-from bayes_sensor.calibration import run_chunks, study_key
 from bayes_sensor.campaign import Campaign, Experiment, FloatArray
+from bayes_sensor.checks.calibration import run_chunks, study_key
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.likelihood import grid_response
-from bayes_sensor.noise import simulate_noise
+from bayes_sensor.likelihood.density import grid_response
+from bayes_sensor.likelihood.noise import simulate_noise
 
 SEED = 89
 N = 400

@@ -20,15 +20,16 @@ import pandas as pd
 from drawing import TABLES
 
 from bayes_sensor.blind_check import wilson
-from bayes_sensor.calibration import run_chunks, study_key
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray, SideInformation
+from bayes_sensor.checks.calibration import run_chunks, study_key
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.fit.side_information import Estimates
-from bayes_sensor.lags import by_size, lags_of
-from bayes_sensor.likelihood import Problem, simulate
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Posterior, Settings, sample_posterior
-from bayes_sensor.readout import response_times
 from bayes_sensor.report.headline import stated_set
+from bayes_sensor.rig.lags import by_size, lags_of
+from bayes_sensor.rig.response_times import response_times
 
 N, N_WRONG, SEED = 200, 40, 83
 DECADES = 0.75

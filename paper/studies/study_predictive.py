@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 from drawing import ACCENT, INK, PAPER, SHADE, TABLES, WIDTH, plt, save
 
+from bayes_sensor.checks.predictive import PredictiveCheck, check_predictive
 from bayes_sensor.figures.style import logarithmic
-from bayes_sensor.likelihood import Problem
-from bayes_sensor.noise import Noise
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import sample_posterior
-from bayes_sensor.predictive import PredictiveCheck, check_predictive
-from bayes_sensor.readers import read_campaign
 
 LAWS = {
     "AR(1), variance grows": Noise("concentration", "ar1"),

@@ -11,8 +11,8 @@ from drawing import FIGURES, PAPER, TABLES
 
 from bayes_sensor import figures
 from bayes_sensor.bounds import cramer_rao, step_study
-from bayes_sensor.likelihood import Problem
-from bayes_sensor.readers import read_campaign
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.likelihood.problem import Problem
 
 REFERENCE = PAPER.parent / "data" / "reference"
 PUBLISHED = {"tau_s": 5.6049e-3, "tau_v_s": 8.6029e-3, "V_mL": 0.6817}  # three sigma, Table III

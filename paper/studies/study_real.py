@@ -26,20 +26,26 @@ import pandas as pd
 from drawing import ACCENT, INK, TABLES, WIDTH, plt, save
 
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.diagnosis import CATALOGUE, Effect, RigView, Strength, diagnose_gap, own_effect
+from bayes_sensor.diagnosis.closure import closure
+from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.bins import PHASES, QUADRATURE, ExperimentBins
+from bayes_sensor.diagnosis.data.noise_floor import estimate_floor
+from bayes_sensor.diagnosis.data.preparation import (
+    Prepared,
+    fit_base,
+    full_rate_residuals,
+    prepare,
+)
+from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect, weigh
+from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
+from bayes_sensor.diagnosis.evidence.refit import Refit, refit
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Part, Plan
+from bayes_sensor.diagnosis.verdict import judge, standing
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.gap import CATALOGUE, Effect, RigView, Strength, diagnose_gap, own_effect
-from bayes_sensor.gap.bins import PHASES, QUADRATURE, ExperimentBins
-from bayes_sensor.gap.evidence import Linearised
-from bayes_sensor.gap.floor import estimate_floor
-from bayes_sensor.gap.how_far import closure
-from bayes_sensor.gap.plan import Part, Plan
-from bayes_sensor.gap.preparation import Prepared, fit_base, full_rate_residuals, prepare
-from bayes_sensor.gap.refit import Refit, refit
-from bayes_sensor.gap.sketch import Sketch
-from bayes_sensor.gap.verdict import judge, standing
-from bayes_sensor.gap.which import fit_effect, weigh
-from bayes_sensor.model import Layout, cascade_response
-from bayes_sensor.readers import read_campaign
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.rig.cascade import cascade_response
+from bayes_sensor.rig.layout import Layout
 
 WHERE = "BAYES_SENSOR_REAL"
 SHOWN = {

@@ -17,13 +17,13 @@ from drawing import FIGURES, PAPER, TABLES
 
 from bayes_sensor import figures
 from bayes_sensor.bounds import cramer_rao
-from bayes_sensor.delays import regress_delays
+from bayes_sensor.checks.delays import regress_delays
+from bayes_sensor.checks.predictive import check_predictive
 from bayes_sensor.fit import fit_least_squares
+from bayes_sensor.fit.traces import make_traces
+from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.posterior import Settings, sample_posterior
-from bayes_sensor.predictive import check_predictive
-from bayes_sensor.readers import read_campaign
 from bayes_sensor.residuals import diagnose_residuals
-from bayes_sensor.results import make_traces
 
 REFERENCE = PAPER.parent / "data" / "reference"
 SEED = 1

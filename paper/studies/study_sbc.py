@@ -14,9 +14,10 @@ import numpy as np
 import pandas as pd
 from drawing import ACCENT, INK, SHADE, TABLES, WIDTH, label, plt, save
 
-from bayes_sensor.calibration import Ranks, RankStudy, run_chunks
 from bayes_sensor.campaign import Campaign, Experiment
-from bayes_sensor.likelihood import Prior, Problem
+from bayes_sensor.checks.calibration import Ranks, RankStudy, run_chunks
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import SAMPLERS, Settings
 
 N, N_RANKS, SEED = 512, 127, 31

@@ -25,7 +25,7 @@ from bayes_sensor.blind_check.score import score_case
 from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.blind_check.statistics import proportion
 from bayes_sensor.blind_check.truth import complete_truth
-from bayes_sensor.calibration import run_chunks, study_key
+from bayes_sensor.checks.calibration import run_chunks, study_key
 
 PLANNED, SEED = 280, 36
 """campaigns of a whole plan, of which the kinds below are taken"""

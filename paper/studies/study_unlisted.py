@@ -22,10 +22,10 @@ from scipy.special import logsumexp
 
 from bayes_sensor.blind_check.plan import LEVELS, Entry, draw_truth, make_plan
 from bayes_sensor.blind_check.simulator import Case, make_campaign
-from bayes_sensor.calibration import run_chunks, study_key
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.gap.discrepancy import (
+from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.evidence.discrepancy import (
     FALL,
     MIRRORED,
     RISE,
@@ -33,9 +33,9 @@ from bayes_sensor.gap.discrepancy import (
     Discrepancy,
     make_discrepancies,
 )
-from bayes_sensor.gap.evidence import Linearised
-from bayes_sensor.gap.preparation import fit_base, prepare
-from bayes_sensor.model import Layout
+from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
+from bayes_sensor.fit import fit_least_squares
+from bayes_sensor.rig.layout import Layout
 
 SEED = 71
 PLANNED = 1200

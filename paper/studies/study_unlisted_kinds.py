@@ -21,7 +21,7 @@ from bayes_sensor.blind_check.check import verdict_on
 from bayes_sensor.blind_check.oracle import SEPARABLE_ABOVE
 from bayes_sensor.blind_check.plan import AR1_LAWS, Entry, draw_truth
 from bayes_sensor.blind_check.simulator import CAUSES, Case, make_campaign
-from bayes_sensor.calibration import run_chunks, study_key
+from bayes_sensor.checks.calibration import run_chunks, study_key
 
 SEED = 83
 LEVELS = (8.0, 16.0)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from bayes_sensor.report.parts import Pictures, Section
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.sections.blind_check import blind_check
-from bayes_sensor.report.sections.coating import coating
-from bayes_sensor.report.sections.computed import computed
-from bayes_sensor.report.sections.delays import switching
-from bayes_sensor.report.sections.fit import fitted
-from bayes_sensor.report.sections.gap import gap
-from bayes_sensor.report.sections.hardness import hardness
-from bayes_sensor.report.sections.measured import measured
-from bayes_sensor.report.sections.next import measure_next
-from bayes_sensor.report.sections.noise import noise
-from bayes_sensor.report.sections.tau import time_constant
+from bayes_sensor.report.sections.blind_check_section import blind_check
+from bayes_sensor.report.sections.coating_section import coating
+from bayes_sensor.report.sections.computed_section import computed
+from bayes_sensor.report.sections.delays_section import switching
+from bayes_sensor.report.sections.fit_section import fitted
+from bayes_sensor.report.sections.gap_section import gap
+from bayes_sensor.report.sections.hardness_section import hardness
+from bayes_sensor.report.sections.measured_section import measured
+from bayes_sensor.report.sections.next_section import measure_next
+from bayes_sensor.report.sections.noise_section import noise
+from bayes_sensor.report.sections.tau_section import time_constant
 
 SECTIONS = (
     measured,

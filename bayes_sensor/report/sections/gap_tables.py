@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bayes_sensor.figures import effect_words
-from bayes_sensor.figures.gap import lag_of
+from bayes_sensor.figures.plot_gap import lag_of
 from bayes_sensor.report.parts import Shown, Table, p_value
 from bayes_sensor.report.words import ms, number, powers
 

@@ -1,0 +1,169 @@
+"""What every bound method returns: estimates, spreads and intervals, with what they assume."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.display import card
+from bayes_sensor.io.json_files import plain
+from bayes_sensor.rig.layout import SHARED
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from bayes_sensor.bounds.likelihood_surface import Maximum, Surface
+
+LEVELS: dict[str, float] = {"68": 0.68, "95": 0.95, "997": 0.997}
+"""confidence levels by the suffix of their JSON keys"""
+COLUMNS = ("estimate", "sd", "lo68", "hi68", "lo95", "hi95", "lo997", "hi997")
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """One method's statement about every parameter; nan stands for "no value".
+
+    Seconds, mL and the campaign's signal unit.
+    """
+
+    method: str
+    assumes: str
+    """one sentence"""
+    reference: str
+    """where the method comes from"""
+    names: list[str]
+    """flat parameter names"""
+    estimate: FloatArray
+    """(n,)"""
+    sd: FloatArray
+    """(n,); nan where a standard deviation would mislead"""
+    low: FloatArray
+    """(n, 3) lower ends at the levels of :data:`LEVELS`"""
+    high: FloatArray
+    """(n, 3) upper ends"""
+    status: str = "ok"
+    """sentences about what was out of the ordinary; ``ok`` when nothing was"""
+    details: Mapping[str, Any] = field(default_factory=dict)
+    """numbers of interest to this method alone (bandwidth, block length, ..)"""
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        for label, array, shape in (
+            ("estimate", self.estimate, (n,)),
+            ("sd", self.sd, (n,)),
+            ("low", self.low, (n, len(LEVELS))),
+            ("high", self.high, (n, len(LEVELS))),
+        ):
+            if array.shape != shape:
+                raise ValueError(f"{self.method}: {label} has shape {array.shape}, not {shape}")
+
+    def interval(self, name: str, level: str | float = "95") -> tuple[float, float]:
+        """Lower and upper end for one parameter at ``level``: "68", "95", "997" or .68, .95, .997.
+
+        Raises KeyError for an unknown parameter or level.
+        """
+        keys = list(LEVELS)
+        key = level if isinstance(level, str) else f"{1000 * level:.0f}".rstrip("0")
+        if name not in self.names or key not in keys:
+            raise KeyError(f"{self.method}: no interval of '{name}' at level '{level}'")
+        i, j = self.names.index(name), keys.index(key)
+        return float(self.low[i, j]), float(self.high[i, j])
+
+    @property
+    def intervals(self) -> dict[str, dict[str, tuple[float, float]]]:
+        """Ends by level and parameter: ``intervals["95"]["tau_s"]``."""
+        return {key: {n: self.interval(n, key) for n in self.names} for key in LEVELS}
+
+    def row(self, name: str) -> dict[str, float]:
+        """The eight numbers of one parameter by their JSON keys; nan for no value."""
+        i = self.names.index(name)
+        values = [self.estimate[i], self.sd[i]]
+        for j in range(len(LEVELS)):
+            values += [self.low[i, j], self.high[i, j]]
+        return {key: float(value) for key, value in zip(COLUMNS, values)}
+
+    def to_json(self) -> dict[str, Any]:
+        """``assumes``, ``reference``, ``status`` and ``parameters`` as in ``bounds.json``."""
+        parameters: dict[str, Any] = {}
+        for name in self.names:
+            row = plain(self.row(name))
+            said = any(row[key] is not None for key in COLUMNS[1:])
+            parameters[name] = row if said else None
+        for name in SHARED:  # what has no value because it is not known whose a lag is
+            parameters.setdefault(name, None)
+        return {
+            "assumes": self.assumes,
+            "reference": self.reference,
+            "status": self.status,
+            "details": plain(dict(self.details)),
+            "parameters": parameters,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Every method's bound, side by side."""
+
+    methods: dict[str, Bound]
+    signal_unit: str = "V"
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    """how long each method took"""
+    caveats: tuple[str, ...] = ()
+    """sentences of the fit that decide whether the headline stands"""
+    likelihood: tuple[Surface, Maximum] | None = None
+    """the likelihood under the campaign's own noise with its maximum, where a method needed it"""
+
+    def __getitem__(self, method: str) -> Bound:
+        try:
+            return self.methods[method]
+        except KeyError:
+            raise KeyError(f"no method '{method}'; there are {', '.join(self.methods)}") from None
+
+    def __repr__(self) -> str:
+        """The methods; :meth:`table` has their numbers."""
+        return f"Bounds({', '.join(self.methods)})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: the shared parameters; :meth:`table` has all."""
+        rows = []
+        shown = dict.fromkeys(name for bound in self.methods.values() for name in bound.names[:3])
+        for name in shown:
+            for method, bound in self.methods.items():
+                row = bound.row(name) if name in bound.names else {}
+                ends = [row.get(key) for key in ("estimate", "sd", "lo95", "hi95")]
+                rows.append([name, method, *ends, bound.assumes])
+        columns = ["parameter", "method", "estimate", "sd", "95 % low", "95 % high", "assumes"]
+        return card("bounds", self.caveats, columns, rows)
+
+    def table(self) -> pd.DataFrame:
+        """One row per parameter and method (a MultiIndex), columns as in ``bounds.json``."""
+        import pandas as pd
+
+        names: list[str] = []
+        for bound in self.methods.values():
+            names += [name for name in bound.names if name not in names]
+        rows, index = [], []
+        for name in names:
+            for method, bound in self.methods.items():
+                if name in bound.names:
+                    index.append((name, method))
+                    rows.append(bound.row(name))
+        keys = pd.MultiIndex.from_tuples(index, names=["parameter", "method"])
+        return pd.DataFrame(rows, index=keys, columns=list(COLUMNS))
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``bounds.json``."""
+        return {
+            "methods": {name: bound.to_json() for name, bound in self.methods.items()},
+            "signal_unit": self.signal_unit,
+            "caveats": list(self.caveats),
+            "warnings": list(self.caveats),
+        }
+
+    def to_csv(self, path: str | Path | None = None) -> str | None:
+        """Write the table as ``bounds.csv``; without a path, return its text."""
+        text: str | None = self.table().to_csv(path, lineterminator="\n")
+        return text

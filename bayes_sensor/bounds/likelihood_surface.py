@@ -1,0 +1,427 @@
+"""A log-likelihood over psi, and its maximum with tau^2 kept from going below zero."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import sqrt
+
+import numpy as np
+
+from bayes_sensor.bounds.gaussian_intervals import invert, least_tau, mean_positions
+from bayes_sensor.bounds.newton import (
+    gradient_by_psi,
+    learnt,
+    mixed,
+    projected_step,
+    solve,
+    theta_of,
+)
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.likelihood.coordinates import Coordinates
+from bayes_sensor.likelihood.mesh import NO_NOISE, Compressed, Region, compress, default_region
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.problem import Problem
+
+Objective = Callable[[FloatArray], tuple[float, FloatArray]]
+Curvature = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Maximum:
+    """Where a constrained maximisation ended."""
+
+    psi: FloatArray
+    """(n,)"""
+    value: float
+    free: FloatArray
+    """(n,) the same, or where it is on the floor one more Newton step that may cross it: an
+    estimate of psi as if tau^2 could be negative"""
+    converged: bool
+
+
+def maximise(
+    objective: Objective,
+    curvature: Curvature,
+    start: FloatArray,
+    active: np.ndarray,
+    floor: FloatArray,
+    ceiling: FloatArray | None = None,
+    n_iterations: int = 60,
+    tolerance: float = 1e-7,
+    settled: float = 3e-4,
+) -> Maximum:
+    """Maximum over the ``active`` coordinates by Newton steps between ``floor`` and
+    ``ceiling`` (n,).
+
+    ``curvature`` gives minus the expected Hessian (n, n) at a point; ``tolerance`` is the gain in
+    the objective still to be had at which it stops.  Projected Newton (Bertsekas, SIAM J. Control
+    Optim. 20, 1982): coordinates on their floor that the gradient pushes down stay there; steps
+    that lose are damped (Levenberg and Marquardt), and the curvature is corrected as it goes
+    (BFGS).  It also stops after two steps in a row that gained less than ``settled``: near tau = 0
+    the likelihood of a sampled record is finely jagged in tau^2, because samples pass the kink at
+    the switch.
+    """
+    ceiling = np.full(len(floor), np.inf) if ceiling is None else ceiling
+    psi = np.clip(start, floor, ceiling)
+    value, gradient = objective(psi)
+    if not np.isfinite(value):
+        return Maximum(psi, value, psi.copy(), False)
+    converged = False
+    base = matrix = curvature(psi)
+    last_gain, damping = np.inf, 0.0
+    for _ in range(n_iterations):
+        for _ in range(12):
+            step, clipped = projected_step(matrix, gradient, psi, floor, ceiling, active, damping)
+            expected = float(gradient @ step)
+            if damping == 0.0 and not clipped and expected < 2.0 * tolerance:
+                converged = True
+                break
+            trial = np.clip(psi + step, floor, ceiling)
+            trial_value, trial_gradient = objective(trial)
+            if trial_value >= value - 1e-11 * abs(value):
+                break
+            damping = max(10.0 * damping, 1e-3)
+        else:
+            break
+        if converged:
+            break
+        gained = trial_value - value
+        taken, turned = trial - psi, gradient - trial_gradient
+        psi, value, gradient = trial, trial_value, trial_gradient
+        if damping == 0.0:
+            if abs(gained) < 0.1 * tolerance or max(gained, last_gain) < settled:
+                converged = True
+                break
+            last_gain = gained
+        damping = 0.0 if damping <= 1e-3 else 0.1 * damping
+        here = curvature(psi)
+        matrix, base = learnt(matrix + (here - base), here, taken, turned, active), here
+    free = psi.copy()
+    if np.isfinite(floor[0]) and psi[0] <= floor[0] * (1 + 1e-9):
+        free[active] += solve(matrix, gradient[active], active, 0.0)
+    return Maximum(psi, float(value), free, converged)
+
+
+APART = 1.1e-3
+"""relative distance of time constants that leaves the mesh its analytic gradient, with room"""
+
+
+def _gap(tau: float, others: list[float]) -> float:
+    return min(abs(other - tau) / max(other, tau) for other in others)
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The log-likelihood of a compressed problem in psi."""
+
+    compressed: Compressed
+
+    @cached_property
+    def problem(self) -> Problem:
+        """What the mesh was made for."""
+        return self.compressed.problem
+
+    @cached_property
+    def coordinates(self) -> Coordinates:
+        """The map between theta and psi."""
+        return Coordinates(self.problem)
+
+    @cached_property
+    def mean(self) -> np.ndarray:
+        """Positions in psi of the mean's parameters (and extras)."""
+        return mean_positions(self.coordinates)
+
+    @cached_property
+    def mean_names(self) -> list[str]:
+        """Their flat names."""
+        return [self.coordinates.names[i] for i in self.mean]
+
+    @cached_property
+    def floor(self) -> FloatArray:
+        """(n_psi,) lowest value of each square: a tau that is a pure delay, a negligible sigma1."""
+        floor = np.full(len(self.coordinates.names), -np.inf)
+        sigma0 = self.compressed.reference[self.problem.layout.noise[0, 1]]
+        for i in self.coordinates.squared:
+            name = self.coordinates.names[i]
+            floor[i] = (least_tau(self.compressed) if name == "tau_s" else 0.02 * sigma0) ** 2
+        return floor
+
+    @cached_property
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest psi (n_psi,) each that the mesh covers."""
+        region, coordinates = self.compressed.region, self.coordinates
+        low, high = self.floor.copy(), np.full(len(self.floor), np.inf)
+        high[0] = region.high[0] ** 2
+        for i in (1, 2):
+            low[i], high[i] = region.low[i], region.high[i]
+        for i in coordinates.switches:
+            j = coordinates.free[i]
+            # t0 must stay inside whatever tau is
+            low[i], high[i] = region.low[j] + region.high[0], region.high[j]
+            if low[i] >= high[i]:
+                low[i], high[i] = -np.inf, np.inf
+        return low, high
+
+    def at_wall(self, psi: FloatArray) -> list[str]:
+        """Names of parameters at an edge of the mesh, where no maximum was found inside it.
+
+        A square at zero is not one of them: that is a legitimate place for a maximum.
+        """
+        low, high = self.box
+        margin = 1e-6 * np.where(np.isfinite(high - low), high - low, 1.0)
+        walled = (psi >= high - margin) | (psi <= low + margin) & (low > self.floor)
+        return [name for name, at in zip(self.coordinates.names, walled) if at]
+
+    def psi(self, theta: FloatArray) -> FloatArray:
+        """Coordinates of theta, raised to the floor (t0 + tau stays)."""
+        return np.maximum(self.coordinates.psi(theta), self.floor)
+
+    def objective(self, psi: FloatArray) -> tuple[float, FloatArray]:
+        """Log-likelihood and its gradient by psi."""
+        return self._at(theta_of(psi, *self._places))
+
+    def _at(self, theta: FloatArray) -> tuple[float, FloatArray]:
+        aside = self._aside(theta)
+        if aside is None:
+            value, gradient = self.compressed.value_and_gradient(theta)
+        else:
+            # from neighbours on both sides; the error is of fourth order in the value
+            up, g_up = self.compressed.value_and_gradient(theta + aside)
+            down, g_down = self.compressed.value_and_gradient(theta - aside)
+            value = 0.5 * (up + down) - 0.25 * float((g_up - g_down) @ aside)
+            gradient = 0.5 * (g_up + g_down)
+        return value, gradient_by_psi(theta, gradient, *self._places[1:])
+
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, ...]:
+        """What :func:`theta_of` needs beside psi."""
+        c = self.coordinates
+        return c.theta(np.zeros(len(c.names))), c.free, c.squared, c.switches, c.phi, c.log_sigmas
+
+    @cached_property
+    def _flows(self) -> list[float]:
+        return sorted({e.total_flow for e in self.problem.campaign})
+
+    def _aside(self, theta: FloatArray) -> FloatArray | None:
+        """How far tau_v or tau must move, up and down, where time constants coincide; else None.
+
+        There the mesh has no analytic gradient.
+        """
+        tau, tau_v, volume = theta[:3].tolist()
+        manifold = [volume / flow for flow in self._flows]
+        if _gap(tau_v, manifold) > APART and _gap(tau, [tau_v, *manifold]) > APART:
+            return None
+        aside = np.zeros(len(theta))
+        for i in (1, 0):
+            for j in range(40):
+                move = 1.2 * APART * j * theta[i]
+                others = list(manifold)
+                if i == 0:
+                    others += [theta[1] + aside[1], theta[1] - aside[1]]
+                if min(_gap(theta[i] + move, others), _gap(theta[i] - move, others)) > APART:
+                    aside[i] = move
+                    break
+        covered = self.compressed.covers(theta + aside) and self.compressed.covers(theta - aside)
+        return aside if covered else None
+
+    def guarded(self, psi: FloatArray) -> tuple[float, FloatArray]:
+        """:meth:`objective`, but minus infinity outside the mesh instead of a slow full pass."""
+        theta = theta_of(psi, *self._places)
+        if not self.compressed.covers(theta):
+            return -np.inf, np.zeros(len(psi))
+        return self._at(theta)
+
+    def expansion(self, psi: FloatArray) -> FloatArray:
+        """psi with tau^2 raised to its own spread: where a Gaussian is matched near tau = 0.
+
+        The information on tau^2 falls as tau grows; taken at zero it would promise upper limits
+        that the likelihood does not keep.
+        """
+        point = psi.copy()
+        for _ in range(3):
+            variance = invert(self.information(point))[0][0, 0]
+            if not np.isfinite(variance) or psi[0] >= np.sqrt(variance):
+                break
+            # never beyond what the mesh covers
+            top = 0.5 * self.compressed.region.high[0] ** 2
+            point[0] = max(psi[0], min(float(np.sqrt(variance)), top))
+        return point
+
+    @cached_property
+    def _informations(self) -> dict[bytes, FloatArray]:
+        return {}
+
+    def information(self, psi: FloatArray) -> FloatArray:
+        """Expected information (n_psi, n_psi); methods ask for it at the same places."""
+        theta = self.coordinates.theta(np.maximum(psi, self.floor))
+        key = theta.tobytes()
+        if key not in self._informations:
+            free = self.coordinates.free
+            slopes = self.coordinates.slopes(theta)
+            by_theta = self.compressed.information(theta)[np.ix_(free, free)]
+            self._informations[key] = slopes.T @ by_theta @ slopes
+        return self._informations[key].copy()
+
+
+def coloured_surface(problem: Problem, theta: FloatArray) -> tuple[Surface, Maximum]:
+    """The problem's own likelihood, its mesh centred on the maximum, and that maximum."""
+    vector = theta.copy()
+    layout = problem.layout
+    for name, value in problem.fixed.items():
+        vector[layout.index(name)] = value
+    for row in layout.noise:
+        if "phi" not in {name.split("[")[0] for name in problem.fixed}:
+            vector[row[0]] = np.clip(vector[row[0]], -0.995, 0.9995)
+    # a badly fitting model moves far from where it started: then with more and more room
+    for attempt in range(6):
+        room = 1.5 if attempt < 2 else 4.0
+        surface = Surface(compress(problem, vector, _roomy(problem, vector, room)))
+        maximum = _climb(surface, vector, 15)
+        vector = surface.coordinates.theta(maximum.psi)
+        moved = np.abs(maximum.psi - surface.psi(surface.compressed.reference))
+        spread = 1.0 / np.sqrt(np.maximum(np.diag(surface.information(maximum.psi)), 1e-300))
+        # conditional spreads: the mesh reaches seven marginal ones, so this is near its centre
+        if maximum.converged and (moved <= 3.0 * spread).all():
+            break
+    recentre = attempt > 0
+    for _ in range(3):
+        if vector[0] > vector[1]:
+            # the cascade is unchanged when the two swap; the sensor is taken to be the faster one
+            vector[[0, 1]] = vector[[1, 0]]
+            recentre = True
+        if recentre:
+            surface = Surface(compress(problem, vector, _roomy(problem, vector)))
+        maximum = _climb(surface, vector)
+        vector = surface.coordinates.theta(maximum.psi)
+        if vector[0] <= vector[1]:
+            break
+    if surface.at_wall(maximum.psi) or vector[0] > vector[1]:
+        maximum = replace(maximum, converged=False)
+    return surface, maximum
+
+
+def curvature_along_tau(surface: Surface, psi: FloatArray, n: int = 6) -> Curvature:
+    """Expected information as a function of tau alone, interpolated between ``n`` values of tau.
+
+    tau is what the information depends on most; the rest stays at ``psi`` (n_psi,), with t0 + tau.
+    """
+    least, most = float(np.sqrt(surface.floor[0])), float(surface.compressed.region.high[0])
+    taus = least + (most - least) * np.linspace(0.0, 1.0, n) ** 1.5
+    points = np.tile(psi, (n, 1))
+    points[:, 0] = taus**2
+    matrices = np.stack([surface.information(point) for point in points])
+
+    def curvature(at: FloatArray) -> FloatArray:
+        matrix: FloatArray = mixed(sqrt(max(at[0], 0.0)), taus, matrices)
+        return matrix
+
+    return curvature
+
+
+ORDERED = 0.5
+"""tau over tau_v up to which the spread of tau^2 is followed; nearer, the two exchange roles"""
+
+
+def spread_along_tau(
+    surface: Surface, psi: FloatArray, n: int = 5
+) -> tuple[FloatArray, FloatArray] | None:
+    """``n`` rising values of tau and the sd of estimates of tau^2 where tau has them.
+
+    As far as a Gaussian about ``psi`` (n_psi,) reaches; the rest stays there, with t0 + tau.  None
+    where tau is not clearly the faster lag: the other order is no small step in tau^2.
+    Infinite where tau^2 is not identified.
+    """
+    if psi[0] > (ORDERED * psi[1]) ** 2:
+        return None
+    point = surface.expansion(psi)
+    reach = 6.0 * float(np.sqrt(invert(surface.information(point))[0][0, 0]))
+    q = max(float(psi[0]), 0.0)
+    most = min(sqrt(q + reach), ORDERED * float(psi[1])) if np.isfinite(reach) else 0.0
+    most = max(most, 1.2 * sqrt(q))
+    most = min(most, float(surface.compressed.region.high[0]))
+    least = float(np.sqrt(surface.floor[0]))
+    taus = least + max(most - least, least) * np.linspace(0.0, 1.0, n)
+    point = psi.copy()
+    spreads = np.empty(n)
+    for i, tau in enumerate(taus):
+        point[0] = tau**2
+        spreads[i] = np.sqrt(invert(surface.information(point))[0][0, 0])
+    return taus, spreads
+
+
+def _roomy(problem: Problem, vector: FloatArray, room: float = 1.5) -> Region:
+    """The default region ``room`` times as wide: the information on tau^2 falls as tau grows, so
+    that likelihoods have longer tails upwards than it tells at a small tau."""
+    region = default_region(problem, vector)
+    low, high = region.low.copy(), region.high.copy()
+    switches = problem.layout.local[:, 2:].ravel()
+    switches = switches[switches >= 0]
+    wider = room - 1.0
+    low[switches] -= wider * high[0]
+    high[switches] += (wider - 0.5) * (high[switches] - vector[switches])
+    high[0] += wider * high[0]
+    for i in (1, 2):
+        low[i] = max(low[i] - wider * (vector[i] - low[i]), 0.1 * vector[i])
+        high[i] += wider * (high[i] - vector[i])
+    return Region(low, high)
+
+
+def _climb(surface: Surface, theta: FloatArray, n_iterations: int = 40) -> Maximum:
+    psi = surface.psi(theta)
+    n_made = 0
+    matrix = surface.information(psi)
+
+    def curvature(at: FloatArray) -> FloatArray:
+        nonlocal n_made, matrix
+        n_made += 1
+        if n_made <= 4 or n_made % 4 == 0:
+            matrix = surface.information(at)
+        return matrix
+
+    every = np.arange(len(psi))
+    return maximise(surface.guarded, curvature, psi, every, *surface.box, n_iterations)
+
+
+def white_problem(problem: Problem) -> Problem:
+    """The same mean under iid noise: its maximum likelihood is least squares."""
+    return replace(
+        problem, noise=Noise("constant", "white", per_experiment=problem.noise.per_experiment)
+    )
+
+
+def white_surface(
+    problem: Problem, theta: FloatArray, rms: float, region: Region
+) -> tuple[Surface, Maximum]:
+    """Least squares as a likelihood of noise ``rms`` (V) on a mesh valid in ``region``."""
+    white = white_problem(problem)
+    vector = theta.copy()
+    for row in white.layout.noise:
+        vector[row] = 0.0, rms, 0.0
+    surface = Surface(compress(white, vector, region))
+    psi = surface.psi(vector)
+    matrix = surface.information(psi)
+    maximum = maximise(surface.guarded, lambda _: matrix, psi, surface.mean, *surface.box)
+    return surface, maximum
+
+
+def region_of(problem: Problem, surface: Surface, theta: FloatArray) -> Region:
+    """A region that holds that of ``surface``, as much about ``theta``, and every noise level."""
+    region, about = surface.compressed.region, surface.compressed.reference
+    # the same widths about theta; psi's t0 + tau and tf + tau are what stays put
+    shift = theta - about
+    shift[0] = max(shift[0], 0.0)
+    low = np.minimum(region.low, np.maximum(region.low + shift, 0.1 * np.minimum(theta, about)))
+    switches = problem.layout.local[:, 2:].ravel()
+    switches = switches[switches >= 0]
+    low[switches] = np.minimum(region.low[switches], region.low[switches] + shift[switches])
+    high = np.maximum(region.high, region.high + shift)
+    free = np.ones(len(low), dtype=bool)
+    free[[0, 1, 2, *switches]] = False
+    low[free], high[free] = -np.inf, np.inf
+    low[0] = 0.0
+    for row in problem.layout.noise:
+        least = NO_NOISE * about[row[1]]
+        low[row], high[row] = (-1.0 + 1e-9, least, 0.0), (1.0 - 1e-9, np.inf, np.inf)
+    return Region(low, high)

@@ -1,0 +1,1 @@
+"""Checks of the whole method: predictive, calibration, coverage, and the delays' regressions."""

@@ -1,0 +1,151 @@
+"""The blind check from the command line: draw and seal, diagnose, open and score."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from bayes_sensor import figures
+from bayes_sensor.blind_check import (
+    SETTINGS,
+    card_table,
+    diagnose_cases,
+    draw_cases,
+    open_seals,
+    score,
+    sealed_late,
+    table,
+)
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.cli.analysis_steps import last_step, progress_bar, put_report, say
+from bayes_sensor.cli.logged_notes import noted
+from bayes_sensor.figures.plot_blind_check import score_card
+from bayes_sensor.io.json_files import read_json
+from bayes_sensor.io.results import Results, Stage
+from bayes_sensor.io.run_record import now, run_record
+
+PARTS = "blind-check-parts"
+"""folder of finished parts, for --resume; removed once all is done"""
+KEEP_UP_TO = 100
+"""cases whose campaigns are kept unless the user says otherwise: some 13 MB each"""
+
+
+def blind_check(
+    out: Path,
+    *,
+    cases: int,
+    seed: int,
+    setting: str,
+    only: str | None,
+    reserve: bool,
+    keep: bool | None,
+    jobs: int,
+    scheduler: str | None,
+    resume: bool,
+    quiet: bool,
+    size: str = "mixed",
+) -> int:
+    """Run all of it, or ``only`` ``cases``, ``diagnose`` or ``score``; the exit code."""
+    started, seconds = now(), {}
+    if setting not in SETTINGS:
+        raise CampaignError(
+            f"--setting: expected one of {', '.join(SETTINGS)}, but got '{setting}'; correct it"
+        )
+    results = Results(out)
+    plan = results.json("plan.json")
+    drawn = {case["case"] for case in plan["cases"]} if plan else set()
+    found = {path.parent.name for path in (out / "campaigns").glob("*/campaign.toml")}
+    own = bool(found - drawn) or ((out / "campaigns").is_dir() and not plan)
+    if own and only in (None, "cases"):
+        raise CampaignError(
+            f"--out {out}: campaigns/ there holds campaigns of your own, which drawn cases would "
+            "replace; diagnose yours with --diagnose-only, or choose another folder"
+        )
+    if keep is None:
+        keep = cases <= KEEP_UP_TO
+    card: dict[str, Any] | None = None
+    with results.locked():
+        parts = results.own_folder(PARTS)
+        if not resume:
+            shutil.rmtree(parts, ignore_errors=True)
+        with results.writing() as stage:
+            made = stage.inside if only is None else results.folder
+            if only in (None, "cases"):
+                begin = time.perf_counter()
+                with progress_bar("drawing", quiet) as tell:
+                    draw_cases(
+                        stage.inside, parts, cases, seed, reserve=reserve, size=size, keep=keep,
+                        jobs=jobs, scheduler=scheduler,
+                        progress=lambda done, n: tell(done / n, f"{done} of {n} cases"),
+                    )  # fmt: skip
+                seconds["cases"] = time.perf_counter() - begin
+            if only in (None, "diagnose"):
+                begin = time.perf_counter()
+                with progress_bar("diagnosing", quiet) as tell:
+                    diagnose_cases(
+                        made, stage.inside, parts, setting, jobs=jobs, scheduler=scheduler,
+                        progress=lambda done, n: tell(done / n, f"{done} of {n} cases"),
+                    )  # fmt: skip
+                seconds["diagnosis"] = time.perf_counter() - begin
+            if only in (None, "score"):
+                card = _write_card(stage, made)
+            stage.json(
+                "run.json",
+                run_record(
+                    results.json("run.json"), "blind-check", basis="", seed=seed,
+                    settings={
+                        "cases": cases, "setting": setting, "only": only, "reserve": reserve,
+                        "size": size,
+                    },
+                    campaign="", files={}, started=started, seconds=seconds, exit_code=0,
+                    warnings=noted(),
+                ),
+            )  # fmt: skip
+        if card is not None:  # from the whole folder, which may hold an analysis as well
+            with progress_bar("report", quiet) as tell, last_step(results):
+                put_report(results, tell)
+        shutil.rmtree(parts, ignore_errors=True)
+    if card is not None:
+        say(summary(card), quiet)
+        if card["sealed_late"]:
+            say(f"truths not sealed before the verdicts: {', '.join(card['sealed_late'])}", quiet)
+        say(f"score card: {results.path('score_card.png')}", quiet)
+        say(f"report: {results.path('report.html')}", quiet)
+    elif only == "diagnose":
+        names = read_json(results.path("verdicts.json"))
+        say(f"verdicts of {len(names)} campaigns: {results.path('verdicts')}", quiet)
+        sealed = results.json("sealed.json") or {}
+        if missing := [name for name in names if name not in sealed]:
+            say(f"no truth yet, and too late to seal one: {', '.join(missing)}", quiet)
+    else:
+        say(f"{cases} cases, truths sealed: {results.path('sealed.json')}", quiet)
+    return 0
+
+
+def _write_card(stage: Stage, folder: Path) -> dict[str, Any]:
+    card, rows = score(open_seals(folder))
+    card["sealed_late"] = sealed_late(folder)
+    stage.json("score.json", card)
+    stage.text("cases.csv", table(rows).to_csv(index=False, lineterminator="\n"))
+    stage.text("score.csv", card_table(card).to_csv(index=False, lineterminator="\n"))
+    figure = score_card(card)
+    stage.text("score_card.svg", figures.svg(figure))
+    stage.binary("score_card.png", figures.png(figure))
+    return card
+
+
+def summary(card: Mapping[str, Any]) -> str:
+    """One line a goal: what was wanted, what was reached, whether it was met."""
+    rows = [["goal", "wanted", "reached", "95 % interval", ""]]
+    for goal in card["goals"]:
+        interval = "" if goal["lo95"] is None else f"{goal['lo95']:.3f} to {goal['hi95']:.3f}"
+        reached = "no case" if goal["reached"] is None else f"{goal['reached']:.3f}"
+        met = {True: "met", False: "missed", None: ""}[goal["met"]]
+        rows.append([goal["goal"], goal["wanted"] or "", reached, interval, met])
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    kinds = ", ".join(f"{n} {kind}" for kind, n in card["kinds"].items())
+    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
+    return "\n".join([f"{card['n']} cases: {kinds}", *(line.rstrip() for line in lines)])

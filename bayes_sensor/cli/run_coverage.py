@@ -1,0 +1,111 @@
+"""The coverage study from the command line: simulate, bound, count, resume."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayes_sensor import figures
+from bayes_sensor.bounds import METHODS
+from bayes_sensor.checks.coverage import BoundsStudy, chosen_settings, run_coverage
+from bayes_sensor.cli.analysis_steps import progress_bar, say
+from bayes_sensor.cli.logged_notes import noted
+from bayes_sensor.io.results import Results
+from bayes_sensor.io.run_record import now, run_record
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CHUNKS = "coverage-parts"
+"""folder of finished parts; kept, so that --resume may also add campaigns"""
+
+
+def study_coverage(
+    out: Path,
+    *,
+    campaigns: int,
+    settings: Sequence[str],
+    methods: Sequence[str],
+    seed: int,
+    jobs: int,
+    scheduler: str | None,
+    resume: bool,
+    quiet: bool,
+    config: Path | None = None,
+) -> int:
+    """Write coverage.csv, coverage.json and the figure into ``out``; the exit code.
+
+    ``methods`` win over those of ``config``; none at all are all.
+    """
+    from bayes_sensor.cli.overrides import read_overrides
+
+    started, begin = now(), time.perf_counter()
+    chosen = chosen_settings(settings)
+    asked = read_overrides(config).bounds
+    names = tuple(methods) or tuple(asked.methods or ()) or tuple(METHODS)
+    BoundsStudy(next(iter(chosen.values())), methods=names)  # refuses unknown methods
+    resamples = asked.resamples if "resamples" in asked.model_fields_set else None
+    results = Results(out)
+    parts = results.own_folder(CHUNKS)
+    with results.locked():
+        if not resume:
+            shutil.rmtree(parts, ignore_errors=True)
+        with progress_bar("coverage", quiet) as tell:
+            table = run_coverage(
+                parts, chosen, campaigns, names, seed, jobs, scheduler,
+                lambda done, n: tell(done / n, f"{done} of {n} campaigns"),
+                n_resamples=resamples,
+            )  # fmt: skip
+        rows = table.to_dict("records")
+        figure = figures.coverage(rows)
+        with results.writing() as stage:
+            stage.text("coverage.csv", table.to_csv(index=False, lineterminator="\n"))
+            stage.json(
+                "coverage.json",
+                {
+                    "campaigns_per_setting": campaigns,
+                    "settings": {name: setting.words for name, setting in chosen.items()},
+                    "methods": list(names),
+                    "coverage": rows,
+                },
+            )
+            stage.text("coverage.svg", figures.svg(figure))
+            stage.binary("coverage.png", figures.png(figure))
+            stage.json(
+                "run.json",
+                run_record(
+                    results.json("run.json"),
+                    "coverage",
+                    basis="",
+                    seed=seed,
+                    settings={
+                        "campaigns": campaigns, "settings": list(chosen), "methods": list(names),
+                    },
+                    campaign="",
+                    files={},
+                    started=started,
+                    seconds={"coverage": time.perf_counter() - begin},
+                    exit_code=0,
+                    warnings=noted(),
+                ),
+            )  # fmt: skip
+    say(summary(table), quiet)
+    say(f"results: {results.path('coverage.csv')}", quiet)
+    return 0
+
+
+def summary(table: pd.DataFrame, parameter: str = "tau_s") -> str:
+    """Coverage of the 95 % interval of one parameter, a row a method, a column a setting."""
+    some = table[(table["level"] == "95") & (table["parameter"] == parameter)]
+    methods, settings = list(dict.fromkeys(some["method"])), list(dict.fromkeys(some["setting"]))
+    values = some.set_index(["method", "setting"])["coverage"]
+    rows = [[f"95 % of {parameter.rpartition('_')[0]}", *settings]]
+    rows += [[method, *(f"{values[method, s]:.3f}" for s in settings)] for method in methods]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))])
+        for row in rows
+    )

@@ -1,0 +1,296 @@
+"""Many campaigns from the command line: analyse each, whatever becomes of the others; compare."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import threading
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayes_sensor import __version__
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.cli.analysis_steps import progress_bar, run, say
+from bayes_sensor.cli.logged_notes import noted
+from bayes_sensor.cli.overrides import Overrides, read_overrides
+from bayes_sensor.fleet import Entry, failed_row, read_list, row_of, table, write_comparison
+from bayes_sensor.fleet.comparison import sentences
+from bayes_sensor.fleet.outcome import fingerprint, unchanged
+from bayes_sensor.io.disk import own_folder
+from bayes_sensor.io.json_files import write_json
+from bayes_sensor.io.results import Results
+from bayes_sensor.io.run_record import now, run_record
+from bayes_sensor.workers import WorkerDied, completed, dask_client
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FOLDER = "campaigns"
+"""of the campaigns' own results"""
+OUTCOME = "outcome.json"
+"""beside a campaign's results, once they are complete: the row, and what it rests on"""
+PATIENCE = 600.0
+"""seconds to wait for a worker that an interrupted run has left at the same campaign"""
+NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
+"""what ends the fleet: it would fail for every campaign"""
+COST = ("seconds", "processor_seconds", "peak_memory_MB")
+
+_one_at_a_time = threading.Lock()
+"""a Dask worker may have threads, but what they draw and print is the whole process's"""
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """The task of a fleet: ``analyze`` one campaign into its own folder."""
+
+    out: Path
+    config: Path | None
+    seed: int
+    resume: bool
+    key: str
+    """of everything that the numbers depend on beside the data"""
+    posterior: dict[str, Any] = field(default_factory=dict)
+
+    def __call__(self, entry: Entry) -> dict[str, Any]:
+        """``row`` of the table and ``cost``; what goes wrong with the campaign is in the row."""
+        with _one_at_a_time:
+            return self._analyse(entry)
+
+    def _analyse(self, entry: Entry) -> dict[str, Any]:
+        begin, spent = time.perf_counter(), time.process_time()
+        results = Results(self.out / FOLDER / entry.name)
+        file = str(entry.file)
+        if self.resume and (known := self._known(results, entry)) is not None:
+            return known
+        arguments = ["analyze", file, "--out", str(results.folder), "--seed", str(self.seed)]
+        try:
+            told = io.StringIO()
+            with redirect_stdout(io.StringIO()), redirect_stderr(told):
+                own_folder(results.folder)
+                results.path(OUTCOME).unlink(missing_ok=True)
+                run(
+                    "analyze", entry.file, results.folder, seed=self.seed, jobs=1, quiet=True,
+                    config=self.config, resume=self.resume, posterior=self.posterior,
+                    patience=PATIENCE, command_line=["bayes-sensor", *arguments],
+                )  # fmt: skip
+            message = told.getvalue().strip().splitlines()[-1:] or [""]
+            report = f"{FOLDER}/{entry.name}/report.html"
+            row = row_of(results, entry.name, file, report, message[0])
+            files = fingerprint(entry.file)
+        except CampaignError as error:
+            return {"row": failed_row(entry.name, file, str(error)), "cost": _cost(begin, spent)}
+        except OSError as error:
+            if error.errno in NO_ROOM:
+                raise
+            return {"row": failed_row(entry.name, file, _bug(error)), "cost": _cost(begin, spent)}
+        except Exception as error:
+            # a mistake of ours, met by one campaign in the night, must not cost all the others
+            return {"row": failed_row(entry.name, file, _bug(error)), "cost": _cost(begin, spent)}
+        outcome = {"row": row, "cost": _cost(begin, spent)}
+        write_json(results.path(OUTCOME), {**outcome, "key": self.key, "files": files})
+        return outcome
+
+    def _known(self, results: Results, entry: Entry) -> dict[str, Any] | None:
+        """The outcome of an earlier run on the same data with the same settings."""
+        try:
+            known = results.json(OUTCOME)
+        except CampaignError:  # damaged: analysed again
+            return None
+        if not known or known["key"] != self.key or not results.has("report.html"):
+            return None
+        if known["row"]["file"] != str(entry.file) or not unchanged(entry.file, known["files"]):
+            return None
+        return {"row": known["row"], "cost": known["cost"]}
+
+
+def _bug(error: BaseException) -> str:
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    where = f"{Path(place.filename).name}, line {place.lineno}"
+    return (
+        f"an unforeseen {type(error).__name__} ({str(error)[:200]}) in {where}; "
+        "run analyze on this campaign alone to see all of it, and report it"
+    )
+
+
+def _cost(begin: float, spent: float) -> dict[str, Any]:
+    """Time since ``begin``, processor time since ``spent`` and the process's peak memory so far."""
+    try:
+        import resource
+        import sys
+
+        unit = 1 if sys.platform == "darwin" else 1024
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+    except ImportError:  # Windows
+        peak = float("nan")
+    values = (time.perf_counter() - begin, time.process_time() - spent, peak)
+    cost: dict[str, Any] = {k: round(v, 3) for k, v in zip(COST, values, strict=True)}
+    return {
+        **cost,
+        "worker": f"{os.uname().nodename if hasattr(os, 'uname') else ''}:{os.getpid()}",
+    }
+
+
+def run_fleet(
+    listing: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    seed: int = 1,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    config: str | os.PathLike[str] | None = None,
+    posterior: dict[str, Any] | None = None,
+    resume: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> pd.DataFrame:
+    """Analyse every campaign of a list; the comparison table, a row a campaign.
+
+    Writes ``fleet.csv``, ``fleet.json``, the figure and ``index.html`` into ``out``, and what
+    ``analyze`` gives into ``out/campaigns/NAME``.  Each campaign is analysed with the same seed:
+    its numbers are those of ``analyze`` alone, wherever it stands in the list.
+
+    Parameters
+    ----------
+    listing
+        a text file of paths, a TOML file, a folder or a pattern: see ``bayes_sensor.fleet``.
+    jobs, scheduler
+        processes of this machine, or the address of a Dask scheduler whose workers see the same
+        files; the numbers depend on neither.
+    config, posterior
+        settings that differ from default, as ``--config`` and the sampler's options.
+    resume
+        keep what ``out`` holds of the same data, seed and settings; failed campaigns are tried
+        again.
+
+    Raises
+    ------
+    CampaignError
+        If the list, the settings or ``out`` cannot be used.  A bad campaign is a row with
+        ``status`` "failed" and its message.
+    """
+    rows, _ = _run(
+        Path(listing), Path(out), seed, jobs, scheduler,
+        None if config is None else Path(os.path.abspath(config)), posterior or {}, resume,
+        progress or (lambda fraction, text: None),
+    )  # fmt: skip
+    return table(rows)
+
+
+def _run(
+    listing: Path,
+    out: Path,
+    seed: int,
+    jobs: int,
+    scheduler: str | None,
+    config: Path | None,
+    posterior: dict[str, Any],
+    resume: bool,
+    tell: Callable[[float, str], None],
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """The rows and their comparison."""
+    started, begin = now(), time.perf_counter()
+    settings: Overrides = read_overrides(config, posterior)
+    entries = read_list(listing)
+    results = Results(out)
+    key = repr((__version__, seed, sorted(settings.record().items())))
+    task = Analysis(Path(os.path.abspath(out)), config, seed, resume, key, posterior)
+    with ExitStack() as stack:
+        client = None
+        if scheduler is not None:  # before anything is written: it may not answer
+            client = stack.enter_context(dask_client(scheduler))
+        stack.enter_context(results.locked())
+        results.own_folder(FOLDER)
+        outcomes = _outcomes(task, entries, jobs, client, tell)
+        rows = [outcome["row"] for outcome in outcomes]
+        _check_visible(out, rows, scheduler)
+        with results.writing() as stage:
+            compared = write_comparison(stage, rows, __version__)
+            stage.json(
+                "run.json",
+                run_record(
+                    results.json("run.json"), "fleet", basis="", seed=seed,
+                    settings=settings.record(), campaign=str(listing), files={},
+                    started=started,
+                    seconds={
+                        "fleet": time.perf_counter() - begin,
+                        **{o["row"]["campaign"]: o["cost"].get("seconds", 0.0) for o in outcomes},
+                    },
+                    exit_code=exit_code(compared), warnings=noted(),
+                ) | {"cost": {o["row"]["campaign"]: o["cost"] for o in outcomes}},
+            )  # fmt: skip
+    return rows, compared
+
+
+def _outcomes(
+    task: Analysis,
+    entries: Sequence[Entry],
+    jobs: int,
+    client: Any,
+    tell: Callable[[float, str], None],
+) -> list[dict[str, Any]]:
+    """One a campaign, in the order of the list."""
+    here = [Entry(e.name, Path(os.path.abspath(e.file))) for e in entries]
+    found: dict[int, dict[str, Any]] = {}
+    bad = 0
+    tell(0.0, f"0 of {len(entries)} campaigns")
+    for i, result in completed(task, here, min(jobs, len(here)), client):
+        if isinstance(result, WorkerDied):
+            result = {
+                "row": failed_row(entries[i].name, str(here[i].file), str(result)),
+                "cost": {},
+            }
+        found[i] = result
+        bad += result["row"]["status"] == "failed"
+        tell(len(found) / len(entries), f"{len(found)} of {len(entries)}, {bad} failed")
+    return [found[i] for i in range(len(entries))]
+
+
+def _check_visible(out: Path, rows: Sequence[dict[str, Any]], scheduler: str | None) -> None:
+    for row in rows:
+        if row["report"] and not (out / row["report"]).is_file():
+            raise CampaignError(
+                f"--scheduler {scheduler}: the workers' results are not in {out}; expected workers "
+                "that see the same folders: put --out on a disk that all machines share"
+            )
+
+
+def exit_code(compared: dict[str, Any]) -> int:
+    """0 where every campaign is done, else 3."""
+    return 0 if compared["done"] == compared["n"] else 3
+
+
+def analyse_fleet(
+    listing: Path,
+    out: Path,
+    *,
+    seed: int,
+    jobs: int,
+    scheduler: str | None,
+    config: Path | None,
+    posterior: dict[str, Any],
+    resume: bool,
+    quiet: bool,
+) -> int:
+    """Run the command; the exit code."""
+    with progress_bar("fleet", quiet) as tell:
+        rows, compared = _run(
+            listing, out, seed, jobs, scheduler,
+            None if config is None else Path(os.path.abspath(config)), posterior, resume, tell,
+        )  # fmt: skip
+    for text in sentences(compared):
+        say(text, quiet)
+    for row in [row for row in rows if row["status"] == "failed"][:MOST_SHOWN]:
+        say(f"failed: {row['campaign']}: {row['message']}", quiet)
+    if compared["failed"] > MOST_SHOWN:
+        say(f"failed: {compared['failed'] - MOST_SHOWN} more in fleet.csv", quiet)
+    say(f"index: {Results(out).path('index.html')}", quiet)
+    return exit_code(compared)
+
+
+MOST_SHOWN = 6
+"""failed campaigns that are named in a terminal"""

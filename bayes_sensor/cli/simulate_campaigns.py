@@ -1,0 +1,322 @@
+"""Campaigns with known truth, written as if they had been recorded."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment, counted
+from bayes_sensor.cli.analysis_steps import progress_bar, say
+from bayes_sensor.io.json_files import read_json, sha256
+from bayes_sensor.io.readers import read_campaign
+from bayes_sensor.io.readers.quantities import TIME, VOLUME, Kind, read_quantity
+from bayes_sensor.io.results import Results
+from bayes_sensor.io.run_record import now, run_record
+from bayes_sensor.io.writers import FORMATS, write_campaign
+from bayes_sensor.likelihood.density import simulate
+from bayes_sensor.likelihood.problem import Problem
+
+START_DELAY, END_DELAY = (0.1340, 0.1125e3), (0.0161, 0.0745e3)
+"""s and mL: the published delay lines, for a design without switch times of its own"""
+DEFAULTS = {
+    "tau_s": 0.0481, "tau_v_s": 0.8577, "V_mL": 58.23, "phi": 0.8, "sigma0_V": 0.045,
+    "sigma1_V": 0.0724,
+}  # fmt: skip
+"""the published rig"""
+
+
+def published_design() -> tuple[Campaign, dict[str, Any]]:
+    """The paper's seven experiments as a design, and their published parameters."""
+    source = resources.files("bayes_sensor") / "templates" / "seven_experiments.toml"
+    with resources.as_file(source) as path:
+        design = replace(read_campaign(path), source="")
+    truth = resources.files("bayes_sensor") / "templates" / "seven_experiments.json"
+    with resources.as_file(truth) as path:
+        return design, read_json(path)
+
+
+def default_truth(design: Campaign) -> dict[str, Any]:
+    """Parameters for a design that comes with none: the published rig's, delays on its lines."""
+    experiments = {}
+    for e in design:
+        on = e.commanded_on if e.commanded_on is not None else float(e.t[0] + 0.2 * np.ptp(e.t))
+        own = {
+            "y0_V": 0.2,
+            "beta_V": 2.0,
+            "t0_s": on + START_DELAY[0] + START_DELAY[1] / e.total_flow,
+        }
+        if e.commanded_off is not None:
+            own["tf_s"] = e.commanded_off + END_DELAY[0] + END_DELAY[1] / e.total_flow
+        experiments[e.name] = own
+    theta = {**DEFAULTS, "experiments": experiments}
+    if design.sensor_is == "slower":
+        theta["tau_s"], theta["tau_v_s"] = theta["tau_v_s"], theta["tau_s"]
+    return theta
+
+
+def resized(
+    campaign: Campaign, truth: dict[str, Any], duration: float | None, interval: float | None
+) -> tuple[Campaign, dict[str, Any]]:
+    """The design on another grid; commanded times keep their place in the record, delays stay."""
+    if duration is None and interval is None:
+        return campaign, truth
+    experiments, own = [], {}
+    for e in campaign:
+        h = interval or e.interval
+        old = len(e.t) * e.interval
+        length = duration or old
+        n = round(length / h)
+        commanded: dict[str, float | None] = {}
+        if n < 2:
+            raise CampaignError(
+                f"experiment '{e.name}': {length:g} s at {h:g} s are {n} samples; expected at "
+                "least 2: give a longer --duration or a shorter --interval"
+            )
+        if n > 50_000_000:
+            raise CampaignError(
+                f"experiment '{e.name}': {length:g} s at {h:g} s are {n} samples; expected at "
+                "most 50 million: give a shorter --duration or a longer --interval"
+            )
+        start = float(e.t[0])
+        scale = length / old
+        values = dict(truth["experiments"][e.name])
+        for name, key in (("commanded_on", "t0_s"), ("commanded_off", "tf_s")):
+            given = getattr(e, name)
+            commanded[name] = None if given is None else start + (given - start) * scale
+            if values.get(key) is not None:
+                origin = given if given is not None else values[key]
+                moved = start + (origin - start) * scale
+                values[key] = moved + (values[key] - origin)
+        grid = start + h * np.arange(n, dtype=float)
+        experiments.append(
+            Experiment(
+                e.name, grid, None, e.carrier_flow, e.test_gas_flow, h,
+                commanded["commanded_on"], commanded["commanded_off"],
+            )
+        )  # fmt: skip
+        own[e.name] = values
+    return replace(campaign, experiments=tuple(experiments)), {**truth, "experiments": own}
+
+
+def _chosen(campaign: Campaign, only: str | None) -> Campaign:
+    if only is None:
+        return campaign
+    names = [name.strip() for name in only.split(",") if name.strip()]
+    for name in names:
+        if name not in campaign.names_of_experiments:
+            raise CampaignError(
+                f"--experiments: no experiment '{name}'; expected some of "
+                f"{', '.join(campaign.names_of_experiments)}: correct the list"
+            )
+    if not names:
+        raise CampaignError('--experiments: expected names such as "1,4,7", but got none')
+    return replace(campaign, experiments=tuple(e for e in campaign if e.name in names))
+
+
+def _empty(campaign: Campaign) -> Campaign:
+    """The design of a campaign: the same without data."""
+    experiments = tuple(
+        replace(e, y=None, mask=None, drive=None, source="", sha256="") for e in campaign
+    )
+    return replace(campaign, experiments=experiments, warnings=())
+
+
+def read_truth(path: Path, design: Campaign) -> dict[str, Any]:
+    """Parameters as in fit.json or truth.json, of every experiment of the design."""
+    content = read_json(path)
+    if isinstance(content, dict) and isinstance(content.get("parameters"), dict):
+        content = content["parameters"]
+    if not isinstance(content, dict) or "tau_s" not in content:
+        raise CampaignError(
+            f"{path.name}: expected parameters as in fit.json or truth.json (tau_s, tau_v_s, V_mL, "
+            "experiments, ..), but tau_s is not there; give such a file"
+        )
+    truth = {**content, "experiments": dict(content.get("experiments", {}))}
+    for name in design.names_of_experiments:
+        if name not in truth["experiments"]:
+            raise CampaignError(
+                f"{path.name}: it holds no parameters of experiment '{name}'; add them under "
+                '"experiments", or choose experiments with --experiments'
+            )
+    return truth
+
+
+def read_option(text: str, kind: Kind, option: str) -> float:
+    """The number of a quantity given as an option; the message shows how to write it."""
+    try:
+        return read_quantity(text, kind, option)
+    except CampaignError as error:
+        raise CampaignError(str(error).replace(f"{option} = ", f"{option} ")) from None
+
+
+def _recorded(
+    plan: Problem, theta: dict[str, Any], wanted: Mapping[str, float | None], seed: int
+) -> tuple[Campaign, dict[str, Any]]:
+    """The simulated campaign, and the truth with the effects that act."""
+    if not wanted:
+        return simulate(plan, theta, seed=seed), theta
+    from bayes_sensor.diagnosis.effects.simulate_effects import simulate_with_effects
+
+    recorded, strengths = simulate_with_effects(plan, theta, wanted, seed=seed)
+    return recorded, {**theta, "effects": strengths}
+
+
+def read_nominal(path: Path | None) -> dict[str, Any] | None:
+    """Parameters of a nominal simulation, as in fit.json or truth.json.
+
+    Raises CampaignError where the file does not hold them.
+    """
+    if path is None:
+        return None
+    content = read_json(path)
+    if isinstance(content, dict) and isinstance(content.get("parameters"), dict):
+        content = content["parameters"]
+    if not isinstance(content, dict) or "tau_s" not in content:
+        raise CampaignError(
+            f"{path.name}: expected parameters as in fit.json (tau_s, tau_v_s, V_mL, experiments), "
+            "but tau_s is not there; give such a file"
+        )
+    return content
+
+
+def _check_free(results: Results, written: Path) -> None:
+    """Raise CampaignError where a simulation would replace files that it did not write."""
+    earlier = results.json("run.json")
+    if isinstance(earlier, Mapping) and "simulate" in earlier.get("commands", {}):
+        return
+    for path in sorted(written.iterdir()):
+        if os.path.lexists(results.path(path.name)):
+            raise CampaignError(
+                f"--out {results.folder}: it holds a {path.name} that no simulation wrote; "
+                "expected a new folder, so that no measurement is lost: choose another"
+            )
+
+
+def simulate_campaign(
+    out: Path,
+    *,
+    campaign: Path | None,
+    seed: int,
+    quiet: bool,
+    design: Path | None,
+    truth: Path | None,
+    phi: float | None,
+    quantities: Mapping[str, str],
+    only: str | None,
+    file_format: str,
+    effects: Sequence[str] = (),
+    config: Path | None = None,
+) -> None:
+    """Write data files, campaign.toml and truth.json into ``out``.
+
+    Of the settings of ``config`` the noise law acts; what it pins is pinned in the truth.
+    """
+    from bayes_sensor.cli.overrides import make_problem, read_overrides
+
+    overrides = read_overrides(config)
+    started, begin = now(), time.perf_counter()
+    if file_format not in FORMATS:
+        raise CampaignError(
+            f"--format: expected one of {', '.join(FORMATS)}, but got '{file_format}'; choose one"
+        )
+    if campaign is not None and design is not None:
+        raise CampaignError("both CAMPAIGN.toml and --design are given; expected one: drop one")
+    if phi is not None and not -1.0 < phi < 1.0:
+        raise CampaignError(f"--phi: expected a number between -1 and 1, but got {phi}; try 0.8")
+    wanted: dict[str, float | None] = {}
+    if effects:
+        from bayes_sensor.diagnosis.effects.simulate_effects import read_strength
+
+        for which, strength in map(read_strength, effects):
+            if which in wanted:
+                raise CampaignError(f"--effect {which}: it is given twice; leave one out")
+            wanted[which] = strength
+    source = campaign or design
+    given: dict[str, Any] | None = None
+    if source is None:
+        plan, given = published_design()
+        plan = _chosen(plan, only)
+    else:
+        plan = _chosen(read_campaign(source), only)
+    unit = plan.signal_unit
+    kinds = {
+        "tau": Kind("a time", "s", "20 ms"), "tau_v": Kind("a time", "s", "850 ms"), "V": VOLUME,
+        "sigma0": Kind("a signal", unit, f"0.045 {unit}"),
+        "sigma1": Kind("a signal", unit, f"0.07 {unit}"),
+        "duration": Kind(TIME.name, "s", "60 s"), "interval": Kind(TIME.name, "s", "1 ms"),
+    }  # fmt: skip
+    values = {k: read_option(text, kinds[k], f"--{k}") for k, text in quantities.items()}
+    for name, value in values.items():
+        if value < 0 or (value == 0 and not name.startswith("sigma")):
+            raise CampaignError(
+                f"--{name}: expected a positive value, but got '{quantities[name]}'; write for "
+                f'example "{kinds[name].example}"'
+            )
+    if truth is not None:
+        given = read_truth(truth, plan)
+    elif given is None and not plan.is_design:
+        from bayes_sensor.fit import fit_least_squares
+
+        with progress_bar("fit", quiet) as tell:
+            given = fit_least_squares(plan, seed=seed, euler=False, progress=tell).parameters
+    plan = _empty(plan)
+    theta = given or default_truth(plan)
+    theta["experiments"] = {n: theta["experiments"][n] for n in plan.names_of_experiments}
+    plan, theta = resized(plan, theta, values.get("duration"), values.get("interval"))
+    flat = {"tau": "tau_s", "tau_v": "tau_v_s", "V": "V_mL", "sigma0": "sigma0_V",
+            "sigma1": "sigma1_V"}  # fmt: skip
+    theta.update({flat[k]: v for k, v in values.items() if k in flat})
+    if phi is not None:
+        theta["phi"] = phi
+    for name in ("phi", "sigma0_V", "sigma1_V"):
+        theta.setdefault(name, DEFAULTS[name] if name == "sigma0_V" else 0.0)
+    if plan.sensor_is != "unknown":  # the truth says it as well
+        order = "faster" if theta["tau_s"] <= theta["tau_v_s"] else "slower"
+        plan = replace(plan, sensor_is=order)
+    problem = make_problem(plan, overrides, config.name if config is not None else "--config")
+    theta = problem.layout.nested({**theta, **problem.noise.fixed})
+    results = Results(out)
+    with results.locked(), progress_bar("simulate", quiet) as tell:
+        tell(0.2, "noise")
+        recorded, theta = _recorded(problem, theta, wanted, seed)
+        recorded = replace(recorded, title=f"simulated: {plan.title}" if source else plan.title)
+        with results.writing() as stage:
+            tell(0.4, "writing")
+            write_campaign(recorded, stage.inside, formats=file_format)
+            _check_free(results, stage.inside)
+            stage.json("truth.json", {**theta, "signal_unit": unit})
+            stage.json(
+                "run.json",
+                run_record(
+                    results.json("run.json"),
+                    "simulate",
+                    basis="",
+                    seed=seed,
+                    settings={
+                        **quantities,
+                        "phi": theta.get("phi"),
+                        "noise": overrides.noise.model_dump(),
+                        "format": file_format,
+                        "effects": list(effects),
+                    },
+                    campaign="" if source is None else str(source),
+                    files={} if source is None else {source.name: sha256(source)},
+                    started=started,
+                    seconds={"simulate": time.perf_counter() - begin},
+                    exit_code=0,
+                    warnings=[],
+                ),
+            )
+    say(
+        f"{counted(len(recorded), 'experiment')} with tau = {1e3 * theta['tau_s']:g} ms, "
+        f"seed {seed}",
+        quiet,
+    )
+    say(f"campaign: {results.path('campaign.toml')}", quiet)

@@ -1,0 +1,1 @@
+"""What a diagnosis is fitted to: event-locked bins, the noise floor, the binned campaign."""

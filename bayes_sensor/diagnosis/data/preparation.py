@@ -1,0 +1,268 @@
+"""From a campaign and its fit to the sketch: bins, noise floor, priors, the refitted base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.bins import make_bins
+from bayes_sensor.diagnosis.data.noise_floor import (
+    Floor,
+    Quiet,
+    Stretch,
+    clean,
+    estimate_floor,
+    quiet_stretches,
+)
+from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
+from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Plan
+from bayes_sensor.lattice import lattice_step
+from bayes_sensor.likelihood.density import grid_response
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.cascade import cascade_response
+from bayes_sensor.rig.lags import Naming, named
+from bayes_sensor.rig.layout import Layout
+
+NUISANCE_SD = {"shorter": 1.0, "longer": 0.7, "V": 0.3}
+"""sd of the logarithms around plausible values"""
+SHORTER_OVER_LONGER = 0.07
+"""plausible ratio of the two lags that do not depend on the flow"""
+
+
+def full_rate_residuals(campaign: Campaign, theta: FloatArray) -> list[FloatArray]:
+    """(n_t,) V per experiment: measurement minus the cascade at ``theta``."""
+    layout = Layout.of(campaign)
+    found = []
+    for k, e in enumerate(campaign):
+        i_y0, i_beta, i_t0, i_tf = layout.local[k]
+        taus = np.array([theta[1], theta[2] / e.total_flow, theta[0]])
+        tf = float(theta[i_tf]) if i_tf >= 0 else None
+        x = grid_response(e, taus, float(theta[i_t0]), tf)
+        found.append(np.where(e.used, e.values - theta[i_y0] - theta[i_beta] * x, 0.0))
+    return found
+
+
+def coordinates(campaign: Campaign, theta: FloatArray) -> FloatArray:
+    """Coordinates of the fit without effects at a flat ``theta``, tau and tau_v in either order."""
+    layout = Layout.of(campaign)
+    tau, tau_v = sorted((float(theta[0]), float(theta[1])))
+    tau = max(tau, 1e-4 * tau_v)
+    x = np.array(theta[: layout.n_mean], dtype=float)
+    x[1] = log(tau_v)
+    x[0] = max(x[1] - FASTER - log(tau), 0.0)
+    x[2] = log(theta[2])
+    return x
+
+
+def flat_theta(campaign: Campaign, x: FloatArray) -> FloatArray:
+    """The flat ``theta``, lags by size, of the mean at coordinates of the fit without effects."""
+    theta = np.array(x, dtype=float)
+    theta[0] = np.exp(x[1] - FASTER - x[0])
+    theta[1], theta[2] = np.exp(x[1]), np.exp(x[2])
+    return theta
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A campaign's sketch with what was needed to make it."""
+
+    sketch: Sketch
+    residuals: tuple[FloatArray, ...]
+    """(n_t,) V of each experiment, measurement minus the fit, spikes replaced"""
+    stretches: tuple[Stretch, ...]
+    """quiet parts, spikes replaced"""
+    raw: tuple[Stretch, ...]
+    """the same as measured"""
+    quiet: tuple[Quiet, ...]
+    """switches and quiet spans of every experiment, and its noise"""
+    theta: FloatArray
+    """the flat fit that the residuals belong to, tau and tau_v by size"""
+    settle: tuple[float, ...]
+    """s after a switch that every experiment's quiet spans leave out"""
+
+    @property
+    def deviations(self) -> list[FloatArray]:
+        """(n_t,) V of every experiment, the noise's standard deviation."""
+        return [q.deviation for q in self.quiet]
+
+    def residuals_of(self, found: Refit) -> list[FloatArray]:
+        """(n_t,) V of every experiment, spikes replaced, measurement minus a refit's mean."""
+        campaign = self.sketch.campaign
+        layout = Layout.of(campaign)
+        made = []
+        for k, (e, r) in enumerate(zip(campaign, self.residuals, strict=True)):
+            i_y0, i_beta, i_t0, i_tf = layout.local[k]
+            taus = _taus(self.theta, e.total_flow)
+            tf = float(self.theta[i_tf]) if i_tf >= 0 else None
+            n = int(max((e.t[-1] - e.t[0]) / max(FINE, e.interval), 1.0)) + 2
+            grid = np.linspace(float(e.t[0]), float(e.t[-1]), n)
+            here = float(self.theta[i_y0]) + float(self.theta[i_beta]) * cascade_response(
+                grid, taus, float(self.theta[i_t0]), tf
+            )
+            moved = found.plan.mean(found.x, k, grid) - here
+            made.append(np.where(e.used, r - np.interp(e.t, grid, moved), 0.0))
+        return made
+
+    def stretches_of(self, residuals: list[FloatArray]) -> list[Stretch]:
+        """The quiet parts of other residuals (n_t,) V."""
+        sketch = self.sketch
+        return quiet_stretches(sketch.campaign, residuals, sketch.bins, self.settle)
+
+
+NO_VOLUME = 0.02
+"""share of the valve's lag below which the manifold's is none that a rig has"""
+ANY_VOLUME = 1.0
+"""sd of ln V where the fit tells nothing of it"""
+FINE = 0.005
+"""s, steps in which two means are compared at full rate"""
+
+
+def _taus(theta: FloatArray, flow: float) -> FloatArray:
+    """(3,) s, the longer lag, the manifold's, the shorter lag of a flat theta."""
+    return np.array([theta[1], theta[2] / flow, theta[0]])
+
+
+def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None) -> Prepared:
+    """Bins, floor and priors of a measured campaign around a fit (flat ``theta``, lags by size).
+
+    ``naming``: what may be said of the lags' names; default what the campaign says.
+
+    Raises CampaignError where no record has a quiet stretch.
+    """
+    naming = naming or Problem(campaign).naming()
+    theta, lags = _by_name(theta, naming)
+    layout = Layout.of(campaign)
+    x = coordinates(campaign, theta)
+    flat = flat_theta(campaign, x)
+    raw = full_rate_residuals(campaign, flat)
+    cleaned, spikes = [], 0
+    for e, r in zip(campaign, raw, strict=True):
+        values, n = clean(r, e.used, lattice_step(e.values[e.used]))
+        cleaned.append(values)
+        spikes += n
+    taus = [_taus(flat, e.total_flow) for e in campaign]
+    scale = float(max(flat[1], np.median([t[1] for t in taus])))
+    switches = []
+    for k in range(len(campaign)):
+        _, _, i_t0, i_tf = layout.local[k]
+        switches.append((float(flat[i_t0]), float(flat[i_tf]) if i_tf >= 0 else None))
+    bins = make_bins(campaign, switches, taus, scale)
+    # bin means of the cleaned measurement: the model at every sample plus the cleaned residual
+    data, levels = [], []
+    for k, (e, b, r, full) in enumerate(zip(campaign, bins, cleaned, raw, strict=True)):
+        data.append(b.average(np.where(e.used, e.values - full + r, 0.0)))
+        t0, tf = switches[k]
+        levels.append(b.reduce(cascade_response(b.times, taus[k], t0, tf)))
+    settle = [settling_time(t) for t in taus]
+    fits = [e.values - r for e, r in zip(campaign, raw, strict=True)]
+    floor = estimate_floor(campaign, cleaned, bins, settle, levels, spikes, fits)
+    steps = [abs(float(flat[layout.local[k][1]])) for k in range(len(campaign))]
+    # at one flow V/Q is one of the lags, and V a name that may be another's
+    names = (*lags, "V_mL" if "tau_s" in lags or naming.flow is None else "")
+    centre, sd = _plausible(campaign, flat, names), _spread(campaign, names)
+    flow = float(np.median([e.total_flow for e in campaign]))
+    tau_v = float(flat[0 if lags[0] == "tau_v_s" else 1])
+    if flat[2] < NO_VOLUME * tau_v * flow and "V_mL" not in campaign.side_information:
+        # no rig is without a manifold: the fit has bent it away to do some effect's work
+        centre[2], sd[2] = log(0.5 * tau_v * flow), ANY_VOLUME
+    sketch = Sketch(
+        campaign=campaign,
+        bins=tuple(bins),
+        data=tuple(data),
+        floor=floor,
+        base=x,
+        centre=centre,
+        sd=sd,
+        time_scale=scale,
+        signal_scale=float(np.median(steps)) or 1.0,
+        reference_flow=flow,
+        duration=float(np.median([len(e.t) * e.interval for e in campaign])),
+        lags=lags,
+    )
+    return Prepared(
+        sketch,
+        tuple(cleaned),
+        tuple(quiet_stretches(campaign, cleaned, bins, settle)),
+        tuple(quiet_stretches(campaign, raw, bins, settle)),
+        tuple(_quiet(campaign, floor, switches, taus, settle, steps)),
+        flat,
+        tuple(settle),
+    )
+
+
+def _quiet(
+    campaign: Campaign,
+    floor: Floor,
+    switches: list[tuple[float, float | None]],
+    taus: list[FloatArray],
+    settle: list[float],
+    steps: list[float],
+) -> list[Quiet]:
+    deviation = np.sqrt(floor.density @ np.diff(floor.edges))
+    found = []
+    for k, (e, (t0, tf)) in enumerate(zip(campaign, switches, strict=True)):
+        begins = [float(e.t[0]), t0 + settle[k]] + ([] if tf is None else [tf + settle[k]])
+        ends = [t0, float(e.t[-1])] if tf is None else [t0, tf, float(e.t[-1])]
+        x = np.clip(cascade_response(e.t, taus[k], t0, tf), 0.0, 1.0)
+        low, high = deviation[k]
+        found.append(
+            Quiet(
+                switches=(t0,) if tf is None else (t0, tf),
+                spans=tuple(zip(begins, ends, strict=True)),
+                deviation=low + (high - low) * x,
+                step=steps[k],
+            )
+        )
+    return found
+
+
+def settling_time(taus: FloatArray) -> float:
+    """s after a switch until the cascade is within .3 % of its end."""
+    grid = np.linspace(0.0, 20.0 * float(np.sum(taus)), 2000)
+    away = np.abs(1.0 - cascade_response(grid, taus, 0.0)) > 3e-3
+    return float(grid[np.flatnonzero(away)[-1]])
+
+
+def _by_name(theta: FloatArray, naming: Naming) -> tuple[FloatArray, tuple[str, str]]:
+    """``theta`` with tau, tau_v and V in its first places, and names of the lesser and the greater
+    of the first two.
+
+    The shorter lag stands for tau where nobody knows.
+    """
+    if naming.place("sensor") is None:
+        return theta, ("lag_fast_s", "lag_slow_s")
+    if naming.exchanged is None:
+        return theta, ("tau_s", "tau_v_s")
+    made = np.array(theta, dtype=float)
+    made[:3] = named(made, naming.flow, [naming.exchanged])
+    return made, ("tau_v_s", "tau_s") if made[0] > made[1] else ("tau_s", "tau_v_s")
+
+
+def _plausible(campaign: Campaign, theta: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    centre = np.array([log(SHORTER_OVER_LONGER * theta[1]), log(theta[1]), log(theta[2])])
+    given = campaign.side_information
+    for i, name in enumerate(names):
+        if name in given and given[name].mean > 0:
+            centre[i] = log(given[name].mean)
+    return centre
+
+
+def _spread(campaign: Campaign, names: tuple[str, ...]) -> FloatArray:
+    sd = np.array(list(NUISANCE_SD.values()))
+    for i, name in enumerate(names):
+        if name in campaign.side_information and campaign.side_information[name].mean > 0:
+            known = campaign.side_information[name]
+            sd[i] = max(known.sd / known.mean, 1e-4)
+    return sd
+
+
+def fit_base(sketch: Sketch) -> Refit:
+    """The model without effects: the best of several starts."""
+    plan = Plan(sketch)
+    rough = [refit(plan, x, most_steps=12, tolerance=0.5) for x in base_starts(sketch, sketch.base)]
+    best = min(rough, key=lambda r: r.objective)
+    return refit(plan, best.x)

@@ -1,0 +1,1 @@
+"""The evidence of explanations of the mean: refits, Laplace's approximation, rivals."""

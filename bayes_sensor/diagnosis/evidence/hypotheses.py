@@ -1,0 +1,528 @@
+"""Which effect: the evidence of none, every effect, something else, and both together.
+
+Priors go over families first, then members, so that look-alikes do not gain by their number.  A
+smooth discrepancy stands for "something else"; an effect with a discrepancy beside it says that
+the effect does not explain all.  Pairs are tried within families, too: where two members are
+nearly the same effect the second gains nothing, and its freedom counts against the pair.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from math import log, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.effects.effect import Effect
+from bayes_sensor.diagnosis.evidence.block_least_squares import solved
+from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy, make_discrepancies
+from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
+from bayes_sensor.diagnosis.evidence.refit import Refit, refit, with_tau
+from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Part, Plan
+from bayes_sensor.diagnosis.evidence.tau_profile import SEEN, jumps, swept
+from bayes_sensor.diagnosis.evidence.varying_parameter import WEIGHT, embedded_rivals
+
+PRIOR_NONE = 0.5
+PRIOR_UNLISTED = 0.15
+INCOMPLETE = 0.15
+"""prior share of an effect's probability for "it is there, and something else with it" """
+UNUSUAL = 1.2
+"""distance of the shorter lag's logarithm from its plausible value from which fits also start at
+that value, and as far below it: the faster optimum of an effect that slows the rise is not reached
+from elsewhere"""
+BENT = 3.0
+"""prior sd that ln V of a fit may be from its plausible value before fits start there, too"""
+MOST_FOLLOWED = 3
+"""times the search for a pair follows the best one found"""
+MOST_PROMISING = 3
+"""starts of a grid that are followed"""
+ABSORBED = 1e-3
+"""share of a start's signature that the refit without it must leave, for it to be followed"""
+MOST_FURTHER = 60
+"""further steps of a refit that had not converged"""
+LITTLE = 3.0
+"""ln of evidence that pairs with the best single effect gain at least where there is a second"""
+HOPELESS = 0.2
+"""share of what something else explains better that a first pair must explain"""
+NEAR = 14.0
+"""log evidences this far below the best are not looked at more closely"""
+SMALL_SHARE = 0.02
+"""of a form in its effect, whose tau is not looked at more closely"""
+LEFT = 2.5
+"""standard deviations of misfit that an explanation leaves, from which something else is looked for
+beside it"""
+MOST_TERMS = 6
+"""of a hypothesis that are kept, the likeliest; their shares are those among them"""
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """One form of a cause, with one configuration of the discrepancy or with none."""
+
+    share: float
+    """of the probability of all that are kept"""
+    refit: Refit
+    beside: Discrepancy | None = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A cause, or several, with or without a discrepancy beside them."""
+
+    effects: tuple[str, ...]
+    incomplete: bool
+    """whether a discrepancy is part of it; alone it is "something else" """
+    log_prior: float
+    log_z: float
+    refit: Refit
+    """in the best of the forms"""
+    log_tau: float
+    sd_log_tau: float
+    terms: tuple[Term, ...] = field(repr=False)
+    """the likeliest of the forms and discrepancies that it is averaged over"""
+    within: str = ""
+    """the unlisted dependence inside the model, where it is that"""
+
+    @property
+    def log_weight(self) -> float:
+        """ln of prior times evidence."""
+        return self.log_prior + self.log_z
+
+    @property
+    def excess(self) -> float:
+        """Misfit that it leaves beyond what noise does, the discrepancy aside."""
+        return float(self.refit.misfit - (self.refit.plan.sketch.n_bins - self.refit.plan.size))
+
+    @property
+    def leftover(self) -> float:
+        """The same in standard deviations of what noise does."""
+        return self.excess / sqrt(2.0 * self.refit.plan.sketch.n_bins)
+
+    @property
+    def key(self) -> str:
+        """``none``, ``unlisted``, ``a``, ``a+b``; with a discrepancy ``a, unlisted``."""
+        name = "+".join(self.effects)
+        if self.incomplete:
+            other = f"unlisted ({self.within})" if self.within else "unlisted"
+            return f"{name}, {other}" if name else other
+        return name or "none"
+
+
+@dataclass(frozen=True, eq=False)
+class Weighing:
+    """All hypotheses with their probabilities."""
+
+    sketch: Sketch
+    base: Refit
+    hypotheses: tuple[Hypothesis, ...]
+    catalogue: Mapping[str, Effect]
+    discrepancies: tuple[Discrepancy, ...] = field(repr=False)
+
+    @property
+    def probabilities(self) -> FloatArray:
+        """(n_hypotheses,) summing to 1."""
+        logs = np.array([h.log_weight for h in self.hypotheses])
+        shares: FloatArray = np.exp(logs - logsumexp(logs))
+        return shares
+
+    @property
+    def complete(self) -> list[Hypothesis]:
+        """Those without a discrepancy: none, single effects, and pairs."""
+        return [h for h in self.hypotheses if not h.incomplete]
+
+    @property
+    def likeliest(self) -> Hypothesis:
+        """Of the complete ones."""
+        return max(self.complete, key=lambda h: h.log_weight)
+
+    def find(self, *effects: str) -> Hypothesis:
+        """The hypothesis of exactly these effects (none given: of none) and nothing else.
+
+        Raises KeyError.
+        """
+        for h in self.complete:
+            if h.effects == effects:
+                return h
+        raise KeyError("+".join(effects))
+
+
+def family_priors(catalogue: Mapping[str, Effect]) -> dict[str, float]:
+    """ln prior of every effect on the mean: families first, then members."""
+    members: dict[str, list[str]] = {}
+    for name, effect in catalogue.items():
+        if effect.on_mean:
+            members.setdefault(effect.family, []).append(name)
+    rest = 1.0 - PRIOR_NONE - PRIOR_UNLISTED
+    return {
+        name: float(np.log(rest / len(members) / len(names)))
+        for names in members.values()
+        for name in names
+    }
+
+
+def fit_effect(
+    sketch: Sketch,
+    base: Refit,
+    parts: Sequence[Part],
+    starts: Sequence[Mapping[str, float]],
+    most_steps: int = 30,
+    enough: float = np.inf,
+    faster: bool = True,
+) -> Refit:
+    """The best refit of the base's parts and further ones, over the starts of the last part.
+
+    ``enough``: objective above which it does not matter how good it is.  ``faster``: whether to
+    begin from a faster sensor than usual, too, where the base has a much slower or faster one.
+    """
+    plan = replace(base.plan, parts=(*base.plan.parts, *parts))
+    begun = joined_start(plan, base)
+    starts = [*starts, *_most_promising(plan, begun, base, parts[-1].form.grid)]
+    begins = [with_start(plan, begun, start) for start in starts]
+    usual = float(sketch.centre[0])
+    now = float(begun[1]) - FASTER - float(begun[0])
+    if abs(now - usual) >= UNUSUAL and not base.plan.parts:
+        # the fit without the effect may have bent tau far away to do the effect's work
+        begins += [with_start(plan, with_tau(plan, begun, usual), start) for start in starts]
+        if faster:
+            begins.append(with_start(plan, with_tau(plan, begun, usual - UNUSUAL), starts[0]))
+    if abs(begun[2] - sketch.centre[2]) > BENT * sketch.sd[2] and not base.plan.parts:
+        # or the volume, where no flow makes any difference: valve and manifold share the lag
+        moved = begun.copy()
+        moved[1:3] = sketch.centre[1] - log(2.0), sketch.centre[2]
+        begins += [with_start(plan, with_tau(plan, moved, usual), start) for start in starts]
+    found: list[Refit] = []
+    for x in begins:
+        found.append(refit(plan, x, most_steps=most_steps, known=found, enough=enough))
+    best = finished(min(found, key=lambda r: r.objective), enough)
+    return swept(best).best if best.objective <= enough and _leaps(best, base) else best
+
+
+def _leaps(fitted: Refit, base: Refit) -> bool:
+    """Whether the mean jumps with a switch, and that is well seen against the base."""
+    return jumps(fitted) and fitted.objective < base.objective - SEEN
+
+
+def _most_promising(
+    plan: Plan, begun: FloatArray, base: Refit, grid: Sequence[Mapping[str, float]]
+) -> list[Mapping[str, float]]:
+    """Those of a grid of starts whose linearised gain is largest, each a peak among its neighbours.
+
+    The gain is that of the effect's size alone, everything else refitted linearly; amplitudes
+    begin at the size that gains it.
+    """
+    if not grid:
+        return []
+    normal = base.normal
+    here = base.plan.all_means(base.x)
+    amplitudes = {s.name for s in plan.strengths[-1] if s.scaled}
+    gains, sizes = np.zeros(len(grid)), np.zeros(len(grid))
+    for i, start in enumerate(grid):
+        template = course(plan, begun, here, start)
+        inside = base.jacobian.T @ template
+        whole = float(template @ template)
+        left = whole - float(inside @ solved(normal, inside))
+        if left > ABSORBED * whole:
+            sizes[i] = float(template @ base.residual) / left
+            gains[i] = sizes[i] ** 2 * left
+    around = np.concatenate([[-np.inf], gains, [-np.inf]])
+    peaks = np.flatnonzero((gains >= around[:-2]) & (gains >= around[2:]))
+    return [
+        {
+            name: v * (sizes[i] if name.rstrip("*") in amplitudes else 1.0)
+            for name, v in grid[i].items()
+        }
+        for i in peaks[np.argsort(-gains[peaks])][:MOST_PROMISING]
+    ]
+
+
+def course(
+    plan: Plan, begun: FloatArray, here: FloatArray, start: Mapping[str, float]
+) -> FloatArray:
+    """(n_bins in all,) whitened: what the last part's strengths make of means ``here`` V."""
+    return plan.sketch.whitened(plan.all_means(with_start(plan, begun, start)) - here)
+
+
+def finished(fitted: Refit, enough: float = np.inf) -> Refit:
+    """The refit carried on where it had not converged: an evidence is that of an optimum.
+
+    Above the objective ``enough`` it does not matter, and stays as it is.
+    """
+    if fitted.converged or fitted.objective > enough:
+        return fitted
+    return refit(fitted.plan, fitted.x, most_steps=MOST_FURTHER)
+
+
+class _Average(NamedTuple):
+    """Over forms, and over the discrepancies beside them."""
+
+    log_z: float
+    best: Refit
+    """the best form"""
+    log_tau: float
+    sd_log_tau: float
+    terms: tuple[Term, ...]
+
+
+def _average(
+    fits: Sequence[tuple[Refit, float]],
+    discrepancies: Sequence[Discrepancy] | None,
+    base: Refit,
+    least: float = -np.inf,
+) -> _Average:
+    """The evidence averaged over forms (and discrepancies), and where it puts ln tau.
+
+    ``least``: log evidence below which tau does not matter, and is that of the optimum.
+    """
+    logs, weights, found, owners = [], [], [], []
+    for fitted, weight in [(f.loosened, w) for f, w in fits]:
+        beside = [None] if discrepancies is None else discrepancies
+        for d, made in zip(beside, Linearised(fitted).evidences(beside), strict=True):
+            logs.append(made.log_z)
+            weights.append(weight * (1.0 if d is None else d.weight))
+            found.append(made)
+            owners.append((fitted, d))
+    total = np.array(logs) + np.log(np.array(weights))
+    mass = logsumexp(total)
+    p = np.exp(total - mass)
+    taus = np.array([(f.log_tau, f.sd_log_tau) for f in found])
+    for i in np.flatnonzero(p > SMALL_SHARE) if mass >= least else ():
+        fitted, beside_it = owners[i]
+        # the profile is that of the shorter lag
+        if beside_it is None and _leaps(fitted, base) and not fitted.plan.sketch.sensor:
+            profile = swept(fitted)
+            taus[i] = profile.log_tau, profile.sd_log_tau
+    mean = float(p @ taus[:, 0])
+    square = float(p @ (taus[:, 1] ** 2 + (taus[:, 0] - mean) ** 2))
+    kept = np.argsort(-p, kind="stable")[:MOST_TERMS]
+    terms = tuple(Term(float(p[i] / p[kept].sum()), *owners[i]) for i in kept)
+    return _Average(float(mass), terms[0].refit, mean, float(np.sqrt(square)), terms)
+
+
+def weigh(
+    sketch: Sketch,
+    base: Refit,
+    catalogue: Mapping[str, Effect],
+    progress: Progress | None = None,
+    pairs: bool = True,
+) -> Weighing:
+    """Probabilities of every hypothesis for one campaign."""
+    tell = progress or (lambda _share, _text: None)
+    discrepancies = make_discrepancies(sketch, base)
+    shares = _shares(discrepancies, [d.weight for d in discrepancies])
+    # in later rounds what was named is beside whatever is left
+    by_itself = [d.weight if base.plan.parts else d.alone for d in discrepancies]
+    priors = family_priors(catalogue)
+    hypotheses: list[Hypothesis] = []
+
+    def add(
+        effects: tuple[str, ...],
+        log_prior: float,
+        fits: Sequence[tuple[Refit, float]],
+        ds: Sequence[Discrepancy] | None = None,
+        within: str = "",
+        least: float = -np.inf,
+    ) -> Hypothesis:
+        other = ds is not None or bool(within)
+        made = Hypothesis(effects, other, log_prior, *_average(fits, ds, base, least), within)
+        hypotheses.append(made)
+        return made
+
+    add((), float(np.log(PRIOR_NONE)), [(base, 1.0)])
+    rivals = embedded_rivals(
+        [*catalogue, *(part.effect.name for part in base.plan.parts)],
+        several_flows=len(sketch.campaign) > 1 and not sketch.campaign.same_flow,
+        has_fall=any(e.has_fall for e in sketch.campaign),
+        commanded=any(e.commanded_on is not None for e in sketch.campaign),
+    )
+    inside = WEIGHT if rivals else 0.0
+    log_prior = float(np.log(PRIOR_UNLISTED * (1.0 - inside)))
+    alone = add((), log_prior, [(base, 1.0)], _shares(discrepancies, by_itself))
+    for rival in rivals:
+        made = [
+            (
+                fit_effect(sketch, base, [Part(rival, f)], f.starts, 20, faster=False),
+                1.0 / len(rival.forms),
+            )
+            for f in rival.forms
+        ]
+        log_prior = float(np.log(PRIOR_UNLISTED * inside / len(rivals)))
+        add((), log_prior, made, within=rival.name)
+    fits: dict[str, list[tuple[Refit, float]]] = {}
+    on_mean = {n: e for n, e in catalogue.items() if e.on_mean}
+    for i, (name, effect) in enumerate(on_mean.items()):
+        tell(0.1 + 0.5 * i / len(on_mean), name)
+        weight = sum(form.weight for form in effect.forms)
+        fits[name] = [
+            (fit_effect(sketch, base, [Part(effect, form)], form.starts), form.weight / weight)
+            for form in effect.forms
+        ]
+        log_prior = priors[name] + np.log1p(-INCOMPLETE)
+        add((name,), float(log_prior), fits[name])
+    singles = {h.effects[0]: h for h in hypotheses if len(h.effects) == 1}
+    best = max([h.log_z for h in singles.values()], default=-np.inf)
+    near = [n for n, h in singles.items() if h.log_z > max(best, alone.log_z) - NEAR]
+    some = _promising(base, shares)
+    for i, name in enumerate(near):
+        tell(0.6 + 0.15 * i / len(near), f"{name} and something else")
+        log_prior = float(priors[name] + np.log(INCOMPLETE))
+        add((name,), log_prior, _leading(fits[name]), some)
+    if pairs:
+        _add_pairs(sketch, base, on_mean, fits, singles, hypotheses, priors, some, add, tell)
+    tell(1.0, "weighed")
+    return Weighing(sketch, base, tuple(hypotheses), catalogue, tuple(shares))
+
+
+def _shares(discrepancies: Sequence[Discrepancy], weights: Sequence[float]) -> list[Discrepancy]:
+    """Those with a weight, the weights summing to 1."""
+    whole = sum(weights)
+    return [replace(d, weight=w / whole) for d, w in zip(discrepancies, weights, strict=True) if w]
+
+
+def _leading(fits: Sequence[tuple[Refit, float]]) -> list[tuple[Refit, float]]:
+    # forms whose optimum is far worse than the best one's add nothing
+    least = min(f.objective for f, _ in fits)
+    return [(f, w) for f, w in fits if f.objective < least + 2.0 * NEAR]
+
+
+def _promising(base: Refit, discrepancies: Sequence[Discrepancy]) -> list[Discrepancy]:
+    # discrepancies that are not hopeless; their weights stay what they were
+    logs = np.array([e.log_z for e in Linearised(base).evidences(discrepancies)])
+    order = np.argsort(-logs)
+    small = [i for i, d in enumerate(discrepancies) if d.name.split()[-1] in ("0.001", "0.0005")]
+    keep = sorted({*order[:8].tolist(), *small})
+    return [discrepancies[i] for i in keep]
+
+
+def _add_pairs(
+    sketch: Sketch,
+    base: Refit,
+    on_mean: Mapping[str, Effect],
+    fits: Mapping[str, list[tuple[Refit, float]]],
+    singles: Mapping[str, Hypothesis],
+    hypotheses: list[Hypothesis],
+    priors: Mapping[str, float],
+    beside: Sequence[Discrepancy],
+    add: Callable[..., Hypothesis],
+    tell: Progress,
+) -> None:
+    none = next(h for h in hypotheses if h.key == "none")
+    ranked = sorted(singles.values(), key=lambda h: -h.log_weight)
+    leading: list[str] = []
+    families: set[str] = set()
+    for h in ranked:  # the best member of the three best families
+        family = on_mean[h.effects[0]].family
+        if h.log_weight > none.log_weight and family not in families and len(leading) < 3:
+            leading.append(h.effects[0])
+            families.add(family)
+    if not leading or not _something_left(hypotheses):
+        return
+    done: set[frozenset[str]] = set()
+    found: list[Hypothesis] = []
+    best = max(singles.values(), key=lambda h: h.log_z)
+    lowest = min(f.objective for f, _ in fits[best.effects[0]])
+    single, other = best.log_z, max(h.log_z for h in hypotheses if h.incomplete)
+
+    def gained() -> float:
+        return max((h.log_z for h in found), default=single) - single
+
+    def attempt(a: str, b: str) -> None:
+        if a == b or frozenset((a, b)) in done:
+            return
+        done.add(frozenset((a, b)))
+        made = []
+        first = min(fits[a], key=lambda f: f[0].objective)[0]
+        # what is further from the best of all so far weighs nothing, and a refit gains at most half
+        # of what the objective loses
+        least = single + max(other - single, gained(), 0.0) - NEAR
+        enough = lowest - 2.0 * (least - single)
+        for form in on_mean[b].forms:
+            part = Part(on_mean[b], form)
+            fitted = fit_effect(sketch, first, [part], form.starts[:3], 15, enough)
+            if not base.plan.parts:  # what the first effect has swallowed may belong to the second
+                plan = fitted.plan
+                start = plan.start(base.x, form.starts[0])
+                afresh = refit(plan, start, most_steps=15, known=[fitted], enough=enough)
+                fitted = finished(min(fitted, afresh, key=lambda r: r.objective), enough)
+            if fitted.converged or fitted.objective <= enough:
+                made.append((fitted, form.weight))
+        if not made:  # given up in every form
+            return
+        weight = sum(form.weight for form in on_mean[b].forms)
+        log_prior = priors[a] + priors[b] - np.log(PRIOR_NONE)
+        names = tuple(sorted((a, b), key=list(on_mean).index))
+        forms = [(f, w / weight) for f, w in made]
+        pair = add(names, float(log_prior), forms, least=least)
+        found.append(pair)
+        if pair.leftover > LEFT and pair.log_z > least:
+            # what two effects together mimic well, they seldom mimic altogether
+            add(names, float(log_prior + np.log(INCOMPLETE)), _leading(forms), beside)
+
+    for i, a in enumerate(leading):
+        for j, b in enumerate(on_mean):
+            share = (i + j / len(on_mean)) / len(leading)
+            tell(0.75 + 0.2 * share, f"{a} with {b}")
+            attempt(a, b)
+        if other < single and gained() < LITTLE:
+            return  # one effect explains it all, and better than anything else does
+    if gained() < max(LITTLE, HOPELESS * (other - single)):
+        return  # no pair comes near what something else explains
+    # the leading single effects need not be the two that go together: follow the best pair
+    followed: set[str] = set(leading)
+    for _ in range(MOST_FOLLOWED):
+        pair = max(found, key=lambda h: h.log_z, default=None)
+        if pair is None or pair.log_z < none.log_z:
+            return
+        new = [name for name in pair.effects if name not in followed]
+        if not new:
+            return
+        tell(0.97, f"look-alikes of {' and '.join(pair.effects)}")
+        for kept in new:
+            followed.add(kept)
+            for b in on_mean:
+                attempt(kept, b)
+
+
+def _something_left(hypotheses: Sequence[Hypothesis]) -> bool:
+    """Whether the best explanations by one effect leave something for another."""
+    logs = np.array([h.log_weight for h in hypotheses])
+    p = np.exp(logs - logsumexp(logs))
+    left = sum(q for q, h in zip(p, hypotheses, strict=True) if h.incomplete)
+    best = max((h for h in hypotheses if h.effects), key=lambda h: h.log_weight)
+    return bool(left > 0.02 or best.leftover > LEFT)
+
+
+def joined_start(plan: Plan, fitted: Refit) -> FloatArray:
+    """Coordinates of a plan with one more part, from a refit without it."""
+    x = plan.start(fitted.x, {})  # the shared ones; the local ones follow another layout
+    old = fitted.plan
+    n_shared, n_own = len(old.shared), len(old.own)
+    x[3 : 3 + n_shared] = fitted.x[3 : 3 + n_shared]
+    for k, e in enumerate(plan.sketch.campaign):
+        m = 4 if e.has_fall else 3
+        here, there = plan.local[k], old.local[k]
+        x[here : here + m + n_own] = fitted.x[there : there + m + n_own]
+    return x
+
+
+def with_start(plan: Plan, x: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
+    """``x`` with the last part's strengths at chosen values."""
+    base = plan.start(np.zeros(plan.size), chosen)
+    made = x.copy()
+    last = {s.name for s in plan.strengths[-1]}
+    for i, s in enumerate(plan.shared):
+        if s.name in last:
+            made[3 + i] = base[3 + i]
+    n = len(plan.own)
+    for k, (i, s) in product(range(len(plan.sketch.campaign)), enumerate(plan.own)):
+        if s.name in last:
+            at = plan.local[k + 1] - n + i
+            made[at] = base[at]
+    return made

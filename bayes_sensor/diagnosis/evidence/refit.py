@@ -1,0 +1,291 @@
+"""Refits of the binned campaign under a hypothesis: the model, with none, one or more effects.
+
+Levenberg-Marquardt in the coordinates of a plan, on whitened bin means.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import exp, inf, isfinite, log
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.evidence.block_least_squares import (
+    carry_on,
+    inverted,
+    normal_equations,
+)
+from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Plan
+
+STRAIGHT = 0.25
+"""share of the promised gain that a step must make for the derivatives to be carried on"""
+ALIKE = 0.5
+"""distance, squared and in standard deviations, below which two optima are taken for one"""
+PATIENCE, FAR = 4, 60.0
+"""steps after which a refit that expects to end so far above another one is given up"""
+FINER = 0.01
+"""factor on the differences' steps where the usual ones lead nowhere"""
+BEYOND, HELD_BACK = 3.0, 1.0
+"""spreads of its prior that an amplitude must have, and standard deviations, squared, by which that
+prior must pull it, to be sought again under a looser one"""
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """The optimum of one hypothesis, with its linearisation."""
+
+    plan: Plan
+    x: FloatArray
+    residual: FloatArray
+    """(n_bins in all,) whitened"""
+    objective: float
+    """residual'residual + prior"""
+    converged: bool
+
+    @property
+    def misfit(self) -> float:
+        """Q, squared whitened residual."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def derivatives(self) -> FloatArray:
+        """(n_bins in all, n_columns) :meth:`Plan.derivatives`, worked out when asked for.
+
+        Always by the usual differences, which smooth over the bins' nodes: evidences rest on them.
+        """
+        return self.plan.derivatives(self.x, self.plan.all_means(self.x))
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """(n_bins in all, n) dense."""
+        made = np.zeros((len(self.residual), self.plan.size))
+        for k, rows in enumerate(self.plan.sketch.rows):
+            columns = self.plan.columns(k)
+            made[rows, columns] = self.derivatives[rows, : len(columns)]
+        return made
+
+    @property
+    def normal(self) -> FloatArray:
+        """(n, n) normal matrix, of the data and of the priors at their stated spreads."""
+        made: FloatArray = self.jacobian.T @ self.jacobian + self.plan.own_prior_matrix
+        return made
+
+    @cached_property
+    def loosened(self) -> Refit:
+        """The refit with wider priors for those amplitudes that theirs hold back.
+
+        An amplitude far beyond its plausible size is pulled back by its prior, by a small share of
+        itself that may be many standard deviations: a trace of the effect stays in the residual,
+        and other parameters make up for the rest of it.
+        """
+        loose = self.plan.loose | self._held_back()
+        if loose == self.plan.loose:
+            return self
+        return refit(replace(self.plan, loose=loose), self.x, most_steps=60)
+
+    def _held_back(self) -> set[str]:
+        away, prior = self.x - self.plan.prior_centre, self.plan.own_prior_matrix
+        far = [
+            (name, here)
+            for name, here in self.plan.amplitudes.items()
+            if np.mean(away[here] ** 2) >= BEYOND**2
+        ]
+        if not far:  # as a rule; the covariance is not needed then
+            return set()
+        covariance = inverted(self.normal)
+        found = set()
+        for name, here in far:
+            pull = prior[np.ix_(here, here)] @ away[here]
+            if float(pull @ covariance[np.ix_(here, here)] @ pull) > HELD_BACK:
+                found.add(name)
+        return found
+
+    @property
+    def lags(self) -> tuple[float, float]:
+        """s, the shorter and the longer of tau and tau_v."""
+        return exp(max(self.x[1] - FASTER - self.x[0], -60.0)), exp(self.x[1])
+
+    @property
+    def tau(self) -> float:
+        """s"""
+        return self.lags[self.plan.sketch.sensor]
+
+    @property
+    def tau_v(self) -> float:
+        """s"""
+        return self.lags[1 - self.plan.sketch.sensor]
+
+    @property
+    def V(self) -> float:
+        """mL"""
+        return exp(self.x[2])
+
+    def strength(self) -> dict[str, float | dict[str, float]]:
+        """The fitted strengths by name; per-experiment ones as a mapping."""
+        made: dict[str, float | dict[str, float]] = {}
+        campaign = self.plan.sketch.campaign
+        for part, strengths in enumerate(self.plan.strengths):
+            for s in strengths:
+                if s.per_experiment:
+                    made[s.name] = {
+                        e.name: self.plan.values(self.x, k)[part][s.name]
+                        for k, e in enumerate(campaign)
+                    }
+                else:
+                    made[s.name] = self.plan.values(self.x, 0)[part][s.name]
+            if not strengths:  # a form at full strength
+                effect = self.plan.parts[part].effect
+                made.update(effect.plausible)
+        return made
+
+
+def refit(
+    plan: Plan,
+    start: FloatArray,
+    data: Sequence[FloatArray] | None = None,
+    most_steps: int = 30,
+    tolerance: float = 0.02,
+    free: NDArray[np.bool_] | None = None,
+    known: Sequence[Refit] = (),
+    enough: float = inf,
+) -> Refit:
+    """Levenberg-Marquardt from ``start`` (n,) until the objective falls by < ``tolerance``.
+
+    ``data``: bin means (n_bins,) V of each experiment in place of the measured ones.  ``free``
+    (n,): coordinates that may move.  None goes below :attr:`Plan.lowest`.  ``known``: other
+    refits of the same plan to the same data; one of them is returned where this one is on the way
+    to its optimum, and this one as it stands where it remains far above the best of them.
+    ``enough``: objective above which an optimum does not matter; a refit that expects to end there
+    is given up, too.
+
+    The derivatives are carried on by Broyden's rule as long as steps gain about what they promise.
+    """
+    sketch = plan.sketch
+    of_bins = sketch.all_bins.of_bins
+    measured = np.concatenate(sketch.data if data is None else data)
+    centre, prior = plan.prior_centre, plan.own_prior_matrix
+    x = np.maximum(start, plan.lowest)
+
+    def evaluate(at: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        means, away = plan.all_means(at), at - centre
+        residual = sketch.whitened(measured - means)
+        total = float(residual @ residual) + float(away @ prior @ away)
+        return means, residual, total if isfinite(total) else inf
+
+    means, residual, objective = evaluate(x)
+    damping, converged, finer = 1e-3, False, 1.0
+    derivatives: FloatArray | None = None
+    hopeless = min([enough, *(other.objective + FAR for other in known)])
+    for taken in range(most_steps):
+        fresh = derivatives is None
+        if derivatives is None:
+            derivatives = plan.derivatives(x, means, finer)
+        normal, gradient = normal_equations(derivatives, residual, of_bins, plan.places, len(x))
+        gradient -= prior @ (x - centre)
+        normal += prior
+        movable = (x > plan.lowest) | (gradient > 0.0)
+        if free is not None:
+            movable &= free
+        index = np.flatnonzero(movable)
+        within = np.ix_(index, index)
+        squares = normal.diagonal().copy()
+        accepted = False
+        for _ in range(8):
+            damped = normal[within]
+            # what neither data nor prior hold must have some damping, too
+            own = squares[index]
+            damped[np.diag_indices_from(damped)] += damping * np.where(own > 0.0, own, 1e-12)
+            step = _solved(damped, gradient[index])
+            if step is None:
+                damping = max(damping, 1e-6) * 10.0
+                continue
+            if damping <= 1e-3:
+                ahead = objective - float(step @ gradient[index])
+                if taken >= PATIENCE and ahead > hopeless:
+                    return Refit(plan, x, residual, objective, False)
+                for other in known:
+                    if other.converged and abs(ahead - other.objective) < ALIKE:
+                        apart = x - other.x
+                        apart[index] += step
+                        if float(apart @ normal @ apart) < ALIKE:
+                            return other
+            trial = _stepped(plan, x, index, step)
+            t_means, t_residual, t_objective = evaluate(trial)
+            if t_objective < objective:
+                accepted = True
+                break
+            if not fresh:
+                break
+            damping = max(damping, 1e-6) * 8.0
+        if not accepted:
+            if not fresh:
+                derivatives = None
+                continue
+            offered = 0.0 if step is None else float(step @ gradient[index])
+            if finer == 1.0 and offered > 0.1 * tolerance:
+                # where the model bends within the steps of the differences, they mislead
+                finer, damping, derivatives = FINER, 1e-3, None
+                continue
+            converged = True
+            break
+        gained, moved = objective - t_objective, trial - x
+        promised = float(moved @ (2.0 * gradient - normal @ moved))
+        if gained > STRAIGHT * promised:
+            carry_on(derivatives, residual - t_residual, moved, squares, of_bins, plan.places)
+        else:
+            derivatives = None
+        x, means, residual, objective = trial, t_means, t_residual, t_objective
+        damping = max(damping * 0.2, 1e-9)
+        if gained < tolerance and (fresh or promised < 2.0 * tolerance):
+            converged = True
+            break
+    return Refit(plan, x, residual, objective, converged)
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray | None:
+    """Solution (n,) of a symmetric system, None where its matrix is not positive definite."""
+    _, solution, wrong = dposv(matrix.T, right, overwrite_a=True)
+    return None if wrong else solution
+
+
+def _stepped(plan: Plan, x: FloatArray, index: NDArray[np.int64], step: FloatArray) -> FloatArray:
+    """Coordinates (n,) after a ``step`` of those in ``index``, none of them too long.
+
+    A lag delays the response by itself, so that what the shorter one gains the switch times lose.
+    It is exponential in the coordinates: they make up for what it gains beyond the linear.
+    """
+    most = plan.longest_steps[index]
+    moved = x.copy()
+    moved[index] += np.clip(step, -most, most)
+    moved = np.maximum(moved, plan.lowest)
+    before, by = x[1] - FASTER - x[0], (moved[1] - x[1]) - (moved[0] - x[0])
+    bent = exp(max(before, -60.0)) * (exp(by) - 1.0 - by)
+    movable = np.zeros(plan.size, dtype=bool)
+    movable[index] = True
+    moved[plan.switch_times[movable[plan.switch_times]]] -= bent
+    return moved
+
+
+def with_tau(plan: Plan, x: FloatArray, log_tau: float) -> FloatArray:
+    """Coordinates (n,) with another shorter lag, tau unless the sensor's is the longer one.
+
+    ``log_tau``: its logarithm (of s).  A lag delays the response by itself, so that what it gains
+    the switch times lose.
+    """
+    made = x.copy()
+    made[0] = max(float(x[1]) - FASTER - log_tau, 0.0)
+    made[plan.switch_times] -= exp(x[1] - FASTER - made[0]) - exp(x[1] - FASTER - x[0])
+    return made
+
+
+def base_starts(sketch: Sketch, base: FloatArray) -> list[FloatArray]:
+    """Starts of the fit without effects: tau moved over two decades, t0 and tf with it."""
+    plan, log_tau_v = Plan(sketch), float(base[1])
+    ratios = (min(ratio, exp(-FASTER) * 0.999) for ratio in (0.012, 0.07, 0.23, 0.58))
+    return [base.copy(), *(with_tau(plan, base, log_tau_v + log(ratio)) for ratio in ratios)]

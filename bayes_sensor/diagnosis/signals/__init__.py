@@ -1,0 +1,1 @@
+"""What single samples show: detectors of events, lines, local misfit and the like."""

@@ -1,0 +1,296 @@
+"""Something else, again: what leaves the best explanation for a while, here or there.
+
+What goes wrong at one switch and not, or elsewhere, at the next has no common shape, and a process
+that is free everywhere pays for all of it.  Runs of bins at single switches, what is shorter there
+than a bin, and levels that change at any time in single records are therefore looked for one by
+one.  All count as unlisted, whatever explains the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.diagnosis.data.bins import ExperimentBins
+from bayes_sensor.diagnosis.data.noise_floor import DOF, Quiet
+from bayes_sensor.diagnosis.evidence.block_least_squares import inverted
+from bayes_sensor.diagnosis.evidence.refit import Refit
+from bayes_sensor.diagnosis.signals.events import (
+    BUMP_SPAN,
+    bump,
+    known_dof,
+    local_size,
+    of_places,
+    sizes_of_records,
+    surprises,
+    tail_dof,
+)
+from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate, Place, any_of
+
+PATCH_SPAN = (-1.2, 8.0)
+"""time scales around a switch"""
+PATCH_BINS = (1, 2, 3, 4, 6)
+"""bins in a run"""
+
+SHORT_BLOCK = 0.01
+"""s, means over which patches are looked for that are shorter than bins"""
+SHORTEST = 2
+"""blocks of the narrowest of them"""
+WIDER = 1.6
+"""times by which one width exceeds the one before"""
+WIDEST = 0.3
+"""time scales, from where runs of bins show as much"""
+EARLIEST = 0.3
+"""time scales before the fitted switch, which a misplaced one may miss by"""
+FEWEST = 100
+"""positions in quiet spans below which the usual size is not known"""
+
+BREAK_LENGTHS = (1, 2, 3, 5, 8, 13, 21)
+"""bins that a passing change lasts"""
+ABSORBED = 0.1
+"""share of a change that a refit must leave of it, for the change to be looked for"""
+
+
+def look_for_patches(
+    found: Refit,
+    residuals: Sequence[FloatArray],
+    quiet: Sequence[Quiet],
+    tail: float = np.inf,
+) -> FullRate:
+    """Moments at single switches when the measurement leaves a refit, longer than bins or shorter.
+
+    ``residuals``: (n_t,) V of every experiment, what the refit leaves; ``tail``: degrees of
+    freedom of the noise's own means.
+    """
+    short = _short_patches(found, residuals, quiet, tail)
+    return any_of([_runs_of_bins(found, tail), *([] if short is None else [short])])
+
+
+def _patch(
+    places: Sequence[dict[Hashable, float]], clearest: Sequence[Place], since: Sequence[float]
+) -> FullRate:
+    """What all switches say; ``since`` (n,) s, from the switch to its clearest moment."""
+    told = of_places("patch", places, clearest)
+    first = max(range(len(clearest)), key=lambda i: clearest[i].size, default=None)
+    after = 0.0 if first is None else since[first]
+    return replace(told, strength={**told.strength, "patch_since_s": after})
+
+
+def _runs_of_bins(found: Refit, tail: float) -> FullRate:
+    """Runs of bins around single switches that lie on one side of a refit.
+
+    Per switch, ``ln B`` averages over runs of bins the ratio of densities of their whitened sum,
+    wider against usual, the usual with the floor's degrees of freedom, or with those of the noise's
+    own ``tail``; runs are averaged over for each switch, or for all together.
+    """
+    dof = min(DOF, tail)
+    sketch = found.plan.sketch
+    places: list[dict[Hashable, float]] = []
+    clearest, since = [], []
+    for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
+        z = found.residual[rows]
+        for falling in (False, True):
+            here = np.flatnonzero(
+                (b.falling == falling)
+                & (b.since > PATCH_SPAN[0] * sketch.time_scale)
+                & (b.since < PATCH_SPAN[1] * sketch.time_scale)
+            )
+            if len(here) < max(PATCH_BINS):
+                continue
+            total = np.concatenate([[0.0], np.cumsum(z[here])])
+            squares = [(total[m:] - total[:-m]) ** 2 / m for m in PATCH_BINS]
+            largest = max(squares, key=lambda s: float(s.max()))
+            middle = here[int(np.argmax(largest))]
+            clearest.append(Place(k, float(b.centre[middle]), float(largest.max())))
+            since.append(float(b.since[middle]))
+            # bins are counted from the switch: the same number is the same time after it
+            first = np.arange(len(here)) - int(np.sum(b.since[here] < 0.0))
+            places.append({
+                (m, int(at)): value
+                for m, square in zip(PATCH_BINS, squares, strict=True)
+                for at, value in zip(first, surprises(square, dof), strict=False)
+            })  # fmt: skip
+    return _patch(places, clearest, since)
+
+
+def _short_patches(
+    found: Refit, residuals: Sequence[FloatArray], quiet: Sequence[Quiet], tail: float
+) -> FullRate | None:
+    """Bumps shorter than bins between a switch and the next quiet span.
+
+    A relay that settles, a valve that bounces: bins average what is shorter than they are, and
+    events are looked for only where a record is quiet.  Means over some blocks less those on both
+    sides, in units of how much samples change from one to the next there, and of their usual size
+    in the record's quiet spans, the louder gas's at all times; ``ln B`` as in
+    :func:`_runs_of_bins`.  None where records are too short to tell what is usual.
+    """
+    sketch = found.plan.sketch
+    blocks = []
+    for e, r, q in zip(sketch.campaign, residuals, quiet, strict=True):
+        y = r / q.deviation
+        size = max(1, round(SHORT_BLOCK / e.interval))
+        n = len(y) // size
+        means, changes = (
+            v[: n * size].reshape(n, size).mean(axis=1) for v in (y, np.diff(y, prepend=y[0]) ** 2)
+        )
+        changes = changes / max(float(np.mean(changes)), 1e-300)
+        blocks.append((means, changes, size * e.interval, float(e.t[0])))
+    places: dict[tuple[int, float], dict[Hashable, float]] = {}
+    clearest: dict[tuple[int, float], Place] = {}
+    for width in _widths(max(step for _, _, step, _ in blocks), sketch.time_scale):
+        made = [_Bumps.of(*record, width) for record in blocks]
+        known = _usual(made, quiet, width)
+        if known is None:
+            continue
+        usual, dof = known
+        for k, (bumps, q) in enumerate(zip(made, quiet, strict=True)):
+            for switch, until in zip(q.switches, [*q.switches[1:], np.inf], strict=True):
+                end = min([until, *(a for a, _ in q.spans if a > switch)])
+                since = bumps.middles - switch
+                here = (since >= -EARLIEST * sketch.time_scale) & (bumps.middles < end)
+                if not np.any(here):
+                    continue
+                square = (bumps.heights[here] / usual[k]) ** 2
+                # blocks are counted from the switch: the same number is the same time after it
+                kinds = [(width, int(n)) for n in np.rint(since[here] / bumps.step)]
+                values = surprises(square, min(dof, tail, DOF))
+                places.setdefault((k, switch), {}).update(zip(kinds, values, strict=True))
+                at = int(np.argmax(square))
+                place = Place(k, float(bumps.middles[here][at]), float(square[at]))
+                if (k, switch) not in clearest or place.size > clearest[k, switch].size:
+                    clearest[k, switch] = place
+    if not places:
+        return None
+    since_switch = [clearest[key].time - key[1] for key in places]
+    return _patch(list(places.values()), [clearest[key] for key in places], since_switch)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bumps:
+    """Bumps of one width in one record."""
+
+    heights: FloatArray
+    """(n,) standard deviations of a sample's noise, as loud as it is there"""
+    middles: FloatArray
+    """(n,) s"""
+    step: float
+    """s, from one to the next"""
+    reach: float
+    """s, to the ends of both sides"""
+
+    @classmethod
+    def of(
+        cls, means: FloatArray, changes: FloatArray, step: float, begin: float, width: float
+    ) -> _Bumps:
+        """Bumps of ``width`` s in the ``means`` (n,) over blocks of ``step`` s from ``begin`` s.
+
+        ``changes`` (n,): squared, from sample to sample, over those of the whole record.
+        """
+        m = max(1, round(width / step))
+        heights = bump(means, m) / local_size(changes, m, BUMP_SPAN)
+        reach = 0.5 * BUMP_SPAN * m * step
+        middles = np.asarray(begin + reach + np.arange(len(heights)) * step)
+        return cls(heights, middles, step, reach)
+
+
+def _usual(
+    made: Sequence[_Bumps], quiet: Sequence[Quiet], width: float
+) -> tuple[dict[int, float], float] | None:
+    """Usual size of bumps of ``width`` s in every record's quiet spans, at the louder gas; the dof.
+
+    None where neither gas has enough of them.
+    """
+    sizes: dict[int, float] = {}
+    dofs = []
+    for plateau in (False, True):
+        some = {
+            k: np.concatenate([
+                b.heights[(b.middles - b.reach >= low) & (b.middles + b.reach <= high)]
+                for i, (low, high) in enumerate(q.spans) if (i == 1) == plateau
+            ] or [np.empty(0)])
+            for k, (b, q) in enumerate(zip(made, quiet, strict=True))
+        }  # fmt: skip
+        if sum(len(x) for x in some.values()) < FEWEST:
+            continue
+        seconds = {k: len(x) * made[k].step for k, x in some.items()}
+        own = sizes_of_records(some, seconds, width)
+        if not own:
+            continue
+        whole = sum(seconds.values())
+        told = tail_dof(np.concatenate([np.abs(some[k]) / own[k] for k in own]), whole, width)
+        dofs.append(min(known_dof(whole, width), np.inf if told is None else told))
+        usual = float(np.exp(np.mean(np.log(list(own.values())))))
+        sizes = {k: max(sizes.get(k, 0.0), own.get(k, usual)) for k in range(len(made))}
+    return (sizes, min(dofs)) if sizes else None
+
+
+def _widths(block: float, time_scale: float) -> FloatArray:
+    """(n,) s, of bumps from the shortest that blocks show to where bins show as much."""
+    first, last = SHORTEST * block, WIDEST * time_scale
+    steps = int(np.log(max(last / first, 1.0)) / np.log(WIDER))
+    return np.asarray(first * WIDER ** np.arange(steps + 1))
+
+
+def look_for_breaks(found: Refit, tail: float = np.inf) -> FullRate:
+    """Changes that begin at any time in single records: passing, until the fall, or to stay.
+
+    On a plateau what happens once looks like a drift.  A score test per record: a change of so many
+    volts between two edges of bins, what the refit's own coordinates would take up of it left out.
+    ``ln B`` of a record averages over begins and lengths the ratio of t densities, as in
+    :func:`_runs_of_bins`; they are averaged over for each record, or for all together.
+    """
+    dof = min(DOF, tail)
+    sketch, plan = found.plan.sketch, found.plan
+    covariance = inverted(found.normal)
+    places: list[dict[Hashable, float]] = []
+    clearest = []
+    for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
+        shapes, spans = _changes(b.falling)
+        templates = sketch.inverse_factors[k] @ shapes
+        columns = plan.columns(k)
+        inside = found.jacobian[rows, columns].T @ templates
+        own = covariance[np.ix_(columns, columns)]
+        whole = np.sum(templates**2, axis=0)
+        left = whole - np.sum(inside * (own @ inside), axis=0)
+        use = left > ABSORBED * whole
+        if not np.any(use):
+            continue
+        square = (found.residual[rows] @ templates[:, use]) ** 2 / left[use]
+        edges = _edges(b)
+        kinds = [(edges[i], edges[j]) for i, j in spans[use].tolist()]
+        places.append(dict(zip(kinds, surprises(square, dof), strict=True)))
+        begins = b.first[spans[use][int(np.argmax(square)), 0]]
+        clearest.append(Place(k, float(b.experiment.t[begins]), float(square.max())))
+    return of_places("break", places, clearest)
+
+
+def _edges(b: ExperimentBins) -> list[tuple[str, int]]:
+    """Where each bin begins, counted from the switch before, since records differ in length.
+
+    After the last bin the record's end, ``("end", 0)``.
+    """
+    rise, fall = int(np.argmax(b.since >= 0.0)), int(np.argmax(b.falling))
+    begins = [
+        ("fall", i - fall) if down else ("rise", i - rise) for i, down in enumerate(b.falling)
+    ]
+    return [*begins, ("end", 0)]
+
+
+def _changes(falling: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]:
+    """(n_bins, m) ones where a change lasts, and (m, 2) the bins it begins with and ends before."""
+    n = len(falling)
+    fall = int(np.argmax(falling)) if np.any(falling) else n
+    spans = {
+        (i, j)
+        for i in range(1, n)
+        for j in (*(i + m for m in BREAK_LENGTHS), fall, n)
+        if i < j <= n
+    }
+    ordered = np.array(sorted(spans), dtype=np.int64)
+    at = np.arange(n)[:, None]
+    shapes = (at >= ordered[:, 0]) & (at < ordered[:, 1])
+    return shapes.astype(float), ordered

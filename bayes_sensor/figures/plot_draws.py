@@ -1,0 +1,154 @@
+"""Draws of the posterior: joint regions, chains and ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, MaxNLocator
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.figures.style import (
+    BLUE,
+    GREEN,
+    INK,
+    ORANGE,
+    PALE,
+    REGIONS,
+    SHARED_LABELS,
+    SMALLEST,
+    WIDTH,
+    axis_label,
+    new_figure,
+    parameter_words,
+    style,
+    told_apart,
+)
+from bayes_sensor.posterior.inference_data import import_quietly
+
+
+def main_parameters(names: Sequence[str]) -> list[str]:
+    """Those of tau, tau_v, V, sigma0, sigma1, phi that are among ``names``.
+
+    Lags by size where it is not known whose they are.
+    """
+    known = told_apart(names)
+    return [name for name in (*SHARED_LABELS, "sigma0_V", "sigma1_V", "phi") if name in known]
+
+
+def _chosen(
+    names: Sequence[str], chains: FloatArray, unit: str
+) -> tuple[list[tuple[str, str, float]], FloatArray]:
+    """Words and scaled chains (n_chain, n_draw, n) of the main parameters that vary."""
+    kept = [n for n in main_parameters(names) if np.ptp(chains[:, :, names.index(n)]) > 0]
+    words = [parameter_words(n, unit) for n in kept]
+    columns = [chains[:, :, names.index(n)] * w[2] for n, w in zip(kept, words, strict=True)]
+    return words, np.stack(columns, axis=-1)
+
+
+def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
+    """Joint posterior of the shared parameters: 39, 68 and 95 % regions, 95 % intervals dashed.
+
+    ``chains`` (n_chain, n_draw, n_theta) in the order of ``names``.
+    """
+    corner_plot = import_quietly("corner")
+    words, values = _chosen(list(names), chains, unit)
+    draws = values.reshape(-1, values.shape[-1])
+    draws = draws[:: max(1, len(draws) // 20000)]
+    n = len(words)
+    with style(), mpl.rc_context({"figure.constrained_layout.use": False}):
+        side = min(WIDTH, 1.3 * n + 0.9)
+        figure = Figure(figsize=(side, side))
+        corner_plot.corner(
+            draws,
+            fig=figure,
+            labels=[axis_label(w) for w in words],
+            bins=40,
+            smooth=1.1,
+            quantiles=(0.025, 0.5, 0.975),
+            levels=(0.393, 0.68, 0.95),
+            plot_datapoints=False,
+            plot_density=False,
+            fill_contours=True,
+            color=BLUE,
+            contour_kwargs={"colors": [BLUE], "linewidths": 0.9},
+            contourf_kwargs={"colors": ["none", *REGIONS]},
+            hist_kwargs={"color": INK, "linewidth": 1.0},
+        )
+        for axes in figure.axes:
+            axes.grid(False)
+            axes.tick_params(labelsize=SMALLEST, rotation=0)
+            for axis in (axes.xaxis, axes.yaxis):
+                if isinstance(axis.get_major_locator(), MaxNLocator):
+                    axis.set_major_locator(FixedLocator(_two_ticks(*axis.get_view_interval())))
+        left, bottom, right, top = 0.72 / side, 0.5 / side, 0.98, 0.99
+        figure.subplots_adjust(left=left, bottom=bottom, right=right, top=top)
+        panel = side * (right - left) / (n + 0.05 * (n - 1))  # inches
+        for axes in figure.axes:
+            axes.xaxis.set_label_coords(0.5, -0.27 / panel)
+            axes.yaxis.set_label_coords(-0.5 / panel, 0.5)
+    return figure
+
+
+def _two_ticks(low: float, high: float) -> list[float]:
+    """Two round values well inside a range, so that labels of neighbouring panels stay apart."""
+    margin = 0.16 * (high - low)
+    inside: FloatArray = np.empty(0)
+    for n in range(3, 9):
+        ticks = np.asarray(MaxNLocator(n, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
+        inside = ticks[(ticks > low + margin) & (ticks < high - margin)]
+        if len(inside) > 1:
+            break
+    return [float(tick) for tick in (inside[[0, -1]] if len(inside) > 1 else inside)]
+
+
+def traces_and_ranks(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
+    """Chains and the ranks of their draws: when they agree, every rank is as frequent.
+
+    The grey band holds 95 % of the bars of independent draws.
+    """
+    from scipy.stats import rankdata
+
+    words, values = _chosen(list(names), chains, unit)
+    n_chain, n_draw, n = values.shape
+    every = max(1, n_draw // 400)
+    dashes = ("-", (0, (3, 1)), (0, (1, 1)), (0, (5, 1, 1, 1)))
+    colours = (BLUE, ORANGE, GREEN, INK)
+    bins = 20
+    with style():
+        figure = new_figure(1.25 * n + 0.4)
+        grid = figure.subplots(n, 2, squeeze=False, width_ratios=[1.7, 1])
+        for row, word in enumerate(words):
+            left, right = grid[row]
+            ranks = rankdata(values[:, :, row]).reshape(n_chain, n_draw)
+            expected = n_draw / bins
+            half = 1.96 * np.sqrt(expected * (1 - 1 / bins))
+            right.axhspan(expected - half, expected + half, color=PALE, lw=0)
+            for j in range(n_chain):
+                kind: Any = dashes[j % len(dashes)]
+                colour = colours[j % len(colours)]
+                left.plot(
+                    np.arange(0, n_draw, every),
+                    values[j, ::every, row],
+                    color=colour,
+                    lw=0.4,
+                    label=f"chain {j + 1}",
+                )
+                count, edges = np.histogram(ranks[j], bins, (0, n_chain * n_draw))
+                right.stairs(count, edges, color=colour, lw=1.0, ls=kind, baseline=None)
+            left.set_ylabel(axis_label(word))
+            right.set_ylim(0, None)
+            right.set_ylabel("draws")
+            left.margins(x=0)
+            for axes in (left, right):
+                axes.yaxis.set_major_locator(MaxNLocator(4))
+                if row < n - 1:
+                    axes.set_xticklabels([])
+        grid[0, 0].set_title("chains")
+        grid[0, 1].set_title("ranks, by chain")
+        grid[-1, 0].set_xlabel("draw (walkers end to end)")
+        grid[-1, 1].set_xlabel("rank among all draws")
+    return figure

@@ -1,0 +1,118 @@
+"""Measurement against model, trace by trace (paper Fig. 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from bayes_sensor.figures.style import (
+    DATA,
+    GREEN,
+    INK,
+    MIDDLE,
+    MODEL,
+    ORANGE,
+    new_figure,
+    shortened,
+    style,
+    volts,
+)
+from bayes_sensor.fit.traces import Envelope, Trace
+
+
+def overlay(trace: Trace) -> Figure:
+    """Measurement and model of one experiment with the residuals below (paper Fig. 5).
+
+    Left the whole record, then the start and, where one was recorded, the end of the step.
+    """
+    parts: list[tuple[str, Envelope, float | None, float | None]] = [
+        ("whole record", trace.whole, None, None),
+        ("start", trace.rise, trace.t0, trace.commanded_on),
+    ]
+    if trace.fall is not None:
+        parts.append(("end", trace.fall, trace.tf, trace.commanded_off))
+    unit = trace.signal_unit
+    small, factor = volts(unit, 3.0 * trace.rms)
+    with style():
+        figure = new_figure(3.5)
+        axes = figure.subplots(
+            2,
+            len(parts),
+            sharex="col",
+            sharey="row",
+            height_ratios=[2.3, 1],
+            width_ratios=[1.9] + [1] * (len(parts) - 1),
+            squeeze=False,
+        )
+        for column, (title, piece, edge, commanded) in enumerate(parts):
+            upper, lower = axes[:, column]
+            upper.fill_between(piece.t, piece.low, piece.high, color=DATA, lw=0.8, label="measured")
+            upper.plot(piece.t, piece.model, color=MODEL, lw=1.2, label="model")
+            lower.fill_between(
+                piece.t,
+                factor * piece.residual_low,
+                factor * piece.residual_high,
+                color=DATA,
+                lw=0.8,
+            )
+            lower.plot(piece.t, factor * piece.residual, color=INK, lw=0.7, label="mean of stretch")
+            for sign in (-2, 2):
+                lower.plot(
+                    piece.t,
+                    sign * factor * piece.sd,
+                    color=ORANGE,
+                    lw=0.9,
+                    ls=(0, (4, 2)),
+                    label="± 2 sd, noise law" if sign > 0 else None,
+                )
+            if commanded is not None and piece.t[0] <= commanded <= piece.t[-1]:
+                upper.axvline(commanded, color=MIDDLE, lw=0.9, ls=":", label="commanded")
+            if edge is not None and piece.t[0] <= edge <= piece.t[-1]:
+                upper.axvline(edge, color=GREEN, lw=0.9, ls="--", label="fitted switch")
+            upper.set_title(title)
+            lower.set_xlabel("time (s)")
+            lower.xaxis.set_major_locator(MaxNLocator(4 if column else 6))
+            upper.set_xlim(piece.t[0], piece.t[-1])
+        low, high = axes[1, 0].get_ylim()
+        axes[1, 0].set_ylim(low, high + 0.3 * (high - low))  # room for the legend
+        axes[0, 0].set_ylabel(f"signal ({unit})")
+        axes[1, 0].set_ylabel(f"residual ({small})")
+        axes[0, 0].legend(loc="best", handlelength=1.6)
+        axes[0, 1].legend(
+            *_only(axes[0, 1], ("commanded", "fitted switch")), loc="best", handlelength=1.6
+        )
+        axes[1, 0].legend(loc="upper right", ncols=2, fontsize=7, borderaxespad=0.1)
+    return figure
+
+
+def _only(axes: Axes, labels: Sequence[str]) -> tuple[list[Any], list[str]]:
+    handles, names = axes.get_legend_handles_labels()
+    kept = [(h, n) for h, n in zip(handles, names, strict=True) if n in labels]
+    return [h for h, _ in kept], [n for _, n in kept]
+
+
+def rms_bars(traces: Sequence[Trace]) -> Figure:
+    """RMS residual of every experiment beside what the noise law alone would leave."""
+    unit, factor = volts(traces[0].signal_unit, max(trace.rms for trace in traces))
+    names = [trace.name for trace in traces]
+    rms = [factor * trace.rms for trace in traces]
+    law = [factor * float(np.sqrt(np.mean(trace.whole.sd**2))) for trace in traces]
+    place = np.arange(len(traces))
+    with style():
+        figure = new_figure(2.6 if len(traces) < 12 else 3.2)
+        axes = figure.subplots()
+        axes.bar(place, rms, 0.62, color=DATA, edgecolor=INK, lw=0.5, label="RMS residual")
+        axes.plot(place, law, "_", color=MODEL, ms=14, mew=2, label="noise law")
+        long = len(traces) > 12 or max(len(n) for n in names) > 8
+        labels = [shortened(n) for n in names]
+        axes.set_xticks(place, labels, rotation=90 if long else 0, fontsize=7 if long else 8)
+        axes.set_xlabel("experiment")
+        axes.set_ylabel(f"RMS ({unit})")
+        axes.grid(axis="x", visible=False)
+        figure.legend(loc="outside upper right", ncols=2)
+    return figure

@@ -1,0 +1,140 @@
+"""Weighted points that stand for the samples, and the sum of squares on them."""
+
+from __future__ import annotations
+
+from math import exp
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.fit.first_estimates import Look
+
+
+class Points(NamedTuple):
+    """Weighted points standing for the samples; all experiments in a row."""
+
+    first: NDArray[np.int64]  # (n_exp + 1,)
+    t: FloatArray
+    weight: FloatArray  # how many samples the point stands for
+    y: FloatArray
+
+
+def joined(parts: list[tuple[FloatArray, FloatArray, FloatArray]]) -> Points:
+    first = np.concatenate([[0], np.cumsum([len(part[0]) for part in parts])]).astype(np.int64)
+    t, count, y = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    return Points(first, t, count, y)
+
+
+def scatter(campaign: Campaign, points: Points) -> float:
+    """Sum of squares inside the averages, which no mean can explain, V^2."""
+    total = 0.0
+    for k, e in enumerate(campaign):
+        part = slice(points.first[k], points.first[k + 1])
+        y = e.values[e.used]
+        origin = float(y.mean())
+        within = np.sum((y - origin) ** 2) - points.weight[part] @ (points.y[part] - origin) ** 2
+        total += max(float(within), 0.0)
+    return total
+
+
+def averages(campaign: Campaign, looks: list[Look], per_rise: int, most: int) -> Points:
+    """Means over stretches: ``per_rise`` to a rise time around the switches, few elsewhere."""
+    rises = [look.rise for look in looks if look.rise is not None]
+    usual = float(np.median(rises)) if rises else 0.0
+    parts = []
+    for e, look in zip(campaign, looks):
+        rise = look.rise or usual or 0.1 * (look.off - look.on)
+        first, last = float(e.t[0]), float(e.t[-1]) + e.interval
+        edges = [first]
+        for low, high in ((look.on, look.start_by), (look.off, look.end_by))[: 1 + e.has_fall]:
+            edges += list(np.linspace(edges[-1], low, 9)[1:])
+            high = min(high + 4.0 * rise, last)
+            width = max(rise / per_rise, (high - low) / most, e.interval)
+            edges += list(np.arange(low, high, width)[1:])
+        edges += list(np.linspace(edges[-1], last, 17)[1:])
+        index = np.unique(np.searchsorted(e.t, np.array(edges) - 1e-9 * e.interval))
+        index = index[index < len(e.t)]
+        weight = e.used.astype(float)
+        count = np.add.reduceat(weight, index)
+        total = np.add.reduceat(np.where(e.used, e.values, 0.0), index)
+        times = np.add.reduceat(weight * e.t, index)
+        keep = count > 0
+        parts.append((times[keep] / count[keep], count[keep], total[keep] / count[keep]))
+    return joined(parts)
+
+
+@njit(cache=True, error_model="numpy")
+def sorted_apart(taus: FloatArray) -> None:  # pragma: no cover - compiled
+    # ascending, at least a thousandth apart so that partial fractions keep ten digits
+    taus.sort()
+    for j in range(1, 3):
+        if taus[j] < taus[j - 1] * 1.001:
+            taus[j] = taus[j - 1] * 1.001
+
+
+@njit(cache=True, error_model="numpy")
+def _step(s: float, taus: FloatArray, c: FloatArray) -> float:  # pragma: no cover - compiled
+    if s <= 0.0:
+        return 0.0
+    if s > 30.0 * taus[2]:
+        return 1.0
+    x = 1.0
+    for j in range(3):
+        u = s / taus[j]
+        if u < 40.0:
+            x -= c[j] * exp(-u)
+    return x
+
+
+@njit(cache=True, error_model="numpy")
+def _profile(
+    z: Any, where: Any, first: Any, t: Any, count: Any, y: Any, flow: Any, linear: Any
+) -> float:  # pragma: no cover - compiled
+    # Sum of squares at z = (log tau, log tau_v, log V, switch times) with the best y0 and beta,
+    # which are left in linear (n_exp, 2).
+    taus, c = np.empty(3), np.empty(3)
+    total = 0.0
+    for k in range(len(flow)):
+        taus[0], taus[1], taus[2] = exp(z[0]), exp(z[1]), exp(z[2]) / flow[k]
+        sorted_apart(taus)
+        for j in range(3):
+            c[j] = 1.0
+            for m in range(3):
+                if m != j:
+                    c[j] *= taus[j] / (taus[j] - taus[m])
+        t0 = z[where[k, 0]]
+        tf = z[where[k, 1]] if where[k, 1] >= 0 else np.inf
+        n = sx = sxx = sy = sxy = syy = 0.0
+        origin = y[first[k]]
+        for i in range(first[k], first[k + 1]):
+            x = _step(t[i] - t0, taus, c)
+            if t[i] > tf:
+                x -= _step(t[i] - tf, taus, c)
+            w = count[i]
+            d = y[i] - origin
+            n += w
+            sx += w * x
+            sxx += w * x * x
+            sy += w * d
+            sxy += w * x * d
+            syy += w * d * d
+        vxx = sxx - sx * sx / n
+        vxy = sxy - sx * sy / n
+        beta = vxy / vxx if vxx > 1e-9 * n else 0.0
+        linear[k, 0] = origin + (sy - beta * sx) / n
+        linear[k, 1] = beta
+        total += syy - sy * sy / n - beta * vxy
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def profiles(
+    Z: Any, where: Any, first: Any, t: Any, count: Any, y: Any, flow: Any, linear: Any
+) -> FloatArray:  # pragma: no cover - compiled
+    costs = np.empty(len(Z))
+    for i in range(len(Z)):
+        costs[i] = _profile(Z[i], where, first, t, count, y, flow, linear)
+    return costs

@@ -1,0 +1,137 @@
+"""What the records show without a model: levels, times and search bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, sqrt
+
+import numpy as np
+
+from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
+from bayes_sensor.likelihood.problem import Problem
+
+LEAST_TAU = 0.1
+"""lower bound of tau in sampling intervals: far below anything a sample can tell"""
+DRIFT = 0.2
+"""of the step, between the two halves of what follows its middle: more, and the plateau is not
+reached (that is so where the step lasts less than three lags)"""
+UNSETTLED = 10.0
+"""longest lag looked for where no plateau is reached, in lengths of the step"""
+
+
+@dataclass(frozen=True)
+class Look:
+    """Levels and times read off one record, without a model."""
+
+    on: float  # earliest start, s
+    off: float  # earliest end, s, or the end of the record
+    start_by: float  # the response is rising by then, s
+    end_by: float  # .. and falling by then
+    rise: float | None  # 10 to 90 %, s; None where no step is visible
+    before: float
+    step: float
+    settled: bool = True  # False where the signal still moves when the step ends
+
+
+def blocks(e: Experiment, start: float, end: float, n: int) -> tuple[FloatArray, FloatArray]:
+    """Times and means of up to ``n`` stretches of used samples in [start, end)."""
+    a = int(np.searchsorted(e.t, start - 1e-9 * e.interval))
+    b = int(np.searchsorted(e.t, end - 1e-9 * e.interval))
+    used = e.used[a:b]
+    t, y = e.t[a:b][used], e.values[a:b][used]
+    size = max(1, len(t) // n)
+    m = len(t) // size * size
+    return t[:m].reshape(-1, size).mean(axis=1), y[:m].reshape(-1, size).mean(axis=1)
+
+
+def split(y: FloatArray) -> int:
+    """Where a series is best cut in two constant pieces: first index of the second."""
+    n = len(y)
+    centred = y - y.mean()
+    left = np.cumsum(centred)[:-1]
+    i = np.arange(1, n)
+    return int(np.argmax(left**2 / i + left**2 / (n - i))) + 1
+
+
+def first_look(e: Experiment) -> Look:
+    first, last = float(e.t[0]), float(e.t[-1]) + e.interval
+    on = first if e.commanded_on is None else min(max(e.commanded_on, first), last)
+    off = last if e.commanded_off is None else min(max(e.commanded_off, on), last)
+    t, y = blocks(e, on, off, 1000)
+    _, quiet = blocks(e, first, on, 200)
+    if len(y) < 8:
+        level = float(e.values[e.used].mean())
+        return Look(on, off, off, last, None, level, 0.0)
+    cut = split(y)
+    before = float(np.median(quiet)) if len(quiet) >= 5 else float(y[:cut].mean())
+    after = y[cut:]
+    top = float(np.median(after[-max(1, len(after) // 4) :]))
+    step = top - before
+    noise = float(np.median(np.abs(np.diff(y)))) / 0.954  # of a block; robust against the rise
+    if len(quiet) >= 5:
+        noise = max(noise, float(np.std(quiet)))
+    end_by = last
+    if off < last:
+        t_fall, y_fall = blocks(e, off, last, 1000)
+        if len(y_fall) >= 8:
+            end_by = float(t_fall[split(y_fall)])
+    if abs(step) < 4.0 * noise:
+        return Look(on, off, 0.5 * (on + off), 0.5 * (off + last), None, before, step)
+    half = len(after) // 2
+    drift = float(np.median(after[-half:]) - np.median(after[:half])) if half >= 4 else 0.0
+    settled = abs(drift) < max(DRIFT * abs(step), 6.0 * noise * sqrt(2.0 / max(half, 1)))
+    x = (y - before) / step
+    low = np.flatnonzero(x[:cut] < 0.1)
+    high = np.flatnonzero(x[max(cut - 1, 0) :] >= 0.9)
+    begin = t[low[-1]] if len(low) else t[0]
+    finish = t[max(cut - 1, 0) + high[0]] if len(high) else t[-1]
+    width = t[1] - t[0]
+    rise = max(float(finish - begin), width)
+    return Look(on, off, float(t[cut]), end_by, rise, before, step, settled)
+
+
+def initial_bounds(
+    problem: Problem, looks: list[Look], given: Mapping[str, tuple[float, float]] | None
+) -> dict[str, tuple[float, float]]:
+    """Search bounds by flat name, from the records and their commanded times alone."""
+    campaign, layout = problem.campaign, problem.layout
+    rises = [look.rise for look in looks if look.rise is not None]
+    slowest = max(rises) if rises else max(0.25 * (look.off - look.on) for look in looks)
+    flow = max(e.total_flow for e in campaign)
+    least = LEAST_TAU * min(e.interval for e in campaign)
+    slowest = max(slowest, 100.0 * least)
+    unsettled = [look.off - look.on for look in looks if not look.settled]
+    most = 3.0 * slowest if not unsettled else UNSETTLED * max(3.0 * slowest, *unsettled)
+    bounds = {
+        "tau_s": (least, slowest),
+        "tau_v_s": (least, most),
+        "V_mL": (least * flow, most * flow),
+    }
+    for e, look in zip(campaign, looks):
+        y = e.values[e.used]
+        low, high = float(y.min()), float(y.max())
+        spread = max(high - low, 1e-12 * max(abs(high), abs(low)), 1e-300)
+        bounds[f"y0_V[{e.name}]"] = (low - spread, high + spread)
+        # where no plateau is reached, the step may be as much higher as the lag is longer
+        reach = 3.0 * spread if look.settled else 10.0 * UNSETTLED * spread
+        bounds[f"beta_V[{e.name}]"] = (-reach, reach)
+        bounds[f"t0_s[{e.name}]"] = (look.on, max(look.start_by, look.on + 2.0 * e.interval))
+        if e.has_fall:
+            bounds[f"tf_s[{e.name}]"] = (look.off, max(look.end_by, look.off + 2.0 * e.interval))
+    for name in layout.extra:
+        law = problem.priors[name].law if name in problem.priors else None
+        bounds[name] = (
+            (-inf, inf) if law is None else (float(law.ppf(1e-4)), float(law.ppf(1 - 1e-4)))
+        )
+    bounds = {name: (float(low), float(high)) for name, (low, high) in bounds.items()}
+    for name, pair in (given or {}).items():
+        if name not in bounds:
+            raise CampaignError(
+                f"bounds: no parameter '{name}' in the search; there are {', '.join(bounds)}"
+            )
+        low, high = (float(value) for value in pair)
+        if not low < high:
+            raise CampaignError(f"bounds of '{name}': expected low < high, got {low} and {high}")
+        bounds[name] = (low, high)
+    return bounds

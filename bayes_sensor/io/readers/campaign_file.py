@@ -1,0 +1,339 @@
+"""The text of ``campaign.toml``: its keys, their kinds, and one clear message per mistake."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
+
+from bayes_sensor.campaign import ORDERS, STAGES, CampaignError, SideInformation
+from bayes_sensor.io.readers.quantities import (
+    FLOW,
+    TIME,
+    VOLUME,
+    Kind,
+    read_quantity,
+    read_spread,
+    unit_text,
+)
+from bayes_sensor.io.readers.sampling import LATEST
+
+LARGEST = 1 << 20
+"""bytes of a campaign file"""
+LONGEST_LINE = 4000
+"""characters; longer lines and deeply dotted keys only slow the parser down"""
+_LEAST_FLOW, _MOST_FLOW = 1e-6, 1e6  # mL/s
+
+SIDE_INFORMATION: Mapping[str, tuple[str, Kind]] = {
+    "V": ("V_mL", VOLUME),
+    "tau": ("tau_s", Kind("a time", "s", "48 ms")),
+    "tau_v": ("tau_v_s", Kind("a time", "s", "850 ms")),
+}
+"""key in the file: flat parameter name and kind"""
+
+_EXAMPLES = {
+    "name": 'name = "1"',
+    "file": 'file = "exp1.csv"',
+    "carrier_flow": 'carrier_flow = "4.0 L/min"',
+    "test_gas_flow": 'test_gas_flow = "0.5 L/min"',
+    "commanded_on": 'commanded_on = "24.0 s"',
+    "commanded_off": 'commanded_off = "83.6 s"',
+    "signal": 'signal = "A"',
+    "drive": 'drive = "B"',
+    "signal_unit": 'signal_unit = "V"',
+    "keep": 'keep = ["0 s", "120 s"]',
+    "mask": 'mask = [["6.3 s", "7.2 s"]]',
+    "interval": 'interval = "1 ms"',
+    "duration": 'duration = "120 s"',
+    "title": 'title = "seven step experiments"',
+    "allow_outside": "allow_outside = true",
+    "experiment": '[[experiment]] with name = "1" and its keys',
+    "side_information": '[side_information] with V = "60 +- 2 mL"',
+    "rig": '[rig] with sensor_is = "faster"',
+    "stages": 'stages = ["valve", "manifold", "sensor"]',
+    "sensor_is": 'sensor_is = "faster"',
+}
+
+
+def _key(info: ValidationInfo) -> str:
+    return info.field_name or "value"
+
+
+def _flow(value: object, info: ValidationInfo) -> float:
+    key = _key(info)
+    flow = read_quantity(value, FLOW, key)
+    if not _LEAST_FLOW <= flow <= _MOST_FLOW:
+        raise CampaignError(
+            f"{key}: expected a positive flow (up to {_MOST_FLOW * 0.06:g} L/min), but got "
+            f"'{value}'; give the flow that was set, such as \"{FLOW.example}\""
+        )
+    return flow
+
+
+def _time(value: object, info: ValidationInfo) -> float:
+    key = _key(info)
+    time = read_quantity(value, TIME, key)
+    if not abs(time) < LATEST:
+        raise CampaignError(
+            f"{key}: expected a time such as \"{TIME.example}\", but got '{value}'; correct it"
+        )
+    return time
+
+
+def _positive_time(value: object, info: ValidationInfo) -> float:
+    time = _time(value, info)
+    if time <= 0:
+        raise CampaignError(
+            f"{_key(info)}: expected a positive time, but got '{value}'; "
+            f"write for example {_EXAMPLES[_key(info)]}"
+        )
+    return time
+
+
+def _range(value: object, info: ValidationInfo) -> tuple[float, float]:
+    key = _key(info)
+    if not isinstance(value, list) or len(value) != 2:
+        raise CampaignError(
+            f"{key}: expected two times, start and end, but got {_shorten(value)}; "
+            f"write for example {_EXAMPLES[key]}"
+        )
+    try:
+        start, end = _time(value[0], info), _time(value[1], info)
+    except CampaignError as error:
+        problem = str(error).split("; write ")[0]
+        raise CampaignError(f"{problem}; write for example {_EXAMPLES[key]}") from None
+    if not start < end:
+        raise CampaignError(
+            f"{key}: expected the start before the end, but got {_shorten(value)}; swap them"
+        )
+    return start, end
+
+
+def _ranges(value: object, info: ValidationInfo) -> tuple[tuple[float, float], ...]:
+    key = _key(info)
+    if not isinstance(value, list) or not all(isinstance(part, list) for part in value):
+        raise CampaignError(
+            f"{key}: expected a list of pairs of times, but got {_shorten(value)}; "
+            f"write for example {_EXAMPLES[key]}"
+        )
+    return tuple(_range(part, info) for part in value)
+
+
+def _plain_text(value: object, info: ValidationInfo) -> str:
+    key = _key(info)
+    if not isinstance(value, str):
+        if isinstance(value, bool | int | float):
+            fix = f'{key} = "{value}"'
+        else:
+            fix = _EXAMPLES[key]
+        raise CampaignError(
+            f"{key}: expected text in quotes, but got {_shorten(value)}; write {fix}"
+        )
+    if not value.strip() or len(value) > 1000:
+        raise CampaignError(
+            f"{key}: expected 1 to 1000 characters, but got {len(value)}"
+            f"{' (only blanks)' if value and not value.strip() else ''}; "
+            f"write for example {_EXAMPLES[key]}"
+        )
+    if any(ord(c) < 32 or 0x7F <= ord(c) < 0xA0 for c in value):
+        raise CampaignError(
+            f"{key}: expected plain text, but {value!r:.80} holds control characters; remove them"
+        )
+    return value
+
+
+def _unit(value: object, info: ValidationInfo) -> str:
+    text = _plain_text(value, info)
+    try:
+        return unit_text(text)
+    except CampaignError as error:
+        raise CampaignError(f"{_key(info)}: {error}") from None
+
+
+Text = Annotated[str, BeforeValidator(_plain_text)]
+Flow = Annotated[float, BeforeValidator(_flow)]
+Time = Annotated[float, BeforeValidator(_time)]
+PositiveTime = Annotated[float, BeforeValidator(_positive_time)]
+
+
+class Entry(BaseModel):
+    """One ``[[experiment]]``: flows in mL/s, times in s."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    name: Text
+    file: Text | None = None
+    carrier_flow: Flow
+    test_gas_flow: Flow
+    commanded_on: Time | None = None
+    commanded_off: Time | None = None
+    signal: Text | None = None
+    drive: Text | None = None
+    signal_unit: Annotated[str, BeforeValidator(_unit)] | None = None
+    keep: Annotated[tuple[float, float], BeforeValidator(_range)] | None = None
+    mask: Annotated[tuple[tuple[float, float], ...], BeforeValidator(_ranges)] = ()
+    interval: PositiveTime | None = None
+    duration: PositiveTime | None = None
+
+
+def _stages(value: object, info: ValidationInfo) -> tuple[str, ...]:
+    if value != list(STAGES):
+        raise CampaignError(
+            f"stages: expected {', '.join(STAGES)}, the one chain of stages that is known so far, "
+            f"but got {_shorten(value)}; leave the key out or write {_EXAMPLES['stages']}"
+        )
+    return STAGES
+
+
+def _order(value: object, info: ValidationInfo) -> str:
+    if value not in ORDERS:
+        raise CampaignError(
+            f"sensor_is: expected one of {', '.join(ORDERS)}, among the lags that do not depend "
+            f"on flow, but got {_shorten(value)}; write for example {_EXAMPLES['sensor_is']}"
+        )
+    return str(value)
+
+
+class Rig(BaseModel):
+    """``[rig]``: what the gas passes, and which of the lags is the sensor's."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    stages: Annotated[tuple[str, ...], BeforeValidator(_stages)] = STAGES
+    sensor_is: Annotated[str, BeforeValidator(_order)] = "unknown"
+
+
+class Sheet(BaseModel):
+    """The top level of a campaign file, its tables still as they were written."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    title: Text = "untitled campaign"
+    allow_outside: bool = False
+    rig: dict[str, Any] = Field(default_factory=dict)
+    side_information: dict[str, Any] = Field(default_factory=dict)
+    experiment: list[dict[str, Any]] = Field(min_length=1)
+
+
+def read_toml(content: bytes, label: str) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises
+    ------
+    CampaignError
+        If it is not UTF-8, too large or not TOML; the message has the line.
+    """
+    if len(content) > LARGEST:
+        raise CampaignError(
+            f"{label}: expected a campaign file of at most {LARGEST >> 20} MB, but it has "
+            f"{len(content)} bytes; point to the TOML file, not to data"
+        )
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise CampaignError(f"{label}: expected UTF-8 text, but it is UTF-16; save it as UTF-8")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise CampaignError(
+            f"{label}: line {line} is not UTF-8 text (byte {content[error.start]:#04x}); "
+            "expected a campaign file in TOML: save it as UTF-8"
+        ) from None
+    for number, line_text in enumerate(text.splitlines(), 1):
+        dotted = re.sub(r"[\w\"'-]+", "k", line_text).replace(" ", "").replace("\t", "")
+        if len(line_text) > LONGEST_LINE or "k." * 16 in dotted:
+            raise CampaignError(
+                f"{label}: line {number} is too long or too deeply dotted ({len(line_text)} "
+                f"characters); expected the keys of a campaign, one per line: break it up"
+            )
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:  # TOMLDecodeError, and numbers with thousands of digits
+        raise CampaignError(
+            f"{label}: expected TOML, but {_toml_problem(str(error))}; correct that line"
+        ) from None
+    except RecursionError:
+        raise CampaignError(
+            f"{label}: expected a campaign file, but its brackets are nested too deeply; "
+            "remove the nesting"
+        ) from None
+
+
+def _toml_problem(message: str) -> str:
+    message = " ".join(message.split())[:200]
+    return message[:1].lower() + message[1:]
+
+
+def read_sheet(tables: dict[str, Any], label: str) -> Sheet:
+    """The top level, checked; CampaignError names the key."""
+    try:
+        return Sheet.model_validate(tables)
+    except ValidationError as error:
+        raise CampaignError(f"{label}: {_first_problem(error, Sheet)}") from None
+
+
+def read_entry(table: dict[str, Any], number: int, label: str) -> Entry:
+    """One experiment, checked; CampaignError names it and the key."""
+    name = table.get("name")
+    which = f"experiment '{name}'" if isinstance(name, str) else f"experiment number {number}"
+    try:
+        return Entry.model_validate(table)
+    except ValidationError as error:
+        raise CampaignError(f"{which} ({label}): {_first_problem(error, Entry)}") from None
+
+
+def read_rig(table: dict[str, Any], label: str) -> Rig:
+    """What is said of the rig, checked; CampaignError names the key."""
+    try:
+        return Rig.model_validate(table)
+    except ValidationError as error:
+        raise CampaignError(f"{label}: [rig] {_first_problem(error, Rig)}") from None
+
+
+def read_side_information(table: dict[str, Any], label: str) -> dict[str, SideInformation]:
+    """Parameters measured elsewhere, by flat parameter name and in its unit."""
+    found = {}
+    for key, value in table.items():
+        where = f"{label}: [side_information]"
+        if key not in SIDE_INFORMATION:
+            raise CampaignError(f"{where} {_unknown(key, list(SIDE_INFORMATION))}")
+        name, kind = SIDE_INFORMATION[key]
+        try:
+            found[name] = SideInformation(*read_spread(value, kind, key))
+        except CampaignError as error:
+            raise CampaignError(f"{where} {error}") from None
+    return found
+
+
+def _unknown(key: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(key.casefold(), known, n=1, cutoff=0.5)
+    hint = f'write "{close[0]}"' if close else f"known are {', '.join(known)}"
+    return f"unknown key '{key[:80]}'; expected one that is known: {hint}"
+
+
+def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
+    """The sentence for the most telling of pydantic's errors: a misspelt key before a missing."""
+    problems = error.errors(include_url=False)
+    rank = {"extra_forbidden": 0, "value_error": 1}
+    first = min(problems, key=lambda problem: rank.get(problem["type"], 2))
+    key = str(first["loc"][0]) if first["loc"] else ""
+    if first["type"] == "extra_forbidden":
+        return _unknown(key, list(model.model_fields))
+    if first["type"] == "value_error":
+        return str(first["ctx"]["error"])
+    example = _EXAMPLES.get(key, key)
+    if first["type"] == "missing":
+        return f"the key {key} is missing; add {example}"
+    if first["type"] == "too_short":
+        return f"expected at least one experiment, but there is none; add {example}"
+    if key == "experiment" and isinstance(first["input"], dict):
+        return "experiment: expected [[experiment]], but got [experiment]; double the brackets"
+    return f"{key}: expected {example}, but got {_shorten(first['input'])}; correct it"
+
+
+def _shorten(value: object, longest: int = 60) -> str:
+    text = f"'{value}'" if isinstance(value, str) else str(value)
+    return text if len(text) <= longest else text[: longest - 3] + "..."

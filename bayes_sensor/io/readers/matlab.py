@@ -1,0 +1,377 @@
+"""MATLAB files, version 4 to 7.3: PicoScope's export and plain vectors.
+
+A PicoScope export has ``A``, ``B``, ... with ``Tstart``, ``Tinterval`` and ``Length``; any other
+file needs vectors and a time vector ``t`` or ``time``.  Only the vectors that are needed are read,
+never structures, cells or objects.  Versions 4 and 5 are read by SciPy, 7.3 by pymatreader.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+import zlib
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.io.readers.recording import (
+    MAX_SAMPLES,
+    Column,
+    DataFile,
+    Recording,
+    Selection,
+    check_chosen,
+    check_counts,
+    find_column,
+    is_time,
+    list_names,
+    parser_errors,
+    scale_time,
+    split_name,
+)
+from bayes_sensor.io.readers.sampling import grid_times, simplest_near
+
+_NUMERIC = frozenset(
+    "double single int8 uint8 int16 uint16 int32 uint32 int64 uint64 logical".split()
+)
+_CLOCK = ("Tstart", "Tinterval", "Length")
+_WHAT = "a MATLAB file (.mat)"
+_MOST_BYTES = 8 * MAX_SAMPLES
+"""that the compressed variables of a file may unpack to"""
+_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+
+
+def read_matlab(file: DataFile, selection: Selection) -> Recording:
+    """The recording in a MATLAB file.
+
+    Raises
+    ------
+    CampaignError
+        If the file cannot be read, a variable is missing or lengths disagree.
+    """
+    variables = _list_variables(file)
+    check_counts(file, len(variables))
+    sizes = {v.name: int(np.prod(v.shape, dtype=object)) for v in variables if v.numeric}
+    check_counts(file, 0, max(sizes.values(), default=0))
+    vectors = [
+        v.name
+        for v in variables
+        if v.numeric and sum(n != 1 for n in v.shape) == 1 and max(v.shape) > 1
+    ]
+    columns = [split_name(name) for name in vectors]
+    time = next((i for i, column in enumerate(columns) if is_time(column)), None)
+    has_clock = sizes.get("Tinterval") == 1
+    if time is None and not has_clock:
+        names = [v.name for v in variables]
+        other = [v.name for v in variables if not v.numeric]
+        fix = "save time as well"
+        if other:
+            fix = (
+                f"'{other[0][:60]}' is no vector of numbers, and structures, cells and objects are "
+                "never read: save the fields of a structure s as vectors, in MATLAB "
+                "save('flat.mat', '-struct', 's')"
+            )
+        raise file.error(
+            "expected a time vector 't' or PicoScope's 'Tinterval', but it has "
+            f"{list_names(names) if names else 'no variables'}; {fix}"
+        )
+    if has_clock:
+        time = None
+    signal, drive = _choose(file, columns, vectors, time, sizes, selection)
+    wanted = {vectors[i] for i in (time, signal, drive) if i is not None}
+    wanted |= {name for name in _CLOCK if has_clock and sizes.get(name) == 1}
+    content = _read_variables(file, [v for v in variables if v.name in wanted])
+    y = _vector(file, content, vectors[signal])
+    d = None if drive is None else _vector(file, content, vectors[drive])
+    interval = None
+    if time is not None:
+        t = scale_time(file, columns[time], _vector(file, content, vectors[time]))
+    else:
+        start, interval = _clock(file, content, len(y))
+        t = grid_times(start, interval, len(y))
+    for name, values in (("drive", d), ("time", t)):
+        if values is not None and len(values) != len(y):
+            raise file.error(
+                f"expected the {name} vector to have the {len(y)} samples of "
+                f"'{vectors[signal]}', but it has {len(values)}; save them with the same length"
+            )
+
+    def place(i: int) -> str:
+        return f"sample {i + 1} of '{vectors[signal]}'"
+
+    return Recording(
+        t=t,
+        y=y,
+        signal=vectors[signal],
+        place=place,
+        drive=d,
+        drive_name="" if drive is None else vectors[drive],
+        unit=columns[signal].unit,
+        interval=interval,
+    )
+
+
+def _choose(
+    file: DataFile,
+    columns: list[Column],
+    vectors: list[str],
+    time: int | None,
+    sizes: dict[str, int],
+    selection: Selection,
+) -> tuple[int, int | None]:
+    """Positions of signal and drive among the vectors."""
+    others = [i for i in range(len(columns)) if i != time]
+    if selection.signal is not None:
+        signal = find_column(file, columns, selection.signal, "signal")
+    else:
+        if time is not None:
+            others = [i for i in others if sizes[vectors[i]] == sizes[vectors[time]]] or others
+        for usual in ("A", "y"):
+            if usual in vectors and vectors.index(usual) in others:
+                others = [vectors.index(usual)]
+        if not others:
+            raise file.error(
+                "expected a vector with the signal beside the time, but there is none; "
+                "save the signal as a row or column vector of numbers"
+            )
+        signal = others[0]
+    drive = None
+    if selection.drive is not None:
+        drive = find_column(file, columns, selection.drive, "drive")
+    check_chosen(file, vectors, time, signal, drive)
+    return signal, drive
+
+
+def _vector(file: DataFile, content: dict[str, Any], name: str) -> FloatArray:
+    value = content.get(name)
+    if isinstance(value, np.ndarray) and value.dtype.kind == "c":
+        raise file.error(
+            f"variable '{name}' holds complex numbers; expected real ones: save its real part"
+        )
+    if not isinstance(value, np.ndarray) or value.ndim != 1 or value.dtype.kind not in "biuf":
+        raise file.error(
+            f"variable '{name}' is not a vector of real numbers as its header says; "
+            "the file may be damaged: export it again"
+        )
+    return value.astype(np.float64)
+
+
+def _scalar(content: dict[str, Any], name: str) -> float | None:
+    value = content.get(name)
+    if isinstance(value, bool | int | float | np.generic) or (
+        isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind in "biuf"
+    ):
+        return float(np.asarray(value).real.reshape(-1)[0])
+    return None
+
+
+def _clock(file: DataFile, content: dict[str, Any], n: int) -> tuple[float, float]:
+    """Start and interval in s from PicoScope's variables."""
+    start, interval, length = (_scalar(content, name) for name in _CLOCK)
+    if interval is None or not np.isfinite(interval) or interval <= 0:
+        raise file.error(
+            f"Tinterval: expected a positive sampling interval in s, but it is {interval}; "
+            "export the recording again"
+        )
+    if start is None:
+        start = 0.0
+    if not np.isfinite(start):
+        raise file.error(f"Tstart: expected a finite time in s, but it is {start}; export again")
+    if length is not None and length != n:
+        raise file.error(
+            f"Length says {length:.12g} samples, but the signal has {n}; "
+            "the file may be truncated: export it again"
+        )
+    # single-precision intervals such as 0.0010000000475 mean 0.001
+    interval = simplest_near(interval, max(1e-7 * interval, 0.01 * interval / n))
+    return simplest_near(start, 1e-3 * interval), interval
+
+
+# --------------------------------------------------------------------------- variables
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable's entry in the file."""
+
+    name: str
+    shape: tuple[int, ...]
+    numeric: bool
+    element: bytes = b""
+    """version 5: the checked element itself"""
+
+
+def _list_variables(file: DataFile) -> list[Variable]:
+    """What is in the file, without reading more than has to be."""
+    raw = file.content
+    if _HDF5_MAGIC in raw[:4096]:
+        return _list_hdf5(file)
+    if len(raw) >= 128 and raw[126:128] in (b"IM", b"MI") and raw[124:126] in (b"\0\1", b"\1\0"):
+        return _list_version5(file)
+    if not raw[:4].count(0):
+        raise file.error(
+            f"expected {_WHAT}, but it does not begin like one; it may be damaged or of another "
+            "format: export it again"
+        )
+    with parser_errors(file, _WHAT):  # version 4
+        listing = _scipy_io().whosmat(io.BytesIO(raw))
+        return [Variable(name, shape, kind in _NUMERIC) for name, shape, kind in listing]
+
+
+def _read_variables(file: DataFile, variables: list[Variable]) -> dict[str, Any]:
+    """The variables as arrays without axes of length 1."""
+    raw = file.content
+    names = [v.name for v in variables]
+    with parser_errors(file, _WHAT), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if _HDF5_MAGIC in raw[:4096]:
+            import pymatreader  # slow to import
+
+            return dict(pymatreader.read_mat(file.path, variable_names=names))
+        if any(v.element for v in variables):
+            raw = raw[:128] + b"".join(v.element for v in variables)
+        return dict(_scipy_io().loadmat(io.BytesIO(raw), squeeze_me=True, variable_names=names))
+
+
+def _scipy_io() -> Any:
+    """The module scipy.io, which is slow to import."""
+    import scipy.io
+
+    return scipy.io
+
+
+def _list_hdf5(file: DataFile) -> list[Variable]:
+    """The variables of a version 7.3 file; refuses those that live in another file."""
+    import h5py  # slow to import
+
+    variables = []
+    with parser_errors(file, _WHAT), h5py.File(file.path, "r") as content:
+        for name in content:
+            link = content.get(name, getlink=True)
+            item = content.get(name) if isinstance(link, h5py.HardLink) else None
+            if item is None or (
+                isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)
+            ):
+                raise file.error(
+                    f"variable '{name}' points into another file or place, which is refused; "
+                    "save the samples themselves"
+                )
+            if isinstance(item, h5py.Dataset):
+                numeric = item.dtype.kind in "biuf" and "MATLAB_empty" not in item.attrs
+                variables.append(Variable(str(name), tuple(item.shape), numeric))
+            elif not str(name).startswith("#"):  # a structure
+                variables.append(Variable(str(name), (), False))
+    return variables
+
+
+# --------------------------------------------------------------------------- version 5
+#
+# SciPy's compiled reader follows the lengths and type codes in the file without checking them
+# all, and a damaged file can crash the interpreter.  So every element is checked here before any
+# is handed on.  Layout: MathWorks, "MAT-File Format".
+
+_TYPE_SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
+"""bytes of one number, by the code of a numeric data type"""
+_MATRIX, _COMPRESSED = 14, 15
+_NUMERIC_CLASSES = range(6, 16)
+_COMPLEX = 0x0800
+
+
+def _list_version5(file: DataFile) -> list[Variable]:
+    """The variables of a version 5 file, those with numbers checked to the last byte."""
+    raw = file.content
+    order: Literal["little", "big"] = "little" if raw[126:128] == b"IM" else "big"
+    variables = []
+    at, unpacked = 128, 0
+    while raw[at : at + 8].strip(b"\0"):
+        kind, length = _tag(raw, at, order)
+        if at + 8 + length > len(raw) or len(raw) < at + 8:
+            raise file.error(
+                "the MATLAB file ends in the middle of a variable, so it is truncated; "
+                "export it again"
+            )
+        element = raw[at : at + 8 + length]
+        at += 8 + length
+        if kind == _COMPRESSED:
+            element = _unpack(file, element[8:], _MOST_BYTES - unpacked)
+            unpacked += len(element)
+            kind, length = _tag(element, 0, order)
+            if len(element) < 8 + length:
+                raise _damaged(file)
+        if kind == _MATRIX:
+            variable = _variable(file, element[: 8 + length], order)
+            if variable is not None:
+                variables.append(variable)
+    return variables
+
+
+def _variable(file: DataFile, element: bytes, order: Literal["little", "big"]) -> Variable | None:
+    """The variable in a matrix element; None for objects, which have another layout."""
+    parts: list[tuple[int, bytes]] = []
+    at = 8
+    while len(parts) < 5 and at < len(element):
+        kind, length = _tag(element, at, order)
+        if kind >> 16:  # a small element: up to four bytes inside the tag
+            kind, length, start, at = kind & 0xFFFF, kind >> 16, at + 4, at + 8
+            if length > 4:
+                raise _damaged(file)
+        else:
+            start = at + 8
+            at = start + -(-length // 8) * 8
+        if start + length > len(element):
+            raise _damaged(file)
+        parts.append((kind, element[start : start + length]))
+    if not parts or parts[0][0] != 6 or len(parts[0][1]) != 8:
+        raise _damaged(file)
+    flags = int.from_bytes(parts[0][1][:4], order)
+    kind_of_array = flags & 0xFF
+    if kind_of_array > 15:
+        return None
+    if len(parts) < 3 or parts[1][0] != 5 or parts[2][0] != 1 or not 8 <= len(parts[1][1]) <= 128:
+        raise _damaged(file)
+    sizes = np.frombuffer(
+        parts[1][1][: len(parts[1][1]) // 4 * 4], "<i4" if order == "little" else ">i4"
+    )
+    shape = tuple(int(n) for n in sizes)
+    name = parts[2][1].decode("latin-1")
+    if min(shape) < 0 or not name.isprintable():
+        raise _damaged(file)
+    if kind_of_array not in _NUMERIC_CLASSES:
+        return Variable(name, shape, False)
+    count = int(np.prod(shape, dtype=object))
+    data = parts[3:]
+    if len(data) != (2 if flags & _COMPLEX else 1) or any(
+        kind not in _TYPE_SIZES or len(values) != count * _TYPE_SIZES[kind] for kind, values in data
+    ):
+        raise _damaged(file)
+    return Variable(name, shape, True, element)
+
+
+def _tag(raw: bytes, at: int, order: Literal["little", "big"]) -> tuple[int, int]:
+    return int.from_bytes(raw[at : at + 4], order), int.from_bytes(raw[at + 4 : at + 8], order)
+
+
+def _unpack(file: DataFile, packed: bytes, most: int) -> bytes:
+    """The inflated bytes, at most that many."""
+    inflate = zlib.decompressobj()
+    try:
+        element = inflate.decompress(packed, most + 1)
+    except zlib.error as error:
+        raise _damaged(file, f" ({error})") from None
+    if len(element) > most:
+        raise file.error(
+            f"its variables unpack to more than {_MOST_BYTES >> 20} MB; expected one experiment: "
+            "save only time, signal and drive"
+        )
+    if not inflate.eof:
+        raise _damaged(file, " (it ends too early)")
+    return element
+
+
+def _damaged(file: DataFile, reason: str = "") -> CampaignError:
+    return file.error(
+        f"expected {_WHAT}, but a variable in it cannot be read{reason}; it is damaged: "
+        "export it again"
+    )

@@ -1,0 +1,130 @@
+"""NumPy archives: ``t``, ``y`` and optionally ``drive``.  Nothing is ever unpickled."""
+
+from __future__ import annotations
+
+import io
+import warnings
+import zipfile
+
+import numpy as np
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.io.readers.recording import (
+    DataFile,
+    Recording,
+    Selection,
+    check_chosen,
+    check_counts,
+    find_column,
+    is_time,
+    list_names,
+    parser_errors,
+    scale_time,
+    split_name,
+)
+
+_WHAT = "a NumPy archive (.npz)"
+
+
+def read_npz(file: DataFile, selection: Selection) -> Recording:
+    """The recording in an NPZ archive.
+
+    Raises
+    ------
+    CampaignError
+        If the archive is damaged, holds pickled objects or lacks an array.
+    """
+    with (
+        parser_errors(file, _WHAT),
+        zipfile.ZipFile(io.BytesIO(file.content)) as archive,
+    ):
+        members = [
+            member.removesuffix(".npy") for member in archive.namelist() if member.endswith(".npy")
+        ]
+        check_counts(file, len(members))
+        repeated = [member for member in members if members.count(member) > 1]
+        if repeated:
+            raise file.error(
+                f"expected each array once, but '{repeated[0][:60]}' is in the archive "
+                f"{len(repeated)} times; save with numpy.savez(path, t=t, y=y)"
+            )
+        columns = [split_name(member) for member in members]
+        if not columns:
+            raise file.error(
+                "expected arrays 't' and 'y', but the archive has none; "
+                "save with numpy.savez(path, t=t, y=y)"
+            )
+        time = next((i for i, column in enumerate(columns) if is_time(column)), None)
+        if time is None:
+            raise file.error(
+                f"expected an array 't' with the times, but it has {list_names(members)}; "
+                "save with numpy.savez(path, t=t, y=y)"
+            )
+        if selection.signal is not None:
+            signal = find_column(file, columns, selection.signal, "signal")
+        elif "y" in members:
+            signal = members.index("y")
+        else:
+            others = [i for i, column in enumerate(columns) if i != time and column.base != "drive"]
+            if not others:
+                raise file.error(
+                    "expected an array 'y' with the signal beside the times; "
+                    "save with numpy.savez(path, t=t, y=y)"
+                )
+            signal = others[0]
+        drive = None
+        if selection.drive is not None:
+            drive = find_column(file, columns, selection.drive, "drive")
+        elif selection.signal is None and "drive" in members:
+            drive = members.index("drive")
+        check_chosen(file, members, time, signal, drive)
+        t, y = _array(file, archive, members[time]), _array(file, archive, members[signal])
+        d = None if drive is None else _array(file, archive, members[drive])
+    for name, values in ((members[time], t), ("drive", d)):
+        if values is not None and len(values) != len(y):
+            raise file.error(
+                f"expected '{name}' to have the {len(y)} samples of '{members[signal]}', "
+                f"but it has {len(values)}; save them with the same length"
+            )
+    return Recording(
+        t=scale_time(file, columns[time], t),
+        y=y,
+        signal=members[signal],
+        place=lambda i: f"sample {i + 1} of '{members[signal]}'",
+        drive=d,
+        drive_name="" if drive is None else members[drive],
+        unit=columns[signal].unit,
+    )
+
+
+def _array(file: DataFile, archive: zipfile.ZipFile, name: str) -> FloatArray:
+    """One vector; its header is read before any memory is given to it."""
+    with archive.open(f"{name}.npy") as stream, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        version = np.lib.format.read_magic(stream)
+        header = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }.get(version)
+        if header is None:
+            raise file.error(
+                f"array '{name}' has the format version {version}; expected 1.0 or 2.0: "
+                "save it with numpy.savez"
+            )
+        shape, _, dtype = header(stream)
+    if dtype.hasobject:
+        raise file.error(
+            f"array '{name}' holds pickled Python objects, which are never loaded because they "
+            "can run code; save plain numbers: numpy.savez(path, t=t, y=y)"
+        )
+    if dtype.kind not in "biuf":
+        raise file.error(
+            f"array '{name}' has the type {str(dtype)[:60]}; expected real numbers: save floats"
+        )
+    if sum(n != 1 for n in shape) > 1:
+        raise file.error(f"array '{name}' has shape {shape}; expected one dimension: save a vector")
+    size = int(np.prod(shape, dtype=object)) if shape else 1
+    check_counts(file, 0, size)
+    with archive.open(f"{name}.npy") as stream:
+        values = np.lib.format.read_array(stream, allow_pickle=False)
+    return np.asarray(values, dtype=np.float64).reshape(-1)

@@ -1,0 +1,258 @@
+"""What a reader hands back, and how columns are chosen and named, whatever the format."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.io.readers.quantities import conversion_factor, known_unit
+
+MAX_COLUMNS = 4096
+"""columns, channels or variables in one file"""
+MAX_SAMPLES = 20_000_000
+"""samples of one experiment"""
+
+_TIME_NAMES = frozenset(
+    "t time times zeit temps tiempo timestamp timestamps elapsed seconds sec secs milliseconds "
+    "elapsedtime timeelapsed reltime relativetime timeaxis".split()
+)
+_DATE_NAMES = frozenset("date datum day".split())
+_SUFFIX_UNITS = frozenset(
+    "s sec ms us µs μs ns min h V mV uV µV μV kV ppm ppb ohm kohm Mohm Ω kΩ "
+    "mW uW µW μW nW pW mA uA µA μA nA pA percent Pa kPa hPa mbar dB dBm".split()
+)
+
+
+@dataclass(frozen=True)
+class DataFile:
+    """A data file that was read into memory once, so that its hash is of what was parsed."""
+
+    path: Path
+    where: str
+    """how messages name it, such as ``experiment '3' (exp3.csv)``"""
+    content: bytes
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the content, in hexadecimal."""
+        return hashlib.sha256(self.content).hexdigest()
+
+    def error(self, problem: str) -> CampaignError:
+        """The error that says where and then the problem."""
+        return CampaignError(f"{self.where}: {problem}")
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The columns the campaign asks for; None means the format's default."""
+
+    signal: str | None = None
+    drive: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One experiment's samples as they stand in the file, time in seconds."""
+
+    t: FloatArray
+    """(n,) s, as written"""
+    y: FloatArray
+    """(n,) in ``unit``"""
+    signal: str
+    """name of the column y came from"""
+    place: Callable[[int], str]
+    """words for where sample i stands in the file, such as ``row 17``"""
+    drive: FloatArray | None = None
+    """(n,)"""
+    drive_name: str = ""
+    unit: str = ""
+    """the unit the file gives for y; empty when it gives none"""
+    interval: float | None = None
+    """s, where the file states it instead of listing times"""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column's name, split into what it is called and the unit it carries."""
+
+    name: str
+    base: str
+    unit: str = ""
+
+
+@contextmanager
+def parser_errors(file: DataFile, what: str) -> Iterator[None]:
+    """Turn whatever a third-party parser raises into one message about the file.
+
+    Parsers of binary files raise nearly any exception on damaged ones (struct, zlib, Unicode,
+    index and memory errors among them), so here, and nowhere else, all are caught.
+    """
+    try:
+        yield
+    except CampaignError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        raise file.error(
+            f"expected {what}, but it cannot be read as one ({reason}); it may be damaged, "
+            "truncated or of another format: export it again"
+        ) from None
+
+
+def missing_extra(file: DataFile, suffix: str, extra: str) -> CampaignError:
+    """The error for a format whose package is not installed."""
+    return file.error(
+        f"{suffix} files need an optional package that is not installed; "
+        f"run: pip install 'bayes-sensor[{extra}]'"
+    )
+
+
+def split_name(name: str) -> Column:
+    """The column's base name and unit.
+
+    >>> split_name("time (ms)"), split_name("voltage_mV").unit
+    (Column(name='time (ms)', base='time', unit='ms'), 'mV')
+    """
+    text = name.strip()
+    match = re.fullmatch(r"(.*?)\s*[\(\[]\s*([^()\[\]]{1,40}?)\s*[\)\]]", text)
+    if match:
+        base, unit = match[1].strip(), match[2]
+        a_channel = re.fullmatch(r"(?i)(channel|chan|ch|input|signal|ai)", base) and len(unit) == 1
+        if not a_channel and known_unit(unit):
+            return Column(name, base, unit)
+        return Column(name, text)
+    match = re.fullmatch(r"(.+?)(?:_|\s*/\s*|,\s+)([^\s_/,]{1,12})", text)
+    if match and match[2] in _SUFFIX_UNITS:
+        return Column(name, match[1].strip(), match[2])
+    return Column(name, text)
+
+
+def is_time(column: Column) -> bool:
+    """Whether the column is time, by its name."""
+    key = re.sub(r"[\s_\-]", "", column.base).casefold()
+    return key in _TIME_NAMES and (not column.unit or seconds(column.unit) is not None)
+
+
+def seconds(unit: str) -> float | None:
+    """Seconds in one ``unit``; None where it is not a time."""
+    if not unit:
+        return 1.0
+    return conversion_factor(unit, "s")
+
+
+def find_column(file: DataFile, columns: Sequence[Column], wanted: str, key: str) -> int:
+    """Position of the column the campaign names.
+
+    Tried in turn: the name as it stands, without regard to case, without its unit, and
+    PicoScope's ``Channel A`` for ``A``.
+    """
+    folded = wanted.strip().casefold()
+    tests: tuple[Callable[[Column], bool], ...] = (
+        lambda column: column.name == wanted,
+        lambda column: column.name.strip().casefold() == folded,
+        lambda column: column.base.casefold() == folded,
+        lambda column: column.base.casefold() == f"channel {folded}",
+    )
+    for test in tests:
+        hits = [i for i, column in enumerate(columns) if test(column)]
+        if len(hits) == 1:
+            return hits[0]
+        if hits:
+            raise file.error(
+                f'{key} = "{wanted}" fits {len(hits)} columns of that name; '
+                "give each column its own name"
+            )
+    names = [column.name.strip() for column in columns]
+    close = difflib.get_close_matches(wanted, names, n=1, cutoff=0.6)
+    hint = f' (did you mean "{close[0]}"?)' if close else ""
+    raise file.error(
+        f'{key} = "{wanted}" is not in the file{hint}; it has {list_names(names)}; '
+        f"set {key} to one of them"
+    )
+
+
+def choose_columns(
+    file: DataFile, columns: Sequence[Column], selection: Selection
+) -> tuple[int, int, int | None]:
+    """Positions of time (by name, else the first column), signal and drive in a table."""
+    time = next((i for i, column in enumerate(columns) if is_time(column)), 0)
+    others = [column.name.strip() for i, column in enumerate(columns) if i != time]
+    if not others:
+        raise file.error(
+            f"expected a time column and a signal column, but there is only "
+            f"'{columns[0].name.strip()[:60]}'; export both, in columns of their own"
+        )
+    dated = [i for i, column in enumerate(columns) if column.base.casefold() in _DATE_NAMES]
+    signal = next(
+        (i for i in range(len(columns)) if i != time and i not in dated), 1 - min(time, 1)
+    )
+    drive = None
+    if selection.signal is not None:
+        signal = find_column(file, columns, selection.signal, "signal")
+    if selection.drive is not None:
+        drive = find_column(file, columns, selection.drive, "drive")
+    names = [column.name.strip() for column in columns]
+    fix = f"which is the time column; choose one of {list_names(others)}"
+    check_chosen(file, names, time, signal, drive, fix)
+    return time, signal, drive
+
+
+def check_chosen(
+    file: DataFile,
+    names: Sequence[str],
+    time: int | None,
+    signal: int,
+    drive: int | None,
+    fix: str = "which is the time; choose another",
+) -> None:
+    """Raise CampaignError where signal or drive is the time, or both are one."""
+    for key, chosen in (("signal", signal), ("drive", drive)):
+        if chosen is not None and chosen == time:
+            raise file.error(f"{key} is '{names[chosen][:60]}', {fix}")
+    if drive == signal:
+        raise file.error(
+            f"signal and drive are both '{names[signal][:60]}'; expected two columns: set signal "
+            "to the sensor's and drive to the valve's"
+        )
+
+
+def scale_time(file: DataFile, column: Column, t: FloatArray) -> FloatArray:
+    """The times in seconds."""
+    second = seconds(column.unit)
+    if second is None:
+        raise file.error(
+            f"column '{column.name.strip()[:60]}' should be time, but its unit is "
+            f"'{column.unit}'; put time (in s, ms, ...) into the first column"
+        )
+    per_second = round(1.0 / second) if second < 1 else 0
+    if per_second and abs(per_second * second - 1) < 1e-9:
+        # dividing by 1000 rounds once and gives the nearest float to 12 ms; times 0.001 does not
+        return t / per_second
+    return t * second
+
+
+def list_names(names: Sequence[str], most: int = 12) -> str:
+    """The names in quotes, the first few of them."""
+    shown = ", ".join(f"'{name[:60]}'" for name in names[:most])
+    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def check_counts(file: DataFile, n_columns: int, n_samples: int = 0) -> None:
+    """Raise CampaignError if the file is beyond what one experiment can be."""
+    if n_columns > MAX_COLUMNS:
+        raise file.error(
+            f"expected at most {MAX_COLUMNS} columns, but it has {n_columns}; "
+            "export only time, signal and drive"
+        )
+    if n_samples > MAX_SAMPLES:
+        raise file.error(
+            f"expected at most {MAX_SAMPLES} samples, but it has {n_samples}; "
+            "record shorter or average"
+        )

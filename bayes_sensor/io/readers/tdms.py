@@ -1,0 +1,159 @@
+"""National Instruments TDMS files: waveform channels, or a channel that holds the times."""
+
+from __future__ import annotations
+
+import io
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.io.readers.quantities import known_unit
+from bayes_sensor.io.readers.recording import (
+    Column,
+    DataFile,
+    Recording,
+    Selection,
+    check_chosen,
+    check_counts,
+    find_column,
+    is_time,
+    list_names,
+    missing_extra,
+    parser_errors,
+    scale_time,
+    split_name,
+)
+from bayes_sensor.io.readers.sampling import grid_times, simplest_near
+
+_WHAT = "a TDMS file (.tdms)"
+
+
+def read_tdms(file: DataFile, selection: Selection) -> Recording:
+    """The recording in a TDMS file.
+
+    Channels are named by themselves or, where two groups share a name, as ``group/channel``.
+
+    Raises
+    ------
+    CampaignError
+        If the file is damaged, a channel is missing or there is no time.
+    """
+    try:
+        from nptdms import TdmsFile
+    except ImportError:
+        raise missing_extra(file, ".tdms", "tdms") from None
+    with (
+        parser_errors(file, _WHAT),
+        _complaints_are_errors(file),
+        warnings.catch_warnings(),
+        TdmsFile.open(io.BytesIO(file.content)) as content,
+    ):
+        warnings.simplefilter("ignore")
+        channels = [channel for group in content.groups() for channel in group.channels()]
+        check_counts(file, len(channels), max((len(channel) for channel in channels), default=0))
+        channels = [c for c in channels if len(c) and np.dtype(c.dtype).kind in "biuf"]
+        if not channels:
+            raise file.error("expected channels with numbers, but there are none; export again")
+        columns = _name(channels)
+        time = next((i for i, column in enumerate(columns) if is_time(column)), None)
+        others = [i for i in range(len(columns)) if i != time]
+        if selection.signal is not None:
+            signal = find_column(file, columns, selection.signal, "signal")
+        elif others:
+            signal = others[0]
+        else:
+            raise file.error(
+                f"expected a signal channel beside the time, but there is only "
+                f"{list_names([column.name for column in columns])}; export the signal as well"
+            )
+        drive = None
+        if selection.drive is not None:
+            drive = find_column(file, columns, selection.drive, "drive")
+        check_chosen(file, [column.name for column in columns], time, signal, drive)
+        y = _values(channels[signal])
+        d = None if drive is None else _values(channels[drive])
+        interval = None
+        if time is not None:
+            t = scale_time(file, columns[time], _values(channels[time]))
+        else:
+            properties = channels[signal].properties
+            interval = _number(properties.get("wf_increment"))
+            start = _number(properties.get("wf_start_offset", 0.0))
+            if interval is None or start is None or interval <= 0:
+                raise file.error(
+                    f"channel '{columns[signal].name}' has no sampling interval (wf_increment) and "
+                    "there is no channel named time; export it as a waveform"
+                )
+            interval = simplest_near(interval, max(1e-9 * interval, 0.01 * interval / len(y)))
+            t = grid_times(simplest_near(start, 1e-3 * interval), interval, len(y))
+    for name, values in (("drive", d), ("time", t)):
+        if values is not None and len(values) != len(y):
+            raise file.error(
+                f"expected the {name} channel to have the {len(y)} samples of "
+                f"'{columns[signal].name}', but it has {len(values)}; export them together"
+            )
+    return Recording(
+        t=t,
+        y=y,
+        signal=columns[signal].name,
+        place=lambda i: f"sample {i + 1} of '{columns[signal].name}'",
+        drive=d,
+        drive_name="" if drive is None else columns[drive].name,
+        unit=columns[signal].unit,
+        interval=interval,
+    )
+
+
+@contextmanager
+def _complaints_are_errors(file: DataFile) -> Iterator[None]:
+    """Raise CampaignError for what npTDMS only logs: incomplete segments, which it cuts short."""
+    complaints: list[str] = []
+
+    def note(record: logging.LogRecord) -> bool:
+        complaints.append(" ".join(record.getMessage().split())[:160])
+        return False
+
+    loggers = [
+        logging.getLogger(name)
+        for name in list(logging.root.manager.loggerDict)
+        if name.startswith("nptdms.")
+    ]
+    for logger in loggers:
+        logger.addFilter(note)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeFilter(note)
+    if complaints:
+        raise file.error(
+            f"expected {_WHAT}, but it is incomplete or damaged ({complaints[0]}); export it again"
+        )
+
+
+def _name(channels: list[Any]) -> tuple[Column, ...]:
+    names = [str(channel.name) for channel in channels]
+    columns = []
+    for channel, name in zip(channels, names, strict=True):
+        full = f"{channel.group_name}/{name}" if names.count(name) > 1 else name
+        column = split_name(full)
+        unit = channel.properties.get("unit_string", "")
+        if isinstance(unit, str) and unit.strip() and known_unit(unit):
+            column = Column(full, column.base, unit.strip())
+        columns.append(column)
+    return tuple(columns)
+
+
+def _values(channel: Any) -> FloatArray:
+    return np.asarray(channel[:], dtype=np.float64)
+
+
+def _number(value: object) -> float | None:
+    if isinstance(value, int | float | np.number) and np.isfinite(value):
+        return float(value)
+    return None

@@ -1,0 +1,307 @@
+"""The exact Gaussian log-likelihood of a campaign, and simulated campaigns.
+
+With r = (y - m)/s, AR(1) coefficient phi over one sample and phi_i over the step to sample i
+(phi^(m + 1) across m missing samples), a stationary first sample gives::
+
+    log L = -1/2 sum_i [log 2 pi + log s_i^2]
+            -1/2 r_1^2 - 1/2 sum_(i>1) [(r_i - phi_i r_(i-1))^2 / (1 - phi_i^2) + log(1 - phi_i^2)]
+
+(Brockwell and Davis, Time Series: Theory and Methods, 1991, eq. 8.7.4 for the AR(1) case.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import exp, log, pi, sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.likelihood.noise import (
+    check_phi,
+    lag_coefficient,
+    scale_squared,
+    simulate_noise,
+)
+from bayes_sensor.likelihood.problem import Problem, as_problem
+from bayes_sensor.rig.cascade import (
+    Cascade,
+    divided_exponential,
+    local_parameters,
+    time_constants,
+)
+from bayes_sensor.rig.layout import Theta
+
+
+@njit(cache=True)
+def _fill_cascade(
+    first: float, h: float, rates: FloatArray, edge: float, sign: float, x: FloatArray
+) -> None:  # pragma: no cover - compiled
+    # Adds sign * x3(t - edge) to x.  Inside blocks of 64 samples x3 = 1 - row(i) . v with v the
+    # distance of the three stages from 1 at the block's start; v itself is propagated by the exact
+    # lower-triangular exponential, so that coinciding time constants need no special case.
+    n = len(x)
+    start = int(np.ceil((edge - first) / h - 1e-9))
+    if start < 0:
+        start = 0
+    if start >= n:
+        return
+    s = max(first + start * h - edge, 0.0)
+    a1, a2, a3 = rates[0], rates[1], rates[2]
+    block = 64
+    rows = np.empty((block + 1, 3))
+    pair = np.empty(2)
+    step = np.empty((3, 3))
+    for i in range(block + 1):
+        u = i * h
+        pair[0] = a2
+        pair[1] = a3
+        rows[i, 2] = exp(-a3 * u)
+        rows[i, 1] = -a3 * divided_exponential(pair, u)
+        rows[i, 0] = a2 * a3 * divided_exponential(rates, u)
+    u = block * h
+    pair[0] = a1
+    pair[1] = a2
+    step[0, 0] = exp(-a1 * u)
+    step[1, 0] = -a2 * divided_exponential(pair, u)
+    step[1, 1] = exp(-a2 * u)
+    step[2, :] = rows[block]
+    # distances from 1 at the first sample: survival functions of 1, 2 and 3 stages
+    v1 = exp(-a1 * s)
+    v2 = exp(-a2 * s) - a2 * divided_exponential(pair, s)
+    pair[0] = a2
+    pair[1] = a3
+    v3 = exp(-a3 * s) - a3 * divided_exponential(pair, s) + a2 * a3 * divided_exponential(rates, s)
+    i = start
+    while i < n:
+        m = min(block, n - i)
+        if v1 + v2 + v3 < 1e-17:
+            for k in range(i, n):
+                x[k] += sign
+            return
+        for k in range(m):
+            x[i + k] += sign * (1.0 - (rows[k, 0] * v1 + rows[k, 1] * v2 + rows[k, 2] * v3))
+        w3 = step[2, 0] * v1 + step[2, 1] * v2 + step[2, 2] * v3
+        w2 = step[1, 0] * v1 + step[1, 1] * v2
+        v1 *= step[0, 0]
+        v2 = w2
+        v3 = w3
+        i += m
+
+
+def grid_response(
+    experiment: Experiment, taus: FloatArray, t0: float, tf: float | None
+) -> FloatArray:
+    """x3 (n_t,) on the experiment's own grid: :func:`cascade_response`, by recurrence, fast."""
+    x = np.zeros(len(experiment.t))
+    rates = np.sort(1.0 / taus)
+    _fill_cascade(experiment.t[0], experiment.interval, rates, t0, 1.0, x)
+    if tf is not None:
+        _fill_cascade(experiment.t[0], experiment.interval, rates, tf, -1.0, x)
+    return x
+
+
+@njit(cache=True, error_model="numpy")
+def _log_density(
+    y: FloatArray,
+    m: FloatArray,
+    s2: FloatArray,
+    runs: NDArray[np.int64],
+    phi: float,
+    phi_reference: float,
+    steps: float,
+) -> float:  # pragma: no cover - compiled
+    # runs (n_runs, 2); phi over one sample; across a gap phi_reference ** (steps * distance)
+    total = 0.0
+    n = 0
+    last = 0.0
+    last_index = 0
+    innovation = 1.0 - phi * phi
+    log_innovation = log(innovation)
+    for run in range(len(runs)):
+        a, b = runs[run, 0], runs[run, 1]
+        n += b - a
+        z = (y[a] - m[a]) / sqrt(s2[a])
+        if run == 0:
+            total += z * z
+        else:
+            distance = a - last_index
+            across = phi**distance if phi_reference < 0 else phi_reference ** (steps * distance)
+            rest = 1.0 - across * across
+            e = z - across * last
+            total += e * e / rest + log(rest)
+        product = 1.0
+        squares = 0.0
+        unit = 1.0 / s2[a]  # of the variance, whatever the volts are
+        total -= (b - a) * log(unit)
+        for i in range(a + 1, b):
+            z_next = (y[i] - m[i]) / sqrt(s2[i])
+            e = z_next - phi * z
+            squares += e * e
+            z = z_next
+            product *= s2[i] * unit
+            # products leave the range of doubles long after 8 factors of any sensible variance
+            if (i - a) & 7 == 0:
+                total += log(product)
+                product = 1.0
+        total += log(product) + squares / innovation + (b - a - 1) * log_innovation
+        last = z
+        last_index = b - 1
+    return -0.5 * (total + n * log(2.0 * pi))
+
+
+def noise_in_range(
+    problem: Problem, vector: FloatArray, k: int
+) -> tuple[float, float, float, float] | None:
+    """phi over one sample, phi, sigma0, sigma1 (V) of experiment number ``k``; None where one of
+    them or a time constant has a value that no likelihood allows.
+
+    Raises CampaignError where the flat vector (n_theta,) has no sigma0.
+    """
+    phi_reference, sigma0, sigma1 = (float(v) for v in vector[problem.layout.noise[k]])
+    if np.isnan(sigma0):
+        raise CampaignError("theta lacks sigma0_V; a likelihood needs the noise's size in volts")
+    if not (abs(phi_reference) < 1.0 and sigma0 > 0.0 and sigma1 >= 0.0):
+        return None
+    if problem.noise.fading and sigma1 == 0.0:
+        return None  # no noise at all is left at the highest concentration
+    phi = lag_coefficient(phi_reference, problem.steps(problem.campaign.experiments[k]))
+    if not (abs(phi) < 1.0 and (vector[:3] > 0).all()):
+        return None
+    return phi, phi_reference, sigma0, sigma1
+
+
+def experiment_log_likelihood(
+    problem: Problem, vector: FloatArray, k: int, y: FloatArray | None = None
+) -> float:
+    """Log density of experiment number ``k`` at the flat vector; -inf outside the noise's range."""
+    e = problem.campaign.experiments[k]
+    noise = noise_in_range(problem, vector, k)
+    if noise is None:
+        return -np.inf
+    phi, phi_reference, _, _ = noise
+    values, steps = e.values if y is None else y, problem.steps(e)
+    if is_affine(problem):  # from its own level a signal far from zero keeps its digits
+        i_y0 = problem.layout.local[k, 0]
+        values, vector = values - vector[i_y0], vector.copy()
+        vector[i_y0] = 0.0
+    mean, s2 = mean_and_variance(problem, vector, k)
+    return float(_log_density(values, mean, s2, e.runs, phi, phi_reference, steps))
+
+
+def mean_and_response(
+    problem: Problem, vector: FloatArray, e: Experiment, t: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (n_t,) V and response (n_t,) of any model at any times ``t`` (n_t,) s."""
+    layout, model = problem.layout, problem.model
+    together = getattr(model, "mean_and_response", None)
+    if together is not None:
+        mean, x = together(t, vector, layout, e)
+        return mean, x
+    x = model.response(t, vector, layout, e)
+    if has_plain_mean(problem):
+        y0, beta, _, _ = local_parameters(vector, layout, e.name)
+        return y0 + beta * x, x
+    return model.mean(t, vector, layout, e), x
+
+
+def has_plain_mean(problem: Problem) -> bool:
+    """Whether the mean is y0 + beta x with x the model's response."""
+    model = problem.model
+    return type(model).mean is Cascade.mean and not hasattr(model, "mean_and_response")
+
+
+def is_affine(problem: Problem) -> bool:
+    """Whether the mean is y0 + beta a(t) + b(t) with a, b and the response free of both."""
+    model = problem.model
+    return bool(getattr(model, "affine", type(model).mean is Cascade.mean))
+
+
+def mean_on_grid(problem: Problem, vector: FloatArray, k: int) -> FloatArray:
+    """Mean (n_t,) V of experiment number ``k`` on its grid."""
+    e, model = problem.campaign.experiments[k], problem.model
+    if type(model) is Cascade and model.method == "exact":
+        y0, beta, t0, tf = local_parameters(vector, problem.layout, e.name)
+        taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
+        mean = grid_response(e, taus, t0, tf)
+        mean *= beta
+        mean += y0
+        return mean
+    return mean_and_response(problem, vector, e, e.t)[0]
+
+
+def mean_and_variance(
+    problem: Problem, vector: FloatArray, k: int
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (n_t,) V and noise variance (n_t,) V^2 of experiment number ``k`` on its grid."""
+    layout, model = problem.layout, problem.model
+    e = problem.campaign.experiments[k]
+    _, sigma0, sigma1 = vector[layout.noise[k]]
+    law = problem.noise.weight(problem.campaign, e), problem.noise.fading
+    if type(model) is Cascade and model.method == "exact":
+        y0, beta, t0, tf = local_parameters(vector, layout, e.name)
+        taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
+        x = grid_response(e, taus, t0, tf)
+        return y0 + beta * x, scale_squared(x, sigma0, sigma1, *law)
+    mean, x = mean_and_response(problem, vector, e, e.t)
+    return mean, scale_squared(x, sigma0, sigma1, *law)
+
+
+def log_likelihood(campaign: Campaign | Problem, theta: Theta) -> float:
+    """Exact Gaussian log-likelihood of all samples at ``theta``; -inf outside its range.
+
+    What the problem's noise law pins has its pinned value there (:meth:`Problem.flat`).
+
+    Raises CampaignError for a malformed ``theta`` or a design without data.
+    """
+    problem = as_problem(campaign)
+    vector = problem.flat(theta)
+    return sum(experiment_log_likelihood(problem, vector, k) for k in range(len(problem.campaign)))
+
+
+def _check_noise(problem: Problem, vector: FloatArray, k: int) -> None:
+    """Raise CampaignError where experiment number ``k`` cannot have such noise."""
+    e = problem.campaign.experiments[k]
+    check_phi(float(vector[problem.layout.noise[k, 0]]), problem.steps(e), e.name)
+    for i in problem.layout.noise[k, 1:]:
+        if vector[i] < 0.0:
+            raise CampaignError(
+                f"theta: {problem.layout.names[i]} is {vector[i]:g}; expected a size of noise, "
+                "zero or more: correct it"
+            )
+
+
+def simulate(campaign: Campaign | Problem, theta: Theta, seed: int = 1) -> Campaign:
+    """A campaign of the same design with data drawn from the model at ``theta``.
+
+    Noise is that of the problem's noise law with theta's phi, sigma0, sigma1 (absent: white,
+    constant; sigma0 absent: no noise); what the law pins has its pinned value
+    (:meth:`Problem.flat`).  One seed gives one campaign; every experiment has its own stream by its
+    place.  Leaving out the last one does not change the others as long as the highest concentration
+    and the most common interval, to which sigma1 and phi refer, remain the same.
+
+    Raises CampaignError for a malformed ``theta``, and where it holds nan, a size of noise below
+    zero or a phi that an experiment's noise cannot have.
+    """
+    problem = as_problem(campaign)
+    layout = problem.layout
+    vector = problem.flat(theta)
+    i_sigma0 = layout.noise[:, 1]
+    vector[i_sigma0] = np.where(np.isnan(vector[i_sigma0]), 0.0, vector[i_sigma0])
+    if not np.isfinite(vector).all():
+        i = int(np.argmin(np.isfinite(vector)))
+        raise CampaignError(
+            f"theta: {layout.names[i]} is {vector[i]}; a simulation needs a number: give one"
+        )
+    for k in range(len(problem.campaign)):
+        _check_noise(problem, vector, k)
+    streams = np.random.SeedSequence(seed).spawn(len(problem.campaign))
+    values = {}
+    for k, (e, stream) in enumerate(zip(problem.campaign, streams, strict=True)):
+        mean, s2 = mean_and_variance(problem, vector, k)
+        phi = lag_coefficient(float(vector[layout.noise[k, 0]]), problem.steps(e))
+        rng = np.random.default_rng(stream)
+        values[e.name] = mean + simulate_noise(np.sqrt(s2), phi, rng)
+    return replace(problem.campaign.with_data(values), warnings=())

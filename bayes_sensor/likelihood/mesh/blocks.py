@@ -1,0 +1,284 @@
+"""Building the mesh of a campaign: where blocks begin, how wide they are, what they store."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, pi
+
+import numpy as np
+from numba import njit
+
+from bayes_sensor.campaign import Experiment, FloatArray
+from bayes_sensor.likelihood.density import mean_and_response, mean_on_grid
+from bayes_sensor.likelihood.mesh.kernels import CHEBYSHEV, Arrays, K
+from bayes_sensor.likelihood.noise import scale_squared
+from bayes_sensor.likelihood.problem import Problem
+
+# Interpolation tolerance for a decaying exponential of unit amplitude, set by the measured error
+# of the likelihood.
+TOLERANCE = 1e-7
+# Widest block, in slowest time constants, in which a switch time may fall.
+WINDOW_BLOCK = 0.03
+
+
+def _lagrange(points: FloatArray) -> FloatArray:
+    """(n, K) values of the Lagrange polynomials of the Chebyshev nodes on [0, 1] at ``points``."""
+    weights = (-1.0) ** np.arange(K) * np.sin((2 * np.arange(K) + 1) * pi / (2 * K))
+    distance = points[:, None] - CHEBYSHEV
+    hit = np.abs(distance) < 1e-14
+    distance[hit] = 1.0
+    terms = weights / distance
+    values: FloatArray = terms / terms.sum(axis=1, keepdims=True)
+    rows = hit.any(axis=1)
+    values[rows] = hit[rows]
+    return values
+
+
+@dataclass(frozen=True)
+class Region:
+    """Box of the flat vector for which a mesh is built; (n_theta,) each."""
+
+    low: FloatArray
+    high: FloatArray
+    fineness: float = 1.0
+    """how many times narrower than usual the blocks are"""
+
+
+@njit(cache=True, error_model="numpy")
+def _width_after(
+    s: float, decays: FloatArray, amplitude: float, fineness: float
+) -> float:  # pragma: no cover - compiled
+    # Block width (s) at a time s after the last possible switch, for exponentials given by rows
+    # (time constant, coefficient); amplitude: of them as the weights 1/s^2 see them
+    factorial = 1.0
+    for i in range(1, K + 1):
+        factorial *= i
+    least = np.inf
+    for i in range(len(decays)):
+        tau, c = decays[i, 0], decays[i, 1]
+        growth = exp(min(s / tau, 600.0))
+        reach = (TOLERANCE * factorial * growth / (2.0 * c * amplitude)) ** (1.0 / K)
+        least = min(least, 4.0 * tau * reach)
+    return least / fineness
+
+
+@njit(cache=True, error_model="numpy")
+def _blocks_of_run(
+    first: int,
+    last: int,
+    start: float,
+    h: float,
+    windows: FloatArray,
+    narrow: float,
+    decays: FloatArray,
+    amplitude: float,
+    kinks: FloatArray,
+    fineness: float,
+) -> list[tuple[int, int, int]]:  # pragma: no cover - compiled
+    # (start, samples, kind) of the blocks covering samples first .. last - 1 of one run;
+    # windows, kinks (n, 2): where a switch may fall, what is wanted sample by sample (s)
+    blocks = []
+    i = first
+    longest = max(8.0, (last - first) / 6.0 / fineness)
+    while i < last:
+        t = start + i * h
+        allowed = longest * h
+        for w in range(len(windows)):
+            if t >= windows[w, 1]:
+                after = _width_after(t - windows[w, 1], decays, amplitude, fineness)
+                allowed = min(allowed, max(narrow, after))
+            elif t >= windows[w, 0]:
+                allowed = min(allowed, narrow)
+        kind = 0
+        # a block may reach up to a window, or into it only when narrow; never into a kink
+        while True:
+            n = 16 * 2**kind
+            end = t + n * h
+            if n > last - i or n * h > allowed:
+                break
+            reaches = False
+            for w in range(len(windows)):
+                inside = windows[w, 0] < end and t < windows[w, 1]
+                reaches = reaches or (inside and n * h > narrow)
+            for w in range(len(kinks)):
+                reaches = reaches or (kinks[w, 0] < end and t < kinks[w, 1])
+            if reaches:
+                break
+            kind += 1
+        n = 8 * 2**kind
+        blocks.append((i, min(n, last - i), kind))
+        i += n
+    return blocks
+
+
+def _decays(taus: FloatArray) -> FloatArray:
+    """(3 n, 2) time constants and coefficients of the exponentials of cascades ``taus`` (n, 3)."""
+    rows = []
+    for row in taus:
+        for j in range(3):
+            others = [row[j] - row[m] for m in range(3) if m != j]
+            c = row[j] ** 2 / max(abs(others[0] * others[1]), (0.05 * row[j]) ** 2)
+            rows.append((row[j], c))
+    return np.array(rows)
+
+
+def build(problem: Problem, vector: FloatArray, region: Region, data: bool = True) -> Arrays:
+    """The mesh of a campaign (or design) around ``vector`` for all theta inside ``region``.
+
+    ``data=False`` leaves the data out (counts only), as does a design.
+    """
+    layout, campaign = problem.layout, problem.campaign
+    low, high = region.low, region.high
+    blocks, runs = [0], [0]
+    setting = np.zeros((len(campaign), 8))
+    base: list[float] = []
+    kinds: list[int] = []
+    follows: list[bool] = []
+    moments, node_time, reference, reference_s2 = [], [], [], []
+    log_s2, edge_t, edge_y, distance, pairs = [], [], [], [], []
+    cache: dict[int, FloatArray] = {}
+    for k, e in enumerate(campaign):
+        h = e.interval
+        i_y0, i_beta, i_t0, i_tf = layout.local[k]
+        level = vector[i_y0]
+        decays, amplitude, narrow = _widths(problem, vector, region, k)
+        kinks = _kinks(problem, region, e)
+        # a sensor faster than this is replaced by a delay: no exponential may overflow
+        least = max(16.0 * h, narrow) / 600.0
+        windows = np.array(
+            [(low[i] - least - h, high[i] + h) for i in (i_t0, i_tf) if i >= 0], dtype=float
+        )
+        setting[k] = (
+            h,
+            e.total_flow,
+            problem.noise.weight(campaign, e),
+            problem.steps(e),
+            least,
+            level,
+            vector[i_beta],
+            problem.noise.fading,
+        )
+        with_data = data and e.y is not None
+        if with_data:
+            d = e.values - mean_on_grid(problem, vector, k)
+        previous = -1
+        n_pairs = 0
+        first_block = len(base)
+        for a, b in e.runs:
+            edge_t.append((e.t[a], e.t[b - 1]))
+            ends = e.values[[a, b - 1]] - level if with_data else np.zeros(2)
+            edge_y.append((ends[0], ends[1]))
+            distance.append(a - previous)
+            previous = b - 1
+            n_pairs += b - a - 1
+            run_start = len(base)
+            found = _blocks_of_run(
+                a + 1, b, e.t[0], h, windows, narrow, decays, amplitude, kinks, region.fineness
+            )
+            for start, n, kind in found:
+                if kind == 0:
+                    L = np.eye(n, K)
+                else:
+                    if n not in cache:
+                        cache[n] = _lagrange((np.arange(n) + 0.5) / n)
+                    L = cache[n]
+                stack = np.zeros((5, n))
+                stack[0] = 1.0
+                if with_data:
+                    stack[1], stack[2] = d[start : start + n], d[start - 1 : start + n - 1]
+                    stack[3], stack[4] = stack[1] ** 2, stack[1] * stack[2]
+                moments.append(stack @ L)
+                follows.append(len(base) > run_start)
+                base.append(e.t[0] + (start - 0.5) * h)
+                kinds.append(kind)
+        times = node_times(np.array(base[first_block:]), np.array(kinds[first_block:]), h)
+        node_mean, node_s2 = at_times(problem, vector, e, k, times)
+        lag_mean, _ = at_times(problem, vector, e, k, times - h)
+        node_time.append(times.ravel())
+        reference.append(np.stack([node_mean.ravel(), lag_mean.ravel()]) - level)
+        reference_s2.append(node_s2.ravel())
+        counts = np.array([m[0] for m in moments[first_block:]]).reshape(-1, K)
+        log_s2.append(float((counts * np.log(node_s2)).sum()))
+        pairs.append(n_pairs)
+        blocks.append(len(base))
+        runs.append(len(distance))
+    stacked = np.array(moments, dtype=float).reshape(-1, 5, K)
+    # valve and manifold have no such delay: where they are as fast, the full pass serves; it also
+    # says that no tau is zero
+    low = low.copy()
+    low[0] = max(low[0], np.finfo(float).tiny)
+    low[1] = max(low[1], setting[:, 4].max())
+    low[2] = max(low[2], (setting[:, 4] * setting[:, 1]).max())
+    return Arrays(
+        local=layout.local,
+        noise=layout.noise,
+        blocks=np.array(blocks),
+        runs=np.array(runs),
+        setting=setting,
+        n_samples=np.array([e.n_samples for e in campaign], dtype=float),
+        base=np.array(base, dtype=float),
+        kind=np.array(kinds, dtype=np.int64),
+        follows=np.array(follows, dtype=bool),
+        time=np.concatenate(node_time),
+        moments=np.ascontiguousarray(np.moveaxis(stacked, 1, 0).reshape(5, -1)),
+        reference=np.ascontiguousarray(np.concatenate(reference, axis=1)),
+        reference_s2=np.concatenate(reference_s2),
+        log_s2=np.array(log_s2),
+        edge_t=np.array(edge_t, dtype=float),
+        edge_y=np.array(edge_y, dtype=float),
+        distance=np.array(distance, dtype=float),
+        pairs=np.array(pairs, dtype=float),
+        low=np.ascontiguousarray(low, dtype=float),
+        high=np.ascontiguousarray(high, dtype=float),
+        n_kinds=max([0, *kinds]) + 1,
+    )
+
+
+def _kinks(problem: Problem, region: Region, e: Experiment) -> FloatArray:
+    """(n, 2) stretches (s) that the model wants sample by sample."""
+    asked = getattr(problem.model, "kinks", None)
+    found = [] if asked is None else asked(region.low, region.high, problem.layout, e)
+    return np.array(found, dtype=float).reshape(-1, 2) + e.interval * np.array([-1.0, 1.0])
+
+
+def _widths(
+    problem: Problem, vector: FloatArray, region: Region, k: int
+) -> tuple[FloatArray, float, float]:
+    """The exponentials to resolve, their amplitude, and the width where a switch may fall."""
+    low, high = region.low, region.high
+    e = problem.campaign.experiments[k]
+    _, sigma0, sigma1 = vector[problem.layout.noise[k]]
+    # where the variance changes by this factor, 1/s^2 still changes when x3 has all but decayed
+    weight, fading = problem.noise.weight(problem.campaign, e), problem.noise.fading
+    growth = 1.0 + weight * ((sigma1 / sigma0) ** 2 - fading)
+    growth = float(min(max(growth, 1.0 / max(growth, 1e-8)), 1e8)) if np.isfinite(growth) else 1.0
+    candidates = np.array(
+        [
+            (tau_v, V / e.total_flow, tau)
+            for tau in np.geomspace(max(low[0], 1e-3 * high[0]), high[0], 5)
+            for tau_v in (low[1], high[1])
+            for V in (low[2], high[2])
+        ]
+    )
+    slowest = max(vector[0], vector[1], vector[2] / e.total_flow)
+    # x3 starts like the cube of time: s^2 doubles within growth^(-1/3) of the response's own time
+    narrow = WINDOW_BLOCK * slowest * (1.0 + growth / 30.0) ** (-1.0 / 3.0)
+    return _decays(candidates), growth, narrow / region.fineness
+
+
+def node_times(base: FloatArray, kind: np.ndarray, h: float) -> FloatArray:
+    """(n_blocks, K) s."""
+    pointwise = (np.arange(K) + 0.5) * h
+    spread = 8.0 * 2.0 ** kind[:, None] * h * CHEBYSHEV
+    return base[:, None] + np.where(kind[:, None] == 0, pointwise, spread)
+
+
+def at_times(
+    problem: Problem, vector: FloatArray, e: Experiment, k: int, times: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mean and variance of one experiment at any times, in the shape of ``times``."""
+    _, sigma0, sigma1 = vector[problem.layout.noise[k]]
+    mean, x = mean_and_response(problem, vector, e, np.ascontiguousarray(times).ravel())
+    law = problem.noise.weight(problem.campaign, e), problem.noise.fading
+    s2 = scale_squared(x, sigma0, sigma1, *law)
+    return mean.reshape(times.shape), s2.reshape(times.shape)

@@ -1,0 +1,667 @@
+"""The compressed campaign as an object, and the region of theta for which its mesh is built."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import log, pi, sqrt
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.likelihood.density import (
+    experiment_log_likelihood,
+    has_plain_mean,
+    is_affine,
+    mean_and_response,
+    mean_and_variance,
+    noise_in_range,
+)
+from bayes_sensor.likelihood.density import log_likelihood as full_log_likelihood
+from bayes_sensor.likelihood.mesh import kernels
+from bayes_sensor.likelihood.mesh.blocks import Region, at_times, build
+from bayes_sensor.likelihood.mesh.kernels import K
+from bayes_sensor.likelihood.mesh.mean_derivatives import height, mean_derivatives, sizes
+from bayes_sensor.likelihood.noise import check_phi, lag_coefficient, scale_slopes, scale_squared
+from bayes_sensor.likelihood.problem import Problem, as_problem
+from bayes_sensor.rig.cascade import (
+    Cascade,
+    cascade_response,
+    cascade_sensitivities,
+    local_parameters,
+    time_constants,
+)
+from bayes_sensor.rig.layout import Layout, Theta
+
+NO_TAU = 1e-6
+"""of the fastest other time constant: a tau that no data tell from zero"""
+
+
+NO_NOISE = 1e-10
+"""of sigma0: another sigma0 that no data tell from zero"""
+
+
+def above_zero(vector: FloatArray, total_flow: float) -> float:
+    """s, tau of the flat vector (n_theta,); zero raised to a value that no data tell from it.
+
+    ``total_flow``: mL/s, the highest in question.
+
+    >>> above_zero(np.array([0.0, 0.8, 60.0]), 150.0), above_zero(np.array([0.1, 0.8, 60.0]), 150.0)
+    (4e-07, 0.1)
+    """
+    tau = float(vector[0])
+    return NO_TAU * float(min(vector[1], vector[2] / total_flow)) if tau == 0.0 else tau
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Weighted points that stand for the samples of one experiment.
+
+    For a mean m that is smooth between switches, ``sum_i (y_i - m(t_i))^2`` is a constant plus
+    ``sum count (y - m(t))^2``, and ``sum_i f(t_i)`` is ``sum count f(t)``.
+    """
+
+    t: FloatArray
+    """(n,) s"""
+    count: FloatArray
+    """(n,) how many samples the point stands for"""
+    y: FloatArray
+    """(n,) V, their weighted mean; the reference mean for a design"""
+
+
+def _is_cascade(problem: Problem) -> bool:
+    """Whether the compiled closed form may stand for the problem's model."""
+    return type(problem.model) is Cascade and problem.model.method == "exact"
+
+
+def _slope_of_lag(phi: float, steps: float) -> float:
+    """Derivative of phi^steps with respect to phi; 0 at phi = 0 where it has no meaning there."""
+    if steps == 1.0:
+        return 1.0
+    return steps * lag_coefficient(phi, steps) / phi if phi != 0.0 else 0.0
+
+
+class Compressed:
+    """A campaign's data reduced to a mesh; evaluates likelihoods in microseconds.
+
+    Made by :func:`compress`.  ``region`` is the box of theta for which the mesh was built: outside
+    it, :meth:`log_likelihood` and the others use the exact full pass (slow, never wrong);
+    ``n_full_passes`` counts how often that happened.  What the problem's noise law pins has its
+    pinned value in every theta.  One object is not to be shared by threads.
+    """
+
+    def __init__(self, problem: Problem, vector: FloatArray, region: Region) -> None:
+        self.problem = problem
+        self.reference = vector
+        self.region = region
+        self.arrays = build(problem, vector, region)
+        self.n_full_passes = 0
+        self._room = kernels.make_room(self.n_nodes)
+        self._each = np.zeros(len(problem.campaign))
+        self._cascade = _is_cascade(problem)
+        self._known_times: dict[int, FloatArray] = {}
+
+    @property
+    def n_nodes(self) -> int:
+        """Nodes of all experiments together."""
+        return len(self.arrays.base) * K
+
+    def covers(self, theta: FloatArray) -> bool:
+        """Whether the mesh was built for this flat vector (n_theta,)."""
+        return bool(kernels.inside_box(theta, self.arrays.low, self.arrays.high))
+
+    def _vector(self, theta: Theta) -> FloatArray:
+        # a flat vector with nothing to pin is not copied: this runs once per evaluation
+        vector = theta if isinstance(theta, np.ndarray) else self.problem.flat(theta)
+        if self.problem.fixed or vector.shape != self.arrays.low.shape:
+            vector = self.problem.flat(vector)
+        return np.ascontiguousarray(vector, dtype=float)
+
+    def _rows(self, thetas: FloatArray) -> FloatArray:
+        """A copy of rows (n, n_theta), with what the noise law pins in place."""
+        rows = np.array(thetas, dtype=float, order="C")
+        for name, value in self.problem.fixed.items():
+            rows[:, self.problem.layout.index(name)] = value
+        return rows
+
+    def _full(self, theta: FloatArray) -> float:
+        self.n_full_passes += 1
+        n_exp = len(self.problem.campaign)
+        return sum(experiment_log_likelihood(self.problem, theta, k) for k in range(n_exp))
+
+    def log_likelihood(self, theta: Theta) -> float:
+        """The exact log-likelihood to within the mesh's error (see :meth:`error`)."""
+        vector = self._vector(theta)
+        if not self.covers(vector):
+            return self._full(vector)
+        if not self._cascade:
+            return float(sum(self._general(vector, k) for k in range(len(self._each))))
+        return float(kernels.value(vector, self.arrays, self._room, self._each))
+
+    def _times(self, k: int) -> FloatArray:
+        """(n_t,) s: nodes of experiment number ``k``, one sample before them, edge samples."""
+        if k not in self._known_times:
+            mesh, nodes = self.arrays, self.node_times(k).ravel()
+            edges = mesh.edge_t[mesh.runs[k] : mesh.runs[k + 1]].ravel()
+            self._known_times[k] = np.concatenate([nodes, nodes - mesh.setting[k, 0], edges])
+        return self._known_times[k]
+
+    def _split(self, values: FloatArray, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Values at :meth:`_times` as (n_blocks, K) at nodes and before them, (n_runs, 2)."""
+        n = (self.arrays.blocks[k + 1] - self.arrays.blocks[k]) * K
+        nodes, before, edges = values[:n], values[n : 2 * n], values[2 * n :]
+        return nodes.reshape(-1, K), before.reshape(-1, K), edges.reshape(-1, 2)
+
+    def _density(
+        self, k: int, noise: tuple[float, float, float, float], mean: FloatArray, x: FloatArray
+    ) -> float:
+        """Log-likelihood of an experiment with ``mean`` and response ``x`` at :meth:`_times`."""
+        phi, phi_reference, sigma0, sigma1 = noise
+        s2 = scale_squared(x, sigma0, sigma1, *self._law(k))
+        parts = [*self._split(mean - self.arrays.setting[k, 5], k), *self._split(s2, k)]
+        return float(kernels.general(k, self.arrays, phi, phi_reference, *parts))
+
+    def _law(self, k: int) -> tuple[float, float]:
+        """Weight of the response in the variance of experiment ``k``, what fades of sigma0^2."""
+        noise, campaign = self.problem.noise, self.problem.campaign
+        return noise.weight(campaign, campaign.experiments[k]), noise.fading
+
+    def _general(self, vector: FloatArray, k: int) -> float:
+        # experiment number k under any model, inside the region
+        noise = noise_in_range(self.problem, vector, k)
+        if noise is None:
+            return -np.inf
+        e = self.problem.campaign.experiments[k]
+        return self._density(k, noise, *mean_and_response(self.problem, vector, e, self._times(k)))
+
+    def _general_gradient(self, vector: FloatArray, k: int, gradient: FloatArray) -> float:
+        """Log-likelihood of experiment ``k`` under any model; its gradient is added."""
+        noise = noise_in_range(self.problem, vector, k)
+        if noise is None:
+            return -np.inf
+        phi, phi_reference, sigma0, sigma1 = noise
+        mean, x, index, d_mean, d_x = mean_derivatives(self.problem, vector, k, self._times(k))
+        s2 = scale_squared(x, sigma0, sigma1, *self._law(k))
+        by_x, by_sigma0, by_sigma1 = scale_slopes(x, sigma0, sigma1, *self._law(k))
+        g_mean, g_s2 = np.empty_like(mean), np.empty_like(mean)
+        parts = [*self._split(mean - self.arrays.setting[k, 5], k), *self._split(s2, k)]
+        slopes = [*self._split(g_mean, k), *self._split(g_s2, k)]
+        value, g_phi = kernels.general_gradient(k, self.arrays, phi, phi_reference, *parts, *slopes)
+        i_phi, i_sigma0, i_sigma1 = self.problem.layout.noise[k]
+        gradient[index] += d_mean @ g_mean
+        gradient[index] += d_x @ (by_x * g_s2)
+        gradient[i_phi] += g_phi
+        gradient[i_sigma0] += float(g_s2 @ by_sigma0)
+        gradient[i_sigma1] += float(g_s2 @ by_sigma1)
+        return float(value)
+
+    def value_and_gradient(self, theta: Theta) -> tuple[float, FloatArray]:
+        """Log-likelihood and its gradient (n_theta,) by the flat vector."""
+        vector = self._vector(theta)
+        if not self.covers(vector):
+            return self._full(vector), self._full_gradient(vector)
+        gradient = np.zeros(len(vector))
+        if self._cascade:
+            value = kernels.value_and_gradient(vector, self.arrays, self._room, gradient)
+            if not np.isnan(value):
+                return value, gradient
+            gradient[:] = 0.0  # time constants so close that its partial fractions cancel
+        experiments = range(len(self._each))
+        return sum(self._general_gradient(vector, k, gradient) for k in experiments), gradient
+
+    def gradient(self, theta: Theta) -> FloatArray:
+        """Gradient (n_theta,) of the log-likelihood."""
+        return self.value_and_gradient(theta)[1]
+
+    def _full_gradient(self, vector: FloatArray) -> FloatArray:
+        # central differences of the full pass, with the step that balances rounding against
+        # curvature; a parameter of one experiment moves only its part
+        layout, n_exp = self.problem.layout, len(self.problem.campaign)
+        owner = {int(i): k for k in range(n_exp) for i in layout.local[k] if i >= 0}
+        if layout.noise_per_experiment:
+            owner |= {int(i): k for k in range(n_exp) for i in layout.noise[k]}
+        gradient, steps = np.zeros(len(vector)), 1e-5 * sizes(self.problem, vector)
+        for i in range(len(vector)):
+            step = steps[i]
+            up, down = vector.copy(), vector.copy()
+            up[i] += step
+            down[i] -= step
+            if i in layout.noise[:, 2]:  # no likelihood is below sigma1 = 0
+                down[i] = max(down[i], 0.0)
+            for k in [owner[i]] if i in owner else range(n_exp):
+                difference = experiment_log_likelihood(self.problem, up, k)
+                difference -= experiment_log_likelihood(self.problem, down, k)
+                gradient[i] += difference / (up[i] - down[i])
+        return gradient
+
+    def marginal(self, theta: Theta) -> tuple[float, FloatArray, FloatArray]:
+        """Log-likelihood with every y0 and beta integrated out under flat priors.
+
+        Returns (value, best, factor): ``best`` (n_experiments, 2) the conditional means of y0 and
+        beta, ``factor`` (n_experiments, 3) the Cholesky factor (l11, l21, l22) of their
+        conditional precision.  ``theta``'s own y0 and beta are not used.  Exact for models whose
+        mean is ``y0 + beta x`` with ``x`` free of both.
+        """
+        vector = self._vector(theta)
+        n_exp = len(self.problem.campaign)
+        vector = vector.copy()
+        vector[self.problem.layout.local[:, :2]] = self.reference[self.problem.layout.local[:, :2]]
+        if not (self._cascade and self.covers(vector)):
+            return self._marginal_by_values(vector)
+        best, factor = np.empty((n_exp, 2)), np.empty((n_exp, 3))
+        value = kernels.marginal(vector, self.arrays, self._room, best, factor)
+        return value, best, factor
+
+    def log_likelihoods(self, thetas: FloatArray) -> FloatArray:
+        """(n, n_experiments) log-likelihood of every experiment at each row of ``thetas``."""
+        thetas = self._rows(thetas)
+        each = np.zeros((len(thetas), len(self.problem.campaign)))
+        inside = np.zeros(len(thetas), dtype=bool)
+        if self._cascade:
+            kernels.values(thetas, self.arrays, self._room, each, inside)
+        for i in np.flatnonzero(~inside):
+            each[i] = self._one_by_one(thetas[i])
+        return each
+
+    def _one_by_one(self, vector: FloatArray) -> list[float]:
+        # every experiment's part where the compiled cascade does not apply
+        experiments = range(len(self.problem.campaign))
+        if not self._cascade and self.covers(vector):
+            return [self._general(vector, k) for k in experiments]
+        self.n_full_passes += 1
+        return [experiment_log_likelihood(self.problem, vector, k) for k in experiments]
+
+    def marginals(self, thetas: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """:meth:`marginal` at every row of ``thetas`` (n, n_theta); a leading axis n is added."""
+        local = self.problem.layout.local
+        thetas = self._rows(thetas)
+        thetas[:, local[:, :2]] = self.reference[local[:, :2]]
+        n_exp = len(self.problem.campaign)
+        values = np.zeros(len(thetas))
+        best, factor = np.zeros((len(thetas), n_exp, 2)), np.ones((len(thetas), n_exp, 3))
+        inside = np.zeros(len(thetas), dtype=bool)
+        if self._cascade:
+            kernels.marginals(
+                thetas, self.arrays, self._room,
+                values, best, factor, inside,
+            )  # fmt: skip
+        for i in np.flatnonzero(~inside):
+            values[i], best[i], factor[i] = self._marginal_by_values(thetas[i])
+        return values, best, factor
+
+    def _marginal_by_values(self, vector: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        # log L is quadratic in (y0, beta) of each experiment: six values fix it
+        problem = self.problem
+        local = problem.layout.local
+        n_exp = len(problem.campaign)
+        best, factor = np.zeros((n_exp, 2)), np.ones((n_exp, 3))
+        total = 0.0
+        inside = not self._cascade and self.covers(vector)
+        self.n_full_passes += not inside
+        for k in range(n_exp):
+            origin = vector[local[k, :2]]
+            unit = height(problem, vector, k)
+            at = self._along(vector, k, unit, inside)
+            f00 = at(0.0, 0.0)
+            if not np.isfinite(f00):
+                return -np.inf, best, factor
+            fp0, fm0, f0p, f0m, fpp = at(1, 0), at(-1, 0), at(0, 1), at(0, -1), at(1, 1)
+            g = np.array([fp0 - fm0, f0p - f0m]) / 2.0
+            hxx, hyy = 2 * f00 - fp0 - fm0, 2 * f00 - f0p - f0m
+            hxy = fp0 + f0p - fpp - f00
+            precision = np.array([[hxx, hxy], [hxy, hyy]])
+            if not (hxx > 0 and np.linalg.det(precision) > 0):
+                return -np.inf, best, factor
+            move = np.linalg.solve(precision, g)
+            best[k] = origin + unit * move
+            lower = np.linalg.cholesky(precision / unit**2)
+            factor[k] = (lower[0, 0], lower[1, 0], lower[1, 1])
+            total += f00 + 0.5 * float(g @ move) - log(lower[0, 0] * lower[1, 1]) + log(2.0 * pi)
+        return total, best, factor
+
+    def _along(
+        self, vector: FloatArray, k: int, unit: float, inside: bool
+    ) -> Callable[[float, float], float]:
+        """Log-likelihood of experiment ``k`` as a function of moves of y0 and beta in ``unit``."""
+        problem = self.problem
+        i_y0, i_beta = problem.layout.local[k, :2]
+
+        def moved(u: float, w: float) -> FloatArray:
+            trial = vector.copy()
+            trial[i_y0] += u * unit
+            trial[i_beta] += w * unit
+            return trial
+
+        if not inside:
+            return lambda u, w: experiment_log_likelihood(problem, moved(u, w), k)
+        noise = noise_in_range(problem, vector, k)
+        if noise is None:
+            return lambda u, w: -np.inf
+        if not is_affine(problem):
+            return lambda u, w: self._general(moved(u, w), k)
+        e, t, known = problem.campaign.experiments[k], self._times(k), noise
+        mean, x = mean_and_response(problem, vector, e, t)
+        slope = unit * x
+        if not has_plain_mean(problem):
+            slope = mean_and_response(problem, moved(0.0, 1.0), e, t)[0] - mean
+        return lambda u, w: self._density(k, known, mean + (u * unit + w * slope), x)
+
+    def _part(self, k: int) -> slice:
+        """The nodes of experiment number ``k`` among all."""
+        return slice(self.arrays.blocks[k] * K, self.arrays.blocks[k + 1] * K)
+
+    def node_times(self, k: int) -> FloatArray:
+        """(n_blocks, K) s, the nodes of experiment number ``k``."""
+        return self.arrays.time[self._part(k)].reshape(-1, K)
+
+    def nodes(self, k: int) -> Nodes:
+        """The weighted points of experiment number ``k``; points of weight 0 are left out."""
+        mesh, part = self.arrays, self._part(k)
+        count = mesh.moments[0, part]
+        keep = count > 1e-9
+        level = mesh.setting[k, 5]
+        mean = level + mesh.reference[0, part][keep] + mesh.moments[1, part][keep] / count[keep]
+        runs = slice(mesh.runs[k], mesh.runs[k + 1])
+        first = level + mesh.edge_y[runs, 0]
+        if self.problem.campaign.experiments[k].y is None:
+            e = self.problem.campaign.experiments[k]
+            first, _ = at_times(self.problem, self.reference, e, k, mesh.edge_t[runs, 0])
+        return Nodes(
+            np.concatenate([mesh.edge_t[runs, 0], self.node_times(k).ravel()[keep]]),
+            np.concatenate([np.ones(len(first)), count[keep]]),
+            np.concatenate([first, mean]),
+        )
+
+    def error(self, thetas: FloatArray) -> float:
+        """Largest |compressed - full pass| of log L over the rows of ``thetas`` (n, n_theta)."""
+        worst = 0.0
+        passes = self.n_full_passes
+        for row in np.atleast_2d(thetas):
+            row = self._vector(row)
+            full, fast = self._full(row), self.log_likelihood(row)
+            if np.isfinite(full) or np.isfinite(fast):
+                worst = max(worst, abs(full - fast))
+        self.n_full_passes = passes
+        return worst
+
+    def accurate(self, thetas: FloatArray, limit: float) -> Compressed:
+        """This mesh, or one with narrower blocks, whose error at ``thetas`` is at most ``limit``.
+
+        The error falls with the eighth power of the width, so a quarter narrower mostly does;
+        sixteen times narrower is the end, and what error remains is for the caller to state.
+        """
+        mesh = self
+        for factor in (1.25, 1.6, 2.0, 2.0, 2.0):
+            if mesh.error(thetas) <= limit:
+                break
+            region = replace(mesh.region, fineness=factor * mesh.region.fineness)
+            mesh = Compressed(mesh.problem, mesh.reference, region)
+        return mesh
+
+    def information(self, theta: Theta) -> FloatArray:
+        """Expected Fisher information (n_theta, n_theta) of the flat vector.
+
+        Slepian-Bangs formula for a Gaussian with mean and covariance both depending on theta
+        (Kay, Fundamentals of Statistical Signal Processing I, 1993, eq. 3.31):
+        I_ab = m_a' C^-1 m_b + 1/2 tr(C^-1 C_a C^-1 C_b), with C = S R S, R of an AR(1).  R^-1 is
+        tridiagonal, across gaps as well, where neighbours have the correlation phi^distance: every
+        pair of neighbours adds a term of its own.
+
+        Raises CampaignError for a phi that is not between -1 and 1.
+        """
+        vector = self._vector(theta)
+        problem, mesh = self.problem, self.arrays
+        layout = problem.layout
+        total = np.zeros((len(vector), len(vector)))
+        for k, e in enumerate(problem.campaign):
+            phi_reference = float(vector[layout.noise[k, 0]])
+            steps = problem.steps(e)
+            check_phi(phi_reference, steps, e.name)
+            phi = lag_coefficient(phi_reference, steps)
+            rest = 1.0 - phi**2
+            times = self.node_times(k)
+            count = mesh.moments[0, self._part(k)]
+            J, u, _ = self._scaled(vector, k, times.ravel())
+            Jl, ul, _ = self._scaled(vector, k, times.ravel() - e.interval)
+            cross = (J * count[:, None]).T @ Jl
+            info = ((1 + phi**2) * (J * count[:, None]).T @ J - phi * (cross + cross.T)) / rest
+            runs = slice(mesh.runs[k], mesh.runs[k + 1])
+            f, uf, _ = self._scaled(vector, k, mesh.edge_t[runs, 0])
+            last, ulast, _ = self._scaled(vector, k, mesh.edge_t[runs, 1])
+            info += phi**2 / rest * (f.T @ f - last.T @ last)
+            info += np.outer(f[0], f[0])
+            # covariance: u = d log s by the parameters
+            cross = (u * count[:, None]).T @ ul
+            info += (1.0 + (1 + phi**2) / rest) * (u * count[:, None]).T @ u
+            info -= phi**2 / rest * (cross + cross.T)
+            info += (1.0 + 1.0 / rest) * uf.T @ uf - phi**2 / rest * ulast.T @ ulast
+            i_phi = layout.noise[k, 0]
+            slope = _slope_of_lag(phi_reference, steps)
+            info[i_phi, i_phi] += mesh.pairs[k] * (1 + phi**2) / rest**2 * slope**2
+            mixed = -2.0 * phi / rest * slope * (u.T @ count)
+            mixed -= phi / rest * slope * (uf.sum(axis=0) - ulast.sum(axis=0))
+            for i in range(1, len(f)):
+                distance = steps * mesh.distance[mesh.runs[k] + i]
+                across = lag_coefficient(phi_reference, distance)
+                left = 1.0 - across**2
+                gap, change = f[i] - across * last[i - 1], uf[i] - ulast[i - 1]
+                info += (np.outer(gap, gap) + across**2 * np.outer(change, change)) / left
+                slope = _slope_of_lag(phi_reference, distance)
+                info[i_phi, i_phi] += (1.0 + across**2) / left**2 * slope**2
+                mixed -= across / left * slope * (uf[i] + ulast[i - 1])
+            info[i_phi] += mixed
+            info[:, i_phi] += mixed
+            total += info
+        return total
+
+    def _scaled(
+        self, vector: FloatArray, k: int, t: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Derivatives of the mean over s (n_t, n), of log s (n_t, n), and s (n_t,) at times t."""
+        problem = self.problem
+        layout = problem.layout
+        e = problem.campaign.experiments[k]
+        if not self._cascade:
+            return self._scaled_numerically(vector, k, t)
+        _, beta, t0, tf = local_parameters(vector, layout, e.name)
+        taus = np.array([vector[1], vector[2] / e.total_flow, vector[0]])
+        x = cascade_response(t, taus, t0, tf)
+        dx = cascade_sensitivities(t, taus, t0, tf)
+        i_y0, i_beta, i_t0, i_tf = layout.local[k]
+        slope = np.zeros((len(t), len(vector)))
+        slope[:, 0], slope[:, 1], slope[:, 2] = dx[:, 2], dx[:, 0], dx[:, 1] / e.total_flow
+        slope[:, i_t0] = dx[:, 3]
+        if i_tf >= 0:
+            slope[:, i_tf] = dx[:, 4]
+        J = beta * slope
+        J[:, i_y0] = 1.0
+        J[:, i_beta] = x
+        return self._standardised(vector, k, x, J, slope)
+
+    def _scaled_numerically(
+        self, vector: FloatArray, k: int, t: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        _, x, index, d_mean, d_x = mean_derivatives(self.problem, vector, k, t)
+        J, slope = np.zeros((len(t), len(vector))), np.zeros((len(t), len(vector)))
+        J[:, index], slope[:, index] = d_mean.T, d_x.T
+        return self._standardised(vector, k, x, J, slope)
+
+    def _standardised(
+        self, vector: FloatArray, k: int, x: FloatArray, J: FloatArray, slope: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """J over s, derivatives of log s, and s, from those of the mean (``J``) and response."""
+        _, i_sigma0, i_sigma1 = self.problem.layout.noise[k]
+        sigma0, sigma1 = vector[i_sigma0], vector[i_sigma1]
+        s2 = scale_squared(x, sigma0, sigma1, *self._law(k))
+        by_x, by_sigma0, by_sigma1 = scale_slopes(x, sigma0, sigma1, *self._law(k))
+        u = 0.5 * by_x[:, None] * slope / s2[:, None]
+        u[:, i_sigma0] = 0.5 * by_sigma0 / s2
+        u[:, i_sigma1] = 0.5 * by_sigma1 / s2
+        s = np.sqrt(s2)
+        return J / s[:, None], u, s
+
+
+def default_region(problem: Problem, vector: FloatArray, spread: float = 7.0) -> Region:
+    """The box that holds the posterior around ``vector`` to ``spread`` standard deviations.
+
+    Spreads come from the expected information in the coordinates (tau^2, t0 + tau, tf + tau),
+    in which the likelihood is close to Gaussian; t0 and tf may in addition move by all that tau
+    can.  Directions about which the data say nothing are capped.
+    """
+    layout = problem.layout
+    low, high = np.full(len(vector), -np.inf), np.full(len(vector), np.inf)
+    slowest = {
+        e.name: max(vector[0], vector[1], vector[2] / e.total_flow) for e in problem.campaign
+    }
+    low[:3], high[:3] = 0.5 * vector[:3], 2.0 * vector[:3]
+    for k, e in enumerate(problem.campaign):
+        for i in layout.local[k, 2:]:
+            if i >= 0:
+                width = 0.05 * slowest[e.name]
+                low[i], high[i] = vector[i] - width, vector[i] + width
+    rough = Compressed.__new__(Compressed)
+    rough.problem, rough.reference = problem, vector
+    rough.region = Region(low, high)
+    rough.arrays = build(problem, vector, rough.region, data=False)
+    rough._cascade, rough._known_times = _is_cascade(problem), {}
+    variances = _psi_variances(problem, vector, rough.information(vector))
+    tau = vector[0]
+    fastest = min(slowest.values())
+    sd_square = min(sqrt(variances[0]), fastest**2)
+    tau_high = min(sqrt(tau**2 + spread * sd_square), max(2.0 * tau, 3.0 * fastest))
+    low[0], high[0] = 0.0, tau_high
+    for i in (1, 2):
+        sd = min(spread * sqrt(variances[i]), 4.0 * vector[i])
+        low[i], high[i] = max(vector[i] - sd, 0.2 * vector[i]), vector[i] + sd
+    for k, e in enumerate(problem.campaign):
+        for i in layout.local[k, 2:]:
+            if i >= 0:
+                sd = min(spread * sqrt(variances[i]), 3.0 * slowest[e.name])
+                low[i] = vector[i] + tau - tau_high - sd
+                high[i] = vector[i] + tau + sd
+    for row in layout.noise:
+        low[row[0]], high[row[0]] = -1.0 + 1e-9, 1.0 - 1e-9
+        least = NO_NOISE * vector[row[1]]
+        low[row[1]], low[row[2]] = least, least * problem.noise.fading
+    for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
+        prior = problem.priors.get(name)
+        if prior is not None and prior.law is not None:
+            low[i], high[i] = prior.law.ppf(1e-7), prior.law.ppf(1.0 - 1e-7)
+            low[i], high[i] = min(low[i], vector[i]), max(high[i], vector[i])
+    return Region(low, high)
+
+
+def _psi_variances(problem: Problem, vector: FloatArray, information: FloatArray) -> FloatArray:
+    """Variances of (tau^2, .., t0 + tau, tf + tau, ..) from the information on theta."""
+    layout = problem.layout
+    tau = max(vector[0], 1e-3 * max(vector[1], 1e-12))
+    transform = np.eye(len(vector))  # d theta / d psi
+    transform[0, 0] = 0.5 / tau
+    for i in layout.local[:, 2:].ravel():
+        if i >= 0:
+            transform[i, 0] = -0.5 / tau
+    info = transform.T @ information @ transform
+    free = np.flatnonzero(np.diag(info) > 0)
+    scale = 1.0 / np.sqrt(np.diag(info)[free])
+    scaled = info[np.ix_(free, free)] * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(scaled)
+    values = np.maximum(values, 1e-12)
+    variances = np.full(len(vector), np.inf)
+    variances[free] = ((vectors**2) / values).sum(axis=1) * scale**2
+    return variances
+
+
+def compress(
+    campaign: Campaign | Problem, theta: Theta, region: Region | None = None
+) -> Compressed:
+    """Reduce a campaign's data to a mesh around ``theta`` for fast likelihoods.
+
+    ``theta`` should be near the maximum; without noise parameters the residuals' scatter and
+    lag-one correlation stand in.  ``region`` (default: :func:`default_region`) is where the mesh
+    is valid; outside, the full pass answers.  A design gives a mesh without data, good for
+    ``information`` and ``nodes``.  A tau of zero, which has no response of its own, stands for one
+    too small to tell from it.
+
+    Raises CampaignError for a malformed theta, for time constants that are not positive, for a phi
+    that is not between -1 and 1 where there is no ``region``, or for forward Euler.
+    """
+    problem = as_problem(campaign)
+    if type(problem.model) is Cascade and problem.model.method == "euler":
+        raise CampaignError(
+            "forward Euler has its switches on samples and cannot be compressed; "
+            "use the exact response, Cascade()"
+        )
+    vector = problem.flat(theta)
+    vector[0] = above_zero(vector, max(e.total_flow for e in problem.campaign))
+    for e in problem.campaign:
+        time_constants(vector[0], vector[1], vector[2], e.total_flow)
+    if np.isnan(vector).any():
+        vector = _with_rough_noise(problem, vector)
+    return Compressed(problem, vector, region or default_region(problem, vector))
+
+
+def _with_rough_noise(problem: Problem, vector: FloatArray) -> FloatArray:
+    vector = vector.copy()
+    layout = problem.layout
+    squares, lags, n = 0.0, 0.0, 0
+    for k, e in enumerate(problem.campaign):
+        if e.y is None:
+            raise CampaignError(
+                f"experiment '{e.name}' is a design: theta needs phi, sigma0_V and sigma1_V"
+            )
+        zeroed = np.where(np.isnan(vector), 1.0, vector)
+        r = (e.values - mean_and_variance(problem, zeroed, k)[0])[e.used]
+        squares += float(r @ r)
+        lags += float(r[1:] @ r[:-1])
+        n += len(r)
+    for row in layout.noise:
+        if np.isnan(vector[row[1]]):
+            vector[row[1]] = sqrt(max(squares / n, 1e-300))
+            if vector[row[0]] == 0.0 and problem.noise.autocorrelation == "ar1":
+                vector[row[0]] = float(np.clip(lags / max(squares, 1e-300), 0.0, 0.99))
+    return vector
+
+
+def log_likelihood(campaign: Campaign | Problem, theta: Theta, compressed: bool = False) -> float:
+    """Exact Gaussian log-likelihood of all samples at ``theta``; -inf outside its range.
+
+    ``compressed=True`` evaluates the same on a mesh built around ``theta``; for many evaluations
+    keep the object that :func:`compress` returns instead.  What the problem's noise law pins has
+    its pinned value in both (:meth:`Problem.flat`).
+
+    Raises CampaignError for a malformed ``theta`` or a design without data.
+    """
+    if compressed:
+        problem = as_problem(campaign)
+        vector = problem.flat(theta)
+        if any(noise_in_range(problem, vector, k) is None for k in range(len(problem.campaign))):
+            return -np.inf
+        for e in problem.campaign:
+            e.values  # noqa: B018 - raises CampaignError for a design
+        return compress(problem, vector).log_likelihood(vector)
+    return full_log_likelihood(campaign, theta)
+
+
+def narrow_region(layout: Layout, vector: FloatArray, width: float) -> Region:
+    """A box about ``vector``, no wider than it must be; switch times within ``width`` s."""
+    low, high = np.full(len(vector), -np.inf), np.full(len(vector), np.inf)
+    low[:3], high[:3] = 0.9 * vector[:3], 1.1 * vector[:3]
+    for i in layout.local[:, 2:].ravel():
+        if i >= 0:
+            low[i], high[i] = vector[i] - width, vector[i] + width
+    for row in layout.noise:
+        low[row[0]], high[row[0]] = -1.0, 1.0
+        low[row[1:]] = 0.0
+    return Region(low, high)
+
+
+def expected_information(problem: Problem, vector: FloatArray) -> FloatArray:
+    """Expected Fisher information (n_theta, n_theta) at ``vector``, on a mesh made for it alone.
+
+    A tau of zero is raised to one too small to tell from it.
+    """
+    longest = max(e.interval for e in problem.campaign)
+    vector = vector.copy()
+    vector[0] = above_zero(vector, max(e.total_flow for e in problem.campaign))
+    region = narrow_region(problem.layout, vector, 2.0 * longest)
+    return compress(problem, vector, region).information(vector)

@@ -1,0 +1,92 @@
+"""How fast the records rise: the scale of the default priors of lags."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign, Experiment, FloatArray
+from bayes_sensor.rig.cascade import (
+    cascade_response,
+)
+
+PUBLISHED_TIMES = (0.0481, 0.8577, 0.05823 / 0.15)
+
+FEWEST_OF_RISE = 16
+"""samples of a step from which its rise may be read off"""
+
+
+def rise_time(t: FloatArray, x: FloatArray) -> float | None:
+    """10 to 90 % time of the last lasting rise through one half; earlier spikes do not count."""
+    below = np.flatnonzero(x < 0.5)
+    if len(below) == 0 or below[-1] + 1 >= len(x):
+        return None
+    half = below[-1] + 1
+    low = np.flatnonzero(x[:half] < 0.1)
+    high = np.flatnonzero(x[half:] > 0.9)
+    if len(low) == 0 or len(high) == 0:
+        return None
+    return float(t[half + high[0]] - t[low[-1]])
+
+
+def published_rise_time() -> float:
+    """s, 10 to 90 % of the published model at 9 L/min."""
+    t = np.linspace(0.0, 20.0, 20001)
+    rise = rise_time(t, cascade_response(t, PUBLISHED_TIMES, 0.0))
+    assert rise is not None  # the published response rises
+    return rise
+
+
+def fastest_rise(campaign: Campaign) -> float:
+    """s, the shortest 10 to 90 % time among the measured steps.
+
+    Each record is averaged in blocks so that noise hides neither end.  Steps smaller than a tenth
+    of the largest, or than twenty times the scatter of these averages, are left out; without any
+    usable step the published rig's time is returned.
+    """
+    seen = _fastest_seen(campaign)
+    return published_rise_time() if seen is None else seen
+
+
+def _fastest_seen(campaign: Campaign) -> float | None:
+    """s, the shortest rise among the steps that can be used; None where there is none."""
+    seen = [found for e in campaign if e.y is not None and (found := _measured_rise(e))]
+    largest = max((step for step, _ in seen), default=0.0)
+    return min((rise for step, rise in seen if step >= 0.1 * largest), default=None)
+
+
+def usual_rise(campaign: Campaign) -> float:
+    """s, to one digit: the fastest rise that is seen, or the longest step where none is."""
+    seen = _fastest_seen(campaign)
+    scale = max(step_end(e) - step_begin(e) for e in campaign) if seen is None else seen
+    return float(f"{scale:.0e}")
+
+
+def step_begin(e: Experiment) -> float:
+    return float(e.t[0]) if e.commanded_on is None else e.commanded_on
+
+
+def step_end(e: Experiment) -> float:
+    return float(e.t[-1]) if e.commanded_off is None else e.commanded_off
+
+
+def _measured_rise(e: Experiment) -> tuple[float, float] | None:
+    """Size of the step (V) and its 10 to 90 % time (s), or None where it cannot be seen."""
+    t, y = e.t[e.used], e.values[e.used]
+    first, last = np.searchsorted(t, [step_begin(e), step_end(e)])
+    if last - first < FEWEST_OF_RISE:
+        return None
+    # averages over a six-hundredth of the stretch: short against any rise that fills a tenth of it
+    n_bin = max(1, (last - first) // 600)
+    n = (last - first) // n_bin * n_bin
+    means = y[first : first + n].reshape(-1, n_bin).mean(axis=1)
+    times = t[first : first + n].reshape(-1, n_bin).mean(axis=1)
+    tenth = max(min(5, len(means) // 4), len(means) // 10)
+    low = float(np.median(means[:3] if first < 20 else y[:first]))
+    high = float(np.median(means[-tenth:]))
+    scatter = float(np.std(np.diff(means[-tenth:]))) / sqrt(2.0)
+    if abs(high - low) < 20.0 * scatter or high == low:
+        return None
+    rise = rise_time(times, (means - low) / (high - low))
+    return None if rise is None else (abs(high - low), max(rise, n_bin * e.interval))

@@ -1,0 +1,263 @@
+"""emcee: affine-invariant ensembles, with every y0 and beta integrated out where priors permit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.likelihood.coordinates import Coordinates
+from bayes_sensor.likelihood.density import is_affine
+from bayes_sensor.likelihood.mesh import Compressed
+from bayes_sensor.likelihood.prior_density import log_priors
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.posterior.checkpoints import Checkpoint
+from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, Run, enough
+from bayes_sensor.posterior.laplace import Laplace
+from bayes_sensor.posterior.r_hat import diagnostics
+from bayes_sensor.posterior.settings import Progress, Settings
+from bayes_sensor.posterior.widen_mesh import covered
+from bayes_sensor.rig.cascade import exchanged
+from bayes_sensor.workers import in_order
+
+SETTLING = 10
+"""ensemble steps between looks at the mesh during burn-in"""
+
+
+class Marginal:
+    """Log posterior of the ensemble's coordinates, vectorised over walkers."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        compressed: Compressed,
+        marginalise: bool,
+        both: float | None = None,
+    ) -> None:
+        self.coordinates, self.compressed = Coordinates(problem), compressed
+        self.marginalise, self.both = marginalise, both
+        n_psi = len(self.coordinates.free)
+        drop = set(self.coordinates.linear.ravel()) if marginalise else set()
+        self.kept = np.array([i for i in range(n_psi) if i not in drop])
+        self.reference = self.coordinates.psi(compressed.reference)
+
+    def thetas(self, points: FloatArray) -> FloatArray:
+        psi = np.tile(self.reference, (len(points), 1))
+        psi[:, self.kept] = points
+        return self.coordinates.theta(psi)
+
+    def points(self, thetas: FloatArray) -> FloatArray:
+        return self.coordinates.psi(thetas)[:, self.kept]
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        squared = np.flatnonzero(np.isin(self.kept, self.coordinates.squared))
+        total = np.where((points[:, squared] > 0).all(axis=1), 0.0, -np.inf)
+        good = np.flatnonzero(np.isfinite(total))
+        thetas = self.thetas(points[good])
+        values = log_priors(self.coordinates.problem, thetas)
+        values = values + self.coordinates.log_jacobian(thetas)
+        inside = np.isfinite(values)
+        if inside.any():
+            if self.marginalise:
+                values[inside] += self.compressed.marginals(thetas[inside])[0]
+            else:
+                values[inside] += self.compressed.log_likelihoods(thetas[inside]).sum(axis=1)
+        total[good] = values
+        return np.where(np.isnan(total), -np.inf, total)
+
+    def exchange(self, points: FloatArray, random: Any) -> tuple[FloatArray, FloatArray]:
+        """``points`` (n, n_dim) with valve and manifold exchanged, for a Metropolis move."""
+        assert self.both is not None
+        # tau_v and V are coordinates themselves, and tau stays: volumes do too
+        return self.points(exchanged(self.thetas(points), self.both)), np.zeros(len(points))
+
+    def cover(self, points: FloatArray) -> None:
+        """Widen the mesh where walkers have left it, so that they stay off the full pass."""
+        thetas = self.thetas(points)
+        if self.both is not None:  # as where they may jump to
+            thetas = np.concatenate([thetas, exchanged(thetas, self.both)])
+        self.compressed = covered(self.compressed, thetas)
+
+    def redraw(self, thetas: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """``thetas`` with y0 and beta drawn from their exact conditional law."""
+        if not self.marginalise:
+            return thetas
+        _, best, factor = self.compressed.marginals(thetas)
+        # a signal upside down has its draws upside down
+        z = rng.standard_normal(best.shape) * np.where(best[:, :, 1:] < 0.0, -1.0, 1.0)
+        beta = z[:, :, 1] / factor[:, :, 2]
+        y0 = (z[:, :, 0] - factor[:, :, 1] * beta) / factor[:, :, 0]
+        local = self.coordinates.problem.layout.local
+        thetas = thetas.copy()
+        thetas[:, local[:, 0]] = best[:, :, 0] + y0
+        thetas[:, local[:, 1]] = best[:, :, 1] + beta
+        return thetas
+
+
+def _ensemble(target: Marginal, state: Any, n_steps: int) -> tuple[FloatArray, Any, float]:
+    """Advance one ensemble: positions (n_steps, n_walkers, n), the new state, mean acceptance."""
+    import emcee
+
+    n_walkers, n_dim = state[0].shape
+    # emcee 3.1.6's DESnookerMove is biased and stays out
+    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)]
+    if target.both is not None:
+        moves.append((emcee.moves.MHMove(target.exchange), 0.1))
+    sampler = emcee.EnsembleSampler(
+        n_walkers,
+        n_dim,
+        target,
+        vectorize=True,
+        moves=moves,
+    )
+    begin = emcee.State(state[0], log_prob=state[1], random_state=state[2])
+    last = sampler.run_mcmc(begin, n_steps, skip_initial_state_check=True, store=True)
+    acceptance = float(sampler.acceptance_fraction.mean())
+    return sampler.get_chain(), (last.coords, last.log_prob, last.random_state), acceptance
+
+
+def run_emcee(
+    problem: Problem,
+    laplace: Laplace,
+    compressed: Compressed,
+    settings: Settings,
+    seed: int,
+    jobs: int,
+    folder: Path | None,
+    resume: bool,
+    digest: str,
+    report: Progress,
+    both: float | None = None,
+) -> Run:
+    """Independent ensembles of emcee, checkpointed in ``folder``.
+
+    ``both``: flow (mL/s) at which walkers exchange valve and manifold; None: they do not.
+    """
+    names = problem.layout.names
+    # exact only for flat priors and a mean y0 + beta x
+    flat = is_affine(problem) and all(
+        problem.priors[name].kind == "flat" for name in names if name[:4] in ("y0_V", "beta")
+    )
+    target = Marginal(problem, compressed, marginalise=flat, both=both)
+    n_dim = len(target.kept)
+    n_walkers = max(settings.n_walkers, 2 * n_dim + 2)
+    store = Checkpoint(folder, digest, resume)
+    begins = []
+    for j in range(settings.n_chains):
+        rng = np.random.default_rng(np.random.SeedSequence([seed, j]))
+        points = _start(target, laplace, n_walkers, rng)
+        begins.append((points, None, np.random.RandomState(rng.integers(2**32)).get_state()))
+    target.cover(np.concatenate([begin[0] for begin in begins]))
+    saved = [store.read(j) for j in range(settings.n_chains)]
+    chains: list[list[FloatArray]] = [[] for _ in saved]
+    acceptance: list[list[float]] = [[] for _ in saved]
+    states: list[Any] = list(begins)
+    while True:
+        # short chunks at first: the mesh follows the walkers while they settle
+        i = len(chains[0])
+        n_steps = SETTLING if i < settings.burn_in // SETTLING else settings.chunk
+        # a resumed run takes the steps that it finds, sees the meshes and the looks at convergence
+        # that the uninterrupted one saw, and so ends where that would have ended
+        todo = [j for j, chunks in enumerate(saved) if i >= len(chunks)]
+        made = dict(
+            zip(todo, _advance(target, [states[j] for j in todo], n_steps, jobs), strict=True)
+        )
+        for j, chain in enumerate(chains):
+            points, states[j], rate = made[j] if j in made else saved[j][i]
+            chain.append(points)
+            acceptance[j].append(rate)
+            if j in made:
+                store.write(j, i, points, states[j], rate)
+        target.cover(np.concatenate([chain[i][-1] for chain in chains]))
+        steps = sum(len(c) for c in chains[0])
+        report(min(0.95, steps / settings.max_steps), f"emcee, {steps} steps")
+        if steps < settings.burn_in + 2 * settings.chunk:
+            continue
+        thinned = [np.concatenate(chain)[settings.burn_in :: settings.thin] for chain in chains]
+        # walkers end to end: each walker's own autocorrelation is what ESS must see
+        stacked = np.stack([c.transpose(1, 0, 2).reshape(-1, n_dim) for c in thinned])
+        thetas = target.thetas(stacked.reshape(-1, n_dim))
+        full = steps >= settings.max_steps or _hopeless(stacked, steps, settings)
+        quick = stacked[:, :, : min(n_dim, 3)]
+        r_hat, bulk, _ = diagnostics(quick)
+        if not full and not (np.all(r_hat < R_HAT_LIMIT) and np.all(bulk > settings.target_ess)):
+            continue
+        rng = np.random.default_rng(np.random.SeedSequence([seed, 10**6, steps]))
+        drawn = target.redraw(thetas, rng).reshape(*stacked.shape[:2], -1)
+        done, found = enough(problem, drawn, settings.target_ess)
+        if full or done:
+            rate = float(np.mean([np.mean(a) for a in acceptance]))
+            how = "y0 and beta integrated out exactly and redrawn" if flat else "all parameters"
+            reason = (
+                f"emcee: {settings.n_chains} independent ensembles of {n_walkers} walkers, "
+                f"{steps} steps ({settings.burn_in} dropped), {how}; acceptance {rate:.2f}; "
+                "convergence judged between ensembles"
+            )
+            return Run("emcee", drawn, True, reason, rate, None, found, None, target.compressed)
+
+
+def _hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
+    """Whether all steps allowed would leave the effective sample size below half of what is asked.
+
+    Looked at every 500 steps; it saves an hour where the answer is "not converged" anyway.
+    """
+    if steps < 500 or (steps - settings.burn_in) % 500 != 0:
+        return False
+    _, bulk, _ = diagnostics(stacked)
+    return bool(np.nanmin(bulk) * settings.max_steps / steps < 0.5 * ESS_LIMIT)
+
+
+def _advance(
+    target: Marginal, states: list[Any], n_steps: int, jobs: int
+) -> list[tuple[FloatArray, Any, float]]:
+    found: list[tuple[FloatArray, Any, float]] = in_order(
+        _ensemble, [(target, state, n_steps) for state in states], jobs
+    )
+    return found
+
+
+def _start(target: Marginal, laplace: Laplace, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n, n_dim) walkers of finite density: draws of the Laplace approximation where the priors
+    allow them, else draws pulled towards its maximum, else draws moved into the priors."""
+    found = np.empty((0, len(target.kept)))
+    centre = target.points(laplace.theta[None])
+    shrink = 1.0
+    for _ in range(60):
+        drawn = target.points(laplace.draw(2 * n, rng)[0])
+        points = centre + shrink * (drawn - (laplace.mean[target.kept] if shrink < 1 else centre))
+        found = np.concatenate([found, points[np.isfinite(target(points))]])
+        if len(found) >= n:
+            return found[:n]
+        shrink *= 0.8
+    # the Gaussian has no overlap with the priors, as where the data say almost nothing
+    drawn = into_priors(target.coordinates.problem, laplace.draw(8 * n, rng)[0], rng)
+    points = target.points(drawn)
+    found = np.concatenate([found, points[np.isfinite(target(points))]])
+    if len(found) >= n:
+        return found[:n]
+    raise CampaignError(
+        "no starting point with a positive posterior density was found; "
+        "the priors (side information, commanded times) contradict the data"
+    )
+
+
+def into_priors(problem: Problem, thetas: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """``thetas`` (n, n_theta) with everything outside its prior's support drawn from that prior."""
+    thetas = thetas.copy()
+    for i, name in enumerate(problem.layout.names):
+        law = problem.priors[name].law
+        if name in problem.fixed or law is None:
+            continue
+        # the far tails too: they are as good as outside
+        low, high = law.ppf([1e-9, 1.0 - 1e-9])
+        outside = ~((thetas[:, i] > low) & (thetas[:, i] < high))
+        thetas[outside, i] = law.rvs(int(outside.sum()), random_state=rng)
+    wrong = thetas[:, 0] > thetas[:, 1]
+    thetas[wrong, 0] = thetas[wrong, 1] * rng.random(int(wrong.sum()))
+    if problem.flow is not None:
+        low, high = thetas[:, 0] * problem.flow, thetas[:, 1] * problem.flow
+        wrong = ~((low <= thetas[:, 2]) & (thetas[:, 2] <= high))
+        thetas[wrong, 2] = (low + (high - low) * rng.random(len(thetas)))[wrong]
+    return thetas

@@ -1,0 +1,38 @@
+"""A mesh that follows the draws."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.likelihood.mesh import Compressed, Region
+
+
+def covered(compressed: Compressed, thetas: FloatArray) -> Compressed:
+    """The mesh itself where it covers ``thetas`` (n, n_theta), else a wider one that does.
+
+    Each parameter that has left its range gets as much again as the draws spread; a switch time
+    that spreads over a twentieth of its uniform prior gets all of it, because the data hardly hold
+    it.
+    """
+    problem, region = compressed.problem, compressed.region
+    layout = problem.layout
+    low, high = region.low.copy(), region.high.copy()
+    least, most = thetas.min(axis=0), thetas.max(axis=0)
+    if (least >= low).all() and (most <= high).all():
+        return compressed
+    moved = np.ones(len(low), dtype=bool)
+    moved[layout.noise] = False  # its region holds all that exists
+    room = most - least
+    low[moved] = np.minimum(low, least - room)[moved]
+    high[moved] = np.maximum(high, most + room)[moved]
+    for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
+        support = problem.priors[name].support
+        low[i], high[i] = max(low[i], support[0]), min(high[i], support[1])
+    for i in layout.local[:, 2:].ravel():
+        prior = problem.priors[layout.names[i]] if i >= 0 else None
+        if prior and prior.kind == "uniform" and room[i] > 0.05 * (prior.b - prior.a):
+            low[i], high[i] = prior.a - 1e-9, prior.b + 1e-9
+    low[0] = 0.0
+    low[1:3] = np.maximum(low[1:3], 0.5 * least[1:3])
+    return Compressed(problem, compressed.reference, Region(low, high, region.fineness))

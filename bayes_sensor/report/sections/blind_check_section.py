@@ -1,0 +1,128 @@
+"""How often the diagnosis is right: the blind check of a folder, and the published one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from typing import Any
+
+from bayes_sensor.figures import effect_words
+from bayes_sensor.report.parts import Pictures, Section, Table, see
+from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.words import list_words
+
+FEW = 200
+"""campaigns below which intervals are said to be wide"""
+
+
+def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
+    """Goals, score card and cases of a blind check."""
+    card = saved.score
+    if card is None:
+        return None
+    from bayes_sensor.figures.plot_blind_check import score_card
+
+    judged = [goal for goal in card["goals"] if goal["met"] is not None]
+    met = sum(goal["met"] for goal in judged)
+    answer = (
+        f"{met} of the {len(judged)} goals that these cases can judge were met, on {card['n']} "
+        f"campaigns whose causes were sealed until the verdicts were recorded"
+        f"{see('blind-goals', 'blind-card')}."
+    )
+    kinds = [f"{n} {kind}" for kind, n in card["kinds"].items()]
+    paragraphs = [
+        f"Of the campaigns {list_words(kinds)}{see('blind-cases')}. Withheld: the true effect was "
+        "taken out of the catalogue first. The size d is what the refit leaves of a gap, in "
+        "standard deviations of the noise."
+    ]
+    if refused := card["failed"]["k"]:
+        paragraphs.append(f"The diagnosis refused {refused} of them, which counts as wrong.")
+    if card["n"] < FEW:
+        paragraphs.append(
+            "So few campaigns say little about rates: read the intervals, not the shares."
+        )
+    return Section(
+        "blind-check",
+        "How often is the diagnosis right",
+        answer,
+        paragraphs,
+        [
+            goals_table("blind-goals", "What was wanted and what was reached.", card["goals"]),
+            pictures.add(
+                "blind-card",
+                score_card(card),
+                "The score card, with 95 % intervals. Top: false alarms on faultless campaigns by "
+                "the kind of their noise, and wrong names given with confidence. Second row, "
+                "against the size d: how often the right effect or family is the likeliest, or "
+                "nothing is said where an oracle cannot tell either, and how often something "
+                "unlisted is flagged. The oracle knows the noise, the cause and its nearest rival "
+                "and must choose between the two. Third row: flagged against flagged wrongly, "
+                "stated against true probabilities, and the closed fraction. Last row: how often "
+                "the 95 % set holds a listed cause, and the error of tau.",
+            ),
+            *_cases(saved.cases or []),
+        ],
+    )
+
+
+def goals_table(key: str, caption: str, goals: Sequence[Mapping[str, Any]]) -> Table:
+    """Every goal beside what was reached; those that were missed are marked."""
+    return Table(
+        key,
+        f"{caption} Intervals hold 95 %: Wilson's, the last from the bootstrap.",
+        ["goal", "wanted", "reached", "95 % low", "95 % high", "met"],
+        [
+            [goal["goal"], goal["wanted"] or "", *(goal[k] for k in ("reached", "lo95", "hi95")),
+             goal["met"]]
+            for goal in goals
+        ],
+        digits=3,
+        marked=[i for i, goal in enumerate(goals) if goal["met"] is False],
+    )  # fmt: skip
+
+
+def published_goals() -> tuple[Table, int]:
+    """The goals of the sealed run that came with this version, and its number of campaigns."""
+    place = resources.files("bayes_sensor") / "templates" / "blind_check.json"
+    published = json.loads(place.read_text(encoding="utf-8"))
+    table = goals_table(
+        "gap-right",
+        f"How often diagnoses are right: {published['campaigns']} campaigns of an independent "
+        "simulator, their causes sealed until the verdicts were recorded; goals set before.",
+        published["goals"],
+    )
+    return table, int(published["campaigns"])
+
+
+def _cases(rows: Sequence[Mapping[str, str]]) -> list[Table]:
+    if not rows:
+        return []
+    wrong = [i for i, row in enumerate(rows) if row["confident_wrong"] == "True"]
+    return [
+        Table(
+            "blind-cases",
+            "The cases: what was true, what was said. Marked: a wrong name given with a "
+            "probability above 0.9.",
+            ["case", "kind", "true cause", "noise", "d", "verdict", "said", "probability", "right"],
+            [
+                [
+                    row["case"], row["kind"], _words(row["causes"]), _words(row["law"]),
+                    _number(row["d"]), row["verdict"],
+                    list_words([effect_words(n) for n in row["said"].split("+") if n]),
+                    _number(row["p_said"]), row["verdict_right"] == "True",
+                ]
+                for row in rows
+            ],
+            digits=3,
+            marked=wrong,
+        )
+    ]  # fmt: skip
+
+
+def _words(names: str) -> str:
+    return names.replace("+", ", ").replace("_", " ")
+
+
+def _number(text: str) -> float | None:
+    return float(text) if text else None

@@ -1,0 +1,255 @@
+"""Where the gap between model and measurement lies, what explains it, what may hide."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bayes_sensor import figures
+from bayes_sensor.figures import effect_words
+from bayes_sensor.figures.plot_gap import lag_of
+from bayes_sensor.report.headline import gap_sentence, headline
+from bayes_sensor.report.parts import Part, Pictures, Section, see
+from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.sections.blind_check_section import published_goals
+from bayes_sensor.report.sections.gap_tables import (
+    CLEAR,
+    UNSEEN,
+    budget_table,
+    hidden_table,
+    other_tables,
+    where_table,
+    which_table,
+)
+from bayes_sensor.report.words import list_words, ms, number, p_equals, sentence
+
+_MEASURED = "Without a frame a shade is no more than noise makes."
+_SHADES = {
+    "explanations": "Shades and shares are what the explanations put there, each by its "
+    "probability, something unlisted included: of a cell's own excess most may be noise.",
+    "findings": "Shares are of what single samples tell, which bins average.",
+}
+"""what is drawn, by what the shares rest on, where that is not what was measured"""
+
+
+def gap(saved: Saved, pictures: Pictures) -> Section | None:
+    """Budget, where, which, how far, and what may hide."""
+    record = saved.gap
+    if record is None:
+        return None
+    budget, verdict = record["budget"], record["verdict"]
+    shown, factor = saved.small_unit
+    head = headline(saved.posterior, saved.bounds, saved.settings)
+    is_limit = head is not None and head.is_limit
+    answer = gap_sentence(record, is_limit).removesuffix(".") + see("which") + "."
+    paragraphs = [_size(budget, shown, factor)]
+    if verdict["kind"] != "none":
+        who = list_words([effect_words(name) for name in verdict["effects"]])
+        if verdict["kind"] == "effect":
+            paragraphs.append(
+                f"Named: {who}, with a probability of {number(verdict['probability'], 2)}"
+                f"{see('which')}."
+            )
+        paragraphs += _left_out(record)
+    paragraphs += _shrink(record, shown, factor)
+    paragraphs += _more(record)
+    paragraphs += _envelope(record, is_limit)
+    paragraphs += [sentence(note) for note in record.get("notes") or []]
+    how_often, n = published_goals()
+    paragraphs.append(
+        f"How often such a verdict is right was counted on {n} campaigns of an independent "
+        f"simulator with sealed causes{see('gap-right')}. What nobody listed is the weak side: "
+        "it may pass for noise, or for an effect that looks like it."
+    )
+    content: list[Part] = [
+        pictures.add(
+            "gap-budget",
+            figures.gap_budget(record, saved.unit),
+            "The budget: RMS residual of the nominal simulation (where nominal values are given), "
+            "of the calibrated model and with the effect, and the noise floor, which is estimated "
+            "apart, from quiet stretches: what happens in these is in it as well; right, only what "
+            "exceeds that floor.",
+        ),
+        budget_table(record, shown, factor),
+        pictures.add(
+            "gap-where",
+            figures.gap_where(record["where"], saved.unit),
+            "Where the gap lies: excess over the noise floor by experiment and phase of the step. "
+            "Numbers: share of the whole; framed: p of the measured excess below 5 %, as the "
+            f"largest of all cells. {_SHADES.get(record.get('where_shared_by', ''), _MEASURED)}",
+        ),
+        *_strips(record, pictures),
+        where_table(record, shown, factor),
+        pictures.add(
+            "gap-which",
+            figures.gap_which(record),
+            "What explains it: probabilities of the explanations and of their families. Hatched: "
+            "no effect at all, and something that is not in the catalogue.",
+        ),
+        which_table(record),
+    ]
+    if record["hidden"]["effects"]:
+        of, lag = lag_of(record["hidden"])
+        tau = record["shrink"].get(f"{of}_before_s")
+        content += [
+            pictures.add(
+                "gap-hidden",
+                figures.gap_hidden(record["hidden"], tau),
+                "What may hide: how visible each effect would be at its plausible strength, and "
+                f"what {lag} would be with it in the model. Left of the dashed line this campaign "
+                f"could not have seen it; dotted, {lag} with the strength left to the data; "
+                f"shaded, the envelope of {lag} over all that may hide.",
+            ),
+            hidden_table(record),
+        ]
+    content += [*other_tables(record), how_often]
+    return Section("gap", "Where is the gap, and what causes it", answer, paragraphs, content)
+
+
+def _strips(record: Mapping[str, Any], pictures: Pictures) -> list[Part]:
+    if not record.get("residuals"):
+        return []
+    return [
+        pictures.add(
+            "gap-residuals",
+            figures.gap_residuals(record["residuals"]),
+            "Residuals in bins locked to the switches and whitened by the noise floor. Pure noise "
+            "stays within the grey strip of ± 2 in nineteen of twenty bins.",
+        )
+    ]
+
+
+def _size(budget: Mapping[str, Any], shown: str, factor: float) -> str:
+    """How far model and measurement differ, and whether noise alone would."""
+    p, of_form = budget["p_value"], budget.get("p_value_of_form")
+    of_size = budget.get("p_value_of_size", p)
+    by_noise = of_size is not None and of_size > CLEAR
+    size = "" if by_noise else f"d = {number(budget['excess_d'])} standard deviations, "
+    words = (
+        f"Model and measurement differ by {number(factor * budget['excess_rms_V'])} {shown} RMS "
+        f"above the noise floor of {number(factor * budget['noise_floor_rms_V'])} {shown} "
+        f"({size}p {p_equals(of_size)}){see('budget-table', 'where')}"
+    )
+    if not by_noise:
+        return f"{words}."
+    if of_form is None or of_form > CLEAR:
+        return f"{words}, no more than noise alone would leave."
+    return (
+        f"{words}. By its size that is no more than noise alone would leave, but along the course "
+        f"of a listed effect it is (p {p_equals(of_form)} for the largest of all courses)."
+    )
+
+
+def _left_out(record: Mapping[str, Any]) -> list[str]:
+    """The phase that a fit to the others predicts worst."""
+    left_out = record.get("where_left_out_d") or {}
+    found = {phase: d for phase, d in left_out.items() if d is not None}
+    if not found:
+        return []
+    worst = max(found, key=lambda phase: found[phase])
+    return [
+        f"A fit to all other phases predicts the {worst} worst (d = {number(found[worst])}): a "
+        "joint fit smears a misfit over the phases, this does not."
+    ]
+
+
+def _more(record: Mapping[str, Any]) -> list[str]:
+    said = []
+    for row in record.get("rounds") or []:
+        names = list_words([effect_words(name) for name in row["added"]])
+        said.append(
+            f"With {names} in the model, d = {number(row['d_left'])} is left (p "
+            f"{p_equals(row['p_left'])}){see('gap-rounds')}."
+        )
+    for row in record.get("separate") or []:
+        if row["addition"]:
+            said.append(
+                f"To tell {effect_words(row['effect'])} from {effect_words(row['rival'])}: "
+                f"{row['addition']}{see('gap-separate')}."
+            )
+    return said
+
+
+def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
+    shrink = record["shrink"]
+    if shrink.get("withheld") or shrink.get("fraction_closed") is None:
+        return [
+            "The gap is too small, or nothing was named, so no fraction of it can be said to close."
+        ]
+    mains = shrink.get("explanation") == "mains_pickup"  # a gap of power at lines, not of the mean
+    unknown = record["verdict"]["kind"] == "unlisted"
+    added = f"{effect_words(shrink.get('explanation') or 'the effect')} is in the model"
+    said = (
+        f"Once {'a sine is taken off every record' if mains else added} "
+        f"the {'mains fall' if mains else 'excess falls'} from "
+        f"{number(factor * shrink['before_excess_rms_V'])} to "
+        f"{number(factor * shrink['after_excess_rms_V'])} {shown}{' RMS' if mains else ''}: "
+        f"{100 * shrink['fraction_closed']:.0f} % of the gap closes"
+    )
+    if shrink.get("fraction_closed_lo") is not None:
+        said += (
+            f" (95 % interval {100 * shrink['fraction_closed_lo']:.0f} to "
+            f"{100 * shrink['fraction_closed_hi']:.0f} %)"
+        )
+    if shrink.get("held_out_fraction_closed") is not None:
+        said += f", and {100 * shrink['held_out_fraction_closed']:.0f} % on data that were left out"
+        if shrink.get("held_out_fraction_closed_lo") is not None:
+            said += (
+                f" ({100 * shrink['held_out_fraction_closed_lo']:.0f} to "
+                f"{100 * shrink['held_out_fraction_closed_hi']:.0f} %)"
+            )
+    said += see("budget-table") + "."
+    of, lag = lag_of(record["hidden"])
+    before, after = shrink.get(f"{of}_before_s"), shrink.get(f"{of}_after_s")
+    if before is not None and after is not None and not mains:
+        moves = f"{lag.replace('the', 'The')} moves"
+        said += f" {moves} from {number(1e3 * before)} to {number(1e3 * after)} ms"
+        low, high = shrink.get(f"{of}_after_lo_s"), shrink.get(f"{of}_after_hi_s")
+        if low is not None and high is not None:
+            said += f" (95 % interval {number(1e3 * low)} to {number(1e3 * high)} ms)"
+        said += (
+            f", by what was weighed here: the cause is not known, and {lag} may lie outside."
+            if unknown
+            else "."
+        )
+    if shrink.get("rival") and shrink.get("rival_fraction_closed") is not None:
+        said += (
+            f" The best rival outside the family, {effect_words(shrink['rival'])}, closes "
+            f"{100 * shrink['rival_fraction_closed']:.0f} %."
+        )
+    return [
+        said,
+        "The fraction is of the squared misfit in units of the noise, bin by bin, not of the "
+        "volts: long quiet bins count more. The interval reaches 100 % unless there is "
+        "evidence that something is left; held out, where noise is only taken off on average, the "
+        "fraction itself may pass 100 %. A large one alone proves no cause: a wrong effect often "
+        "closes most of a gap. The ranking weighs the explanations against each other.",
+    ]
+
+
+def _envelope(record: Mapping[str, Any], is_limit: bool) -> list[str]:
+    hidden = record["hidden"]
+    unseen = [
+        row
+        for row in hidden["effects"]
+        if row["d"] is not None and row["d"] < UNSEEN and not row.get("contradicted")
+    ]
+    if not unseen:
+        return []
+    of, lag = lag_of(hidden)
+    unseen.sort(key=lambda row: -abs(row[f"{of}_shift_s"] or 0.0))
+    names = list_words([effect_words(row["effect"]) for row in unseen], most=5)
+    said = f"Present at plausible strength, {names} would leave no trace that these data could show"
+    low, high = hidden.get(f"{of}_envelope_s") or (None, None)
+    if low is not None and high is not None:
+        said += (
+            f"; over all that may hide, {lag} lies between {number(ms(low), 2)} and "
+            f"{number(ms(high), 2)} ms"
+        )
+    said += see("hidden") + "."
+    if is_limit:
+        said += (
+            " The diagnosis works with ln τ, so its values of τ stay above zero and its lower end "
+            "excludes nothing; read the upper one."
+        )
+    return [said]

@@ -1,0 +1,1 @@
+"""The rig: its lags and their names, the layout of parameters, the exact response."""
