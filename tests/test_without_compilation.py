@@ -97,10 +97,10 @@ for whitened in (True, False):
     bounded, free, details = resample_and_refit(Evidence(problem, fit), 3, whitened)
     say(bounded, free)
 """,
-    "reality": """
-from bayes_sensor.reality.causes import CAUSES
-from bayes_sensor.reality.draw import draw_case
-from bayes_sensor.reality.simulator import clean_signals
+    "simulator": """
+from bayes_sensor.blind_check.simulator.causes import CAUSES
+from bayes_sensor.blind_check.simulator.draw import draw_case
+from bayes_sensor.blind_check.simulator.campaign import clean_signals
 for seed, (name, cause) in enumerate(sorted(CAUSES.items())):
     case = draw_case(seed, {name: cause.highest}, size="small")
     case = replace(case, steps=case.steps[:1])

@@ -5,8 +5,8 @@ else is known of half of the campaigns.  The others have side information on tau
 uncertain as it says, or ``sensor_is``.  A second group has side information that is wrong.
 
 The committed tables are the second run.  The first (seed 83) was made before contradicted side
-information was left out: its stated sets held tau in 190 of 200, and one assignment was stated alone
-where the other was true.
+information was left out: its stated sets held tau in 190 of 200, and one assignment was stated
+alone where the other was true.
 """
 
 from __future__ import annotations
