@@ -4,9 +4,11 @@ import json
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from campaigns import small_problem
 from scipy.stats import chi2
 from statsmodels.stats.diagnostic import acorr_ljungbox, het_breuschpagan, het_white
 from statsmodels.tsa.stattools import acf
@@ -29,7 +31,7 @@ from bayes_sensor.residuals import (
 )
 from bayes_sensor.residuals.autocorrelation import DIRECT_LAGS, LAGS, ljung_box
 from bayes_sensor.residuals.series import FittedNoise
-from bayes_sensor.residuals.spread import HISTOGRAM_BIN, histogram
+from bayes_sensor.residuals.spread import HISTOGRAM_BIN, breusch_pagan, histogram
 from bayes_sensor.rig.layout import Layout
 from bayes_sensor.variance_check import check_variance
 
@@ -644,3 +646,25 @@ def test_rounding_that_exceeds_the_noise_is_said_to_fail_every_method(steps, ade
         assert found.recommendation == f"{TAKE_AS_THEY_ARE} {TOO_COARSE}"
     else:
         assert found.adequate, found.verdict
+
+
+def test_variance_bins_rise_from_pure_carrier_gas() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    bins = diagnose_residuals(problem, Known(theta)).to_json()["variance_vs_concentration"]
+    low, high = np.array(bins["concentration_low"]), np.array(bins["concentration_high"])
+    reference = problem.campaign.reference_concentration
+    np.testing.assert_allclose(low[:3], [0.0, 0.02 * reference, 0.1 * reference])
+    assert (high > low).all() and (low[1:] == high[:-1]).all() and low[0] == 0.0
+    assert bins["count"][0] > 0  # the baseline
+
+
+@pytest.mark.parametrize(("n", "farthest"), [(40_000, 2000), (5000, 501)])
+def test_residuals_that_stay_correlated_are_thinned_beyond_the_farthest_lag(
+    n: int, farthest: int
+) -> None:
+    # half a wave over the record: the correlation at a twentieth or tenth of it is still high
+    z = np.cos(np.pi * np.arange(n) / n)
+    series = SimpleNamespace(z=z, r=0.01 * z, x=np.linspace(0.0, 1.0, n), concentration=0.2)
+    found = breusch_pagan([series])
+    assert found["every"] == farthest + 1
+    assert found["n"] == len(range(0, n, farthest + 1))
