@@ -17,13 +17,14 @@ CONSTRAINTS := "constraints-$$($(BIN)/python -c \
   'import sys; print("3.11" if sys.version_info < (3, 12) else "3.12")').txt"
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint format bench study coverage paper docs screenshot data dist \
+.PHONY: help install demo test record lint format bench study coverage paper docs screenshot data dist \
   check-dist clean clean-venv
 
 help:
 	@echo "make install   $(VENV) with the package and everything the tests need"
 	@echo "make demo      analyse the bundled campaigns, report in build/demo"
 	@echo "make test      the test suite (PYTEST_ARGS=... is handed on)"
+	@echo "make record    every recorded result once more, each difference by name (CASES=folder: more)"
 	@echo "make lint      formatter and linter in check mode, types"
 	@echo "make format    let the formatter and the linter mend what they can"
 	@echo "make bench     speed of likelihood and posterior"
@@ -63,6 +64,9 @@ demo: $(STAMP)
 test: $(STAMP)
 	@if $(BIN)/python -c 'import xdist' 2>/dev/null; then parallel="-n $(JOBS)"; else parallel=; fi; \
 	set -x; $(ONE_THREAD) $(BIN)/python -m pytest $$parallel $(PYTEST_ARGS)
+
+record: $(STAMP)
+	PYTHONPATH=. $(ONE_THREAD) $(BIN)/python tests/record/make.py --check $(if $(CASES),--cases '$(CASES)')
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .

@@ -14,7 +14,6 @@ import typer
 from campaigns import small_problem
 
 import bayes_sensor as bs
-from bayes_sensor.blind_check import wilson
 from bayes_sensor.bounds import METHODS
 from bayes_sensor.checks.coverage import SETTINGS
 from bayes_sensor.cli import app
@@ -317,24 +316,23 @@ def test_the_page_on_bounds_says_where_intervals_hold() -> None:
 
 def test_the_readme_says_how_often_the_diagnosis_is_right() -> None:
     part = readme().partition("## How often the diagnosis is right")[2].partition("##")[0]
-    runs = rows("blind_check_runs")[14:24]  # the last ten that earlier code made
-    assert len(runs) == 10 and "last ten blind checks" in part
-
-    def total(key: str) -> int:
-        return sum(int(run[key]) for run in runs)
-
-    assert numbers(r"(\d+) simulated campaigns", part) == [total("campaigns")]
-    assert total("nulls_named") == 0
-    upper = 100 * wilson(0, total("nulls"))[1]
-    assert numbers(r"upper limit: ([\d.]+) %", part) == [round(upper, 1)]
-    assert numbers(
-        r"misfit of 8 standard deviations the right family was found in (\d+) %", part
-    ) == [round(100 * total("right_family_d8") / total("listed_d8"))]
-    found = 100 * total("found_d8") / total("unlisted_d8")
-    assert numbers(r"flagged in (\d+) %; the goal of (\d+) % was missed", part) == [
-        round(found), 60
+    together = {row["what"]: row for row in rows("blind_check_together")}
+    nulls = together["null hypotheses named"]
+    unknown = together["unknown causes found"]
+    assert numbers(r"In (\d+) blind checks", part) == [float(nulls["runs"])]
+    assert numbers(r"Of (\d+) campaigns without a fault ([\d.]+) % were", part) == [
+        float(nulls["of"]), round(100 * float(nulls["share"]), 1),
     ]  # fmt: skip
-    assert found < 60
+    assert numbers(r"right family was found in (\d+) %", part) == [
+        round(100 * float(together["right family"]["share"]))
+    ]
+    assert numbers(r"catalogue were found in (\d+) %", part) == [
+        round(100 * float(unknown["share"]))
+    ]
+    reached = [round(100 * float(unknown[key])) for key in ("at_d8", "at_d16")]
+    goals = numbers(r"catalogue, (\d+) % at 8 and (\d+) % at 16, were missed", part)
+    assert goals == [60, 85] and all(is_low < goal for is_low, goal in zip(reached, goals))
+    assert numbers(r"missed with (\d+) and (\d+) %", part) == reached
 
 
 def test_the_page_on_the_gap_says_what_became_of_real_measurements() -> None:

@@ -308,7 +308,7 @@ def block_bootstrap(evidence: Evidence, whitened: bool = True) -> Bound:
     names = surface.mean_names
     cov = np.atleast_2d(np.cov(free[:, surface.mean], rowvar=False))
     n_failed = int(details["n_failed"])
-    status = f"{n_failed} of {evidence.n_resamples} refits did not converge" if n_failed else ""
+    status = f"{n_failed} of {evidence.n_resamples} refits did not settle" if n_failed else ""
     information = surface.information(surface.expansion(evidence.psi_white))
     _, identified = invert(information[np.ix_(surface.mean, surface.mean)])
     normal = gaussian_bound(

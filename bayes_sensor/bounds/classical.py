@@ -45,8 +45,8 @@ def crlb_iid_one_percent_step(evidence: Evidence, step: float = 0.01) -> Bound:
     theta = evidence.theta.copy()
     longest = max(e.interval for e in campaign)
     sentences = [
-        "moves t0 and tf by 1 % of their value in the record's own time, so it depends on the "
-        "origin of time"
+        "moves t0 and tf by 1 % of their value in the record's own time, so it depends on where "
+        "time starts"
     ]
     method = "euler"
     fastest = min(theta[1], *(theta[2] / e.total_flow for e in campaign))

@@ -54,11 +54,11 @@ TAKES_WHITE = ("crlb_iid", "crlb_iid_one_percent_step")
 MODELS_NOISE = ("crlb_ar1", "profile")
 """methods that use the campaign's noise law at its maximum"""
 TOO_SLOW_TO_JUDGE = (
-    "the records are too short against it to estimate the spread of least squares (crlb_ar1, "
-    "profile and posterior model it)"
+    "too little of it is seen to judge the spread of least squares (crlb_ar1, profile and "
+    "posterior model it)"
 )
 FEW_STRETCHES = (
-    "its law is estimated from few independent stretches and phi is probably too low, so "
+    "its law rests on few independent stretches and phi is likely to be taken too low, so that "
     "intervals may be too narrow; those of the posterior allow for it"
 )
 

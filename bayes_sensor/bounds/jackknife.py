@@ -110,7 +110,7 @@ def jackknife_experiments(evidence: Evidence) -> Bound:
         evidence.at_bound,
         lambda level: float(stats.t.ppf(0.5 + 0.5 * level, n - 1)),
         identified=identified,
-        status="" if settled else "a refit without one experiment did not converge",
+        status="" if settled else "a refit without one experiment did not settle",
         details={"n_experiments": n},
     )
     if not settled:  # a spread of unfinished fits would say nothing

@@ -203,8 +203,9 @@ def bound_warnings(
             digits = 10 if own == "s" else 6  # clocks may show anything
             sentences.append(
                 f"{labels.get(name, name)} is at its {side} bound "
-                f"({low if lower else high:.{digits}g} {own}): values beyond were not searched, so "
-                "do not use it; check flows and times, or give fit_least_squares other bounds."
+                f"({low if lower else high:.{digits}g} {own}): what lies beyond was not looked "
+                "for, so distrust it; check flows and times, or give fit_least_squares other "
+                "bounds."
             )
     return sentences
 
