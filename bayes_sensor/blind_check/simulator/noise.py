@@ -198,15 +198,16 @@ def _draw_component(
     if part.shape == "shot":
         return _shot(part, n, interval, rng)
     if part.shape == "turbulent":
-        R = _von_karman(np.arange(n + 1, dtype=float) * interval / part.time)
-        return _embedded(R, rng)
+        return _embedded(_correlation(part, np.arange(n + 1.0) * interval), rng)
     if part.shape == "settling":
         return _settling(part, n, interval, rng)
     if part.shape == "retuned":
         time = part.time * part.depth ** rng.random()
         return _remembering(_innovations(n, rng, tails), exp(-interval / time))
     if part.shape == "smooth":
-        return _smooth(part.time, n, interval, rng)
+        # not convex, but over by then: on a circle as on a line, to rounding
+        length = max(n, ceil(40.0 * part.time / interval))
+        return _embedded(_correlation(part, np.arange(length + 1.0) * interval), rng)[:n]
     e = _innovations(n, rng, tails)
     if part.frequency:
         # the real part of a complex process that turns
@@ -292,23 +293,3 @@ def _settling(part: Component, n: int, interval: float, rng: np.random.Generator
     at = np.arange(n) * (interval / part.time)
     levels: FloatArray = rng.standard_normal(len(edges) + 1)
     return levels[np.searchsorted(edges, at, side="right")]
-
-
-def _smooth(time: float, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
-    """(n,) exact samples of the critically damped x'' = -2 x'/time - x/time^2 + noise."""
-    h = interval / time
-    e = exp(-h)
-    # state (x, v time): x(h) = e [(1 + h) x + h v], v(h) = e [-h x + (1 - h) v]; unit variances
-    step = e * np.array([[1.0 + h, h], [-h, 1.0 - h]])
-    added = np.linalg.cholesky(np.eye(2) - step @ step.T + 1e-15 * np.eye(2))
-    kicks = added @ rng.standard_normal((2, n))
-    start = rng.standard_normal(2)
-    # x_i - 2 e x_(i-1) + e^2 x_(i-2) = kicks seen through the first row of step
-    drive = np.empty(n)
-    drive[0] = start[0]
-    if n > 1:
-        second = step @ start + kicks[:, 1]
-        drive[1] = second[0] - 2.0 * e * start[0]
-        drive[2:] = kicks[0, 2:] - step[1, 1] * kicks[0, 1:-1] + step[0, 1] * kicks[1, 1:-1]
-    x: FloatArray = lfilter([1.0], [1.0, -2.0 * e, e * e], drive)
-    return x
