@@ -42,8 +42,8 @@ from bayes_sensor.diagnosis.verdict import (
     judge,
 )
 from bayes_sensor.diagnosis.wording import family_words, looks_most, second_words, undecided_words
-from bayes_sensor.lattice import lattice_step
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.residuals.converter_step import lattice_step
 from bayes_sensor.rig.cascade import Cascade
 from tests.gap_cases import measured
 

@@ -35,7 +35,7 @@ from bayes_sensor.diagnosis.verdict import (
     standing,
     stands_beside,
 )
-from bayes_sensor.lattice import lattice_step
+from bayes_sensor.residuals.converter_step import lattice_step
 from bayes_sensor.rig.layout import Layout
 from tests.gap_cases import design, diagnosed, measured, noise, theta
 

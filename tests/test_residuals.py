@@ -32,8 +32,8 @@ from bayes_sensor.residuals import (
 from bayes_sensor.residuals.autocorrelation import DIRECT_LAGS, LAGS, ljung_box
 from bayes_sensor.residuals.series import FittedNoise
 from bayes_sensor.residuals.spread import HISTOGRAM_BIN, breusch_pagan, histogram
+from bayes_sensor.residuals.variance_check import check_variance
 from bayes_sensor.rig.layout import Layout
-from bayes_sensor.variance_check import check_variance
 
 EXPERIMENTS = {
     "a": {"y0_V": 0.2, "beta_V": 1.5, "t0_s": 3.0, "tf_s": 11.0},

@@ -11,11 +11,16 @@ from scipy.special import erfc
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.fit.fitted_noise import Spread, fitted_variances
-from bayes_sensor.lattice import lattice_step
 from bayes_sensor.likelihood.noise import VARIANCES
 from bayes_sensor.residuals.autocorrelation import autocorrelation
+from bayes_sensor.residuals.converter_step import lattice_step
 from bayes_sensor.residuals.series import FittedNoise
-from bayes_sensor.variance_check import FACTOR, VarianceCheck, check_variance, local_squares
+from bayes_sensor.residuals.variance_check import (
+    FACTOR,
+    VarianceCheck,
+    check_variance,
+    local_squares,
+)
 
 MEMORIES_APART = 2.0
 """times by which the memories of two experiments differ before noise of their own is advised"""
