@@ -39,7 +39,7 @@ CLOSE_WORDS = (
 
 
 def why_mute(evidence: Evidence, method: BoundMethod) -> str:
-    """Why a method can say nothing about these data, as a sentence; empty where it can."""
+    """Why a method has no value for these data, as a sentence; empty where it has."""
     if not method.needs_posterior and not evidence.fit.step_seen:
         return "no step is seen in any experiment"
     # a lag, or a volume, too small to see is an ordinary outcome
@@ -55,13 +55,13 @@ def why_mute(evidence: Evidence, method: BoundMethod) -> str:
 
 
 def _modelling() -> str:
-    """The methods that model the noise, in words."""
+    """The names of the methods that model the noise, as a list in words."""
     *names, last = (m.name for m in METHODS.values() if m.noise in ("fitted", "averaged"))
     return f"{', '.join(names)} and {last}"
 
 
 def doubts(evidence: Evidence, method: BoundMethod) -> list[str]:
-    """What a reader must know of a method's intervals for these data, in sentences."""
+    """Warnings on a method's intervals for these data, in sentences."""
     found = []
     theta = evidence.theta
     if not method.both_orders and theta[0] > CLOSE * theta[1]:
@@ -96,7 +96,7 @@ def with_remark(bound: Bound, remark: str) -> Bound:
 
 
 def without_roles(bound: Bound, reason: str) -> Bound:
-    """The bound without its values of tau_v and V, which hold about one of two fits only."""
+    """The bound without its values of tau_v and V, which refer to one of two fits only."""
     lost = np.isin(bound.names, ("tau_v_s", "V_mL"))
     return replace(
         with_remark(bound, reason),
@@ -107,7 +107,7 @@ def without_roles(bound: Bound, reason: str) -> Bound:
 
 
 def with_names(bound: Bound, naming: Naming) -> Bound:
-    """The bound with its lags under the names that may be stated of them, or by size."""
+    """The bound with its lags under the names that may be stated, or by size."""
     names, arrays = list(bound.names), [bound.estimate, bound.sd, bound.low, bound.high]
     estimate, sd, low, high = (array.copy() for array in arrays)
     for name, (label, factor) in zip(SHARED, naming.labels, strict=True):
@@ -119,7 +119,8 @@ def with_names(bound: Bound, naming: Naming) -> Bound:
 
 
 def with_words(bound: Bound, naming: Naming) -> Bound:
-    """The bound with what its status calls tau, tau_v and V, by their places, as it may be called.
+    """The bound with the names of tau, tau_v and V in its status replaced by those that may be
+    stated.
 
     A posterior's own status has the right names already, and does not come here.
     """
@@ -143,14 +144,14 @@ def compare_bounds(
     """Intervals of every parameter at 68, 95 and 99.7 % by every method.
 
     ``methods``: names out of :data:`METHODS` or another mapping of that shape; default all, the
-    posterior only where one is given.  Methods that rest on least squares are centred on the fit,
-    those under coloured noise (``crlb_ar1``, ``profile``) on the maximum of that likelihood.
+    posterior only where one is given.  Methods based on least squares are centred on the fit, those
+    with autocorrelated noise (``crlb_ar1``, ``profile``) on the maximum of that likelihood.
 
-    Where it is not known whose a lag is, it is called by its size (``lag_fast_s``, ``lag_slow_s``),
-    and tau or tau_v has no value.
+    A lag that cannot be assigned is named by its size (``lag_fast_s``, ``lag_slow_s``), and tau or
+    tau_v has no value.
 
-    Where no step is seen, and for least squares under noise that is correlated over much of a
-    record, a method gives no value and says why.
+    If no step is visible, a method gives no value and the reason.  So does least squares if the
+    noise is correlated over much of a record.
 
     Raises CampaignError for an unknown method, for ``posterior`` without one, for a fit or a
     posterior of another campaign, for a ``block_bootstrap`` of fewer than two resamples, or for

@@ -1,4 +1,4 @@
-"""The call that draws from a posterior: which sampler runs, and what replaces it."""
+"""Sampling of a posterior: which sampler runs, and which one replaces it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from bayes_sensor.residuals import noise_doubt
 from bayes_sensor.workers import one_thread
 
 MESHES = 3
-"""how often a run may be repeated with narrower blocks, should the mesh prove too coarse"""
+"""how often a run may be repeated with narrower blocks if the mesh is too coarse"""
 
 
 @one_thread
@@ -49,7 +49,7 @@ def sample_posterior(
     progress: Progress | None = None,
     with_effect: Iterable[Any] = (),
 ) -> Posterior:
-    """Draws from the posterior of every parameter; ``converged`` and ``status`` say how good.
+    """Draws from the posterior of every parameter, with ``converged`` and ``status``.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def sample_posterior(
 
 
 def _run(chosen: Sampler, target: Target) -> tuple[str, Run, list[str]]:
-    """The sampler that drew in the end, what it drew, and why it was that one, in sentences."""
+    """The name and the draws of ``chosen``, or of its replacement, and the reasons in sentences."""
     reasons: list[str] = []
     if target.both is not None:
         reasons.append(
@@ -163,7 +163,7 @@ def _run(chosen: Sampler, target: Target) -> tuple[str, Run, list[str]]:
 
 
 def _cannot_tell(problem: Problem, start: FloatArray) -> str:
-    """Why no interval can be given, judged by the residuals at ``start`` (n_theta,)."""
+    """Why no interval can be given, from the residuals at ``start`` (n_theta,)."""
     return cannot_tell(problem, start, all_residuals(problem, start)[0])
 
 

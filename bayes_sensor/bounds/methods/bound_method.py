@@ -29,12 +29,12 @@ class BoundMethod:
     """one sentence; ``{noise}`` stands for the problem's noise law in words"""
     compute: Compute
     reference: str = ""
-    """where the method comes from"""
+    """reference of the method"""
 
     noise: Literal["white", "fitted", "averaged", "residuals", "any"] = "any"
-    """how it treats the noise: takes it for white; takes the problem's law at its best value;
-    averages over that law; judges the spread of least squares from the residuals; or makes no
-    statement about it.  A remark follows where the data contradict it."""
+    """``white``: assumes white noise; ``fitted``: uses the problem's law at its maximum;
+    ``averaged``: averages over that law; ``residuals``: estimates the spread of least squares from
+    the residuals; ``any``: no assumption.  Decides which warnings the bound gets."""
     least_squares: bool = True
     """whether it is centred on the least-squares fit: it gives no value where that fit ended at
     the edge of its search"""
@@ -45,7 +45,7 @@ class BoundMethod:
     shared_only: bool = False
     """whether it gives no value for one experiment's own parameters"""
     published_recipe: bool = False
-    """whether it repeats the paper's recipe, for comparison only: not to be quoted"""
+    """whether it is the published bound as we infer it, for comparison only: not to be quoted"""
     cramer_rao: Mapping[str, Any] | None = None
     """options of :func:`cramer_rao` that give its bound at any point, for the table of classical
     bounds at one common point; None: it is left out of that table"""

@@ -14,7 +14,7 @@ from bayes_sensor.bounds.methods.bound_method import BoundMethod
 def crlb_ar1(evidence: Evidence) -> Bound:
     """Cramer-Rao bound under the problem's own noise, information from the variance included.
 
-    Centred on the maximum of that likelihood; the noise parameters are estimated along.
+    Centred on the maximum of that likelihood; the noise parameters are estimated with the others.
     """
     surface = evidence.coloured
     psi = evidence.coloured_maximum.psi
@@ -40,7 +40,7 @@ def crlb_ar1(evidence: Evidence) -> Bound:
 METHOD = BoundMethod(
     name="crlb_ar1",
     label="Cramér-Rao, AR(1) noise",
-    assumes="{noise}, noise parameters estimated along",
+    assumes="{noise}, noise parameters estimated with the others",
     compute=crlb_ar1,
     reference="Slepian (1954), Bangs (1971); Kay (1993), eq. 3.31",
     noise="fitted",

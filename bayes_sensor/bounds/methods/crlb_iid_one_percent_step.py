@@ -1,4 +1,4 @@
-"""The paper's recipe for the Cramer-Rao bound: finite differences with steps of +1 %."""
+"""The published Cramer-Rao bound as we infer it: finite differences with steps of +1 %."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ STEP = 0.01
 
 
 def crlb_iid_one_percent_step(evidence: Evidence) -> Bound:
-    """The paper's recipe: forward Euler, forward differences, +1 % of every value.
+    """The published bound as we infer it: forward Euler, forward differences, +1 % of every value.
 
-    Its sensitivity to tau does not vanish at zero, so it is stated in tau itself, cut at zero.
+    Its sensitivity to tau does not vanish at zero, so the interval is computed in tau itself and
+    cut at zero.
     """
     names, campaign = evidence.mean_names, evidence.problem.campaign
     theta = evidence.theta.copy()

@@ -12,7 +12,7 @@ from bayes_sensor.bounds.methods.bound_method import BoundMethod
 def posterior_intervals(evidence: Evidence) -> Bound:
     """Equal-tailed quantiles of the posterior draws; the estimate is their median.
 
-    What the posterior warns of is its status: draws that have not converged first of all.
+    Its status has the posterior's warnings, lack of convergence first.
     """
     names = evidence.mean_names
     draws = np.asarray(evidence.posterior.draws)

@@ -97,5 +97,5 @@ METHOD = BoundMethod(
     noise="fitted",
     least_squares=False,
     both_orders=True,
-    against_others="has no prior and takes the best value of all others at every τ",
+    against_others="has no prior and maximises over all other parameters at every τ",
 )

@@ -18,7 +18,7 @@ METHOD = BoundMethod(
     name="sandwich_ar1",
     label="sandwich, AR(1) noise",
     assumes="least squares under AR(1) noise with concentration-dependent scale, whose fitted "
-    "parameters stand in the covariance",
+    "parameters give the covariance",
     compute=sandwich_ar1,
     reference=REFERENCE,
     noise="residuals",

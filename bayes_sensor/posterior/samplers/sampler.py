@@ -42,7 +42,7 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What one sampler made, and whether it stands."""
+    """The draws of one sampler, and whether they are valid."""
 
     chains: FloatArray
     """(n_chain, n_draw, n_theta); empty where there was no start"""
@@ -57,7 +57,7 @@ class Run:
     log_likelihood: FloatArray | None = None
     """(n_chain, n_draw, n_experiment) where the sampler has kept it"""
     compressed: Compressed | None = None
-    """the mesh it ended with, where that is another"""
+    """the mesh at the end, if it changed"""
 
 
 @dataclass(frozen=True, eq=False)
