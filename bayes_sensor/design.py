@@ -1,4 +1,4 @@
-"""What would make tau easy: predicted intervals under extra knowledge, and the next experiments.
+"""Design: predicted intervals of tau with additional knowledge, and the next experiments.
 
 Predictions are posterior-like.  Data are expected at the truth and their information is Gaussian in
 (tau^2, tau_v, V, t0 + tau, tf + tau, ..), so that with everything else integrated out::
@@ -6,8 +6,8 @@ Predictions are posterior-like.  Data are expected at the truth and their inform
     p(tau) ~ exp(-D(tau)/2) half-normal(tau),   D = (dq, dtau) M (dq, dtau)',
     dq = tau^2 - tau_true^2,  dtau = tau - tau_true
 
-where M_qq is what the records tell about tau^2 and the other entries come from knowledge that ties
-t0 + tau to t0, such as a trigger.  The interval is that density's equal-tailed one.
+where M_qq is the information of the records on tau^2.  The other entries come from knowledge of t0,
+such as a trigger.  The interval is that density's equal-tailed one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.noise import Noise, lag_coefficient
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.posterior import sample_posterior
+from bayes_sensor.posterior import FASTEST, sample_posterior
 from bayes_sensor.rig.cascade import local_parameters
 from bayes_sensor.rig.layout import Layout, Theta
 
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 COMMON = ("tau^2", "tau", "tau_v", "V", "phi", "sigma0", "sigma1")
 EXACT = 1e-6
-"""s, what counts as a switch time known exactly"""
+"""s, sd of a switch time that counts as known exactly"""
 AS_GOOD = 0.03
-"""share of the gain that is given up for a shorter experiment"""
+"""share of the gain that is sacrificed for a shorter experiment"""
 BEGIN, END = 0.2, 0.6
 """when a proposed experiment's step starts and ends, as fractions of its duration"""
 
@@ -74,12 +74,12 @@ class Truth:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What is to be expected for tau."""
+    """The expected interval of tau."""
 
     sd: float
     """s, the Cramer-Rao bound at the true tau"""
     sd_square: float
-    """s^2, of tau^2 when nothing ties tau to the switch times"""
+    """s^2, of tau^2 without knowledge of the switch times"""
     low68: float
     high68: float
     low95: float
@@ -112,8 +112,8 @@ def truth_of(problem: Problem, vector: FloatArray) -> Truth:
 
 
 def record_information(setting: Setting, truth: Truth, tau: float) -> FloatArray:
-    """What one experiment's record tells: (n, n) information on (tau^2, tau, tau_v, V, y0, beta,
-    t0 + tau, tf + tau, phi, sigma0, sigma1), sensitivities taken at ``tau`` (s, positive).
+    """Information (n, n) of one experiment's record on (tau^2, tau, tau_v, V, y0, beta, t0 + tau,
+    tf + tau, phi, sigma0, sigma1), sensitivities taken at ``tau`` (s, positive).
 
     Rows of tau itself are zero: see :func:`information_of`.
     """
@@ -236,10 +236,10 @@ def predict(
     repeats: float = 1.0,
     known: Known | None = None,
 ) -> Prediction:
-    """Interval of tau to expect from these experiments, each done ``repeats`` times.
+    """Expected interval of tau from these experiments, each done ``repeats`` times.
 
-    Sensitivities are taken at the true tau or, where that is closer to zero than the data can
-    tell, at the root of one spread of tau^2.
+    Sensitivities are taken at the true tau or, if that cannot be distinguished from zero, at the
+    root of one spread of tau^2.
     """
     fastest = min(truth.tau_v, min(truth.V / s.experiment.total_flow for s in settings))
     tau = max(truth.tau, 2e-3 * fastest)
@@ -272,15 +272,15 @@ def sum_information(
 def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = None) -> pd.DataFrame:
     """Predicted interval of tau for extra knowledge or another way to measure.
 
-    Columns: ``change`` (words), ``kind``, ``value`` (in ``unit``), ``sd_tau_s`` (coloured bound),
-    ``lo68_s``, ``hi68_s``, ``lo95_s``, ``hi95_s``, ``half_width95_s``, ``gain`` (the present half
-    width over this one).  ``prior`` on tau: the campaign's own by default.
+    Columns: ``change`` (words), ``kind``, ``value`` (in ``unit``), ``sd_tau_s`` (bound under the
+    noise law), ``lo68_s``, ``hi68_s``, ``lo95_s``, ``hi95_s``, ``half_width95_s``, ``gain`` (the
+    present half width over this one).  ``prior`` on tau: the campaign's own by default.
 
     A higher sampling rate keeps the noise in continuous time: phi per sample becomes
-    phi^(1/factor); a negative phi, which is no process in continuous time, is taken as zero there.
-    A pulse train is approximated by as many short experiments as there are pulses
-    (each with its own y0, beta and switch times, started from rest), which is pessimistic: a real
-    train shares them.  A design is enough.
+    phi^(1/factor); a negative phi has no process in continuous time and is set to zero there. A
+    pulse train is approximated by as many short experiments as there are pulses (each with its own
+    y0, beta and switch times, started from rest).  That is pessimistic, because a real train shares
+    them. A design is enough.
 
     tau is the sensor's lag, be it the shorter or the longer one (:meth:`Problem.by_name`).
     """
@@ -356,7 +356,7 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
 
 
 def _both(sd: float, other: float | None) -> float:
-    """sd of what is known from two sources."""
+    """sd of the combined knowledge from two sources."""
     return sd if other is None else float((sd**-2 + other**-2) ** -0.5)
 
 
@@ -379,7 +379,7 @@ def _with_rate(setting: Setting, factor: int) -> Setting:
 
 
 def _as_pulse(setting: Setting, pulses: int, truth: Truth) -> Setting | None:
-    """One of ``pulses`` equal parts of the record; None where the response would not settle."""
+    """One of ``pulses`` equal parts of the record; None if the response would not settle."""
     e = setting.experiment
     n = len(e.t) // pulses
     duration = n * e.interval
@@ -421,7 +421,7 @@ def planned(
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Experiments to do next, and what to expect of them."""
+    """Experiments to do next, and their expected result."""
 
     experiments: pd.DataFrame
     """one row each: ``name``, ``total_flow_mL_s``, ``concentration``, ``duration_s``, ``on_s``,
@@ -431,16 +431,16 @@ class Design:
     theta: FloatArray
     """flat vector for that campaign"""
     before: Prediction
-    """with the experiments there are"""
+    """with the existing experiments"""
     after: Prediction
-    """with the proposals as well"""
+    """with the proposals added"""
     target: float
     """s, wanted half width of the 95 % interval"""
     reached: bool
     status: str
     """one sentence"""
     prior: Prior
-    """on tau, that the prediction rests on"""
+    """prior on tau in the prediction"""
     noise: Noise
     """law of the noise, one for all experiments"""
 
@@ -451,7 +451,7 @@ class Design:
 
     @property
     def new(self) -> Campaign | None:
-        """The proposed experiments alone; None where none are needed."""
+        """The proposed experiments alone; None if none are needed."""
         some = tuple(e for e in self.campaign if e.name in self.new_names)
         return (
             replace(self.campaign, title="proposed experiments", experiments=some) if some else None
@@ -459,17 +459,17 @@ class Design:
 
     @property
     def truth(self) -> dict[str, Any]:
-        """What the prediction assumes, for a simulation of :attr:`new` (of :attr:`campaign` where
+        """The prediction's assumptions, for a simulation of :attr:`new` (of :attr:`campaign` if
         none is needed); see :meth:`truth_for`."""
         return self.truth_for(self.new or self.campaign)
 
     def truth_for(self, campaign: Campaign) -> dict[str, Any]:
-        """What the prediction assumes, as ``simulate --truth`` reads it: every record's time starts
-        at zero there.
+        """The prediction's assumptions in the form that ``simulate --truth`` reads; every record's
+        time starts at zero there.
 
         ``campaign``: some of the experiments of :attr:`campaign`.  sigma1 and phi refer to the
-        highest concentration and to the most common interval of that campaign.  Every experiment's
-        own parameters are there.
+        highest concentration and to the most common interval of that campaign.  It has the
+        parameters of every experiment.
         """
         shared, theta = self.campaign, self.theta.copy()
         i_phi, i_sigma0, i_sigma1 = Layout.of(shared).noise[0]
@@ -527,15 +527,16 @@ def design_experiments(
     """The next experiments that bring tau's 95 % interval to +- ``target_tau`` (s, half length).
 
     Candidates: total flow (mL/s), concentration (fraction) and duration (s) on a grid within the
-    given limits.  The best one is added until the target is met or ``k`` are chosen (``k`` None:
-    as many as needed up to ``k_max``), then single ones are exchanged while that helps (Fedorov,
-    Theory of Optimal Experiments, 1972).  ``trigger``: sd (s) with which the new experiments'
-    switch times will be known.  The step's size is taken proportional to the concentration, by
-    least squares over the campaign; noise as in ``theta``; the existing experiments count as done.
+    given limits.  The best one is added until the target is met or ``k`` are chosen (``k`` None: as
+    many as needed up to ``k_max``), then single ones are exchanged while the interval improves
+    (Fedorov, Theory of Optimal Experiments, 1972).  ``trigger``: sd (s) with which the new
+    experiments' switch times will be known.  The step's size is taken proportional to the
+    concentration, by least squares over the campaign; noise as in ``theta``; the existing
+    experiments count as done.
 
     tau is the sensor's lag, be it the shorter or the longer one (:meth:`Problem.by_name`).
 
-    Raises CampaignError for limits that are not a range, a target that is not positive, or where
+    Raises CampaignError for limits that are not a range, a target that is not positive, or if
     neither the campaign nor ``theta`` says which lag is the sensor's.
     """
     problem = as_problem(campaign)
@@ -763,7 +764,7 @@ def check_design(
             replace(plan, campaign=campaign, given_priors=priors),
             design.theta,
             int(sampling.generate_state(1)[0]),
-            "independence",
+            FASTEST,
         )
         if posterior.converged:
             low, high = posterior.quantiles("tau_s", [0.025, 0.975])

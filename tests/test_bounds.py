@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import campaigns
 import numpy as np
 import pytest
+from campaigns import small_design as long_design
+from campaigns import small_theta as its_theta
 from scipy import stats
 from scipy.integrate import quad
 from scipy.optimize import least_squares
@@ -23,12 +25,6 @@ from bayes_sensor.bounds import (
     profile_curve,
     step_study,
 )
-from bayes_sensor.bounds.bootstrap import (
-    _series,
-    optimal_block_length,
-    resample_and_refit,
-    stationary_indices,
-)
 from bayes_sensor.bounds.context import Evidence
 from bayes_sensor.bounds.gaussian_intervals import (
     _switch_quantiles,
@@ -37,9 +33,16 @@ from bayes_sensor.bounds.gaussian_intervals import (
     square_ends,
 )
 from bayes_sensor.bounds.hardness import multiple_correlation
-from bayes_sensor.bounds.jackknife import leave_one_out
 from bayes_sensor.bounds.likelihood_surface import maximise, spread_along_tau, white_surface
-from bayes_sensor.bounds.sandwich import (
+from bayes_sensor.bounds.methods.block_bootstrap import (
+    _series,
+    optimal_block_length,
+    resample_and_refit,
+    stationary_indices,
+)
+from bayes_sensor.bounds.methods.jackknife_experiments import leave_one_out
+from bayes_sensor.bounds.profile import Point, _next
+from bayes_sensor.bounds.sandwich_covariance import (
     andrews_bandwidth,
     ar1_middle,
     judged,
@@ -444,6 +447,40 @@ def test_resamples_are_blocks_of_the_asked_mean_length():
     assert len(np.unique(index)) == 1000
 
 
+@pytest.mark.parametrize("rho", [0.0, 0.6])
+def test_resamples_are_those_of_arch(rho):
+    arch = pytest.importorskip("arch.bootstrap")
+    n, length, n_resamples = 400, 12.0, 3000
+    x = lfilter([1.0], [1.0, -rho], np.random.default_rng(8).standard_normal(n))
+
+    def mean_and_correlation(values):
+        d = values - values.mean()
+        return values.mean(), d[1:] @ d[:-1] / (d @ d)
+
+    def of_arch(length):
+        resamples = arch.StationaryBootstrap(length, x, seed=10).bootstrap(n_resamples)
+        return np.array([mean_and_correlation(*values) for values, _ in resamples])
+
+    rng = np.random.default_rng(9)
+    ours = np.array([
+        mean_and_correlation(x[stationary_indices(n, length, rng)]) for _ in range(n_resamples)
+    ])  # fmt: skip
+    for mine, other in zip(ours.T, of_arch(length).T, strict=True):
+        # the same law: one of a thousand pairs of samples would be told apart
+        assert stats.ks_2samp(mine, other).pvalue > 1e-3
+    # a negative control: shorter blocks are told apart where samples are correlated
+    assert stats.ks_2samp(ours[:, 1], of_arch(length / 4)[:, 1]).pvalue < 1e-6 or rho == 0.0
+
+
+@pytest.mark.parametrize("rho", [-0.5, 0.3, 0.9])
+def test_block_length_is_that_of_arch(rho):
+    arch = pytest.importorskip("arch.bootstrap")
+    x = lfilter([1.0], [1.0, -rho], np.random.default_rng(3).standard_normal(50_000))
+    # arch divides correlations by the variances of both parts: another lag may be the last to count
+    expected = float(arch.optimal_block_length(x)["stationary"].iloc[0])
+    assert optimal_block_length(x) == pytest.approx(expected, rel=0.1)
+
+
 @pytest.mark.parametrize("rho", [0.4, 0.8])
 def test_block_length_of_an_ar1_is_the_theoretical_one(rho):
     n = 60_000
@@ -606,9 +643,7 @@ def test_an_upper_limit_covers_where_the_spread_grows_with_tau():
         tau_hat = np.sqrt(max(q, 0.0))
         cov = np.array([[float(np.interp(tau_hat, taus, spreads)) ** 2]])
         for name, along in (("one", None), ("own", (taus, spreads))):
-            bound = gaussian_bound(
-                "m", "a", "r", names, np.array([tau_hat]), cov, q <= 0.0, along_tau=along
-            )
+            bound = gaussian_bound(names, np.array([tau_hat]), cov, q <= 0.0, along_tau=along)
             missed[name] += not bound.low[0, 1] <= tau <= bound.high[0, 1]
     # nominal 30 of 600, sd 5
     assert missed["one"] > 42 and 15 < missed["own"] < 42
@@ -644,7 +679,7 @@ def test_residuals_that_are_not_white_are_said_to_be_so(small, phi, words):
 def test_gaussian_intervals_are_nested_and_never_divide_by_zero(tau):
     names = ["tau_s", "t0_s[a]"]
     cov = np.array([[1e-5, 1e-8], [1e-8, 1e-6]])
-    bound = gaussian_bound("m", "a", "r", names, np.array([tau, 2.0]), cov, at_bound=tau == 0.0)
+    bound = gaussian_bound(names, np.array([tau, 2.0]), cov, at_bound=tau == 0.0)
     assert np.isfinite(bound.low).all() and np.isfinite(bound.high).all()
     assert (np.diff(bound.low, axis=1) <= 0).all() and (np.diff(bound.high, axis=1) >= 0).all()
     assert (bound.low[0] >= 0).all()
@@ -984,3 +1019,38 @@ def test_the_profile_keeps_to_the_order_of_tau_and_tau_v():
     for i, name, end in ((0, "tau_s", 1), (1, "tau_v_s", 0)):
         value = bound.interval(name)[end]
         assert profiler.drop(i, value**2 if i == 0 else value) == pytest.approx(1.96, abs=5e-3)
+
+
+def test_whitening_across_a_gap_leaves_white_noise() -> None:
+    # phi .95 and two samples missing in every twenty: a wrong neighbour across the gap shows
+    masked = [(0.2 * k, 0.2 * k + 0.0199) for k in range(1, 600)]
+    campaign = long_design(n=1, interval=0.01, duration=120.0, masked=masked)
+    problem = Problem(campaign)
+    theta = its_theta(campaign, phi=0.95)
+    problem = replace(problem, campaign=simulate(problem, theta, seed=3))
+    e = problem.campaign.experiments[0]
+    series = _series(problem, problem.layout.flat(theta), 0, whitened=True)
+    starts = np.cumsum([0, *(b - a for a, b in e.runs[:-1])])[1:]
+    assert len(starts) > 500
+    # variance 1 within and across, sd of the mean square across sqrt(2/n)
+    assert np.mean(series.e[starts] ** 2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(starts)))
+    z = (e.values - e.values.mean())[e.used]
+    assert z.std() > 0  # the raw series is not what is resampled
+    np.testing.assert_allclose(
+        series.across[1:], 0.95 ** (e.runs[1:, 0] - e.runs[:-1, 1] + 1), rtol=1e-12
+    )
+
+
+def test_a_profile_is_followed_outwards_in_proportion() -> None:
+    def at(value: float, drop: float) -> Point:
+        return Point(value, drop, np.zeros(1))
+
+    for centre, sign in ((2.0, 1.0), (2.0, -1.0), (-0.5, 1.0)):
+        near = at(centre + sign * 0.25, 1.0)
+        # a Gaussian profile: the drop is proportional to the distance; 2 % beyond the target
+        assert _next(centre, near, None, 9.0, 1.96) == pytest.approx(
+            centre + sign * 0.25 * 1.02 * 1.96
+        )
+        assert _next(centre, at(centre, 0.0), None, 9.0, 1.96) == 9.0
+        # at most three times as far
+        assert _next(centre, near, None, 9.0, 100.0) == pytest.approx(centre + sign * 0.75)

@@ -21,15 +21,12 @@ ROOMS = (
     "compiled",
     "display",
     "campaign",
-    "lattice",
-    "reality",
     "workers",
     "io",
     "rig",
     "likelihood",
     "coating",
     "fit",
-    "variance_check",
     "residuals",
     "posterior",
     "bounds",
@@ -44,8 +41,8 @@ ROOMS = (
 )
 DRAWING_ROOMS = ("figures", "report")
 
-MAKE_TARGETS = ("install", "demo", "test", "lint", "bench", "study", "coverage", "mutants", "paper",
-                "docs", "data", "dist", "check-dist")  # fmt: skip
+MAKE_TARGETS = ("install", "demo", "test", "record", "lint", "bench", "study", "coverage", "paper",
+                "docs", "screenshot", "data", "dist", "check-dist")  # fmt: skip
 
 
 def test_version_is_the_same_everywhere() -> None:

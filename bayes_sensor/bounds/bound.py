@@ -1,4 +1,4 @@
-"""What every bound method returns: estimates, spreads and intervals, with what they assume."""
+"""The result of a bound method: estimates, spreads, intervals and assumptions."""
 
 from __future__ import annotations
 
@@ -24,16 +24,11 @@ COLUMNS = ("estimate", "sd", "lo68", "hi68", "lo95", "hi95", "lo997", "hi997")
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """One method's statement about every parameter; nan stands for "no value".
+    """One method's values for every parameter; nan is "no value".
 
     Seconds, mL and the campaign's signal unit.
     """
 
-    method: str
-    assumes: str
-    """one sentence"""
-    reference: str
-    """where the method comes from"""
     names: list[str]
     """flat parameter names"""
     estimate: FloatArray
@@ -45,9 +40,14 @@ class Bound:
     high: FloatArray
     """(n, 3) upper ends"""
     status: str = "ok"
-    """sentences about what was out of the ordinary; ``ok`` when nothing was"""
+    """sentences on irregularities; ``ok`` if there were none"""
     details: Mapping[str, Any] = field(default_factory=dict)
     """numbers of interest to this method alone (bandwidth, block length, ..)"""
+    method: str = ""
+    assumes: str = ""
+    """one sentence"""
+    reference: str = ""
+    """reference of the method"""
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -112,7 +112,7 @@ class Bounds:
     seconds: Mapping[str, float] = field(default_factory=dict)
     """how long each method took"""
     caveats: tuple[str, ...] = ()
-    """sentences of the fit that decide whether the headline stands"""
+    """caveats of the fit"""
     likelihood: tuple[Surface, Maximum] | None = None
     """the likelihood under the campaign's own noise with its maximum, where a method needed it"""
 
@@ -127,7 +127,7 @@ class Bounds:
         return f"Bounds({', '.join(self.methods)})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows of it: the shared parameters; :meth:`table` has all."""
+        """HTML for a notebook: the shared parameters; :meth:`table` has all."""
         rows = []
         shown = dict.fromkeys(name for bound in self.methods.values() for name in bound.names[:3])
         for name in shown:

@@ -1,4 +1,5 @@
-"""What all bound methods share: the fit, the two likelihoods and their maxima, made once."""
+"""Common inputs of the bound methods: the fit, the two likelihoods and their maxima, computed
+once."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A problem, its least-squares fit and, perhaps, posterior; the rest is made when asked for."""
+    """A problem, its least-squares fit and, if given, posterior; the rest is computed when
+    needed."""
 
     problem: Problem
     fit: Fit
@@ -47,6 +49,20 @@ class Evidence:
                 f"..), the campaign needs {len(expected)}; fit this campaign with this model first"
             )
 
+    @property
+    def noise_words(self) -> str:
+        """The problem's noise law in words."""
+        noise = self.problem.noise
+        law = "AR(1) noise" if noise.autocorrelation == "ar1" else "white noise"
+        scale = {
+            "concentration": "with concentration-dependent scale",
+            "signal": "with signal-dependent scale",
+            "constant": "of constant scale",
+            "levels": "whose standard deviation changes from one level to another with "
+            "concentration",
+        }[noise.variance]
+        return f"{law} {scale}"
+
     @cached_property
     def theta(self) -> FloatArray:
         """(n_theta,) the fit's estimates, noise included."""
@@ -54,9 +70,9 @@ class Evidence:
 
     @cached_property
     def noise_doubts(self) -> list[str]:
-        """Why the noise is not the problem's own; empty where it is.
+        """Why the noise does not follow the problem's law; empty where it does.
 
-        What the residuals say, and what replicated data do where a posterior was checked.
+        From the residuals and, if a posterior was checked, from replicated data.
         """
         found = [noise_doubt(self.problem, self.theta), *getattr(self.posterior, "doubts", ())]
         return list(dict.fromkeys(text for text in found if text))
@@ -67,7 +83,8 @@ class Evidence:
 
     @property
     def likelihood(self) -> tuple[Surface, Maximum] | None:
-        """That under the problem's own noise with its maximum; None where nothing asked for it."""
+        """Likelihood under the problem's own noise with its maximum; None where no method needed
+        it."""
         found: tuple[Surface, Maximum] | None = self.__dict__.get("_coloured")
         return found
 
@@ -158,7 +175,8 @@ class Evidence:
 
 
 def check_data(problem: Problem, fit: Fit, posterior: Any) -> None:
-    """Raise CampaignError for a fit or a posterior (or None) of other data than the problem's."""
+    """Raise CampaignError if a fit or a posterior (or None) belongs to other data than the
+    problem's."""
     check_data_of_fit(problem, fit)
     if posterior is None:
         return

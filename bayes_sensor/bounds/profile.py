@@ -2,12 +2,11 @@
 
 The interval at a level holds the values v with 2 (max log L - max over the rest at v) below that
 quantile of chi-squared with one degree of freedom (Venzon and Moolgavkar, Appl. Statist. 37, 1988;
-Pawitan, In All Likelihood, 2001, ch. 3).  Where even tau = 0 is not excluded the interval starts at
-zero; the chi-squared quantile is then conservative (Self and Liang, J. Amer. Statist. Assoc. 82,
-1987).
+Pawitan, In All Likelihood, 2001, ch. 3).  If tau = 0 is not excluded, the interval starts at zero,
+and the chi-squared quantile is conservative (Self and Liang, J. Amer. Statist. Assoc. 82, 1987).
 
-The cascade is unchanged when tau and tau_v swap; the sensor is taken to be the faster one.  The
-profile of either is therefore over the other on its own side, tau <= tau_v; for every other
+The response does not change when tau and tau_v are exchanged; the sensor is taken to be the faster
+one.  The profile of either is therefore over the other with tau <= tau_v.  For every other
 parameter both orders give the same.
 """
 
@@ -18,9 +17,7 @@ from math import inf, nan, sqrt
 
 import numpy as np
 
-from bayes_sensor.bounds.bound import LEVELS, Bound
-from bayes_sensor.bounds.context import Evidence
-from bayes_sensor.bounds.gaussian_intervals import invert, normal_factor
+from bayes_sensor.bounds.gaussian_intervals import invert
 from bayes_sensor.bounds.likelihood_surface import (
     Curvature,
     Maximum,
@@ -29,12 +26,9 @@ from bayes_sensor.bounds.likelihood_surface import (
     maximise,
 )
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.likelihood.mesh import sizes
-from bayes_sensor.rig.layout import SHARED
 
-REFERENCE = "Venzon and Moolgavkar (1988); Self and Liang (1987)"
 CLOSE = 2e-3
-"""how well sqrt(2 (drop in log L)) meets its target"""
+"""tolerance of sqrt(2 (drop in log L)) at its target"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +53,10 @@ class Profiler:
     def best(self, i: int, value: float, near: FloatArray | None = None) -> Maximum:
         """Maximum over everything else with psi's parameter ``i`` held at ``value``.
 
-        ``value`` is tau^2 for tau, and t0 or tf themselves (not t0 + tau) for the switch times:
-        those are reached by exchanging tau for t0, with (t0 + tau) following.  tau stays below
-        tau_v where one of the two is held.  Started where a Gaussian has it, or from ``near``
-        (n_psi,), the maximum at another value.
+        ``value`` is tau^2 for tau, and t0 or tf themselves (not t0 + tau) for the switch times;
+        there tau is exchanged for t0, and t0 + tau changes with it. tau stays below tau_v if one of
+        the two is held.  The search starts at the Gaussian approximation, or at ``near`` (n_psi,),
+        the maximum at another value.
         """
         psi, surface = self.maximum.psi, self.surface
         rest = np.array([j for j in range(len(psi)) if j != i])
@@ -150,8 +144,8 @@ class Profiler:
         """Where :meth:`drop` reaches each target (rising), on the side of ``guesses``; nan where it
         cannot be found.
 
-        The likelihood may have two maxima over the rest (tau at zero and above): where the profile
-        seems to jump, each is followed from its neighbour and the higher one counts.
+        The likelihood may have two maxima over the other parameters (tau at zero and above).  If
+        the profile seems to jump, each is followed from its neighbour, and the higher one counts.
         """
         if not self.cov[i, i] > 0.0:  # the data hold nothing about it: there is no end
             return [nan] * len(targets)
@@ -189,7 +183,7 @@ class Point:
     drop: float
     """sqrt(2 (max log L - profile))"""
     psi: FloatArray
-    """(n_psi,) where the rest is best"""
+    """(n_psi,) with the other parameters at their maximum"""
 
 
 def _bracket(known: list[Point], target: float) -> tuple[Point, Point | None]:
@@ -205,7 +199,7 @@ def _bracket(known: list[Point], target: float) -> tuple[Point, Point | None]:
 def _next(
     centre: float, below: Point, above: Point | None, guess: float, target: float
 ) -> float | None:
-    """Where to look next; None where the bracket has closed."""
+    """The next value to try; None where the bracket has closed."""
     if above is None:
         if below.value == centre:
             return guess
@@ -217,104 +211,6 @@ def _next(
         0.5 if not np.isfinite(above.drop) else (target - below.drop) / (above.drop - below.drop)
     )
     return float(below.value + min(max(share, 0.02), 0.98) * (above.value - below.value))
-
-
-def profile(evidence: Evidence) -> Bound:
-    """Likelihood-ratio intervals of every parameter of the mean."""
-    from bayes_sensor.bounds.classical import crlb_ar1
-
-    surface, maximum = evidence.coloured, evidence.coloured_maximum
-    if not maximum.converged:
-        return _no_profile(evidence)
-    profiler = Profiler.of(surface, maximum)
-    rough = crlb_ar1(evidence)
-    names = surface.mean_names
-    targets = [normal_factor(level) for level in LEVELS.values()]
-    low, high = np.full((len(names), 3), nan), np.full((len(names), 3), nan)
-    theta = evidence.coloured_theta
-    estimate = theta[[evidence.problem.layout.index(name) for name in names]]
-    at_zero = False
-    size = sizes(evidence.problem, theta)
-    for row, name in enumerate(names):
-        i = int(surface.mean[row])
-        centre = float(estimate[row])
-        below, above = rough.low[row], rough.high[row]
-        if not np.isfinite([below, above]).all():  # not identified to first order
-            width = 0.02 * size[surface.coordinates.free[i]] * np.array(targets)
-            below, above = centre - width, centre + width
-            if name in SHARED:
-                below = np.maximum(below, 0.5 * centre)
-        # an asymmetric interval need not hold the estimate: look on either side of it all the same
-        width = above - below
-        below = np.where(below < centre, below, centre - 0.5 * width)
-        above = np.where(above > centre, above, centre + 0.5 * width)
-        if name == "tau_s":
-            low[row], high[row] = _tau_ends(profiler, below, above, targets)
-            at_zero = bool(low[row, 1] == 0.0)
-        else:
-            low[row] = profiler.ends(i, centre, below.tolist(), targets)
-            high[row] = profiler.ends(i, centre, above.tolist(), targets)
-        evidence.progress((row + 1) / len(names), "profile likelihood")
-    sentences = []
-    if at_zero:
-        sentences.append("the data do not exclude tau = 0: its interval is an upper limit")
-    lost = [n for n, a, b in zip(names, low, high) if not np.isfinite([a, b]).all()]
-    if lost:
-        sentences.append(f"no end found for {', '.join(lost)}")
-    return Bound(
-        "profile",
-        f"{noise_words(evidence)}, every other parameter at its best",
-        REFERENCE,
-        names,
-        estimate,
-        np.full(len(names), nan),
-        low,
-        high,
-        "; ".join(sentences) or "ok",
-    )
-
-
-def _no_profile(evidence: Evidence) -> Bound:
-    names = evidence.coloured.mean_names
-    theta = evidence.coloured_theta
-    estimate = theta[[evidence.problem.layout.index(name) for name in names]]
-    empty = np.full((len(names), len(LEVELS)), nan)
-    return Bound(
-        "profile", f"{noise_words(evidence)}, every other parameter at its best", REFERENCE, names,
-        estimate, empty[:, 0], empty, empty,
-        f"{evidence.coloured_trouble}: no profile about it",
-    )  # fmt: skip
-
-
-def noise_words(evidence: Evidence) -> str:
-    """The problem's noise law in words."""
-    noise = evidence.problem.noise
-    law = "AR(1) noise" if noise.autocorrelation == "ar1" else "white noise"
-    scale = {
-        "concentration": "with concentration-dependent scale",
-        "signal": "with signal-dependent scale",
-        "constant": "of constant scale",
-        "levels": "whose scale goes from one level to another with concentration",
-    }[noise.variance]
-    return f"{law} {scale}"
-
-
-def _tau_ends(
-    profiler: Profiler, below: FloatArray, above: FloatArray, targets: list[float]
-) -> tuple[list[float], list[float]]:
-    centre = float(profiler.maximum.psi[0])
-    floor = float(profiler.surface.floor[0])
-    guesses = [max(value**2, 1.5 * floor) for value in above]
-    up = profiler.ends(0, centre, guesses, targets)
-    high = [sqrt(value) for value in up]
-    to_floor = profiler.drop(0, floor)
-    low = []
-    inside = [j for j, target in enumerate(targets) if target < to_floor]
-    guesses = [max(float(below[j]) ** 2, floor) for j in inside]
-    guesses = [g if g < centre else 0.5 * (centre + floor) for g in guesses]
-    found = profiler.ends(0, centre, guesses, [targets[j] for j in inside])
-    low = [sqrt(max(value, 0.0)) for value in found] + [0.0] * (len(targets) - len(inside))
-    return low, high
 
 
 def profile_curve(profiler: Profiler, taus: FloatArray, place: int = 0) -> FloatArray:

@@ -1,16 +1,16 @@
-"""Whether posteriors can be believed: rank statistics, coverage, and the long runs behind them.
+"""Calibration of posteriors: rank statistics, coverage, and the long runs that they need.
 
 Simulation-based calibration (Talts, Betancourt, Simpson, Vehtari and Gelman, arXiv:1804.06788):
 draw theta from the prior and data from theta; then the rank of theta among draws of the posterior
-is uniform if, and for practical purposes only if, the posterior is right.  Uniformity is judged by
-chi-squared and by bands that hold the whole ECDF at once (Säilynoja, Bürkner and Vehtari, Stat.
-Comput. 32, 32, 2022).
+is uniform if, and for practical purposes only if, the posterior is right.  Uniformity is tested by
+chi-squared and by simultaneous bands of the ECDF (Säilynoja, Bürkner and Vehtari, Stat. Comput. 32,
+32, 2022).
 
-Coverage at a fixed truth is another matter: a Bayesian interval promises its level on average over
-the prior, and near a boundary it may cover more or less; :class:`CoverageStudy` measures it.
+Coverage at a fixed truth differs: a Bayesian interval has its level on average over the prior, and
+near a boundary it may cover more or less; :class:`CoverageStudy` measures it.
 
-:func:`run_chunks` runs either through joblib, resumes where it was interrupted and gives the same
-numbers for any number of processes.
+:func:`run_chunks` runs either through joblib, continues where it was interrupted, and gives the
+same numbers for any number of processes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from bayes_sensor.io.disk import write_bytes
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.prior_density import log_priors
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.posterior import SAMPLERS, Posterior, Settings, sample_posterior
+from bayes_sensor.posterior import FASTEST, SAMPLERS, Posterior, Settings, sample_posterior
 from bayes_sensor.workers import WorkerDied, completed, dask_client
 
 if TYPE_CHECKING:
@@ -61,8 +61,8 @@ TAU_COLUMNS = (
 def draw_prior(problem: Problem, rng: np.random.Generator) -> FloatArray:
     """One theta (n_theta,) from the problem's prior, with tau <= tau_v.
 
-    Raises CampaignError where a prior is improper, or known by name while lags have none: nothing
-    can be drawn from it.
+    Raises CampaignError if a prior is improper, or refers to a name while lags have none, because
+    it cannot be drawn from.
     """
     if len(problem.name_factors[1]):
         raise CampaignError(
@@ -177,7 +177,7 @@ class Ranks:
         return low / self.n - self._uniform, high / self.n - self._uniform
 
     def ecdf_p_values(self) -> FloatArray:
-        """(n_names,) probability that a uniform ECDF strays as far anywhere."""
+        """(n_names,) probability that a uniform ECDF has as large a difference anywhere."""
         p, simulated = self._simulated
         smallest = np.array([p[np.arange(self.n_ranks), c].min() for c in self._counts])
         # the simulated minima are discrete: allow for rounding at equality
@@ -210,7 +210,7 @@ class RankStudy:
 
     problem: Problem
     """a design whose every prior is proper and explicit"""
-    sampler: str = "independence"
+    sampler: str = FASTEST
     settings: Settings = field(default_factory=Settings)
     n_ranks: int = 127
     seed: int = 1
@@ -224,7 +224,7 @@ class RankStudy:
                          self.seed, self.start)  # fmt: skip
 
     def __call__(self, i: int) -> dict[str, Any]:
-        """``theta``, ``ranks`` (-1: the sampler raised) and what the sampler said."""
+        """``theta``, ``ranks`` (-1: the sampler raised) and the sampler's message."""
         prior, data, sampling = np.random.SeedSequence([self.seed, i]).spawn(3)
         theta = draw_prior(self.problem, np.random.default_rng(prior))
         campaign = simulate(self.problem, theta, seed=seed_of(data))
@@ -247,7 +247,7 @@ class CoverageStudy:
     problem: Problem
     theta: FloatArray
     """(n_theta,) the truth, as the draws of a posterior: lags by size"""
-    sampler: str = "independence"
+    sampler: str = FASTEST
     settings: Settings = field(default_factory=Settings)
     levels: tuple[float, ...] = LEVELS
     seed: int = 1
@@ -293,13 +293,13 @@ class CoverageStudy:
 
 
 def seed_of(stream: np.random.SeedSequence) -> int:
-    """A whole number that stands for the stream."""
+    """An integer that identifies the stream."""
     return int(stream.generate_state(1)[0])
 
 
 def _said(posterior: Posterior) -> dict[str, float]:
     return {
-        "sampler": float(SAMPLERS.index(posterior.sampler)),
+        "sampler": float(list(SAMPLERS).index(posterior.sampler)),
         "k_hat": np.nan if posterior.k_hat is None else float(posterior.k_hat),
         "mesh_error": posterior.mesh_error,
         "converged": float(posterior.converged),
@@ -341,12 +341,10 @@ def binomial_interval(k: float, n: float, level: float = 0.95) -> tuple[float, f
     >>> [round(v, 4) for v in binomial_interval(0, 10)]
     [0.0, 0.3085]
     """
-    from scipy import stats
+    from statsmodels.stats.proportion import proportion_confint
 
-    tail = 0.5 * (1.0 - level)
-    low = 0.0 if k == 0 else float(stats.beta.ppf(tail, k, n - k + 1))
-    high = 1.0 if k == n else float(stats.beta.ppf(1.0 - tail, k + 1, n - k))
-    return low, high
+    low, high = proportion_confint(k, n, 1.0 - level, method="beta")
+    return float(low), float(high)
 
 
 def coverage_row(inside: np.ndarray, nominal: float) -> dict[str, float]:
@@ -430,12 +428,12 @@ def run_chunks(
 
     Every ``chunk`` of tasks becomes one small file in ``folder``, written whole or not at all; a
     later call with the same ``key`` and the same code (see :func:`code_digest`) goes on from those
-    files.  Files of another key or of other code are removed; the log has a warning then, and where
-    the code was changed while it ran.  ``jobs`` processes of this machine, or with ``scheduler``
-    (``tcp://host:port``) a Dask cluster; the numbers depend on neither.  What a process that died
-    was doing is done again.
+    files.  Files of another key or of other code are removed, with a warning in the log.  The log
+    also warns if the code was changed during the run.  ``jobs`` processes of this machine, or with
+    ``scheduler`` (``tcp://host:port``) a Dask cluster; the numbers depend on neither.  The work of
+    a process that died is repeated.
 
-    Raises CampaignError where a part ended one process after the other.
+    Raises CampaignError if a part ended several processes.
     """
     folder = Path(folder)
     with ExitStack() as stack:
@@ -483,7 +481,7 @@ _BEGUN: dict[str, str] = {}
 
 
 def code_digest(task: Task) -> str:
-    """A digest of the sources that decide the results of ``task``: the package's and its own."""
+    """A digest of the sources that ``task`` depends on: the package's and its own."""
     hasher = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
         place = path.relative_to(PACKAGE)
@@ -497,7 +495,7 @@ def code_digest(task: Task) -> str:
 
 
 def _claim(folder: Path, settings: dict[str, Any]) -> None:
-    """Leave in ``folder`` only the parts of a study with these settings."""
+    """Remove from ``folder`` the parts of studies with other settings."""
     marker = folder / "study.json"
     try:
         known = json.loads(marker.read_text())
@@ -517,7 +515,7 @@ def _claim(folder: Path, settings: dict[str, Any]) -> None:
 
 
 def _load(path: Path) -> dict[str, np.ndarray] | None:
-    """A finished part; None where there is none, or a power cut has left it damaged."""
+    """A finished part; None if it is missing or damaged by a power cut."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as saved:
             return {name: saved[name] for name in saved.files}

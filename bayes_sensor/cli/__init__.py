@@ -1,8 +1,8 @@
 """The command line: parse, call, print.
 
 ``main`` turns every foreseeable failure into one line on stderr and an exit code: 0 done, 2 bad
-input or usage, 3 finished but not converged, 130 interrupted.  Numerical rooms are imported only
-by the command that needs them, so that ``--help`` answers at once.
+input or usage, 3 finished but not converged, 130 interrupted.  Numerical rooms are imported only by
+the command that needs them, so that ``--help`` is fast.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ DONE, BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 0, 2, 3, 130
 
 app = typer.Typer(
     name="bayes-sensor",
-    help="Response times of gas sensors from step experiments, with intervals that hold.",
+    help="Response times of gas sensors from step experiments: intervals and a test of the model.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -77,7 +77,7 @@ def _given(**values: Any) -> dict[str, Any]:
 
 
 def _read_settings(config: Path | None) -> None:
-    """Refuse settings with a mistake in them, also where none of them acts."""
+    """Refuse wrong settings, also if the command does not use them."""
     if config is not None:
         from bayes_sensor.cli.overrides import read_overrides
 
@@ -103,7 +103,7 @@ def common(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Version and exit."),
     ] = False,
 ) -> None:
-    """Response times of gas sensors from step experiments, with intervals that hold."""
+    """Response times of gas sensors from step experiments: intervals and a test of the model."""
 
 
 @app.command()
@@ -120,7 +120,7 @@ def analyze(
     steps: Steps = None,
     chains: Chains = None,
 ) -> None:
-    """All of it, from the fit to the gap, with report and figures."""
+    """Everything from the fit to the gap, with report and figures."""
     _run("analyze", campaign, out, seed=seed, jobs=jobs, quiet=quiet, config=config, resume=resume,
          posterior=_given(sampler=sampler, n_walkers=walkers, max_steps=steps, n_chains=chains),
          )  # fmt: skip
@@ -236,10 +236,10 @@ def gap(
         ),
     ] = 60,
 ) -> None:
-    """Where the model misses, and which effect causes it.
+    """Where the model misses, and which effect explains it.
 
-    Also how far each explanation closes the gap, what becomes of tau, and what may hide.  The
-    README lists the effects.
+    Also how much each explanation explains, the resulting tau, and effects that may stay unseen.
+    The page "How to read a gap report" of the documentation lists the effects.
     """
     from bayes_sensor.cli.simulate_campaigns import read_nominal
     from bayes_sensor.diagnosis.effects import check_names
@@ -419,10 +419,10 @@ def blind_check(
     The campaigns come from a simulator that shares nothing with the diagnosis.
 
     Campaigns of your own go into DIR/campaigns/NAME/, their truths into DIR/sealed/NAME.json.
-    --diagnose-only seals the truths that are there before it begins: their SHA-256 goes into
-    sealed.json, that of every campaign into campaigns.json, and --score-only refuses what was
-    changed since. A truth put in after the verdicts is scored, too, but cannot be sealed any more;
-    score.json lists it as sealed_late.
+    --diagnose-only first seals the truths: their SHA-256 goes into sealed.json, that of every
+    campaign into campaigns.json. --score-only refuses files that were changed since.  A truth that
+    is added after the verdicts is scored, too, but cannot be sealed; score.json lists it as
+    sealed_late.
     """
     _read_settings(config)
     from bayes_sensor.cli import run_blind_check
@@ -584,19 +584,19 @@ def _advice(arguments: list[str]) -> str:
 
 
 REPEAT_SECONDS = 1.0
-"""after Ctrl-C, how often the interruption is repeated until it has got through"""
+"""after Ctrl-C, how often the interruption is repeated until it takes effect"""
 SOON_SECONDS = 0.05
 PATIENCE_SECONDS = 0.3
-"""how often, and for how long, a compiler that is at work is waited for"""
+"""how often, and for how long, a running compiler is waited for"""
 
 
 def _be_interruptible(arguments: list[str]) -> None:
     """Let Ctrl-C raise KeyboardInterrupt, now and again later.
 
     Python drops an exception that a signal raises inside a destructor or a callback of compiled
-    code; a long run would then go on as if nothing had been pressed.  A compiler turns one into
-    errors of its own: it may finish what it is at, and if that takes long the process just ends,
-    as safely as if it had been killed.
+    code; a long run would then continue.  A compiler turns the exception into errors of its own.
+    It may therefore finish its work; if that takes long, the process ends, as safely as if it had
+    been killed.
     """
     pressed: list[float] = []
 
@@ -640,7 +640,7 @@ def _interruption_has_come() -> None:
 
 
 def _open_streams() -> None:
-    """Let closed output streams, which Python has as None, lead nowhere."""
+    """Replace closed output streams, which are None in Python, by the null device."""
     for descriptor, name in ((1, "stdout"), (2, "stderr")):
         if getattr(sys, name) is None:
             null = os.open(os.devnull, os.O_WRONLY)
@@ -669,15 +669,15 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _ignore_interruptions() -> None:
-    """From here on Ctrl-C has nothing left to stop."""
+    """Ignore Ctrl-C from here on, because nothing is left to stop."""
     _interruption_has_come()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _leave_at_once(code: int) -> None:
-    """End the process without Python's own farewell, which takes most of a second.
+    """End the process without Python's own shutdown, which takes most of a second.
 
-    What is registered for the end of the process still runs.
+    Functions registered for the end of the process still run.
     """
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):

@@ -1,4 +1,4 @@
-"""What the commands do, in order: read, fit, residuals, posterior, bounds, delays, report."""
+"""Steps of the commands, in order: read, fit, residuals, posterior, bounds, delays, report."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LOG = logging.getLogger(__name__)
 Progress = Callable[[float, str], None]
 CHECKPOINT = "checkpoint"
 MOST_DRAWS = 4000
-"""draws from which response times are summarised"""
+"""number of draws for the summary of response times"""
 MOST_WARNINGS = 6
 """lines of warnings in a terminal"""
 STEPS: dict[str, tuple[str, ...]] = {
@@ -58,7 +58,7 @@ SAVES: dict[str, tuple[str, ...]] = {
 
 @contextmanager
 def progress_bar(label: str, quiet: bool) -> Iterator[Progress]:
-    """A bar on stderr; nothing where that is no terminal."""
+    """A bar on stderr; nothing if stderr is not a terminal."""
     if quiet or not sys.stderr.isatty():
         yield lambda fraction, text: None
         return
@@ -84,9 +84,9 @@ def progress_bar(label: str, quiet: bool) -> Iterator[Progress]:
 
 @contextmanager
 def muted() -> Iterator[None]:
-    """Silence of this process and of those it starts; what is raised still is.
+    """Suppresses output of this process and of those it starts; exceptions pass.
 
-    emcee prints the arguments of whatever call was stopped, also by Ctrl-C, in every process.
+    emcee prints the arguments of any call that was stopped, also by Ctrl-C, in every process.
     """
     sink = io.StringIO()
     sys.stdout.flush()
@@ -114,7 +114,7 @@ def say(text: str, quiet: bool) -> None:
 
 
 def load(path: Path) -> tuple[Campaign, Any, tuple[str, ...]]:
-    """Campaign, rows of what was understood, and remarks."""
+    """Campaign, rows of its understood content, and remarks."""
     from bayes_sensor.io.check import campaign_remarks, campaign_rows
     from bayes_sensor.io.readers import read_campaign
 
@@ -198,9 +198,9 @@ class Job:
     delays: Any = None
     gap: Any = None
     no_gap: str = ""
-    """why the gap could not be diagnosed, in a sentence"""
+    """reason why the gap could not be diagnosed, in a sentence"""
     options: Mapping[str, Any] = field(default_factory=dict)
-    """what only one command takes: with_effects, without, nominal, effects, bootstrap"""
+    """options of single commands: with_effects, without, nominal, effects, bootstrap"""
 
     @contextmanager
     def timed(self, name: str) -> Iterator[Progress]:
@@ -245,8 +245,11 @@ def _do_posterior(job: Job) -> None:
     from bayes_sensor.posterior import sample_posterior
 
     methods = job.overrides.bounds.methods
-    if job.command == "bounds" and methods is not None and "posterior" not in methods:
-        return
+    if job.command == "bounds" and methods is not None:
+        from bayes_sensor.bounds import METHODS
+
+        if not any(METHODS[name].needs_posterior for name in methods):
+            return
     with job.timed("posterior") as tell, muted():
         job.posterior = sample_posterior(
             _problem_with_effects(job),
@@ -262,7 +265,7 @@ def _do_posterior(job: Job) -> None:
 
 
 def _watching(job: Job, tell: Progress) -> Progress:
-    """``tell``, which also says it where ``--resume`` finds ensembles that are not gone on with."""
+    """``tell``, with a message if ``--resume`` finds ensembles that cannot be continued."""
     marker = job.checkpoint / "run.json"
     if not (job.resume and marker.is_file() and any(job.checkpoint.glob("ensemble-*.npz"))):
         return tell
@@ -294,9 +297,10 @@ WHOSE_COATING = "which lag is the sensor's is not known, so no diffusivity can b
 
 
 def _coating(job: Job) -> dict[str, Any]:
-    """Response times of sensor and chain; for ``analyze`` the diffusivity that tau implies too.
+    """Response times of sensor and chain; for ``analyze`` also the diffusivity that follows from
+    tau.
 
-    Where it is not known which lag is the sensor's there is a row for each, with its probability.
+    If it is not known which lag is the sensor's, there is a row for each, with its probability.
     """
     from bayes_sensor.rig.response_times import response_time_table
 
@@ -369,8 +373,8 @@ NOT_EXPLAINED = (
 
 
 def reference_theta(job: Job) -> Any:
-    """Where the classical bounds are compared, lags by size: the posterior's medians, else the
-    fit."""
+    """Point at which the classical bounds are compared, lags by size: the posterior's medians, else
+    the fit."""
     vector = np.array(job.fit.theta_hat, dtype=float)
     if job.posterior is not None:
         vector = np.median(job.posterior.draws, axis=0)
@@ -378,12 +382,12 @@ def reference_theta(job: Job) -> Any:
 
 
 def _naming(job: Job) -> Any:
-    """What is known of the lags' names; the draws know more of them than the fit."""
+    """The assignment of the lags, from the draws if there are any, else from the fit."""
     return (job.fit if job.posterior is None else job.posterior).naming
 
 
 def _named_theta(job: Job) -> dict[str, Any] | None:
-    """The reference point by name; None where it is not known which lag is the sensor's."""
+    """The reference point by name; None if it is not known which lag is the sensor's."""
     from bayes_sensor.fit.side_information import named_parameters
 
     naming, theta = _naming(job), reference_theta(job)
@@ -396,10 +400,10 @@ def _named_theta(job: Job) -> dict[str, Any] | None:
 def naive_bounds(job: Job) -> dict[str, Any]:
     """One standard deviation of tau, tau_v, V by the classical bounds at one common point.
 
-    The bounds of ``methods`` are taken where each method has its estimate, which may be tau = 0;
-    these are taken at the posterior's median, so that they can be compared.
+    The bounds of ``methods`` are computed at each method's estimate, which may be tau = 0.  These
+    are computed at the posterior's median, so that they can be compared.
     """
-    from bayes_sensor.bounds import cramer_rao
+    from bayes_sensor.bounds import METHODS, cramer_rao
 
     vector, sigma = reference_theta(job), float(job.fit.rms)
     names, factors = zip(*_naming(job).labels, strict=True)
@@ -407,16 +411,14 @@ def naive_bounds(job: Job) -> dict[str, Any]:
         "at": plain(dict(zip(names, vector[:3] * factors, strict=True))),
         "sigma_V": sigma,
     }
-    for method, options in (
-        ("crlb_iid", {}),
-        ("crlb_iid_one_percent_step", {"step": 0.01}),
-        ("crlb_ar1", {"noise": "ar1"}),
-    ):
+    for name, method in METHODS.items():
+        if method.cramer_rao is None:
+            continue
         try:
-            bound = cramer_rao(job.problem, vector, sigma, **options)
-            found[method] = plain(dict(zip(names, bound.sd[:3] * factors, strict=True)))
+            bound = cramer_rao(job.problem, vector, sigma, **method.cramer_rao)
+            found[name] = plain(dict(zip(names, bound.sd[:3] * factors, strict=True)))
         except CampaignError:  # forward Euler is unstable for a tau below half a sample
-            found[method] = None
+            found[name] = None
     return found
 
 
@@ -469,7 +471,7 @@ class SavedSpreads:
 
 
 def _saved_posterior(job: Job) -> dict[str, Any] | None:
-    """``posterior.json`` of the results folder, where it rests on the same data and settings."""
+    """``posterior.json`` of the results folder, if it has the same data and settings."""
     run = job.results.json("run.json")
     saved: dict[str, Any] | None = job.results.json("posterior.json")
     commands = {} if run is None else run["commands"]
@@ -529,7 +531,7 @@ _DO: dict[str, Callable[[Job], None]] = {
 
 
 def _put(job: Job, stage: Stage) -> None:
-    """Write what this command saves."""
+    """Write the results of this command."""
     from bayes_sensor.fit.samples import make_samples, save_samples
 
     saves = SAVES[job.command]
@@ -692,7 +694,7 @@ def _exit_code(job: Job) -> int:
 
 
 def _decisive(job: Job) -> list[str]:
-    """What decides whether the headline stands: it is said before it."""
+    """Caveats of the first line; they are printed before it."""
     found = list(job.fit.caveats)
     if job.posterior is not None:
         found += job.posterior.doubts
@@ -724,7 +726,8 @@ def put_report(results: Results, tell: Progress, form: str = "html") -> None:
 
 @contextmanager
 def last_step(results: Results) -> Iterator[None]:
-    """Where a report is made after a run: if it fails, one is told that all else is in place."""
+    """Context of a report after a run: if it fails, the message says that all other results are in
+    place."""
     again = f"all other results are in place, and bayes-sensor report {results.folder} makes it"
     unforeseen = True
     try:
@@ -746,7 +749,7 @@ def last_step(results: Results) -> Iterator[None]:
 
 
 def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
-    """The last lines: result, warnings, what was not reached, where it is."""
+    """The last lines: result, warnings, missed goals, folder."""
     from bayes_sensor.report import chain_words, headline, number
 
     command, quiet = job.command, job.quiet
@@ -810,7 +813,7 @@ def _summary(job: Job, remarks: Sequence[str], code: int) -> None:
 
 
 def _lags_of_fit(fit: Any) -> str:
-    """The fitted lags and volume in words; a lag at the lower end of its search is no value."""
+    """The fitted lags and volume in words; a lag at the lower end of its search has no value."""
     from bayes_sensor.report import number, time_words
 
     estimates = fit.estimates()
@@ -860,7 +863,7 @@ def rebuild_report(folder: Path, quiet: bool, form: str = "html") -> None:
 
 
 def _as_options(message: str) -> str:
-    """A message on a coating with its fields as the options that they are on the command line."""
+    """A message on a coating with its fields written as options of the command line."""
     from bayes_sensor.coating import Coating
 
     for name in (item.name for item in fields(Coating)):

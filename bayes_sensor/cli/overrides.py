@@ -41,9 +41,17 @@ from collections.abc import Mapping
 from dataclasses import fields
 from math import isfinite, nan
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    create_model,
+)
+from pydantic_core import PydanticCustomError
 
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.io.readers.quantities import TIME, VOLUME, Kind, read_quantity
@@ -51,6 +59,7 @@ from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Settings
+from bayes_sensor.posterior.samplers import DEFAULT, SAMPLERS
 from bayes_sensor.rig.layout import Layout
 
 LARGEST = 1 << 20
@@ -80,9 +89,20 @@ class FitPart(Part):
     bounds: dict[str, list[str]] = Field(default_factory=dict)
 
 
+def _known_sampler(name: str) -> str:
+    if name not in SAMPLERS:
+        *others, last = (f"'{known}'" for known in SAMPLERS)
+        raise PydanticCustomError(
+            "unknown_sampler",
+            "Input should be {names}",
+            {"names": f"{', '.join(others)} or {last}"},
+        )
+    return name
+
+
 def _sampler_keys() -> dict[str, Any]:
     """The sampler's name and its own settings, as keys with their types and defaults."""
-    keys: dict[str, Any] = {"sampler": (Literal["emcee", "independence", "hmc"], "emcee")}
+    keys: dict[str, Any] = {"sampler": (Annotated[str, AfterValidator(_known_sampler)], DEFAULT)}
     for f in fields(Settings):
         least = {"burn_in": 0, "n_chains": 2}.get(f.name, 1)
         keys[f.name] = (type(f.default), Field(default=f.default, ge=least))
@@ -102,7 +122,7 @@ class BoundsPart(Part):
 
 
 class Overrides(Part):
-    """All of it."""
+    """All settings."""
 
     noise: NoisePart = Field(default_factory=NoisePart)
     priors: dict[str, str] = Field(default_factory=dict)
@@ -200,7 +220,7 @@ _CALL = re.compile(r"\s*([a-z-]+)\s*(?:\(([^()]*)\))?\s*")
 
 
 def _kind_of(name: str, unit: str) -> Kind | None:
-    """What a parameter measures; None for phi, which has no unit."""
+    """The kind of a parameter; None for phi, which has no unit."""
     kind = name.split("[")[0]
     if kind == "phi":
         return None
@@ -214,7 +234,7 @@ def _kind_of(name: str, unit: str) -> Kind | None:
 def flat_names(key: str, layout: Layout, where: str) -> list[str]:
     """The flat names that a key stands for: ``tau``, ``t0`` (all experiments) or ``t0[4]``.
 
-    Raises CampaignError, with the nearest known key, where there are none.
+    Raises CampaignError, with the nearest known key, if there are none.
     """
     short: dict[str, list[str]] = {}
     for name in layout.names:

@@ -1,4 +1,4 @@
-"""Bound methods side by side, and why the published one misled."""
+"""Bound methods side by side, and the published bound against its step."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from bayes_sensor.bounds.methods import method_of
 from bayes_sensor.figures.style import (
     BLUE,
     GREEN,
     GROUND,
     INK,
-    METHOD_LABELS,
     MIDDLE,
     ORANGE,
     labels_of_bounds,
@@ -29,8 +29,8 @@ from bayes_sensor.figures.style import (
 def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = None) -> Figure:
     """Every bound method side by side for tau, tau_v, V: 68 % thick, 95 % thin.
 
-    Where it is not known whose a lag is, it has its place by size.  ``bounds``: the content of
-    ``bounds.json``; ``truth`` by flat name draws a line.
+    A lag that cannot be assigned is placed by size.  ``bounds``: the content of ``bounds.json``;
+    ``truth`` by flat name draws a line.
     """
     methods = list(bounds["methods"])
     shown_labels = labels_of_bounds(bounds)
@@ -49,7 +49,7 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
                     )  # fmt: skip
                     continue
                 colour = _method_colour(method)
-                marker = {"posterior": "D"}.get(method, "o")
+                marker = "D" if method_of(method).needs_posterior else "o"
                 for lo, hi, width in (("lo95", "hi95", 1.4), ("lo68", "hi68", 4.2)):
                     a, b = (
                         end if entry[key] is None else factor * entry[key]
@@ -71,7 +71,7 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
             axes.set_xlabel(f"{symbol} ({unit})")
             axes.grid(axis="y", visible=False)
             axes.xaxis.set_major_locator(MaxNLocator(4))
-        row[0].set_yticks(range(len(methods)), [METHOD_LABELS.get(m, m) for m in methods])
+        row[0].set_yticks(range(len(methods)), [method_of(m).label for m in methods])
         row[0].set_ylim(len(methods) - 0.4, -0.6)
         if row[0].get_xlim()[0] < 0:
             row[0].axvline(0.0, color=MIDDLE, lw=0.8)  # tau cannot be negative
@@ -79,7 +79,7 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
 
 
 def _visible(rows: Sequence[Mapping[str, Any]], factor: float) -> tuple[float, float]:
-    """The range shown: every 95 % interval, but none so wide that the others vanish."""
+    """The range shown: all 95 % intervals, without those so wide that the others would vanish."""
     ends = [
         (factor * row["lo95"], factor * row["hi95"])
         for row in rows
@@ -95,10 +95,11 @@ def _visible(rows: Sequence[Mapping[str, Any]], factor: float) -> tuple[float, f
     return low - margin, high + margin
 
 
-def _method_colour(method: str) -> str:
-    if method.startswith("crlb_iid"):
+def _method_colour(name: str) -> str:
+    method = method_of(name)
+    if method.noise == "white":
         return ORANGE
-    return BLUE if method == "posterior" else INK
+    return BLUE if method.needs_posterior else INK
 
 
 def step_study(

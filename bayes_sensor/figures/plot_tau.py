@@ -1,4 +1,4 @@
-"""What makes tau hard to measure, what would help, and how often bound methods are right."""
+"""Why tau is hard to measure, what would help, and how often bound methods are right."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bayes_sensor.bounds.methods import method_of
 from bayes_sensor.figures.style import (
     BLUE,
     GREEN,
     INK,
     MARKERS,
-    METHOD_LABELS,
     MIDDLE,
     ORANGE,
     PALE,
@@ -130,7 +130,7 @@ def _weakest(axes: Axes, record: Mapping[str, float]) -> None:
 
 
 def what_would_help(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Predicted 68 and 95 % intervals of tau for each change; the gain stands beside them.
+    """Predicted 68 and 95 % intervals of tau for each change, with the gain.
 
     ``rows``: ``what_would_help`` of ``bounds.json``.
     """
@@ -195,7 +195,7 @@ def coverage(
             axes.set_xticks([0.0, 0.5, 0.95], ["0", "0.5", "0.95"])
             axes.set_title(_setting_words(setting), fontsize=8.5)
         row_of_axes[0].set_yticks(
-            range(len(methods)), [METHOD_LABELS.get(method, method) for method in methods]
+            range(len(methods)), [method_of(method).label for method in methods]
         )
         row_of_axes[0].invert_yaxis()
         handles = [

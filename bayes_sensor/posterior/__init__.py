@@ -3,8 +3,8 @@
 * ``emcee``: affine-invariant ensembles (Goodman and Weare 2010; differential evolution moves,
   ter Braak 2006) in the coordinates of :mod:`bayes_sensor.posterior.laplace`, with every y0 and
   beta integrated out analytically and redrawn afterwards.
-* ``independence``: Metropolis-Hastings whose proposal is the Laplace approximation; gated by the
-  Pareto k-hat of its weights, and replaced by ``hmc`` and then ``emcee`` when that gate shuts.
+* ``independence``: Metropolis-Hastings whose proposal is the Laplace approximation; accepted only
+  if the Pareto k-hat of its weights is small, otherwise replaced by ``hmc`` and then ``emcee``.
 * ``hmc``: Hamiltonian Monte Carlo (Neal 2011) in whitened coordinates from the analytic gradient.
 
 Convergence is judged between independent runs (for emcee: independent ensembles, since walkers of
@@ -14,16 +14,21 @@ one ensemble are not independent chains).
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT
 from bayes_sensor.posterior.posterior import Posterior
 from bayes_sensor.posterior.sample import sample_posterior
+from bayes_sensor.posterior.samplers import FASTEST, SAMPLERS, Run, Sampler, Target
 from bayes_sensor.posterior.save_draws import load_chains
-from bayes_sensor.posterior.settings import SAMPLERS, Progress, Settings
+from bayes_sensor.posterior.settings import Progress, Settings
 
 __all__ = [
     "ESS_LIMIT",
+    "FASTEST",
     "R_HAT_LIMIT",
     "SAMPLERS",
     "Posterior",
     "Progress",
+    "Run",
+    "Sampler",
     "Settings",
+    "Target",
     "load_chains",
     "sample_posterior",
 ]

@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     import pandas as pd
 
 NEAR_EQUAL, MAY_BE_EQUAL = 0.8, 0.025
-"""ratio of two lags that counts as equal, and the probability of it that is worth a warning"""
+"""ratio of two lags that counts as equal, and the probability from which a warning is given"""
 NEVER = 1e-6
-"""probability below which nothing is said of an assignment of names"""
+"""probability below which an assignment is not mentioned"""
 MOST_TIMES = 2000
-"""draws from which response times are summarised"""
+"""number of draws for the summary of response times"""
 QUANTILES = (0.5, 2.5, 16.0, 50.0, 84.0, 97.5, 99.5)
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Draws of theta and what is needed to trust them."""
+    """Draws of theta with their diagnostics."""
 
     problem: Problem
     chains: FloatArray
@@ -48,7 +48,7 @@ class Posterior:
     sampler: str
     """which sampler made the draws"""
     reasons: tuple[str, ...]
-    """sentences: which sampler was used and why it can be trusted"""
+    """sentences: which sampler was used and its checks"""
     mesh_error: float
     """largest difference of log L between mesh and full pass over a few draws"""
     r_hat: FloatArray
@@ -60,13 +60,13 @@ class Posterior:
     k_hat: float | None = None
     acceptance: float | None = None
     hidden_by_sampling: float | None = None
-    """s, the sampling interval where the whole response is over within it"""
+    """s, the sampling interval if the whole response is shorter than it"""
     caveats: tuple[str, ...] = ()
-    """sentences of the fit that decide whether the headline stands"""
+    """caveats of the fit"""
     remarks: tuple[str, ...] = ()
-    """further sentences of the fit that concern the posterior too"""
+    """further sentences of the fit that also apply to the posterior"""
     doubts: tuple[str, ...] = ()
-    """sentences on what the noise law fails in, so that intervals are not to be trusted"""
+    """sentences on failed checks of the noise law; intervals are then not reliable"""
 
     @property
     def layout(self) -> Layout:
@@ -77,8 +77,8 @@ class Posterior:
     def names(self) -> list[str]:
         """Flat names, in the order of the last axis of ``chains``.
 
-        That axis holds lags by size (:mod:`bayes_sensor.rig.lags`): where it is not known whose a
-        lag is, its name says its size.
+        That axis has the lags by size (:mod:`bayes_sensor.rig.lags`).  A lag that cannot be
+        assigned is named by its size.
         """
         return [*self.naming.names, *self.layout.names[len(SHARED) :]]
 
@@ -99,21 +99,21 @@ class Posterior:
 
     @cached_property
     def naming(self) -> Naming:
-        """What may be said of the lags' names."""
+        """The assignment of the lags that may be stated."""
         return self.problem.naming(self.shares.mean(axis=0))
 
     @cached_property
     def lags(self) -> FloatArray:
-        """(n, n_lags) s, draws of the lags that the flows do not tell apart, shortest first."""
+        """(n, n_lags) s, draws of the lags that do not depend on flow, shortest first."""
         return lags_of(self.draws, self.problem.flow)
 
     @cached_property
     def named(self) -> FloatArray:
         """(n, 3) draws of tau (s), tau_v (s) and V (mL).
 
-        Where several assignments of names are possible each draw has one, drawn with its
-        probability: undecided, tau is either of the lags.  Where one place is stated for the
-        sensor, draws that have another count as the one before that does not.
+        If several assignments are possible, each draw has one, drawn with its probability; tau is
+        then either of the lags.  If one assignment is stated, a draw with another one is replaced
+        by the last draw that has it.
         """
         choices = self.problem.assignments
         if len(choices) == 1:
@@ -160,12 +160,12 @@ class Posterior:
 
     @property
     def status(self) -> str:
-        """Whether it converged, and what its noise law fails in."""
+        """Whether it converged, and which checks of the noise law failed."""
         return "; ".join([self.convergence, *self.doubts])
 
     @property
     def convergence(self) -> str:
-        """One sentence: converged, or what falls short."""
+        """One sentence: converged, or what is missing."""
         free = self.free
         worst = free[int(np.nanargmax(self.r_hat[free]))]
         least = free[int(np.nanargmin(np.minimum(self.ess_bulk, self.ess_tail)[free]))]
@@ -178,7 +178,7 @@ class Posterior:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences a reader must see."""
+        """Warnings, in sentences."""
         found = [*self.caveats, *([] if self.converged else [self.convergence]), *self.remarks]
         found += self.doubts
         found += self._of_names()
@@ -187,7 +187,7 @@ class Posterior:
         return tuple(found)
 
     def _of_names(self) -> list[str]:
-        """What must be said of the lags' names."""
+        """Sentences on the assignment of the lags."""
         found = []
         naming = self.naming
         if naming.flow is not None and None in (naming.place("valve"), naming.place("manifold")):
@@ -209,7 +209,7 @@ class Posterior:
     def rows(self) -> dict[str, dict[str, float]]:
         """Mean, sd, percentiles and diagnostics of every varying parameter, by flat name.
 
-        Where the order of lags is undecided the lags stand beside tau and tau_v.
+        If the order of lags is undecided, the lags are listed in addition to tau and tau_v.
         """
         found = {}
         # where names are not settled the diagnostics are those of the worst of the lags
@@ -272,7 +272,7 @@ class Posterior:
         """By experiment, s after the switch until the whole chain has covered 63 and 90 %, and its
         rise from 10 to 90 %.
 
-        They need no names of lags.
+        They do not depend on the assignment of the lags.
         """
         some = self.draws[:: max(1, len(self.draws) // MOST_TIMES)]
         found: dict[str, dict[str, dict[str, float]]] = {}
@@ -301,7 +301,7 @@ class Posterior:
         return f"Posterior({len(self.draws)} draws by {self.sampler}; {self.convergence})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows of it."""
+        """HTML for a notebook."""
         rows = [
             [
                 name, row["q50"], row["q2.5"], row["q97.5"],
@@ -314,7 +314,7 @@ class Posterior:
         return card(f"posterior: {self.convergence}", warnings, columns, rows)
 
     def to_json(self) -> dict[str, Any]:
-        """The contents of ``posterior.json``; parameters that the noise law pins are null."""
+        """The contents of ``posterior.json``; parameters that the noise law fixes are null."""
         parameters: dict[str, Any] = dict(self.rows)
         parameters |= {name: None for name in self.names if name not in parameters}
         return {
@@ -345,8 +345,8 @@ class Posterior:
         }
 
     def _tau_under_priors(self) -> dict[str, Any]:
-        """The rows of :meth:`tau_under_priors` that hold numbers, and the laws of those that do
-        not, with the reason."""
+        """The rows of :meth:`tau_under_priors` with numbers, and the laws of the others, with the
+        reason."""
         rows = self.tau_under_priors().to_dict(orient="records")
         without = [row for row in rows if row["status"] != "ok"]
         return {
@@ -358,8 +358,8 @@ class Posterior:
 
     @cached_property
     def laws(self) -> dict[str, str]:
-        """The prior of every varying parameter in words, by flat name; of lags whose names are
-        not settled by their sizes, beside what is known by name."""
+        """The prior of every varying parameter in words, by flat name; lags that are not assigned
+        by size have theirs beside the side information by name."""
         priors, own = self.problem.priors, self.layout.names
         found = {self.names[i]: str(priors[own[i]]) for i in self.free}
         if len(self.problem.assignments) > 1:
@@ -375,15 +375,15 @@ class Posterior:
         """Intervals and upper limits of tau (s) under other priors, by reweighting the draws.
 
         Rows: flat, half-normal, log-uniform with a floor (a hundredth of the half-normal's scale);
-        these for each lag that may be the sensor's, where that is undecided (``sensor_is``).
-        The half-normal is the posterior's own or, where it has another law, the default one.
-        Columns: equal-tailed 95 % interval, highest-density 95 % interval, one-sided 95 and 99 %
-        upper limits, the effective number of draws that the reweighting leaves, and ``status``.
+        one set for each lag that may be the sensor's, if that is undecided (``sensor_is``). The
+        half-normal is the posterior's own or, where it has another law, the default one. Columns:
+        equal-tailed 95 % interval, highest-density 95 % interval, one-sided 95 and 99 % upper
+        limits, the effective number of draws that the reweighting leaves, and ``status``.
 
-        Reweighting cannot leave the support of the law that was sampled.  Where that one is bounded
-        and the draws under another law reach its bound, this law would allow values that were never
-        drawn: its row then has nan for numbers, no effective draws, and says so in ``status``,
-        which is ``ok`` elsewhere.  ``posterior.json`` lists such laws apart.
+        Reweighting cannot leave the support of the law that was sampled.  If that support is
+        bounded and the draws under another law reach its bound, this law would allow values that
+        were never drawn.  Its row then has nan for numbers, no effective draws, and the reason in
+        ``status``, which is ``ok`` elsewhere.  ``posterior.json`` lists such laws apart.
         """
         import pandas as pd
 

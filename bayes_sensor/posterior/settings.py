@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 from bayes_sensor.campaign import CampaignError
 
-SAMPLERS = ("emcee", "independence", "hmc")
-
 Progress = Callable[[float, str], None]
 """called with the fraction done and a short text"""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How to sample.  The defaults suit campaigns of any size."""
+    """Settings of the samplers.  The defaults suit campaigns of any size."""
 
     n_chains: int = 4
     """independent runs (ensembles for emcee)"""

@@ -7,7 +7,7 @@ import numpy as np
 from bayes_sensor.campaign import Experiment, FloatArray
 from bayes_sensor.diagnosis.data.bins import ExperimentBins
 from bayes_sensor.diagnosis.data.noise_memory import Shape
-from bayes_sensor.lattice import lattice_step
+from bayes_sensor.residuals.converter_step import lattice_step
 
 LAGS_PER_BIN = 24.0
 """lags of the covariance within the shortest bin"""

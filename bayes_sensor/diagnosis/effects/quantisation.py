@@ -14,7 +14,7 @@ from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, detrended, innovations
 from bayes_sensor.diagnosis.effects.effect import Effect, OnNoise
 from bayes_sensor.diagnosis.signals.finding import Finding, Signal
-from bayes_sensor.lattice import lattice_step
+from bayes_sensor.residuals.converter_step import lattice_step
 
 if TYPE_CHECKING:
     from bayes_sensor.diagnosis.data.preparation import PreparedCampaign

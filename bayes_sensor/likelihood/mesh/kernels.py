@@ -14,14 +14,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from filelock import lock_descriptor
 from numba import njit
 
 from bayes_sensor.rig.cascade import step_response
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 K = 8
 """nodes per block"""
@@ -387,13 +383,12 @@ _ALONE = (
 
 @contextmanager
 def _one_process(folder):
-    # nothing is locked where files cannot be (Windows, a file system without locks)
+    # nothing is locked where files cannot be (a file system without locks)
     with ExitStack() as stack:
-        if fcntl is not None:
-            with suppress(OSError):
-                Path(folder).mkdir(parents=True, exist_ok=True)
-                file = stack.enter_context(open(Path(folder) / "kernels.lock", "w"))
-                fcntl.flock(file, fcntl.LOCK_EX)
+        with suppress(OSError):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            file = stack.enter_context(open(Path(folder) / "kernels.lock", "a"))
+            lock_descriptor(file.fileno())
         yield
 
 
