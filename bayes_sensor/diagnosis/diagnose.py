@@ -19,7 +19,7 @@ from bayes_sensor.diagnosis.evidence.comparison import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.hypotheses import compare_hypotheses
 from bayes_sensor.diagnosis.excess_shares import distribute_excess
 from bayes_sensor.diagnosis.explanations_table import explanation_rows
-from bayes_sensor.diagnosis.gap import Gap, Round
+from bayes_sensor.diagnosis.gap import Gap, Round, without_lag_names
 from bayes_sensor.diagnosis.hidden import HiddenEffects, hidden_effects
 from bayes_sensor.diagnosis.isolability import look_alikes, separate_pairs
 from bayes_sensor.diagnosis.location import CLEAR, locate
@@ -168,7 +168,7 @@ def diagnose_gap(
         signal_unit=campaign.signal_unit,
         notes=tuple(notes(conclusion)),
     )
-    return gap if binned.order_known else gap.without_lag_names()
+    return gap if binned.order_known else without_lag_names(gap)
 
 
 def _usable_fit(campaign: Campaign, fit: Fit | None, seed: int) -> Fit:

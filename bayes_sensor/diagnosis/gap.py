@@ -158,19 +158,6 @@ class Gap:
         title = f"gap: {self.verdict.kind}, probability {self.verdict.probability:.2f}"
         return card(title, sentences, [key.replace("_", " ") for key in keys], rows)
 
-    def without_lag_names(self) -> Gap:
-        """The record for a campaign in which it is not known which lag is the sensor's."""
-        hidden = HiddenEffects(
-            tuple(nameless(each) for each in self.hidden.effects), self.hidden.tau_envelope_s
-        )
-        return replace(
-            self,
-            rows=tuple(without_tau(row) for row in self.rows),
-            budget=without_tau(self.budget),
-            shrink=nameless(self.shrink),
-            hidden=nameless(hidden),
-        )
-
     def _finding(self, found: Finding) -> dict[str, Any]:
         experiments = self.comparison.binned.campaign.experiments
         where = found.strength.get(f"{found.name}_experiment")
@@ -231,3 +218,15 @@ class Gap:
 
 def _without(mapping: Mapping[str, Any], *names: str) -> dict[str, Any]:
     return {k: v for k, v in mapping.items() if k not in names}
+
+
+def without_lag_names(gap: Gap) -> Gap:
+    """The record for a campaign in which it is not known which lag is the sensor's."""
+    hidden = replace(gap.hidden, effects=tuple(nameless(each) for each in gap.hidden.effects))
+    return replace(
+        gap,
+        rows=tuple(without_tau(row) for row in gap.rows),
+        budget=without_tau(gap.budget),
+        shrink=nameless(gap.shrink),
+        hidden=nameless(hidden),
+    )
