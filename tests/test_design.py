@@ -9,15 +9,10 @@ from scipy import stats
 
 from bayes_sensor.bounds import cramer_rao
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.design import (
-    design_experiments,
-    predict,
-    predict_tau,
-    settings_of,
-    sum_information,
-    truth_of,
-    what_if,
-)
+from bayes_sensor.design import design_experiments, what_if
+from bayes_sensor.design.planned_experiments import settings_of, truth_of
+from bayes_sensor.design.record_information import sum_information
+from bayes_sensor.design.tau_interval import predict, predict_tau
 from bayes_sensor.likelihood.density import mean_and_variance, simulate
 from bayes_sensor.likelihood.noise import Noise, lag_coefficient
 from bayes_sensor.likelihood.priors import Prior

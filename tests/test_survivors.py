@@ -19,7 +19,9 @@ from bayes_sensor.checks.delays import regress_line
 from bayes_sensor.checks.predictive import PredictiveCheck, _compare, _pit
 from bayes_sensor.coating import find_outer_radius
 from bayes_sensor.coating.readout import Cladding, Ring
-from bayes_sensor.design import _candidates, record_information, settings_of, truth_of
+from bayes_sensor.design.choose_experiments import _candidates
+from bayes_sensor.design.planned_experiments import settings_of, truth_of
+from bayes_sensor.design.record_information import record_information
 from bayes_sensor.fit.block_averages import sorted_apart
 from bayes_sensor.fit.first_estimates import first_look
 from bayes_sensor.likelihood.density import simulate

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from campaigns import PUBLISHED, small_problem
 
-from bayes_sensor import design
 from bayes_sensor.bounds.gaussian_intervals import least_tau
 from bayes_sensor.bounds.likelihood_surface import _roomy
 from bayes_sensor.bounds.profile import Point, _next
@@ -20,7 +19,10 @@ from bayes_sensor.checks.delays import regress_line
 from bayes_sensor.checks.predictive import _Statistics
 from bayes_sensor.coating import Coating, assemble, march, modal
 from bayes_sensor.coating.readout import Ring
-from bayes_sensor.design import _as_pulse, _candidates, settings_of, truth_of
+from bayes_sensor.design import choose_experiments
+from bayes_sensor.design.choose_experiments import _candidates
+from bayes_sensor.design.extra_knowledge import _as_pulse
+from bayes_sensor.design.planned_experiments import settings_of, truth_of
 from bayes_sensor.fit.block_averages import averages
 from bayes_sensor.fit.first_estimates import first_look
 from bayes_sensor.likelihood.coordinates import Coordinates
@@ -361,14 +363,14 @@ def test_a_design_is_made_again_where_better_experiments_tell_tau_better(
     monkeypatch, tau: float, target: float, rounds: int
 ) -> None:
     problem, theta = small_problem(n=2, interval=0.05, tau=tau)
-    choose, made = design._choose, []
+    choose, made = choose_experiments._choose, []
 
     def counted(*args: object) -> list[int]:
         made.append(choose(*args))
         return made[-1]
 
-    monkeypatch.setattr(design, "_choose", counted)
-    found = design.design_experiments(
+    monkeypatch.setattr(choose_experiments, "_choose", counted)
+    found = choose_experiments.design_experiments(
         problem, theta, target, (60.0, 200.0), (0.2, 0.4), (20.0, 40.0), n_grid=(2, 2, 1)
     )
     better = found.after.high68 < 0.9 * found.before.high68
