@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.bounds.bootstrap import block_bootstrap
-from bayes_sensor.bounds.bound import LEVELS, Bound, Bounds
+from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.bounds_table import Bounds
 from bayes_sensor.bounds.classical import (
     crlb_ar1,
     crlb_iid,

@@ -20,7 +20,7 @@ from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
 from bayes_sensor.rig.perturbed import SETTINGS
 
 if TYPE_CHECKING:
-    from bayes_sensor.likelihood.problem import Problem
+    pass
 
 KINDS = ("normal", "log_normal")
 NEAR = 3.0
@@ -205,12 +205,6 @@ class Effect:
     def nameless(self) -> Effect:
         """The effect where nobody knows whose the lags are: its counterpart may be the cause."""
         return replace(self, same_response=self.same_response or self.exchanged)
-
-    def apply(self, problem: Problem) -> Problem:
-        """The problem with this effect in its model."""
-        from bayes_sensor.diagnosis.effects.effect_model import with_effects
-
-        return with_effects(problem, [self])
 
     def __post_init__(self) -> None:
         if self.on_mean and not self.forms:
