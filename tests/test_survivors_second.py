@@ -26,9 +26,8 @@ from bayes_sensor.design.planned_experiments import settings_of, truth_of
 from bayes_sensor.fit.block_averages import averages
 from bayes_sensor.fit.first_estimates import first_look
 from bayes_sensor.likelihood.coordinates import Coordinates
-from bayes_sensor.likelihood.mesh import compress
+from bayes_sensor.likelihood.mesh import compress, default_region
 from bayes_sensor.likelihood.mesh.blocks import _blocks_of_run
-from bayes_sensor.likelihood.mesh.compressed import default_region
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.posterior.laplace import _expand, _information, draw_root
 from bayes_sensor.posterior.r_hat import pareto_k
