@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import bayes_sensor.checks.calibration as calibration
+import bayes_sensor.checks.study_chunks as study_chunks
 from bayes_sensor.blind_check import diagnose_cases, draw_cases, open_seals, sealed_late
 from bayes_sensor.blind_check.truth import KEYS
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.checks.calibration import code_digest, run_chunks
+from bayes_sensor.checks.study_chunks import code_digest, run_chunks
 from bayes_sensor.cli import _guarded, run_blind_check
 from bayes_sensor.io.json_files import read_json, sha256
 from bayes_sensor.io.writers import write_campaign
@@ -302,8 +302,8 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for room in ("gap", "figures"):
         (folder / room).mkdir(parents=True)
         (folder / room / "one.py").write_text("A = 1\n")
-    monkeypatch.setattr(calibration, "PACKAGE", folder)
-    monkeypatch.setattr(calibration, "_BEGUN", {})
+    monkeypatch.setattr(study_chunks, "PACKAGE", folder)
+    monkeypatch.setattr(study_chunks, "_BEGUN", {})
     monkeypatch.setattr(logging.getLogger("bayes_sensor"), "propagate", True)
     monkeypatch.setattr(Squares, "calls", 0)
     return folder
@@ -315,7 +315,7 @@ def test_parts_of_other_code_are_not_used(
 ) -> None:  # fmt: skip
     def run() -> int:
         """How many results were computed."""
-        monkeypatch.setattr(calibration, "_BEGUN", {})  # as a new process would begin
+        monkeypatch.setattr(study_chunks, "_BEGUN", {})  # as a new process would begin
         before = Squares.calls
         found = run_chunks(Squares(), 4, tmp_path / "parts", "key", chunk=2)
         np.testing.assert_array_equal(found["x"], np.arange(4) ** 2)
@@ -338,7 +338,7 @@ def test_a_digest_has_the_source_of_the_task_as_well(
     package: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     digest = code_digest(Squares())
-    monkeypatch.setattr(Squares, "__module__", "bayes_sensor.checks.calibration")
+    monkeypatch.setattr(Squares, "__module__", "bayes_sensor.checks.study_chunks")
     assert code_digest(Squares()) != digest
 
 
@@ -354,7 +354,7 @@ def test_code_changed_while_it_ran_is_told_and_its_parts_are_not_used(
     (said,) = (record.getMessage() for record in caplog.records)
     assert "the code was changed while this ran" in said
     run_chunks(Squares(), 2, tmp_path / "b", "key")  # by what this process has loaded before
-    monkeypatch.setattr(calibration, "_BEGUN", {})
+    monkeypatch.setattr(study_chunks, "_BEGUN", {})
     for folder in "ab":
         run_chunks(Squares(), 2, tmp_path / folder, "key")
     assert Squares.calls == 8

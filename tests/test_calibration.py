@@ -6,23 +6,23 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import stats
-
-from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.checks.calibration import (
+from posterior_calibration import (
     LEVELS,
     TAU_CLAIMS,
     TAU_PRIORS,
     CoverageStudy,
     Ranks,
     RankStudy,
-    binomial_interval,
     coverage_table,
     draw_prior,
     ranks_of,
-    run_chunks,
     tau_table,
 )
+from scipy import stats
+
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment
+from bayes_sensor.checks.counted_coverage import binomial_interval
+from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.likelihood.prior_density import log_priors
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem

@@ -12,7 +12,7 @@ from campaigns import small_problem
 
 import bayes_sensor
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.checks.calibration import run_chunks
+from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.cli import _guarded
 from bayes_sensor.fit.samples import save_samples
 from bayes_sensor.fit.traces import save_traces

@@ -178,7 +178,6 @@ MOST_LINES = 500
 LONG_FILES = frozenset(
     {
         "blind_check/card.py",
-        "checks/calibration.py",
         "diagnosis/data/noise_floor.py",
         "diagnosis/diagnose.py",
         "diagnosis/evidence/hypotheses.py",
@@ -187,8 +186,6 @@ LONG_FILES = frozenset(
         "figures/plot_blind_check.py",
         "io/readers/assembly.py",
         "io/readers/table.py",
-        "likelihood/mesh/compressed.py",
-        "likelihood/mesh/kernels.py",
         "reality/causes/electronics.py",
         "reality/causes/flows.py",
         "reality/causes/manifold.py",

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 from campaigns import small_design, small_problem, small_theta
+from posterior_calibration import Ranks
 from scipy.stats import kstest
 
 import bayes_sensor.posterior.sample as sampling
@@ -14,7 +15,7 @@ from bayes_sensor.blind_check import oracle
 from bayes_sensor.bounds.bootstrap import _series
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.checks import coverage
-from bayes_sensor.checks.calibration import Ranks, coverage_row
+from bayes_sensor.checks.counted_coverage import coverage_row
 from bayes_sensor.checks.delays import regress_line
 from bayes_sensor.checks.predictive import PredictiveCheck, _compare, _pit
 from bayes_sensor.coating import find_outer_radius

@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from campaigns import PUBLISHED, small_problem
+from posterior_calibration import _said
 
 from bayes_sensor.bounds.gaussian_intervals import least_tau
 from bayes_sensor.bounds.likelihood_surface import _roomy
 from bayes_sensor.bounds.profile import Point, _next
 from bayes_sensor.campaign import CampaignError, Experiment
 from bayes_sensor.checks import coverage
-from bayes_sensor.checks.calibration import _said
 from bayes_sensor.checks.delays import regress_line
 from bayes_sensor.checks.predictive import _Statistics
 from bayes_sensor.coating import Coating, assemble, march, modal

@@ -31,7 +31,7 @@ from bayes_sensor.blind_check.baselines import whiteness_p_value
 from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
 from bayes_sensor.blind_check.truth import check_truth, complete_truth
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.checks.calibration import run_chunks
+from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.io.disk import write_text
 from bayes_sensor.io.json_files import json_text, plain, read_json, sha256, write_json
 from bayes_sensor.reality import Case, make_campaign

@@ -13,11 +13,8 @@ from bayes_sensor.rig.layout import SHARED
 if TYPE_CHECKING:
     pass
 
-
 LEVELS: dict[str, float] = {"68": 0.68, "95": 0.95, "997": 0.997}
 """confidence levels by the suffix of their JSON keys"""
-
-
 COLUMNS = ("estimate", "sd", "lo68", "hi68", "lo95", "hi95", "lo997", "hi997")
 
 

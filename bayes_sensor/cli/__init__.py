@@ -28,7 +28,6 @@ from bayes_sensor.cli.interruption import (
 )
 
 __all__ = ["app", "main"]
-
 DONE, BAD_INPUT = 0, 2
 
 

@@ -13,8 +13,6 @@ from bayes_sensor.cli.terminal import Progress, progress_bar
 from bayes_sensor.io.results import Results
 
 CHECKPOINT = "checkpoint"
-
-
 STEPS: dict[str, tuple[str, ...]] = {
     "analyze": (
         "fit",
@@ -32,8 +30,6 @@ STEPS: dict[str, tuple[str, ...]] = {
     "delays": ("fit", "delays"),
     "gap": ("fit", "gap"),
 }
-
-
 SAVES: dict[str, tuple[str, ...]] = {
     "analyze": ("fit", "residuals", "posterior", "bounds", "delays", "gap", "report"),
     "fit": ("fit", "residuals"),

@@ -26,8 +26,6 @@ from bayes_sensor.io.results import Results, Stage
 from bayes_sensor.io.run_record import campaign_record, digest
 
 LOG = logging.getLogger(__name__)
-
-
 TAKE: dict[str, Callable[[Job], None]] = {
     "fit": run_fit,
     "residuals": run_residuals,

@@ -11,8 +11,6 @@ from bayes_sensor.cli.job import Job
 
 MOST_DRAWS = 4000
 """draws from which response times are summarised"""
-
-
 WHOSE_COATING = "which lag is the sensor's is not known, so no diffusivity can be told from it"
 
 

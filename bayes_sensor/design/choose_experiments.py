@@ -26,7 +26,6 @@ from bayes_sensor.rig.layout import Layout, Theta
 if TYPE_CHECKING:
     import pandas as pd
 
-
 AS_GOOD = 0.03
 """share of the gain that is given up for a shorter experiment"""
 

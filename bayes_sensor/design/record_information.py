@@ -13,8 +13,6 @@ from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
 
 COMMON = ("tau^2", "tau", "tau_v", "V", "phi", "sigma0", "sigma1")
-
-
 EXACT = 1e-6
 """s, what counts as a switch time known exactly"""
 

@@ -26,7 +26,7 @@ from drawing import TABLES
 from bayes_sensor.blind_check import make_card, read_rows
 from bayes_sensor.blind_check.oracle import SEPARABLE_ABOVE
 from bayes_sensor.blind_check.statistics import proportion
-from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.checks.study_chunks import run_chunks, study_key
 
 RUNS, CAMPAIGNS, SEED = 1000, 600, 41
 KEPT = study_blind_check.EARLIER, TABLES / "blind_check_first.csv"

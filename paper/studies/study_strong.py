@@ -24,7 +24,7 @@ from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
 from bayes_sensor.blind_check.score import score_case
 from bayes_sensor.blind_check.statistics import proportion
 from bayes_sensor.blind_check.truth import complete_truth
-from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.checks.study_chunks import run_chunks, study_key
 from bayes_sensor.reality import Case, make_campaign
 
 PLANNED, SEED = 280, 36

@@ -20,7 +20,7 @@ from bayes_sensor.blind_check import wilson
 from bayes_sensor.blind_check.check import verdict_on
 from bayes_sensor.blind_check.oracle import SEPARABLE_ABOVE
 from bayes_sensor.blind_check.plan import AR1_LAWS, Entry, draw_truth
-from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.checks.study_chunks import run_chunks, study_key
 from bayes_sensor.reality import CAUSES, Case, make_campaign
 
 SEED = 83

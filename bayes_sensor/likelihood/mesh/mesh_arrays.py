@@ -12,8 +12,6 @@ import numpy as np
 
 K = 8
 """nodes per block"""
-
-
 CHEBYSHEV = 0.5 - 0.5 * np.cos((2 * np.arange(K) + 1) * pi / (2 * K))
 
 

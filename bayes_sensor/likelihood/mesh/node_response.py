@@ -15,17 +15,11 @@ from bayes_sensor.rig.cascade import step_response
 
 COINCIDENT = 1e-3
 """relative distance of time constants below which partial fractions give way to the stable form"""
-
-
 FAR = 40.0
 """slowest time constants after which the response at an edge sample is 1: e^-40 is 4e-18"""
-
-
 OVER = 1e-17
 """exponentials below this count as zero: with the least entry of the tables, 1e-290, they would
 become denormal numbers, which cost a hundred times as much"""
-
-
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
