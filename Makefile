@@ -17,21 +17,22 @@ CONSTRAINTS := "constraints-$$($(BIN)/python -c \
   'import sys; print("3.11" if sys.version_info < (3, 12) else "3.12")').txt"
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint format bench study coverage mutants paper docs data dist \
+.PHONY: help install demo test record lint format bench study coverage paper docs screenshot data dist \
   check-dist clean clean-venv
 
 help:
 	@echo "make install   $(VENV) with the package and everything the tests need"
 	@echo "make demo      analyse the bundled campaigns, report in build/demo"
 	@echo "make test      the test suite (PYTEST_ARGS=... is handed on)"
+	@echo "make record    every recorded result once more, each difference by name (CASES=folder: more)"
 	@echo "make lint      formatter and linter in check mode, types"
 	@echo "make format    let the formatter and the linter mend what they can"
 	@echo "make bench     speed of likelihood and posterior"
 	@echo "make study     the long studies behind the paper (JOBS=$(JOBS) processes)"
 	@echo "make coverage  which branches the tests see, by room (half an hour)"
-	@echo "make mutants   which changes to the code they notice; goes on where it stopped (hours)"
 	@echo "make paper     the manuscript as PDF, from the studies' outputs"
 	@echo "make docs      the documentation pages"
+	@echo "make screenshot  the README's picture of the report's first page (needs Chromium)"
 	@echo "make data      rebuild data/reference and data/withheld bit for bit"
 	@echo "make dist      wheel and source archive in dist/"
 	@echo "make check-dist  install the wheel into new environments, run it there (QUICK=1: one)"
@@ -64,6 +65,9 @@ test: $(STAMP)
 	@if $(BIN)/python -c 'import xdist' 2>/dev/null; then parallel="-n $(JOBS)"; else parallel=; fi; \
 	set -x; $(ONE_THREAD) $(BIN)/python -m pytest $$parallel $(PYTEST_ARGS)
 
+record: $(STAMP)
+	PYTHONPATH=. $(ONE_THREAD) $(BIN)/python tests/record/make.py --check $(if $(CASES),--cases '$(CASES)')
+
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -82,10 +86,6 @@ study: $(STAMP) paper/studies/run_all.py
 coverage: $(STAMP) paper/studies/study_branches.py
 	PYTHONPATH=. $(ONE_THREAD) $(BIN)/python paper/studies/study_branches.py
 
-mutants: coverage paper/studies/study_mutants.py
-	@$(PIP_INSTALL) -c $(CONSTRAINTS) -e '.[mutation]'
-	PYTHONPATH=. $(ONE_THREAD) $(BIN)/python paper/studies/study_mutants.py
-
 paper: $(STAMP) paper/build.py
 	$(ONE_THREAD) $(BIN)/python paper/build.py
 
@@ -97,6 +97,9 @@ docs: $(STAMP) docs/conf.py
 	@$(PIP_INSTALL) -c $(CONSTRAINTS) -e '.[docs]'
 	$(BIN)/python -m sphinx -W --keep-going -b html docs build/docs
 	@echo "pages: $(CURDIR)/build/docs/index.html"
+
+screenshot: $(STAMP) docs/first_page.py
+	PYTHONPATH=. $(ONE_THREAD) $(BIN)/python docs/first_page.py
 
 # Builds need no environment of the project: a builder of their own, and the sources.
 dist:

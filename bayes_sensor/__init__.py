@@ -1,4 +1,4 @@
-"""bayes_sensor: step-response parameters of a gas sensor with error bars that can be believed.
+"""bayes_sensor: step-response parameters of a gas sensor with intervals under autocorrelated noise.
 
 Names are loaded when first used, so that ``import bayes_sensor`` stays fast.
 """

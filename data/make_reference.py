@@ -11,15 +11,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from bayes_sensor.writers import (
+
+from bayes_sensor.campaign import Campaign, Experiment
+from bayes_sensor.io.writers import (
     campaign_text,
     drive_signal,
     write_picoscope_csv,
     write_picoscope_mat,
 )
-
-from bayes_sensor.campaign import Campaign, Experiment
-from bayes_sensor.likelihood import Problem, mean_and_variance, simulate
+from bayes_sensor.likelihood.density import mean_and_variance, simulate
+from bayes_sensor.likelihood.problem import Problem
 
 SEED = 20250601
 INTERVAL, DURATION = 1e-3, 120.0  # s

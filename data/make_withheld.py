@@ -1,4 +1,4 @@
-"""Build data/withheld: a campaign of the independent reality with one thing wrong, truth sealed.
+"""Build data/withheld: a campaign of the independent simulator with one thing wrong, truth sealed.
 
 Which of the causes that the catalogue lists it is, and how strong, follows from the seed, which was
 fixed before anything was diagnosed.  Run by ``make data``; the same versions give the same bytes.
@@ -10,11 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from bayes_sensor.results import json_text, sha256, write_text
-from bayes_sensor.writers import campaign_text, drive_signal, write_picoscope_mat
 
 from bayes_sensor.blind_check.plan import HIDING, Entry, draw_truth
-from bayes_sensor.reality import CAUSES, Case, make_campaign
+from bayes_sensor.blind_check.simulator import CAUSES, Case, make_campaign
+from bayes_sensor.io.disk import write_text
+from bayes_sensor.io.json_files import json_text, sha256
+from bayes_sensor.io.writers import campaign_text, drive_signal, write_picoscope_mat
 
 SEED = 20260401
 LEVEL = 20.0  # detectability: plainly visible, and smaller than the eye would find in the traces

@@ -9,14 +9,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from bayes_sensor.figures.blind_check import opened_seal
-from bayes_sensor.results import read_json, sha256
-
-from bayes_sensor.blind_check.check import complete_truth, trimmed
+from bayes_sensor.blind_check.diagnosing import trimmed
 from bayes_sensor.blind_check.score import score_case
+from bayes_sensor.blind_check.simulator import CAUSES
+from bayes_sensor.blind_check.truth import complete_truth
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.figures import png
-from bayes_sensor.reality import CAUSES
+from bayes_sensor.figures.plot_blind_check import opened_seal
+from bayes_sensor.io.json_files import read_json, sha256
 
 FOLDER = Path(__file__).parent / "withheld"
 

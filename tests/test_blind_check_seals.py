@@ -1,4 +1,4 @@
-"""Seals of the blind check: what was changed or put in later is told; old code has no say."""
+"""Seals of the blind check: what was changed or put in later is told; users' own campaigns."""
 
 from __future__ import annotations
 
@@ -12,15 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-import bayes_sensor.checks.study_chunks as study_chunks
 from bayes_sensor.blind_check import diagnose_cases, draw_cases, open_seals, sealed_late
+from bayes_sensor.blind_check.simulator import draw_case, make_campaign
 from bayes_sensor.blind_check.truth import KEYS
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.checks.study_chunks import code_digest, run_chunks
 from bayes_sensor.cli import _guarded, run_blind_check
 from bayes_sensor.io.json_files import read_json, sha256
 from bayes_sensor.io.writers import write_campaign
-from bayes_sensor.reality import draw_case, make_campaign
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -135,27 +133,28 @@ def test_what_is_no_truth_is_told_before_it_is_sealed(
 
 
 WRONG_TRUTHS = [
-    ('"tau_s": "48 ms"', 'tau_s: expected a positive number of seconds such as 0.048, or null, but '
-     'got "48 ms"; correct it'),
-    ('"tau_s": -1', "tau_s: expected a positive number of seconds"),
-    ('"d": "big"', 'd: expected a number from 0 on, in standard deviations of the noise, .*"big"'),
-    ('"d": true', "d: expected a number"),
-    ('"d": NaN', "d: expected a number"),
-    ('"acts": ["fall"]', r'acts: expected a list of places such as .* got \["fall"\]'),
-    ('"acts": [{"experiment": "1", "phase": "decay", "share": 1}]', "a phase of baseline, onset"),
+    ('"tau_s": "48 ms"', r'tau_s: expected something like 0.048 \(s, positive\), but got "48 ms"; '
+     "correct it or leave it out"),
+    ('"tau_s": -1', "tau_s: expected something like 0.048"),
+    ('"tau_s": 0', "tau_s: expected something like 0.048"),
+    ('"d": "big"', r'd: expected something like 8.0 \(standard deviations of the noise\).*"big"'),
+    ('"d": true', "d: expected something like 8.0"),
+    ('"d": NaN', "d: expected something like 8.0"),
+    ('"acts": ["fall"]', r'acts: expected something like \[{"experiment": "1".* got \["fall"\]'),
+    ('"acts": [{"experiment": "1", "phase": "decay", "share": 1}]', "phases: baseline, onset"),
     ('"acts": [{"experiment": "77", "phase": "fall", "share": 1}]',
      r'acts: expected experiments of campaigns/mine \(.*\), but got "77"'),
-    ('"closed": {"dead_volume": "all"}', "closed: expected shares such as"),
+    ('"closed": {"dead_volume": "all"}', 'closed: expected something like {"dead_volume": 0.97}'),
     ('"closed": {"dead_vol": 0.5}', "closed: expected effects of the .* but got 'dead_vol'"),
-    ('"rivals": [3]', "rivals: expected distances such as"),
-    ('"near": "carry_over"', "near: expected a list of names such as"),
+    ('"rivals": [3]', 'rivals: expected something like {"carry_over": 5.0}'),
+    ('"near": "carry_over"', r'near: expected something like \["carry_over"\]'),
     ('"near": ["carry_ovr"]', "near: .* but got 'carry_ovr'; known are .* carry_over, "),
     ('"taus_s": 0.048', "but got 'taus_s', which none has; did you mean 'tau_s'"),
     ('"colour": 1', "but got 'colour', which none has; known are listed_as, name, kind"),
-    ('"kind": "nil"', "kind: expected one of null, listed"),
+    ('"kind": "nil"', r"kind: expected something like .* \(one of null, listed"),
     ('"kind": "null"', "kind: expected one that agrees with listed_as = "),
     ('"name": "yours"', "name: expected the name of the campaign's folder, 'mine', but got "),
-    ('"is_ar1": "yes"', "is_ar1: expected true or false"),
+    ('"is_ar1": "yes"', "is_ar1: expected something like true"),
 ]  # fmt: skip
 
 
@@ -282,89 +281,120 @@ def test_the_seconds_of_every_case_are_kept_and_not_hashed(own: Path) -> None:
     assert command(own, "--score-only", "--quiet") == 0
 
 
-# --------------------------------------------------------------------------- parts of other code
+# --------------------------------------------------------------------------- drawn cases
 
 
-class Squares:
-    """A task that counts its calls."""
+def test_seals_hold(tmp_path: Path) -> None:
+    parts = tmp_path / "parts"
+    draw_cases(tmp_path, parts, 3, 5, size="small")
+    hashes = read_json(tmp_path / "sealed.json")
+    assert len(hashes) == 3
+    plan = (tmp_path / "plan.json").read_text()
+    for name in hashes:
+        truth = read_json(tmp_path / "sealed" / f"{name}.json")
+        assert all(cause not in plan for cause in truth["causes"])
+        campaign = tmp_path / "campaigns" / name / "campaign.toml"
+        assert campaign.is_file()
+        assert all(cause not in campaign.read_text() for cause in truth["causes"])
+    seen: list[tuple[list[str], int]] = []
 
-    calls = 0
+    def spy(campaign: Campaign, seed: int, without: Any, setting: str) -> Any:
+        seen.append((campaign.names_of_experiments, seed))
+        return refuses(campaign, seed, without, setting)
 
-    def __call__(self, i: int) -> dict[str, Any]:
-        Squares.calls += 1
-        return {"x": i * i}
-
-
-@pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A package of two sources that stands for this one, in a process that has run nothing."""
-    folder = tmp_path / "package"
-    for room in ("gap", "figures"):
-        (folder / room).mkdir(parents=True)
-        (folder / room / "one.py").write_text("A = 1\n")
-    monkeypatch.setattr(study_chunks, "PACKAGE", folder)
-    monkeypatch.setattr(study_chunks, "_BEGUN", {})
-    monkeypatch.setattr(logging.getLogger("bayes_sensor"), "propagate", True)
-    monkeypatch.setattr(Squares, "calls", 0)
-    return folder
-
-
-def test_parts_of_other_code_are_not_used(
-    tmp_path: Path, package: Path, monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:  # fmt: skip
-    def run() -> int:
-        """How many results were computed."""
-        monkeypatch.setattr(study_chunks, "_BEGUN", {})  # as a new process would begin
-        before = Squares.calls
-        found = run_chunks(Squares(), 4, tmp_path / "parts", "key", chunk=2)
-        np.testing.assert_array_equal(found["x"], np.arange(4) ** 2)
-        return Squares.calls - before
-
-    assert (run(), run()) == (4, 0) and not caplog.records
-    digest = code_digest(Squares())
-    (package / "figures" / "one.py").write_text("A = 2\n")  # no number depends on it
-    (package / "gap" / ".#one.py").symlink_to("nobody@nowhere")  # an editor's lock
-    assert code_digest(Squares()) == digest and run() == 0
-    (package / "gap" / "one.py").write_text("A = 2\n")
-    assert code_digest(Squares()) != digest and run() == 4
-    (said,) = (record.getMessage() for record in caplog.records)
-    assert "2 finished parts are of other code and are not used" in said
-    (package / "gap" / "one.py").rename(package / "gap" / "two.py")
-    assert run() == 4
+    diagnose_cases(tmp_path, tmp_path, parts, "study", diagnosis=spy)
+    assert len(seen) == 3
+    cases = open_seals(tmp_path)
+    assert [truth["name"] for truth, _ in cases] == sorted(hashes)
+    # a verdict that is touched afterwards, or a truth, is refused
+    for folder in ("verdicts", "sealed"):
+        file = tmp_path / folder / f"{min(hashes)}.json"
+        kept = file.read_text()
+        file.write_text(kept.replace("0", "1", 1))
+        with pytest.raises(CampaignError, match=f"{folder}/{min(hashes)}.json: expected the file"):
+            open_seals(tmp_path)
+        file.write_text(kept)
+    assert len(open_seals(tmp_path)) == 3
 
 
-def test_a_digest_has_the_source_of_the_task_as_well(
-    package: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    digest = code_digest(Squares())
-    monkeypatch.setattr(Squares, "__module__", "bayes_sensor.checks.study_chunks")
-    assert code_digest(Squares()) != digest
+def test_a_campaign_from_its_recipe_is_diagnosed_like_the_one_on_disk(tmp_path: Path) -> None:
+    def level(campaign: Campaign, seed: int, without: Any, setting: str) -> Any:
+        raise CampaignError(f"{np.mean([e.values.mean() for e in campaign]):.9g}")
+
+    found = []
+    for keep in (True, False):
+        folder = tmp_path / str(keep)
+        draw_cases(folder, folder / "parts", 2, 5, size="small", keep=keep)
+        assert (folder / "campaigns").is_dir() == keep
+        diagnose_cases(folder, folder, folder / "parts", "study", diagnosis=level)
+        found.append([verdict["reason"] for _, verdict in open_seals(folder)])
+    assert found[0] == found[1]
 
 
-def test_code_changed_while_it_ran_is_told_and_its_parts_are_not_used(
-    tmp_path: Path, package: Path, monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:  # fmt: skip
-    def change(done: int, n: int) -> None:
-        if done == n:
-            (package / "gap" / "one.py").write_text("A = 3\n")
+def test_what_is_withheld_is_taken_out_of_the_catalogue(tmp_path: Path) -> None:
+    taken_out = []
 
-    run_chunks(Squares(), 2, tmp_path / "a", "key", progress=change)
-    (said,) = (record.getMessage() for record in caplog.records)
-    assert "the code was changed while this ran" in said
-    run_chunks(Squares(), 2, tmp_path / "b", "key")  # by what this process has loaded before
-    monkeypatch.setattr(study_chunks, "_BEGUN", {})
-    for folder in "ab":
-        run_chunks(Squares(), 2, tmp_path / folder, "key")
-    assert Squares.calls == 8
+    def spy(campaign: Campaign, seed: int, without: Any, setting: str) -> Any:
+        taken_out.append(tuple(without))
+        raise CampaignError("gap: not asked")
+
+    draw_cases(tmp_path, tmp_path / "parts", 6, 3, size="small", keep=False)
+    diagnose_cases(tmp_path, tmp_path, tmp_path / "parts", "study", diagnosis=spy)
+    truths = [truth for truth, _ in open_seals(tmp_path)]
+    expected = [
+        tuple(sorted(truth["listed_as"][0])) if truth["kind"] == "withheld" else ()
+        for truth in truths
+    ]
+    assert taken_out == expected and any(expected)
+
+
+def test_numbers_do_not_depend_on_jobs_or_interruptions(tmp_path: Path) -> None:
+    told: list[int] = []
+
+    class StopError(Exception):
+        """Raised half way."""
+
+    def stop(done: int, n: int) -> None:
+        told.append(done)
+        if done >= 1:
+            raise StopError
+
+    a, b = tmp_path / "a", tmp_path / "b"
+    with pytest.raises(StopError):
+        draw_cases(a, a / "parts", 2, 9, size="small", keep=False, chunk=1, progress=stop)
+    assert not (a / "sealed").exists()
+    draw_cases(a, a / "parts", 2, 9, size="small", keep=False, chunk=1, progress=told_by(told))
+    assert told[-2:] == [1, 2]  # the first half was not drawn again
+    draw_cases(b, b / "parts", 2, 9, size="small", keep=False, jobs=2, chunk=1)
+    assert (a / "sealed.json").read_bytes() == (b / "sealed.json").read_bytes()
+
+
+def told_by(told: list[int]) -> Any:
+    """A progress that writes down what is done."""
+    return lambda done, n: told.append(done)
+
+
+def test_user_errors_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "x")
+    for arguments, words in (
+        (["--setting", "quick"], "--setting: expected one of full, study"),
+        (["--score-only"], "no verdict has a truth"),
+        (["--diagnose-only"], "neither plan.json nor"),
+        (["--cases-only", "--score-only"], "at most one of --cases-only"),
+        (["--size", "big"], "--size: expected one of mixed"),
+    ):
+        assert _guarded(["blind-check", "--out", out, *arguments]) == 2
+        assert words in capsys.readouterr().err
+    (tmp_path / "own" / "campaigns").mkdir(parents=True)
+    assert _guarded(["blind-check", "--out", str(tmp_path / "own")]) == 2
+    assert "campaigns of your own" in capsys.readouterr().err
 
 
 # --------------------------------------------------------------------------- the bundled campaign
 
 
-def test_the_readme_shows_the_seal_that_the_demo_opens() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_the_docs_show_the_seal_that_the_demo_opens() -> None:
+    page = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     demo = re.search(r"^demo:.*\n((?:\t.*\n)+)", makefile, re.MULTILINE)
     assert demo is not None
@@ -374,9 +404,9 @@ def test_the_readme_shows_the_seal_that_the_demo_opens() -> None:
         for words in ("analyze data/reference", "gap data/withheld", "data/open_seal.py")
     )
     assert job < diagnosis < opening
-    begin, end = readme.index("## Two commands"), readme.index("## On your own data")
-    about = readme[begin:end]
-    assert "data/withheld/" in about and "](paper/figures/opened_seal.png)" in about
+    begin, end = page.index("## First analysis"), page.index("For your own data")
+    about = page[begin:end]
+    assert "data/withheld/" in about and "](../paper/figures/opened_seal.png)" in about
     # what verdict and truth are is drawn with the study, and not typed here
     truth = json.loads((ROOT / "data" / "withheld" / "sealed.json").read_text(encoding="utf-8"))
     names = {*truth["causes"], *(name for names in truth["listed_as"] for name in names)}

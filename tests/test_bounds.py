@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import campaigns
 import numpy as np
 import pytest
+from campaigns import small_design as long_design
+from campaigns import small_theta as its_theta
 from scipy import stats
 from scipy.integrate import quad
 from scipy.optimize import least_squares
@@ -39,6 +41,7 @@ from bayes_sensor.bounds.gaussian_intervals import (
 from bayes_sensor.bounds.hardness import multiple_correlation
 from bayes_sensor.bounds.jackknife import leave_one_out
 from bayes_sensor.bounds.likelihood_surface import maximise, spread_along_tau, white_surface
+from bayes_sensor.bounds.profile import Point, _next
 from bayes_sensor.bounds.sandwich import (
     andrews_bandwidth,
     ar1_middle,
@@ -442,6 +445,40 @@ def test_resamples_are_blocks_of_the_asked_mean_length():
     breaks = np.sum((np.diff(index) % 1000) != 1)
     assert 100_000 / (breaks + 1) == pytest.approx(20.0, rel=0.05)
     assert len(np.unique(index)) == 1000
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.6])
+def test_resamples_are_those_of_arch(rho):
+    arch = pytest.importorskip("arch.bootstrap")
+    n, length, n_resamples = 400, 12.0, 3000
+    x = lfilter([1.0], [1.0, -rho], np.random.default_rng(8).standard_normal(n))
+
+    def mean_and_correlation(values):
+        d = values - values.mean()
+        return values.mean(), d[1:] @ d[:-1] / (d @ d)
+
+    def of_arch(length):
+        resamples = arch.StationaryBootstrap(length, x, seed=10).bootstrap(n_resamples)
+        return np.array([mean_and_correlation(*values) for values, _ in resamples])
+
+    rng = np.random.default_rng(9)
+    ours = np.array([
+        mean_and_correlation(x[stationary_indices(n, length, rng)]) for _ in range(n_resamples)
+    ])  # fmt: skip
+    for mine, other in zip(ours.T, of_arch(length).T, strict=True):
+        # the same law: one of a thousand pairs of samples would be told apart
+        assert stats.ks_2samp(mine, other).pvalue > 1e-3
+    # a negative control: shorter blocks are told apart where samples are correlated
+    assert stats.ks_2samp(ours[:, 1], of_arch(length / 4)[:, 1]).pvalue < 1e-6 or rho == 0.0
+
+
+@pytest.mark.parametrize("rho", [-0.5, 0.3, 0.9])
+def test_block_length_is_that_of_arch(rho):
+    arch = pytest.importorskip("arch.bootstrap")
+    x = lfilter([1.0], [1.0, -rho], np.random.default_rng(3).standard_normal(50_000))
+    # arch divides correlations by the variances of both parts: another lag may be the last to count
+    expected = float(arch.optimal_block_length(x)["stationary"].iloc[0])
+    assert optimal_block_length(x) == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.parametrize("rho", [0.4, 0.8])
@@ -984,3 +1021,38 @@ def test_the_profile_keeps_to_the_order_of_tau_and_tau_v():
     for i, name, end in ((0, "tau_s", 1), (1, "tau_v_s", 0)):
         value = bound.interval(name)[end]
         assert profiler.drop(i, value**2 if i == 0 else value) == pytest.approx(1.96, abs=5e-3)
+
+
+def test_whitening_across_a_gap_leaves_white_noise() -> None:
+    # phi .95 and two samples missing in every twenty: a wrong neighbour across the gap shows
+    masked = [(0.2 * k, 0.2 * k + 0.0199) for k in range(1, 600)]
+    campaign = long_design(n=1, interval=0.01, duration=120.0, masked=masked)
+    problem = Problem(campaign)
+    theta = its_theta(campaign, phi=0.95)
+    problem = replace(problem, campaign=simulate(problem, theta, seed=3))
+    e = problem.campaign.experiments[0]
+    series = _series(problem, problem.layout.flat(theta), 0, whitened=True)
+    starts = np.cumsum([0, *(b - a for a, b in e.runs[:-1])])[1:]
+    assert len(starts) > 500
+    # variance 1 within and across, sd of the mean square across sqrt(2/n)
+    assert np.mean(series.e[starts] ** 2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(starts)))
+    z = (e.values - e.values.mean())[e.used]
+    assert z.std() > 0  # the raw series is not what is resampled
+    np.testing.assert_allclose(
+        series.across[1:], 0.95 ** (e.runs[1:, 0] - e.runs[:-1, 1] + 1), rtol=1e-12
+    )
+
+
+def test_a_profile_is_followed_outwards_in_proportion() -> None:
+    def at(value: float, drop: float) -> Point:
+        return Point(value, drop, np.zeros(1))
+
+    for centre, sign in ((2.0, 1.0), (2.0, -1.0), (-0.5, 1.0)):
+        near = at(centre + sign * 0.25, 1.0)
+        # a Gaussian profile: the drop is proportional to the distance; 2 % beyond the target
+        assert _next(centre, near, None, 9.0, 1.96) == pytest.approx(
+            centre + sign * 0.25 * 1.02 * 1.96
+        )
+        assert _next(centre, at(centre, 0.0), None, 9.0, 1.96) == 9.0
+        # at most three times as far
+        assert _next(centre, near, None, 9.0, 100.0) == pytest.approx(centre + sign * 0.75)

@@ -1,5 +1,6 @@
 """Calibration: ranks, bands, coverage, and long runs that resume."""
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,10 @@ from posterior_calibration import (
 )
 from scipy import stats
 
+import bayes_sensor.checks.study_chunks as study_chunks
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.checks.counted_coverage import binomial_interval
-from bayes_sensor.checks.study_chunks import run_chunks
+from bayes_sensor.checks.study_chunks import code_digest, run_chunks
 from bayes_sensor.likelihood.prior_density import log_priors
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
@@ -287,3 +289,81 @@ def test_committed_benchmark_states_its_goals() -> None:
     with_goal = table[table["goal"].notna()]
     assert len(with_goal) >= 12
     assert with_goal["verdict"].str.match(r"met$|missed by \d").all()
+
+
+# --------------------------------------------------------------------------- parts of other code
+
+
+class Squares:
+    """A task that counts its calls."""
+
+    calls = 0
+
+    def __call__(self, i: int) -> dict[str, Any]:
+        Squares.calls += 1
+        return {"x": i * i}
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A package of two sources that stands for this one, in a process that has run nothing."""
+    folder = tmp_path / "package"
+    for room in ("gap", "figures"):
+        (folder / room).mkdir(parents=True)
+        (folder / room / "one.py").write_text("A = 1\n")
+    monkeypatch.setattr(study_chunks, "PACKAGE", folder)
+    monkeypatch.setattr(study_chunks, "_BEGUN", {})
+    monkeypatch.setattr(logging.getLogger("bayes_sensor"), "propagate", True)
+    monkeypatch.setattr(Squares, "calls", 0)
+    return folder
+
+
+def test_parts_of_other_code_are_not_used(
+    tmp_path: Path, package: Path, monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:  # fmt: skip
+    def run() -> int:
+        """How many results were computed."""
+        monkeypatch.setattr(study_chunks, "_BEGUN", {})  # as a new process would begin
+        before = Squares.calls
+        found = run_chunks(Squares(), 4, tmp_path / "parts", "key", chunk=2)
+        np.testing.assert_array_equal(found["x"], np.arange(4) ** 2)
+        return Squares.calls - before
+
+    assert (run(), run()) == (4, 0) and not caplog.records
+    digest = code_digest(Squares())
+    (package / "figures" / "one.py").write_text("A = 2\n")  # no number depends on it
+    (package / "gap" / ".#one.py").symlink_to("nobody@nowhere")  # an editor's lock
+    assert code_digest(Squares()) == digest and run() == 0
+    (package / "gap" / "one.py").write_text("A = 2\n")
+    assert code_digest(Squares()) != digest and run() == 4
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert "2 finished parts are of other code and are not used" in said
+    (package / "gap" / "one.py").rename(package / "gap" / "two.py")
+    assert run() == 4
+
+
+def test_a_digest_has_the_source_of_the_task_as_well(
+    package: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    digest = code_digest(Squares())
+    monkeypatch.setattr(Squares, "__module__", "bayes_sensor.checks.study_chunks")
+    assert code_digest(Squares()) != digest
+
+
+def test_code_changed_while_it_ran_is_told_and_its_parts_are_not_used(
+    tmp_path: Path, package: Path, monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:  # fmt: skip
+    def change(done: int, n: int) -> None:
+        if done == n:
+            (package / "gap" / "one.py").write_text("A = 3\n")
+
+    run_chunks(Squares(), 2, tmp_path / "a", "key", progress=change)
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert "the code was changed while this ran" in said
+    run_chunks(Squares(), 2, tmp_path / "b", "key")  # by what this process has loaded before
+    monkeypatch.setattr(study_chunks, "_BEGUN", {})
+    for folder in "ab":
+        run_chunks(Squares(), 2, tmp_path / folder, "key")
+    assert Squares.calls == 8

@@ -18,6 +18,7 @@ from bayes_sensor.likelihood.coordinates import Coordinates
 from bayes_sensor.likelihood.density import experiment_log_likelihood, mean_and_variance, simulate
 from bayes_sensor.likelihood.density import log_likelihood as full_pass
 from bayes_sensor.likelihood.mesh import Region, compress, default_region, log_likelihood
+from bayes_sensor.likelihood.mesh.blocks import _blocks_of_run
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import Cascade
@@ -558,3 +559,30 @@ def test_a_mesh_about_no_tau_at_all_is_one_about_a_tiny_tau() -> None:
     mesh = compress(problem, {**problem.layout.nested(theta), "tau_s": 0.0})
     assert mesh.log_likelihood(theta) == pytest.approx(full_pass(problem, theta), abs=1e-3)
     assert mesh.n_full_passes == 0
+
+
+def test_the_gradient_across_gaps_under_alternating_noise() -> None:
+    problem, theta = small_problem(
+        -0.4, n=2, interval=0.02, masked=[(3.0, 3.04), (4.0, 4.06), (5.5, 5.52)]
+    )
+    mesh = compress(problem, theta)
+    i = problem.layout.index("phi")
+    h = 1e-5
+    up, down = theta.copy(), theta.copy()
+    up[i] += h
+    down[i] -= h
+    expected = (mesh.log_likelihood(up) - mesh.log_likelihood(down)) / (2 * h)
+    assert mesh.gradient(theta)[i] == pytest.approx(expected, rel=1e-6)
+
+
+def test_blocks_reach_into_no_stretch_that_is_wanted_sample_by_sample() -> None:
+    h, kinks = 0.01, np.array([[3.0, 3.2], [6.0, 6.005]])
+    none = np.empty((0, 2))
+    blocks = _blocks_of_run(0, 1000, 0.0, h, none, 0.1, np.ones((3, 2)), 1.0, kinks, 1.0)
+    starts, sizes, kinds = np.array(blocks).T
+    assert starts[0] == 0 and (starts[1:] == (starts + sizes)[:-1]).all() and sizes.sum() == 1000
+    within = np.zeros(len(starts), dtype=bool)
+    for low, high in kinks:
+        within |= (starts * h < high) & ((starts + sizes) * h > low)
+    assert within.sum() > 3 and (kinds[within] == 0).all() and (sizes[within] <= 8).all()
+    assert kinds[~within].max() > 2

@@ -10,14 +10,15 @@ import pytest
 
 from bayes_sensor.bounds import LEVELS, METHODS
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.checks import coverage
 from bayes_sensor.checks.counted_coverage import binomial_interval
 from bayes_sensor.checks.coverage import (
     SETTINGS,
     BoundsStudy,
     Setting,
+    _limits,
     chosen_settings,
     coverage_of_methods,
-    markdown_table,
     run_coverage,
     simulate_setting,
     small_design,
@@ -214,12 +215,10 @@ def committed() -> pd.DataFrame:
     return pd.read_csv(ROOT / "paper" / "tables" / "coverage_bounds.csv", dtype={"level": str})
 
 
-def test_the_readme_shows_the_committed_table(committed: pd.DataFrame) -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    begin, end = "<!-- coverage table: study_bounds.py -->\n", "<!-- end of coverage table -->"
-    assert readme.partition(begin)[2].partition(end)[0] == markdown_table(committed)
+def test_the_page_says_how_much_more_slowly_the_valve_closes() -> None:
+    page = (ROOT / "docs" / "choose_a_bound.md").read_text(encoding="utf-8")
     percent = 100 * (SETTINGS["slow_closing"].closing - 1)
-    assert f"closes {percent:.0f} % more slowly" in " ".join(readme.split())
+    assert f"closes {percent:.0f} % more slowly" in " ".join(page.split())
 
 
 def test_the_committed_study_is_complete_and_says_what_it_should(committed: pd.DataFrame) -> None:
@@ -237,3 +236,48 @@ def test_the_committed_study_is_complete_and_says_what_it_should(committed: pd.D
     assert at["arma", "crlb_ar1", "V_mL", "95"] < at["arma", "sandwich", "V_mL", "95"]
     # an unmodelled effect makes every interval of what it touches wrong
     assert at["slow_closing", "crlb_ar1", "tau_v_s", "95"] < 0.5
+
+
+def test_delays_of_the_design_of_the_coverage_study_are_the_published_lines() -> None:
+    design, theta = coverage.small_design()
+    layout = Problem(design).layout
+    for e, (_, _, on, off) in zip(design, layout.local):
+        inverse = 1000.0 / e.total_flow  # s/L
+        assert theta[on] - e.commanded_on == pytest.approx(0.1340 + 0.1125 * inverse)
+        assert theta[off] - e.commanded_off == pytest.approx(0.0161 + 0.0745 * inverse)
+
+
+def test_a_coverage_study_tries_the_methods_that_were_asked_for(monkeypatch, tmp_path) -> None:
+    tried = []
+
+    def note(study: coverage.BoundsStudy, *_: object, **__: object) -> None:
+        tried.append(study.methods)
+        raise CampaignError("far enough")
+
+    monkeypatch.setattr(coverage, "run_chunks", note)
+    some = tuple(coverage.METHODS)[:2]
+    for asked in (some, None, ()):
+        with pytest.raises(CampaignError, match="far enough"):
+            coverage.run_coverage(tmp_path, coverage.chosen_settings(["iid"]), 1, asked)
+    assert tried == [some, tuple(coverage.METHODS), tuple(coverage.METHODS)]
+
+
+def test_coverage_of_no_interval_has_no_limits() -> None:
+    none = np.zeros((5, 1), dtype=bool)
+    assert np.isnan(_limits(none, none)).all()
+    low, high = _limits(~none, ~none)
+    assert 0.4 < low < 0.8 and high == 1.0
+
+
+def test_a_setting_without_a_step_down_stays_up() -> None:
+    design, theta = small_design()
+    up = replace(
+        design, experiments=tuple(replace(e, commanded_off=None) for e in design.experiments)
+    )
+    kept = np.array([i for i in range(len(theta)) if i < 3 or (i - 3) % 4 != 3])
+    e = simulate_setting(up, theta[kept], SETTINGS["iid"], 1).experiments[0]
+    y0, beta = theta[3], theta[4]
+    # noise of 14 mV in a thousand samples
+    assert e.values[-100:].mean() == pytest.approx(y0 + beta, abs=0.01)
+    down = simulate_setting(design, theta, SETTINGS["iid"], 1).experiments[0]
+    assert down.values[-100:].mean() < y0 + 0.5 * beta

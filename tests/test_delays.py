@@ -277,3 +277,30 @@ def test_json_follows_the_contract():
         low, high = result[side]["ci95"]["slope_L"]
         assert low < result[side]["slope_L"] < high
     assert result["start"]["outliers"] == ["4"]
+
+
+def test_a_point_that_decides_its_line_hides_no_other() -> None:
+    # the first flow stands alone; the points after it still have their studentised residuals
+    x = np.array([1.0, 2.0, 2.0, 2.0, 2.0])
+    y = np.array([0.3, 0.51, 0.48, 0.5, 0.52])
+    line = regress_line(list("abcde"), x, y)
+    assert line.studentised["a"] is None
+    assert all(line.studentised[name] is not None for name in "bcde")
+
+
+def test_the_interval_of_the_intercept_is_its_own() -> None:
+    x, y = np.array([1.0, 2.0, 3.0, 5.0]), np.array([0.5, 0.63, 0.69, 0.92])
+    line = regress_line(list("abcd"), x, y)
+    expected = sm.OLS(y, sm.add_constant(x)).fit().conf_int()
+    assert line.ci95["intercept_s"] == pytest.approx(expected[0])
+    assert line.ci95["slope_L"] == pytest.approx(expected[1])
+
+
+def test_a_point_off_an_exact_line_stands_out_without_limit() -> None:
+    x = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    y = 0.25 + 0.125 * x
+    y[2] += 0.5
+    line = regress_line(list("abcde"), x, y)
+    found = line.studentised
+    assert found["c"] is not None and found["c"] > 1e6
+    assert all(abs(found[name]) < 10.0 for name in "abde")

@@ -5,15 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from campaigns import small_design, small_problem
 from scipy import stats
 
+from bayes_sensor.design import choose_experiments
 from bayes_sensor.bounds import cramer_rao
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.design import design_experiments, what_if
+from bayes_sensor.design.choose_experiments import _candidates
+from bayes_sensor.design.extra_knowledge import _as_pulse
 from bayes_sensor.design.planned_experiments import settings_of, truth_of
-from bayes_sensor.design.record_information import sum_information
+from bayes_sensor.design.record_information import record_information, sum_information
 from bayes_sensor.design.tau_interval import predict, predict_tau
 from bayes_sensor.likelihood.density import mean_and_variance, simulate
+from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.noise import Noise, lag_coefficient
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
@@ -291,3 +296,76 @@ def noise_of(problem: Problem, truth: dict, name: str) -> list[float]:
     s2 = mean_and_variance(problem, vector, k)[1]
     phi = float(vector[problem.layout.noise[k, 0]])
     return [float(np.sqrt(s2.max())), lag_coefficient(phi, problem.steps(problem.campaign[name]))]
+
+
+def test_candidates_fill_the_grid_that_was_asked_for() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    present, truth = settings_of(problem, theta), truth_of(problem, theta)
+    found = _candidates(
+        problem, theta, present, truth, (60.0, 120.0), (0.1, 0.3), (20.0, 60.0), (2, 3, 4)
+    )
+    assert len(found) == 2 * 3 * 4
+    concentrations = {round(s.experiment.concentration, 9) for s in found}
+    assert concentrations == {0.1, 0.2, 0.3}
+
+
+@pytest.mark.parametrize("noise", [Noise("constant"), Noise("concentration")], ids=str)
+def test_without_growing_noise_a_record_tells_the_same_under_either_law(noise: Noise) -> None:
+    problem, theta = small_problem(0.4, n=2, interval=0.05, noise=noise)
+    theta[problem.layout.noise[0][2]] = 0.0
+    truth = truth_of(problem, theta)
+    found = record_information(settings_of(problem, theta)[0], truth, truth.tau)
+    assert np.isfinite(found).all()
+    alone = replace(problem, campaign=small_design(n=1, interval=0.05))
+    direct = expected_information(alone, np.array([*theta[:7], *theta[problem.layout.noise[0]]]))
+    # of tau_v, V, y0, beta, t0, tf and, through d(tau^2) = 2 tau d(tau) at t0 + tau, of tau
+    np.testing.assert_allclose(found[2:8, 2:8], direct[1:7, 1:7], rtol=1e-9)
+    slope = np.zeros(len(found))
+    slope[[0, 6, 7]] = 2.0 * truth.tau, 1.0, 1.0
+    assert slope @ found @ slope == pytest.approx(direct[0, 0], rel=1e-9)
+
+
+def test_candidates_answer_as_late_as_the_present_experiments() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    early = [replace(e, commanded_on=0.5) for e in problem.campaign.experiments]
+    problem = replace(problem, campaign=replace(problem.campaign, experiments=tuple(early)))
+    present, truth = settings_of(problem, theta), truth_of(problem, theta)
+    found = _candidates(
+        problem, theta, present, truth, (60.0, 120.0), (0.1, 0.3), (20.0, 60.0), (2, 2, 2)
+    )
+    delay = np.mean([s.t0 for s in present]) - 0.5  # of two, the median is the mean
+    assert delay == pytest.approx(1.5137)
+    for s in found:
+        assert s.experiment.commanded_on is not None and s.experiment.commanded_off is not None
+        assert s.t0 - s.experiment.commanded_on == pytest.approx(delay)
+        assert s.tf is not None and s.tf - s.experiment.commanded_off == pytest.approx(delay)
+
+
+def test_a_pulse_lasts_six_slowest_time_constants_or_is_not_proposed() -> None:
+    problem, theta = small_problem(n=1, interval=0.01, duration=120.0)
+    setting, truth = settings_of(problem, theta)[0], truth_of(problem, theta)
+    slowest = max(truth.tau, truth.tau_v, truth.V / setting.experiment.total_flow)
+    most = int(0.4 * 120.0 / (6.0 * slowest))  # up at 20 %, down at 60 %
+    assert most > 10
+    pulse = _as_pulse(setting, most, truth)
+    assert pulse is not None and pulse.tf is not None and pulse.tf - pulse.t0 >= 6.0 * slowest
+    assert _as_pulse(setting, most + 1, truth) is None
+
+
+@pytest.mark.parametrize(("tau", "target", "rounds"), [(0.01, 4e-3, 2), (0.1, 10.0, 1)])
+def test_a_design_is_made_again_where_better_experiments_tell_tau_better(
+    monkeypatch, tau: float, target: float, rounds: int
+) -> None:
+    problem, theta = small_problem(n=2, interval=0.05, tau=tau)
+    choose, made = choose_experiments._choose, []
+
+    def counted(*args: object) -> list[int]:
+        made.append(choose(*args))
+        return made[-1]
+
+    monkeypatch.setattr(choose_experiments, "_choose", counted)
+    found = choose_experiments.design_experiments(
+        problem, theta, target, (60.0, 200.0), (0.2, 0.4), (20.0, 40.0), n_grid=(2, 2, 1)
+    )
+    better = found.after.high68 < 0.9 * found.before.high68
+    assert better == (rounds == 2) and len(made) == rounds

@@ -539,3 +539,35 @@ def test_uncertain_pdms_only_scales_time():
 def test_an_inverse_that_cannot_be_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         infer_d_zif8(**arguments)
+
+
+@pytest.mark.parametrize("tau63", [1e-6, 1.0])
+def test_a_response_time_that_no_radius_gives_is_refused_in_words(tau63: float) -> None:
+    with pytest.raises(ValueError, match="no radius gives .* ms; this coating reaches 63.2 %"):
+        find_outer_radius(tau63)
+
+
+@pytest.mark.parametrize("outer_radius", [Coating().outer_radius, np.inf])
+@pytest.mark.parametrize("geometry", ["axisymmetric", "planar"])
+def test_the_mesh_fills_the_coating_from_its_axis(outer_radius: float, geometry: str) -> None:
+    coating = Coating(outer_radius=outer_radius, geometry=geometry)
+    system = assemble(coating, level=0)
+    assert (np.diff(system.r) > 0).all() and (np.diff(system.z) > 0).all()
+    assert (system.r[0], system.z[0]) == (0.0, 0.0)
+    assert system.z[-1] == pytest.approx(coating.thickness)
+    if np.isfinite(outer_radius):
+        assert system.r[-1] == pytest.approx(outer_radius)
+    # the capacity is positive, as a quadratic form
+    assert np.linalg.eigvalsh(system.mass.toarray()).min() > 0
+
+
+def test_a_step_that_is_cut_follows_the_third_order_of_its_error() -> None:
+    system = assemble(Coating(), level=0)
+    usual = 1e-6 * system.tau_moment()
+    first = []
+    for tolerance in (1e-9, 3e-12, 1e-12):
+        times = march(system, tolerance=tolerance, until=3.0 * usual).times
+        first.append(times[1] - times[0])
+    assert first[0] == pytest.approx(usual, rel=1e-9)  # fits as it is
+    assert first[1] < usual
+    assert first[1] / first[2] == pytest.approx(3.0 ** (1 / 3), rel=1e-2)

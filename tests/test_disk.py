@@ -2,12 +2,15 @@
 
 import json
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from bayes_sensor.likelihood.mesh.node_sums import _one_process
 from campaigns import small_problem
 
 import bayes_sensor
@@ -174,6 +177,26 @@ def test_a_lock_is_written_to_no_other_file(
     assert said.count("\n") == 1 and f"{lock}: expected the lock file of a run" in said
     assert "remove it" in said
     assert whole(outside) and os.path.lexists(lock)
+
+
+def test_the_lock_of_compiled_code_truncates_nothing(tmp_path: Path, outside: Path) -> None:
+    (tmp_path / "kernels.lock").symlink_to(outside / "thesis.tex")
+    with _one_process(tmp_path):
+        assert whole(outside)
+    assert whole(outside)
+
+
+def test_compiled_code_waits_for_the_process_that_compiles(tmp_path: Path) -> None:
+    code = (
+        "import sys; from bayes_sensor.likelihood.mesh.node_sums import _one_process\n"
+        "with _one_process(sys.argv[1]):\n    print('held', flush=True)"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    with _one_process(tmp_path):
+        other = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        with pytest.raises(subprocess.TimeoutExpired):
+            other.communicate(timeout=4.0)
+    assert other.communicate(timeout=60.0)[0] == "held\n"
 
 
 # --- writers

@@ -15,6 +15,7 @@ from campaigns import small_problem
 
 import bayes_sensor as bs
 from bayes_sensor.bounds import METHODS
+from bayes_sensor.checks.coverage import SETTINGS
 from bayes_sensor.cli import app
 from bayes_sensor.diagnosis import CATALOGUE
 from bayes_sensor.io.readers import FORMATS
@@ -212,47 +213,159 @@ def test_the_bound_of_the_page_is_wider_by_its_factor(examples: dict[str, Any]) 
     assert wide / narrow == pytest.approx(np.sqrt((1 + phi) / (1 - phi)))
 
 
+def readme() -> str:
+    return (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def rows(name: str) -> list[dict[str, str]]:
+    with (ROOT / "paper" / "tables" / f"{name}.csv").open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_the_readme_is_short_and_in_the_order_of_the_house() -> None:
+    assert len(readme()) < 6000
+    assert re.findall(r"^## (.+)$", readme(), re.MULTILINE) == [
+        "Two commands", "Your own data", "What you get", "Assumptions and limits",
+        "How often the diagnosis is right", "Links",
+    ]  # fmt: skip
+
+
 def test_files_that_the_readme_names_exist() -> None:
-    named = re.findall(FILES, (ROOT / "README.md").read_text(encoding="utf-8"))
-    assert len(named) > 10
-    assert [path for path in named if not (ROOT / path).exists()] == []
+    named = re.findall(FILES, readme())
+    linked = re.findall(r"\]\(([^)#:]+)\)", readme())
+    assert len(named) > 4 and len(linked) > 8
+    assert [path for path in (*named, *linked) if not (ROOT / path).exists()] == []
+    picture = ROOT / "docs" / "static" / "report_first_page.png"
+    assert picture.stat().st_size < 250_000
+
+
+def numbers(pattern: str, text: str) -> list[float]:
+    """The numbers in the first match of a pattern whose blanks may be line breaks."""
+    found = re.search(pattern.replace(" ", r"\s+"), text)
+    assert found is not None, pattern
+    return [float(number) for number in found.groups()]
 
 
 def test_the_readme_says_what_the_tables_say() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = readme()
+    speed = {row["what"]: float(row["median"]) for row in rows("benchmark")}
+    fleet = {row["way"]: float(row["wall_s"]) for row in rows("fleet")}
+    took = numbers(
+        r"`fit` takes ([\d.]+) s and `posterior` with the independence sampler ([\d.]+) s",
+                   text)  # fmt: skip
+    for value, what in zip(took, ("fit, wall", "posterior (independence), wall")):
+        assert value == round(speed[f"fresh process, bayes-sensor: {what}"], 1)
+    assert numbers(r"`analyze` takes (\d+) s", text) == [
+        round(fleet["published size, default settings, serial"])
+    ]
 
-    def rows(name: str, key: str) -> dict[str, dict[str, str]]:
-        with (ROOT / "paper" / "tables" / f"{name}.csv").open(newline="") as stream:
-            return {row[key]: row for row in csv.DictReader(stream)}
-
-    speed = rows("benchmark", "what")
-    said = re.search(
-        r"in about (\d+) microseconds, (\d+) times faster than our own[\w\s]*? and (\d+) times",
-        text,
-    )
-    assert said is not None
-    for number, what in zip(
-        said.groups(),
-        ("compressed value", "own full pass over value",
-         "PINTS AR1LogLikelihood, numba Euler over value"),
-    ):  # fmt: skip
-        # "about": a busy machine moves these by as much
-        assert float(number) == pytest.approx(float(speed[what]["median"]), rel=0.3), what
-
-    bounds = rows("published_bounds", "how")
-    table = re.findall(r"^\| ([^|]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", text, re.MULTILINE)
-    keys = {
-        "Table III as published": "Table III as published",
-        "forward Euler, every": "forward Euler, forward difference, +1 % of every parameter",
-        "converged derivatives": "converged, closed form",
-        "converged, AR(1) noise": "converged, AR(1) phi 0.5 with concentration-dependent variance",
-        "the same with phi = 0.9": "converged, AR(1) phi 0.9 with concentration-dependent variance",
+    cover = {
+        (row["setting"], row["parameter"]): float(row["coverage"])
+        for row in rows("coverage_bounds")
+        if row["method"] == "posterior" and row["level"] == "95"
     }
-    assert len(table) == len(keys)
-    for (words, *values), (start, how) in zip(table, keys.items()):
-        assert words.startswith(start)
-        for value, column in zip(values, ("tau_3sigma_ms", "tau_v_3sigma_ms", "V_3sigma_mL")):
-            assert float(value) == float(f"{float(bounds[how][column]):.3g}"), (how, column)
+
+    def shares(*settings: str) -> list[float]:
+        found = [cover[setting, name] for setting in settings
+                 for name in ("tau_s", "tau_v_s", "V_mL")]  # fmt: skip
+        return [round(100 * value) for value in (min(found), max(found))]
+
+    assert numbers(r"with such noise, (\d+) to (\d+) %", text) == shares(
+        "iid", "ar1_0.5", "ar1_0.9"
+    )
+    assert numbers(r"half AR\(1\) it is (\d+) to (\d+) %", text) == shares("arma")
+    closing = SETTINGS["slow_closing"].closing
+    assert numbers(r"closes (\d+) % more slowly than it opens reduces the coverage of the valve's "
+                   r"time constant to (\d+) %", text) == [
+        round(100 * (closing - 1)), round(100 * cover["slow_closing", "tau_v_s"]),
+    ]  # fmt: skip
+
+
+def test_the_page_on_bounds_says_where_intervals_hold() -> None:
+    text = TEXT["choose_a_bound.md"]
+    found = [row for row in rows("coverage_bounds") if row["level"] == "95"]
+
+    def shares(methods: set[str], settings: set[str], parameters: set[str]) -> list[float]:
+        some = [
+            float(row["coverage"])
+            for row in found
+            if row["method"] in methods
+            and row["setting"] in settings
+            and row["parameter"] in parameters
+        ]
+        return [round(100 * value) for value in (min(some), max(some))]
+
+    likely = {"posterior", "profile", "crlb_ar1"}
+    three = {"tau_s", "tau_v_s", "V_mL"}
+    assert numbers(r"AR\(1\) noise, (\d+) to (\d+) % of", text) == shares(
+        likely, {"iid", "ar1_0.5", "ar1_0.9"}, three
+    )
+    assert numbers(r"hold tau_v and V in (\d+) to (\d+) %", text) == shares(
+        likely, {"arma"}, three - {"tau_s"}
+    )
+    assert numbers(r"methods hold tau_v in (\d+) to (\d+) %", text) == shares(
+        set(METHODS), {"slow_closing"}, {"tau_v_s"}
+    )
+    published, recipe = rows("published_bounds")[:2]
+    assert recipe["how"] == "forward Euler, forward difference, +1 % of every parameter"
+    worst = max(
+        abs(float(recipe[key]) / float(published[key]) - 1) for key in published if key != "how"
+    )
+    assert numbers(r"is reproduced, within ([\d.]+) %, by", text) == [round(100 * worst, 1)]
+
+
+def test_the_readme_says_how_often_the_diagnosis_is_right() -> None:
+    part = readme().partition("## How often the diagnosis is right")[2].partition("##")[0]
+    together = {row["what"]: row for row in rows("blind_check_together")}
+    nulls = together["null hypotheses named"]
+    unknown = together["unknown causes found"]
+    assert numbers(r"In (\d+) blind checks", part) == [float(nulls["runs"])]
+    assert numbers(r"Of (\d+) campaigns without a fault ([\d.]+) % were", part) == [
+        float(nulls["of"]), round(100 * float(nulls["share"]), 1),
+    ]  # fmt: skip
+    assert numbers(r"right family was found in (\d+) %", part) == [
+        round(100 * float(together["right family"]["share"]))
+    ]
+    assert numbers(r"catalogue were found in (\d+) %", part) == [
+        round(100 * float(unknown["share"]))
+    ]
+    reached = [round(100 * float(unknown[key])) for key in ("at_d8", "at_d16")]
+    goals = numbers(r"catalogue, (\d+) % at 8 and (\d+) % at 16, were missed", part)
+    assert goals == [60, 85] and all(is_low < goal for is_low, goal in zip(reached, goals))
+    assert numbers(r"missed with (\d+) and (\d+) %", part) == reached
+
+
+def test_the_page_on_the_gap_says_what_became_of_real_measurements() -> None:
+    text = TEXT["read_a_gap_report.md"]
+    steps, matrix = rows("real_pid")
+    assert {steps["verdict"], steps["verdict_with"]} == {"unlisted"}
+    assert {matrix["verdict"], matrix["verdict_with"]} == {"unlisted"}
+    assert numbers(
+        r"closed (\d+) % of the squared excess in the dilution steps and (\d+) % in", text
+    ) == [round(100 * float(row["held_closed"])) for row in (steps, matrix)]
+
+
+def test_the_page_on_speed_says_what_was_measured() -> None:
+    text = TEXT["speed.md"]
+    speed = {row["what"]: float(row["median"]) for row in rows("benchmark")}
+    euler, closed = (f"PINTS AR1LogLikelihood, numba {x} over " for x in ("Euler", "closed form"))
+    for pattern, what in (
+        (r"takes ([\d.]+) times as long as our compiled full pass", f"{euler}own full pass"),
+        (r"as its model it takes ([\d.]+) times as long", f"{closed}own full pass"),
+        (r"PINTS takes (\d+) times as long for a value with the Euler model", f"{euler}value"),
+        (r"model, and (\d+) times with the closed form\. - Through", f"{closed}value"),
+        (r"then takes (\d+) times as long with", f"{euler}value, parameters by name"),
+        (r"model, and (\d+) times with the closed form\. The",
+         f"{closed}value, parameters by name"),
+        (r"set-up takes ([\d.]+) s", "set-up of the compressed form"),
+    ):  # fmt: skip
+        assert numbers(pattern, text) == [pytest.approx(speed[what], rel=0.05)], what
+    whole = next(row for row in rows("fleet") if row["way"].endswith("default settings, serial"))
+    assert numbers(r"it took (\d+) s of wall time, of which (\d+) s", text) == [
+        round(float(whole["wall_s"])), round(float(whole["processor_s"])),
+    ]  # fmt: skip
+    gap = [float(row["median_s"]) for row in rows("blind_check_seconds")]
+    assert numbers(r"takes about (\d+) s at the sizes", text) == [round(max(gap))]
 
 
 def test_cells_of_a_study_table_read_as_words() -> None:

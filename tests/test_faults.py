@@ -18,8 +18,9 @@ import pytest
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import _guarded
 from bayes_sensor.cli.interruption import advice
-from bayes_sensor.io import results
-from bayes_sensor.io.results import Lock, Results
+from bayes_sensor.io import folder_lock
+from bayes_sensor.io.folder_lock import Lock
+from bayes_sensor.io.results import Results
 
 TABLES = Path(__file__).resolve().parent.parent / "paper" / "tables"
 QUICK = """
@@ -253,6 +254,10 @@ def test_one_waits_for_a_folder_as_long_as_asked(tmp_path: Path) -> None:
         pass
 
 
+def no_locks(descriptor: int, blocking: bool = True) -> bool:
+    raise OSError(errno.ENOLCK, "No locks available")
+
+
 @pytest.mark.parametrize(
     ("host", "alive", "held"), [("", False, True), ("", True, False), ("elsewhere", False, False)]
 )
@@ -264,7 +269,7 @@ def test_without_locks_of_the_system_the_owner_is_looked_for(
             other.communicate(b"\n")
         record = {"pid": other.pid, "host": host or platform.node(), "command": "bayes-sensor fit"}
         (tmp_path / ".lock").write_text(json.dumps(record))
-        monkeypatch.setattr(results, "fcntl", None)
+        monkeypatch.setattr(folder_lock, "lock_descriptor", no_locks)
         if held:
             with Results(tmp_path).locked():
                 assert json.loads((tmp_path / ".lock").read_text())["pid"] == os.getpid()
@@ -288,7 +293,7 @@ def test_a_lock_is_closed_before_it_is_removed_where_open_files_stay(
             raise PermissionError(13, "the file is in use", str(path))
         removed(path, missing_ok=missing_ok)
 
-    monkeypatch.setattr(results, "fcntl", None)  # as on Windows
+    monkeypatch.setattr(folder_lock, "OPEN_FILES_STAY", True)
     lock = Lock(tmp_path / ".lock")
     assert lock.held
     monkeypatch.setattr(Path, "unlink", unlink)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from campaigns import small_problem
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.fit import fit_least_squares, particle_swarm
@@ -569,3 +570,22 @@ def test_progress_is_told(measured):
     fit_least_squares(measured, euler=False, progress=lambda f, word: told.append((f, word)))
     fractions = [fraction for fraction, _ in told]
     assert fractions == sorted(fractions) and told[-1] == (1.0, "done")
+
+
+def test_a_rise_ends_where_nine_tenths_are_first_reached() -> None:
+    problem, theta = small_problem(n=1, interval=0.01, sigma=0.002)
+    e = problem.campaign.experiments[0]
+    t = np.arange(0.0, 5.0, 1e-3)
+    taus = [theta[0], theta[1], theta[2] / e.total_flow]
+    x = cascade_response(t, taus, 0.0)
+    expected = t[x >= 0.9][0] - t[x >= 0.1][0]
+    assert first_look(e).rise == pytest.approx(expected, abs=0.03)
+
+
+@pytest.mark.parametrize(("lags", "settled"), [(1.0, False), (2.0, False), (6.0, True)])
+def test_a_step_of_few_lags_does_not_reach_its_plateau(lags: float, settled: bool) -> None:
+    t = np.arange(0.0, 3.0 + lags, 0.01)
+    y = np.where(t < 2.0, 0.0, 1.0 - np.exp(-(t - 2.0)))
+    y += 1e-3 * np.random.default_rng(1).standard_normal(len(t))
+    e = Experiment("a", t, y, 60.0, 10.0, 0.01, 2.0, 2.0 + lags)
+    assert first_look(e).settled == settled

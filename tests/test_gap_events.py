@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from bayes_sensor.blind_check.simulator import Component, NoiseLaw, draw_case, make_campaign
 from bayes_sensor.campaign import Campaign
 from bayes_sensor.diagnosis import diagnose_gap
 from bayes_sensor.diagnosis.data.bins import PHASES
@@ -34,8 +35,7 @@ from bayes_sensor.diagnosis.verdict import (
     standing,
     stands_beside,
 )
-from bayes_sensor.lattice import lattice_step
-from bayes_sensor.reality import draw_case, make_campaign
+from bayes_sensor.residuals.converter_step import lattice_step
 from bayes_sensor.rig.layout import Layout
 from tests.gap_cases import design, diagnosed, measured, noise, theta
 
@@ -286,8 +286,9 @@ def test_means_have_long_tails_where_levels_last_very_differently():
 
 def test_levels_that_last_are_no_breaks_no_patches_and_not_unsteady():
     # a laser of many modes: white noise, of which a tenth keeps its level for power-law times
-    case = draw_case(7020161, law="mode_hopping")
-    campaign = make_campaign(case)
+    hopping = Component(0.144, 0.1653, shape="settling", depth=0.75)
+    law = NoiseLaw("mode_hopping", 0.02755, 0.02721, (Component(0.856), hopping))
+    campaign = make_campaign(replace(draw_case(7020161), noise=law))
     prepared = prepared_of(campaign)
     base = fit_base(prepared.sketch)
     events = look_for_events(campaign, prepared.stretches)

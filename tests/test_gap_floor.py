@@ -8,6 +8,7 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
+from bayes_sensor.blind_check.simulator import Component, NoiseLaw, draw_case, make_campaign
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.diagnosis import diagnose_gap
 from bayes_sensor.diagnosis.data import noise_floor
@@ -26,7 +27,6 @@ from bayes_sensor.diagnosis.data.preparation import fit_base, full_rate_residual
 from bayes_sensor.diagnosis.signals.local_misfit import look_for_breaks
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import simulate
-from bayes_sensor.reality import draw_case, make_campaign
 from bayes_sensor.rig.cascade import cascade_response
 from bayes_sensor.rig.layout import Layout
 from tests.gap_cases import design, theta
@@ -166,7 +166,9 @@ def test_noise_counts_less_where_it_is_louder_for_a_while(interval, phi):
 
 
 def test_a_drill_next_door_breaks_nothing_and_is_told(monkeypatch):
-    campaign = make_campaign(draw_case(7088915, law="drilling"))
+    drilled = Component(1.0, 6e-4, shape="drilled", rate=0.24, depth=0.82)
+    law = NoiseLaw("drilling", 0.0916, 0.0717, (drilled,))
+    campaign = make_campaign(replace(draw_case(7088915), noise=law))
     gap = diagnose_gap(campaign, bootstrap=0, separate=False, hidden=False)
     assert gap.verdict.kind == "none"
     (told,) = (note for note in gap.notes if "louder for a while" in note)

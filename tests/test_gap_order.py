@@ -10,7 +10,7 @@ import pytest
 
 import bayes_sensor as bs
 from bayes_sensor import figures
-from bayes_sensor.blind_check.check import trimmed
+from bayes_sensor.blind_check.diagnosing import trimmed
 from bayes_sensor.campaign import Campaign, FloatArray, SideInformation
 from bayes_sensor.diagnosis import CATALOGUE, Gap, Strength, diagnose_gap, own_effect
 from bayes_sensor.diagnosis.data.binned_campaign import Sketch

@@ -1,6 +1,7 @@
 """The coordinates, the truncated draws and the Gaussian that proposes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from bayes_sensor.likelihood.prior_density import log_prior
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.posterior.laplace import (
     Laplace,
+    _expand,
+    _information,
     approximate,
     draw_root,
     log_posteriors,
@@ -185,3 +188,78 @@ def test_the_prior_pulls_the_expansion() -> None:
     assert pulled.cov[2, 2] < plain.cov[2, 2]
     mesh = compress(narrow, theta)
     assert np.isfinite(log_posteriors(mesh, pulled.coordinates, theta[None]))[0]
+
+
+def test_the_density_of_drawn_roots_is_the_one_they_are_drawn_from() -> None:
+    mean, sd = np.full(20_000, 0.3), np.full(20_000, 0.5)
+    x, log_q = draw_root(mean, sd, np.random.default_rng(4), n_grid=32)
+    order = np.argsort(x)
+    q = np.exp(log_q[order])
+    # the density of the draws made, summed over the stretch they cover
+    assert np.trapezoid(q, x[order]) == pytest.approx(1.0, abs=2e-3)
+    # piecewise linear: the distribution function at the draws is uniform, sd of its mean 0.002
+    cdf = np.concatenate([[0.0], np.cumsum(0.5 * (q[1:] + q[:-1]) * np.diff(x[order]))])
+    assert np.abs(cdf - np.arange(len(x)) / len(x)).max() < 0.014  # Kolmogorov: 1.95 / sqrt(n)
+
+
+def test_every_parameter_with_limits_is_drawn_within_them() -> None:
+    # two of them, correlated, each cut on one side at half a standard deviation
+    cov = np.array([[1.0, 0.2, 0.1, 0.0], [0.2, 1.0, 0.6, 0.3], [0.1, 0.6, 1.0, 0.4],
+                    [0.0, 0.3, 0.4, 1.0]])  # fmt: skip
+    limits = (np.array([-9.0, -0.5, -9.0, -9.0]), np.array([9.0, 9.0, 0.5, 9.0]))
+    coordinates = SimpleNamespace(
+        squared=np.array([0]), limited=np.array([1, 2]), limits=limits, theta=lambda psi: psi,
+        signs=lambda theta: np.ones(4),
+    )  # fmt: skip
+    laplace = Laplace(coordinates, np.zeros(4), cov, np.zeros(4), 0.0, True)
+    drawn, log_q = laplace.draw(4000, np.random.default_rng(7))
+    assert (drawn[:, 1] >= -0.5).all() and (drawn[:, 2] <= 0.5).all()
+    assert drawn[:, 1].max() > 2.0 and drawn[:, 2].min() < -2.0 and np.isfinite(log_q).all()
+
+
+def test_a_mesh_that_was_widened_once_is_wide_enough() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    first = compress(problem, theta)
+    narrow = replace(
+        first.region, low=theta - 0.5 * (theta - first.region.low),
+        high=theta + 0.05 * (first.region.high - theta),
+    )  # fmt: skip
+    _, wide = approximate(problem, theta, compress(problem, theta, narrow))
+    assert (wide.region.high > narrow.high).any()
+    _, again = approximate(problem, theta, wide)
+    assert again is wide
+
+
+def test_curvatures_are_taken_where_tau_squared_is_positive() -> None:
+    problem, theta = small_problem(n=2, interval=0.05, tau=0.01)
+    mesh, coordinates = compress(problem, theta), Coordinates(problem)
+    psi = coordinates.psi(theta)
+    info = _information(mesh, coordinates, psi)
+    assert psi[0] < 0.3 / np.sqrt(info[0, 0])  # a usual step would reach below zero
+    asked = []
+
+    def gradient(at: np.ndarray) -> np.ndarray:
+        asked.append(at.copy())
+        return -info @ (at - psi)
+
+    mean, cov = _expand(mesh, coordinates, psi, gradient)
+    assert (np.array(asked)[:, coordinates.squared] > 0.0).all()
+    # a Gaussian is its own expansion
+    np.testing.assert_allclose(mean, psi, rtol=1e-12)
+    scale = np.sqrt(np.diag(info))
+    np.testing.assert_allclose(
+        cov * np.outer(scale, scale), np.linalg.inv(info / np.outer(scale, scale)), rtol=1e-5
+    )
+
+
+def test_roots_are_drawn_to_beyond_eight_standard_deviations() -> None:
+    mean, sd = np.array([-1.0, 0.0, 3.0, 40.0]), np.array([1.0, 0.5, 2.0, 4.0])
+
+    def drawn_at(u: float) -> np.ndarray:
+        drawn, log_q = draw_root(mean, sd, SimpleNamespace(random=lambda n: np.full(n, u)))
+        assert np.isfinite(log_q).all()
+        return drawn**2
+
+    # where the density has sunk to its floor, so that weights stay bounded there
+    assert (drawn_at(1.0 - 1e-15) > np.maximum(mean, 0.0) + 8.0 * sd).all()
+    assert (drawn_at(0.0) <= np.maximum(mean - 8.0 * sd, 0.0)).all()

@@ -292,3 +292,12 @@ def test_what_the_package_writes_beside_the_parameters_is_read() -> None:
     theta["experiments"]["a"]["phi"] = 0.3
     alone = Layout.of(small_design(n=1, fall=False))
     np.testing.assert_array_equal(alone.flat(theta)[:6], expected[:6])
+
+
+@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+def test_a_time_constant_is_positive_and_finite(place: int, value: float) -> None:
+    values = [0.05, 0.8, 60.0]
+    values[place] = value
+    with pytest.raises(CampaignError, match="time constants must be positive"):
+        time_constants(*values, total_flow=100.0)

@@ -25,7 +25,6 @@ EXTRAS = {
     "cluster": ("dask", "distributed"),
     "bench": ("pints",),
     "docs": ("sphinx", "myst_parser", "furo", "latex2mathml"),
-    "mutation": ("cosmic_ray",),
 }
 OPTIONAL = sorted({module for modules in EXTRAS.values() for module in modules})
 # pydantic is not among them: newer versions of typer load it themselves
@@ -178,12 +177,6 @@ def test_the_benchmark_goes_on_without_pints_and_names_its_extra(
     # the look for PINTS comes before anything else, so that no problem is needed
     assert study("benchmark").pints_log_likelihoods(None) is None
     assert "pip install 'bayes-sensor[bench]'" in capsys.readouterr().err
-
-
-def test_the_mutants_name_their_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    without(monkeypatch, "mutation")
-    with pytest.raises(SystemExit, match=r"pip install 'bayes-sensor\[mutation\]'"):
-        study("study_mutants").cosmic_ray()
 
 
 @pytest.mark.parametrize("absent", ["myst_parser", "furo", "latex2mathml"])

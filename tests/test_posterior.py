@@ -3,24 +3,30 @@
 import json
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from campaigns import small_design, small_problem, small_theta
 
+import bayes_sensor.posterior.sample as sampling
 import bayes_sensor.posterior.samplers.independence as independence
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import CampaignError, SideInformation
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import log_likelihood, simulate
+from bayes_sensor.likelihood.mesh import compress
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Posterior, Settings, load_chains, sample_posterior
+from bayes_sensor.posterior.checkpoints import Checkpoint
 from bayes_sensor.posterior.laplace import approximate, log_posteriors
 from bayes_sensor.posterior.quantiles import reaches_end
 from bayes_sensor.posterior.sample import _start
+from bayes_sensor.posterior.samplers.emcee_ensembles import _hopeless
 from bayes_sensor.posterior.samplers.hmc import Whitened
+from bayes_sensor.posterior.widen_mesh import covered
 from bayes_sensor.rig.cascade import (
     Cascade,
     cascade_response,
@@ -713,3 +719,76 @@ def test_a_start_may_hold_some_of_a_models_own_parameters() -> None:
     extended = replace(problem, model=own, given_priors=priors)
     given = {**problem.layout.nested(theta), "closing_ratio": 0.1}
     np.testing.assert_array_equal(_start(extended, given), _start(extended, theta))
+
+
+def test_a_mesh_grows_to_the_draws_also_where_a_switch_time_has_another_prior() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    name = "t0_s[a]"
+    i = problem.layout.index(name)
+    # 0.2 s wide around 2 s: two numbers that are no limits
+    problem = replace(problem, given_priors={name: Prior("normal", theta[i], 0.2)})
+    mesh = compress(problem, theta)
+    thetas = np.stack([theta, theta])
+    thetas[0, i] -= 1.0
+    thetas[1, i] += 1.0
+    wider = covered(mesh, thetas)
+    assert wider.region.low[i] <= theta[i] - 1.0 and wider.region.high[i] >= theta[i] + 1.0
+    assert wider.covers(thetas[0]) and wider.covers(thetas[1])
+
+
+@dataclass(frozen=True)
+class Known:
+    """A fit that ended at the truth."""
+
+    theta_hat: np.ndarray
+
+
+def test_without_a_fit_the_sampler_makes_one_and_with_one_it_does_not(monkeypatch) -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    seeds = []
+
+    def fit(problem: Problem, seed: int) -> Known:
+        seeds.append(seed)
+        return Known(theta)
+
+    def stop(*_: object) -> None:
+        raise CampaignError("far enough")
+
+    monkeypatch.setattr(sampling, "fit_least_squares", fit)
+    monkeypatch.setattr(sampling, "approximate", stop)
+    for given, expected in ((None, [5]), (Known(theta), [5])):
+        with pytest.raises(CampaignError, match="far enough"):
+            sampling.sample_posterior(problem, given, seed=5)
+        assert seeds == expected
+
+
+def test_where_the_mesh_grows_at_all_it_holds_a_uniform_prior_of_a_switch_time() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    name = "t0_s[a]"
+    i = problem.layout.index(name)
+    low, high = theta[i] - 1.5, theta[i] + 2.5
+    problem = replace(problem, given_priors={name: Prior("uniform", low, high)})
+    thetas = np.stack([theta, theta])
+    thetas[0, i], thetas[1, i] = theta[i] - 0.3, theta[i] + 0.3
+    wider = covered(compress(problem, theta), thetas)
+    for end in (low, high):
+        at = theta.copy()
+        at[i] = end
+        assert wider.covers(at)
+    assert wider.region.low[i] == pytest.approx(low) and wider.region.high[i] == pytest.approx(high)
+
+
+def test_an_ensemble_that_cannot_get_there_is_given_up_after_500_steps() -> None:
+    rng = np.random.default_rng(3)
+    settings = Settings(n_chains=2, n_draws=400, burn_in=0, max_steps=2000)
+    good = rng.standard_normal((4, 500, 2))
+    stuck = good + 5.0 * np.arange(4)[:, None, None]
+    assert _hopeless(stuck, 500, settings)
+    assert not _hopeless(good, 500, settings)
+    assert not _hopeless(stuck, 400, settings)  # too soon to tell
+
+
+def test_what_a_killed_run_left_half_written_is_removed(tmp_path: Path) -> None:
+    (tmp_path / ".ensemble-0-00000.npz.tmp").write_bytes(b"half")
+    Checkpoint(tmp_path, "digest", resume=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["run.json"]

@@ -2,15 +2,26 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from campaigns import small_problem
+from scipy.stats import kstest
 
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import Campaign, Experiment
-from bayes_sensor.checks.predictive import PredictiveCheck, check_predictive, checked
+from bayes_sensor.checks.predictive import (
+    PredictiveCheck,
+    _compare,
+    _pit,
+    _Statistics,
+    check_predictive,
+    checked,
+)
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.noise import Noise
@@ -150,3 +161,83 @@ def test_committed_table_passes_and_fails_where_it_should() -> None:
     assert "AR(1), variance grows" not in failed.index
     assert "autocorrelation" in failed["white, variance grows"]
     assert "variance" in failed["AR(1), constant variance"]
+
+
+def test_holm_stops_at_the_first_check_that_passes() -> None:
+    # the third would fail by its own: .003 * 3 < .01, but the second passes: .0026 * 4 > .01
+    p = (0.5, 0.003, 0.0026, 0.001, 0.4)
+    comparisons = [SimpleNamespace(p_value=value) for value in p[:3]]
+    pit = SimpleNamespace(p_uniform=p[3], p_independent=p[4])
+    check = PredictiveCheck(*comparisons, pit=pit, n_draws=1, seed=1)
+    assert check.failed == ["pit_uniform"]
+
+
+def test_the_distance_from_uniform_is_drawn_over_the_whole_range() -> None:
+    problem, _ = small_problem(n=1, interval=0.05)
+    n = int(problem.campaign.experiments[0].used.sum())
+    u = np.random.default_rng(1).random(n)
+    found = _pit([u], problem)
+    np.testing.assert_allclose(found.grid, np.arange(1, 100) / 100)
+    expected = [(u <= g).mean() - g for g in found.grid]
+    np.testing.assert_allclose(found.ecdf_difference, expected)
+    assert np.abs(found.ecdf_difference).max() <= found.ks
+
+
+def test_p_values_of_few_replicates_are_uniform_where_nothing_is_wrong() -> None:
+    # one data set and three replicates of the same law, twenty thousand times over
+    rng = np.random.default_rng(6)
+    observed = np.broadcast_to(rng.standard_normal(20_000), (3, 20_000))
+    replicated = rng.standard_normal((3, 20_000))
+    found = _compare("mean", "x", "s", np.arange(20_000.0), observed, replicated)
+    assert kstest(found.p_values, "uniform").pvalue > 0.01
+    assert np.mean(found.p_values < 0.05) == pytest.approx(0.05, abs=4 * 0.0015)
+
+
+def test_the_statistics_of_residuals_are_those_of_the_textbook() -> None:
+    # one experiment, two stretches missing; what stands there is of no account
+    problem, theta = small_problem(n=1, interval=0.02, masked=[(1.0, 1.5), (4.0, 4.1)])
+    statistics = _Statistics(problem, theta)
+    (e,) = problem.campaign.experiments
+    rng = np.random.default_rng(5)
+    z, s = rng.standard_normal(len(e.t)), 0.01 + 0.02 * rng.random(len(e.t))
+    z[~e.used] = 1e3
+    autocorrelation, variance, spectrum = statistics([z], [s])
+
+    u = e.used
+    expected = []
+    for lag in statistics.lags:
+        pairs = [z[i] * z[i + lag] for i in range(len(z) - lag) if u[i] and u[i + lag]]
+        expected.append(np.mean(pairs) / np.mean(z[u] ** 2))
+    np.testing.assert_allclose(autocorrelation, expected, rtol=1e-10)
+
+    counts = statistics.bin_counts
+    assert counts.sum() <= u.sum()
+    (where,) = statistics.bins
+    squares = [np.mean((s * z)[u & (where == b)] ** 2) for b in range(len(counts))]
+    np.testing.assert_allclose(variance, squares, rtol=1e-12)
+
+    n, zero = len(z), np.where(u, z, 0.0)
+    k = np.arange(n // 2 + 1)
+    wave = np.exp(-2j * np.pi * np.outer(k, np.arange(n)) / n)
+    density = np.abs(wave @ zero) ** 2 / u.sum()  # 1 for white noise
+    f = k / (n * e.interval)
+    edges = np.geomspace(0.999 * f[1], 1.001 * 0.5 / e.interval, 13)
+    bands = [density[(f >= a) & (f < b)] for a, b in pairwise(edges)]
+    np.testing.assert_allclose(spectrum, [b.mean() for b in bands if len(b)], rtol=1e-8)
+
+
+def test_a_response_below_zero_counts_as_pure_carrier_gas(monkeypatch) -> None:
+    problem, theta = small_problem(n=1, interval=0.02)
+    plain = _Statistics(problem, theta)
+    (e,) = problem.campaign.experiments
+    response = problem.model.response
+
+    def undershooting(t: np.ndarray, *rest: object) -> np.ndarray:
+        x = response(t, *rest)
+        return np.where(x < 1e-3, -0.01, x)
+
+    monkeypatch.setattr(type(problem.model), "response", lambda self, *a: undershooting(*a))
+    found = _Statistics(problem, theta)
+    np.testing.assert_array_equal(found.bin_counts, plain.bin_counts)
+    assert (found.concentration >= 0.0).all()
+    assert found.concentration[-1] == pytest.approx(e.concentration, rel=0.1)

@@ -373,3 +373,12 @@ def test_table_of_response_times_says_what_is_wrong():
         response_time_table(draws, draws, draws, [0.0])
     with pytest.raises(ValueError, match="level must lie"):
         response_time_table(draws, draws, draws, [75.0], level=95.0)
+
+
+def test_a_free_spectral_range_is_one_more_wavelength_around_the_ring() -> None:
+    ring = Ring()
+    turns = ring.group_index * 2.0 * np.pi * ring.radius / ring.resonance
+    # of n wavelengths to n + 1; the group index is the slope of the optical path by 1 / wavelength
+    away = ring.resonance * turns / (turns + 1.0)
+    assert ring.free_spectral_range == pytest.approx(ring.resonance - away, rel=2.0 / turns)
+    assert ring.free_spectral_range == pytest.approx(9.17e-9, rel=1e-3)

@@ -239,7 +239,7 @@ def test_no_section_contradicts_the_gap(parts: tuple[Saved, list[Section]]) -> N
     plain, blamed = replace(parts[0], gap=None), replace(parts[0], gap=found)
     for make, said in (
         (time_constant, "With flow settling in the model τ is 40 ms, 95 % interval [31, 52] ms"),
-        (coating, "rests on the posterior without the effect"),
+        (coating, "uses the posterior without the effect"),
         (fitted, "All of them together do"),
     ):
         for saved in (plain, blamed):

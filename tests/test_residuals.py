@@ -3,32 +3,37 @@
 import json
 import re
 from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from statsmodels.stats.diagnostic import acorr_ljungbox, het_breuschpagan
+from campaigns import small_problem
+from scipy.stats import chi2
+from statsmodels.stats.diagnostic import acorr_ljungbox, het_breuschpagan, het_white
 from statsmodels.tsa.stattools import acf
 
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import Campaign, Experiment
 from bayes_sensor.fit import fit_least_squares
+from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.noise import Noise, simulate_noise
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import sample_posterior
 from bayes_sensor.residuals import (
-    HISTOGRAM_BIN,
     TAKE_AS_THEY_ARE,
     TOO_COARSE,
-    _histogram,
-    _portmanteau,
     autocorrelation,
     diagnose_residuals,
     noise_doubt,
     whiten,
 )
+from bayes_sensor.residuals.autocorrelation import DIRECT_LAGS, LAGS, ljung_box
+from bayes_sensor.residuals.series import FittedNoise
+from bayes_sensor.residuals.spread import HISTOGRAM_BIN, breusch_pagan, histogram
+from bayes_sensor.residuals.variance_check import check_variance
 from bayes_sensor.rig.layout import Layout
-from bayes_sensor.variance_check import check_variance
 
 EXPERIMENTS = {
     "a": {"y0_V": 0.2, "beta_V": 1.5, "t0_s": 3.0, "tf_s": 11.0},
@@ -69,9 +74,22 @@ def adequate():
     return diagnosed()
 
 
-def test_autocorrelation_is_that_of_statsmodels():
-    r = np.random.default_rng(1).standard_normal(1001).cumsum()
-    assert autocorrelation(r, 50) == pytest.approx(acf(r, nlags=50, fft=False), abs=1e-12)
+@pytest.mark.parametrize("n_lags", [50, DIRECT_LAGS + 1])
+def test_autocorrelation_is_that_of_statsmodels(n_lags):
+    r = np.random.default_rng(1).standard_normal(2001).cumsum()
+    expected = acf(r, nlags=n_lags, fft=False)
+    assert autocorrelation(r, n_lags) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("n_lags", [50, DIRECT_LAGS + 1])
+def test_autocorrelation_with_gaps_is_that_of_statsmodels(n_lags):
+    # statsmodels forms all n^2 products for it; ours counts a pair more or less where lags are long
+    rng = np.random.default_rng(8)
+    r, used = rng.standard_normal(2001).cumsum(), rng.random(2001) > 0.3
+    gaps = np.where(used, r, np.nan)
+    expected = acf(gaps, adjusted=True, nlags=n_lags, missing="conservative")
+    biased = expected * (1.0 - np.arange(n_lags + 1) / len(r))
+    assert autocorrelation(r[used], n_lags, used) == pytest.approx(biased, abs=1e-12)
 
 
 def test_autocorrelation_of_a_constant_and_of_few_samples():
@@ -82,13 +100,99 @@ def test_autocorrelation_of_a_constant_and_of_few_samples():
 def test_portmanteau_is_that_of_statsmodels():
     r = np.random.default_rng(2).standard_normal(400)
     expected = acorr_ljungbox(r, lags=[1, 5, 20])
-    statistic, p_value = _portmanteau(r, [1, 5, 20])
-    assert statistic == pytest.approx(expected["lb_stat"].to_numpy(), rel=1e-10)
-    assert p_value == pytest.approx(expected["lb_pvalue"].to_numpy(), rel=1e-8)
+    found = ljung_box(r, [1, 5, 20])
+    assert found["statistic"] == pytest.approx(expected["lb_stat"].to_numpy(), rel=1e-10)
+    assert found["p_value"] == pytest.approx(expected["lb_pvalue"].to_numpy(), rel=1e-8)
     fitted = acorr_ljungbox(r, lags=[1, 5, 20], model_df=1)
-    _, (first, *others) = _portmanteau(r, [1, 5, 20], 1)
+    first, *others = ljung_box(r, [1, 5, 20], 1)["p_value"]
     assert first is None
     assert others == pytest.approx(fitted["lb_pvalue"].to_numpy()[1:], rel=1e-8)
+
+
+REFERENCE = Path(__file__).resolve().parent.parent / "data" / "reference"
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_numbers_of_the_bundled_campaign_are_those_of_the_formulas(masked):
+    campaign = read_campaign(REFERENCE / "campaign.toml")
+    if masked:
+        rng = np.random.default_rng(3)
+        kept = [e.used & (rng.random(len(e.t)) > 0.1) for e in campaign]
+        for mask in kept:
+            mask[2000:8000] = False
+        experiments = tuple(replace(e, mask=m) for e, m in zip(campaign, kept, strict=True))
+        campaign = replace(campaign, experiments=experiments)
+    problem = Problem(campaign)
+    theta = problem.layout.flat(json.loads((REFERENCE / "truth.json").read_text()))
+    found = diagnose_residuals(problem, Known(theta)).to_json()
+    noise = FittedNoise.of(problem, theta)
+    r, used, z, white = (noise.joined(name) for name in ("r", "used", "z", "e"))
+
+    # autocorrelation: sums over pairs of used samples, as many as there would be without gaps
+    d, n = np.zeros(len(used)), len(used)
+    d[used] = r - r.mean()
+    shown = np.rint(np.array(found["acf"]["lag_s"]) / campaign.reference_interval).astype(int)
+    for i in (0, 1, 7, 200, len(shown) // 2, len(shown) - 1):
+        k = shown[i]
+        share = np.mean(used[k:] & used[: n - k]) / np.mean(used)
+        expected = d[k:] @ d[: n - k] / (d @ d) / share
+        assert found["acf"]["value"][i] == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+    for label, series, fitted in (("before", z, 0), ("after", white, 1)):
+        difference = np.diff(series)
+        statistic = difference @ difference / (series @ series)
+        assert found["durbin_watson"][label] == pytest.approx(statistic, rel=1e-12)
+        d, m = series - series.mean(), len(series)
+        rho = np.array([d[k:] @ d[:-k] / (d @ d) for k in range(1, max(LAGS) + 1)])
+        q = m * (m + 2) * np.cumsum(rho**2 / (m - np.arange(1, max(LAGS) + 1)))[np.array(LAGS) - 1]
+        assert found["ljung_box"][label]["statistic"] == pytest.approx(q, rel=1e-10)
+        p_values = found["ljung_box"][label]["p_value"]
+        assert [p is None for p in p_values] == [k <= fitted for k in LAGS]
+        p = chi2.sf(q[fitted:], np.array(LAGS[fitted:]) - fitted)  # LAGS begins with 1
+        assert p_values[fitted:] == pytest.approx(p, rel=1e-8)
+
+    test = found["variance_vs_concentration"]["breusch_pagan"]
+    thin = slice(None, None, test["every"])
+    squares = np.concatenate([s.r[thin] for s in noise.series]) ** 2
+    gas = np.concatenate([s.concentration * s.x[thin] for s in noise.series])
+    statistic = len(squares) * np.corrcoef(squares, gas)[0, 1] ** 2
+    assert test["n"] == len(squares)
+    assert test["statistic"] == pytest.approx(statistic, rel=1e-9)
+    assert test["p_value"] == pytest.approx(chi2.sf(statistic, 1), rel=1e-8)
+
+
+def test_the_variance_in_bins_agrees_with_breusch_pagan_and_white_where_these_hold():
+    # white normal residuals about zero: all three see the same, a line and a bow against the gas
+    rng = np.random.default_rng(9)
+    gas, edges = rng.random(20_000), np.linspace(0.0, 1.0, 6)
+    regressors = np.column_stack([np.ones_like(gas), gas])
+    for scale, line in (
+        (np.ones_like(gas), False), (1.0 + gas, True), (2.0 - np.abs(2.0 * gas - 1.0), False),
+    ):  # fmt: skip
+        e = scale * rng.standard_normal(len(gas))
+        same = np.ptp(scale) == 0.0
+        assert check_variance([e], [gas], edges).adequate == same
+        assert (het_white(e, regressors)[1] > 1e-3) == same
+        assert (het_breuschpagan(e, regressors)[1] < 1e-3) == line
+
+
+def test_what_breusch_pagan_and_white_take_for_variance_and_bins_do_not():
+    rng = np.random.default_rng(10)
+    gas, edges = np.linspace(0.0, 1.0, 4000), np.linspace(0.0, 1.0, 6)
+    regressors = np.column_stack([np.ones_like(gas), gas])
+    correlated = {"bins": 0, "white": 0, "breusch-pagan": 0}
+    for _ in range(100):
+        z = simulate_noise(np.ones(len(gas)), 0.9, rng)
+        e = whiten(z, np.arange(len(z)), 0.9)
+        correlated["bins"] += not check_variance([e], [gas], edges).adequate
+        correlated["white"] += het_white(z, regressors)[1] < 1e-3
+        correlated["breusch-pagan"] += het_breuschpagan(z, regressors)[1] < 1e-3
+    assert correlated["bins"] <= 1
+    assert min(correlated["white"], correlated["breusch-pagan"]) > 20
+    misfit = rng.standard_normal(len(gas)) + 3.0 * np.exp(-(((gas - 0.9) / 0.05) ** 2))
+    assert check_variance([misfit], [gas], edges).adequate
+    for test in (het_white, het_breuschpagan):
+        assert test(misfit, regressors)[1] < 1e-6
 
 
 def test_autocorrelation_counts_lags_through_gaps():
@@ -214,22 +318,22 @@ def test_breusch_pagan_keeps_its_level_on_correlated_noise():
 
 
 def test_histogram_has_the_papers_bins(adequate):
-    histogram = adequate.histogram
-    edges = np.array(histogram["edges_V"])
-    assert histogram["bin_V"] == HISTOGRAM_BIN
+    found = adequate.histogram
+    edges = np.array(found["edges_V"])
+    assert found["bin_V"] == HISTOGRAM_BIN
     assert np.diff(edges) == pytest.approx(0.05)
     assert edges / 0.05 == pytest.approx(np.round(edges / 0.05), abs=1e-9)
-    assert sum(histogram["count"]) == 20_000
+    assert sum(found["count"]) == 20_000
 
 
 def test_histogram_adapts_and_says_so():
     r = 1e-3 * np.random.default_rng(0).standard_normal(5000)
     r[7] = 50.0  # a spike must not make fifty thousand bins
-    histogram = _histogram(np.delete(r, 7))
-    assert 5 < len(histogram["count"]) < 20 and "does not suit" in histogram["note"]
-    histogram = _histogram(r)
-    assert len(histogram["count"]) <= 202 and sum(histogram["count"]) == 5000
-    assert sum(_histogram(np.zeros(5))["count"]) == 5
+    found = histogram(np.delete(r, 7))
+    assert 5 < len(found["count"]) < 20 and "does not suit" in found["note"]
+    found = histogram(r)
+    assert len(found["count"]) <= 202 and sum(found["count"]) == 5000
+    assert sum(histogram(np.zeros(5))["count"]) == 5
 
 
 def test_noise_of_each_experiment(adequate):
@@ -542,3 +646,25 @@ def test_rounding_that_exceeds_the_noise_is_said_to_fail_every_method(steps, ade
         assert found.recommendation == f"{TAKE_AS_THEY_ARE} {TOO_COARSE}"
     else:
         assert found.adequate, found.verdict
+
+
+def test_variance_bins_rise_from_pure_carrier_gas() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    bins = diagnose_residuals(problem, Known(theta)).to_json()["variance_vs_concentration"]
+    low, high = np.array(bins["concentration_low"]), np.array(bins["concentration_high"])
+    reference = problem.campaign.reference_concentration
+    np.testing.assert_allclose(low[:3], [0.0, 0.02 * reference, 0.1 * reference])
+    assert (high > low).all() and (low[1:] == high[:-1]).all() and low[0] == 0.0
+    assert bins["count"][0] > 0  # the baseline
+
+
+@pytest.mark.parametrize(("n", "farthest"), [(40_000, 2000), (5000, 501)])
+def test_residuals_that_stay_correlated_are_thinned_beyond_the_farthest_lag(
+    n: int, farthest: int
+) -> None:
+    # half a wave over the record: the correlation at a twentieth or tenth of it is still high
+    z = np.cos(np.pi * np.arange(n) / n)
+    series = SimpleNamespace(z=z, r=0.01 * z, x=np.linspace(0.0, 1.0, n), concentration=0.2)
+    found = breusch_pagan([series])
+    assert found["every"] == farthest + 1
+    assert found["n"] == len(range(0, n, farthest + 1))

@@ -80,7 +80,6 @@ def test_a_failure_leaves_no_empty_folder_behind(tmp_path: Path) -> None:
 
 
 def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
-    pytest.importorskip("fcntl", reason="locks are only kept where fcntl is")
     code = (
         "import sys; from bayes_sensor.io.results import Results\n"
         "with Results(sys.argv[1]).locked():\n    print('held', flush=True); sys.stdin.read()"

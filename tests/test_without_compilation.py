@@ -42,7 +42,9 @@ for taus in ([0.8, 0.4, 0.05], [0.5, 0.5, 0.5], [0.5, 0.45, 0.4], [0.3, 0.3 + 1e
 say(*euler_sensitivities(t, 0.01, np.array([0.8, 0.4, 0.05]), 0.3, 1.1))
 """,
     "likelihood": """
-from bayes_sensor.likelihood import Prior, log_likelihood, log_prior, log_prior_derivatives
+from bayes_sensor.likelihood.density import log_likelihood
+from bayes_sensor.likelihood.prior_density import log_prior, log_prior_derivatives
+from bayes_sensor.likelihood.priors import Prior
 problem, theta = small_problem(n=2, interval=0.05, masked=[(3.0, 3.5)])
 say(log_likelihood(problem, theta), log_prior(problem, theta))
 laws = [Prior("normal", 0.3, 0.2), Prior("half_normal", 0.3, 0.0), Prior("log_normal", 0.3, 0.5),
@@ -95,10 +97,10 @@ for whitened in (True, False):
     bounded, free, details = resample_and_refit(Evidence(problem, fit), 3, whitened)
     say(bounded, free)
 """,
-    "reality": """
-from bayes_sensor.reality.causes import CAUSES
-from bayes_sensor.reality.draw import draw_case
-from bayes_sensor.reality.simulator import clean_signals
+    "simulator": """
+from bayes_sensor.blind_check.simulator.causes import CAUSES
+from bayes_sensor.blind_check.simulator.draw import draw_case
+from bayes_sensor.blind_check.simulator.campaign import clean_signals
 for seed, (name, cause) in enumerate(sorted(CAUSES.items())):
     case = draw_case(seed, {name: cause.highest}, size="small")
     case = replace(case, steps=case.steps[:1])

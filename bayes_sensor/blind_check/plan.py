@@ -1,7 +1,7 @@
-"""Which cases a blind check consists of, and how one is drawn and sealed.
+"""Which cases a blind check consists of, and how one is drawn.
 
-The plan depends on the number of cases and the seed alone.  Cases are drawn by
-:mod:`bayes_sensor.reality`; the strength of every cause is set by its detectability.
+The plan depends on the number of cases and the seed alone.  The strength of every cause is set by
+its detectability d.
 """
 
 from __future__ import annotations
@@ -13,34 +13,29 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.blind_check.closing import closed_fraction
-from bayes_sensor.blind_check.oracle import (
-    HIDDEN_BELOW,
-    Oracle,
+from bayes_sensor.blind_check.detectability import (
     detectability,
-    listed_rivals,
-    pair_distance,
-    places_after_refit,
-    rival_distances,
+    ideal_fit,
     strength_for,
 )
-from bayes_sensor.campaign import CampaignError
-from bayes_sensor.reality import (
+from bayes_sensor.blind_check.lookalikes import closed_shares
+from bayes_sensor.blind_check.simulator import (
     CAUSES,
     HEAVY_TAILED,
     OPEN_LAWS,
     RESERVE_LAWS,
     SIZES,
-    Case,
-    Cause,
     acting_places,
     draw_case,
 )
+from bayes_sensor.campaign import CampaignError
 
 LEVELS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """detectabilities asked for"""
 DEALT = tuple(sorted((*LEVELS, 8.0, 16.0)))
-"""the same as often as they are asked for: goals are set for 8 and 16, which need the cases"""
+"""how often each is asked for: goals are set for 8 and 16, which need more cases"""
+HIDDEN_BELOW = 2.0
+"""detectability under which a cause counts as hidden"""
 SHARES = {
     "null": 0.335, "listed": 0.265, "unlisted": 0.205, "withheld": 0.1, "pair": 0.055,
     "hidden": 0.04,
@@ -52,8 +47,6 @@ HIDING = (
     "gated_pores", "controller_settling",
 )  # fmt: skip
 """causes that can act strongly and leave next to nothing"""
-NEAREST = 3
-"""rivals, nearest first, whose refits go on until they settle and begin wherever they may"""
 
 
 @dataclass(frozen=True)
@@ -88,12 +81,12 @@ def make_plan(
     size: str = "mixed",
     levels: Sequence[float] = DEALT,
 ) -> list[Entry]:
-    """``n`` cases.
+    """``n`` cases in random order.
 
     ``reserve`` also takes the causes and noise laws that are kept for a final run.  ``size``:
     ``mixed`` (two thirds like the paper's campaign, one third of other lengths and intervals) or
-    one of :data:`bayes_sensor.reality.SIZES`.  ``levels``: detectabilities that every listed and
-    every unlisted cause is drawn with.
+    one of :data:`SIZES`.  ``levels``: detectabilities that every listed and every unlisted cause
+    is drawn with.
 
     Raises
     ------
@@ -107,75 +100,57 @@ def make_plan(
     if n < 1:
         raise CampaignError(f"--cases: expected at least one case, got {n}")
     rng = np.random.default_rng([seed, 0xB11D])
-    seeds = rng.integers(1, 2**31, size=2 * n)
     number = counts(n)
     other_laws = [law for law in OPEN_LAWS if law not in AR1_LAWS]
-    if reserve:  # as often as the others together
+    if reserve and RESERVE_LAWS:  # as often as the others together
         other_laws += [RESERVE_LAWS[i % len(RESERVE_LAWS)] for i in range(len(other_laws))]
-    listed = _pairs_of(
-        [c for c in CAUSES.values() if c.listed and c.name not in HIDING[:2]],
-        rng,
-        number["listed"],
-        levels,
-    )
-    outside = [c for c in CAUSES.values() if not c.listed and not c.reserve]
-    kept = [c for c in CAUSES.values() if not c.listed and c.reserve]
-    unlisted = _pairs_of(outside, rng, number["unlisted"], levels)
-    if reserve:
-        unlisted[::2] = _pairs_of(kept, rng, len(unlisted[::2]), levels)
-
-    def one(kind: str, i: int, causes: tuple[str, ...], level: float, law: str) -> Entry:
-        which = size
-        if size == "mixed":
-            which = "paper" if rng.random() < 2.0 / 3.0 else "varied"
-        k = len(entries)
-        return Entry("", kind, causes, level, law, which, int(seeds[2 * k]), int(seeds[2 * k + 1]))
-
+    listed = [c.name for c in CAUSES.values() if c.listed]
+    drawn: list[tuple[str, tuple[str, ...], float]] = [("null", (), 0.0)] * number["null"]
+    open_ones = [name for name in listed if name not in HIDING[:2]]
+    drawn += [
+        ("listed", (name,), d) for name, d in _dealt(open_ones, levels, number["listed"], rng)
+    ]
+    outside = [c.name for c in CAUSES.values() if not c.listed and not c.reserve]
+    kept = [c.name for c in CAUSES.values() if not c.listed and c.reserve]
+    unlisted = _dealt(outside, levels, number["unlisted"], rng)
+    if reserve and kept:
+        unlisted[::2] = _dealt(kept, levels, len(unlisted[::2]), rng)
+    drawn += [("unlisted", (name,), d) for name, d in unlisted]
+    for _ in range(number["pair"]):
+        drawn.append(("pair", _two_families(rng), float(rng.choice(LEVELS[2:]))))
+    drawn += [("hidden", (HIDING[i % len(HIDING)],), 1.0) for i in range(number["hidden"])]
+    seeds = rng.integers(1, 2**31, size=(n, 2)).tolist()
     entries: list[Entry] = []
-    for i in range(number["null"]):
-        law = AR1_LAWS[(i // 2) % 4] if i % 2 == 0 else other_laws[(i // 2) % len(other_laws)]
-        entries.append(one("null", i, (), 0.0, law))
-
-    def any_law() -> str:
-        laws = AR1_LAWS if rng.random() < 0.7 else tuple(other_laws)
-        return str(rng.choice(laws))
-
-    for kind, drawn in (("listed", listed), ("unlisted", unlisted)):
-        for i, (cause, level) in enumerate(drawn):
-            entries.append(one(kind, i, (cause.name,), level, any_law()))
-    visible = [e for e in entries if e.kind == "listed" and e.level >= 8.0]
-    for i in range(number["withheld"]):
-        if visible:
-            twin = visible[i % len(visible)]
-        else:
-            cause, level = _pairs_of([c for c in CAUSES.values() if c.listed], rng, 1, levels)[0]
-            twin = one("withheld", i, (cause.name,), max(level, 8.0), any_law())
-        entries.append(
-            replace(twin, kind="withheld", diagnosis_seed=int(seeds[2 * len(entries) + 1]))
-        )
-    for i in range(number["pair"]):
-        first, second = _two_families(rng)
-        level = float(rng.choice(LEVELS[2:]))
-        entries.append(one("pair", i, (first, second), level, any_law()))
-    for i in range(number["hidden"]):
-        entries.append(one("hidden", i, (HIDING[i % len(HIDING)],), 1.0, any_law()))
-    order = rng.permutation(len(entries))
+    for i, (kind, causes, level) in enumerate(drawn):
+        laws: Sequence[str] = AR1_LAWS if rng.random() < 0.7 else other_laws
+        law = str(rng.choice(laws))
+        if kind == "null":  # each law as often as the others
+            laws = AR1_LAWS if i % 2 == 0 else other_laws
+            law = laws[(i // 2) % len(laws)]
+        mixed = "paper" if rng.random() < 2.0 / 3.0 else "varied"
+        its_size = mixed if size == "mixed" else size
+        entries.append(Entry("", kind, causes, level, law, its_size, *seeds[i]))
+    strong = [e for e in entries if e.kind == "listed" and e.level >= 8.0]
+    strong = strong or [e for e in entries if e.kind == "listed"]
+    for i in range(n - len(entries)):  # listed cases once more, their effects taken out
+        seed_of_diagnosis = seeds[len(entries)][1]
+        twin = strong[i % len(strong)]
+        entries.append(replace(twin, kind="withheld", diagnosis_seed=seed_of_diagnosis))
     digits = max(4, len(str(n)))
+    order = rng.permutation(n)
     return [replace(entries[j], name=f"case-{i + 1:0{digits}d}") for i, j in enumerate(order)]
 
 
-def _pairs_of(
-    causes: list[Cause], rng: np.random.Generator, n: int, levels: Sequence[float]
-) -> list[tuple[Cause, float]]:
+def _dealt(
+    names: Sequence[str], levels: Sequence[float], n: int, rng: np.random.Generator
+) -> list[tuple[str, float]]:
     """``n`` (cause, level), every combination once before any comes again."""
-    every = [(cause, level) for cause in causes for level in levels]
-    found: list[tuple[Cause, float]] = []
+    found: list[tuple[str, float]] = []
     while len(found) < n:
         # deal the causes round by round, so that a short list holds many of them
-        columns = [rng.permutation(len(levels)) for _ in causes]
-        for round_ in range(len(levels)):
-            for k in rng.permutation(len(causes)):
-                found.append(every[k * len(levels) + columns[k][round_]])
+        columns = [rng.permutation(levels) for _ in names]
+        for k in range(len(levels)):
+            found += [(names[i], float(columns[i][k])) for i in rng.permutation(len(names))]
     return found[:n]
 
 
@@ -187,88 +162,48 @@ def _two_families(rng: np.random.Generator) -> tuple[str, str]:
             return first.name, second.name
 
 
-# --------------------------------------------------------------------------- truths
-
-
 def draw_truth(entry: Entry) -> dict[str, Any]:
     """Everything about a case that is to be sealed, as plain values.
 
-    ``recipe`` makes the campaign; ``d`` is what an oracle sees; ``rivals`` how far each listed
-    explanation stays behind the truth, and ``pair_rival`` the nearest two together where none is
-    right; ``acts`` where the causes act; ``closed`` what share of the gap the right effects of the
-    catalogue could close.
+    ``recipe`` makes the campaign; ``d``: its detectability; ``rivals``: standard deviations of
+    misfit that each other effect of the catalogue leaves; ``closed``: share of the gap that the
+    right effects close; ``acts``: where the causes act.
     """
     case = draw_case(entry.seed, law=entry.law, size=entry.size)
-    strengths: dict[str, float] = {}
-    for name in entry.causes:
-        if entry.kind == "hidden":
-            rng = np.random.default_rng([entry.seed, 5])
-            strength = CAUSES[name].highest * rng.uniform(0.4, 1.0)
-            if detectability(replace(case, strengths={name: strength})) >= HIDDEN_BELOW:
-                strength, _ = strength_for(case, name, 0.5 * HIDDEN_BELOW)
-        else:
-            strength, _ = strength_for(case, name, entry.level)
-        strengths[name] = strength
+    strengths = {name: strength_for(case, name, entry.level)[0] for name in entry.causes}
     case = replace(case, strengths=strengths)
-    near = {name for cause in entry.causes for name in CAUSES[cause].near}
+    causes = [CAUSES[name] for name in entry.causes]
+    near = {name for cause in causes for name in cause.near}
     if entry.law in HEAVY_TAILED:  # its tails are heavy, whatever else is wrong
         near.add("heavy_tails")
     truth: dict[str, Any] = {
         **asdict(entry),
-        "strengths": strengths,
-        "listed_as": [list(CAUSES[name].listed_as) for name in entry.causes],
+        "causes": list(entry.causes),
+        "strengths": dict(case.strengths),
+        "listed_as": [list(cause.listed_as) for cause in causes],
         "near": sorted(near),
-        "cause_families": [CAUSES[name].family for name in entry.causes],
-        "reserve": any(CAUSES[name].reserve for name in entry.causes) or entry.law in RESERVE_LAWS,
+        "cause_families": [cause.family for cause in causes],
+        "reserve": any(cause.reserve for cause in causes) or entry.law in RESERVE_LAWS,
         "is_ar1": case.noise.is_ar1,
         "tau_s": case.tau,
         "recipe": case.to_json(),
-    }
-    truth["causes"] = list(entry.causes)
-    truth |= _seen_by_an_oracle(case)
-    return truth
-
-
-def _seen_by_an_oracle(case: Case) -> dict[str, Any]:
-    seen: dict[str, Any] = {
-        "d": 0.0, "tau_refit_s": case.tau, "rivals": {}, "acts": [], "visible": [], "closed": {},
+        "d": 0.0, "tau_refit_s": case.tau, "rivals": {}, "acts": [], "closed": {},
     }  # fmt: skip
-    if not case.strengths:
-        return seen
-    seen["d"] = detectability(case)
-    if not all(CAUSES[name].noise for name in case.strengths):
-        seen["acts"] = _as_rows(acting_places(case))
-    if all(CAUSES[name].noise or CAUSES[name].fast for name in case.strengths):
-        return seen
-    oracle = Oracle(case)
-    target = oracle.signal(case)
-    fit = oracle.refit(target, oracle.several_starts(oracle.start()))
-    seen["tau_refit_s"] = fit.tau
-    seen["visible"] = _as_rows(places_after_refit(case, fit, oracle))
-    rivals = listed_rivals(case, fit, oracle)
-    seen["rivals"] = rival_distances(fit, rivals)
-    answers = {effect for name in case.strengths for effect in CAUSES[name].listed_as}
-    others = seen["rivals"].keys() - answers
-    for thorough in (False, True):  # settled by refits of the catalogue's forms
-        for name in sorted(others, key=seen["rivals"].__getitem__)[: NEAREST if thorough else None]:
-            closed = closed_fraction(oracle, target, fit, name, thorough=thorough)
-            if closed is not None:
-                seen["rivals"][name] = min(seen["rivals"][name], fit.d * sqrt(1.0 - closed))
-    if not answers:
-        seen["pair_rival"] = min(pair_distance(fit, rivals), *seen["rivals"].values())
-    if len(case.strengths) == 1 and fit.d >= HIDDEN_BELOW:
-        name = next(iter(case.strengths))
-        seen["closed"] = {
-            effect: closed
-            for effect in CAUSES[name].listed_as
-            if (closed := closed_fraction(oracle, target, fit, effect)) is not None
-        }
-    return seen
-
-
-def _as_rows(shares: dict[tuple[str, str], float]) -> list[dict[str, Any]]:
-    return [
-        {"experiment": name, "phase": phase, "share": share}
-        for (name, phase), share in shares.items()
-        if share > 0
-    ]
+    if causes:
+        truth["d"] = detectability(case)
+    if not all(cause.noise for cause in causes):
+        truth["acts"] = [
+            {"experiment": name, "phase": phase, "share": share}
+            for (name, phase), share in acting_places(case).items()
+            if share > 0
+        ]
+    if not all(cause.noise or cause.fast for cause in causes):
+        fit = ideal_fit(case)
+        truth["tau_refit_s"] = fit.tau
+        right = {effect for cause in causes for effect in cause.listed_as}
+        for effect, share in closed_shares(case).items():
+            if effect not in right:
+                truth["rivals"][effect] = fit.d * sqrt(1.0 - share)
+            elif len(causes) == 1 and fit.d >= HIDDEN_BELOW:
+                truth["closed"][effect] = share
+    return truth

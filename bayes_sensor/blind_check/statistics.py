@@ -1,38 +1,33 @@
 """Shares, means, areas and calibration of many cases, each with what chance leaves open.
 
-Proportions have Wilson's interval; everything else one from the bootstrap over cases.
+Proportions have Wilson's interval, everything else one from the bootstrap over cases.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from math import sqrt
 from typing import Any
 
 import numpy as np
+from scipy.stats import mannwhitneyu
+from statsmodels.stats.proportion import proportion_confint
 
 Row = dict[str, Any]
-DRAWS = 2000
-"""bootstrap samples"""
-SEED = 20260602
+DRAWS, SEED = 2000, 20260602
 """of the bootstrap: the same cases give the same card"""
 
 
-def wilson(k: int, n: int, z: float = 1.959963984540054) -> tuple[float, float]:
+def wilson(k: int, n: int) -> tuple[float, float]:
     """95 % interval of a proportion after ``k`` of ``n`` (Wilson, J. Am. Stat. Assoc. 22, 1927).
 
     >>> [round(v, 4) for v in wilson(0, 200)]
     [0.0, 0.0188]
-    >>> wilson(0, 7)[0], wilson(7, 7)[1]
-    (0.0, 1.0)
     """
     if n == 0:
         return 0.0, 1.0
-    p = k / n
-    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    low, high = proportion_confint(k, n, method="wilson")
     # at either end the bound is exact, which rounding would miss
-    return 0.0 if k == 0 else centre - half, 1.0 if k == n else centre + half
+    return 0.0 if k == 0 else float(low), 1.0 if k == n else float(high)
 
 
 def proportion(values: Iterable[Any]) -> Row:
@@ -63,42 +58,21 @@ def average(name: str, values: Iterable[float | None], *, median: bool = False) 
     return {name: found, f"{name}_n": len(known), f"{name}_lo95": low, f"{name}_hi95": high}
 
 
-def roc(positive: Iterable[float | None], negative: Iterable[float | None]) -> Row:
-    """Curve of a score that is high for positives, and its area.
+def area(positive: Iterable[float | None], negative: Iterable[float | None]) -> Row:
+    """Area under the ROC curve of a score that is high for positives.
 
-    ``se``: the area's standard error (Hanley and McNeil, Radiology 143, 1982); ``area_lo95``,
-    ``area_hi95``: positives and negatives drawn anew, each among themselves.
+    Its interval rests on the standard error of Hanley and McNeil (Radiology 143, 1982).
     """
-    yes = np.array([v for v in positive if v is not None], dtype=float)
-    no = np.array([v for v in negative if v is not None], dtype=float)
+    yes, no = ([v for v in values if v is not None] for values in (positive, negative))
     n, m = len(yes), len(no)
     if n == 0 or m == 0:
-        nothing = dict.fromkeys(("area", "area_lo95", "area_hi95", "se"))
-        return {**nothing, "area_n": n + m, "false": [], "true": []}
-    cuts = np.unique(np.concatenate([yes, no]))[::-1]
-    wins = (yes[:, None] > no[None, :]) + 0.5 * (yes[:, None] == no[None, :])
-    area = float(wins.mean())
-    q1, q2 = area / (2.0 - area), 2.0 * area**2 / (1.0 + area)
-    variance = area * (1 - area) + (n - 1) * (q1 - area**2) + (m - 1) * (q2 - area**2)
-    rng = np.random.default_rng(SEED)
-    times_yes = rng.multinomial(n, np.full(n, 1.0 / n), size=DRAWS)
-    times_no = rng.multinomial(m, np.full(m, 1.0 / m), size=DRAWS)
-    anew = ((times_yes @ wins) * times_no).sum(axis=1) / (n * m)
-    low, high = (float(q) for q in np.quantile(anew, [0.025, 0.975]))
-    return {
-        "area": area,
-        "area_n": n + m,
-        "area_lo95": low,
-        "area_hi95": high,
-        "se": sqrt(max(variance, 0.0) / (n * m)),
-        "false": [float(np.mean(no >= cut)) for cut in cuts],
-        "true": [float(np.mean(yes >= cut)) for cut in cuts],
-    }
-
-
-def f1(precision: float | None, recall: float) -> float:
-    """Harmonic mean; 0 where no place was stated, or none of the right ones."""
-    return 2.0 * precision * recall / (precision + recall) if precision and recall else 0.0
+        return {"area": None, "area_n": n + m, "area_lo95": None, "area_hi95": None}
+    a = float(mannwhitneyu(yes, no).statistic) / (n * m)
+    q1, q2 = a / (2.0 - a), 2.0 * a**2 / (1.0 + a)
+    variance = a * (1.0 - a) + (n - 1) * (q1 - a**2) + (m - 1) * (q2 - a**2)
+    half = 1.96 * float(np.sqrt(max(variance, 0.0) / (n * m)))
+    return {"area": a, "area_n": n + m, "area_lo95": max(a - half, 0.0),
+            "area_hi95": min(a + half, 1.0)}  # fmt: skip
 
 
 def calibration(rows: Sequence[Row], stated: str, right: str) -> Row:
@@ -121,8 +95,7 @@ def calibration(rows: Sequence[Row], stated: str, right: str) -> Row:
             total += np.abs((outcome[..., inside] - p[inside]).sum(axis=-1))
         return total / len(p)
 
-    rng = np.random.default_rng(20260601)
-    drawn = error((rng.random((4000, len(p))) < p).astype(float))
+    drawn = error((np.random.default_rng(SEED).random((4000, len(p))) < p).astype(float))
     ece, band = float(error(hit.astype(float))), float(np.quantile(drawn, 0.95))
     table = [
         {"stated": float(p[bins == b].mean()), "right": proportion(hit[bins == b])}

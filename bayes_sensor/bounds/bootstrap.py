@@ -5,8 +5,8 @@ Statist. Assoc. 89, 1994); their mean length follows from the series (Politis an
 Reviews 23, 2004, with the correction of Patton, Politis and White, ibid. 28, 2009).  By default the
 series are the AR(1) innovations of the standardised residuals, coloured again afterwards.
 
-A resample enters least squares through its sums at the mesh nodes, so that a refit costs no pass
-over the samples.
+A resample enters least squares through its sums at the mesh nodes, so a refit needs no pass over
+the samples.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from bayes_sensor.likelihood.problem import Problem
 REFERENCE = "Politis and Romano (1994); Politis and White (2004); Patton, Politis and White (2009)"
 IntArray = NDArray[np.int64]
 LEAST_TAIL = 5
-"""resamples that must lie beyond an end for the end to be read off them"""
+"""resamples that must lie beyond an end of an interval for the end to be estimated from them"""
 MOST_FAILED = 0.25
-"""of the refits that may not settle; their spread says nothing where more do"""
+"""share of refits that may fail to converge; with more their spread is not used"""
 
 
 # --------------------------------------------------------------------------- block length

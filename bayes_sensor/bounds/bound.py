@@ -1,4 +1,4 @@
-"""What every bound method returns: estimates, spreads and intervals, with what they assume."""
+"""The result of a bound method: estimates, spreads, intervals and assumptions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COLUMNS = ("estimate", "sd", "lo68", "hi68", "lo95", "hi95", "lo997", "hi997")
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """One method's statement about every parameter; nan stands for "no value".
+    """One method's values for every parameter; nan is "no value".
 
     Seconds, mL and the campaign's signal unit.
     """
@@ -29,7 +29,7 @@ class Bound:
     assumes: str
     """one sentence"""
     reference: str
-    """where the method comes from"""
+    """reference of the method"""
     names: list[str]
     """flat parameter names"""
     estimate: FloatArray
@@ -41,7 +41,7 @@ class Bound:
     high: FloatArray
     """(n, 3) upper ends"""
     status: str = "ok"
-    """sentences about what was out of the ordinary; ``ok`` when nothing was"""
+    """sentences on irregularities; ``ok`` if there were none"""
     details: Mapping[str, Any] = field(default_factory=dict)
     """numbers of interest to this method alone (bandwidth, block length, ..)"""
 

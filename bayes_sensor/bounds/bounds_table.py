@@ -25,7 +25,7 @@ class Bounds:
     seconds: Mapping[str, float] = field(default_factory=dict)
     """how long each method took"""
     caveats: tuple[str, ...] = ()
-    """sentences of the fit that decide whether the headline stands"""
+    """caveats of the fit"""
     likelihood: tuple[Surface, Maximum] | None = None
     """the likelihood under the campaign's own noise with its maximum, where a method needed it"""
 
@@ -40,7 +40,7 @@ class Bounds:
         return f"Bounds({', '.join(self.methods)})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows of it: the shared parameters; :meth:`table` has all."""
+        """HTML for a notebook: the shared parameters; :meth:`table` has all."""
         rows = []
         shown = dict.fromkeys(name for bound in self.methods.values() for name in bound.names[:3])
         for name in shown:

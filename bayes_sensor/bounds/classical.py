@@ -1,4 +1,5 @@
-"""The Cramer-Rao bounds as interval methods: converged iid, the paper's recipe, coloured."""
+"""The Cramer-Rao bounds as interval methods: converged iid, the inferred published recipe,
+AR(1)."""
 
 from __future__ import annotations
 
@@ -35,9 +36,10 @@ def crlb_iid(evidence: Evidence) -> Bound:
 
 
 def crlb_iid_one_percent_step(evidence: Evidence, step: float = 0.01) -> Bound:
-    """The paper's recipe: forward Euler, forward differences, +1 % of every value.
+    """The published bound as we infer it: forward Euler, forward differences, +1 % of every value.
 
-    Its sensitivity to tau does not vanish at zero, so it is stated in tau itself, cut at zero.
+    Its sensitivity to tau does not vanish at zero, so the interval is computed in tau itself and
+    cut at zero.
     """
     names, campaign = evidence.mean_names, evidence.problem.campaign
     theta = evidence.theta.copy()
@@ -83,7 +85,7 @@ def crlb_iid_one_percent_step(evidence: Evidence, step: float = 0.01) -> Bound:
 def crlb_ar1(evidence: Evidence) -> Bound:
     """Cramer-Rao bound under the problem's own noise, information from the variance included.
 
-    Centred on the maximum of that likelihood; the noise parameters are estimated along.
+    Centred on the maximum of that likelihood; the noise parameters are estimated with the others.
     """
     surface = evidence.coloured
     psi = evidence.coloured_maximum.psi
@@ -96,7 +98,7 @@ def crlb_ar1(evidence: Evidence) -> Bound:
     }
     return gaussian_bound(
         "crlb_ar1",
-        f"{noise_words(evidence)}, noise parameters estimated along",
+        f"{noise_words(evidence)}, noise parameters estimated with the others",
         "Slepian (1954), Bangs (1971); Kay (1993), eq. 3.31",
         names,
         theta[[evidence.problem.layout.index(name) for name in names]],
@@ -112,7 +114,7 @@ def crlb_ar1(evidence: Evidence) -> Bound:
 def posterior_intervals(evidence: Evidence) -> Bound:
     """Equal-tailed quantiles of the posterior draws; the estimate is their median.
 
-    What the posterior warns of is its status: draws that have not converged first of all.
+    Its status has the posterior's warnings, lack of convergence first.
     """
     names = evidence.mean_names
     draws = np.asarray(evidence.posterior.draws)

@@ -49,11 +49,11 @@ METHODS: dict[str, Method] = {
 
 
 SPREAD_OF_LEAST_SQUARES = ("sandwich", "sandwich_ar1", "block_bootstrap")
-"""methods that judge the spread of least squares from the noise they see"""
+"""methods that estimate the spread of least squares from the residuals"""
 TAKES_WHITE = ("crlb_iid", "crlb_iid_one_percent_step")
-"""methods that take the noise for white"""
+"""methods that assume white noise"""
 MODELS_NOISE = ("crlb_ar1", "profile")
-"""methods that take the noise's own law at its best value"""
+"""methods that use the campaign's noise law at its maximum"""
 TOO_SLOW_TO_JUDGE = (
     "too little of it is seen to judge the spread of least squares (crlb_ar1, profile and "
     "posterior model it)"
@@ -72,7 +72,7 @@ CLOSE_WORDS = (
 
 
 def why_mute(evidence: Evidence, name: str) -> str:
-    """Why a method can say nothing about these data, as a sentence; empty where it can."""
+    """Why a method has no value for these data, as a sentence; empty where it has."""
     if name != "posterior" and not evidence.fit.step_seen:
         return "no step is seen in any experiment"
     # a lag, or a volume, too small to see is an ordinary outcome
@@ -88,7 +88,7 @@ def why_mute(evidence: Evidence, name: str) -> str:
 
 
 def doubts(evidence: Evidence, name: str) -> list[str]:
-    """What a reader must know of a method's intervals for these data, in sentences."""
+    """Warnings on a method's intervals for these data, in sentences."""
     found = []
     theta = evidence.theta
     if name not in ("profile", "posterior") and theta[0] > CLOSE * theta[1]:
@@ -119,7 +119,7 @@ def with_remark(bound: Bound, remark: str) -> Bound:
 
 
 def without_roles(bound: Bound, reason: str) -> Bound:
-    """The bound without its values of tau_v and V, which hold about one of two fits only."""
+    """The bound without its values of tau_v and V, which refer to one of two fits only."""
     lost = np.isin(bound.names, ("tau_v_s", "V_mL"))
     return replace(
         with_remark(bound, reason),
@@ -130,7 +130,7 @@ def without_roles(bound: Bound, reason: str) -> Bound:
 
 
 def with_names(bound: Bound, naming: Naming) -> Bound:
-    """The bound with its lags under the names that may be stated of them, or by size."""
+    """The bound with its lags under the names that may be stated, or by size."""
     names, arrays = list(bound.names), [bound.estimate, bound.sd, bound.low, bound.high]
     estimate, sd, low, high = (array.copy() for array in arrays)
     for name, (label, factor) in zip(SHARED, naming.labels, strict=True):
@@ -142,7 +142,8 @@ def with_names(bound: Bound, naming: Naming) -> Bound:
 
 
 def with_words(bound: Bound, naming: Naming) -> Bound:
-    """The bound with what its status calls tau, tau_v and V, by their places, as it may be called.
+    """The bound with the names of tau, tau_v and V in its status replaced by those that may be
+    stated.
 
     The posterior's status has the right names already.
     """
@@ -168,14 +169,14 @@ def compare_bounds(
     """Intervals of every parameter at 68, 95 and 99.7 % by every method.
 
     ``methods``: names out of :data:`METHODS` or another mapping of that shape; default all, the
-    posterior only where one is given.  Methods that rest on least squares are centred on the fit,
-    those under coloured noise (``crlb_ar1``, ``profile``) on the maximum of that likelihood.
+    posterior only where one is given.  Methods based on least squares are centred on the fit, those
+    with autocorrelated noise (``crlb_ar1``, ``profile``) on the maximum of that likelihood.
 
-    Where it is not known whose a lag is, it is called by its size (``lag_fast_s``, ``lag_slow_s``),
-    and tau or tau_v has no value.
+    A lag that cannot be assigned is named by its size (``lag_fast_s``, ``lag_slow_s``), and tau or
+    tau_v has no value.
 
-    Where no step is seen, and for least squares under noise that is correlated over much of a
-    record, a method gives no value and says why.
+    If no step is visible, a method gives no value and the reason.  So does least squares if the
+    noise is correlated over much of a record.
 
     Raises CampaignError for an unknown method, for ``posterior`` without one, for a fit or a
     posterior of another campaign, for a ``block_bootstrap`` of fewer than two resamples, or for

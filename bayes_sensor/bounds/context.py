@@ -1,4 +1,5 @@
-"""What all bound methods share: the fit, the two likelihoods and their maxima, made once."""
+"""Common inputs of the bound methods: the fit, the two likelihoods and their maxima, computed
+once."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A problem, its least-squares fit and, perhaps, posterior; the rest is made when asked for."""
+    """A problem, its least-squares fit and, if given, posterior; the rest is computed when
+    needed."""
 
     problem: Problem
     fit: Fit
@@ -54,9 +56,9 @@ class Evidence:
 
     @cached_property
     def noise_doubts(self) -> list[str]:
-        """Why the noise is not the problem's own; empty where it is.
+        """Why the noise does not follow the problem's law; empty where it does.
 
-        What the residuals say, and what replicated data do where a posterior was checked.
+        From the residuals and, if a posterior was checked, from replicated data.
         """
         found = [noise_doubt(self.problem, self.theta), *getattr(self.posterior, "doubts", ())]
         return list(dict.fromkeys(text for text in found if text))
@@ -67,7 +69,8 @@ class Evidence:
 
     @property
     def likelihood(self) -> tuple[Surface, Maximum] | None:
-        """That under the problem's own noise with its maximum; None where nothing asked for it."""
+        """Likelihood under the problem's own noise with its maximum; None where no method needed
+        it."""
         found: tuple[Surface, Maximum] | None = self.__dict__.get("_coloured")
         return found
 
@@ -158,7 +161,8 @@ class Evidence:
 
 
 def check_data(problem: Problem, fit: Fit, posterior: Any) -> None:
-    """Raise CampaignError for a fit or a posterior (or None) of other data than the problem's."""
+    """Raise CampaignError if a fit or a posterior (or None) belongs to other data than the
+    problem's."""
     check_data_of_fit(problem, fit)
     if posterior is None:
         return

@@ -1,15 +1,15 @@
 """From a Gaussian in psi = (tau^2, .., t0 + tau, tf + tau) to intervals of the parameters.
 
-The data hold tau through tau^2 and trade it against the switch times, so the covariance of an
-estimator is taken in psi, where it stays finite as tau goes to zero: tau^2 +- z sd is mapped back
-and cut at zero, and t0 and tf follow as the quantiles of (t0 + tau) - sqrt(tau^2).  Far from zero
-this is the familiar estimate +- z sd, which the textbook bound states instead when tau is above
-three of its standard deviations.
+The data determine tau through tau^2, and tau is correlated with the switch times.  The covariance
+of an estimator is therefore computed in psi, where it stays finite as tau goes to zero. tau^2 +- z
+sd is transformed back and cut at zero; t0 and tf are the quantiles of (t0 + tau) - sqrt(tau^2).
+Far from zero this is the usual estimate +- z sd.  The textbook bound uses that form when tau is
+above three of its standard deviations.
 
-The information on tau^2 falls as tau grows, so that a fit which happens to lie low would promise
-too small an upper limit, and one which lies high too low a lower one.  Where it is known how, tau^2
-is therefore measured in units of its own local spread: integral dx/sd(x) is nearly normal with unit
-variance wherever the truth lies (Bartlett, Biometrics 3, 39, 1947; it is the distance of Rao, Bull.
+The information on tau^2 falls as tau grows.  A fit that happens to be low would give too small an
+upper limit, and a fit that is high too low a lower limit.  Where the spread is known as a function
+of tau, tau^2 is therefore measured in units of its local spread: integral dx/sd(x) is nearly normal
+with unit variance for any truth (Bartlett, Biometrics 3, 39, 1947; it is the distance of Rao, Bull.
 Calcutta Math. Soc. 37, 81, 1945).
 """
 
@@ -29,7 +29,7 @@ from bayes_sensor.likelihood.coordinates import Coordinates
 from bayes_sensor.likelihood.mesh import Compressed
 
 FAR = 3.0
-"""tau in standard deviations above which estimate +- z sd is stated"""
+"""tau in standard deviations above which estimate +- z sd is used"""
 SINGULAR = 1e-10
 """smallest eigenvalue of scaled information that counts as information"""
 
@@ -46,8 +46,8 @@ def normal_factor(level: float) -> float:
 def invert(information: FloatArray) -> tuple[FloatArray, np.ndarray]:
     """Inverse of an information matrix (n, n), and (n,) whether each parameter is identified.
 
-    Parameters that no data speak about, alone or in a combination, get infinite variance; the
-    others keep the variance they have whatever those are.
+    Parameters that the data do not determine, alone or in a combination, get infinite variance.
+    The variance of the others does not depend on them.
     """
     diagonal = np.diag(information)
     informed = diagonal > 0
@@ -72,7 +72,7 @@ def invert(information: FloatArray) -> tuple[FloatArray, np.ndarray]:
 def least_tau(compressed: Compressed) -> float:
     """s, the smallest tau at which derivatives by tau^2 are taken on this mesh.
 
-    Below it the sensor is a pure delay to rounding, and the derivative by tau^2 keeps its limit.
+    Below it the sensor is a pure delay to rounding, and the derivative by tau^2 has its limit.
     """
     theta = compressed.reference
     flow = max(e.total_flow for e in compressed.problem.campaign)
@@ -134,10 +134,10 @@ def gaussian_bound(
     """Intervals for a Gaussian estimator with covariance ``cov_psi`` (n, n) of psi.
 
     ``names`` (n) flat names of the mean's parameters, ``estimate`` (n,) theta; ``at_bound``: tau's
-    estimate sits at its lower bound, so that tau gets an upper limit and no sd; ``factor``: z of a
-    level, one number or (n,); ``plain``: state estimate +- z sd for tau and the switch times where
-    tau is far from zero; ``along_tau``: taus (m,) and the sd (m,) of tau^2 there, in the same
-    measure as ``cov_psi``.
+    estimate is at its lower bound, so tau gets an upper limit and no sd; ``factor``: z of a level,
+    one number or (n,); ``plain``: state estimate +- z sd for tau and the switch times where tau is
+    far from zero; ``along_tau``: taus (m,) and the sd (m,) of tau^2 there, in the same measure as
+    ``cov_psi``.
     """
     n = len(names)
     kinds = [name.split("[")[0] for name in names]

@@ -1,10 +1,10 @@
-"""What makes tau hard to measure, in numbers and in plain sentences.
+"""Why tau is hard to measure, in numbers and sentences.
 
-A first-order lag and a later switch time move the response in nearly the same way:
-exp(-p t0)/(1 + tau p) = exp(-p (t0 + tau)) (1 + tau^2 p^2/2 - ..).  The data fix t0 + tau; tau
-itself is left to the square, so that what they know about it grows in proportion to tau and
-vanishes with it.  (Scaled information, eigenvectors, multiple correlation: Belsley, Kuh and
-Welsch, Regression Diagnostics, 1980, ch. 3.)
+A first-order lag and a later switch time change the response in nearly the same way: exp(-p t0)/(1
++ tau p) = exp(-p (t0 + tau)) (1 + tau^2 p^2/2 - ..).  The data determine t0 + tau well, but tau
+itself only through its square.  The information on tau is proportional to tau and vanishes with it.
+(Scaled information, eigenvectors, multiple correlation: Belsley, Kuh and Welsch, Regression
+Diagnostics, 1980, ch. 3.)
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ KNOWN: dict[str, tuple[str, ...]] = {
     "V, tau_v": ("V_mL", "tau_v_s"),
     "t0, tf, V, tau_v": ("t0_s", "tf_s", "V_mL", "tau_v_s"),
 }
-"""which parameters are taken as known, by what to call it"""
+"""parameters that are taken as known, by label"""
 
 
 @dataclass(frozen=True, eq=False)
 class TauExplained:
-    """Why tau is known only so well."""
+    """Why tau is not known better."""
 
     names: list[str]
     """flat names of the mean's parameters"""
     eigenvalues: FloatArray
     """(n,) of the information scaled to unit diagonal, rising; 1 each would mean no collinearity"""
     weakest: dict[str, float]
-    """unit vector (in scaled parameters) about which the data know least"""
+    """unit vector (in scaled parameters) with the least information"""
     condition: float
     """ratio of the largest to the smallest singular value of the scaled sensitivities"""
     correlation: dict[str, float]
@@ -74,7 +74,7 @@ class TauExplained:
     noise: str = "ar1"
     """``ar1`` (the campaign's own law) or ``iid``"""
     status: str = "ok"
-    """a sentence where something could not be had"""
+    """a sentence where something could not be computed"""
 
     def to_json(self) -> dict[str, Any]:
         """The content of ``what_makes_tau_hard`` in ``bounds.json``: numbers, units in the keys;
@@ -103,7 +103,7 @@ class TauExplained:
 def multiple_correlation(information: FloatArray, i: int, others: list[int]) -> float:
     """R of sensitivity ``i`` on the sensitivities ``others``, from information (n, n).
 
-    R^2 = 1 - 1/(I_ii [I^-1]_ii): the share of tau's effect that the others can imitate.
+    R^2 = 1 - 1/(I_ii [I^-1]_ii): the share of tau's effect that the others can reproduce.
 
     >>> round(multiple_correlation(np.array([[1.0, 0.6], [0.6, 1.0]]), 0, [1]), 6)
     0.6
@@ -147,7 +147,7 @@ def explain_tau(
 
     Under the noise parameters of ``theta`` where it has them, otherwise under iid noise ``sigma``
     (V).  A design is enough; its profile is then the expected one, in tau^2.  ``likelihood``: that
-    of the data with its maximum, where it is at hand (``Bounds.likelihood``).
+    of the data with its maximum, if it was computed (``Bounds.likelihood``).
     """
     import pandas as pd
 
@@ -275,12 +275,16 @@ def _sentences(
     law = "coloured noise" if noise == "ar1" else "iid noise"
     switches = collinearity["switches"]
     partners = [name for name in weakest if name != "tau_s"][:4]
-    alike = ": a slower sensor and a later valve look almost the same" if switches > 0.95 else ""
+    alike = (
+        ": a slower sensor and a later valve change it in almost the same way"
+        if switches > 0.95
+        else ""
+    )
     said = [
-        f"{100 * switches**2:.1f} % of what tau does to the signal can be imitated by moving the "
-        f"switch times alone, {100 * collinearity['all'] ** 2:.2f} % by moving everything else"
-        f"{alike}.",
-        f"The direction about which the data know least mixes tau with {', '.join(partners)}.",
+        f"{100 * switches**2:.1f} % of what tau does to the signal can be reproduced by moving the "
+        f"switch times alone, {100 * collinearity['all'] ** 2:.2f} % by moving everything "
+        f"else{alike}.",
+        f"The direction with the least information combines tau with {', '.join(partners)}.",
     ]
     free = known["nothing"]
     if not np.isfinite(free):

@@ -1,8 +1,9 @@
-"""Jackknife over experiments: what changes when one run is left out.
+"""Jackknife over experiments: refits with one experiment left out.
 
-It sees run-to-run variation that no noise model within a run can see.  Shared parameters only.
-Variance (n - 1)/n sum (psi_(-k) - mean)^2 with Student's t on n - 1 degrees of freedom (Tukey, Ann.
-Math. Stat. 29, 614, 1958; Efron and Tibshirani, An Introduction to the Bootstrap, 1993, eq. 11.5).
+It includes run-to-run variation, which no noise model within a run contains.  Shared parameters
+only. Variance (n - 1)/n sum (psi_(-k) - mean)^2 with Student's t on n - 1 degrees of freedom
+(Tukey, Ann. Math. Stat. 29, 614, 1958; Efron and Tibshirani, An Introduction to the Bootstrap,
+1993, eq. 11.5).
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ def _parts(surface: Surface, theta: FloatArray) -> list[tuple[Compressed, np.nda
 
 def leave_one_out(surface: Surface, psi: FloatArray) -> tuple[FloatArray, bool]:
     """(n_experiments, n_psi) least squares without each experiment, as if tau^2 could be negative;
-    entries of the experiment left out are not fitted.  Also whether all refits settled: it stops at
-    the first that does not."""
+    entries of the experiment left out are not fitted.  Also whether all refits converged; it stops
+    at the first that does not."""
     problem, coordinates = surface.problem, surface.coordinates
     theta = coordinates.theta(psi)
     parts = _parts(surface, theta)

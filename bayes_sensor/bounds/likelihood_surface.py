@@ -1,4 +1,4 @@
-"""A log-likelihood over psi, and its maximum with tau^2 kept from going below zero."""
+"""A log-likelihood over psi, and its maximum with tau^2 not below zero."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Maximum:
     """(n,)"""
     value: float
     free: FloatArray
-    """(n,) the same, or where it is on the floor one more Newton step that may cross it: an
+    """(n,) the same or, if it is on the floor, after one more Newton step that may cross it: an
     estimate of psi as if tau^2 could be negative"""
     converged: bool
 
@@ -55,13 +55,13 @@ def maximise(
     """Maximum over the ``active`` coordinates by Newton steps between ``floor`` and
     ``ceiling`` (n,).
 
-    ``curvature`` gives minus the expected Hessian (n, n) at a point; ``tolerance`` is the gain in
-    the objective still to be had at which it stops.  Projected Newton (Bertsekas, SIAM J. Control
-    Optim. 20, 1982): coordinates on their floor that the gradient pushes down stay there; steps
-    that lose are damped (Levenberg and Marquardt), and the curvature is corrected as it goes
-    (BFGS).  It also stops after two steps in a row that gained less than ``settled``: near tau = 0
-    the likelihood of a sampled record is finely jagged in tau^2, because samples pass the kink at
-    the switch.
+    ``curvature`` gives minus the expected Hessian (n, n) at a point; it stops if the expected gain
+    in the objective is below ``tolerance``.  Projected Newton (Bertsekas, SIAM J. Control Optim.
+    20, 1982): coordinates on their floor stay there if the gradient points down; steps without gain
+    are damped (Levenberg and Marquardt), and the curvature is corrected after each step (BFGS).  It
+    also stops after two steps in a row that gained less than ``settled``: near tau = 0 the
+    likelihood of a sampled record is not smooth in tau^2, because samples pass the kink at the
+    switch.
     """
     ceiling = np.full(len(floor), np.inf) if ceiling is None else ceiling
     psi = np.clip(start, floor, ceiling)
@@ -120,7 +120,7 @@ class Surface:
 
     @cached_property
     def problem(self) -> Problem:
-        """What the mesh was made for."""
+        """The problem of the mesh."""
         return self.compressed.problem
 
     @cached_property
@@ -165,9 +165,9 @@ class Surface:
         return low, high
 
     def at_wall(self, psi: FloatArray) -> list[str]:
-        """Names of parameters at an edge of the mesh, where no maximum was found inside it.
+        """Names of parameters at an edge of the mesh, if no maximum was found inside it.
 
-        A square at zero is not one of them: that is a legitimate place for a maximum.
+        A square at zero is not one of them, because a maximum may be there.
         """
         low, high = self.box
         margin = 1e-6 * np.where(np.isfinite(high - low), high - low, 1.0)
@@ -196,7 +196,7 @@ class Surface:
 
     @cached_property
     def _places(self) -> tuple[np.ndarray, ...]:
-        """What :func:`theta_of` needs beside psi."""
+        """Arguments of :func:`theta_of` beside psi."""
         c = self.coordinates
         return c.theta(np.zeros(len(c.names))), c.free, c.squared, c.switches, c.phi, c.log_sigmas
 
@@ -236,8 +236,8 @@ class Surface:
     def expansion(self, psi: FloatArray) -> FloatArray:
         """psi with tau^2 raised to its own spread: where a Gaussian is matched near tau = 0.
 
-        The information on tau^2 falls as tau grows; taken at zero it would promise upper limits
-        that the likelihood does not keep.
+        The information on tau^2 falls as tau grows.  Computed at zero it would give upper limits
+        that are too small.
         """
         point = psi.copy()
         for _ in range(3):
@@ -305,7 +305,7 @@ def coloured_surface(problem: Problem, theta: FloatArray) -> tuple[Surface, Maxi
 def curvature_along_tau(surface: Surface, psi: FloatArray, n: int = 6) -> Curvature:
     """Expected information as a function of tau alone, interpolated between ``n`` values of tau.
 
-    tau is what the information depends on most; the rest stays at ``psi`` (n_psi,), with t0 + tau.
+    The information depends mainly on tau.  The rest stays at ``psi`` (n_psi,), with t0 + tau.
     """
     least, most = float(np.sqrt(surface.floor[0])), float(surface.compressed.region.high[0])
     taus = least + (most - least) * np.linspace(0.0, 1.0, n) ** 1.5
@@ -321,16 +321,16 @@ def curvature_along_tau(surface: Surface, psi: FloatArray, n: int = 6) -> Curvat
 
 
 ORDERED = 0.5
-"""tau over tau_v up to which the spread of tau^2 is followed; nearer, the two exchange roles"""
+"""tau over tau_v up to which the spread of tau^2 is computed; above it the two exchange roles"""
 
 
 def spread_along_tau(
     surface: Surface, psi: FloatArray, n: int = 5
 ) -> tuple[FloatArray, FloatArray] | None:
-    """``n`` rising values of tau and the sd of estimates of tau^2 where tau has them.
+    """``n`` rising values of tau and the sd of estimates of tau^2 at these values.
 
     As far as a Gaussian about ``psi`` (n_psi,) reaches; the rest stays there, with t0 + tau.  None
-    where tau is not clearly the faster lag: the other order is no small step in tau^2.
+    if tau is not clearly the faster lag, because the other order is not a small step in tau^2.
     Infinite where tau^2 is not identified.
     """
     if psi[0] > (ORDERED * psi[1]) ** 2:
@@ -352,8 +352,8 @@ def spread_along_tau(
 
 
 def _roomy(problem: Problem, vector: FloatArray, room: float = 1.5) -> Region:
-    """The default region ``room`` times as wide: the information on tau^2 falls as tau grows, so
-    that likelihoods have longer tails upwards than it tells at a small tau."""
+    """The default region, ``room`` times as wide.  The information on tau^2 falls as tau grows, so
+    likelihoods have longer upper tails than the information at a small tau suggests."""
     region = default_region(problem, vector)
     low, high = region.low.copy(), region.high.copy()
     switches = problem.layout.local[:, 2:].ravel()
@@ -407,7 +407,8 @@ def white_surface(
 
 
 def region_of(problem: Problem, surface: Surface, theta: FloatArray) -> Region:
-    """A region that holds that of ``surface``, as much about ``theta``, and every noise level."""
+    """A region that contains that of ``surface``, as much around ``theta``, and every noise
+    level."""
     region, about = surface.compressed.region, surface.compressed.reference
     # the same widths about theta; psi's t0 + tau and tf + tau are what stays put
     shift = theta - about

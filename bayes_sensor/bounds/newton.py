@@ -1,7 +1,7 @@
 """Compiled pieces of the projected Newton method: its step, its curvature, its coordinates.
 
-A refit of a compressed campaign takes some ten microseconds a step in the likelihood itself; these
-keep what is around it as small.
+A refit of a compressed campaign takes some ten microseconds a step in the likelihood.  These
+functions keep the rest of the step as short.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from bayes_sensor.campaign import FloatArray
 
 IntArray = NDArray[np.int64]
 RIDGE = 1e-7
-"""of scaled curvature, far below any information that counts: unidentified directions stay put"""
+"""of scaled curvature, far below any useful information; unidentified directions do not move"""
 
 
 @njit(cache=True, error_model="numpy")
@@ -45,7 +45,7 @@ def solve(
 ) -> FloatArray:  # pragma: no cover - compiled
     """matrix^-1 vector (len(some),) of the rows and columns ``some``, scaled and with a ridge.
 
-    Where rounding leaves the matrix indefinite the ridge is raised until it is not.
+    If rounding makes the matrix indefinite, the ridge is raised until it is positive definite.
     """
     n = len(some)
     scale = np.empty(n)
@@ -90,8 +90,8 @@ def projected_step(
 ) -> tuple[FloatArray, bool]:  # pragma: no cover - compiled
     """Newton step (n,) that keeps inside the box, and whether it had to be cut there.
 
-    Coordinates on a wall that the gradient pushes against stay; those that a step would carry
-    through one go to it, and the others answer to that displacement.
+    Coordinates on a wall stay there if the gradient points outwards.  A step through a wall ends at
+    the wall, and the other coordinates are adjusted to that displacement.
     """
     step = np.zeros(len(psi))
     moving = np.empty(len(active), dtype=np.int64)
@@ -140,8 +140,8 @@ def learnt(
     turned: FloatArray,
     active: IntArray,
 ) -> FloatArray:  # pragma: no cover - compiled
-    """BFGS update of ``matrix`` (n, n): where the model fits badly the expected curvature ``base``
-    is not the true one.  ``base`` itself where the update would not be positive definite."""
+    """BFGS update of ``matrix`` (n, n): if the model fits badly, the expected curvature ``base``
+    differs from the true one.  ``base`` itself where the update would not be positive definite."""
     n = len(active)
     pull = np.zeros(n)
     along = bent = 0.0

@@ -2,12 +2,11 @@
 
 The interval at a level holds the values v with 2 (max log L - max over the rest at v) below that
 quantile of chi-squared with one degree of freedom (Venzon and Moolgavkar, Appl. Statist. 37, 1988;
-Pawitan, In All Likelihood, 2001, ch. 3).  Where even tau = 0 is not excluded the interval starts at
-zero; the chi-squared quantile is then conservative (Self and Liang, J. Amer. Statist. Assoc. 82,
-1987).
+Pawitan, In All Likelihood, 2001, ch. 3).  If tau = 0 is not excluded, the interval starts at zero,
+and the chi-squared quantile is conservative (Self and Liang, J. Amer. Statist. Assoc. 82, 1987).
 
-The cascade is unchanged when tau and tau_v swap; the sensor is taken to be the faster one.  The
-profile of either is therefore over the other on its own side, tau <= tau_v; for every other
+The response does not change when tau and tau_v are exchanged; the sensor is taken to be the faster
+one.  The profile of either is therefore over the other with tau <= tau_v.  For every other
 parameter both orders give the same.
 """
 
@@ -34,7 +33,7 @@ from bayes_sensor.rig.layout import SHARED
 
 REFERENCE = "Venzon and Moolgavkar (1988); Self and Liang (1987)"
 CLOSE = 2e-3
-"""how well sqrt(2 (drop in log L)) meets its target"""
+"""tolerance of sqrt(2 (drop in log L)) at its target"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +58,10 @@ class Profiler:
     def best(self, i: int, value: float, near: FloatArray | None = None) -> Maximum:
         """Maximum over everything else with psi's parameter ``i`` held at ``value``.
 
-        ``value`` is tau^2 for tau, and t0 or tf themselves (not t0 + tau) for the switch times:
-        those are reached by exchanging tau for t0, with (t0 + tau) following.  tau stays below
-        tau_v where one of the two is held.  Started where a Gaussian has it, or from ``near``
-        (n_psi,), the maximum at another value.
+        ``value`` is tau^2 for tau, and t0 or tf themselves (not t0 + tau) for the switch times;
+        there tau is exchanged for t0, and t0 + tau changes with it. tau stays below tau_v if one of
+        the two is held.  The search starts at the Gaussian approximation, or at ``near`` (n_psi,),
+        the maximum at another value.
         """
         psi, surface = self.maximum.psi, self.surface
         rest = np.array([j for j in range(len(psi)) if j != i])
@@ -150,8 +149,8 @@ class Profiler:
         """Where :meth:`drop` reaches each target (rising), on the side of ``guesses``; nan where it
         cannot be found.
 
-        The likelihood may have two maxima over the rest (tau at zero and above): where the profile
-        seems to jump, each is followed from its neighbour and the higher one counts.
+        The likelihood may have two maxima over the other parameters (tau at zero and above).  If
+        the profile seems to jump, each is followed from its neighbour, and the higher one counts.
         """
         if not self.cov[i, i] > 0.0:  # the data hold nothing about it: there is no end
             return [nan] * len(targets)
@@ -189,7 +188,7 @@ class Point:
     drop: float
     """sqrt(2 (max log L - profile))"""
     psi: FloatArray
-    """(n_psi,) where the rest is best"""
+    """(n_psi,) with the other parameters at their maximum"""
 
 
 def _bracket(known: list[Point], target: float) -> tuple[Point, Point | None]:
@@ -205,7 +204,7 @@ def _bracket(known: list[Point], target: float) -> tuple[Point, Point | None]:
 def _next(
     centre: float, below: Point, above: Point | None, guess: float, target: float
 ) -> float | None:
-    """Where to look next; None where the bracket has closed."""
+    """The next value to try; None where the bracket has closed."""
     if above is None:
         if below.value == centre:
             return guess
@@ -294,7 +293,7 @@ def noise_words(evidence: Evidence) -> str:
         "concentration": "with concentration-dependent scale",
         "signal": "with signal-dependent scale",
         "constant": "of constant scale",
-        "levels": "whose scale goes from one level to another with concentration",
+        "levels": "whose standard deviation changes from one level to another with concentration",
     }[noise.variance]
     return f"{law} {scale}"
 

@@ -1,15 +1,15 @@
-"""Sandwich covariance of least squares: what its spread is when the noise is not iid.
+"""Sandwich covariance of least squares: its spread when the noise is not iid.
 
 cov = B^-1 M B^-1 with B = J'J and M the long-run covariance of the scores J_i r_i; M either with
 Bartlett weights over a bandwidth chosen from the scores (Newey and West, Econometrica 55, 1987;
 Andrews, Econometrica 59, 1991, eqs. 6.2 and 6.4), or from a fitted AR(1) with
 concentration-dependent scale.  Experiments are independent of one another.
 
-Bartlett weights cut the correlation short, and the residuals of a fit are smaller than the noise
-where few of them decide a parameter, as at a switch.  What the measured M falls short of on average
-is worked out for AR(1) noise and made up for, and Student's t takes the place of the normal law,
-with the degrees of freedom that M then has (Bell and McCaffrey, Survey Methodology 28, 169, 2002;
-Imbens and Kolesar, Rev. Econ. Statist. 98, 701, 2016; both for clusters).
+Two effects make the measured M too small on average: Bartlett weights cut off the correlation, and
+residuals are smaller than the noise where few of them determine a parameter, as at a switch.  A
+correction is computed for AR(1) noise.  Student's t replaces the normal law, with the degrees of
+freedom of the corrected M (Bell and McCaffrey, Survey Methodology 28, 169, 2002; Imbens and
+Kolesar, Rev. Econ. Statist. 98, 701, 2016; both for clusters).
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ REFERENCE = (
     "Bell and McCaffrey, Survey Methodology 28, 169 (2002)"
 )
 BLOCKS = 8
-"""blocks that the bandwidth holds where sums over samples are taken by blocks"""
+"""blocks in the bandwidth where sums over samples are taken by blocks"""
 MOST_MISSED = 0.9
-"""of a variance that may be lacking in what is measured before no more is made up for"""
+"""largest share of a variance that the correction adds"""
 
 
 def newey_west(scores: FloatArray, bandwidth: int) -> FloatArray:
@@ -90,14 +90,14 @@ def ar1_middle(scaled: FloatArray, phi: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """What one experiment says about the covariance of its scores J_i r_i, m parameters each."""
+    """The covariance of the scores J_i r_i of one experiment, with m parameters."""
 
     own: np.ndarray
     """(m,) positions of its parameters among the mean's"""
     measured: FloatArray
     """(m, m) by Bartlett weights"""
     unfitted: FloatArray
-    """(m, m) their average under the AR(1) law if the noise itself were seen"""
+    """(m, m) their average under the AR(1) law with the noise in place of the residuals"""
     squares: FloatArray
     """(n_blocks, m, m) sum of J_i J_i' over a block short against the bandwidth"""
     follows: FloatArray
@@ -110,9 +110,9 @@ class Scores:
     def expected(self, inverse: FloatArray, spread_of_fit: FloatArray) -> FloatArray:
         """(m, m) average of ``measured`` under the AR(1) law, for residuals of a fit.
 
-        They are u - J b with b = B^-1 J'u: to the average without a fit come the covariance of
-        noise and fit, twice, and the fit's own.  ``inverse`` B^-1 (n, n) of the campaign, on what
-        is identified; ``spread_of_fit`` (n, n): covariance of b.
+        They are u - J b with b = B^-1 J'u.  The covariance of noise and fit, twice, and that of the
+        fit are added to the average without a fit.  ``inverse`` B^-1 (n, n) of the campaign, on
+        what is identified; ``spread_of_fit`` (n, n): covariance of b.
         """
         here = np.ix_(self.own, self.own)
         spread = _smoothed(self.squares, self.weights)
@@ -143,7 +143,7 @@ def scores_of(
 ) -> Scores:
     """The record of scores J_i r_i (n, m), weighted over ``lags``.
 
-    ``scale`` (n,) and ``phi``: the AR(1) law that they are judged by; rows of zeros for gaps.
+    ``scale`` (n,) and ``phi``: the AR(1) law of the correction; rows of zeros for gaps.
     """
     n, m = J.shape
     lags = min(max(lags, 0), n - 1)
@@ -200,7 +200,7 @@ class Sandwich:
 def judged(
     records: list[Scores], bread: FloatArray, middle: FloatArray, bandwidths: dict[str, float]
 ) -> Sandwich:
-    """The measured covariance B^-1 M B^-1, made up for what it misses, with degrees of freedom.
+    """The measured covariance B^-1 M B^-1, corrected, with degrees of freedom.
 
     ``bread`` B and ``middle``, M of the AR(1) law (n, n).  Degrees of freedom: Satterthwaite's
     (Biometrics Bull. 2, 110, 1946).
@@ -242,8 +242,8 @@ def sandwich_covariance(
 
     Sensitivities are taken at ``psi`` (n_psi,), residuals at the theta ``fitted`` (n_theta,).  The
     AR(1) law is that of the problem ``coloured`` at the noise parameters of ``noise`` (n_theta,):
-    it is the answer where ``parametric``, and otherwise judges the measured one.  One experiment at
-    a time, seven columns each: the scores of the whole campaign are never held together.
+    it is the result if ``parametric``, and otherwise gives the correction of the measured one.
+    Experiments are processed one at a time, with seven columns each, to save memory.
     """
     problem = surface.problem
     theta = surface.coordinates.theta(psi)
@@ -285,7 +285,7 @@ def sandwich(evidence: Evidence, parametric: bool = False) -> Bound:
     if parametric:
         assumes = (
             "least squares under AR(1) noise with concentration-dependent scale, whose fitted "
-            "parameters stand in the covariance"
+            "parameters give the covariance"
         )
         details: dict[str, object] = {}
         factor = normal_factor

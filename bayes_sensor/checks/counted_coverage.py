@@ -13,12 +13,10 @@ def binomial_interval(k: float, n: float, level: float = 0.95) -> tuple[float, f
     >>> [round(v, 4) for v in binomial_interval(0, 10)]
     [0.0, 0.3085]
     """
-    from scipy import stats
+    from statsmodels.stats.proportion import proportion_confint
 
-    tail = 0.5 * (1.0 - level)
-    low = 0.0 if k == 0 else float(stats.beta.ppf(tail, k, n - k + 1))
-    high = 1.0 if k == n else float(stats.beta.ppf(1.0 - tail, k + 1, n - k))
-    return low, high
+    low, high = proportion_confint(k, n, 1.0 - level, method="beta")
+    return float(low), float(high)
 
 
 def coverage_row(inside: np.ndarray, nominal: float) -> dict[str, float]:

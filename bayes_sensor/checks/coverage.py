@@ -1,10 +1,10 @@
 """How often the intervals of each bound method hold the truth, on simulated campaigns.
 
 Every campaign is simulated under a :class:`Setting`, fitted, sampled and bounded as a user's would
-be, always with the default noise law: in some settings that law is wrong, and the study shows what
-that costs each method.  The campaigns are small (three of the published experiments at 100 Hz for
-27 s) and their noise is chosen so that tau^2 lies as many standard errors from zero as at the
-published rig.
+be, always with the default noise law.  In some settings that law is wrong; the study counts the
+coverage that each method then has.  The campaigns are small (three of the published experiments at
+100 Hz for 27 s) and their noise is chosen so that tau^2 lies as many standard errors from zero as
+at the published rig.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ RUNS = ((4.0, 0.5, 0.296, 1.78), (5.0, 1.0, 0.175, 2.11), (7.5, 1.5, 0.121, 1.85
 START_DELAY, END_DELAY = (0.1340, 0.1125e3), (0.0161, 0.0745e3)
 """s and mL: the published delay lines"""
 INTERVAL, DURATION, ON, OFF = 0.01, 27.0, 3.0, 15.0
-"""s; between the switches the response comes to rest within 2e-5 of its step"""
+"""s; between the switches the response settles to 2e-5 of its step"""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One way in which the simulated data come about."""
+    """One way to simulate the data."""
 
     words: str
     phi: float
-    """of the coloured part of the noise, at the sampling interval"""
+    """AR(1) coefficient of the autocorrelated part of the noise, at the sampling interval"""
     sigma0: float
     """V"""
     sigma1: float
@@ -130,7 +130,7 @@ class BoundsStudy:
     """(n_mean,) the truth, by name"""
     methods: tuple[str, ...] = tuple(METHODS)
     n_resamples: int = 200
-    """of the bootstrap; the fewest from which a 95 % interval can be read off"""
+    """resamples of the bootstrap; the fewest that give a 95 % interval"""
     sampling: Settings = field(
         default_factory=lambda: Settings(
             n_chains=2, n_draws=800, target_ess=400, max_draws=6000, max_steps=600
@@ -145,8 +145,8 @@ class BoundsStudy:
 
     @cached_property
     def names(self) -> list[str]:
-        """Flat names of the mean's parameters, in the order of ``truth``: a lag whose owner is not
-        known is called by its size."""
+        """Flat names of the mean's parameters, in the order of ``truth``; a lag that cannot be
+        assigned is named by its size."""
         problem = Problem(self.design)
         return [*problem.naming().names, *problem.layout.mean_names[len(SHARED) :]]
 
@@ -203,9 +203,9 @@ def coverage_of_methods(
 ) -> pd.DataFrame:
     """One row per method, kind of parameter and level, from the results of a study.
 
-    ``coverage`` is the share of the intervals given that hold the truth, ``failures`` how many were
-    not given.  Per-experiment parameters of one kind are pooled; intervals of one campaign are not
-    independent, so their binomial limits rest on an effective number, from the variance between
+    ``coverage`` is the share of the given intervals that hold the truth, ``failures`` the number of
+    missing intervals.  Per-experiment parameters of one kind are pooled.  Intervals of one campaign
+    are not independent, so their binomial limits use an effective number, from the variance between
     campaigns.  ``median_width`` is in s, mL or V.
     """
     import pandas as pd
@@ -299,9 +299,9 @@ def run_coverage(
 ) -> pd.DataFrame:
     """The table of :func:`coverage_of_methods` for every setting, ``n_campaigns`` each.
 
-    ``n_resamples`` of the bootstrap; None: as many as the study takes by itself.
+    ``n_resamples`` of the bootstrap; None: the default of the study.
 
-    Finished parts are kept in ``folder``, a later call goes on from there (see ``run_chunks``).
+    Finished parts are kept in ``folder``; a later call continues from them (see ``run_chunks``).
     All settings draw from the same streams of random numbers.
     """
     import pandas as pd

@@ -1,14 +1,14 @@
-"""How the delay between command and response depends on flow: straight lines in 1/Q.
+"""Delay between command and response against flow: straight lines in 1/Q.
 
 ``t0 - commanded_on = a0 + a1/Q`` and ``tf - commanded_off = b0 + b1/Q`` (paper Sec. IV, Fig. 7): a
-fixed delay of valve and electronics, and a volume ``a1`` that the gas has to fill first.  Ordinary
-least squares by statsmodels, once on all experiments and once without outliers; and by generalised
-least squares with the posterior covariance of the switch times when a posterior is given.
+fixed delay of valve and electronics, and a volume ``a1`` that the gas fills first.  Ordinary least
+squares by statsmodels, once on all experiments and once without outliers; and by generalised least
+squares with the posterior covariance of the switch times when a posterior is given.
 
-The data hold t0 + tau, so an error of tau moves all switch times together: it does not show in
-their scatter about the line, which is all that ordinary standard errors know of.  Where the
-covariance of the switch times is known, from a posterior or from the Fisher information at a fit,
-standard errors, intervals and p-values hold both.
+The data determine t0 + tau, so an error of tau shifts all switch times together.  It does not show
+in their scatter about the line, on which ordinary standard errors are based.  If the covariance of
+the switch times is known, from a posterior or from the Fisher information at a fit, standard
+errors, intervals and p-values include both.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from bayes_sensor.likelihood.problem import Problem, as_problem
 OUTLIER_LEVEL = 0.05
 """Bonferroni-corrected level at which an experiment is left out"""
 LEAST_POINTS = 3
-"""of a line: one more than it has parameters, so that its intervals exist"""
+"""fewest points of a line: one more than its parameters, so that its intervals exist"""
 LEAST_LEFT = 4
-"""points that must stay when an outlier goes"""
+"""fewest points that remain when an outlier is left out"""
 NORMAL95 = float(stats.norm.ppf(0.975))
 
 
 class Fitted(Protocol):
-    """What is needed of a fit."""
+    """The parts of a fit that the regression needs."""
 
     theta_hat: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """One regression ``delay = intercept + slope/Q``; None where it cannot be made."""
+    """One regression ``delay = intercept + slope/Q``; None where it cannot be computed."""
 
     names: list[str]
     """experiments that have this delay"""
@@ -64,7 +64,8 @@ class Line:
     p_value: float | None
     """two-sided, of a slope of zero"""
     se: dict[str, float] | None
-    """standard errors of ``intercept_s`` and ``slope_L``, what the switch times share included"""
+    """standard errors of ``intercept_s`` and ``slope_L``, with the common error of the switch
+    times"""
     ci95: dict[str, list[float]] | None
     """intervals of ``intercept_s`` and ``slope_L``, likewise"""
     outliers: list[str]
@@ -138,14 +139,15 @@ def regress_delays(campaign: Campaign | Problem, fit: Fitted, posterior: Any = N
     """Regressions of the delays t0 - commanded_on and tf - commanded_off on 1/Q, Q in L/s.
 
     Outliers are found in one pass over the regression on all experiments: externally studentised
-    residuals against Student's t with a Bonferroni correction at 0.05 (Cook and Weisberg,
-    Residuals and Influence in Regression, 1982, sec. 2.2.2); the line is then fitted without them
-    and both are reported.  One pass, so that a line cannot be improved by dropping point after
-    point.  With ``posterior`` (one of this package, or one whose ``inference_data`` has ``t0``,
-    ``tf`` of dimension ``experiment``, or an object with ``sd(flat_name)``) also by generalised
-    least squares.
+    residuals against Student's t with a Bonferroni correction at 0.05 (Cook and Weisberg, Residuals
+    and Influence in Regression, 1982, sec. 2.2.2); the line is then fitted without them and both
+    are reported.  There is only one pass, so that a line cannot be improved by dropping one point
+    after another.  With ``posterior`` (one of this package, or one whose ``inference_data`` has
+    ``t0``, ``tf`` of dimension ``experiment``, or an object with ``sd(flat_name)``) also by
+    generalised least squares.
 
-    Too few points, one common flow or unknown commanded times give a record that says so.
+    With too few points, one common flow or unknown commanded times the record has a sentence with
+    the reason.
     """
     problem = as_problem(campaign)
     campaign = problem.campaign
@@ -216,8 +218,8 @@ def regress_line(
 ) -> Line:
     """The regression of delays ``y`` (n,) s on inverse flows ``x`` (n,) s/L, and its outliers.
 
-    ``covariance`` (n, n) s^2 of the errors of ``y``, as far as it is known; what scatters about
-    the line beyond it is estimated.  ``generalised``: also by generalised least squares.
+    ``covariance`` (n, n) s^2 of the errors of ``y``, as far as it is known; additional scatter
+    about the line is estimated.  ``generalised``: also by generalised least squares.
     """
     names = list(names)
     reason = _cannot(names, x)
@@ -278,7 +280,7 @@ def regress_line(
 
 
 def _cannot(names: Sequence[str], x: FloatArray) -> str:
-    """Why there is no regression, or nothing."""
+    """Why there is no regression; empty if there is one."""
     if len(names) == 0:
         return "No regression: no commanded time is known."
     if len(names) < LEAST_POINTS:
@@ -362,7 +364,7 @@ def _with_shared_errors(
     """Standard errors, intervals and p-value of ordinary least squares whose errors covary.
 
     With A = (X'X)^-1 X' and errors of covariance C + s^2 I the line's is A (C + s^2 I) A'; s^2 is
-    what the residuals hold beyond tr M C, M = I - X A.  Degrees of freedom by Satterthwaite (1946),
+    the residual variance beyond tr M C, M = I - X A.  Degrees of freedom by Satterthwaite (1946),
     since only s^2 is estimated.
     """
     if covariance is None or not np.isfinite(covariance).all():

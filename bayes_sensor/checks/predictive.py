@@ -1,4 +1,4 @@
-"""Posterior predictive checks: would data drawn from the posterior look like the data?
+"""Posterior predictive checks: comparison of the data with data drawn from the posterior.
 
 For draws theta of the posterior, a statistic of the data's standardised residuals is compared with
 the same statistic of residuals replicated at the same theta (Gelman, Meng and Stern, Statistica
@@ -7,8 +7,8 @@ Sinica 6, 733, 1996): autocorrelation at several lags, variance against concentr
 The time-series equivalent of LOO-PIT is one step ahead: u_i = P(y_i' < y_i | samples before i),
 averaged over draws.  Each sample is predicted from its past alone, so with the right model the u_i
 are uniform and independent (Dawid, J. R. Stat. Soc. A 147, 278, 1984; Diebold, Gunther and Tay,
-Int. Econ. Rev. 39, 863, 1998).  That theta has seen y_i too is a matter of n_theta/n, 1e-4 or less
-for recordings; it makes the u_i slightly too central, never too extreme.
+Int. Econ. Rev. 39, 863, 1998).  theta was fitted to y_i, too.  The effect is of order n_theta/n,
+1e-4 or less for recordings.  It makes the u_i slightly too central, never too extreme.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Pit:
 
 @dataclass(frozen=True, eq=False)
 class PredictiveCheck:
-    """What replicated data say about the noise law and the mean."""
+    """Results of the comparison for the noise law and the mean."""
 
     autocorrelation: Comparison
     variance: Comparison
@@ -176,7 +176,7 @@ class PredictiveCheck:
 
 
 def checked(posterior: Posterior, check: PredictiveCheck) -> Posterior:
-    """The posterior with what ``check`` failed in among its doubts."""
+    """The posterior with the failures of ``check`` added to its doubts."""
     if not check.failed:
         return posterior
     doubt = f"{check.status} Intervals that rest on the noise law are then not to be trusted."
@@ -273,7 +273,7 @@ def check_predictive(posterior: Posterior, n_draws: int = 30, seed: int = 1) -> 
     Residuals are standardised by the model's own mean and variance at each draw; replicates have
     the draw's AR(1) noise on the same samples, gaps included.  About 3 s for 840 000 samples.
 
-    Raises CampaignError for fewer than two draws, which no spread can be taken of.
+    Raises CampaignError for fewer than two draws, which have no spread.
     """
     if n_draws < 2:
         raise CampaignError(f"n_draws: expected 2 or more draws to compare with, got {n_draws}")

@@ -33,7 +33,7 @@ NO_NUMBERS = ("figures", "report")
 
 
 def seed_of(stream: np.random.SeedSequence) -> int:
-    """A whole number that stands for the stream."""
+    """An integer that identifies the stream."""
     return int(stream.generate_state(1)[0])
 
 
@@ -67,12 +67,12 @@ def run_chunks(
 
     Every ``chunk`` of tasks becomes one small file in ``folder``, written whole or not at all; a
     later call with the same ``key`` and the same code (see :func:`code_digest`) goes on from those
-    files.  Files of another key or of other code are removed; the log has a warning then, and where
-    the code was changed while it ran.  ``jobs`` processes of this machine, or with ``scheduler``
-    (``tcp://host:port``) a Dask cluster; the numbers depend on neither.  What a process that died
-    was doing is done again.
+    files.  Files of another key or of other code are removed, with a warning in the log.  The log
+    also warns if the code was changed during the run.  ``jobs`` processes of this machine, or with
+    ``scheduler`` (``tcp://host:port``) a Dask cluster; the numbers depend on neither.  The work of
+    a process that died is repeated.
 
-    Raises CampaignError where a part ended one process after the other.
+    Raises CampaignError if a part ended several processes.
     """
     folder = Path(folder)
     with ExitStack() as stack:
@@ -120,7 +120,7 @@ _BEGUN: dict[str, str] = {}
 
 
 def code_digest(task: Task) -> str:
-    """A digest of the sources that decide the results of ``task``: the package's and its own."""
+    """A digest of the sources that ``task`` depends on: the package's and its own."""
     hasher = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
         place = path.relative_to(PACKAGE)
@@ -134,7 +134,7 @@ def code_digest(task: Task) -> str:
 
 
 def _claim(folder: Path, settings: dict[str, Any]) -> None:
-    """Leave in ``folder`` only the parts of a study with these settings."""
+    """Remove from ``folder`` the parts of studies with other settings."""
     marker = folder / "study.json"
     try:
         known = json.loads(marker.read_text())
@@ -154,7 +154,7 @@ def _claim(folder: Path, settings: dict[str, Any]) -> None:
 
 
 def _load(path: Path) -> dict[str, np.ndarray] | None:
-    """A finished part; None where there is none, or a power cut has left it damaged."""
+    """A finished part; None if it is missing or damaged by a power cut."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as saved:
             return {name: saved[name] for name in saved.files}

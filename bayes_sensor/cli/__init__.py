@@ -32,7 +32,7 @@ DONE, BAD_INPUT = 0, 2
 
 
 def _open_streams() -> None:
-    """Let closed output streams, which Python has as None, lead nowhere."""
+    """Replace closed output streams, which are None in Python, by the null device."""
     for descriptor, name in ((1, "stdout"), (2, "stderr")):
         if getattr(sys, name) is None:
             null = os.open(os.devnull, os.O_WRONLY)

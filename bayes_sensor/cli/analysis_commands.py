@@ -38,7 +38,7 @@ def _run(command: str, common: Run, **more: Any) -> None:
 @app.command()
 @with_groups
 def analyze(run: Run, sampling: Sampling) -> None:
-    """All of it, from the fit to the gap, with report and figures."""
+    """Everything from the fit to the gap, with report and figures."""
     _run("analyze", run, posterior=sampling.settings)
 
 
@@ -119,10 +119,10 @@ def gap(
         ),
     ] = 60,
 ) -> None:
-    """Where the model misses, and which effect causes it.
+    """Where the model misses, and which effect explains it.
 
-    Also how far each explanation closes the gap, what becomes of tau, and what may hide.  The
-    README lists the effects.
+    Also how much each explanation explains, the resulting tau, and effects that may stay unseen.
+    The page "How to read a gap report" of the documentation lists the effects.
     """
     from bayes_sensor.cli.read_parameters import read_nominal
     from bayes_sensor.diagnosis.effects import check_names

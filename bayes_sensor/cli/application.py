@@ -10,7 +10,7 @@ from bayes_sensor import __version__
 
 app = typer.Typer(
     name="bayes-sensor",
-    help="Response times of gas sensors from step experiments, with intervals that hold.",
+    help="Response times of gas sensors from step experiments: intervals and a test of the model.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -32,4 +32,4 @@ def common(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Version and exit."),
     ] = False,
 ) -> None:
-    """Response times of gas sensors from step experiments, with intervals that hold."""
+    """Response times of gas sensors from step experiments: intervals and a test of the model."""

@@ -48,8 +48,8 @@ NOT_EXPLAINED = (
 
 
 def reference_theta(job: Job) -> Any:
-    """Where the classical bounds are compared, lags by size: the posterior's medians, else the
-    fit."""
+    """Point at which the classical bounds are compared, lags by size: the posterior's medians, else
+    the fit."""
     vector = np.array(job.fit.theta_hat, dtype=float)
     if job.posterior is not None:
         vector = np.median(job.posterior.draws, axis=0)
@@ -57,12 +57,12 @@ def reference_theta(job: Job) -> Any:
 
 
 def naming_of(job: Job) -> Any:
-    """What is known of the lags' names; the draws know more of them than the fit."""
+    """The assignment of the lags, from the draws if there are any, else from the fit."""
     return (job.fit if job.posterior is None else job.posterior).naming
 
 
 def _named_theta(job: Job) -> dict[str, Any] | None:
-    """The reference point by name; None where it is not known which lag is the sensor's."""
+    """The reference point by name; None if it is not known which lag is the sensor's."""
     from bayes_sensor.fit.side_information import named_parameters
 
     naming, theta = naming_of(job), reference_theta(job)
@@ -75,8 +75,8 @@ def _named_theta(job: Job) -> dict[str, Any] | None:
 def naive_bounds(job: Job) -> dict[str, Any]:
     """One standard deviation of tau, tau_v, V by the classical bounds at one common point.
 
-    The bounds of ``methods`` are taken where each method has its estimate, which may be tau = 0;
-    these are taken at the posterior's median, so that they can be compared.
+    The bounds of ``methods`` are computed at each method's estimate, which may be tau = 0.  These
+    are computed at the posterior's median, so that they can be compared.
     """
     from bayes_sensor.bounds import cramer_rao
 

@@ -16,19 +16,19 @@ INTERRUPTED = 130
 """the exit code"""
 RESUMABLE = ("analyze", "posterior", "bounds", "blind-check", "coverage", "fleet")
 REPEAT_SECONDS = 1.0
-"""after Ctrl-C, how often the interruption is repeated until it has got through"""
+"""after Ctrl-C, how often the interruption is repeated until it takes effect"""
 SOON_SECONDS = 0.05
 PATIENCE_SECONDS = 0.3
-"""how often, and for how long, a compiler that is at work is waited for"""
+"""how often, and for how long, a running compiler is waited for"""
 
 
 def be_interruptible(arguments: list[str]) -> None:
     """Let Ctrl-C raise KeyboardInterrupt, now and again later.
 
     Python drops an exception that a signal raises inside a destructor or a callback of compiled
-    code; a long run would then go on as if nothing had been pressed.  A compiler turns one into
-    errors of its own: it may finish what it is at, and if that takes long the process just ends,
-    as safely as if it had been killed.
+    code; a long run would then continue.  A compiler turns the exception into errors of its own.
+    It may therefore finish its work; if that takes long, the process ends, as safely as if it had
+    been killed.
     """
     pressed: list[float] = []
 
@@ -73,15 +73,15 @@ def interruption_has_come() -> None:
 
 
 def ignore_interruptions() -> None:
-    """From here on Ctrl-C has nothing left to stop."""
+    """Ignore Ctrl-C from here on, because nothing is left to stop."""
     interruption_has_come()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def leave_at_once(code: int) -> None:
-    """End the process without Python's own farewell, which takes most of a second.
+    """End the process without Python's own shutdown, which takes most of a second.
 
-    What is registered for the end of the process still runs.
+    Functions registered for the end of the process still run.
     """
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):

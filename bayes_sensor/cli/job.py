@@ -63,9 +63,9 @@ class Job:
     delays: Any = None
     gap: Any = None
     no_gap: str = ""
-    """why the gap could not be diagnosed, in a sentence"""
+    """reason why the gap could not be diagnosed, in a sentence"""
     options: Mapping[str, Any] = field(default_factory=dict)
-    """what only one command takes: with_effects, without, nominal, effects, bootstrap"""
+    """options of single commands: with_effects, without, nominal, effects, bootstrap"""
 
     @contextmanager
     def timed(self, name: str) -> Iterator[Progress]:

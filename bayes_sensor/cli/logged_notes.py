@@ -1,6 +1,6 @@
-"""What the rooms log as a warning: said at once on stderr, and kept for run.json.
+"""Logged warnings: printed at once on stderr, and kept for run.json.
 
-``aloud`` says a line on the stderr that the process began with, which ``muted`` does not reach.
+``aloud`` prints a line on the original stderr of the process, which ``muted`` does not change.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class _Notes(logging.Handler):
 
 
 def take_notes() -> None:
-    """Begin to keep and to say what is logged; a second call changes nothing."""
+    """Begin to keep and print logged warnings; a second call changes nothing."""
     global _first_stderr
     log = logging.getLogger("bayes_sensor")
     if not any(isinstance(handler, _Notes) for handler in log.handlers):
@@ -34,12 +34,12 @@ def take_notes() -> None:
 
 
 def aloud(line: str) -> None:
-    """Say a line even while everything is muted."""
+    """Print a line even while everything is muted."""
     if _first_stderr is not None:
         with suppress(OSError):  # nobody reads it any more
             os.write(_first_stderr, f"{line}\n".encode(errors="replace"))
 
 
 def noted() -> list[str]:
-    """What has been logged so far."""
+    """The warnings logged so far."""
     return list(_kept)

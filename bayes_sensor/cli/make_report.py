@@ -22,7 +22,8 @@ def put_report(results: Results, tell: Progress, form: str = "html") -> None:
 
 @contextmanager
 def last_step(results: Results) -> Iterator[None]:
-    """Where a report is made after a run: if it fails, one is told that all else is in place."""
+    """Context of a report after a run: if it fails, the message says that all other results are in
+    place."""
     again = f"all other results are in place, and bayes-sensor report {results.folder} makes it"
     unforeseen = True
     try:

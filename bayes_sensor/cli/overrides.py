@@ -102,7 +102,7 @@ class BoundsPart(Part):
 
 
 class Overrides(Part):
-    """All of it."""
+    """All settings."""
 
     noise: NoisePart = Field(default_factory=NoisePart)
     priors: dict[str, str] = Field(default_factory=dict)
@@ -200,7 +200,7 @@ _CALL = re.compile(r"\s*([a-z-]+)\s*(?:\(([^()]*)\))?\s*")
 
 
 def _kind_of(name: str, unit: str) -> Kind | None:
-    """What a parameter measures; None for phi, which has no unit."""
+    """The kind of a parameter; None for phi, which has no unit."""
     kind = name.split("[")[0]
     if kind == "phi":
         return None
@@ -214,7 +214,7 @@ def _kind_of(name: str, unit: str) -> Kind | None:
 def flat_names(key: str, layout: Layout, where: str) -> list[str]:
     """The flat names that a key stands for: ``tau``, ``t0`` (all experiments) or ``t0[4]``.
 
-    Raises CampaignError, with the nearest known key, where there are none.
+    Raises CampaignError, with the nearest known key, if there are none.
     """
     short: dict[str, list[str]] = {}
     for name in layout.names:

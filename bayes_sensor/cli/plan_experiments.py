@@ -27,7 +27,7 @@ from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.lags import Naming
 
 SHORTEST = 0.25
-"""of the shortest record there is: the shortest that is proposed without --duration"""
+"""share of the shortest existing record: the shortest proposal without --duration"""
 KINDS = {"flow": FLOW, "duration": Kind(TIME.name, TIME.unit, "60 s")}
 
 
@@ -152,8 +152,7 @@ def _fraction(text: str, option: str) -> float:
 def _ranges(
     campaign: Campaign, limits: Mapping[str, tuple[str, str]]
 ) -> dict[str, tuple[float, float]]:
-    """Low and high of flow, concentration and duration: what was given, else as in the
-    campaign."""
+    """Low and high of flow, concentration and duration: as given, else as in the campaign."""
     own = {
         "flow": [e.total_flow for e in campaign],
         "concentration": [e.concentration for e in campaign],
@@ -178,7 +177,7 @@ def _ranges(
 
 
 def _check_order(naming: Naming, path: Path) -> None:
-    """Raise CampaignError where it is not known which lag is the sensor's."""
+    """Raise CampaignError if it is not known which lag is the sensor's."""
     if naming.order == "undecided":
         raise CampaignError(
             f"{path.name}: expected to be told which lag is the sensor's, since it is its interval "
@@ -215,7 +214,7 @@ def _from_zero(design: Campaign) -> Campaign:
 
 
 def _tell(found: Design, record: Mapping[str, Any], results: Results, quiet: bool) -> None:
-    """A table of the proposal and what to expect of it."""
+    """A table of the proposal and its expected result."""
     header = ("times", "Q (L/min)", "test gas (%)", "duration (s)", "on (s)", "off (s)")
     kinds = Counter(
         (

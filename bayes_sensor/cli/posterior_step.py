@@ -35,7 +35,7 @@ def run_posterior(job: Job) -> None:
 
 
 def watching(job: Job, tell: Progress) -> Progress:
-    """``tell``, which also says it where ``--resume`` finds ensembles that are not gone on with."""
+    """``tell``, with a message if ``--resume`` finds ensembles that cannot be continued."""
     marker = job.checkpoint / "run.json"
     if not (job.resume and marker.is_file() and any(job.checkpoint.glob("ensemble-*.npz"))):
         return tell
@@ -75,7 +75,7 @@ class SavedSpreads:
 
 
 def saved_posterior(job: Job) -> dict[str, Any] | None:
-    """``posterior.json`` of the results folder, where it rests on the same data and settings."""
+    """``posterior.json`` of the results folder, if it has the same data and settings."""
     run = job.results.json("run.json")
     saved: dict[str, Any] | None = job.results.json("posterior.json")
     commands = {} if run is None else run["commands"]

@@ -11,7 +11,7 @@ from bayes_sensor.campaign import Campaign, CampaignError
 
 
 def load(path: Path) -> tuple[Campaign, Any, tuple[str, ...]]:
-    """Campaign, rows of what was understood, and remarks."""
+    """Campaign, rows of its understood content, and remarks."""
     from bayes_sensor.io.check import campaign_remarks, campaign_rows
     from bayes_sensor.io.readers import read_campaign
 

@@ -10,14 +10,15 @@ import numpy as np
 from bayes_sensor.cli.job import Job
 
 MOST_DRAWS = 4000
-"""draws from which response times are summarised"""
+"""number of draws for the summary of response times"""
 WHOSE_COATING = "which lag is the sensor's is not known, so no diffusivity can be told from it"
 
 
 def response_time_record(job: Job) -> dict[str, Any]:
-    """Response times of sensor and chain; for ``analyze`` the diffusivity that tau implies too.
+    """Response times of sensor and chain; for ``analyze`` also the diffusivity that follows from
+    tau.
 
-    Where it is not known which lag is the sensor's there is a row for each, with its probability.
+    If it is not known which lag is the sensor's, there is a row for each, with its probability.
     """
     from bayes_sensor.rig.response_times import response_time_table
 

@@ -37,7 +37,7 @@ def study_coverage(
 ) -> int:
     """Write coverage.csv, coverage.json and the figure into ``out``; the exit code.
 
-    ``methods`` win over those of ``config``; none at all are all.
+    ``methods`` replace those of ``config``; without either, all are used.
     """
     from bayes_sensor.cli.overrides import read_overrides
 

@@ -1,4 +1,4 @@
-"""Many campaigns from the command line: analyse each, whatever becomes of the others; compare."""
+"""Many campaigns from the command line: analyse each independently; compare."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ if TYPE_CHECKING:
 FOLDER = "campaigns"
 """of the campaigns' own results"""
 OUTCOME = "outcome.json"
-"""beside a campaign's results, once they are complete: the row, and what it rests on"""
+"""file beside a campaign's complete results: the row, and its inputs"""
 PATIENCE = 600.0
 """seconds to wait for a worker that an interrupted run has left at the same campaign"""
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
-"""what ends the fleet: it would fail for every campaign"""
+"""errors that end the fleet, because they would fail for every campaign"""
 COST = ("seconds", "processor_seconds", "peak_memory_MB")
 
 _one_at_a_time = threading.Lock()
-"""a Dask worker may have threads, but what they draw and print is the whole process's"""
+"""a Dask worker may have threads, but drawing and printing are shared by the whole process"""
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,11 @@ class Analysis:
     seed: int
     resume: bool
     key: str
-    """of everything that the numbers depend on beside the data"""
+    """digest of everything besides the data that the numbers depend on"""
     posterior: dict[str, Any] = field(default_factory=dict)
 
     def __call__(self, entry: Entry) -> dict[str, Any]:
-        """``row`` of the table and ``cost``; what goes wrong with the campaign is in the row."""
+        """``row`` of the table and ``cost``; errors of the campaign are in the row."""
         with _one_at_a_time:
             return self._analyse(entry)
 
@@ -153,7 +153,7 @@ def run_fleet(
 
     Writes ``fleet.csv``, ``fleet.json``, the figure and ``index.html`` into ``out``, and what
     ``analyze`` gives into ``out/campaigns/NAME``.  Each campaign is analysed with the same seed:
-    its numbers are those of ``analyze`` alone, wherever it stands in the list.
+    its numbers are those of ``analyze`` alone, whatever its place in the list.
 
     Parameters
     ----------

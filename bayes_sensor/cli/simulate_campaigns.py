@@ -1,4 +1,4 @@
-"""Campaigns with known truth, written as if they had been recorded."""
+"""Campaigns with known truth, written like recorded ones."""
 
 from __future__ import annotations
 
@@ -64,7 +64,8 @@ def default_truth(design: Campaign) -> dict[str, Any]:
 def resized(
     campaign: Campaign, truth: dict[str, Any], duration: float | None, interval: float | None
 ) -> tuple[Campaign, dict[str, Any]]:
-    """The design on another grid; commanded times keep their place in the record, delays stay."""
+    """The design on another grid; commanded times keep their relative place in the record, delays
+    are unchanged."""
     if duration is None and interval is None:
         return campaign, truth
     experiments, own = [], {}
@@ -141,7 +142,7 @@ def _recorded(
 
 
 def _check_free(results: Results, written: Path) -> None:
-    """Raise CampaignError where a simulation would replace files that it did not write."""
+    """Raise CampaignError if a simulation would replace files that it did not write."""
     earlier = results.json("run.json")
     if isinstance(earlier, Mapping) and "simulate" in earlier.get("commands", {}):
         return
@@ -170,7 +171,8 @@ def simulate_campaign(
 ) -> None:
     """Write data files, campaign.toml and truth.json into ``out``.
 
-    Of the settings of ``config`` the noise law acts; what it pins is pinned in the truth.
+    Of the settings in ``config`` only the noise law is used; parameters that it fixes are fixed in
+    the truth.
     """
     from bayes_sensor.cli.overrides import make_problem, read_overrides
 

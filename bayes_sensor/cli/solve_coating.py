@@ -15,7 +15,7 @@ from bayes_sensor.io.results import Results
 
 
 def _as_options(message: str) -> str:
-    """A message on a coating with its fields as the options that they are on the command line."""
+    """A message on a coating with its fields written as options of the command line."""
     from bayes_sensor.coating import Coating
 
     for name in (item.name for item in fields(Coating)):

@@ -162,10 +162,10 @@ def blind_check(
     The campaigns come from a simulator that shares nothing with the diagnosis.
 
     Campaigns of your own go into DIR/campaigns/NAME/, their truths into DIR/sealed/NAME.json.
-    --diagnose-only seals the truths that are there before it begins: their SHA-256 goes into
-    sealed.json, that of every campaign into campaigns.json, and --score-only refuses what was
-    changed since. A truth put in after the verdicts is scored, too, but cannot be sealed any more;
-    score.json lists it as sealed_late.
+    --diagnose-only first seals the truths: their SHA-256 goes into sealed.json, that of every
+    campaign into campaigns.json. --score-only refuses files that were changed since.  A truth that
+    is added after the verdicts is scored, too, but cannot be sealed; score.json lists it as
+    sealed_late.
     """
     from bayes_sensor.cli import run_blind_check
     from bayes_sensor.cli.overrides import read_overrides

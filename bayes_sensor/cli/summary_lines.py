@@ -16,7 +16,7 @@ MOST_WARNINGS = 6
 
 
 def _decisive(job: Job) -> list[str]:
-    """What decides whether the headline stands: it is said before it."""
+    """Caveats of the first line; they are printed before it."""
     found = list(job.fit.caveats)
     if job.posterior is not None:
         found += job.posterior.doubts
@@ -39,7 +39,7 @@ def warnings_of(job: Job, remarks: Sequence[str]) -> list[str]:
 
 
 def print_summary(job: Job, remarks: Sequence[str], code: int) -> None:
-    """The last lines: result, warnings, what was not reached, where it is."""
+    """The last lines: result, warnings, missed goals, folder."""
     from bayes_sensor.report import chain_words, headline, number
 
     command, quiet = job.command, job.quiet
@@ -103,7 +103,7 @@ def print_summary(job: Job, remarks: Sequence[str], code: int) -> None:
 
 
 def _lags_of_fit(fit: Any) -> str:
-    """The fitted lags and volume in words; a lag at the lower end of its search is no value."""
+    """The fitted lags and volume in words; a lag at the lower end of its search has no value."""
     from bayes_sensor.report import number, time_words
 
     estimates = fit.estimates()

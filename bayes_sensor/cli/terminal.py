@@ -13,7 +13,7 @@ Progress = Callable[[float, str], None]
 
 @contextmanager
 def progress_bar(label: str, quiet: bool) -> Iterator[Progress]:
-    """A bar on stderr; nothing where that is no terminal."""
+    """A bar on stderr; nothing if stderr is not a terminal."""
     if quiet or not sys.stderr.isatty():
         yield lambda fraction, text: None
         return
@@ -39,9 +39,9 @@ def progress_bar(label: str, quiet: bool) -> Iterator[Progress]:
 
 @contextmanager
 def muted() -> Iterator[None]:
-    """Silence of this process and of those it starts; what is raised still is.
+    """Suppresses output of this process and of those it starts; exceptions pass.
 
-    emcee prints the arguments of whatever call was stopped, also by Ctrl-C, in every process.
+    emcee prints the arguments of any call that was stopped, also by Ctrl-C, in every process.
     """
     sink = io.StringIO()
     sys.stdout.flush()

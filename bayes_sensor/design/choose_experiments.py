@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 AS_GOOD = 0.03
-"""share of the gain that is given up for a shorter experiment"""
+"""share of the gain that is sacrificed for a shorter experiment"""
 
 
 def design_experiments(
@@ -46,15 +46,16 @@ def design_experiments(
     """The next experiments that bring tau's 95 % interval to +- ``target_tau`` (s, half length).
 
     Candidates: total flow (mL/s), concentration (fraction) and duration (s) on a grid within the
-    given limits.  The best one is added until the target is met or ``k`` are chosen (``k`` None:
-    as many as needed up to ``k_max``), then single ones are exchanged while that helps (Fedorov,
-    Theory of Optimal Experiments, 1972).  ``trigger``: sd (s) with which the new experiments'
-    switch times will be known.  The step's size is taken proportional to the concentration, by
-    least squares over the campaign; noise as in ``theta``; the existing experiments count as done.
+    given limits.  The best one is added until the target is met or ``k`` are chosen (``k`` None: as
+    many as needed up to ``k_max``), then single ones are exchanged while the interval improves
+    (Fedorov, Theory of Optimal Experiments, 1972).  ``trigger``: sd (s) with which the new
+    experiments' switch times will be known.  The step's size is taken proportional to the
+    concentration, by least squares over the campaign; noise as in ``theta``; the existing
+    experiments count as done.
 
     tau is the sensor's lag, be it the shorter or the longer one (:meth:`Problem.by_name`).
 
-    Raises CampaignError for limits that are not a range, a target that is not positive, or where
+    Raises CampaignError for limits that are not a range, a target that is not positive, or if
     neither the campaign nor ``theta`` says which lag is the sensor's.
     """
     problem = as_problem(campaign)

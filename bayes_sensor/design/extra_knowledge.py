@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = None) -> pd.DataFrame:
     """Predicted interval of tau for extra knowledge or another way to measure.
 
-    Columns: ``change`` (words), ``kind``, ``value`` (in ``unit``), ``sd_tau_s`` (coloured bound),
-    ``lo68_s``, ``hi68_s``, ``lo95_s``, ``hi95_s``, ``half_width95_s``, ``gain`` (the present half
-    width over this one).  ``prior`` on tau: the campaign's own by default.
+    Columns: ``change`` (words), ``kind``, ``value`` (in ``unit``), ``sd_tau_s`` (bound under the
+    noise law), ``lo68_s``, ``hi68_s``, ``lo95_s``, ``hi95_s``, ``half_width95_s``, ``gain`` (the
+    present half width over this one).  ``prior`` on tau: the campaign's own by default.
 
     A higher sampling rate keeps the noise in continuous time: phi per sample becomes
-    phi^(1/factor); a negative phi, which is no process in continuous time, is taken as zero there.
-    A pulse train is approximated by as many short experiments as there are pulses
-    (each with its own y0, beta and switch times, started from rest), which is pessimistic: a real
-    train shares them.  A design is enough.
+    phi^(1/factor); a negative phi has no process in continuous time and is set to zero there. A
+    pulse train is approximated by as many short experiments as there are pulses (each with its own
+    y0, beta and switch times, started from rest).  That is pessimistic, because a real train shares
+    them. A design is enough.
 
     tau is the sensor's lag, be it the shorter or the longer one (:meth:`Problem.by_name`).
     """
@@ -97,7 +97,7 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
 
 
 def _both(sd: float, other: float | None) -> float:
-    """sd of what is known from two sources."""
+    """sd of the combined knowledge from two sources."""
     return sd if other is None else float((sd**-2 + other**-2) ** -0.5)
 
 
@@ -120,7 +120,7 @@ def _with_rate(setting: Setting, factor: int) -> Setting:
 
 
 def _as_pulse(setting: Setting, pulses: int, truth: Truth) -> Setting | None:
-    """One of ``pulses`` equal parts of the record; None where the response would not settle."""
+    """One of ``pulses`` equal parts of the record; None if the response would not settle."""
     e = setting.experiment
     n = len(e.t) // pulses
     duration = n * e.interval

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Experiments to do next, and what to expect of them."""
+    """Experiments to do next, and their expected result."""
 
     experiments: pd.DataFrame
     """one row each: ``name``, ``total_flow_mL_s``, ``concentration``, ``duration_s``, ``on_s``,
@@ -28,16 +28,16 @@ class Design:
     theta: FloatArray
     """flat vector for that campaign"""
     before: Prediction
-    """with the experiments there are"""
+    """with the existing experiments"""
     after: Prediction
-    """with the proposals as well"""
+    """with the proposals added"""
     target: float
     """s, wanted half width of the 95 % interval"""
     reached: bool
     status: str
     """one sentence"""
     prior: Prior
-    """on tau, that the prediction rests on"""
+    """prior on tau in the prediction"""
     noise: Noise
     """law of the noise, one for all experiments"""
 
@@ -48,7 +48,7 @@ class Design:
 
     @property
     def new(self) -> Campaign | None:
-        """The proposed experiments alone; None where none are needed."""
+        """The proposed experiments alone; None if none are needed."""
         some = tuple(e for e in self.campaign if e.name in self.new_names)
         return (
             replace(self.campaign, title="proposed experiments", experiments=some) if some else None
@@ -56,17 +56,17 @@ class Design:
 
     @property
     def truth(self) -> dict[str, Any]:
-        """What the prediction assumes, for a simulation of :attr:`new` (of :attr:`campaign` where
+        """The prediction's assumptions, for a simulation of :attr:`new` (of :attr:`campaign` if
         none is needed); see :meth:`truth_for`."""
         return self.truth_for(self.new or self.campaign)
 
     def truth_for(self, campaign: Campaign) -> dict[str, Any]:
-        """What the prediction assumes, as ``simulate --truth`` reads it: every record's time starts
-        at zero there.
+        """The prediction's assumptions in the form that ``simulate --truth`` reads; every record's
+        time starts at zero there.
 
         ``campaign``: some of the experiments of :attr:`campaign`.  sigma1 and phi refer to the
-        highest concentration and to the most common interval of that campaign.  Every experiment's
-        own parameters are there.
+        highest concentration and to the most common interval of that campaign.  It has the
+        parameters of every experiment.
         """
         shared, theta = self.campaign, self.theta.copy()
         i_phi, i_sigma0, i_sigma1 = Layout.of(shared).noise[0]

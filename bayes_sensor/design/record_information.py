@@ -14,12 +14,12 @@ from bayes_sensor.likelihood.problem import Problem
 
 COMMON = ("tau^2", "tau", "tau_v", "V", "phi", "sigma0", "sigma1")
 EXACT = 1e-6
-"""s, what counts as a switch time known exactly"""
+"""s, sd of a switch time that counts as known exactly"""
 
 
 def record_information(setting: Setting, truth: Truth, tau: float) -> FloatArray:
-    """What one experiment's record tells: (n, n) information on (tau^2, tau, tau_v, V, y0, beta,
-    t0 + tau, tf + tau, phi, sigma0, sigma1), sensitivities taken at ``tau`` (s, positive).
+    """Information (n, n) of one experiment's record on (tau^2, tau, tau_v, V, y0, beta, t0 + tau,
+    tf + tau, phi, sigma0, sigma1), sensitivities taken at ``tau`` (s, positive).
 
     Rows of tau itself are zero: see :func:`information_of`.
     """

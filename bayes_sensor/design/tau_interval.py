@@ -6,8 +6,8 @@ Predictions are posterior-like.  Data are expected at the truth and their inform
     p(tau) ~ exp(-D(tau)/2) half-normal(tau),   D = (dq, dtau) M (dq, dtau)',
     dq = tau^2 - tau_true^2,  dtau = tau - tau_true
 
-where M_qq is what the records tell about tau^2 and the other entries come from knowledge that ties
-t0 + tau to t0, such as a trigger.  The interval is that density's equal-tailed one.
+where M_qq is the information of the records on tau^2.  The other entries come from knowledge of t0,
+such as a trigger.  The interval is that density's equal-tailed one.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from bayes_sensor.likelihood.problem import Problem
 
 @dataclass(frozen=True)
 class Prediction:
-    """What is to be expected for tau."""
+    """The expected interval of tau."""
 
     sd: float
     """s, the Cramer-Rao bound at the true tau"""
     sd_square: float
-    """s^2, of tau^2 when nothing ties tau to the switch times"""
+    """s^2, of tau^2 without knowledge of the switch times"""
     low68: float
     high68: float
     low95: float
@@ -102,10 +102,10 @@ def predict(
     repeats: float = 1.0,
     known: Known | None = None,
 ) -> Prediction:
-    """Interval of tau to expect from these experiments, each done ``repeats`` times.
+    """Expected interval of tau from these experiments, each done ``repeats`` times.
 
-    Sensitivities are taken at the true tau or, where that is closer to zero than the data can
-    tell, at the root of one spread of tau^2.
+    Sensitivities are taken at the true tau or, if that cannot be distinguished from zero, at the
+    root of one spread of tau^2.
     """
     fastest = min(truth.tau_v, min(truth.V / s.experiment.total_flow for s in settings))
     tau = max(truth.tau, 2e-3 * fastest)

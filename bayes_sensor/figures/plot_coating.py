@@ -42,7 +42,7 @@ _DASHES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (3, 1.5)), (0, (6, 1.5, 1, 1.5
 _LEVELS = np.linspace(0.0, 1.0, 11)
 _MAP = LinearSegmentedColormap.from_list("uptake", ["#ffffff", *REGIONS, BLUE, "#00334f"])
 LOWERED_D_ZIF8 = 2.6e-11
-"""m2/s, to which the paper lowers the diffusivity of ZIF-8 (Sec. III-D)"""
+"""m2/s, the lowered diffusivity of ZIF-8 in the paper (Sec.  III-D)"""
 _HALO = {"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8}
 
 
@@ -221,10 +221,10 @@ def response_times(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def diffusivity(record: Mapping[str, Any]) -> Figure:
-    """Diffusivity of ZIF-8 that explains tau, beside the literature value and the lowered one.
+    """Diffusivity of ZIF-8 that explains tau, with the literature value and the lowered one.
 
-    ``record``: :meth:`bayes_sensor.coating.DiffusivityPosterior.to_json`.  An interval without
-    an upper end goes on as an arrow.
+    ``record``: :meth:`bayes_sensor.coating.DiffusivityPosterior.to_json`.  An interval without an
+    upper end has an arrow.
     """
     d = record["d_zif8_m2_per_s"]
     literature = record["d_literature_m2_per_s"]
@@ -265,9 +265,9 @@ def spectra_figure(
 ) -> Figure:
     """Transmission spectra at several test-gas fractions, and voltage against concentration.
 
-    The excitation wavelength is marked in the spectra.  On the right the range around the
-    steepest point whose end-point nonlinearity is at most ``wanted`` is shaded; it is left out
-    where the laser is past that point already without gas.
+    The excitation wavelength is marked in the spectra.  On the right the range around the steepest
+    point whose end-point nonlinearity is at most ``wanted`` is shaded; it is left out if the laser
+    is beyond that point without gas.
     """
     levels = np.array(concentrations, dtype=float)
     if levels.size == 0 or not (np.isfinite(levels).all() and (levels >= 0).all()):

@@ -33,7 +33,7 @@ from bayes_sensor.posterior.inference_data import import_quietly
 def main_parameters(names: Sequence[str]) -> list[str]:
     """Those of tau, tau_v, V, sigma0, sigma1, phi that are among ``names``.
 
-    Lags by size where it is not known whose they are.
+    Lags that cannot be assigned are named by size.
     """
     known = told_apart(names)
     return [name for name in (*SHARED_LABELS, "sigma0_V", "sigma1_V", "phi") if name in known]
@@ -106,7 +106,7 @@ def _two_ticks(low: float, high: float) -> list[float]:
 
 
 def traces_and_ranks(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
-    """Chains and the ranks of their draws: when they agree, every rank is as frequent.
+    """Chains and the ranks of their draws: if they agree, all ranks are equally frequent.
 
     The grey band holds 95 % of the bars of independent draws.
     """

@@ -28,8 +28,8 @@ LONGEST_NAME = 28
 def forest(rows: Sequence[Mapping[str, Any]], median_s: float | None = None) -> Figure:
     """Forest plot of tau, smallest first: median, 68 % thick, 95 % thin.
 
-    ``rows``: the table of a fleet; those without a tau are named at the foot with the reason.  An
-    arrow to the left ends at the one-sided 95 % limit of a campaign that does not exclude zero.
+    ``rows``: the table of a fleet; those without a tau are listed at the bottom with the reason.
+    An arrow to the left ends at the one-sided 95 % limit of a campaign that does not exclude zero.
     """
     known = sorted((r for r in rows if r["tau_s"] is not None), key=lambda r: r["tau_s"])
     lost = [r for r in rows if r["tau_s"] is None]
@@ -100,7 +100,7 @@ def _kind(row: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _range(known: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
-    """Every 95 % interval, but none so wide that the others vanish."""
+    """Range of all 95 % intervals, without those so wide that the others would vanish."""
     if not known:
         return 0.0, 1.0
     high = np.array([1e3 * max(r["tau_hi95_s"], r["tau_upper95_s"] or 0.0) for r in known])

@@ -1,4 +1,4 @@
-"""The gap between model and measurement: its budget, where it lies, what explains it, what hides.
+"""The gap between model and measurement: its budget, place, explanations and unseen effects.
 
 Every function takes a part of ``gap.json``.
 """
@@ -34,7 +34,7 @@ from bayes_sensor.figures.style import (
 
 PHASES = ("baseline", "onset", "rise", "plateau", "fall", "tail")
 VISIBLE = 3.0
-"""detectability below which an effect leaves no trace that this campaign could show"""
+"""detectability below which this campaign cannot show an effect"""
 _SHADES = ListedColormap([GROUND, *REGIONS, BLUE])
 
 
@@ -48,7 +48,7 @@ def effect_words(name: str) -> str:
 
 
 def gap_budget(gap: Mapping[str, Any], unit: str = "V") -> Figure:
-    """Waterfall from the nominal simulation to the noise floor: RMS, and what exceeds the floor.
+    """Waterfall from the nominal simulation to the noise floor: RMS, and excess over the floor.
 
     ``gap``: ``budget`` and ``shrink`` of ``gap.json``.
     """
@@ -96,7 +96,7 @@ def gap_budget(gap: Mapping[str, Any], unit: str = "V") -> Figure:
 
 
 def gap_where(where: Sequence[Mapping[str, Any]], unit: str = "V") -> Figure:
-    """Heat map experiment x phase of the excess, with the share of the whole where it is found.
+    """Heat map of the excess by experiment and phase, with the share of the whole.
 
     ``where``: rows of ``gap.json``; a frame marks cells whose p-value is below 5 %.
     """
@@ -158,14 +158,14 @@ def _frame(x: float, y: float) -> Any:
 
 
 FEW = 5
-"""explanations that are drawn however improbable"""
+"""explanations that are always drawn"""
 
 
 def gap_which(gap: Mapping[str, Any], most: int = 10) -> Figure:
     """Probabilities of the explanations, the likeliest first, and of their families.
 
-    ``gap``: ``which`` and ``families`` of ``gap.json``.  What stands apart from the effects (none,
-    unlisted) is hatched.  Pairs count for both their families.
+    ``gap``: ``which`` and ``families`` of ``gap.json``.  None and unlisted are hatched.  Pairs
+    count for both their families.
     """
     rows = sorted(gap["which"], key=lambda row: -row["probability"])
     worth = sum(row["probability"] >= 5e-4 for row in rows)  # others would all read "<0.1"
@@ -207,7 +207,7 @@ def _bars(axes: Any, rows: Sequence[tuple[str, float]], n: int, title: str) -> N
 
 
 def gap_residuals(residuals: Sequence[Mapping[str, Any]], most: int = 10) -> Figure:
-    """Whitened residuals in event-locked bins, one strip an experiment; noise stays within +-2.
+    """Whitened residuals in event-locked bins, one strip an experiment; noise is within +-2.
 
     ``residuals`` of ``gap.json``; of many experiments those with the largest residuals are shown.
     """
@@ -247,20 +247,20 @@ def gap_residuals(residuals: Sequence[Mapping[str, Any]], most: int = 10) -> Fig
 
 
 def lag_of(hidden: Mapping[str, Any]) -> tuple[str, str]:
-    """Key and words of the lag that a diagnosis speaks of, by ``hidden`` of ``gap.json``.
+    """Key and words of the lag to which a diagnosis refers, from ``hidden`` of ``gap.json``.
 
-    Tau, or the shorter lag where nobody knows whose it is.
+    Tau, or the shorter lag if it cannot be assigned.
     """
     unknown = "lag_fast_envelope_s" in hidden
     return ("lag_fast", "the shorter lag") if unknown else ("tau", "τ")
 
 
 def gap_hidden(hidden: Mapping[str, Any], tau: float | None = None) -> Figure:
-    """What may hide: how visible each effect would be, and what tau would be with it.
+    """What may hide: how visible each effect would be, and tau with it.
 
-    ``hidden`` of ``gap.json``; ``tau`` in s draws a line.  Effects left of the line at three could
-    not have been seen; the envelope of tau over them is shaded.  Dotted lines are the intervals
-    with the strength left free.
+    ``hidden`` of ``gap.json``; ``tau`` in s draws a line.  Effects to the left of the line at three
+    would not be seen; the envelope of tau over them is shaded.  Dotted lines are the intervals with
+    the strength left free.
     """
     of, lag = lag_of(hidden)
     rows = [r for r in hidden["effects"] if r["d"] is not None and r[f"{of}_shift_s"] is not None]

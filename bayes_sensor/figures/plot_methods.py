@@ -1,4 +1,4 @@
-"""Bound methods side by side, and why the published one misled."""
+"""Bound methods side by side, and the published bound against its step."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from bayes_sensor.figures.style import (
 def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = None) -> Figure:
     """Every bound method side by side for tau, tau_v, V: 68 % thick, 95 % thin.
 
-    Where it is not known whose a lag is, it has its place by size.  ``bounds``: the content of
-    ``bounds.json``; ``truth`` by flat name draws a line.
+    A lag that cannot be assigned is placed by size.  ``bounds``: the content of ``bounds.json``;
+    ``truth`` by flat name draws a line.
     """
     methods = list(bounds["methods"])
     shown_labels = labels_of_bounds(bounds)
@@ -79,7 +79,7 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
 
 
 def _visible(rows: Sequence[Mapping[str, Any]], factor: float) -> tuple[float, float]:
-    """The range shown: every 95 % interval, but none so wide that the others vanish."""
+    """The range shown: all 95 % intervals, without those so wide that the others would vanish."""
     ends = [
         (factor * row["lo95"], factor * row["hi95"])
         for row in rows

@@ -97,7 +97,7 @@ def _only(axes: Axes, labels: Sequence[str]) -> tuple[list[Any], list[str]]:
 
 
 def rms_bars(traces: Sequence[Trace]) -> Figure:
-    """RMS residual of every experiment beside what the noise law alone would leave."""
+    """RMS residual of every experiment, with the RMS of the noise law alone."""
     unit, factor = volts(traces[0].signal_unit, max(trace.rms for trace in traces))
     names = [trace.name for trace in traces]
     rms = [factor * trace.rms for trace in traces]

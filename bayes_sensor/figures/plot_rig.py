@@ -37,8 +37,8 @@ _LOOKS: tuple[tuple[str, Any], ...] = (
 def responses(traces: Sequence[Trace]) -> Figure:
     """Measured responses of each test-gas concentration, one line a flow, with the drive's edges.
 
-    Shown is the middle of each stretch of samples, from 5 s before the command (or the fitted
-    switch where none is known), so that flows and delays can be compared.
+    The line is the middle of each stretch of samples, from 5 s before the command (or the fitted
+    switch if none is known), so that flows and delays can be compared.
     """
     levels = sorted({round(100 * trace.concentration, 1) for trace in traces})[:MOST_PANELS]
     unit = traces[0].signal_unit
@@ -73,7 +73,8 @@ def responses(traces: Sequence[Trace]) -> Figure:
 
 
 def schematic() -> Figure:
-    """The model as a chain of first-order lags, with what each makes of a step (paper Fig. 4)."""
+    """The model as a chain of first-order lags, with the response of each to a step (paper Fig.
+    4)."""
     boxes = (
         ("command", "u(t)", "open at t₀, then shut"),
         ("valve", "x₁′ = (u − x₁)/τᵥ", "same in every experiment"),

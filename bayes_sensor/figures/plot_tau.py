@@ -1,4 +1,4 @@
-"""What makes tau hard to measure, what would help, and how often bound methods are right."""
+"""Why tau is hard to measure, what would help, and how often bound methods are right."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def _weakest(axes: Axes, record: Mapping[str, float]) -> None:
 
 
 def what_would_help(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Predicted 68 and 95 % intervals of tau for each change; the gain stands beside them.
+    """Predicted 68 and 95 % intervals of tau for each change, with the gain.
 
     ``rows``: ``what_would_help`` of ``bounds.json``.
     """

@@ -1,8 +1,8 @@
 """One style for every figure, and the figure as SVG, PNG or PDF.
 
-Colours are from Okabe and Ito's palette, chosen so that lines also differ in grey; what matters is
-also told apart by line style or marker.  Figures are made without pyplot's global state, and the
-same records give the same bytes.
+Colours are from Okabe and Ito's palette, chosen so that lines also differ in grey.  Important lines
+also differ in line style or marker.  Figures are made without pyplot's global state, and the same
+records give the same bytes.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ GREEN = "#009e73"
 REGIONS = ("#dbe8f2", "#a9cae2", "#6fa6cd")
 GROUND = "#ffffff"
 COLOURS = (GROUND, INK, PALE, MIDDLE, DATA, MODEL, BLUE, ORANGE, GREEN, *REGIONS)
-"""every colour in use; the page gives each its counterpart on a dark ground"""
+"""every colour in use; the page has a counterpart of each for a dark background"""
 WIDTH = 6.4
 """inches, as wide as the text of the manuscript: a point in a figure is a point in print"""
 SMALLEST = 7
-"""points; below, print is hard to read"""
+"""points; smaller print is hard to read"""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 
 STYLE: dict[str, Any] = {
@@ -99,12 +99,13 @@ SHARED_LABELS = {
     "lag_slow_s": ("longer lag", "s", 1.0),
     "V_mL": ("volume V", "mL", 1.0),
 }
-"""flat name to words, unit shown and the factor to it; lags by size are those of unknown owners"""
+"""flat name to words, unit shown and the factor to it; lags by size are those that cannot be
+assigned"""
 
 
 def shared_labels(names: Iterable[str]) -> dict[str, tuple[str, str, float]]:
     """Those of :data:`SHARED_LABELS` that are among ``names``; lags by size in place of tau and
-    tau_v where it is not known whose they are.
+    tau_v if they cannot be assigned.
 
     >>> list(shared_labels(["tau_s", "tau_v_s", "V_mL"]))
     ['tau_s', 'tau_v_s', 'V_mL']
@@ -114,7 +115,8 @@ def shared_labels(names: Iterable[str]) -> dict[str, tuple[str, str, float]]:
 
 
 def told_apart(names: Iterable[str]) -> list[str]:
-    """``names`` of a posterior, shared ones first, without those whose lag is not known.
+    """``names`` of a posterior, shared ones first, without tau and tau_v if they cannot be
+    assigned.
 
     >>> told_apart(["tau_s", "tau_v_s", "V_mL", "lag_fast_s", "lag_slow_s", "phi"])
     ['lag_fast_s', 'lag_slow_s', 'V_mL', 'phi']
@@ -149,7 +151,7 @@ def style() -> Any:
 
 @contextmanager
 def _drawing() -> Iterator[None]:
-    """The style; a letter that the font has not is a box, and no warning."""
+    """The style; a letter that is not in the font is drawn as a box, without a warning."""
     with style(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
         yield
@@ -162,7 +164,7 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
 def settle(figure: Figure) -> None:
     """Lay out once and round the places of the axes, and of the figures inside the figure.
 
-    The layout's solver is exact to rounding only, which would otherwise show in the bytes.
+    The layout's solver is exact only to rounding, which would otherwise change the bytes.
     """
     engine = figure.get_layout_engine()
     if engine is None or isinstance(engine, PlaceHolderLayoutEngine):

@@ -1,16 +1,17 @@
-"""Least squares: a particle swarm finds the valley, trust-region refinement its bottom.
+"""Least squares: a particle swarm finds the basin, a trust region its minimum.
 
 The swarm (the paper's method) searches tau, tau_v, V and the switch times; y0 and beta are solved
-exactly inside, since the mean is linear in them.  Its best points, and more starts along the flat
-valley in which tau and the switch times trade off, are refined with the analytic Jacobian in the
-coordinates (tau^2, t0 + tau, tf + tau), where that valley is straight.
+exactly inside, since the mean is linear in them.  Its best points are refined, and so are more
+starts along the flat valley of tau against the switch times. The refinement uses the analytic
+Jacobian in the coordinates (tau^2, t0 + tau, tf + tau), where that valley is straight.
 
 The sum of squares is taken on weighted points: averages over short stretches for the search, the
-mesh of :mod:`bayes_sensor.likelihood.mesh` for the answer, whose residuals come from all samples.
+mesh of :mod:`bayes_sensor.likelihood.mesh` for the result. The residuals of the result come from
+all samples.
 
-Only the data decide here.  Side information (a volume measured elsewhere) is a prior and enters
-the posterior, not this fit.  The sensor is taken to be the faster lag, tau <= tau_v, because the
-cascade is unchanged when the two swap.
+The fit uses the data alone. Side information (a volume measured elsewhere) is a prior and enters
+the posterior, not this fit. The sensor is taken to be the faster lag, tau <= tau_v, because the
+response does not change when the two are exchanged.
 """
 
 from bayes_sensor.fit.fit import Fit, Progress

@@ -1,4 +1,4 @@
-"""Weighted points that stand for the samples, and the sum of squares on them."""
+"""Weighted points that represent the samples, and the sum of squares on them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bayes_sensor.fit.first_estimates import Look
 
 
 class Points(NamedTuple):
-    """Weighted points standing for the samples; all experiments in a row."""
+    """Weighted points that represent the samples; all experiments in a row."""
 
     first: NDArray[np.int64]  # (n_exp + 1,)
     t: FloatArray

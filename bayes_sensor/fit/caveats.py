@@ -1,4 +1,4 @@
-"""What decides whether the headline of a fit stands, as sentences that every command repeats."""
+"""Caveats of a fit: sentences on whether its first line is valid, which every command repeats."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def caveats(
     compared: Sequence[Comparison] = (),
     hidden: float | None = None,
 ) -> list[str]:
-    """Sentences that belong before the headline; empty where it stands as it is.
+    """Sentences that come before the first line; empty if it is valid without them.
 
     ``vector`` (n_theta,): the fit; ``residuals``: of every experiment r (n_t,) in V and x3 (n_t,);
-    ``misfit``: of every experiment by name; ``compared``: side information beside what the data
-    alone say; ``hidden``: the sampling interval (s) that hides the response.
+    ``misfit``: of every experiment by name; ``compared``: side information compared with the
+    estimate from the data alone; ``hidden``: the sampling interval (s) that hides the response.
     """
     found = [warning(misfit, problem.campaign.signal_unit)]
     found += [each.sentence() for each in compared if each.contradicts]

@@ -1,4 +1,4 @@
-"""Whether a fit is of the campaign that it is used with."""
+"""Check that a fit belongs to the campaign with which it is used."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ANOTHER = 1e-5
 
 
 def check_data_of_fit(problem: Problem, fit: Fit, *others: Problem) -> None:
-    """Raise CampaignError for a fit of other data than the problem's, its names being the same.
+    """Raise CampaignError if the fit has the problem's names but other data.
 
     ``others``: the same data under other models that the fit may be of.
     """

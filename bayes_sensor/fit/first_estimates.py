@@ -1,4 +1,4 @@
-"""What the records show without a model: levels, times and search bounds."""
+"""First estimates from the records without a model: levels, times and search bounds."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
 from bayes_sensor.likelihood.problem import Problem
 
 LEAST_TAU = 0.1
-"""lower bound of tau in sampling intervals: far below anything a sample can tell"""
+"""lower bound of tau in sampling intervals, far below what samples can resolve"""
 DRIFT = 0.2
-"""of the step, between the two halves of what follows its middle: more, and the plateau is not
-reached (that is so where the step lasts less than three lags)"""
+"""of the step, between the two halves after its middle; above it the plateau is not reached (the
+step lasts less than three lags)"""
 UNSETTLED = 10.0
 """longest lag looked for where no plateau is reached, in lengths of the step"""
 
@@ -46,7 +46,7 @@ def blocks(e: Experiment, start: float, end: float, n: int) -> tuple[FloatArray,
 
 
 def split(y: FloatArray) -> int:
-    """Where a series is best cut in two constant pieces: first index of the second."""
+    """Index at which a series is best divided into two constant parts: the first of the second."""
     n = len(y)
     centred = y - y.mean()
     left = np.cumsum(centred)[:-1]

@@ -21,7 +21,7 @@ class Fit:
     """A least-squares fit of a campaign."""
 
     names: list[str]
-    """flat parameter names; a lag whose owner is not known is called by its size"""
+    """flat parameter names; a lag that cannot be assigned is named by its size"""
     theta_hat: FloatArray
     """(n_theta,) in the order of ``names``: lags by size (:mod:`bayes_sensor.rig.lags`); noise
     parameters estimated from the residuals"""
@@ -35,7 +35,7 @@ class Fit:
     cost: float
     """V^2, the sum of squares"""
     at_bound: list[str]
-    """flat names of estimates that sit on a search bound"""
+    """flat names of estimates at a search bound"""
     bounds: dict[str, tuple[float, float]]
     """search bounds by flat name"""
     converged: bool
@@ -55,37 +55,36 @@ class Fit:
     """s, the sampling interval that phi refers to"""
     seed: int = 1
     cannot_tell: str = ""
-    """why these data allow no interval at all, as a sentence; empty where they do"""
+    """why these data allow no interval, as a sentence; empty where they do"""
     twin: str = ""
-    """that another valve and manifold fit as well, as a sentence; empty where they do not"""
+    """a sentence if another valve and manifold fit equally well; else empty"""
     step_seen: bool = True
-    """whether the step of any experiment stands out of the noise"""
+    """whether the step of any experiment exceeds the noise"""
     unseen: tuple[str, ...] = ()
-    """lags, or V, at the lower end of the search: too small for these data to see"""
+    """lags, or V, at the lower end of the search: too small to be seen in these data"""
     naming: Naming | None = None
-    """what may be said of the names of the lags"""
+    """names that may be stated for the lags"""
     side_information: tuple[Comparison, ...] = ()
-    """each piece of side information beside what the data alone say"""
+    """each piece of side information with the estimate from the data alone"""
     hidden_by_sampling: float | None = None
-    """s, the sampling interval where the whole response is over within it"""
+    """s, the sampling interval if the whole response is shorter than it"""
     caveats: tuple[str, ...] = ()
-    """sentences that decide whether the headline stands: posterior, bounds and report repeat them
-    before anything else"""
+    """caveats of the first line: posterior, bounds and report repeat them first"""
     noise: float | None = None
     """V, RMS of the noise without test gas, from the quiet stretches; None where none is quiet"""
     misfit: float | None = None
-    """RMS over what the noise of the quiet stretches would leave; None where it cannot be told"""
+    """RMS over that of the noise of the quiet stretches; None where it cannot be computed"""
     misfit_per_experiment: dict[str, float | None] = field(default_factory=dict)
     """the same by experiment"""
 
     @property
     def order(self) -> str:
-        """Whose the lags are: ``given``, ``decided`` (by side information) or ``undecided``."""
+        """Assignment of the lags: ``given``, ``decided`` (by side information) or ``undecided``."""
         return "given" if self.naming is None else self.naming.order
 
     @property
     def lags(self) -> FloatArray:
-        """(n_lags,) s, the lags that flows do not tell apart, shortest first."""
+        """(n_lags,) s, the lags that do not depend on flow, shortest first."""
         return lags_of(self.theta_hat, None if self.naming is None else self.naming.flow)
 
     def __repr__(self) -> str:
@@ -97,7 +96,7 @@ class Fit:
         return f"Fit({shared}; RMS {self.rms:.4g} {self.signal_unit}; {self.status})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows of it: no spreads, which are the bounds' and the posterior's."""
+        """HTML for a notebook, without spreads; bounds and posterior have those."""
         limit = set(self.at_bound)
         rows = [
             [
@@ -113,8 +112,8 @@ class Fit:
         return card(title, sentences, ["parameter", "value", ""], rows)
 
     def estimates(self) -> dict[str, float | None]:
-        """The shared values under what may be stated of their names; None where one is too small
-        to be seen."""
+        """The shared values under the names that may be stated; None where one is too small to be
+        seen."""
         names = self.names[:3]
         labels = [(name, 1.0) for name in names] if self.naming is None else self.naming.labels
         return {

@@ -1,4 +1,4 @@
-"""What a fit must warn about: bounds reached, steps unseen, traces not described."""
+"""Warnings of a fit: search bounds reached, steps not visible, records not described."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from bayes_sensor.rig.layout import SHARED, Layout, unit_of
 def local_noise(z: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
     """Variance and lag-one coefficient of the fast part of residuals ``z`` (n_t,).
 
-    An AR(1)'s autocovariance differences give both: g0 - g1 = v (1 - phi), g1 - g2 =
-    v phi (1 - phi).  Anything slow, such as a mean that misses the trace, drops out of them; their
-    medians over sections of the record drop spikes as well.
+    An AR(1)'s autocovariance differences give both: g0 - g1 = v (1 - phi), g1 - g2 = v phi (1 -
+    phi).  Slow parts, such as a misfit of the mean, cancel in the differences. Medians over
+    sections of the record also remove spikes.
     """
     n_sections = int(np.clip(len(z) // 200, 1, 40))
     size = len(z) // n_sections
@@ -49,12 +49,12 @@ def local_noise(z: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
 def _lack_of_fit(
     e: Experiment, r: FloatArray, scale: FloatArray, rise: float, n_experiments: int
 ) -> tuple[float, float]:
-    """(largest, share): worst miss of the mean in V, and how far the misses exceed the noise.
+    """(largest, share): largest misfit of the mean in V, and the ratio of the misfits to the noise.
 
-    Means of r/s over stretches of a quarter of the rise are compared with what noise of the
-    residuals' own fast part would leave in them.  ``share`` is the ratio of their mean square to
-    that, or 0 where chance explains it (level 1e-3 over all experiments, and a factor 1.5 granted
-    because AR(1) noise is an approximation itself).
+    Means of r/s over stretches of a quarter of the rise are compared with the means that noise like
+    the residuals' fast part would give.  ``share`` is the ratio of their mean square to that, or 0
+    where chance explains it (level 1e-3 over all experiments, with a factor 1.5 because AR(1) noise
+    is an approximation).
     """
     size = max(int(rise / 4.0 / e.interval), 8)
     n = len(r) // size
@@ -156,8 +156,8 @@ def unseen_lags(
     box: Mapping[str, tuple[float, float]],
     given: Container[str],
 ) -> list[str]:
-    """Flat names of lags, and V, at the lower end of a search that nobody has narrowed (``given``):
-    the data see nothing of them."""
+    """Flat names of lags, and V, at the lower end of a search range that was not ``given``: the
+    data show no effect of them."""
     found = []
     for name in at_bound:
         low, high = box[name]
@@ -178,7 +178,7 @@ def bound_warnings(
 ) -> list[str]:
     """A sentence for every estimate at a search bound.
 
-    ``labels``: by flat name of theta's places, what may be stated of whose each lag is;
+    ``labels``: by flat name of theta's places, the name that may be stated for each lag;
     ``unseen``: the lags and V that are too small to be seen.
     """
     sentences = []

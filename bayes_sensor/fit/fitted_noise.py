@@ -1,4 +1,4 @@
-"""Residuals of the full pass, and the noise they show."""
+"""Residuals of the full pass, and the noise estimated from them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def residuals_of(problem: Problem, vector: FloatArray, k: int) -> tuple[FloatArr
 
 
 class Spread(NamedTuple):
-    """What is needed of one experiment's residuals to estimate the noise."""
+    """Statistics of one experiment's residuals that the estimate of the noise needs."""
 
     r2: FloatArray  # r^2 of the used samples
     x: FloatArray  # weight * x3 there
@@ -110,7 +110,7 @@ def fitted_variances(spreads: list[Spread], grows: bool) -> tuple[float, float]:
 
 
 def _lag_one(spreads: list[Spread], v0: float, v1: float) -> float:
-    """phi from neighbouring samples; from used ones further apart where most are not neighbours."""
+    """phi from neighbouring samples; from samples further apart where most have no neighbour."""
     distances = [np.diff(np.flatnonzero(s.used)) for s in spreads]
     next_to_each_other = sum(int(np.sum(d == 1)) for d in distances)
     gaps = 2 * next_to_each_other < sum(len(d) for d in distances)

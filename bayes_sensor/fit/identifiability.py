@@ -1,4 +1,4 @@
-"""Whether the data can tell anything: enough samples, two levels, noise, a step that is seen."""
+"""Whether the data determine anything: enough samples, two levels, noise, a visible step."""
 
 from __future__ import annotations
 
@@ -12,25 +12,26 @@ from bayes_sensor.likelihood.problem import Problem
 FEWEST = 5
 """samples of one experiment; y0, beta, t0 and tf alone are four parameters"""
 ROUNDING = 1e-10
-"""RMS residual over the range of the samples below which nothing but rounding is left"""
+"""RMS residual over the range of the samples below which only rounding is left"""
 ROUNDINGS = 8.0
-"""the same over the rounding of the largest sample: y0 + beta x rounds as often on its way"""
+"""the same over the rounding of the largest sample; y0 + beta x rounds about as often"""
 LEAST_RANGE = 0.02
-"""of the response over the used samples, below which y0 and beta cannot be told apart"""
+"""of the response over the used samples, below which y0 and beta cannot be separated"""
 SEEN = 8.0
 """step over its standard error above which it is seen.  The fit looks for a step wherever the
 commands allow one, and finds up to seven standard errors in pure noise."""
 STEADY = 20.0
-"""correlation times of the noise that a record must hold for least squares to judge its spread"""
+"""correlation times of the noise that a record must contain for least squares to estimate its
+spread"""
 WHITE = 1.02
-"""factor of a spread up to which correlated noise passes for white"""
+"""factor of a spread up to which correlated noise counts as white"""
 
 
 def step_error(e: Experiment, r: FloatArray, x: FloatArray) -> float:
     """Standard error of the step size, V: low against high x3, from the scatter of block means.
 
-    Forty block means carry slow noise; their median deviation leaves out the few blocks in which
-    the model misses the trace.
+    Forty block means contain slow noise; their median deviation ignores the few blocks in which the
+    model does not fit.
     """
     z = r[e.used]
     size = max(len(z) // 40, 1)
@@ -43,10 +44,10 @@ def step_error(e: Experiment, r: FloatArray, x: FloatArray) -> float:
 
 
 def least_noise(campaign: Campaign) -> float:
-    """V, the RMS of residuals up to which they may be rounding alone.
+    """V, the RMS up to which residuals may be rounding alone.
 
-    Rounding of the model goes with the samples' range, that of the floats with their distance from
-    zero.
+    The model's rounding is proportional to the samples' range, that of the floats to their distance
+    from zero.
     """
     ranges = (float(np.ptp(e.values[e.used])) for e in campaign)
     return max(ROUNDING * max(ranges), ROUNDINGS * campaign.rounding)
@@ -55,7 +56,7 @@ def least_noise(campaign: Campaign) -> float:
 def cannot_tell(
     problem: Problem, vector: FloatArray, residuals: list[tuple[FloatArray, FloatArray]]
 ) -> str:
-    """Why no interval can be given at all, as a sentence; empty where one can.
+    """Why no interval can be given, as a sentence; empty where one can.
 
     ``residuals``: of every experiment r (n_t,) in V and x3 (n_t,) at ``vector`` (n_theta,).
     """
@@ -93,7 +94,7 @@ def cannot_tell(
 def step_is_seen(
     problem: Problem, vector: FloatArray, residuals: list[tuple[FloatArray, FloatArray]]
 ) -> bool:
-    """Whether the step of any experiment stands out of the noise."""
+    """Whether the step of any experiment exceeds the noise."""
     for k, (e, (r, x)) in enumerate(zip(problem.campaign, residuals)):
         beta = abs(float(vector[problem.layout.local[k, 1]]))
         if beta > SEEN * step_error(e, r, x):
@@ -102,7 +103,7 @@ def step_is_seen(
 
 
 def slow_noise(problem: Problem, vector: FloatArray) -> str:
-    """That the noise is correlated over too much of the records, as a clause; else empty."""
+    """A clause if the noise is correlated over too much of the records; else empty."""
     campaign = problem.campaign
     for k, e in enumerate(campaign):
         phi = float(vector[problem.layout.noise[k, 0]])
@@ -119,7 +120,7 @@ def slow_noise(problem: Problem, vector: FloatArray) -> str:
 
 
 def coloured_noise(problem: Problem, vector: FloatArray) -> str:
-    """That the noise at ``vector`` (n_theta,) is not white, as a sentence; empty where it may be.
+    """A sentence if the noise at ``vector`` (n_theta,) is not white; empty where it may be.
 
     A coefficient counts beyond three of its standard errors 1/sqrt(n) under white noise, where
     it changes the spread of slow means, sqrt((1 + phi)/(1 - phi)), by more than ``WHITE``.

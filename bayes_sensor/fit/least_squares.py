@@ -1,4 +1,4 @@
-"""The call that fits a campaign: swarms, starts along the valley, refinement on the mesh."""
+"""Fit of a campaign: swarms, starts along the valley, refinement on the mesh."""
 
 from __future__ import annotations
 
@@ -89,8 +89,8 @@ def fit_least_squares(
     fit with forward Euler, ``de`` cross-checks the swarm by scipy's differential evolution.
     ``progress`` is called with a fraction and a word.
 
-    A problem with a model other than the cascade is fitted from the cascade's own fit and the
-    middle of the extra parameters' priors, by refinement alone.
+    A problem with another model than the cascade is fitted by refinement alone. It starts at the
+    cascade's fit and the middle of the extra parameters' priors.
 
     Raises
     ------
@@ -319,7 +319,7 @@ def _finish(
     noise: float,
     count: Count,
 ) -> tuple[FloatArray, bool]:
-    """Refinement on the exact mesh, re-meshed when the answer leaves the mesh's box."""
+    """Refinement on the exact mesh; the mesh is rebuilt when the result leaves its box."""
     layout = problem.layout
     success = False
     for _ in range(4):
@@ -358,9 +358,10 @@ def refit(
 ) -> tuple[FloatArray, bool]:
     """Mean and extra parameters of any model from the cascade's fit, and whether that converged.
 
-    ``theta`` (n_mean, ..): the cascade's fit; what follows its mean's parameters is not used.
+    ``theta`` (n_mean, ..): the cascade's fit; entries after its mean's parameters are not used.
     Starts at the middle of the extra parameters' priors and, one at a time, towards both of their
-    ends; the best is refined on the mesh, which follows it.  ``box``: search bounds by flat name.
+    ends. The best is refined on the mesh, which is rebuilt around it.  ``box``: search bounds by
+    flat name.
     """
     layout, count = problem.layout, count or Count()
     if box is None:
@@ -416,8 +417,8 @@ def _fit_euler(
 ) -> tuple[FloatArray, bool]:
     """The fit by forward Euler, from the exact one.
 
-    First with the response continued between samples, so that t0 and tf can be refined; then with
-    both set to the nearest sample, where the method has its switches, and the rest refined again.
+    First the response is interpolated between samples, so that t0 and tf can be refined. Then both
+    are set to the nearest sample, where the method has its switches, and the rest is refined again.
     """
     campaign = problem.campaign
     layout = problem.layout

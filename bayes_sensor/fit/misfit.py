@@ -1,4 +1,4 @@
-"""Whether the fit misses the records by more than their noise, which is seen without the model.
+"""Misfit: residuals of the fit against the noise of quiet stretches, measured without the model.
 
 A record is quiet before its command, at the settled end of its plateau and at the settled end of
 its fall.  The noise there is split by time scale: half the mean square of the difference of
@@ -8,14 +8,14 @@ correlation, since the Haar transform keeps sums of squares::
 
     V(N) = 1/2 sum over j of A(2^j),    j = 0 .. log2(N) - 1
 
-So a short quiet stretch and a long record are compared like with like.  Up to a quarter of the
-stretch A is measured.  Beyond, it follows the power of m that the longest measured scales show:
-A falls as 1/m for white noise and stays for 1/f noise.
+This makes a short quiet stretch and a long record comparable. Up to a quarter of the stretch A is
+measured. Beyond that, it is extrapolated by the power of m of the longest measured scales: A falls
+as 1/m for white noise and is constant for 1/f noise.
 
-The misfit is the RMS of the residuals over the root of what that noise predicts for the same
-samples, with the noise at the baseline and that under gas mixed in proportion to x3.  It is None
-where chance, or noise that grows towards longer scales than the quiet stretches show, may bring it
-above :data:`TOLERATED`.
+The misfit is the RMS of the residuals over the RMS that this noise predicts for the same samples.
+The noise at the baseline and that under gas are mixed in proportion to x3. The misfit is None where
+chance, or noise that grows towards longer scales than the quiet stretches show, may bring it above
+:data:`TOLERATED`.
 """
 
 from __future__ import annotations
@@ -33,29 +33,29 @@ from bayes_sensor.fit.first_estimates import Look
 from bayes_sensor.likelihood.problem import Problem
 
 TOLERATED = 1.5
-"""RMS of the residuals over that of the noise, above which the fit misses the record"""
+"""RMS of the residuals over that of the noise, above which the fit does not describe the record"""
 CHANCE = 0.02
-"""of a warning from noise alone, in all experiments of a campaign together"""
+"""probability of a warning from noise alone, in all experiments of a campaign together"""
 SPARE = 4
 """averages that a stretch must hold at the longest scale measured in it"""
 FEWEST = 12
 """samples of a quiet stretch"""
 SHARES = (1.0, 0.5, 0.25, 0.125)
-"""of a stretch, from its end back: the longest part that is still is taken"""
+"""shares of a stretch, from its end back: the longest quiet part is used"""
 STILL = 0.05
-"""chance that a stretch of 1/f noise is taken for one that moves"""
+"""probability that a stretch of 1/f noise is taken for one with a drift"""
 LONGEST = 3
-"""scales, of those measured, that the growth towards longer ones is estimated from"""
+"""number of the longest measured scales from which the growth towards longer ones is estimated"""
 GROWTH = (-0.5, 1.0)
 """mean and sd of d ln A / d ln m before anything is measured: white noise has -1, 1/f noise 0"""
 STANDARD_ERRORS = 1.5
 """by which A may grow faster towards longer scales than estimated, before a misfit counts"""
 SPIKE = 8.0
-"""robust standard deviations by which a spike leaves the median of the samples around it"""
+"""robust standard deviations between a spike and the median of the samples around it"""
 MOST_NAMES = 5
 """experiments that a warning names"""
 FINEST = 1e-5
-"""of a record's range: smaller misses do not count (simulations without noise)"""
+"""share of a record's range; smaller misfits do not count (simulations without noise)"""
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,10 @@ class Misfit:
     rms: float
     """V, of the residuals without single spikes"""
     noise: float | None = None
-    """V, RMS that the noise of the quiet stretches leaves over the same samples; None where there
-    is no quiet stretch"""
+    """V, RMS of the noise of the quiet stretches over the same samples; None where there is no
+    quiet stretch"""
     baseline: float | None = None
-    """V, RMS that it leaves without test gas"""
+    """V, the same without test gas"""
     ratio: float | None = None
     """rms over noise; None where it cannot be told"""
 
@@ -90,8 +90,8 @@ class Scales:
 def scales_of(y: FloatArray, rounding: float = 0.0) -> Scales:
     """Noise of a stretch of samples ``y`` (n,) in V about its straight line.
 
-    ``rounding``, V^2: variance that a converter adds to every sample, which a stretch that stays
-    within one of its steps does not show.
+    ``rounding``, V^2: variance that a converter adds to every sample. A stretch within one of its
+    steps does not show it.
     """
     m = 2 ** np.arange(int(np.log2(len(y) / SPARE)) + 1)
     total = _sums(y)
@@ -118,11 +118,11 @@ def _differences(total: FloatArray, m: int) -> FloatArray:
 
 
 def is_still(y: FloatArray, rounding: float) -> bool:
-    """Whether a stretch ``y`` (n,) holds noise alone: no step, no bend.
+    """Whether a stretch ``y`` (n,) is noise alone, without step or curvature.
 
-    A at the longest scale against A at a quarter of it, from the median of the squares, which a
-    step within the stretch leaves alone.  White noise has a quarter there, 1/f noise as much; a
-    smooth bend sixteen times as much.
+    Compares A at the longest scale with A at a quarter of it, from the median of the squares, which
+    a step within the stretch does not change. The ratio is a quarter for white noise, one for 1/f
+    noise and sixteen for a smooth curve.
     """
     found = scales_of(y, rounding)
     fine = max(len(found.a) - 3, 0)
@@ -153,7 +153,7 @@ def together(parts: Sequence[Scales]) -> Scales:
 
 
 def lengthened(short: Scales, long: Scales) -> Scales:
-    """``short`` with the longer scales of ``long``, at the level that the shared ones have."""
+    """``short`` with the longer scales of ``long``, scaled to agree at the common ones."""
     n = len(short.a)
     if len(long.a) <= n:
         return short
@@ -165,7 +165,7 @@ def lengthened(short: Scales, long: Scales) -> Scales:
 
 @dataclass(frozen=True)
 class Variance:
-    """What noise leaves over n samples about their mean."""
+    """Variance of n samples of noise about their mean."""
 
     value: float
     """V^2"""
@@ -211,8 +211,8 @@ def variance(scales: Scales, n: int, cautious: bool) -> Variance:
 def quiet_stretches(e: Experiment, look: Look) -> tuple[Scales | None, Scales | None]:
     """Noise of one record without and with test gas; None where no stretch is quiet.
 
-    Where the plateau moves, what it has at the shortest scales sets the level of its noise, and
-    the baseline the rest.
+    If the plateau drifts, its shortest scales give the level of its noise, and the baseline gives
+    the longer scales.
     """
     y = e.values[e.used]
     if np.ptp(y) == 0.0:
@@ -245,19 +245,20 @@ def until(e: Experiment, look: Look) -> float:
 
 
 def rounding_step(y: FloatArray) -> float:
-    """V, the least difference of two samples: the step of a converter, or next to nothing."""
+    """V, the least difference of two samples: the step of a converter, or nearly zero."""
     steps = np.diff(np.unique(y))
     steps = steps[steps > 1e-9 * float(np.ptp(y))]  # what is less is rounding of the computer
     return float(steps.min()) if len(steps) else 0.0
 
 
 def jitter(y: FloatArray, smallest: float) -> float:
-    """V^2, from the median square of the second differences of ``y``, which no motion reaches."""
+    """V^2, from the median square of the second differences of ``y``, which drifts do not
+    affect."""
     return float(np.median(np.diff(y, 2) ** 2)) + smallest
 
 
 def without_spikes(y: FloatArray, smallest: float) -> FloatArray:
-    """``y`` (n,) with single samples far from the median of five around them moved there."""
+    """``y`` (n,) with isolated outliers replaced by the median of five samples around them."""
     middle: FloatArray = median_filter(y, 5, mode="nearest")
     away = np.abs(y - middle)
     spread = max(1.4826 * float(np.median(away)), smallest)
@@ -281,8 +282,8 @@ def misfits(
 def misfit_of(e: Experiment, look: Look, r: FloatArray, x: FloatArray, chance: float) -> Misfit:
     """The misfit of one experiment with residuals ``r`` and response ``x`` (n_samples,).
 
-    A ratio above :data:`TOLERATED` is told where the noise that the quiet stretches leave possible
-    brings it there with less than ``chance``.
+    A ratio above :data:`TOLERATED` is given only if the noise that agrees with the quiet stretches
+    reaches it with a probability below ``chance``.
     """
     square = float(np.mean(without_spikes(r, 0.0) ** 2))
     base, gas = quiet_stretches(e, look)
@@ -316,7 +317,7 @@ def mixed(base: Variance, gas: Variance, share: float) -> Variance:
 
 
 def overall(problem: Problem, found: Mapping[str, Misfit]) -> tuple[float | None, float | None]:
-    """Noise without gas in V, and misfit, of a campaign; None where no experiment tells.
+    """Noise without gas in V, and misfit, of a campaign; None where no experiment has them.
 
     The first is the root mean square over the samples of all experiments with quiet stretches, the
     second the ratio of two such, over those with a ratio.
@@ -336,7 +337,7 @@ def overall(problem: Problem, found: Mapping[str, Misfit]) -> tuple[float | None
 
 
 def warning(found: Mapping[str, Misfit], unit: str) -> str:
-    """Which experiments the fit misses, by how much, and what to look at; else empty."""
+    """Sentence: experiments with a misfit, its size, and what to check; else empty."""
     missed = {
         name: misfit.ratio
         for name, misfit in found.items()

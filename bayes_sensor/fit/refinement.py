@@ -29,9 +29,9 @@ class Squares:
 
     Coordinates: tau^2, tau_v, V, per experiment y0, beta, t0 + tau, tf + tau, then extra
     parameters; ``straight=False``: theta itself.  Times count from the start of each record, and
-    the signal from its own level in its own unit: else tolerances on steps and gradients would
-    mean another thing for every clock, offset and unit.  Each experiment's block [J r] is replaced
-    by the triangular factor of its QR decomposition: same norm, same J'J and J'r, a few rows in
+    the signal from its level in its own unit. Tolerances on steps and gradients are then the same
+    for every clock, offset and unit.  Each experiment's block [J r] is replaced by the triangular
+    factor of its QR decomposition: it has the same norm, the same J'J and J'r, and a few rows in
     place of hundreds.
     """
 
@@ -158,8 +158,8 @@ class Squares:
 def own_units(points: Points) -> tuple[FloatArray, float]:
     """A level of every experiment (n_exp,) V and the signal's unit V, a power of two.
 
-    The unit divides without rounding, and so does a level near a record far from zero; results
-    then are those of the record in any other unit.
+    Division by the unit, and subtraction of a level far from zero, cause no rounding. Results are
+    then the same in any other unit.
     """
     parts = [points.y[a:b] for a, b in pairwise(points.first)]
     widest = max(float(np.ptp(y)) for y in parts)
@@ -251,7 +251,7 @@ def _trust_region(
 def mesh_points(problem: Problem, theta: FloatArray, low: FloatArray, high: FloatArray) -> Points:
     """The compressed mesh around ``theta`` (mean and extra parameters) as points.
 
-    ``low`` and ``high`` (n_mean,): where the mean's parameters may go; extra ones go anywhere.
+    ``low`` and ``high`` (n_mean,): limits of the mean's parameters; extra parameters have none.
     """
     if type(problem.model) is Cascade:
         problem = Problem(problem.campaign, noise=problem.noise)
@@ -271,7 +271,7 @@ def mesh_points(problem: Problem, theta: FloatArray, low: FloatArray, high: Floa
 def around(
     layout: Layout, campaign: Campaign, theta: FloatArray, rise: float
 ) -> tuple[FloatArray, FloatArray]:
-    """A box (n_mean,) about an estimate in which its refinement should stay."""
+    """A box (n_mean,) about an estimate that its refinement should not leave."""
     n = layout.n_mean
     low, high = theta[:n] - 1.0, theta[:n] + 1.0
     low[:3], high[:3] = 0.5 * theta[:3], 2.0 * theta[:3]

@@ -1,14 +1,14 @@
-"""What the data alone say of parameters that were measured elsewhere, and whether both agree.
+"""Estimates from the data alone of parameters measured elsewhere, and whether both agree.
 
-The fit knows nothing of side information.  Lags near zero and lags that are nearly equal are not
-Gaussian: the data hold the squares of all lags, in any order.  What is taken as Gaussian, with the
-information that the data hold under their own noise, are therefore the elementary symmetric
-polynomials e_1 = z_1 + z_2 (+ z_3), e_2, .. of these squares z, which have a regular information
-matrix there, too.  A lag x is then what solves the polynomial
+The fit does not use side information. The data determine the squares of all lags, in any order, so
+lags near zero and lags that are nearly equal are not Gaussian. The elementary symmetric polynomials
+e_1 = z_1 + z_2 (+ z_3), e_2, .. of these squares z have a regular information matrix there, too.
+They are therefore taken as Gaussian, with the information of the data under their own noise.  A lag
+x is then a root of the polynomial
 
     P(x^2) = x^(2n) - e_1 x^(2n-2) + e_2 x^(2n-4) - .. = 0,
 
-linear in the e: it lies |P(x^2)| / sd(P(x^2)) standard deviations from what the data say.
+linear in the e. Its distance from the data is |P(x^2)| / sd(P(x^2)) standard deviations.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from bayes_sensor.rig.lags import Naming, lags_of, named
 CONTRADICT = 3.0
 """joint standard deviations from which side information and data contradict each other"""
 N_DRAWS = 20000
-"""draws over which names of lags are weighed"""
+"""draws over which the assignments of the lags are averaged"""
 Z95 = 1.6449
 """one-sided 95 % point of a standard normal"""
 SYMBOLS = {"tau_s": ("tau", "s"), "tau_v_s": ("tau_v", "s"), "V_mL": ("V", "mL")}
 LEAST_APART = 0.05
 """relative half distance of two squares below which derivatives keep the limit for equal lags"""
 N_GRID = 2001
-"""values of a lag at which it is weighed against side information"""
+"""values of a lag at which it is compared with side information"""
 
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """What the data alone say of the lags that flows do not tell apart, and of the volume."""
+    """Estimates from the data alone: the lags that do not depend on flow, and the volume."""
 
     lags: FloatArray
     """(n_lags,) s, of the fit, shortest first"""
@@ -98,7 +98,7 @@ class Estimates:
         return found
 
     def away(self, lag: FloatArray) -> FloatArray:
-        """(n,) standard deviations between what the data say and a lag (n,) s."""
+        """(n,) standard deviations between the data and a lag (n,) s."""
         z = (np.asarray(lag, dtype=float) / self.scale) ** 2
         n = len(self.lags)
         # of (e_1, e_2, ..) in the polynomial
@@ -109,7 +109,7 @@ class Estimates:
         return found
 
     def range_of(self, place: int) -> tuple[float, float]:
-        """s, between which a lag has this place: half way, in squares, to its neighbours."""
+        """s, range of a lag with this place: half way, in squares, to its neighbours."""
         squares = self.lags**2
         ends = np.sqrt(0.5 * (squares[1:] + squares[:-1]))
         return float([0.0, *ends][place]), float([*ends, np.inf][place])
@@ -128,9 +128,8 @@ class Estimates:
     def distance(self, place: int, mean: float, sd: float) -> float:
         """Joint standard deviations between the lag at this place and ``mean`` +- ``sd``, s.
 
-        The root of the least of both squared distances together over all lags.  To linearise
-        about ``mean`` instead says of one in ten pieces of right side information of 50 % that
-        they are wrong.
+        The root of the least sum of both squared distances over all lags. A linearisation about
+        ``mean`` would reject one in ten pieces of right side information of 50 %.
         """
         low, high = self.range_of(place)
         lag = np.linspace(self.lags[place], min(max(mean, low), high), N_GRID)
@@ -178,7 +177,8 @@ def _slopes(squares: FloatArray) -> FloatArray:
 
 
 def _inverse(information: FloatArray) -> FloatArray:
-    """Covariance (n, n) of an information matrix; what it does not hold has a huge variance."""
+    """Covariance (n, n) of an information matrix; directions without information have a huge
+    variance."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T
@@ -188,7 +188,7 @@ def _inverse(information: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One piece of side information beside what the data alone say."""
+    """One piece of side information and the estimate from the data alone."""
 
     name: str
     mean: float
@@ -202,11 +202,11 @@ class Comparison:
     known_lag: float | None = None
     """s, V/Q by side information where flows are equal"""
     suits: float | None = None
-    """s, the lag of another place that it does not contradict"""
+    """s, another lag that it does not contradict"""
 
     @property
     def contradicts(self) -> bool:
-        """Whether both cannot be right."""
+        """Whether the two contradict each other."""
         return self.distance > CONTRADICT
 
     def sentence(self) -> str:
@@ -244,11 +244,11 @@ class Comparison:
 
 
 def weigh_names(problem: Problem, vector: FloatArray) -> tuple[Naming, tuple[Comparison, ...]]:
-    """What is known of the names of the lags at a fit ``vector`` (n_theta,), lags by size; and each
-    piece of side information beside the data's own estimate.
+    """Assignments of the lags at a fit ``vector`` (n_theta,), lags by size, and each piece of side
+    information with the data's own estimate.
 
-    Where several assignments of names are possible, each piece is compared under the one that
-    suits all of them best.
+    If several assignments are possible, each piece is compared under the one that fits all of them
+    best.
     """
     known = {k: law for k, law in problem.named_laws.items() if law.kind == "normal"}
     if not problem.named_laws:
@@ -266,9 +266,9 @@ def weigh_names(problem: Problem, vector: FloatArray) -> tuple[Naming, tuple[Com
 
 
 def without_contradicted(problem: Problem, compared: Sequence[Comparison]) -> Problem:
-    """The problem without what is known by name and the data contradict.
+    """The problem without the side information that the data contradict.
 
-    An average of two values of which one is wrong is of use to nobody.
+    An average of a right and a wrong value would be wrong.
     """
     wrong = {each.name for each in compared if each.contradicts}
     if not wrong:
@@ -301,7 +301,7 @@ def _compare(
 def _beside(
     name: str, law: Prior, place: int | None, flow: float | None, estimates: Estimates
 ) -> Comparison:
-    """Side information on one parameter beside the lag, or the volume, that it speaks of."""
+    """Side information on one parameter, with the lag or the volume to which it refers."""
     if place is None:
         value, sd = estimates.volume, sqrt(float(estimates.cov[2, 2]))
         distance = abs(value - law.a) / hypot(sd, law.b)

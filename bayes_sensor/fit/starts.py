@@ -59,7 +59,7 @@ def guess(
     low: FloatArray,
     high: FloatArray,
 ) -> FloatArray:
-    """A start read off the records: a third of the rise to valve and manifold each."""
+    """A start from the records: valve and manifold each get a third of the rise."""
     layout = problem.layout
     _, z_low, z_high, to_theta = swarm_problem(problem, points, low, high)
     flow = float(np.median([e.total_flow for e in problem.campaign]))

@@ -1,4 +1,4 @@
-"""A particle swarm: the lowest point of a function in a box."""
+"""Particle swarm: the minimum of a function in a box."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many campaigns side by side: which they are, what came out, one table, one figure, one page."""
+"""Many campaigns: their list, their results, one table, one figure, one page."""
 
 from bayes_sensor.fleet.comparison import comparison, table, write_comparison
 from bayes_sensor.fleet.listing import Entry, read_list

@@ -1,4 +1,4 @@
-"""The comparison of a fleet: its table, what its sensors have in common, figure and page."""
+"""The comparison of a fleet: its table, common mean and spread of tau, figure and page."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def table(rows: Sequence[Row]) -> pd.DataFrame:
 
 
 def comparison(rows: Sequence[Row]) -> dict[str, Any]:
-    """How many campaigns ended how, and whether their tau differ by more than their intervals.
+    """Counts of campaigns by status, and whether their tau differ by more than their intervals.
 
-    Where three campaigns or more know tau from both sides: Cochran's Q of tau against its common
+    If three campaigns or more bound tau from both sides: Cochran's Q of tau against its common
     mean, its p-value, and the spread between sensors by DerSimonian and Laird's moments (Control.
     Clin. Trials 7, 177, 1986); weights are one over the posterior's variance.
     """
@@ -98,7 +98,8 @@ def sentences(found: Mapping[str, Any]) -> list[str]:
 
 
 def write_comparison(stage: Stage, rows: Sequence[Row], version: str) -> dict[str, Any]:
-    """Put fleet.csv, fleet.json, the figure and index.html on a stage; the comparison."""
+    """Write fleet.csv, fleet.json, the figure and index.html to a temporary folder; the
+    comparison."""
     from bayes_sensor import figures
 
     found = comparison(rows)

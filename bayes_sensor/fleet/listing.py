@@ -1,4 +1,4 @@
-"""Which campaigns a fleet holds.
+"""The campaigns of a fleet.
 
 A list is one of
 
@@ -8,8 +8,8 @@ A list is one of
 - a folder: every ``campaign.toml`` in it and below, hidden folders left out;
 - a pattern, in quotes, so that it reaches the program.
 
-Paths in a file are relative to that file.  That a campaign exists is found out when it is read: a
-missing one is a failed row of the table, not the end of all others.
+Paths in a file are relative to that file.  Whether a campaign exists is checked when it is read.  A
+missing one is a failed row of the table and does not stop the others.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Entry:
     """One campaign of a fleet."""
 
     name: str
-    """unlike every other; also the name of its results folder"""
+    """unique; also the name of its results folder"""
     file: Path
 
 
@@ -176,7 +176,7 @@ def _matching(pattern: str) -> list[Path]:
 
 
 def _named(found: Sequence[tuple[str | None, Path, str]]) -> list[Entry]:
-    """Entries with names for folders: as given, else from the path, made unlike each other."""
+    """Entries with unique names for folders: as given, else from the path."""
     seen: dict[str, str] = {}
     for _, file, place in found:
         same = os.path.abspath(file)
@@ -214,7 +214,7 @@ def _named(found: Sequence[tuple[str | None, Path, str]]) -> list[Entry]:
 
 
 def _short_names(files: Iterable[Path]) -> dict[str, str]:
-    """The least of each path's end that tells it from the others."""
+    """The shortest end of each path that is unique."""
     parts = {}
     for file in files:
         whole = os.path.abspath(file)
@@ -234,7 +234,7 @@ def _short_names(files: Iterable[Path]) -> dict[str, str]:
 
 
 def _safe(name: str) -> str:
-    """A name that any file system takes.
+    """A name that any file system accepts.
 
     >>> _safe("sensor 12/µ:b"), _safe("..")
     ('sensor 12-µ-b', 'campaign')

@@ -1,4 +1,4 @@
-"""What one campaign contributes to the comparison: a row of numbers, or why there are none."""
+"""The result of one campaign in the comparison: a row of numbers, or the reason for a failure."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ COLUMNS = (
 def row_of(results: Results, name: str, file: str, report: str, message: str) -> dict[str, Any]:
     """The row of an analysed campaign, from its results folder.
 
-    ``tau_is_limit``: zero is not excluded, so that ``tau_upper95_s`` is what can be said.  Where it
-    is not known which lag is the sensor's (``order`` undecided), tau and tau_v have no values, and
-    at one flow V has none.
+    ``tau_is_limit``: zero is not excluded, so only ``tau_upper95_s`` is stated.  If it is not known
+    which lag is the sensor's (``order`` undecided), tau and tau_v have no values, and at one flow V
+    has none.
     """
     from bayes_sensor.report import headline  # draws, so slow to import
 
@@ -109,7 +109,7 @@ def fingerprint(campaign_file: Path) -> dict[str, str]:
 
 
 def unchanged(campaign_file: Path, known: Mapping[str, str]) -> bool:
-    """Whether all files still are what :func:`fingerprint` saw."""
+    """Whether all files still have the hashes of :func:`fingerprint`."""
     from bayes_sensor.io.json_files import sha256
 
     try:

@@ -3,8 +3,8 @@
 * ``emcee``: affine-invariant ensembles (Goodman and Weare 2010; differential evolution moves,
   ter Braak 2006) in the coordinates of :mod:`bayes_sensor.posterior.laplace`, with every y0 and
   beta integrated out analytically and redrawn afterwards.
-* ``independence``: Metropolis-Hastings whose proposal is the Laplace approximation; gated by the
-  Pareto k-hat of its weights, and replaced by ``hmc`` and then ``emcee`` when that gate shuts.
+* ``independence``: Metropolis-Hastings whose proposal is the Laplace approximation; accepted only
+  if the Pareto k-hat of its weights is small, otherwise replaced by ``hmc`` and then ``emcee``.
 * ``hmc``: Hamiltonian Monte Carlo (Neal 2011) in whitened coordinates from the analytic gradient.
 
 Convergence is judged between independent runs (for emcee: independent ensembles, since walkers of

@@ -42,7 +42,7 @@ class Checkpoint:
         return self.folder / f"ensemble-{j}-{i:05d}.npz"
 
     def _chunk(self, j: int, i: int) -> dict[str, Any] | None:
-        """Chunk ``i`` of ensemble ``j``; None where there is none, or a power cut damaged it."""
+        """Chunk ``i`` of ensemble ``j``; None if it is missing or damaged by a power cut."""
         try:
             with (
                 self._path(j, i).open("rb") as stream,
@@ -80,9 +80,9 @@ class Checkpoint:
 def digest(
     problem: Problem, start: FloatArray, settings: Settings, seed: int, fineness: float
 ) -> str:
-    """Identifies a run: data, model, priors, start, settings, seed and mesh.
+    """Digest of a run: data, model, priors, start, settings, seed and mesh.
 
-    When to stop is left out: a run that was too short goes on from where it ended.
+    The stopping rule is left out, so a run that was too short continues where it ended.
     """
     settings = replace(settings, max_steps=1, target_ess=1.0)
     hasher = hashlib.sha256()

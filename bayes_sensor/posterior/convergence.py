@@ -20,7 +20,7 @@ MESH_ERROR_LIMIT = 1e-3
 
 @dataclass(frozen=True)
 class Run:
-    """What one sampler made, and whether it stands."""
+    """The draws of one sampler, and whether they are valid."""
 
     sampler: str
     chains: FloatArray
@@ -32,7 +32,7 @@ class Run:
     log_likelihood: FloatArray | None = None
     """(n_chain, n_draw, n_experiment) where the sampler has kept it"""
     compressed: Compressed | None = None
-    """the mesh it ended with, where that is another"""
+    """the mesh at the end, if it changed"""
 
 
 def diagnose(problem: Problem, chains: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

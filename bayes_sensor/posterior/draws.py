@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     pass
 
 NEVER = 1e-6
-"""probability below which nothing is said of an assignment of names"""
+"""probability below which an assignment is not mentioned"""
 
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Draws of theta and what is needed to trust them."""
+    """Draws of theta with their diagnostics."""
 
     problem: Problem
     chains: FloatArray
@@ -36,7 +36,7 @@ class Draws:
     sampler: str
     """which sampler made the draws"""
     reasons: tuple[str, ...]
-    """sentences: which sampler was used and why it can be trusted"""
+    """sentences: which sampler was used and its checks"""
     mesh_error: float
     """largest difference of log L between mesh and full pass over a few draws"""
     r_hat: FloatArray
@@ -48,13 +48,13 @@ class Draws:
     k_hat: float | None = None
     acceptance: float | None = None
     hidden_by_sampling: float | None = None
-    """s, the sampling interval where the whole response is over within it"""
+    """s, the sampling interval if the whole response is shorter than it"""
     caveats: tuple[str, ...] = ()
-    """sentences of the fit that decide whether the headline stands"""
+    """caveats of the fit"""
     remarks: tuple[str, ...] = ()
-    """further sentences of the fit that concern the posterior too"""
+    """further sentences of the fit that also apply to the posterior"""
     doubts: tuple[str, ...] = ()
-    """sentences on what the noise law fails in, so that intervals are not to be trusted"""
+    """sentences on failed checks of the noise law; intervals are then not reliable"""
 
     @property
     def layout(self) -> Layout:
@@ -65,8 +65,8 @@ class Draws:
     def names(self) -> list[str]:
         """Flat names, in the order of the last axis of ``chains``.
 
-        That axis holds lags by size (:mod:`bayes_sensor.rig.lags`): where it is not known whose a
-        lag is, its name says its size.
+        That axis has the lags by size (:mod:`bayes_sensor.rig.lags`).  A lag that cannot be
+        assigned is named by its size.
         """
         return [*self.naming.names, *self.layout.names[len(SHARED) :]]
 
@@ -87,21 +87,21 @@ class Draws:
 
     @cached_property
     def naming(self) -> Naming:
-        """What may be said of the lags' names."""
+        """The assignment of the lags that may be stated."""
         return self.problem.naming(self.shares.mean(axis=0))
 
     @cached_property
     def lags(self) -> FloatArray:
-        """(n, n_lags) s, draws of the lags that the flows do not tell apart, shortest first."""
+        """(n, n_lags) s, draws of the lags that do not depend on flow, shortest first."""
         return lags_of(self.draws, self.problem.flow)
 
     @cached_property
     def named(self) -> FloatArray:
         """(n, 3) draws of tau (s), tau_v (s) and V (mL).
 
-        Where several assignments of names are possible each draw has one, drawn with its
-        probability: undecided, tau is either of the lags.  Where one place is stated for the
-        sensor, draws that have another count as the one before that does not.
+        If several assignments are possible, each draw has one, drawn with its probability; tau is
+        then either of the lags.  If one assignment is stated, a draw with another one is replaced
+        by the last draw that has it.
         """
         choices = self.problem.assignments
         if len(choices) == 1:
@@ -148,12 +148,12 @@ class Draws:
 
     @property
     def status(self) -> str:
-        """Whether it converged, and what its noise law fails in."""
+        """Whether it converged, and which checks of the noise law failed."""
         return "; ".join([self.convergence, *self.doubts])
 
     @property
     def convergence(self) -> str:
-        """One sentence: converged, or what falls short."""
+        """One sentence: converged, or what is missing."""
         free = self.free
         worst = free[int(np.nanargmax(self.r_hat[free]))]
         least = free[int(np.nanargmin(np.minimum(self.ess_bulk, self.ess_tail)[free]))]
@@ -191,8 +191,8 @@ class Draws:
 
     @cached_property
     def laws(self) -> dict[str, str]:
-        """The prior of every varying parameter in words, by flat name; of lags whose names are
-        not settled by their sizes, beside what is known by name."""
+        """The prior of every varying parameter in words, by flat name; lags that are not assigned
+        by size have theirs beside the side information by name."""
         priors, own = self.problem.priors, self.layout.names
         found = {self.names[i]: str(priors[own[i]]) for i in self.free}
         if len(self.problem.assignments) > 1:

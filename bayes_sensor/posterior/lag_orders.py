@@ -1,8 +1,9 @@
-"""Which lag is the valve's and which the manifold's, where flows are too alike for data to tell.
+"""Exchange of valve and manifold where flows are too similar for the data to separate the two.
 
-The cascade is unchanged when tau_v and V/Q swap at one flow.  Where the flows of a campaign are all
-equal that is exact, and the names are given to the lags afterwards (:mod:`bayes_sensor.rig.lags`);
-where they differ by a few percent, both orders may be as good, and ensembles exchange them.
+At one flow the response does not change when tau_v and V/Q are exchanged.  If all flows of a
+campaign are equal this is exact, and the lags are assigned afterwards
+(:mod:`bayes_sensor.rig.lags`). If they differ by a few percent, both orders may be equally good,
+and ensembles exchange them.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import exchanged
 
 ALIKE = 0.1
-"""relative spread of total flows up to which the two orders may be as good"""
+"""relative spread of total flows up to which the two orders may be equally good"""
 NEGLIGIBLE = 15.0
-"""in log posterior density, by which an order must be behind to be left out"""
+"""difference in log posterior density from which an order is left out"""
 
 
 def flow_of_both(problem: Problem) -> float | None:
-    """mL/s, the flow at which tau_v and V/Q nearly swap; None where flows tell them apart, or are
-    equal."""
+    """mL/s, the flow at which tau_v and V/Q may be exchanged; None if the flows separate them, or
+    are equal."""
     if problem.flow is not None or problem.fixed.keys() & {"tau_v_s", "V_mL"}:
         return None
     flows = np.array([e.total_flow for e in problem.campaign])
@@ -32,7 +33,7 @@ def flow_of_both(problem: Problem) -> float | None:
 
 
 def likelier_order(problem: Problem, start: FloatArray) -> tuple[FloatArray, float | None]:
-    """``start`` (n_theta,) in the order of higher posterior density; the flow where both count.
+    """``start`` (n_theta,) in the order of higher posterior density; the flow if both orders count.
 
     None where flows differ, or the other order is far less likely.
     """

@@ -25,19 +25,19 @@ from bayes_sensor.posterior.prior_sensitivity import tau_under_priors
 from bayes_sensor.posterior.save_draws import save_draws, to_inference_data
 
 NEAR_EQUAL, MAY_BE_EQUAL = 0.8, 0.025
-"""ratio of two lags that counts as equal, and the probability of it that is worth a warning"""
+"""ratio of two lags that counts as equal, and the probability from which a warning is given"""
 MOST_TIMES = 2000
-"""draws from which response times are summarised"""
+"""number of draws for the summary of response times"""
 QUANTILES = (0.5, 2.5, 16.0, 50.0, 84.0, 97.5, 99.5)
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior(Draws):
-    """Draws of theta and what is needed to trust them."""
+    """Draws of theta with their diagnostics, and what they say."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences a reader must see."""
+        """Warnings, in sentences."""
         found = [*self.caveats, *([] if self.converged else [self.convergence]), *self.remarks]
         found += self.doubts
         found += self._of_names()
@@ -46,7 +46,7 @@ class Posterior(Draws):
         return tuple(found)
 
     def _of_names(self) -> list[str]:
-        """What must be said of the lags' names."""
+        """Sentences on the assignment of the lags."""
         found = []
         naming = self.naming
         if naming.flow is not None and None in (naming.place("valve"), naming.place("manifold")):
@@ -68,7 +68,7 @@ class Posterior(Draws):
     def rows(self) -> dict[str, dict[str, float]]:
         """Mean, sd, percentiles and diagnostics of every varying parameter, by flat name.
 
-        Where the order of lags is undecided the lags stand beside tau and tau_v.
+        If the order of lags is undecided, the lags are listed in addition to tau and tau_v.
         """
         found = {}
         # where names are not settled the diagnostics are those of the worst of the lags
@@ -106,7 +106,7 @@ class Posterior(Draws):
         """By experiment, s after the switch until the whole chain has covered 63 and 90 %, and its
         rise from 10 to 90 %.
 
-        They need no names of lags.
+        They do not depend on the assignment of the lags.
         """
         some = self.draws[:: max(1, len(self.draws) // MOST_TIMES)]
         found: dict[str, dict[str, dict[str, float]]] = {}
@@ -135,7 +135,7 @@ class Posterior(Draws):
         return f"Posterior({len(self.draws)} draws by {self.sampler}; {self.convergence})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows of it."""
+        """HTML for a notebook."""
         rows = [
             [
                 name, row["q50"], row["q2.5"], row["q97.5"],
@@ -148,7 +148,7 @@ class Posterior(Draws):
         return card(f"posterior: {self.convergence}", warnings, columns, rows)
 
     def to_json(self) -> dict[str, Any]:
-        """The contents of ``posterior.json``; parameters that the noise law pins are null."""
+        """The contents of ``posterior.json``; parameters that the noise law fixes are null."""
         parameters: dict[str, Any] = dict(self.rows)
         parameters |= {name: None for name in self.names if name not in parameters}
         return {
@@ -179,8 +179,8 @@ class Posterior(Draws):
         }
 
     def _tau_under_priors(self) -> dict[str, Any]:
-        """The rows of :meth:`tau_under_priors` that hold numbers, and the laws of those that do
-        not, with the reason."""
+        """The rows of :meth:`tau_under_priors` with numbers, and the laws of the others, with the
+        reason."""
         rows = self.tau_under_priors().to_dict(orient="records")
         without = [row for row in rows if row["status"] != "ok"]
         return {

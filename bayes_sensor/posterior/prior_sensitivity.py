@@ -21,15 +21,15 @@ def tau_under_priors(posterior: Draws) -> pd.DataFrame:
     """Intervals and upper limits of tau (s) under other priors, by reweighting the draws.
 
     Rows: flat, half-normal, log-uniform with a floor (a hundredth of the half-normal's scale);
-    these for each lag that may be the sensor's, where that is undecided (``sensor_is``).
-    The half-normal is the posterior's own or, where it has another law, the default one.
-    Columns: equal-tailed 95 % interval, highest-density 95 % interval, one-sided 95 and 99 %
-    upper limits, the effective number of draws that the reweighting leaves, and ``status``.
+    one set for each lag that may be the sensor's, if that is undecided (``sensor_is``). The
+    half-normal is the posterior's own or, where it has another law, the default one. Columns:
+    equal-tailed 95 % interval, highest-density 95 % interval, one-sided 95 and 99 % upper
+    limits, the effective number of draws that the reweighting leaves, and ``status``.
 
-    Reweighting cannot leave the support of the law that was sampled.  Where that one is bounded
-    and the draws under another law reach its bound, this law would allow values that were never
-    drawn: its row then has nan for numbers, no effective draws, and says so in ``status``,
-    which is ``ok`` elsewhere.  ``posterior.json`` lists such laws apart.
+    Reweighting cannot leave the support of the law that was sampled.  If that support is
+    bounded and the draws under another law reach its bound, this law would allow values that
+    were never drawn.  Its row then has nan for numbers, no effective draws, and the reason in
+    ``status``, which is ``ok`` elsewhere.  ``posterior.json`` lists such laws apart.
     """
     import pandas as pd
 

@@ -25,12 +25,12 @@ def highest_density(x: FloatArray, w: FloatArray, level: float) -> tuple[float, 
 
 
 BEYOND = 1e-3
-"""probability beyond an end of the support that is as good as none"""
+"""probability beyond an end of the support that counts as zero"""
 
 
 def reaches_end(x: FloatArray, w: FloatArray, low: float, high: float) -> bool:
-    """Whether draws ``x`` (n,) >= 0 of weights ``w`` (n,) would go on beyond the ends of the
-    support, ``low`` and ``high``, in which they were made.
+    """Whether draws ``x`` (n,) >= 0 of weights ``w`` (n,) would extend beyond the support, ``low``
+    to ``high``, in which they were made.
 
     Beyond ``high`` as much is expected as within a tenth of their 95 % interval below it; between
     zero and ``low`` the density that they have as close above ``low``.

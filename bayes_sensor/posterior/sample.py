@@ -1,4 +1,4 @@
-"""The call that draws from a posterior: which sampler runs, and what replaces it."""
+"""Sampling of a posterior: which sampler runs, and which one replaces it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from bayes_sensor.residuals import noise_doubt
 from bayes_sensor.workers import one_thread
 
 MESHES = 3
-"""how often a run may be repeated with narrower blocks, should the mesh prove too coarse"""
+"""how often a run may be repeated with narrower blocks if the mesh is too coarse"""
 
 
 @one_thread
@@ -46,7 +46,7 @@ def sample_posterior(
     progress: Progress | None = None,
     with_effect: Iterable[Any] = (),
 ) -> Posterior:
-    """Draws from the posterior of every parameter; ``converged`` and ``status`` say how good.
+    """Draws from the posterior of every parameter, with ``converged`` and ``status``.
 
     Parameters
     ----------
@@ -150,9 +150,9 @@ def _run(
     resume: bool,
     report: Progress,
 ) -> tuple[Run, list[str]]:
-    """What ``sampler``, or what replaced it, has drawn; and why, in sentences.
+    """The draws of ``sampler``, or of its replacement, and the reasons in sentences.
 
-    ``both``: flow (mL/s) at which tau_v and V/Q swap, where both orders are likely.
+    ``both``: flow (mL/s) at which tau_v and V/Q are exchanged, if both orders are likely.
     """
     streams = np.random.SeedSequence(seed)
     reasons: list[str] = []
@@ -181,7 +181,7 @@ def _run(
 
 
 def _cannot_tell(problem: Problem, start: FloatArray) -> str:
-    """Why no interval can be given, judged by the residuals at ``start`` (n_theta,)."""
+    """Why no interval can be given, from the residuals at ``start`` (n_theta,)."""
     return cannot_tell(problem, start, all_residuals(problem, start)[0])
 
 

@@ -15,7 +15,7 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Settings:
-    """How to sample.  The defaults suit campaigns of any size."""
+    """Settings of the samplers.  The defaults suit campaigns of any size."""
 
     n_chains: int = 4
     """independent runs (ensembles for emcee)"""

@@ -9,11 +9,11 @@ from bayes_sensor.likelihood.mesh import Compressed, Region
 
 
 def covered(compressed: Compressed, thetas: FloatArray) -> Compressed:
-    """The mesh itself where it covers ``thetas`` (n, n_theta), else a wider one that does.
+    """The mesh itself if it covers ``thetas`` (n, n_theta), else a wider one that does.
 
-    Each parameter that has left its range gets as much again as the draws spread; a switch time
-    that spreads over a twentieth of its uniform prior gets all of it, because the data hardly hold
-    it.
+    The range of a parameter that has left it is extended by the spread of the draws.  A switch time
+    whose spread exceeds a twentieth of its uniform prior gets the whole prior, because the data
+    hardly determine it.
     """
     problem, region = compressed.problem, compressed.region
     layout = problem.layout

@@ -1,7 +1,7 @@
 """The report: saved results in; one HTML page, a PDF or Markdown out.
 
-Everything is read back from a results directory, so the report can be rebuilt without the data,
-and every text that came from a file or a user is escaped.
+Everything is read from a results directory, so the report can be rebuilt without the data.  Every
+text from a file or a user is escaped.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A figure as an element of a page: nothing in it that runs or loads, own ids, the page's colours.
+"""A figure as an element of a page: no scripts or links, own ids, the page's colours.
 
-A drawing holds names that users gave.  What it does is decided by its elements and attributes, so
-it is parsed: a name is text there, whatever it looks like, and stays as it is.
+A drawing contains names that users gave.  It is parsed, and only its elements and attributes are
+checked.  A name is text there and stays as it is.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What stands at the top: tau in one sentence, and what failed."""
+"""The top of the report: tau in one sentence, and what failed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from bayes_sensor.residuals import TAKE_AS_THEY_ARE
 
 @dataclass(frozen=True)
 class Headline:
-    """What may be said of tau in one sentence, and the naive bound beside it."""
+    """tau in one sentence, with the naive bound."""
 
     text: str
     """``tau = 24.3 ms, 95 % interval [1.1, 60.5] ms (posterior, AR(1) noise)``"""
@@ -36,7 +36,7 @@ class Headline:
     """whether tau is only bounded from above"""
     limit: str = ""
     undecided: bool = False
-    """whether the sensor's is one of several lags"""
+    """whether the sensor's lag is one of several"""
     hidden: bool = False
     """whether the response is over within one sampling interval"""
 
@@ -45,9 +45,9 @@ class Headline:
 
 
 LIMIT = 0.15
-"""of the median, below which the lower end of a 95 % interval says that zero is not excluded.  Of a
-lag with k shorter ones that are limits, too, the k-th root: so small are the ends of the k-th
-smallest of values of which nothing is known."""
+"""share of the median; if the lower end of a 95 % interval is below it, zero is not excluded.  For
+a lag with k shorter ones that are limits, too, its k-th root is used, because the lower end of the
+k-th smallest of undetermined values has that size."""
 SAY_WHICH = (
     'lags in a row commute, so say which is the sensor\'s: [rig] sensor_is = "faster" or "slower", '
     "or side information on tau or tau_v"
@@ -74,7 +74,7 @@ def upper_words(high: float, low: float = 0.0) -> str:
 def headline(
     posterior: Mapping[str, Any] | None, bounds: Mapping[str, Any] | None, settings: Any = None
 ) -> Headline | None:
-    """The one sentence that the work is about; None where nothing was estimated."""
+    """The first sentence of the report; None if nothing was estimated."""
     naive = _naive_words(bounds)
     if posterior is not None:
         return _of_posterior(posterior, naive, settings)
@@ -117,10 +117,10 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
 
 
 def stated_set(posterior: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """Intervals (s) one of which holds tau with 95 %, as the headline states them.
+    """Intervals (s), one of which contains tau with 95 %, as the headline states them.
 
-    One interval where it is known whose the lags are.  Else that of every lag, the shortest ones
-    from zero to their upper limit where zero is not excluded.
+    One interval if the lags can be assigned.  Else that of every lag; the shortest ones run from
+    zero to their upper limit if zero is not excluded.
     """
     lags = posterior["lags_s"]
     if posterior.get("hidden_by_sampling_s") is not None:
@@ -136,20 +136,20 @@ def stated_set(posterior: Mapping[str, Any]) -> list[tuple[float, float]]:
 
 
 def _longest_hidden(posterior: Mapping[str, Any]) -> float:
-    """s, the upper limit of all lags where the response is over within one sampling interval."""
+    """s, the upper limit of all lags if the response is shorter than one sampling interval."""
     # a lag alone rises from 10 to 90 % in 2.2 of it
     return float(min(posterior["lags_s"][-1]["q95"], posterior["hidden_by_sampling_s"] / 2.2))
 
 
 def _may_all_be_equal(lags: Sequence[Mapping[str, float]]) -> bool:
-    """Whether all lags are told from zero and none from its neighbour: intervals by size leave out
-    that they are equal, so one is stated for all."""
+    """Whether all lags differ from zero and none from its neighbour.  Intervals by size do not
+    contain equal lags, so one interval is stated for all."""
     neighbours = pairwise(lags)
     return _n_limits(lags) == 0 and all(a["q97.5"] >= b["q2.5"] for a, b in neighbours)
 
 
 def _n_limits(lags: Sequence[Mapping[str, float]]) -> int:
-    """How many of the lags, shortest first, are not told from zero."""
+    """Number of lags, shortest first, that are not distinguished from zero."""
     n = 0
     for row in lags:
         ratio = row["q2.5"] / row["q50"] if row["q50"] > 0 else 0.0
@@ -160,14 +160,14 @@ def _n_limits(lags: Sequence[Mapping[str, float]]) -> int:
 
 
 def _of_lags(posterior: Mapping[str, Any]) -> str:
-    """The lags by size where it is not known which is the sensor's, as a sentence."""
+    """The lags by size as a sentence, if it is not known which is the sensor's."""
     lags = posterior["lags_s"]
     n_limits = _n_limits(lags)
     seen = lags[n_limits:]
     if not seen:
         return (
-            f"no lag is told from zero: all are shorter than {upper_words(lags[-1]['q95'])} "
-            f"(95 %); {SAY_WHICH}"
+            "no lag can be distinguished from zero: all are shorter than "
+            f"{upper_words(lags[-1]['q95'])} (95 %); {SAY_WHICH}"
         )
     shares = {row["lag"]: row["probability"] for row in posterior["assignments"]}
 
@@ -225,7 +225,7 @@ def _of_bounds(entry: Mapping[str, Any], method: str, naive: str) -> Headline | 
 def chain_words(posterior: Mapping[str, Any]) -> str:
     """t63 and t90 of the whole chain at the lowest and the highest flow, as a sentence.
 
-    They need no names of lags; empty for results that do not have them.
+    They do not depend on the assignment of the lags; empty for results without them.
     """
     rows = sorted(posterior.get("chain", {}).values(), key=lambda row: -row["t90_s"]["q50"])
     if not rows:
@@ -246,7 +246,7 @@ def chain_words(posterior: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Remark:
-    """A sentence under the headline, and the section that says more."""
+    """A sentence under the headline, and the section with details."""
 
     text: str
     section: str
@@ -255,11 +255,12 @@ class Remark:
 ALIKE = 0.05
 """correlation of neighbouring samples from which the bound for white noise is called wrong"""
 TOO_NARROW = 1.3
-"""times by which the published recipe narrows the bound of tau before it is called wrong"""
+"""ratio of the converged bound of tau to that with 1 % steps from which the latter is called
+wrong"""
 
 
 def remarks(saved: Saved) -> list[Remark]:
-    """What a newcomer must know of the headline: what tau is, how sure, why the bound misleads."""
+    """Explanations for a newcomer: what tau is, its uncertainty, why the bound misleads."""
     head = headline(saved.posterior, saved.bounds, saved.settings)
     if head is None:
         return [] if saved.gap is None else [Remark(gap_sentence(saved.gap, False), "gap")]
@@ -277,7 +278,7 @@ def remarks(saved: Saved) -> list[Remark]:
         said.append(
             Remark(
                 f"Zero is not excluded: read it as an upper limit, τ < {head.limit} (95 %). The "
-                "data say how slow the sensor can be at most, not how fast it is.",
+                "data give the largest possible time constant only.",
                 "tau",
             )
         )
@@ -290,13 +291,13 @@ def remarks(saved: Saved) -> list[Remark]:
         verdict = saved.gap["verdict"]
         if verdict["kind"] != "none" and verdict["probability"] >= 0.5:
             words = f"No. {words}"
-        text = f"All this takes the model as right. Is it? {words} {with_the_effect(saved)}"
+        text = f"All this assumes that the model is right. Is it? {words} {with_the_effect(saved)}"
         said.append(Remark(text.rstrip(), "gap"))
     return said
 
 
 def naive_sentence(head: Headline) -> str:
-    """What the classical bound alone would have said, in the report's words."""
+    """The interval by the classical bound alone, as a sentence."""
     return sentence(head.naive).replace("iid Cramer-Rao", "classical Cramér-Rao")
 
 
@@ -304,7 +305,7 @@ def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
     """The verdict in words.
 
     ``is_limit``: zero is not excluded.  The diagnosis works in ln tau, so the lower end of its
-    envelope is never zero and says nothing there: only the upper end is told.
+    envelope is never zero and has no meaning there.  Only the upper end is stated.
     """
     verdict = gap["verdict"]
     words = verdict["sentence"]
@@ -320,7 +321,7 @@ def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
 
 
 def with_the_effect(saved: Saved) -> str:
-    """tau with what was named in the model, where the posterior leaves it out; else nothing."""
+    """tau with the named effect in the model, if the posterior leaves it out; else nothing."""
     if saved.gap is None:
         return ""
     verdict, shrink = saved.gap["verdict"], saved.gap["shrink"]
@@ -349,14 +350,13 @@ def _why_naive_misleads(saved: Saved) -> str:
     phi = ((saved.residuals or {}).get("ar1") or {}).get("phi")
     if right.get("tau_s") and phi is not None and phi > ALIKE:
         found.append(
-            "it counts every sample as new information, but neighbours are alike "
-            f"(φ = {number(phi, 2)})"
+            f"it treats the samples as independent, but neighbours are alike (φ = {number(phi, 2)})"
         )
     if right.get("tau_s") and published.get("tau_s"):
         if right["tau_s"] > TOO_NARROW * published["tau_s"]:
             found.append(
                 "and steps of 1 % move a switch time by tenths of a second, which hides that a "
-                "slower sensor and a later switch look almost the same"
+                "slower sensor and a later switch give almost the same response"
             )
     return "; ".join(found)
 
@@ -367,7 +367,7 @@ def effect_names(posterior: Mapping[str, Any]) -> list[str]:
 
 
 def _naive_words(bounds: Mapping[str, Any] | None) -> str:
-    """What the iid bound alone would have said about tau, at 95 %."""
+    """The interval of tau by the iid bound alone, at 95 %."""
     if bounds is None:
         return ""
     naive = bounds.get("naive") or {}
@@ -381,21 +381,24 @@ def _naive_words(bounds: Mapping[str, Any] | None) -> str:
     if published and published.get("tau_s"):
         said = f"± {number(1.96e3 * published['tau_s'], 2)} ms"
         parts.append(
-            f"or {said} if computed as published, with steps of 1 %"
+            f"or {said} if its derivatives are taken with steps of 1 %"
             if parts
-            else f"the iid Cramer-Rao bound with the published steps of 1 % would have said {said}"
+            else (
+                "the iid Cramer-Rao bound with derivatives from steps of 1 % would have said "
+                f"{said}"
+            )
         )
     return ", ".join(parts)
 
 
 CONCERNED = (
-    "This concerns every interval that rests on the noise law: the posterior, the profile and the "
-    "Cramér-Rao bounds."
+    "This concerns every interval that depends on the noise law: the posterior, the profile and "
+    "the Cramér-Rao bounds."
 )
 
 
 def doubts(saved: Saved) -> list[str]:
-    """What the noise law fails in, as it stands in the warnings of every interval."""
+    """Failed checks of the noise law, as in the warnings of every interval."""
     found = list((saved.posterior or {}).get("doubts", []))
     record = saved.residuals
     if record is not None and not record["adequate"]:
@@ -406,7 +409,7 @@ def doubts(saved: Saved) -> list[str]:
 def alerts(saved: Saved) -> list[tuple[str, str]]:
     """(kind, sentence) for the top of the page.
 
-    ``bad`` decides whether the headline stands, so the page says it before; the rest are notes.
+    ``bad`` for caveats of the headline, which the page shows before it; the rest are notes.
     """
     from bayes_sensor.figures import METHOD_LABELS  # draws, so slow to import
 

@@ -1,7 +1,7 @@
 """The report as one self-contained HTML page.
 
 The page needs no network; without scripts it loses sorting and copying of tables and the zoom of
-the overlays, which then stand as drawings.
+the overlays, which are then drawings.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MOST_SAMPLES = 6 << 20
 
 
 def _drawings(sections: Sequence[Section]) -> dict[str, Markup]:
-    """What to put in the page for each picture."""
+    """The element of the page for each picture."""
     found, pixels = {}, 0
     for section in sections:
         for part in section.content:
@@ -51,7 +51,7 @@ def _drawings(sections: Sequence[Section]) -> dict[str, Markup]:
 
 
 def zoom_data(saved: Saved) -> list[dict[str, Any]]:
-    """What the zoom of each overlay needs, within the page's budget."""
+    """The data for the zoom of each overlay, within the page's budget."""
     samples, traces = saved.samples or [], saved.traces or []
     if len(samples) != len(traces):
         return []
@@ -83,7 +83,7 @@ def zoom_data(saved: Saved) -> list[dict[str, Any]]:
 
 
 def _script_json(content: Any) -> Markup:
-    """JSON that nothing inside can end the script element of."""
+    """JSON whose content cannot end its script element."""
     text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     return Markup(text.replace("<", "\\u003c").replace("&", "\\u0026"))
 

@@ -12,7 +12,7 @@ from bayes_sensor.report.words import typeset
 
 
 def escaped(text: str) -> str:
-    """Text that no Markdown reader takes for markup.
+    """Text that no Markdown reader interprets as markup.
 
     >>> escaped("<b> *a* | b\\n# c")
     '&lt;b&gt; \\\\*a\\\\* \\\\| b \\\\# c'

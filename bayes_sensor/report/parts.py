@@ -1,7 +1,7 @@
 """The parts of a report, before any format: sections of text, tables and pictures.
 
-A text may point to a table or a picture: ``see("methods")`` stands for its number, which every
-format turns into a link.  Texts hold no markup otherwise, so nothing in them can be taken for it.
+A text may point to a table or a picture: ``see("methods")`` is replaced by its number, which every
+format turns into a link.  Texts have no other markup.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from bayes_sensor.io.disk import write_bytes, write_text
 from bayes_sensor.report.words import number, p_words, with_spread
 
 _OPEN, _CLOSE = "\x02", "\x03"
-"""no name holds control characters"""
+"""names contain no control characters"""
 
 
 def see(*keys: str) -> str:
-    """Numbers of tables or pictures in brackets, to be put behind what rests on them."""
+    """Numbers of tables or pictures in brackets, placed after the text that refers to them."""
     return " (" + ", ".join(f"{_OPEN}{key}{_CLOSE}" for key in keys) + ")"
 
 
@@ -50,7 +50,7 @@ def _keys(text: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Shown:
-    """A number in a table with words of its own; sorted and copied by its value."""
+    """A number in a table with its own words; sorted and copied by its value."""
 
     value: float
     text: str
@@ -62,7 +62,7 @@ def to_spread(value: float, spread: float) -> Shown:
 
 
 def p_value(p: float | None) -> Shown | None:
-    """A p-value or a probability in words that do not pretend."""
+    """A p-value or a probability in words, without false precision."""
     return None if p is None else Shown(p, p_words(p))
 
 
@@ -123,7 +123,7 @@ Part = Table | Picture
 
 @dataclass
 class Section:
-    """One question and its answer."""
+    """One question with its answer."""
 
     key: str
     title: str

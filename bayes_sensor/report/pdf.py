@@ -1,6 +1,6 @@
 """The report as PDF, set by typst.
 
-Texts reach the typesetter as data, never as its language: nothing in a name can be a command.
+Texts are passed to the typesetter as data, so nothing in a name can be a command.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a results directory holds, read back for the report."""
+"""The content of a results directory, read for the report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bayes_sensor.io.results import Results
 
 OF_A_CASE = ("case", "kind", "causes", "law", "d", "verdict", "said", "p_said", "confident_wrong",
              "verdict_right")  # fmt: skip
-"""what the report shows of a case of a blind check"""
+"""columns of a case of a blind check that the report shows"""
 
 
 @dataclass
@@ -28,7 +28,7 @@ class Saved:
     residuals: dict[str, Any] | None = None
     posterior: dict[str, Any] | None = None
     posterior_without_effects: dict[str, Any] | None = None
-    """the earlier posterior, where the newest has effects in its model"""
+    """the earlier posterior, if the newest has effects in its model"""
     predictive: dict[str, Any] | None = None
     bounds: dict[str, Any] | None = None
     delays: dict[str, Any] | None = None
@@ -71,7 +71,7 @@ class Saved:
 
     @cached_property
     def settings(self) -> dict[str, Any]:
-        """The settings that the posterior rests on."""
+        """The settings of the posterior."""
         commands = self.run["commands"]
         for name in ("posterior", "analyze", self.run["last"]):
             if name in commands:

@@ -52,7 +52,7 @@ def with_spread(value: float | None, spread: float | None) -> str:
 
 
 def interval(low: float, high: float) -> str:
-    """Both ends, rounded to two digits of what lies between.
+    """Both ends, rounded to two digits of their difference.
 
     >>> interval(30.96, 52.04)
     '[31, 52]'
@@ -61,11 +61,11 @@ def interval(low: float, high: float) -> str:
 
 
 SECONDS_FROM = 1.0
-"""s, from which a lag is said in seconds, below in ms"""
+"""s; a lag is given in seconds from here on, below in ms"""
 
 
 def time_unit(seconds: float) -> tuple[float, str]:
-    """The factor and the unit in which a lag of so many seconds is said.
+    """The factor and the unit for a lag of so many seconds.
 
     >>> time_unit(0.048), time_unit(20.0)
     ((1000.0, 'ms'), (1.0, 's'))
@@ -84,7 +84,7 @@ def time_words(seconds: float) -> str:
 
 
 def p_words(p: float | None) -> str:
-    """A p-value in words that do not pretend.
+    """A p-value in words, without false precision.
 
     >>> p_words(1e-30), p_words(0.0312)
     ('below 0.001', '0.031')

@@ -2,12 +2,12 @@
 
 Simulation-based calibration (Talts, Betancourt, Simpson, Vehtari and Gelman, arXiv:1804.06788):
 draw theta from the prior and data from theta; then the rank of theta among draws of the posterior
-is uniform if, and for practical purposes only if, the posterior is right.  Uniformity is judged by
-chi-squared and by bands that hold the whole ECDF at once (Säilynoja, Bürkner and Vehtari, Stat.
-Comput. 32, 32, 2022).
+is uniform if, and for practical purposes only if, the posterior is right.  Uniformity is tested by
+chi-squared and by simultaneous bands of the ECDF (Säilynoja, Bürkner and Vehtari, Stat. Comput. 32,
+32, 2022).
 
-Coverage at a fixed truth is another matter: a Bayesian interval promises its level on average over
-the prior, and near a boundary it may cover more or less; :class:`CoverageStudy` measures it.
+Coverage at a fixed truth differs: a Bayesian interval has its level on average over the prior, and
+near a boundary it may cover more or less; :class:`CoverageStudy` measures it.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ TAU_COLUMNS = (
 def draw_prior(problem: Problem, rng: np.random.Generator) -> FloatArray:
     """One theta (n_theta,) from the problem's prior, with tau <= tau_v.
 
-    Raises CampaignError where a prior is improper, or known by name while lags have none: nothing
-    can be drawn from it.
+    Raises CampaignError if a prior is improper, or refers to a name while lags have none, because
+    it cannot be drawn from.
     """
     if len(problem.name_factors[1]):
         raise CampaignError(
@@ -156,7 +156,7 @@ class Ranks:
         return low / self.n - self._uniform, high / self.n - self._uniform
 
     def ecdf_p_values(self) -> FloatArray:
-        """(n_names,) probability that a uniform ECDF strays as far anywhere."""
+        """(n_names,) probability that a uniform ECDF has as large a difference anywhere."""
         p, simulated = self._simulated
         smallest = np.array([p[np.arange(self.n_ranks), c].min() for c in self._counts])
         # the simulated minima are discrete: allow for rounding at equality
@@ -203,7 +203,7 @@ class RankStudy:
                          self.seed, self.start)  # fmt: skip
 
     def __call__(self, i: int) -> dict[str, Any]:
-        """``theta``, ``ranks`` (-1: the sampler raised) and what the sampler said."""
+        """``theta``, ``ranks`` (-1: the sampler raised) and the sampler's message."""
         prior, data, sampling = np.random.SeedSequence([self.seed, i]).spawn(3)
         theta = draw_prior(self.problem, np.random.default_rng(prior))
         campaign = simulate(self.problem, theta, seed=seed_of(data))

@@ -21,16 +21,13 @@ import study_fleet
 import study_gap
 import study_hostile
 import study_misfit
-import study_odds
 import study_order
 import study_predictive
 import study_published_bounds
 import study_real
 import study_reproduction
 import study_sbc
-import study_strong
 import study_unlisted
-import study_unlisted_kinds
 
 STUDIES = {
     "published-bounds": study_published_bounds.run,
@@ -42,11 +39,8 @@ STUDIES = {
     "coating": study_coating.run,
     "gap": study_gap.run,
     "unlisted": study_unlisted.run,
-    "unlisted-kinds": study_unlisted_kinds.run,
     "blind-check": study_blind_check.run,
-    "odds": study_odds.run,
     "order": study_order.run,
-    "strong": study_strong.run,
     "extremes": study_extremes.run,
     "hostile": study_hostile.run,
     "misfit": study_misfit.run,

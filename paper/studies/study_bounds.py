@@ -1,7 +1,8 @@
 """Bound methods: all on the bundled campaign, and how often their intervals hold the truth.
 
 The first is a figure and a table; the second simulates 1000 small campaigns in each of five
-settings (``bayes_sensor/checks/coverage.py`` says which) and puts its table into the README.
+settings (``bayes_sensor/checks/coverage.py`` says which); ``docs/choose_a_bound.md`` shows its
+table.
 """
 
 from __future__ import annotations
@@ -16,21 +17,19 @@ from matplotlib.figure import Figure
 
 from bayes_sensor import figures
 from bayes_sensor.bounds import compare_bounds
-from bayes_sensor.checks.coverage import SETTINGS, markdown_table, run_coverage
+from bayes_sensor.checks.coverage import SETTINGS, run_coverage
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.posterior import sample_posterior
 
 SEED, CAMPAIGNS = 53, 1000
 REFERENCE = PAPER.parent / "data" / "reference"
-README = PAPER.parent / "README.md"
-OPENS, CLOSES = "<!-- coverage table: study_bounds.py -->\n", "<!-- end of coverage table -->\n"
 
 
 def run(
     folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
 ) -> None:
-    """Compute both; write tables, figures and the README's table."""
+    """Compute both; write tables and figures."""
     compare()
     table = run_coverage(
         folder / "coverage-bounds", SETTINGS, CAMPAIGNS, None, SEED, jobs, scheduler, progress
@@ -39,7 +38,6 @@ def run(
     table.to_csv(path, index=False, float_format="%.5g")
     rows = pd.read_csv(path, dtype={"level": str})
     save(figures.coverage(rows.to_dict("records")), "coverage_bounds")
-    README.write_text(with_table(README.read_text(encoding="utf-8"), rows), encoding="utf-8")
 
 
 def compare() -> None:
@@ -58,9 +56,3 @@ def save(figure: Figure, name: str) -> None:
     """figures/name.png and .svg in the report's style."""
     (FIGURES / f"{name}.png").write_bytes(figures.png(figure))
     (FIGURES / f"{name}.svg").write_text(figures.svg(figure), encoding="utf-8")
-
-
-def with_table(text: str, rows: pd.DataFrame) -> str:
-    """The README with its coverage table replaced; ValueError where the marks are not there."""
-    begin, end = text.index(OPENS) + len(OPENS), text.index(CLOSES)
-    return text[:begin] + markdown_table(rows) + text[end:]

@@ -4,8 +4,8 @@ The suite runs twice under coverage.py: as it is, and with ``NUMBA_DISABLE_JIT=1
 files of the rooms with compiled functions, which no tracer sees into when they are compiled; there
 a test is left after ``LIMIT`` seconds.  Left out are the tests that work in other processes
 (``ELSEWHERE``): what they see is not counted, so the shares are lower limits.  The measurement,
-which also holds which test runs which line, stays in build/studies/branches and serves
-``study_mutants.py``.  Remove that folder to measure anew.
+which also holds which test runs which line, stays in build/studies/branches.  Remove that folder
+to measure anew.
 """
 
 from __future__ import annotations
@@ -19,8 +19,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
-from study_mutants import COMPUTING, ROOT, TABLES, files_of
 
+ROOT = Path(__file__).resolve().parent.parent.parent
+TABLES = ROOT / "paper" / "tables"
+COMPUTING = (
+    "rig", "likelihood", "fit", "posterior", "residuals", "bounds", "checks", "design", "coating",
+    "diagnosis", "blind_check",
+)  # fmt: skip
+"""the rooms that compute"""
 UNCOMPILED = ("without_compilation", "model", "noise", "mixing", "readout", "likelihood",
               "bounds_search", "gap_rig", "fit")  # fmt: skip
 ELSEWHERE = ("faults", "fleet", "hostile", "determinism", "docs", "frame", "paper", "notebooks",
@@ -35,6 +41,13 @@ exclude_lines =
     if TYPE_CHECKING:
     pragma: no cover - only
 """
+
+
+def files_of(room: str) -> list[Path]:
+    """The modules of a room, relative to the project."""
+    folder = ROOT / "bayes_sensor" / room
+    found = sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
+    return [f.relative_to(ROOT) for f in found]
 
 
 def measure(folder: Path, name: str, files: list[str], **variables: str) -> None:

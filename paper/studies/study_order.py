@@ -3,6 +3,10 @@
 tau and tau_v are drawn independently from one law, so that either may be the longer one.  Nothing
 else is known of half of the campaigns.  The others have side information on tau or tau_v that is as
 uncertain as it says, or ``sensor_is``.  A second group has side information that is wrong.
+
+The committed tables are the second run.  The first (seed 83) was made before contradicted side
+information was left out: its stated sets held tau in 190 of 200, and one assignment was stated
+alone where the other was true.
 """
 
 from __future__ import annotations
@@ -31,7 +35,7 @@ from bayes_sensor.report.headline import stated_set
 from bayes_sensor.rig.lags import by_size, lags_of
 from bayes_sensor.rig.response_times import response_times
 
-N, N_WRONG, SEED = 200, 40, 83
+N, N_WRONG, SEED = 200, 40, 2027
 DECADES = 0.75
 """half the range of log10 tau and of log10 tau_v; V/Q has two thirds of it"""
 ONE_FLOW = 0.1

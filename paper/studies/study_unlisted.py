@@ -21,6 +21,7 @@ from drawing import TABLES
 from scipy.special import logsumexp
 
 from bayes_sensor.blind_check.plan import LEVELS, Entry, draw_truth, make_plan
+from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.checks.study_chunks import run_chunks, study_key
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
@@ -34,7 +35,6 @@ from bayes_sensor.diagnosis.evidence.discrepancy import (
 )
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.reality import Case, make_campaign
 from bayes_sensor.rig.layout import Layout
 
 SEED = 71

@@ -19,7 +19,7 @@ from scipy.signal import windows
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.diagnosis.data.bins import ExperimentBins
-from bayes_sensor.lattice import lattice_step
+from bayes_sensor.residuals.converter_step import lattice_step
 
 SPIKE = 6.5
 """robust standard deviations beyond which a sample is taken for a glitch"""

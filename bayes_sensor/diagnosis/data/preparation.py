@@ -20,9 +20,9 @@ from bayes_sensor.diagnosis.data.noise_floor import (
 )
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
 from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Plan
-from bayes_sensor.lattice import lattice_step
 from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.residuals.converter_step import lattice_step
 from bayes_sensor.rig.cascade import cascade_response
 from bayes_sensor.rig.lags import Naming, named
 from bayes_sensor.rig.layout import Layout

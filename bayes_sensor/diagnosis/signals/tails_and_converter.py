@@ -17,7 +17,7 @@ from scipy.special import gammaln, logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.noise_floor import Stretch, detrended
-from bayes_sensor.lattice import lattice_step
+from bayes_sensor.residuals.converter_step import lattice_step
 
 TAIL_DOF = (2.5, 3.0, 4.0, 5.0, 7.0, 10.0)
 """degrees of freedom that count as heavy tails"""

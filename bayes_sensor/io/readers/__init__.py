@@ -1,7 +1,7 @@
 """Reading a campaign: ``campaign.toml`` and its data files, one module per format.
 
-Everything that is wrong with the input raises :class:`CampaignError` with one message that says
-where, what was expected, what came and what to do.
+Every error in the input raises :class:`CampaignError`.  Its message says where, what was expected,
+what came and what to do.
 """
 
 from __future__ import annotations
@@ -141,13 +141,13 @@ def _read(path: Path) -> Campaign:
 
 
 def _one_line(text: str) -> str:
-    """The text without control characters, and no longer than a message should be."""
+    """The text without control characters, shortened to the length of a message."""
     shown = "".join(c if c.isprintable() else "\ufffd" for c in text)
     return shown if len(shown) <= _LONGEST_MESSAGE else shown[: _LONGEST_MESSAGE - 3] + "..."
 
 
 def _check_entries(entries: list[Entry], label: str) -> None:
-    """Names once each, and all measured or all planned."""
+    """Check that names are unique, and that all experiments are measured or all planned."""
     seen: dict[str, int] = {}
     for number, entry in enumerate(entries, 1):
         if entry.name in seen:
@@ -208,7 +208,7 @@ def _open(entry: Entry, folder: Path, allow_outside: bool) -> DataFile:
 
 
 def _where_else(path: Path) -> str:
-    """What to do about a file that is not there."""
+    """Advice for a missing file."""
     if "\\" in path.name:
         return "write / between folders, not \\"
     try:
@@ -223,7 +223,7 @@ def _where_else(path: Path) -> str:
 
 
 def _read_bytes(path: Path, where: str, most: int, what: str) -> bytes:
-    """The content of a regular file, with a message for everything that can be wrong with it."""
+    """The content of a regular file, with a message for every possible fault."""
     try:
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):

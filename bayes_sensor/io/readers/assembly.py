@@ -23,30 +23,30 @@ from bayes_sensor.io.readers.saturation import clipped_samples
 LONGEST_GAP = 1.0
 """s; a longer stretch without samples is an error unless it is cropped or masked"""
 LARGEST_GAP = 0.02
-"""of the record, likewise; a gap of up to 10 samples is always short"""
+"""the same as a share of the record; a gap of up to 10 samples is always short"""
 MOST_GAPS = 10
-"""long gaps that one message names"""
+"""number of long gaps that one message names"""
 MOST_LOST = 0.1
-"""of the record that may be missing or not finite before it is an error"""
+"""share of the record that may be missing or not finite before it is an error"""
 MOST_CLIPPED = 0.8
-"""of the record that may be clipped before it is an error"""
+"""share of the record that may be clipped before it is an error"""
 DISAGREEMENT = 0.05
-"""s between commanded time and drive edge that is worth a warning"""
+"""s between commanded time and drive edge from which a warning is given"""
 OUT_OF_PROPORTION = 1e12
-"""times the median size of the samples: no measurement goes so far"""
+"""times the median size of the samples; above it a sample is not a measurement"""
 LARGEST_VALUE = 1e100
-"""whose squares and cubes are numbers still"""
+"""largest value whose square and cube are finite"""
 _LARGEST_VOLTAGE = 20.0
-"""V; what lies above was probably recorded in mV"""
+"""V; samples above were probably recorded in mV"""
 _USUAL_FLOWS = (0.5, 5000.0)
-"""mL/s; beyond these the unit was probably slipped"""
+"""mL/s; outside this range the unit is probably wrong"""
 _LONG_RECORD = 2 * 3600.0  # s
 _SLOW_SAMPLING = 1.0  # s
 
 
 @dataclass(frozen=True, eq=False)
 class Assembled:
-    """An experiment, the unit of its samples and what was noticed."""
+    """An experiment, the unit of its samples and remarks."""
 
     experiment: Experiment
     unit: str
@@ -193,7 +193,7 @@ def _on_grid(values: FloatArray, grid: Grid, n: int) -> FloatArray:
 
 
 def _unit(entry: Entry, file: DataFile, recording: Recording) -> tuple[float, str]:
-    """Factor to the unit the samples are kept in, and that unit: V for every voltage."""
+    """Factor to the internal unit of the samples, and that unit: V for every voltage."""
     stated, wanted = recording.unit or entry.signal_unit or "V", entry.signal_unit
     if wanted is not None:
         factor = conversion_factor(stated, wanted)
@@ -209,7 +209,7 @@ def _unit(entry: Entry, file: DataFile, recording: Recording) -> tuple[float, st
 
 
 def settled_unit(unit: str) -> str:
-    """The unit samples are kept in: V for every voltage, any other as it stands."""
+    """The internal unit of the samples: V for every voltage, any other unchanged."""
     return unit if conversion_factor(unit, "V") is None else "V"
 
 
@@ -374,7 +374,7 @@ def _compare(
 
 
 def _largest_of(y: FloatArray) -> float:
-    """What a sample may be at most beside samples ``y`` (n,)."""
+    """Largest plausible sample, given samples ``y`` (n,)."""
     sizes = np.abs(y[np.isfinite(y) & (y != 0.0)])
     usual = float(np.median(sizes)) if len(sizes) else 1.0
     return min(OUT_OF_PROPORTION * usual, LARGEST_VALUE)
@@ -431,7 +431,7 @@ def _check_clipped(
     off: float | None,
     notes: list[str],
 ) -> None:
-    """Error where too little is left beside the clipped samples, else a note."""
+    """Error if too few samples are not clipped, else a note."""
     i = int(np.argmax(clipped))
     share = clipped.sum() / used.sum()
     finite = y[clipped & np.isfinite(y)]
@@ -463,7 +463,7 @@ def _check_clipped(
 def _question_units(
     entry: Entry, file: DataFile, recording: Recording, largest: float, notes: list[str]
 ) -> None:
-    """Notes on a unit that was forgotten or slipped."""
+    """Notes on a missing or wrong unit."""
     if not recording.unit and entry.signal_unit is None and largest > _LARGEST_VOLTAGE:
         notes.append(
             f"{file.where}: no unit is given for '{recording.signal}', so {largest:.4g} was taken "
@@ -486,7 +486,7 @@ def _look_for_mistakes(
     drive: FloatArray | None,
     notes: list[str],
 ) -> None:
-    """Notes on what can be read but is hardly meant."""
+    """Notes on input that can be read but is probably a mistake."""
     values = y[used]
     low, high = float(values.min()), float(values.max())
     if high == low:

@@ -1,4 +1,4 @@
-"""The text of ``campaign.toml``: its keys, their kinds, and one clear message per mistake."""
+"""The text of ``campaign.toml``: its keys, their kinds, and one message per mistake."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from bayes_sensor.io.readers.sampling import LATEST
 LARGEST = 1 << 20
 """bytes of a campaign file"""
 LONGEST_LINE = 4000
-"""characters; longer lines and deeply dotted keys only slow the parser down"""
+"""characters; longer lines and deeply dotted keys would slow the parser down"""
 _LEAST_FLOW, _MOST_FLOW = 1e-6, 1e6  # mL/s
 
 SIDE_INFORMATION: Mapping[str, tuple[str, Kind]] = {
@@ -199,7 +199,7 @@ def _order(value: object, info: ValidationInfo) -> str:
 
 
 class Rig(BaseModel):
-    """``[rig]``: what the gas passes, and which of the lags is the sensor's."""
+    """``[rig]``: the stages that the gas passes, and which of the lags is the sensor's."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -208,7 +208,7 @@ class Rig(BaseModel):
 
 
 class Sheet(BaseModel):
-    """The top level of a campaign file, its tables still as they were written."""
+    """The top level of a campaign file, with its tables as written."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -286,7 +286,7 @@ def read_entry(table: dict[str, Any], number: int, label: str) -> Entry:
 
 
 def read_rig(table: dict[str, Any], label: str) -> Rig:
-    """What is said of the rig, checked; CampaignError names the key."""
+    """The rig, checked; CampaignError names the key."""
     try:
         return Rig.model_validate(table)
     except ValidationError as error:
@@ -315,7 +315,8 @@ def _unknown(key: str, known: list[str]) -> str:
 
 
 def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
-    """The sentence for the most telling of pydantic's errors: a misspelt key before a missing."""
+    """The sentence for the most useful of pydantic's errors: a misspelt key before a missing
+    one."""
     problems = error.errors(include_url=False)
     rank = {"extra_forbidden": 0, "value_error": 1}
     first = min(problems, key=lambda problem: rank.get(problem["type"], 2))

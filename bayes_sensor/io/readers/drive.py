@@ -11,7 +11,7 @@ from bayes_sensor.campaign import CampaignError, FloatArray
 SHORTEST = 3
 """samples; a drive level held for less is a glitch"""
 MOST_BETWEEN = 0.3
-"""of the samples that may lie in the middle third between the levels"""
+"""share of the samples that may lie in the middle third between the levels"""
 
 
 def commanded_times(

@@ -39,7 +39,7 @@ _NUMERIC = frozenset(
 _CLOCK = ("Tstart", "Tinterval", "Length")
 _WHAT = "a MATLAB file (.mat)"
 _MOST_BYTES = 8 * MAX_SAMPLES
-"""that the compressed variables of a file may unpack to"""
+"""bytes to which the compressed variables of a file may unpack"""
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
@@ -204,7 +204,7 @@ class Variable:
 
 
 def _list_variables(file: DataFile) -> list[Variable]:
-    """What is in the file, without reading more than has to be."""
+    """The variables in the file, read as little as possible."""
     raw = file.content
     if _HDF5_MAGIC in raw[:4096]:
         return _list_hdf5(file)
@@ -243,7 +243,7 @@ def _scipy_io() -> Any:
 
 
 def _list_hdf5(file: DataFile) -> list[Variable]:
-    """The variables of a version 7.3 file; refuses those that live in another file."""
+    """The variables of a version 7.3 file; links to another file are refused."""
     import h5py  # slow to import
 
     variables = []

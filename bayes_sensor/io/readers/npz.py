@@ -1,4 +1,4 @@
-"""NumPy archives: ``t``, ``y`` and optionally ``drive``.  Nothing is ever unpickled."""
+"""NumPy archives: ``t``, ``y`` and optionally ``drive``.  Pickled objects are not read."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
 
 
 def _array(file: DataFile, archive: zipfile.ZipFile, name: str) -> FloatArray:
-    """One vector; its header is read before any memory is given to it."""
+    """One vector; its header is read before memory is allocated."""
     with archive.open(f"{name}.npy") as stream, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         version = np.lib.format.read_magic(stream)

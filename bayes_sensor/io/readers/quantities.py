@@ -1,7 +1,7 @@
 """Quantities with units: text such as ``"4.5 L/min"`` in, floats in the internal unit out.
 
-The number is split off here and only the unit is handed to pint, after it has been matched
-against a small grammar: pint evaluates what it parses, and ``"9**9**9**9 s"`` must not hang.
+The number is split off here.  Only the unit is passed to pint, after a check against a small
+grammar, because pint evaluates what it parses, and ``"9**9**9**9 s"`` must not hang.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _LONGEST = 80
 
 @dataclass(frozen=True)
 class Kind:
-    """What a quantity measures, the unit it is kept in and an example to show in messages."""
+    """The kind of a quantity, its internal unit and an example for messages."""
 
     name: str
     unit: str

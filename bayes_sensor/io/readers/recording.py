@@ -1,4 +1,4 @@
-"""What a reader hands back, and how columns are chosen and named, whatever the format."""
+"""The result of a reader, and the choice and names of columns for all formats."""
 
 from __future__ import annotations
 
@@ -32,11 +32,12 @@ _SUFFIX_UNITS = frozenset(
 
 @dataclass(frozen=True)
 class DataFile:
-    """A data file that was read into memory once, so that its hash is of what was parsed."""
+    """A data file that was read into memory once, so that its hash belongs to the parsed
+    content."""
 
     path: Path
     where: str
-    """how messages name it, such as ``experiment '3' (exp3.csv)``"""
+    """its name in messages, such as ``experiment '3' (exp3.csv)``"""
     content: bytes
 
     @cached_property
@@ -45,7 +46,7 @@ class DataFile:
         return hashlib.sha256(self.content).hexdigest()
 
     def error(self, problem: str) -> CampaignError:
-        """The error that says where and then the problem."""
+        """The error with the place and then the problem."""
         return CampaignError(f"{self.where}: {problem}")
 
 
@@ -59,7 +60,7 @@ class Selection:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One experiment's samples as they stand in the file, time in seconds."""
+    """One experiment's samples as written in the file, time in seconds."""
 
     t: FloatArray
     """(n,) s, as written"""
@@ -68,19 +69,19 @@ class Recording:
     signal: str
     """name of the column y came from"""
     place: Callable[[int], str]
-    """words for where sample i stands in the file, such as ``row 17``"""
+    """words for the place of sample i in the file, such as ``row 17``"""
     drive: FloatArray | None = None
     """(n,)"""
     drive_name: str = ""
     unit: str = ""
     """the unit the file gives for y; empty when it gives none"""
     interval: float | None = None
-    """s, where the file states it instead of listing times"""
+    """s, if the file states it instead of listing times"""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column's name, split into what it is called and the unit it carries."""
+    """A column's name, split into base name and unit."""
 
     name: str
     base: str
@@ -89,7 +90,7 @@ class Column:
 
 @contextmanager
 def parser_errors(file: DataFile, what: str) -> Iterator[None]:
-    """Turn whatever a third-party parser raises into one message about the file.
+    """Turn any exception of a third-party parser into one message about the file.
 
     Parsers of binary files raise nearly any exception on damaged ones (struct, zlib, Unicode,
     index and memory errors among them), so here, and nowhere else, all are caught.
@@ -150,7 +151,7 @@ def seconds(unit: str) -> float | None:
 def find_column(file: DataFile, columns: Sequence[Column], wanted: str, key: str) -> int:
     """Position of the column the campaign names.
 
-    Tried in turn: the name as it stands, without regard to case, without its unit, and
+    Tried in turn: the name as written, the name ignoring case, the name without its unit, and
     PicoScope's ``Channel A`` for ``A``.
     """
     folded = wanted.strip().casefold()
@@ -212,7 +213,7 @@ def check_chosen(
     drive: int | None,
     fix: str = "which is the time; choose another",
 ) -> None:
-    """Raise CampaignError where signal or drive is the time, or both are one."""
+    """Raise CampaignError if signal or drive is the time, or both are the same column."""
     for key, chosen in (("signal", signal), ("drive", drive)):
         if chosen is not None and chosen == time:
             raise file.error(f"{key} is '{names[chosen][:60]}', {fix}")
@@ -245,7 +246,7 @@ def list_names(names: Sequence[str], most: int = 12) -> str:
 
 
 def check_counts(file: DataFile, n_columns: int, n_samples: int = 0) -> None:
-    """Raise CampaignError if the file is beyond what one experiment can be."""
+    """Raise CampaignError if the file is too large for one experiment."""
     if n_columns > MAX_COLUMNS:
         raise file.error(
             f"expected at most {MAX_COLUMNS} columns, but it has {n_columns}; "

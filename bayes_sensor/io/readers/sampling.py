@@ -12,16 +12,16 @@ from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.io.readers.recording import MAX_SAMPLES
 
 MOST_JITTER = 0.3
-"""of the interval: times further than this from the uniform grid are not uniform sampling"""
+"""share of the interval; times further than this from the uniform grid are not uniform sampling"""
 LATEST = 1e12
-"""s, far beyond any clock"""
+"""s, far above the value of any clock"""
 NOTED_JITTER = 0.05
-"""of the interval: jitter above this is mentioned, unless the written digits explain it"""
+"""share of the interval; jitter above this is mentioned, unless the written digits explain it"""
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A uniform grid ``start + i * interval`` and where each written sample stands on it."""
+    """A uniform grid ``start + i * interval`` and the place of each written sample on it."""
 
     start: float
     """s"""
@@ -32,7 +32,7 @@ class Grid:
     jitter: float
     """largest distance of a written time from its grid point, in intervals"""
     rounded: bool
-    """whether the digits the times were written with explain the jitter"""
+    """whether the number of written digits explains the jitter"""
 
 
 def simplest_near(value: float, tolerance: float) -> float:

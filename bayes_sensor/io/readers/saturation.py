@@ -1,8 +1,8 @@
 """Samples that were clipped at a rail of the recorder.
 
-A clipped stretch is a long run of one and the same extreme value.  A quiet or noise-free signal
-stands still too, and a coarse converter repeats its codes; neither is clipping.  So a run counts
-on one of two grounds:
+A clipped stretch is a long run of the same extreme value.  A quiet or noise-free signal is
+constant, too, and a coarse converter repeats its codes; neither is clipping.  So a run counts for
+one of two reasons:
 
 - noise: the unclipped samples near that level have noise of at least 3/4 of the smallest step
   between values.  Then the next sample differs half of the time or more, and a long run cannot
@@ -21,21 +21,21 @@ from numpy.typing import NDArray
 from bayes_sensor.campaign import BoolArray, FloatArray
 
 NEAR = 0.35
-"""part of the signal's range next to the rail, where its noise is judged"""
+"""part of the signal's range next to the rail, where its noise is measured"""
 FEWEST = 30
-"""samples needed to judge the noise"""
+"""samples needed to measure the noise"""
 CHANCE = 1e-6
 """largest probability that a record without clipping is flagged"""
 ABRUPT = 0.4
-"""of the time a lag needs for the second half of its approach: less is a kink"""
+"""share of the time that a lag needs for the second half of its approach; less is a kink"""
 WINDOW = 50
-"""samples before and after a sample in which clipped ones make it suspect"""
+"""samples before and after a sample in which clipped ones make it suspicious"""
 CROWDED = 0.1
 """part of either window that is clipped, above which a sample between them is left out too"""
 
 
 def clipped_samples(y: FloatArray, used: BoolArray) -> BoolArray:
-    """(n,) True where a used sample is clipped, or stands among many that are.
+    """(n,) True where a used sample is clipped, or is among many that are.
 
     ``+-inf`` is how some recorders write a sample beyond the range; it counts as clipped.
     """
@@ -60,7 +60,7 @@ def clipped_samples(y: FloatArray, used: BoolArray) -> BoolArray:
 
 
 def _is_rail(values: FloatArray, rail: float) -> bool:
-    """Whether the extreme value ``rail`` is held longer than noise allows."""
+    """Whether the extreme value ``rail`` lasts longer than noise allows."""
     low, high = float(values.min()), float(values.max())
     if not high > low:
         return False
@@ -107,8 +107,8 @@ def _runs_into(distance: FloatArray, held: BoolArray, resolution: float) -> bool
 def _noise(values: FloatArray, chosen: BoolArray) -> float:
     """Spread of the fast noise among the chosen samples, from second differences.
 
-    It is 0 where there are too few to tell, or where the signal hardly ever turns back, as on a
-    smooth ramp or a staircase.
+    It is 0 if there are too few samples, or if the signal rarely reverses, as on a smooth ramp or a
+    staircase.
     """
     inside = chosen[2:] & chosen[1:-1] & chosen[:-2]
     bend = np.diff(values, 2)[inside]

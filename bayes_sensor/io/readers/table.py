@@ -1,10 +1,10 @@
 """Text tables: plain CSV with a header, and PicoScope's CSV export.
 
-What is understood: comma, semicolon, tab or blanks between columns; decimal commas where the
-comma is not the separator; UTF-8 with or without byte order mark, UTF-16, Latin-1; any line
-ending; comment lines before the header; a row of units under it, as ``(ms),(mV),(V)``; blank
-lines; PicoScope's ∞ for samples out of range; lines about the measurement above the header, as
-LabVIEW writes them; times of day, with or without a date, counted from the first sample.
+Accepted: comma, semicolon, tab or blanks between columns; decimal commas where the comma is not the
+separator; UTF-8 with or without byte order mark, UTF-16, Latin-1; any line ending; comment lines
+before the header; a row of units under it, as ``(ms),(mV),(V)``; blank lines; PicoScope's ∞ for
+samples out of range; lines about the measurement above the header, as LabVIEW writes them; times of
+day, with or without a date, counted from the first sample.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _SEPARATOR_NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks
 
 @dataclass(frozen=True)
 class Layout:
-    """How a table is written, found from its first lines."""
+    """The layout of a table, found from its first lines."""
 
     separator: str
     decimal: str
@@ -193,7 +193,7 @@ def _is_value(cell: str, decimal: str) -> bool:
 
 
 def _is_sample(cell: str, decimal: str) -> bool:
-    """A value, a time of day or a date: what a row of samples may hold."""
+    """A value, a time of day or a date, as in a row of samples."""
     text = cell.strip()
     return (
         _is_value(text, decimal)
@@ -289,8 +289,8 @@ def _find_layout(file: DataFile, text: bytes) -> Layout:
 def _under_preamble(file: DataFile, head: bytes, top: int) -> Layout | None:
     """The layout of a table that begins below row ``top``, under lines about the measurement.
 
-    It begins where two rows in a row hold samples only; the row above them, or above their units,
-    must be names without a number among them.  None where there is no such place.
+    It begins at two consecutive rows of samples.  The row above them, or above their units, must be
+    names without a number.  None if there is no such place.
     """
     named: tuple[int, str] | None = None  # the last row that could name columns
     units: tuple[int, str] | None = None
@@ -335,7 +335,7 @@ def _clocks(cells: list[str]) -> frozenset[int]:
 
 
 def _looks_measured(cell: str, decimal: str) -> bool:
-    """A number with a decimal mark or exponent: a channel would hardly be called that."""
+    """A number with a decimal mark or exponent, which is unlikely as a channel's name."""
     return _is_number(cell, decimal) and re.search(r"[.,eE]", cell) is not None
 
 
@@ -470,7 +470,7 @@ def _since_first(
 def _blame(
     file: DataFile, text: bytes, layout: Layout, use: list[int], reason: str
 ) -> CampaignError:
-    """The error that names the row and column pandas stumbled over."""
+    """The error that names the row and column at which pandas failed."""
     columns = layout.columns
     for row, (_, raw) in enumerate(_lines(text, layout.body), layout.body_row):
         line = _decode(raw)

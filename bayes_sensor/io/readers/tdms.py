@@ -111,7 +111,7 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
 
 @contextmanager
 def _complaints_are_errors(file: DataFile) -> Iterator[None]:
-    """Raise CampaignError for what npTDMS only logs: incomplete segments, which it cuts short."""
+    """Raise CampaignError for incomplete segments, which npTDMS cuts short and only logs."""
     complaints: list[str] = []
 
     def note(record: logging.LogRecord) -> bool:

@@ -9,15 +9,11 @@ from contextlib import ExitStack, contextmanager, suppress
 from math import exp, log, sqrt
 from pathlib import Path
 
+from filelock import lock_descriptor
 from numba import njit
 
 from bayes_sensor.likelihood.mesh.mesh_arrays import K
 from bayes_sensor.likelihood.mesh.node_response import _FAST, add_edge
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 
 @njit(cache=True, error_model="numpy")
@@ -220,13 +216,12 @@ _ALONE = (
 
 @contextmanager
 def _one_process(folder):
-    # nothing is locked where files cannot be (Windows, a file system without locks)
+    # nothing is locked where files cannot be (a file system without locks)
     with ExitStack() as stack:
-        if fcntl is not None:
-            with suppress(OSError):
-                Path(folder).mkdir(parents=True, exist_ok=True)
-                file = stack.enter_context(open(Path(folder) / "kernels.lock", "w"))
-                fcntl.flock(file, fcntl.LOCK_EX)
+        with suppress(OSError):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            file = stack.enter_context(open(Path(folder) / "kernels.lock", "a"))
+            lock_descriptor(file.fileno())
         yield
 
 

@@ -23,7 +23,7 @@ from bayes_sensor.rig.cascade import exchanged
 from bayes_sensor.workers import in_order
 
 SETTLING = 10
-"""ensemble steps between looks at the mesh during burn-in"""
+"""ensemble steps between checks of the mesh during burn-in"""
 
 
 class Marginal:
@@ -74,7 +74,7 @@ class Marginal:
         return self.points(exchanged(self.thetas(points), self.both)), np.zeros(len(points))
 
     def cover(self, points: FloatArray) -> None:
-        """Widen the mesh where walkers have left it, so that they stay off the full pass."""
+        """Widen the mesh where walkers have left it, to avoid full passes."""
         thetas = self.thetas(points)
         if self.both is not None:  # as where they may jump to
             thetas = np.concatenate([thetas, exchanged(thetas, self.both)])
@@ -133,7 +133,7 @@ def run_emcee(
 ) -> Run:
     """Independent ensembles of emcee, checkpointed in ``folder``.
 
-    ``both``: flow (mL/s) at which walkers exchange valve and manifold; None: they do not.
+    ``both``: flow (mL/s) at which walkers exchange valve and manifold; None: no exchange.
     """
     names = problem.layout.names
     # exact only for flat priors and a mean y0 + beta x
@@ -199,9 +199,9 @@ def run_emcee(
 
 
 def _hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
-    """Whether all steps allowed would leave the effective sample size below half of what is asked.
+    """Whether the effective sample size would be below half of the target after all allowed steps.
 
-    Looked at every 500 steps; it saves an hour where the answer is "not converged" anyway.
+    Checked every 500 steps.  It saves an hour for runs that would not converge.
     """
     if steps < 500 or (steps - settings.burn_in) % 500 != 0:
         return False

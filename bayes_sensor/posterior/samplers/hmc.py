@@ -21,10 +21,11 @@ _State = tuple[FloatArray, float, FloatArray]  # position, log density, its grad
 class Whitened:
     """The log posterior in whitened coordinates q: psi with signed roots of its squares.
 
-    In (x, ..) with tau = |x| the density continues smoothly through zero, because the likelihood
-    depends on tau^2 there; no wall, no reflection.  Where flows differ it continues likewise
-    through equal lags: a point with the two out of order stands for the one that has them by size.
-    At one flow such a continuation joins three lags along narrow arcs, which cost more than walls.
+    In (x, ..) with tau = |x| the density is smooth through zero, because the likelihood depends on
+    tau^2 there.  No reflection is needed.  If flows differ, the density is also smooth through
+    equal lags: a point with the two exchanged represents the point with the lags ordered by size.
+    At one flow such a continuation would connect three lags along narrow arcs, which costs more
+    than reflections.
     """
 
     def __init__(self, laplace: Laplace, compressed: Compressed) -> None:

@@ -1,4 +1,5 @@
-"""Independence Metropolis: its proposal is the Laplace approximation, gated by Pareto k-hat."""
+"""Independence Metropolis with the Laplace approximation as proposal, if its Pareto k-hat is
+small."""
 
 from __future__ import annotations
 

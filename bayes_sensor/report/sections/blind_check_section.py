@@ -13,7 +13,7 @@ from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import list_words
 
 FEW = 200
-"""campaigns below which intervals are said to be wide"""
+"""campaigns below which the text calls intervals wide"""
 
 
 def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
@@ -33,33 +33,28 @@ def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
     kinds = [f"{n} {kind}" for kind, n in card["kinds"].items()]
     paragraphs = [
         f"Of the campaigns {list_words(kinds)}{see('blind-cases')}. Withheld: the true effect was "
-        "taken out of the catalogue first. The size d is what the refit leaves of a gap, in "
+        "taken out of the catalogue first. The size d is the misfit that the refit leaves, in "
         "standard deviations of the noise."
     ]
     if refused := card["failed"]["k"]:
         paragraphs.append(f"The diagnosis refused {refused} of them, which counts as wrong.")
     if card["n"] < FEW:
-        paragraphs.append(
-            "So few campaigns say little about rates: read the intervals, not the shares."
-        )
+        paragraphs.append("The number of campaigns is small: read the intervals, not the shares.")
     return Section(
         "blind-check",
         "How often is the diagnosis right",
         answer,
         paragraphs,
         [
-            goals_table("blind-goals", "What was wanted and what was reached.", card["goals"]),
+            goals_table("blind-goals", "Goals and results.", card["goals"]),
             pictures.add(
                 "blind-card",
                 score_card(card),
-                "The score card, with 95 % intervals. Top: false alarms on faultless campaigns by "
-                "the kind of their noise, and wrong names given with confidence. Second row, "
-                "against the size d: how often the right effect or family is the likeliest, or "
-                "nothing is said where an oracle cannot tell either, and how often something "
-                "unlisted is flagged. The oracle knows the noise, the cause and its nearest rival "
-                "and must choose between the two. Third row: flagged against flagged wrongly, "
-                "stated against true probabilities, and the closed fraction. Last row: how often "
-                "the 95 % set holds a listed cause, and the error of tau.",
+                "The score card, with 95 % intervals. Top: false alarms on faultless campaigns, "
+                "wrong names given with confidence, and the error of tau. Bottom, against the size "
+                "d: how often the right family is the likeliest, and how often something unlisted "
+                "is found, in blue where a verdict without a name counts if no data would tell; "
+                "and stated against true probabilities.",
             ),
             *_cases(saved.cases or []),
         ],
@@ -67,7 +62,7 @@ def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
 
 
 def goals_table(key: str, caption: str, goals: Sequence[Mapping[str, Any]]) -> Table:
-    """Every goal beside what was reached; those that were missed are marked."""
+    """Every goal with the result; missed goals are marked."""
     return Table(
         key,
         f"{caption} Intervals hold 95 %: Wilson's, the last from the bootstrap.",
@@ -102,8 +97,8 @@ def _cases(rows: Sequence[Mapping[str, str]]) -> list[Table]:
     return [
         Table(
             "blind-cases",
-            "The cases: what was true, what was said. Marked: a wrong name given with a "
-            "probability above 0.9.",
+            "The cases: truth and verdict. Marked: a wrong name given with a probability above "
+            "0.9.",
             ["case", "kind", "true cause", "noise", "d", "verdict", "said", "probability", "right"],
             [
                 [

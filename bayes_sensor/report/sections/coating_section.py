@@ -1,4 +1,4 @@
-"""Response times users of gas sensors expect, and what tau says about the coating."""
+"""Response times as in data sheets, and the diffusivity of the coating that follows from tau."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TOLERANCE_WORDS = {
 
 
 def coating(saved: Saved, pictures: Pictures) -> Section | None:
-    """t10, t63, t90 of sensor and chain; the diffusivity that tau implies."""
+    """t10, t63, t90 of sensor and chain; the diffusivity that follows from tau."""
     record = saved.coating
     if record is None:
         return None
@@ -48,8 +48,8 @@ def coating(saved: Saved, pictures: Pictures) -> Section | None:
         paragraphs.append(sentence(record["d_zif8_left_out"]))
     if with_the_effect(saved):
         paragraphs.append(
-            "All this rests on the posterior without the effect that the gap names"
-            f"{see('which')}; sample it with the effect before quoting."
+            f"All this uses the posterior without the effect that the gap names{see('which')}; "
+            "sample it with the effect before quoting."
         )
     content: list[Part] = [
         pictures.add(
@@ -146,7 +146,7 @@ def _diffusivity_table(found: dict[str, Any]) -> Table:
     ]
     return Table(
         "diffusivity",
-        "What τ says about the coating of the paper; an empty end is no limit.",
+        "The coating of the paper, from τ; an empty end means no limit.",
         ["quantity", "value", "95 % low", "95 % high"],
         rows,
         digits=3,

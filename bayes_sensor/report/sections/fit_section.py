@@ -37,7 +37,7 @@ def fitted(saved: Saved, pictures: Pictures) -> Section | None:
             pictures.add(
                 "rms",
                 figures.rms_bars(traces),
-                "RMS residual of each experiment, with what the noise law alone would leave.",
+                "RMS residual of each experiment, with the RMS of the noise law alone.",
             )
         )
     content += _tables(saved)
@@ -53,21 +53,22 @@ def _remarks(saved: Saved) -> list[str]:
         words = list_words([figures.parameter_words(name)[0] for name in unseen])
         said.append(
             f"The best {words} {'sits' if len(unseen) == 1 else 'sit'} at the lower edge of "
-            f"{'its' if len(unseen) == 1 else 'their'} search range. That is an answer: the data "
-            "do not exclude smaller values, so that no least-squares number is given; the "
-            "posterior has upper limits."
+            f"{'its' if len(unseen) == 1 else 'their'} search range. The data do not exclude "
+            "smaller values, so no least-squares value is given; the posterior has upper limits."
         )
     others = [figures.parameter_words(n)[0] for n in fit["at_bound"] if n not in unseen]
     if others:
         said.append(
             f"The best value of {list_words(others)} sits on the edge of its search range: widen "
-            "it ([fit] bounds in the settings), or distrust it."
+            "it ([fit] bounds in the settings), or do not use it."
         )
     if not fit["swarms"].get("agree", True):
-        said.append("Independent swarms ended in different places; the best one is shown.")
+        said.append("Independent swarms ended at different minima; the best one is shown.")
     else:
         n = len(fit["swarms"].get("swarms", []))
-        said.append(f"{n} independent particle swarms ended, after refinement, at one place.")
+        said.append(
+            f"{n} independent particle swarms ended, after refinement, at the same minimum."
+        )
     if fit.get("euler"):
         change = fit["euler"]["difference"]
         moves = [
@@ -87,7 +88,7 @@ _SYMBOLS = ("tau_s", "tau_v_s", "V_mL")
 
 
 def _estimates(fit: Mapping[str, Any]) -> dict[str, float | None]:
-    """The shared values by name, or by the lags' sizes; None where one is too small to be seen."""
+    """The shared values by name, or by size of the lags; None where one is too small to be seen."""
     found = fit.get("estimates")
     if found is None:  # results of an older version
         p = fit["parameters"]

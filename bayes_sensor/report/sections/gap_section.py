@@ -1,4 +1,4 @@
-"""Where the gap between model and measurement lies, what explains it, what may hide."""
+"""The gap between model and measurement: its place, its explanation, unseen effects."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _MEASURED = "Without a frame a shade is no more than noise makes."
 _SHADES = {
     "explanations": "Shades and shares are what the explanations put there, each by its "
     "probability, something unlisted included: of a cell's own excess most may be noise.",
-    "findings": "Shares are of what single samples tell, which bins average.",
+    "findings": "Shares are those of findings in single samples, which the bins average.",
 }
-"""what is drawn, by what the shares rest on, where that is not what was measured"""
+"""words for what is drawn, by the origin of the shares, if that is not the measurement"""
 
 
 def gap(saved: Saved, pictures: Pictures) -> Section | None:
@@ -58,8 +58,8 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
     how_often, n = published_goals()
     paragraphs.append(
         f"How often such a verdict is right was counted on {n} campaigns of an independent "
-        f"simulator with sealed causes{see('gap-right')}. What nobody listed is the weak side: "
-        "it may pass for noise, or for an effect that looks like it."
+        f"simulator with sealed causes{see('gap-right')}. Causes outside the catalogue are the "
+        "weak point: they may pass for noise, or for a similar effect."
     )
     content: list[Part] = [
         pictures.add(
@@ -96,8 +96,8 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
                 "gap-hidden",
                 figures.gap_hidden(record["hidden"], tau),
                 "What may hide: how visible each effect would be at its plausible strength, and "
-                f"what {lag} would be with it in the model. Left of the dashed line this campaign "
-                f"could not have seen it; dotted, {lag} with the strength left to the data; "
+                f"what {lag} would be with it in the model. To the left of the dashed line this "
+                f"campaign cannot show it; dotted, {lag} with the strength left to the data; "
                 f"shaded, the envelope of {lag} over all that may hide.",
             ),
             hidden_table(record),
@@ -113,14 +113,14 @@ def _strips(record: Mapping[str, Any], pictures: Pictures) -> list[Part]:
         pictures.add(
             "gap-residuals",
             figures.gap_residuals(record["residuals"]),
-            "Residuals in bins locked to the switches and whitened by the noise floor. Pure noise "
-            "stays within the grey strip of ± 2 in nineteen of twenty bins.",
+            "Residuals in bins locked to the switches and whitened by the noise floor. Noise "
+            "alone is within the grey strip of ± 2 in nineteen of twenty bins.",
         )
     ]
 
 
 def _size(budget: Mapping[str, Any], shown: str, factor: float) -> str:
-    """How far model and measurement differ, and whether noise alone would."""
+    """The difference between model and measurement, and whether noise alone explains it."""
     p, of_form = budget["p_value"], budget.get("p_value_of_form")
     of_size = budget.get("p_value_of_size", p)
     by_noise = of_size is not None and of_size > CLEAR

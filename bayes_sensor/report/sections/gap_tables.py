@@ -17,19 +17,19 @@ FEW_EXPLANATIONS = 8
 NEGLIGIBLE = 0.0005
 """probability below which an explanation is only in gap.json, beyond the first few"""
 ENDINGS = ("V", "s", "Hz")
-"""units at the end of a name, which the value has anyway"""
+"""units at the end of a name, which the value repeats"""
 MEASURES = {"V": "amplitude", "s": "time", "Hz": "frequency"}
-"""what tells names apart that are alike but for their ending"""
+"""words for names that differ only in their ending"""
 CLEAR = 0.05
 """p-value below which a difference is more than noise"""
 LEAST_SHARE = 0.005
-"""of the excess, from which a cell is listed"""
+"""share of the excess from which a cell is listed"""
 UNSEEN = 3.0
 """detectability below which an effect could hide"""
 
 
 def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
-    """The budget and what is left of it."""
+    """The budget and its remainder."""
     budget, shrink = record["budget"], record["shrink"]
     of, lag = lag_of(record["hidden"])
 
@@ -72,8 +72,8 @@ def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
     return Table(
         "budget-table",
         "The budget in numbers. The excess is seen in averages over bins, where the noise is much "
-        "smaller than in single samples: it is no difference of the two RMS values. d counts all "
-        "of it, the p-value only what noise alone would not leave.",
+        "smaller than in single samples: it is not the difference of the two RMS values. d "
+        "contains all of it; the p-value compares it with noise alone.",
         ["quantity", "value"],
         rows,
         digits=3,
@@ -226,14 +226,14 @@ def _hides(row: Mapping[str, Any]) -> str | None:
 
 
 def other_tables(record: Mapping[str, Any]) -> list[Table]:
-    """Escalation, pairs that need another measurement, and what was tested at full rate."""
+    """Escalation, pairs that need another measurement, and tests at full rate."""
     units = record.get("strength_units", {})
     made = []
     if record.get("rounds"):
         made.append(
             Table(
                 "gap-rounds",
-                "The diagnosis repeated with what was named in the model.",
+                "The diagnosis repeated with the named effects in the model.",
                 ["in the model", "probability", "d left", "p left", "unlisted rest"],
                 [
                     [
@@ -266,8 +266,8 @@ def other_tables(record: Mapping[str, Any]) -> list[Table]:
         made.append(
             Table(
                 "gap-full-rate",
-                "What averaging would hide, tested on every sample. Positive logarithms of the "
-                "Bayes factor speak for it.",
+                "Tests on every sample, for what averaging would hide. A positive logarithm of "
+                "the Bayes factor is evidence for it.",
                 ["effect", "log Bayes factor", "probability", "strength", "experiment", "d"],
                 [
                     [

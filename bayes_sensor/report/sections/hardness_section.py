@@ -1,4 +1,4 @@
-"""What makes the time constant hard to measure."""
+"""Why the time constant is hard to measure."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ALIKE = 0.95
 
 
 def hardness(saved: Saved, pictures: Pictures) -> Section | None:
-    """Collinearity with the switch times, and what the bound would be if they were known."""
+    """Collinearity with the switch times, and the bound if they were known."""
     record = (saved.bounds or {}).get("what_makes_tau_hard")
     if not record:
         reason = (saved.bounds or {}).get("not_explained")
@@ -34,7 +34,7 @@ def hardness(saved: Saved, pictures: Pictures) -> Section | None:
     now, timed = known.get("nothing"), known.get("t0, tf") or known.get("t0")
     switches = record["collinearity"]["switches"]
     answer = (
-        "A slower sensor and a later switch change the trace almost alike"
+        "A slower sensor and a later switch change the response in almost the same way"
         if switches > ALIKE
         else f"Moving the switch times imitates {100 * switches**2:.0f} % of what τ does to the "
         "trace"
@@ -48,8 +48,8 @@ def hardness(saved: Saved, pictures: Pictures) -> Section | None:
     paragraphs = [sentence(typeset(text)) for text in record["sentences"]]
     if now and timed:
         paragraphs.append(
-            "These are bounds at one value of τ, to see what limits the measurement; the interval "
-            f"to quote is the posterior's{see('posterior-shared')}."
+            "These are bounds at one value of τ, which show what limits the measurement; quote "
+            f"the posterior's interval{see('posterior-shared')}."
         )
     if record.get("status", "ok") != "ok":
         paragraphs.append(sentence(record["status"]))
@@ -57,9 +57,9 @@ def hardness(saved: Saved, pictures: Pictures) -> Section | None:
         pictures.add(
             "tau-hard",
             figures.tau_hard(record),
-            "Why τ is hard: how far the likelihood falls as τ moves, beside what estimate ± sd "
-            "would claim; the bound against the true τ; the bound if something else were known; "
-            "and the direction in which the data know least.",
+            "Why τ is hard: the drop of the likelihood against τ, and that of a Gaussian with the "
+            "same sd; the bound against the true τ; the bound if something else were known; and "
+            "the direction with the least information.",
         ),
         Table(
             "known-table",
@@ -77,8 +77,8 @@ def hardness(saved: Saved, pictures: Pictures) -> Section | None:
         ),
         Table(
             "weakest",
-            "The direction in which the data know least, in parameters scaled to equal "
-            "information, and the correlation of each with τ; the strongest entries.",
+            "The direction with the least information, in parameters scaled to equal information, "
+            "and the correlation of each with τ; the strongest entries.",
             ["parameter", "entry", "correlation with τ"],
             _weakest(record),
             digits=3,

@@ -57,8 +57,8 @@ def measured(saved: Saved, pictures: Pictures) -> Section | None:
     ]  # fmt: skip
     table = Table(
         "experiments",
-        "The experiments as they were understood. On and off are the commanded times; noise is "
-        "that of the baseline.",
+        "The experiments as understood. On and off are the commanded times; noise is that of the "
+        "baseline.",
         columns,
         [
             [
@@ -84,7 +84,7 @@ def measured(saved: Saved, pictures: Pictures) -> Section | None:
 
 
 def _of_rig(campaign: Mapping[str, Any]) -> str:
-    """What is said of the rig, as a sentence."""
+    """The rig as a sentence."""
     said = f"The gas passes {list_words(campaign['stages'])}"
     if campaign["sensor_is"] == "unknown":
         return (

@@ -9,7 +9,7 @@ from bayes_sensor.report.words import ms, number, typeset
 
 
 def measure_next(saved: Saved, pictures: Pictures) -> Section | None:
-    """What extra knowledge or other experiments would do to the interval of tau."""
+    """The interval of tau with additional knowledge or other experiments."""
     rows = (saved.bounds or {}).get("what_would_help")
     if not rows:
         return None
@@ -24,7 +24,7 @@ def measure_next(saved: Saved, pictures: Pictures) -> Section | None:
             f"{number(ms(best['half_width95_s']), 2)} ms (95 %){see('what-would-help')}."
         )
     paragraphs = [
-        "These are predictions of the bound under the fitted coloured noise, at the τ of this "
+        "These are predictions of the bound under the fitted noise law, at the τ of this "
         "campaign. bayes-sensor design proposes experiments that reach a wanted interval."
     ]
     names = ("lo68_s", "hi68_s", "lo95_s", "hi95_s", "half_width95_s")
@@ -37,12 +37,12 @@ def measure_next(saved: Saved, pictures: Pictures) -> Section | None:
             pictures.add(
                 "what-would-help-figure",
                 figures.what_would_help(rows),
-                "Predicted 95 % intervals of τ if one thing were different.",
+                "Predicted 95 % intervals of τ if one condition were changed.",
             ),
             Table(
                 "what-would-help",
-                "Predicted interval of τ (ms) if one thing were different; the gain is how many "
-                "times narrower the 95 % interval becomes.",
+                "Predicted interval of τ (ms) if one condition were changed; the gain is the "
+                "factor by which the 95 % interval becomes narrower.",
                 [
                     "change", "68 % low", "68 % high", "95 % low", "95 % high",
                     "half width 95 %", "gain",

@@ -30,10 +30,9 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
         answer += " " + sentence(typeset(status)).removesuffix(".")
         answer += see("predictive-table") + "."
     paragraphs = [
-        f"Residuals that follow each other closely carry less information than their number "
-        f"suggests. The Durbin-Watson statistic, 2 for independent noise, is {before:.2f} before "
-        f"and {after:.2f} after the AR(1) part is taken out"
-        f"{see('ljung-box')}.",
+        "Correlated residuals contain less information than their number suggests. The "
+        f"Durbin-Watson statistic, 2 for independent noise, is {before:.2f} before and {after:.2f} "
+        f"after the AR(1) part is taken out{see('ljung-box')}.",
     ]
     if test.get("p_value") is not None:
         verb = "does" if test["p_value"] < 0.05 else "does not clearly"
@@ -115,7 +114,7 @@ OF_THE_LAW = {
 
 
 def _checks(residuals: Mapping[str, Any]) -> list[Part]:
-    """What was asked of the noise law, and how far it is off."""
+    """The checks of the noise law, and their deviations."""
     checks = residuals.get("checks") or {}
     rows = []
     for name, check in checks.items():
@@ -131,8 +130,8 @@ def _checks(residuals: Mapping[str, Any]) -> list[Part]:
     return [
         Table(
             "noise-checks",
-            "What was asked of the noise law: the measured value over the law's, where it is "
-            "furthest off. A check fails where that is no chance and large enough to matter.",
+            "Checks of the noise law: the measured value over the law's, where the difference is "
+            "largest. A check fails if the difference is significant and large enough to matter.",
             ["check", "factor", "p-value", "verdict"],
             rows,
             digits=3,
@@ -144,13 +143,13 @@ CHECKS = {
     "autocorrelation": "autocorrelation at eight lags",
     "variance": "variance against concentration",
     "spectrum": "spectrum of the residuals",
-    "pit_uniform": "forecasts of the next sample: their spread is right",
-    "pit_independent": "forecasts of the next sample: nothing is left over",
+    "pit_uniform": "forecasts of the next sample: spread",
+    "pit_independent": "forecasts of the next sample: independence",
 }
 
 
 def _predictive(saved: Saved, pictures: Pictures) -> list[Part]:
-    """Data replicated from the posterior beside the data."""
+    """Data replicated from the posterior, compared with the data."""
     record = saved.predictive
     if record is None:
         return []
@@ -162,14 +161,14 @@ def _predictive(saved: Saved, pictures: Pictures) -> list[Part]:
         pictures.add(
             "predictive",
             figures.predictive(record, saved.unit),
-            f"Would data drawn from the posterior look like the data? Bands: 95 % of "
-            f"{record['n_draws']} replicates; points: the data. Last: how the samples fall "
-            "within the forecast made from their past; a right model gives a flat histogram.",
+            "Comparison of the data with data drawn from the posterior. Bands: 95 % of "
+            f"{record['n_draws']} replicates; points: the data. Last: probability of each sample "
+            "under the forecast from its past; a right model gives a flat histogram.",
         ),
         Table(
             "predictive-table",
             "Posterior predictive checks: probability of a difference at least as large, were the "
-            "model right. A check fails where that is below 1 % after allowing for their number "
+            "model right. A check fails if that is below 1 % after allowing for their number "
             "(Holm).",
             ["check", "p-value", "verdict"],
             rows,

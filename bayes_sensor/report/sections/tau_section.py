@@ -1,4 +1,4 @@
-"""The sensor's time constant, its honest interval, and what the naive bound would have said."""
+"""The sensor's time constant, its posterior interval, and the naive bound."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PRIOR_WORDS = {
 
 
 def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
-    """tau, its honest interval, and the classical bound beside it."""
+    """tau, its posterior interval, and the classical bound."""
     posterior, bounds = saved.posterior, saved.bounds
     if posterior is None and bounds is None:
         return None
@@ -52,7 +52,7 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
     paragraphs = []
     if instead := with_the_effect(saved):
         paragraphs.append(
-            f"This takes the model as right, which it is not{see('which')}. {instead}"
+            f"This assumes that the model is right, which it is not{see('which')}. {instead}"
         )
     if head is not None and head.naive:
         paragraphs.append(naive_sentence(head).removesuffix(".") + see("naive") + ".")
@@ -161,7 +161,7 @@ def _limit(row: Mapping[str, Any]) -> str:
 def is_published(campaign: Mapping[str, Any]) -> bool:
     """Whether the experiments have the published flows and concentrations, to half a percent.
 
-    ``campaign``: ``campaign.json``.  Bounds depend on them, whatever the time constants are.
+    ``campaign``: ``campaign.json``.  Bounds depend on them for any time constants.
     """
     found = [(e["total_flow_L_min"], e["concentration_percent"]) for e in campaign["experiments"]]
     return len(found) == len(PUBLISHED_FLOWS) and all(
@@ -242,25 +242,29 @@ def _why(saved: Saved) -> list[str]:
         ratio = right["tau_s"] / published["tau_s"]
         if ratio < 1.3:
             said.append(
-                "The published recipe for the classical bound moves every parameter by 1 %. For "
-                "the switch times that depends on where time starts, so it is no bound: here it "
-                f"gives {number(1 / ratio, 2)} times the value with correct derivatives"
-                f"{see('naive')}."
+                "Steps of 1 % in every parameter reproduce the published bounds (the step is "
+                "inferred). For the switch times such a step depends on the origin of time, so "
+                f"the result is not a bound: here it gives {number(1 / ratio, 2)} times the value "
+                f"with correct derivatives{see('naive')}."
             )
         else:
             said.append(
                 f"At τ = {number(1e3 * naive['at']['tau_s'], 3)} ms the classical bound for white "
-                f"noise, with its derivatives taken correctly, is {number(ratio, 2)} times that of "
-                "the published recipe, which moves every parameter by 1 %. For the switch times "
-                "1 % is tenths of a second, far too much: a slower sensor and a later switch look "
-                f"almost alike, and a step that large hides it{see('naive', 'step_study')}."
+                f"noise, with its derivatives taken correctly, is {number(ratio, 2)} times that "
+                "with steps of 1 % in every parameter, which reproduce the published bounds. For "
+                "the switch times 1 % is tenths of a second, far too much: a slower sensor and a "
+                "later switch look almost alike, and a step that large hides "
+                f"it{see('naive', 'step_study')}."
             )
     coloured = naive.get("crlb_ar1") or {}
     if right.get("tau_v_s") and coloured.get("tau_v_s"):
         ratio = coloured["tau_v_s"] / right["tau_v_s"]
         phi = (saved.residuals or {}).get("ar1", {}).get("phi")
         said.append(
-            "White noise is the second assumption that fails: neighbouring residuals are alike"
+            (
+                "White noise is the second assumption that fails: neighbouring residuals are "
+                "correlated"
+            )
             + (f" (φ = {number(phi, 3)})" if phi is not None else "")
             + f", which makes the bound of τᵥ {number(ratio, 2)} times wider{see('naive')}."
         )
@@ -268,7 +272,7 @@ def _why(saved: Saved) -> list[str]:
 
 
 def _why_they_differ(saved: Saved) -> list[str]:
-    """What each 95 % interval of tau on the page assumes, where there are several."""
+    """The assumptions of each 95 % interval of tau on the page, if there are several."""
     found = []
     if _order(saved.posterior) == "undecided":
         return []
@@ -282,8 +286,8 @@ def _why_they_differ(saved: Saved) -> list[str]:
     row = (methods.get("profile") or {}).get("parameters", {}).get("tau_s") or {}
     if row.get("lo95") is not None and row.get("hi95") is not None:
         found.append(
-            f"the profile likelihood's {interval(1e3 * row['lo95'], 1e3 * row['hi95'])} ms has "
-            f"no prior and takes the best value of all others at every τ{see('methods')}"
+            f"the profile likelihood's {interval(1e3 * row['lo95'], 1e3 * row['hi95'])} ms has no "
+            f"prior and maximises over all other parameters at every τ{see('methods')}"
         )
     shrink = (saved.gap or {}).get("shrink") or {}
     low, high = shrink.get("tau_after_lo_s"), shrink.get("tau_after_hi_s")
@@ -295,7 +299,7 @@ def _why_they_differ(saved: Saved) -> list[str]:
         )
     if len(found) < 2:
         return []
-    return ["The intervals of τ on this page differ because they assume different things: "
+    return ["The intervals of τ on this page differ because their assumptions differ: "
             f"{'; '.join(found)}."]  # fmt: skip
 
 
@@ -322,7 +326,7 @@ def _method_table(bounds: Mapping[str, Any]) -> Table:
     return Table(
         "methods",
         "Intervals by every method. No standard deviation is given where the estimate sits at its "
-        "limit, because ± would mislead there.",
+        "limit, because ± has no meaning there.",
         columns,
         rows,
         marked=marked,
@@ -349,7 +353,8 @@ def _assumption_table(bounds: Mapping[str, Any]) -> Table:
 
 
 def _how_many(rows: Collection[Any]) -> str:
-    """The priors that draws tell of: a bounded prior's say nothing beyond its end."""
+    """The priors for which the draws are valid; draws under a bounded prior are not valid beyond
+    its end."""
     return {1: "one prior", 2: "two priors"}.get(len(rows), "three priors")
 
 
@@ -358,7 +363,7 @@ def _prior_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     return Table(
         "priors-on-tau",
         f"τ under {_how_many({row['prior'] for row in rows})}, from the same draws by reweighting "
-        "(ms). With fewer than about 400 effective draws a row is rough.",
+        "(ms). A row with fewer than about 400 effective draws is inaccurate.",
         [
             *(["sensor's lag"] if several else []),
             "prior on τ", "95 % low", "95 % high", "densest 95 % low", "densest 95 % high",

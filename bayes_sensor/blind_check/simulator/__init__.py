@@ -1,0 +1,42 @@
+"""An independent simulator of the rig, for checking the diagnosis blind.
+
+It imports nothing of the package but the records of :mod:`bayes_sensor.campaign`: no model, no
+noise law, no effect.  With nothing wrong it agrees with the cascade; its causes are built from the
+physics, differ in form from the catalogue's effects, and some have no counterpart there.
+"""
+
+from bayes_sensor.blind_check.simulator.campaign import (
+    PHASES,
+    acting_places,
+    as_recorded,
+    clean_signals,
+    make_campaign,
+    noise_scale,
+    phase_edges,
+    prepared_rigs,
+    sample_times,
+    without_causes,
+)
+from bayes_sensor.blind_check.simulator.case import Case, Component, NoiseLaw, Step
+from bayes_sensor.blind_check.simulator.causes import (
+    CAUSES,
+    Cause,
+    converter_step,
+    tail_mixture,
+)
+from bayes_sensor.blind_check.simulator.draw import SIZES, draw_case
+from bayes_sensor.blind_check.simulator.noise import (
+    HEAVY_TAILED,
+    OPEN_LAWS,
+    RESERVE_LAWS,
+    autocorrelation,
+    draw_law,
+    draw_noise,
+)
+
+__all__ = [
+    "CAUSES", "HEAVY_TAILED", "OPEN_LAWS", "PHASES", "RESERVE_LAWS", "SIZES", "Case", "Cause",
+    "Component", "NoiseLaw", "Step", "acting_places", "as_recorded", "autocorrelation",
+    "clean_signals", "converter_step", "draw_case", "draw_law", "draw_noise", "make_campaign",
+    "noise_scale", "phase_edges", "prepared_rigs", "sample_times", "tail_mixture", "without_causes",
+]  # fmt: skip

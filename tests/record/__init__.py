@@ -1,0 +1,1 @@
+"""The recorded results of some sixty campaigns, and what computes and compares them."""
