@@ -8,10 +8,9 @@ import pytest
 from campaigns import small_design, small_problem
 from scipy import stats
 
-from bayes_sensor.design import choose_experiments
 from bayes_sensor.bounds import cramer_rao
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.design import design_experiments, what_if
+from bayes_sensor.design import choose_experiments, design_experiments, what_if
 from bayes_sensor.design.choose_experiments import _candidates
 from bayes_sensor.design.extra_knowledge import _as_pulse
 from bayes_sensor.design.planned_experiments import settings_of, truth_of

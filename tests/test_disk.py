@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bayes_sensor.likelihood.mesh.node_sums import _one_process
 from campaigns import small_problem
 
 import bayes_sensor
@@ -23,6 +22,7 @@ from bayes_sensor.io.disk import remove, replacing, write_bytes, write_text
 from bayes_sensor.io.json_files import write_json
 from bayes_sensor.io.results import VOID, Results
 from bayes_sensor.io.writers import write_campaign
+from bayes_sensor.likelihood.mesh.node_sums import _one_process
 from bayes_sensor.posterior import save_draws
 from bayes_sensor.posterior.checkpoints import Checkpoint
 
@@ -207,7 +207,7 @@ def _save_posterior(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     groups = {"posterior": xarray.Dataset({"tau": ("draw", np.ones(3))})}
     monkeypatch.setattr(save_draws, "_contents", lambda posterior: (groups, {}))
-    save_draws.save(None, path)  # type: ignore[arg-type]
+    save_draws.save_posterior(None, path)  # type: ignore[arg-type]
 
 
 def _one(i: int) -> dict[str, Any]:

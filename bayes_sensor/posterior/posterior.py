@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 from bayes_sensor.posterior.draws import Draws, percentiles
 from bayes_sensor.posterior.prior_sensitivity import tau_under_priors
-from bayes_sensor.posterior.save_draws import save_draws, to_inference_data
+from bayes_sensor.posterior.save_draws import save_posterior, to_inference_data
 
 NEAR_EQUAL, MAY_BE_EQUAL = 0.8, 0.025
 """ratio of two lags that counts as equal, and the probability from which a warning is given"""
@@ -205,4 +205,4 @@ class Posterior(Draws):
 
     def save(self, path: str | Path) -> None:
         """Write ``posterior.nc``, under a temporary name first."""
-        save_draws(self, path)
+        save_posterior(self, path)

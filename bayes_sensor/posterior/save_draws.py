@@ -27,7 +27,7 @@ def to_inference_data(posterior: Draws) -> Any:
     return idata.assemble(*_contents(posterior))
 
 
-def save_draws(posterior: Draws, path: str | Path) -> None:
+def save_posterior(posterior: Draws, path: str | Path) -> None:
     """Write ``posterior.nc``, complete or not at all."""
     with replacing(path) as new:
         idata.save(*_contents(posterior), new)
