@@ -179,8 +179,6 @@ LONG_FILES = frozenset(
         "diagnosis/evidence/hypotheses.py",
         "diagnosis/evidence/refit_coordinates.py",
         "diagnosis/signals/spectral_lines.py",
-        "io/readers/assembly.py",
-        "io/readers/table.py",
         "rig/perturbed.py",
     }
 )

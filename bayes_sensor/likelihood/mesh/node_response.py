@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from bayes_sensor.likelihood.mesh.mesh_arrays import CHEBYSHEV, K
-from bayes_sensor.rig.cascade import step_response
+from bayes_sensor.rig.cascade import partial_fractions, step_response
 
 COINCIDENT = 1e-3
 """relative distance of time constants below which partial fractions give way to the stable form"""
@@ -24,17 +24,13 @@ _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
 @njit(cache=True, error_model="numpy")
-def partial_fractions(taus, c):  # pragma: no cover - compiled
-    # c_j with x3 = 1 - sum c_j exp(-s/tau_j); False when two time constants nearly coincide
+def _nearly_coincide(taus):  # pragma: no cover - compiled
+    # whether two time constants are so close that partial fractions cancel
     for j in range(3):
-        c[j] = taus[j] * taus[j]
         for k in range(3):
-            if k != j:
-                gap = taus[j] - taus[k]
-                if abs(gap) < COINCIDENT * taus[j]:
-                    return False
-                c[j] /= gap
-    return True
+            if k != j and abs(taus[j] - taus[k]) < COINCIDENT * taus[j]:
+                return True
+    return False
 
 
 @njit(cache=True, error_model="numpy")
@@ -157,7 +153,8 @@ def node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride):  # pragma:
     first, last = mesh.blocks[k], mesh.blocks[k + 1]
     room.x[first * K : last * K] = 0.0
     room.xl[first * K : last * K] = 0.0
-    if partial_fractions(taus, c):
+    if not _nearly_coincide(taus):
+        partial_fractions(taus, c)
         exponential_tables(h, taus, mesh.n_kinds, table, stride)
         on_begin, on_end = add_edge(
             first, last, mesh.base, mesh.time, mesh.kind, mesh.follows, h, taus, c, t0, 1.0,
