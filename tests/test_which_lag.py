@@ -80,10 +80,8 @@ def test_a_status_calls_lags_as_the_columns_do(order: str, said: str) -> None:
     problem = Problem(design)
     empty = np.zeros((3, 3))
     place = "tau's estimate, tau_s and tau_v_s"
-    bound = Bound("crlb_ar1", "", "", list(SHARED), empty[0], empty[0], empty, empty, place)
+    bound = Bound(list(SHARED), empty[0], empty[0], empty, empty, place)
     assert with_words(bound, problem.naming()).status == said
-    own = replace(bound, method="posterior")
-    assert with_words(own, problem.naming()).status == place
 
 
 def test_the_step_study_follows_the_names() -> None:

@@ -80,7 +80,7 @@ theta = np.concatenate([small_problem(n=1, interval=0.05)[1], [0.05] * len(other
 say(compress(other, theta).log_likelihood(theta))
 """,
     "bounds": """
-from bayes_sensor.bounds.bootstrap import resample_and_refit
+from bayes_sensor.bounds.methods.block_bootstrap import resample_and_refit
 from bayes_sensor.bounds.cramer_rao import cramer_rao
 from bayes_sensor.bounds.context import Evidence
 problem, theta = small_problem(n=2, interval=0.05, masked=[(3.0, 3.5)], fall=[True, False])

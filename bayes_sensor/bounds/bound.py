@@ -25,11 +25,6 @@ class Bound:
     Seconds, mL and the campaign's signal unit.
     """
 
-    method: str
-    assumes: str
-    """one sentence"""
-    reference: str
-    """reference of the method"""
     names: list[str]
     """flat parameter names"""
     estimate: FloatArray
@@ -44,6 +39,11 @@ class Bound:
     """sentences on irregularities; ``ok`` if there were none"""
     details: Mapping[str, Any] = field(default_factory=dict)
     """numbers of interest to this method alone (bandwidth, block length, ..)"""
+    method: str = ""
+    assumes: str = ""
+    """one sentence"""
+    reference: str = ""
+    """reference of the method"""
 
     def __post_init__(self) -> None:
         n = len(self.names)

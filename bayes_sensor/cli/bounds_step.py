@@ -78,7 +78,7 @@ def naive_bounds(job: Job) -> dict[str, Any]:
     The bounds of ``methods`` are computed at each method's estimate, which may be tau = 0.  These
     are computed at the posterior's median, so that they can be compared.
     """
-    from bayes_sensor.bounds import cramer_rao
+    from bayes_sensor.bounds import METHODS, cramer_rao
 
     vector, sigma = reference_theta(job), float(job.fit.rms)
     names, factors = zip(*naming_of(job).labels, strict=True)
@@ -86,16 +86,14 @@ def naive_bounds(job: Job) -> dict[str, Any]:
         "at": plain(dict(zip(names, vector[:3] * factors, strict=True))),
         "sigma_V": sigma,
     }
-    for method, options in (
-        ("crlb_iid", {}),
-        ("crlb_iid_one_percent_step", {"step": 0.01}),
-        ("crlb_ar1", {"noise": "ar1"}),
-    ):
+    for name, method in METHODS.items():
+        if method.cramer_rao is None:
+            continue
         try:
-            bound = cramer_rao(job.problem, vector, sigma, **options)
-            found[method] = plain(dict(zip(names, bound.sd[:3] * factors, strict=True)))
+            bound = cramer_rao(job.problem, vector, sigma, **method.cramer_rao)
+            found[name] = plain(dict(zip(names, bound.sd[:3] * factors, strict=True)))
         except CampaignError:  # forward Euler is unstable for a tau below half a sample
-            found[method] = None
+            found[name] = None
     return found
 
 

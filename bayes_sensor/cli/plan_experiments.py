@@ -189,13 +189,13 @@ def _check_order(naming: Naming, path: Path) -> None:
 def _estimated(problem: Problem, seed: int, tell: Progress, path: Path) -> FloatArray:
     """The posterior's medians, by name: least squares may have tau at its bound."""
     from bayes_sensor.fit import fit_least_squares
-    from bayes_sensor.posterior import sample_posterior
+    from bayes_sensor.posterior import FASTEST, sample_posterior
 
     fit = fit_least_squares(
         problem, seed=seed, euler=False, progress=lambda share, _: tell(0.3 * share, "fit")
     )
     tell(0.3, "posterior")
-    posterior = sample_posterior(problem, fit, seed=seed, sampler="independence")
+    posterior = sample_posterior(problem, fit, seed=seed, sampler=FASTEST)
     _check_order(posterior.naming, path)
     median: FloatArray = np.median(posterior.draws, axis=0)
     median[:3] = list(named_parameters(posterior.naming, median).values())

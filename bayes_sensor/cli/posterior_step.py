@@ -18,8 +18,11 @@ def run_posterior(job: Job) -> None:
     from bayes_sensor.posterior import sample_posterior
 
     methods = job.overrides.bounds.methods
-    if job.command == "bounds" and methods is not None and "posterior" not in methods:
-        return
+    if job.command == "bounds" and methods is not None:
+        from bayes_sensor.bounds import METHODS
+
+        if not any(METHODS[name].needs_posterior for name in methods):
+            return
     with job.timed("posterior") as tell, muted():
         job.posterior = sample_posterior(
             _with_effects_asked(job),

@@ -13,7 +13,7 @@ from bayes_sensor.design.record_information import EXACT
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.posterior import sample_posterior
+from bayes_sensor.posterior import FASTEST, sample_posterior
 from bayes_sensor.rig.layout import Layout
 
 
@@ -51,7 +51,7 @@ def check_design(
             replace(plan, campaign=campaign, given_priors=priors),
             design.theta,
             int(sampling.generate_state(1)[0]),
-            "independence",
+            FASTEST,
         )
         if posterior.converged:
             low, high = posterior.quantiles("tau_s", [0.025, 0.975])

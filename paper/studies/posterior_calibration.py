@@ -25,7 +25,7 @@ from bayes_sensor.checks.study_chunks import seed_of, study_key
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.prior_density import log_priors
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.posterior import SAMPLERS, Posterior, Settings, sample_posterior
+from bayes_sensor.posterior import FASTEST, SAMPLERS, Posterior, Settings, sample_posterior
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -189,7 +189,7 @@ class RankStudy:
 
     problem: Problem
     """a design whose every prior is proper and explicit"""
-    sampler: str = "independence"
+    sampler: str = FASTEST
     settings: Settings = field(default_factory=Settings)
     n_ranks: int = 127
     seed: int = 1
@@ -226,7 +226,7 @@ class CoverageStudy:
     problem: Problem
     theta: FloatArray
     """(n_theta,) the truth, as the draws of a posterior: lags by size"""
-    sampler: str = "independence"
+    sampler: str = FASTEST
     settings: Settings = field(default_factory=Settings)
     levels: tuple[float, ...] = LEVELS
     seed: int = 1
@@ -273,7 +273,7 @@ class CoverageStudy:
 
 def _said(posterior: Posterior) -> dict[str, float]:
     return {
-        "sampler": float(SAMPLERS.index(posterior.sampler)),
+        "sampler": float(list(SAMPLERS).index(posterior.sampler)),
         "k_hat": np.nan if posterior.k_hat is None else float(posterior.k_hat),
         "mesh_error": posterior.mesh_error,
         "converged": float(posterior.converged),

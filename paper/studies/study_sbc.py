@@ -89,7 +89,7 @@ def samplers(results: dict[str, np.ndarray]) -> pd.DataFrame:
         those = results["sampler"] == number
         rows.append(
             {
-                "sampler": SAMPLERS[number] if number >= 0 else "failed",
+                "sampler": list(SAMPLERS)[number] if number >= 0 else "failed",
                 "n": int(those.sum()),
                 "not_converged": int((results["converged"][those] == 0).sum()),
                 "largest_r_hat": np.max(results["r_hat"][those]),
