@@ -30,7 +30,7 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.cli import _complain
-from bayes_sensor.cli.analysis_steps import print_check
+from bayes_sensor.cli.print_check import print_check
 from bayes_sensor.io.check import campaign_remarks
 from bayes_sensor.io.readers import read_campaign
 

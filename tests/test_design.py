@@ -8,21 +8,14 @@ import pytest
 from campaigns import small_design, small_problem
 from scipy import stats
 
-from bayes_sensor import design
 from bayes_sensor.bounds import cramer_rao
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.design import (
-    _as_pulse,
-    _candidates,
-    design_experiments,
-    predict,
-    predict_tau,
-    record_information,
-    settings_of,
-    sum_information,
-    truth_of,
-    what_if,
-)
+from bayes_sensor.design import choose_experiments, design_experiments, what_if
+from bayes_sensor.design.choose_experiments import _candidates
+from bayes_sensor.design.extra_knowledge import _as_pulse
+from bayes_sensor.design.planned_experiments import settings_of, truth_of
+from bayes_sensor.design.record_information import record_information, sum_information
+from bayes_sensor.design.tau_interval import predict, predict_tau
 from bayes_sensor.likelihood.density import mean_and_variance, simulate
 from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.noise import Noise, lag_coefficient
@@ -363,14 +356,14 @@ def test_a_design_is_made_again_where_better_experiments_tell_tau_better(
     monkeypatch, tau: float, target: float, rounds: int
 ) -> None:
     problem, theta = small_problem(n=2, interval=0.05, tau=tau)
-    choose, made = design._choose, []
+    choose, made = choose_experiments._choose, []
 
     def counted(*args: object) -> list[int]:
         made.append(choose(*args))
         return made[-1]
 
-    monkeypatch.setattr(design, "_choose", counted)
-    found = design.design_experiments(
+    monkeypatch.setattr(choose_experiments, "_choose", counted)
+    found = choose_experiments.design_experiments(
         problem, theta, target, (60.0, 200.0), (0.2, 0.4), (20.0, 40.0), n_grid=(2, 2, 1)
     )
     better = found.after.high68 < 0.9 * found.before.high68

@@ -14,7 +14,7 @@ from campaigns import small_problem
 
 import bayes_sensor
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.checks.calibration import run_chunks
+from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.cli import _guarded
 from bayes_sensor.fit.samples import save_samples
 from bayes_sensor.fit.traces import save_traces
@@ -22,7 +22,7 @@ from bayes_sensor.io.disk import remove, replacing, write_bytes, write_text
 from bayes_sensor.io.json_files import write_json
 from bayes_sensor.io.results import VOID, Results
 from bayes_sensor.io.writers import write_campaign
-from bayes_sensor.likelihood.mesh.kernels import _one_process
+from bayes_sensor.likelihood.mesh.node_sums import _one_process
 from bayes_sensor.posterior import save_draws
 from bayes_sensor.posterior.checkpoints import Checkpoint
 
@@ -188,7 +188,7 @@ def test_the_lock_of_compiled_code_truncates_nothing(tmp_path: Path, outside: Pa
 
 def test_compiled_code_waits_for_the_process_that_compiles(tmp_path: Path) -> None:
     code = (
-        "import sys; from bayes_sensor.likelihood.mesh.kernels import _one_process\n"
+        "import sys; from bayes_sensor.likelihood.mesh.node_sums import _one_process\n"
         "with _one_process(sys.argv[1]):\n    print('held', flush=True)"
     )
     command = [sys.executable, "-c", code, str(tmp_path)]
@@ -207,7 +207,7 @@ def _save_posterior(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     groups = {"posterior": xarray.Dataset({"tau": ("draw", np.ones(3))})}
     monkeypatch.setattr(save_draws, "_contents", lambda posterior: (groups, {}))
-    save_draws.save(None, path)  # type: ignore[arg-type]
+    save_draws.save_posterior(None, path)  # type: ignore[arg-type]
 
 
 def _one(i: int) -> dict[str, Any]:

@@ -39,10 +39,19 @@ HOME = {
 A_RESULT = "the posterior as a result, a command, a file or a module, not the bound method"
 NAMESAKES = {
     ("__init__.py", "posterior"): A_RESULT,
-    ("cli/__init__.py", "posterior"): A_RESULT,
-    ("cli/analysis_steps.py", "posterior"): A_RESULT,
-    ("cli/overrides.py", "posterior"): A_RESULT,
-    ("cli/plan_experiments.py", "posterior"): A_RESULT,
+    **{
+        (f"cli/{file}.py", "posterior"): A_RESULT
+        for file in (
+            "analysis_commands",
+            "interruption",
+            "job",
+            "overrides",
+            "pipeline",
+            "plan_experiments",
+            "posterior_step",
+            "summary_lines",
+        )
+    },
     ("fleet/outcome.py", "posterior"): A_RESULT,
     ("report/saved.py", "posterior"): A_RESULT,
     ("posterior/save_draws.py", "posterior"): "a group of ArviZ's InferenceData",

@@ -18,7 +18,7 @@ from bayes_sensor.diagnosis.effects.simulate_effects import (
     simulate_with_effects,
 )
 from bayes_sensor.diagnosis.effects.user_effects import read_effects
-from bayes_sensor.diagnosis.evidence.comparison import LEFT
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import LEFT
 from bayes_sensor.diagnosis.evidence.form_mismatch import OTHER_FORM, simpler_explanation
 from bayes_sensor.diagnosis.verdict import NAMED, OTHER_CAUSE
 from bayes_sensor.diagnosis.wording import WANDERS

@@ -26,7 +26,7 @@ from bayes_sensor.diagnosis.effects.mains_pickup import SEARCH
 from bayes_sensor.diagnosis.effects.simulate_effects import read_strength
 from bayes_sensor.diagnosis.effects.user_effects import own_effect
 from bayes_sensor.diagnosis.evidence import hypotheses
-from bayes_sensor.diagnosis.evidence.comparison import Comparison
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
 from bayes_sensor.diagnosis.signals.events import _blocks
 from bayes_sensor.diagnosis.signals.finding import Finding
 from bayes_sensor.diagnosis.signals.periodograms import find_line

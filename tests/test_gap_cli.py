@@ -464,7 +464,7 @@ def test_an_effect_of_ones_own_enters_the_model() -> None:
     plan = design(1)
     effect = own_effect("leak", [Strength("leak_V", "V", "normal", 0.0, 0.02)], leak,
                         plausible={"leak_V": 0.02})  # fmt: skip
-    made = effect.apply(Problem(plan))
+    made = with_effects(Problem(plan), [effect])
     assert made.model.extra == ("leak_V",) and not made.model.affine
     flat = Problem(plan).layout.flat(theta(plan))[:7]
     full = np.zeros(len(made.layout))

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from posterior_calibration import CoverageStudy
 
 from bayes_sensor import figures
 from bayes_sensor.bounds import Bound, cramer_rao, explain_tau, step_study
 from bayes_sensor.bounds.compare import with_words
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.checks.calibration import CoverageStudy
 from bayes_sensor.checks.coverage import SETTINGS, BoundsStudy, coverage_of_methods, small_design
 from bayes_sensor.cli import _guarded
 from bayes_sensor.design import design_experiments, what_if

@@ -1,6 +1,7 @@
 """Bounds on the parameters by every method, side by side: see :func:`compare_bounds`."""
 
-from bayes_sensor.bounds.bound import LEVELS, Bound, Bounds
+from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.bounds_table import Bounds
 from bayes_sensor.bounds.compare import compare_bounds
 from bayes_sensor.bounds.cramer_rao import CramerRao, cramer_rao, step_study
 from bayes_sensor.bounds.hardness import TauExplained, explain_tau

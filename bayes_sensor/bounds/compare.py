@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.bounds.bound import LEVELS, Bound, Bounds
+from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.bounds_table import Bounds
 from bayes_sensor.bounds.context import Evidence, Progress, check_data
 from bayes_sensor.bounds.methods import METHODS, BoundMethod
 from bayes_sensor.campaign import Campaign, CampaignError

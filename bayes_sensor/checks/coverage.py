@@ -20,7 +20,8 @@ import numpy as np
 from bayes_sensor.bounds import LEVELS, METHODS, method_of
 from bayes_sensor.bounds.context import Evidence
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
-from bayes_sensor.checks.calibration import binomial_interval, run_chunks, seed_of, study_key
+from bayes_sensor.checks.counted_coverage import binomial_interval
+from bayes_sensor.checks.study_chunks import run_chunks, seed_of, study_key
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.noise import scale_squared, simulate_noise

@@ -27,7 +27,7 @@ from bayes_sensor.diagnosis.data.noise_floor import DOF
 from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.evidence.block_least_squares import inverted, solved
-from bayes_sensor.diagnosis.evidence.comparison import Comparison, Hypothesis
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy
 from bayes_sensor.diagnosis.evidence.hypotheses import INCOMPLETE
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised

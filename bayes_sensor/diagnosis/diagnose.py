@@ -15,7 +15,7 @@ from bayes_sensor.diagnosis.closure import closure, shrinking, shrinking_of_nois
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
 from bayes_sensor.diagnosis.effects import CATALOGUE, check_names
 from bayes_sensor.diagnosis.effects.effect import Effect
-from bayes_sensor.diagnosis.evidence.comparison import Comparison, Hypothesis
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.hypotheses import compare_hypotheses
 from bayes_sensor.diagnosis.excess_shares import distribute_excess
 from bayes_sensor.diagnosis.explanations_table import explanation_rows

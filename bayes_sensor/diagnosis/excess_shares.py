@@ -15,7 +15,7 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
-from bayes_sensor.diagnosis.evidence.comparison import Comparison
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.location import CLEAR, ExcessMap, normalised_shares, parts_of_cells
 from bayes_sensor.diagnosis.signals.finding import FOUND, Finding

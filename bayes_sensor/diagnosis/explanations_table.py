@@ -10,7 +10,7 @@ import numpy as np
 
 from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.closure import closed_by
-from bayes_sensor.diagnosis.evidence.comparison import Comparison, Hypothesis
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.refit import Refit
 from bayes_sensor.diagnosis.signals.finding import Finding
 from bayes_sensor.diagnosis.verdict import Probabilities

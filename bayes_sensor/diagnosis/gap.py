@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bayes_sensor.diagnosis.closed_fraction import Closure
-from bayes_sensor.diagnosis.evidence.comparison import Comparison
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
 from bayes_sensor.diagnosis.hidden import HiddenEffect, HiddenEffects
 from bayes_sensor.diagnosis.isolability import Separation
 from bayes_sensor.diagnosis.location import ExcessMap

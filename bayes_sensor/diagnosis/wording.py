@@ -13,8 +13,9 @@ import numpy as np
 from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects import CATALOGUE
-from bayes_sensor.diagnosis.effects.effect import Effect, Setting
-from bayes_sensor.diagnosis.evidence.comparison import Comparison, Hypothesis
+from bayes_sensor.diagnosis.effects.effect import Effect
+from bayes_sensor.diagnosis.effects.setting import Setting
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.form_mismatch import simpler_explanation
 from bayes_sensor.diagnosis.isolability import Separation
 from bayes_sensor.diagnosis.location import CLEAR, ExcessMap

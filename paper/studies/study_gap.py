@@ -33,7 +33,7 @@ from gap_rigs import (
 
 from bayes_sensor.blind_check import wilson
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.checks.study_chunks import run_chunks, study_key
 from bayes_sensor.diagnosis import CATALOGUE, Gap, diagnose_gap
 from bayes_sensor.diagnosis.data.preparation import base_coordinates, fit_base
 from bayes_sensor.diagnosis.evidence.coordinate_priors import Part

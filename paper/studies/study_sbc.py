@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from drawing import ACCENT, INK, SHADE, TABLES, WIDTH, label, plt, save
+from posterior_calibration import Ranks, RankStudy
 
 from bayes_sensor.campaign import Campaign, Experiment
-from bayes_sensor.checks.calibration import Ranks, RankStudy, run_chunks
+from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import SAMPLERS, Settings

@@ -23,7 +23,7 @@ from scipy.special import logsumexp
 from bayes_sensor.blind_check.plan import LEVELS, Entry, draw_truth, make_plan
 from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.checks.study_chunks import run_chunks, study_key
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
 from bayes_sensor.diagnosis.evidence.discrepancy import (
     FALL,

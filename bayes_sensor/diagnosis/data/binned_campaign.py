@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.bins import AllBins, ExperimentBins
 from bayes_sensor.diagnosis.data.noise_floor import NoiseFloor
-from bayes_sensor.diagnosis.effects.effect import Setting
+from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.diagnosis.evidence.block_least_squares import whiten
 
 SHARED = 3

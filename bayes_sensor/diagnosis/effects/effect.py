@@ -13,18 +13,14 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, log
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
-
-if TYPE_CHECKING:
-    from bayes_sensor.diagnosis.closed_fraction import Closure
-    from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
-    from bayes_sensor.diagnosis.effects.rig_view import RigView
-    from bayes_sensor.diagnosis.signals.finding import Finding, Signal
-    from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.diagnosis.closed_fraction import Closure
+from bayes_sensor.diagnosis.effects.rig_view import RigView
+from bayes_sensor.diagnosis.effects.setting import Setting
+from bayes_sensor.diagnosis.signals.finding import Finding, Samples, Signal
 
 KINDS = ("normal", "log_normal")
 PUBLISHED_SCALES = (0.8577, 1.88, 120.0)
@@ -100,27 +96,6 @@ class Strength:
         return min(max(q, -8.0), 8.0)
 
 
-@dataclass(frozen=True)
-class Setting:
-    """What a form may know of an experiment and its campaign when it sets the rig."""
-
-    experiment: Experiment
-    t0: float
-    """s, when the response begins"""
-    tf: float
-    """s, when it begins to fall; the end of the record where no fall was recorded"""
-    time_scale: float
-    """s, of the slower of valve and manifold, from the fit without effects"""
-    reference_flow: float
-    """mL/s, median of the campaign's total flows"""
-    signal_scale: float
-    """V, median step height of the campaign"""
-    duration: float
-    """s, median record length"""
-    concentration_before: float = 0.0
-    """of the experiment that the campaign lists before this one; 0 for the first of all"""
-
-
 def spread_of_times(name: str) -> Strength:
     """Factor between the time constants of a process that is spread over several of them."""
     return Strength(name, "1", "log_normal", 3.0, 0.4, limits=(1.01, 30.0))
@@ -177,9 +152,9 @@ class OnNoise:
     """why they must, in words that follow the value"""
     signal: Signal | None = None
     """what its detector finds"""
-    look: Callable[[PreparedCampaign, Sequence[Finding]], list[Finding]] | None = None
+    look: Callable[[Samples, Sequence[Finding]], list[Finding]] | None = None
     """its detector, which is told what the detectors before it have found"""
-    closure: Callable[[PreparedCampaign, Finding], tuple[Closure, float | None]] | None = None
+    closure: Callable[[Samples, Finding], tuple[Closure, float | None]] | None = None
     """how far it closes a gap that is not one of the mean, in sample and held out"""
 
 
@@ -274,12 +249,6 @@ class Effect:
     def nameless(self) -> Effect:
         """The effect where the lags cannot be assigned: its counterpart may be the cause."""
         return replace(self, same_response=self.same_response or self.exchanged)
-
-    def apply(self, problem: Problem) -> Problem:
-        """The problem with this effect in its model."""
-        from bayes_sensor.diagnosis.effects.effect_model import with_effects
-
-        return with_effects(problem, [self])
 
     def __post_init__(self) -> None:
         if not self.forms and self.on_noise is None:

@@ -15,8 +15,9 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.diagnosis.effects import CATALOGUE, check_names
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
 from bayes_sensor.diagnosis.effects.rig_view import RigView, check_settings, coating_modes
+from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import Cascade, local_parameters

@@ -6,7 +6,6 @@ Bins average them away; the test is made on the innovations of the noise in the 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -15,10 +14,7 @@ from scipy.special import gammaln, logsumexp
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, detrended, innovations
 from bayes_sensor.diagnosis.effects.effect import Effect, OnNoise
-from bayes_sensor.diagnosis.signals.finding import Finding, Signal, converter_step
-
-if TYPE_CHECKING:
-    from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
+from bayes_sensor.diagnosis.signals.finding import Finding, Samples, Signal, converter_step
 
 TAIL_DOF = (2.5, 3.0, 4.0, 5.0, 7.0, 10.0)
 """degrees of freedom that count as heavy tails"""
@@ -86,7 +82,7 @@ def _student(n: int, strength: Mapping[str, float], rng: np.random.Generator) ->
     return np.asarray(rng.standard_t(dof, n) / np.sqrt(dof / (dof - 2.0)))
 
 
-def _look(prepared: PreparedCampaign, found: Sequence[Finding]) -> list[Finding]:
+def _look(prepared: Samples, found: Sequence[Finding]) -> list[Finding]:
     # on a coarse lattice the innovations are lumps, not tails: spread them over the step again
     step = converter_step([f for f in found if f.log_bayes_factor > LUMPY])
     return [look_at_tails(prepared.raw, step)]

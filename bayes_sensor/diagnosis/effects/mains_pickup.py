@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -19,7 +18,7 @@ from bayes_sensor.diagnosis.closed_fraction import VISIBLE, Closure
 from bayes_sensor.diagnosis.data.quiet_stretches import hides_the_noise
 from bayes_sensor.diagnosis.effects.effect import Effect, OnNoise
 from bayes_sensor.diagnosis.signals.bursts import look_for_bursts
-from bayes_sensor.diagnosis.signals.finding import Finding, Signal, converter_step
+from bayes_sensor.diagnosis.signals.finding import Finding, Samples, Signal, converter_step
 from bayes_sensor.diagnosis.signals.lines import LINE
 from bayes_sensor.diagnosis.signals.periodograms import (
     FOLDED,
@@ -32,9 +31,6 @@ from bayes_sensor.diagnosis.signals.periodograms import (
     noise_levels,
     pieces_of_records,
 )
-
-if TYPE_CHECKING:
-    from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
 
 SIDE = 3.0
 """native resolutions around a line that hold its power"""
@@ -213,7 +209,7 @@ def _added(
     return y + strength["mains_V"] * sine
 
 
-def _look(prepared: PreparedCampaign, found: Sequence[Finding]) -> list[Finding]:
+def _look(prepared: Samples, found: Sequence[Finding]) -> list[Finding]:
     """The mains, and whether they come in bursts; nothing where rounding makes lines of its own."""
     if hides_the_noise(prepared.stretches, converter_step(found)):
         return []
@@ -221,7 +217,7 @@ def _look(prepared: PreparedCampaign, found: Sequence[Finding]) -> list[Finding]
     return [*mains, *(b for f in mains for b in look_for_bursts(*prepared.records, f))]
 
 
-def _closure(prepared: PreparedCampaign, found: Finding) -> tuple[Closure, float | None]:
+def _closure(prepared: Samples, found: Finding) -> tuple[Closure, float | None]:
     return mains_closure(pieces_of_records(*prepared.records), found)
 
 

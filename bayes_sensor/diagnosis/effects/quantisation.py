@@ -6,18 +6,14 @@ An 8-bit scope at +-5 V has steps of 39 mV.  Tested on the sample values themsel
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, detrended, innovations
 from bayes_sensor.diagnosis.effects.effect import Effect, OnNoise
-from bayes_sensor.diagnosis.signals.finding import Finding, Signal
+from bayes_sensor.diagnosis.signals.finding import Finding, Samples, Signal
 from bayes_sensor.residuals.converter_step import lattice_step
-
-if TYPE_CHECKING:
-    from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
 
 COARSE = 0.02
 """share of the sample-to-sample variance from which the converter's steps are called coarse"""
@@ -51,8 +47,8 @@ def _rounded(
     return np.asarray(step * np.rint(y / step))
 
 
-def _look(prepared: PreparedCampaign, _: Sequence[Finding]) -> list[Finding]:
-    return [look_for_steps(prepared.binned.campaign, prepared.stretches)]
+def _look(prepared: Samples, _: Sequence[Finding]) -> list[Finding]:
+    return [look_for_steps(prepared.records[0], prepared.stretches)]
 
 
 EFFECT = Effect(

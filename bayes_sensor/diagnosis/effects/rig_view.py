@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.rig.perturbed import BETA, FIRST, INDEX, SETTINGS, Y0, rig_mean, rig_response
-
-if TYPE_CHECKING:
-    from bayes_sensor.diagnosis.effects.effect import Setting
 
 
 def check_settings(effect: str, settings: Mapping[str, float]) -> None:

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.diagnosis.effects import CATALOGUE
-from bayes_sensor.diagnosis.effects.effect import OnNoise, Setting, Strength
+from bayes_sensor.diagnosis.effects.effect import OnNoise, Strength
 from bayes_sensor.diagnosis.effects.effect_model import (
     EffectModel,
     Scales,
@@ -19,6 +19,7 @@ from bayes_sensor.diagnosis.effects.effect_model import (
     parse_effect,
     with_effects,
 )
+from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.likelihood.noise import lag_coefficient, scale_squared
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import local_parameters

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 from bayes_sensor.diagnosis.closed_fraction import VISIBLE
-from bayes_sensor.diagnosis.evidence.comparison import Comparison, Hypothesis
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit
 from bayes_sensor.diagnosis.signals.finding import FOUND, Finding

@@ -20,7 +20,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.evidence.block_least_squares import solved
-from bayes_sensor.diagnosis.evidence.comparison import (
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import (
     LEFT,
     Comparison,
     Hypothesis,

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.evidence.block_least_squares import inverted
-
-if TYPE_CHECKING:
-    from bayes_sensor.diagnosis.evidence.refit import Refit
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,19 +22,22 @@ class Leverage:
     """(n, n): what the refit takes from a noise e is J solve J'e"""
 
     @classmethod
-    def of(cls, fitted: Refit) -> Leverage:
-        """Of a refit, its priors counted as data."""
-        j = fitted.jacobian
-        normal = j.T @ j
-        solve = fitted.covariance
-        if fitted.x[0] <= 0.0:  # tau at its upper limit: its own coordinate did not move
+    def of(
+        cls, jacobian: FloatArray, prior: FloatArray, covariance: FloatArray, at_limit: bool
+    ) -> Leverage:
+        """Of a refit with the precision ``prior`` (n, n) of its priors, which count as data.
+
+        ``covariance`` (n, n): the inverse of the normal matrix.  ``at_limit``: whether tau is at
+        its upper limit, so that its own coordinate, the first, did not move.
+        """
+        normal = jacobian.T @ jacobian
+        solve = covariance
+        if at_limit:
             keep = np.arange(1, len(solve))
-            inverse = np.zeros_like(solve)
-            matrix = (normal + fitted.coords.own_prior_matrix)[np.ix_(keep, keep)]
-            inverse[np.ix_(keep, keep)] = inverted(matrix)
-            solve = np.asarray(inverse, dtype=float)
+            solve = np.zeros_like(covariance)
+            solve[np.ix_(keep, keep)] = inverted((normal + prior)[np.ix_(keep, keep)])
         inner = np.asarray(2.0 * solve - solve @ normal @ solve, dtype=float)
-        return cls(j, inner, solve)
+        return cls(jacobian, inner, solve)
 
     def block(self, rows: NDArray[np.int64]) -> FloatArray:
         """P on some rows."""

@@ -86,7 +86,8 @@ class Refit:
     @cached_property
     def leverage(self) -> Leverage:
         """What the refit leaves of noise."""
-        return Leverage.of(self)
+        prior, at_limit = self.coords.own_prior_matrix, bool(self.x[0] <= 0.0)
+        return Leverage.of(self.jacobian, prior, self.covariance, at_limit)
 
     @cached_property
     def loosened(self) -> Refit:

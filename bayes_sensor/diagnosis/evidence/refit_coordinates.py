@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import SHARED
-from bayes_sensor.diagnosis.effects.effect import Form, Setting
+from bayes_sensor.diagnosis.effects.effect import Form
 from bayes_sensor.diagnosis.effects.rig_view import RigView, coating_modes
+from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER, CoordinatePriors
 from bayes_sensor.rig.perturbed import (
     BETA,

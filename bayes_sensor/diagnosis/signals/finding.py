@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.special import logsumexp
 
-from bayes_sensor.campaign import FloatArray
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.diagnosis.data.quiet_stretches import Stretch
 
 FOUND = 0.5
 """probability from which a finding counts as present in the steps that follow"""
@@ -48,6 +49,22 @@ class Signal:
     def listed(self) -> bool:
         """Whether it belongs to an effect of the catalogue."""
         return self.sentence is None
+
+
+class Samples(Protocol):
+    """What detectors look at: the samples of a campaign less the mean of an explanation."""
+
+    @property
+    def records(self) -> tuple[Campaign, Sequence[FloatArray], Sequence[FloatArray]]:
+        """The campaign, its residuals (n_t,) V and the deviations (n_t,) V of their noise."""
+
+    @property
+    def stretches(self) -> Sequence[Stretch]:
+        """Quiet parts, spikes replaced."""
+
+    @property
+    def raw(self) -> Sequence[Stretch]:
+        """Quiet parts as measured."""
 
 
 class Place(NamedTuple):
