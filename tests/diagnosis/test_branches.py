@@ -1,0 +1,413 @@
+"""The diagnosis at its edges: what it refuses, and records that hold nothing to look at."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.diagnosis.data.noise_floor import Stretch, clean
+from bayes_sensor.diagnosis.diagnose import _best, ar1_whiteness, diagnose_gap
+from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects.effect import Effect, Strength, own_effect
+from bayes_sensor.diagnosis.effects.effect_model import (
+    EffectModel,
+    check_effects,
+    find_form,
+    with_effects,
+)
+from bayes_sensor.diagnosis.effects.simulate_effects import read_strength
+from bayes_sensor.diagnosis.evidence import hypotheses
+from bayes_sensor.diagnosis.evidence.hypotheses import Weighing
+from bayes_sensor.diagnosis.signals.events import _blocks
+from bayes_sensor.diagnosis.signals.spectral_lines import _look_for_lines
+from bayes_sensor.diagnosis.signals.tails_and_converter import (
+    FullRate,
+    _innovations,
+    look_at_tails,
+)
+from bayes_sensor.diagnosis.verdict import (
+    AKIN,
+    FAINT,
+    MIMIC,
+    MISTAKEN,
+    MISTAKEN_BY_SAMPLES,
+    Standing,
+    _giving_back,
+    _too_small,
+    judge,
+)
+from bayes_sensor.diagnosis.wording import family_words, looks_most, second_words, undecided_words
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.residuals.converter_step import lattice_step
+from bayes_sensor.rig.cascade import Cascade
+from tests.support.campaigns import small_design, small_problem
+from tests.support.planted_effects import measured
+
+TABLES = Path(__file__).resolve().parents[2] / "paper" / "tables"
+
+# --- what is refused
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        (("s", "uniform", 0.0, 1.0), "kind must be one of"),
+        (("s", "normal", 0.0, 0.0), "expected a positive spread, got 0 and 0"),
+        (("s", "log_normal", 0.0, 1.0), "a positive spread and a positive centre, got 0 and 1"),
+    ],
+)
+def test_a_strength_says_what_is_wrong_with_it(numbers, message: str) -> None:
+    with pytest.raises(CampaignError, match=message):
+        Strength("leak_s", *numbers)
+
+
+def test_a_positive_strength_takes_positive_values_only() -> None:
+    strength = Strength("leak_s", "s", "log_normal", 0.2, 0.5)
+    assert strength.value(strength.coordinate(0.3)) == pytest.approx(0.3)
+    assert strength.coordinate(1e-9) == -8.0
+    with pytest.raises(CampaignError, match="leak_s: expected a positive value in s, got -1"):
+        strength.coordinate(-1.0)
+
+
+def test_an_effect_on_the_mean_needs_a_form_and_strengths() -> None:
+    with pytest.raises(CampaignError, match="effect leak: expected at least one form"):
+        Effect("leak", "leak", "", (), {}, "", "")
+    with pytest.raises(CampaignError, match="effect leak: expected at least one strength"):
+        own_effect("leak", [], lambda t, s, rig: t, plausible={})
+
+
+def test_forms_are_found_by_name_or_refused() -> None:
+    effect = next(e for e in CATALOGUE.values() if len(e.forms) > 1 and e.forms[1].name)
+    assert find_form(effect) is effect.forms[0]
+    assert find_form(effect, effect.forms[1].name) is effect.forms[1]
+    with pytest.raises(CampaignError, match=f"no form 'odd'; known are '{effect.forms[0].name}"):
+        find_form(effect, "odd")
+    lone = next(e for e in CATALOGUE.values() if len(e.forms) == 1 and not e.forms[0].name)
+    with pytest.raises(CampaignError, match=f"it has one only: give {lone.name} alone"):
+        check_effects([f"{lone.name}:odd"], "--with-effect")
+    with pytest.raises(CampaignError, match="acts on the noise, not on the mean"):
+        check_effects(["heavy_tails"], "--with-effect")
+
+
+class Faster(Cascade):
+    """A model that is not the cascade."""
+
+
+def test_effects_join_the_cascade_once() -> None:
+    design = small_design()
+    problem = with_effects(design, ["flow_switching"])
+    both = with_effects(problem, ["dead_volume"])
+    assert isinstance(both.model, EffectModel)
+    assert [c.effect for c in both.model.chosen] == ["flow_switching", "dead_volume"]
+    with pytest.raises(CampaignError, match="effect flow_switching is given twice"):
+        with_effects(problem, ["flow_switching"])
+    with pytest.raises(CampaignError, match="effects can only be added to the cascade"):
+        with_effects(Problem(design, model=Faster()), ["flow_switching"])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("dead_volume=3 furlong", "not in 'furlong'; give the number alone"),
+        ("valve_asymmetry=much", "'much' is no number"),
+        ("valve_asymmetry=inf", "expected a finite number"),
+    ],
+)
+def test_a_strength_on_the_command_line_is_a_number(text: str, message: str) -> None:
+    with pytest.raises(CampaignError, match=message):
+        read_strength(text)
+
+
+def test_a_strength_may_be_left_out_or_carry_its_own_unit() -> None:
+    assert read_strength("valve_asymmetry") == ("valve_asymmetry", None)
+    assert read_strength("valve_asymmetry=0.3") == ("valve_asymmetry", 0.3)
+
+
+# --- records that hold nothing to look at
+
+
+def test_a_response_at_no_times_is_empty() -> None:
+    problem, theta = small_problem(n=1, interval=0.05)
+    joined = with_effects(problem, ["flow_switching"])
+    assert isinstance(joined.model, EffectModel)
+    vector = np.concatenate([theta, np.zeros(len(joined.layout) - len(theta))])
+    e = problem.campaign.experiments[0]
+    for part in joined.model.mean_and_response(np.zeros(0), vector, joined.layout, e):
+        assert part.shape == (0,)
+
+
+def test_few_samples_are_left_as_they_are() -> None:
+    residual = np.array([0.0, 9.0, 0.0, 1.0, 2.0])
+    out, spikes = clean(residual, np.array([True, False, True, True, True]))
+    assert out.tolist() == [0.0, 0.0, 0.0, 1.0, 2.0] and spikes == 0
+
+
+def test_a_lattice_needs_levels_that_differ_by_more_than_rounding() -> None:
+    assert lattice_step(np.repeat([0.0, 0.25, 0.5, 1.0], 5)) == pytest.approx(0.25)
+    assert lattice_step(np.repeat([0.0, 1.0], 5)) == 0.0  # any two levels lie on a lattice
+    assert lattice_step(np.repeat([0.0, 0.3, 1.0, 1.45], 5)) == 0.0
+    assert lattice_step(np.repeat([0.0, 1e-12, 1.0, 2.0], 5)) == pytest.approx(1.0)
+
+
+def test_no_pieces_hold_no_lines() -> None:
+    assert _look_for_lines([], "mains_pickup") == []
+
+
+def stretch_of(samples: np.ndarray) -> Stretch:
+    return Stretch(experiment=0, level=0, samples=samples)
+
+
+def test_a_record_of_zeros_has_no_tails() -> None:
+    for samples in (np.zeros(100), np.zeros(500)):
+        found = look_at_tails([stretch_of(samples)])
+        assert found.log_bayes_factor == 0.0 and found.strength == {"tail_dof": float("inf")}
+    assert (_innovations(np.zeros(10), 4) == 0.0).all()
+
+
+def test_a_long_record_is_thinned_and_says_the_same() -> None:
+    rng = np.random.default_rng(3)
+    wild = look_at_tails([stretch_of(rng.standard_t(3, 500_000))])
+    assert wild.log_bayes_factor > 100.0 and wild.strength["tail_dof"] <= 4
+    tame = look_at_tails([stretch_of(rng.standard_normal(500_000))])
+    assert tame.log_bayes_factor < 0.0
+
+
+def test_a_record_of_zeros_has_no_events() -> None:
+    campaign = small_design(n=1)
+    assert _blocks(campaign, stretch_of(np.zeros(20_000))) is None
+    assert _blocks(campaign, stretch_of(np.zeros(100))) is None
+
+
+def test_whiteness_leaves_out_short_and_empty_records() -> None:
+    rng = np.random.default_rng(5)
+    white = rng.standard_normal(4000)
+    alone = ar1_whiteness([white])
+    assert 0.001 < alone <= 1.0
+    assert ar1_whiteness([white, np.zeros(4000), white[:50]]) == alone
+    # an AR(2) is not whitened by an AR(1)
+    wavy = np.zeros(4000)
+    for i in range(2, 4000):
+        wavy[i] = 0.2 * wavy[i - 1] + 0.6 * wavy[i - 2] + white[i]
+    assert ar1_whiteness([wavy]) < 1e-10
+
+
+# --- what the verdict says where no effect stands out
+
+NOTHING = SimpleNamespace(complete=[])
+
+
+def standing(none: float, unlisted: float, families=None, effects=None) -> Standing:
+    each = dict.fromkeys(CATALOGUE, 0.0) | (effects or {})
+    return Standing({}, each, families or {}, none, unlisted, unlisted, unlisted, 0.0)
+
+
+def test_the_verdict_where_no_effect_stands_out() -> None:
+    kinds = [
+        judge(NOTHING, standing(none, unlisted), CATALOGUE)[0]
+        for none, unlisted in ((0.99, 0.0), (0.25, 0.2), (0.2, 0.25), (0.1, 0.9))
+    ]
+    assert kinds == ["none", "none", "unlisted", "unlisted"]
+
+
+@pytest.mark.parametrize(
+    ("none", "unlisted", "in_family", "looks", "kind"),
+    [
+        (0.0, 0.455, 0.545, 0.54, "family"),  # once it is given back, the family is likelier
+        (0.0, 0.52, 0.48, 0.61, "unlisted"),
+        (0.51, 0.49, 0.0, 0.8, "none"),
+        (0.44, 0.56, 0.0, 0.98, "unlisted"),
+        (0.0, 0.4, 0.35, 0.45, "unlisted"),  # nothing is likelier than not
+    ],
+)
+def test_unlisted_is_stated_where_it_is_likeliest_after_what_only_looks_so_is_given_back(
+    none: float, unlisted: float, in_family: float, looks: float, kind: str
+) -> None:
+    family = CATALOGUE["flow_error"].family
+    stand = replace(standing(none, unlisted, {family: in_family}), looks_unlisted=looks)
+    assert judge(NOTHING, stand, CATALOGUE)[0] == kind
+
+
+def test_some_of_what_looks_unlisted_is_a_mistake() -> None:
+    rows = {"none": 0.3, "unlisted": 0.6, "dead_volume": 0.1}
+    made = _giving_back(rows, 0.09, "none")
+    assert sum(made.values()) == pytest.approx(1.0)
+    assert made["unlisted"] == pytest.approx(0.51)
+    assert made["none"] / made["dead_volume"] == pytest.approx(3.0)
+    sure = _giving_back({"none": 0.0, "unlisted": 1.0, "dead_volume": 0.0}, 0.2, "dead_volume")
+    assert sure == pytest.approx({"none": 0.0, "unlisted": 0.8, "dead_volume": 0.2})
+    tiny = _giving_back({"none": 5e-324, "unlisted": 1.0, "dead_volume": 0.0}, 0.2, "none")
+    assert tiny == pytest.approx({"none": 0.2, "unlisted": 0.8, "dead_volume": 0.0})
+    quiet = {"none": 1.0, "unlisted": 0.0, "dead_volume": 0.0}
+    assert _giving_back(quiet, 0.0, "none") == quiet
+
+
+def test_shares_of_the_verdict_are_those_that_earlier_blind_checks_counted() -> None:
+    counted = pd.read_csv(TABLES / "blind_check_shares.csv")
+    near, nearer, by_mean, by_samples, but_one, akin = counted.itertuples(index=False)
+    for row in counted.itertuples():
+        assert row.count / row.of == pytest.approx(row.share, abs=1e-3)
+    assert by_mean.share == pytest.approx(MISTAKEN, abs=1e-3)
+    assert but_one.share < MISTAKEN_BY_SAMPLES < by_samples.share
+    assert akin.share == pytest.approx(AKIN, abs=2.0 * (AKIN * (1.0 - AKIN) / akin.of) ** 0.5)
+    # causes differ from run to run more than campaigns of one cause do
+    for d, row in ((8, near), (16, nearer)):
+        assert row.taken == pytest.approx(MIMIC / d) == pytest.approx(row.share, abs=0.07)
+
+
+def test_an_effect_too_small_to_be_seen_counts_as_nothing_seen() -> None:
+    base = SimpleNamespace(misfit=100.0)
+
+    def too_small(d: float, *effects: str) -> float:
+        fitted = SimpleNamespace(misfit=base.misfit - d**2)
+        return _too_small(SimpleNamespace(effects=effects, refit=fitted), base)
+
+    assert too_small(0.0) == 0.0
+    # |d + noise| < 2, by drawing it
+    drawn = np.random.default_rng(1).standard_normal(400_000)
+    for d in (0.0, 1.0, 2.5, 5.0):
+        assert too_small(d, "a") == pytest.approx((np.abs(d + drawn) < FAINT).mean(), abs=0.004)
+    seen = Standing({}, dict.fromkeys(CATALOGUE, 0.0), {}, 0.7, 0.1, 0.1, 0.1, 0.15)
+    assert judge(NOTHING, seen, CATALOGUE) == ("none", (), None, pytest.approx(0.85))
+
+
+def test_a_family_is_named_where_its_members_cannot_be_told_apart() -> None:
+    name = next(n for n, e in CATALOGUE.items() if e.on_mean)
+    family = CATALOGUE[name].family
+    stand = standing(0.1, 0.1, {family: 0.8}, {name: 0.4})
+    kind, effects, found, p = judge(NOTHING, stand, CATALOGUE)
+    assert (kind, found, p) == ("family", family, pytest.approx(0.8 + AKIN * 0.1))
+    assert effects[0] == name and all(CATALOGUE[n].family == family for n in effects)
+
+
+@pytest.mark.parametrize(
+    ("none", "unlisted", "mains", "kind"),
+    [(0.25, 0.08, 0.59, "family"), (0.35, 0.05, 0.59, "none"), (0.25, 0.3, 0.45, "unlisted")],
+)
+def test_an_effect_of_the_noise_is_stated_where_it_is_likely(
+    none: float, unlisted: float, mains: float, kind: str
+) -> None:
+    # too unlikely to be named, yet likelier than nothing at all
+    stand = standing(none, unlisted, {"interference": mains}, {"mains_pickup": mains})
+    found, *said = judge(NOTHING, stand, CATALOGUE)
+    assert found == kind
+    if kind == "family":  # no unlisted cause acts on the mean as the mains do on the noise
+        assert said == [("mains_pickup",), "interference", mains]
+
+
+def test_of_several_that_are_each_unlikely_the_likeliest_is_stated() -> None:
+    families = {"slow exchange": 0.45, "baseline": 0.35}
+    kind, effects, found, p = judge(NOTHING, standing(0.05, 0.15, families), CATALOGUE)
+    # some unlisted causes act nearly as a member does
+    assert (kind, found, p) == ("family", "slow exchange", pytest.approx(0.45 + AKIN * 0.15))
+    assert all(CATALOGUE[n].family == "slow exchange" for n in effects)
+    # what nothing at all is as likely as, and what less is known of than of an unlisted cause
+    assert judge(NOTHING, standing(0.16, 0.15, families), CATALOGUE)[0] == "none"
+    assert judge(NOTHING, standing(0.05, 0.4, {"slow exchange": 0.35}), CATALOGUE)[0] == "unlisted"
+
+
+@pytest.mark.parametrize(
+    ("probability", "leading", "other", "said"),
+    [
+        (0.45, 0.4, "", "No cause is likelier than not in the rise; the likeliest is a (45 %)."),
+        (0.45, 0.2, "", "in the rise; the likeliest is one of a, B (45 %)."),
+        (0.8, 0.7, "", "Most likely a (70 %) explains the gap in the rise, but a cause outside"),
+        (0.8, 0.7, "b", "a, or b, whose response is the same, explains the gap in the rise."),
+        (0.8, 0.4, "", "One of a, B explains the gap in the rise; this campaign does not tell"),
+    ],
+)
+def test_of_a_family_no_more_is_said_than_is_known(probability, leading, other, said) -> None:
+    assert said in family_words(["a", "B"], probability, leading, " in the rise", other)
+
+
+def test_what_is_likely_beside_a_name_is_said() -> None:
+    effects = {"flow_switching": 0.95, "baseline_step": 0.1, "baseline_drift": 0.7}
+    stand = standing(0.0, 0.05, {"asymmetry": 0.95, "baseline": 0.79, "gain": 0.6}, effects)
+    said = "".join(second_words(["flow_switching"], stand, CATALOGUE))
+    assert "the family baseline (79 %), most likely baseline_drift" in said
+    alone = standing(0.0, 0.05, {"asymmetry": 0.95, "baseline": 0.4}, effects)
+    assert second_words(["flow_switching"], alone, CATALOGUE) == []
+
+
+def test_an_effect_that_shares_its_response_is_not_named_beside_another_either() -> None:
+    sure = {"optical_nonlinearity": 0.95, "slow_sorption": 0.93}
+    families = {CATALOGUE[name].family: p for name, p in sure.items()}
+    stand = standing(0.0, 0.05, families, sure)
+    kind, named, _, p = judge(NOTHING, stand, CATALOGUE)
+    assert (kind, named, p) == ("effect", ("optical_nonlinearity",), 0.95)
+    # it is in the explanation all the same, and said
+    alone, both = (
+        SimpleNamespace(effects=effects, log_weight=weight)
+        for effects, weight in ((("optical_nonlinearity",), -50.0), (tuple(sure), 0.0))
+    )
+    assert _best(SimpleNamespace(complete=[alone, both]), kind, named, stand, CATALOGUE) is both
+    said = "".join(second_words(named, stand, CATALOGUE))
+    assert "most likely slow_sorption or two_rate_valve, whose response is the same" in said
+
+
+def test_families_that_are_likely_are_not_denied() -> None:
+    said = undecided_words(" in the fall", standing(0.0, 0.44, {"baseline": 0.56, "gain": 0.1}))
+    assert "baseline 56 %" in said and "44 %" in said and "gain" not in said
+    said = undecided_words("", standing(0.2, 0.4, {"baseline": 0.4}))
+    assert "nor any family" in said and "may be missing" in said
+
+
+def test_an_effect_of_the_noise_is_named_beside_an_empty_mean() -> None:
+    stand = standing(0.0, 0.05, {}, {"heavy_tails": 0.95})
+    assert judge(NOTHING, stand, CATALOGUE)[:2] == ("effect", ("heavy_tails",))
+
+
+def test_a_hypothesis_that_was_not_tried_is_no_answer() -> None:
+    weighing = Weighing(SimpleNamespace(), SimpleNamespace(), (), CATALOGUE, ())
+    with pytest.raises(KeyError, match="dead_volume"):
+        weighing.find("dead_volume")
+
+
+def test_forms_are_averaged_by_their_evidence(monkeypatch) -> None:
+    forms = {"near": (2.0, -3.0, 0.1), "far": (0.5, -2.0, 0.3)}  # ln evidence, ln tau, its sd
+    monkeypatch.setattr(
+        hypotheses, "Linearised",
+        lambda name: SimpleNamespace(evidences=lambda beside: len(beside) * [SimpleNamespace(
+            **dict(zip(("log_z", "log_tau", "sd_log_tau"), forms[name])))]),
+    )  # fmt: skip
+    monkeypatch.setattr(hypotheses, "_leaps", lambda *_: False)
+
+    class Named(str):
+        loosened = property(lambda self: self)
+
+    weighted = [(Named("near"), 0.25), (Named("far"), 0.75)]
+    log_z, best, mean, sd, terms = hypotheses._average(weighted, None, base=None)
+    shares = np.array([0.25 * np.exp(2.0), 0.75 * np.exp(0.5)])
+    assert log_z == pytest.approx(np.log(shares.sum())) and best == "near"
+    shares /= shares.sum()
+    assert mean == pytest.approx(shares @ [-3.0, -2.0])
+    spread = shares @ [0.1**2 + (-3.0 - mean) ** 2, 0.3**2 + (-2.0 - mean) ** 2]
+    assert sd == pytest.approx(np.sqrt(spread))
+    kept = {term.refit: term.share for term in terms}
+    assert kept == pytest.approx({"near": shares[0], "far": shares[1]})
+
+
+def test_what_comes_nearest_to_an_unlisted_cause_is_told_where_none_was_stated():
+    event = FullRate(
+        "event", 1.0, {"event_experiment": 1.0, "event_s": 47.4, "event_ratio": 5.4}, 5.4
+    )
+    listed = FullRate("mains_pickup", 1.5, {"mains_V": 1e-3, "mains_Hz": 50.0}, None)
+    (told,) = looks_most([listed, event], ["a", "b"], "V")
+    assert "experiment b" in told and "47.4 s" in told and "5.4 times" in told
+    assert f"put down to the noise ({100.0 * (1.0 - event.probability):.0f} %)" in told
+    # what data do not speak for is no news, nor is a listed cause of the noise
+    assert looks_most([replace(event, log_bayes_factor=0.5), listed], ["a", "b"], "V") == []
+    assert looks_most([], ["a", "b"], "V") == []
+
+
+def test_a_bump_that_passes_for_noise_is_in_the_notes_of_none():
+    campaign = measured({}, seed=2)
+    e = campaign.experiments[1]
+    bump = np.where((e.t > 25.0) & (e.t < 27.0), 0.016, 0.0)
+    campaign = campaign.with_data({e.name: e.values + bump})
+    gap = diagnose_gap(campaign, bootstrap=0, separate=False, hidden=False, follow=False)
+    assert gap.verdict.kind == "none"
+    assert any("put down to the noise" in note for note in gap.notes)
