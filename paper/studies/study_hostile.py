@@ -1,8 +1,8 @@
 """Thousands of hostile and broken inputs to every reader: what becomes of each.
 
 The inputs and the judge are those of ``tests/support/bad_inputs.py``: refused with exit code 2 and
-one clear message, or read with the right numbers; anything else counts as a failure.  Most are read in
-this process, one in ``EVERY`` by ``bayes-sensor check`` or ``fit`` in a process of its own with
+one clear message, or read with the right numbers; anything else counts as a failure.  Most are read
+in this process, one in ``EVERY`` by ``bayes-sensor check`` or ``fit`` in a process of its own with
 limits on memory and time.
 """
 
