@@ -1,8 +1,8 @@
 """Campaigns at the edge of what can be told: what is said of them, and how often it is right.
 
 Every case of ``tests/support/extreme_cases.py`` is drawn again and again, fitted, sampled and
-bounded; an interval counts as plain where nothing is printed beside it, as warned where a warning, a
-status or exit code 3 is.  The last case is measured instead: fifty experiments of two minutes at
+bounded; an interval counts as plain where nothing is printed beside it, as warned where a warning,
+a status or exit code 3 is.  The last case is measured instead: fifty experiments of two minutes at
 10 kHz.
 """
 
