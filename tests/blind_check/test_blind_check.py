@@ -27,7 +27,6 @@ from bayes_sensor.blind_check import (
 )
 from bayes_sensor.blind_check.detectability import (
     IdealModel,
-    _of_oscillations,
     bin_covariance,
     detectability,
     ideal_fit,
@@ -55,7 +54,7 @@ from bayes_sensor.blind_check.simulator import (
 from bayes_sensor.blind_check.statistics import Row, area
 from bayes_sensor.blind_check.truth import complete_truth
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import _guarded
+from bayes_sensor.cli import exit_code
 from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.figures import svg
 from bayes_sensor.figures.plot_blind_check import opened_seal, score_card
@@ -154,7 +153,7 @@ def test_detectability_of_a_sine_is_its_energy_over_the_spectrum(rig: Case) -> N
     hum = replace(rig, noise=white, strengths={"mains_hum": 0.01})
     ideal, loud = clean_signals(replace(hum, strengths={})), clean_signals(hum)
     energy = sum(float(np.sum((loud[k] - ideal[k]) ** 2)) for k in ideal) / 0.03**2
-    assert _of_oscillations(hum) == pytest.approx(np.sqrt(energy), rel=0.01)
+    assert detectability(hum) == pytest.approx(np.sqrt(energy), rel=0.01)
 
 
 def test_the_right_effect_closes_what_others_do_not(rig: Case) -> None:
@@ -660,7 +659,7 @@ def test_a_small_blind_check_from_the_command_line(
     out = tmp_path / "out"
     command = ["blind-check", "--out", str(out), "--cases", "20", "--seed", "6", "--size", "small",
                "--setting", "study", "--quiet", "--no-keep"]  # fmt: skip
-    assert _guarded(command) == 0
+    assert exit_code(command) == 0
     card, rows = score(open_seals(out))
     assert read_json(out / "score.json")["n"] == card["n"] == 20
     assert len((out / "cases.csv").read_text().splitlines()) == 21
@@ -673,7 +672,7 @@ def test_a_small_blind_check_from_the_command_line(
     assert len(card_table(card)) > 40
     # the halves, on what is there
     before = (out / "score.json").read_text()
-    assert _guarded(["blind-check", "--out", str(out), "--score-only", "--quiet"]) == 0
+    assert exit_code(["blind-check", "--out", str(out), "--score-only", "--quiet"]) == 0
     assert (out / "score.json").read_text() == before
     # the report, made with the score and again from what is saved
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -682,10 +681,10 @@ def test_a_small_blind_check_from_the_command_line(
     assert 'id="f-blind-card"' in page and 'id="measured"' not in page
     assert all(f">{row['case']}<" in page for row in rows)
     (out / "report.html").unlink()
-    assert _guarded(["report", str(out), "--quiet"]) == 0
+    assert exit_code(["report", str(out), "--quiet"]) == 0
     assert (out / "report.html").read_text(encoding="utf-8") == page
     (out / "cases.csv").write_text("case,kind\ncase-0001,null\n")
-    assert _guarded(["report", str(out)]) == 2
+    assert exit_code(["report", str(out)]) == 2
     assert "cases.csv: expected the cases of a blind check" in capsys.readouterr().err
     # strong causes that are listed stand out against nothing at all
     strong = [r["p_none"] for r in rows if r["kind"] == "listed" and r["d"] > 12]

@@ -16,7 +16,7 @@ from bayes_sensor.blind_check import diagnose_cases, draw_cases, open_seals, sea
 from bayes_sensor.blind_check.simulator import draw_case, make_campaign
 from bayes_sensor.blind_check.truth import KEYS
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.cli import _guarded, run_blind_check
+from bayes_sensor.cli import exit_code, run_blind_check
 from bayes_sensor.io.json_files import read_json, sha256
 from bayes_sensor.io.writers import write_campaign
 
@@ -53,7 +53,7 @@ def own(tmp_path: Path, one_campaign: Campaign) -> Path:
 
 def command(out: Path, *arguments: str) -> int:
     """The exit code of the blind check in ``out``."""
-    return _guarded(["blind-check", "--out", str(out), *arguments])
+    return exit_code(["blind-check", "--out", str(out), *arguments])
 
 
 # --------------------------------------------------------------------------- truths
@@ -383,10 +383,10 @@ def test_user_errors_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["--cases-only", "--score-only"], "at most one of --cases-only"),
         (["--size", "big"], "--size: expected one of mixed"),
     ):
-        assert _guarded(["blind-check", "--out", out, *arguments]) == 2
+        assert exit_code(["blind-check", "--out", out, *arguments]) == 2
         assert words in capsys.readouterr().err
     (tmp_path / "own" / "campaigns").mkdir(parents=True)
-    assert _guarded(["blind-check", "--out", str(tmp_path / "own")]) == 2
+    assert exit_code(["blind-check", "--out", str(tmp_path / "own")]) == 2
     assert "campaigns of your own" in capsys.readouterr().err
 
 

@@ -23,22 +23,22 @@ from bayes_sensor.bounds import (
     step_study,
 )
 from bayes_sensor.bounds.bootstrap import (
-    _series,
     optimal_block_length,
     resample_and_refit,
+    residual_series,
     stationary_indices,
 )
 from bayes_sensor.bounds.context import Evidence
 from bayes_sensor.bounds.gaussian_intervals import (
-    _switch_quantiles,
     gaussian_bound,
     invert,
     square_ends,
+    switch_quantiles,
 )
 from bayes_sensor.bounds.hardness import multiple_correlation
 from bayes_sensor.bounds.jackknife import leave_one_out
 from bayes_sensor.bounds.likelihood_surface import maximise, spread_along_tau, white_surface
-from bayes_sensor.bounds.profile import Point, _next
+from bayes_sensor.bounds.profile import Point, next_value
 from bayes_sensor.bounds.sandwich import (
     andrews_bandwidth,
     ar1_middle,
@@ -499,7 +499,7 @@ def test_a_refit_on_node_sums_equals_a_refit_of_the_samples(small):
     rng = np.random.default_rng(np.random.SeedSequence([9, 71]))
     values = {}
     for k, e in enumerate(problem.campaign):
-        own = _series(problem, vector, k, True)
+        own = residual_series(problem, vector, k, True)
         index = stationary_indices(len(own.e), own.length, rng)
         innovations = own.e[index]
         innovations[1:] *= np.sqrt(1.0 - own.phi**2)
@@ -604,7 +604,7 @@ def test_maximise_keeps_a_square_above_its_floor():
 def test_intervals_in_the_square_match_their_definition():
     q, sd_q, variance, covariance = 0.002, 0.003, 1e-4, 1e-7
     z = np.array([1.0, 2.0])
-    low, high = _switch_quantiles(5.0, q, sd_q, variance, covariance, z)
+    low, high = switch_quantiles(5.0, q, sd_q, variance, covariance, z)
     rng = np.random.default_rng(1)
     draws = rng.multivariate_normal(
         [q, 5.0], [[sd_q**2, covariance], [covariance, variance]], 10**6
@@ -1031,7 +1031,7 @@ def test_whitening_across_a_gap_leaves_white_noise() -> None:
     theta = its_theta(campaign, phi=0.95)
     problem = replace(problem, campaign=simulate(problem, theta, seed=3))
     e = problem.campaign.experiments[0]
-    series = _series(problem, problem.layout.flat(theta), 0, whitened=True)
+    series = residual_series(problem, problem.layout.flat(theta), 0, whitened=True)
     starts = np.cumsum([0, *(b - a for a, b in e.runs[:-1])])[1:]
     assert len(starts) > 500
     # variance 1 within and across, sd of the mean square across sqrt(2/n)
@@ -1050,9 +1050,9 @@ def test_a_profile_is_followed_outwards_in_proportion() -> None:
     for centre, sign in ((2.0, 1.0), (2.0, -1.0), (-0.5, 1.0)):
         near = at(centre + sign * 0.25, 1.0)
         # a Gaussian profile: the drop is proportional to the distance; 2 % beyond the target
-        assert _next(centre, near, None, 9.0, 1.96) == pytest.approx(
+        assert next_value(centre, near, None, 9.0, 1.96) == pytest.approx(
             centre + sign * 0.25 * 1.02 * 1.96
         )
-        assert _next(centre, at(centre, 0.0), None, 9.0, 1.96) == 9.0
+        assert next_value(centre, at(centre, 0.0), None, 9.0, 1.96) == 9.0
         # at most three times as far
-        assert _next(centre, near, None, 9.0, 100.0) == pytest.approx(centre + sign * 0.75)
+        assert next_value(centre, near, None, 9.0, 100.0) == pytest.approx(centre + sign * 0.75)

@@ -16,8 +16,8 @@ from bayes_sensor.checks.coverage import (
     SETTINGS,
     BoundsStudy,
     Setting,
-    _limits,
     chosen_settings,
+    coverage_limits,
     coverage_of_methods,
     run_coverage,
     simulate_setting,
@@ -264,8 +264,8 @@ def test_a_coverage_study_tries_the_methods_that_were_asked_for(monkeypatch, tmp
 
 def test_coverage_of_no_interval_has_no_limits() -> None:
     none = np.zeros((5, 1), dtype=bool)
-    assert np.isnan(_limits(none, none)).all()
-    low, high = _limits(~none, ~none)
+    assert np.isnan(coverage_limits(none, none)).all()
+    low, high = coverage_limits(~none, ~none)
     assert 0.4 < low < 0.8 and high == 1.0
 
 

@@ -15,11 +15,11 @@ from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import Campaign, Experiment
 from bayes_sensor.checks.predictive import (
     PredictiveCheck,
-    _compare,
-    _pit,
-    _Statistics,
+    ResidualStatistics,
     check_predictive,
     checked,
+    compare_statistic,
+    make_pit,
 )
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import simulate
@@ -176,7 +176,7 @@ def test_the_distance_from_uniform_is_drawn_over_the_whole_range() -> None:
     problem, _ = small_problem(n=1, interval=0.05)
     n = int(problem.campaign.experiments[0].used.sum())
     u = np.random.default_rng(1).random(n)
-    found = _pit([u], problem)
+    found = make_pit([u], problem)
     np.testing.assert_allclose(found.grid, np.arange(1, 100) / 100)
     expected = [(u <= g).mean() - g for g in found.grid]
     np.testing.assert_allclose(found.ecdf_difference, expected)
@@ -188,7 +188,7 @@ def test_p_values_of_few_replicates_are_uniform_where_nothing_is_wrong() -> None
     rng = np.random.default_rng(6)
     observed = np.broadcast_to(rng.standard_normal(20_000), (3, 20_000))
     replicated = rng.standard_normal((3, 20_000))
-    found = _compare("mean", "x", "s", np.arange(20_000.0), observed, replicated)
+    found = compare_statistic("mean", "x", "s", np.arange(20_000.0), observed, replicated)
     assert kstest(found.p_values, "uniform").pvalue > 0.01
     assert np.mean(found.p_values < 0.05) == pytest.approx(0.05, abs=4 * 0.0015)
 
@@ -196,7 +196,7 @@ def test_p_values_of_few_replicates_are_uniform_where_nothing_is_wrong() -> None
 def test_the_statistics_of_residuals_are_those_of_the_textbook() -> None:
     # one experiment, two stretches missing; what stands there is of no account
     problem, theta = small_problem(n=1, interval=0.02, masked=[(1.0, 1.5), (4.0, 4.1)])
-    statistics = _Statistics(problem, theta)
+    statistics = ResidualStatistics(problem, theta)
     (e,) = problem.campaign.experiments
     rng = np.random.default_rng(5)
     z, s = rng.standard_normal(len(e.t)), 0.01 + 0.02 * rng.random(len(e.t))
@@ -228,7 +228,7 @@ def test_the_statistics_of_residuals_are_those_of_the_textbook() -> None:
 
 def test_a_response_below_zero_counts_as_pure_carrier_gas(monkeypatch) -> None:
     problem, theta = small_problem(n=1, interval=0.02)
-    plain = _Statistics(problem, theta)
+    plain = ResidualStatistics(problem, theta)
     (e,) = problem.campaign.experiments
     response = problem.model.response
 
@@ -237,7 +237,7 @@ def test_a_response_below_zero_counts_as_pure_carrier_gas(monkeypatch) -> None:
         return np.where(x < 1e-3, -0.01, x)
 
     monkeypatch.setattr(type(problem.model), "response", lambda self, *a: undershooting(*a))
-    found = _Statistics(problem, theta)
+    found = ResidualStatistics(problem, theta)
     np.testing.assert_array_equal(found.bin_counts, plain.bin_counts)
     assert (found.concentration >= 0.0).all()
     assert found.concentration[-1] == pytest.approx(e.concentration, rel=0.1)

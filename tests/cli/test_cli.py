@@ -17,7 +17,7 @@ import pytest
 
 import bayes_sensor
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import _guarded
+from bayes_sensor.cli import exit_code
 from bayes_sensor.cli.analysis_steps import Job, _saved_spreads, _watching
 from bayes_sensor.cli.overrides import make_problem, read_overrides, read_prior
 from bayes_sensor.io.readers import read_campaign
@@ -30,7 +30,7 @@ ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 def run(*arguments: str | Path) -> int:
     """The exit code of a command, in this process."""
-    return _guarded([str(a) for a in arguments])
+    return exit_code([str(a) for a in arguments])
 
 
 def start(*arguments: str | Path) -> subprocess.Popen[str]:
@@ -70,7 +70,7 @@ def test_version_and_help_answer_quickly() -> None:
 
 def test_numerics_are_not_loaded_for_the_help() -> None:
     code = (
-        "import sys; from bayes_sensor.cli import _guarded; _guarded(['--help'])\n"
+        "import sys; from bayes_sensor.cli import exit_code; exit_code(['--help'])\n"
         "heavy = {'numpy', 'scipy', 'numba', 'pandas', 'matplotlib', 'arviz', 'pydantic'}\n"
         "loaded = heavy & set(sys.modules)\n"
         "sys.exit(f'loaded: {loaded}' if loaded - {'numpy'} else 0)"

@@ -10,7 +10,7 @@ import pytest
 import typer
 
 from bayes_sensor.checks.coverage import SETTINGS, run_coverage
-from bayes_sensor.cli import _guarded, app
+from bayes_sensor.cli import app, exit_code
 from bayes_sensor.io.readers import read_campaign
 
 COMMON = {"--seed", "--jobs", "--quiet", "--config"}
@@ -19,7 +19,7 @@ COMMANDS: dict[str, Any] = vars(typer.main.get_command(app))["commands"]
 
 def run(*arguments: str | Path) -> int:
     """The exit code of a command, in this process."""
-    return _guarded([str(a) for a in arguments])
+    return exit_code([str(a) for a in arguments])
 
 
 def settings(tmp_path: Path, text: str) -> Path:

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import _guarded
+from bayes_sensor.cli import exit_code
 from bayes_sensor.diagnosis import CATALOGUE, Strength, own_effect
 from bayes_sensor.diagnosis.data.preparation import prepare
 from bayes_sensor.diagnosis.diagnose import diagnose_gap
@@ -38,7 +38,7 @@ RATIO = 1.25
 
 def run(*arguments: str | Path) -> int:
     """The exit code of a command, in this process."""
-    return _guarded([str(a) for a in arguments])
+    return exit_code([str(a) for a in arguments])
 
 
 def simulate(folder: Path, *options: str) -> int:

@@ -23,7 +23,7 @@ from bayes_sensor.diagnosis.evidence.varying_parameter import embedded_rivals
 from bayes_sensor.diagnosis.verdict import judge
 from bayes_sensor.diagnosis.wording import _effect_words, second_words, whose
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.report.sections.gap_section import _envelope, _shrink
+from bayes_sensor.report.sections.gap_section import envelope_sentences, shrink_sentences
 from bayes_sensor.report.sections.gap_tables import budget_table, hidden_table, which_table
 from bayes_sensor.rig.lags import Assignment, Naming, assignments, by_size
 from bayes_sensor.rig.layout import Layout
@@ -203,7 +203,7 @@ def test_where_nobody_knows_nothing_is_said_of_tau() -> None:
 
 def test_the_report_speaks_of_the_shorter_lag() -> None:
     record = diagnosed("unknown").to_json()
-    text = " ".join([*_shrink(record, "mV", 1e3), *_envelope(record, False)])
+    text = " ".join([*shrink_sentences(record, "mV", 1e3), *envelope_sentences(record, False)])
     assert "The shorter lag moves from" in text and "the shorter lag lies between" in text
     tables = [budget_table(record, "mV", 1e3), which_table(record), hidden_table(record)]
     for table in tables:

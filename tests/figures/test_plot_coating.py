@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from bayes_sensor import figures
 from bayes_sensor.coating import Coating, Response, solve
 from bayes_sensor.coating.readout import Cladding, Readout, Ring, linear_range, matched_readout
-from bayes_sensor.figures.plot_coating import _MAP, diffusion_figure, spectra_figure
+from bayes_sensor.figures.plot_coating import UPTAKE_MAP, diffusion_figure, spectra_figure
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def test_one_coating_alone_and_one_without_a_side(pair):
 
 
 def test_the_map_darkens_in_grey():
-    grey = np.array([_MAP(x)[:3] for x in np.linspace(0, 1, 50)]) @ [0.299, 0.587, 0.114]
+    grey = np.array([UPTAKE_MAP(x)[:3] for x in np.linspace(0, 1, 50)]) @ [0.299, 0.587, 0.114]
     assert (np.diff(grey) < 0).all()
 
 

@@ -13,7 +13,7 @@ import pytest
 import bayes_sensor as bs
 from bayes_sensor import figures
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import _guarded
+from bayes_sensor.cli import exit_code
 from bayes_sensor.fleet import COLUMNS, Entry, comparison, failed_row, read_list, table
 from bayes_sensor.fleet.comparison import page
 
@@ -35,7 +35,7 @@ explain = false
 
 
 def run(*arguments: str | Path) -> int:
-    return _guarded([str(a) for a in arguments])
+    return exit_code([str(a) for a in arguments])
 
 
 # --- lists

@@ -1098,9 +1098,9 @@ def test_real_campaigns(name: str, n: int, samples: int, falls: bool) -> None:
 def test_the_factors_kept_at_hand_are_those_of_pint(monkeypatch: pytest.MonkeyPatch) -> None:
     from bayes_sensor.io.readers import quantities
 
-    known = dict(quantities._COMMON)
+    known = dict(quantities.COMMON_FACTORS)
     assert ("L/min", "mL/s") in known
-    monkeypatch.setattr(quantities, "_COMMON", {})
+    monkeypatch.setattr(quantities, "COMMON_FACTORS", {})
     for (unit, target), factor in known.items():
         quantities.conversion_factor.cache_clear()
         assert quantities.conversion_factor(unit, target) == pytest.approx(factor, rel=4e-16)

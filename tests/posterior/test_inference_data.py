@@ -57,7 +57,9 @@ def check(data, posterior: Posterior) -> None:
 
 def test_groups_variables_and_dimensions(posterior: Posterior) -> None:
     data = posterior.inference_data
-    names = {str(name).strip("/") for name in (data.children if idata._modern() else data.groups())}
+    names = {
+        str(name).strip("/") for name in (data.children if idata.has_data_tree() else data.groups())
+    }
     assert names == set(GROUPS)
     check(data, posterior)
 
@@ -129,7 +131,7 @@ def test_the_diagnostics_are_those_of_arviz(kind: str) -> None:
 def test_pareto_k_is_that_of_arviz(k: float) -> None:
     rng = np.random.default_rng(6)
     log_weights = np.log((rng.random(4000) ** -k - 1) / k + 1)
-    if idata._modern():
+    if idata.has_data_tree():
         from arviz_stats.base import array_stats
 
         weights = np.exp(log_weights - log_weights.max())
@@ -139,5 +141,5 @@ def test_pareto_k_is_that_of_arviz(k: float) -> None:
 
         theirs = arviz.psislw(log_weights)[1]
     # ArviZ 1.x cuts the tail half a draw elsewhere
-    tolerance = 0.01 if idata._modern() else 1e-9
+    tolerance = 0.01 if idata.has_data_tree() else 1e-9
     assert pareto_k(log_weights) == pytest.approx(float(theirs), abs=tolerance)

@@ -16,11 +16,11 @@ from bayes_sensor.likelihood.prior_density import log_prior
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.posterior.laplace import (
     Laplace,
-    _expand,
-    _information,
     approximate,
     draw_root,
+    expand,
     log_posteriors,
+    posterior_information,
     prior_gradient,
 )
 from tests.support.campaigns import small_problem
@@ -234,7 +234,7 @@ def test_curvatures_are_taken_where_tau_squared_is_positive() -> None:
     problem, theta = small_problem(n=2, interval=0.05, tau=0.01)
     mesh, coordinates = compress(problem, theta), Coordinates(problem)
     psi = coordinates.psi(theta)
-    info = _information(mesh, coordinates, psi)
+    info = posterior_information(mesh, coordinates, psi)
     assert psi[0] < 0.3 / np.sqrt(info[0, 0])  # a usual step would reach below zero
     asked = []
 
@@ -242,7 +242,7 @@ def test_curvatures_are_taken_where_tau_squared_is_positive() -> None:
         asked.append(at.copy())
         return -info @ (at - psi)
 
-    mean, cov = _expand(mesh, coordinates, psi, gradient)
+    mean, cov = expand(mesh, coordinates, psi, gradient)
     assert (np.array(asked)[:, coordinates.squared] > 0.0).all()
     # a Gaussian is its own expansion
     np.testing.assert_allclose(mean, psi, rtol=1e-12)

@@ -22,8 +22,8 @@ from bayes_sensor.posterior import Posterior, Settings, load_chains, sample_post
 from bayes_sensor.posterior.checkpoints import Checkpoint
 from bayes_sensor.posterior.laplace import approximate, log_posteriors
 from bayes_sensor.posterior.quantiles import reaches_end
-from bayes_sensor.posterior.sample import _start
-from bayes_sensor.posterior.samplers.emcee_ensembles import _hopeless
+from bayes_sensor.posterior.sample import start_vector
+from bayes_sensor.posterior.samplers.emcee_ensembles import hopeless
 from bayes_sensor.posterior.samplers.hmc import Whitened
 from bayes_sensor.posterior.widen_mesh import covered
 from bayes_sensor.rig.cascade import (
@@ -718,7 +718,7 @@ def test_a_start_may_hold_some_of_a_models_own_parameters() -> None:
     priors = {name: Prior("normal", 0.0, 0.3) for name in own.extra}
     extended = replace(problem, model=own, given_priors=priors)
     given = {**problem.layout.nested(theta), "closing_ratio": 0.1}
-    np.testing.assert_array_equal(_start(extended, given), _start(extended, theta))
+    np.testing.assert_array_equal(start_vector(extended, given), start_vector(extended, theta))
 
 
 def test_a_mesh_grows_to_the_draws_also_where_a_switch_time_has_another_prior() -> None:
@@ -783,9 +783,9 @@ def test_an_ensemble_that_cannot_get_there_is_given_up_after_500_steps() -> None
     settings = Settings(n_chains=2, n_draws=400, burn_in=0, max_steps=2000)
     good = rng.standard_normal((4, 500, 2))
     stuck = good + 5.0 * np.arange(4)[:, None, None]
-    assert _hopeless(stuck, 500, settings)
-    assert not _hopeless(good, 500, settings)
-    assert not _hopeless(stuck, 400, settings)  # too soon to tell
+    assert hopeless(stuck, 500, settings)
+    assert not hopeless(good, 500, settings)
+    assert not hopeless(stuck, 400, settings)  # too soon to tell
 
 
 def test_what_a_killed_run_left_half_written_is_removed(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from matplotlib.image import imread
 
 from bayes_sensor import figures, report
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import _guarded, analysis_steps
+from bayes_sensor.cli import analysis_steps, exit_code
 from bayes_sensor.cli.simulate_campaigns import published_design
 from bayes_sensor.fit.samples import load_samples
 from bayes_sensor.io.check import campaign_rows
@@ -74,7 +74,7 @@ sensor_is = "faster"
 
 
 def run(*arguments: str | Path) -> int:
-    return _guarded([str(a) for a in arguments])
+    return exit_code([str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module")

@@ -29,8 +29,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.cli import _complain
-from bayes_sensor.cli.analysis_steps import print_check
+from bayes_sensor.cli import exit_code
 from bayes_sensor.io.check import campaign_remarks
 from bayes_sensor.io.readers import read_campaign
 
@@ -1371,14 +1370,10 @@ def judge(
 
 
 def check_in_process(path: Path) -> tuple[int, str]:
-    """Exit code and stderr of ``bayes-sensor check`` without a new process or parsing."""
+    """Exit code and stderr of ``bayes-sensor check`` without a new process."""
     err = io.StringIO()
     with redirect_stdout(io.StringIO()), redirect_stderr(err):
-        try:
-            print_check(path, quiet=False)
-            code = 0
-        except CampaignError as error:
-            code = _complain(str(error))
+        code = exit_code(["check", str(path)])
     return code, err.getvalue()
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from bayes_sensor.cli import _guarded
+from bayes_sensor.cli import exit_code
 
 TABLES = Path(__file__).resolve().parents[2] / "paper" / "tables"
 
@@ -54,12 +54,12 @@ def test_the_diagnosis_of_the_gap_does_not_depend_on_jobs(tmp_path: Path) -> Non
     small = ["--experiments", "1,6", "--duration", "12 s", "--interval", "20 ms", "--quiet"]
     noise = ["--sigma0", "5 mV", "--sigma1", "3 mV", "--effect", "valve_asymmetry=0.3"]
     campaign = tmp_path / "c" / "campaign.toml"
-    assert _guarded(["simulate", "--out", str(campaign.parent), *small, *noise]) == 0
+    assert exit_code(["simulate", "--out", str(campaign.parent), *small, *noise]) == 0
     texts = []
     for jobs in ("1", "2"):
         out = tmp_path / jobs
         options = ["--jobs", jobs, "--bootstrap", "4", "--seed", "3", "--quiet"]
-        assert _guarded(["gap", str(campaign), "--out", str(out), *options]) == 0
+        assert exit_code(["gap", str(campaign), "--out", str(out), *options]) == 0
         texts.append((out / "gap.json").read_text())
     assert texts[0] == texts[1]
 

@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import _advice, _guarded
+from bayes_sensor.cli import _advice, exit_code
 from bayes_sensor.io import folder_lock
 from bayes_sensor.io.folder_lock import Lock
 from bayes_sensor.io.results import Results
@@ -37,7 +37,7 @@ max_steps = 120
 
 
 def run(*arguments: str | Path) -> int:
-    return _guarded([str(a) for a in arguments])
+    return exit_code([str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module")

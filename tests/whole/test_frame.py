@@ -176,6 +176,61 @@ def test_the_tests_mirror_the_rooms() -> None:
     assert untested == set()
 
 
+# Still private and tested: the rooms they are in are being rewritten.
+NOT_YET_PUBLIC = {
+    "_BEGUN", "_Ordinates", "_advice", "_as_pulse", "_average", "_best", "_bin_cholesky", "_blocks", "_bursts",
+    "_candidates", "_changes", "_check_memory", "_choose", "_correlation", "_effect_words",
+    "_giving_back", "_innovations", "_leaps", "_look_for_lines", "_most_promising",
+    "_one_process", "_own_memory", "_parts", "_record", "_rigs", "_runs_of_bins", "_saved_spreads",
+    "_shares", "_short_patches", "_too_small", "_watching",
+}  # fmt: skip
+
+
+def private_names(source: str) -> Iterator[tuple[int, str]]:
+    """Line and name of everything private that a test imports, looks up or replaces."""
+    tree = ast.parse(source)
+    ours = {"self", "cls"}
+    for node in ast.walk(tree):
+        names: list[str] = []
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("bayes_sensor"):
+            names = [*str(node.module).split("."), *(alias.name for alias in node.names)]
+        elif isinstance(node, ast.Import):
+            names = [part for alias in node.names for part in alias.name.split(".")]
+        elif isinstance(node, ast.Attribute):
+            if not (isinstance(node.value, ast.Name) and node.value.id in ours):
+                names = [node.attr]
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            if node.func.attr in ("setattr", "delattr"):
+                given = [a.value for a in node.args if isinstance(a, ast.Constant)]
+                names = [part for text in map(str, given) for part in text.split(".")]
+        for name in names:
+            if re.match(r"_[A-Za-z]", name) and not name.endswith("_"):  # _repr_html_ is IPython's
+                yield node.lineno, name
+
+
+def test_the_tests_use_public_names_only() -> None:
+    found = []
+    for file in sorted(TESTS.rglob("*.py")):
+        for line, name in private_names(file.read_text(encoding="utf-8")):
+            if name not in NOT_YET_PUBLIC:
+                found.append(f"{file.relative_to(ROOT)}:{line}: {name} is private")
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from bayes_sensor.fit import _start",
+        "import bayes_sensor._fit",
+        "module._start(1)",
+        "monkeypatch.setattr(module, '_start', None)",
+        "monkeypatch.setattr('bayes_sensor.fit._start', None)",
+    ],
+)
+def test_a_private_name_is_seen(source: str) -> None:
+    assert len(list(private_names(source))) == 1
+
+
 # --- tested versions
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import _guarded, analysis_steps
+from bayes_sensor.cli import analysis_steps, exit_code
 from bayes_sensor.display import shown
 from bayes_sensor.io.check import campaign_remarks
 from bayes_sensor.io.readers import read_campaign
@@ -293,19 +293,19 @@ def test_a_simulation_never_replaces_a_measurement(
     path = written(tmp_path, "exp1.csv", PLAIN, 'drive = "valve"')
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     small = ["--experiments", "1", "--duration", "20 s", "--interval", "50 ms"]
-    assert _guarded(["simulate", "--out", str(tmp_path), *small]) == 2
+    assert exit_code(["simulate", "--out", str(tmp_path), *small]) == 2
     assert "that no simulation wrote" in capsys.readouterr().err
     assert {p.name: p.read_bytes() for p in path.parent.iterdir()} == before
     trial = str(tmp_path / "trial")
     for seed in "12":  # its own it replaces
-        assert _guarded(["simulate", "--out", trial, "--seed", seed, *small]) == 0
+        assert exit_code(["simulate", "--out", trial, "--seed", seed, *small]) == 0
     assert capsys.readouterr().out.startswith("1 experiment with tau = 48.1 ms")
 
 
 def test_a_campaign_given_as_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(written(tmp_path, "a.csv", PLAIN, 'drive = "valve"'))
     out = str(tmp_path / "out")
-    assert _guarded(["fit", path, "--out", out, "--config", path]) == 2
+    assert exit_code(["fit", path, "--out", out, "--config", path]) == 2
     assert "this is a campaign file; expected settings" in capsys.readouterr().err
 
 
@@ -314,11 +314,11 @@ def test_results_of_another_campaign_are_pointed_out(
 ) -> None:
     out = ["--out", str(tmp_path / "out"), "--seed", "1"]
     path = str(written(tmp_path, "a.csv", PLAIN, 'drive = "valve"'))
-    assert _guarded(["fit", path, *out]) in (0, 3)
-    assert _guarded(["delays", path, *out]) in (0, 3)
+    assert exit_code(["fit", path, *out]) in (0, 3)
+    assert exit_code(["delays", path, *out]) in (0, 3)
     assert "of other data" not in capsys.readouterr().out
     path = str(written(tmp_path, "a.csv", PLAIN, 'drive = "valve"\nmask = [["1 s", "2 s"]]'))
-    assert _guarded(["delays", path, *out]) in (0, 3)
+    assert exit_code(["delays", path, *out]) in (0, 3)
     assert "also holds fit of other data or settings" in capsys.readouterr().out
 
 
@@ -326,8 +326,8 @@ def test_a_simulation_is_not_taken_for_results_of_other_data(tmp_path: Path) -> 
     # what it made is analysed beside it
     small = ["--duration", "20 s", "--interval", "20 ms", "--experiments", "1,4", "--quiet"]
     out = ["--out", str(tmp_path), "--quiet"]
-    assert _guarded(["simulate", *small, "--out", str(tmp_path)]) == 0
-    assert _guarded(["fit", str(tmp_path / "campaign.toml"), *out]) in (0, 3)
+    assert exit_code(["simulate", *small, "--out", str(tmp_path)]) == 0
+    assert exit_code(["fit", str(tmp_path / "campaign.toml"), *out]) in (0, 3)
     told = [text for _, text in alerts(read_results(tmp_path))]
     assert not any("rest on other data" in text for text in told)
 
@@ -335,7 +335,7 @@ def test_a_simulation_is_not_taken_for_results_of_other_data(tmp_path: Path) -> 
 def test_without_takes_a_list(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(written(tmp_path, "a.csv", PLAIN, 'drive = "valve"'))
     words = ["gap", path, "--out", str(tmp_path / "out"), "--without", "dead_volume, flow_eror"]
-    assert _guarded(words) == 2
+    assert exit_code(words) == 2
     assert "no effect 'flow_eror'" in capsys.readouterr().err
 
 

@@ -12,7 +12,7 @@ from types import ModuleType
 
 import pytest
 
-from bayes_sensor.cli import _guarded
+from bayes_sensor.cli import exit_code
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDIES = ROOT / "paper" / "studies"
@@ -109,8 +109,8 @@ def test_what_is_blocked_above_cannot_be_imported(module: str) -> None:
 def test_help_and_version_load_neither_extras_nor_numerics() -> None:
     asked = (["--version"], ["--help"], ["fit", "--help"], ["fleet", "--help"], ["gap", "--help"])
     printed = python(
-        "import sys\nfrom bayes_sensor.cli import _guarded\n"
-        f"for words in {asked!r}: assert _guarded(words) == 0\n"
+        "import sys\nfrom bayes_sensor.cli import exit_code\n"
+        f"for words in {asked!r}: assert exit_code(words) == 0\n"
         "print('loaded:', *{m.partition('.')[0] for m in sys.modules})"
     )
     assert "bayes-sensor" in printed and "Usage" in printed
@@ -145,7 +145,7 @@ def test_a_file_format_names_its_extra(
     (tmp_path / "campaign.toml").write_text(CAMPAIGN.replace("FILE", f"a.{extra}"))
     without(monkeypatch, extra)
     out = ["--out", str(tmp_path / "out")] if command == "fit" else []
-    assert _guarded([command, str(tmp_path / "campaign.toml"), *out]) == 2
+    assert exit_code([command, str(tmp_path / "campaign.toml"), *out]) == 2
     said = capsys.readouterr().err
     assert_names(extra, said)
     assert f"a.{extra}" in said
@@ -160,7 +160,7 @@ def test_a_scheduler_names_its_extra(
     without(monkeypatch, "cluster")
     listing = [str(ROOT / "data" / "reference")] if command == "fleet" else []
     out, scheduler = ["--out", str(tmp_path / "out")], ["--scheduler", "tcp://localhost:1"]
-    assert _guarded([command, *listing, *out, *scheduler]) == 2
+    assert exit_code([command, *listing, *out, *scheduler]) == 2
     assert_names("cluster", capsys.readouterr().err)
 
 

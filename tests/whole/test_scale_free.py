@@ -21,7 +21,7 @@ from scipy.io import savemat
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.diagnosis import diagnose_gap
-from bayes_sensor.diagnosis.data.bins import LONGEST, _thin
+from bayes_sensor.diagnosis.data.bins import LONGEST, limit_lengths
 from bayes_sensor.fit import Fit, fit_least_squares
 from bayes_sensor.fit.identifiability import least_noise
 from bayes_sensor.io.check import campaign_remarks
@@ -420,4 +420,4 @@ def test_bins_of_just_the_longest_length_stay_whole_however_they_are_rounded() -
     for length in longest * (1.0 + np.array([-1e-15, 0.0, 1e-15, 1e-10])):
         for clock in (0.0, 1e6):
             edges = clock + np.array([0.0, length, length + 1.5 * longest])
-            assert len(_thin(edges, 0.02, longest)) == 4
+            assert len(limit_lengths(edges, 0.02, longest)) == 4

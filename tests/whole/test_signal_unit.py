@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayes_sensor.cli import _guarded
+from bayes_sensor.cli import exit_code
 
 SCALE = 1000.0
 
 
 def run(*arguments: str | Path) -> int:
     """The exit code of a command, in this process."""
-    return _guarded([str(a) for a in arguments])
+    return exit_code([str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from bayes_sensor.bounds.compare import with_words
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.checks.calibration import CoverageStudy
 from bayes_sensor.checks.coverage import SETTINGS, BoundsStudy, coverage_of_methods, small_design
-from bayes_sensor.cli import _guarded
+from bayes_sensor.cli import exit_code
 from bayes_sensor.design import design_experiments, what_if
 from bayes_sensor.fleet import comparison, row_of
 from bayes_sensor.fleet.comparison import sentences
@@ -198,7 +198,7 @@ def test_a_coverage_study_counts_lags_by_size_under_their_names() -> None:
 
 
 def run(*arguments: str | Path) -> int:
-    return _guarded([str(a) for a in arguments])
+    return exit_code([str(a) for a in arguments])
 
 
 QUICK = """
