@@ -18,7 +18,6 @@ from bayes_sensor.posterior import sample_posterior
 from bayes_sensor.rig.layout import Layout
 
 FLOWS = np.array([4.5, 3.5, 3.0, 9.0, 7.0, 6.0, 9.0])  # L/min
-CARRIER = np.array([4.0, 3.0, 2.5, 8.0, 6.0, 5.0, 7.5])
 INVERSE = 60.0 / FLOWS  # s/L
 NAMES = [str(k + 1) for k in range(7)]
 

@@ -153,6 +153,7 @@ def test_p_values_of_replicated_campaigns_are_spread_out() -> None:
     assert (p < 0.01).mean() < 0.05
 
 
+@pytest.mark.tables
 def test_committed_table_passes_and_fails_where_it_should() -> None:
     if not (TABLES / "predictive.csv").exists():
         pytest.skip("predictive.csv is not in this checkout")

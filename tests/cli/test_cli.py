@@ -377,12 +377,12 @@ def test_bounds_without_the_posterior(campaign: Path, tmp_path: Path) -> None:
 
 def test_closed_streams_are_no_obstacle(campaign: Path, tmp_path: Path) -> None:
     # as services and the like start a program
-    command = f'"{sys.executable}" -m bayes_sensor posterior "$0" --out "$1"'
-    for closed in ("2>&-", "<&- >&- 2>&-"):
-        out = tmp_path / f"out {len(closed)}"
-        words = [f"{command} --sampler independence {closed}", str(campaign), str(out)]
+    for work, closed in (("fit", "2>&-"), ("posterior", "--sampler independence <&- >&- 2>&-")):
+        out = tmp_path / work
+        command = f'"{sys.executable}" -m bayes_sensor {work} "$0" --out "$1" {closed}'
+        words = [command, str(campaign), str(out)]
         assert subprocess.run(["sh", "-c", *words], env=ENVIRONMENT).returncode == 0
-        assert (out / "posterior.json").is_file()
+        assert (out / f"{work}.json").is_file()
 
 
 def test_a_terminal_that_cannot_show_a_letter_shows_its_number() -> None:

@@ -403,6 +403,7 @@ NAMED = re.compile(
 """a configuration's part, course, what experiments share of it, and size"""
 
 
+@pytest.mark.tables
 def test_weights_alone_are_those_of_the_study(sketch, base):
     table = pd.read_csv(TABLES / "unlisted_weights.csv").set_index(["of", "name"])
     assert (abs(table["learned"] - table["taken"]) < 0.08).all()

@@ -153,6 +153,7 @@ def study(name: str) -> ModuleType:
     return importlib.import_module(f"study_{name}")
 
 
+@pytest.mark.tables
 def test_type_of_the_studies_figures(studies: dict[str, Figure]) -> None:
     sbc = study("sbc")
     ranks = read("sbc_ranks")
@@ -185,6 +186,7 @@ def test_type_of_the_studies_figures(studies: dict[str, Figure]) -> None:
         assert sizes and min(sizes) * scale >= ROUNDING * SMALLEST, (name, min(sizes))
 
 
+@pytest.mark.prose
 def test_the_manuscript_shows_its_figures_at_their_own_size() -> None:
     text = (PAPER / "manuscript.typ").read_text(encoding="utf-8")
     assert not re.search(r"image\([^)]*width", text)

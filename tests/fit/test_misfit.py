@@ -259,6 +259,7 @@ def test_json_and_report_say_it() -> None:
     assert sum("times its noise" in text for _, text in shown) == 1
 
 
+@pytest.mark.tables
 def test_the_study_meets_its_goal() -> None:
     with TABLE.open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))

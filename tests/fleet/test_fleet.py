@@ -17,7 +17,6 @@ from bayes_sensor.cli import exit_code
 from bayes_sensor.fleet import COLUMNS, Entry, comparison, failed_row, read_list, table
 from bayes_sensor.fleet.comparison import page
 
-TABLES = Path(__file__).resolve().parents[2] / "paper" / "tables"
 QUICK = """
 [fit]
 swarms = 1
@@ -288,18 +287,3 @@ def test_a_campaign_that_kills_its_worker_is_a_row(
     frame = bs.run_fleet(tmp_path / "l.txt", tmp_path / "out", jobs=2)
     assert frame["message"].tolist() == ["it ended 3 worker processes", "bad"]
     assert not (tmp_path / "out" / "fleet.png").exists()
-
-
-# --- the committed study
-
-
-def test_the_committed_study_compares_the_three_ways() -> None:
-    if not (TABLES / "fleet.csv").exists():
-        pytest.skip("fleet.csv is not in this checkout")
-    measured = pd.read_csv(TABLES / "fleet.csv")
-    three = ("serial", "--jobs 2", "Dask, 2 workers")
-    ways = measured[measured["way"].isin(three)]
-    assert len(ways) == len(three)
-    assert (ways["campaigns"] >= 12).all() and (ways["same_as_serial"] == "yes").all()
-    assert (ways["peak_memory_MB"] > 50).all()
-    assert (measured["campaigns"] == 10_000).any()

@@ -63,7 +63,7 @@ def principal_points(problem, mesh, theta, spread: float = 5.0) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.parametrize("phi", [0.0, 0.3, 0.5, 0.9, 0.95])
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.95])
 @pytest.mark.parametrize("name", DESIGNS)
 def test_the_mesh_agrees_with_the_full_pass_over_the_posterior(name: str, phi: float) -> None:
     problem, theta = small_problem(phi, **DESIGNS[name])

@@ -292,6 +292,7 @@ def test_a_wrong_word_would_be_noticed(study: ModuleType, monkeypatch: pytest.Mo
     assert row["wrong_alone"] == 1 and row["holds"] == 0 and row["lags_hold"][0] == 1
 
 
+@pytest.mark.tables
 def test_the_study_reached_what_is_claimed() -> None:
     table = pd.read_csv(TABLES / "order.csv").set_index(["group", "claim"])
     every = table.loc["all"]
@@ -307,6 +308,7 @@ def test_the_study_reached_what_is_claimed() -> None:
         assert p > 0.01 / len(said)
 
 
+@pytest.mark.tables
 def test_one_assignment_is_wrongly_stated_alone_as_seldom_as_it_says() -> None:
     rows = pd.read_csv(TABLES / "order_campaigns.csv")
     rows = rows[rows["known"] != "wrong side information"]

@@ -30,13 +30,10 @@ from tests.record.make import (
 COMPARED = (
     "data/reference",
     "data/withheld",
-    "simulated/none",
     "simulated/valve_asymmetry",
-    "simulated/slow_sorption",
-    "simulated/baseline_step",
     "simulated/mains_pickup",
 )
-"""the bundled ones; no effect, and one of the valve, the sensor, the baseline and the noise"""
+"""the bundled ones; one effect on the mean and one on the noise"""
 LIBRARIES = ("python", "numpy", "scipy", "numba")
 
 

@@ -27,6 +27,8 @@ PAGES = sorted(DOCS.glob("*.md"))
 FILES = r"`((?:bayes_sensor|tests|paper|notebooks|data|docs)/[\w./-]*)`"
 TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
 
+pytestmark = pytest.mark.prose
+
 
 def resolve(dotted: str) -> Any:
     """The object of a dotted name; AttributeError or ModuleNotFoundError where there is none."""
@@ -101,6 +103,7 @@ def directives() -> list[tuple[str, str, str]]:
     ]
 
 
+@pytest.mark.tables
 def test_tables_have_the_columns_and_rows_that_are_asked_for() -> None:
     found = directives()
     assert len(found) > 10
@@ -246,6 +249,7 @@ def numbers(pattern: str, text: str) -> list[float]:
     return [float(number) for number in found.groups()]
 
 
+@pytest.mark.tables
 def test_the_readme_says_what_the_tables_say() -> None:
     text = readme()
     speed = {row["what"]: float(row["median"]) for row in rows("benchmark")}
@@ -281,6 +285,7 @@ def test_the_readme_says_what_the_tables_say() -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.tables
 def test_the_page_on_bounds_says_where_intervals_hold() -> None:
     text = TEXT["choose_a_bound.md"]
     found = [row for row in rows("coverage_bounds") if row["level"] == "95"]
@@ -314,6 +319,7 @@ def test_the_page_on_bounds_says_where_intervals_hold() -> None:
     assert numbers(r"is reproduced, within ([\d.]+) %, by", text) == [round(100 * worst, 1)]
 
 
+@pytest.mark.tables
 def test_the_readme_says_how_often_the_diagnosis_is_right() -> None:
     part = readme().partition("## How often the diagnosis is right")[2].partition("##")[0]
     together = {row["what"]: row for row in rows("blind_check_together")}
@@ -335,6 +341,7 @@ def test_the_readme_says_how_often_the_diagnosis_is_right() -> None:
     assert numbers(r"missed with (\d+) and (\d+) %", part) == reached
 
 
+@pytest.mark.tables
 def test_the_page_on_the_gap_says_what_became_of_real_measurements() -> None:
     text = TEXT["read_a_gap_report.md"]
     steps, matrix = rows("real_pid")
@@ -345,6 +352,7 @@ def test_the_page_on_the_gap_says_what_became_of_real_measurements() -> None:
     ) == [round(100 * float(row["held_closed"])) for row in (steps, matrix)]
 
 
+@pytest.mark.tables
 def test_the_page_on_speed_says_what_was_measured() -> None:
     text = TEXT["speed.md"]
     speed = {row["what"]: float(row["median"]) for row in rows("benchmark")}

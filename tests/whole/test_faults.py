@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 import pytest
 
 from bayes_sensor.campaign import CampaignError
@@ -21,7 +20,6 @@ from bayes_sensor.io import folder_lock
 from bayes_sensor.io.folder_lock import Lock
 from bayes_sensor.io.results import Results
 
-TABLES = Path(__file__).resolve().parents[2] / "paper" / "tables"
 QUICK = """
 [fit]
 swarms = 1
@@ -313,20 +311,3 @@ def test_a_lock_is_closed_before_it_is_removed_where_open_files_stay(
 )
 def test_after_an_interruption_one_is_told_how_to_go_on(command: str, words: str) -> None:
     assert words in _advice([command, "x"])
-
-
-# --- the committed study
-
-
-def test_the_committed_study_survived() -> None:
-    if not (TABLES / "faults.csv").exists():
-        pytest.skip("faults.csv is not in this checkout")
-    table = pd.read_csv(TABLES / "faults.csv")
-    assert (table["survived"] == table["trials"]).all()
-    longest = table.loc[table["fault"] == "Ctrl-C", "note"].str.extract(r"longest ([\d.]+) s")[0]
-    assert len(longest) >= 7 and longest.astype(float).max() < 1.0
-    killed = table[table["fault"] == "killed at a random moment"]
-    assert killed["trials"].sum() >= 100
-    assert set(table["fault"]) >= {
-        "disk full", "read-only folder", "two runs into one folder", "Ctrl-C", "a worker killed",
-    }  # fmt: skip

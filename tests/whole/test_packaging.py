@@ -1,6 +1,5 @@
 """What is handed out: optional packages stay away until asked for, and are named where missing."""
 
-import csv
 import importlib.util
 import re
 import subprocess
@@ -16,8 +15,6 @@ from bayes_sensor.cli import exit_code
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDIES = ROOT / "paper" / "studies"
-TABLE = ROOT / "paper" / "tables" / "packaging.csv"
-PYTHONS = ("3.11", "3.12", "3.13")
 # what each extra brings, as it is imported; the environment of the tests itself is none of them
 EXTRAS = {
     "parquet": ("pyarrow",),
@@ -187,36 +184,3 @@ def test_the_pages_name_their_extra(absent: str, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(sys, "path", [*sys.path])
     with pytest.raises(errors.ConfigError, match=rf"{absent}.*pip install '.*\[docs\]'"):
         exec(code, {"__file__": str(ROOT / "docs" / "conf.py"), "__name__": "conf"})
-
-
-# --- the committed table: what 'make check-dist' found
-
-
-def rows() -> dict[str, dict[str, str]]:
-    """The table's rows by Python."""
-    with TABLE.open(newline="", encoding="utf-8") as stream:
-        return {row["python"]: row for row in csv.DictReader(stream)}
-
-
-def test_the_table_has_every_python() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    promised = re.findall(r"Python :: (3\.\d+)", "\n".join(project["classifiers"]))
-    assert tuple(promised) == PYTHONS
-    assert set(PYTHONS) <= set(rows())
-
-
-@pytest.mark.parametrize("version", PYTHONS)
-def test_the_wheel_was_sound(version: str) -> None:
-    row = rows()[version]
-    assert row["pip_check"] == "No broken requirements found"
-    assert row["check"] == row["fit"] == "done"
-    assert int(row["extras_named"]) == len(study("study_packaging").EXTRAS)
-    assert int(row["files_from_sdist"]) > 150
-    assert float(row["bare_python_s"]) < float(row["import_s"]) < 0.5
-    assert float(row["help_s"]) > float(row["bare_python_s"])
-
-
-def test_the_interpreters_fit_the_same_tau() -> None:
-    fitted = [float(row["tau_s"]) for row in rows().values()]
-    # libraries differ between the interpreters: rounding, not more
-    assert max(fitted) - min(fitted) <= 2e-6

@@ -36,6 +36,7 @@ def pages(pdf: Path) -> int:
     return max(int(n) for n in re.findall(rb"/Count (\d+)", content))
 
 
+@pytest.mark.tables
 def test_the_manuscript_is_built_and_follows_its_tables(paper: ModuleType, tmp_path: Path) -> None:
     paper.build(tmp_path / "a.pdf")
     whole = pages(tmp_path / "a.pdf")
@@ -55,6 +56,7 @@ def labels(folder: Path) -> set[str]:
     return {figure["label"].strip("<>") for figure in json.loads(found)}
 
 
+@pytest.mark.tables
 def test_what_is_computed_is_shown_and_what_is_not_is_left_out(
     paper: ModuleType, tmp_path: Path
 ) -> None:
@@ -87,6 +89,7 @@ def test_a_missing_table_is_named(
     assert not (tmp_path / "c.pdf").exists()
 
 
+@pytest.mark.prose
 def test_every_citation_is_in_the_bibliography() -> None:
     text = (PAPER / "manuscript.typ").read_text(encoding="utf-8")
     keys = set(re.findall(r"^@\w+\{(\w+),", (PAPER / "references.bib").read_text(), re.MULTILINE))
@@ -98,6 +101,7 @@ def test_every_citation_is_in_the_bibliography() -> None:
     assert keys <= cited, f"never cited: {keys - cited}"
 
 
+@pytest.mark.tables
 def test_reproduced_numbers_are_near_the_published_ones() -> None:
     with (PAPER / "tables" / "reproduction.csv").open(newline="") as stream:
         rows = {row["quantity"]: row for row in csv.DictReader(stream)}
@@ -111,26 +115,3 @@ def test_reproduced_numbers_are_near_the_published_ones() -> None:
         inside = [row["inside"] == "True" for row in csv.DictReader(stream)]
     # 28 intervals of 95 %: 24 or more hold with probability .997
     assert len(inside) == 28 and sum(inside) >= 24
-
-
-@pytest.mark.skipif(
-    not (PAPER / "tables" / "real_pid.csv").is_file(),
-    reason="make study has not been run with BAYES_SENSOR_REAL, the folder of the measurements",
-)
-def test_the_real_measurements_are_reported_whole() -> None:
-    with (PAPER / "tables" / "real_pid.csv").open(newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    assert [row["campaign"] for row in rows] == ["pid_dilution_steps", "pid_flow_matrix"]
-    for row in rows:
-        for half in ("", "held_"):
-            before, after = (float(row[f"{half}d_{when}"]) for when in ("before", "after"))
-            # both were written with five digits
-            assert float(row[f"{half}closed"]) == pytest.approx(1 - (after / before) ** 2, abs=1e-3)
-            assert float(row[f"{half}closed_low"]) <= float(row[f"{half}closed_high"])
-    with (PAPER / "tables" / "real_pid_where.csv").open(newline="") as stream:
-        places = list(csv.DictReader(stream))
-    for row in rows:
-        for half in ("choosing", "held out"):
-            mine = [p for p in places if (p["campaign"], p["half"]) == (row["campaign"], half)]
-            assert sum(float(p["share_before"]) for p in mine) == pytest.approx(1, abs=1e-3)
-    assert {"tab-real", "fig-real_pid"} <= labels(PAPER)

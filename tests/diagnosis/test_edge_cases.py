@@ -245,6 +245,7 @@ def test_some_of_what_looks_unlisted_is_a_mistake() -> None:
     assert _giving_back(quiet, 0.0, "none") == quiet
 
 
+@pytest.mark.tables
 def test_shares_of_the_verdict_are_those_that_earlier_blind_checks_counted() -> None:
     counted = pd.read_csv(TABLES / "blind_check_shares.csv")
     near, nearer, by_mean, by_samples, but_one, akin = counted.itertuples(index=False)
