@@ -29,6 +29,7 @@ from bayes_sensor.residuals import (
     whiten,
 )
 from bayes_sensor.residuals.autocorrelation import DIRECT_LAGS, LAGS, ljung_box
+from bayes_sensor.residuals.converter_step import lattice_step
 from bayes_sensor.residuals.series import FittedNoise
 from bayes_sensor.residuals.spread import HISTOGRAM_BIN, breusch_pagan, histogram
 from bayes_sensor.residuals.variance_check import check_variance
@@ -668,3 +669,10 @@ def test_residuals_that_stay_correlated_are_thinned_beyond_the_farthest_lag(
     found = breusch_pagan([series])
     assert found["every"] == farthest + 1
     assert found["n"] == len(range(0, n, farthest + 1))
+
+
+def test_a_lattice_needs_levels_that_differ_by_more_than_rounding() -> None:
+    assert lattice_step(np.repeat([0.0, 0.25, 0.5, 1.0], 5)) == pytest.approx(0.25)
+    assert lattice_step(np.repeat([0.0, 1.0], 5)) == 0.0  # any two levels lie on a lattice
+    assert lattice_step(np.repeat([0.0, 0.3, 1.0, 1.45], 5)) == 0.0
+    assert lattice_step(np.repeat([0.0, 1e-12, 1.0, 2.0], 5)) == pytest.approx(1.0)

@@ -162,7 +162,7 @@ def test_a_scheduler_names_its_extra(
 
 
 def test_every_command_with_a_scheduler_is_tried_above() -> None:
-    text = (ROOT / "tests" / "public_api.txt").read_text(encoding="utf-8")
+    text = (ROOT / "tests" / "whole" / "public_api.txt").read_text(encoding="utf-8")
     found = re.findall(r"^bayes-sensor (\S+) .*--scheduler", text, flags=re.MULTILINE)
     assert found == ["blind-check", "coverage", "fleet"]
 

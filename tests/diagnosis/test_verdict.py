@@ -1,4 +1,4 @@
-"""The diagnosis at its edges: what it refuses, and records that hold nothing to look at."""
+"""What the verdict says, and what it leaves open."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,26 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_sensor.campaign import CampaignError
-from bayes_sensor.diagnosis.data.noise_floor import Stretch, clean
-from bayes_sensor.diagnosis.diagnose import _best, ar1_whiteness, diagnose_gap
+from bayes_sensor.diagnosis.diagnose import _best, diagnose_gap
 from bayes_sensor.diagnosis.effects import CATALOGUE
-from bayes_sensor.diagnosis.effects.effect import Effect, Strength, own_effect
-from bayes_sensor.diagnosis.effects.effect_model import (
-    EffectModel,
-    check_effects,
-    find_form,
-    with_effects,
-)
-from bayes_sensor.diagnosis.effects.simulate_effects import read_strength
 from bayes_sensor.diagnosis.evidence import hypotheses
 from bayes_sensor.diagnosis.evidence.hypotheses import Weighing
-from bayes_sensor.diagnosis.signals.events import _blocks
-from bayes_sensor.diagnosis.signals.spectral_lines import _look_for_lines
 from bayes_sensor.diagnosis.signals.tails_and_converter import (
     FullRate,
-    _innovations,
-    look_at_tails,
 )
 from bayes_sensor.diagnosis.verdict import (
     AKIN,
@@ -41,161 +27,10 @@ from bayes_sensor.diagnosis.verdict import (
     judge,
 )
 from bayes_sensor.diagnosis.wording import family_words, looks_most, second_words, undecided_words
-from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.residuals.converter_step import lattice_step
-from bayes_sensor.rig.cascade import Cascade
-from tests.support.campaigns import small_design, small_problem
 from tests.support.planted_effects import measured
 
 TABLES = Path(__file__).resolve().parents[2] / "paper" / "tables"
 
-# --- what is refused
-
-
-@pytest.mark.parametrize(
-    ("numbers", "message"),
-    [
-        (("s", "uniform", 0.0, 1.0), "kind must be one of"),
-        (("s", "normal", 0.0, 0.0), "expected a positive spread, got 0 and 0"),
-        (("s", "log_normal", 0.0, 1.0), "a positive spread and a positive centre, got 0 and 1"),
-    ],
-)
-def test_a_strength_says_what_is_wrong_with_it(numbers, message: str) -> None:
-    with pytest.raises(CampaignError, match=message):
-        Strength("leak_s", *numbers)
-
-
-def test_a_positive_strength_takes_positive_values_only() -> None:
-    strength = Strength("leak_s", "s", "log_normal", 0.2, 0.5)
-    assert strength.value(strength.coordinate(0.3)) == pytest.approx(0.3)
-    assert strength.coordinate(1e-9) == -8.0
-    with pytest.raises(CampaignError, match="leak_s: expected a positive value in s, got -1"):
-        strength.coordinate(-1.0)
-
-
-def test_an_effect_on_the_mean_needs_a_form_and_strengths() -> None:
-    with pytest.raises(CampaignError, match="effect leak: expected at least one form"):
-        Effect("leak", "leak", "", (), {}, "", "")
-    with pytest.raises(CampaignError, match="effect leak: expected at least one strength"):
-        own_effect("leak", [], lambda t, s, rig: t, plausible={})
-
-
-def test_forms_are_found_by_name_or_refused() -> None:
-    effect = next(e for e in CATALOGUE.values() if len(e.forms) > 1 and e.forms[1].name)
-    assert find_form(effect) is effect.forms[0]
-    assert find_form(effect, effect.forms[1].name) is effect.forms[1]
-    with pytest.raises(CampaignError, match=f"no form 'odd'; known are '{effect.forms[0].name}"):
-        find_form(effect, "odd")
-    lone = next(e for e in CATALOGUE.values() if len(e.forms) == 1 and not e.forms[0].name)
-    with pytest.raises(CampaignError, match=f"it has one only: give {lone.name} alone"):
-        check_effects([f"{lone.name}:odd"], "--with-effect")
-    with pytest.raises(CampaignError, match="acts on the noise, not on the mean"):
-        check_effects(["heavy_tails"], "--with-effect")
-
-
-class Faster(Cascade):
-    """A model that is not the cascade."""
-
-
-def test_effects_join_the_cascade_once() -> None:
-    design = small_design()
-    problem = with_effects(design, ["flow_switching"])
-    both = with_effects(problem, ["dead_volume"])
-    assert isinstance(both.model, EffectModel)
-    assert [c.effect for c in both.model.chosen] == ["flow_switching", "dead_volume"]
-    with pytest.raises(CampaignError, match="effect flow_switching is given twice"):
-        with_effects(problem, ["flow_switching"])
-    with pytest.raises(CampaignError, match="effects can only be added to the cascade"):
-        with_effects(Problem(design, model=Faster()), ["flow_switching"])
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("dead_volume=3 furlong", "not in 'furlong'; give the number alone"),
-        ("valve_asymmetry=much", "'much' is no number"),
-        ("valve_asymmetry=inf", "expected a finite number"),
-    ],
-)
-def test_a_strength_on_the_command_line_is_a_number(text: str, message: str) -> None:
-    with pytest.raises(CampaignError, match=message):
-        read_strength(text)
-
-
-def test_a_strength_may_be_left_out_or_carry_its_own_unit() -> None:
-    assert read_strength("valve_asymmetry") == ("valve_asymmetry", None)
-    assert read_strength("valve_asymmetry=0.3") == ("valve_asymmetry", 0.3)
-
-
-# --- records that hold nothing to look at
-
-
-def test_a_response_at_no_times_is_empty() -> None:
-    problem, theta = small_problem(n=1, interval=0.05)
-    joined = with_effects(problem, ["flow_switching"])
-    assert isinstance(joined.model, EffectModel)
-    vector = np.concatenate([theta, np.zeros(len(joined.layout) - len(theta))])
-    e = problem.campaign.experiments[0]
-    for part in joined.model.mean_and_response(np.zeros(0), vector, joined.layout, e):
-        assert part.shape == (0,)
-
-
-def test_few_samples_are_left_as_they_are() -> None:
-    residual = np.array([0.0, 9.0, 0.0, 1.0, 2.0])
-    out, spikes = clean(residual, np.array([True, False, True, True, True]))
-    assert out.tolist() == [0.0, 0.0, 0.0, 1.0, 2.0] and spikes == 0
-
-
-def test_a_lattice_needs_levels_that_differ_by_more_than_rounding() -> None:
-    assert lattice_step(np.repeat([0.0, 0.25, 0.5, 1.0], 5)) == pytest.approx(0.25)
-    assert lattice_step(np.repeat([0.0, 1.0], 5)) == 0.0  # any two levels lie on a lattice
-    assert lattice_step(np.repeat([0.0, 0.3, 1.0, 1.45], 5)) == 0.0
-    assert lattice_step(np.repeat([0.0, 1e-12, 1.0, 2.0], 5)) == pytest.approx(1.0)
-
-
-def test_no_pieces_hold_no_lines() -> None:
-    assert _look_for_lines([], "mains_pickup") == []
-
-
-def stretch_of(samples: np.ndarray) -> Stretch:
-    return Stretch(experiment=0, level=0, samples=samples)
-
-
-def test_a_record_of_zeros_has_no_tails() -> None:
-    for samples in (np.zeros(100), np.zeros(500)):
-        found = look_at_tails([stretch_of(samples)])
-        assert found.log_bayes_factor == 0.0 and found.strength == {"tail_dof": float("inf")}
-    assert (_innovations(np.zeros(10), 4) == 0.0).all()
-
-
-def test_a_long_record_is_thinned_and_says_the_same() -> None:
-    rng = np.random.default_rng(3)
-    wild = look_at_tails([stretch_of(rng.standard_t(3, 500_000))])
-    assert wild.log_bayes_factor > 100.0 and wild.strength["tail_dof"] <= 4
-    tame = look_at_tails([stretch_of(rng.standard_normal(500_000))])
-    assert tame.log_bayes_factor < 0.0
-
-
-def test_a_record_of_zeros_has_no_events() -> None:
-    campaign = small_design(n=1)
-    assert _blocks(campaign, stretch_of(np.zeros(20_000))) is None
-    assert _blocks(campaign, stretch_of(np.zeros(100))) is None
-
-
-def test_whiteness_leaves_out_short_and_empty_records() -> None:
-    rng = np.random.default_rng(5)
-    white = rng.standard_normal(4000)
-    alone = ar1_whiteness([white])
-    assert 0.001 < alone <= 1.0
-    assert ar1_whiteness([white, np.zeros(4000), white[:50]]) == alone
-    # an AR(2) is not whitened by an AR(1)
-    wavy = np.zeros(4000)
-    for i in range(2, 4000):
-        wavy[i] = 0.2 * wavy[i - 1] + 0.6 * wavy[i - 2] + white[i]
-    assert ar1_whiteness([wavy]) < 1e-10
-
-
-# --- what the verdict says where no effect stands out
 
 NOTHING = SimpleNamespace(complete=[])
 
