@@ -13,8 +13,8 @@ from bayes_sensor.blind_check.simulator import Case, as_recorded, clean_signals,
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
 from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
 from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Part
 from bayes_sensor.rig.layout import Layout
 from bayes_sensor.workers import one_thread
 
@@ -34,20 +34,20 @@ def closed_shares(case: Case) -> dict[str, float]:
         },
     }  # fmt: skip
     try:
-        sketch = prepare(campaign, Layout.of(campaign).flat(theta)).sketch
+        binned = prepare(campaign, Layout.of(campaign).flat(theta)).binned
     except CampaignError:  # no quiet stretch
         return {}
     clean = clean_signals(case)
-    means = (bins.average(clean[e.name]) for e, bins in zip(campaign, sketch.bins, strict=True))
-    sketch = replace(sketch, data=tuple(means))
-    base = fit_base(sketch)
+    means = (bins.average(clean[e.name]) for e, bins in zip(campaign, binned.bins, strict=True))
+    binned = replace(binned, data=tuple(means))
+    base = fit_base(binned)
     if base.misfit < 1e-6:
         return {}
     shares = {}
     for name, effect in CATALOGUE.items():
         if effect.on_mean:
             parts = [Part(effect, form) for form in effect.forms]
-            fits = [fit_effect(sketch, base, [part], part.form.starts) for part in parts]
+            fits = [fit_effect(binned, base, [part], part.form.starts) for part in parts]
             left = min(fit.loosened.misfit for fit in fits)
             shares[name] = max(0.0, 1.0 - left / base.misfit)
     return shares

@@ -117,9 +117,6 @@ def mean_positions(coordinates: Coordinates) -> np.ndarray:
 
 
 def gaussian_bound(
-    method: str,
-    assumes: str,
-    reference: str,
     names: list[str],
     estimate: FloatArray,
     cov_psi: FloatArray,
@@ -192,8 +189,8 @@ def gaussian_bound(
         if kind in ("tau_s", "tau_v_s", "V_mL"):
             low[i] = np.maximum(low[i], 0.0)
     return Bound(
-        method, assumes, reference, list(names), np.array(estimate, dtype=float), sd, low, high,
-        "; ".join(sentences) or "ok", details or {},
+        list(names), np.array(estimate, dtype=float), sd, low, high, "; ".join(sentences) or "ok",
+        details or {},
     )  # fmt: skip
 
 

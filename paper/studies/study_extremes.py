@@ -24,7 +24,7 @@ from drawing import PAPER, TABLES
 
 from bayes_sensor.blind_check import wilson
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.checks.study_chunks import run_chunks, study_key
 
 sys.path.insert(0, str(PAPER.parent))
 from tests.support.extreme_cases import CASES, METHODS, QUICK, SHARED, VERDICTS, ask, diagnose

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 from drawing import PAPER, TABLES
 
-from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.checks.study_chunks import run_chunks, study_key
 
 sys.path.insert(0, str(PAPER.parent))
 from tests.support.bad_inputs import (

@@ -22,12 +22,6 @@ from bayes_sensor.bounds import (
     profile_curve,
     step_study,
 )
-from bayes_sensor.bounds.bootstrap import (
-    optimal_block_length,
-    resample_and_refit,
-    residual_series,
-    stationary_indices,
-)
 from bayes_sensor.bounds.context import Evidence
 from bayes_sensor.bounds.gaussian_intervals import (
     gaussian_bound,
@@ -36,10 +30,16 @@ from bayes_sensor.bounds.gaussian_intervals import (
     switch_quantiles,
 )
 from bayes_sensor.bounds.hardness import multiple_correlation
-from bayes_sensor.bounds.jackknife import leave_one_out
 from bayes_sensor.bounds.likelihood_surface import maximise, spread_along_tau, white_surface
+from bayes_sensor.bounds.methods.block_bootstrap import (
+    optimal_block_length,
+    resample_and_refit,
+    residual_series,
+    stationary_indices,
+)
+from bayes_sensor.bounds.methods.jackknife_experiments import leave_one_out
 from bayes_sensor.bounds.profile import Point, next_value
-from bayes_sensor.bounds.sandwich import (
+from bayes_sensor.bounds.sandwich_covariance import (
     andrews_bandwidth,
     ar1_middle,
     judged,
@@ -643,9 +643,7 @@ def test_an_upper_limit_covers_where_the_spread_grows_with_tau():
         tau_hat = np.sqrt(max(q, 0.0))
         cov = np.array([[float(np.interp(tau_hat, taus, spreads)) ** 2]])
         for name, along in (("one", None), ("own", (taus, spreads))):
-            bound = gaussian_bound(
-                "m", "a", "r", names, np.array([tau_hat]), cov, q <= 0.0, along_tau=along
-            )
+            bound = gaussian_bound(names, np.array([tau_hat]), cov, q <= 0.0, along_tau=along)
             missed[name] += not bound.low[0, 1] <= tau <= bound.high[0, 1]
     # nominal 30 of 600, sd 5
     assert missed["one"] > 42 and 15 < missed["own"] < 42
@@ -681,7 +679,7 @@ def test_residuals_that_are_not_white_are_said_to_be_so(small, phi, words):
 def test_gaussian_intervals_are_nested_and_never_divide_by_zero(tau):
     names = ["tau_s", "t0_s[a]"]
     cov = np.array([[1e-5, 1e-8], [1e-8, 1e-6]])
-    bound = gaussian_bound("m", "a", "r", names, np.array([tau, 2.0]), cov, at_bound=tau == 0.0)
+    bound = gaussian_bound(names, np.array([tau, 2.0]), cov, at_bound=tau == 0.0)
     assert np.isfinite(bound.low).all() and np.isfinite(bound.high).all()
     assert (np.diff(bound.low, axis=1) <= 0).all() and (np.diff(bound.high, axis=1) >= 0).all()
     assert (bound.low[0] >= 0).all()

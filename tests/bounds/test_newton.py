@@ -16,7 +16,7 @@ from bayes_sensor.bounds.newton import (
     solve,
     theta_of,
 )
-from bayes_sensor.bounds.sandwich import ar1_middle
+from bayes_sensor.bounds.sandwich_covariance import ar1_middle
 from bayes_sensor.checks.coverage import SETTINGS, BoundsStudy, simulate_setting, small_design
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.coordinates import Coordinates

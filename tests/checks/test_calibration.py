@@ -7,25 +7,24 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import stats
-
-import bayes_sensor.checks.calibration as calibration
-from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.checks.calibration import (
+from posterior_calibration import (
     LEVELS,
     TAU_CLAIMS,
     TAU_PRIORS,
     CoverageStudy,
     Ranks,
     RankStudy,
-    binomial_interval,
-    code_digest,
     coverage_table,
     draw_prior,
     ranks_of,
-    run_chunks,
     tau_table,
 )
+from scipy import stats
+
+import bayes_sensor.checks.study_chunks as study_chunks
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment
+from bayes_sensor.checks.counted_coverage import binomial_interval
+from bayes_sensor.checks.study_chunks import code_digest, run_chunks
 from bayes_sensor.likelihood.prior_density import log_priors
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
@@ -295,8 +294,8 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for room in ("gap", "figures"):
         (folder / room).mkdir(parents=True)
         (folder / room / "one.py").write_text("A = 1\n")
-    monkeypatch.setattr(calibration, "PACKAGE", folder)
-    monkeypatch.setattr(calibration, "_BEGUN", {})
+    monkeypatch.setattr(study_chunks, "PACKAGE", folder)
+    monkeypatch.setattr(study_chunks, "CODE_AT_START", {})
     monkeypatch.setattr(logging.getLogger("bayes_sensor"), "propagate", True)
     monkeypatch.setattr(Squares, "calls", 0)
     return folder
@@ -308,7 +307,7 @@ def test_parts_of_other_code_are_not_used(
 ) -> None:  # fmt: skip
     def run() -> int:
         """How many results were computed."""
-        monkeypatch.setattr(calibration, "_BEGUN", {})  # as a new process would begin
+        monkeypatch.setattr(study_chunks, "CODE_AT_START", {})  # as a new process would begin
         before = Squares.calls
         found = run_chunks(Squares(), 4, tmp_path / "parts", "key", chunk=2)
         np.testing.assert_array_equal(found["x"], np.arange(4) ** 2)
@@ -331,7 +330,7 @@ def test_a_digest_has_the_source_of_the_task_as_well(
     package: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     digest = code_digest(Squares())
-    monkeypatch.setattr(Squares, "__module__", "bayes_sensor.checks.calibration")
+    monkeypatch.setattr(Squares, "__module__", "bayes_sensor.checks.study_chunks")
     assert code_digest(Squares()) != digest
 
 
@@ -347,7 +346,7 @@ def test_code_changed_while_it_ran_is_told_and_its_parts_are_not_used(
     (said,) = (record.getMessage() for record in caplog.records)
     assert "the code was changed while this ran" in said
     run_chunks(Squares(), 2, tmp_path / "b", "key")  # by what this process has loaded before
-    monkeypatch.setattr(calibration, "_BEGUN", {})
+    monkeypatch.setattr(study_chunks, "CODE_AT_START", {})
     for folder in "ab":
         run_chunks(Squares(), 2, tmp_path / folder, "key")
     assert Squares.calls == 8

@@ -11,7 +11,7 @@ import pytest
 from bayes_sensor.bounds import LEVELS, METHODS
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.checks import coverage
-from bayes_sensor.checks.calibration import binomial_interval
+from bayes_sensor.checks.counted_coverage import binomial_interval
 from bayes_sensor.checks.coverage import (
     SETTINGS,
     BoundsStudy,

@@ -18,8 +18,9 @@ import pytest
 import bayes_sensor
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import exit_code
-from bayes_sensor.cli.analysis_steps import Job, _saved_spreads, _watching
+from bayes_sensor.cli.job import Job
 from bayes_sensor.cli.overrides import make_problem, read_overrides, read_prior
+from bayes_sensor.cli.posterior_step import saved_spreads, watching
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.io.results import Results
 from bayes_sensor.posterior.checkpoints import Checkpoint
@@ -388,8 +389,8 @@ def test_closed_streams_are_no_obstacle(campaign: Path, tmp_path: Path) -> None:
 def test_a_terminal_that_cannot_show_a_letter_shows_its_number() -> None:
     pty = pytest.importorskip("pty", reason="terminals are opened as on Unix")
     code = (
-        "from bayes_sensor.cli import analysis_steps as steps\n"
-        "with steps.progress_bar('fit', False) as tell: tell(0.5, chr(0x3c4))"
+        "from bayes_sensor.cli.terminal import progress_bar\n"
+        "with progress_bar('fit', False) as tell: tell(0.5, chr(0x3c4))"
     )
     plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "TERM": "xterm",
              "COLUMNS": "80"}  # fmt: skip
@@ -420,7 +421,7 @@ def test_delays_take_their_weights_from_the_newest_posterior_only(
     def weights(config: Path) -> object:
         assert run("delays", campaign, "--out", tmp_path, "--quiet", "--config", config) == 0
         job = Job("delays", None, None, "", 1, 1, True, False, Results(tmp_path), basis())
-        return _saved_spreads(job)
+        return saved_spreads(job)
 
     def basis() -> str:
         commands = json.loads((tmp_path / "run.json").read_text())["commands"]
@@ -479,7 +480,7 @@ def test_a_checkpoint_of_other_settings_is_said_not_to_be_used(
         (tmp_path / "ensemble-0-00000.npz").write_bytes(b"")
         caplog.clear()
         told: list[float] = []
-        tell = _watching(
+        tell = watching(
             SimpleNamespace(resume=resume, checkpoint=tmp_path),  # type: ignore[arg-type]
             lambda share, _, told=told: told.append(share),
         )
@@ -588,7 +589,7 @@ def test_a_compiler_that_takes_long_is_left_with_one_line_even_where_all_is_mute
     code = (
         "import os, signal, time\n"
         "from bayes_sensor import cli\n"
-        "from bayes_sensor.cli.analysis_steps import muted\n"
+        "from bayes_sensor.cli.terminal import muted\n"
         "room = {'__name__': 'numba.core', 'os': os, 'signal': signal, 'time': time}\n"
         "press = 'os.kill(os.getpid(), signal.SIGINT)'\n"
         "exec(f'def build():\\n {press}\\n while True: time.sleep(0.01)', room)\n"

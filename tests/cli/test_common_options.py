@@ -1,5 +1,7 @@
 """The common options are taken by every command, and act or say that they do not."""
 
+import dataclasses
+import inspect
 import json
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ import typer
 
 from bayes_sensor.checks.coverage import SETTINGS, run_coverage
 from bayes_sensor.cli import app, exit_code
+from bayes_sensor.cli.options import Run, with_groups
 from bayes_sensor.io.readers import read_campaign
 
 COMMON = {"--seed", "--jobs", "--quiet", "--config"}
@@ -143,3 +146,19 @@ def test_resume_starts_afresh_where_nothing_is_unfinished(command: str, tmp_path
         assert run(command, campaign, "--out", out, "--quiet", *options, *more) == 0
     expected = (tmp_path / "plain" / f"{command}.json").read_bytes()
     assert (tmp_path / "new" / f"{command}.json").read_bytes() == expected
+
+
+def test_a_group_of_options_is_spelled_out_where_it_stands() -> None:
+    seen: list[Any] = []
+
+    @with_groups
+    def command(first: int, run: Run, last: str = "z") -> None:
+        seen.extend([first, run, last])
+
+    taken = inspect.signature(command).parameters
+    expected = ["first", *(item.name for item in dataclasses.fields(Run)), "last"]
+    assert list(taken) == expected
+    assert taken["seed"].default == 1 and taken["out"].default is inspect.Parameter.empty
+    options = {name: None for name in expected} | {"first": 5, "seed": 7}
+    command(**options)
+    assert seen[0] == 5 and seen[1].seed == 7 and seen[2] is None

@@ -24,7 +24,8 @@ from bayes_sensor.diagnosis.effects.effect_model import (
     prior_of,
     with_effects,
 )
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Part, Plan
+from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
@@ -315,7 +316,7 @@ def problem_and_sketch() -> tuple[Problem, np.ndarray, Any]:
     """A problem, the flat truth of its mean, and the diagnosis's sketch around it."""
     recorded = measured({}, seed=3)
     flat = Problem(recorded).layout.flat(theta(recorded))[: 3 + 4 * len(recorded)]
-    return Problem(recorded), flat, prepare(recorded, flat).sketch
+    return Problem(recorded), flat, prepare(recorded, flat).binned
 
 
 STRENGTHS: dict[str, dict[str, float]] = {
@@ -343,7 +344,7 @@ STRENGTHS: dict[str, dict[str, float]] = {
 def test_the_full_model_is_the_diagnosis_rig(
     problem_and_sketch: tuple[Problem, np.ndarray, Any], text: str
 ) -> None:
-    problem, flat, sketch = problem_and_sketch
+    problem, flat, binned = problem_and_sketch
     name, _, form_name = text.partition(":")
     form = find_form(CATALOGUE[name], form_name or None)
     given = STRENGTHS[text]
@@ -357,16 +358,16 @@ def test_the_full_model_is_the_diagnosis_rig(
             for e in made.campaign if s.per_experiment else [None]:
                 key = parameter_name(s) + ("" if e is None else f"[{e.name}]")
                 full[made.layout.index(key)] = given[s.name]
-    plan = Plan(sketch, (Part(CATALOGUE[name], form),), held=given)
-    x = plan.start(sketch.base, {})
-    plain = Plan(sketch)
+    plan = Coordinates(binned, (Part(CATALOGUE[name], form),), held=given)
+    x = plan.start(binned.base, {})
+    plain = Coordinates(binned)
     away = 0.0
     for k, e in enumerate(made.campaign):
         t = np.linspace(e.t[0], e.t[-1], 700)
         mixed = np.random.default_rng(1).permutation(t)  # any times, in any order
         ours = model.mean(mixed, full, made.layout, e)[np.argsort(mixed)]
         assert np.allclose(ours, plan.mean(x, k, t), atol=1e-9)
-        away = max(away, float(np.max(np.abs(ours - plain.mean(sketch.base, k, t)))))
+        away = max(away, float(np.max(np.abs(ours - plain.mean(binned.base, k, t)))))
         both = model.mean_and_response(t, full, made.layout, e)
         assert np.array_equal(both[1], model.response(t, full, made.layout, e))
     assert away > 1e-3  # the effect is there at all
@@ -463,7 +464,7 @@ def test_an_effect_of_ones_own_enters_the_model() -> None:
     plan = design(1)
     effect = own_effect("leak", [Strength("leak_V", "V", "normal", 0.0, 0.02)], leak,
                         plausible={"leak_V": 0.02})  # fmt: skip
-    made = effect.apply(Problem(plan))
+    made = with_effects(Problem(plan), [effect])
     assert made.model.extra == ("leak_V",) and not made.model.affine
     flat = Problem(plan).layout.flat(theta(plan))[:7]
     full = np.zeros(len(made.layout))

@@ -7,21 +7,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayes_sensor import design
 from bayes_sensor.bounds import cramer_rao
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
-from bayes_sensor.design import (
-    _as_pulse,
-    _candidates,
-    design_experiments,
-    predict,
-    predict_tau,
-    record_information,
-    settings_of,
-    sum_information,
-    truth_of,
-    what_if,
-)
+from bayes_sensor.design import choose_experiments, design_experiments, what_if
+from bayes_sensor.design.choose_experiments import candidate_settings
+from bayes_sensor.design.extra_knowledge import as_pulse
+from bayes_sensor.design.planned_experiments import settings_of, truth_of
+from bayes_sensor.design.record_information import record_information, sum_information
+from bayes_sensor.design.tau_interval import predict, predict_tau
 from bayes_sensor.likelihood.density import mean_and_variance, simulate
 from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.noise import Noise, lag_coefficient
@@ -307,7 +300,7 @@ def noise_of(problem: Problem, truth: dict, name: str) -> list[float]:
 def test_candidates_fill_the_grid_that_was_asked_for() -> None:
     problem, theta = small_problem(n=2, interval=0.05)
     present, truth = settings_of(problem, theta), truth_of(problem, theta)
-    found = _candidates(
+    found = candidate_settings(
         problem, theta, present, truth, (60.0, 120.0), (0.1, 0.3), (20.0, 60.0), (2, 3, 4)
     )
     assert len(found) == 2 * 3 * 4
@@ -336,7 +329,7 @@ def test_candidates_answer_as_late_as_the_present_experiments() -> None:
     early = [replace(e, commanded_on=0.5) for e in problem.campaign.experiments]
     problem = replace(problem, campaign=replace(problem.campaign, experiments=tuple(early)))
     present, truth = settings_of(problem, theta), truth_of(problem, theta)
-    found = _candidates(
+    found = candidate_settings(
         problem, theta, present, truth, (60.0, 120.0), (0.1, 0.3), (20.0, 60.0), (2, 2, 2)
     )
     delay = np.mean([s.t0 for s in present]) - 0.5  # of two, the median is the mean
@@ -353,9 +346,9 @@ def test_a_pulse_lasts_six_slowest_time_constants_or_is_not_proposed() -> None:
     slowest = max(truth.tau, truth.tau_v, truth.V / setting.experiment.total_flow)
     most = int(0.4 * 120.0 / (6.0 * slowest))  # up at 20 %, down at 60 %
     assert most > 10
-    pulse = _as_pulse(setting, most, truth)
+    pulse = as_pulse(setting, most, truth)
     assert pulse is not None and pulse.tf is not None and pulse.tf - pulse.t0 >= 6.0 * slowest
-    assert _as_pulse(setting, most + 1, truth) is None
+    assert as_pulse(setting, most + 1, truth) is None
 
 
 @pytest.mark.parametrize(("tau", "target", "rounds"), [(0.01, 4e-3, 2), (0.1, 10.0, 1)])
@@ -363,14 +356,14 @@ def test_a_design_is_made_again_where_better_experiments_tell_tau_better(
     monkeypatch, tau: float, target: float, rounds: int
 ) -> None:
     problem, theta = small_problem(n=2, interval=0.05, tau=tau)
-    choose, made = design._choose, []
+    choose, made = choose_experiments.choose_greedily, []
 
     def counted(*args: object) -> list[int]:
         made.append(choose(*args))
         return made[-1]
 
-    monkeypatch.setattr(design, "_choose", counted)
-    found = design.design_experiments(
+    monkeypatch.setattr(choose_experiments, "choose_greedily", counted)
+    found = choose_experiments.design_experiments(
         problem, theta, target, (60.0, 200.0), (0.2, 0.4), (20.0, 40.0), n_grid=(2, 2, 1)
     )
     better = found.after.high68 < 0.9 * found.before.high68

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from bayes_sensor.diagnosis.evidence.block_least_squares import carry_on, normal_equations, whiten
+from bayes_sensor.diagnosis.evidence.block_least_squares import (
+    broyden_update,
+    normal_equations,
+    whiten,
+)
 
 BINS, N = (5, 3, 4), 9
 OF_BINS = np.cumsum([0, *BINS])
@@ -53,7 +57,7 @@ def test_broyden_makes_the_least_change_that_a_step_asks_for(rng, derivatives):
     moved[7:] = 0.0
     scale = rng.uniform(0.5, 2.0, N)
     new = derivatives.copy()
-    carry_on(new, gained, moved, scale, OF_BINS, PLACES)
+    broyden_update(new, gained, moved, scale, OF_BINS, PLACES)
     assert np.allclose(dense(new) @ moved, gained)  # the secant
     # least in the norm of the scaled coordinates: every row moves along scale * moved alone
     for a, b, places in zip(OF_BINS[:-1], OF_BINS[1:], PLACES, strict=True):
@@ -70,7 +74,7 @@ def test_broyden_leaves_an_experiment_at_rest_as_it_is(rng, derivatives):
     moved = np.zeros(N)
     moved[5] = 1.0  # of the second experiment alone
     new = derivatives.copy()
-    carry_on(new, rng.normal(size=sum(BINS)), moved, np.ones(N), OF_BINS, PLACES)
+    broyden_update(new, rng.normal(size=sum(BINS)), moved, np.ones(N), OF_BINS, PLACES)
     other = np.r_[0 : OF_BINS[1], OF_BINS[2] : OF_BINS[3]]
     assert np.array_equal(new[other], derivatives[other])
     assert not np.allclose(new[OF_BINS[1] : OF_BINS[2]], derivatives[OF_BINS[1] : OF_BINS[2]])

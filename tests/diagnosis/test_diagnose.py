@@ -10,16 +10,16 @@ from scipy.signal import lfilter
 import bayes_sensor as bs
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.diagnosis import CATALOGUE, Gap, Strength, diagnose_gap, own_effect
+from bayes_sensor.diagnosis.budget import ar1_whiteness
 from bayes_sensor.diagnosis.data.bins import PHASES
-from bayes_sensor.diagnosis.diagnose import ar1_whiteness
 from bayes_sensor.diagnosis.effects.effect_model import with_effects
 from bayes_sensor.diagnosis.effects.simulate_effects import (
     default_strengths,
     simulate_with_effects,
 )
 from bayes_sensor.diagnosis.effects.user_effects import read_effects
-from bayes_sensor.diagnosis.evidence.form_mismatch import OTHER_FORM, another_form
-from bayes_sensor.diagnosis.evidence.hypotheses import LEFT
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import LEFT
+from bayes_sensor.diagnosis.evidence.form_mismatch import OTHER_FORM, simpler_explanation
 from bayes_sensor.diagnosis.verdict import NAMED, OTHER_CAUSE
 from bayes_sensor.diagnosis.wording import WANDERS
 from bayes_sensor.likelihood.density import simulate
@@ -79,7 +79,7 @@ def test_a_visible_effect_or_its_family_is_named(effect, strength):
     family = CATALOGUE[effect].family
     assert gap.verdict.kind in ("effect", "family")
     assert {CATALOGUE[n].family for n in gap.verdict.effects} >= {family}
-    assert gap.standing.families[family] > 0.8
+    assert gap.probabilities.families[family] > 0.8
     if gap.verdict.kind == "effect":
         assert gap.verdict.probability > NAMED
     if CATALOGUE[effect].on_mean:
@@ -142,7 +142,9 @@ def test_gas_of_the_record_before_is_not_taken_for_the_baseline(seed, share):
         campaign.with_data(values), bootstrap=0, hidden=False, separate=False, follow=False
     )
     assert gap.verdict.effects == ("carry_over",)
-    assert gap.standing.families["initial state"] > 3.0 * gap.standing.families["baseline"]
+    assert (
+        gap.probabilities.families["initial state"] > 3.0 * gap.probabilities.families["baseline"]
+    )
 
 
 def test_a_part_that_comes_later_is_described():
@@ -161,8 +163,10 @@ def test_a_part_that_comes_later_is_described():
     gap = diagnose_gap(beside(late), seed=1, bootstrap=0, separate=False, hidden=False)
     assert gap.verdict.kind == "unlisted"
     assert "It acts as if a part of the response comes later" in gap.verdict.sentence
-    likely = max(gap.weighing.hypotheses, key=lambda h: h.log_weight)
-    assert likely.within == "part later" and likely.refit.plan.parts[0].form.name == "by the stream"
+    likely = max(gap.comparison.hypotheses, key=lambda h: h.log_weight)
+    assert (
+        likely.within == "part later" and likely.refit.coords.parts[0].form.name == "by the stream"
+    )
     strength = likely.refit.strength()
     assert strength["late_share"] == pytest.approx(share, rel=0.15)
     assert strength["lateness"] == pytest.approx(lateness, rel=0.1)
@@ -178,7 +182,7 @@ def test_a_pulse_at_the_commands_is_described():
     gap = diagnose_gap(beside(pulse), seed=1, bootstrap=0, separate=False, hidden=False)
     assert gap.verdict.kind == "unlisted"
     assert "It acts as if a pulse that fades follows the valve's commands" in gap.verdict.sentence
-    likely = max(gap.weighing.hypotheses, key=lambda h: h.log_weight)
+    likely = max(gap.comparison.hypotheses, key=lambda h: h.log_weight)
     strength = likely.refit.strength()
     assert strength["pulse_on"] == pytest.approx(0.03, rel=0.25)
     assert strength["pulse_off"] == pytest.approx(-0.02, rel=0.4)
@@ -202,7 +206,7 @@ def test_two_effects_of_one_response_are_never_told_apart():
     gap = diagnose_gap(
         campaign, without=["two_rate_valve"], bootstrap=0, hidden=False, separate=False
     )
-    assert gap.standing.effects["slow_sorption"] > 0.9
+    assert gap.probabilities.effects["slow_sorption"] > 0.9
     assert gap.verdict.kind == "family" and gap.verdict.effects[0] == "slow_sorption"
     assert "two_rate_valve, whose response is the same" in gap.verdict.sentence
 
@@ -218,7 +222,7 @@ def test_a_step_of_the_baseline_at_any_common_time_is_named(seconds):
     )
     assert gap.verdict.kind in ("effect", "family")
     assert gap.verdict.effects[0] == "baseline_step"
-    assert gap.standing.effects["baseline_step"] > 0.7
+    assert gap.probabilities.effects["baseline_step"] > 0.7
 
 
 def test_two_effects_of_different_families_are_found():
@@ -236,12 +240,12 @@ def test_two_effects_of_different_families_are_found():
 def test_two_effects_of_one_family_are_not_taken_for_something_else():
     truth = {"flow_settling": 0.7, "optical_nonlinearity": 0.06}
     gap = diagnose_gap(measured(truth, seed=2), bootstrap=0, hidden=False, separate=False)
-    assert gap.weighing.find(*truth).log_z > max(
-        h.log_z for h in gap.weighing.hypotheses if h.incomplete or len(h.effects) < 2
+    assert gap.comparison.find(*truth).log_z > max(
+        h.log_z for h in gap.comparison.hypotheses if h.incomplete or len(h.effects) < 2
     )
-    assert gap.standing.unlisted < 0.1
+    assert gap.probabilities.unlisted < 0.1
     # both are likely, but the family is what is said: two members may be a third in another form
-    assert min(gap.standing.effects[name] for name in truth) > NAMED
+    assert min(gap.probabilities.effects[name] for name in truth) > NAMED
     assert gap.verdict.kind == "family" and gap.verdict.family == "asymmetry"
     assert set(gap.verdict.effects[:2]) == set(truth)
     assert " and ".join(truth) + " together explain the gap best" in gap.verdict.sentence
@@ -259,20 +263,20 @@ def beside_two_effects(size: float) -> Gap:
 def test_something_else_beside_two_effects_is_seen():
     gap = beside_two_effects(0.04)
     assert gap.verdict.kind == "unlisted"
-    likely = gap.weighing.hypotheses[int(np.argmax(gap.weighing.probabilities))]
+    likely = gap.comparison.hypotheses[int(np.argmax(gap.comparison.probabilities))]
     assert likely.incomplete and len(likely.effects) == 2
     assert likely.leftover > LEFT
     # by the mean, not only by what is left as a break
-    assert gap.standing.looks_by_mean > NAMED
+    assert gap.probabilities.looks_by_mean > NAMED
 
 
 def test_something_small_beside_two_effects_may_be_their_form():
     gap = beside_two_effects(0.03)
-    likely = gap.weighing.hypotheses[int(np.argmax(gap.weighing.probabilities))]
+    likely = gap.comparison.hypotheses[int(np.argmax(gap.comparison.probabilities))]
     assert likely.incomplete and len(likely.effects) == 2
-    form = another_form(likely, gap.weighing)
+    form = simpler_explanation(likely, gap.comparison)
     assert form is not None and form.effects == likely.effects and form.left < OTHER_FORM
-    assert gap.standing.looks_by_mean == pytest.approx(OTHER_CAUSE, abs=0.02)
+    assert gap.probabilities.looks_by_mean == pytest.approx(OTHER_CAUSE, abs=0.02)
 
 
 def test_an_effect_of_the_mean_and_one_of_the_noise_stand_together():
@@ -624,7 +628,7 @@ def test_a_family_that_leaves_what_no_process_knows_is_not_stated() -> None:
             within = (k >= 0) & (k < pieces)
             values[e.name][within] += steps[k[within]]
     gap = diagnose_gap(campaign.with_data(values), bootstrap=0, separate=False, hidden=False)
-    assert gap.verdict.kind == "unlisted" and gap.standing.looks_by_mean < 0.5
+    assert gap.verdict.kind == "unlisted" and gap.probabilities.looks_by_mean < 0.5
     assert "% of the gap" in gap.verdict.sentence
     assert "standard deviations of misfit: the cause is not listed" in gap.verdict.sentence
 
@@ -635,7 +639,7 @@ def test_what_an_effect_would_close_is_said_where_more_is_seen() -> None:
     e = campaign.experiments[1]
     values[e.name] += 0.12 * ((e.t > 24.0) & (e.t < 24.6))
     gap = diagnose_gap(campaign.with_data(values), bootstrap=0, separate=False, hidden=False)
-    assert gap.verdict.kind == "unlisted" and gap.standing.looks_by_mean < 0.5
+    assert gap.verdict.kind == "unlisted" and gap.probabilities.looks_by_mean < 0.5
     assert gap.verdict.sentence.startswith("gain_drift would close 100 % of the gap")
     assert "something happens once" in gap.verdict.sentence
 

@@ -5,7 +5,7 @@ import pytest
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.diagnosis.effects import CATALOGUE
-from bayes_sensor.diagnosis.effects.effect import Effect, Strength, own_effect
+from bayes_sensor.diagnosis.effects.effect import Effect, Strength
 from bayes_sensor.diagnosis.effects.effect_model import (
     EffectModel,
     check_effects,
@@ -13,6 +13,7 @@ from bayes_sensor.diagnosis.effects.effect_model import (
     with_effects,
 )
 from bayes_sensor.diagnosis.effects.simulate_effects import read_strength
+from bayes_sensor.diagnosis.effects.user_effects import own_effect
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import Cascade
 from tests.support.campaigns import small_design, small_problem

@@ -2,14 +2,12 @@
 
 import numpy as np
 
-from bayes_sensor.diagnosis.data.noise_floor import Stretch, clean
-from bayes_sensor.diagnosis.diagnose import ar1_whiteness
-from bayes_sensor.diagnosis.signals.events import _blocks
-from bayes_sensor.diagnosis.signals.spectral_lines import _look_for_lines
-from bayes_sensor.diagnosis.signals.tails_and_converter import (
-    _innovations,
-    look_at_tails,
-)
+from bayes_sensor.diagnosis.budget import ar1_whiteness
+from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, clean, innovations
+from bayes_sensor.diagnosis.effects.heavy_tails import look_at_tails
+from bayes_sensor.diagnosis.effects.mains_pickup import SEARCH
+from bayes_sensor.diagnosis.signals.events import event_blocks
+from bayes_sensor.diagnosis.signals.periodograms import find_line
 from tests.support.campaigns import small_design
 
 
@@ -20,7 +18,7 @@ def test_few_samples_are_left_as_they_are() -> None:
 
 
 def test_no_pieces_hold_no_lines() -> None:
-    assert _look_for_lines([], "mains_pickup") == []
+    assert find_line([], SEARCH) == []
 
 
 def stretch_of(samples: np.ndarray) -> Stretch:
@@ -31,7 +29,7 @@ def test_a_record_of_zeros_has_no_tails() -> None:
     for samples in (np.zeros(100), np.zeros(500)):
         found = look_at_tails([stretch_of(samples)])
         assert found.log_bayes_factor == 0.0 and found.strength == {"tail_dof": float("inf")}
-    assert (_innovations(np.zeros(10), 4) == 0.0).all()
+    assert (innovations(np.zeros(10), 4) == 0.0).all()
 
 
 def test_a_long_record_is_thinned_and_says_the_same() -> None:
@@ -44,8 +42,8 @@ def test_a_long_record_is_thinned_and_says_the_same() -> None:
 
 def test_a_record_of_zeros_has_no_events() -> None:
     campaign = small_design(n=1)
-    assert _blocks(campaign, stretch_of(np.zeros(20_000))) is None
-    assert _blocks(campaign, stretch_of(np.zeros(100))) is None
+    assert event_blocks(campaign, stretch_of(np.zeros(20_000))) is None
+    assert event_blocks(campaign, stretch_of(np.zeros(100))) is None
 
 
 def test_whiteness_leaves_out_short_and_empty_records() -> None:

@@ -9,35 +9,32 @@ from scipy.signal import lfilter
 from bayes_sensor.blind_check.simulator import Component, NoiseLaw, draw_case, make_campaign
 from bayes_sensor.campaign import Campaign
 from bayes_sensor.diagnosis import diagnose_gap
+from bayes_sensor.diagnosis.data.bin_covariance import rounding_bias
 from bayes_sensor.diagnosis.data.bins import PHASES
-from bayes_sensor.diagnosis.data.noise_floor import Quiet, Stretch, rounding_bias
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans, Stretch, hides_the_noise
 from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects.heavy_tails import look_at_tails
 from bayes_sensor.diagnosis.signals.events import look_for_events
+from bayes_sensor.diagnosis.signals.finding import Finding, Place
+from bayes_sensor.diagnosis.signals.lines import look_for_lines
 from bayes_sensor.diagnosis.signals.local_misfit import (
-    _runs_of_bins,
-    _short_patches,
-    look_for_breaks,
-    look_for_patches,
+    find_runs_of_bins,
+    find_short_bumps,
+    look_for_level_changes,
+    look_for_local_misfit,
 )
 from bayes_sensor.diagnosis.signals.ringing import look_for_ringing
-from bayes_sensor.diagnosis.signals.spectral_lines import look_for_lines
-from bayes_sensor.diagnosis.signals.tails_and_converter import (
-    FullRate,
-    Place,
-    look_at_tails,
-    rounds_away,
-)
 from bayes_sensor.diagnosis.verdict import (
     ELSEWHERE,
     MISTAKEN_BY_SAMPLES,
     MOSTLY_ELSEWHERE,
-    standing,
-    stands_beside,
+    combine,
+    leaves_explanation_alone,
 )
 from bayes_sensor.residuals.converter_step import lattice_step
 from bayes_sensor.rig.layout import Layout
-from tests.support.planted_effects import design, diagnosed, measured, noise, theta
+from tests.support.planted_effects import SIGNALS, design, diagnosed, measured, noise, theta
 
 INTERVAL = 0.01
 
@@ -120,7 +117,7 @@ def ringing_case(rng, kind, amplitude, hertz=9.0, fades=0.5, early=0.1, sign=1.0
             r = r + misfit * up * since / 0.4 * np.exp(-since / 0.4)
         residuals.append(r)
         spans = ((0.0, on), (on + 6.0, off), (off + 6.0, float(e.t[-1])))
-        quiet.append(Quiet((on, off), spans, np.full(len(e.t), float(np.std(r)))))
+        quiet.append(QuietSpans((on, off), spans, np.full(len(e.t), float(np.std(r)))))
     return look_for_ringing(campaign, residuals, quiet)
 
 
@@ -154,7 +151,7 @@ def test_slow_records_are_looked_at_as_far_as_they_go(interval):
     rng = np.random.default_rng(10)
     residuals = [noise(len(e.t), rng, "white") for e in campaign]
     quiet = [
-        Quiet((e.commanded_on, e.commanded_off), ((0.0, e.commanded_on),), np.ones(len(e.t)))
+        QuietSpans((e.commanded_on, e.commanded_off), ((0.0, e.commanded_on),), np.ones(len(e.t)))
         for e in campaign
     ]
     assert look_for_ringing(campaign, residuals, quiet).log_bayes_factor < 2.0
@@ -174,12 +171,12 @@ def prepared_of(campaign):
 
 
 def patches_of(prepared, base=None, tail=np.inf):
-    base = base or fit_base(prepared.sketch)
-    return look_for_patches(base, prepared.residuals_of(base), prepared.quiet, tail)
+    base = base or fit_base(prepared.binned)
+    return look_for_local_misfit(base, prepared.residuals_of(base), prepared.quiet, tail)
 
 
 def breaks_of(prepared, base=None, tail=np.inf):
-    return look_for_breaks(base or fit_base(prepared.sketch), tail)
+    return look_for_level_changes(base or fit_base(prepared.binned), tail)
 
 
 def test_a_block_lost_in_one_step_is_a_patch():
@@ -212,10 +209,10 @@ def test_a_reading_that_stands_for_less_than_a_bin_is_a_patch():
         stood.append(replace(e, y=y))
         begins.append(float(e.t[i]))
     prepared = prepared_of(replace(campaign, experiments=tuple(stood)))
-    base = fit_base(prepared.sketch)
+    base = fit_base(prepared.binned)
     found = patches_of(prepared, base)
     assert found.log_bayes_factor > 10.0
-    assert _runs_of_bins(base, np.inf).log_bayes_factor < 2.0  # bins average it
+    assert find_runs_of_bins(base, np.inf).log_bayes_factor < 2.0  # bins average it
     assert {p.experiment for p in found.places} >= {0, 1, 2, 3}
     near = [min(abs(p.time - begins[p.experiment] - 0.03) for p in found.places
                 if p.experiment == k) for k in range(4)]  # fmt: skip
@@ -242,8 +239,8 @@ def test_noise_of_any_kind_holds_no_short_patch(kind):
                 own *= np.where(np.abs(e.t - e.commanded_on - 1.5) < 1.0, 4.0, 1.0)
             made.append(replace(e, y=e.y + 0.01 * own / np.std(own)))
         prepared = prepared_of(replace(plan, experiments=tuple(made)))
-        base = fit_base(prepared.sketch)
-        found = _short_patches(base, prepared.residuals_of(base), prepared.quiet, np.inf)
+        base = fit_base(prepared.binned)
+        found = find_short_bumps(base, prepared.residuals_of(base), prepared.quiet, np.inf)
         values.append(found.log_bayes_factor)
     assert max(values) < 2.0 and np.median(values) < (0.5 if kind == "gust" else -0.5)
 
@@ -290,7 +287,7 @@ def test_levels_that_last_are_no_breaks_no_patches_and_not_unsteady():
     law = NoiseLaw("mode_hopping", 0.02755, 0.02721, (Component(0.856), hopping))
     campaign = make_campaign(replace(draw_case(7020161), noise=law))
     prepared = prepared_of(campaign)
-    base = fit_base(prepared.sketch)
+    base = fit_base(prepared.binned)
     events = look_for_events(campaign, prepared.stretches)
     assert events.found.log_bayes_factor < 0.0 and events.lasting < 3.0
     for look in (breaks_of, patches_of):
@@ -301,7 +298,7 @@ def test_levels_that_last_are_no_breaks_no_patches_and_not_unsteady():
             assert as_it_is.d == as_if_gaussian.d
     found = diagnose_gap(campaign, bootstrap=0, separate=False, hidden=False)
     assert found.verdict.kind == "none"
-    assert "unsteady" not in [f.name for f in found.full_rate]
+    assert "unsteady" not in [f.name for f in found.findings]
 
 
 @pytest.mark.parametrize("n", [250, 400, 800])
@@ -317,8 +314,8 @@ def test_the_ends_of_short_stretches_are_no_tails(n):
 
 def test_a_level_that_changes_in_one_record_is_found_when_it_does():
     campaign = measured({}, seed=8)
-    base = fit_base(prepared_of(campaign).sketch)
-    kept = look_for_breaks(base)
+    base = fit_base(prepared_of(campaign).binned)
+    kept = look_for_level_changes(base)
     assert kept.log_bayes_factor < 0.0
     third = campaign.experiments[2]
     at = 0.5 * (third.commanded_on + third.commanded_off)
@@ -326,8 +323,9 @@ def test_a_level_that_changes_in_one_record_is_found_when_it_does():
     jump = 0.012 * ((third.t > at) & (third.t < third.commanded_off))
     experiments = list(campaign.experiments)
     experiments[2] = replace(third, y=third.y + jump)
-    found = look_for_breaks(fit_base(prepared_of(replace(campaign, experiments=tuple(experiments)))
-                                     .sketch))  # fmt: skip
+    found = look_for_level_changes(
+        fit_base(prepared_of(replace(campaign, experiments=tuple(experiments))).binned)
+    )
     assert found.log_bayes_factor > 6.0 and found.strength["break_experiment"] == 2.0
     assert found.strength["break_s"] == pytest.approx(at, abs=2.5)
 
@@ -351,17 +349,17 @@ def test_what_strikes_again_alike_counts_together(look):
 
 def test_scores_of_changes_have_unit_variance_where_nothing_changes():
     # the refit's own freedom is left out: over noises the squares average to one
-    from bayes_sensor.diagnosis.signals.local_misfit import _changes
+    from bayes_sensor.diagnosis.signals.local_misfit import level_changes
 
     squares = []
     for seed in range(6):
-        found = fit_base(prepared_of(measured({}, seed=20 + seed)).sketch)
-        sketch = found.plan.sketch
-        normal = found.jacobian.T @ found.jacobian + found.plan.own_prior_matrix
+        found = fit_base(prepared_of(measured({}, seed=20 + seed)).binned)
+        binned = found.coords.binned
+        normal = found.jacobian.T @ found.jacobian + found.coords.own_prior_matrix
         covariance = np.linalg.inv(normal)
-        for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
-            templates = sketch.inverse_factors[k] @ _changes(b.falling)[0]
-            columns = found.plan.columns(k)
+        for k, (rows, b) in enumerate(zip(binned.rows, binned.bins, strict=True)):
+            templates = binned.inverse_factors[k] @ level_changes(b.falling)[0]
+            columns = found.coords.columns(k)
             inside = found.jacobian[rows, columns].T @ templates
             left = np.sum(templates**2, axis=0) - np.sum(
                 inside * (covariance[np.ix_(columns, columns)] @ inside), axis=0
@@ -380,7 +378,7 @@ def test_a_line_on_the_plateaus_alone_is_found():
         experiments.append(replace(e, y=e.y + pump))
     for name, these in (("quiet", campaign.experiments), ("pumped", tuple(experiments))):
         p = prepared_of(replace(campaign, experiments=these))
-        line = look_for_lines(p.sketch.campaign, p.stretches)[0]
+        line = look_for_lines(p.binned.campaign, p.stretches)[0]
         if name == "quiet":
             assert line.log_bayes_factor < 1.0
         else:
@@ -412,9 +410,9 @@ def test_a_line_stands_beside_an_effect_on_the_mean_and_is_unlisted_by_itself():
     alone = diagnose_gap(humming({}, 17.3, 0.004), bootstrap=0, separate=False, hidden=False)
     assert alone.verdict.kind == "unlisted" and "line of unlisted origin" in alone.verdict.sentence
     # it may be the noise of the place: almost half of it is given back
-    assert alone.standing.looks_unlisted > 0.9
+    assert alone.probabilities.looks_unlisted > 0.9
     said = alone.to_json()["unlisted"]  # a line tells it, not the mean
-    assert said["looks"] == alone.standing.looks_unlisted and said["by_mean"] < 0.5
+    assert said["looks"] == alone.probabilities.looks_unlisted and said["by_mean"] < 0.5
     assert alone.verdict.probability == pytest.approx(1.0 - MISTAKEN_BY_SAMPLES, abs=0.05)
     quiet, hum = (
         diagnose_gap(humming({"flow_error": 1.15}, 17.3, volts), bootstrap=0, separate=False,
@@ -422,20 +420,20 @@ def test_a_line_stands_beside_an_effect_on_the_mean_and_is_unlisted_by_itself():
         for volts in (0.0, 0.004)
     )  # fmt: skip
     assert quiet.verdict.effects == hum.verdict.effects == ("flow_error",)
-    assert hum.standing.unlisted == pytest.approx(quiet.standing.unlisted, abs=0.02)
+    assert hum.probabilities.unlisted == pytest.approx(quiet.probabilities.unlisted, abs=0.02)
     assert "17.3" in hum.verdict.sentence and "Hz" not in quiet.verdict.sentence
     # tau is that of the effect, as without the hum
     assert hum.shrink.tau_after_s == pytest.approx(quiet.shrink.tau_after_s, rel=0.05)
 
 
 def test_a_line_that_moves_the_bins_is_a_rival_of_the_effects():
-    line = FullRate("line", 20.0, {"line_V": 0.004, "line_Hz": 17.3}, 10.0)
+    line = Finding(SIGNALS["line"], 20.0, {"line_V": 0.004, "line_Hz": 17.3}, 10.0)
     assert line.beside_the_mean
     assert not replace(line, strength={"line_V": 0.004, "line_Hz": 0.6}).beside_the_mean
-    assert not replace(line, name="swing", strength={"swing_Hz": 17.3}).beside_the_mean
-    weighing = diagnosed("flow_error").weighing
-    fast = standing(weighing, [line], CATALOGUE)
-    slow = standing(weighing, [replace(line, strength={"line_Hz": 0.6})], CATALOGUE)
+    assert not replace(line, signal=SIGNALS["swing"], strength={"swing_Hz": 17.3}).beside_the_mean
+    comparison = diagnosed("flow_error").comparison
+    fast = combine(comparison, [line], CATALOGUE)
+    slow = combine(comparison, [replace(line, strength={"line_Hz": 0.6})], CATALOGUE)
     assert fast.looks_unlisted < 0.3 and slow.looks_unlisted > 0.95
     assert slow.unlisted == pytest.approx(1.0 - MISTAKEN_BY_SAMPLES, abs=0.05)
     assert sum(fast.rows.values()) == pytest.approx(sum(slow.rows.values())) == pytest.approx(1.0)
@@ -455,7 +453,7 @@ def test_an_event_stands_beside_an_effect_that_shows_elsewhere_and_is_unlisted_b
     alone = diagnose_gap(bumped({}), bootstrap=0, separate=False, hidden=False)
     assert alone.verdict.kind == "unlisted" and "something happens once" in alone.verdict.sentence
     both = diagnose_gap(bumped({"flow_error": 1.15}), bootstrap=0, separate=False, hidden=False)
-    assert both.verdict.effects == ("flow_error",) and both.standing.unlisted < 0.3
+    assert both.verdict.effects == ("flow_error",) and both.probabilities.unlisted < 0.3
     assert "In experiment 2 something happens once" in both.verdict.sentence
     # tau is that of the effect: without it the fit has lost it
     tau = 0.06
@@ -465,29 +463,35 @@ def test_an_event_stands_beside_an_effect_that_shows_elsewhere_and_is_unlisted_b
 
 
 def test_an_effect_that_lives_by_an_event_does_not_stand_beside_it():
-    weighing = diagnosed("flow_error").weighing
-    base, sketch = weighing.base, weighing.sketch
-    fitted = weighing.find("flow_error").refit
+    comparison = diagnosed("flow_error").comparison
+    base, binned = comparison.base, comparison.binned
+    fitted = comparison.find("flow_error").refit
     gain = base.residual**2 - fitted.residual**2
-    plateaus = np.concatenate([b.phase == PHASES.index("plateau") for b in sketch.bins])
-    event = FullRate("event", 20.0, {}, 5.0, (Place(1, 20.0, 30.0),))
-    steady = FullRate("unsteady", 20.0, {"unsteady_Hz": 0.2}, None)
+    plateaus = np.concatenate([b.phase == PHASES.index("plateau") for b in binned.bins])
+    event = Finding(SIGNALS["event"], 20.0, {}, 5.0, (Place(1, 20.0, 30.0),))
+    steady = Finding(SIGNALS["unsteady"], 20.0, {"unsteady_Hz": 0.2}, None)
     assert gain[~plateaus].sum() > max(ELSEWHERE, MOSTLY_ELSEWHERE * gain.sum())
-    assert stands_beside(event, fitted, base) and stands_beside(steady, fitted, base)
+    assert leaves_explanation_alone(event, fitted, base) and leaves_explanation_alone(
+        steady, fitted, base
+    )
     # nothing explains nothing beside it, and what acts on the mean itself is a rival
-    assert not stands_beside(event, base, base)
-    assert not stands_beside(replace(event, places=()), fitted, base)
+    assert not leaves_explanation_alone(event, base, base)
+    assert not leaves_explanation_alone(replace(event, places=()), fitted, base)
     for name in ("patch", "break", "ringing", "swing"):
-        assert not stands_beside(replace(event, name=name), fitted, base)
+        assert not leaves_explanation_alone(replace(event, signal=SIGNALS[name]), fitted, base)
     # the same gain, where the event is
-    at = np.flatnonzero(sketch.bins[1].phase == PHASES.index("plateau")) + sketch.rows[1].start
+    at = np.flatnonzero(binned.bins[1].phase == PHASES.index("plateau")) + binned.rows[1].start
     moved = base.residual.copy()
     moved[at[0]] = 0.0
     was = base.residual.copy()
     was[at[0]] = np.sqrt(gain.sum())
-    assert not stands_beside(event, replace(fitted, residual=moved), replace(base, residual=was))
+    assert not leaves_explanation_alone(
+        event, replace(fitted, residual=moved), replace(base, residual=was)
+    )
     unstruck = replace(event, places=(Place(2, 20.0, 30.0),))
-    assert stands_beside(unstruck, replace(fitted, residual=moved), replace(base, residual=was))
+    assert leaves_explanation_alone(
+        unstruck, replace(fitted, residual=moved), replace(base, residual=was)
+    )
 
 
 def test_rounding_biases_bins_as_the_covariance_says():
@@ -502,7 +506,7 @@ def test_rounding_biases_bins_as_the_covariance_says():
     e = replace(e, y=np.round(e.values / step) * step)
     assert lattice_step(e.values) == pytest.approx(step)
     p = prepared_of(replace(campaign, experiments=(e,)))
-    (b,), edges = p.sketch.bins, p.sketch.floor.edges
+    (b,), edges = p.binned.bins, p.binned.floor.edges
     flat = np.full((2, len(edges) - 1), 2.0 * INTERVAL * (0.012**2 + step**2 / 12.0))
     factor = rounding_bias(e, b, edges, flat, mean)
     assert factor is not None
@@ -528,9 +532,9 @@ def test_on_a_lattice_that_the_noise_hardly_crosses_only_the_steps_are_judged():
         experiments=tuple(replace(e, y=np.round(e.values / 0.03) * 0.03) for e in campaign),
     )
     p = prepared_of(coarse)
-    assert rounds_away(p.stretches, 0.03)
-    assert not rounds_away(prepared_of(campaign).stretches, 0.002)
+    assert hides_the_noise(p.stretches, 0.03)
+    assert not hides_the_noise(prepared_of(campaign).stretches, 0.002)
     gap = diagnose_gap(coarse, bootstrap=0, separate=False, hidden=False)
-    assert {f.name for f in gap.full_rate} == {"heavy_tails", "quantisation"}
+    assert {f.name for f in gap.findings} == {"heavy_tails", "quantisation"}
     assert gap.verdict.kind == "effect" and gap.verdict.effects == ("quantisation",)
     assert set(gap.verdict.effects) <= set(CATALOGUE)

@@ -12,21 +12,19 @@ from scipy.special import logsumexp
 
 from bayes_sensor.diagnosis import CATALOGUE
 from bayes_sensor.diagnosis.data.noise_floor import DOF
-from bayes_sensor.diagnosis.data.preparation import coordinates, fit_base, flat_theta, prepare
+from bayes_sensor.diagnosis.data.preparation import base_coordinates, fit_base, flat_theta, prepare
 from bayes_sensor.diagnosis.effects.effect import Form, Strength
+from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER, Part
 from bayes_sensor.diagnosis.evidence.discrepancy import make_discrepancies, matern32
 from bayes_sensor.diagnosis.evidence.hypotheses import (
-    _most_promising,
     family_priors,
-    joined_start,
-    with_start,
+    most_promising_starts,
 )
 from bayes_sensor.diagnosis.evidence.laplace_evidence import AT_REST, STRONG, WIDTHS, Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Part, Plan
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.evidence.varying_parameter import embedded_rivals
-from bayes_sensor.diagnosis.location import Leverage
-from bayes_sensor.diagnosis.verdict import Standing, judge
+from bayes_sensor.diagnosis.verdict import Probabilities, judge
 from bayes_sensor.rig.layout import Layout
 from bayes_sensor.rig.perturbed import FIRST, INDEX
 from tests.support.planted_effects import measured, theta
@@ -35,34 +33,34 @@ TABLES = Path(__file__).resolve().parents[2] / "paper" / "tables"
 
 
 @pytest.fixture(scope="module")
-def sketch():
+def binned():
     campaign = measured({"valve_asymmetry": 1.15}, seed=3)
-    return prepare(campaign, Layout.of(campaign).flat(theta(campaign))).sketch
+    return prepare(campaign, Layout.of(campaign).flat(theta(campaign))).binned
 
 
 @pytest.fixture(scope="module")
-def base(sketch):
-    return fit_base(sketch)
+def base(binned):
+    return fit_base(binned)
 
 
-def test_coordinates_and_theta_are_inverse(sketch):
-    vector = Layout.of(sketch.campaign).flat(theta(sketch.campaign))
-    x = coordinates(sketch.campaign, vector)
-    assert np.allclose(flat_theta(sketch.campaign, x), vector[: len(x)])
+def test_coordinates_and_theta_are_inverse(binned):
+    vector = Layout.of(binned.campaign).flat(theta(binned.campaign))
+    x = base_coordinates(binned.campaign, vector)
+    assert np.allclose(flat_theta(binned.campaign, x), vector[: len(x)])
     # the slower of the two lags that do not depend on the flow is the valve's
     swapped = vector.copy()
     swapped[[0, 1]] = vector[[1, 0]]
-    assert np.allclose(coordinates(sketch.campaign, swapped), x)
+    assert np.allclose(base_coordinates(binned.campaign, swapped), x)
 
 
 @pytest.mark.parametrize("name", ["valve_asymmetry", "baseline_step", "flow_error", "gain_drift"])
-def test_means_of_all_experiments_at_once_are_those_of_each(sketch, name):
+def test_means_of_all_experiments_at_once_are_those_of_each(binned, name):
     # each with its own conditions and the first without its fall; and the voltage at the bins'
     # times, averaged here, where no step of the baseline falls into a bin
     effect = CATALOGUE[name]
-    rows = [np.full(len(d), True) for d in sketch.data]
-    rows[0] = ~sketch.bins[0].falling
-    some = sketch.restricted(rows)
+    rows = [np.full(len(d), True) for d in binned.data]
+    rows[0] = ~binned.bins[0].falling
+    some = binned.restricted(rows)
     e, cut = some.campaign.experiments[0], int(some.bins[0].last[-1])
     e = replace(e, commanded_off=None, t=e.t[:cut], y=e.y[:cut], mask=None)
     first = replace(some.bins[0], experiment=e)
@@ -73,65 +71,65 @@ def test_means_of_all_experiments_at_once_are_those_of_each(sketch, name):
         base=np.delete(some.base, 6),  # its tf
     )
     for form in effect.forms:
-        plan = Plan(some, (Part(effect, form),))
-        x = plan.start(some.base, form.starts[0])
-        together = plan.means(x)
+        coords = Coordinates(some, (Part(effect, form),))
+        x = coords.start(some.base, form.starts[0])
+        together = coords.means(x)
         assert [len(m) for m in together] == [len(d) for d in some.data]
         for k, b in enumerate(some.bins):
-            assert np.allclose(together[k], plan.binned(x, k), rtol=0.0, atol=1e-12)
+            assert np.allclose(together[k], coords.bin_means(x, k), rtol=0.0, atol=1e-12)
             if name != "baseline_step":
-                read = b.reduce(plan.mean(x, k))
+                read = b.reduce(coords.mean(x, k))
                 assert np.allclose(together[k], read, rtol=0.0, atol=1e-12)
 
 
-def test_a_noise_free_refit_finds_the_truth(sketch):
+def test_a_noise_free_refit_finds_the_truth(binned):
     effect = CATALOGUE["valve_asymmetry"]
-    plan = Plan(sketch, (Part(effect, effect.forms[0]),))
-    truth = plan.start(sketch.base, {"closing_ratio": 1.2})
-    data = [plan.binned(truth, k) for k in range(len(sketch.bins))]
-    start = plan.start(sketch.base, {})
+    coords = Coordinates(binned, (Part(effect, effect.forms[0]),))
+    truth = coords.start(binned.base, {"closing_ratio": 1.2})
+    data = [coords.bin_means(truth, k) for k in range(len(binned.bins))]
+    start = coords.start(binned.base, {})
     start[0] += 0.5
     start[1] += 0.05
-    found = refit(plan, start, data=data, most_steps=60, tolerance=1e-8)
+    found = refit(coords, start, data=data, most_steps=60, tolerance=1e-8)
     assert found.converged
     assert found.misfit < 0.5
     assert found.strength()["closing_ratio"] == pytest.approx(1.2, abs=0.01)
 
 
-def test_derivatives_do_not_depend_on_the_step(sketch, base):
+def test_derivatives_do_not_depend_on_the_step(binned, base):
     effect = CATALOGUE["dead_volume"]
-    plan = Plan(sketch, (Part(effect, effect.forms[1]),))
-    x = plan.start(base.x, {"pocket_share": 0.05})
-    columns = plan.columns(1)
-    forward = plan.derivatives(x, plan.all_means(x))[sketch.rows[1], : len(columns)]
+    coords = Coordinates(binned, (Part(effect, effect.forms[1]),))
+    x = coords.start(base.x, {"pocket_share": 0.05})
+    columns = coords.columns(1)
+    forward = coords.derivatives(x, coords.all_means(x))[binned.rows[1], : len(columns)]
     for i, c in enumerate(columns):
         up, down = x.copy(), x.copy()
-        up[c] += 3 * plan.steps[c]
-        down[c] -= 3 * plan.steps[c]
-        central = (plan.binned(up, 1) - plan.binned(down, 1)) / (6 * plan.steps[c])
-        central = sketch.inverse_factors[1] @ central
+        up[c] += 3 * coords.steps[c]
+        down[c] -= 3 * coords.steps[c]
+        central = (coords.bin_means(up, 1) - coords.bin_means(down, 1)) / (6 * coords.steps[c])
+        central = binned.inverse_factors[1] @ central
         assert np.max(np.abs(forward[:, i] - central)) < 0.03 * np.max(np.abs(central)) + 1e-3
 
 
-def test_the_sensor_stays_the_faster_lag(sketch):
-    plan = Plan(sketch)
-    start = sketch.base.copy()
+def test_the_sensor_stays_the_faster_lag(binned):
+    coords = Coordinates(binned)
+    start = binned.base.copy()
     start[0] = -1.0
-    found = refit(plan, start, most_steps=3)
+    found = refit(coords, start, most_steps=3)
     assert found.x[0] >= 0.0
     assert found.tau <= found.tau_v * np.exp(-FASTER) * (1 + 1e-12)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_less_gas_than_none_is_not_left_over(sketch, sign):
+def test_less_gas_than_none_is_not_left_over(binned, sign):
     effect = CATALOGUE["carry_over"]
-    plan = Plan(sketch, (Part(effect, effect.forms[1]),))
-    nothing, left = plan.start(sketch.base, {}), plan.start(sketch.base, {"carry_over": 0.04})
+    coords = Coordinates(binned, (Part(effect, effect.forms[1]),))
+    nothing, left = coords.start(binned.base, {}), coords.start(binned.base, {"carry_over": 0.04})
     data = [
         m + sign * (more - m)
-        for m, more in zip(plan.means(nothing), plan.means(left), strict=True)
+        for m, more in zip(coords.means(nothing), coords.means(left), strict=True)
     ]  # fmt: skip
-    found = refit(plan, nothing, data=data, most_steps=60, tolerance=1e-6)
+    found = refit(coords, nothing, data=data, most_steps=60, tolerance=1e-6)
     assert found.converged
     carried = found.strength()["carry_over"].values()
     if sign > 0:
@@ -142,19 +140,19 @@ def test_less_gas_than_none_is_not_left_over(sketch, sign):
         assert Linearised(found).evidence(None).misfit > found.misfit - AT_REST
 
 
-def test_gas_left_with_a_spread_is_found(sketch):
+def test_gas_left_with_a_spread_is_found(binned):
     effect = CATALOGUE["carry_over"]
     slow, spread = effect.forms[2:4]
     truth = {"carry_over": 0.1, "carry_time": 8.0, "carry_spread": 4.0}
-    with_spread = Plan(sketch, (Part(effect, spread),))
-    data = with_spread.means(with_spread.start(sketch.base, truth))
+    with_spread = Coordinates(binned, (Part(effect, spread),))
+    data = with_spread.means(with_spread.start(binned.base, truth))
     begin = {"carry_over": 0.05, "carry_time": 4.0}
     found = refit(
-        with_spread, with_spread.start(sketch.base, begin), data=data, most_steps=80, tolerance=1e-6
+        with_spread, with_spread.start(binned.base, begin), data=data, most_steps=80, tolerance=1e-6
     )
-    single = Plan(sketch, (Part(effect, slow),))
+    single = Coordinates(binned, (Part(effect, slow),))
     other = refit(
-        single, single.start(sketch.base, begin), data=data, most_steps=80, tolerance=1e-6
+        single, single.start(binned.base, begin), data=data, most_steps=80, tolerance=1e-6
     )
     strength = found.strength()
     assert np.allclose(list(strength["carry_over"].values()), 0.1, atol=0.005)
@@ -164,24 +162,24 @@ def test_gas_left_with_a_spread_is_found(sketch):
     assert other.misfit > found.misfit + 25.0
 
 
-def test_gas_left_by_the_record_before_follows_its_concentration(sketch):
+def test_gas_left_by_the_record_before_follows_its_concentration(binned):
     form = next(f for f in CATALOGUE["carry_over"].forms if f.name == "of the record before, slow")
-    plan = Plan(sketch, (Part(CATALOGUE["carry_over"], form),))
-    truth = plan.start(sketch.base, {"carry_over": 0.1, "carry_time": 5.0})
-    x = plan.start(sketch.base, {"carry_over": 0.05, "carry_time": 4.0})
-    data = [plan.binned(truth, k) for k in range(len(sketch.bins))]
-    found = refit(plan, x, data=data, most_steps=60, tolerance=1e-8)
+    coords = Coordinates(binned, (Part(CATALOGUE["carry_over"], form),))
+    truth = coords.start(binned.base, {"carry_over": 0.1, "carry_time": 5.0})
+    x = coords.start(binned.base, {"carry_over": 0.05, "carry_time": 4.0})
+    data = [coords.bin_means(truth, k) for k in range(len(binned.bins))]
+    found = refit(coords, x, data=data, most_steps=60, tolerance=1e-8)
     assert found.converged
     assert found.strength()["carry_over"] == pytest.approx(0.1, abs=0.003)
     # of every record's own step it is as much as the one before had, and nothing of the first's
-    concentrations = [e.concentration for e in sketch.campaign]
+    concentrations = [e.concentration for e in binned.campaign]
     before = [0.0, *concentrations[:-1]]
     for k, (c, was) in enumerate(zip(concentrations, before, strict=True)):
-        p, _ = plan.rig(truth, k)
+        p, _ = coords.rig(truth, k)
         assert p[FIRST + INDEX["carry_over"]] == pytest.approx(0.1 * was / c)
     # what came before is known of experiments that stay, too
-    keep = [np.full(len(d), k != 1) for k, d in enumerate(sketch.data)]
-    fewer = sketch.restricted(keep).restricted(keep[:1] + keep[2:])
+    keep = [np.full(len(d), k != 1) for k, d in enumerate(binned.data)]
+    fewer = binned.restricted(keep).restricted(keep[:1] + keep[2:])
     told = [s.concentration_before for s in fewer.settings]
     assert told == before[:1] + before[2:]
 
@@ -189,13 +187,13 @@ def test_gas_left_by_the_record_before_follows_its_concentration(sketch):
 def test_evidence_is_the_multivariate_t_where_the_model_fits():
     """Laplace against the dense t density of the data, the linearised parameters integrated out."""
     campaign = measured({}, seed=5)
-    base = fit_base(prepare(campaign, Layout.of(campaign).flat(theta(campaign))).sketch)
+    base = fit_base(prepare(campaign, Layout.of(campaign).flat(theta(campaign))).binned)
     line = Linearised(base)
     j = base.jacobian
-    prior = base.plan.own_prior_matrix
+    prior = base.coords.own_prior_matrix
     # dense route: data ~ t with covariance I + J prior^-1 J'
     covariance = np.eye(len(j)) + j @ np.linalg.solve(prior, j.T)
-    centre = base.residual + j @ (base.x - base.plan.prior_centre)
+    centre = base.residual + j @ (base.x - base.coords.prior_centre)
     n = len(j)
     _, log_det = np.linalg.slogdet(covariance)
     square = float(centre @ np.linalg.solve(covariance, centre))
@@ -204,28 +202,30 @@ def test_evidence_is_the_multivariate_t_where_the_model_fits():
     assert made == pytest.approx(dense, abs=1.5)
 
 
-def test_low_rank_discrepancy_is_the_dense_kernel(sketch, base):
-    found = {d.name: d for d in make_discrepancies(sketch, base)}
+def test_low_rank_discrepancy_is_the_dense_kernel(binned, base):
+    found = {d.name: d for d in make_discrepancies(binned, base)}
     d = found["response 1 0.01"]
-    flows = np.log([e.total_flow for e in sketch.campaign])
+    flows = np.log([e.total_flow for e in binned.campaign])
     flow = (flows - flows.mean()) / flows.std()
-    n = sketch.n_bins
+    n = binned.n_bins
     dense = np.zeros((n, n))
     for falling in (False, True):
-        u = [np.log(np.maximum(b.since, 0) / sketch.time_scale + 0.06) for b in sketch.bins]
+        u = [np.log(np.maximum(b.since, 0) / binned.time_scale + 0.06) for b in binned.bins]
         s = [
-            np.where((b.falling == falling) & (b.since > 0), abs(base.x[base.plan.local[k] + 1]), 0)
-            for k, b in enumerate(sketch.bins)
+            np.where(
+                (b.falling == falling) & (b.since > 0), abs(base.x[base.coords.local[k] + 1]), 0
+            )
+            for k, b in enumerate(binned.bins)
         ]
-        for k, rows in enumerate(sketch.rows):
-            for m, columns in enumerate(sketch.rows):
+        for k, rows in enumerate(binned.rows):
+            for m, columns in enumerate(binned.rows):
                 common = 1 + 0.25 * flow[k] * flow[m] + (0.01 if k == m else 0.0)
                 kernel = matern32(np.subtract.outer(u[k], u[m]), 1.0) * common
                 dense[rows, columns] += 1e-4 * kernel * np.outer(s[k], s[m])
-    for k, rows in enumerate(sketch.rows):
-        dense[rows] = sketch.inverse_factors[k] @ dense[rows]
-    for k, rows in enumerate(sketch.rows):
-        dense[:, rows] = dense[:, rows] @ sketch.inverse_factors[k].T
+    for k, rows in enumerate(binned.rows):
+        dense[rows] = binned.inverse_factors[k] @ dense[rows]
+    for k, rows in enumerate(binned.rows):
+        dense[:, rows] = dense[:, rows] @ binned.inverse_factors[k].T
     made = d.basis @ (d.variance[:, None] * d.basis.T)
     # the kernel is interpolated from a grid: up to a tenth of its variance is lost between
     assert np.max(np.abs(made - dense)) < 0.1 * np.max(np.abs(dense))
@@ -240,9 +240,9 @@ def not_taken_up(d, v):
     return np.linalg.solve(np.eye(len(v)) + d.basis @ (d.variance[:, None] * d.basis.T), v)
 
 
-def test_timing_is_the_mean_at_another_time(sketch, base):
+def test_timing_is_the_mean_at_another_time(binned, base):
     # a rise that runs late by w(t), smooth in the logarithm of the time since the switch
-    scale = sketch.time_scale
+    scale = binned.time_scale
 
     def late(b):
         since = np.maximum(b.since, 0.0)
@@ -251,55 +251,55 @@ def test_timing_is_the_mean_at_another_time(sketch, base):
         )
 
     moved = []
-    for k, b in enumerate(sketch.bins):
+    for k, b in enumerate(binned.bins):
         ends = np.append(b.starts[1:], len(b.times))
         w = np.repeat(late(b), ends - b.starts)
         order = np.argsort(b.times - w)
         mean = np.empty(len(b.times))
-        mean[order] = base.plan.mean(base.x, k, (b.times - w)[order])
-        here = b.reduce(mean) - b.reduce(base.plan.mean(base.x, k, b.times))
-        moved.append(sketch.inverse_factors[k] @ here)
+        mean[order] = base.coords.mean(base.x, k, (b.times - w)[order])
+        here = b.reduce(mean) - b.reduce(base.coords.mean(base.x, k, b.times))
+        moved.append(binned.inverse_factors[k] @ here)
     wanted = np.concatenate(moved)
-    d = {d.name: d for d in make_discrepancies(sketch, base)}["timing 1 0.01"]
+    d = {d.name: d for d in make_discrepancies(binned, base)}["timing 1 0.01"]
     left = not_taken_up(d, wanted)
     assert np.linalg.norm(left) < 0.15 * np.linalg.norm(wanted)
     # and it takes nothing up where nothing moves
-    still = np.concatenate([(b.since > 20.0 * scale) & ~b.falling for b in sketch.bins])
+    still = np.concatenate([(b.since > 20.0 * scale) & ~b.falling for b in binned.bins])
     assert still.sum() > 10
     assert np.linalg.norm(not_taken_up(d, 1.0 * still)) > 0.98 * np.sqrt(still.sum())
 
 
-def test_a_readout_is_off_by_a_function_of_what_it_reads(sketch, base):
+def test_a_readout_is_off_by_a_function_of_what_it_reads(binned, base):
     # a sawtooth over the voltage, as of a converter whose stages do not match
     def sawtooth(volts):
-        return 0.02 * sketch.signal_scale * ((volts / (0.25 * sketch.signal_scale)) % 1.0 - 0.5)
+        return 0.02 * binned.signal_scale * ((volts / (0.25 * binned.signal_scale)) % 1.0 - 0.5)
 
     def drift(at):
-        return 0.02 * sketch.signal_scale * ((at / 7.0) % 1.0 - 0.5)
+        return 0.02 * binned.signal_scale * ((at / 7.0) % 1.0 - 0.5)
 
     errors, others = [], []
-    for k, b in enumerate(sketch.bins):
-        mean = b.reduce(base.plan.mean(base.x, k, b.times))
-        errors.append(sketch.inverse_factors[k] @ sawtooth(mean))
-        others.append(sketch.inverse_factors[k] @ drift(b.centre))
+    for k, b in enumerate(binned.bins):
+        mean = b.reduce(base.coords.mean(base.x, k, b.times))
+        errors.append(binned.inverse_factors[k] @ sawtooth(mean))
+        others.append(binned.inverse_factors[k] @ drift(b.centre))
     wanted, other = np.concatenate(errors), np.concatenate(others)
-    d = {d.name: d for d in make_discrepancies(sketch, base)}["readout 0.05 0.015"]
+    d = {d.name: d for d in make_discrepancies(binned, base)}["readout 0.05 0.015"]
     assert np.linalg.norm(not_taken_up(d, wanted)) < 0.2 * np.linalg.norm(wanted)
     assert np.linalg.norm(not_taken_up(d, other)) > 0.5 * np.linalg.norm(other)
 
 
-def test_a_gain_that_wanders_takes_another_course_in_every_experiment(sketch, base):
+def test_a_gain_that_wanders_takes_another_course_in_every_experiment(binned, base):
     # a sun behind clouds, another laser power every time: nothing without gas
     def course(k, b):
         return 0.02 * np.sin(2.0 * np.pi * (b.centre / (11.0 + 3.0 * k) + 0.3 * k))
 
     gains, drifts = [], []
-    for k, b in enumerate(sketch.bins):
-        above = b.reduce(base.plan.mean(base.x, k, b.times)) - base.x[base.plan.local[k]]
-        gains.append(sketch.inverse_factors[k] @ (course(k, b) * above))
-        drifts.append(sketch.inverse_factors[k] @ (course(k, b) * sketch.signal_scale))
+    for k, b in enumerate(binned.bins):
+        above = b.reduce(base.coords.mean(base.x, k, b.times)) - base.x[base.coords.local[k]]
+        gains.append(binned.inverse_factors[k] @ (course(k, b) * above))
+        drifts.append(binned.inverse_factors[k] @ (course(k, b) * binned.signal_scale))
     wanted, other = np.concatenate(gains), np.concatenate(drifts)
-    found = {d.name: d for d in make_discrepancies(sketch, base)}
+    found = {d.name: d for d in make_discrepancies(binned, base)}
     slow = found["gain 8 s 0.015"]
     assert np.linalg.norm(not_taken_up(slow, wanted)) < 0.1 * np.linalg.norm(wanted)
     assert np.linalg.norm(not_taken_up(slow, other)) > 0.5 * np.linalg.norm(other)
@@ -308,41 +308,41 @@ def test_a_gain_that_wanders_takes_another_course_in_every_experiment(sketch, ba
     assert max(logs, key=logs.__getitem__).startswith("gain")
 
 
-def test_own_strengths_that_are_alike_have_a_correlated_prior(sketch):
+def test_own_strengths_that_are_alike_have_a_correlated_prior(binned):
     effect = CATALOGUE["baseline_step"]
     form = next(f for f in effect.forms if f.name == "own")
-    plan = Plan(sketch, (Part(effect, form),))
-    widths = np.full(plan.size, 1.0)
-    at = [end - 1 for end in plan.local[1:]]
+    coords = Coordinates(binned, (Part(effect, form),))
+    widths = np.full(coords.size, 1.0)
+    at = [end - 1 for end in coords.local[1:]]
     widths[at] = 3.0
-    alike = plan.own[0].alike
+    alike = coords.own[0].alike
     n = len(at)
     covariance = 9.0 * ((1.0 - alike) * np.eye(n) + alike)
-    matrix = plan.prior_matrix(widths)
+    matrix = coords.prior_matrix(widths)
     assert alike > 0.5
     assert np.allclose(np.linalg.inv(matrix[np.ix_(at, at)]), covariance)
-    assert not matrix[np.ix_(at, np.setdiff1d(np.arange(plan.size), at))].any()
+    assert not matrix[np.ix_(at, np.setdiff1d(np.arange(coords.size), at))].any()
     sign, exact = np.linalg.slogdet(matrix)
     assert sign > 0
-    assert plan.log_prior_determinant(widths) == pytest.approx(exact, rel=1e-9)
+    assert coords.log_prior_determinant(widths) == pytest.approx(exact, rel=1e-9)
 
 
-def test_what_repeats_itself_is_common_or_follows_flow_or_concentration(sketch, base):
+def test_what_repeats_itself_is_common_or_follows_flow_or_concentration(binned, base):
     # a misfit of one form: alike in all, or going with the flow, or with the concentration
     def bump(b):
-        return np.exp(-0.5 * (np.log(np.maximum(b.since, 1e-3) / sketch.time_scale) - 0.3) ** 2)
+        return np.exp(-0.5 * (np.log(np.maximum(b.since, 1e-3) / binned.time_scale) - 0.3) ** 2)
 
     def best(size):
         wanted = np.concatenate([
-            sketch.inverse_factors[k] @ (0.02 * size[k] * sketch.signal_scale * bump(b))
-            for k, b in enumerate(sketch.bins)
+            binned.inverse_factors[k] @ (0.02 * size[k] * binned.signal_scale * bump(b))
+            for k, b in enumerate(binned.bins)
         ])  # fmt: skip
         fitted = replace(base, residual=base.residual + wanted)
         found = {d.name: Linearised(fitted).evidence(d).log_z for d in discrepancies}
         return max((n for n in found if n.startswith("response")), key=found.__getitem__)
 
-    discrepancies = make_discrepancies(sketch, base)
-    logs = np.log([e.total_flow for e in sketch.campaign])
+    discrepancies = make_discrepancies(binned, base)
+    logs = np.log([e.total_flow for e in binned.campaign])
     flow = (logs - logs.mean()) / logs.std()
     assert sum(d.weight for d in discrepancies) == pytest.approx(
         3 * 0.03 + 0.45 + 0.2 + 0.15 + 0.2 + 4 * 0.05
@@ -358,9 +358,9 @@ def test_what_repeats_itself_is_common_or_follows_flow_or_concentration(sketch, 
             replace(
                 e, test_gas_flow=0.1 * q * e.total_flow, carrier_flow=(1 - 0.1 * q) * e.total_flow
             )
-            for e, q in zip(sketch.campaign, tenths, strict=True)
+            for e, q in zip(binned.campaign, tenths, strict=True)
         )
-        return replace(sketch, campaign=replace(sketch.campaign, experiments=experiments))
+        return replace(binned, campaign=replace(binned.campaign, experiments=experiments))
 
     tenths = np.array([1.0, 3.0, 2.0, 3.0, 1.0, 3.0, 2.0])[: len(flow)]
     discrepancies = make_discrepancies(dosed(tenths), base)
@@ -371,20 +371,20 @@ def test_what_repeats_itself_is_common_or_follows_flow_or_concentration(sketch, 
         assert not any("by concentration" in d.name for d in discrepancies)
 
 
-def test_what_something_else_does_to_rise_and_fall(sketch, base):
+def test_what_something_else_does_to_rise_and_fall(binned, base):
     # a misfit of the response, in time or in gas that has passed, of both switches or of one
-    discrepancies = make_discrepancies(sketch, base)
-    scale = sketch.time_scale
-    flow = [e.total_flow / sketch.reference_flow for e in sketch.campaign]
+    discrepancies = make_discrepancies(binned, base)
+    scale = binned.time_scale
+    flow = [e.total_flow / binned.reference_flow for e in binned.campaign]
 
     def best(rise, fall, by_volume=False):
         wanted = []
-        for k, b in enumerate(sketch.bins):
+        for k, b in enumerate(binned.bins):
             since = np.maximum(b.since, 1e-3) * (flow[k] if by_volume else 1.0) / scale
             bump = np.exp(-0.5 * ((np.log(since) - 0.3) / 0.5) ** 2) * (b.since > 0.0)
-            beta = base.x[base.plan.local[k] + 1]
+            beta = base.x[base.coords.local[k] + 1]
             size = beta * np.where(b.falling, fall, rise)
-            wanted.append(sketch.inverse_factors[k] @ (0.01 * size * bump))
+            wanted.append(binned.inverse_factors[k] @ (0.01 * size * bump))
         line = Linearised(replace(base, residual=np.concatenate(wanted)))
         found = {d.name: line.evidence(d).log_z for d in discrepancies}
         return max(found, key=found.__getitem__)
@@ -404,11 +404,11 @@ NAMED = re.compile(
 
 
 @pytest.mark.tables
-def test_weights_alone_are_those_of_the_study(sketch, base):
+def test_weights_alone_are_those_of_the_study(binned, base):
     table = pd.read_csv(TABLES / "unlisted_weights.csv").set_index(["of", "name"])
     assert (abs(table["learned"] - table["taken"]) < 0.08).all()
     found = {row: 0.0 for row in table.index}
-    for d in make_discrepancies(sketch, base):
+    for d in make_discrepancies(binned, base):
         words = NAMED.fullmatch(d.name)
         assert words is not None
         part = "response and drift" if words["drift"] else words["part"]
@@ -424,9 +424,9 @@ def test_weights_alone_are_those_of_the_study(sketch, base):
         assert of != "part" or weights.sum() == pytest.approx(1.0)
 
 
-def test_leverage_is_the_projection_of_noise(sketch, base):
-    leverage = Leverage.of(base)
-    noise = np.random.default_rng(1).standard_normal((sketch.n_bins, 400))
+def test_leverage_is_the_projection_of_noise(binned, base):
+    leverage = base.leverage
+    noise = np.random.default_rng(1).standard_normal((binned.n_bins, 400))
     left = leverage.leave(noise)
     assert np.mean(np.sum(left**2, axis=0)) == pytest.approx(leverage.trace(), rel=0.02)
     rows = np.arange(5, 40)
@@ -455,9 +455,11 @@ def test_an_effect_of_the_noise_does_not_hide_the_mean(rows, kind, said):
             effects[name] += p
             families[CATALOGUE[name].family] = families.get(CATALOGUE[name].family, 0.0) + p
     effects["heavy_tails"] = 1.0
-    stand = Standing({"none": 0.0, **rows}, effects, families, 0.0, *[rows["unlisted"]] * 3, 0.0)
+    combined = Probabilities(
+        {"none": 0.0, **rows}, effects, families, 0.0, *[rows["unlisted"]] * 3, 0.0
+    )
     nothing = SimpleNamespace(complete=[])
-    found, members, family, _ = judge(nothing, stand, CATALOGUE)
+    found, members, family, _ = judge(nothing, combined, CATALOGUE)
     assert found == kind
     assert members == said if said else family == "asymmetry"
 
@@ -472,19 +474,21 @@ def test_priors_go_over_families_first():
     assert sum(totals) == pytest.approx(0.35)
 
 
-def test_a_joined_start_keeps_what_was_fitted(sketch, base):
+def test_a_joined_start_keeps_what_was_fitted(binned, base):
     first, second = CATALOGUE["flow_error"], CATALOGUE["baseline_drift"]
-    one = Plan(sketch, (Part(first, first.forms[0]),))
+    one = Coordinates(binned, (Part(first, first.forms[0]),))
     fitted = refit(one, one.start(base.x, {}), most_steps=5)
-    two = Plan(sketch, (*one.parts, Part(second, second.forms[1])))
-    x = with_start(two, joined_start(two, fitted), {})
-    for k in range(len(sketch.bins)):
-        assert np.allclose(two.binned(x, k), one.binned(fitted.x, k), atol=1e-9)
+    two = Coordinates(binned, (*one.parts, Part(second, second.forms[1])))
+    x = two.with_strengths(two.start_from(fitted.coords, fitted.x), {})
+    for k in range(len(binned.bins)):
+        assert np.allclose(two.bin_means(x, k), one.bin_means(fitted.x, k), atol=1e-9)
 
 
 def test_a_dependence_that_has_a_name_is_no_rival():
     def names(catalogue, flows=True, fall=True, commanded=True):
-        return {r.name for r in embedded_rivals(catalogue, flows, fall, commanded)}
+        return {
+            r.name for r in embedded_rivals(map(CATALOGUE.get, catalogue), flows, fall, commanded)
+        }
 
     assert "valve by direction" not in names(CATALOGUE)
     fewer = [n for n in CATALOGUE if n != "valve_asymmetry"]
@@ -503,45 +507,45 @@ def test_a_dependence_that_has_a_name_is_no_rival():
         {"step": -0.01, "step_time": 0.4, "step_with_fall": 1.0, "step_width": 0.9},
     ],
 )
-def test_a_step_inside_a_bin_has_the_mean_over_its_samples(sketch, settings):
+def test_a_step_inside_a_bin_has_the_mean_over_its_samples(binned, settings):
     # the nodes of a bin do not tell where in it a step is; the sum over samples does
     effect = CATALOGUE["baseline_step"]
     form = Form(lambda _: (Strength("step", "V", "normal", 0.0, 0.01),), lambda _v, _s: settings)
-    plan = Plan(sketch, (Part(effect, form),))
-    x = plan.start(sketch.base, {})
-    for k, (b, e) in enumerate(zip(sketch.bins, sketch.campaign, strict=True)):
-        without = Plan(sketch).binned(np.delete(x, 3), k)
-        added = plan.binned(x, k) - without
+    coords = Coordinates(binned, (Part(effect, form),))
+    x = coords.start(binned.base, {})
+    for k, (b, e) in enumerate(zip(binned.bins, binned.campaign, strict=True)):
+        without = Coordinates(binned).bin_means(np.delete(x, 3), k)
+        added = coords.bin_means(x, k) - without
         # the samples' own steps, a hundred to a sample
         fine = (e.t[:, None] + (np.arange(100) / 100.0 - 0.495) * e.interval).ravel()
         begin = settings["step_time"]
-        begin += x[plan.local[k] + 3] if "step_with_fall" in settings else 0.0
+        begin += x[coords.local[k] + 3] if "step_with_fall" in settings else 0.0
         settled = (fine >= begin).astype(float)
         if "step_width" in settings:
             settled *= 1.0 - np.exp(-np.maximum(fine - begin, 0.0) / settings["step_width"])
         expected = settings["step"] * b.average(settled.reshape(-1, 100).mean(axis=1))
         assert np.allclose(added, expected, atol=3e-6)
-    assert np.all(np.isfinite(plan.derivatives(x, plan.all_means(x))))
+    assert np.all(np.isfinite(coords.derivatives(x, coords.all_means(x))))
 
 
-def test_the_starts_of_a_grid_are_those_that_gain(base, sketch):
+def test_the_starts_of_a_grid_are_those_that_gain(base, binned):
     effect = CATALOGUE["baseline_step"]
     form = next(f for f in effect.forms if f.name == "at any time")
-    plan = Plan(sketch, (Part(effect, form),))
-    begun = joined_start(plan, base)
+    coords = Coordinates(binned, (Part(effect, form),))
+    begun = coords.start_from(base.coords, base.x)
     times = [0.3 * 60.0, 0.7 * 60.0]
     stepped = []
-    for k, b in enumerate(sketch.bins):
+    for k, b in enumerate(binned.bins):
         steps = sum(size * b.average((b.experiment.t > at) * 1.0)
                     for size, at in zip((0.01, -0.02), times, strict=True))  # fmt: skip
-        stepped.append(sketch.inverse_factors[k] @ steps)
+        stepped.append(binned.inverse_factors[k] @ steps)
     r = np.concatenate(stepped)
-    normal = base.jacobian.T @ base.jacobian + base.plan.own_prior_matrix
+    normal = base.jacobian.T @ base.jacobian + base.coords.own_prior_matrix
     left = r - base.jacobian @ np.linalg.solve(normal, base.jacobian.T @ r)
     spoilt = replace(base, residual=left)
-    first, second = _most_promising(plan, begun, spoilt, form.grid)[:2]
+    first, second = most_promising_starts(coords, begun, spoilt, form.grid)[:2]
     assert first["step_place"] == pytest.approx(0.7, abs=0.021)
-    assert first["step*"] * sketch.height < -0.01
+    assert first["step*"] * binned.height < -0.01
     assert second["step_place"] == pytest.approx(0.3, abs=0.041)
 
 
@@ -551,13 +555,16 @@ def test_what_a_refit_was_promised_and_did_not_get_is_not_credited(base):
     # stopped 8 steps of its own deviation from the optimum, as a bend would stop it
     x = base.x.copy()
     x[2] += 8.0 / np.sqrt(float(np.sum(base.jacobian[:, 2] ** 2)))
-    plan, sketch = base.plan, base.plan.sketch
+    coords, binned = base.coords, base.coords.binned
     residual = np.concatenate(
-        [sketch.inverse_factors[k] @ (y - plan.binned(x, k)) for k, y in enumerate(sketch.data)]
+        [
+            binned.inverse_factors[k] @ (y - coords.bin_means(x, k))
+            for k, y in enumerate(binned.data)
+        ]
     )
-    away = x - plan.prior_centre
-    objective = float(residual @ residual + away @ plan.own_prior_matrix @ away)
-    stuck = Linearised(Refit(plan, x, residual, objective, True))
+    away = x - coords.prior_centre
+    objective = float(residual @ residual + away @ coords.own_prior_matrix @ away)
+    stuck = Linearised(Refit(coords, x, residual, objective, True))
     assert stuck.promised is not None
     assert stuck.promised[2] == pytest.approx(base.x[2] - x[2], rel=0.2)
     found = stuck.evidence(None)
@@ -565,51 +572,53 @@ def test_what_a_refit_was_promised_and_did_not_get_is_not_credited(base):
     assert found.log_z < at_rest.evidence(None).log_z - 3.0
 
 
-def test_a_refit_stuck_at_wrong_differences_goes_on_with_finer_ones(sketch):
+def test_a_refit_stuck_at_wrong_differences_goes_on_with_finer_ones(binned):
     # a strength that acts beyond a kink far closer than the usual difference
     form = Form(
         lambda _: (Strength("step", "V", "normal", 0.0, 1.0),),
         lambda v, _s: {"step": 0.02 * np.tanh(300.0 * v["step"]), "step_time": 25.0},
     )
-    plan = Plan(sketch, (Part(CATALOGUE["baseline_step"], form),))
-    truth = plan.start(sketch.base, {"step": 3e-3})
-    data = [plan.binned(truth, k) for k in range(len(sketch.bins))]
-    start = plan.start(sketch.base, {"step": 1e-4})
-    found = refit(plan, start, data=data, most_steps=60, tolerance=1e-6)
+    coords = Coordinates(binned, (Part(CATALOGUE["baseline_step"], form),))
+    truth = coords.start(binned.base, {"step": 3e-3})
+    data = [coords.bin_means(truth, k) for k in range(len(binned.bins))]
+    start = coords.start(binned.base, {"step": 1e-4})
+    found = refit(coords, start, data=data, most_steps=60, tolerance=1e-6)
     assert found.strength()["step"] == pytest.approx(3e-3, rel=0.02)
 
 
-def strong(sketch):
+def strong(binned):
     """Noise-free data of drifts far beyond the plausible, and their plan, truth and coordinates."""
     effect = CATALOGUE["baseline_drift"]
-    plan = Plan(sketch, (Part(effect, effect.forms[1]),))
-    own = [end - 1 for end in plan.local[1:]]
-    truth = plan.start(sketch.base, {})
+    coords = Coordinates(binned, (Part(effect, effect.forms[1]),))
+    own = [end - 1 for end in coords.local[1:]]
+    truth = coords.start(binned.base, {})
     truth[own] = [30.0, -20.0, 25.0, -30.0]  # spreads of the prior
-    data = tuple(plan.binned(truth, k) for k in range(len(sketch.bins)))
-    return replace(plan, sketch=replace(sketch, data=data)), truth, own
+    data = tuple(coords.bin_means(truth, k) for k in range(len(binned.bins)))
+    return replace(coords, binned=replace(binned, data=data)), truth, own
 
 
-def test_an_amplitude_far_beyond_the_plausible_is_not_held_back(sketch):
-    plan, truth, own = strong(sketch)
-    held = refit(plan, truth, tolerance=1e-6)
+def test_an_amplitude_far_beyond_the_plausible_is_not_held_back(binned):
+    coords, truth, own = strong(binned)
+    held = refit(coords, truth, tolerance=1e-6)
     free = held.loosened
     sd = np.sqrt(np.diag(np.linalg.inv(held.normal))[own])
     assert np.max(np.abs(held.x - truth)[own] / sd) > 1.0
     assert np.max(np.abs(free.x - truth)[own] / sd) < 0.05
     assert free.misfit < 0.05 * held.misfit
-    assert free.plan.loose == {"drift"} and free.loosened is free
+    assert free.coords.loose == {"drift"} and free.loosened is free
     # what is plausible stays as it is, and so does a fit without effects
     modest = truth.copy()
     modest[own] = [1.0, -0.5, 0.8, -1.0]
-    weak = refit(plan, modest, data=[plan.binned(modest, k) for k in range(len(sketch.bins))])
+    weak = refit(
+        coords, modest, data=[coords.bin_means(modest, k) for k in range(len(binned.bins))]
+    )
     assert weak.loosened is weak
-    assert fit_base(sketch).loosened.plan.loose == frozenset()
+    assert fit_base(binned).loosened.coords.loose == frozenset()
 
 
-def test_evidence_of_a_strong_amplitude_is_averaged_over_wider_priors_too(sketch):
-    plan, truth, own = strong(sketch)
-    held = refit(plan, truth, tolerance=1e-6)
+def test_evidence_of_a_strong_amplitude_is_averaged_over_wider_priors_too(binned):
+    coords, truth, own = strong(binned)
+    held = refit(coords, truth, tolerance=1e-6)
     free = held.loosened
     assert [w[own[0]] for w in Linearised(held).widths] == list(WIDTHS)
     widths = Linearised(free).widths

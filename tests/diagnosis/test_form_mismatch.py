@@ -8,17 +8,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bayes_sensor.diagnosis.closure import VISIBLE
+from bayes_sensor.diagnosis.closed_fraction import VISIBLE
 from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.evidence.form_mismatch import (
-    OFF_FOR_A_WHILE,
     OTHER_FORM,
-    another_form,
-    of_its_form,
+    simpler_explanation,
+    within_form_mismatch,
 )
-from bayes_sensor.diagnosis.signals.tails_and_converter import FOUND, FullRate
-from bayes_sensor.diagnosis.verdict import GATE, OTHER_CAUSE, judge, standing, stands_beside
+from bayes_sensor.diagnosis.signals.finding import FOUND, Finding
+from bayes_sensor.diagnosis.verdict import (
+    GATE,
+    OTHER_CAUSE,
+    combine,
+    judge,
+    leaves_explanation_alone,
+)
 from bayes_sensor.diagnosis.wording import form_words
+from tests.support.planted_effects import SIGNALS
 
 WHOLE = 10_000.0
 """of the misfit that there is to explain: d = 100"""
@@ -37,7 +43,7 @@ def refit(misfit: float) -> Any:
     """A refit that leaves so much."""
     residual = np.array([np.sqrt(misfit), 0.0])
     return SimpleNamespace(
-        misfit=misfit, residual=residual, plan=SimpleNamespace(parts=[], sketch=None, size=0)
+        misfit=misfit, residual=residual, coords=SimpleNamespace(parts=[], binned=None, size=0)
     )
 
 
@@ -52,7 +58,7 @@ def hypothesis(effects: tuple[str, ...], misfit: float, p: float, beside: float 
 
 
 def weighed(*hypotheses: Any) -> Any:
-    """A weighing of these, and of what is in none of them with next to no probability."""
+    """A comparison of these, and of what is in none of them with next to no probability."""
     made = list(hypotheses)
     for effects in ((), (A,), (B,)):
         if not any(h.effects == effects and not h.incomplete for h in made):
@@ -91,8 +97,8 @@ def pair(left: float, p: float = 0.99) -> Any:
 
 @pytest.mark.parametrize("left", [0.04, 0.12, 0.19])
 def test_a_small_second_effect_may_be_the_form_of_the_first(left: float) -> None:
-    weighing = pair(left)
-    form = another_form(weighing.hypotheses[0], weighing)
+    comparison = pair(left)
+    form = simpler_explanation(comparison.hypotheses[0], comparison)
     assert form is not None and form.effects == (A,)
     assert form.left == pytest.approx(left)
 
@@ -100,14 +106,14 @@ def test_a_small_second_effect_may_be_the_form_of_the_first(left: float) -> None
 @pytest.mark.parametrize("left", [0.021, OTHER_FORM + 0.01, 0.6])
 def test_what_is_not_seen_or_too_much_is_no_form(left: float) -> None:
     assert (left * 100.0 < VISIBLE) or left > OTHER_FORM
-    weighing = pair(left)
-    assert another_form(weighing.hypotheses[0], weighing) is None
+    comparison = pair(left)
+    assert simpler_explanation(comparison.hypotheses[0], comparison) is None
 
 
 def test_something_small_beside_an_effect_may_be_its_form() -> None:
     for left, found in ((0.02, False), (0.1, True), (0.3, False)):
         h = hypothesis((A,), 100.0 + left**2 * WHOLE, 0.9, beside=left**2 * WHOLE)
-        form = another_form(h, weighed(h, hypothesis((A,), h.refit.misfit, 1e-9)))
+        form = simpler_explanation(h, weighed(h, hypothesis((A,), h.refit.misfit, 1e-9)))
         assert (form is not None) == found
         if form:
             assert form.effects == (A,) and form.left == pytest.approx(left)
@@ -115,77 +121,77 @@ def test_something_small_beside_an_effect_may_be_its_form() -> None:
 
 def test_two_effects_with_little_beside_them_are_both_there() -> None:
     h = hypothesis((A, B), 200.0, 0.9, beside=100.0)
-    weighing = weighed(h, hypothesis((A, B), 200.0, 1e-9), hypothesis((A,), 3000.0, 1e-9))
-    form = another_form(h, weighing)
+    comparison = weighed(h, hypothesis((A, B), 200.0, 1e-9), hypothesis((A,), 3000.0, 1e-9))
+    form = simpler_explanation(h, comparison)
     assert form is not None and form.effects == (A, B)
     assert form.left == pytest.approx(0.1, rel=0.01)
     # unless the second mends little of the first
-    weighing = weighed(h, hypothesis((A, B), 200.0, 1e-9), hypothesis((A,), 350.0, 1e-9))
-    form = another_form(h, weighing)
+    comparison = weighed(h, hypothesis((A, B), 200.0, 1e-9), hypothesis((A,), 350.0, 1e-9))
+    form = simpler_explanation(h, comparison)
     assert form is not None and form.effects == (A,)
 
 
 def test_none_single_effects_and_something_else_have_no_other_form() -> None:
     plain = hypothesis((A,), 300.0, 0.5)
     other = hypothesis((), WHOLE, 0.4, beside=WHOLE - 100.0)
-    weighing = weighed(plain, other)
-    for h in (plain, other, weighing.find()):
-        assert another_form(h, weighing) is None
+    comparison = weighed(plain, other)
+    for h in (plain, other, comparison.find()):
+        assert simpler_explanation(h, comparison) is None
 
 
 def test_a_second_effect_that_may_be_a_form_is_not_named() -> None:
     small, large = pair(0.12), pair(0.5)
-    for weighing, both in ((small, False), (large, True)):
-        stand = standing(weighing, [], CATALOGUE)
-        assert sum(stand.rows.values()) == pytest.approx(1.0)
-        assert (stand.effects[B] > 0.9) == both
-        kind, named, _, probability = judge(weighing, stand, CATALOGUE)
+    for comparison, both in ((small, False), (large, True)):
+        combined = combine(comparison, [], CATALOGUE)
+        assert sum(combined.rows.values()) == pytest.approx(1.0)
+        assert (combined.effects[B] > 0.9) == both
+        kind, named, _, probability = judge(comparison, combined, CATALOGUE)
         if both:
             assert kind == "effect" and set(named) == {A, B}
         else:
             assert kind == "family" and named[0] == A and B not in named
-            assert stand.unlisted == pytest.approx(OTHER_CAUSE, abs=0.02)
+            assert combined.unlisted == pytest.approx(OTHER_CAUSE, abs=0.02)
             assert 0.8 < probability < 1.0
 
 
 def test_an_effect_with_its_form_beside_it_is_not_called_unlisted() -> None:
     for left, kind in ((0.12, "family"), (0.4, "unlisted")):
         h = hypothesis((A,), 100.0 + left**2 * WHOLE, 0.99, beside=left**2 * WHOLE)
-        weighing = weighed(h, hypothesis((A,), h.refit.misfit, 1e-6))
-        assert judge(weighing, standing(weighing, [], CATALOGUE), CATALOGUE)[0] == kind
+        comparison = weighed(h, hypothesis((A,), h.refit.misfit, 1e-6))
+        assert judge(comparison, combine(comparison, [], CATALOGUE), CATALOGUE)[0] == kind
 
 
-def off_for_a_while(left: float, name: str = "break", log_b: float = 50.0) -> FullRate:
+def off_for_a_while(left: float, name: str = "break", log_b: float = 50.0) -> Finding:
     """A finding of ``left`` of the whole's size in what an explanation leaves."""
-    return FullRate(name, log_b, {}, left * np.sqrt(WHOLE))
+    return Finding(SIGNALS[name], log_b, {}, left * np.sqrt(WHOLE))
 
 
-@pytest.mark.parametrize("name", OFF_FOR_A_WHILE)
+@pytest.mark.parametrize("name", ["patch", "break"])
 def test_a_short_stay_off_an_effect_may_be_its_form(name: str) -> None:
     fitted, base = refit(100.0), refit(WHOLE + 100.0)
     for left, may_be in ((0.1, True), (0.19, True), (0.21, False), (0.8, False)):
-        assert of_its_form(off_for_a_while(left, name), fitted, base) == may_be
-        assert stands_beside(off_for_a_while(left, name), fitted, base) == may_be
+        assert within_form_mismatch(off_for_a_while(left, name), fitted, base) == may_be
+        assert leaves_explanation_alone(off_for_a_while(left, name), fitted, base) == may_be
     # what is hardly there is left to take the little that it takes
     faint = off_for_a_while(0.1, name, log_b=1.0)
-    assert faint.probability < FOUND and not of_its_form(faint, fitted, base)
+    assert faint.probability < FOUND and not within_form_mismatch(faint, fitted, base)
 
 
 def test_other_findings_are_no_form_of_an_effect() -> None:
     fitted, base = refit(100.0), refit(WHOLE + 100.0)
     for name in ("ringing", "swing", "unsteady", "event"):
-        assert not of_its_form(off_for_a_while(0.1, name), fitted, base)
+        assert not within_form_mismatch(off_for_a_while(0.1, name), fitted, base)
 
 
 def test_a_small_break_takes_nothing_from_a_strong_effect() -> None:
     for left, kind in ((0.1, "effect"), (0.3, "unlisted")):
-        weighing = weighed(hypothesis((A,), 100.0, 0.999))
-        stand = standing(weighing, [off_for_a_while(left)], CATALOGUE)
-        assert judge(weighing, stand, CATALOGUE)[0] == kind
+        comparison = weighed(hypothesis((A,), 100.0, 0.999))
+        combined = combine(comparison, [off_for_a_while(left)], CATALOGUE)
+        assert judge(comparison, combined, CATALOGUE)[0] == kind
     # and from no effect it takes all that it can: nothing has no form
-    weighing = weighed(hypothesis((), WHOLE + 100.0, 0.999))
-    stand = standing(weighing, [off_for_a_while(0.1)], CATALOGUE)
-    assert stand.looks_unlisted > 0.9
+    comparison = weighed(hypothesis((), WHOLE + 100.0, 0.999))
+    combined = combine(comparison, [off_for_a_while(0.1)], CATALOGUE)
+    assert combined.looks_unlisted > 0.9
 
 
 @pytest.mark.parametrize("members", [(A,), ("slow_sorption", "two_rate_valve")])
@@ -200,8 +206,8 @@ def test_what_leaves_too_much_for_noise_and_for_a_form_is_unlisted(
         made = [hypothesis((name,), 100.0, 0.98 / len(members)) for name in members]
         for h in made:
             h.leftover, h.excess = leftover, share**2 * WHOLE
-        weighing = weighed(*made)
-        found, _, _, p = judge(weighing, standing(weighing, [], CATALOGUE), CATALOGUE)
+        comparison = weighed(*made)
+        found, _, _, p = judge(comparison, combine(comparison, [], CATALOGUE), CATALOGUE)
         assert found == kind and p >= 0.5
 
 

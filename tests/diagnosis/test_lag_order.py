@@ -13,15 +13,15 @@ from bayes_sensor import figures
 from bayes_sensor.blind_check.diagnosing import trimmed
 from bayes_sensor.campaign import Campaign, FloatArray, SideInformation
 from bayes_sensor.diagnosis import CATALOGUE, Gap, Strength, diagnose_gap, own_effect
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
 from bayes_sensor.diagnosis.effects.effect_model import with_effects
 from bayes_sensor.diagnosis.effects.simulate_effects import simulate_with_effects
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Plan
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.evidence.varying_parameter import embedded_rivals
 from bayes_sensor.diagnosis.verdict import judge
-from bayes_sensor.diagnosis.wording import _effect_words, second_words, whose
+from bayes_sensor.diagnosis.wording import effect_sentence, second_words, with_alternative
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.report.sections.gap_section import envelope_sentences, shrink_sentences
 from bayes_sensor.report.sections.gap_tables import budget_table, hidden_table, which_table
@@ -65,7 +65,7 @@ def sorted_theta(campaign: Campaign) -> FloatArray:
 def test_release_of_a_slow_sensor_is_the_sensors_and_tau_its_own() -> None:
     gap = diagnosed("slower")
     assert gap.verdict.effects[0] == "sorption_asymmetry" and gap.verdict.kind == "effect"
-    assert gap.standing.effects["valve_asymmetry"] < 0.05
+    assert gap.probabilities.effects["valve_asymmetry"] < 0.05
     record = gap.to_json()
     row = record["which"][0]
     assert row["strength"]["release_ratio"] == pytest.approx(1.3, abs=0.02)
@@ -86,8 +86,8 @@ def test_a_spread_of_the_longer_lag_is_its_own() -> None:
     campaign = bs.simulate(plan, slow_sensor(plan), seed=2)
     found = {}
     for order in ("faster", "slower"):
-        sketch = prepare(replace(campaign, sensor_is=order), sorted_theta(campaign)).sketch
-        found[order] = fit_base(sketch)
+        binned = prepare(replace(campaign, sensor_is=order), sorted_theta(campaign)).binned
+        found[order] = fit_base(binned)
     faster, slower = found["faster"], found["slower"]
     # without effects the two are one model, only tau is another of its lags
     assert slower.lags == pytest.approx(faster.lags, rel=0.02)  # the kernel's grids differ
@@ -104,12 +104,12 @@ def test_side_information_finds_its_lag() -> None:
     known = {"tau_s": SideInformation(1.9, 0.1), "V_mL": SideInformation(60.0, 3.0)}
     campaign = replace(measured("unknown"), side_information=known)
     flat, choices = sorted_theta(campaign), assignments("unknown", False)
-    decided = prepare(campaign, flat, Naming("unknown", choices, (0.02, 0.98), None)).sketch
+    decided = prepare(campaign, flat, Naming("unknown", choices, (0.02, 0.98), None)).binned
     assert decided.lags == ("tau_v_s", "tau_s") and decided.sensor == 1
     assert np.exp(decided.centre[1:]) == pytest.approx([1.9, 60.0])
     assert decided.sd[1:] == pytest.approx([0.1 / 1.9, 0.05])
     # where nobody knows whose a lag is, what is known of tau is of neither
-    either = prepare(campaign, flat, Naming("unknown", choices, (0.4, 0.6), None)).sketch
+    either = prepare(campaign, flat, Naming("unknown", choices, (0.4, 0.6), None)).binned
     assert not either.order_known and either.sensor == 0
     assert np.exp(either.centre[1:]) == pytest.approx([SENSOR, 60.0])
     assert either.sd[1] > 0.5
@@ -137,28 +137,28 @@ def test_at_one_flow_the_three_lags_go_to_their_owners(chosen, lags) -> None:
     choices = assignments("unknown", True)
     shares = tuple(0.96 if a == chosen else 0.008 for a in choices)
     flat = Layout.of(campaign).flat(theta(plan) | values)
-    sketch = prepare(campaign, flat, Naming("unknown", choices, shares, flow)).sketch
-    assert sketch.lags == lags
-    made = Plan(sketch)
+    binned = prepare(campaign, flat, Naming("unknown", choices, shares, flow)).binned
+    assert binned.lags == lags
+    made = Coordinates(binned)
     owners = [by_lag[i] for i in (chosen.sensor, chosen.valve, chosen.manifold)]
-    single, _ = made.rig(sketch.base, 0)
+    single, _ = made.rig(binned.base, 0)
     assert single[[TAU, TAU_V, TAU_M]] == pytest.approx(owners)
-    assert made._rigs(sketch.base)[1, [TAU, TAU_V, TAU_M]] == pytest.approx(owners)
+    assert made.rigs(binned.base)[1, [TAU, TAU_V, TAU_M]] == pytest.approx(owners)
     undecided = Naming("unknown", choices, (1.0 / 6.0,) * 6, flow)
-    assert prepare(campaign, flat, undecided).sketch.lags == ("lag_fast_s", "lag_slow_s")
+    assert prepare(campaign, flat, undecided).binned.lags == ("lag_fast_s", "lag_slow_s")
 
 
 def test_derivatives_move_the_lag_that_they_say() -> None:
     campaign = measured("slower")
-    sketch = prepare(campaign, sorted_theta(campaign)).sketch
-    plan = Plan(sketch)
-    x = sketch.base
+    binned = prepare(campaign, sorted_theta(campaign)).binned
+    plan = Coordinates(binned)
+    x = binned.base
     here = plan.all_means(x)
     found = plan.derivatives(x, here, finer=0.01)
     for i in range(3):
         moved = x.copy()
         moved[i] += 1e-6
-        slope = sketch.whitened(plan.all_means(moved) - here) / 1e-6
+        slope = binned.whitened(plan.all_means(moved) - here) / 1e-6
         scale = np.abs(slope).max()
         assert np.abs(found[:, i] - slope).max() < 0.01 * scale  # steps of 1e-4 and less
 
@@ -231,11 +231,11 @@ def test_nothing_missing_leaves_a_range_of_the_shorter_lag() -> None:
 def test_a_dependence_without_a_name_is_of_a_lag_by_its_size() -> None:
     campaign = measured("unknown")
     flat = sorted_theta(campaign)
-    either, known = prepare(campaign, flat).sketch, prepare(measured("slower"), flat).sketch
+    either, known = prepare(campaign, flat).binned, prepare(measured("slower"), flat).binned
     rivals = {r.name: r for r in embedded_rivals([], True, True, True)}
 
-    def words(name: str, sketch: Sketch) -> str:
-        return _effect_words(rivals[name], {}, sketch, "V")
+    def words(name: str, binned: BinnedCampaign) -> str:
+        return effect_sentence(rivals[name], {}, binned, "V")
 
     assert words("valve by flow", either).startswith("the longer lag's time constant depends")
     assert words("sensor by direction", either).startswith("the shorter lag releases")
@@ -300,25 +300,27 @@ def test_an_exchanged_effect_leaves_the_same(
 def test_an_effect_of_one_of_two_lags_is_told_with_its_counterpart() -> None:
     nameless = {name: effect.nameless for name, effect in CATALOGUE.items()}
     for name, effect in CATALOGUE.items():
-        assert whose(effect) == name  # where the lags have their names
-        twins = whose(nameless[name])
+        assert with_alternative(effect) == name  # where the lags have their names
+        twins = with_alternative(nameless[name])
         assert effect.exchanged in twins if effect.exchanged else twins == name
-    assert whose(nameless["sensor_diffusion"]) == (
+    assert with_alternative(nameless["sensor_diffusion"]) == (
         "sensor_diffusion if the shorter lag is the sensor's, or valve_second_order if it is the "
         "valve's"
     )
     effects = dict.fromkeys(CATALOGUE, 0.0) | {"baseline_drift": 0.95, "valve_asymmetry": 0.93}
-    stand = SimpleNamespace(effects=effects, families={"baseline": 0.95, "asymmetry": 0.93})
-    said = "".join(second_words(["baseline_drift"], stand, nameless))
+    combined = SimpleNamespace(effects=effects, families={"baseline": 0.95, "asymmetry": 0.93})
+    said = "".join(second_words(["baseline_drift"], combined, nameless))
     assert "most likely valve_asymmetry if the longer lag is the valve's, or sorption_asy" in said
     # nor is it named beside another
-    weighing = SimpleNamespace(complete=[], base=None)
-    stand = SimpleNamespace(**vars(stand), unlisted=0.0, looks_unlisted=0.0, none=0.0, rows={})
-    assert judge(weighing, stand, CATALOGUE)[:2] == (
+    comparison = SimpleNamespace(complete=[], base=None)
+    combined = SimpleNamespace(
+        **vars(combined), unlisted=0.0, looks_unlisted=0.0, none=0.0, rows={}
+    )
+    assert judge(comparison, combined, CATALOGUE)[:2] == (
         "effect",
         ("baseline_drift", "valve_asymmetry"),
     )
-    assert judge(weighing, stand, nameless)[:2] == ("effect", ("baseline_drift",))
+    assert judge(comparison, combined, nameless)[:2] == ("effect", ("baseline_drift",))
 
 
 # --------------------------------------------------------------------------- the full model

@@ -18,19 +18,14 @@ from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
 from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.effects.simulate_effects import simulate_with_effects
 from bayes_sensor.diagnosis.evidence.discrepancy import make_discrepancies
-from bayes_sensor.diagnosis.evidence.explained_excess import explained
 from bayes_sensor.diagnosis.evidence.hypotheses import MOST_TERMS
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import refit
-from bayes_sensor.diagnosis.location import (
-    Leverage,
-    _parts,
-    locate,
-    predict_left_out,
-    shared_by_findings,
-)
-from bayes_sensor.diagnosis.signals.effect_signatures import courses
-from bayes_sensor.diagnosis.wording import sentence
+from bayes_sensor.diagnosis.excess_shares import explained_excess, shared_by_findings
+from bayes_sensor.diagnosis.location import locate, parts_of_cells, predict_left_out
+from bayes_sensor.diagnosis.signals.effect_signatures import signatures
+from bayes_sensor.diagnosis.verdict import Judgement
+from bayes_sensor.diagnosis.wording import Conclusion, sentence
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.rig.layout import Layout
 from tests.support.planted_effects import design, diagnosed, measured, theta
@@ -53,17 +48,17 @@ def left_without_noise(gap: Gap, effect: str) -> np.ndarray:
     """(n_bins in all,) whitened: what the effect leaves of noise-free data after the refit."""
     plan = design()
     clean, *_ = simulate_with_effects(plan, theta(plan, 1e-9), {effect: WEAK[effect]}, seed=1)
-    base = gap.weighing.base
+    base = gap.comparison.base
     data = [
         np.array([e.values[a:z].mean() for a, z in zip(b.first, b.last, strict=True)])
-        for b, e in zip(gap.weighing.sketch.bins, clean, strict=True)
+        for b, e in zip(gap.comparison.binned.bins, clean, strict=True)
     ]
-    return refit(base.plan, base.x, data=data, most_steps=60, tolerance=1e-8).residual
+    return refit(base.coords, base.x, data=data, most_steps=60, tolerance=1e-8).residual
 
 
 def true_shares(gap: Gap, effect: str) -> tuple[np.ndarray, float]:
     """(n_cells,) shares of what the effect leaves, and its detectability."""
-    left, parts = left_without_noise(gap, effect), _parts(gap.weighing.sketch)
+    left, parts = left_without_noise(gap, effect), parts_of_cells(gap.comparison.binned)
     power = np.array([np.sum(left[p.rows] ** 2) for p in parts[: len(gap.map.cells)]])
     return power / power.sum(), float(np.sqrt(power.sum()))
 
@@ -88,16 +83,16 @@ def test_the_misfit_is_found_beneath_the_noise(effect: str) -> None:
 
 def test_volts_are_those_of_the_course_that_explanations_take() -> None:
     gap = weak("axial_dispersion")
-    sketch = gap.weighing.sketch
-    left, taken = left_without_noise(gap, "axial_dispersion"), explained(gap.weighing)
+    binned = gap.comparison.binned
+    left, taken = left_without_noise(gap, "axial_dispersion"), explained_excess(gap.comparison)
     cells = {(c.experiment, c.phase): c for c in gap.map.cells}
     said, true = 0.0, 0.0
-    for k, (b, rows) in enumerate(zip(sketch.bins, sketch.rows, strict=True)):
-        course = sketch.floor.cholesky[k] @ taken[rows]
-        true += np.sum(b.count * (sketch.floor.cholesky[k] @ left[rows]) ** 2)
+    for k, (b, rows) in enumerate(zip(binned.bins, binned.rows, strict=True)):
+        signature = binned.floor.cholesky[k] @ taken[rows]
+        true += np.sum(b.count * (binned.floor.cholesky[k] @ left[rows]) ** 2)
         for i in np.unique(b.phase):
             cell, here = cells[b.experiment.name, PHASES[i]], b.phase == i
-            mean = np.average(np.sum(course[here] ** 2, axis=1), weights=b.count[here])
+            mean = np.average(np.sum(signature[here] ** 2, axis=1), weights=b.count[here])
             assert cell.excess_rms_V == pytest.approx(np.sqrt(mean))
             assert cell.measured_excess_rms_V != cell.excess_rms_V
             said += np.sum(b.count[here]) * cell.excess_rms_V**2
@@ -107,36 +102,38 @@ def test_volts_are_those_of_the_course_that_explanations_take() -> None:
 @pytest.mark.parametrize("which", [0, 40, -1])
 def test_the_noise_that_a_process_leaves_is_that_of_dense_matrices(which: int) -> None:
     gap = weak("dead_volume")
-    fitted = gap.weighing.find("axial_dispersion").refit
-    beside = make_discrepancies(gap.weighing.sketch, gap.weighing.base)[which]
+    fitted = gap.comparison.find("axial_dispersion").refit
+    beside = make_discrepancies(gap.comparison.binned, gap.comparison.base)[which]
     whole = np.eye(len(fitted.residual)) + (beside.basis * beside.variance) @ beside.basis.T
-    weigh = np.linalg.inv(whole)
-    jacobian, prior = fitted.jacobian, fitted.plan.own_prior_matrix
-    slope = jacobian.T @ weigh @ fitted.residual - prior @ (fitted.x - fitted.plan.prior_centre)
-    step = np.linalg.solve(jacobian.T @ weigh @ jacobian + prior, slope)
+    compare_hypotheses = np.linalg.inv(whole)
+    jacobian, prior = fitted.jacobian, fitted.coords.own_prior_matrix
+    slope = jacobian.T @ compare_hypotheses @ fitted.residual - prior @ (
+        fitted.x - fitted.coords.prior_centre
+    )
+    step = np.linalg.solve(jacobian.T @ compare_hypotheses @ jacobian + prior, slope)
     assert Linearised(fitted).promised is None
     left = Linearised(fitted).left(beside)
-    assert left == pytest.approx(weigh @ (fitted.residual - jacobian @ step), abs=1e-9)
+    assert left == pytest.approx(compare_hypotheses @ (fitted.residual - jacobian @ step), abs=1e-9)
     # nothing that the refit could still take up: J'e is what the prior pulls with
-    pulled = prior @ (fitted.x + step - fitted.plan.prior_centre)
+    pulled = prior @ (fitted.x + step - fitted.coords.prior_centre)
     assert jacobian.T @ left == pytest.approx(pulled, abs=1e-6 * np.abs(pulled).max() + 1e-6)
 
 
 def test_explanations_take_what_they_leave_out_of_the_residual() -> None:
-    weighing = weak("valve_asymmetry").weighing
-    best = max(weighing.hypotheses, key=lambda h: h.log_weight)
-    sure = replace(weighing, hypotheses=(replace(best, terms=best.terms[:1]),))
+    comparison = weak("valve_asymmetry").comparison
+    best = max(comparison.hypotheses, key=lambda h: h.log_weight)
+    sure = replace(comparison, hypotheses=(replace(best, terms=best.terms[:1]),))
     share = best.terms[0].share
-    taken = explained(sure)
-    assert taken.shape == (len(weighing.base.residual), 2) and not np.any(taken[:, 0])
-    whole = weighing.base.residual - Linearised(best.terms[0].refit).left(best.terms[0].beside)
+    taken = explained_excess(sure)
+    assert taken.shape == (len(comparison.base.residual), 2) and not np.any(taken[:, 0])
+    whole = comparison.base.residual - Linearised(best.terms[0].refit).left(best.terms[0].beside)
     assert taken[:, 1] == pytest.approx(np.sqrt(share) * whole)
-    nothing = next(h for h in weighing.hypotheses if h.key == "none")
-    assert not np.any(explained(replace(weighing, hypotheses=(nothing,))))
+    nothing = next(h for h in comparison.hypotheses if h.key == "none")
+    assert not np.any(explained_excess(replace(comparison, hypotheses=(nothing,))))
 
 
 def test_terms_of_a_hypothesis_are_its_likeliest_and_sum_to_one() -> None:
-    for h in weak("gain_drift").weighing.hypotheses:
+    for h in weak("gain_drift").comparison.hypotheses:
         shares = [term.share for term in h.terms]
         assert sum(shares) == pytest.approx(1.0) and shares == sorted(shares, reverse=True)
         assert len(shares) <= MOST_TERMS
@@ -181,9 +178,9 @@ def test_a_record_without_a_fall_has_no_part_in_predicting_falls() -> None:
         mask=None if first.mask is None else first.mask[before], commanded_off=None,
     )  # fmt: skip
     some = replace(campaign, experiments=(short, *campaign.experiments[1:]))
-    sketch = prepare(some, Layout.of(some).flat(fit_least_squares(some, euler=False).theta_hat))
-    base = fit_base(sketch.sketch)
-    left = predict_left_out(sketch.sketch, base)  # warnings are errors here
+    binned = prepare(some, Layout.of(some).flat(fit_least_squares(some, euler=False).theta_hat))
+    base = fit_base(binned.binned)
+    left = predict_left_out(binned.binned, base)  # warnings are errors here
     assert "fall" in left and all(np.isfinite(d) for d in left.values())
 
 
@@ -200,56 +197,56 @@ def test_a_weak_misfit_is_seen_along_courses_and_not_by_its_size(effect: str) ->
 
 
 def test_courses_are_what_the_refit_leaves() -> None:
-    weighing = weak("dead_volume").weighing
-    base = weighing.base
-    found = courses(base, CATALOGUE)
+    comparison = weak("dead_volume").comparison
+    base = comparison.base
+    found = signatures(base, CATALOGUE)
     assert np.sum(found**2, axis=1) == pytest.approx(1.0)
     # as orthogonal to what the refit can do as its priors let it
     inside = found @ (base.jacobian / np.linalg.norm(base.jacobian, axis=0))
     assert np.abs(inside).max() < 0.05
-    alone = courses(base, {"mains_pickup": CATALOGUE["mains_pickup"]})
+    alone = signatures(base, {"mains_pickup": CATALOGUE["mains_pickup"]})
     assert alone.shape == (0, len(base.residual))
-    located = locate(weighing.sketch, base, courses=alone)
+    located = locate(comparison.binned, base, signatures=alone)
     assert located.p_value_of_form is None and located.p_value == located.p_value_of_size
 
 
 def test_p_values_of_courses_are_uniform_under_noise() -> None:
-    weighing = weak("dead_volume").weighing
-    base, sketch = weighing.base, weighing.sketch
-    along, leverage = courses(base, CATALOGUE), Leverage.of(base)
+    comparison = weak("dead_volume").comparison
+    base, binned = comparison.base, comparison.binned
+    along, leverage = signatures(base, CATALOGUE), base.leverage
     rng = np.random.default_rng(8)
     found = []
     for _ in range(60):
-        noise = rng.standard_normal(sketch.n_bins) * np.sqrt(DOF / rng.chisquare(DOF))
+        noise = rng.standard_normal(binned.n_bins) * np.sqrt(DOF / rng.chisquare(DOF))
         here = replace(base, residual=leverage.leave(noise[:, None])[:, 0])
-        found.append(locate(sketch, here, courses=along).p_value_of_form)
+        found.append(locate(binned, here, signatures=along).p_value_of_form)
     assert kstest(found, "uniform").pvalue > 0.01
 
 
 def test_beyond_the_simulations_the_sum_over_courses_bounds_the_p_value() -> None:
-    weighing = weak("dead_volume").weighing
-    base, sketch = weighing.base, weighing.sketch
-    along = courses(base, CATALOGUE)[:3]
+    comparison = weak("dead_volume").comparison
+    base, binned = comparison.base, comparison.binned
+    along = signatures(base, CATALOGUE)[:3]
     here = replace(base, residual=base.residual * 0.0 + 12.0 * along[0])
-    located = locate(sketch, here, courses=along)
+    located = locate(binned, here, signatures=along)
     tail = 2.0 * student.sf(12.0, DOF)
     assert located.p_value_of_form == pytest.approx(3.0 * tail, rel=1e-6)
 
 
 def test_refitted_simulations_make_no_p_value_smaller() -> None:
-    weighing = weak("dead_volume").weighing
-    base, sketch = weighing.base, weighing.sketch
-    along = courses(base, CATALOGUE)
-    linear = locate(sketch, base, courses=along)
-    refitted = locate(sketch, base, bootstrap=20, courses=along)
+    comparison = weak("dead_volume").comparison
+    base, binned = comparison.base, comparison.binned
+    along = signatures(base, CATALOGUE)
+    linear = locate(binned, base, signatures=along)
+    refitted = locate(binned, base, bootstrap=20, signatures=along)
     assert refitted.p_value_of_size >= linear.p_value_of_size
     assert refitted.p_value_of_form >= linear.p_value_of_form
 
 
 def test_what_differs_from_experiment_to_experiment_has_a_course_for_each() -> None:
-    weighing = weak("dead_volume").weighing
-    found = courses(weighing.base, {"flow_error": CATALOGUE["flow_error"]})
-    assert len(found) == len(weighing.sketch.campaign)
+    comparison = weak("dead_volume").comparison
+    found = signatures(comparison.base, {"flow_error": CATALOGUE["flow_error"]})
+    assert len(found) == len(comparison.binned.campaign)
     # a flow that is not what its controller said, in one of the experiments
     campaign = measured({}, seed=6)
     second = campaign.experiments[1]
@@ -271,7 +268,7 @@ def test_gas_that_is_not_steady_is_shared_out_over_the_plateaus() -> None:
         on = (e.t > e.commanded_on + 5.0) & (e.t < e.commanded_off)
         values[e.name] = e.values + 0.012 * on * slow / np.std(slow)
     gap = diagnose_gap(campaign.with_data(values), bootstrap=0, separate=False, hidden=False)
-    found = {f.name: f.probability for f in gap.full_rate}
+    found = {f.name: f.probability for f in gap.findings}
     assert gap.verdict.kind == "unlisted" and found["unsteady"] > 0.5
     assert gap.map.shared_by == "findings"
     shares = gap.where.groupby("phase")["share"].sum()
@@ -283,9 +280,11 @@ def test_what_noise_would_seldom_leave_is_told_where_nothing_is_stated() -> None
 
     def said(p: float) -> str:
         located = replace(gap.map, p_value=p)
-        rest = (gap.weighing, gap.standing, gap.weighing.hypotheses[0], located, {}, (),
-                gap.shrink.closure, gap.full_rate, (0.0123, 0.2), "V")  # fmt: skip
-        return sentence("none", (), 0.594, *rest)
+        return sentence(Conclusion(
+            Judgement("none", (), None, 0.594), gap.comparison, gap.probabilities,
+            gap.comparison.hypotheses[0], located, gap.shrink.closure, gap.findings, (),
+            (0.0123, 0.2), "V",
+        ))  # fmt: skip
 
     assert said(0.4).startswith("Nothing is missing beyond the noise floor. Effects that")
     assert "nothing may be missing beyond the noise floor (59 %); yet noise" in said(0.021)

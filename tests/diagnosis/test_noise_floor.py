@@ -12,19 +12,13 @@ from bayes_sensor.blind_check.simulator import Component, NoiseLaw, draw_case, m
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.diagnosis import diagnose_gap
 from bayes_sensor.diagnosis.data import noise_floor
+from bayes_sensor.diagnosis.data.bin_covariance import bin_cholesky
 from bayes_sensor.diagnosis.data.bins import PHASES, make_bins
-from bayes_sensor.diagnosis.data.noise_floor import (
-    ROOT,
-    _bin_cholesky,
-    _check_memory,
-    _correlation,
-    clean,
-    detrended,
-    loudness,
-    quiet_stretches,
-)
+from bayes_sensor.diagnosis.data.loudness import loudness
+from bayes_sensor.diagnosis.data.noise_memory import ROOT, check_memory, common_correlation
 from bayes_sensor.diagnosis.data.preparation import fit_base, full_rate_residuals, prepare
-from bayes_sensor.diagnosis.signals.local_misfit import look_for_breaks
+from bayes_sensor.diagnosis.data.quiet_stretches import clean, detrended, quiet_stretches
+from bayes_sensor.diagnosis.signals.local_misfit import look_for_level_changes
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.rig.cascade import cascade_response
@@ -102,7 +96,7 @@ def test_covariance_of_bin_means_is_that_of_the_process(phi):
     edges = 0.5 / h / 1.15 ** np.arange(70, -1, -1)
     f = np.sqrt(edges[:-1] * edges[1:])
     spectrum = 2.0 * h * (1 - phi**2) / (1 + phi**2 - 2 * phi * np.cos(2 * np.pi * f * h))
-    factor = _bin_cholesky(
+    factor = bin_cholesky(
         e, b, edges, np.array([spectrum, spectrum]), np.zeros(len(b.first)), np.ones_like
     )
     covariance = toeplitz(phi ** np.arange(len(e.t)))
@@ -132,9 +126,9 @@ def test_pure_noise_whitens_to_one(kind):
                 slow = lfilter([1], [1, -decay], rng.standard_normal(len(e.t) + 2000))[2000:]
                 values[e.name] = e.values + 0.004 * np.sqrt(1 - decay**2) * slow
             campaign = campaign.with_data(values)
-        sketch = prepare(campaign, Layout.of(plan).flat(parameters)).sketch
-        fitted = fit_base(sketch)
-        ratios.append(fitted.misfit / (sketch.n_bins - fitted.plan.size))
+        binned = prepare(campaign, Layout.of(plan).flat(parameters)).binned
+        fitted = fit_base(binned)
+        ratios.append(fitted.misfit / (binned.n_bins - fitted.coords.size))
     # each has a spread of about .1 from the floor's own uncertainty
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
     assert max(ratios) < 1.45
@@ -178,8 +172,10 @@ def test_a_drill_next_door_breaks_nothing_and_is_told(monkeypatch):
     parameters = Layout.of(campaign).flat(fit_least_squares(campaign, euler=False).theta_hat)
 
     def found():
-        base = fit_base(prepare(campaign, parameters).sketch)
-        return look_for_breaks(base).log_bayes_factor, base.misfit / base.plan.sketch.n_bins
+        base = fit_base(prepare(campaign, parameters).binned)
+        return look_for_level_changes(
+            base
+        ).log_bayes_factor, base.misfit / base.coords.binned.n_bins
 
     counted, ratio = found()
     assert counted < 1.0 and ratio < 1.2
@@ -255,7 +251,7 @@ def test_the_floor_of_a_record_that_is_never_quiet_on_its_plateau():
     ratios = []
     for seed in range(8):
         campaign, flat = short_record(seed)
-        noise_floor = prepare(campaign, flat).sketch.floor
+        noise_floor = prepare(campaign, flat).binned.floor
         f = np.sqrt(noise_floor.edges[:-1] * noise_floor.edges[1:])
         # one-sided density of an AR(1)
         shape = 2.0 * 0.02 * (1 - 0.85**2) / (1 + 0.85**2 - 1.7 * np.cos(2 * np.pi * f * 0.02))
@@ -298,7 +294,7 @@ def test_the_correlation_that_a_parabola_takes_is_put_back(phi):
         found.append(detrended(noise))
     plain = np.mean([x[1:] @ x[:-1] / (x @ x) for x in found])
     assert plain < phi - 0.005
-    assert _correlation(found) == pytest.approx(phi, abs=0.006)
+    assert common_correlation(found) == pytest.approx(phi, abs=0.006)
 
 
 def test_a_smooth_misfit_is_not_taken_for_a_walk():
@@ -310,9 +306,9 @@ def test_a_smooth_misfit_is_not_taken_for_a_walk():
     walks = [detrended(np.cumsum(rng.standard_normal(4000))) for _ in range(4)]
     for noises in (smooth, walks):
         assert np.mean([x[1:] @ x[:-1] / (x @ x) for x in noises]) > 0.99
-    _check_memory(smooth)
+    check_memory(smooth)
     with pytest.raises(CampaignError, match="the noise wanders"):
-        _check_memory(walks)
+        check_memory(walks)
 
 
 def test_a_strong_misfit_beside_slow_noise_is_not_taken_for_a_walk():
@@ -327,9 +323,9 @@ def test_a_strong_misfit_beside_slow_noise_is_not_taken_for_a_walk():
     for noises in (misfits, walks):
         phi = np.mean([x[1:] @ x[:-1] / (x @ x) for x in noises])
         assert 320 * (1.0 - phi) < ROOT
-    _check_memory(misfits)
+    check_memory(misfits)
     with pytest.raises(CampaignError, match="the noise wanders"):
-        _check_memory(walks)
+        check_memory(walks)
 
 
 def remembering(rng, memories, misfit=0.0, hertz=1.0):
@@ -357,14 +353,14 @@ def test_records_of_other_memories_whiten_to_one_each(monkeypatch):
         found = []
         for _ in range(5):
             campaign, vector = remembering(rng, MEMORIES)
-            base = fit_base(prepare(campaign, vector).sketch)
-            rows = base.plan.sketch.rows
+            base = fit_base(prepare(campaign, vector).binned)
+            rows = base.coords.binned.rows
             found.append([np.mean(base.residual[own] ** 2) for own in rows])
         return np.mean(found, axis=0)
 
     assert spreads() == pytest.approx(np.full(4, 0.93), abs=0.25)  # less what the fit takes
     # one spectrum for all would make the slower ones look like a misfit
-    monkeypatch.setattr(noise_floor, "_own_memory", lambda campaign, *rest: np.ones(rest[-1].shape))
+    monkeypatch.setattr(noise_floor, "own_memory", lambda campaign, *rest: np.ones(rest[-1].shape))
     alike = spreads()
     assert min(alike[1], alike[3]) > 1.7 * max(alike[0], alike[2])
 
@@ -380,7 +376,7 @@ def test_a_memory_is_told_by_what_is_quick():
         stretches = quiet_stretches(campaign, residuals, bins, [4.0] * len(campaign))
         noises = [detrended(s.samples) for s in stretches]
         ordinates = np.ones((len(campaign), 2, 2)) * np.array(counts)[:, None, None]
-        return noise_floor._own_memory(campaign, stretches, noises, f, ordinates)[:, 0]
+        return noise_floor.own_memory(campaign, stretches, noises, f, ordinates)[:, 0]
 
     own = of(MEMORIES)
     # at low frequencies the densities go as the memories, at high ones against them

@@ -8,9 +8,9 @@ from scipy.signal import lfilter
 from scipy.stats import expon, norm
 
 from bayes_sensor.diagnosis import diagnose_gap
-from bayes_sensor.diagnosis.data.noise_floor import Stretch
+from bayes_sensor.diagnosis.data.quiet_stretches import Stretch
 from bayes_sensor.diagnosis.signals import plateau_noise
-from bayes_sensor.diagnosis.signals.plateau_noise import look_for_unsteadiness
+from bayes_sensor.diagnosis.signals.plateau_noise import look_for_plateau_noise
 from tests.support.planted_effects import design, measured, noise
 
 NOISES = ("white", "ar1", "slow", "walk", "paced")
@@ -33,7 +33,7 @@ def stretches(rng, kind="white", louder=1.0, plateau=0.0, carrier=0.0, records=(
 
 
 def log_bayes_factor(some):
-    return look_for_unsteadiness(design(), some)[0].log_bayes_factor
+    return look_for_plateau_noise(design(), some)[0].log_bayes_factor
 
 
 @pytest.mark.parametrize("kind", NOISES)
@@ -93,7 +93,7 @@ def test_what_is_on_the_baseline_too_is_noise():
 
 def test_strength_tells_the_excess_and_how_fast_it_is():
     rng = np.random.default_rng(6)
-    found = look_for_unsteadiness(design(), stretches(rng, "white", 1.0, 0.5))[0]
+    found = look_for_plateau_noise(design(), stretches(rng, "white", 1.0, 0.5))[0]
     # white noise has 2 h in V^2/Hz, and gusts 4 T of theirs below 1/(2 pi T), T half a second
     assert found.strength["unsteady_Hz"] == pytest.approx(1.0 / np.pi, rel=0.5)
     assert found.strength["unsteady_excess"] == pytest.approx(4 * 0.5 * 0.25 / 0.02, rel=0.7)
@@ -104,7 +104,9 @@ def test_gains_are_those_of_exponential_ordinates(sd, slow, _):
     rng = np.random.default_rng(7)
     f = np.arange(1, 40) * 0.2
     power, expected = rng.exponential(2.0, len(f)), np.linspace(1.6, 1.1, len(f))
-    nothing, gains = plateau_noise._record(plateau_noise._Ordinates(f, power), expected, sd, slow)
+    nothing, gains = plateau_noise.record_evidence(
+        plateau_noise.Ordinates(f, power), expected, sd, slow
+    )
     nodes = np.linspace(-6.0, 6.0, 1201)
     weights = norm.pdf(nodes) / norm.pdf(nodes).sum()
 
@@ -129,9 +131,9 @@ def test_records_too_coarse_in_time_or_without_a_baseline_tell_nothing():
     rng = np.random.default_rng(8)
     some = stretches(rng)
     slow = design(interval=0.1)
-    assert look_for_unsteadiness(slow, some) == []
-    assert look_for_unsteadiness(design(), [s for s in some if s.level]) == []
-    assert look_for_unsteadiness(design(), [s for s in some if not s.level]) == []
+    assert look_for_plateau_noise(slow, some) == []
+    assert look_for_plateau_noise(design(), [s for s in some if s.level]) == []
+    assert look_for_plateau_noise(design(), [s for s in some if not s.level]) == []
 
 
 def test_streaks_of_gas_are_something_unlisted():
@@ -143,6 +145,6 @@ def test_streaks_of_gas_are_something_unlisted():
         experiments.append(replace(e, y=e.y + 0.008 * on * gusts(len(e.t), rng)))
     gap = diagnose_gap(replace(campaign, experiments=tuple(experiments)), bootstrap=0,
                        separate=False, hidden=False)  # fmt: skip
-    found = next(f for f in gap.full_rate if f.name == "unsteady")
+    found = next(f for f in gap.findings if f.name == "unsteady")
     assert found.probability > 0.9 and gap.verdict.kind == "unlisted"
     assert "less steady" in gap.verdict.sentence

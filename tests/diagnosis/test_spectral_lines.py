@@ -6,20 +6,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, windows
 
-import bayes_sensor.diagnosis.signals.spectral_lines as lines
+import bayes_sensor.diagnosis.signals.periodograms as lines
 from bayes_sensor.diagnosis import diagnose_gap
-from bayes_sensor.diagnosis.signals.spectral_lines import (
-    Piece,
-    _bursts,
-    _look_for_lines,
-    look_for_bursts,
-    look_for_mains,
-    look_for_swings,
-    mains_closure,
-    own_shapes,
-)
-from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate
-from tests.support.planted_effects import design, measured
+from bayes_sensor.diagnosis.effects.mains_pickup import SEARCH, look_for_mains, mains_closure
+from bayes_sensor.diagnosis.signals.bursts import find_bursts, look_for_bursts
+from bayes_sensor.diagnosis.signals.finding import Finding
+from bayes_sensor.diagnosis.signals.lines import LINES, look_for_slow_lines
+from bayes_sensor.diagnosis.signals.periodograms import Piece, find_line, own_shapes
+from tests.support.planted_effects import SIGNALS, design, measured
 
 
 def residuals(rng, period=None, size=0.0, memory=0.0, n=4):
@@ -38,7 +32,7 @@ def residuals(rng, period=None, size=0.0, memory=0.0, n=4):
 
 
 def test_a_slow_swing_is_found_with_its_period_and_size():
-    found = look_for_swings(*residuals(np.random.default_rng(1), period=7.0, size=0.0012))[0]
+    found = look_for_slow_lines(*residuals(np.random.default_rng(1), period=7.0, size=0.0012))[0]
     assert found.log_bayes_factor > 5.0
     assert 1.0 / found.strength["swing_Hz"] == pytest.approx(7.0, rel=0.04)
     assert found.strength["swing_V"] == pytest.approx(0.0012, rel=0.25)
@@ -47,7 +41,7 @@ def test_a_slow_swing_is_found_with_its_period_and_size():
 @pytest.mark.parametrize("memory", [0.0, 0.5, 3.0])
 def test_slow_noise_is_no_swing(memory):
     rng = np.random.default_rng(2)
-    values = [look_for_swings(*residuals(rng, memory=memory))[0].log_bayes_factor
+    values = [look_for_slow_lines(*residuals(rng, memory=memory))[0].log_bayes_factor
               for _ in range(15)]  # fmt: skip
     assert max(values) < 3.0 and np.median(values) < 0.0
 
@@ -59,12 +53,12 @@ def test_ripples_that_an_echo_makes_in_the_spectrum_are_no_lines():
         e = rng.standard_normal(20_000)
         e[25:] += 0.7 * e[:-25]  # a copy 25 ms later: ripples 40 Hz apart
         pieces.append(Piece(e, np.ones(len(e)), 1e-3, 0))
-    assert _look_for_lines(pieces, "line")[0].log_bayes_factor < 0.0
+    assert find_line(pieces, LINES)[0].log_bayes_factor < 0.0
     t = np.arange(20_000) * 1e-3
     humming = [
         replace(p, samples=p.samples + 0.06 * np.sin(2.0 * np.pi * 431.0 * t)) for p in pieces
     ]
-    found = _look_for_lines(humming, "line")[0]
+    found = find_line(humming, LINES)[0]
     assert found.log_bayes_factor > 5.0
     assert found.strength["line_Hz"] == pytest.approx(431.0, abs=0.1)
 
@@ -84,8 +78,8 @@ def test_what_strong_mains_leak_to_their_sides_is_no_line():
             for _ in range(8)
         ]  # fmt: skip
 
-    assert _look_for_lines(pieces(0.0), "line")[0].log_bayes_factor < 0.0
-    found = _look_for_lines(pieces(0.15), "line")[0]
+    assert find_line(pieces(0.0), LINES)[0].log_bayes_factor < 0.0
+    found = find_line(pieces(0.15), LINES)[0]
     assert found.log_bayes_factor > 5.0
     assert found.strength["line_Hz"] == pytest.approx(63.0, abs=0.1)
 
@@ -101,13 +95,13 @@ def test_the_edge_of_a_filter_is_no_line(share):
         kept = np.fft.irfft(np.fft.rfft(rng.standard_normal(n)) * (f < 80.0), n)
         y = np.sqrt(share / 0.16) * kept + np.sqrt(1.0 - share) * rng.standard_normal(n)
         pieces.append(Piece(y, windows.tukey(n, 0.2), 1e-3, 0))
-    assert _look_for_lines(pieces, "line")[0].log_bayes_factor < 1.0
+    assert find_line(pieces, LINES)[0].log_bayes_factor < 1.0
     t = np.arange(n) * 1e-3
     for hertz in (71.3, 88.7):  # a line on either side of the edge is still found
         humming = [
             replace(p, samples=p.samples + 0.1 * np.sin(2.0 * np.pi * hertz * t)) for p in pieces
         ]
-        found = _look_for_lines(humming, "line")[0]
+        found = find_line(humming, LINES)[0]
         assert found.log_bayes_factor > 5.0
         assert found.strength["line_Hz"] == pytest.approx(hertz, abs=0.1)
 
@@ -121,7 +115,7 @@ def test_a_line_between_two_ordinates_keeps_its_amplitude():
               np.ones(len(t)), 1e-3, 0)
         for k in range(4)
     ]  # fmt: skip
-    found = _look_for_lines(pieces, "line")[0]
+    found = find_line(pieces, LINES)[0]
     assert found.strength["line_V"] == pytest.approx(0.01, rel=0.15)
 
 
@@ -138,7 +132,7 @@ def every_other(rng, size, phi=0.0, n=6):
 
 def test_two_converters_that_take_turns_are_a_line_at_half_the_rate():
     # the ordinate there is real: a difference of 2 A is seen with n A^2 / sigma^2
-    found = _look_for_lines(every_other(np.random.default_rng(8), 6e-4), "line")[0]
+    found = find_line(every_other(np.random.default_rng(8), 6e-4), LINES)[0]
     assert found.strength["line_Hz"] == 500.0 and found.log_bayes_factor > 4.0
     assert found.strength["line_V"] == pytest.approx(3e-4, rel=0.2)
     assert found.d == pytest.approx(np.sqrt(6 * 15_000) * 3e-4 / 0.01, rel=0.2)
@@ -146,9 +140,9 @@ def test_two_converters_that_take_turns_are_a_line_at_half_the_rate():
 
 def test_at_half_a_rate_that_is_near_the_mains_a_line_is_the_mains():
     slow = [replace(p, interval=0.01) for p in every_other(np.random.default_rng(8), 2e-3)]
-    found = _look_for_lines(slow, "line")[0]
+    found = find_line(slow, LINES)[0]
     assert found.strength["line_Hz"] < 49.8 and found.log_bayes_factor < 0.0
-    found = _look_for_lines(slow, "mains_pickup")[0]
+    found = find_line(slow, SEARCH)[0]
     assert found.strength["mains_Hz"] == 50.0 and found.log_bayes_factor > 4.0
 
 
@@ -167,7 +161,7 @@ def folded(rng, frequency, size, n=6):
 def test_the_mains_are_found_and_closed_where_they_fold_onto_half_the_rate(frequency):
     for seed in range(4):
         pieces = folded(np.random.default_rng(seed), frequency, 0.02)
-        found = _look_for_lines(pieces, "mains_pickup")[0]
+        found = find_line(pieces, SEARCH)[0]
         assert found.strength["mains_Hz"] == 50.0 and found.log_bayes_factor > 20.0
         closed, out = mains_closure(pieces, found)
         # a sine fitted as if its phases were orthogonal would be taken off twice
@@ -230,9 +224,9 @@ def test_harmonics_that_fold_beside_the_mains_are_no_bursts():
         hum = sum(np.sin(h * whole) for h in (1, 3, 5, 7, 9))
         found.append(Piece(0.004 * hum + 0.012 * rng.standard_normal(len(t)), np.ones(len(t)),
                            0.005, 0))  # fmt: skip
-    mains = _look_for_lines(found, "mains_pickup")[0]
+    mains = find_line(found, SEARCH)[0]
     assert mains.log_bayes_factor > 20.0
-    assert _bursts(found)[0].log_bayes_factor < 1.0
+    assert find_bursts(found)[0].log_bayes_factor < 1.0
 
 
 def test_bursts_are_looked_for_where_mains_are():
@@ -242,7 +236,7 @@ def test_bursts_are_looked_for_where_mains_are():
 
 def test_noise_at_half_the_rate_is_not_the_mains():
     rng = np.random.default_rng(12)
-    factors = [_look_for_lines(folded(rng, 50.0, 0.0), "mains_pickup")[0].log_bayes_factor
+    factors = [find_line(folded(rng, 50.0, 0.0), SEARCH)[0].log_bayes_factor
                for _ in range(60)]  # fmt: skip
     assert max(factors) < 3.0 and np.mean(np.exp(factors)) < 1.5
 
@@ -250,7 +244,7 @@ def test_noise_at_half_the_rate_is_not_the_mains():
 @pytest.mark.parametrize("phi", [0.0, 0.95, -0.95])
 def test_noise_alone_is_no_line_at_half_the_rate(phi):
     rng = np.random.default_rng(9)
-    factors = [_look_for_lines(every_other(rng, 0.0, phi), "line")[0].log_bayes_factor
+    factors = [find_line(every_other(rng, 0.0, phi), LINES)[0].log_bayes_factor
                for _ in range(40)]  # fmt: skip
     assert max(factors) < 3.0
     # a Bayes factor is on average 1 where there is nothing (Good, J. R. Stat. Soc. B 12, 1950)
@@ -271,7 +265,7 @@ def humming(rng, fundamental, third=0.0, steady=True, n=6):
 
 def test_the_mains_closed_fraction_is_the_share_that_one_sine_explains():
     rng = np.random.default_rng(5)
-    mains = FullRate("mains_pickup", 50.0, {"mains_V": 0.01, "mains_Hz": 50.0}, 60.0)
+    mains = Finding(SIGNALS["mains_pickup"], 50.0, {"mains_V": 0.01, "mains_Hz": 50.0}, 60.0)
     pure, out = mains_closure(humming(rng, 0.01), mains)
     assert pure.fraction == pytest.approx(1.0, abs=0.03) and pure.low < 1.0 < pure.high
     assert pure.before_V == pytest.approx(0.01 / np.sqrt(2.0), rel=0.03)
@@ -286,7 +280,7 @@ def test_the_mains_closed_fraction_is_the_share_that_one_sine_explains():
 
 
 def test_too_little_of_the_mains_has_no_closed_fraction():
-    faint = FullRate("mains_pickup", 0.0, {"mains_V": 1e-4, "mains_Hz": 150.0}, 1.0)
+    faint = Finding(SIGNALS["mains_pickup"], 0.0, {"mains_V": 1e-4, "mains_Hz": 150.0}, 1.0)
     closed, out = mains_closure(humming(np.random.default_rng(6), 0.0), faint)
     assert closed.withheld and out is None
 
@@ -374,7 +368,7 @@ def test_one_spectrum_or_one_too_short_has_no_shape_of_its_own():
     assert all(np.all(shape > 0.0) for shape in own_shapes(silent, [1.0, 1.0], 40.0))
 
 
-@pytest.mark.parametrize("look", [look_for_mains, look_for_swings])
+@pytest.mark.parametrize("look", [look_for_mains, look_for_slow_lines])
 def test_a_record_without_noise_among_others_breaks_nothing(look):
     campaign, noise, deviations = other_memories(np.random.default_rng(36))
     noise[2] = np.zeros(len(noise[2]))

@@ -7,8 +7,9 @@ import pytest
 from scipy.signal import lfilter
 
 import bayes_sensor.diagnosis.signals.transient_lines as passing_lines
-from bayes_sensor.diagnosis.signals.spectral_lines import _look_for_lines, pieces_of_records
-from bayes_sensor.diagnosis.signals.transient_lines import look_for_passing_lines
+from bayes_sensor.diagnosis.signals.lines import LINES
+from bayes_sensor.diagnosis.signals.periodograms import find_line, pieces_of_records
+from bayes_sensor.diagnosis.signals.transient_lines import look_for_transient_lines
 from tests.support.planted_effects import design
 
 
@@ -38,7 +39,7 @@ def flutter(k, t):
 @pytest.mark.parametrize(("add", "hertz"), [(call, [83.3]), (flutter, 9.0 + 2.3 * np.arange(6))])
 def test_a_line_that_passes_or_differs_from_record_to_record_is_found(add, hertz):
     rng = np.random.default_rng(11)
-    found = look_for_passing_lines(*passing(rng, add))[0]
+    found = look_for_transient_lines(*passing(rng, add))[0]
     assert found.name == "passing" and found.log_bayes_factor > 6.0
     assert np.min(np.abs(found.strength["passing_Hz"] - np.asarray(hertz))) < 0.2
     assert found.strength["passing_V"] == pytest.approx(0.004 if add is call else 0.0018, rel=0.3)
@@ -46,7 +47,7 @@ def test_a_line_that_passes_or_differs_from_record_to_record_is_found(add, hertz
         assert found.strength["passing_experiment"] in (1.0, 4.0)
     # over all stretches it adds up to nothing
     spread = pieces_of_records(*passing(rng, add))
-    assert _look_for_lines(spread, "line")[0].log_bayes_factor < found.log_bayes_factor - 5.0
+    assert find_line(spread, LINES)[0].log_bayes_factor < found.log_bayes_factor - 5.0
 
 
 @pytest.mark.parametrize("hertz", [1.3, 3.0])
@@ -56,7 +57,7 @@ def test_slow_bursts_that_raise_the_noise_floor_are_found(hertz):
         phase = 2.0 * np.pi * hertz * t + k
         return 0.02 * np.sin(phase) * ((t > 20.0) & (t < 24.0))
 
-    found = look_for_passing_lines(*passing(np.random.default_rng(13), burst))[0]
+    found = look_for_transient_lines(*passing(np.random.default_rng(13), burst))[0]
     assert found.log_bayes_factor > 50.0
     assert found.strength["passing_Hz"] == pytest.approx(hertz, abs=0.4)
 
@@ -70,7 +71,7 @@ def test_noise_that_rises_slowly_towards_low_frequencies_is_no_passing_line():
         phi = np.exp(-(t[1] - t[0]) / times)
         return 0.004 * lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], steps)
 
-    values = [look_for_passing_lines(*passing(rng, slow))[0].log_bayes_factor for _ in range(8)]
+    values = [look_for_transient_lines(*passing(rng, slow))[0].log_bayes_factor for _ in range(8)]
     assert max(values) < 0.0, values
 
 
@@ -83,11 +84,11 @@ def test_what_all_records_have_and_gusts_are_no_passing_line():
                        rng.standard_normal(len(t)))  # fmt: skip
 
     quiet = [
-        look_for_passing_lines(*passing(rng, lambda k, t: 0.0 * t, gusts=gusts))[0]
+        look_for_transient_lines(*passing(rng, lambda k, t: 0.0 * t, gusts=gusts))[0]
         for gusts in (0.0, 0.0, 0.0, 1.5, 4.0)
     ]
-    everywhere = look_for_passing_lines(*passing(rng, resonance))[0]
-    mains = look_for_passing_lines(
+    everywhere = look_for_transient_lines(*passing(rng, resonance))[0]
+    mains = look_for_transient_lines(
         *passing(rng, lambda k, t: 0.01 * np.sin(2.0 * np.pi * 50.1 * t) * (t > 10.0 * k))
     )[0]
     assert max(f.log_bayes_factor for f in (*quiet, everywhere, mains)) < 1.0
@@ -95,11 +96,11 @@ def test_what_all_records_have_and_gusts_are_no_passing_line():
 
 def test_a_share_of_many_windows_tells_what_is_usual(monkeypatch):
     campaign, found, deviations = passing(np.random.default_rng(13), call)
-    whole = look_for_passing_lines(campaign, found, deviations)[0]
+    whole = look_for_transient_lines(campaign, found, deviations)[0]
     monkeypatch.setattr(
         "bayes_sensor.diagnosis.signals.transient_lines.MOST", 60
     )  # every third window tells
-    some = look_for_passing_lines(campaign, found, deviations)[0]
+    some = look_for_transient_lines(campaign, found, deviations)[0]
     assert some.log_bayes_factor == pytest.approx(whole.log_bayes_factor, rel=0.2)
     assert some.strength["passing_Hz"] == whole.strength["passing_Hz"]
 
@@ -112,7 +113,7 @@ def test_records_too_short_for_a_window_tell_of_no_passing_line():
             campaign,
             experiments=tuple(replace(e, t=e.t[:n], mask=None) for e in campaign.experiments),
         )
-        parts = look_for_passing_lines(short, [y[:n] for y in found], [d[:n] for d in deviations])
+        parts = look_for_transient_lines(short, [y[:n] for y in found], [d[:n] for d in deviations])
         assert len(parts) == told
 
 
@@ -133,13 +134,13 @@ MEMORIES = (0.02, 0.1, 0.004, 0.3, 0.01, 0.05)
 def test_records_of_other_memories_have_no_passing_line(monkeypatch):
     rng = np.random.default_rng(19)
     drawn = [remembering(rng, MEMORIES) for _ in range(4)]
-    values = [look_for_passing_lines(*some)[0].log_bayes_factor for some in drawn]
+    values = [look_for_transient_lines(*some)[0].log_bayes_factor for some in drawn]
     assert max(values) < 2.0
     # taken for alike, the louder ones would have a line where they are
     monkeypatch.setattr(
         passing_lines, "own_shapes", lambda ratios, *rest: [np.ones(r.shape[1]) for r in ratios]
     )
-    assert min(look_for_passing_lines(*some)[0].log_bayes_factor for some in drawn) > 5.0
+    assert min(look_for_transient_lines(*some)[0].log_bayes_factor for some in drawn) > 5.0
 
 
 def test_a_passing_line_is_found_among_records_of_other_memories():
@@ -150,7 +151,7 @@ def test_a_passing_line_is_found_among_records_of_other_memories():
             y + volts * np.sin(2.0 * np.pi * hertz * e.t) * ((e.t > 31.0) & (e.t < 37.0)) * (k == 3)
             for k, (e, y) in enumerate(zip(campaign, noise, strict=True))
         ]
-        found = look_for_passing_lines(campaign, called, deviations)[0]
+        found = look_for_transient_lines(campaign, called, deviations)[0]
         assert found.log_bayes_factor > 6.0, hertz
         assert found.strength["passing_Hz"] == pytest.approx(hertz, abs=0.3)
         assert found.strength["passing_experiment"] == 3.0

@@ -10,7 +10,8 @@ import pytest
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.diagnosis import Strength, diagnose_gap, own_effect
-from bayes_sensor.diagnosis.effects.effect import Effect
+from bayes_sensor.diagnosis.effects.effect import Effect, OnNoise
+from bayes_sensor.diagnosis.signals.finding import Finding, Signal
 from tests.support.planted_effects import measured
 
 HEIGHT = Strength("bump_V", "V", "normal", 0.0, 0.03)
@@ -101,3 +102,29 @@ def test_what_a_fit_tries_far_away_may_be_anything() -> None:
     assert checked is not None
     values = {"bump_V": 0.03, "bump_at": 10.0 * np.exp(0.3 * 4.0), "bump_width": 2.5}
     assert np.isnan(checked(np.ones(3), values, None)).all()  # type: ignore[arg-type]
+
+
+def test_an_effect_of_ones_own_on_the_noise_is_found_by_its_own_detector() -> None:
+    signal = Signal("ticking", 0.03, {"tick_V": "V"})
+    ticking = Effect(
+        name="ticking", family="clock", sentence="A clock ticks: {strength}.",
+        plausible={"tick_V": 0.01}, reference="test", reveal="a record without the clock",
+        labels={"tick_V": "height"},
+        on_noise=OnNoise(
+            signal=signal,
+            look=lambda prepared, _: [
+                Finding(signal, 2.0 * len(prepared.records[1]), {"tick_V": 0.01}, None)
+            ],
+        ),
+    )  # fmt: skip
+    gap = diagnose_gap(
+        measured({}, n=4), effects=[ticking], bootstrap=0, hidden=False, separate=False
+    )
+    assert gap.verdict.kind == "effect" and gap.verdict.effects == ("ticking",)
+    assert "A clock ticks: height 0.01 V." in gap.verdict.sentence
+    assert gap.strength_units["tick_V"] == "V"
+
+
+def test_an_effect_acts_on_something() -> None:
+    with pytest.raises(CampaignError, match="at least one form, or how it acts on the noise"):
+        Effect("idle", "idle", "", {}, "", "")

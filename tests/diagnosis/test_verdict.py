@@ -8,36 +8,41 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_sensor.diagnosis.diagnose import _best, diagnose_gap
+from bayes_sensor.diagnosis.diagnose import diagnose_gap
 from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.evidence import hypotheses
-from bayes_sensor.diagnosis.evidence.hypotheses import Weighing
-from bayes_sensor.diagnosis.signals.tails_and_converter import (
-    FullRate,
-)
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
+from bayes_sensor.diagnosis.signals.finding import Finding
 from bayes_sensor.diagnosis.verdict import (
     AKIN,
     FAINT,
     MIMIC,
     MISTAKEN,
     MISTAKEN_BY_SAMPLES,
-    Standing,
-    _giving_back,
-    _too_small,
+    Judgement,
+    Probabilities,
+    chance_too_small,
+    explanation_of,
+    give_back_mistaken,
     judge,
 )
-from bayes_sensor.diagnosis.wording import family_words, looks_most, second_words, undecided_words
-from tests.support.planted_effects import measured
+from bayes_sensor.diagnosis.wording import (
+    Conclusion,
+    family_words,
+    nearest_finding,
+    second_words,
+    undecided_words,
+)
+from tests.support.planted_effects import SIGNALS, measured
 
 TABLES = Path(__file__).resolve().parents[2] / "paper" / "tables"
-
 
 NOTHING = SimpleNamespace(complete=[])
 
 
-def standing(none: float, unlisted: float, families=None, effects=None) -> Standing:
+def standing(none: float, unlisted: float, families=None, effects=None) -> Probabilities:
     each = dict.fromkeys(CATALOGUE, 0.0) | (effects or {})
-    return Standing({}, each, families or {}, none, unlisted, unlisted, unlisted, 0.0)
+    return Probabilities({}, each, families or {}, none, unlisted, unlisted, unlisted, 0.0)
 
 
 def test_the_verdict_where_no_effect_stands_out() -> None:
@@ -62,22 +67,24 @@ def test_unlisted_is_stated_where_it_is_likeliest_after_what_only_looks_so_is_gi
     none: float, unlisted: float, in_family: float, looks: float, kind: str
 ) -> None:
     family = CATALOGUE["flow_error"].family
-    stand = replace(standing(none, unlisted, {family: in_family}), looks_unlisted=looks)
-    assert judge(NOTHING, stand, CATALOGUE)[0] == kind
+    combined = replace(standing(none, unlisted, {family: in_family}), looks_unlisted=looks)
+    assert judge(NOTHING, combined, CATALOGUE)[0] == kind
 
 
 def test_some_of_what_looks_unlisted_is_a_mistake() -> None:
     rows = {"none": 0.3, "unlisted": 0.6, "dead_volume": 0.1}
-    made = _giving_back(rows, 0.09, "none")
+    made = give_back_mistaken(rows, 0.09, "none")
     assert sum(made.values()) == pytest.approx(1.0)
     assert made["unlisted"] == pytest.approx(0.51)
     assert made["none"] / made["dead_volume"] == pytest.approx(3.0)
-    sure = _giving_back({"none": 0.0, "unlisted": 1.0, "dead_volume": 0.0}, 0.2, "dead_volume")
+    sure = give_back_mistaken(
+        {"none": 0.0, "unlisted": 1.0, "dead_volume": 0.0}, 0.2, "dead_volume"
+    )
     assert sure == pytest.approx({"none": 0.0, "unlisted": 0.8, "dead_volume": 0.2})
-    tiny = _giving_back({"none": 5e-324, "unlisted": 1.0, "dead_volume": 0.0}, 0.2, "none")
+    tiny = give_back_mistaken({"none": 5e-324, "unlisted": 1.0, "dead_volume": 0.0}, 0.2, "none")
     assert tiny == pytest.approx({"none": 0.2, "unlisted": 0.8, "dead_volume": 0.0})
     quiet = {"none": 1.0, "unlisted": 0.0, "dead_volume": 0.0}
-    assert _giving_back(quiet, 0.0, "none") == quiet
+    assert give_back_mistaken(quiet, 0.0, "none") == quiet
 
 
 @pytest.mark.tables
@@ -99,22 +106,22 @@ def test_an_effect_too_small_to_be_seen_counts_as_nothing_seen() -> None:
 
     def too_small(d: float, *effects: str) -> float:
         fitted = SimpleNamespace(misfit=base.misfit - d**2)
-        return _too_small(SimpleNamespace(effects=effects, refit=fitted), base)
+        return chance_too_small(SimpleNamespace(effects=effects, refit=fitted), base)
 
     assert too_small(0.0) == 0.0
     # |d + noise| < 2, by drawing it
     drawn = np.random.default_rng(1).standard_normal(400_000)
     for d in (0.0, 1.0, 2.5, 5.0):
         assert too_small(d, "a") == pytest.approx((np.abs(d + drawn) < FAINT).mean(), abs=0.004)
-    seen = Standing({}, dict.fromkeys(CATALOGUE, 0.0), {}, 0.7, 0.1, 0.1, 0.1, 0.15)
+    seen = Probabilities({}, dict.fromkeys(CATALOGUE, 0.0), {}, 0.7, 0.1, 0.1, 0.1, 0.15)
     assert judge(NOTHING, seen, CATALOGUE) == ("none", (), None, pytest.approx(0.85))
 
 
 def test_a_family_is_named_where_its_members_cannot_be_told_apart() -> None:
     name = next(n for n, e in CATALOGUE.items() if e.on_mean)
     family = CATALOGUE[name].family
-    stand = standing(0.1, 0.1, {family: 0.8}, {name: 0.4})
-    kind, effects, found, p = judge(NOTHING, stand, CATALOGUE)
+    combined = standing(0.1, 0.1, {family: 0.8}, {name: 0.4})
+    kind, effects, found, p = judge(NOTHING, combined, CATALOGUE)
     assert (kind, found, p) == ("family", family, pytest.approx(0.8 + AKIN * 0.1))
     assert effects[0] == name and all(CATALOGUE[n].family == family for n in effects)
 
@@ -127,8 +134,8 @@ def test_an_effect_of_the_noise_is_stated_where_it_is_likely(
     none: float, unlisted: float, mains: float, kind: str
 ) -> None:
     # too unlikely to be named, yet likelier than nothing at all
-    stand = standing(none, unlisted, {"interference": mains}, {"mains_pickup": mains})
-    found, *said = judge(NOTHING, stand, CATALOGUE)
+    combined = standing(none, unlisted, {"interference": mains}, {"mains_pickup": mains})
+    found, *said = judge(NOTHING, combined, CATALOGUE)
     assert found == kind
     if kind == "family":  # no unlisted cause acts on the mean as the mains do on the noise
         assert said == [("mains_pickup",), "interference", mains]
@@ -161,8 +168,8 @@ def test_of_a_family_no_more_is_said_than_is_known(probability, leading, other, 
 
 def test_what_is_likely_beside_a_name_is_said() -> None:
     effects = {"flow_switching": 0.95, "baseline_step": 0.1, "baseline_drift": 0.7}
-    stand = standing(0.0, 0.05, {"asymmetry": 0.95, "baseline": 0.79, "gain": 0.6}, effects)
-    said = "".join(second_words(["flow_switching"], stand, CATALOGUE))
+    combined = standing(0.0, 0.05, {"asymmetry": 0.95, "baseline": 0.79, "gain": 0.6}, effects)
+    said = "".join(second_words(["flow_switching"], combined, CATALOGUE))
     assert "the family baseline (79 %), most likely baseline_drift" in said
     alone = standing(0.0, 0.05, {"asymmetry": 0.95, "baseline": 0.4}, effects)
     assert second_words(["flow_switching"], alone, CATALOGUE) == []
@@ -171,16 +178,20 @@ def test_what_is_likely_beside_a_name_is_said() -> None:
 def test_an_effect_that_shares_its_response_is_not_named_beside_another_either() -> None:
     sure = {"optical_nonlinearity": 0.95, "slow_sorption": 0.93}
     families = {CATALOGUE[name].family: p for name, p in sure.items()}
-    stand = standing(0.0, 0.05, families, sure)
-    kind, named, _, p = judge(NOTHING, stand, CATALOGUE)
-    assert (kind, named, p) == ("effect", ("optical_nonlinearity",), 0.95)
+    combined = standing(0.0, 0.05, families, sure)
+    judgement = judge(NOTHING, combined, CATALOGUE)
+    named = judgement.effects
+    assert judgement[:2] == ("effect", ("optical_nonlinearity",)) and judgement[3] == 0.95
     # it is in the explanation all the same, and said
     alone, both = (
         SimpleNamespace(effects=effects, log_weight=weight)
         for effects, weight in ((("optical_nonlinearity",), -50.0), (tuple(sure), 0.0))
     )
-    assert _best(SimpleNamespace(complete=[alone, both]), kind, named, stand, CATALOGUE) is both
-    said = "".join(second_words(named, stand, CATALOGUE))
+    assert (
+        explanation_of(SimpleNamespace(complete=[alone, both]), judgement, combined, CATALOGUE)
+        is both
+    )
+    said = "".join(second_words(named, combined, CATALOGUE))
     assert "most likely slow_sorption or two_rate_valve, whose response is the same" in said
 
 
@@ -192,14 +203,14 @@ def test_families_that_are_likely_are_not_denied() -> None:
 
 
 def test_an_effect_of_the_noise_is_named_beside_an_empty_mean() -> None:
-    stand = standing(0.0, 0.05, {}, {"heavy_tails": 0.95})
-    assert judge(NOTHING, stand, CATALOGUE)[:2] == ("effect", ("heavy_tails",))
+    combined = standing(0.0, 0.05, {}, {"heavy_tails": 0.95})
+    assert judge(NOTHING, combined, CATALOGUE)[:2] == ("effect", ("heavy_tails",))
 
 
 def test_a_hypothesis_that_was_not_tried_is_no_answer() -> None:
-    weighing = Weighing(SimpleNamespace(), SimpleNamespace(), (), CATALOGUE, ())
+    comparison = Comparison(SimpleNamespace(), SimpleNamespace(), (), CATALOGUE, ())
     with pytest.raises(KeyError, match="dead_volume"):
-        weighing.find("dead_volume")
+        comparison.find("dead_volume")
 
 
 def test_forms_are_averaged_by_their_evidence(monkeypatch) -> None:
@@ -209,13 +220,13 @@ def test_forms_are_averaged_by_their_evidence(monkeypatch) -> None:
         lambda name: SimpleNamespace(evidences=lambda beside: len(beside) * [SimpleNamespace(
             **dict(zip(("log_z", "log_tau", "sd_log_tau"), forms[name])))]),
     )  # fmt: skip
-    monkeypatch.setattr(hypotheses, "_leaps", lambda *_: False)
+    monkeypatch.setattr(hypotheses, "jump_is_seen", lambda *_: False)
 
     class Named(str):
         loosened = property(lambda self: self)
 
     weighted = [(Named("near"), 0.25), (Named("far"), 0.75)]
-    log_z, best, mean, sd, terms = hypotheses._average(weighted, None, base=None)
+    log_z, best, mean, sd, terms = hypotheses.average_over_forms(weighted, None, base=None)
     shares = np.array([0.25 * np.exp(2.0), 0.75 * np.exp(0.5)])
     assert log_z == pytest.approx(np.log(shares.sum())) and best == "near"
     shares /= shares.sum()
@@ -227,16 +238,25 @@ def test_forms_are_averaged_by_their_evidence(monkeypatch) -> None:
 
 
 def test_what_comes_nearest_to_an_unlisted_cause_is_told_where_none_was_stated():
-    event = FullRate(
-        "event", 1.0, {"event_experiment": 1.0, "event_s": 47.4, "event_ratio": 5.4}, 5.4
+    event = Finding(
+        SIGNALS["event"], 1.0, {"event_experiment": 1.0, "event_s": 47.4, "event_ratio": 5.4}, 5.4
     )
-    listed = FullRate("mains_pickup", 1.5, {"mains_V": 1e-3, "mains_Hz": 50.0}, None)
-    (told,) = looks_most([listed, event], ["a", "b"], "V")
-    assert "experiment b" in told and "47.4 s" in told and "5.4 times" in told
-    assert f"put down to the noise ({100.0 * (1.0 - event.probability):.0f} %)" in told
+    listed = Finding(SIGNALS["mains_pickup"], 1.5, {"mains_V": 1e-3, "mains_Hz": 50.0}, None)
+
+    def told(findings, kind="none"):
+        campaign = [SimpleNamespace(name=name) for name in "ab"]
+        comparison = SimpleNamespace(binned=SimpleNamespace(campaign=campaign))
+        judgement = Judgement(kind, (), None, 0.9)
+        return nearest_finding(
+            Conclusion(judgement, comparison, *[None] * 4, findings, (), (0.0, 1.0), "V")
+        )
+
+    (said,) = told([listed, event])
+    assert "experiment b" in said and "47.4 s" in said and "5.4 times" in said
+    assert f"put down to the noise ({100.0 * (1.0 - event.probability):.0f} %)" in said
     # what data do not speak for is no news, nor is a listed cause of the noise
-    assert looks_most([replace(event, log_bayes_factor=0.5), listed], ["a", "b"], "V") == []
-    assert looks_most([], ["a", "b"], "V") == []
+    assert told([replace(event, log_bayes_factor=0.5), listed]) == []
+    assert told([]) == [] and told([event], "effect") == []
 
 
 def test_a_bump_that_passes_for_noise_is_in_the_notes_of_none():

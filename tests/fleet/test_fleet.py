@@ -237,13 +237,13 @@ def test_a_bad_campaign_is_a_row_and_the_rest_goes_on(
     import bayes_sensor.cli.run_fleets as fleets
 
     analysed: list[str] = []
-    analyse = fleets.run
+    analyse = fleets.run_command
 
     def counted(command: str, campaign: Path, *rest: Any, **more: Any) -> int:
         analysed.append(campaign.parent.name)
         return analyse(command, campaign, *rest, **more)
 
-    monkeypatch.setattr(fleets, "run", counted)
+    monkeypatch.setattr(fleets, "run_command", counted)
     before = {p.name: p.read_bytes() for p in out.iterdir() if p.is_file() and p.name != "run.json"}
     frame = bs.run_fleet(lab / "list.txt", out, config=lab / "quick.toml", resume=True)
     assert analysed == ["broken", "missing"]
@@ -258,7 +258,7 @@ def test_a_bad_campaign_is_a_row_and_the_rest_goes_on(
         analysed.append(campaign.parent.name)
         raise RuntimeError("an accident")
 
-    monkeypatch.setattr(fleets, "run", fails)
+    monkeypatch.setattr(fleets, "run_command", fails)
     again = bs.run_fleet(lab / "list.txt", out, seed=2, config=lab / "quick.toml", resume=True)
     assert analysed == ["good", "broken", "missing"] and set(again["status"]) == {"failed"}
     assert "unforeseen RuntimeError (an accident)" in again["message"][0]
@@ -266,7 +266,7 @@ def test_a_bad_campaign_is_a_row_and_the_rest_goes_on(
     def full(*arguments: Any, **more: Any) -> int:
         raise OSError(28, "No space left on device", "x")
 
-    monkeypatch.setattr(fleets, "run", full)
+    monkeypatch.setattr(fleets, "run_command", full)
     assert run("fleet", lab / "list.txt", "--out", out, *options) == 2
     assert "No space left" in capsys.readouterr().err
 

@@ -13,7 +13,7 @@ import pytest
 
 import bayes_sensor
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.checks.calibration import run_chunks
+from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.cli import exit_code
 from bayes_sensor.fit.samples import save_samples
 from bayes_sensor.fit.traces import save_traces
@@ -21,7 +21,7 @@ from bayes_sensor.io.disk import remove, replacing, write_bytes, write_text
 from bayes_sensor.io.json_files import write_json
 from bayes_sensor.io.results import VOID, Results
 from bayes_sensor.io.writers import write_campaign
-from bayes_sensor.likelihood.mesh.kernels import _one_process
+from bayes_sensor.likelihood.mesh.node_sums import one_process
 from bayes_sensor.posterior import sample_posterior, save_draws
 from bayes_sensor.posterior.checkpoints import Checkpoint
 from tests.support.campaigns import small_problem
@@ -181,18 +181,18 @@ def test_a_lock_is_written_to_no_other_file(
 
 def test_the_lock_of_compiled_code_truncates_nothing(tmp_path: Path, outside: Path) -> None:
     (tmp_path / "kernels.lock").symlink_to(outside / "thesis.tex")
-    with _one_process(tmp_path):
+    with one_process(tmp_path):
         assert whole(outside)
     assert whole(outside)
 
 
 def test_compiled_code_waits_for_the_process_that_compiles(tmp_path: Path) -> None:
     code = (
-        "import sys; from bayes_sensor.likelihood.mesh.kernels import _one_process\n"
-        "with _one_process(sys.argv[1]):\n    print('held', flush=True)"
+        "import sys; from bayes_sensor.likelihood.mesh.node_sums import one_process\n"
+        "with one_process(sys.argv[1]):\n    print('held', flush=True)"
     )
     command = [sys.executable, "-c", code, str(tmp_path)]
-    with _one_process(tmp_path):
+    with one_process(tmp_path):
         other = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         with pytest.raises(subprocess.TimeoutExpired):
             other.communicate(timeout=4.0)
@@ -204,7 +204,7 @@ def test_compiled_code_waits_for_the_process_that_compiles(tmp_path: Path) -> No
 
 def _save_posterior(path: Path) -> None:
     problem, theta = small_problem(n=1, interval=0.05)
-    save_draws.save(sample_posterior(problem, theta, sampler="independence"), path)
+    save_draws.save_posterior(sample_posterior(problem, theta, sampler="independence"), path)
 
 
 def _one(i: int) -> dict[str, Any]:

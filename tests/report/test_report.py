@@ -18,7 +18,7 @@ from matplotlib.image import imread
 
 from bayes_sensor import figures, report
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import analysis_steps, exit_code
+from bayes_sensor.cli import exit_code, job
 from bayes_sensor.cli.simulate_campaigns import published_design
 from bayes_sensor.fit.samples import load_samples
 from bayes_sensor.io.check import campaign_rows
@@ -100,7 +100,7 @@ def analysed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     options = ["--sampler", "independence", "--config", folder / "over.toml", "--quiet"]
     with pytest.MonkeyPatch.context() as patch:  # the diagnosis takes long and has its own tests
-        for table in (analysis_steps.STEPS, analysis_steps.SAVES):
+        for table in (job.STEPS, job.SAVES):
             patch.setitem(table, "analyze", tuple(s for s in table["analyze"] if s != "gap"))
         code = run("analyze", data / "campaign.toml", "--out", folder / "out", *options)
     assert code in (0, 3)
@@ -397,7 +397,7 @@ def test_names_that_mean_something_elsewhere_are_only_names_here(
 @pytest.fixture
 def short_analyze(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str | Path]:
     """The arguments of an ``analyze`` that fits and reports, into ``tmp_path / "out"``."""
-    for table in (analysis_steps.STEPS, analysis_steps.SAVES):
+    for table in (job.STEPS, job.SAVES):
         monkeypatch.setitem(table, "analyze", ("fit", "residuals", "report"))
     options = ["--experiments", "1,4", "--duration", "15 s", "--interval", "20 ms", "--quiet"]
     assert run("simulate", "--out", tmp_path / "data", *options) == 0

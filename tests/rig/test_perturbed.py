@@ -6,9 +6,8 @@ from scipy.integrate import solve_ivp
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.diagnosis import CATALOGUE
-from bayes_sensor.diagnosis.effects.effect import check_settings
 from bayes_sensor.diagnosis.effects.effect_model import with_effects
-from bayes_sensor.diagnosis.evidence.refit_coordinates import coating_modes
+from bayes_sensor.diagnosis.effects.rig_view import check_settings, coating_modes
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import cascade_response
 from bayes_sensor.rig.exponential import HIGHEST, LOWEST, exponentials

@@ -19,6 +19,9 @@ from bayes_sensor.cli import app
 from bayes_sensor.diagnosis import CATALOGUE
 from bayes_sensor.io.readers import FORMATS
 from bayes_sensor.io.readers.campaign_file import SIDE_INFORMATION, Entry
+from bayes_sensor.posterior import SAMPLERS
+from bayes_sensor.report import Saved
+from bayes_sensor.report.parts import Pictures
 from tests.support.campaigns import small_problem
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -139,6 +142,7 @@ def test_what_can_be_chosen_is_told() -> None:
     assert [key for key in Entry.model_fields if not re.search(rf"\b{key}\b", formats)] == []
     assert [key for key in SIDE_INFORMATION if not re.search(rf"\b{key}\b", formats)] == []
     assert [method for method in METHODS if f"\n`{method}`\n:" not in bounds] == []
+    assert [name for name in SAMPLERS if f'"{name}"' not in formats] == []
     assert [
         kind for kind in ("none", "effect", "family", "unlisted") if f"**{kind}**" not in gap
     ] == []
@@ -179,7 +183,7 @@ def examples(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr("bayes_sensor.io.readers.FORMATS", dict(FORMATS))
     made: dict[str, Any] = {}
     blocks = re.findall(r"```python\n(.*?)```", TEXT["extend.md"], flags=re.DOTALL)
-    assert len(blocks) == 6
+    assert len(blocks) == 8
     exec(compile("\n".join(blocks), "extend.md", "exec"), made)
     return made
 
@@ -214,6 +218,26 @@ def test_the_bound_of_the_page_is_wider_by_its_factor(examples: dict[str, Any]) 
     assert 0.4 < phi < 0.6
     narrow, wide = (np.ptp(bounds[m].interval("tau_v_s")) for m in examples["mine"])
     assert wide / narrow == pytest.approx(np.sqrt((1 + phi) / (1 - phi)))
+
+
+def test_the_sampler_of_the_page_converges(
+    examples: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(SAMPLERS, "resample", examples["RESAMPLE"])
+    problem, theta = small_problem(n=2, interval=0.05)
+    posterior = bs.sample_posterior(problem, theta, seed=1, sampler="resample")
+    assert posterior.sampler == "resample" and posterior.reasons == ("importance resampling",)
+    assert posterior.converged
+
+
+def test_the_section_of_the_page_answers(examples: dict[str, Any]) -> None:
+    saved = Saved({}, {}, bounds={
+        "methods": {name: {"parameters": {"V_mL": {"lo95": 0.0, "hi95": width}}}
+                    for name, width in (("narrow", 1.0), ("wide", 2.0))}
+    })  # fmt: skip
+    section = examples["widest"](saved, Pictures())
+    assert section.answer == "wide." and section.content[0].rows == [["narrow", 1.0], ["wide", 2.0]]
+    assert examples["widest"](Saved({}, {}), Pictures()) is None
 
 
 def readme() -> str:

@@ -15,7 +15,8 @@ from typing import Any
 import pytest
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import _advice, exit_code
+from bayes_sensor.cli import exit_code
+from bayes_sensor.cli.interruption import advice
 from bayes_sensor.io import folder_lock
 from bayes_sensor.io.folder_lock import Lock
 from bayes_sensor.io.results import Results
@@ -310,4 +311,4 @@ def test_a_lock_is_closed_before_it_is_removed_where_open_files_stay(
     ],
 )
 def test_after_an_interruption_one_is_told_how_to_go_on(command: str, words: str) -> None:
-    assert words in _advice([command, "x"])
+    assert words in advice([command, "x"])

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import analysis_steps, exit_code
+from bayes_sensor.cli import exit_code
+from bayes_sensor.cli.terminal import muted, progress_bar
 from bayes_sensor.display import shown
 from bayes_sensor.io.check import campaign_remarks
 from bayes_sensor.io.readers import read_campaign
@@ -341,7 +342,7 @@ def test_without_takes_a_list(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 def test_a_log_gets_no_progress(capfd: pytest.CaptureFixture[str]) -> None:
     for quiet in (True, False):
-        with analysis_steps.progress_bar("posterior", quiet) as tell, analysis_steps.muted():
+        with progress_bar("posterior", quiet) as tell, muted():
             for i in range(100):
                 tell(i / 100, f"step {i}")
         assert capfd.readouterr().err == ""

@@ -154,7 +154,7 @@ def test_the_sealed_cause_is_found() -> None:
         {
             "kind": "gap.verdict.kind",
             "likeliest": "gap.verdict.effects[0]",
-            "probability": "gap.standing.effects[sealed]",
+            "probability": "gap.probabilities.effects[sealed]",
             "sealed": "sealed",
             "true": "next(iter(strength[sealed].values()))",
             "estimated": "next(iter(row.strength.values()))",

@@ -61,7 +61,13 @@ def lines_of(name: str, value: Any) -> Iterator[str]:
         yield f"{name}{signature(value)}"
     fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
     made_by_init = {field.name for field in fields}
-    for member, what in sorted(vars(value).items()):
+    ours = [
+        base
+        for base in getattr(value, "__mro__", ())[::-1]
+        if base.__module__.startswith("bayes_sensor")
+    ]
+    members = {member: what for base in ours for member, what in vars(base).items()}
+    for member, what in sorted(members.items()):
         if member.startswith("_") or member in made_by_init:
             continue
         if isinstance(what, property | cached_property):

@@ -301,7 +301,7 @@ def diagnosed(change: str = "", fault: str = "kink", without: tuple[str, ...] = 
     gap = diagnose_gap(
         campaign, fit, bootstrap=10, hidden=False, separate=False, follow=False, without=without
     )
-    seen = [(f.name, len(f.places)) for f in gap.full_rate if f.probability > 0.5]
+    seen = [(f.name, len(f.places)) for f in gap.findings if f.probability > 0.5]
     return gap.to_json() | {"seen": seen}
 
 

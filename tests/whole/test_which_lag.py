@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from posterior_calibration import CoverageStudy
 
 from bayes_sensor import figures
 from bayes_sensor.bounds import Bound, cramer_rao, explain_tau, step_study
 from bayes_sensor.bounds.compare import with_words
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.checks.calibration import CoverageStudy
 from bayes_sensor.checks.coverage import SETTINGS, BoundsStudy, coverage_of_methods, small_design
 from bayes_sensor.cli import exit_code
 from bayes_sensor.design import design_experiments, what_if
@@ -80,10 +80,8 @@ def test_a_status_calls_lags_as_the_columns_do(order: str, said: str) -> None:
     problem = Problem(design)
     empty = np.zeros((3, 3))
     place = "tau's estimate, tau_s and tau_v_s"
-    bound = Bound("crlb_ar1", "", "", list(SHARED), empty[0], empty[0], empty, empty, place)
+    bound = Bound(list(SHARED), empty[0], empty[0], empty, empty, place)
     assert with_words(bound, problem.naming()).status == said
-    own = replace(bound, method="posterior")
-    assert with_words(own, problem.naming()).status == place
 
 
 def test_the_step_study_follows_the_names() -> None:

@@ -80,7 +80,7 @@ theta = np.concatenate([small_problem(n=1, interval=0.05)[1], [0.05] * len(other
 say(compress(other, theta).log_likelihood(theta))
 """,
     "bounds": """
-from bayes_sensor.bounds.bootstrap import resample_and_refit
+from bayes_sensor.bounds.methods.block_bootstrap import resample_and_refit
 from bayes_sensor.bounds.cramer_rao import cramer_rao
 from bayes_sensor.bounds.context import Evidence
 problem, theta = small_problem(n=2, interval=0.05, masked=[(3.0, 3.5)], fall=[True, False])
@@ -108,20 +108,22 @@ for seed, (name, cause) in enumerate(sorted(CAUSES.items())):
     say(*clean.values())
 """,
     "squares": """
-from bayes_sensor.diagnosis.evidence.block_least_squares import carry_on, normal_equations, whiten
+from bayes_sensor.diagnosis.evidence.block_least_squares import (
+    broyden_update, normal_equations, whiten,
+)
 rng = np.random.RandomState(2)
 ends, places = np.array([0, 3, 5]), np.array([[0, 1, 2], [0, 3, -1]])
 factors, values = rng.normal(size=13), rng.normal(size=(5, 3))
 say(whiten(factors, ends, values), whiten(factors, ends, values[:, 0].copy()))
 values[3:, 2] = 0.0
 say(*normal_equations(values, rng.normal(size=5), ends, places, 4))
-carry_on(values, rng.normal(size=5), rng.normal(size=4), np.ones(4), ends, places)
+broyden_update(values, rng.normal(size=5), rng.normal(size=4), np.ones(4), ends, places)
 say(values)
 """,
     "rig": """
 from bayes_sensor.diagnosis import CATALOGUE
 from bayes_sensor.diagnosis.effects.effect_model import with_effects
-from bayes_sensor.diagnosis.evidence.refit_coordinates import coating_modes
+from bayes_sensor.diagnosis.effects.rig_view import coating_modes
 from bayes_sensor.rig.perturbed import FIRST, INDEX, campaign_means, moved_means, settings_vector
 times = np.sort(np.random.default_rng(1).uniform(0.0, 20.0, 24))
 first = [0.05, 0.8, 0.6, 0.1, 1.5, 2.0, 9.0, 0.3, 0.0, 10.0]

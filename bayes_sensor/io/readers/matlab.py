@@ -24,12 +24,14 @@ from bayes_sensor.io.readers.recording import (
     Selection,
     check_chosen,
     check_counts,
+    drive_place,
     find_column,
-    is_time,
     list_names,
     parser_errors,
+    recording_of_vectors,
     scale_time,
     split_name,
+    time_place,
 )
 from bayes_sensor.io.readers.sampling import grid_times, simplest_near
 
@@ -61,7 +63,7 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
         if v.numeric and sum(n != 1 for n in v.shape) == 1 and max(v.shape) > 1
     ]
     columns = [split_name(name) for name in vectors]
-    time = next((i for i, column in enumerate(columns) if is_time(column)), None)
+    time = time_place(columns)
     has_clock = sizes.get("Tinterval") == 1
     if time is None and not has_clock:
         names = [v.name for v in variables]
@@ -91,26 +93,10 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
     else:
         start, interval = _clock(file, content, len(y))
         t = grid_times(start, interval, len(y))
-    for name, values in (("drive", d), ("time", t)):
-        if values is not None and len(values) != len(y):
-            raise file.error(
-                f"expected the {name} vector to have the {len(y)} samples of "
-                f"'{vectors[signal]}', but it has {len(values)}; save them with the same length"
-            )
-
-    def place(i: int) -> str:
-        return f"sample {i + 1} of '{vectors[signal]}'"
-
-    return Recording(
-        t=t,
-        y=y,
-        signal=vectors[signal],
-        place=place,
-        drive=d,
-        drive_name="" if drive is None else vectors[drive],
-        unit=columns[signal].unit,
-        interval=interval,
-    )
+    return recording_of_vectors(
+        file, columns, signal, drive, (t, y, d), called="the {} vector",
+        fix="save them with the same length", interval=interval,
+    )  # fmt: skip
 
 
 def _choose(
@@ -137,9 +123,7 @@ def _choose(
                 "save the signal as a row or column vector of numbers"
             )
         signal = others[0]
-    drive = None
-    if selection.drive is not None:
-        drive = find_column(file, columns, selection.drive, "drive")
+    drive = drive_place(file, columns, selection)
     check_chosen(file, vectors, time, signal, drive)
     return signal, drive
 

@@ -15,12 +15,14 @@ from bayes_sensor.io.readers.recording import (
     Selection,
     check_chosen,
     check_counts,
+    drive_place,
     find_column,
-    is_time,
     list_names,
     parser_errors,
+    recording_of_vectors,
     scale_time,
     split_name,
+    time_place,
 )
 
 _WHAT = "a NumPy archive (.npz)"
@@ -54,7 +56,7 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
                 "expected arrays 't' and 'y', but the archive has none; "
                 "save with numpy.savez(path, t=t, y=y)"
             )
-        time = next((i for i, column in enumerate(columns) if is_time(column)), None)
+        time = time_place(columns)
         if time is None:
             raise file.error(
                 f"expected an array 't' with the times, but it has {list_names(members)}; "
@@ -72,29 +74,16 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
                     "save with numpy.savez(path, t=t, y=y)"
                 )
             signal = others[0]
-        drive = None
-        if selection.drive is not None:
-            drive = find_column(file, columns, selection.drive, "drive")
-        elif selection.signal is None and "drive" in members:
+        drive = drive_place(file, columns, selection)
+        if drive is None and selection.signal is None and "drive" in members:
             drive = members.index("drive")
         check_chosen(file, members, time, signal, drive)
         t, y = _array(file, archive, members[time]), _array(file, archive, members[signal])
         d = None if drive is None else _array(file, archive, members[drive])
-    for name, values in ((members[time], t), ("drive", d)):
-        if values is not None and len(values) != len(y):
-            raise file.error(
-                f"expected '{name}' to have the {len(y)} samples of '{members[signal]}', "
-                f"but it has {len(values)}; save them with the same length"
-            )
-    return Recording(
-        t=scale_time(file, columns[time], t),
-        y=y,
-        signal=members[signal],
-        place=lambda i: f"sample {i + 1} of '{members[signal]}'",
-        drive=d,
-        drive_name="" if drive is None else members[drive],
-        unit=columns[signal].unit,
-    )
+    return recording_of_vectors(
+        file, columns, signal, drive, (scale_time(file, columns[time], t), y, d), called="'{}'",
+        fix="save them with the same length", time_name=members[time],
+    )  # fmt: skip
 
 
 def _array(file: DataFile, archive: zipfile.ZipFile, name: str) -> FloatArray:

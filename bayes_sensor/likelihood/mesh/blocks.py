@@ -10,7 +10,7 @@ from numba import njit
 
 from bayes_sensor.campaign import Experiment, FloatArray
 from bayes_sensor.likelihood.density import mean_and_response, mean_on_grid
-from bayes_sensor.likelihood.mesh.kernels import CHEBYSHEV, Arrays, K
+from bayes_sensor.likelihood.mesh.mesh_arrays import CHEBYSHEV, Arrays, K
 from bayes_sensor.likelihood.noise import scale_squared
 from bayes_sensor.likelihood.problem import Problem
 

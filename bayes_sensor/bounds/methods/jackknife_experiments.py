@@ -18,10 +18,10 @@ from bayes_sensor.bounds.bound import LEVELS, Bound
 from bayes_sensor.bounds.context import Evidence
 from bayes_sensor.bounds.gaussian_intervals import gaussian_bound, invert
 from bayes_sensor.bounds.likelihood_surface import Surface, maximise
+from bayes_sensor.bounds.methods.bound_method import BoundMethod
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.mesh import Compressed, Region, compress
 
-REFERENCE = "Tukey (1958); Efron and Tibshirani (1993), ch. 11"
 SHARED = ("tau_s", "tau_v_s", "V_mL")
 
 
@@ -86,13 +86,10 @@ def jackknife_experiments(evidence: Evidence) -> Bound:
     surface = evidence.white
     names = surface.mean_names
     n = len(evidence.problem.campaign)
-    assumes = "least squares; experiments are exchangeable repeats, whatever the noise within them"
     if n < 3:
         empty = np.full((len(names), len(LEVELS)), nan)
-        return Bound(
-            "jackknife_experiments", assumes, REFERENCE, names, evidence.estimate, empty[:, 0],
-            empty, empty, f"needs at least 3 experiments, there are {n}",
-        )  # fmt: skip
+        status = f"needs at least 3 experiments, there are {n}"
+        return Bound(names, evidence.estimate, empty[:, 0], empty, empty, status)
     found, settled = leave_one_out(surface, evidence.psi_white)
     shared = [i for i, name in enumerate(names) if name in SHARED]
     values = found[:, surface.mean[shared]]
@@ -101,9 +98,6 @@ def jackknife_experiments(evidence: Evidence) -> Bound:
     information = surface.information(surface.expansion(evidence.psi_white))
     identified = invert(information[np.ix_(surface.mean, surface.mean)])[1][shared]
     short = gaussian_bound(
-        "jackknife_experiments",
-        assumes,
-        REFERENCE,
         [names[i] for i in shared],
         evidence.estimate[shared],
         cov,
@@ -120,7 +114,15 @@ def jackknife_experiments(evidence: Evidence) -> Bound:
     sd = np.full(len(names), nan)
     low, high = np.full((len(names), len(LEVELS)), nan), np.full((len(names), len(LEVELS)), nan)
     sd[shared], low[shared], high[shared] = short.sd, short.low, short.high
-    return Bound(
-        short.method, assumes, REFERENCE, names, evidence.estimate, sd, low, high, short.status,
-        short.details,
-    )  # fmt: skip
+    return Bound(names, evidence.estimate, sd, low, high, short.status, short.details)
+
+
+METHOD = BoundMethod(
+    name="jackknife_experiments",
+    label="jackknife, experiments",
+    assumes="least squares; experiments are exchangeable repeats, whatever the noise within them",
+    compute=jackknife_experiments,
+    reference="Tukey (1958); Efron and Tibshirani (1993), ch. 11",
+    noise="any",
+    shared_only=True,
+)

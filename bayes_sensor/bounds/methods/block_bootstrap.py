@@ -24,13 +24,13 @@ from bayes_sensor.bounds.bound import LEVELS, Bound
 from bayes_sensor.bounds.context import Evidence
 from bayes_sensor.bounds.gaussian_intervals import gaussian_bound, invert, normal_factor
 from bayes_sensor.bounds.likelihood_surface import Surface, curvature_along_tau, maximise
+from bayes_sensor.bounds.methods.bound_method import BoundMethod
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.likelihood.density import mean_and_variance
 from bayes_sensor.likelihood.mesh import K, compress
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
 
-REFERENCE = "Politis and Romano (1994); Politis and White (2004); Patton, Politis and White (2009)"
 IntArray = NDArray[np.int64]
 LEAST_TAIL = 5
 """resamples that must lie beyond an end of an interval for the end to be estimated from them"""
@@ -294,7 +294,7 @@ def resample_and_refit(
     return bounded, free, details
 
 
-def block_bootstrap(evidence: Evidence, whitened: bool = True) -> Bound:
+def block_bootstrap(evidence: Evidence) -> Bound:
     """Percentile intervals of refitted resamples; normal ones in psi where resamples run out.
 
     Raises CampaignError for fewer than two resamples, which have no spread.
@@ -304,7 +304,7 @@ def block_bootstrap(evidence: Evidence, whitened: bool = True) -> Bound:
             f"block_bootstrap: n_resamples is {evidence.n_resamples}; expected at least 2 to see a "
             "spread, and some hundred for ends of intervals: ask for more"
         )
-    bounded, free, details = resample_and_refit(evidence, evidence.n_resamples, whitened)
+    bounded, free, details = resample_and_refit(evidence, evidence.n_resamples)
     surface = evidence.white
     names = surface.mean_names
     cov = np.atleast_2d(np.cov(free[:, surface.mean], rowvar=False))
@@ -313,14 +313,6 @@ def block_bootstrap(evidence: Evidence, whitened: bool = True) -> Bound:
     information = surface.information(surface.expansion(evidence.psi_white))
     _, identified = invert(information[np.ix_(surface.mean, surface.mean)])
     normal = gaussian_bound(
-        "block_bootstrap",
-        (
-            "least squares; the AR(1) innovations of the standardised residuals can be exchanged "
-            "in blocks"
-            if whitened
-            else "least squares; the standardised residuals can be exchanged in blocks"
-        ),
-        REFERENCE,
         names,
         evidence.estimate,
         cov,
@@ -351,7 +343,16 @@ def block_bootstrap(evidence: Evidence, whitened: bool = True) -> Bound:
         # levels and steps settle at once, whatever becomes of the times
         slow = np.array([not name.startswith(("y0_V", "beta_V")) for name in names])
         sd[slow], low[slow], high[slow] = np.nan, np.nan, np.nan
-    return Bound(
-        normal.method, normal.assumes, normal.reference, names, normal.estimate, sd, low, high,
-        normal.status, details,
-    )  # fmt: skip
+    return Bound(names, normal.estimate, sd, low, high, normal.status, details)
+
+
+METHOD = BoundMethod(
+    name="block_bootstrap",
+    label="block bootstrap",
+    assumes="least squares; the AR(1) innovations of the standardised residuals can be exchanged "
+    "in blocks",
+    compute=block_bootstrap,
+    reference="Politis and Romano (1994); Politis and White (2004); Patton, Politis and White "
+    "(2009)",
+    noise="residuals",
+)

@@ -24,7 +24,7 @@ from scipy.signal import lfilter, oaconvolve
 
 from bayes_sensor.bounds.bound import Bound
 from bayes_sensor.bounds.context import Evidence
-from bayes_sensor.bounds.gaussian_intervals import SINGULAR, gaussian_bound, invert, normal_factor
+from bayes_sensor.bounds.gaussian_intervals import SINGULAR, gaussian_bound, invert
 from bayes_sensor.bounds.likelihood_surface import Surface
 from bayes_sensor.bounds.sensitivities import local_jacobian
 from bayes_sensor.campaign import FloatArray
@@ -276,44 +276,37 @@ def sandwich_covariance(
     return Sandwich(inverse @ middle @ inverse, identified, np.full(n, np.inf), {})
 
 
-def sandwich(evidence: Evidence, parametric: bool = False) -> Bound:
-    """Least squares with the sandwich covariance; ``parametric``: its AR(1) form."""
-    surface, psi = evidence.white, evidence.psi_expansion
-    fitted = surface.coordinates.theta(evidence.psi_white)
-    found = sandwich_covariance(surface, psi, fitted, evidence.problem, evidence.theta, parametric)
-    factor: Callable[[float], float | FloatArray] = found.factor
-    if parametric:
-        assumes = (
-            "least squares under AR(1) noise with concentration-dependent scale, whose fitted "
-            "parameters give the covariance"
-        )
-        details: dict[str, object] = {}
-        factor = normal_factor
-    else:
-        assumes = (
-            "least squares; noise stationary in its correlations over short lags but otherwise "
-            "unspecified, experiments independent"
-        )
-        names = surface.mean_names
-        details = {
-            "bandwidth_samples": found.bandwidths,
-            "kernel": "Bartlett",
-            "degrees_of_freedom": dict(zip(names, found.degrees.tolist())),
-        }
+def sandwich_of(evidence: Evidence, parametric: bool) -> Sandwich:
+    """The covariance of the evidence's least-squares fit."""
+    fitted = evidence.white.coordinates.theta(evidence.psi_white)
+    return sandwich_covariance(
+        evidence.white,
+        evidence.psi_expansion,
+        fitted,
+        evidence.problem,
+        evidence.theta,
+        parametric,
+    )
+
+
+def sandwich_bound(
+    evidence: Evidence,
+    found: Sandwich,
+    factor: Callable[[float], float | FloatArray],
+    details: dict[str, object],
+) -> Bound:
+    """Intervals from a sandwich covariance; ``factor``: z or t of a level."""
     along_tau = evidence.white_along_tau
     if along_tau is not None:
         # least squares' tau^2 scatters along tau as it does under white noise, times one factor
         taus, spreads = along_tau
-        tau = float(np.sqrt(psi[0]))
+        tau = float(np.sqrt(evidence.psi_expansion[0]))
         along_tau = None
         if tau <= taus[-1] and np.isfinite(spreads).all():
             here = np.sqrt(found.cov[0, 0]) / np.interp(tau, taus, spreads)
             along_tau = taus, spreads * here
     return gaussian_bound(
-        "sandwich_ar1" if parametric else "sandwich",
-        assumes,
-        REFERENCE,
-        surface.mean_names,
+        evidence.white.mean_names,
         evidence.estimate,
         found.cov,
         evidence.at_bound,
