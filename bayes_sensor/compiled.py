@@ -29,7 +29,7 @@ def ensure_numba_cache_dir(
         return
     import tempfile  # seldom needed, and slow to load
 
-    place = _own_folder(Path(tempfile.gettempdir()))
+    place = own_folder(Path(tempfile.gettempdir()))
     environ[VARIABLE] = str(place or tempfile.mkdtemp())
 
 
@@ -40,7 +40,7 @@ def _may_write(folder: Path) -> bool:
     return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
 
 
-def _own_folder(temporary: Path) -> Path | None:
+def own_folder(temporary: Path) -> Path | None:
     """One that is kept from run to run and that nobody else may write to.
 
     Compiled code is run: None where another account has made it, or may write to it.

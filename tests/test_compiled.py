@@ -10,7 +10,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from bayes_sensor.compiled import VARIABLE, _own_folder, ensure_numba_cache_dir, forget_older
+from bayes_sensor.compiled import VARIABLE, ensure_numba_cache_dir, forget_older, own_folder
 
 ROOT = Path(__file__).resolve().parent.parent
 NOBODY = 65534
@@ -45,16 +45,16 @@ def test_there_is_a_place_where_the_usual_ones_cannot_be_written_to(
 def test_a_place_that_others_may_write_to_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    own = _own_folder(tmp_path)
-    assert own is not None and _own_folder(tmp_path) == own
+    own = own_folder(tmp_path)
+    assert own is not None and own_folder(tmp_path) == own
     own.chmod(0o777)
-    assert _own_folder(tmp_path) is None
+    assert own_folder(tmp_path) is None
     own.rmdir()
     own.symlink_to(tmp_path)
-    assert _own_folder(tmp_path) is None
+    assert own_folder(tmp_path) is None
     own.unlink()
     own.write_text("a file")
-    assert _own_folder(tmp_path) is None
+    assert own_folder(tmp_path) is None
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     environ: dict[str, str] = {}
     ensure_numba_cache_dir(environ, Path("/dev/null/package"))

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dying import Dying, DyingStudy
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.workers import WorkerDied, completed, dask_client, in_order, one_thread
+from tests.support.dying_tasks import Dying, DyingStudy
 
 
 def test_linear_algebra_is_done_in_one_thread() -> None:

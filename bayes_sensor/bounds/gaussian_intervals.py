@@ -168,7 +168,7 @@ def gaussian_bound(
             below = np.where(square_low > 0.0, (q - square_low) / (z[0] * sd_q), 1.0)
         low[0], high[0] = np.sqrt(square_low), np.sqrt(square_high)
         for i in switches:
-            low[i], high[i] = _switch_quantiles(
+            low[i], high[i] = switch_quantiles(
                 estimate[i] + tau, q, sd_q, cov_psi[i, i], cov_psi[0, i], z[i], below, above
             )
         if np.isnan(sd_tau):
@@ -194,7 +194,7 @@ def gaussian_bound(
     )  # fmt: skip
 
 
-def _switch_quantiles(
+def switch_quantiles(
     centre: float,
     q: float,
     sd_q: float,

@@ -160,7 +160,7 @@ class Profiler:
                     if again.drop < above.drop - CLOSE:
                         known[known.index(above)] = again
                         below, above = _bracket(known, target)
-                value = _next(centre, below, above, guess, target)
+                value = next_value(centre, below, above, guess, target)
                 if value is None:
                     break
                 point = self.at(i, value)
@@ -196,7 +196,7 @@ def _bracket(known: list[Point], target: float) -> tuple[Point, Point | None]:
     return below, min(beyond, key=lambda p: abs(p.value - centre), default=None)
 
 
-def _next(
+def next_value(
     centre: float, below: Point, above: Point | None, guess: float, target: float
 ) -> float | None:
     """The next value to try; None where the bracket has closed."""

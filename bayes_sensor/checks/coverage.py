@@ -224,7 +224,7 @@ def coverage_of_methods(
                 inside = given & (low <= study.truth[at]) & (study.truth[at] <= high)
                 n, covered = int(given.sum()), int(inside.sum())
                 share = covered / n if n else np.nan
-                lo, hi = _limits(inside, given)
+                lo, hi = coverage_limits(inside, given)
                 rows.append(
                     {
                         "setting": setting, "method": method, "parameter": kind,
@@ -260,7 +260,7 @@ def markdown_table(
     return "\n".join(lines) + "\n"
 
 
-def _limits(inside: np.ndarray, given: np.ndarray) -> tuple[float, float]:
+def coverage_limits(inside: np.ndarray, given: np.ndarray) -> tuple[float, float]:
     """95 % limits of the coverage from booleans (n_campaigns, n_pooled)."""
     n, covered = float(given.sum()), float(inside.sum())
     if n == 0:

@@ -83,7 +83,7 @@ def run_chunks(
         for rest in folder.glob(".chunk-*"):  # of a run that was killed
             rest.unlink(missing_ok=True)
         code = code_digest(task)
-        begun = _BEGUN.setdefault(task.__module__, code)
+        begun = CODE_AT_START.setdefault(task.__module__, code)
         # this process may have loaded what was there before: never to be taken for either alone
         label = code if code == begun else f"{begun}+{code}"
         _claim(folder, {"key": key, "chunk": chunk, "code": label})
@@ -115,7 +115,7 @@ def run_chunks(
     return {name: np.concatenate([parts[s][name] for s in spans]) for name in parts[spans[0]]}
 
 
-_BEGUN: dict[str, str] = {}
+CODE_AT_START: dict[str, str] = {}
 """module of a task to the digest of the code when this process first ran one of it"""
 
 

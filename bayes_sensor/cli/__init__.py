@@ -49,10 +49,10 @@ def main(arguments: list[str] | None = None) -> None:
     from bayes_sensor.cli.logged_notes import take_notes
 
     take_notes()
-    import bayes_sensor.campaign  # noqa: F401  before Ctrl-C is an exception, see _guarded
+    import bayes_sensor.campaign  # noqa: F401  before Ctrl-C is an exception, see exit_code
 
     be_interruptible(arguments)
-    code = _guarded(arguments)
+    code = exit_code(arguments)
     atexit.register(ignore_interruptions)  # the work is done, and its results are in place
     # worker processes are left to Python's farewell: loky's tracker tells of what it must tidy up
     if code == INTERRUPTED and "joblib.externals.loky" not in sys.modules:
@@ -60,7 +60,8 @@ def main(arguments: list[str] | None = None) -> None:
     sys.exit(code)
 
 
-def _guarded(arguments: list[str]) -> int:
+def exit_code(arguments: list[str]) -> int:
+    """Run a command in this process; what went wrong is one line on stderr."""
     usage_error: Any = typer.BadParameter.__bases__[0]
     from bayes_sensor.campaign import CampaignError
 

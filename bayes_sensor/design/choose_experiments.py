@@ -73,7 +73,7 @@ def design_experiments(
         raise CampaignError("design: concentrations are fractions below 1")
     truth, present = truth_of(problem, vector), settings_of(problem, vector)
     prior = prior or problem.prior_of_tau(vector)
-    candidates = _candidates(
+    candidates = candidate_settings(
         problem, vector, present, truth, flows, concentrations, durations, n_grid
     )
     if not candidates:
@@ -89,7 +89,9 @@ def design_experiments(
     for _ in range(2):  # once more with sensitivities where the better experiments put tau
         base = sum_information(present, truth, tau)
         parts = [information_of(c, truth, tau, trigger) for c in candidates]
-        chosen = _choose(base, parts, truth.tau, prior, volume, target_tau, k, k_max, lengths)
+        chosen = choose_greedily(
+            base, parts, truth.tau, prior, volume, target_tau, k, k_max, lengths
+        )
         total = base + np.sum([parts[i] for i in chosen], axis=0) if chosen else base
         after = predict_tau(total, truth.tau, prior, volume)
         better = max(truth.tau, min(after.high68, tau), 2e-3 * fastest)
@@ -109,7 +111,7 @@ def design_experiments(
     )
 
 
-def _candidates(
+def candidate_settings(
     problem: Problem,
     vector: FloatArray,
     present: list[Setting],
@@ -144,7 +146,7 @@ def _candidates(
     return result
 
 
-def _choose(
+def choose_greedily(
     base: FloatArray,
     parts: list[FloatArray],
     tau: float,

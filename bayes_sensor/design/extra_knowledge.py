@@ -88,7 +88,7 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
         found = predict(denser, replace(truth, phi=max(truth.phi, 0.0)), prior, V_sd=volume)
         add(f"{factor} times the sampling rate", "rate", float(factor), "x", found)
     for pulses in (3, 6):
-        short = [_as_pulse(setting, pulses, truth) for setting in settings]
+        short = [as_pulse(setting, pulses, truth) for setting in settings]
         if all(setting is not None for setting in short):
             each = [setting for setting in short if setting is not None]
             found = predict(each, truth, prior, V_sd=volume, repeats=float(pulses))
@@ -119,7 +119,7 @@ def _with_rate(setting: Setting, factor: int) -> Setting:
     return replace(setting, experiment=replace(e, t=t, interval=interval, mask=mask, drive=None))
 
 
-def _as_pulse(setting: Setting, pulses: int, truth: Truth) -> Setting | None:
+def as_pulse(setting: Setting, pulses: int, truth: Truth) -> Setting | None:
     """One of ``pulses`` equal parts of the record; None if the response would not settle."""
     e = setting.experiment
     n = len(e.t) // pulses

@@ -156,7 +156,7 @@ def combine(
         rest = float(p) * (1.0 - taken * (1.0 - MISTAKEN_BY_SAMPLES))
         name = "+".join(causes) or "none"
         rows[name] = rows.get(name, 0.0) + rest * silent
-        unseen.setdefault(name, _too_small(h, comparison.base))
+        unseen.setdefault(name, chance_too_small(h, comparison.base))
         # or some effect of the noise is there, each with its share
         loud = rest * (1.0 - silent)
         if loud > 0.0:
@@ -168,7 +168,7 @@ def combine(
     looks_by_mean = rows["unlisted"]
     looks_unlisted = looks_by_mean + of_samples
     rows["unlisted"] += of_samples * (1.0 - MISTAKEN_BY_SAMPLES)
-    rows = _giving_back(rows, MISTAKEN * looks_by_mean, "+".join(best.effects) or "none")
+    rows = give_back_mistaken(rows, MISTAKEN * looks_by_mean, "+".join(best.effects) or "none")
     effects = dict.fromkeys(catalogue, 0.0)
     families: dict[str, float] = {}
     for name, p in rows.items():
@@ -196,7 +196,7 @@ def combine(
     )
 
 
-def _too_small(h: Hypothesis, base: Refit) -> float:
+def chance_too_small(h: Hypothesis, base: Refit) -> float:
     """Probability that an effect, if it is there, has a detectability below ``FAINT``.
 
     What is found of it is what is there and one standard deviation of noise.
@@ -257,7 +257,9 @@ def _detectability(h: Hypothesis, base: Refit) -> float:
     return sqrt(max(base.misfit - h.refit.misfit, 0.0))
 
 
-def _giving_back(rows: Mapping[str, float], mistaken: float, likeliest: str) -> dict[str, float]:
+def give_back_mistaken(
+    rows: Mapping[str, float], mistaken: float, likeliest: str
+) -> dict[str, float]:
     """``mistaken`` of what is unlisted goes to all others, or to ``likeliest`` where they are 0."""
     rest = sum(p for name, p in rows.items() if name != "unlisted")
     # a ratio of two tiny probabilities is exact, where one over a tiny sum overflows

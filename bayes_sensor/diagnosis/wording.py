@@ -190,7 +190,7 @@ def _strength_words(
     return ", ".join(parts)
 
 
-def _effect_words(
+def effect_sentence(
     effect: Effect, strength: Mapping[str, Any], binned: Any, signal_unit: str
 ) -> str:
     """The effect's sentence with those of the strengths that are its own."""
@@ -228,7 +228,7 @@ def _likeness(comparison: Comparison, unit: str) -> str:
     if not h.within:
         return ""
     coords = h.refit.coords
-    words = _effect_words(coords.parts[-1].effect, h.refit.strength(), coords.binned, unit)
+    words = effect_sentence(coords.parts[-1].effect, h.refit.strength(), coords.binned, unit)
     return f"It acts as if {words}."
 
 
@@ -394,7 +394,7 @@ def _family(found: Conclusion) -> list[str]:
         words = family_words(named, probability, likeliest, place, leading.same_response, first)
         said = [words, *form_words(found.comparison, named)]
     on_noise = [
-        _effect_words(catalogue[f.name], f.strength, found.comparison.binned, found.unit)
+        effect_sentence(catalogue[f.name], f.strength, found.comparison.binned, found.unit)
         for f in found.findings
         if f.name in catalogue and f.probability > NAMED
     ]
@@ -409,7 +409,7 @@ def _effects(found: Conclusion) -> list[str]:
     words = []
     for n in named:
         strength = fitted if catalogue[n].on_mean else by_name[n].strength
-        words.append(_effect_words(catalogue[n], strength, found.comparison.binned, found.unit))
+        words.append(effect_sentence(catalogue[n], strength, found.comparison.binned, found.unit))
     second = second_words(named, found.probabilities, catalogue)
     alone = set(found.best.effects) <= set(named)
     closed = found.closure

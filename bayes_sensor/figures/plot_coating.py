@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # both compile or load much that other figures do without
 
 _DASHES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (3, 1.5)), (0, (6, 1.5, 1, 1.5)), (0, (1, 1.2)))
 _LEVELS = np.linspace(0.0, 1.0, 11)
-_MAP = LinearSegmentedColormap.from_list("uptake", ["#ffffff", *REGIONS, BLUE, "#00334f"])
+UPTAKE_MAP = LinearSegmentedColormap.from_list("uptake", ["#ffffff", *REGIONS, BLUE, "#00334f"])
 LOWERED_D_ZIF8 = 2.6e-11
 """m2/s, the lowered diffusivity of ZIF-8 in the paper (Sec.  III-D)"""
 _MARK: dict[str, Any] = {"mec": "white", "mew": 0.6, "ms": 6, "zorder": 4}
@@ -92,7 +92,7 @@ def _cross_section(axes: Axes, response: Response, concentration: FloatArray) ->
     """Map, mesh, interface and probe of one snapshot."""
     coating = response.coating
     r, z = 1e6 * response.r, 1e6 * response.z
-    filled = axes.contourf(r, z, concentration, levels=_LEVELS, cmap=_MAP)
+    filled = axes.contourf(r, z, concentration, levels=_LEVELS, cmap=UPTAKE_MAP)
     axes.vlines(r, z[0], z[-1], color=MIDDLE, lw=0.2)
     axes.hlines(z, r[0], r[-1], color=MIDDLE, lw=0.2)
     axes.axhline(1e6 * coating.thickness_zif8, color=INK, lw=0.9)
@@ -285,7 +285,7 @@ def spectra_figure(
 
 def _looks(n: int) -> list[tuple[Any, Any, str]]:
     """Colour, dash and marker of each of n lines: light to dark."""
-    shades = [_MAP(x) for x in np.linspace(0.45, 1.0, n)] if n > 1 else [INK]
+    shades = [UPTAKE_MAP(x) for x in np.linspace(0.45, 1.0, n)] if n > 1 else [INK]
     return [(c, _DASHES[i % 5], MARKERS[i % 8]) for i, c in enumerate(shades)]
 
 

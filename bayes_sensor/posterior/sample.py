@@ -88,7 +88,7 @@ def sample_posterior(
     # what the data contradict is said, and not averaged with them
     problem = without_contradicted(problem, getattr(fit, "side_information", ()))
     problem.prior_table  # noqa: B018 - raises CampaignError where a parameter has no prior
-    start = problem.by_size(_start(problem, getattr(fit, "theta_hat", fit)))
+    start = problem.by_size(start_vector(problem, getattr(fit, "theta_hat", fit)))
     mute = fit.cannot_tell if isinstance(fit, Fit) else _cannot_tell(problem, start)
     if mute:
         raise CampaignError(f"no interval can be given: {mute}")
@@ -167,7 +167,7 @@ def _cannot_tell(problem: Problem, start: FloatArray) -> str:
     return cannot_tell(problem, start, all_residuals(problem, start)[0])
 
 
-def _start(problem: Problem, given: Any) -> FloatArray:
+def start_vector(problem: Problem, given: Any) -> FloatArray:
     """The flat vector to start from; a model's own parameters are fitted where it lacks them."""
     layout = problem.layout
     bare = replace(layout, extra=())

@@ -27,10 +27,16 @@ COMPUTING = (
     "diagnosis", "blind_check",
 )  # fmt: skip
 """the rooms that compute"""
-UNCOMPILED = ("without_compilation", "model", "noise", "mixing", "readout", "likelihood",
-              "bounds_search", "gap_rig", "fit")  # fmt: skip
-ELSEWHERE = ("faults", "fleet", "hostile", "determinism", "docs", "frame", "paper", "notebooks",
-             "notebook_bounds", "notebook_coating", "notebook_gap", "notebook_guides")  # fmt: skip
+UNCOMPILED = (
+    "whole/test_without_compilation.py", "rig", "likelihood/test_noise.py",
+    "likelihood/test_density.py", "posterior/test_r_hat.py", "coating/test_readout.py",
+    "bounds/test_newton.py", "fit/test_fit.py",
+)  # fmt: skip
+ELSEWHERE = (
+    "whole/test_faults.py", "whole/test_determinism.py", "whole/test_docs.py",
+    "whole/test_frame.py", "whole/test_paper.py", "whole/test_notebooks.py", "fleet",
+    "io/test_bad_input.py",
+)  # fmt: skip
 LIMIT = 3.0
 """seconds for a test without compilation"""
 SETTINGS = """[run]
@@ -106,11 +112,17 @@ def run(
     """The table; the tests run in one process, because a test's lines are noted as it runs."""
     place = Path(folder) / "branches"
     place.mkdir(parents=True, exist_ok=True)
-    tests = {p.stem.removeprefix("test_"): f"tests/{p.name}" for p in ROOT.glob("tests/test_*.py")}
-    parts = [(f"compiled-{n}", [f], {}) for n, f in sorted(tests.items()) if n not in ELSEWHERE]
+    tests = {p.relative_to(ROOT / "tests"): p for p in sorted(ROOT.glob("tests/**/test_*.py"))}
+    parts = [
+        (f"compiled-{'.'.join(name.parts)}", [str(file)], {})
+        for name, file in tests.items()
+        if not any(name.is_relative_to(left_out) for left_out in ELSEWHERE)
+    ]
     parts.append(("compiled-examples", ["bayes_sensor"], {}))
     without = {"NUMBA_DISABLE_JIT": "1", "COVERING_LIMIT": str(LIMIT)}
-    parts += [(f"uncompiled-{n}", [tests[n]], without) for n in UNCOMPILED]
+    parts += [
+        (f"uncompiled-{name.replace('/', '.')}", [f"tests/{name}"], without) for name in UNCOMPILED
+    ]
     for i, (name, files, variables) in enumerate(parts):
         progress(i, len(parts))
         measure(place, name, files, **variables)

@@ -203,7 +203,8 @@ class _Series:
     length: float
 
 
-def _series(problem: Problem, vector: FloatArray, k: int, whitened: bool) -> _Series:
+def residual_series(problem: Problem, vector: FloatArray, k: int, whitened: bool) -> _Series:
+    """What is resampled of experiment number k: residuals in units of their noise, or whitened."""
     experiment = problem.campaign.experiments[k]
     mean, s2 = mean_and_variance(problem, vector, k)
     scale = np.sqrt(s2)
@@ -248,7 +249,7 @@ def resample_and_refit(
     table, offset = _lagrange_tables(int(mesh.n_kinds))
     series, starts, counts, means, residuals = [], [], [], [], []
     for k, e in enumerate(problem.campaign):
-        series.append(_series(problem, vector, k, whitened))
+        series.append(residual_series(problem, vector, k, whitened))
         part = slice(mesh.blocks[k], mesh.blocks[k + 1])
         start = np.rint((mesh.base[part] - e.t[0]) / e.interval + 0.5).astype(np.int64)
         ends = e.runs[np.searchsorted(e.runs[:, 0], start, side="right") - 1, 1]

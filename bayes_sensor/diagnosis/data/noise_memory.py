@@ -45,7 +45,7 @@ def ar1_shape(noises: Sequence[FloatArray], intervals: Sequence[float]) -> Shape
     parts = []
     for h in sorted(set(intervals)):
         some = [x for x, own in zip(noises, intervals, strict=True) if own == h]
-        parts.append((h, sum(float(x @ x) for x in some), _correlation(some)))
+        parts.append((h, sum(float(x @ x) for x in some), common_correlation(some)))
 
     def shape(f: FloatArray) -> FloatArray:
         made = np.zeros(len(f))
@@ -81,13 +81,13 @@ def own_memory(
     if not campaign.same_interval:
         return own
     # what is much slower than the noise may be a cause's
-    width = round(SLOW_MEMORIES / (1.0 - min(_correlation(noises), SMOOTH)))
+    width = round(SLOW_MEMORIES / (1.0 - min(common_correlation(noises), SMOOTH)))
     for level in (0, 1):
         quick: list[list[FloatArray]] = [[] for _ in campaign]
         for s, x in zip(stretches, noises, strict=True):
             if s.level == level and len(x) >= width:
                 quick[s.experiment].append(x - uniform_filter1d(x, width))
-        told = [_correlation(some) for some in quick if some]
+        told = [common_correlation(some) for some in quick if some]
         if not told:
             continue
         common = float(np.median(told))  # whatever one record has beside its noise
@@ -107,7 +107,7 @@ def _memory_of(quick: Sequence[FloatArray], common: float, width: int) -> float:
     variance that two of its memories are of the width.
     """
     n = sum(map(len, quick))
-    phi = seen = _correlation(quick)
+    phi = seen = common_correlation(quick)
     lost = 0.0
     for _ in range(5):
         lost = min(2.0 / (width * (1.0 - phi)), 0.5)
@@ -130,7 +130,7 @@ def _from_one_to_the_next(series: Sequence[FloatArray]) -> float:
     return sum(float(x[1:] @ x[:-1]) for x in series) / square
 
 
-def _correlation(noises: Sequence[FloatArray]) -> float:
+def common_correlation(noises: Sequence[FloatArray]) -> float:
     """Correlation from sample to sample, corrected for detrending; at most WANDERING."""
     phi = _from_one_to_the_next(noises)
     if not like_a_walk(noises):  # a smooth misfit is no stationary noise that detrending bent

@@ -97,7 +97,7 @@ def fit_effect(
     """
     coords = replace(base.coords, parts=(*base.coords.parts, *parts))
     begun = coords.start_from(base.coords, base.x)
-    starts = [*starts, *_most_promising(coords, begun, base, parts[-1].form.grid)]
+    starts = [*starts, *most_promising_starts(coords, begun, base, parts[-1].form.grid)]
     begins = [coords.with_strengths(begun, start) for start in starts]
     usual = float(binned.centre[0])
     now = float(begun[1]) - FASTER - float(begun[0])
@@ -115,15 +115,15 @@ def fit_effect(
     for x in begins:
         found.append(refit(coords, x, most_steps=most_steps, known=found, enough=enough))
     best = to_convergence(min(found, key=lambda r: r.objective), enough)
-    return profile_tau(best).best if best.objective <= enough and _leaps(best, base) else best
+    return profile_tau(best).best if best.objective <= enough and jump_is_seen(best, base) else best
 
 
-def _leaps(fitted: Refit, base: Refit) -> bool:
+def jump_is_seen(fitted: Refit, base: Refit) -> bool:
     """Whether the mean jumps with a switch, and that is well seen against the base."""
     return has_jump(fitted) and fitted.objective < base.objective - SEEN
 
 
-def _most_promising(
+def most_promising_starts(
     coords: Coordinates, begun: FloatArray, base: Refit, grid: Sequence[Mapping[str, float]]
 ) -> list[Mapping[str, float]]:
     """Those of a grid of starts whose linearised gain is largest, each a peak among its neighbours.
@@ -177,7 +177,7 @@ class _Average(NamedTuple):
     terms: tuple[Term, ...]
 
 
-def _average(
+def average_over_forms(
     fits: Sequence[tuple[Refit, float]],
     discrepancies: Sequence[Discrepancy] | None,
     base: Refit,
@@ -202,7 +202,7 @@ def _average(
     for i in np.flatnonzero(p > SMALL_SHARE) if mass >= least else ():
         fitted, beside_it = owners[i]
         # the profile is that of the shorter lag
-        if beside_it is None and _leaps(fitted, base) and not fitted.coords.binned.sensor:
+        if beside_it is None and jump_is_seen(fitted, base) and not fitted.coords.binned.sensor:
             profile = profile_tau(fitted)
             taus[i] = profile.log_tau, profile.sd_log_tau
     mean = float(p @ taus[:, 0])
@@ -222,7 +222,7 @@ def compare_hypotheses(
     """Probabilities of every hypothesis for one campaign."""
     tell = progress or (lambda _share, _text: None)
     discrepancies = make_discrepancies(binned, base)
-    shares = _shares(discrepancies, [d.weight for d in discrepancies])
+    shares = normalise_weights(discrepancies, [d.weight for d in discrepancies])
     # in later rounds what was named is beside whatever is left
     by_itself = [d.weight if base.coords.parts else d.alone for d in discrepancies]
     priors = family_priors(catalogue)
@@ -237,7 +237,9 @@ def compare_hypotheses(
         least: float = -np.inf,
     ) -> Hypothesis:
         other = ds is not None or bool(within)
-        made = Hypothesis(effects, other, log_prior, *_average(fits, ds, base, least), within)
+        made = Hypothesis(
+            effects, other, log_prior, *average_over_forms(fits, ds, base, least), within
+        )
         hypotheses.append(made)
         return made
 
@@ -250,7 +252,7 @@ def compare_hypotheses(
     )
     inside = WEIGHT if rivals else 0.0
     log_prior = float(np.log(PRIOR_UNLISTED * (1.0 - inside)))
-    alone = add((), log_prior, [(base, 1.0)], _shares(discrepancies, by_itself))
+    alone = add((), log_prior, [(base, 1.0)], normalise_weights(discrepancies, by_itself))
     for rival in rivals:
         made = [
             (
@@ -286,7 +288,9 @@ def compare_hypotheses(
     return Comparison(binned, base, tuple(hypotheses), catalogue, tuple(shares))
 
 
-def _shares(discrepancies: Sequence[Discrepancy], weights: Sequence[float]) -> list[Discrepancy]:
+def normalise_weights(
+    discrepancies: Sequence[Discrepancy], weights: Sequence[float]
+) -> list[Discrepancy]:
     """Those with a weight, the weights summing to 1."""
     whole = sum(weights)
     return [replace(d, weight=w / whole) for d, w in zip(discrepancies, weights, strict=True) if w]

@@ -146,7 +146,7 @@ class Coordinates(CoordinatePriors):
         """V (n_bins in all,), the same of all experiments, one after the other."""
         if self.own_mean:
             return np.concatenate([self.bin_means(x, k) for k in range(len(self.binned.bins))])
-        made: FloatArray = campaign_means(*self.binned.all_bins, self._rigs(x), *coating_modes())
+        made: FloatArray = campaign_means(*self.binned.all_bins, self.rigs(x), *coating_modes())
         return made
 
     def signature(self, x: FloatArray, here: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
@@ -158,7 +158,7 @@ class Coordinates(CoordinatePriors):
         """Whether a form gives the mean voltage itself, as a user's own may."""
         return any(part.form.mean is not None for part in self.parts)
 
-    def _rigs(self, x: FloatArray) -> FloatArray:
+    def rigs(self, x: FloatArray) -> FloatArray:
         """(n_experiments, n_parameters) of the kernel."""
         rigs = self._fixed.copy()
         shorter, longer = self._slots
@@ -215,7 +215,7 @@ class Coordinates(CoordinatePriors):
         """(n_rows, n_parameters): every experiment's rig, and with each coordinate moved."""
         n = SHARED + len(self.shared)
         first = self._of_rigs[:-1]
-        rigs = np.repeat(self._rigs(x), np.diff(self._of_rigs), axis=0)
+        rigs = np.repeat(self.rigs(x), np.diff(self._of_rigs), axis=0)
         (x0, x1, x2), (h0, h1, h2) = x[:SHARED].tolist(), steps[:SHARED].tolist()
         shorter, longer = self._slots
         rigs[first + 1, shorter], _, _ = _lags(x0 + h0, x1, x2)

@@ -53,10 +53,10 @@ def look_for_bursts(
     """
     if mains.probability < FOUND:
         return []
-    return _bursts(pieces_of_records(campaign, residuals, deviations))
+    return find_bursts(pieces_of_records(campaign, residuals, deviations))
 
 
-def _bursts(pieces: Sequence[Piece]) -> list[Finding]:
+def find_bursts(pieces: Sequence[Piece]) -> list[Finding]:
     used, n, f = commonest(pieces)
     total, _ = sum_over_pieces(used, n)
     near, nominal, _ = mains_bands(f, used[0].interval)

@@ -101,7 +101,7 @@ def look_for_events(
     since what strikes again lasts as long again.  ``strength``: the clearest event's experiment
     (counted from 0), time in s and ratio to the usual.
     """
-    cut = [_blocks(campaign, s) for s in stretches]
+    cut = [event_blocks(campaign, s) for s in stretches]
     use = [(s, *made) for s, made in zip(stretches, cut, strict=True) if made is not None]
     sizes = _own_sizes([(s, x, q, dt) for s, (x, q), dt in use])
     use = [(s, (x / size, q), dt) for (s, (x, q), dt), size in zip(use, sizes, strict=True)]
@@ -189,7 +189,9 @@ def sizes_of_records(
     return dict(zip(own, together * np.exp(away), strict=True))
 
 
-def _blocks(campaign: Campaign, s: Stretch) -> tuple[tuple[FloatArray, FloatArray], float] | None:
+def event_blocks(
+    campaign: Campaign, s: Stretch
+) -> tuple[tuple[FloatArray, FloatArray], float] | None:
     """Detrended means (n,) over BLOCK, mean squared changes (n,) from sample to sample, step (s).
 
     Both in units of the changes in the whole stretch.

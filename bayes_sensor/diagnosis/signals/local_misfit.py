@@ -96,8 +96,8 @@ def look_for_local_misfit(
     ``residuals``: (n_t,) V of every experiment, what the refit leaves; ``tail``: degrees of
     freedom of the noise's own means.
     """
-    short = _short_bumps(found, residuals, quiet, tail)
-    return any_of([_runs_of_bins(found, tail), *([] if short is None else [short])])
+    short = find_short_bumps(found, residuals, quiet, tail)
+    return any_of([find_runs_of_bins(found, tail), *([] if short is None else [short])])
 
 
 def _patch(
@@ -110,7 +110,7 @@ def _patch(
     return replace(told, strength={**told.strength, "patch_since_s": after})
 
 
-def _runs_of_bins(found: Refit, tail: float) -> Finding:
+def find_runs_of_bins(found: Refit, tail: float) -> Finding:
     """Runs of bins around single switches that lie on one side of a refit.
 
     Per switch, ``ln B`` averages over runs of bins the ratio of densities of their whitened sum,
@@ -147,7 +147,7 @@ def _runs_of_bins(found: Refit, tail: float) -> Finding:
     return _patch(places, clearest, since)
 
 
-def _short_bumps(
+def find_short_bumps(
     found: Refit, residuals: Sequence[FloatArray], quiet: Sequence[QuietSpans], tail: float
 ) -> Finding | None:
     """Bumps shorter than bins between a switch and the next quiet span.
@@ -156,7 +156,7 @@ def _short_bumps(
     events are looked for only where a record is quiet.  Means over some blocks less those on both
     sides, in units of how much samples change from one to the next there, and of their usual size
     in the record's quiet spans, the louder gas's at all times; ``ln B`` as in
-    :func:`_runs_of_bins`.  None where records are too short to tell what is usual.
+    :func:`find_runs_of_bins`.  None where records are too short to tell what is usual.
     """
     binned = found.coords.binned
     blocks = []
@@ -271,7 +271,7 @@ def look_for_level_changes(found: Refit, tail: float = np.inf) -> Finding:
     On a plateau what happens once looks like a drift.  A score test per record: a change of so many
     volts between two edges of bins, what the refit's own coordinates would take up of it left out.
     ``ln B`` of a record averages over begins and lengths the ratio of t densities, as in
-    :func:`_runs_of_bins`; they are averaged over for each record, or for all together.
+    :func:`find_runs_of_bins`; they are averaged over for each record, or for all together.
     """
     dof = min(DOF, tail)
     binned, coords = found.coords.binned, found.coords
@@ -279,7 +279,7 @@ def look_for_level_changes(found: Refit, tail: float = np.inf) -> Finding:
     places: list[dict[Hashable, float]] = []
     clearest = []
     for k, (rows, b) in enumerate(zip(binned.rows, binned.bins, strict=True)):
-        shapes, spans = _changes(b.falling)
+        shapes, spans = level_changes(b.falling)
         templates = binned.inverse_factors[k] @ shapes
         columns = coords.columns(k)
         inside = found.jacobian[rows, columns].T @ templates
@@ -310,7 +310,7 @@ def _edges(b: ExperimentBins) -> list[tuple[str, int]]:
     return [*begins, ("end", 0)]
 
 
-def _changes(falling: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]:
+def level_changes(falling: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]:
     """(n_bins, m) ones where a change lasts, and (m, 2) the bins it begins with and ends before."""
     n = len(falling)
     fall = int(np.argmax(falling)) if np.any(falling) else n

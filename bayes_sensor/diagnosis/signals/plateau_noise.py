@@ -65,7 +65,7 @@ SIGNAL = Signal(
 
 
 @dataclass(frozen=True)
-class _Ordinates:
+class Ordinates:
     frequency: FloatArray
     """(n,) Hz"""
     power: FloatArray
@@ -113,7 +113,7 @@ def look_for_plateau_noise(campaign: Campaign, stretches: Sequence[Stretch]) -> 
         )
         for node, log_weight in zip(_NODES, _LOG_WEIGHTS, strict=True):
             level = spectrum * np.exp(node * spread)
-            told = [_record(o, level[o.band], sd, slow) for o in plateaus]
+            told = [record_evidence(o, level[o.band], sd, slow) for o in plateaus]
             nothing = float(usual + log_weight) + sum(n for n, _ in told)
             gains = np.array([g for _, g in told])  # (n_records, n_excesses, n_cutoffs)
             without.append(nothing)
@@ -133,7 +133,7 @@ def _mean(logs: FloatArray) -> float:
 
 def _ordinates(
     campaign: Campaign, stretches: Sequence[Stretch]
-) -> tuple[list[_Ordinates], list[_Ordinates]]:
+) -> tuple[list[Ordinates], list[Ordinates]]:
     """Of the carrier gas alone and of the plateaus, record by record."""
     spectra: dict[tuple[int, int], list[tuple[FloatArray, FloatArray, float]]] = {}
     for s in stretches:
@@ -141,14 +141,14 @@ def _ordinates(
         f, power = periodogram(detrended(s.samples, 4), interval)
         seconds = len(s.samples) * interval
         spectra.setdefault((s.level, s.experiment), []).append((f, power, FIRST / seconds))
-    carrier: list[_Ordinates] = []
-    plateaus: list[_Ordinates] = []
+    carrier: list[Ordinates] = []
+    plateaus: list[Ordinates] = []
     for (level, _), found in sorted(spectra.items()):
         high = np.concatenate([p[(f >= REFERENCE[0]) & (f < REFERENCE[1])] for f, p, _ in found])
         if len(high) < FEWEST or high.mean() <= 0.0:
             continue
         low = [(f >= first) & (f < EDGES[-1]) for f, _, first in found]
-        made = _Ordinates(
+        made = Ordinates(
             np.concatenate([f[m] for (f, _, _), m in zip(found, low, strict=True)]),
             np.concatenate([p[m] for (_, p, _), m in zip(found, low, strict=True)]) / high.mean(),
         )
@@ -156,17 +156,17 @@ def _ordinates(
     return carrier, plateaus
 
 
-def _as_slow_as(carrier: Sequence[_Ordinates], plateaus: Sequence[_Ordinates]) -> list[_Ordinates]:
+def _as_slow_as(carrier: Sequence[Ordinates], plateaus: Sequence[Ordinates]) -> list[Ordinates]:
     """The plateaus as far down as the baseline shows: below, its noise may rise."""
     lowest = min((float(o.frequency.min()) for o in carrier if len(o.frequency)), default=np.inf)
     shown = [o.frequency >= lowest for o in plateaus]
     return [
-        _Ordinates(o.frequency[m], o.power[m])
+        Ordinates(o.frequency[m], o.power[m])
         for o, m in zip(plateaus, shown, strict=True) if m.any()
     ]  # fmt: skip
 
 
-def _baseline(carrier: Sequence[_Ordinates]) -> tuple[FloatArray, FloatArray]:
+def _baseline(carrier: Sequence[Ordinates]) -> tuple[FloatArray, FloatArray]:
     """(n_bands,) the baseline's spectrum, and the standard deviation of its logarithm.
 
     Where a band holds few ordinates it leans on those above it, continued at their slope: noise
@@ -187,7 +187,7 @@ def _baseline(carrier: Sequence[_Ordinates]) -> tuple[FloatArray, FloatArray]:
 
 
 def _without(
-    o: _Ordinates, expected: FloatArray, sd: float, slow: float
+    o: Ordinates, expected: FloatArray, sd: float, slow: float
 ) -> tuple[FloatArray, FloatArray]:
     """(n_nodes,) ln likelihood of a record and each size of its slow noise, (n_nodes, n) ratios.
 
@@ -202,8 +202,8 @@ def _without(
     return here, ratio
 
 
-def _record(
-    o: _Ordinates, expected: FloatArray, sd: float, slow: float
+def record_evidence(
+    o: Ordinates, expected: FloatArray, sd: float, slow: float
 ) -> tuple[float, FloatArray]:
     """ln likelihood of one record without an excess, and what each excess and cutoff adds."""
     here, ratio = _without(o, expected, sd, slow)

@@ -63,7 +63,7 @@ def _width_after(
 
 
 @njit(cache=True, error_model="numpy")
-def _blocks_of_run(
+def blocks_of_run(
     first: int,
     last: int,
     start: float,
@@ -172,7 +172,7 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
             previous = b - 1
             n_pairs += b - a - 1
             run_start = len(base)
-            found = _blocks_of_run(
+            found = blocks_of_run(
                 a + 1, b, e.t[0], h, windows, narrow, decays, amplitude, kinks, region.fineness
             )
             for start, n, kind in found:

@@ -215,7 +215,7 @@ _ALONE = (
 
 
 @contextmanager
-def _one_process(folder):
+def one_process(folder):
     # nothing is locked where files cannot be (a file system without locks)
     with ExitStack() as stack:
         with suppress(OSError):
@@ -226,7 +226,7 @@ def _one_process(folder):
 
 
 if hasattr(block_sums, "compile"):  # a plain function where compilation is switched off
-    with _one_process(block_sums.stats.cache_path):
+    with one_process(block_sums.stats.cache_path):
         for _kernel, _types in _ALONE:
             _kernel.compile(f"({_types})")
 

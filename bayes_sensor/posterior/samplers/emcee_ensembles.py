@@ -167,7 +167,7 @@ def run_emcee(given: Target) -> Run:
         # walkers end to end: each walker's own autocorrelation is what ESS must see
         stacked = np.stack([c.transpose(1, 0, 2).reshape(-1, n_dim) for c in thinned])
         thetas = target.thetas(stacked.reshape(-1, n_dim))
-        full = steps >= settings.max_steps or _hopeless(stacked, steps, settings)
+        full = steps >= settings.max_steps or hopeless(stacked, steps, settings)
         quick = stacked[:, :, : min(n_dim, 3)]
         r_hat, bulk, _ = diagnostics(quick)
         if not full and not (np.all(r_hat < R_HAT_LIMIT) and np.all(bulk > settings.target_ess)):
@@ -186,7 +186,7 @@ def run_emcee(given: Target) -> Run:
             return Run(drawn, True, reason, rate, diagnosis=found, compressed=target.compressed)
 
 
-def _hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
+def hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
     """Whether the effective sample size would be below half of the target after all allowed steps.
 
     Checked every 500 steps.  It saves an hour for runs that would not converge.
