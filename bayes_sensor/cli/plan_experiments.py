@@ -47,7 +47,7 @@ def plan_experiments(
     quiet: bool,
     config: Path | None = None,
 ) -> int:
-    """Write design.json and what to simulate with; the exit code.
+    """Write design.json and the input files for ``simulate``; return the exit code.
 
     ``design.toml`` goes with ``truth.json``, ``next.toml`` with ``next_truth.json``: sigma1 and phi
     refer to a campaign's own highest concentration and sampling interval.

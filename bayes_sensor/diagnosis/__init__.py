@@ -1,4 +1,4 @@
-"""The sim-to-real gap: where the model misses, which effect causes it, how far it shrinks."""
+"""The gap between model and data: where it is, which effect explains it, how much that closes."""
 
 from bayes_sensor.diagnosis.diagnose import diagnose_gap
 from bayes_sensor.diagnosis.effects import CATALOGUE

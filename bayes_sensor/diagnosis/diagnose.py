@@ -20,11 +20,11 @@ from bayes_sensor.diagnosis.evidence.hypotheses import compare_hypotheses
 from bayes_sensor.diagnosis.excess_shares import distribute_excess
 from bayes_sensor.diagnosis.explanations_table import explanation_rows
 from bayes_sensor.diagnosis.gap import Gap, Round, without_lag_names
-from bayes_sensor.diagnosis.hidden import HiddenEffects, hidden_effects
 from bayes_sensor.diagnosis.isolability import look_alikes, separate_pairs
 from bayes_sensor.diagnosis.location import CLEAR, locate
 from bayes_sensor.diagnosis.signals import look_at_noise, look_at_residuals
 from bayes_sensor.diagnosis.signals.effect_signatures import signatures
+from bayes_sensor.diagnosis.unseen_effects import HiddenEffects, hidden_effects
 from bayes_sensor.diagnosis.verdict import Verdict, combine, explanation_of, judge
 from bayes_sensor.diagnosis.wording import Conclusion, notes, units_of, verdict_sentence
 from bayes_sensor.fit.side_information import without_contradicted
@@ -60,7 +60,7 @@ def diagnose_gap(
     follow: bool = True,
     progress: Progress | None = None,
 ) -> Gap:
-    """Where the model misses the measurement, which effect causes it, how far that closes it.
+    """Where the model misses the measurement, which effect explains it, how much that closes.
 
     Parameters
     ----------
@@ -68,8 +68,8 @@ def diagnose_gap(
         A measured campaign.
     fit
         Its least-squares fit, under any noise law, by either method, and with any effects beside
-        the model: only what the model without effects has is taken from it.  Made here where none
-        is given.
+        the model: only the parameters of the model without effects are used.  None: the fit is
+        made here.
     without
         Names of effects to take out of the catalogue.
     effects
@@ -78,13 +78,15 @@ def diagnose_gap(
     nominal
         Parameters of the simulation before calibration, for the budget.
     bootstrap
-        Simulated and refitted campaigns behind the p-values; 0: linearised ones.
+        Number of campaigns that are simulated and refitted to calibrate the p-values; 0 uses the
+        linearised refit.
     jobs
-        Processes for what may hide; the numbers do not depend on it.
+        Number of processes for the unseen effects; the numbers do not depend on it.
     hidden, separate
-        Whether to work out what may hide, and what would tell look-alikes apart.
+        Whether to compute the unseen effects, and which measurement would separate look-alikes.
     follow
-        Whether to look again after what was named has been added; the verdict does not rest on it.
+        Whether to repeat the search with the named effect in the model; the verdict does not rest
+        on it.
 
     Raises
     ------
@@ -178,7 +180,7 @@ def _usable_fit(campaign: Campaign, fit: Fit | None, seed: int) -> Fit:
 
     if fit is None:
         fit = fit_least_squares(campaign, seed=seed, euler=False)
-    if fit.cannot_tell and fit.rms <= least_noise(campaign):  # a floor of nothing judges nothing
+    if fit.cannot_tell and fit.rms <= least_noise(campaign):  # no floor, no misfit
         raise CampaignError(f"gap: {fit.cannot_tell}")
     return fit
 

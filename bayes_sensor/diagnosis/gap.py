@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
-from bayes_sensor.diagnosis.hidden import HiddenEffect, HiddenEffects
 from bayes_sensor.diagnosis.isolability import Separation
 from bayes_sensor.diagnosis.location import ExcessMap
 from bayes_sensor.diagnosis.signals.finding import Finding
+from bayes_sensor.diagnosis.unseen_effects import HiddenEffect, HiddenEffects
 from bayes_sensor.diagnosis.verdict import Probabilities, Verdict
 from bayes_sensor.display import card
 from bayes_sensor.io.json_files import plain

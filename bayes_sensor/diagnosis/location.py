@@ -86,10 +86,10 @@ def locate(
     """The excess of a fit over the noise floor, in cells.
 
     ``bootstrap``: number of simulated campaigns that are refitted nonlinearly; where these leave
-    more than the linearised refit, the p-values follow them.  ``signatures``
-    (n, n_bins in all): as of
-    :func:`~bayes_sensor.diagnosis.signals.effect_signatures.signatures`, along which a misfit may
-    be seen that cells do not show.
+    more than the linearised refit, the p-values follow them.  ``signatures`` (n, n_bins in all):
+    residual patterns of the effects
+    (:func:`~bayes_sensor.diagnosis.signals.effect_signatures.signatures`); a misfit along one may
+    be significant although no cell is.
     """
     leverage = base.leverage
     parts = parts_of_cells(binned)
@@ -134,7 +134,7 @@ def locate(
     p_form = None
     if len(along):
         most = float(np.max((along @ z) ** 2))
-        # where simulations end: at most the sum over all signatures
+        # beyond the largest simulated value: Bonferroni's bound over all signatures
         at_most = len(along) * float(f_law.sf(most / of_courses, 1, DOF))
         p_form = min(p_of(most, screened), at_most)
     p_value = p_size if p_form is None else min(1.0, 1.5 * p_size, 3.0 * p_form)

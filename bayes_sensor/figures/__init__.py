@@ -1,4 +1,4 @@
-"""Records in, Figure out: every figure of the report and the paper, in one style.
+"""Every figure of the report and the paper, in one style: result records in, a Figure out.
 
 One file per subject; everything that a caller needs is here under its own name.
 """

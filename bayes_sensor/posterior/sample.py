@@ -17,7 +17,6 @@ from bayes_sensor.fit.identifiability import cannot_tell
 from bayes_sensor.fit.side_information import without_contradicted
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.posterior.convergence import MESH_ERROR_LIMIT, diagnose
-from bayes_sensor.posterior.lag_orders import flow_of_both, likelier_order
 from bayes_sensor.posterior.laplace import approximate
 from bayes_sensor.posterior.posterior import Posterior
 from bayes_sensor.posterior.samplers import (
@@ -29,6 +28,7 @@ from bayes_sensor.posterior.samplers import (
     Target,
 )
 from bayes_sensor.posterior.settings import Progress, Settings
+from bayes_sensor.posterior.valve_manifold_swap import flow_of_both, likelier_order
 from bayes_sensor.residuals import noise_doubt
 from bayes_sensor.workers import one_thread
 
@@ -58,7 +58,7 @@ def sample_posterior(
         first.  A fit of the cascade also serves a model with further parameters: these are
         fitted from there.
     sampler
-        a name out of :data:`SAMPLERS`; see the module's text.
+        a key of :data:`SAMPLERS`; :mod:`bayes_sensor.posterior` describes each.
     jobs
         processes for emcee's ensembles; the numbers do not depend on it.
     checkpoint, resume
@@ -85,7 +85,7 @@ def sample_posterior(
     report = progress or (lambda fraction, text: None)
     if fit is None:
         fit = fit_least_squares(problem, seed=seed)
-    # what the data contradict is said, and not averaged with them
+    # side information that the data contradict is reported and left out
     problem = without_contradicted(problem, getattr(fit, "side_information", ()))
     problem.prior_table  # noqa: B018 - raises CampaignError where a parameter has no prior
     start = problem.by_size(start_vector(problem, getattr(fit, "theta_hat", fit)))

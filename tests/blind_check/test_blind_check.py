@@ -25,6 +25,7 @@ from bayes_sensor.blind_check import (
     table,
     wilson,
 )
+from bayes_sensor.blind_check.closed_shares import closed_shares
 from bayes_sensor.blind_check.detectability import (
     IdealModel,
     bin_covariance,
@@ -33,7 +34,6 @@ from bayes_sensor.blind_check.detectability import (
     strength_for,
 )
 from bayes_sensor.blind_check.diagnosing import no_verdict, trimmed
-from bayes_sensor.blind_check.lookalikes import closed_shares
 from bayes_sensor.blind_check.plan import HIDING, SHARES, Entry, counts, draw_truth
 from bayes_sensor.blind_check.score import level_of, score_case
 from bayes_sensor.blind_check.simulator import (

@@ -1,4 +1,4 @@
-"""The bound methods, one a file, and the registry that names them.
+"""The bound methods, one per file, and the registry that names them.
 
 A method of your own is a :class:`BoundMethod`; ``METHODS[METHOD.name] = METHOD`` puts it beside
 the others in ``bounds.json``, the figures, the report and the coverage study.

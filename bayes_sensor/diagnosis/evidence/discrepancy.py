@@ -1,4 +1,4 @@
-"""A smooth Gaussian-process discrepancy: the explicit competitor of every effect.
+"""A cause that is not in the catalogue: a smooth Gaussian-process discrepancy as competitor.
 
 Residual tests cannot say "none of the listed causes"; a rival that explains any smooth,
 event-locked misfit can (Kennedy and O'Hagan 2001; Brynjarsdottir and O'Hagan 2014).  Matern-3/2

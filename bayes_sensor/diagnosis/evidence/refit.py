@@ -172,12 +172,13 @@ def refit(
 
     ``data``: bin means (n_bins,) V of each experiment in place of the measured ones.  ``free``
     (n,): coordinates that may move.  None goes below :attr:`Coordinates.lowest`.  ``known``: other
-    refits of the same plan to the same data; one of them is returned where this one is on the way
-    to its optimum, and this one as it stands where it remains far above the best of them.
+    refits of the same coordinates to the same data.  If this refit approaches the optimum of one
+    of them, that one is returned; if it stays far above the best, it stops early, unconverged.
     ``enough``: objective above which an optimum does not matter; a refit that expects to end there
     is given up, too.
 
-    The derivatives are carried on by Broyden's rule as long as steps gain about what they promise.
+    Derivatives are updated by Broyden's rule while a step gains more than a set share of the
+    predicted gain; else they are computed again.
     """
     binned = coords.binned
     of_bins = binned.all_bins.of_bins

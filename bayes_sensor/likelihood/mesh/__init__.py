@@ -8,7 +8,7 @@ interpolation at Chebyshev nodes: Trefethen, Approximation Theory and Approximat
 2013, ch. 8).  The first and last sample of every stretch of consecutive samples are kept exactly,
 and with them the pairs across gaps.
 
-Outside the region for which the mesh was built the exact full pass answers instead.
+Outside the region for which the mesh was built the likelihood is computed from all samples.
 """
 
 from bayes_sensor.likelihood.mesh.blocks import Region, build

@@ -203,8 +203,8 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
         blocks.append(len(base))
         runs.append(len(distance))
     stacked = np.array(moments, dtype=float).reshape(-1, 5, K)
-    # valve and manifold have no such delay: where they are as fast, the full pass serves; it also
-    # says that no tau is zero
+    # valve and manifold have no such delay: where they are as fast, the full pass serves, which
+    # also refuses a tau of zero
     low = low.copy()
     low[0] = max(low[0], np.finfo(float).tiny)
     low[1] = max(low[1], setting[:, 4].max())

@@ -1,4 +1,4 @@
-"""The samplers, one a file, and the registry that names them.
+"""The samplers, one per file, and the registry that names them.
 
 A sampler of your own is a :class:`Sampler`; ``SAMPLERS[SAMPLER.name] = SAMPLER`` lets
 ``sample_posterior`` and ``--sampler`` take it.

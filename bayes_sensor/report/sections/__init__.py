@@ -1,4 +1,4 @@
-"""The report's sections, one question and one file each, and their order."""
+"""The report's sections, each one question and one file, and their order."""
 
 from __future__ import annotations
 

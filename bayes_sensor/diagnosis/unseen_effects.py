@@ -1,4 +1,4 @@
-"""What may hide: effects that this campaign cannot see, and what they do to tau.
+"""Effects that stay unseen in this campaign, and what they do to tau.
 
 Fast effects are absorbed by the switch times and tau, leave almost no residual and may double tau.
 For each effect at plausible strength this file computes the detectability after the refit, the
