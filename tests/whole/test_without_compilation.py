@@ -100,7 +100,7 @@ for whitened in (True, False):
     "simulator": """
 from bayes_sensor.blind_check.simulator.causes import CAUSES
 from bayes_sensor.blind_check.simulator.draw import draw_case
-from bayes_sensor.blind_check.simulator.campaign import clean_signals
+from bayes_sensor.blind_check.simulator.simulated_campaign import clean_signals
 for seed, (name, cause) in enumerate(sorted(CAUSES.items())):
     case = draw_case(seed, {name: cause.highest}, size="small")
     case = replace(case, steps=case.steps[:1])
