@@ -15,7 +15,7 @@ from bayes_sensor.rig.layout import Layout
 from tests.support.planted_effects import measured, theta
 
 EFFECT = CATALOGUE["baseline_step"]
-STEPS = 3000
+STEPS = 1500
 TAUS = np.log((0.02, 0.04, 0.06, 0.09, 0.14))
 """ln s, where refits begin"""
 

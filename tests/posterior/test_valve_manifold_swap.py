@@ -247,12 +247,12 @@ def test_what_is_stated_of_lags_of_either_order_is_true(
     study: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(study, "ONE_FLOW", 0.0)  # dear; the study has them
-    known = [study.NOTHING, study.SIDE, study.SAID] * 4
+    known = [study.NOTHING, study.SIDE, study.SAID] * 2
     settings = replace(QUICK, max_steps=1500)
     rows = [study.count(drawn(study, i, word), i + 1, settings) for i, word in enumerate(known)]
     assert all(row["answer"] and row["converged"] for row in rows)
-    # of 12 sets that hold the truth with 95 % two or more miss with 12 %, four or more with 0.2 %
-    assert sum(row["holds"] for row in rows) >= 9
+    # of 6 sets that hold the truth with 95 % two or more miss with 3 %, three or more with 0.2 %
+    assert sum(row["holds"] for row in rows) >= 4
     assert sum(row["wrong_alone"] for row in rows) == 0
     assert not any(row["said"] for row in rows)
     for row in rows:

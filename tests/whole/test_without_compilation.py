@@ -158,21 +158,32 @@ say(*diagnostics(np.random.default_rng(1).standard_normal((2, 40, 9))))
 }
 
 
-@pytest.mark.parametrize("part", PARTS)
-def test_compiled_code_gives_the_numbers_of_the_same_code_in_python(part: str) -> None:
+END = "END OF A PART"
+
+
+@pytest.fixture(scope="module")
+def in_python() -> dict[str, str]:
+    """What every part prints where nothing is compiled; one process for all."""
     environment = {
         **os.environ, "NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "1",
         "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[2]), *sys.path]),
     }  # fmt: skip
-    script = SMALL + PARTS[part]
+    script = "\n".join(f"exec({SMALL + part!r}, {{}})\nprint({END!r})" for part in PARTS.values())
     command = [sys.executable, "-W", "ignore::RuntimeWarning", "-c", script]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+    return dict(zip(PARTS, done.stdout.split(END)))
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_compiled_code_gives_the_numbers_of_the_same_code_in_python(
+    part: str, in_python: dict[str, str]
+) -> None:
     with contextlib.redirect_stdout(io.StringIO()) as compiled, warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # as there: infinities are compared too
-        exec(script, {})
+        exec(SMALL + PARTS[part], {})
     python, numba = (
-        np.array(text.split(), dtype=float) for text in (done.stdout, compiled.getvalue())
+        np.array(text.split(), dtype=float) for text in (in_python[part], compiled.getvalue())
     )
     assert len(python) == len(numba) > 20
     finite = np.isfinite(python)
