@@ -43,19 +43,19 @@ def counted(n: int, noun: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One step experiment on a uniform time grid.
+    """One step experiment, sampled uniformly or at times of its own.
 
     Raises
     ------
     CampaignError
         If the arrays disagree in length, a flow is not positive, the interval is not positive and
-        finite, a time is further than :data:`MOST_JITTER` of it from the uniform grid, the step
-        down is not commanded after the step up, a used sample is not finite or no sample is used.
+        finite, times do not increase strictly, the step down is not commanded after the step up, a
+        used sample is not finite or no sample is used.
     """
 
     name: str
     t: FloatArray
-    """(n_t,) s, uniform: ``t[i] = t[0] + i * interval``."""
+    """(n_t,) s, increasing; where :attr:`regular`, ``t[i] = t[0] + i * interval``."""
     y: FloatArray | None
     """(n_t,) V, or None for a design (an experiment that is planned but not measured)."""
     carrier_flow: float
@@ -63,7 +63,7 @@ class Experiment:
     test_gas_flow: float
     """mL/s"""
     interval: float
-    """s, sampling interval"""
+    """s, sampling interval; where the sampling is irregular, the median step"""
     commanded_on: float | None = None
     """s, when the valve was told to open, or None when unknown"""
     commanded_off: float | None = None
@@ -118,13 +118,12 @@ class Experiment:
                 f"{where}: t[{i}] is {t[i]}; expected a time in s for every sample, and a mask for "
                 "those not to be used"
             )
-        away = np.abs(t - t[0] - self.interval * np.arange(len(t)))
-        if away.max() > MOST_JITTER * self.interval:
-            i = int(np.argmax(away > MOST_JITTER * self.interval))
+        falls = np.diff(t) <= 0
+        if falls.any():
+            i = int(np.argmax(falls)) + 1
             raise CampaignError(
-                f"{where}: t[{i}] is {t[i]:.10g} s; expected t[0] + {i} * interval = "
-                f"{t[0] + i * self.interval:.10g} s: correct the interval or resample, and fill "
-                "missing samples in and mask them"
+                f"{where}: t[{i}] is {t[i]:.10g} s and follows {t[i - 1]:.10g} s; expected times "
+                "that increase strictly: sort the samples, and leave repeated ones out"
             )
         for label, value in (("commanded_on", on), ("commanded_off", off)):
             if value is not None and not np.isfinite(value):
@@ -141,10 +140,17 @@ class Experiment:
     def __repr__(self) -> str:
         """One line, without the samples."""
         what = "planned" if self.y is None else f"{self.n_samples} samples used"
+        about = "" if self.regular else "about "
         return (
-            f"Experiment({self.name!r}: {what}, one every {self.interval:.4g} s, "
+            f"Experiment({self.name!r}: {what}, one every {about}{self.interval:.4g} s, "
             f"{self.total_flow * 0.06:.4g} L/min, {100 * self.concentration:.3g} % test gas)"
         )
+
+    @cached_property
+    def regular(self) -> bool:
+        """Whether the samples lie on a uniform grid, each within :data:`MOST_JITTER` of it."""
+        away = np.abs(self.t - self.t[0] - self.interval * np.arange(len(self.t)))
+        return bool(away.max() <= MOST_JITTER * self.interval)
 
     @property
     def used(self) -> BoolArray:

@@ -10,15 +10,23 @@ from bayes_sensor.campaign import BoolArray, CampaignError, Experiment, FloatArr
 from bayes_sensor.io.readers.campaign_file import Entry
 from bayes_sensor.io.readers.drive import commanded_times
 from bayes_sensor.io.readers.quantities import conversion_factor
-from bayes_sensor.io.readers.recording import MAX_SAMPLES, DataFile, Recording, check_counts
+from bayes_sensor.io.readers.recording import (
+    MAX_SAMPLES,
+    Clock,
+    DataFile,
+    Recording,
+    check_counts,
+)
 from bayes_sensor.io.readers.sampling import (
+    FIRST_EPOCH,
     MOST_JITTER,
     NOTED_JITTER,
     Grid,
     grid_times,
-    uniform_grid,
+    grid_through,
 )
 from bayes_sensor.io.readers.saturation import clipped_samples
+from bayes_sensor.io.readers.stamps import DAY, Moment
 
 LONGEST_GAP = 1.0
 """s; a longer stretch without samples is an error unless it is cropped or masked"""
@@ -78,12 +86,13 @@ def design(entry: Entry, label: str) -> Experiment:
         )
     t = grid_times(0.0, entry.interval, round(n))
     used = np.ones(len(t), dtype=bool)
-    if entry.keep is not None:
-        inside = _kept(entry.keep, t, entry.interval, where)
+    told = times_of_entry(entry, where, None)
+    if told.keep is not None:
+        inside = _kept(told.keep, t, entry.interval, where)
         t, used = t[inside], used[inside]
     notes: list[str] = []
-    used &= ~_masked(entry.mask, t, entry.interval, where, notes)
-    on, off = _check_times(entry.commanded_on, entry.commanded_off, t, where, notes)
+    used &= ~_masked(told.mask, t, entry.interval, where, notes)
+    on, off = _check_times(told.on, told.off, t, where, notes)
     if notes:
         raise CampaignError(f"{notes[0]}: correct the design")
     return Experiment(
@@ -108,7 +117,8 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
         If times, gaps, samples or commanded times do not make an experiment.
     """
     where = file.where
-    notes: list[str] = []
+    told = times_of_entry(entry, where, recording.clock)
+    notes = [f"{where}: {text}" for text in recording.notes]
     check_counts(file, 0, len(recording.t))
     if len(recording.t) < 2:
         raise file.error(f"expected at least 2 samples, but got {len(recording.t)}; record longer")
@@ -119,7 +129,14 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
             f"grid of {grid.interval:.6g} s; the samples were taken as uniform"
         )
     n = int(grid.index[-1]) + 1
-    t = grid_times(grid.start, grid.interval, n)
+    t = grid.t
+    irregular = grid.times is not None
+    if irregular:
+        step = np.diff(t)
+        notes.append(
+            f"{where}: the sampling is irregular, one sample every {step.min():.4g} to "
+            f"{step.max():.4g} s (median {grid.interval:.4g} s); the times were used as they are"
+        )
     scale, unit = _unit(entry, file, recording)
     present = np.zeros(n, dtype=bool)
     present[grid.index] = True
@@ -127,23 +144,26 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
     drive = None if recording.drive is None else _on_grid(recording.drive, grid, n)
     written = grid.index
 
-    if entry.keep is not None:
-        inside = _kept(entry.keep, t, grid.interval, where)
+    if told.keep is not None:
+        inside = _kept(told.keep, t, grid.interval, where)
         first = int(np.argmax(inside))
         t, y, present = t[inside], y[inside], present[inside]
         drive = None if drive is None else drive[inside]
         written = written - first
-    excluded = _masked(entry.mask, t, grid.interval, where, notes)
+    excluded = _masked(told.mask, t, grid.interval, where, notes, irregular)
 
     def place(i: int) -> str:
         return recording.place(int(np.searchsorted(written, i)))
 
-    _check_gaps(file, t, ~present & ~excluded, grid.interval, notes)
-    drive_on, drive_off = _drive_times(entry, file, recording, t, drive, notes)
-    on = entry.commanded_on if entry.commanded_on is not None else drive_on
-    off = entry.commanded_off if entry.commanded_off is not None else drive_off
+    if irregular:
+        _check_pauses(file, t, told.mask, grid.interval)
+    else:
+        _check_gaps(file, t, ~present & ~excluded, grid.interval, notes)
+    drive_on, drive_off = _drive_times(told, file, recording, t, drive, notes)
+    on = told.on if told.on is not None else drive_on
+    off = told.off if told.off is not None else drive_off
     on, off = _check_times(on, off, t, where, notes)
-    _compare(entry, where, drive_on, drive_off, notes)
+    _compare(told, where, drive_on, drive_off, notes)
 
     used = present & ~excluded
     _check_finite(file, t, y, used, place, notes)
@@ -157,7 +177,8 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
     unusable = ~used & ~(np.abs(y) <= _largest_of(y[used]))
     if unusable.any():  # never looked at, but figures and sums want finite numbers
         y = np.where(unusable, np.interp(t, t[used], y[used]), y)
-    _look_for_mistakes(where, t, y, used, unit, drive, notes)
+    timed = recording.timed or recording.clock is not None or recording.interval is not None
+    _look_for_mistakes(where, t, y, used, unit, drive, timed, notes)
     _question_units(entry, file, recording, float(np.abs(y[used]).max()), notes)
     experiment = Experiment(
         name=entry.name,
@@ -176,9 +197,64 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
     return Assembled(experiment, unit, tuple(notes))
 
 
+@dataclass(frozen=True)
+class EntryTimes:
+    """The times of an entry, in s on the record's own axis."""
+
+    on: float | None
+    off: float | None
+    keep: tuple[float, float] | None
+    mask: tuple[tuple[float, float], ...]
+
+
+def times_of_entry(entry: Entry, where: str, clock: Clock | None) -> EntryTimes:
+    """The entry's times on the record's own axis.
+
+    A time of day or a date in the campaign file is a place on the recorder's clock; so is a number
+    of seconds since 1970 where the file has those.
+    """
+
+    def seconds(value: float | Moment, key: str) -> float:
+        if isinstance(value, float | int):
+            since = float(value) - clock.ns / 1e9 if clock is not None and clock.dated else 0.0
+            return float(round(since, 9)) if abs(value) >= FIRST_EPOCH and since else float(value)
+        if clock is None:
+            raise CampaignError(
+                f"{where}: {key} is the time of day '{value.text}', but the record's times are "
+                "no times of day; expected a time on the record's own axis: write it in s"
+            )
+        start = clock.ns if value.zoned else clock.ns + clock.offset
+        if value.dated and not clock.dated:
+            raise CampaignError(
+                f"{where}: {key} is '{value.text}', but the record's times have no date; expected "
+                f"a time of day: write '{value.text.split()[-1]}'"
+            )
+        if value.dated:
+            return (value.ns - start) / 1e9
+        # the first such time of day that is not long before the record
+        return (value.ns - start + DAY // 2) % DAY / 1e9 - DAY / 2e9
+
+    def pair(value: tuple[float | Moment, float | Moment], key: str) -> tuple[float, float]:
+        start, end = seconds(value[0], key), seconds(value[1], key)
+        if not start < end:
+            raise CampaignError(
+                f"{where}: {key}: expected the start before the end, but got {start:.10g} s and "
+                f"{end:.10g} s; swap them"
+            )
+        return start, end
+
+    on, off = entry.commanded_on, entry.commanded_off
+    return EntryTimes(
+        None if on is None else seconds(on, "commanded_on"),
+        None if off is None else seconds(off, "commanded_off"),
+        None if entry.keep is None else pair(entry.keep, "keep"),
+        tuple(pair(part, "mask") for part in entry.mask),
+    )
+
+
 def _grid(file: DataFile, recording: Recording) -> Grid:
     if recording.interval is None:
-        return uniform_grid(recording.t, recording.place, file.error)
+        return grid_through(recording.t, recording.place, file.error)
     index = np.arange(len(recording.t), dtype=np.int64)
     return Grid(float(recording.t[0]), recording.interval, index, 0.0, True)
 
@@ -233,13 +309,14 @@ def _masked(
     interval: float,
     where: str,
     notes: list[str],
+    irregular: bool = False,
 ) -> BoolArray:
     """(n,) True where a sample is left out by the campaign's mask."""
     excluded = np.zeros(len(t), dtype=bool)
     slack = 1e-3 * interval
     for start, end in ranges:
         inside = (t >= start - slack) & (t <= end + slack)
-        if not inside.any():
+        if not inside.any() and not (irregular and t[0] < start < t[-1]):
             notes.append(
                 f"{where}: the mask from {start:.10g} s to {end:.10g} s holds no sample (the "
                 f"record runs from {t[0]:.10g} s to {t[-1]:.10g} s)"
@@ -248,6 +325,29 @@ def _masked(
     if excluded.all():
         raise CampaignError(f"{where}: the mask leaves no sample to use; shorten it")
     return excluded
+
+
+def _longest_pause(interval: float, n: int) -> float:
+    """s, up to which a stretch without samples is accepted."""
+    return max(10 * interval, min(LONGEST_GAP, LARGEST_GAP * n * interval))
+
+
+def _check_pauses(
+    file: DataFile, t: FloatArray, masks: tuple[tuple[float, float], ...], interval: float
+) -> None:
+    """Error on a long pause between two samples of irregular times, unless it is masked."""
+    step = np.diff(t)
+    limit = _longest_pause(interval, len(t))
+    for i in np.flatnonzero(step > limit * (1 + 1e-9)):
+        slack = 1e-3 * interval
+        if any(a <= t[i] + slack and b >= t[i + 1] - slack for a, b in masks):
+            continue
+        ends = f'["{t[i]:.10g} s", "{t[i + 1]:.10g} s"]'
+        raise file.error(
+            f"there is a gap of {step[i]:.4g} s in time between {t[i]:.10g} s and "
+            f"{t[i + 1]:.10g} s; expected gaps of at most {limit:.3g} s (the median step is "
+            f"{interval:.4g} s): crop with keep or accept it with mask = [{ends}]"
+        )
 
 
 def _check_gaps(
@@ -260,7 +360,7 @@ def _check_gaps(
     lengths = ends - starts
     long = int(np.argmax(lengths))
     duration = lengths[long] * interval
-    limit = max(10 * interval, min(LONGEST_GAP, LARGEST_GAP * len(t) * interval))
+    limit = _longest_pause(interval, len(t))
     too_long = np.flatnonzero(lengths * interval > limit * (1 + 1e-9))
     if too_long.size:
         some = too_long[:MOST_GAPS]
@@ -298,7 +398,7 @@ def _runs(flags: BoolArray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _drive_times(
-    entry: Entry,
+    told: EntryTimes,
     file: DataFile,
     recording: Recording,
     t: FloatArray,
@@ -311,7 +411,7 @@ def _drive_times(
     try:
         return commanded_times(t, drive, lambda text: file.error(f"drive '{name}': {text}"))
     except CampaignError as error:
-        if entry.commanded_on is None:
+        if told.on is None:
             raise
         notes.append(f"{error} (commanded_on is given, so the drive was not used)")
         return None, None
@@ -353,20 +453,20 @@ def _check_times(
 
 
 def _compare(
-    entry: Entry,
+    told: EntryTimes,
     where: str,
     drive_on: float | None,
     drive_off: float | None,
     notes: list[str],
 ) -> None:
-    for key, told, seen in (
-        ("commanded_on", entry.commanded_on, drive_on),
-        ("commanded_off", entry.commanded_off, drive_off),
+    for key, time, seen in (
+        ("commanded_on", told.on, drive_on),
+        ("commanded_off", told.off, drive_off),
     ):
-        if told is not None and seen is not None and abs(told - seen) > DISAGREEMENT:
+        if time is not None and seen is not None and abs(time - seen) > DISAGREEMENT:
             notes.append(
-                f"{where}: {key} = {told:.10g} s, but the drive's edge is at {seen:.10g} s, "
-                f"{abs(told - seen) * 1e3:.0f} ms apart; {key} was used"
+                f"{where}: {key} = {time:.10g} s, but the drive's edge is at {seen:.10g} s, "
+                f"{abs(time - seen) * 1e3:.0f} ms apart; {key} was used"
             )
 
 
@@ -441,13 +541,14 @@ def _check_clipped(
         level = f"{rail:.4g}"
     begins = f"{t[i]:.10g} s"
     fix = "record again with a wider input range"
+    unseen = ""
     if on is not None:
         end = off if off is not None else float(t[-1])
         late = used & (t >= (on + end) / 2) & (t < end)
         if late.any() and (clipped & late).sum() > 0.95 * late.sum():
-            raise file.error(
-                f"the plateau is clipped at {level} from {begins} on, so the step's height is "
-                f"lost; expected samples below the rail: {fix}"
+            unseen = (
+                "; the plateau is not seen, so the step's height is known only from the samples "
+                f"below the rail: {fix}"
             )
     if share > MOST_CLIPPED:
         raise file.error(
@@ -456,7 +557,7 @@ def _check_clipped(
         )
     notes.append(
         f"{file.where}: {int(clipped.sum())} samples ({100 * share:.1f} %) are clipped at {level} "
-        f"or among clipped ones, the first at {begins}; left out"
+        f"or among clipped ones, the first at {begins}; left out{unseen}"
     )
 
 
@@ -484,6 +585,7 @@ def _look_for_mistakes(
     used: BoolArray,
     unit: str,
     drive: FloatArray | None,
+    timed: bool,
     notes: list[str],
 ) -> None:
     """Notes on input that can be read but is probably a mistake."""
@@ -504,8 +606,19 @@ def _look_for_mistakes(
                     f"{where}: the signal jumps like a valve drive and the drive moves like a "
                     "sensor; signal and drive may be swapped"
                 )
-    if t[-1] - t[0] > _LONG_RECORD or t[1] - t[0] >= _SLOW_SAMPLING:
+    if not timed and (t[-1] - t[0] > _LONG_RECORD or t[1] - t[0] >= _SLOW_SAMPLING):
         notes.append(
-            f"{where}: the record lasts {(t[-1] - t[0]) / 3600:.3g} h with a sample every "
+            f"{where}: the record lasts {_duration(t[-1] - t[0])} with a sample every "
             f"{t[1] - t[0]:.4g} s; if the times are in ms, name the column time_ms"
         )
+
+
+def _duration(seconds: float) -> str:
+    """A length of time in s, min or h.
+
+    >>> _duration(90.0), _duration(299.0), _duration(7200.0)
+    ('90 s', '4.98 min', '2 h')
+    """
+    if seconds < 120:
+        return f"{seconds:.3g} s"
+    return f"{seconds / 60:.3g} min" if seconds < 3600 else f"{seconds / 3600:.3g} h"

@@ -20,10 +20,13 @@ MAX_SAMPLES = 20_000_000
 """samples of one experiment"""
 
 _TIME_NAMES = frozenset(
-    "t time times zeit temps tiempo timestamp timestamps elapsed seconds sec secs milliseconds "
-    "elapsedtime timeelapsed reltime relativetime timeaxis".split()
+    "t time times zeit temps tiempo tid hora heure uhrzeit timestamp timestamps tstamp elapsed "
+    "second seconds sec secs millisecond milliseconds elapsedtime timeelapsed reltime relativetime "
+    "timeaxis timeutc utctime utc unixtime epoch epochtime epochutc posixtime systemtime clock "
+    "clocktime localtime datetime dateandtime datetimestamp localdatetime scantime testtime "
+    "runtime ts".split()
 )
-_DATE_NAMES = frozenset("date datum day".split())
+DATE_NAMES = frozenset("date datum day fecha".split())
 _SUFFIX_UNITS = frozenset(
     "s sec ms us µs μs ns min h V mV uV µV μV kV ppm ppb ohm kohm Mohm Ω kΩ "
     "mW uW µW μW nW pW mA uA µA μA nA pA percent Pa kPa hPa mbar dB dBm".split()
@@ -56,6 +59,20 @@ class Selection:
 
     signal: str | None = None
     drive: str | None = None
+    time: str | None = None
+    interval: float | None = None
+    """s, for files without times"""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time of the first sample on the recorder's own clock."""
+
+    ns: int
+    """nanoseconds since 1970, or since midnight where no date is written"""
+    dated: bool
+    offset: int = 0
+    """ns, its own offset from UTC, already subtracted"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +94,12 @@ class Recording:
     """the unit the file gives for y; empty when it gives none"""
     interval: float | None = None
     """s, if the file states it instead of listing times"""
+    clock: Clock | None = None
+    """where the times are counted from the first sample of a clock"""
+    timed: bool = False
+    """whether the file says the unit of its times"""
+    notes: tuple[str, ...] = ()
+    """remarks of the reader, without the place"""
 
 
 @dataclass(frozen=True)
@@ -137,7 +160,7 @@ def split_name(name: str) -> Column:
 
 def is_time(column: Column) -> bool:
     """Whether the column is time, by its name."""
-    key = re.sub(r"[\s_\-]", "", column.base).casefold()
+    key = re.sub(r"[\s_\-&/.#,]", "", column.base).casefold()
     return key in _TIME_NAMES and (not column.unit or seconds(column.unit) is not None)
 
 
@@ -151,8 +174,8 @@ def seconds(unit: str) -> float | None:
 def find_column(file: DataFile, columns: Sequence[Column], wanted: str, key: str) -> int:
     """Position of the column the campaign names.
 
-    Tried in turn: the name as written, the name ignoring case, the name without its unit, and
-    PicoScope's ``Channel A`` for ``A``.
+    Tried in turn: the name as written, the name ignoring case, the name without its unit,
+    PicoScope's ``Channel A`` for ``A``, and ``column 3`` for the third.
     """
     folded = wanted.strip().casefold()
     tests: tuple[Callable[[Column], bool], ...] = (
@@ -170,6 +193,9 @@ def find_column(file: DataFile, columns: Sequence[Column], wanted: str, key: str
                 f'{key} = "{wanted}" fits {len(hits)} columns of that name; '
                 "give each column its own name"
             )
+    place = re.fullmatch(r"column (\d{1,4})", folded)
+    if place and 1 <= int(place[1]) <= len(columns):
+        return int(place[1]) - 1
     names = [column.name.strip() for column in columns]
     close = difflib.get_close_matches(wanted, names, n=1, cutoff=0.6)
     hint = f' (did you mean "{close[0]}"?)' if close else ""
@@ -177,32 +203,6 @@ def find_column(file: DataFile, columns: Sequence[Column], wanted: str, key: str
         f'{key} = "{wanted}" is not in the file{hint}; it has {list_names(names)}; '
         f"set {key} to one of them"
     )
-
-
-def choose_columns(
-    file: DataFile, columns: Sequence[Column], selection: Selection
-) -> tuple[int, int, int | None]:
-    """Positions of time (by name, else the first column), signal and drive in a table."""
-    time = next((i for i, column in enumerate(columns) if is_time(column)), 0)
-    others = [column.name.strip() for i, column in enumerate(columns) if i != time]
-    if not others:
-        raise file.error(
-            f"expected a time column and a signal column, but there is only "
-            f"'{columns[0].name.strip()[:60]}'; export both, in columns of their own"
-        )
-    dated = [i for i, column in enumerate(columns) if column.base.casefold() in _DATE_NAMES]
-    signal = next(
-        (i for i in range(len(columns)) if i != time and i not in dated), 1 - min(time, 1)
-    )
-    drive = None
-    if selection.signal is not None:
-        signal = find_column(file, columns, selection.signal, "signal")
-    if selection.drive is not None:
-        drive = find_column(file, columns, selection.drive, "drive")
-    names = [column.name.strip() for column in columns]
-    fix = f"which is the time column; choose one of {list_names(others)}"
-    check_chosen(file, names, time, signal, drive, fix)
-    return time, signal, drive
 
 
 def check_chosen(
@@ -222,6 +222,25 @@ def check_chosen(
             f"signal and drive are both '{names[signal][:60]}'; expected two columns: set signal "
             "to the sensor's and drive to the valve's"
         )
+
+
+def choose_time(
+    file: DataFile, columns: Sequence[Column], selection: Selection, none: str = ""
+) -> int | None:
+    """Position of the vector of times: the one asked for, else the first that is called time.
+
+    None where the campaign gives the interval.
+    """
+    if selection.time is not None:
+        if selection.interval is not None:
+            raise file.error(
+                f"time = '{selection.time}' and interval are both given; expected one of them, as "
+                "interval is for files without times: remove one"
+            )
+        return find_column(file, columns, selection.time, "time")
+    if selection.interval is not None:
+        return None
+    return next((i for i, column in enumerate(columns) if is_time(column)), None)
 
 
 def scale_time(file: DataFile, column: Column, t: FloatArray) -> FloatArray:

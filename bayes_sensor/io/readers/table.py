@@ -1,72 +1,62 @@
-"""Text tables: plain CSV with a header, and PicoScope's CSV export.
+"""Text tables: CSV and the exports of oscilloscopes, loggers, analysers and serial monitors.
 
 Accepted: comma, semicolon, tab or blanks between columns; decimal commas where the comma is not the
-separator; UTF-8 with or without byte order mark, UTF-16, Latin-1; any line ending; comment lines
-before the header; a row of units under it, as ``(ms),(mV),(V)``; blank lines; PicoScope's ∞ for
-samples out of range; lines about the measurement above the header, as LabVIEW writes them; times of
-day, with or without a date, counted from the first sample.
+separator; UTF-8 with or without byte order mark, UTF-16, Latin-1; any line ending; comment lines;
+lines about the measurement above the samples or in the first columns beside them; rows of units, as
+``(ms),(mV),(V)``; blank lines; PicoScope's ∞ for samples out of range.  Times are numbers, times of
+day, dates, compact stamps or seconds since an epoch; or the campaign or the file states the
+sampling interval.
 """
 
 from __future__ import annotations
 
-import codecs
-import csv
 import io
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Callable, Sequence
+
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bayes_sensor.campaign import CampaignError, FloatArray
-from bayes_sensor.io.readers.quantities import known_unit
+from bayes_sensor.campaign import BoolArray, CampaignError, FloatArray
+from bayes_sensor.io.readers.layout import Layout, find_layout
 from bayes_sensor.io.readers.recording import (
-    MAX_COLUMNS,
+    Clock,
     Column,
     DataFile,
     Recording,
     Selection,
     check_counts,
-    choose_columns,
     scale_time,
-    split_name,
+)
+from bayes_sensor.io.readers.roles import Facts, Roles, choose_roles
+from bayes_sensor.io.readers.sampling import FIRST_EPOCH, grid_times
+from bayes_sensor.io.readers.serial_monitor import is_serial_log, plain_table
+from bayes_sensor.io.readers.stamps import (
+    Stamps,
+    epoch_unit,
+    read_long_numbers,
+    read_stamps,
+)
+from bayes_sensor.io.readers.text import (
+    NA_VALUES,
+    OUT_OF_RANGE,
+    SEPARATOR_NAMES,
+    as_utf8,
+    decode,
+    is_number,
+    is_value,
+    kind_of,
+    lines_of,
+    split_line,
 )
 
-_HEAD = 1 << 20
-"""bytes in which the header must end"""
-_MAX_PREAMBLE = 1000
-"""lines before the first data row"""
-_NOT_A_NUMBER = frozenset(("", "nan", "na", "n/a", "null", "none", "#n/a", "-nan", "1.#qnan"))
-_INFINITE = frozenset(("inf", "-inf", "+inf", "infinity", "-infinity", "+infinity", "∞", "-∞"))
-_NA_VALUES = ["", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "NULL", "null", "None", "none"]
-_NA_VALUES += ["#N/A", "-nan", "-NaN", "1.#QNAN"]
-_FLOAT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
-_CLOCK = re.compile(
-    r"(?:[\d./-]{6,10}[T ]\s*)?(?:(\d{1,2}):)?(\d{1,2}):(\d{2}(?:[.,]\d+)?)"
-    r"\s*([AaPp])?\.?[Mm]?\.?(?:Z|[+-]\d{2}:?\d{2})?"
-)
-"""hours (where they are given), minutes, seconds and a or p; a date before them is not read"""
-_DATE = re.compile(r"\d{1,4}[./-]\d{1,2}[./-]\d{1,4}")
+SAMPLED = 400
+"""rows from which the kind of each column is told"""
+MOST_EMPTY = 0.1
+"""share of the rows without a signal above which they belong to other channels"""
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
-_SEPARATOR_NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
-
-
-@dataclass(frozen=True)
-class Layout:
-    """The layout of a table, found from its first lines."""
-
-    separator: str
-    decimal: str
-    columns: tuple[Column, ...]
-    body: int
-    """byte at which the data rows start"""
-    body_row: int
-    """row number, from 1, of the first data row"""
-    n_cells: int
-    """cells of the first data row"""
-    clocks: frozenset[int] = frozenset()
-    """columns that hold times of day"""
 
 
 def read_table(file: DataFile, selection: Selection) -> Recording:
@@ -77,424 +67,365 @@ def read_table(file: DataFile, selection: Selection) -> Recording:
     CampaignError
         If the text is no table of numbers; the message names row and column.
     """
-    text = _as_utf8(file)
-    layout = _find_layout(file, text)
-    columns = layout.columns
-    time, signal, drive = choose_columns(file, columns, selection)
-    use = sorted({time, signal} | ({drive} if drive is not None else set()))
-    values = dict(zip(use, _parse_body(file, text, layout, use), strict=True))
-    check_counts(file, len(columns), len(values[time]))
-    if time in layout.clocks:
-        times = _since_first(file, text, layout, time, values[time])
-    else:
-        times = scale_time(file, columns[time], values[time])
+    text = as_utf8(file)
+    if is_serial_log(text):
+        text = plain_table(text)
+    return read_text(file, text, selection)
+
+
+def read_text(file: DataFile, text: bytes, selection: Selection) -> Recording:
+    """The recording in a table in UTF-8."""
+    layout = find_layout(file, text)
+    facts = _facts(text, layout)
+    roles = choose_roles(file, facts, selection, layout.interval, layout.named)
+    body = _Body(file, text, layout, facts, roles)
+    check_counts(file, len(layout.columns), body.n)
+    signal = body.numbers(roles.signal)
+    keep = _own_rows(body, roles, signal)
+    notes = list(roles.notes)
+    if not keep.all():
+        notes.append(
+            f"{int((~keep).sum())} of {len(keep)} rows hold no "
+            f"'{layout.columns[roles.signal].name.strip()[:60]}' and belong to other channels; "
+            "left out"
+        )
+    t, clock, interval = _times(body, roles, selection, keep, notes)
+    rows = np.flatnonzero(keep)
+    y = signal[keep]
+    drive = None if roles.drive is None else _beside(body.numbers(roles.drive), keep)
+    if len(t) > 2 and interval is None and t[1] == t[0] and y[1] == y[0]:
+        notes.append(f"row {_row_number(text, layout, int(rows[1]))} repeats the first; left out")
+        t, y, rows = t[1:], y[1:], rows[1:]
+        drive = None if drive is None else drive[1:]
 
     def place(i: int) -> str:
-        return f"row {_row_number(text, layout, i)}"
+        return f"row {_row_number(text, layout, int(rows[min(i, len(rows) - 1)]))}"
 
     return Recording(
-        t=times,
-        y=values[signal],
-        signal=columns[signal].name.strip(),
+        t=t,
+        y=y,
+        signal=layout.columns[roles.signal].name.strip(),
         place=place,
-        drive=None if drive is None else values[drive],
-        drive_name="" if drive is None else columns[drive].name.strip(),
-        unit=columns[signal].unit,
+        drive=drive,
+        drive_name="" if roles.drive is None else layout.columns[roles.drive].name.strip(),
+        unit=layout.columns[roles.signal].unit,
+        interval=interval,
+        clock=clock,
+        timed=not roles.times or any(layout.columns[i].unit for i in roles.times),
+        notes=tuple(notes),
     )
 
 
-# --------------------------------------------------------------------------- text
-
-
-def _as_utf8(file: DataFile) -> bytes:
-    """The content as UTF-8 without byte order mark."""
-    raw = file.content
-    if raw.startswith(codecs.BOM_UTF8):
-        raw = raw[len(codecs.BOM_UTF8) :]
-    elif raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raw = _transcode(file, raw, "utf-16")
-    elif b"\0" in raw[:4096]:
-        even, odd, half = raw[0:4096:2].count(0), raw[1:4096:2].count(0), len(raw[:4096]) // 2
-        if odd > half // 2 > 4 * even:
-            raw = _transcode(file, raw, "utf-16-le")
-        elif even > half // 2 > 4 * odd:
-            raw = _transcode(file, raw, "utf-16-be")
-        else:
-            raise file.error(
-                "expected a text table, but the content is binary; "
-                "check the suffix or export as CSV"
-            )
-    nul = raw.find(b"\0")
-    if nul >= 0:
-        row = len(re.findall(rb"\r\n|\n|\r", raw[:nul])) + 1
-        raise file.error(
-            f"row {row} holds a zero byte, so the file is damaged there; export it again"
-        )
-    if b"\xe2\x88\x9e" in raw:
-        raw = raw.replace(b"\xe2\x88\x9e", b"inf")
-    if not raw.strip():
-        raise file.error(
-            "expected a table with a header and numbers, but the file is empty; export it again"
-        )
-    return raw
-
-
-def _transcode(file: DataFile, raw: bytes, encoding: str) -> bytes:
-    try:
-        return raw.decode(encoding).lstrip("\ufeff").encode("utf-8")
-    except UnicodeError as error:
-        raise file.error(
-            f"expected {encoding.upper()} text, but it cannot be decoded ({error}); "
-            "the file may be truncated: export it again"
-        ) from None
-
-
-def _decode(raw: bytes) -> str:
-    try:
-        return raw.decode("utf-8")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
-
-
-def _lines(text: bytes, start: int = 0) -> Iterator[tuple[int, bytes]]:
-    """Start and content of each line, without its ending."""
-    ending = re.compile(rb"\r\n|\n|\r")
-    while start < len(text):
-        match = ending.search(text, start)
-        if match is None:
-            yield start, text[start:]
-            return
-        yield start, text[start : match.start()]
-        start = match.end()
-
-
-def _split(line: str, separator: str) -> list[str]:
-    if separator == " ":
-        return line.split()
-    if '"' not in line:
-        return [cell.strip() for cell in line.split(separator)]
-    try:
-        rows = list(csv.reader([line], delimiter=separator))
-    except csv.Error:
-        return [cell.strip() for cell in line.split(separator)]
-    return [cell.strip() for cell in (rows[0] if rows else [])]
-
-
-def _is_number(cell: str, decimal: str) -> bool:
-    cell = cell.strip()
-    if decimal == ",":
-        cell = cell.replace(",", ".", 1)
-    return _FLOAT.fullmatch(cell) is not None
-
-
-def _is_value(cell: str, decimal: str) -> bool:
-    folded = cell.strip().casefold()
-    return folded in _NOT_A_NUMBER or folded in _INFINITE or _is_number(cell, decimal)
-
-
-def _is_sample(cell: str, decimal: str) -> bool:
-    """A value, a time of day or a date, as in a row of samples."""
-    text = cell.strip()
-    return (
-        _is_value(text, decimal)
-        or _CLOCK.fullmatch(text) is not None
-        or _DATE.fullmatch(text) is not None
-    )
-
-
-def _is_comment(line: str) -> bool:
-    return line.lstrip().startswith(("#", "%", "//"))
-
-
-def _unit_row(cells: list[str]) -> list[str] | None:
-    """The units if every cell that is not empty is one, else None."""
-    units = []
-    for cell in cells:
-        inner = re.fullmatch(r"[\(\[]\s*(.*?)\s*[\)\]]", cell)
-        if inner:
-            units.append(inner[1])
-        elif cell == "" or known_unit(cell):
-            units.append(cell)
-        else:
-            return None
-    return units if any(units) else None
-
-
-# --------------------------------------------------------------------------- layout
-
-
-def _find_layout(file: DataFile, text: bytes) -> Layout:
-    """Separator, decimal mark, column names and the start of the data."""
-    head = text[:_HEAD]
-    if len(text) > _HEAD and not re.search(rb"[\r\n]", head):
-        raise file.error(
-            f"expected lines of text, but the first line is longer than {_HEAD} bytes; "
-            "export a table with one row per sample"
-        )
-    separator: str | None = None
-    header: list[str] | None = None
-    header_row = 0
-    units: list[str] | None = None
-    for row, (start, raw) in enumerate(_lines(head), 1):
-        if row > _MAX_PREAMBLE:
+def _facts(text: bytes, layout: Layout) -> list[Facts]:
+    """The kind of each column, from rows at the beginning."""
+    cells: list[list[str]] = [[] for _ in layout.columns]
+    for k, (_, raw) in enumerate(lines_of(text, layout.body)):
+        if k >= SAMPLED:
             break
-        line = _decode(raw).strip("\ufeff")
-        if not line.strip() or _is_comment(line):
-            continue
-        told = re.fullmatch(r"(?i)\s*\"?sep=(.)\"?\s*", line)
-        if told and header is None:
-            separator = told[1] if told[1] in _SEPARATOR_NAMES else None
-            continue
-        if separator is None:
-            separator = _find_separator(line, head[start:])
-        if line.count(separator) >= MAX_COLUMNS:
-            check_counts(file, line.count(separator) + 1)
-        decimal = "." if separator == "," else _find_decimal(head[start:], separator)
-        cells = _split(line, separator)
-        if header is None and not all(_is_value(cell, decimal) for cell in cells):
-            doubtful = [cell for cell in cells if _looks_measured(cell, decimal)]
-            if doubtful:
-                below = _under_preamble(file, head, row)
-                if below is not None:
-                    return below
-                culprit = next(c for c in cells if not _is_value(c, decimal))
-                raise file.error(
-                    f"row {row}: expected a header or numbers, but got the text "
-                    f"'{culprit[:60]}' beside the number {doubtful[0]}; name the columns in the "
-                    "first row, for example time_s,voltage_V"
-                )
-            header, header_row = cells, row
-            continue
-        if header is not None and units is None:
-            units = _unit_row(cells)
-            if units is not None:
-                if len(units) != len(header):
-                    raise file.error(
-                        f"row {row}: expected one unit for each of the {len(header)} columns, but "
-                        f"got {len(units)}; repair the header"
-                    )
-                continue
-            units = []
-        if header is not None and not all(_is_sample(cell, decimal) for cell in cells):
-            below = _under_preamble(file, head, header_row)
-            if below is not None:
-                return below
-        columns = _name_columns(file, header, header_row, cells, units or [], row, separator)
-        return Layout(separator, decimal, columns, start, row, len(cells), _clocks(cells))
-    raise file.error(
-        "expected rows of numbers after the header, but there are none; export the samples as well"
+        row = split_line(decode(raw), layout.separator)
+        for i in range(min(len(row), len(cells))):
+            if row[i]:
+                cells[i].append(row[i])
+    facts = []
+    for column, found in zip(layout.columns, cells, strict=True):
+        kinds = [kind_of(cell, layout.decimal) for cell in found]
+        filled = [kind for kind in kinds if kind != "empty"]
+        kind = max(set(filled), key=lambda k: (filled.count(k), k)) if filled else ""
+        values = [
+            _float(cell, layout.decimal)
+            for cell, k in zip(found, kinds, strict=True)
+            if k == "number"
+        ]
+        facts.append(Facts(column, kind, np.array(values, dtype=float), found))
+    return facts
+
+
+def _float(cell: str, decimal: str) -> float:
+    text = cell.strip().replace("∞", "inf")
+    text = text.replace(",", ".", 1) if decimal == "," else text
+    return float(re.sub(r"^([+-])\s+", r"\1", text.replace("D", "E").replace("d", "e")))
+
+
+# --------------------------------------------------------------------------- the samples' rows
+
+
+class _Body:
+    """The rows of samples, parsed once: numbers of the columns in use, text of the others."""
+
+    def __init__(
+        self, file: DataFile, text: bytes, layout: Layout, facts: Sequence[Facts], roles: Roles
+    ) -> None:
+        self.file, self.text, self.layout, self.facts = file, text, layout, facts
+        wanted = {roles.signal, *roles.times} | ({roles.drive} if roles.drive is not None else set())
+        self.plain = {
+            i for i in wanted if not (i in roles.times and _is_written(facts[i]))
+        }  # read as numbers at once
+        self.frame = self._read(self.plain)
+        self.n = len(self.frame)
+
+    def _read(self, plain: set[int]) -> Any:
+        import pandas as pd  # slow to import
+
+        body = io.BytesIO(self.text)
+        body.seek(self.layout.body)
+        try:
+            return pd.read_csv(
+                body,
+                sep=r"\s+" if self.layout.separator == " " else self.layout.separator,
+                decimal=self.layout.decimal,
+                header=None,
+                names=list(range(self.layout.n_cells)),
+                index_col=False,
+                # no usecols: with it, cells beyond the last column are dropped in silence
+                dtype={
+                    i: np.float64 if i in plain else object for i in range(self.layout.n_cells)
+                },
+                na_values={i: NA_VALUES if i in plain else [""] for i in range(self.layout.n_cells)},
+                keep_default_na=False,
+                skipinitialspace=True,
+                low_memory=False,
+                encoding_errors="replace",
+            )
+        except (ValueError, OverflowError) as error:  # pandas' ParserError is a ValueError
+            if plain and not isinstance(error, pd.errors.ParserError):
+                self.plain = set()
+                return self._read(set())
+            raise _blame(self, plain, str(error)) from None
+
+    def written(self, i: int) -> NDArray[np.object_]:
+        """(n,) the texts of a column."""
+        return np.asarray(self.frame[i].fillna("").to_numpy(dtype=object))
+
+    def numbers(self, i: int) -> FloatArray:
+        """(n,) the numbers of a column; NaN where there is none."""
+        if i in self.plain:
+            return np.asarray(self.frame[i].to_numpy(dtype=np.float64))
+        import pandas as pd  # slow to import
+
+        texts = self.frame[i].fillna("").astype(str).str.strip()
+        folded = texts.str.casefold()
+        missing = folded.isin([*OUT_OF_RANGE, *(text.casefold() for text in NA_VALUES)])
+        clean = texts.where(~missing, "nan").str.replace(r"^([+-])\s+", r"\1", regex=True)
+        if self.layout.decimal == ",":
+            clean = clean.str.replace(",", ".", n=1, regex=False)
+        values = pd.to_numeric(clean, errors="coerce")
+        wrong = values.isna() & ~missing
+        if wrong.any():
+            raise _blame(self, {i}, "")
+        return np.asarray(values.to_numpy(dtype=np.float64))
+
+    def row(self, i: int) -> int:
+        """Row, counted from 1, of sample i."""
+        return _row_number(self.text, self.layout, i)
+
+
+def _is_written(fact: Facts) -> bool:
+    """Whether a column of times must be read as text to keep all its digits."""
+    return fact.kind == "stamp" or (
+        len(fact.values) > 0 and float(np.median(np.abs(fact.values))) >= FIRST_EPOCH
     )
 
 
-def _under_preamble(file: DataFile, head: bytes, top: int) -> Layout | None:
-    """The layout of a table that begins below row ``top``, under lines about the measurement.
-
-    It begins at two consecutive rows of samples.  The row above them, or above their units, must be
-    names without a number.  None if there is no such place.
-    """
-    named: tuple[int, str] | None = None  # the last row that could name columns
-    units: tuple[int, str] | None = None
-    lines = [
-        (row, start, _decode(raw))
-        for (row, (start, raw)) in zip(range(1, _MAX_PREAMBLE), _lines(head), strict=False)
-        if raw.strip() and not _is_comment(_decode(raw))
+def _own_rows(body: _Body, roles: Roles, signal: FloatArray) -> BoolArray:
+    """(n,) True but for rows that hold other channels instead of the signal."""
+    keep: BoolArray = np.ones(len(signal), dtype=bool)
+    empty = np.isnan(signal)
+    apart = {roles.signal, roles.date, roles.fraction, *roles.times}
+    others = [
+        i
+        for i, fact in enumerate(body.facts)
+        if i not in apart and fact.kind == "number" and i < body.layout.n_cells
     ]
-    for (row, start, line), (_, _, after) in pairwise(lines):
-        if row <= top:
+    if empty.mean() <= MOST_EMPTY or empty.all() or not others:
+        return keep
+    filled = np.zeros(len(signal), dtype=bool)
+    for i in others:
+        filled |= body.frame[i].notna().to_numpy(dtype=bool)
+    return np.asarray(~(empty & filled))
+
+
+def _beside(drive: FloatArray, keep: BoolArray) -> FloatArray:
+    """The drive at the rows that are kept; from the row before where it stands in others."""
+    known = np.isfinite(drive)
+    if keep.all() or not known.any() or known[keep].mean() > 0.5:
+        return drive[keep]
+    last = np.maximum.accumulate(np.where(known, np.arange(len(drive)), -1))
+    held = np.where(last >= 0, drive[np.maximum(last, 0)], drive[int(np.argmax(known))])
+    return np.asarray(held[keep])
+
+
+# --------------------------------------------------------------------------- times
+
+
+def _times(
+    body: _Body, roles: Roles, selection: Selection, keep: BoolArray, notes: list[str]
+) -> tuple[FloatArray, Clock | None, float | None]:
+    """(n,) s, the clock they count from, and the interval where there are no times."""
+    if not roles.times:
+        stated, start = body.layout.interval, body.layout.start
+        if selection.interval is not None:
+            stated, start = selection.interval, 0.0
+        assert stated is not None
+        return grid_times(start, stated, body.n)[keep], None, stated if keep.all() else None
+    found = []
+    for i in roles.times:
+        try:
+            t, clock, remark = _time_of(body, roles, i, keep)
+        except CampaignError:
+            if i == roles.times[0] and len(roles.times) == 1:
+                raise
             continue
-        for separator in _SEPARATOR_NAMES:
-            decimal = "." if separator == "," else _find_decimal(head[start:], separator)
-            cells, more = _split(line, separator), _split(after, separator)
-            if (
-                named is not None
-                and len(cells) == len(more) > 1
-                and all(_is_sample(cell, decimal) for cell in [*cells, *more])
-                and sum(_is_number(cell, decimal) for cell in cells) >= 1
-                and cells[0].strip()
-            ):
-                header = _split(named[1], separator)
-                if len(header) == len(cells) + 1 and header[-1].casefold() == "comment":
-                    header = header[:-1]  # LabVIEW's, empty but for the first row
-                if any(_looks_measured(cell, decimal) for cell in header):
-                    return None
-                given = _split(units[1], separator) if units is not None else []
-                columns = _name_columns(file, header, named[0], cells, given, row, separator)
-                return Layout(separator, decimal, columns, start, row, len(cells), _clocks(cells))
-        for separator in _SEPARATOR_NAMES:
-            cells = _split(line, separator)
-            if named is not None and len(cells) > 1 and _unit_row(cells) is not None:
-                units = (row, line)
-                break
-        else:
-            named, units = (row, line), None
-    return None
-
-
-def _clocks(cells: list[str]) -> frozenset[int]:
-    return frozenset(i for i, cell in enumerate(cells) if _CLOCK.fullmatch(cell.strip()))
-
-
-def _looks_measured(cell: str, decimal: str) -> bool:
-    """A number with a decimal mark or exponent, which is unlikely as a channel's name."""
-    return _is_number(cell, decimal) and re.search(r"[.,eE]", cell) is not None
-
-
-def _find_separator(line: str, rest: bytes) -> str:
-    for separator in ("\t", ";"):
-        if separator in line:
-            return separator
-    if "," in line:
-        return ","
-    # a header of one word says nothing; look at the first lines under it
-    sample = [_decode(raw) for _, (_, raw) in zip(range(5), _lines(rest), strict=False)]
-    for separator in ("\t", ";", ","):
-        if all(separator in other for other in sample[1:] if other.strip()) and sample[1:]:
-            return separator
-    return " " if re.search(r"\S\s+\S", line) else ","
-
-
-def _find_decimal(rest: bytes, separator: str) -> str:
-    """Decimal comma if the first rows hold numbers with one and none with a point."""
-    for _, (_, raw) in zip(range(50), _lines(rest), strict=False):
-        for cell in _split(_decode(raw), separator):
-            if re.fullmatch(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?", cell):
-                return ","
-            if re.fullmatch(r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?", cell):
-                return "."
-    return "."
-
-
-def _name_columns(
-    file: DataFile,
-    header: list[str] | None,
-    header_row: int,
-    cells: list[str],
-    units: list[str],
-    row: int,
-    separator: str,
-) -> tuple[Column, ...]:
-    n = len(cells)
-    if header is None:
-        header = ["time"] + [f"column {i}" for i in range(2, n + 1)]
-    while len(header) > n and header[-1] == "":
-        header = header[:-1]
-    if n == len(header) + 1 and cells[-1] == "":
-        n -= 1  # a separator at the end of each row
-    if n != len(header):
-        hint = (
-            "decimal commas need semicolons or tabs between the columns"
-            if separator == "," and n == 2 * len(header)
-            else "give every column a name and every row the same columns"
-        )
-        raise file.error(
-            f"row {header_row} names {len(header)} columns, but row {row} has {n} cells "
-            f"separated by {_SEPARATOR_NAMES[separator]}; {hint}"
-        )
-    columns = []
-    for i, name in enumerate(header):
-        column = split_name(name)
-        if i < len(units) and units[i]:
-            if not known_unit(units[i]):
-                raise file.error(
-                    f"row {row - 1}: the unit '{units[i][:40]}' of column '{name.strip()[:60]}' "
-                    "is not known; write one such as (s), (ms), (V), (mV)"
+        if len(t) > 1 and bool((np.diff(t) > 0).all()):
+            if found:
+                first = body.layout.columns[roles.times[0]].name.strip()[:60]
+                notes.append(
+                    f"time is column '{body.layout.columns[i].name.strip()[:60]}', as '{first}' "
+                    "does not increase strictly"
                 )
-            column = Column(name, column.base, units[i])
-        columns.append(column)
-    return tuple(columns)
-
-
-# --------------------------------------------------------------------------- numbers
-
-
-def _parse_body(file: DataFile, text: bytes, layout: Layout, use: list[int]) -> list[FloatArray]:
-    """The chosen columns as float arrays."""
-    import pandas as pd  # slow to import
-
-    separator = r"\s+" if layout.separator == " " else layout.separator
-    body = io.BytesIO(text)
-    body.seek(layout.body)
-    try:
-        frame = pd.read_csv(
-            body,
-            sep=separator,
-            decimal=layout.decimal,
-            header=None,
-            names=list(range(layout.n_cells)),
-            index_col=False,
-            # no usecols: with it, cells beyond the last column are dropped in silence
-            dtype={
-                i: np.float64 if i in use and i not in layout.clocks else object
-                for i in range(layout.n_cells)
-            },
-            na_values=_NA_VALUES,
-            keep_default_na=False,
-            skipinitialspace=True,
-            low_memory=False,
-            encoding_errors="replace",
+            notes += [remark] if remark else []
+            return t, clock, None
+        found.append((t, clock, remark))
+    if not found:
+        t, clock, remark = _time_of(body, roles, roles.times[0], keep)
+        found.append((t, clock, remark))
+    t, clock, remark = found[0]
+    stated = body.layout.interval
+    if stated is not None and len(t) > 1 and (np.diff(t) >= 0).all() and clock is not None:
+        # whole seconds of a fast recorder, which states its interval
+        notes.append(
+            f"times were counted by the interval that the file states, {stated:.6g} s, as those "
+            f"in column '{body.layout.columns[roles.times[0]].name.strip()[:60]}' repeat"
         )
-    except (ValueError, OverflowError) as error:  # pandas' ParserError is a ValueError
-        raise _blame(file, text, layout, use, str(error)) from None
-    return [frame[i].to_numpy(dtype=None if i in layout.clocks else np.float64) for i in use]
+        return grid_times(0.0, stated, len(t)), clock, stated
+    notes += [remark] if remark else []
+    return t, clock, None
 
 
-def _since_first(
-    file: DataFile, text: bytes, layout: Layout, time: int, cells: FloatArray
-) -> FloatArray:
-    """(n,) s since the first sample, from times of day; they may pass midnight (or the hour)."""
-    import pandas as pd  # slow to import
+def _time_of(
+    body: _Body, roles: Roles, i: int, keep: BoolArray
+) -> tuple[FloatArray, Clock | None, str]:
+    """(n,) s of one column of times, the clock they count from, and a remark."""
+    fact = body.facts[i]
+    column = fact.column
+    if fact.kind == "stamp":
+        dates = None if roles.date is None else body.written(roles.date)[keep]
+        stamps = _known(body, i, keep, lambda cells: read_stamps(cells, dates), "time of day")
+        assert isinstance(stamps, Stamps)
+        ns = stamps.ns
+        if roles.fraction is not None and i != roles.fraction and stamps.whole:
+            ns = ns + np.rint(body.numbers(roles.fraction)[keep] * 1e6).astype(np.int64)
+        clock = Clock(int(ns[0]), stamps.dated, stamps.offset)
+        remark = ""
+        if stamps.relabelled is not None:
+            row = body.row(int(np.flatnonzero(keep)[stamps.relabelled]))
+            remark = (
+                f"the offset from UTC changes at row {row}, but the time of day goes on; the "
+                "elapsed time was taken from the time of day"
+            )
+        return (ns - ns[0]) / 1e9, clock, remark
+    if not _is_written(fact):
+        return scale_time(body.file, column, body.numbers(i)[keep]), None, ""
+    return _epoch_times(body, i, keep)
 
-    parts = pd.Series(cells, dtype="object").astype(str).str.strip()
-    parts = parts.str.extract(f"^{_CLOCK.pattern}$")
-    minutes = pd.to_numeric(parts[1], errors="coerce")
-    wrong = minutes.isna().to_numpy()
-    if wrong.any():
-        i = int(np.argmax(wrong))
-        raise file.error(
-            f"row {_row_number(text, layout, i)}, column "
-            f"'{layout.columns[time].name.strip()[:60]}': expected a time of day as above, but got "
-            f"'{str(cells[i])[:60]}'; repair or remove that row"
+
+def _epoch_times(
+    body: _Body, i: int, keep: BoolArray
+) -> tuple[FloatArray, Clock | None, str]:
+    """(n,) s of long numbers, which count from 1970 or another epoch."""
+    fact = body.facts[i]
+    second, remark = _unit_of(body.file, fact.column, float(np.median(fact.values)))
+    known = _known(body, i, keep, lambda cells: read_long_numbers(cells, second), "number")
+    ns, numbers = known
+    if abs(numbers[0]) * second < FIRST_EPOCH:  # long numbers, but no epoch
+        return scale_time(body.file, fact.column, numbers), None, remark
+    return (ns - ns[0]) / 1e9, Clock(int(ns[0]), True), remark
+
+
+def _unit_of(file: DataFile, column: Column, typical: float) -> tuple[float, str]:
+    """Seconds in the unit of a column of times, by its name or by its size, and a remark."""
+    if column.unit:
+        return float(scale_time(file, column, np.ones(1))[0]), ""
+    told = epoch_unit(typical)
+    if told is None:
+        return 1.0, ""
+    unit, second = told
+    name = column.name.strip()[:60]
+    return second, "" if unit == "s" else f"column '{name}' was read in {unit} since 1970, by its size"
+
+
+def number_times(
+    file: DataFile, column: Column, values: NDArray[Any]
+) -> tuple[FloatArray, Clock | None, str]:
+    """(n,) s of a column of numbers; where they count from an epoch, from its first."""
+    numbers = np.asarray(values, dtype=np.float64)
+    finite = numbers[np.isfinite(numbers)]
+    typical = float(np.median(finite)) if len(finite) else 0.0
+    second, remark = _unit_of(file, column, typical)
+    if abs(typical) * second < FIRST_EPOCH or len(finite) < len(numbers):
+        return scale_time(file, column, numbers), None, ""
+    per = round(second * 1e9)
+    if np.asarray(values).dtype.kind in "iu" and per >= 1 and typical * second * 1e9 < 9e18:
+        ns = np.asarray(values).astype(np.int64) * per
+    else:
+        # floats keep a second since 1970 to a few tenths of a microsecond
+        away = (numbers - numbers[0]) * second
+        ns = round(float(numbers[0]) * second * 1e9) + np.rint(away * 1e9).astype(np.int64)
+    return (ns - ns[0]) / 1e9, Clock(int(ns[0]), True), remark
+
+
+def _known(
+    body: _Body, i: int, keep: BoolArray, read: Callable[[Any], Any], what: str
+) -> Any:
+    """What ``read`` makes of a column's texts, with the error for the first it does not know."""
+    cells = body.written(i)[keep]
+    found = read(cells)
+    if isinstance(found, int):
+        row = body.row(int(np.flatnonzero(keep)[found]))
+        name = body.layout.columns[i].name.strip()[:60]
+        got = str(cells[found]).strip()
+        if not got or got.casefold() == "nan":
+            raise body.file.error(
+                f"row {row}: the time is {got or 'missing'}; expected a {what} as above: repair or "
+                "remove that row"
+            )
+        raise body.file.error(
+            f"row {row}, column '{name}': expected a {what} as above, but got '{got[:60]}'; "
+            "repair or remove that row"
         )
-    hours = pd.to_numeric(parts[0], errors="coerce").fillna(0).to_numpy(dtype=float)
-    half = parts[3].str.casefold()
-    hours = np.where(half.notna(), hours % 12, hours) + np.where(half == "p", 12, 0)
-    seconds = pd.to_numeric(parts[2].str.replace(",", ".")).to_numpy(dtype=float)
-    t: FloatArray = 3600 * hours + 60 * minutes.to_numpy(dtype=float) + seconds
-    period = 86400.0 if parts[0].notna().any() else 3600.0
-    around = np.diff(t) < -period / 2
-    t[1:] += period * np.cumsum(around)
-    # three decimals of the clock must give 0.01 s, not 0.010000000002
-    return np.asarray(np.round(t - t[0], 9))
+    return found
 
 
-def _blame(
-    file: DataFile, text: bytes, layout: Layout, use: list[int], reason: str
-) -> CampaignError:
-    """The error that names the row and column at which pandas failed."""
-    columns = layout.columns
-    for row, (_, raw) in enumerate(_lines(text, layout.body), layout.body_row):
-        line = _decode(raw)
+# --------------------------------------------------------------------------- faults
+
+
+def _blame(body: _Body, use: set[int], reason: str) -> CampaignError:
+    """The error that names the row and column at which the parser failed."""
+    layout, columns = body.layout, body.layout.columns
+    for row, (_, raw) in enumerate(lines_of(body.text, layout.body), layout.body_row):
+        line = decode(raw)
         if not line.strip():
             continue
-        cells = _split(line, layout.separator)
-        for i in use:
-            if i < len(cells) and not _is_value(cells[i], layout.decimal):
+        cells = split_line(line, layout.separator)
+        for i in sorted(use):
+            if i < len(cells) and not (
+                is_value(cells[i], layout.decimal) or cells[i].casefold() in OUT_OF_RANGE
+            ):
                 mark = {".": "point", ",": "comma"}[layout.decimal]
                 fix = "repair or remove that row"
                 if _THOUSANDS.fullmatch(cells[i]):
                     fix = "export the numbers without marks between the thousands"
-                return file.error(
+                return body.file.error(
                     f"row {row}, column '{columns[i].name.strip()[:60]}': expected a number "
                     f"(decimal {mark}), but got '{cells[i][:60]}'; {fix}"
                 )
         if len(cells) > layout.n_cells:
-            return file.error(
+            return body.file.error(
                 f"row {row}: expected {layout.n_cells} cells separated by "
-                f"{_SEPARATOR_NAMES[layout.separator]} as above, but got {len(cells)}; "
+                f"{SEPARATOR_NAMES[layout.separator]} as above, but got {len(cells)}; "
                 "repair or remove that row"
             )
     reason = " ".join(reason.split())[:160]
-    return file.error(
+    return body.file.error(
         f"expected rows of numbers from row {layout.body_row} on, but they cannot be read "
         f"({reason}); export the file again"
     )
@@ -503,8 +434,10 @@ def _blame(
 def _row_number(text: bytes, layout: Layout, i: int) -> int:
     """Row, counted from 1 with blank rows, of sample i."""
     seen = -1
-    for row, (_, raw) in enumerate(_lines(text, layout.body), layout.body_row):
+    for row, (_, raw) in enumerate(lines_of(text, layout.body), layout.body_row):
         seen += bool(raw.strip())
         if seen == i:
             return row
     return layout.body_row + i
+
+

@@ -14,21 +14,23 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.io.readers.quantities import known_unit
 from bayes_sensor.io.readers.recording import (
+    Clock,
     Column,
     DataFile,
     Recording,
     Selection,
     check_chosen,
     check_counts,
+    choose_time,
     find_column,
     is_time,
     list_names,
     missing_extra,
     parser_errors,
-    scale_time,
     split_name,
 )
 from bayes_sensor.io.readers.sampling import grid_times, simplest_near
+from bayes_sensor.io.readers.table import number_times
 
 _WHAT = "a TDMS file (.tdms)"
 
@@ -56,12 +58,19 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
         warnings.simplefilter("ignore")
         channels = [channel for group in content.groups() for channel in group.channels()]
         check_counts(file, len(channels), max((len(channel) for channel in channels), default=0))
-        channels = [c for c in channels if len(c) and np.dtype(c.dtype).kind in "biuf"]
+        channels = [c for c in channels if len(c) and np.dtype(c.dtype).kind in "biufM"]
         if not channels:
             raise file.error("expected channels with numbers, but there are none; export again")
         columns = _name(channels)
-        time = next((i for i, column in enumerate(columns) if is_time(column)), None)
-        others = [i for i in range(len(columns)) if i != time]
+        dated = [i for i, c in enumerate(channels) if np.dtype(c.dtype).kind == "M"]
+        time = choose_time(file, columns, selection)
+        if time is None and selection.interval is None and dated:
+            time = dated[0]
+        others = [
+            i
+            for i, column in enumerate(columns)
+            if i != time and i not in dated and not is_time(column)
+        ]
         if selection.signal is not None:
             signal = find_column(file, columns, selection.signal, "signal")
         elif others:
@@ -77,9 +86,14 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
         check_chosen(file, [column.name for column in columns], time, signal, drive)
         y = _values(channels[signal])
         d = None if drive is None else _values(channels[drive])
-        interval = None
-        if time is not None:
-            t = scale_time(file, columns[time], _values(channels[time]))
+        interval, clock, remark = selection.interval, None, ""
+        if time is not None and time in dated:
+            ns = np.asarray(channels[time][:]).astype("M8[ns]").astype(np.int64)
+            t, clock = (ns - ns[0]) / 1e9, Clock(int(ns[0]), True)
+        elif time is not None:
+            t, clock, remark = number_times(file, columns[time], _values(channels[time]))
+        elif interval is not None:
+            t = grid_times(0.0, interval, len(y))
         else:
             properties = channels[signal].properties
             interval = _number(properties.get("wf_increment"))
@@ -87,7 +101,8 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
             if interval is None or start is None or interval <= 0:
                 raise file.error(
                     f"channel '{columns[signal].name}' has no sampling interval (wf_increment) and "
-                    "there is no channel named time; export it as a waveform"
+                    "there is no channel named time; export it as a waveform, or write "
+                    'interval = "1 ms"'
                 )
             interval = simplest_near(interval, max(1e-9 * interval, 0.01 * interval / len(y)))
             t = grid_times(simplest_near(start, 1e-3 * interval), interval, len(y))
@@ -106,6 +121,9 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
         drive_name="" if drive is None else columns[drive].name,
         unit=columns[signal].unit,
         interval=interval,
+        clock=clock,
+        timed=time is None or bool(columns[time].unit),
+        notes=(remark,) if remark else (),
     )
 
 
