@@ -36,6 +36,8 @@ HEAD = 1 << 20
 """bytes in which the samples must begin"""
 PROBE = 60
 """lines from which separator and kinds of columns are told"""
+AHEAD, MOSTLY = 12, 0.75
+"""rows that follow the first sample, and the share of them that must be samples, too"""
 MOST_HEADER_ROWS = 8
 """rows above the samples among which names and units are sought"""
 _PROCESSING = frozenset("smp avg max min tot std med mmin mmax wvc".split())
@@ -202,20 +204,21 @@ def _first_sample(
     """The place of the first line with samples."""
     measured = [i for i, kind in enumerate(kinds) if kind in ("number", "stamp", "date")]
     least = min(measured[-1] + 1, n)
+    key = measured[0] - 1 if measured[0] > 0 and kinds[measured[0] - 1] == "" else None
 
     def holds_samples(line: _Line) -> bool:
         cells = split_line(line.text, separator)
-        if len(cells) < least or len(cells) > n + 1:
-            return False
+        if len(cells) < least or len(cells) > n + 1 or (key is not None and cells[key]):
+            return False  # a text before the first measured column is a key with its value
         found = [kind_of(cells[i], decimal) for i in measured]
         filled = [kind for kind in found if kind != "empty"]
         return bool(filled) and "text" not in filled
 
-    last = len(rows) - 1
     for i, line in enumerate(rows):
-        if holds_samples(line) and (
-            i == last or holds_samples(rows[i + 1]) or (i + 2 <= last and holds_samples(rows[i + 2]))
-        ):
+        if not holds_samples(line):
+            continue
+        ahead = [holds_samples(other) for other in rows[i : i + AHEAD]]
+        if sum(ahead) >= MOSTLY * len(ahead) or (len(ahead) < AHEAD and len(ahead) - sum(ahead) < 2):
             return i
     return None
 
@@ -237,8 +240,13 @@ def _header(
     n = len(kinds)
     candidates: list[tuple[int, list[str]]] = []  # from the samples upwards
     broken = first
+    starts = [split_line(line.text, separator)[0] for line in rows[first : first + 3]]
+    whole = [int(cell) for cell in starts if re.fullmatch(r"\d{1,9}", cell)]
+    numbered = len(whole) == 3 and whole[2] - whole[1] == whole[1] - whole[0] == 1
     for i in range(first - 1, max(first - 1 - MOST_HEADER_ROWS, -1), -1):
         cells = _fit_header(_cells_above(rows[i].text, separator, n), kinds)
+        if len(cells) == n - 1 and n > 2 and numbered:
+            cells = ["", *cells]  # no name for the rows' numbers
         if len(cells) != n and i == first - 1 - len(candidates) and _brackets(cells):
             raise file.error(
                 f"row {rows[i].row}: expected one unit for each of the {n} columns, but "
@@ -314,7 +322,8 @@ def _fit_header(cells: list[str], kinds: tuple[str, ...]) -> list[str]:
 
 
 def _brackets(cells: Sequence[str]) -> bool:
-    return bool(cells) and all(re.fullmatch(r"[(\[].*[)\]]", cell) for cell in cells)
+    inner = [re.fullmatch(r"[(\[]\s*(.*?)\s*[)\]]", cell) for cell in cells]
+    return bool(cells) and all(inner) and any(known_unit(m[1]) for m in inner if m)
 
 
 def _bare(cell: str) -> str:

@@ -152,6 +152,9 @@ def split_name(name: str) -> Column:
         if not a_channel and known_unit(unit):
             return Column(name, base, unit)
         return Column(name, text)
+    match = re.fullmatch(r"(?:(.*?)\s+)?in\s+(\S{1,12})", text)
+    if match and known_unit(match[2]):
+        return Column(name, match[1] or text, match[2])
     match = re.fullmatch(r"(.+?)(?:_|\s*/\s*|,\s+)([^\s_/,]{1,12})", text)
     if match and match[2] in _SUFFIX_UNITS:
         return Column(name, match[1].strip(), match[2])
@@ -189,10 +192,11 @@ def find_column(file: DataFile, columns: Sequence[Column], wanted: str, key: str
         if len(hits) == 1:
             return hits[0]
         if hits:
-            raise file.error(
-                f'{key} = "{wanted}" fits {len(hits)} columns of that name; '
-                "give each column its own name"
-            )
+            full = [columns[i].name.strip() for i in hits]
+            fix = "give each column its own name"
+            if len(set(full)) == len(full):
+                fix = f"write it in full: {list_names(full, 6)}"
+            raise file.error(f'{key} = "{wanted}" fits {len(hits)} columns of that name; {fix}')
     place = re.fullmatch(r"column (\d{1,4})", folded)
     if place and 1 <= int(place[1]) <= len(columns):
         return int(place[1]) - 1

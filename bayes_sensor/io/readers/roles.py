@@ -21,7 +21,7 @@ from bayes_sensor.io.readers.recording import (
     list_names,
     seconds,
 )
-from bayes_sensor.io.readers.stamps import epoch_unit
+from bayes_sensor.io.readers.stamps import epoch_unit, read_stamps
 
 _COUNTERS = frozenset(
     "# no no. nr nr. number record rn sample samples index idx scan point points count counter row "
@@ -94,13 +94,14 @@ def choose_roles(
     columns = [fact.column for fact in facts]
     names = [column.name.strip() or f"column {i}" for i, column in enumerate(columns, 1)]
     notes: list[str] = []
-    scores = [_time_score(fact, i, named) for i, fact in enumerate(facts)]
+    first = next((i for i, fact in enumerate(facts) if fact.kind == "number"), 0)
+    scores = [_time_score(fact, i == first, named) for i, fact in enumerate(facts)]
     ranked = sorted((i for i in range(len(facts)) if scores[i] > 0), key=lambda i: -scores[i])
     date = next((i for i, f in enumerate(facts) if f.kind == "date"), None)
     fraction = _fraction_column(facts, ranked)
     clocks = {i for i in range(len(facts)) if scores[i] >= 45}
     clocks |= {i for i in (date, fraction) if i is not None}
-    counters = {i for i, fact in enumerate(facts) if _counts(fact, i, named)}
+    counters = {i for i, fact in enumerate(facts) if _counts(fact, i == first, named)}
     if selection.time is not None:
         times = (find_column(file, columns, selection.time, "time"),)
         if selection.interval is not None:
@@ -112,11 +113,14 @@ def choose_roles(
         times = ()
         if clocks & set(ranked):
             best = next(i for i in ranked if i in clocks)
+            _check_interval(file, facts[best], names[best], selection.interval)
             notes.append(f"interval was used, not the times in column '{names[best][:60]}'")
     else:
         strong = tuple(i for i in ranked if i in clocks)
         weak = tuple(i for i in ranked if i not in clocks)
-        times = strong or (weak if stated is None else ())
+        if stated is not None:
+            weak = tuple(i for i in weak if _steps_by(facts[i].values, stated))
+        times = strong or weak
         if not times and stated is not None:
             notes.append(f"times were counted by the interval that the file states, {stated:.6g} s")
     fraction = fraction if times and facts[times[0]].kind == "stamp" else None
@@ -139,7 +143,27 @@ def choose_roles(
     return Roles(times, signal, drive, date, fraction, tuple(notes))
 
 
-def _time_score(fact: Facts, place: int, named: bool) -> int:
+def _check_interval(file: DataFile, fact: Facts, name: str, interval: float) -> None:
+    """Raise CampaignError where a column of times says another interval than the campaign."""
+    if fact.kind == "stamp":
+        stamps = read_stamps(fact.cells) if len(fact.cells) else 0
+        t = np.empty(0) if isinstance(stamps, int) else stamps.ns / 1e9
+    else:
+        known = epoch_unit(float(np.median(fact.values))) if len(fact.values) else None
+        second = seconds(fact.column.unit) if fact.column.unit else known[1] if known else 1.0
+        t = fact.values * (second or 1.0)
+    step = np.diff(t)
+    if not len(step) or not bool((step > 0).all()):
+        return  # too coarse, which is why the interval is given
+    usual = float(np.median(step))
+    if abs(usual / interval - 1) > 0.1:
+        raise file.error(
+            f"interval = {interval:.6g} s, but the times in column '{name[:60]}' are {usual:.6g} s "
+            "apart; expected both to agree, as interval is for files without times: remove interval"
+        )
+
+
+def _time_score(fact: Facts, first: bool, named: bool) -> int:
     """How much a column looks like the time; 0 where it does not."""
     column, values = fact.column, fact.values
     key = re.sub(r"[\s_\-&.]", "", column.base).casefold()
@@ -162,14 +186,9 @@ def _time_score(fact: Facts, place: int, named: bool) -> int:
         return 50
     if key in DATE_NAMES or key in ("datetime", "datenum"):
         return 48
-    if _counts(fact, place, named) and (named or not _plain_clock(values)):
+    if not first or (named and _counts(fact, first, named)):
         return 0
-    return 40 if place == 0 else 0
-
-
-def _plain_clock(values: FloatArray) -> bool:
-    """Whether whole numbers could be seconds as well as a count of samples."""
-    return len(values) > 1
+    return 40
 
 
 def _rises(values: FloatArray) -> bool:
@@ -177,7 +196,11 @@ def _rises(values: FloatArray) -> bool:
     return len(step) > 0 and float((step > 0).mean()) >= MOSTLY
 
 
-def _counts(fact: Facts, place: int, named: bool) -> bool:
+def _steps_by(values: FloatArray, interval: float) -> bool:
+    return len(values) > 1 and abs(float(np.median(np.diff(values))) / interval - 1) < 1e-3
+
+
+def _counts(fact: Facts, first: bool, named: bool) -> bool:
     """Whether a column numbers the samples."""
     key = re.sub(r"[\s_\-]", "", fact.column.base).casefold()
     values = fact.values
@@ -186,7 +209,7 @@ def _counts(fact: Facts, place: int, named: bool) -> bool:
         return False
     steps = np.diff(values)
     even = bool((steps == steps[0]).all())
-    if key in _COUNTERS or (named and place == 0 and key == ""):
+    if key in _COUNTERS or (named and first and key == ""):
         return True
     return key == "x" and even and steps[0] == 1
 
@@ -222,9 +245,9 @@ def _default_signal(
     """The first measurement: not a time, not a counter, not a set point where there is another."""
     numbers = [i for i, fact in enumerate(facts) if fact.kind == "number" and i not in taken]
     if not numbers:
-        others = [i for i in range(len(facts)) if i not in taken and facts[i].kind != ""]
-        if others and len(facts) > 1:
-            return others[0]
+        others = [i for i in range(len(facts)) if i not in taken]
+        if others and len(facts) > 1:  # text, or nothing at all: what it holds is told later
+            return next((i for i in others if facts[i].kind), others[0])
         raise file.error(
             f"expected a time column and a signal column, but there is only "
             f"{list_names(names)}; export both, in columns of their own, or give interval "

@@ -9,13 +9,13 @@ from __future__ import annotations
 import re
 
 from bayes_sensor.io.readers.stamps import is_stamp
-from bayes_sensor.io.readers.text import decode, lines_of
+from bayes_sensor.io.readers.text import decode, is_number, lines_of
 
 SNIFFED = 20
 """lines that are looked at"""
 _LINE = re.compile(r"\s*(?:\[([^\]]{5,40})\]|([^>]{5,40}?)\s*->)\s*(.*)")
 _LABELLED = re.compile(
-    r"([A-Za-z][\w .%°]{0,30}?)\s*[:=]\s*([+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)\s*([^\d\s,;|:=]\S*)?"
+    r"([A-Za-z][\w .%°]{0,30}?)\s*[:=]\s*([+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)\s*([^\d\s,;|:=][^\s,;|]*)?"
 )
 
 
@@ -64,16 +64,14 @@ def plain_table(text: bytes) -> bytes:
             names = names or found
             rows.append((stamp, [value for _, value, _ in labelled]))
         else:
-            rows.append((stamp, re.split(r"\s*[,;\t]\s*|\s+", message)))
+            cells = re.split(r"\s*[,;\t]\s*|\s+", message)
+            if len(cells) > 1 and not any(is_number(cell) for cell in cells):
+                names = names or cells  # the board names its readings itself
+                rows.append(("", []))
+            else:
+                rows.append((stamp, cells))
     body = ["\t".join([stamp, *cells]) if stamp else "" for stamp, cells in rows]
-    header = "\t".join(["time", *names]) if names else _plain_header(body)
-    return "\n".join([header, *body] if header else body).encode()
-
-
-def _plain_header(body: list[str]) -> str:
-    """Names for the columns where the first message has none."""
-    first = next((line for line in body if line), "")
-    cells = first.split("\t")[1:]
-    if any(re.search(r"[A-Za-z]", cell) for cell in cells):
-        return ""  # the board names them itself
-    return "\t".join(["time", *(f"column {i}" for i in range(2, len(cells) + 2))])
+    n = max((len(cells) for stamp, cells in rows if stamp), default=0)
+    if names is None or len(names) != n:
+        names = [f"column {i}" for i in range(2, n + 2)]
+    return "\n".join(["\t".join(["time", *names]), *body]).encode()

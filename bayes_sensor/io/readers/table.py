@@ -54,6 +54,8 @@ from bayes_sensor.io.readers.text import (
 
 SAMPLED = 400
 """rows from which the kind of each column is told"""
+FEWEST, BESIDE = 50, 0.3
+"""rows from which, and share of them up to which, a column only holds remarks on the record"""
 MOST_EMPTY = 0.1
 """share of the rows without a signal above which they belong to other channels"""
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
@@ -119,15 +121,21 @@ def read_text(file: DataFile, text: bytes, selection: Selection) -> Recording:
 def _facts(text: bytes, layout: Layout) -> list[Facts]:
     """The kind of each column, from rows at the beginning."""
     cells: list[list[str]] = [[] for _ in layout.columns]
+    last = [0] * len(cells)
+    n = 0
     for k, (_, raw) in enumerate(lines_of(text, layout.body)):
         if k >= SAMPLED:
             break
         row = split_line(decode(raw), layout.separator)
+        n = k + 1
         for i in range(min(len(row), len(cells))):
             if row[i]:
                 cells[i].append(row[i])
+                last[i] = n
     facts = []
-    for column, found in zip(layout.columns, cells, strict=True):
+    for column, found, end in zip(layout.columns, cells, last, strict=True):
+        if n >= FEWEST and end < BESIDE * n:  # what is known of the record, beside its first rows
+            found = []
         kinds = [kind_of(cell, layout.decimal) for cell in found]
         filled = [kind for kind in kinds if kind != "empty"]
         kind = max(set(filled), key=lambda k: (filled.count(k), k)) if filled else ""
