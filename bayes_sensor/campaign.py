@@ -200,6 +200,28 @@ class Experiment:
         edges = np.flatnonzero(np.diff(np.concatenate(([False], self.used, [False])).astype(int)))
         return edges.reshape(-1, 2).astype(np.int64)
 
+    @cached_property
+    def even_runs(self) -> NDArray[np.int64]:
+        """(n_even, 2) as :attr:`runs`, of samples that are one interval apart.
+
+        Where the sampling is irregular each used sample is a run of its own.
+        """
+        if self.regular:
+            return self.runs
+        places = np.flatnonzero(self.used)
+        return np.stack([places, places + 1], axis=1).astype(np.int64)
+
+    @cached_property
+    def pauses(self) -> FloatArray:
+        """(n_even,) sampling intervals from the last used sample to the start of each even run.
+
+        A noise with coefficient phi over one interval has phi^pause across it.  The first is 0.
+        """
+        starts, ends = self.even_runs[1:, 0], self.even_runs[:-1, 1] - 1
+        if self.regular:
+            return np.concatenate(([0.0], (starts - ends).astype(float)))
+        return np.concatenate(([0.0], (self.t[starts] - self.t[ends]) / self.interval))
+
 
 @dataclass(frozen=True)
 class SideInformation:
