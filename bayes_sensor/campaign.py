@@ -201,6 +201,13 @@ class Experiment:
         return edges.reshape(-1, 2).astype(np.int64)
 
     @cached_property
+    def places(self) -> FloatArray:
+        """(n_t,) sampling intervals from the first sample to each: 0, 1, .. where regular."""
+        if self.regular:
+            return np.arange(len(self.t), dtype=float)
+        return np.asarray((self.t - self.t[0]) / self.interval)
+
+    @cached_property
     def even_runs(self) -> NDArray[np.int64]:
         """(n_even, 2) as :attr:`runs`, of samples that are one interval apart.
 
@@ -218,9 +225,7 @@ class Experiment:
         A noise with coefficient phi over one interval has phi^pause across it.  The first is 0.
         """
         starts, ends = self.even_runs[1:, 0], self.even_runs[:-1, 1] - 1
-        if self.regular:
-            return np.concatenate(([0.0], (starts - ends).astype(float)))
-        return np.concatenate(([0.0], (self.t[starts] - self.t[ends]) / self.interval))
+        return np.concatenate(([0.0], self.places[starts] - self.places[ends]))
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import chdtrc, erfc
 
 from bayes_sensor.campaign import BoolArray, Campaign, FloatArray
-from bayes_sensor.fit.fitted_noise import Spread, fitted_variances
+from bayes_sensor.fit.fitted_noise import Spread, fitted_variances, rough_places
 from bayes_sensor.lattice import lattice_step
 from bayes_sensor.likelihood.density import grid_response, mean_and_variance
 from bayes_sensor.likelihood.noise import VARIANCES, lag_coefficient
@@ -176,7 +176,8 @@ def _lagged_products(d: FloatArray, n_lags: int) -> FloatArray:
 def whiten(z: FloatArray, index: np.ndarray, phi: float) -> FloatArray:
     """(n,) innovations of an AR(1) ``z`` (n,), scaled to unit variance.
 
-    ``index`` (n,) are sample numbers: across m missing samples the coefficient is phi^(m + 1).
+    ``index`` (n,) are sample numbers, or times in sampling intervals: across m missing samples the
+    coefficient is phi^(m + 1).
 
     >>> whiten(np.array([1.0, 0.5]), np.array([0, 1]), 0.5).tolist()
     [1.0, 0.0]
@@ -281,7 +282,11 @@ def _series(problem: Problem, vector: FloatArray, k: int) -> _Series:
         x = problem.model.response(e.t, vector, problem.layout, e)
     z = r / s
     slope = np.abs(np.gradient(x, e.t)) if len(x) > 1 else np.zeros(len(x))
-    return _Series(r, z, whiten(z, used, phi), x[used], slope[used], s, e.used, e.concentration)
+    if not e.regular:
+        phi = max(phi, 0.0)
+    return _Series(
+        r, z, whiten(z, e.places[used], phi), x[used], slope[used], s, e.used, e.concentration
+    )
 
 
 def _thinned(n_lags: int) -> np.ndarray:
@@ -567,7 +572,9 @@ def _at_the_laws_best(problem: Problem, series: list[_Series]) -> list[FloatArra
         variable = np.minimum(variable, 1.0) if law.fading else variable
         r2 = local_squares(s.e) * s.s[2 : len(s.e) - 2] ** 2
         x = variable[2 : len(s.e) - 2]
-        spreads.append(Spread(r2, x, s.r, variable, s.used, problem.steps(e), law.fading))
+        spreads.append(
+            Spread(r2, x, s.r, variable, s.used, problem.steps(e), law.fading, rough_places(e))
+        )
         variables.append(variable)
     whites = []
     for k, (s, variable) in enumerate(zip(series, variables, strict=True)):

@@ -230,8 +230,8 @@ def mcc() -> Layout:
     head = ["Device Serial Number,01ABCDEF", "Data File Name,test",
             "First Sample Date/Time,5/1/2024 12:00:00 PM", "Sample Rate,50", "",
             "Sample,Date/Time,CHAN0,Events"]  # fmt: skip
-    rows = samples(range(N), [s.replace("05/01", "5/1") for s in stamps("%m/%d/%Y %I:%M:%S.%f3 %p")],
-                   Y, [""] * N)  # fmt: skip
+    times = [s.replace("05/01", "5/1") for s in stamps("%m/%d/%Y %I:%M:%S.%f3 %p")]
+    rows = samples(range(N), times, Y, [""] * N)
     return Layout(lines(*head, *rows))
 
 
@@ -264,7 +264,10 @@ def picarro() -> Layout:
 
 def los_gatos() -> Layout:
     """Gas analyser: a banner, names and times padded with blanks, the spread beside the value."""
-    head = ["VC:2f90 BD:Jan 16 2014 SN:", "                     Time,      [CO2]_ppm,   [CO2]_ppm_sd"]
+    head = [
+        "VC:2f90 BD:Jan 16 2014 SN:",
+        "                     Time,      [CO2]_ppm,   [CO2]_ppm_sd",
+    ]
     rows = [
         f"  {s},  {Y[i]:.6e},  {0.001:.6e}"
         for i, s in enumerate(stamps("%d/%m/%Y %H:%M:%S.%f3", start=datetime(2024, 5, 13, 12)))
@@ -274,7 +277,12 @@ def los_gatos() -> Layout:
 
 def sensirion() -> Layout:
     """Sensor viewer: ``sep=,``, comments, epoch and local time side by side."""
-    head = ["sep=,", "# EditorName=viewer", "# SerialNumber=1", "Epoch_UTC,Local_Date_Time,SCD30_CO2"]
+    head = [
+        "sep=,",
+        "# EditorName=viewer",
+        "# SerialNumber=1",
+        "Epoch_UTC,Local_Date_Time,SCD30_CO2",
+    ]
     rows = samples([f"{1714564800 + t:.2f}" for t in T], stamps("%Y-%m-%dT%H:%M:%S.%f3"), Y)
     return Layout(lines(*head, *rows))
 

@@ -22,6 +22,7 @@ PYTHONS = ("3.11", "3.12", "3.13")
 EXTRAS = {
     "parquet": ("pyarrow",),
     "tdms": ("nptdms",),
+    "xlsx": ("openpyxl",),
     "cluster": ("dask", "distributed"),
     "bench": ("pints",),
     "docs": ("sphinx", "myst_parser", "furo", "latex2mathml"),
@@ -135,7 +136,7 @@ def assert_names(extra: str, said: str) -> None:
     assert f"pip install 'bayes-sensor[{extra}]'" in said
 
 
-@pytest.mark.parametrize("extra", ["parquet", "tdms"])
+@pytest.mark.parametrize("extra", ["parquet", "tdms", "xlsx"])
 @pytest.mark.parametrize("command", ["check", "fit"])
 def test_a_file_format_names_its_extra(
     command: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,

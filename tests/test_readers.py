@@ -21,7 +21,7 @@ from bayes_sensor.io.readers import saturation as sat
 from bayes_sensor.io.readers.drive import commanded_times
 from bayes_sensor.io.readers.quantities import FLOW, TIME, read_quantity
 from bayes_sensor.io.readers.recording import split_name
-from bayes_sensor.io.readers.sampling import simplest_near, grid_through
+from bayes_sensor.io.readers.sampling import grid_through, simplest_near
 
 REAL = Path(__file__).resolve().parent.parent / ".." / "shared" / "real"
 N = 1000

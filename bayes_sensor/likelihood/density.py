@@ -1,7 +1,8 @@
 """The exact Gaussian log-likelihood of a campaign, and simulated campaigns.
 
 With r = (y - m)/s, AR(1) coefficient phi over one sample and phi_i over the step to sample i
-(phi^(m + 1) across m missing samples, phi^(step/reference) over any step), a stationary first sample gives::
+(phi^(m + 1) across m missing samples, phi^(step/interval) over any step), a stationary first
+sample gives::
 
     log L = -1/2 sum_i [log 2 pi + log s_i^2]
             -1/2 r_1^2 - 1/2 sum_(i>1) [(r_i - phi_i r_(i-1))^2 / (1 - phi_i^2) + log(1 - phi_i^2)]
@@ -195,9 +196,7 @@ def experiment_log_likelihood(
         values, vector = values - vector[i_y0], vector.copy()
         vector[i_y0] = 0.0
     mean, s2 = mean_and_variance(problem, vector, k)
-    return float(
-        _log_density(values, mean, s2, e.even_runs, e.pauses, phi, phi_reference, steps)
-    )
+    return float(_log_density(values, mean, s2, e.even_runs, e.pauses, phi, phi_reference, steps))
 
 
 def mean_and_response(

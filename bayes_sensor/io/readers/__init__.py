@@ -192,7 +192,11 @@ def _open(entry: Entry, folder: Path, allow_outside: bool) -> DataFile:
     where = f"experiment '{entry.name}' ({entry.file})"
     suffix = Path(entry.file).suffix
     if suffix.casefold() not in FORMATS:
-        fix = "in Excel, save as .xlsx or CSV" if suffix.casefold().startswith(".xls") else "export it so"
+        fix = (
+            "in Excel, save as .xlsx or CSV"
+            if suffix.casefold().startswith(".xls")
+            else "export it so"
+        )
         raise CampaignError(
             f"{where}: expected a data file ending in {', '.join(FORMATS)}, but it ends in "
             f"'{suffix}'; {fix}"

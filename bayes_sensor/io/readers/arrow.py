@@ -162,7 +162,11 @@ def _facts(field: Any, column: Any) -> Facts:
         # a date alone cannot be the time of samples, unless there is nothing else
         return Facts(name, "stamp", np.empty(0))
     types = pa.types
-    if types.is_integer(field.type) or types.is_floating(field.type) or types.is_decimal(field.type):
+    if (
+        types.is_integer(field.type)
+        or types.is_floating(field.type)
+        or types.is_decimal(field.type)
+    ):
         some = _floats(column.slice(0, SAMPLED))
         some = some[np.isfinite(some)]
         kind = "number" if len(some) or column.null_count < len(column) else ""

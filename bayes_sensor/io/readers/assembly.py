@@ -22,8 +22,8 @@ from bayes_sensor.io.readers.sampling import (
     MOST_JITTER,
     NOTED_JITTER,
     Grid,
-    grid_times,
     grid_through,
+    grid_times,
 )
 from bayes_sensor.io.readers.saturation import clipped_samples
 from bayes_sensor.io.readers.stamps import DAY, Moment

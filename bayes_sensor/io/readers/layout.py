@@ -133,8 +133,8 @@ def find_layout(file: DataFile, text: bytes) -> Layout:
         if len(above) == n - 1:
             kinds = kinds[:-1]
     names, units, first = _header(file, rows, first, separator, decimal, kinds, comments)
-    above = [line for line in lines if line.row < rows[first].row]
-    interval, start = _stated_interval(above, rows[first : first + 3], separator)
+    preamble = [line for line in lines if line.row < rows[first].row]
+    interval, start = _stated_interval(preamble, rows[first : first + 3], separator)
     columns = _columns(file, names, units, n, rows[first].row)
     return Layout(
         separator,
@@ -218,7 +218,9 @@ def _first_sample(
         if not holds_samples(line):
             continue
         ahead = [holds_samples(other) for other in rows[i : i + AHEAD]]
-        if sum(ahead) >= MOSTLY * len(ahead) or (len(ahead) < AHEAD and len(ahead) - sum(ahead) < 2):
+        if sum(ahead) >= MOSTLY * len(ahead) or (
+            len(ahead) < AHEAD and len(ahead) - sum(ahead) < 2
+        ):
             return i
     return None
 
@@ -432,7 +434,9 @@ def _stated_interval(
             if not match and i + 1 < len(table) and j < len(table[i + 1]):
                 told.append(table[i + 1][j])
             brackets = re.search(r"[(\[]\s*(\S+?)\s*[)\]]", cell)
-            value = next((v for v in (_seconds(t, brackets, key) for t in told) if v is not None), None)
+            value = next(
+                (v for v in (_seconds(t, brackets, key) for t in told) if v is not None), None
+            )
             if value is None:
                 continue
             if key in _STARTS:

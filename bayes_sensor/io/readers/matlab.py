@@ -96,9 +96,7 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
     d = None if drive is None else _vector(file, content, vectors[drive])
     interval, clock, remark = selection.interval, None, ""
     if time is not None:
-        t, clock, remark = number_times(
-            file, columns[time], _vector(file, content, vectors[time])
-        )
+        t, clock, remark = number_times(file, columns[time], _vector(file, content, vectors[time]))
     elif interval is not None:
         t = grid_times(0.0, interval, len(y))
     else:

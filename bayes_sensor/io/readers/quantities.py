@@ -168,7 +168,7 @@ def _text_of(value: object, kind: Kind, key: str) -> str:
         )
     if isinstance(value, int) and abs(value) > 10**300:
         raise CampaignError(
-            f"{key}: expected {kind.name} such as \"{kind.example}\", but got a number of about "
+            f'{key}: expected {kind.name} such as "{kind.example}", but got a number of about '
             f"{int(value.bit_length() * 0.30103) + 1} digits, which is out of range; write the "
             "value that was set, with its unit"
         )

@@ -102,6 +102,7 @@ def choose_roles(
     clocks = {i for i in range(len(facts)) if scores[i] >= 45}
     clocks |= {i for i in (date, fraction) if i is not None}
     counters = {i for i, fact in enumerate(facts) if _counts(fact, i == first, named)}
+    times: tuple[int, ...] = ()
     if selection.time is not None:
         times = (find_column(file, columns, selection.time, "time"),)
         if selection.interval is not None:
@@ -110,7 +111,6 @@ def choose_roles(
                 "interval is for files without times: remove one"
             )
     elif selection.interval is not None:
-        times = ()
         if clocks & set(ranked):
             best = next(i for i in ranked if i in clocks)
             _check_interval(file, facts[best], names[best], selection.interval)
@@ -224,8 +224,14 @@ def _fraction_column(facts: Sequence[Facts], ranked: Sequence[int]) -> int | Non
         v = beside.values
         if beside.kind != "number" or not len(v) or not _are_milliseconds(v):
             continue
-        padded = beside.cells and all(len(cell.strip()) == 3 for cell in beside.cells if cell.strip())
-        if key in _FRACTIONS or (beside.column.unit == "ms" and not is_time(beside.column)) or padded:
+        padded = beside.cells and all(
+            len(cell.strip()) == 3 for cell in beside.cells if cell.strip()
+        )
+        if (
+            key in _FRACTIONS
+            or (beside.column.unit == "ms" and not is_time(beside.column))
+            or padded
+        ):
             return i + 1
     return None
 
@@ -249,11 +255,7 @@ def _default_signal(
         if others and len(facts) > 1:  # text, or nothing at all: what it holds is told later
             return next((i for i in others if facts[i].kind), others[0])
         raise file.error(
-            f"expected a time column and a signal column, but there is only "
-            f"{list_names(names)}; export both, in columns of their own, or give interval "
-            "for a file without times"
-            if len(facts) > 1
-            else f"expected a time column and a signal column, but there is only '{names[0][:60]}'; "
+            f"expected a time column and a signal column, but there is only {list_names(names)}; "
             'export both, in columns of their own, or write interval = "1 ms" for samples without '
             "times"
         )
@@ -293,25 +295,10 @@ def _no_time(
     if counters:
         found = f"column '{names[min(counters)][:60]}' only counts the samples"
     elif first.unit and conversion_factor(first.unit, "s") is None:
-        found = (
-            f"the first column '{names[0][:60]}' should be time, but its unit is '{first.unit}'"
-        )
+        found = f"the first column '{names[0][:60]}' should be time, but its unit is '{first.unit}'"
     else:
         found = f"the columns are {list_names(names)}, and none of them rises throughout"
     return file.error(
-        f"there is no time column: {found}; write interval = \"1 ms\" (the recorder's sampling "
+        f'there is no time column: {found}; write interval = "1 ms" (the recorder\'s sampling '
         "interval), or time = the name of the column of times"
     )
-
-
-def with_interval(selection: Selection, stated: float | None) -> float | None:
-    """s, the sampling interval that counts: the campaign's, else the file's."""
-    return selection.interval if selection.interval is not None else stated
-
-
-def kind_of_values(values: FloatArray) -> str:
-    """The kind of a column of numbers."""
-    return "number" if len(values) and np.isfinite(values).any() else ""
-
-
-__all__ = ["Facts", "Roles", "choose_roles", "kind_of_values", "with_interval"]

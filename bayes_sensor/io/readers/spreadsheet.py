@@ -54,7 +54,7 @@ def read_xlsx(file: DataFile, selection: Selection) -> Recording:
 
 def _rows(file: DataFile, sheet: Any) -> list[tuple[Any, ...]]:
     """The rows of a sheet, without empty cells at their ends."""
-    rows = []
+    rows: list[tuple[Any, ...]] = []
     for row in sheet.iter_rows(values_only=True):
         cells = list(row)
         while cells and cells[-1] is None:

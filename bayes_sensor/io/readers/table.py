@@ -13,7 +13,6 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
-
 from typing import Any
 
 import numpy as np
@@ -45,7 +44,6 @@ from bayes_sensor.io.readers.text import (
     SEPARATOR_NAMES,
     as_utf8,
     decode,
-    is_number,
     is_value,
     kind_of,
     lines_of,
@@ -164,7 +162,9 @@ class _Body:
         self, file: DataFile, text: bytes, layout: Layout, facts: Sequence[Facts], roles: Roles
     ) -> None:
         self.file, self.text, self.layout, self.facts = file, text, layout, facts
-        wanted = {roles.signal, *roles.times} | ({roles.drive} if roles.drive is not None else set())
+        wanted = {roles.signal, *roles.times} | (
+            {roles.drive} if roles.drive is not None else set()
+        )
         self.plain = {
             i for i in wanted if not (i in roles.times and _is_written(facts[i]))
         }  # read as numbers at once
@@ -185,10 +185,10 @@ class _Body:
                 names=list(range(self.layout.n_cells)),
                 index_col=False,
                 # no usecols: with it, cells beyond the last column are dropped in silence
-                dtype={
-                    i: np.float64 if i in plain else object for i in range(self.layout.n_cells)
+                dtype={i: np.float64 if i in plain else object for i in range(self.layout.n_cells)},
+                na_values={
+                    i: NA_VALUES if i in plain else [""] for i in range(self.layout.n_cells)
                 },
-                na_values={i: NA_VALUES if i in plain else [""] for i in range(self.layout.n_cells)},
                 keep_default_na=False,
                 skipinitialspace=True,
                 low_memory=False,
@@ -275,7 +275,7 @@ def _times(
             stated, start = selection.interval, 0.0
         assert stated is not None
         return grid_times(start, stated, body.n)[keep], None, stated if keep.all() else None
-    found = []
+    found: list[tuple[FloatArray, Clock | None, str]] = []
     for i in roles.times:
         try:
             t, clock, remark = _time_of(body, roles, i, keep)
@@ -316,7 +316,7 @@ def _time_of(
     fact = body.facts[i]
     column = fact.column
     if fact.kind == "stamp":
-        dates = None if roles.date is None else body.written(roles.date)[keep]
+        dates = None if roles.date is None else list(body.written(roles.date)[keep])
         stamps = _known(body, i, keep, lambda cells: read_stamps(cells, dates), "time of day")
         assert isinstance(stamps, Stamps)
         ns = stamps.ns
@@ -336,9 +336,7 @@ def _time_of(
     return _epoch_times(body, i, keep)
 
 
-def _epoch_times(
-    body: _Body, i: int, keep: BoolArray
-) -> tuple[FloatArray, Clock | None, str]:
+def _epoch_times(body: _Body, i: int, keep: BoolArray) -> tuple[FloatArray, Clock | None, str]:
     """(n,) s of long numbers, which count from 1970 or another epoch."""
     fact = body.facts[i]
     second, remark = _unit_of(body.file, fact.column, float(np.median(fact.values)))
@@ -358,7 +356,10 @@ def _unit_of(file: DataFile, column: Column, typical: float) -> tuple[float, str
         return 1.0, ""
     unit, second = told
     name = column.name.strip()[:60]
-    return second, "" if unit == "s" else f"column '{name}' was read in {unit} since 1970, by its size"
+    return (
+        second,
+        "" if unit == "s" else f"column '{name}' was read in {unit} since 1970, by its size",
+    )
 
 
 def number_times(
@@ -381,9 +382,7 @@ def number_times(
     return (ns - ns[0]) / 1e9, Clock(int(ns[0]), True), remark
 
 
-def _known(
-    body: _Body, i: int, keep: BoolArray, read: Callable[[Any], Any], what: str
-) -> Any:
+def _known(body: _Body, i: int, keep: BoolArray, read: Callable[[Any], Any], what: str) -> Any:
     """What ``read`` makes of a column's texts, with the error for the first it does not know."""
     cells = body.written(i)[keep]
     found = read(cells)
@@ -447,5 +446,3 @@ def _row_number(text: bytes, layout: Layout, i: int) -> int:
         if seen == i:
             return row
     return layout.body_row + i
-
-

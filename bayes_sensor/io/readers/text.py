@@ -15,7 +15,9 @@ NA_VALUES = ["", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "NULL", "null", 
 NA_VALUES += ["#N/A", "-nan", "-NaN", "1.#QNAN"]
 _NOT_A_NUMBER = frozenset(text.casefold() for text in NA_VALUES)
 _INFINITE = frozenset(("inf", "-inf", "+inf", "infinity", "-infinity", "+infinity", "∞", "-∞"))
-OUT_OF_RANGE = frozenset("ol over overflow overload overrange burnout out ----- --- -- *****".split())
+OUT_OF_RANGE = frozenset(
+    "ol over overflow overload overrange burnout out ----- --- -- *****".split()
+)
 """words that loggers write for a sample that they could not take"""
 _FLOAT = re.compile(r"[+-]?\s*(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 _ENDING = re.compile(rb"\r\n|\n|\r")
