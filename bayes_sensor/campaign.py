@@ -28,8 +28,10 @@ ORDERS = ("faster", "slower", "unknown")
 STAGES = ("valve", "manifold", "sensor")
 """what the gas passes, in order"""
 MOST_JITTER = 0.3
-"""of the interval: a time further than this from its place on the grid is not that sample's; as
-much as recordings may have"""
+"""of the interval: where a time is further than this from its place on a grid, the sampling is
+irregular"""
+MOST_OFF = 0.05
+"""share by which the interval of irregular sampling may differ from the median step"""
 
 
 def counted(n: int, noun: str) -> str:
@@ -124,6 +126,12 @@ class Experiment:
             raise CampaignError(
                 f"{where}: t[{i}] is {t[i]:.10g} s and follows {t[i - 1]:.10g} s; expected times "
                 "that increase strictly: sort the samples, and leave repeated ones out"
+            )
+        median = float(np.median(np.diff(t)))
+        if not self.regular and abs(self.interval / median - 1.0) > MOST_OFF:
+            raise CampaignError(
+                f"{where}: interval is {self.interval:.10g} s, but the times are {median:.10g} s "
+                "apart (median); expected both to agree: correct the interval"
             )
         for label, value in (("commanded_on", on), ("commanded_off", off)):
             if value is not None and not np.isfinite(value):

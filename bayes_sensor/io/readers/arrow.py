@@ -78,6 +78,13 @@ def _read(file: DataFile, selection: Selection, table: Any) -> Recording:
 
     if not table.schema.names or not table.num_rows:
         raise file.error("expected columns with samples, but the table is empty; export again")
+    names = table.schema.names
+    repeated = next((name for name in names if names.count(name) > 1), None)
+    if repeated is not None:
+        raise file.error(
+            f"expected each column once, but '{repeated[:60]}' is in the table "
+            f"{names.count(repeated)} times; give each column its own name"
+        )
     facts = [_facts(field, table.column(i)) for i, field in enumerate(table.schema)]
     roles = choose_roles(file, facts, selection)
     for i in (roles.signal, roles.drive):

@@ -163,7 +163,7 @@ def split_name(name: str) -> Column:
 
 def is_time(column: Column) -> bool:
     """Whether the column is time, by its name."""
-    key = re.sub(r"[\s_\-&/.#,]", "", column.base).casefold()
+    key = re.sub(r"[\s_\-&/#,]", "", column.base).casefold()
     return key in _TIME_NAMES and (not column.unit or seconds(column.unit) is not None)
 
 

@@ -285,11 +285,18 @@ def is_compact_number(cell: str) -> bool:
     return len(text) >= 14 and _COMPACT.fullmatch(text) is not None
 
 
-def read_long_numbers(cells: Sequence[Any], second: float) -> tuple[IntArray, FloatArray] | int:
+LATEST_EPOCH = 9.2e9
+"""s; the last time since 1970 that whole nanoseconds can count"""
+
+
+def read_long_numbers(
+    cells: Sequence[Any], second: float
+) -> tuple[IntArray | None, FloatArray] | int:
     """Whole nanoseconds of long numbers in a unit of ``second`` seconds, and the numbers.
 
-    Floats would round the last digits, so whole numbers and fractions are read apart.  The place of
-    the first cell that is no number is returned where there is one.
+    Floats would round the last digits, so whole numbers and fractions are read apart.  There are no
+    nanoseconds where a number is beyond :data:`LATEST_EPOCH`.  The place of the first cell that is
+    no number is returned where there is one.
     """
     import pandas as pd  # slow to import
 
@@ -299,7 +306,9 @@ def read_long_numbers(cells: Sequence[Any], second: float) -> tuple[IntArray, Fl
     if not np.isfinite(numbers).all():
         return int(np.argmin(np.isfinite(numbers)))
     per = round(second * 1e9)
-    if not plain.all() or np.abs(numbers).max() * per > 9.2e18:
+    if not np.abs(numbers).max() * second < LATEST_EPOCH:
+        return None, numbers
+    if not plain.all():
         return np.rint(numbers * per).astype(np.int64), numbers
     parts = texts.str.partition(".")
     whole = parts[0].astype("int64").to_numpy()

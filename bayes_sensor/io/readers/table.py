@@ -33,6 +33,7 @@ from bayes_sensor.io.readers.roles import Facts, Roles, choose_roles
 from bayes_sensor.io.readers.sampling import FIRST_EPOCH, grid_times
 from bayes_sensor.io.readers.serial_monitor import is_serial_log, plain_table
 from bayes_sensor.io.readers.stamps import (
+    LATEST_EPOCH,
     Stamps,
     epoch_unit,
     read_long_numbers,
@@ -342,7 +343,7 @@ def _epoch_times(body: _Body, i: int, keep: BoolArray) -> tuple[FloatArray, Cloc
     second, remark = _unit_of(body.file, fact.column, float(np.median(fact.values)))
     known = _known(body, i, keep, lambda cells: read_long_numbers(cells, second), "number")
     ns, numbers = known
-    if abs(numbers[0]) * second < FIRST_EPOCH:  # long numbers, but no epoch
+    if ns is None or abs(numbers[0]) * second < FIRST_EPOCH:  # long numbers, but no epoch
         return scale_time(body.file, fact.column, numbers), None, remark
     return (ns - ns[0]) / 1e9, Clock(int(ns[0]), True), remark
 
@@ -370,10 +371,13 @@ def number_times(
     finite = numbers[np.isfinite(numbers)]
     typical = float(np.median(finite)) if len(finite) else 0.0
     second, remark = _unit_of(file, column, typical)
-    if abs(typical) * second < FIRST_EPOCH or len(finite) < len(numbers):
+    most = float(np.abs(finite).max()) if len(finite) else 0.0
+    if not (FIRST_EPOCH <= abs(typical) * second and most * second < LATEST_EPOCH) or len(
+        finite
+    ) < len(numbers):
         return scale_time(file, column, numbers), None, ""
     per = round(second * 1e9)
-    if np.asarray(values).dtype.kind in "iu" and per >= 1 and typical * second * 1e9 < 9e18:
+    if np.asarray(values).dtype.kind in "iu" and per >= 1:
         ns = np.asarray(values).astype(np.int64) * per
     else:
         # floats keep a second since 1970 to a few tenths of a microsecond
