@@ -209,6 +209,21 @@ def milliseconds_beside() -> Layout:
     return Layout(lines(*samples(stamp, ms, epoch, Y, OTHER)))
 
 
+def milliseconds_without_a_name() -> Layout:
+    """The same under a header that does not count the milliseconds, and with a last comment."""
+    times = stamps("%Y-%m-%d %H:%M:%S.%f3")
+    rows = [f"{s[:-4]},{s[-3:]},{y}" for s, y in zip(times, Y, strict=True)]
+    return Layout(lines("time,gas_V", *rows, "# stopped"))
+
+
+def spreadsheet_days() -> Layout:
+    """Days since 1900, to a tenth of a millisecond."""
+    return Layout(
+        lines("Date,gas_V", *samples([f"{45413.5 + t / 86400:.10f}" for t in T], Y)),
+        remark="column 'Date' was read in days",
+    )
+
+
 def hobo() -> Layout:
     """Logger: a plot title, a counter called ``#``, commas within quoted names."""
     head = ['"Plot Title: gas"',
@@ -470,6 +485,8 @@ LAYOUTS = {
     "Campbell TOA5, one channel": campbell_one_column(),
     "Graphtec": graphtec(),
     "milliseconds beside, no header": milliseconds_beside(),
+    "milliseconds without a name": milliseconds_without_a_name(),
+    "spreadsheet's days": spreadsheet_days(),
     "HOBO": hobo(),
     "BenchLink": benchlink(),
     "MCC": mcc(),

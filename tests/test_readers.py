@@ -1002,7 +1002,10 @@ def survives(folder: Path, data: bytes, file: str) -> None:
 
 
 @given(
-    st.lists(st.floats(-1e9, 1e9), min_size=20, max_size=60),
+    # a sample 1e12 times as large as most is refused as out of all proportion
+    st.lists(
+        st.floats(-1e9, 1e9).filter(lambda v: v == 0 or abs(v) > 0.01), min_size=20, max_size=60
+    ),
     st.sampled_from([(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ",")]),
     st.sampled_from(["\n", "\r\n", "\r"]),
     st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1"]),

@@ -137,6 +137,21 @@ def test_commands_that_the_record_cannot_place(
         read(tmp_path, lines(f"{header},gas_V", *samples(times, Y)), commanded_on=f'"{on}"')
 
 
+def test_rows_in_messages_are_those_of_the_file(tmp_path: Path) -> None:
+    rows = [f"{s} -> {y}" for s, y in zip(stamps("%H:%M:%S.%f3"), Y, strict=True)]
+    rows[9] = rows[8]
+    with pytest.raises(CampaignError, match=r"row 10 \(0.16 s\) follows row 9 \(0.16 s\)"):
+        read(tmp_path, lines(*rows), "a.txt")
+
+
+def test_the_end_of_summer_time_is_named(tmp_path: Path) -> None:
+    early = stamps("%Y-%m-%d %H:%M:%S.%f3")
+    late = stamps("%Y-%m-%d %H:%M:%S.%f3", start=NOON.replace(hour=11))
+    table = lines("when,gas_V", *samples(early[:200] + late[200:], Y))
+    with pytest.raises(CampaignError, match="goes back by an hour, as at the end of summer time"):
+        read(tmp_path, table)
+
+
 def test_slow_dated_logs_are_not_taken_for_milliseconds(tmp_path: Path) -> None:
     table = lines("when,gas_V", *samples(stamps("%Y-%m-%d %H:%M:%S", 1.0), Y))
     assert read(tmp_path, table, commanded_on='"100 s"').warnings == ()

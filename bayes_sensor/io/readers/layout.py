@@ -245,10 +245,23 @@ def _header(
     starts = [split_line(line.text, separator)[0] for line in rows[first : first + 3]]
     whole = [int(cell) for cell in starts if re.fullmatch(r"\d{1,9}", cell)]
     numbered = len(whole) == 3 and whole[2] - whole[1] == whole[1] - whole[0] == 1
+    # a comma before the milliseconds, which separates columns, too
+    body = [split_line(line.text, separator) for line in rows[first : first + 3]]
+    split_off = next(
+        (
+            i + 1
+            for i, kind in enumerate(kinds[:-1])
+            if kind == "stamp"
+            and all(len(c) > i + 1 and re.fullmatch(r"\d{3}", c[i + 1]) for c in body)
+        ),
+        None,
+    )
     for i in range(first - 1, max(first - 1 - MOST_HEADER_ROWS, -1), -1):
         cells = _fit_header(_cells_above(rows[i].text, separator, n), kinds)
         if len(cells) == n - 1 and n > 2 and numbered:
             cells = ["", *cells]  # no name for the rows' numbers
+        if len(cells) == n - 1 and split_off is not None:
+            cells = [*cells[:split_off], "ms", *cells[split_off:]]
         if len(cells) != n and i == first - 1 - len(candidates) and _brackets(cells):
             raise file.error(
                 f"row {rows[i].row}: expected one unit for each of the {n} columns, but "

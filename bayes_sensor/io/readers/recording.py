@@ -167,6 +167,14 @@ def is_time(column: Column) -> bool:
     return key in _TIME_NAMES and (not column.unit or seconds(column.unit) is not None)
 
 
+def is_date_name(column: Column) -> bool:
+    """Whether a column without a unit is called a date."""
+    key = re.sub(r"[\s_\-&/#,]", "", column.base).casefold()
+    return not column.unit and (
+        key in DATE_NAMES or key in ("datetime", "timestamp", "serialdate", "exceltime")
+    )
+
+
 def seconds(unit: str) -> float | None:
     """Seconds in one ``unit``; None where it is not a time."""
     if not unit:

@@ -91,17 +91,9 @@ def grid_through(
         raise error(f"{place(i + 1)}: the time {t[i + 1]:g} s is out of all proportion; repair it")
     if (step <= 0).any():
         i = int(np.argmax(step <= 0))
-        repeated = int((step == 0).sum())
-        fix = (
-            "export times with more digits, or give the sampling interval as interval"
-            if repeated > 0.2 * len(t)
-            else "drop the repeated rows"
-            if step[i] == 0
-            else "sort the rows by time or split the file where the clock restarts"
-        )
         raise error(
             f"time must increase strictly, but {place(i + 1)} ({t[i + 1]:.10g} s) follows "
-            f"{place(i)} ({t[i]:.10g} s); {fix}"
+            f"{place(i)} ({t[i]:.10g} s); {_advice(step, i)}"
         )
     interval = float(np.median(step))
     single = np.abs(step - interval) < 0.5 * interval
@@ -138,6 +130,20 @@ def grid_through(
     exact = simplest_near(interval, max(off[worst], least) / max(int(index[-1]), 1))
     start = float(t[0]) if jitter < 0.01 else simplest_near(origin, max(off[worst], least))
     return Grid(start, exact, index, jitter, off[worst] <= 0.51 * _resolution(t))
+
+
+def _advice(step: FloatArray, i: int) -> str:
+    """What to do about times that do not increase at step ``i``."""
+    if int((step == 0).sum()) > 0.2 * len(step):
+        return "export times with more digits, or give the sampling interval as interval"
+    if step[i] == 0:
+        return "drop the repeated rows"
+    if abs(step[i] + 3600.0) < 60.0:
+        return (
+            "the clock goes back by an hour, as at the end of summer time: split the file there, "
+            "or export times with their offset from UTC"
+        )
+    return "sort the rows by time or split the file where the clock restarts"
 
 
 def _line(index: NDArray[np.int64], t: FloatArray) -> tuple[float, float]:

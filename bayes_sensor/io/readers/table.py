@@ -13,13 +13,14 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import BoolArray, CampaignError, FloatArray
-from bayes_sensor.io.readers.layout import Layout, find_layout
+from bayes_sensor.io.readers.layout import Layout, find_layout, is_comment
 from bayes_sensor.io.readers.recording import (
     Clock,
     Column,
@@ -27,6 +28,7 @@ from bayes_sensor.io.readers.recording import (
     Recording,
     Selection,
     check_counts,
+    is_date_name,
     scale_time,
 )
 from bayes_sensor.io.readers.roles import Facts, Roles, choose_roles
@@ -55,6 +57,9 @@ SAMPLED = 400
 """rows from which the kind of each column is told"""
 FEWEST, BESIDE = 50, 0.3
 """rows from which, and share of them up to which, a column only holds remarks on the record"""
+FIRST_DAY, LAST_DAY, DAY_S = 2e4, 8e4, 86400.0
+"""days since 1900 (1954 to 2119), as spreadsheets write a date; s in one"""
+DAYS_TO_1970 = 25569
 MOST_EMPTY = 0.1
 """share of the rows without a signal above which they belong to other channels"""
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
@@ -69,14 +74,16 @@ def read_table(file: DataFile, selection: Selection) -> Recording:
         If the text is no table of numbers; the message names row and column.
     """
     text = as_utf8(file)
-    if is_serial_log(text):
-        text = plain_table(text)
+    if is_serial_log(text):  # the line of names is ours, and no row of the file
+        return read_text(file, plain_table(text), selection, -1)
     return read_text(file, text, selection)
 
 
-def read_text(file: DataFile, text: bytes, selection: Selection) -> Recording:
-    """The recording in a table in UTF-8."""
+def read_text(file: DataFile, text: bytes, selection: Selection, shift: int = 0) -> Recording:
+    """The recording in a table in UTF-8; ``shift`` is added to the numbers of its rows."""
+    text = _without_footer(text)
     layout = find_layout(file, text)
+    layout = replace(layout, body_row=layout.body_row + shift)
     facts = _facts(text, layout)
     roles = choose_roles(file, facts, selection, layout.interval, layout.named)
     body = _Body(file, text, layout, facts, roles)
@@ -115,6 +122,16 @@ def read_text(file: DataFile, text: bytes, selection: Selection) -> Recording:
         timed=not roles.times or any(layout.columns[i].unit for i in roles.times),
         notes=tuple(notes),
     )
+
+
+def _without_footer(text: bytes) -> bytes:
+    """The text without comment lines after the last sample."""
+    while True:
+        kept = text.rstrip()
+        start = max(kept.rfind(b"\n"), kept.rfind(b"\r")) + 1
+        if start == 0 or not is_comment(decode(kept[start:])):
+            return text
+        text = text[:start]
 
 
 def _facts(text: bytes, layout: Layout) -> list[Facts]:
@@ -333,7 +350,7 @@ def _time_of(
             )
         return (ns - ns[0]) / 1e9, clock, remark
     if not _is_written(fact):
-        return scale_time(body.file, column, body.numbers(i)[keep]), None, ""
+        return number_times(body.file, column, body.numbers(i)[keep])
     return _epoch_times(body, i, keep)
 
 
@@ -353,10 +370,12 @@ def _unit_of(file: DataFile, column: Column, typical: float) -> tuple[float, str
     if column.unit:
         return float(scale_time(file, column, np.ones(1))[0]), ""
     told = epoch_unit(typical)
+    name = column.name.strip()[:60]
+    if told is None and FIRST_DAY <= typical <= LAST_DAY and is_date_name(column):
+        return DAY_S, f"column '{name}' was read in days, as spreadsheets count them"
     if told is None:
         return 1.0, ""
     unit, second = told
-    name = column.name.strip()[:60]
     return (
         second,
         "" if unit == "s" else f"column '{name}' was read in {unit} since 1970, by its size",
@@ -372,6 +391,9 @@ def number_times(
     typical = float(np.median(finite)) if len(finite) else 0.0
     second, remark = _unit_of(file, column, typical)
     most = float(np.abs(finite).max()) if len(finite) else 0.0
+    if second == DAY_S and not column.unit:
+        since = round((float(numbers[0]) - DAYS_TO_1970) * second * 1e9)
+        return np.round((numbers - numbers[0]) * second, 4), Clock(since, True), remark
     if not (FIRST_EPOCH <= abs(typical) * second and most * second < LATEST_EPOCH) or len(
         finite
     ) < len(numbers):
