@@ -431,6 +431,7 @@ MISTAKES: dict[str, tuple[str, str]] = {
     "duration with file": (entry(duration='"9 s"'), "duration belongs to a design"),
     "time missing": (entry(time='"clock"'), "time = \"clock\" is not in the file.*'time_s'"),
     "clock without one": (entry(commanded_on='"09:00:02"'), "are no times of day"),
+    "hexadecimal beyond floats": (entry(carrier_flow="0x1" + "0" * 3900), "out of range"),
     "number beyond floats": (entry(carrier_flow="1" + "0" * 400), "about 401 digits, which is out"),
     "mixed": (
         entry() + entry(None, "2", interval='"1 ms"', duration='"9 s"'),

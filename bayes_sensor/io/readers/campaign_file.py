@@ -267,6 +267,11 @@ def read_toml(content: bytes, label: str) -> dict[str, Any]:
                 f"{label}: line {number} is too long or too deeply dotted ({len(line_text)} "
                 f"characters); expected the keys of a campaign, one per line: break it up"
             )
+        if re.search(r"(?<![\w\"'])0x[0-9a-fA-F_]{300,}", line_text):
+            raise CampaignError(
+                f"{label}: line {number} holds a number of more than 300 digits, which is out of "
+                "range; expected a quantity as text with a unit: write the value that was set"
+            )
     try:
         return tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError, and numbers with thousands of digits
