@@ -28,8 +28,10 @@ ORDERS = ("faster", "slower", "unknown")
 STAGES = ("valve", "manifold", "sensor")
 """what the gas passes, in order"""
 MOST_JITTER = 0.3
-"""of the interval: a time further than this from its place on the grid is not that sample's; as
-much as recordings may have"""
+"""of the interval: where a time is further than this from its place on a grid, the sampling is
+irregular"""
+MOST_OFF = 0.05
+"""share by which the interval of irregular sampling may differ from the median step"""
 
 
 def counted(n: int, noun: str) -> str:
@@ -43,19 +45,19 @@ def counted(n: int, noun: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One step experiment on a uniform time grid.
+    """One step experiment, sampled uniformly or at times of its own.
 
     Raises
     ------
     CampaignError
         If the arrays disagree in length, a flow is not positive, the interval is not positive and
-        finite, a time is further than :data:`MOST_JITTER` of it from the uniform grid, the step
-        down is not commanded after the step up, a used sample is not finite or no sample is used.
+        finite, times do not increase strictly, the step down is not commanded after the step up, a
+        used sample is not finite or no sample is used.
     """
 
     name: str
     t: FloatArray
-    """(n_t,) s, uniform: ``t[i] = t[0] + i * interval``."""
+    """(n_t,) s, increasing; where :attr:`regular`, ``t[i] = t[0] + i * interval``."""
     y: FloatArray | None
     """(n_t,) V, or None for a design (an experiment that is planned but not measured)."""
     carrier_flow: float
@@ -63,7 +65,7 @@ class Experiment:
     test_gas_flow: float
     """mL/s"""
     interval: float
-    """s, sampling interval"""
+    """s, sampling interval; where the sampling is irregular, the median step"""
     commanded_on: float | None = None
     """s, when the valve was told to open, or None when unknown"""
     commanded_off: float | None = None
@@ -118,13 +120,18 @@ class Experiment:
                 f"{where}: t[{i}] is {t[i]}; expected a time in s for every sample, and a mask for "
                 "those not to be used"
             )
-        away = np.abs(t - t[0] - self.interval * np.arange(len(t)))
-        if away.max() > MOST_JITTER * self.interval:
-            i = int(np.argmax(away > MOST_JITTER * self.interval))
+        falls = np.diff(t) <= 0
+        if falls.any():
+            i = int(np.argmax(falls)) + 1
             raise CampaignError(
-                f"{where}: t[{i}] is {t[i]:.10g} s; expected t[0] + {i} * interval = "
-                f"{t[0] + i * self.interval:.10g} s: correct the interval or resample, and fill "
-                "missing samples in and mask them"
+                f"{where}: t[{i}] is {t[i]:.10g} s and follows {t[i - 1]:.10g} s; expected times "
+                "that increase strictly: sort the samples, and leave repeated ones out"
+            )
+        median = float(np.median(np.diff(t)))
+        if not self.regular and abs(self.interval / median - 1.0) > MOST_OFF:
+            raise CampaignError(
+                f"{where}: interval is {self.interval:.10g} s, but the times are {median:.10g} s "
+                "apart (median); expected both to agree: correct the interval"
             )
         for label, value in (("commanded_on", on), ("commanded_off", off)):
             if value is not None and not np.isfinite(value):
@@ -141,10 +148,17 @@ class Experiment:
     def __repr__(self) -> str:
         """One line, without the samples."""
         what = "planned" if self.y is None else f"{self.n_samples} samples used"
+        about = "" if self.regular else "about "
         return (
-            f"Experiment({self.name!r}: {what}, one every {self.interval:.4g} s, "
+            f"Experiment({self.name!r}: {what}, one every {about}{self.interval:.4g} s, "
             f"{self.total_flow * 0.06:.4g} L/min, {100 * self.concentration:.3g} % test gas)"
         )
+
+    @cached_property
+    def regular(self) -> bool:
+        """Whether the samples lie on a uniform grid, each within :data:`MOST_JITTER` of it."""
+        away = np.abs(self.t - self.t[0] - self.interval * np.arange(len(self.t)))
+        return bool(away.max() <= MOST_JITTER * self.interval)
 
     @property
     def used(self) -> BoolArray:
@@ -193,6 +207,33 @@ class Experiment:
         """(n_runs, 2) start and end (exclusive) index of each stretch of used samples."""
         edges = np.flatnonzero(np.diff(np.concatenate(([False], self.used, [False])).astype(int)))
         return edges.reshape(-1, 2).astype(np.int64)
+
+    @cached_property
+    def places(self) -> FloatArray:
+        """(n_t,) sampling intervals from the first sample to each: 0, 1, .. where regular."""
+        if self.regular:
+            return np.arange(len(self.t), dtype=float)
+        return np.asarray((self.t - self.t[0]) / self.interval)
+
+    @cached_property
+    def even_runs(self) -> NDArray[np.int64]:
+        """(n_even, 2) as :attr:`runs`, of samples that are one interval apart.
+
+        Where the sampling is irregular each used sample is a run of its own.
+        """
+        if self.regular:
+            return self.runs
+        places = np.flatnonzero(self.used)
+        return np.stack([places, places + 1], axis=1).astype(np.int64)
+
+    @cached_property
+    def pauses(self) -> FloatArray:
+        """(n_even,) sampling intervals from the last used sample to the start of each even run.
+
+        A noise with coefficient phi over one interval has phi^pause across it.  The first is 0.
+        """
+        starts, ends = self.even_runs[1:, 0], self.even_runs[:-1, 1] - 1
+        return np.concatenate(([0.0], self.places[starts] - self.places[ends]))
 
 
 @dataclass(frozen=True)

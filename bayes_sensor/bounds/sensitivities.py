@@ -112,7 +112,7 @@ def _cascade_jacobian(problem: Problem, vector: FloatArray, k: int) -> FloatArra
     taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
     gaps = np.abs(taus - np.roll(taus, 1)) / np.maximum(taus, np.roll(taus, 1))
     n = len(e.t)
-    if gaps.min() < APART:
+    if gaps.min() < APART or not e.regular:
         dx = np.empty((n, 5))
         full = cascade_sensitivities(e.t, taus, t0, tf)
         dx[:, :4], off = full[:, :4], full[:, 4]

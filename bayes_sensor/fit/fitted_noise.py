@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from bayes_sensor.campaign import FloatArray
+from bayes_sensor.campaign import Experiment, FloatArray
 from bayes_sensor.likelihood.density import grid_response, mean_and_variance
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
@@ -40,10 +40,16 @@ class Spread(NamedTuple):
     used: NDArray[np.bool_]
     steps: float
     fading: float
+    places: FloatArray  # (n_t,) in sampling intervals, in hundredths of one where irregular
 
     def law(self, v0: float, v1: float, variable: FloatArray) -> FloatArray:
         """Variance at ``variable`` (n,) with sigma0^2 ``v0``, sigma1^2 ``v1``."""
         return v0 * (1.0 - self.fading * variable) + v1 * variable
+
+
+def rough_places(e: Experiment) -> FloatArray:
+    """(n_t,) :attr:`Experiment.places`, so rounded that few distances between them differ."""
+    return np.round(e.places, 2)
 
 
 def estimate_noise(
@@ -63,7 +69,9 @@ def estimate_noise(
         if fading:
             variable = np.minimum(variable, 1.0)
         used, steps = e.used, problem.steps(e)
-        spreads.append(Spread(r[used] ** 2, variable[used], r, variable, used, steps, fading))
+        spreads.append(
+            Spread(r[used] ** 2, variable[used], r, variable, used, steps, fading, rough_places(e))
+        )
     values: dict[str, float] = {}
     groups = [[k] for k in range(len(spreads))] if layout.noise_per_experiment else None
     for group in groups or [list(range(len(spreads)))]:
@@ -111,9 +119,10 @@ def fitted_variances(spreads: list[Spread], grows: bool) -> tuple[float, float]:
 
 def _lag_one(spreads: list[Spread], v0: float, v1: float) -> float:
     """phi from neighbouring samples; from samples further apart where most have no neighbour."""
-    distances = [np.diff(np.flatnonzero(s.used)) for s in spreads]
+    distances = [np.round(np.diff(s.places[s.used]), 2) for s in spreads]
     next_to_each_other = sum(int(np.sum(d == 1)) for d in distances)
     gaps = 2 * next_to_each_other < sum(len(d) for d in distances)
+    gaps |= any(bool((d != np.rint(d)).any()) for d in distances)
     sums: dict[float, FloatArray] = {}
     for s, distance in zip(spreads, distances, strict=True):
         z = (s.r / np.sqrt(s.law(v0, v1, s.variable)))[s.used]

@@ -24,6 +24,8 @@ from bayes_sensor.likelihood.problem import Problem, as_problem
 
 FRACTION = 16.0
 """rounding steps in one standard deviation of the noise"""
+FINE = 50
+"""parts of the shortest step to which irregular times are shown"""
 LONGEST_RUN = 24
 """ones in a row after which a value is written out in 32 bits"""
 
@@ -93,11 +95,15 @@ def make_samples(campaign: Campaign | Problem, fit: Any) -> list[Samples]:
         step = max(step, float(np.abs(y - y[0]).max()) / 2**29)
         values = np.rint((y - y[0]) / step).astype(np.int64)
         nodes = polygon(e.t, model, 0.5 * step)
-        breaks = np.flatnonzero(np.diff(index) > 1) + 1
-        runs = [(part[0], len(part), 1) for part in np.split(index, breaks)]
+        interval, place = e.interval, index
+        if not e.regular:  # a grid so fine that it shows every time where it is
+            interval = float(np.diff(e.t).min()) / FINE
+            place = np.rint((e.t[index] - e.t[0]) / interval).astype(np.int64)
+        breaks = np.flatnonzero(np.diff(place) > 1) + 1
+        runs = [(part[0], len(part), 1) for part in np.split(place, breaks)]
         made.append(
             Samples(
-                e.name, float(e.t[0]), e.interval, float(y[0]), step, np.array(runs), values,
+                e.name, float(e.t[0]), interval, float(y[0]), step, np.array(runs), values,
                 np.stack([e.t[nodes], model[nodes], sd[nodes]]),
             )
         )  # fmt: skip

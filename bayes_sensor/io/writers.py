@@ -310,6 +310,11 @@ def _write_experiment(
     keys["signal"] = "A"
     if drive is not None:
         keys["drive"] = "B"
+    if kind == "mat" and not experiment.regular:
+        raise CampaignError(
+            f"experiment '{experiment.name}': its sampling is irregular, but a PicoScope file has "
+            "one interval; expected another format: write csv or npz"
+        )
     if kind == "mat":
         write_picoscope_mat(path, channels, experiment.interval, float(t[0]))
     else:

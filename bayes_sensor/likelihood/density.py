@@ -1,7 +1,8 @@
 """The exact Gaussian log-likelihood of a campaign, and simulated campaigns.
 
 With r = (y - m)/s, AR(1) coefficient phi over one sample and phi_i over the step to sample i
-(phi^(m + 1) across m missing samples), a stationary first sample gives::
+(phi^(m + 1) across m missing samples, phi^(step/interval) over any step), a stationary first
+sample gives::
 
     log L = -1/2 sum_i [log 2 pi + log s_i^2]
             -1/2 r_1^2 - 1/2 sum_(i>1) [(r_i - phi_i r_(i-1))^2 / (1 - phi_i^2) + log(1 - phi_i^2)]
@@ -28,6 +29,7 @@ from bayes_sensor.likelihood.noise import (
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import (
     Cascade,
+    cascade_response,
     divided_exponential,
     local_parameters,
     time_constants,
@@ -94,7 +96,10 @@ def _fill_cascade(
 def grid_response(
     experiment: Experiment, taus: FloatArray, t0: float, tf: float | None
 ) -> FloatArray:
-    """x3 (n_t,) on the experiment's own grid: :func:`cascade_response`, by recurrence, fast."""
+    """x3 (n_t,) at the experiment's own times: :func:`cascade_response`, on a grid by recurrence,
+    which is fast."""
+    if not experiment.regular:
+        return cascade_response(experiment.t, taus, t0, tf)
     x = np.zeros(len(experiment.t))
     rates = np.sort(1.0 / taus)
     _fill_cascade(experiment.t[0], experiment.interval, rates, t0, 1.0, x)
@@ -109,15 +114,16 @@ def _log_density(
     m: FloatArray,
     s2: FloatArray,
     runs: NDArray[np.int64],
+    pauses: FloatArray,
     phi: float,
     phi_reference: float,
     steps: float,
 ) -> float:  # pragma: no cover - compiled
-    # runs (n_runs, 2); phi over one sample; across a gap phi_reference ** (steps * distance)
+    # runs (n_runs, 2) with pauses (n_runs,) before them, in samples; phi over one sample; across a
+    # pause phi_reference ** (steps * pause)
     total = 0.0
     n = 0
     last = 0.0
-    last_index = 0
     innovation = 1.0 - phi * phi
     log_innovation = log(innovation)
     for run in range(len(runs)):
@@ -127,7 +133,7 @@ def _log_density(
         if run == 0:
             total += z * z
         else:
-            distance = a - last_index
+            distance = pauses[run]
             across = phi**distance if phi_reference < 0 else phi_reference ** (steps * distance)
             rest = 1.0 - across * across
             e = z - across * last
@@ -148,7 +154,6 @@ def _log_density(
                 product = 1.0
         total += log(product) + squares / innovation + (b - a - 1) * log_innovation
         last = z
-        last_index = b - 1
     return -0.5 * (total + n * log(2.0 * pi))
 
 
@@ -167,7 +172,10 @@ def noise_in_range(
         return None
     if problem.noise.fading and sigma1 == 0.0:
         return None  # no noise at all is left at the highest concentration
-    phi = lag_coefficient(phi_reference, problem.steps(problem.campaign.experiments[k]))
+    e = problem.campaign.experiments[k]
+    if phi_reference < 0.0 and not e.regular:
+        return None  # it has no real power over such times
+    phi = lag_coefficient(phi_reference, problem.steps(e))
     if not (abs(phi) < 1.0 and (vector[:3] > 0).all()):
         return None
     return phi, phi_reference, sigma0, sigma1
@@ -188,7 +196,7 @@ def experiment_log_likelihood(
         values, vector = values - vector[i_y0], vector.copy()
         vector[i_y0] = 0.0
     mean, s2 = mean_and_variance(problem, vector, k)
-    return float(_log_density(values, mean, s2, e.runs, phi, phi_reference, steps))
+    return float(_log_density(values, mean, s2, e.even_runs, e.pauses, phi, phi_reference, steps))
 
 
 def mean_and_response(
@@ -264,7 +272,13 @@ def log_likelihood(campaign: Campaign | Problem, theta: Theta) -> float:
 def _check_noise(problem: Problem, vector: FloatArray, k: int) -> None:
     """Raise CampaignError where experiment number ``k`` cannot have such noise."""
     e = problem.campaign.experiments[k]
-    check_phi(float(vector[problem.layout.noise[k, 0]]), problem.steps(e), e.name)
+    phi = float(vector[problem.layout.noise[k, 0]])
+    check_phi(phi, problem.steps(e), e.name)
+    if phi < 0.0 and not e.regular:
+        raise CampaignError(
+            f"experiment '{e.name}': phi is {phi:g}, but its sampling is irregular, and a negative "
+            "phi has no real power over such times; expected phi of at least 0: correct it"
+        )
     for i in problem.layout.noise[k, 1:]:
         if vector[i] < 0.0:
             raise CampaignError(
@@ -301,7 +315,11 @@ def simulate(campaign: Campaign | Problem, theta: Theta, seed: int = 1) -> Campa
     values = {}
     for k, (e, stream) in enumerate(zip(problem.campaign, streams, strict=True)):
         mean, s2 = mean_and_variance(problem, vector, k)
-        phi = lag_coefficient(float(vector[layout.noise[k, 0]]), problem.steps(e))
+        phi = float(vector[layout.noise[k, 0]])
+        if e.regular:
+            over: float | FloatArray = lag_coefficient(phi, problem.steps(e))
+        else:
+            over = phi ** (np.diff(e.t) / problem.campaign.reference_interval)
         rng = np.random.default_rng(stream)
-        values[e.name] = mean + simulate_noise(np.sqrt(s2), phi, rng)
+        values[e.name] = mean + simulate_noise(np.sqrt(s2), over, rng)
     return replace(problem.campaign.with_data(values), warnings=())

@@ -160,13 +160,27 @@ def check_phi(phi: float, steps: float, name: str) -> None:
 
 
 def simulate_noise(
-    scale: FloatArray, phi: float, rng: np.random.Generator, burn_in: int = 0
+    scale: FloatArray, phi: float | FloatArray, rng: np.random.Generator, burn_in: int = 0
 ) -> FloatArray:
-    """(n_t,) V: s_i z_i with z a stationary AR(1) of unit variance and lag-one coefficient phi."""
+    """(n_t,) V: s_i z_i with z a stationary AR(1) of unit variance and lag-one coefficient phi.
+
+    ``phi`` may be (n_t - 1,), a coefficient for each step between two samples.
+    """
     e = rng.standard_normal(len(scale) + burn_in)
+    if isinstance(phi, np.ndarray):
+        e[1 + burn_in :] *= np.sqrt(1.0 - phi**2)
+        _recurse_unevenly(e, np.concatenate([np.zeros(burn_in), phi]))
+        return scale * e[burn_in:]
     e[1:] *= np.sqrt(1.0 - phi**2)
     _recurse(e, float(phi))
     return scale * e[burn_in:]
+
+
+@njit(cache=True)
+def _recurse_unevenly(z: FloatArray, phi: FloatArray) -> None:  # pragma: no cover - compiled
+    # z_i + phi_i z_(i-1), in place
+    for i in range(1, len(z)):
+        z[i] += phi[i - 1] * z[i - 1]
 
 
 @njit(cache=True)

@@ -62,7 +62,8 @@ def _covariance(series: FloatArray, n_lags: int, **options: Any) -> FloatArray:
 def whiten(z: FloatArray, index: np.ndarray, phi: float) -> FloatArray:
     """(n,) innovations of an AR(1) ``z`` (n,), scaled to unit variance.
 
-    ``index`` (n,) are sample numbers: across m missing samples the coefficient is phi^(m + 1).
+    ``index`` (n,) are sample numbers, or times in sampling intervals: across m missing samples the
+    coefficient is phi^(m + 1).
 
     >>> whiten(np.array([1.0, 0.5]), np.array([0, 1]), 0.5).tolist()
     [1.0, 0.0]

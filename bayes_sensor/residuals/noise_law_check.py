@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import erfc
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.fit.fitted_noise import Spread, fitted_variances
+from bayes_sensor.fit.fitted_noise import Spread, fitted_variances, rough_places
 from bayes_sensor.likelihood.noise import VARIANCES
 from bayes_sensor.residuals.autocorrelation import autocorrelation
 from bayes_sensor.residuals.converter_step import lattice_step
@@ -191,7 +191,10 @@ def _at_the_laws_best(noise: FittedNoise) -> list[FloatArray]:
         variable = np.minimum(variable, 1.0) if law.fading else variable
         inner = slice(2, len(s.e) - 2)
         r2, steps = local_squares(s.e) * s.s[inner] ** 2, noise.problem.steps(e)
-        spreads.append(Spread(r2, variable[inner], s.r, variable, s.used, steps, law.fading))
+        places = rough_places(e)
+        spreads.append(
+            Spread(r2, variable[inner], s.r, variable, s.used, steps, law.fading, places)
+        )
         variables.append(variable)
     whites = []
     for k, (s, variable) in enumerate(zip(noise.series, variables, strict=True)):

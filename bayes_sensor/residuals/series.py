@@ -52,7 +52,10 @@ class Series:
             x = problem.model.response(e.t, vector, problem.layout, e)
         z = r / s
         slope = np.abs(np.gradient(x, e.t)) if len(x) > 1 else np.zeros(len(x))
-        return cls(r, z, whiten(z, used, phi), x[used], slope[used], s, e.used, e.concentration)
+        if not e.regular:  # a power of a negative phi exists on a grid only
+            phi = max(phi, 0.0)
+        white = whiten(z, e.places[used], phi)
+        return cls(r, z, white, x[used], slope[used], s, e.used, e.concentration)
 
     @property
     def quick(self) -> Series:

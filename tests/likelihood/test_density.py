@@ -437,18 +437,18 @@ TIMES = 0.1 * np.arange(50)
     [
         (
             {"t": np.insert(TIMES[:-1], 20, TIMES[20])},
-            r"t\[21\] is 2 s; .* t\[0\] \+ 21 .* = 2.1 s",
+            r"t\[21\] is 2 s and follows 2 s; expected times that increase strictly",
         ),
-        ({"t": TIMES + np.where(TIMES > 3.0, 3.0, 0.0)}, r"t\[31\] is 6.1 s; expected"),
+        ({"t": TIMES[::-1]}, r"t\[1\] is 4.8 s and follows 4.9 s"),
         ({"t": np.where(TIMES > 4.0, np.nan, TIMES)}, r"t\[41\] is nan; expected a time in s"),
-        ({"interval": 0.11}, r"t\[\d+\] is .* correct the interval or resample"),
+        ({"interval": 0.11}, r"interval is 0.11 s, but the times are 0.1 s apart"),
         ({"interval": np.inf}, "expected a positive sampling interval, got inf s"),
         ({"commanded_on": 4.0}, "commanded_off = 3 s is not after commanded_on = 4 s"),
         ({"commanded_on": 3.0}, "commanded_off = 3 s is not after commanded_on = 3 s"),
         ({"commanded_on": np.nan}, "commanded_on is nan; expected a time in s, or None"),
     ],
 )
-def test_times_that_are_no_grid_are_refused(changes, said: str) -> None:
+def test_times_that_are_no_record_are_refused(changes, said: str) -> None:
     fields = {"t": TIMES, "interval": 0.1, "commanded_on": 1.0, "commanded_off": 3.0}
     Experiment("a", y=None, carrier_flow=60.0, test_gas_flow=10.0, **fields)
     with pytest.raises(CampaignError, match=f"experiment 'a': {said}"):

@@ -172,7 +172,7 @@ def test_slips_get_the_message_that_helps(name: str, tmp_path: Path) -> None:
         ("A.CSV", "did you mean 'a.csv'"),
         ("data\\\\a.csv", "write / between folders"),
         ("nowhere/a.csv", "there is no folder"),
-        ("a.xlsx", "in Excel, save as CSV"),
+        ("a.xls", "in Excel, save as .xlsx or CSV"),
     ],
 )
 def test_a_file_that_is_not_there(file: str, message: str, tmp_path: Path) -> None:

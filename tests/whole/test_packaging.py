@@ -19,6 +19,7 @@ STUDIES = ROOT / "paper" / "studies"
 EXTRAS = {
     "parquet": ("pyarrow",),
     "tdms": ("nptdms",),
+    "xlsx": ("openpyxl",),
     "cluster": ("dask", "distributed"),
     "bench": ("pints",),
     "docs": ("sphinx", "myst_parser", "furo", "latex2mathml"),
@@ -132,7 +133,7 @@ def assert_names(extra: str, said: str) -> None:
     assert f"pip install 'bayes-sensor[{extra}]'" in said
 
 
-@pytest.mark.parametrize("extra", ["parquet", "tdms"])
+@pytest.mark.parametrize("extra", ["parquet", "tdms", "xlsx"])
 @pytest.mark.parametrize("command", ["check", "fit"])
 def test_a_file_format_names_its_extra(
     command: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,

@@ -209,7 +209,7 @@ def residual_series(problem: Problem, vector: FloatArray, k: int, whitened: bool
     mean, s2 = mean_and_variance(problem, vector, k)
     scale = np.sqrt(s2)
     z = (experiment.values - mean) / scale
-    runs = experiment.runs
+    runs = experiment.even_runs
     across = np.zeros(len(runs))
     phi_reference = float(vector[problem.layout.noise[k, 0]])
     steps = problem.steps(experiment)
@@ -218,7 +218,7 @@ def residual_series(problem: Problem, vector: FloatArray, k: int, whitened: bool
     for i, (a, b) in enumerate(runs):
         part = z[a:b].copy()
         if i > 0 and whitened:
-            across[i] = lag_coefficient(phi_reference, steps * (a - runs[i - 1, 1] + 1))
+            across[i] = lag_coefficient(phi_reference, steps * float(experiment.pauses[i]))
             last = z[runs[i - 1, 1] - 1]
             part[0] = (part[0] - across[i] * last) / sqrt(1.0 - across[i] ** 2)
         part[1:] = (z[a + 1 : b] - phi * z[a : b - 1]) / sqrt(1.0 - phi**2)
@@ -252,7 +252,7 @@ def resample_and_refit(
         series.append(residual_series(problem, vector, k, whitened))
         part = slice(mesh.blocks[k], mesh.blocks[k + 1])
         start = np.rint((mesh.base[part] - e.t[0]) / e.interval + 0.5).astype(np.int64)
-        ends = e.runs[np.searchsorted(e.runs[:, 0], start, side="right") - 1, 1]
+        ends = e.even_runs[np.searchsorted(e.even_runs[:, 0], start, side="right") - 1, 1]
         starts.append(start)
         counts.append(np.minimum(8 * 2 ** mesh.kind[part], ends - start))
         means.append(mean_and_variance(problem, vector, k)[0])
@@ -270,11 +270,11 @@ def resample_and_refit(
             own = series[k]
             index = stationary_indices(len(own.e), own.length, rng)
             r = residuals[k]
-            _recolour(index, own.e, own.scale, e.runs, own.across, own.phi, r)
+            _recolour(index, own.e, own.scale, e.even_runs, own.across, own.phi, r)
             part = slice(mesh.blocks[k], mesh.blocks[k + 1])
             _to_nodes(r, starts[k], counts[k], mesh.kind[part], offset, table, node_sums[part])
             runs = slice(mesh.runs[k], mesh.runs[k + 1])
-            edges = np.stack([e.runs[:, 0], e.runs[:, 1] - 1], axis=1)
+            edges = np.stack([e.even_runs[:, 0], e.even_runs[:, 1] - 1], axis=1)
             mesh.edge_y[runs] = (means[k] + r)[edges] - mesh.setting[k, 5]
         found = maximise(
             surface.guarded, curvature, evidence.psi_white, surface.mean,

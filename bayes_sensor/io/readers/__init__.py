@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
+from bayes_sensor.io.readers.arrow import read_feather, read_parquet
 from bayes_sensor.io.readers.assembly import assemble, design, settled_unit
 from bayes_sensor.io.readers.campaign_file import (
     LARGEST,
@@ -27,9 +28,9 @@ from bayes_sensor.io.readers.campaign_file import (
 )
 from bayes_sensor.io.readers.matlab import read_matlab
 from bayes_sensor.io.readers.npz import read_npz
-from bayes_sensor.io.readers.parquet import read_parquet
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.io.readers.recording import DataFile, Recording, Selection
+from bayes_sensor.io.readers.spreadsheet import read_xlsx
 from bayes_sensor.io.readers.table import read_table
 from bayes_sensor.io.readers.tdms import read_tdms
 
@@ -43,8 +44,11 @@ FORMATS: dict[str, Reader] = {
     ".dat": read_table,
     ".mat": read_matlab,
     ".parquet": read_parquet,
+    ".feather": read_feather,
+    ".arrow": read_feather,
     ".npz": read_npz,
     ".tdms": read_tdms,
+    ".xlsx": read_xlsx,
 }
 """suffix to reader; a format of your own is one more entry"""
 LARGEST_FILE = 256 << 20
@@ -121,10 +125,11 @@ def _read(path: Path) -> Campaign:
             units.append((entry.name, settled_unit(entry.signal_unit or "V")))
             continue
         file = _open(entry, path.parent, sheet.allow_outside)
+        selection = Selection(entry.signal, entry.drive, entry.time, entry.interval)
         reader = FORMATS[Path(entry.file).suffix.casefold()]
         # damaged files hold numbers that overflow; what is not finite is told or masked
         with np.errstate(over="ignore", invalid="ignore"):
-            recording = reader(file, Selection(entry.signal, entry.drive))
+            recording = reader(file, selection)
             done = assemble(entry, file, recording)
         experiments.append(done.experiment)
         units.append((entry.name, done.unit))
@@ -157,12 +162,11 @@ def _check_entries(entries: list[Entry], label: str) -> None:
             )
         seen[entry.name] = number
         if entry.file is not None:
-            for key in ("interval", "duration"):
-                if getattr(entry, key) is not None:
-                    raise CampaignError(
-                        f"experiment '{entry.name}' ({label}): {key} belongs to a design, but "
-                        f"there is a file; remove {key} or file"
-                    )
+            if entry.duration is not None:
+                raise CampaignError(
+                    f"experiment '{entry.name}' ({label}): duration belongs to a design, but "
+                    "there is a file; remove duration or file"
+                )
         if (entry.file is None) != (entries[0].file is None):
             first, other = ("a file", "none") if entries[0].file else ("no file", "one")
             raise CampaignError(
@@ -188,7 +192,11 @@ def _open(entry: Entry, folder: Path, allow_outside: bool) -> DataFile:
     where = f"experiment '{entry.name}' ({entry.file})"
     suffix = Path(entry.file).suffix
     if suffix.casefold() not in FORMATS:
-        fix = "in Excel, save as CSV" if suffix.casefold().startswith(".xls") else "export it so"
+        fix = (
+            "in Excel, save as .xlsx or CSV"
+            if suffix.casefold().startswith(".xls")
+            else "export it so"
+        )
         raise CampaignError(
             f"{where}: expected a data file ending in {', '.join(FORMATS)}, but it ends in "
             f"'{suffix}'; {fix}"

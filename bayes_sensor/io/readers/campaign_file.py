@@ -6,6 +6,8 @@ import difflib
 import re
 import tomllib
 from collections.abc import Mapping
+from datetime import datetime
+from datetime import time as clock_time
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
@@ -21,12 +23,15 @@ from bayes_sensor.io.readers.quantities import (
     unit_text,
 )
 from bayes_sensor.io.readers.sampling import LATEST
+from bayes_sensor.io.readers.stamps import Moment, read_moment
 
 LARGEST = 1 << 20
 """bytes of a campaign file"""
 LONGEST_LINE = 4000
 """characters; longer lines and deeply dotted keys would slow the parser down"""
 _LEAST_FLOW, _MOST_FLOW = 1e-6, 1e6  # mL/s
+
+Span = tuple[float | Moment, float | Moment]
 
 SIDE_INFORMATION: Mapping[str, tuple[str, Kind]] = {
     "V": ("V_mL", VOLUME),
@@ -47,6 +52,7 @@ _EXAMPLES = {
     "signal_unit": 'signal_unit = "V"',
     "keep": 'keep = ["0 s", "120 s"]',
     "mask": 'mask = [["6.3 s", "7.2 s"]]',
+    "time": 'time = "UTCTIME"',
     "interval": 'interval = "1 ms"',
     "duration": 'duration = "120 s"',
     "title": 'title = "seven step experiments"',
@@ -84,6 +90,17 @@ def _time(value: object, info: ValidationInfo) -> float:
     return time
 
 
+def _clock(value: object, info: ValidationInfo) -> float | Moment:
+    """A time in s, or a place on the recorder's own clock."""
+    if isinstance(value, datetime | clock_time):  # TOML has these without quotes
+        value = value.isoformat()
+    if isinstance(value, str):
+        moment = read_moment(value)
+        if moment is not None:
+            return moment
+    return _time(value, info)
+
+
 def _positive_time(value: object, info: ValidationInfo) -> float:
     time = _time(value, info)
     if time <= 0:
@@ -94,7 +111,7 @@ def _positive_time(value: object, info: ValidationInfo) -> float:
     return time
 
 
-def _range(value: object, info: ValidationInfo) -> tuple[float, float]:
+def _range(value: object, info: ValidationInfo) -> tuple[float | Moment, float | Moment]:
     key = _key(info)
     if not isinstance(value, list) or len(value) != 2:
         raise CampaignError(
@@ -102,18 +119,18 @@ def _range(value: object, info: ValidationInfo) -> tuple[float, float]:
             f"write for example {_EXAMPLES[key]}"
         )
     try:
-        start, end = _time(value[0], info), _time(value[1], info)
+        start, end = _clock(value[0], info), _clock(value[1], info)
     except CampaignError as error:
         problem = str(error).split("; write ")[0]
         raise CampaignError(f"{problem}; write for example {_EXAMPLES[key]}") from None
-    if not start < end:
+    if not isinstance(start, Moment) and not isinstance(end, Moment) and not start < end:
         raise CampaignError(
             f"{key}: expected the start before the end, but got {_shorten(value)}; swap them"
         )
     return start, end
 
 
-def _ranges(value: object, info: ValidationInfo) -> tuple[tuple[float, float], ...]:
+def _ranges(value: object, info: ValidationInfo) -> tuple[Span, ...]:
     key = _key(info)
     if not isinstance(value, list) or not all(isinstance(part, list) for part in value):
         raise CampaignError(
@@ -156,12 +173,12 @@ def _unit(value: object, info: ValidationInfo) -> str:
 
 Text = Annotated[str, BeforeValidator(_plain_text)]
 Flow = Annotated[float, BeforeValidator(_flow)]
-Time = Annotated[float, BeforeValidator(_time)]
+OnClock = Annotated[float | Moment, BeforeValidator(_clock)]
 PositiveTime = Annotated[float, BeforeValidator(_positive_time)]
 
 
 class Entry(BaseModel):
-    """One ``[[experiment]]``: flows in mL/s, times in s."""
+    """One ``[[experiment]]``: flows in mL/s, times in s or on the recorder's clock."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -169,13 +186,14 @@ class Entry(BaseModel):
     file: Text | None = None
     carrier_flow: Flow
     test_gas_flow: Flow
-    commanded_on: Time | None = None
-    commanded_off: Time | None = None
+    commanded_on: OnClock | None = None
+    commanded_off: OnClock | None = None
     signal: Text | None = None
     drive: Text | None = None
+    time: Text | None = None
     signal_unit: Annotated[str, BeforeValidator(_unit)] | None = None
-    keep: Annotated[tuple[float, float], BeforeValidator(_range)] | None = None
-    mask: Annotated[tuple[tuple[float, float], ...], BeforeValidator(_ranges)] = ()
+    keep: Annotated[Span, BeforeValidator(_range)] | None = None
+    mask: Annotated[tuple[Span, ...], BeforeValidator(_ranges)] = ()
     interval: PositiveTime | None = None
     duration: PositiveTime | None = None
 
@@ -248,6 +266,11 @@ def read_toml(content: bytes, label: str) -> dict[str, Any]:
             raise CampaignError(
                 f"{label}: line {number} is too long or too deeply dotted ({len(line_text)} "
                 f"characters); expected the keys of a campaign, one per line: break it up"
+            )
+        if re.search(r"(?<![\w\"'])0x[0-9a-fA-F_]{300,}", line_text):
+            raise CampaignError(
+                f"{label}: line {number} holds a number of more than 300 digits, which is out of "
+                "range; expected a quantity as text with a unit: write the value that was set"
             )
     try:
         return tomllib.loads(text)

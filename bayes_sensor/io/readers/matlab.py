@@ -24,16 +24,16 @@ from bayes_sensor.io.readers.recording import (
     Selection,
     check_chosen,
     check_counts,
-    drive_place,
+    choose_time,
     find_column,
+    is_time,
     list_names,
     parser_errors,
-    recording_of_vectors,
-    scale_time,
+    seconds,
     split_name,
-    time_place,
 )
 from bayes_sensor.io.readers.sampling import grid_times, simplest_near
+from bayes_sensor.io.readers.table import number_times
 
 _NUMERIC = frozenset(
     "double single int8 uint8 int16 uint16 int32 uint32 int64 uint64 logical".split()
@@ -54,6 +54,13 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
         If the file cannot be read, a variable is missing or lengths disagree.
     """
     variables = _list_variables(file)
+    names = [v.name for v in variables]
+    repeated = next((name for name in names if names.count(name) > 1), None)
+    if repeated is not None:
+        raise file.error(
+            f"expected each variable once, but '{repeated[:60]}' is in the file "
+            f"{names.count(repeated)} times; save it again with one of each"
+        )
     check_counts(file, len(variables))
     sizes = {v.name: int(np.prod(v.shape, dtype=object)) for v in variables if v.numeric}
     check_counts(file, 0, max(sizes.values(), default=0))
@@ -63,12 +70,12 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
         if v.numeric and sum(n != 1 for n in v.shape) == 1 and max(v.shape) > 1
     ]
     columns = [split_name(name) for name in vectors]
-    time = time_place(columns)
-    has_clock = sizes.get("Tinterval") == 1
-    if time is None and not has_clock:
-        names = [v.name for v in variables]
+    time = choose_time(file, columns, selection)
+    given = selection.interval is not None
+    has_clock = sizes.get("Tinterval") == 1 and selection.time is None and not given
+    if time is None and not has_clock and not given:
         other = [v.name for v in variables if not v.numeric]
-        fix = "save time as well"
+        fix = 'save time as well, or write interval = "1 ms"'
         if other:
             fix = (
                 f"'{other[0][:60]}' is no vector of numbers, and structures, cells and objects are "
@@ -87,16 +94,37 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
     content = _read_variables(file, [v for v in variables if v.name in wanted])
     y = _vector(file, content, vectors[signal])
     d = None if drive is None else _vector(file, content, vectors[drive])
-    interval = None
+    interval, clock, remark = selection.interval, None, ""
     if time is not None:
-        t = scale_time(file, columns[time], _vector(file, content, vectors[time]))
+        t, clock, remark = number_times(file, columns[time], _vector(file, content, vectors[time]))
+    elif interval is not None:
+        t = grid_times(0.0, interval, len(y))
     else:
         start, interval = _clock(file, content, len(y))
         t = grid_times(start, interval, len(y))
-    return recording_of_vectors(
-        file, columns, signal, drive, (t, y, d), called="the {} vector",
-        fix="save them with the same length", interval=interval,
-    )  # fmt: skip
+    for name, values in (("drive", d), ("time", t)):
+        if values is not None and len(values) != len(y):
+            raise file.error(
+                f"expected the {name} vector to have the {len(y)} samples of "
+                f"'{vectors[signal]}', but it has {len(values)}; save them with the same length"
+            )
+
+    def place(i: int) -> str:
+        return f"sample {i + 1} of '{vectors[signal]}'"
+
+    return Recording(
+        t=t,
+        y=y,
+        signal=vectors[signal],
+        place=place,
+        drive=d,
+        drive_name="" if drive is None else vectors[drive],
+        unit=columns[signal].unit,
+        interval=interval,
+        clock=clock,
+        timed=time is None or bool(columns[time].unit),
+        notes=(remark,) if remark else (),
+    )
 
 
 def _choose(
@@ -108,7 +136,11 @@ def _choose(
     selection: Selection,
 ) -> tuple[int, int | None]:
     """Positions of signal and drive among the vectors."""
-    others = [i for i in range(len(columns)) if i != time]
+    others = [
+        i
+        for i, column in enumerate(columns)
+        if i != time and not is_time(column) and not (column.unit and seconds(column.unit))
+    ]
     if selection.signal is not None:
         signal = find_column(file, columns, selection.signal, "signal")
     else:
@@ -123,7 +155,9 @@ def _choose(
                 "save the signal as a row or column vector of numbers"
             )
         signal = others[0]
-    drive = drive_place(file, columns, selection)
+    drive = None
+    if selection.drive is not None:
+        drive = find_column(file, columns, selection.drive, "drive")
     check_chosen(file, vectors, time, signal, drive)
     return signal, drive
 

@@ -5,25 +5,28 @@ from __future__ import annotations
 import io
 import warnings
 import zipfile
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bayes_sensor.campaign import FloatArray
 from bayes_sensor.io.readers.recording import (
+    Clock,
     DataFile,
     Recording,
     Selection,
     check_chosen,
     check_counts,
-    drive_place,
+    choose_time,
     find_column,
+    is_time,
     list_names,
     parser_errors,
-    recording_of_vectors,
-    scale_time,
+    seconds,
     split_name,
-    time_place,
 )
+from bayes_sensor.io.readers.sampling import grid_times
+from bayes_sensor.io.readers.table import number_times
 
 _WHAT = "a NumPy archive (.npz)"
 
@@ -56,38 +59,76 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
                 "expected arrays 't' and 'y', but the archive has none; "
                 "save with numpy.savez(path, t=t, y=y)"
             )
-        time = time_place(columns)
-        if time is None:
+        time = choose_time(file, columns, selection)
+        if time is None and selection.interval is None:
             raise file.error(
                 f"expected an array 't' with the times, but it has {list_names(members)}; "
-                "save with numpy.savez(path, t=t, y=y)"
+                'save with numpy.savez(path, t=t, y=y), or write interval = "1 ms"'
             )
         if selection.signal is not None:
             signal = find_column(file, columns, selection.signal, "signal")
         elif "y" in members:
             signal = members.index("y")
         else:
-            others = [i for i, column in enumerate(columns) if i != time and column.base != "drive"]
+            others = [
+                i
+                for i, column in enumerate(columns)
+                if i != time and column.base != "drive" and not is_time(column)
+                and not (column.unit and seconds(column.unit))
+            ]  # fmt: skip
             if not others:
                 raise file.error(
                     "expected an array 'y' with the signal beside the times; "
                     "save with numpy.savez(path, t=t, y=y)"
                 )
             signal = others[0]
-        drive = drive_place(file, columns, selection)
-        if drive is None and selection.signal is None and "drive" in members:
+        drive = None
+        if selection.drive is not None:
+            drive = find_column(file, columns, selection.drive, "drive")
+        elif selection.signal is None and "drive" in members:
             drive = members.index("drive")
         check_chosen(file, members, time, signal, drive)
-        t, y = _array(file, archive, members[time]), _array(file, archive, members[signal])
+        y = _array(file, archive, members[signal])
+        written = None if time is None else _array(file, archive, members[time], True)
         d = None if drive is None else _array(file, archive, members[drive])
-    return recording_of_vectors(
-        file, columns, signal, drive, (scale_time(file, columns[time], t), y, d), called="'{}'",
-        fix="save them with the same length", time_name=members[time],
-    )  # fmt: skip
+    named_time = "time" if time is None else members[time]
+    for name, values in ((named_time, written), ("drive", d)):
+        if values is not None and len(values) != len(y):
+            raise file.error(
+                f"expected '{name}' to have the {len(y)} samples of '{members[signal]}', "
+                f"but it has {len(values)}; save them with the same length"
+            )
+    clock, remark = None, ""
+    if time is None or written is None:
+        assert selection.interval is not None  # looked at above
+        t = grid_times(0.0, selection.interval, len(y))
+    elif written.dtype.kind in "Mm":
+        ns = written.astype(f"{written.dtype.kind}8[ns]").astype(np.int64)
+        if np.isnat(written).any():
+            i = int(np.argmax(np.isnat(written)))
+            raise file.error(f"sample {i + 1} has no time; expected one for each: leave it out")
+        t, clock = (ns - ns[0]) / 1e9, Clock(int(ns[0]), written.dtype.kind == "M")
+    else:
+        t, clock, remark = number_times(file, columns[time], written)
+    return Recording(
+        t=t,
+        y=y,
+        signal=members[signal],
+        place=lambda i: f"sample {i + 1} of '{members[signal]}'",
+        drive=d,
+        drive_name="" if drive is None else members[drive],
+        unit=columns[signal].unit,
+        interval=selection.interval,
+        clock=clock,
+        timed=time is None or bool(columns[time].unit),
+        notes=(remark,) if remark else (),
+    )
 
 
-def _array(file: DataFile, archive: zipfile.ZipFile, name: str) -> FloatArray:
-    """One vector; its header is read before memory is allocated."""
+def _array(
+    file: DataFile, archive: zipfile.ZipFile, name: str, times: bool = False
+) -> NDArray[Any]:
+    """One vector, of floats or as times are stored; its header is read before memory is taken."""
     with archive.open(f"{name}.npy") as stream, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         version = np.lib.format.read_magic(stream)
@@ -106,7 +147,7 @@ def _array(file: DataFile, archive: zipfile.ZipFile, name: str) -> FloatArray:
             f"array '{name}' holds pickled Python objects, which are never loaded because they "
             "can run code; save plain numbers: numpy.savez(path, t=t, y=y)"
         )
-    if dtype.kind not in "biuf":
+    if dtype.kind not in ("biufMm" if times else "biuf"):
         raise file.error(
             f"array '{name}' has the type {str(dtype)[:60]}; expected real numbers: save floats"
         )
@@ -116,4 +157,6 @@ def _array(file: DataFile, archive: zipfile.ZipFile, name: str) -> FloatArray:
     check_counts(file, 0, size)
     with archive.open(f"{name}.npy") as stream:
         values = np.lib.format.read_array(stream, allow_pickle=False)
+    if times:
+        return np.asarray(values).reshape(-1)
     return np.asarray(values, dtype=np.float64).reshape(-1)

@@ -166,6 +166,12 @@ def _text_of(value: object, kind: Kind, key: str) -> str:
             f"{key}: expected {kind.name} as text with a unit, but got {_shorten(str(value))}; "
             f'write {key} = "{kind.example}"'
         )
+    if isinstance(value, int) and abs(value) > 10**300:
+        raise CampaignError(
+            f'{key}: expected {kind.name} such as "{kind.example}", but got a number of about '
+            f"{int(value.bit_length() * 0.30103) + 1} digits, which is out of range; write the "
+            "value that was set, with its unit"
+        )
     if not isinstance(value, str):
         unit = kind.example.split(" ", 1)[1].split()[-1]
         raise CampaignError(

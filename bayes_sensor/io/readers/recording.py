@@ -20,10 +20,13 @@ MAX_SAMPLES = 20_000_000
 """samples of one experiment"""
 
 _TIME_NAMES = frozenset(
-    "t time times zeit temps tiempo timestamp timestamps elapsed seconds sec secs milliseconds "
-    "elapsedtime timeelapsed reltime relativetime timeaxis".split()
+    "t time times zeit temps tiempo tid hora heure uhrzeit timestamp timestamps tstamp elapsed "
+    "second seconds sec secs millisecond milliseconds elapsedtime timeelapsed reltime relativetime "
+    "timeaxis timeutc utctime utc unixtime epoch epochtime epochutc posixtime systemtime clock "
+    "clocktime localtime datetime dateandtime datetimestamp localdatetime scantime testtime "
+    "runtime ts".split()
 )
-_DATE_NAMES = frozenset("date datum day".split())
+DATE_NAMES = frozenset("date datum day fecha".split())
 _SUFFIX_UNITS = frozenset(
     "s sec ms us µs μs ns min h V mV uV µV μV kV ppm ppb ohm kohm Mohm Ω kΩ "
     "mW uW µW μW nW pW mA uA µA μA nA pA percent Pa kPa hPa mbar dB dBm".split()
@@ -56,6 +59,20 @@ class Selection:
 
     signal: str | None = None
     drive: str | None = None
+    time: str | None = None
+    interval: float | None = None
+    """s, for files without times"""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time of the first sample on the recorder's own clock."""
+
+    ns: int
+    """nanoseconds since 1970, or since midnight where no date is written"""
+    dated: bool
+    offset: int = 0
+    """ns, its own offset from UTC, already subtracted"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +94,12 @@ class Recording:
     """the unit the file gives for y; empty when it gives none"""
     interval: float | None = None
     """s, if the file states it instead of listing times"""
+    clock: Clock | None = None
+    """where the times are counted from the first sample of a clock"""
+    timed: bool = False
+    """whether the file says the unit of its times"""
+    notes: tuple[str, ...] = ()
+    """remarks of the reader, without the place"""
 
 
 @dataclass(frozen=True)
@@ -129,6 +152,9 @@ def split_name(name: str) -> Column:
         if not a_channel and known_unit(unit):
             return Column(name, base, unit)
         return Column(name, text)
+    match = re.fullmatch(r"(?:(.*?)\s+)?in\s+(\S{1,12})", text)
+    if match and known_unit(match[2]):
+        return Column(name, match[1] or text, match[2])
     match = re.fullmatch(r"(.+?)(?:_|\s*/\s*|,\s+)([^\s_/,]{1,12})", text)
     if match and match[2] in _SUFFIX_UNITS:
         return Column(name, match[1].strip(), match[2])
@@ -137,8 +163,16 @@ def split_name(name: str) -> Column:
 
 def is_time(column: Column) -> bool:
     """Whether the column is time, by its name."""
-    key = re.sub(r"[\s_\-]", "", column.base).casefold()
+    key = re.sub(r"[\s_\-&/#,]", "", column.base).casefold()
     return key in _TIME_NAMES and (not column.unit or seconds(column.unit) is not None)
+
+
+def is_date_name(column: Column) -> bool:
+    """Whether a column without a unit is called a date."""
+    key = re.sub(r"[\s_\-&/#,]", "", column.base).casefold()
+    return not column.unit and (
+        key in DATE_NAMES or key in ("datetime", "timestamp", "serialdate", "exceltime")
+    )
 
 
 def seconds(unit: str) -> float | None:
@@ -151,8 +185,8 @@ def seconds(unit: str) -> float | None:
 def find_column(file: DataFile, columns: Sequence[Column], wanted: str, key: str) -> int:
     """Position of the column the campaign names.
 
-    Tried in turn: the name as written, the name ignoring case, the name without its unit, and
-    PicoScope's ``Channel A`` for ``A``.
+    Tried in turn: the name as written, the name ignoring case, the name without its unit,
+    PicoScope's ``Channel A`` for ``A``, and ``column 3`` for the third.
     """
     folded = wanted.strip().casefold()
     tests: tuple[Callable[[Column], bool], ...] = (
@@ -166,10 +200,14 @@ def find_column(file: DataFile, columns: Sequence[Column], wanted: str, key: str
         if len(hits) == 1:
             return hits[0]
         if hits:
-            raise file.error(
-                f'{key} = "{wanted}" fits {len(hits)} columns of that name; '
-                "give each column its own name"
-            )
+            full = [columns[i].name.strip() for i in hits]
+            fix = "give each column its own name"
+            if len(set(full)) == len(full):
+                fix = f"write it in full: {list_names(full, 6)}"
+            raise file.error(f'{key} = "{wanted}" fits {len(hits)} columns of that name; {fix}')
+    place = re.fullmatch(r"column (\d{1,4})", folded)
+    if place and 1 <= int(place[1]) <= len(columns):
+        return int(place[1]) - 1
     names = [column.name.strip() for column in columns]
     close = difflib.get_close_matches(wanted, names, n=1, cutoff=0.6)
     hint = f' (did you mean "{close[0]}"?)' if close else ""
@@ -177,32 +215,6 @@ def find_column(file: DataFile, columns: Sequence[Column], wanted: str, key: str
         f'{key} = "{wanted}" is not in the file{hint}; it has {list_names(names)}; '
         f"set {key} to one of them"
     )
-
-
-def choose_columns(
-    file: DataFile, columns: Sequence[Column], selection: Selection
-) -> tuple[int, int, int | None]:
-    """Positions of time (by name, else the first column), signal and drive in a table."""
-    time = next((i for i, column in enumerate(columns) if is_time(column)), 0)
-    others = [column.name.strip() for i, column in enumerate(columns) if i != time]
-    if not others:
-        raise file.error(
-            f"expected a time column and a signal column, but there is only "
-            f"'{columns[0].name.strip()[:60]}'; export both, in columns of their own"
-        )
-    dated = [i for i, column in enumerate(columns) if column.base.casefold() in _DATE_NAMES]
-    signal = next(
-        (i for i in range(len(columns)) if i != time and i not in dated), 1 - min(time, 1)
-    )
-    drive = None
-    if selection.signal is not None:
-        signal = find_column(file, columns, selection.signal, "signal")
-    if selection.drive is not None:
-        drive = find_column(file, columns, selection.drive, "drive")
-    names = [column.name.strip() for column in columns]
-    fix = f"which is the time column; choose one of {list_names(others)}"
-    check_chosen(file, names, time, signal, drive, fix)
-    return time, signal, drive
 
 
 def check_chosen(
@@ -222,6 +234,25 @@ def check_chosen(
             f"signal and drive are both '{names[signal][:60]}'; expected two columns: set signal "
             "to the sensor's and drive to the valve's"
         )
+
+
+def choose_time(
+    file: DataFile, columns: Sequence[Column], selection: Selection, none: str = ""
+) -> int | None:
+    """Position of the vector of times: the one asked for, else the first that is called time.
+
+    None where the campaign gives the interval.
+    """
+    if selection.time is not None:
+        if selection.interval is not None:
+            raise file.error(
+                f"time = '{selection.time}' and interval are both given; expected one of them, as "
+                "interval is for files without times: remove one"
+            )
+        return find_column(file, columns, selection.time, "time")
+    if selection.interval is not None:
+        return None
+    return next((i for i, column in enumerate(columns) if is_time(column)), None)
 
 
 def scale_time(file: DataFile, column: Column, t: FloatArray) -> FloatArray:
@@ -257,52 +288,3 @@ def check_counts(file: DataFile, n_columns: int, n_samples: int = 0) -> None:
             f"expected at most {MAX_SAMPLES} samples, but it has {n_samples}; "
             "record shorter or average"
         )
-
-
-def time_place(columns: Sequence[Column]) -> int | None:
-    """Position of the first column that is a time; None where there is none."""
-    return next((i for i, column in enumerate(columns) if is_time(column)), None)
-
-
-def drive_place(file: DataFile, columns: Sequence[Column], selection: Selection) -> int | None:
-    """Position of the drive that is asked for; None where none is."""
-    if selection.drive is None:
-        return None
-    return find_column(file, columns, selection.drive, "drive")
-
-
-def recording_of_vectors(
-    file: DataFile,
-    columns: Sequence[Column],
-    signal: int,
-    drive: int | None,
-    vectors: tuple[FloatArray, FloatArray, FloatArray | None],
-    *,
-    called: str,
-    fix: str,
-    time_name: str = "time",
-    interval: float | None = None,
-) -> Recording:
-    """The recording of vectors that stand in the file by themselves; ``vectors``: t (s), y, drive.
-
-    ``called``: a vector in the words of the format, ``"the {} channel"``; ``fix``: what to do where
-    lengths differ, which raises CampaignError.
-    """
-    t, y, d = vectors
-    name = columns[signal].name
-    for other, values in (("drive", d), (time_name, t)):
-        if values is not None and len(values) != len(y):
-            raise file.error(
-                f"expected {called.format(other)} to have the {len(y)} samples of '{name}', "
-                f"but it has {len(values)}; {fix}"
-            )
-    return Recording(
-        t=t,
-        y=y,
-        signal=name,
-        place=lambda i: f"sample {i + 1} of '{name}'",
-        drive=d,
-        drive_name="" if drive is None else columns[drive].name,
-        unit=columns[signal].unit,
-        interval=interval,
-    )

@@ -1,4 +1,8 @@
-"""From written times to one uniform grid: the sampling interval, jitter and dropped samples."""
+"""From written times to a grid: the sampling interval, jitter and dropped samples.
+
+Times that lie near a uniform grid are put on it, with places for the samples that are missing.
+Other times that increase strictly are kept as they are: the sampling is irregular.
+"""
 
 from __future__ import annotations
 
@@ -15,24 +19,38 @@ MOST_JITTER = 0.3
 """share of the interval; times further than this from the uniform grid are not uniform sampling"""
 LATEST = 1e12
 """s, far above the value of any clock"""
+FIRST_EPOCH = 1e8
+"""s; larger times count from an epoch such as 1970, and the first sample is taken as 0"""
 NOTED_JITTER = 0.05
 """share of the interval; jitter above this is mentioned, unless the written digits explain it"""
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A uniform grid ``start + i * interval`` and the place of each written sample on it."""
+    """A uniform grid ``start + i * interval`` and the place of each written sample on it.
+
+    Where the sampling is irregular, ``times`` holds the samples' own times.
+    """
 
     start: float
     """s"""
     interval: float
-    """s"""
+    """s; the median step where the sampling is irregular"""
     index: NDArray[np.int64]
     """(n,) position of each written sample, strictly increasing from 0"""
     jitter: float
     """largest distance of a written time from its grid point, in intervals"""
     rounded: bool
     """whether the number of written digits explains the jitter"""
+    times: FloatArray | None = None
+    """(n,) s, where the sampling is irregular"""
+
+    @property
+    def t(self) -> FloatArray:
+        """(n_t,) s, all times of the grid."""
+        if self.times is not None:
+            return self.times
+        return grid_times(self.start, self.interval, int(self.index[-1]) + 1)
 
 
 def simplest_near(value: float, tolerance: float) -> float:
@@ -50,15 +68,15 @@ def simplest_near(value: float, tolerance: float) -> float:
     return value
 
 
-def uniform_grid(
+def grid_through(
     t: FloatArray, place: Callable[[int], str], error: Callable[[str], CampaignError]
 ) -> Grid:
-    """The uniform grid through written times.
+    """The grid of written times: uniform where they are near one, else the times themselves.
 
     Raises
     ------
     CampaignError
-        If a time is not finite, times do not increase strictly or are not uniform.
+        If a time is not finite or times do not increase strictly.
     """
     if len(t) < 2:
         raise error(f"expected at least 2 samples, but got {len(t)}; record longer")
@@ -73,17 +91,9 @@ def uniform_grid(
         raise error(f"{place(i + 1)}: the time {t[i + 1]:g} s is out of all proportion; repair it")
     if (step <= 0).any():
         i = int(np.argmax(step <= 0))
-        repeated = int((step == 0).sum())
-        fix = (
-            "export times with more digits"
-            if repeated > 0.2 * len(t)
-            else "drop the repeated rows"
-            if step[i] == 0
-            else "sort the rows by time or split the file where the clock restarts"
-        )
         raise error(
             f"time must increase strictly, but {place(i + 1)} ({t[i + 1]:.10g} s) follows "
-            f"{place(i)} ({t[i]:.10g} s); {fix}"
+            f"{place(i)} ({t[i]:.10g} s); {_advice(step, i)}"
         )
     interval = float(np.median(step))
     single = np.abs(step - interval) < 0.5 * interval
@@ -111,16 +121,29 @@ def uniform_grid(
     worst = int(np.argmax(off))
     jitter = float(off[worst] / interval)
     if jitter > MOST_JITTER:
-        raise error(
-            f"expected one sampling interval, but the steps in time range from {step.min():.6g} s "
-            f"to {step.max():.6g} s and {place(worst)} ({t[worst]:.10g} s) is "
-            f"{jitter:.2g} intervals off a uniform grid; resample the recording or split it"
-        )
+        median = float(np.median(step))
+        places = np.arange(len(t), dtype=np.int64)
+        nearest = simplest_near(median, 1e-3 * median)
+        return Grid(float(t[0]), nearest, places, jitter, False, np.asarray(t, dtype=np.float64))
     least = 1e-9 * interval
     # a change of the interval moves the last sample by n times as much
     exact = simplest_near(interval, max(off[worst], least) / max(int(index[-1]), 1))
     start = float(t[0]) if jitter < 0.01 else simplest_near(origin, max(off[worst], least))
     return Grid(start, exact, index, jitter, off[worst] <= 0.51 * _resolution(t))
+
+
+def _advice(step: FloatArray, i: int) -> str:
+    """What to do about times that do not increase at step ``i``."""
+    if int((step == 0).sum()) > 0.2 * len(step):
+        return "export times with more digits, or give the sampling interval as interval"
+    if step[i] == 0:
+        return "drop the repeated rows"
+    if abs(step[i] + 3600.0) < 60.0:
+        return (
+            "the clock goes back by an hour, as at the end of summer time: split the file there, "
+            "or export times with their offset from UTC"
+        )
+    return "sort the rows by time or split the file where the clock restarts"
 
 
 def _line(index: NDArray[np.int64], t: FloatArray) -> tuple[float, float]:

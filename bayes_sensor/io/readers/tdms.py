@@ -14,23 +14,23 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.io.readers.quantities import known_unit
 from bayes_sensor.io.readers.recording import (
+    Clock,
     Column,
     DataFile,
     Recording,
     Selection,
     check_chosen,
     check_counts,
-    drive_place,
+    choose_time,
     find_column,
+    is_time,
     list_names,
     missing_extra,
     parser_errors,
-    recording_of_vectors,
-    scale_time,
     split_name,
-    time_place,
 )
 from bayes_sensor.io.readers.sampling import grid_times, simplest_near
+from bayes_sensor.io.readers.table import number_times
 
 _WHAT = "a TDMS file (.tdms)"
 
@@ -58,12 +58,19 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
         warnings.simplefilter("ignore")
         channels = [channel for group in content.groups() for channel in group.channels()]
         check_counts(file, len(channels), max((len(channel) for channel in channels), default=0))
-        channels = [c for c in channels if len(c) and np.dtype(c.dtype).kind in "biuf"]
+        channels = [c for c in channels if len(c) and np.dtype(c.dtype).kind in "biufM"]
         if not channels:
             raise file.error("expected channels with numbers, but there are none; export again")
         columns = _name(channels)
-        time = time_place(columns)
-        others = [i for i in range(len(columns)) if i != time]
+        dated = [i for i, c in enumerate(channels) if np.dtype(c.dtype).kind == "M"]
+        time = choose_time(file, columns, selection)
+        if time is None and selection.interval is None and dated:
+            time = dated[0]
+        others = [
+            i
+            for i, column in enumerate(columns)
+            if i != time and i not in dated and not is_time(column)
+        ]
         if selection.signal is not None:
             signal = find_column(file, columns, selection.signal, "signal")
         elif others:
@@ -73,13 +80,20 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
                 f"expected a signal channel beside the time, but there is only "
                 f"{list_names([column.name for column in columns])}; export the signal as well"
             )
-        drive = drive_place(file, columns, selection)
+        drive = None
+        if selection.drive is not None:
+            drive = find_column(file, columns, selection.drive, "drive")
         check_chosen(file, [column.name for column in columns], time, signal, drive)
         y = _values(channels[signal])
         d = None if drive is None else _values(channels[drive])
-        interval = None
-        if time is not None:
-            t = scale_time(file, columns[time], _values(channels[time]))
+        interval, clock, remark = selection.interval, None, ""
+        if time is not None and time in dated:
+            ns = np.asarray(channels[time][:]).astype("M8[ns]").astype(np.int64)
+            t, clock = (ns - ns[0]) / 1e9, Clock(int(ns[0]), True)
+        elif time is not None:
+            t, clock, remark = number_times(file, columns[time], _values(channels[time]))
+        elif interval is not None:
+            t = grid_times(0.0, interval, len(y))
         else:
             properties = channels[signal].properties
             interval = _number(properties.get("wf_increment"))
@@ -87,14 +101,30 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
             if interval is None or start is None or interval <= 0:
                 raise file.error(
                     f"channel '{columns[signal].name}' has no sampling interval (wf_increment) and "
-                    "there is no channel named time; export it as a waveform"
+                    "there is no channel named time; export it as a waveform, or write "
+                    'interval = "1 ms"'
                 )
             interval = simplest_near(interval, max(1e-9 * interval, 0.01 * interval / len(y)))
             t = grid_times(simplest_near(start, 1e-3 * interval), interval, len(y))
-    return recording_of_vectors(
-        file, columns, signal, drive, (t, y, d), called="the {} channel",
-        fix="export them together", interval=interval,
-    )  # fmt: skip
+    for name, values in (("drive", d), ("time", t)):
+        if values is not None and len(values) != len(y):
+            raise file.error(
+                f"expected the {name} channel to have the {len(y)} samples of "
+                f"'{columns[signal].name}', but it has {len(values)}; export them together"
+            )
+    return Recording(
+        t=t,
+        y=y,
+        signal=columns[signal].name,
+        place=lambda i: f"sample {i + 1} of '{columns[signal].name}'",
+        drive=d,
+        drive_name="" if drive is None else columns[drive].name,
+        unit=columns[signal].unit,
+        interval=interval,
+        clock=clock,
+        timed=time is None or bool(columns[time].unit),
+        notes=(remark,) if remark else (),
+    )
 
 
 @contextmanager

@@ -161,15 +161,13 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
         with_data = data and e.y is not None
         if with_data:
             d = e.values - mean_on_grid(problem, vector, k)
-        previous = -1
         n_pairs = 0
         first_block = len(base)
-        for a, b in e.runs:
+        for (a, b), pause in zip(e.even_runs, e.pauses, strict=True):
             edge_t.append((e.t[a], e.t[b - 1]))
             ends = e.values[[a, b - 1]] - level if with_data else np.zeros(2)
             edge_y.append((ends[0], ends[1]))
-            distance.append(a - previous)
-            previous = b - 1
+            distance.append(pause)
             n_pairs += b - a - 1
             run_start = len(base)
             found = blocks_of_run(
@@ -209,6 +207,8 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
     low[0] = max(low[0], np.finfo(float).tiny)
     low[1] = max(low[1], setting[:, 4].max())
     low[2] = max(low[2], (setting[:, 4] * setting[:, 1]).max())
+    if not all(e.regular for e in campaign):  # a negative phi has no real power over such times
+        low[layout.noise[:, 0]] = np.maximum(low[layout.noise[:, 0]], 0.0)
     return Arrays(
         local=layout.local,
         noise=layout.noise,
