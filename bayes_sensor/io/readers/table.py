@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import BoolArray, CampaignError, FloatArray
-from bayes_sensor.io.readers.layout import Layout, find_layout, is_comment
 from bayes_sensor.io.readers.recording import (
     Clock,
     Column,
@@ -41,6 +40,7 @@ from bayes_sensor.io.readers.stamps import (
     read_long_numbers,
     read_stamps,
 )
+from bayes_sensor.io.readers.table_layout import Layout, find_layout, is_comment
 from bayes_sensor.io.readers.text import (
     NA_VALUES,
     OUT_OF_RANGE,
