@@ -31,7 +31,7 @@ def say(*values):
 PARTS = {
     "model": """
 from bayes_sensor.rig.cascade import cascade_response, cascade_sensitivities, euler_response
-from bayes_sensor.rig.cascade import impulse_response, step_response
+from bayes_sensor.rig.chain import impulse_response, step_response
 from bayes_sensor.fit.euler import euler_sensitivities
 t = np.concatenate([np.linspace(0.0, 3.0, 40), [60.0]])
 for taus in ([0.8, 0.4, 0.05], [0.5, 0.5, 0.5], [0.5, 0.45, 0.4], [0.3, 0.3 + 1e-9, 0.02]):
