@@ -26,16 +26,12 @@ from bayes_sensor.rig.chain import (
     switch_sensitivities,
 )
 from bayes_sensor.rig.layout import Layout, Theta
+from bayes_sensor.rig.rig import PUBLISHED
 
 
 def time_constants(tau: float, tau_v: float, V: float, total_flow: float) -> FloatArray:
     """(3,) s: valve, manifold V/Q, sensor.  Raises CampaignError unless all are positive."""
-    taus = np.array([tau_v, V / total_flow, tau], dtype=float)
-    if not (np.isfinite(taus).all() and (taus > 0).all()):
-        raise CampaignError(
-            f"time constants must be positive, but tau_v, V/Q, tau are {taus.tolist()} s"
-        )
-    return taus
+    return PUBLISHED.taus(np.array([tau, tau_v, V], dtype=float), total_flow)
 
 
 _NOTHING, _UP, _UP_DOWN, _DOWN_UP = np.zeros(2), np.ones(1), np.array([1.0, 0]), np.array([-1.0, 0])

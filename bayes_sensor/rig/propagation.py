@@ -29,7 +29,8 @@ up"""
 @njit(cache=True, error_model="numpy")
 def _settled(rates: FloatArray) -> float:  # pragma: no cover - compiled
     # s after which a step of n equal lags is over: e^-60 times 60^2 is below rounding for three
-    return (51.0 + 3.0 * len(rates)) / rates[0]
+    over: float = (51.0 + 3.0 * len(rates)) / rates[0]
+    return over
 
 
 @njit(cache=True, error_model="numpy")
@@ -56,11 +57,13 @@ def _after(
             return 0.0
         for j in range(2, end):
             scale *= -nodes[j]
-        return level * (scale * divided(nodes[1:end], s, table, h))
+        value: float = level * (scale * divided(nodes[1:end], s, table, h))
+        return value
     if slope == 0.0 and level == 0.0 and filled == 1:
         for j in range(3, end):
             scale *= -nodes[j]
-        return x[0] * (scale * divided(nodes[2:end], s, table, h))
+        value = x[0] * (scale * divided(nodes[2:end], s, table, h))
+        return value
     begin = 0 if slope != 0.0 else 1
     divided_tails(nodes[begin:end], s, table, h)
     value = 0.0
