@@ -25,7 +25,7 @@ def sorted_apart(taus: FloatArray) -> None:  # pragma: no cover - compiled
             taus[j] = taus[j - 1] * 1.001
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def partial_fractions(taus: FloatArray, c: FloatArray) -> None:  # pragma: no cover - compiled
     """c_j (n,) of the step response 1 - sum_j c_j exp(-s/tau_j), for ``taus`` that are apart."""
     n = len(taus)
@@ -42,14 +42,13 @@ def quick_step_response(
 ) -> float:  # pragma: no cover - compiled
     """The step response by :func:`partial_fractions` ``c`` of rising ``taus``; 1 after 30 of the
     slowest."""
-    n = len(taus)
     if s <= 0.0:
         return 0.0
-    if s > 30.0 * taus[n - 1]:
+    if s > 30.0 * taus[-1]:
         return 1.0
     x = 1.0
-    for j in range(n):
-        u = s / taus[j]
+    for tau, weight in zip(taus, c):
+        u = s / tau
         if u < 40.0:
-            x -= c[j] * exp(-u)
+            x -= weight * exp(-u)
     return x
