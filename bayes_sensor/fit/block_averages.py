@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.compiled import forget_older
 from bayes_sensor.fit.first_estimates import Look
-from bayes_sensor.rig import cascade
-from bayes_sensor.rig.cascade import partial_fractions, sorted_apart
+from bayes_sensor.rig import partial_fractions as fractions
+from bayes_sensor.rig.partial_fractions import partial_fractions, quick_step_response, sorted_apart
 
 
 class Points(NamedTuple):
@@ -70,20 +70,6 @@ def averages(campaign: Campaign, looks: list[Look], per_rise: int, most: int) ->
 
 
 @njit(cache=True, error_model="numpy")
-def _step(s: float, taus: FloatArray, c: FloatArray) -> float:  # pragma: no cover - compiled
-    if s <= 0.0:
-        return 0.0
-    if s > 30.0 * taus[2]:
-        return 1.0
-    x = 1.0
-    for j in range(3):
-        u = s / taus[j]
-        if u < 40.0:
-            x -= c[j] * exp(-u)
-    return x
-
-
-@njit(cache=True, error_model="numpy")
 def _profile(
     z: Any, where: Any, first: Any, t: Any, count: Any, y: Any, flow: Any, linear: Any
 ) -> float:  # pragma: no cover - compiled
@@ -100,9 +86,9 @@ def _profile(
         n = sx = sxx = sy = sxy = syy = 0.0
         origin = y[first[k]]
         for i in range(first[k], first[k + 1]):
-            x = _step(t[i] - t0, taus, c)
+            x = quick_step_response(t[i] - t0, taus, c)
             if t[i] > tf:
-                x -= _step(t[i] - tf, taus, c)
+                x -= quick_step_response(t[i] - tf, taus, c)
             w = count[i]
             d = y[i] - origin
             n += w
@@ -130,4 +116,4 @@ def profiles(
     return costs
 
 
-forget_older((_profile, profiles), (cascade,))
+forget_older((_profile, profiles), (fractions,))

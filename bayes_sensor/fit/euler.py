@@ -10,8 +10,8 @@ from numba import njit
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compiled import forget_older
-from bayes_sensor.rig import cascade
-from bayes_sensor.rig.cascade import partial_fractions, sorted_apart
+from bayes_sensor.rig import partial_fractions as fractions
+from bayes_sensor.rig.partial_fractions import partial_fractions, sorted_apart
 
 
 @njit(cache=True, error_model="numpy")
@@ -41,7 +41,7 @@ def euler_relaxed(
             out[i] -= _euler_step(t[i] - tf, h, taus, c)
 
 
-forget_older((euler_relaxed,), (cascade,))
+forget_older((euler_relaxed,), (fractions,))
 
 
 def euler_sensitivities(

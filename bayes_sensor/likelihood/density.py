@@ -13,7 +13,7 @@ sample gives::
 from __future__ import annotations
 
 from dataclasses import replace
-from math import exp, log, pi, sqrt
+from math import log, pi, sqrt
 
 import numpy as np
 from numba import njit
@@ -30,67 +30,12 @@ from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import (
     Cascade,
     cascade_response,
-    divided_exponential,
     local_parameters,
+    pulse,
     time_constants,
 )
+from bayes_sensor.rig.chain import fill_grid
 from bayes_sensor.rig.layout import Theta
-
-
-@njit(cache=True)
-def _fill_cascade(
-    first: float, h: float, rates: FloatArray, edge: float, sign: float, x: FloatArray
-) -> None:  # pragma: no cover - compiled
-    # Adds sign * x3(t - edge) to x.  Inside blocks of 64 samples x3 = 1 - row(i) . v with v the
-    # distance of the three stages from 1 at the block's start; v itself is propagated by the exact
-    # lower-triangular exponential, so that coinciding time constants need no special case.
-    n = len(x)
-    start = int(np.ceil((edge - first) / h - 1e-9))
-    if start < 0:
-        start = 0
-    if start >= n:
-        return
-    s = max(first + start * h - edge, 0.0)
-    a1, a2, a3 = rates[0], rates[1], rates[2]
-    block = 64
-    rows = np.empty((block + 1, 3))
-    pair = np.empty(2)
-    step = np.empty((3, 3))
-    for i in range(block + 1):
-        u = i * h
-        pair[0] = a2
-        pair[1] = a3
-        rows[i, 2] = exp(-a3 * u)
-        rows[i, 1] = -a3 * divided_exponential(pair, u)
-        rows[i, 0] = a2 * a3 * divided_exponential(rates, u)
-    u = block * h
-    pair[0] = a1
-    pair[1] = a2
-    step[0, 0] = exp(-a1 * u)
-    step[1, 0] = -a2 * divided_exponential(pair, u)
-    step[1, 1] = exp(-a2 * u)
-    step[2, :] = rows[block]
-    # distances from 1 at the first sample: survival functions of 1, 2 and 3 stages
-    v1 = exp(-a1 * s)
-    v2 = exp(-a2 * s) - a2 * divided_exponential(pair, s)
-    pair[0] = a2
-    pair[1] = a3
-    v3 = exp(-a3 * s) - a3 * divided_exponential(pair, s) + a2 * a3 * divided_exponential(rates, s)
-    i = start
-    while i < n:
-        m = min(block, n - i)
-        if v1 + v2 + v3 < 1e-17:
-            for k in range(i, n):
-                x[k] += sign
-            return
-        for k in range(m):
-            x[i + k] += sign * (1.0 - (rows[k, 0] * v1 + rows[k, 1] * v2 + rows[k, 2] * v3))
-        w3 = step[2, 0] * v1 + step[2, 1] * v2 + step[2, 2] * v3
-        w2 = step[1, 0] * v1 + step[1, 1] * v2
-        v1 *= step[0, 0]
-        v2 = w2
-        v3 = w3
-        i += m
 
 
 def grid_response(
@@ -100,11 +45,8 @@ def grid_response(
     which is fast."""
     if not experiment.regular:
         return cascade_response(experiment.t, taus, t0, tf)
-    x = np.zeros(len(experiment.t))
-    rates = np.sort(1.0 / taus)
-    _fill_cascade(experiment.t[0], experiment.interval, rates, t0, 1.0, x)
-    if tf is not None:
-        _fill_cascade(experiment.t[0], experiment.interval, rates, tf, -1.0, x)
+    x = np.empty(len(experiment.t))
+    fill_grid(experiment.t[0], experiment.interval, np.sort(1.0 / taus), pulse(t0, tf), x)
     return x
 
 

@@ -6,190 +6,44 @@
     x2' = (Q/V)(x1 - x2)      manifold
     x3' = (x2 - x3)/tau       sensor           y = y0 + beta*x3
 
-Inference uses the exact response.  With decay rates ``a`` it is a divided difference of
-``exp(-a s)`` and needs no case distinction when time constants coincide (see
-:func:`divided_exponential`).  Forward Euler is kept as the paper's method.
+Inference uses the exact response of :mod:`bayes_sensor.rig.chain`.  Forward Euler is kept as the
+paper's method.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import exp, expm1
 
 import numpy as np
 from numba import njit
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.rig.chain import (
+    Drive,
+    chain_response,
+    lag_sensitivities,
+    switch_sensitivities,
+)
 from bayes_sensor.rig.layout import Layout, Theta
-
-SETTLED = 60.0
-"""slowest time constants after which a step is over: e^-60 times 60^2 is below rounding"""
-
-
-@njit(cache=True)
-def _series(
-    a: FloatArray, i: int, n: int, s: float, h: FloatArray
-) -> float:  # pragma: no cover - compiled
-    # divided difference over a[i : i + n] where its spread times s is at most 1; h: scratch (24,)
-    spread = (a[i + n - 1] - a[i]) * s
-    # the terms fall like spread^k / k!: so many reach rounding
-    terms = 24 if spread > 0.3 else (14 if spread > 0.01 else 7)
-    middle = 0.0
-    for j in range(i, i + n):
-        middle += a[j] / n
-    h[0] = 1.0
-    for k in range(1, terms):
-        h[k] = 0.0
-    for j in range(i, i + n):
-        delta = a[j] - middle
-        for k in range(1, terms):
-            h[k] += delta * h[k - 1]
-    factor = exp(-middle * s)
-    for k in range(1, n):
-        factor *= -s / k
-    total = 0.0
-    for k in range(terms):
-        total += h[k] * factor
-        factor *= -s / (n + k)
-    return total
-
-
-@njit(cache=True)
-def _divided(
-    a: FloatArray, s: float, table: FloatArray, h: FloatArray
-) -> float:  # pragma: no cover - compiled
-    # divided_exponential with its scratch: table (n,), h (24,)
-    n = len(a)
-    if n > 1 and (a[n - 1] - a[0]) * s <= 1.0:
-        return _series(a, 0, n, s, h)
-    for i in range(n):
-        table[i] = exp(-a[i] * s)
-    for i in range(n - 1):
-        gap = a[i + 1] - a[i]
-        if gap * s > 0.5:
-            table[i] = (table[i + 1] - table[i]) / gap
-        elif gap > 0.0:
-            table[i] *= expm1(-gap * s) / gap
-        else:
-            table[i] *= -s
-    for k in range(2, n):
-        for i in range(n - k):
-            spread = a[i + k] - a[i]
-            if spread * s > 1.0:
-                table[i] = (table[i + 1] - table[i]) / spread
-            else:
-                table[i] = _series(a, i, k + 1, s, h)
-    highest: float = table[0]
-    return highest
-
-
-@njit(cache=True)
-def divided_exponential(a: FloatArray, s: float) -> float:  # pragma: no cover - compiled
-    """Divided difference f[a_1, .., a_n] of f(a) = exp(-a s) over sorted rates ``a`` (n,), s >= 0.
-
-    Recursion where the rates are spread over more than 1/s; otherwise the series
-    exp(-m s) (-s)^(n-1) sum_k h_k(a - m) (-s)^k / (n - 1 + k)! with h_k the complete homogeneous
-    symmetric polynomials, which has no cancellation when rates coincide.  (McCurdy, Ng and
-    Parlett, Math. Comp. 43, 1984, discuss why both are needed.)
-    """
-    return _divided(a, s, np.empty(len(a)), np.empty(24))
-
-
-@njit(cache=True)
-def step_response(s: float, rates: FloatArray) -> float:  # pragma: no cover - compiled
-    """x_n(s) of a cascade of n first-order lags (sorted ``rates``, 1/s) to a unit step at s = 0."""
-    if s <= 0.0:
-        return 0.0
-    n = len(rates)
-    nodes = np.zeros(n + 1)
-    nodes[1:] = rates
-    value = divided_exponential(nodes, s)
-    for i in range(n):
-        value *= -rates[i]
-    return value
-
-
-@njit(cache=True)
-def impulse_response(s: float, rates: FloatArray) -> float:  # pragma: no cover - compiled
-    """dx_n/ds, 1/s, of the same cascade."""
-    if s <= 0.0:
-        return 0.0
-    value: float = divided_exponential(rates, s) * rates[0]
-    for i in range(1, len(rates)):
-        value *= -rates[i]
-    return value
-
-
-@njit(cache=True, error_model="numpy")
-def sorted_apart(taus: FloatArray) -> None:  # pragma: no cover - compiled
-    # ascending, at least a thousandth apart so that partial fractions keep ten digits
-    taus.sort()
-    for j in range(1, 3):
-        if taus[j] < taus[j - 1] * 1.001:
-            taus[j] = taus[j - 1] * 1.001
-
-
-@njit(cache=True, error_model="numpy")
-def partial_fractions(taus: FloatArray, c: FloatArray) -> None:  # pragma: no cover - compiled
-    # c_j of x3 = 1 - sum c_j exp(-s/tau_j), for time constants that are apart
-    for j in range(3):
-        c[j] = 1.0
-        for m in range(3):
-            if m != j:
-                c[j] *= taus[j] / (taus[j] - taus[m])
-
-
-@njit(cache=True)
-def _cascade(
-    t: FloatArray, rates: FloatArray, t0: float, tf: float, out: FloatArray
-) -> None:  # pragma: no cover - compiled
-    nodes, table, h = np.zeros(4), np.empty(4), np.empty(24)
-    nodes[1:] = rates
-    scale = -rates[0] * rates[1] * rates[2]
-    over = SETTLED / rates[0]
-    for i in range(len(t)):
-        out[i] = 0.0
-        if t[i] > t0:
-            out[i] = 1.0 if t[i] > t0 + over else scale * _divided(nodes, t[i] - t0, table, h)
-        if t[i] > tf:
-            out[i] -= 1.0 if t[i] > tf + over else scale * _divided(nodes, t[i] - tf, table, h)
-
-
-@njit(cache=True)
-def _cascade_sensitivities(
-    t: FloatArray, taus: FloatArray, t0: float, tf: float, out: FloatArray
-) -> None:  # pragma: no cover - compiled
-    # columns: tau_v, manifold, tau, t0, tf.
-    # d/dtau_j of H = prod 1/(1 + tau p) is -p/(1 + tau_j p) H: an impulse response with that lag
-    # twice
-    rates = np.sort(1.0 / taus)
-    table, h = np.empty(4), np.empty(24)
-    nodes = np.empty((3, 4))
-    for j in range(3):
-        nodes[j, :3] = rates
-        nodes[j, 3] = 1.0 / taus[j]
-        nodes[j] = np.sort(nodes[j])
-    product = rates[0] * rates[1] * rates[2]
-    over = SETTLED / rates[0]
-    for i in range(len(t)):
-        for edge, sign, column in ((t0, -1.0, 3), (tf, 1.0, 4)):
-            s = t[i] - edge
-            if 0.0 < s < over:
-                for j in range(3):
-                    value = _divided(nodes[j], s, table, h)
-                    out[i, j] -= sign * product / taus[j] * value
-                out[i, column] = sign * product * _divided(rates, s, table, h)
+from bayes_sensor.rig.rig import PUBLISHED
 
 
 def time_constants(tau: float, tau_v: float, V: float, total_flow: float) -> FloatArray:
     """(3,) s: valve, manifold V/Q, sensor.  Raises CampaignError unless all are positive."""
-    taus = np.array([tau_v, V / total_flow, tau], dtype=float)
-    if not (np.isfinite(taus).all() and (taus > 0).all()):
-        raise CampaignError(
-            f"time constants must be positive, but tau_v, V/Q, tau are {taus.tolist()} s"
-        )
-    return taus
+    return PUBLISHED.taus(np.array([tau, tau_v, V], dtype=float), total_flow)
+
+
+_NOTHING, _UP, _UP_DOWN, _DOWN_UP = np.zeros(2), np.ones(1), np.array([1.0, 0]), np.array([-1.0, 0])
+
+
+def pulse(t0: float, tf: float | None) -> Drive:
+    """The published input: up at ``t0`` and, unless ``tf`` is None, down at ``tf``, s."""
+    if tf is None:
+        return Drive(np.array([t0]), _NOTHING[:1], _UP, _NOTHING[:1])
+    if tf < t0:
+        return Drive(np.array([tf, t0]), _NOTHING, _DOWN_UP, _NOTHING)
+    return Drive(np.array([t0, tf]), _NOTHING, _UP_DOWN, _NOTHING)
 
 
 def cascade_response(
@@ -202,21 +56,27 @@ def cascade_response(
     >>> cascade_response(np.array([0.0, 50.0]), [0.8577, 0.388, 0.0481], 1.0).round(6).tolist()
     [0.0, 1.0]
     """
-    t = np.ascontiguousarray(t, dtype=float)
-    out = np.empty_like(t)
-    rates = np.sort(1.0 / np.asarray(taus, dtype=float))
-    _cascade(t.ravel(), rates, float(t0), np.inf if tf is None else float(tf), out.ravel())
-    return out
+    return chain_response(t, taus, pulse(t0, tf))
 
 
 def cascade_sensitivities(
-    t: FloatArray, taus: Sequence[float] | FloatArray, t0: float, tf: float | None = None
+    t: FloatArray,
+    taus: Sequence[float] | FloatArray,
+    t0: float,
+    tf: float | None = None,
+    interval: float | None = None,
 ) -> FloatArray:
-    """(n_t, 5) derivatives of x3 by the three time constants (in their order), t0 and tf."""
-    t = np.ascontiguousarray(t, dtype=float)
+    """(n_t, 5) derivatives of x3 by the three time constants (in their order), t0 and tf.
+
+    ``interval``: s, where ``t`` is uniform: many times faster.
+    """
+    times, _, level, none = pulse(t0, tf)
+    heights = level.copy()
+    heights[1:] -= level[:-1]
     out = np.zeros((len(t), 5))
-    taus = np.asarray(taus, dtype=float)
-    _cascade_sensitivities(t, taus, float(t0), np.inf if tf is None else float(tf), out)
+    out[:, :3] = lag_sensitivities(t, taus, Drive(times, heights, none, none), interval)
+    by_switches = switch_sensitivities(t, taus, times, heights, interval)
+    out[:, 3 : 3 + len(times)] = by_switches if tf is None or t0 <= tf else by_switches[:, ::-1]
     return out
 
 

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.rig.rig import PUBLISHED
 
 Theta = Mapping[str, Any] | Sequence[float] | FloatArray
 """Parameters as the nested mapping of ``fit.json`` or as the flat array of :class:`Layout`."""
 
-SHARED = ("tau_s", "tau_v_s", "V_mL")
+SHARED = PUBLISHED.names
 
 LOCAL = ("y0_V", "beta_V", "t0_s", "tf_s")
 

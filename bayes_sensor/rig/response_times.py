@@ -11,7 +11,9 @@ import numpy as np
 from numba import njit
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.rig.cascade import impulse_response, step_response
+from bayes_sensor.compiled import forget_older
+from bayes_sensor.rig import chain, divided_differences
+from bayes_sensor.rig.chain import impulse_response, step_response
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,6 +65,9 @@ def _times_to_levels(
     for j in range(rates.shape[0]):
         for i in range(len(levels)):
             out[i, j] = _time_to_level(levels[i], rates[j])
+
+
+forget_older((_times_to_levels,), (chain, divided_differences))
 
 
 def response_times(taus: Sequence[FloatArray | float] | FloatArray) -> ResponseTimes:

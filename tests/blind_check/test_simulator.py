@@ -17,7 +17,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import bayes_sensor.blind_check.simulator as simulator
-import bayes_sensor.blind_check.simulator.rig as rig_module
+import bayes_sensor.blind_check.simulator.simulated_rig as rig_module
 from bayes_sensor import read_campaign
 from bayes_sensor.blind_check.plan import HIDING
 from bayes_sensor.blind_check.simulator import (
@@ -34,7 +34,7 @@ from bayes_sensor.blind_check.simulator import (
     without_causes,
 )
 from bayes_sensor.blind_check.simulator.numerics import layered_film, nodes
-from bayes_sensor.blind_check.simulator.rig import Rig
+from bayes_sensor.blind_check.simulator.simulated_rig import Rig
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.io.json_files import read_json
 

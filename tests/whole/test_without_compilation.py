@@ -31,7 +31,7 @@ def say(*values):
 PARTS = {
     "model": """
 from bayes_sensor.rig.cascade import cascade_response, cascade_sensitivities, euler_response
-from bayes_sensor.rig.cascade import impulse_response, step_response
+from bayes_sensor.rig.chain import impulse_response, step_response
 from bayes_sensor.fit.euler import euler_sensitivities
 t = np.concatenate([np.linspace(0.0, 3.0, 40), [60.0]])
 for taus in ([0.8, 0.4, 0.05], [0.5, 0.5, 0.5], [0.5, 0.45, 0.4], [0.3, 0.3 + 1e-9, 0.02]):
@@ -39,6 +39,20 @@ for taus in ([0.8, 0.4, 0.05], [0.5, 0.5, 0.5], [0.5, 0.45, 0.4], [0.3, 0.3 + 1e
     say(euler_response(t, 0.01, taus, 0.3, 1.1))
     rates = np.sort(1.0 / np.array(taus))
     say([(step_response(s, rates), impulse_response(s, rates)) for s in (-1.0, 0.0, 0.2)])
+from bayes_sensor.rig.chain import chain_response, lag_sensitivities, switch_sensitivities
+from bayes_sensor.rig.programme import Programme, RecordedInput
+grid = 0.1 * np.arange(30.0)
+switches = Programme.pulses([0.3, 1.32], [1.1, 2.0])
+recorded = RecordedInput(grid, np.sin(grid))
+for taus in ([0.8], [0.5, 0.5], [0.3, 0.3 + 1e-9, 0.02, 2.0]):
+    for interval in (None, 0.1):
+        say(chain_response(grid, taus, switches.drive, interval))
+        say(lag_sensitivities(grid, taus, switches.derivative, interval))
+        say(switch_sensitivities(grid, taus, switches.times, switches.heights, interval))
+        for delay in (-0.5, 0.03, 1.0, 9.0):
+            later = recorded.later(delay)
+            say(chain_response(grid, taus, later.drive, interval))
+            say(lag_sensitivities(grid, taus, later.derivative, interval))
 say(*euler_sensitivities(t, 0.01, np.array([0.8, 0.4, 0.05]), 0.3, 1.1))
 """,
     "likelihood": """

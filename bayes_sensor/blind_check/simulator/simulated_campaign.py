@@ -11,7 +11,7 @@ import numpy as np
 from bayes_sensor.blind_check.simulator.case import Case, Step
 from bayes_sensor.blind_check.simulator.causes import CAUSES, converter_step, tail_mixture
 from bayes_sensor.blind_check.simulator.noise_laws import draw_noise
-from bayes_sensor.blind_check.simulator.rig import Rig
+from bayes_sensor.blind_check.simulator.simulated_rig import Rig
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 
 PHASES = ("baseline", "onset", "rise", "plateau", "fall", "tail")

@@ -33,7 +33,8 @@ from bayes_sensor.likelihood.mesh.node_sums import (
     gradient_sums,
     gram_sums,
 )
-from bayes_sensor.rig import cascade
+from bayes_sensor.rig import chain, divided_differences
+from bayes_sensor.rig import partial_fractions as fractions
 
 
 @njit(cache=True, error_model="numpy")
@@ -269,5 +270,5 @@ def marginals(thetas, mesh, room, values, best, factor, inside):  # pragma: no c
 
 forget_older(
     (value, value_and_gradient, marginal, values, marginals),
-    (ar1_terms, cascade, node_response, node_sums),
+    (ar1_terms, chain, divided_differences, fractions, node_response, node_sums),
 )

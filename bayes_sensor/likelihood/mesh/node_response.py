@@ -11,7 +11,8 @@ import numpy as np
 from numba import njit
 
 from bayes_sensor.likelihood.mesh.mesh_arrays import CHEBYSHEV, K
-from bayes_sensor.rig.cascade import partial_fractions, step_response
+from bayes_sensor.rig.chain import step_response
+from bayes_sensor.rig.partial_fractions import partial_fractions
 
 COINCIDENT = 1e-3
 """relative distance of time constants below which partial fractions give way to the stable form"""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.random import Generator
 
 from bayes_sensor.blind_check.simulator.case import Case
-from bayes_sensor.blind_check.simulator.rig import Rig
+from bayes_sensor.blind_check.simulator.simulated_rig import Rig
 
 Turn = Callable[[Rig, float, Generator, Generator], None]
 """Changes the rig of one experiment, given the strength and where random choices come from: first

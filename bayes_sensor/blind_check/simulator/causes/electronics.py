@@ -10,7 +10,7 @@ from numpy.random import Generator
 from bayes_sensor.blind_check.simulator.case import Case
 from bayes_sensor.blind_check.simulator.causes.cause import Causes, log_uniform, random_sign
 from bayes_sensor.blind_check.simulator.numerics import steady_lag, two_ranges
-from bayes_sensor.blind_check.simulator.rig import Rig
+from bayes_sensor.blind_check.simulator.simulated_rig import Rig
 from bayes_sensor.campaign import FloatArray
 
 CAUSES = Causes()

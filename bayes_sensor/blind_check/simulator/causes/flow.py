@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 
 from bayes_sensor.blind_check.simulator.causes.cause import Causes, log_uniform, random_sign
-from bayes_sensor.blind_check.simulator.rig import Rig, Stream
+from bayes_sensor.blind_check.simulator.simulated_rig import Rig, Stream
 from bayes_sensor.campaign import FloatArray
 
 CAUSES = Causes()

@@ -12,7 +12,7 @@ from bayes_sensor.blind_check.simulator.numerics import (
     layered_film,
     steady_lag,
 )
-from bayes_sensor.blind_check.simulator.rig import Rig
+from bayes_sensor.blind_check.simulator.simulated_rig import Rig
 from bayes_sensor.campaign import FloatArray
 
 CAUSES = Causes()

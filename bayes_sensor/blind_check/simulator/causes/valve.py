@@ -7,7 +7,7 @@ from numpy.random import Generator
 
 from bayes_sensor.blind_check.simulator.causes.cause import Causes, log_uniform
 from bayes_sensor.blind_check.simulator.numerics import heavy_valve, stick_slip, valve
-from bayes_sensor.blind_check.simulator.rig import Rig, Target
+from bayes_sensor.blind_check.simulator.simulated_rig import Rig, Target
 from bayes_sensor.campaign import FloatArray
 
 CAUSES = Causes()

@@ -1,0 +1,54 @@
+"""Step response of lags in a row as a sum of exponentials, compiled: for lags that are apart.
+
+It is quick.  Its coefficients cancel where lags nearly coincide: it serves where few digits are
+enough or the lags are known to be apart; :mod:`bayes_sensor.rig.chain` has the exact one.
+"""
+
+from __future__ import annotations
+
+from math import exp
+
+from numba import njit
+
+from bayes_sensor.campaign import FloatArray
+
+
+@njit(cache=True, error_model="numpy")
+def sorted_apart(taus: FloatArray) -> None:  # pragma: no cover - compiled
+    """Sort ``taus`` (n,), rising, and move them apart by a thousandth at least.
+
+    Partial fractions of three of them then keep ten digits.
+    """
+    taus.sort()
+    for j in range(1, len(taus)):
+        if taus[j] < taus[j - 1] * 1.001:
+            taus[j] = taus[j - 1] * 1.001
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def partial_fractions(taus: FloatArray, c: FloatArray) -> None:  # pragma: no cover - compiled
+    """c_j (n,) of the step response 1 - sum_j c_j exp(-s/tau_j), for ``taus`` that are apart."""
+    n = len(taus)
+    for j in range(n):
+        c[j] = 1.0
+        for m in range(n):
+            if m != j:
+                c[j] *= taus[j] / (taus[j] - taus[m])
+
+
+@njit(cache=True, error_model="numpy")
+def quick_step_response(
+    s: float, taus: FloatArray, c: FloatArray
+) -> float:  # pragma: no cover - compiled
+    """The step response by :func:`partial_fractions` ``c`` of rising ``taus``; 1 after 30 of the
+    slowest."""
+    if s <= 0.0:
+        return 0.0
+    if s > 30.0 * taus[-1]:
+        return 1.0
+    x = 1.0
+    for tau, weight in zip(taus, c):
+        u = s / tau
+        if u < 40.0:
+            x -= weight * exp(-u)
+    return x
