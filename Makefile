@@ -62,7 +62,7 @@ demo: $(STAMP)
 	@$(BIN)/python data/open_seal.py build/demo-withheld
 
 test: $(STAMP)
-	@if $(BIN)/python -c 'import xdist' 2>/dev/null; then parallel="-n $(JOBS)"; else parallel=; fi; \
+	@if $(BIN)/python -c 'import xdist' 2>/dev/null; then parallel="-n $(JOBS) --dist worksteal"; else parallel=; fi; \
 	set -x; $(ONE_THREAD) $(BIN)/python -m pytest $$parallel $(PYTEST_ARGS)
 
 record: $(STAMP)

@@ -6,10 +6,11 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from bayes_sensor.compiled import VARIABLE, _own_folder, ensure_numba_cache_dir
+from bayes_sensor.compiled import VARIABLE, ensure_numba_cache_dir, forget_older, own_folder
 
 ROOT = Path(__file__).resolve().parent.parent
 NOBODY = 65534
@@ -44,16 +45,16 @@ def test_there_is_a_place_where_the_usual_ones_cannot_be_written_to(
 def test_a_place_that_others_may_write_to_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    own = _own_folder(tmp_path)
-    assert own is not None and _own_folder(tmp_path) == own
+    own = own_folder(tmp_path)
+    assert own is not None and own_folder(tmp_path) == own
     own.chmod(0o777)
-    assert _own_folder(tmp_path) is None
+    assert own_folder(tmp_path) is None
     own.rmdir()
     own.symlink_to(tmp_path)
-    assert _own_folder(tmp_path) is None
+    assert own_folder(tmp_path) is None
     own.unlink()
     own.write_text("a file")
-    assert _own_folder(tmp_path) is None
+    assert own_folder(tmp_path) is None
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     environ: dict[str, str] = {}
     ensure_numba_cache_dir(environ, Path("/dev/null/package"))
@@ -79,3 +80,27 @@ def test_an_account_without_a_home_can_compile(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=False, **given)
     assert done.stdout == "done\n", done.stderr
     assert list(tmp_path.glob("bayes_sensor-*"))
+
+
+def test_what_is_older_than_a_function_that_it_calls_is_compiled_anew(tmp_path: Path) -> None:
+    called = ModuleType("called")
+    called.__file__ = str(tmp_path / "called.py")
+    Path(called.__file__).touch()
+    kept = [tmp_path / f"caller.{name}-9.py311.nbi" for name in ("value", "values")]
+    kept.append(tmp_path / "other.value-9.py311.nbi")
+
+    def caller(name: str) -> SimpleNamespace:
+        stats = SimpleNamespace(cache_path=str(tmp_path))
+        return SimpleNamespace(__module__="rig.caller", __name__=name, stats=stats)
+
+    def after(changed: float) -> list[bool]:
+        for index in kept:
+            index.touch()
+            os.utime(index, (100.0, 100.0))
+        os.utime(str(called.__file__), (changed, changed))
+        forget_older([caller("value")], [called])
+        return [index.exists() for index in kept]
+
+    assert after(50.0) == [True, True, True]
+    assert after(150.0) == [False, True, True]
+    forget_older([len], [called])  # compilation is switched off: nothing is kept

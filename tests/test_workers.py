@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dying import Dying, DyingStudy
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.checks.calibration import run_chunks
+from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.workers import WorkerDied, completed, dask_client, in_order, one_thread
+from tests.support.dying_tasks import Dying, DyingStudy
 
 
 def test_linear_algebra_is_done_in_one_thread() -> None:
@@ -117,7 +117,7 @@ def test_a_study_keeps_the_rest_of_what_killed_its_workers(
         yield from ((i, function(items[i])) for i in (0, 2))
 
     with monkeypatch.context() as patch:
-        patch.setattr("bayes_sensor.checks.calibration.completed", died)
+        patch.setattr("bayes_sensor.checks.study_chunks.completed", died)
         with pytest.raises(CampaignError, match="campaigns 2 to 3 of the study: it ended 3"):
             run_chunks(DyingStudy(tmp_path), 6, tmp_path / "b", "key", jobs=2, chunk=2)
     assert len(list((tmp_path / "b").glob("chunk-*.npz"))) == 2

@@ -27,7 +27,7 @@ from bayes_sensor.blind_check.statistics import (
     drawn_anew,
     proportion,
 )
-from bayes_sensor.diagnosis.hidden import UNSEEN
+from bayes_sensor.diagnosis.unseen_effects import UNSEEN
 
 if TYPE_CHECKING:
     import pandas as pd

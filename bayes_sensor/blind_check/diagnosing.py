@@ -24,7 +24,7 @@ from bayes_sensor.blind_check.sealing import (
 )
 from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.checks.calibration import run_chunks
+from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.io.disk import write_text
 from bayes_sensor.io.json_files import json_text, plain, read_json, write_json
 

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from bayes_sensor.blind_check.closed_shares import closed_shares
 from bayes_sensor.blind_check.detectability import (
     detectability,
     ideal_fit,
     strength_for,
 )
-from bayes_sensor.blind_check.lookalikes import closed_shares
 from bayes_sensor.blind_check.simulator import (
     CAUSES,
     HEAVY_TAILED,

@@ -1,8 +1,8 @@
 """One case scored: what was true, what was said, and how the two compare.
 
-The rule of abstention: a verdict without a name counts as right where an effect that is no right
-answer leaves less than :data:`SEPARABLE_ABOVE` standard deviations of the cause's misfit, because
-no data would tell the two apart.
+The rule of abstention (oracle rule): a verdict without a name counts as right where some wrong
+effect, fitted to the noise-free signal, leaves a misfit below :data:`SEPARABLE_ABOVE` standard
+deviations, because no data would tell the two apart.
 """
 
 from __future__ import annotations

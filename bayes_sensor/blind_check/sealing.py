@@ -28,7 +28,7 @@ from bayes_sensor.blind_check.plan import Entry, draw_truth, make_plan
 from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.blind_check.truth import check_truth, complete_truth
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.checks.calibration import run_chunks
+from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.io.json_files import json_text, read_json, sha256, write_json
 
 LOG = logging.getLogger(__name__)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from sys import float_info
 from typing import Any
 
@@ -21,69 +21,45 @@ OF_DRAWN = ("seed", "diagnosis_seed", "strengths", "cause_families", "recipe")
 """further keys of drawn truths"""
 OF_EFFECTS = ("near", "rivals", "closed")
 """keys whose names are those of effects"""
-
-Check = Callable[[Any], bool]
-
-
-def _number(value: Any, least: float = -float_info.max) -> bool:
-    # JSON as Python reads it has NaN and endless integers
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and least <= value <= float_info.max
-
-
-def _size(value: Any) -> bool:
-    return _number(value, 0.0)
-
-
-def _text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _names(value: Any) -> bool:
-    return isinstance(value, list) and all(map(_text, value))
-
-
-def _map_of(check: Check) -> Check:
-    return lambda value: isinstance(value, Mapping) and all(map(check, value.values()))
-
-
-def _places(value: Any) -> bool:
-    return isinstance(value, list) and all(
-        isinstance(place, Mapping)
-        and _text(place.get("experiment"))
-        and place.get("phase") in PHASES
-        and _size(place.get("share"))
-        for place in value
-    )
-
-
-_TIME = "a positive number of seconds such as 0.048"
-_D = "a number from 0 on, in standard deviations of the noise, such as 8.0"
-_NAMES = 'a list of names such as ["dead_volume"]'
-_PLACES = (
-    'a list of places such as [{"experiment": "1", "phase": "fall", "share": 1.0}] with a phase of '
-    + ", ".join(PHASES)
-)
-KEYS: Mapping[str, tuple[Check, str, Any]] = {
-    "name": (_text, "the name of the campaign's folder", ...),
-    "kind": (lambda value: value in KINDS, f"one of {', '.join(KINDS)}", ...),
-    "causes": (_names, 'a list of texts such as ["a pocket"]', []),
-    "near": (_names, _NAMES, []),
-    "level": (_size, _D, None),
-    "d": (_size, _D, None),
-    "law": (_text, 'a text such as "ar1"', "unknown"),
-    "is_ar1": (lambda value: isinstance(value, bool), "true or false", None),
-    "tau_s": (lambda value: _size(value) and value > 0, _TIME, None),
-    "tau_refit_s": (lambda value: _size(value) and value > 0, _TIME, None),
-    "rivals": (_map_of(_size), 'distances such as {"carry_over": 5.0}', {}),
-    "acts": (_places, _PLACES, []),
-    "visible": (_places, _PLACES, []),
-    "closed": (_map_of(_number), 'shares such as {"dead_volume": 0.97}', {}),
-    "size": (_text, 'a text such as "own"', "own"),
-    "reserve": (lambda value: isinstance(value, bool), "true or false", False),
+_PLACES = [{"experiment": "1", "phase": "fall", "share": 1.0}]
+KEYS: Mapping[str, tuple[Any, Any]] = {
+    "name": ("mine", ...), "kind": ("withheld", ...), "causes": (["a pocket"], []),
+    "near": (["carry_over"], []), "level": (8.0, None), "d": (8.0, None),
+    "law": ("ar1", "unknown"), "is_ar1": (True, None), "tau_s": (0.048, None),
+    "tau_refit_s": (0.048, None), "rivals": ({"carry_over": 5.0}, {}), "acts": (_PLACES, []),
+    "visible": (_PLACES, []), "closed": ({"dead_volume": 0.97}, {}), "size": ("own", "own"),
+    "reserve": (True, False),
 }  # fmt: skip
-"""key beside ``listed_as``: its check, what it holds in words, and its default (``...``: follows
-from the others)"""
+"""key beside ``listed_as``: an example, and its default (``...``: follows from the others)"""
+MORE = {
+    "kind": f"one of {', '.join(KINDS)}", "level": "standard deviations of the noise",
+    "d": "standard deviations of the noise", "tau_s": "s, positive", "tau_refit_s": "s, positive",
+    "acts": f"phases: {', '.join(PHASES)}", "visible": f"phases: {', '.join(PHASES)}",
+}  # fmt: skip
+"""what an example does not say"""
+
+
+def _is_like(value: Any, example: Any) -> bool:
+    """Whether a value is built as the example is; numbers are finite and not negative."""
+    if isinstance(example, bool | str):
+        return isinstance(value, type(example))
+    if isinstance(example, list):
+        return isinstance(value, list) and all(_is_like(each, example[0]) for each in value)
+    if isinstance(example, Mapping):
+        if not isinstance(value, Mapping):
+            return False
+        if "share" not in example:  # names of one's own
+            return all(_is_like(each, 1.0) for each in value.values())
+        alike = all(_is_like(value.get(name), each) for name, each in example.items())
+        return alike and value["phase"] in PHASES
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and 0 <= value <= float_info.max  # JSON has NaN and endless integers
+
+
+def _holds(key: str, value: Any) -> bool:
+    if key == "kind":
+        return value in KINDS
+    return _is_like(value, KEYS[key][0]) and (value != 0 or not key.startswith("tau"))
 
 
 def complete_truth(content: Any, name: str) -> dict[str, Any]:
@@ -98,24 +74,26 @@ def complete_truth(content: Any, name: str) -> dict[str, Any]:
         If a key that is scored holds something else than it must.
     """
     listed = content.get("listed_as") if isinstance(content, Mapping) else None
-    if not isinstance(listed, list) or not all(_text(n) or _names(n) for n in listed):
+    if not isinstance(listed, list) or not all(
+        isinstance(n, str) or _is_like(n, ["effect"]) for n in listed
+    ):
         raise CampaignError(
             f'sealed/{name}.json: expected {{"listed_as": [["effect"], ..]}}, one list of right '
             "names for each cause; [] where nothing is wrong"
         )
-    for key, (holds, words, default) in KEYS.items():
+    for key, (example, default) in KEYS.items():
         value = content.get(key, default)
-        if value is not default and not holds(value):
-            unless = ", or null" if default is None else ""
+        if value is not default and not _holds(key, value):
+            more = f" ({MORE[key]})" if key in MORE else ""
             raise CampaignError(
-                f"sealed/{name}.json: {key}: expected {words}{unless}, but got {_short(value)}; "
-                "correct it or leave it out"
+                f"sealed/{name}.json: {key}: expected something like {json.dumps(example)}{more}, "
+                f"but got {_short(value)}; correct it or leave it out"
             )
     listed = [[names] if isinstance(names, str) else list(names) for names in listed]
     kind = "null" if not listed else "pair" if len(listed) > 1 else "listed"
     if listed and not any(listed):
         kind = "unlisted"
-    defaults = {key: default for key, (_, _, default) in KEYS.items()}
+    defaults = {key: default for key, (_, default) in KEYS.items()}
     return {**defaults, "name": name, "kind": kind, **content, "listed_as": listed}
 
 

@@ -10,18 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.bounds.bootstrap import block_bootstrap
-from bayes_sensor.bounds.bound import LEVELS, Bound, Bounds
-from bayes_sensor.bounds.classical import (
-    crlb_ar1,
-    crlb_iid,
-    crlb_iid_one_percent_step,
-    posterior_intervals,
-)
+from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.bounds_table import Bounds
 from bayes_sensor.bounds.context import Evidence, Progress, check_data
-from bayes_sensor.bounds.jackknife import jackknife_experiments
-from bayes_sensor.bounds.profile import profile
-from bayes_sensor.bounds.sandwich import sandwich
+from bayes_sensor.bounds.methods import METHODS, BoundMethod
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.fit import Fit
 from bayes_sensor.fit.fit_warnings import OF_LAGS
@@ -33,30 +25,7 @@ from bayes_sensor.workers import one_thread
 
 Method = Callable[[Evidence], Bound]
 
-METHODS: dict[str, Method] = {
-    "crlb_iid": crlb_iid,
-    "crlb_iid_one_percent_step": crlb_iid_one_percent_step,
-    "crlb_ar1": crlb_ar1,
-    "sandwich": sandwich,
-    "sandwich_ar1": lambda evidence: sandwich(evidence, parametric=True),
-    "block_bootstrap": block_bootstrap,
-    "jackknife_experiments": jackknife_experiments,
-    "profile": profile,
-    "posterior": posterior_intervals,
-}
-"""every method by name; a caller may pass another mapping"""
-
-
-SPREAD_OF_LEAST_SQUARES = ("sandwich", "sandwich_ar1", "block_bootstrap")
-"""methods that estimate the spread of least squares from the residuals"""
-TAKES_WHITE = ("crlb_iid", "crlb_iid_one_percent_step")
-"""methods that assume white noise"""
-MODELS_NOISE = ("crlb_ar1", "profile")
-"""methods that use the campaign's noise law at its maximum"""
-TOO_SLOW_TO_JUDGE = (
-    "too little of it is seen to judge the spread of least squares (crlb_ar1, profile and "
-    "posterior model it)"
-)
+TOO_SLOW_TO_JUDGE = "too little of it is seen to judge the spread of least squares"
 FEW_STRETCHES = (
     "its law rests on few independent stretches and phi is likely to be taken too low, so that "
     "intervals may be too narrow; those of the posterior allow for it"
@@ -70,36 +39,46 @@ CLOSE_WORDS = (
 )
 
 
-def why_mute(evidence: Evidence, name: str) -> str:
+def why_mute(evidence: Evidence, method: BoundMethod) -> str:
     """Why a method has no value for these data, as a sentence; empty where it has."""
-    if name != "posterior" and not evidence.fit.step_seen:
+    if not method.needs_posterior and not evidence.fit.step_seen:
         return "no step is seen in any experiment"
     # a lag, or a volume, too small to see is an ordinary outcome
     ordinary = [*evidence.fit.unseen, *(evidence.fit.names[:1] if evidence.at_bound else [])]
     shared = [n for n in evidence.fit.at_bound if n in evidence.fit.names[:3]]
     walled = [n for n in shared if n not in ordinary]
-    if name not in ("crlb_ar1", "profile", "posterior") and walled:
+    if method.least_squares and walled:
         return f"least squares ended at the edge of its search in {', '.join(walled)}"
-    if name in SPREAD_OF_LEAST_SQUARES:
+    if method.noise == "residuals":
         slow = slow_noise(evidence.problem, evidence.coloured_theta)
-        return slow and f"{slow}: {TOO_SLOW_TO_JUDGE}"
+        return slow and f"{slow}: {TOO_SLOW_TO_JUDGE} ({_modelling()} model it)"
     return ""
 
 
-def doubts(evidence: Evidence, name: str) -> list[str]:
+def _modelling() -> str:
+    """The names of the methods that model the noise, as a list in words."""
+    *names, last = (m.name for m in METHODS.values() if m.noise in ("fitted", "averaged"))
+    return f"{', '.join(names)} and {last}"
+
+
+def doubts(evidence: Evidence, method: BoundMethod) -> list[str]:
     """Warnings on a method's intervals for these data, in sentences."""
     found = []
     theta = evidence.theta
-    if name not in ("profile", "posterior") and theta[0] > CLOSE * theta[1]:
+    if not method.both_orders and theta[0] > CLOSE * theta[1]:
         found.append(CLOSE_WORDS)
-    if name in TAKES_WHITE:
+    if method.noise == "white":
         found.append(coloured_noise(evidence.problem, theta))
         found += evidence.noise_doubts
-    if name in MODELS_NOISE:
+    if method.noise == "fitted":
         slow = slow_noise(evidence.problem, evidence.coloured_theta)
         found.append(slow and f"{slow}: {FEW_STRETCHES}")
         found += evidence.noise_doubts
     return [sentence for sentence in found if sentence]
+
+
+def _record(name: str, method: Method) -> BoundMethod:
+    return method if isinstance(method, BoundMethod) else BoundMethod(name, name, "", method)
 
 
 def silent(evidence: Evidence, name: str, reason: str) -> Bound:
@@ -107,8 +86,8 @@ def silent(evidence: Evidence, name: str, reason: str) -> Bound:
     names = evidence.problem.layout.mean_names + list(evidence.problem.layout.extra)
     estimate = evidence.theta[[evidence.problem.layout.index(n) for n in names]]
     empty = np.full((len(names), len(LEVELS)), np.nan)
-    return Bound(name, "that the data can tell", "", names, estimate, empty[:, 0], empty, empty,
-                 reason)  # fmt: skip
+    return Bound(names, estimate, empty[:, 0], empty, empty, reason, {}, name,
+                 "that the data can tell")  # fmt: skip
 
 
 def with_remark(bound: Bound, remark: str) -> Bound:
@@ -144,10 +123,8 @@ def with_words(bound: Bound, naming: Naming) -> Bound:
     """The bound with the names of tau, tau_v and V in its status replaced by those that may be
     stated.
 
-    The posterior's status has the right names already.
+    A posterior's own status has the right names already, and does not come here.
     """
-    if bound.method == "posterior":
-        return bound
     called = dict(zip(SHARED, (name for name, _ in naming.labels), strict=True))
     spoken = {name: OF_LAGS.get(label, label) for name, label in called.items()}
     words = called | {"tau": spoken["tau_s"], "tau_v": spoken["tau_v_s"]}
@@ -183,16 +160,18 @@ def compare_bounds(
     """
     problem = as_problem(campaign)
     if methods is None:
-        chosen = {k: m for k, m in METHODS.items() if k != "posterior" or posterior is not None}
+        available = posterior is not None
+        chosen = {k: m for k, m in METHODS.items() if available or not m.needs_posterior}
     elif isinstance(methods, Mapping):
-        chosen = dict(methods)
+        chosen = {k: _record(k, m) for k, m in methods.items()}
     else:
         unknown = [name for name in methods if name not in METHODS]
         if unknown:
             raise CampaignError(f"no bound method '{unknown[0]}'; there are {', '.join(METHODS)}")
         chosen = {name: METHODS[name] for name in methods}
-    if "posterior" in chosen and posterior is None:
-        raise CampaignError("the method 'posterior' needs the posterior; sample it first")
+    without = [k for k, m in chosen.items() if m.needs_posterior and posterior is None]
+    if without:
+        raise CampaignError(f"the method '{without[0]}' needs the posterior; sample it first")
     for e in problem.campaign:
         _ = e.values  # a design has no data to bound
     if fit.cannot_tell:
@@ -212,15 +191,14 @@ def compare_bounds(
     for name, method in chosen.items():
         report(0.0, name)
         start = time.perf_counter()
-        mute = why_mute(evidence, name)
-        bounds[name] = (
-            silent(evidence, name, mute) if mute else with_words(method(evidence), naming)
-        )
-        if fit.twin and not mute and name != "posterior":
-            bounds[name] = without_roles(bounds[name], fit.twin)
-        for doubt in [] if mute else doubts(evidence, name):
-            bounds[name] = with_remark(bounds[name], doubt)
-        bounds[name] = with_names(bounds[name], naming)
+        mute = why_mute(evidence, method)
+        bound = silent(evidence, name, mute) if mute else method(evidence)
+        if not mute and not method.needs_posterior:
+            bound = with_words(bound, naming)
+            bound = without_roles(bound, fit.twin) if fit.twin else bound
+        for doubt in [] if mute else doubts(evidence, method):
+            bound = with_remark(bound, doubt)
+        bounds[name] = with_names(bound, naming)
         seconds[name] = time.perf_counter() - start
         done += 1
     return Bounds(

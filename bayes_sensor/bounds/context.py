@@ -49,6 +49,20 @@ class Evidence:
                 f"..), the campaign needs {len(expected)}; fit this campaign with this model first"
             )
 
+    @property
+    def noise_words(self) -> str:
+        """The problem's noise law in words."""
+        noise = self.problem.noise
+        law = "AR(1) noise" if noise.autocorrelation == "ar1" else "white noise"
+        scale = {
+            "concentration": "with concentration-dependent scale",
+            "signal": "with signal-dependent scale",
+            "constant": "of constant scale",
+            "levels": "whose standard deviation changes from one level to another with "
+            "concentration",
+        }[noise.variance]
+        return f"{law} {scale}"
+
     @cached_property
     def theta(self) -> FloatArray:
         """(n_theta,) the fit's estimates, noise included."""

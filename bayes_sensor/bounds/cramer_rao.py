@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 PUBLISHED_SIGMA = 0.0653
 """V, the RMS residual of the paper's fit"""
+PAPER = "the paper, eqs. 16-18; Kay (1993), eq. 3.33"
+"""where the bound under iid noise comes from"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -117,9 +117,6 @@ def mean_positions(coordinates: Coordinates) -> np.ndarray:
 
 
 def gaussian_bound(
-    method: str,
-    assumes: str,
-    reference: str,
     names: list[str],
     estimate: FloatArray,
     cov_psi: FloatArray,
@@ -171,7 +168,7 @@ def gaussian_bound(
             below = np.where(square_low > 0.0, (q - square_low) / (z[0] * sd_q), 1.0)
         low[0], high[0] = np.sqrt(square_low), np.sqrt(square_high)
         for i in switches:
-            low[i], high[i] = _switch_quantiles(
+            low[i], high[i] = switch_quantiles(
                 estimate[i] + tau, q, sd_q, cov_psi[i, i], cov_psi[0, i], z[i], below, above
             )
         if np.isnan(sd_tau):
@@ -192,12 +189,12 @@ def gaussian_bound(
         if kind in ("tau_s", "tau_v_s", "V_mL"):
             low[i] = np.maximum(low[i], 0.0)
     return Bound(
-        method, assumes, reference, list(names), np.array(estimate, dtype=float), sd, low, high,
-        "; ".join(sentences) or "ok", details or {},
+        list(names), np.array(estimate, dtype=float), sd, low, high, "; ".join(sentences) or "ok",
+        details or {},
     )  # fmt: skip
 
 
-def _switch_quantiles(
+def switch_quantiles(
     centre: float,
     q: float,
     sd_q: float,

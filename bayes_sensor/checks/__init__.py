@@ -1,1 +1,1 @@
-"""Checks of the whole method: predictive, calibration, coverage, and the delays' regressions."""
+"""Checks of the whole method: predictive checks, coverage of intervals, regressions of delays."""

@@ -17,15 +17,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_sensor.bounds import LEVELS, METHODS
+from bayes_sensor.bounds import LEVELS, METHODS, method_of
 from bayes_sensor.bounds.context import Evidence
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
-from bayes_sensor.checks.calibration import binomial_interval, run_chunks, seed_of, study_key
+from bayes_sensor.checks.counted_coverage import binomial_interval
+from bayes_sensor.checks.study_chunks import run_chunks, seed_of, study_key
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.noise import scale_squared, simulate_noise
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.posterior import Settings, sample_posterior
+from bayes_sensor.posterior import FASTEST, Settings, sample_posterior
 from bayes_sensor.rig.cascade import local_parameters, time_constants
 from bayes_sensor.rig.layout import SHARED
 
@@ -175,10 +176,10 @@ class BoundsStudy:
             problem, seed=seed_of(fitting), swarms=1, particles=6, euler=False
         )  # fmt: skip
         posterior = None
-        if "posterior" in self.methods:
+        if any(METHODS[name].needs_posterior for name in self.methods):
             try:
                 posterior = sample_posterior(
-                    problem, fit, seed_of(sampling), "independence", self.sampling
+                    problem, fit, seed_of(sampling), FASTEST, self.sampling
                 )
             except (CampaignError, np.linalg.LinAlgError):
                 posterior = None
@@ -186,7 +187,7 @@ class BoundsStudy:
                 posterior = None
         evidence = Evidence(problem, fit, posterior, self.seed + i, self.n_resamples)
         for j, method in enumerate(self.methods):
-            if method == "posterior" and posterior is None:
+            if METHODS[method].needs_posterior and posterior is None:
                 continue
             try:
                 bound = METHODS[method](evidence)
@@ -214,7 +215,7 @@ def coverage_of_methods(
     for j, method in enumerate(study.methods):
         for kind in dict.fromkeys(kinds):
             at = [i for i, other in enumerate(kinds) if other == kind]
-            if method == "jackknife_experiments" and "[" in study.names[at[0]]:
+            if method_of(method).shared_only and "[" in study.names[at[0]]:
                 continue  # makes no statement about one experiment
             for level, (suffix, nominal) in enumerate(LEVELS.items()):
                 low = results["low"][:, j, at, level]
@@ -223,7 +224,7 @@ def coverage_of_methods(
                 inside = given & (low <= study.truth[at]) & (study.truth[at] <= high)
                 n, covered = int(given.sum()), int(inside.sum())
                 share = covered / n if n else np.nan
-                lo, hi = _limits(inside, given)
+                lo, hi = coverage_limits(inside, given)
                 rows.append(
                     {
                         "setting": setting, "method": method, "parameter": kind,
@@ -259,7 +260,7 @@ def markdown_table(
     return "\n".join(lines) + "\n"
 
 
-def _limits(inside: np.ndarray, given: np.ndarray) -> tuple[float, float]:
+def coverage_limits(inside: np.ndarray, given: np.ndarray) -> tuple[float, float]:
     """95 % limits of the coverage from booleans (n_campaigns, n_pooled)."""
     n, covered = float(given.sum()), float(inside.sum())
     if n == 0:

@@ -189,7 +189,7 @@ def _p_words(p: float) -> str:
     return "below 0.001" if p < 1e-3 else f"{p:.1g}"
 
 
-class _Statistics:
+class ResidualStatistics:
     """The three statistics of standardised residuals z, all experiments pooled."""
 
     def __init__(self, problem: Problem, theta: FloatArray) -> None:
@@ -280,7 +280,7 @@ def check_predictive(posterior: Posterior, n_draws: int = 30, seed: int = 1) -> 
     problem = posterior.problem
     draws = posterior.draws
     some = draws[np.linspace(0, len(draws) - 1, min(n_draws, len(draws))).round().astype(int)]
-    statistics = _Statistics(problem, draws.mean(axis=0))
+    statistics = ResidualStatistics(problem, draws.mean(axis=0))
     streams = np.random.SeedSequence(seed).spawn(len(some))
     observed, replicated = [], []
     pit = [np.zeros(e.n_samples) for e in problem.campaign]
@@ -304,14 +304,16 @@ def check_predictive(posterior: Posterior, n_draws: int = 30, seed: int = 1) -> 
         ("spectrum", "frequency", "Hz", statistics.frequency),
     )
     records = [
-        _compare(*axis, np.array([o[j] for o in observed]), np.array([r[j] for r in replicated]))
+        compare_statistic(
+            *axis, np.array([o[j] for o in observed]), np.array([r[j] for r in replicated])
+        )
         for j, axis in enumerate(axes)
     ]
     return PredictiveCheck(
         autocorrelation=records[0],
         variance=records[1],
         spectrum=records[2],
-        pit=_pit([u / len(averaged) for u in pit], problem),
+        pit=make_pit([u / len(averaged) for u in pit], problem),
         n_draws=len(some),
         seed=seed,
     )
@@ -338,9 +340,10 @@ def _one_step_ahead(z: FloatArray, e: Experiment, phi: float) -> FloatArray:
     return share
 
 
-def _compare(
+def compare_statistic(
     name: str, x_name: str, x_unit: str, x: FloatArray, observed: FloatArray, replicated: FloatArray
 ) -> Comparison:
+    """A statistic of the data (n_draws, n_x) beside that of as many replicates, point by point."""
     from scipy.special import stdtr
 
     difference = observed - replicated
@@ -356,7 +359,8 @@ def _compare(
     )  # fmt: skip
 
 
-def _pit(parts: list[FloatArray], problem: Problem) -> Pit:
+def make_pit(parts: list[FloatArray], problem: Problem) -> Pit:
+    """Whether probability integral transforms, one array an experiment, are uniform and apart."""
     from scipy import stats
     from scipy.special import ndtri
 

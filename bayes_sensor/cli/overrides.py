@@ -41,9 +41,17 @@ from collections.abc import Mapping
 from dataclasses import fields
 from math import isfinite, nan
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    create_model,
+)
+from pydantic_core import PydanticCustomError
 
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.io.readers.quantities import TIME, VOLUME, Kind, read_quantity
@@ -51,6 +59,7 @@ from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Settings
+from bayes_sensor.posterior.samplers import DEFAULT, SAMPLERS
 from bayes_sensor.rig.layout import Layout
 
 LARGEST = 1 << 20
@@ -80,9 +89,20 @@ class FitPart(Part):
     bounds: dict[str, list[str]] = Field(default_factory=dict)
 
 
+def _known_sampler(name: str) -> str:
+    if name not in SAMPLERS:
+        *others, last = (f"'{known}'" for known in SAMPLERS)
+        raise PydanticCustomError(
+            "unknown_sampler",
+            "Input should be {names}",
+            {"names": f"{', '.join(others)} or {last}"},
+        )
+    return name
+
+
 def _sampler_keys() -> dict[str, Any]:
     """The sampler's name and its own settings, as keys with their types and defaults."""
-    keys: dict[str, Any] = {"sampler": (Literal["emcee", "independence", "hmc"], "emcee")}
+    keys: dict[str, Any] = {"sampler": (Annotated[str, AfterValidator(_known_sampler)], DEFAULT)}
     for f in fields(Settings):
         least = {"burn_in": 0, "n_chains": 2}.get(f.name, 1)
         keys[f.name] = (type(f.default), Field(default=f.default, ge=least))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -13,15 +12,16 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
-from bayes_sensor.cli.analysis_steps import Progress, load, progress_bar, say
 from bayes_sensor.cli.overrides import make_problem, read_overrides
-from bayes_sensor.cli.simulate_campaigns import read_option, read_truth
+from bayes_sensor.cli.put_results import Clock, put_run
+from bayes_sensor.cli.read_input import load
+from bayes_sensor.cli.read_parameters import read_option, read_truth
+from bayes_sensor.cli.terminal import Progress, lined_up, progress_bar, say
 from bayes_sensor.design import Design, check_design, design_experiments
 from bayes_sensor.fit.side_information import named_parameters
 from bayes_sensor.io.json_files import sha256
 from bayes_sensor.io.readers.quantities import FLOW, TIME, Kind
 from bayes_sensor.io.results import Results
-from bayes_sensor.io.run_record import now, run_record
 from bayes_sensor.io.writers import campaign_text
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.lags import Naming
@@ -47,12 +47,12 @@ def plan_experiments(
     quiet: bool,
     config: Path | None = None,
 ) -> int:
-    """Write design.json and what to simulate with; the exit code.
+    """Write design.json and the input files for ``simulate``; return the exit code.
 
     ``design.toml`` goes with ``truth.json``, ``next.toml`` with ``next_truth.json``: sigma1 and phi
     refer to a campaign's own highest concentration and sampling interval.
     """
-    started, begin = now(), time.perf_counter()
+    clock = Clock()
     goal = _positive(target, "--target-tau")
     known = None if trigger is None else _positive(trigger, "--trigger", zero=True)
     assumed = None if tau is None else _positive(tau, "--tau", zero=True)
@@ -109,27 +109,15 @@ def plan_experiments(
             else:
                 stage.drop += ["next.toml", "next_truth.json"]
             stage.json("truth.json", found.truth_for(found.campaign))
-            stage.json(
-                "run.json",
-                run_record(
-                    results.json("run.json"),
-                    "design",
-                    basis="",
-                    seed=seed,
-                    settings={
-                        "target_tau": target,
-                        "limits": record["limits"],
-                        "check": check,
-                        **overrides.record(),
-                    },
-                    campaign=str(campaign_path),
-                    files={campaign_path.name: sha256(campaign_path)},
-                    started=started,
-                    seconds={"design": time.perf_counter() - begin},
-                    exit_code=code,
-                    warnings=[] if code == 0 else [found.status],
-                ),
-            )
+            put_run(
+                stage, "design", clock, seed=seed,
+                settings={
+                    "target_tau": target, "limits": record["limits"], "check": check,
+                    **overrides.record(),
+                },
+                campaign=str(campaign_path), files={campaign_path.name: sha256(campaign_path)},
+                exit_code=code, warnings=[] if code == 0 else [found.status],
+            )  # fmt: skip
     _tell(found, record, results, quiet)
     if code == 3:
         print(
@@ -201,13 +189,13 @@ def _check_order(naming: Naming, path: Path) -> None:
 def _estimated(problem: Problem, seed: int, tell: Progress, path: Path) -> FloatArray:
     """The posterior's medians, by name: least squares may have tau at its bound."""
     from bayes_sensor.fit import fit_least_squares
-    from bayes_sensor.posterior import sample_posterior
+    from bayes_sensor.posterior import FASTEST, sample_posterior
 
     fit = fit_least_squares(
         problem, seed=seed, euler=False, progress=lambda share, _: tell(0.3 * share, "fit")
     )
     tell(0.3, "posterior")
-    posterior = sample_posterior(problem, fit, seed=seed, sampler="independence")
+    posterior = sample_posterior(problem, fit, seed=seed, sampler=FASTEST)
     _check_order(posterior.naming, path)
     median: FloatArray = np.median(posterior.draws, axis=0)
     median[:3] = list(named_parameters(posterior.naming, median).values())
@@ -238,9 +226,8 @@ def _tell(found: Design, record: Mapping[str, Any], results: Results, quiet: boo
     if not kinds:
         say("the experiments there are suffice", quiet)
     rows: list[tuple[str, ...]] = [header, *((str(times), *kind) for kind, times in kinds.items())]
-    widths = [max(len(cells[i]) for cells in rows) for i in range(len(header))]
-    for cells in rows if kinds else ():
-        say("  ".join(c.rjust(w) for c, w in zip(cells, widths, strict=True)), quiet)
+    for line in lined_up(rows) if kinds else ():
+        say(line, quiet)
     for words, prediction in (("now", found.before), ("with these", found.after)):
         say(
             f"{words}: tau between {1e3 * prediction.low95:.3g} and {1e3 * prediction.high95:.3g} "

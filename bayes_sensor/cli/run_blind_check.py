@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bayes_sensor import figures
 from bayes_sensor.blind_check import (
     SETTINGS,
     card_table,
@@ -20,12 +19,13 @@ from bayes_sensor.blind_check import (
     table,
 )
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli.analysis_steps import last_step, progress_bar, put_report, say
 from bayes_sensor.cli.logged_notes import noted
+from bayes_sensor.cli.make_report import last_step, put_report
+from bayes_sensor.cli.put_results import Clock, put_figure, put_run
+from bayes_sensor.cli.terminal import lined_up, progress_bar, say
 from bayes_sensor.figures.plot_blind_check import score_card
 from bayes_sensor.io.json_files import read_json
 from bayes_sensor.io.results import Results, Stage
-from bayes_sensor.io.run_record import now, run_record
 
 PARTS = "blind-check-parts"
 """folder of finished parts, for --resume; removed once all is done"""
@@ -49,7 +49,7 @@ def blind_check(
     size: str = "mixed",
 ) -> int:
     """Run all of it, or ``only`` ``cases``, ``diagnose`` or ``score``; the exit code."""
-    started, seconds = now(), {}
+    clock, seconds = Clock(), dict[str, float]()
     if setting not in SETTINGS:
         raise CampaignError(
             f"--setting: expected one of {', '.join(SETTINGS)}, but got '{setting}'; correct it"
@@ -92,17 +92,12 @@ def blind_check(
                 seconds["diagnosis"] = time.perf_counter() - begin
             if only in (None, "score"):
                 card = _write_card(stage, made)
-            stage.json(
-                "run.json",
-                run_record(
-                    results.json("run.json"), "blind-check", basis="", seed=seed,
-                    settings={
-                        "cases": cases, "setting": setting, "only": only, "reserve": reserve,
-                        "size": size,
-                    },
-                    campaign="", files={}, started=started, seconds=seconds, exit_code=0,
-                    warnings=noted(),
-                ),
+            put_run(
+                stage, "blind-check", clock, seed=seed, seconds=seconds, warnings=noted(),
+                settings={
+                    "cases": cases, "setting": setting, "only": only, "reserve": reserve,
+                    "size": size,
+                },
             )  # fmt: skip
         if card is not None:  # from the whole folder, which may hold an analysis as well
             with progress_bar("report", quiet) as tell, last_step(results):
@@ -131,9 +126,7 @@ def _write_card(stage: Stage, folder: Path) -> dict[str, Any]:
     stage.json("score.json", card)
     stage.text("cases.csv", table(rows).to_csv(index=False, lineterminator="\n"))
     stage.text("score.csv", card_table(card).to_csv(index=False, lineterminator="\n"))
-    figure = score_card(card)
-    stage.text("score_card.svg", figures.svg(figure))
-    stage.binary("score_card.png", figures.png(figure))
+    put_figure(stage, "score_card", score_card(card))
     return card
 
 
@@ -145,7 +138,5 @@ def summary(card: Mapping[str, Any]) -> str:
         reached = "no case" if goal["reached"] is None else f"{goal['reached']:.3f}"
         met = {True: "met", False: "missed", None: ""}[goal["met"]]
         rows.append([goal["goal"], goal["wanted"] or "", reached, interval, met])
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     kinds = ", ".join(f"{n} {kind}" for kind, n in card["kinds"].items())
-    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
-    return "\n".join([f"{card['n']} cases: {kinds}", *(line.rstrip() for line in lines)])
+    return "\n".join([f"{card['n']} cases: {kinds}", *lined_up(rows, left=len(rows[0]))])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,10 +10,10 @@ from typing import TYPE_CHECKING
 from bayes_sensor import figures
 from bayes_sensor.bounds import METHODS
 from bayes_sensor.checks.coverage import BoundsStudy, chosen_settings, run_coverage
-from bayes_sensor.cli.analysis_steps import progress_bar, say
 from bayes_sensor.cli.logged_notes import noted
+from bayes_sensor.cli.put_results import Clock, put_figure, put_run
+from bayes_sensor.cli.terminal import lined_up, progress_bar, say
 from bayes_sensor.io.results import Results
-from bayes_sensor.io.run_record import now, run_record
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,7 +41,7 @@ def study_coverage(
     """
     from bayes_sensor.cli.overrides import read_overrides
 
-    started, begin = now(), time.perf_counter()
+    clock = Clock()
     chosen = chosen_settings(settings)
     asked = read_overrides(config).bounds
     names = tuple(methods) or tuple(asked.methods or ()) or tuple(METHODS)
@@ -60,7 +59,6 @@ def study_coverage(
                 n_resamples=resamples,
             )  # fmt: skip
         rows = table.to_dict("records")
-        figure = figures.coverage(rows)
         with results.writing() as stage:
             stage.text("coverage.csv", table.to_csv(index=False, lineterminator="\n"))
             stage.json(
@@ -72,25 +70,12 @@ def study_coverage(
                     "coverage": rows,
                 },
             )
-            stage.text("coverage.svg", figures.svg(figure))
-            stage.binary("coverage.png", figures.png(figure))
-            stage.json(
-                "run.json",
-                run_record(
-                    results.json("run.json"),
-                    "coverage",
-                    basis="",
-                    seed=seed,
-                    settings={
-                        "campaigns": campaigns, "settings": list(chosen), "methods": list(names),
-                    },
-                    campaign="",
-                    files={},
-                    started=started,
-                    seconds={"coverage": time.perf_counter() - begin},
-                    exit_code=0,
-                    warnings=noted(),
-                ),
+            put_figure(stage, "coverage", figures.coverage(rows))
+            put_run(
+                stage, "coverage", clock, seed=seed, warnings=noted(),
+                settings={
+                    "campaigns": campaigns, "settings": list(chosen), "methods": list(names),
+                },
             )  # fmt: skip
     say(summary(table), quiet)
     say(f"results: {results.path('coverage.csv')}", quiet)
@@ -104,8 +89,4 @@ def summary(table: pd.DataFrame, parameter: str = "tau_s") -> str:
     values = some.set_index(["method", "setting"])["coverage"]
     rows = [[f"95 % of {parameter.rpartition('_')[0]}", *settings]]
     rows += [[method, *(f"{values[method, s]:.3f}" for s in settings)] for method in methods]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))])
-        for row in rows
-    )
+    return "\n".join(lined_up(rows, left=1))

@@ -16,16 +16,17 @@ from typing import TYPE_CHECKING, Any
 
 from bayes_sensor import __version__
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli.analysis_steps import progress_bar, run, say
 from bayes_sensor.cli.logged_notes import noted
 from bayes_sensor.cli.overrides import Overrides, read_overrides
+from bayes_sensor.cli.pipeline import run_command
+from bayes_sensor.cli.put_results import Clock, put_run
+from bayes_sensor.cli.terminal import progress_bar, say
 from bayes_sensor.fleet import Entry, failed_row, read_list, row_of, table, write_comparison
 from bayes_sensor.fleet.comparison import sentences
 from bayes_sensor.fleet.outcome import fingerprint, unchanged
 from bayes_sensor.io.disk import own_folder
 from bayes_sensor.io.json_files import write_json
 from bayes_sensor.io.results import Results
-from bayes_sensor.io.run_record import now, run_record
 from bayes_sensor.workers import WorkerDied, completed, dask_client
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ class Analysis:
             with redirect_stdout(io.StringIO()), redirect_stderr(told):
                 own_folder(results.folder)
                 results.path(OUTCOME).unlink(missing_ok=True)
-                run(
+                run_command(
                     "analyze", entry.file, results.folder, seed=self.seed, jobs=1, quiet=True,
                     config=self.config, resume=self.resume, posterior=self.posterior,
                     patience=PATIENCE, command_line=["bayes-sensor", *arguments],
@@ -193,7 +194,7 @@ def _run(
     tell: Callable[[float, str], None],
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """The rows and their comparison."""
-    started, begin = now(), time.perf_counter()
+    clock = Clock()
     settings: Overrides = read_overrides(config, posterior)
     entries = read_list(listing)
     results = Results(out)
@@ -210,18 +211,15 @@ def _run(
         _check_visible(out, rows, scheduler)
         with results.writing() as stage:
             compared = write_comparison(stage, rows, __version__)
-            stage.json(
-                "run.json",
-                run_record(
-                    results.json("run.json"), "fleet", basis="", seed=seed,
-                    settings=settings.record(), campaign=str(listing), files={},
-                    started=started,
-                    seconds={
-                        "fleet": time.perf_counter() - begin,
-                        **{o["row"]["campaign"]: o["cost"].get("seconds", 0.0) for o in outcomes},
-                    },
-                    exit_code=exit_code(compared), warnings=noted(),
-                ) | {"cost": {o["row"]["campaign"]: o["cost"] for o in outcomes}},
+            costs = {o["row"]["campaign"]: o["cost"] for o in outcomes}
+            put_run(
+                stage, "fleet", clock, seed=seed, settings=settings.record(),
+                campaign=str(listing),
+                seconds={
+                    "fleet": clock.seconds,
+                    **{name: cost.get("seconds", 0.0) for name, cost in costs.items()},
+                },
+                exit_code=exit_code(compared), warnings=noted(), cost=costs,
             )  # fmt: skip
     return rows, compared
 

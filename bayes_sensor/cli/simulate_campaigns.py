@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
@@ -13,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, counted
-from bayes_sensor.cli.analysis_steps import progress_bar, say
+from bayes_sensor.cli.put_results import Clock, put_run
+from bayes_sensor.cli.read_parameters import read_option, read_truth
+from bayes_sensor.cli.terminal import progress_bar, say
 from bayes_sensor.io.json_files import read_json, sha256
 from bayes_sensor.io.readers import read_campaign
-from bayes_sensor.io.readers.quantities import TIME, VOLUME, Kind, read_quantity
+from bayes_sensor.io.readers.quantities import TIME, VOLUME, Kind
 from bayes_sensor.io.results import Results
-from bayes_sensor.io.run_record import now, run_record
 from bayes_sensor.io.writers import FORMATS, write_campaign
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.problem import Problem
@@ -129,34 +129,6 @@ def _empty(campaign: Campaign) -> Campaign:
     return replace(campaign, experiments=experiments, warnings=())
 
 
-def read_truth(path: Path, design: Campaign) -> dict[str, Any]:
-    """Parameters as in fit.json or truth.json, of every experiment of the design."""
-    content = read_json(path)
-    if isinstance(content, dict) and isinstance(content.get("parameters"), dict):
-        content = content["parameters"]
-    if not isinstance(content, dict) or "tau_s" not in content:
-        raise CampaignError(
-            f"{path.name}: expected parameters as in fit.json or truth.json (tau_s, tau_v_s, V_mL, "
-            "experiments, ..), but tau_s is not there; give such a file"
-        )
-    truth = {**content, "experiments": dict(content.get("experiments", {}))}
-    for name in design.names_of_experiments:
-        if name not in truth["experiments"]:
-            raise CampaignError(
-                f"{path.name}: it holds no parameters of experiment '{name}'; add them under "
-                '"experiments", or choose experiments with --experiments'
-            )
-    return truth
-
-
-def read_option(text: str, kind: Kind, option: str) -> float:
-    """The number of a quantity given as an option; the message shows how to write it."""
-    try:
-        return read_quantity(text, kind, option)
-    except CampaignError as error:
-        raise CampaignError(str(error).replace(f"{option} = ", f"{option} ")) from None
-
-
 def _recorded(
     plan: Problem, theta: dict[str, Any], wanted: Mapping[str, float | None], seed: int
 ) -> tuple[Campaign, dict[str, Any]]:
@@ -167,24 +139,6 @@ def _recorded(
 
     recorded, strengths = simulate_with_effects(plan, theta, wanted, seed=seed)
     return recorded, {**theta, "effects": strengths}
-
-
-def read_nominal(path: Path | None) -> dict[str, Any] | None:
-    """Parameters of a nominal simulation, as in fit.json or truth.json.
-
-    Raises CampaignError where the file does not hold them.
-    """
-    if path is None:
-        return None
-    content = read_json(path)
-    if isinstance(content, dict) and isinstance(content.get("parameters"), dict):
-        content = content["parameters"]
-    if not isinstance(content, dict) or "tau_s" not in content:
-        raise CampaignError(
-            f"{path.name}: expected parameters as in fit.json (tau_s, tau_v_s, V_mL, experiments), "
-            "but tau_s is not there; give such a file"
-        )
-    return content
 
 
 def _check_free(results: Results, written: Path) -> None:
@@ -223,7 +177,7 @@ def simulate_campaign(
     from bayes_sensor.cli.overrides import make_problem, read_overrides
 
     overrides = read_overrides(config)
-    started, begin = now(), time.perf_counter()
+    clock = Clock()
     if file_format not in FORMATS:
         raise CampaignError(
             f"--format: expected one of {', '.join(FORMATS)}, but got '{file_format}'; choose one"
@@ -294,28 +248,15 @@ def simulate_campaign(
             write_campaign(recorded, stage.inside, formats=file_format)
             _check_free(results, stage.inside)
             stage.json("truth.json", {**theta, "signal_unit": unit})
-            stage.json(
-                "run.json",
-                run_record(
-                    results.json("run.json"),
-                    "simulate",
-                    basis="",
-                    seed=seed,
-                    settings={
-                        **quantities,
-                        "phi": theta.get("phi"),
-                        "noise": overrides.noise.model_dump(),
-                        "format": file_format,
-                        "effects": list(effects),
-                    },
-                    campaign="" if source is None else str(source),
-                    files={} if source is None else {source.name: sha256(source)},
-                    started=started,
-                    seconds={"simulate": time.perf_counter() - begin},
-                    exit_code=0,
-                    warnings=[],
-                ),
-            )
+            put_run(
+                stage, "simulate", clock, seed=seed,
+                settings={
+                    **quantities, "phi": theta.get("phi"), "noise": overrides.noise.model_dump(),
+                    "format": file_format, "effects": list(effects),
+                },
+                campaign="" if source is None else str(source),
+                files={} if source is None else {source.name: sha256(source)},
+            )  # fmt: skip
     say(
         f"{counted(len(recorded), 'experiment')} with tau = {1e3 * theta['tau_s']:g} ms, "
         f"seed {seed}",

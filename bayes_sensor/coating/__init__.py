@@ -18,7 +18,8 @@ response as a sum of exponentials, which :func:`reduced` shortens to a few of th
 ``sensor_diffusion`` effect.  :func:`infer_d_zif8` reads the diffusivity off a posterior of tau.
 
 The lateral extent of the coating is not published; :func:`find_outer_radius` finds the radius
-that meets the published 12.9 ms, and :func:`outer_radius_table` says how much hangs on it.
+that reproduces the published 12.9 ms; :func:`outer_radius_table` shows how strongly the results
+depend on it.
 """
 
 from bayes_sensor.coating.exponentials import ReducedResponse, modal, reduced

@@ -1,15 +1,11 @@
-"""The sim-to-real gap: where the model misses, which effect causes it, how far it shrinks."""
+"""The gap between model and data: where it is, which effect explains it, how much that closes."""
 
 from bayes_sensor.diagnosis.diagnose import diagnose_gap
 from bayes_sensor.diagnosis.effects import CATALOGUE
-from bayes_sensor.diagnosis.effects.effect import (
-    Effect,
-    Form,
-    RigView,
-    Setting,
-    Strength,
-    own_effect,
-)
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, OnNoise, Strength
+from bayes_sensor.diagnosis.effects.rig_view import RigView
+from bayes_sensor.diagnosis.effects.setting import Setting
+from bayes_sensor.diagnosis.effects.user_effects import own_effect
 from bayes_sensor.diagnosis.gap import Gap
 
 __all__ = [
@@ -17,6 +13,7 @@ __all__ = [
     "Effect",
     "Form",
     "Gap",
+    "OnNoise",
     "RigView",
     "Setting",
     "Strength",

@@ -12,25 +12,30 @@ beside it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import exp
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.closed_fraction import VISIBLE, Closure, HeldOut
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.noise_floor import DOF
+from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
+from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.evidence.block_least_squares import inverted, solved
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy
 from bayes_sensor.diagnosis.evidence.hypotheses import INCOMPLETE
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
-from bayes_sensor.diagnosis.location import Leverage, _mean_square
+from bayes_sensor.diagnosis.gap import Shrink
+from bayes_sensor.diagnosis.location import excess_mean_square
+from bayes_sensor.diagnosis.signals.finding import Finding
 
-VISIBLE = 3.0
-"""size of a gap, in standard deviations of the noise, below which no fraction is given"""
 RULED_OUT = 0.05
 """chance of a full closing below which it is"""
 DRAWS = 2000
@@ -43,34 +48,16 @@ NEGLIGIBLE = 1e-4
 """share of the evidence below which a discrepancy is not drawn from"""
 
 
-@dataclass(frozen=True)
-class Closure:
-    """How much of the gap an explanation closes; None where the gap is too small to divide by."""
-
-    fraction: float | None
-    low: float | None
-    high: float | None
-    before_V: float
-    after_V: float
-    d_before: float
-    d_after: float
-
-    @property
-    def withheld(self) -> bool:
-        """Whether no fraction is given."""
-        return self.fraction is None
-
-
-def taken_away(base: Refit, fitted: Refit) -> float:
-    """Misfit, in squared standard deviations, that ``fitted`` does not have and ``base`` has.
+def misfit_removed(base: Refit, fitted: Refit) -> float:
+    """By how much ``fitted`` lowers the squared misfit of ``base``, in units of the noise.
 
     Less what its further freedom takes from noise alone.
     """
-    excess = [r.misfit - Leverage.of(r).trace() for r in (base, fitted)]
+    excess = [r.misfit - r.leverage.trace() for r in (base, fitted)]
     return max(excess[0] - excess[1], 0.0)
 
 
-def what_is_left(
+def draw_remaining_misfit(
     fitted: Refit, discrepancies: Sequence[Discrepancy], seed: int = 1
 ) -> tuple[float, FloatArray]:
     """The chance that an explanation leaves something, and how much then.
@@ -99,7 +86,7 @@ def what_is_left(
         if n > 0
     ]
     sizes = np.concatenate(drawn)
-    rough = fitted.misfit - Leverage.of(fitted).trace() - chance * float(np.mean(sizes))
+    rough = fitted.misfit - fitted.leverage.trace() - chance * float(np.mean(sizes))
     n = len(fitted.residual)
     spread = np.sqrt(2.0 * n + 2.0 * n**2 / DOF)
     if rough < VISIBLE * spread:
@@ -115,9 +102,9 @@ def _squared_sizes(
     # out under their priors, and P what a refit without the discrepancy leaves of it
     at_limit = int(fitted.x[0] <= 0.0)  # tau there: its own coordinate does not move
     jacobian = fitted.jacobian[:, at_limit:]
-    plan = fitted.plan
-    prior = plan.own_prior_matrix[at_limit:, at_limit:]
-    pull = (plan.own_prior_matrix @ (fitted.x - plan.prior_centre))[at_limit:]
+    coords = fitted.coords
+    prior = coords.own_prior_matrix[at_limit:, at_limit:]
+    pull = (coords.own_prior_matrix @ (fitted.x - coords.prior_centre))[at_limit:]
     basis, variance = discrepancy.basis, discrepancy.variance
     shrink = variance / (1.0 + variance)
     normal = jacobian.T @ jacobian
@@ -151,9 +138,9 @@ def closure(
     ruled out (a chance of 5 %) the interval is one-sided and reaches up to one; elsewhere it is
     equal-tailed.
     """
-    volts = [np.sqrt(max(_mean_volts(base.plan.sketch, r), 0.0)) for r in (base, fitted)]
-    taken = taken_away(base, fitted)
-    chance, sizes = what_is_left(fitted, discrepancies, seed)
+    volts = [np.sqrt(max(_mean_volts(base.coords.binned, r), 0.0)) for r in (base, fitted)]
+    taken = misfit_removed(base, fitted)
+    chance, sizes = draw_remaining_misfit(fitted, discrepancies, seed)
     left = chance * float(np.mean(sizes))
     d = float(np.sqrt(taken + left)), float(np.sqrt(left))
     if d[0] < VISIBLE:
@@ -177,27 +164,14 @@ def closure(
     return Closure(fraction, low, high, float(volts[0]), float(volts[1]), *d)
 
 
-def _mean_volts(sketch: Sketch, fitted: Refit) -> float:
-    leverage = Leverage.of(fitted)
+def _mean_volts(binned: BinnedCampaign, fitted: Refit) -> float:
+    leverage = fitted.leverage
     pairs = [
-        _mean_square(sketch, leverage, fitted.residual, k, np.arange(rows.start, rows.stop))
-        for k, rows in enumerate(sketch.rows)
+        excess_mean_square(binned, leverage, fitted.residual, k, np.arange(rows.start, rows.stop))
+        for k, rows in enumerate(binned.rows)
     ]
     count = sum(n for _, n in pairs)
     return sum(v * n for v, n in pairs) / count
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """Closed fraction of data that were not fitted to, with its 95 % interval.
-
-    The fraction may pass one, since noise is only taken off on average; nothing closes more than
-    a gap, so that the interval ends at one then, or at the fraction.
-    """
-
-    fraction: float
-    low: float
-    high: float
 
 
 def held_out(base: Refit, fitted: Refit, seed: int = 1) -> HeldOut | None:
@@ -208,16 +182,16 @@ def held_out(base: Refit, fitted: Refit, seed: int = 1) -> HeldOut | None:
     and judged on the fall.  None where there is one experiment, no fall to judge local strengths
     on, or too little to divide by.
     """
-    sketch = base.plan.sketch
-    n_e = len(sketch.bins)
-    local = bool(fitted.plan.own)
+    binned = base.coords.binned
+    n_e = len(binned.bins)
+    local = bool(fitted.coords.own)
     if n_e < 2:
         return None
     before = after = 0.0
     n = 0
     unsure: list[list[FloatArray]] = [[], []]
     for k in range(n_e):
-        if local and not sketch.bins[k].falling.any():
+        if local and not binned.bins[k].falling.any():
             continue
         pair = [_predicted(r, k, local) for r in (base, fitted)]
         before += pair[0].excess
@@ -255,38 +229,38 @@ class _Prediction:
 
 def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
     """Experiment ``k`` predicted from the others; with ``local`` its fall from all before it."""
-    sketch, plan = fitted.plan.sketch, fitted.plan
-    n_e = len(sketch.bins)
+    binned, coords = fitted.coords.binned, fitted.coords
+    n_e = len(binned.bins)
     others = [j for j in range(n_e) if j != k]
-    all_but = sketch.restricted([np.full(len(b.first), j != k) for j, b in enumerate(sketch.bins)])
-    own = len(plan.own)
+    all_but = binned.restricted([np.full(len(b.first), j != k) for j, b in enumerate(binned.bins)])
+    own = len(coords.own)
     rest = refit(
-        replace(plan, sketch=all_but),
-        sketch.local_coordinates(fitted.x, others, own),
+        replace(coords, binned=all_but),
+        binned.local_coordinates(fitted.x, others, own),
         most_steps=10,
         tolerance=0.2,
     )
-    only = [np.full(len(b.first), j == k) for j, b in enumerate(sketch.bins)]
-    alone = sketch.restricted(only)
-    one = replace(plan, sketch=alone)
-    start = sketch.local_coordinates(fitted.x, [k], own)
+    only = [np.full(len(b.first), j == k) for j, b in enumerate(binned.bins)]
+    alone = binned.restricted(only)
+    one = replace(coords, binned=alone)
+    start = binned.local_coordinates(fitted.x, [k], own)
     n_shared = one.local[0]
     start[:n_shared] = rest.x[:n_shared]
     free = np.zeros(one.size, dtype=bool)
     free[n_shared:] = True
     covariance = np.zeros((one.size, one.size))
-    covariance[:n_shared, :n_shared] = inverted(rest.normal)[:n_shared, :n_shared]
+    covariance[:n_shared, :n_shared] = rest.covariance[:n_shared, :n_shared]
     if not local:
         made = refit(one, start, most_steps=10, tolerance=0.2, free=free)
         return _prediction(made, free, covariance)
     # strengths of its own: everything before the fall decides them, the fall judges
     falling = alone.bins[0].falling
-    rise = replace(plan, sketch=alone.restricted([~falling]))
+    rise = replace(coords, binned=alone.restricted([~falling]))
     first = refit(rise, start, most_steps=10, tolerance=0.2, free=free)
-    covariance[n_shared:, n_shared:] = inverted(first.normal)[n_shared:, n_shared:]
+    covariance[n_shared:, n_shared:] = first.covariance[n_shared:, n_shared:]
     free[:] = False
     free[n_shared + 3] = True  # tf
-    fall = replace(plan, sketch=alone.restricted([falling]))
+    fall = replace(coords, binned=alone.restricted([falling]))
     made = refit(fall, first.x, most_steps=10, tolerance=0.2, free=free)
     return _prediction(made, free, covariance)
 
@@ -301,3 +275,76 @@ def _prediction(made: Refit, free: NDArray[np.bool_], covariance: FloatArray) ->
     seen = given @ covariance[np.ix_(~free, ~free)] @ given.T
     unsure = np.linalg.eigvalsh(seen)[-given.shape[1] :]
     return _Prediction(float(made.residual @ made.residual) - n, max(n, 1), np.maximum(unsure, 0.0))
+
+
+def shrinking(comparison: Comparison, best: Hypothesis, closed: Closure, seed: int) -> Shrink:
+    """How far the gap shrinks with ``best``, which closes it as ``closed`` says."""
+    base, catalogue = comparison.base, comparison.catalogue
+    out = None
+    if best.effects and not closed.withheld:
+        out = held_out(base, best.refit, seed)
+    families = {catalogue[n].family for n in best.effects}
+    rivals = [
+        h
+        for h in comparison.complete
+        if len(h.effects) == 1 and catalogue[h.effects[0]].family not in families
+    ]
+    rival = max(rivals, key=lambda h: h.log_weight) if rivals and best.effects else None
+    none = comparison.find()
+    tau, low, high = _averaged_tau(comparison)
+    return Shrink(
+        closure=closed,
+        held_out_fraction_closed=out.fraction if out else None,
+        held_out_interval=(out.low, out.high) if out else None,
+        tau_before_s=exp(none.log_tau),
+        tau_after_s=tau,
+        tau_after_low_s=low,
+        tau_after_high_s=high,
+        explanation=best.key,
+        rival=rival.key if rival else None,
+        rival_fraction_closed=closed_by(base, rival.refit, closed) if rival else None,
+    )
+
+
+def closed_by(base: Refit, fitted: Refit, closed: Closure) -> float | None:
+    """Fraction of the gap, whose size ``closed`` holds, that an explanation closes."""
+    return None if closed.withheld else misfit_removed(base, fitted) / closed.d_before**2
+
+
+def shrinking_of_noise(
+    shrink: Shrink,
+    named: Sequence[str],
+    catalogue: Mapping[str, Effect],
+    prepared: PreparedCampaign,
+    findings: Sequence[Finding],
+) -> Shrink:
+    """``shrink`` with the closed fraction of a named effect on the noise, if one has its own."""
+    for name in named:
+        noise = catalogue[name].on_noise
+        if noise and noise.closure:
+            found = next(f for f in findings if f.name == name)
+            closed, out = noise.closure(prepared, found)
+            return replace(shrink, closure=closed, held_out_fraction_closed=out, explanation=name)
+    return shrink
+
+
+def _averaged_tau(comparison: Comparison) -> tuple[float, float, float]:
+    """Median and 95 % interval of tau over the explanations that hold 95 % of the probability."""
+    p = comparison.probabilities
+    order = np.argsort(-p)
+    count = int(np.searchsorted(np.cumsum(p[order]), 0.95)) + 1
+    kept = order[:count]
+    weight = p[kept] / p[kept].sum()
+    chosen = [comparison.hypotheses[i] for i in kept]
+    from scipy.special import ndtr
+
+    grid = np.linspace(
+        min(h.log_tau - 4 * h.sd_log_tau for h in chosen),
+        max(h.log_tau + 4 * h.sd_log_tau for h in chosen),
+        4001,
+    )
+    total = sum(
+        w * ndtr((grid - h.log_tau) / h.sd_log_tau) for w, h in zip(weight, chosen, strict=True)
+    )
+    low, mid, high = (float(np.exp(np.interp(q, total, grid))) for q in (0.025, 0.5, 0.975))
+    return mid, low, high

@@ -7,26 +7,26 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from bayes_sensor.diagnosis.closure import Closure
-from bayes_sensor.diagnosis.evidence.hypotheses import Weighing
-from bayes_sensor.diagnosis.hidden import Hidden
+from bayes_sensor.diagnosis.closed_fraction import Closure
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
 from bayes_sensor.diagnosis.isolability import Separation
-from bayes_sensor.diagnosis.location import Map
-from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate
-from bayes_sensor.diagnosis.verdict import Standing, Verdict
+from bayes_sensor.diagnosis.location import ExcessMap
+from bayes_sensor.diagnosis.signals.finding import Finding
+from bayes_sensor.diagnosis.unseen_effects import HiddenEffect, HiddenEffects
+from bayes_sensor.diagnosis.verdict import Probabilities, Verdict
 from bayes_sensor.display import card
 from bayes_sensor.io.json_files import plain
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Said = TypeVar("Said", "Shrink", Hidden, "HiddenEffects")
+Said = TypeVar("Said", "Shrink", HiddenEffect, "HiddenEffects")
 
 
 def without_tau(said: Mapping[str, Any]) -> dict[str, Any]:
-    """None for what is said of tau, and the same as said of the shorter lag.
+    """The record with tau None and the shorter lag in its place, under keys of its own.
 
-    For a diagnosis that takes the shorter lag for the sensor's where nobody knows whose it is.
+    For a diagnosis that takes the shorter lag for the sensor's where its owner is not known.
 
     >>> without_tau({"d": 2.0, "tau_s": 0.1})
     {'d': 2.0, 'tau_s': None, 'lag_fast_s': 0.1}
@@ -92,29 +92,6 @@ class Shrink:
 
 
 @dataclass(frozen=True)
-class HiddenEffects:
-    """What this campaign could not have seen."""
-
-    effects: tuple[Hidden, ...]
-    tau_envelope_s: tuple[float, float] | None
-    """None where nobody knows which lag is the sensor's"""
-    lag_fast: Mapping[str, Any] = field(default_factory=dict)
-    """what is then said of the shorter lag in place of tau, by key of gap.json"""
-
-    def to_json(self) -> dict[str, Any]:
-        """The keys of gap.json."""
-        effects = [h.to_json() for h in self.effects]
-        return {"effects": effects, "tau_envelope_s": self.tau_envelope_s, **self.lag_fast}
-
-    @cached_property
-    def table(self) -> pd.DataFrame:
-        """One row per effect: d, shift of tau, tau with it in place."""
-        import pandas as pd
-
-        return pd.DataFrame([e.to_json() for e in self.effects])
-
-
-@dataclass(frozen=True)
 class Round:
     """One round of the search: what was added, what is left after it."""
 
@@ -132,14 +109,14 @@ class Gap:
 
     verdict: Verdict
     budget: dict[str, Any]
-    map: Map
+    map: ExcessMap
     shrink: Shrink
     hidden: HiddenEffects
     rounds: tuple[Round, ...]
     separations: tuple[Separation, ...]
-    full_rate: tuple[FullRate, ...]
-    weighing: Weighing
-    standing: Standing
+    findings: tuple[Finding, ...]
+    comparison: Comparison
+    probabilities: Probabilities
     rows: tuple[dict[str, Any], ...]
     strength_units: Mapping[str, str]
     """name of a strength -> its unit; "1": it has none"""
@@ -181,8 +158,8 @@ class Gap:
         title = f"gap: {self.verdict.kind}, probability {self.verdict.probability:.2f}"
         return card(title, sentences, [key.replace("_", " ") for key in keys], rows)
 
-    def _finding(self, found: FullRate) -> dict[str, Any]:
-        experiments = self.weighing.sketch.campaign.experiments
+    def _finding(self, found: Finding) -> dict[str, Any]:
+        experiments = self.comparison.binned.campaign.experiments
         where = found.strength.get(f"{found.name}_experiment")
         return {
             "name": found.name,
@@ -211,17 +188,17 @@ class Gap:
                 "probability": v.probability,
                 "sentence": v.sentence,
             },
-            "families": self.standing.families,
-            "faint": self.standing.faint,
+            "families": self.probabilities.families,
+            "faint": self.probabilities.faint,
             "unlisted": {
-                "looks": self.standing.looks_unlisted,
-                "by_mean": self.standing.looks_by_mean,
+                "looks": self.probabilities.looks_unlisted,
+                "by_mean": self.probabilities.looks_by_mean,
             },
             "shrink": self.shrink.to_json(),
             "hidden": self.hidden.to_json(),
             "rounds": [{**vars(r), "added": list(r.added)} for r in self.rounds],
             "separate": [vars(s) for s in self.separations],
-            "full_rate": [self._finding(f) for f in self.full_rate],
+            "full_rate": [self._finding(f) for f in self.findings],
             "residuals": [
                 {
                     "experiment": name,
@@ -241,3 +218,15 @@ class Gap:
 
 def _without(mapping: Mapping[str, Any], *names: str) -> dict[str, Any]:
     return {k: v for k, v in mapping.items() if k not in names}
+
+
+def without_lag_names(gap: Gap) -> Gap:
+    """The record for a campaign in which it is not known which lag is the sensor's."""
+    hidden = replace(gap.hidden, effects=tuple(nameless(each) for each in gap.hidden.effects))
+    return replace(
+        gap,
+        rows=tuple(without_tau(row) for row in gap.rows),
+        budget=without_tau(gap.budget),
+        shrink=nameless(gap.shrink),
+        hidden=nameless(hidden),
+    )

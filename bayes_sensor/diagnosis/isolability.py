@@ -13,12 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
+from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
 from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Part, Plan
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
+from bayes_sensor.diagnosis.verdict import Judgement, Probabilities
 
+LIKELY = 0.02
+"""probability from which an effect's look-alikes are listed"""
 ISOLATED = 3.0
 """isolability from which a pair is told apart"""
 FLOW_FACTORS = (0.4, 2.5)
@@ -37,13 +42,17 @@ class Separation:
     isolability_with_it: float
 
 
-def isolability(sketch: Sketch, truth: Refit, rival: Effect, given: Sequence[Part] = ()) -> float:
+def isolability(
+    binned: BinnedCampaign, truth: Refit, rival: Effect, given: Sequence[Part] = ()
+) -> float:
     """Detectability left when ``truth``'s noise-free mean is refitted with ``rival``."""
-    data = tuple(truth.plan.means(truth.x))
+    data = tuple(truth.coords.means(truth.x))
     # priors lie where the truth is, or its own distance from them would count against every rival
-    exact = replace(sketch, data=data, centre=np.log([*truth.lags, truth.V]))
+    exact = replace(binned, data=data, centre=np.log([*truth.lags, truth.V]))
     base = refit(
-        Plan(exact, tuple(given), loose=truth.plan.loose), _bare(truth, len(given)), most_steps=15
+        Coordinates(exact, tuple(given), loose=truth.coords.loose),
+        _bare(truth, len(given)),
+        most_steps=15,
     )
     best = min(
         fit_effect(exact, base, [Part(rival, form)], form.starts[:2], 12).misfit
@@ -54,49 +63,86 @@ def isolability(sketch: Sketch, truth: Refit, rival: Effect, given: Sequence[Par
 
 def _bare(fitted: Refit, n_parts: int) -> FloatArray:
     # coordinates of the same optimum without the parts after the first n_parts
-    plan = fitted.plan
-    smaller = replace(plan, parts=plan.parts[:n_parts])
+    coords = fitted.coords
+    smaller = replace(coords, parts=coords.parts[:n_parts])
     x = np.zeros(smaller.size)
     first = 3 + len(smaller.shared)
     x[:first] = fitted.x[:first]
-    for k, e in enumerate(plan.sketch.campaign):
+    for k, e in enumerate(coords.binned.campaign):
         m = 4 if e.has_fall else 3
         n = m + len(smaller.own)
-        x[smaller.local[k] : smaller.local[k] + n] = fitted.x[plan.local[k] : plan.local[k] + n]
+        x[smaller.local[k] : smaller.local[k] + n] = fitted.x[coords.local[k] : coords.local[k] + n]
     return x
 
 
+def look_alikes(
+    comparison: Comparison, probabilities: Probabilities, catalogue: Mapping[str, Effect]
+) -> dict[str, list[str]]:
+    """Rivals that this campaign confuses with each of the likeliest effects, most alike first."""
+    ranked = sorted(probabilities.effects, key=lambda n: -probabilities.effects[n])
+    likely = [n for n in ranked if catalogue[n].on_mean and probabilities.effects[n] > LIKELY]
+    return {
+        name: [
+            rival
+            for rival, _ in confusable(
+                comparison.binned, comparison.find(name).refit, name, catalogue
+            )
+        ]
+        for name in likely[:3]
+    }
+
+
+def separate_pairs(
+    comparison: Comparison, judgement: Judgement, alike: Mapping[str, Sequence[str]]
+) -> list[Separation]:
+    """The additions that separate the first effect of a verdict from those most like it.
+
+    ``alike``: of :func:`look_alikes`.
+    """
+    catalogue, binned = comparison.catalogue, comparison.binned
+    first = next((n for n in judgement.effects if catalogue[n].on_mean), None)
+    if judgement.kind not in ("family", "effect") or first is None or first not in alike:
+        return []
+    rivals = list(alike[first])
+    if not binned.order_known:  # no measurement of the response tells whose the lag is
+        rivals = [n for n in rivals if n != catalogue[first].exchanged]
+    truth = comparison.find(first).refit
+    # nothing tells what is one response apart: the next in likeness is worth a look, too
+    most = 2 if rivals[:1] == [catalogue[first].same_response] else 1
+    return [what_would_separate(binned, truth, first, n, catalogue) for n in rivals[:most]]
+
+
 def confusable(
-    sketch: Sketch,
+    binned: BinnedCampaign,
     truth: Refit,
     name: str,
     catalogue: Mapping[str, Effect],
     rivals: Sequence[str] | None = None,
 ) -> list[tuple[str, float]]:
     """Rivals of an effect with isolability below three, most alike first."""
-    given = truth.plan.parts[:-1]
+    given = truth.coords.parts[:-1]
     made = []
     for other, effect in catalogue.items():
         if other == name or not effect.on_mean or (rivals is not None and other not in rivals):
             continue
-        value = isolability(sketch, truth, effect, given)
+        value = isolability(binned, truth, effect, given)
         if value < ISOLATED:
             made.append((other, value))
     return sorted(made, key=lambda x: x[1])
 
 
 def what_would_separate(
-    sketch: Sketch, truth: Refit, name: str, rival: str, catalogue: Mapping[str, Effect]
+    binned: BinnedCampaign, truth: Refit, name: str, rival: str, catalogue: Mapping[str, Effect]
 ) -> Separation:
     """The addition to the campaign that tells a confusable pair apart best."""
     effect = catalogue[rival]
-    given = truth.plan.parts[:-1]
-    now = isolability(sketch, truth, effect, given)
+    given = truth.coords.parts[:-1]
+    now = isolability(binned, truth, effect, given)
     tried = {
-        "V measured to 1 %": _known_volume(sketch),
-        "four times as many repeats": _repeated(sketch, 4),
+        "V measured to 1 %": _known_volume(binned),
+        "four times as many repeats": _repeated(binned, 4),
         **{
-            f"the same steps at {f:g} times the flow": _second_flow(sketch, f) for f in FLOW_FACTORS
+            f"the same steps at {f:g} times the flow": _second_flow(binned, f) for f in FLOW_FACTORS
         },
     }
     best, most = "", max(now * 1.2, ISOLATED)
@@ -108,18 +154,18 @@ def what_would_separate(
     return Separation(name, rival, now, best, most if best else now)
 
 
-def _known_volume(sketch: Sketch) -> Sketch:
-    sd = sketch.sd.copy()
+def _known_volume(binned: BinnedCampaign) -> BinnedCampaign:
+    sd = binned.sd.copy()
     sd[2] = min(sd[2], 0.01)
-    return replace(sketch, sd=sd)
+    return replace(binned, sd=sd)
 
 
-def _repeated(sketch: Sketch, n: int) -> Sketch:
-    quieter = tuple(c / np.sqrt(n) for c in sketch.floor.cholesky)
-    return replace(sketch, floor=replace(sketch.floor, cholesky=quieter))
+def _repeated(binned: BinnedCampaign, n: int) -> BinnedCampaign:
+    quieter = tuple(c / np.sqrt(n) for c in binned.floor.cholesky)
+    return replace(binned, floor=replace(binned.floor, cholesky=quieter))
 
 
-def _second_flow(sketch: Sketch, factor: float) -> Sketch:
+def _second_flow(binned: BinnedCampaign, factor: float) -> BinnedCampaign:
     more = tuple(
         replace(
             e,
@@ -127,31 +173,31 @@ def _second_flow(sketch: Sketch, factor: float) -> Sketch:
             carrier_flow=e.carrier_flow * factor,
             test_gas_flow=e.test_gas_flow * factor,
         )
-        for e in sketch.campaign
+        for e in binned.campaign
     )
     return replace(
-        sketch,
-        campaign=replace(sketch.campaign, experiments=(*sketch.campaign.experiments, *more)),
-        bins=sketch.bins * 2,
-        data=sketch.data * 2,
-        base=np.concatenate([sketch.base, sketch.base[3:]]),
+        binned,
+        campaign=replace(binned.campaign, experiments=(*binned.campaign.experiments, *more)),
+        bins=binned.bins * 2,
+        data=binned.data * 2,
+        base=np.concatenate([binned.base, binned.base[3:]]),
         floor=replace(
-            sketch.floor,
-            cholesky=sketch.floor.cholesky * 2,
-            density=np.concatenate([sketch.floor.density] * 2),
-            loudness=sketch.floor.loudness * 2,
+            binned.floor,
+            cholesky=binned.floor.cholesky * 2,
+            density=np.concatenate([binned.floor.density] * 2),
+            loudness=binned.floor.loudness * 2,
         ),
     )
 
 
-def _moved(truth: Refit, sketch: Sketch) -> Refit:
-    """The same truth in another sketch: added experiments have the local values of the first."""
-    plan = replace(truth.plan, sketch=sketch)
-    n_old = len(truth.plan.sketch.bins)
-    x = np.zeros(plan.size)
-    x[: plan.local[0]] = truth.x[: plan.local[0]]
-    for k in range(len(sketch.bins)):
+def _moved(truth: Refit, binned: BinnedCampaign) -> Refit:
+    """The same truth in another campaign: added experiments have the local values of the first."""
+    coords = replace(truth.coords, binned=binned)
+    n_old = len(truth.coords.binned.bins)
+    x = np.zeros(coords.size)
+    x[: coords.local[0]] = truth.x[: coords.local[0]]
+    for k in range(len(binned.bins)):
         j = k % n_old
-        a, b = truth.plan.local[j], truth.plan.local[j + 1]
-        x[plan.local[k] : plan.local[k] + b - a] = truth.x[a:b]
-    return replace(truth, plan=plan, x=x)
+        a, b = truth.coords.local[j], truth.coords.local[j + 1]
+        x[coords.local[k] : coords.local[k] + b - a] = truth.x[a:b]
+    return replace(truth, coords=coords, x=x)

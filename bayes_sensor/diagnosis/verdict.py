@@ -5,23 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.bins import PHASES
 from bayes_sensor.diagnosis.effects.effect import Effect
-from bayes_sensor.diagnosis.evidence.form_mismatch import another_form, of_its_form, small_enough
-from bayes_sensor.diagnosis.evidence.hypotheses import (
-    PRIOR_NONE,
-    PRIOR_UNLISTED,
-    Hypothesis,
-    Weighing,
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
+from bayes_sensor.diagnosis.evidence.form_mismatch import (
+    simpler_explanation,
+    small_enough,
+    within_form_mismatch,
 )
+from bayes_sensor.diagnosis.evidence.hypotheses import PRIOR_NONE, PRIOR_UNLISTED
 from bayes_sensor.diagnosis.evidence.refit import Refit
-from bayes_sensor.diagnosis.signals.tails_and_converter import OF_UNLISTED_ORIGIN, FullRate
+from bayes_sensor.diagnosis.signals.finding import Finding
 
 NAMED = 0.9
 """probability from which an effect or a family is named"""
@@ -79,8 +80,17 @@ class Verdict:
     sentence: str
 
 
+class Judgement(NamedTuple):
+    """A :class:`Verdict` before it is put in words."""
+
+    kind: str
+    effects: tuple[str, ...]
+    family: str | None
+    probability: float
+
+
 @dataclass(frozen=True)
-class Standing:
+class Probabilities:
     """Probabilities that the verdict rests on, effects of the noise included."""
 
     rows: dict[str, float]
@@ -99,33 +109,34 @@ class Standing:
 
     @property
     def nothing_seen(self) -> float:
-        """None, or nothing but an effect too small to be seen."""
+        """Probability of no effect, or of one that is too small to be seen."""
         return min(self.none + self.faint, 1.0)
 
 
-def standing(
-    weighing: Weighing, full_rate: Sequence[FullRate], catalogue: Mapping[str, Effect]
-) -> Standing:
-    """Join what explains the mean with what the samples say; the two are independent.
+def combine(
+    comparison: Comparison, findings: Sequence[Finding], catalogue: Mapping[str, Effect]
+) -> Probabilities:
+    """Probabilities of all explanations of the mean and of the findings, which are independent.
 
-    A line of unlisted origin (a pump's, a fan's) is no rival of an effect on the mean, which it
-    leaves alone: it stays beside the effect, and is the unlisted cause where nothing else is.  So
-    does what happens on plateaus beside an effect that shows elsewhere (:func:`stands_beside`).
+    A line of unlisted origin (of a pump, a fan) does not move the mean, so it is no rival of an
+    effect on the mean.  It counts beside the effect, and as the unlisted cause where there is no
+    effect.  The same holds for a finding on plateaus beside an effect that is seen in other phases
+    (:func:`leaves_explanation_alone`).
     """
     rows: dict[str, float] = {"none": 0.0, "unlisted": 0.0}
     rows.update({name: 0.0 for name in catalogue})
-    on_noise = {f.name: f.probability for f in full_rate if f.name in catalogue}
+    on_noise = {f.name: f.probability for f in findings if f.name in catalogue}
     silent = float(np.prod([1.0 - p for p in on_noise.values()]))
-    unlisted = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN]
+    unlisted = [f for f in findings if not f.signal.listed]
     odds = {n: q / (1.0 - q + 1e-300) for n, q in on_noise.items()}
     total_odds = sum(odds.values())
     of_samples = 0.0
     unseen: dict[str, float] = {}
-    alike = np.array([_look_alike(weighing, h) for h in weighing.hypotheses])
-    shares = weighing.probabilities / (1.0 + float(weighing.probabilities @ alike))
-    for h, p, other_cause in zip(weighing.hypotheses, shares, alike, strict=True):
+    alike = np.array([_look_alike(comparison, h) for h in comparison.hypotheses])
+    shares = comparison.probabilities / (1.0 + float(comparison.probabilities @ alike))
+    for h, p, other_cause in zip(comparison.hypotheses, shares, alike, strict=True):
         rows["unlisted"] += float(p * other_cause)
-        form = another_form(h, weighing) if p > LEAST else None
+        form = simpler_explanation(h, comparison) if p > LEAST else None
         if form:
             rows["unlisted"] += float(p) * OTHER_CAUSE
             p *= 1.0 - OTHER_CAUSE
@@ -133,9 +144,11 @@ def standing(
             rows["unlisted"] += float(p)
             continue
         causes = form.effects if form else h.effects
-        # nothing stands beside nothing
+        # with no effect, a finding counts as unlisted
         rivals = [
-            f for f in unlisted if not (h.effects and stands_beside(f, h.refit, weighing.base))
+            f
+            for f in unlisted
+            if not (h.effects and leaves_explanation_alone(f, h.refit, comparison.base))
         ]
         taken = 1.0 - float(np.prod([1.0 - f.probability for f in rivals]))
         of_samples += float(p) * taken
@@ -143,7 +156,7 @@ def standing(
         rest = float(p) * (1.0 - taken * (1.0 - MISTAKEN_BY_SAMPLES))
         name = "+".join(causes) or "none"
         rows[name] = rows.get(name, 0.0) + rest * silent
-        unseen.setdefault(name, _too_small(h, weighing.base))
+        unseen.setdefault(name, chance_too_small(h, comparison.base))
         # or some effect of the noise is there, each with its share
         loud = rest * (1.0 - silent)
         if loud > 0.0:
@@ -151,11 +164,11 @@ def standing(
                 joint = n if not causes else "+".join([*causes, n])
                 rows[joint] = rows.get(joint, 0.0) + loud * q / total_odds
                 unseen[joint] = unseen[name]
-    best = weighing.likeliest
+    best = comparison.likeliest
     looks_by_mean = rows["unlisted"]
     looks_unlisted = looks_by_mean + of_samples
     rows["unlisted"] += of_samples * (1.0 - MISTAKEN_BY_SAMPLES)
-    rows = _giving_back(rows, MISTAKEN * looks_by_mean, "+".join(best.effects) or "none")
+    rows = give_back_mistaken(rows, MISTAKEN * looks_by_mean, "+".join(best.effects) or "none")
     effects = dict.fromkeys(catalogue, 0.0)
     families: dict[str, float] = {}
     for name, p in rows.items():
@@ -171,7 +184,7 @@ def standing(
         effects[n] = max(effects[n], p)
         families[catalogue[n].family] = max(families.get(catalogue[n].family, 0.0), p)
     faint = sum(p * unseen.get(row, 0.0) for row, p in rows.items())
-    return Standing(
+    return Probabilities(
         rows,
         effects,
         families,
@@ -183,7 +196,7 @@ def standing(
     )
 
 
-def _too_small(h: Hypothesis, base: Refit) -> float:
+def chance_too_small(h: Hypothesis, base: Refit) -> float:
     """Probability that an effect, if it is there, has a detectability below ``FAINT``.
 
     What is found of it is what is there and one standard deviation of noise.
@@ -194,17 +207,17 @@ def _too_small(h: Hypothesis, base: Refit) -> float:
     return float(norm.cdf(FAINT - d) - norm.cdf(-FAINT - d))
 
 
-def stands_beside(found: FullRate, fitted: Refit, base: Refit) -> bool:
-    """Whether a finding of unlisted origin takes nothing from an explanation of the mean.
+def leaves_explanation_alone(found: Finding, fitted: Refit, base: Refit) -> bool:
+    """Whether a finding of unlisted origin is compatible with an explanation of the mean.
 
     A fast line averages out of the bins, whatever the effect.  An event, or plateaus that are
     unsteady, may be what an effect is fitted to, unless the effect explains most of what it does in
     other phases or records.  A short stay off the explanation may be the effect's own, in a form
     that is not quite ours.
     """
-    if found.beside_the_mean or of_its_form(found, fitted, base):
+    if found.beside_the_mean or within_form_mismatch(found, fitted, base):
         return True
-    touched = _touched(found, base.plan.sketch)
+    touched = _touched(found, base.coords.binned)
     if touched is None:
         return False
     gain = base.residual**2 - fitted.residual**2
@@ -212,39 +225,41 @@ def stands_beside(found: FullRate, fitted: Refit, base: Refit) -> bool:
     return elsewhere >= max(ELSEWHERE, MOSTLY_ELSEWHERE * float(gain.sum()))
 
 
-def _touched(found: FullRate, sketch: Sketch) -> NDArray[np.bool_] | None:
-    """(n_bins in all,) phases that a finding on quiet stretches is in; None for any other."""
-    if found.name == "unsteady":
-        return np.concatenate([b.phase == PHASES.index("plateau") for b in sketch.bins])
-    if found.name != "event" or not found.places:
+def _touched(found: Finding, binned: BinnedCampaign) -> NDArray[np.bool_] | None:
+    """(n_bins in all,) bins in the phases of a finding on quiet stretches; None for any other."""
+    if found.signal.phase:
+        return np.concatenate([b.phase == PHASES.index(found.signal.phase) for b in binned.bins])
+    if not found.signal.on_quiet_stretches or not found.places:
         return None
-    touched = [np.zeros(len(b.phase), dtype=bool) for b in sketch.bins]
+    touched = [np.zeros(len(b.phase), dtype=bool) for b in binned.bins]
     for place in found.places:
-        b = sketch.bins[place.experiment]
+        b = binned.bins[place.experiment]
         struck = b.phase[int(np.argmin(np.abs(b.centre - place.time)))]
         touched[place.experiment] |= b.phase == struck
     return np.concatenate(touched)
 
 
-def _look_alike(weighing: Weighing, h: Hypothesis) -> float:
-    """Odds that what looks like this explanation is an unlisted cause with the same residual.
+def _look_alike(comparison: Comparison, h: Hypothesis) -> float:
+    """Odds of an unlisted cause with the same residual as this explanation.
 
-    The more can be seen of an effect, the fewer other causes look the same.  Whoever writes an
-    effect of their own has a reason to: it is not charged.
+    The clearer an effect is seen, the fewer other causes look the same.  An effect of a user's own
+    is not charged: there is a reason for it.
     """
-    own = any(part.form.mean is not None for part in h.refit.plan.parts)
+    own = any(part.form.mean is not None for part in h.refit.coords.parts)
     if h.incomplete or not h.effects or own:
         return 0.0
-    d = max(_detectability(h, weighing.base), MIMIC)
+    d = max(_detectability(h, comparison.base), MIMIC)
     return PRIOR_UNLISTED / (1.0 - PRIOR_NONE - PRIOR_UNLISTED) * MIMIC / d
 
 
 def _detectability(h: Hypothesis, base: Refit) -> float:
-    """Size of what an explanation explains, in standard deviations of the noise."""
+    """Root of the misfit that an explanation removes, in standard deviations of the noise."""
     return sqrt(max(base.misfit - h.refit.misfit, 0.0))
 
 
-def _giving_back(rows: Mapping[str, float], mistaken: float, likeliest: str) -> dict[str, float]:
+def give_back_mistaken(
+    rows: Mapping[str, float], mistaken: float, likeliest: str
+) -> dict[str, float]:
     """``mistaken`` of what is unlisted goes to all others, or to ``likeliest`` where they are 0."""
     rest = sum(p for name, p in rows.items() if name != "unlisted")
     # a ratio of two tiny probabilities is exact, where one over a tiny sum overflows
@@ -256,54 +271,54 @@ def _giving_back(rows: Mapping[str, float], mistaken: float, likeliest: str) -> 
 
 
 def judge(
-    weighing: Weighing, stand: Standing, catalogue: Mapping[str, Effect]
-) -> tuple[str, tuple[str, ...], str | None, float]:
-    """kind, effects, family, probability."""
-    by_effects = (h for h in weighing.complete if h.effects)
+    comparison: Comparison, combined: Probabilities, catalogue: Mapping[str, Effect]
+) -> Judgement:
+    """None, one or two effects, a family, or something unlisted."""
+    by_effects = (h for h in comparison.complete if h.effects)
     best = max(by_effects, key=lambda h: h.log_weight, default=None)
     named = sorted(
-        (n for n, p in stand.effects.items() if p > NAMED), key=lambda n: -stand.effects[n]
+        (n for n, p in combined.effects.items() if p > NAMED), key=lambda n: -combined.effects[n]
     )
     on_mean = [n for n in named if catalogue[n].on_mean]
     on_noise = [n for n in named if not catalogue[n].on_mean]
     of_mean = {
-        f: p for f, p in stand.families.items()
+        f: p for f, p in combined.families.items()
         if any(e.family == f and e.on_mean for e in catalogue.values())
     }  # fmt: skip
     family, of_family = max(of_mean.items(), key=lambda item: item[1], default=("", 0.0))
     # with what only looks so given back it must still be the likeliest
-    likeliest = stand.unlisted >= max(stand.none, of_family)
-    likely = of_family > max(0.5, stand.unlisted)
-    unfit = bool(on_mean or likely) and best is not None and leaves_too_much(best, weighing.base)
-    if (stand.looks_unlisted > LIKELIER and likeliest) or unfit:
-        return "unlisted", (), None, max(stand.unlisted, 0.5 if unfit else 0.0)
-    unmoved = sum(p for row, p in stand.rows.items() if _leaves_the_mean_alone(row, catalogue))
+    likeliest = combined.unlisted >= max(combined.none, of_family)
+    likely = of_family > max(0.5, combined.unlisted)
+    unfit = bool(on_mean or likely) and best is not None and leaves_excess(best, comparison.base)
+    if (combined.looks_unlisted > LIKELIER and likeliest) or unfit:
+        return Judgement("unlisted", (), None, max(combined.unlisted, 0.5 if unfit else 0.0))
+    unmoved = sum(p for row, p in combined.rows.items() if _leaves_the_mean_alone(row, catalogue))
     louder = of_family > LOUDER or (likely and unmoved < QUIET)
     apart = [n for n in on_mean if not catalogue[n].same_response]
     if on_mean and not apart:
         # one response: whichever is in the catalogue, the other may be the cause
-        return _family(catalogue[on_mean[0]].family, stand, catalogue)
+        return _family(catalogue[on_mean[0]].family, combined, catalogue)
     if best and of_one_family(best, catalogue) and set(on_mean) & set(best.effects):
         # two members together are a third in another form as often as they are both there
-        return _family(catalogue[best.effects[0]].family, stand, catalogue)
+        return _family(catalogue[best.effects[0]].family, combined, catalogue)
     if apart or (on_noise and not louder):
         # an effect of the noise is named alone only where nothing more is likely in the mean
-        return _effect([*apart, *on_noise], stand, catalogue)
-    if stand.none > QUIET:
-        return "none", (), None, stand.nothing_seen
+        return _effect([*apart, *on_noise], combined, catalogue)
+    if combined.none > QUIET:
+        return Judgement("none", (), None, combined.nothing_seen)
     if likely:
-        return _family(family, stand, catalogue)
-    clearest, of_clearest = max(stand.families.items(), key=lambda f: f[1], default=("", 0.0))
-    if of_clearest > max(0.5, stand.unlisted):  # of the noise, and too faint to be named
-        return _family(clearest, stand, catalogue)
-    if max(stand.none, unmoved) >= stand.unlisted:
-        return "none", (), None, stand.nothing_seen
-    if of_family > stand.unlisted:  # the likeliest of several
-        return _family(family, stand, catalogue)
-    return "unlisted", (), None, stand.unlisted
+        return _family(family, combined, catalogue)
+    clearest, of_clearest = max(combined.families.items(), key=lambda f: f[1], default=("", 0.0))
+    if of_clearest > max(0.5, combined.unlisted):  # of the noise, and too faint to be named
+        return _family(clearest, combined, catalogue)
+    if max(combined.none, unmoved) >= combined.unlisted:
+        return Judgement("none", (), None, combined.nothing_seen)
+    if of_family > combined.unlisted:  # the likeliest of several
+        return _family(family, combined, catalogue)
+    return Judgement("unlisted", (), None, combined.unlisted)
 
 
-def leaves_too_much(h: Hypothesis, base: Refit) -> bool:
+def leaves_excess(h: Hypothesis, base: Refit) -> bool:
     """Whether what an explanation leaves is too much for noise, and for the form of its effects."""
     return h.leftover >= GATE and not small_enough(h.excess, base.misfit - h.refit.misfit)
 
@@ -319,22 +334,49 @@ def _leaves_the_mean_alone(row: str, catalogue: Mapping[str, Effect]) -> bool:
     )
 
 
-def _family(
-    family: str, stand: Standing, catalogue: Mapping[str, Effect]
-) -> tuple[str, tuple[str, ...], str | None, float]:
+def _family(family: str, combined: Probabilities, catalogue: Mapping[str, Effect]) -> Judgement:
     members = sorted(
-        (n for n in catalogue if catalogue[n].family == family), key=lambda n: -stand.effects[n]
+        (n for n in catalogue if catalogue[n].family == family), key=lambda n: -combined.effects[n]
     )
-    probability = stand.families[family]
+    probability = combined.families[family]
     if any(catalogue[n].on_mean for n in members):
-        probability += AKIN * stand.unlisted
-    return "family", tuple(members[:5]), family, min(probability, 1.0)
+        probability += AKIN * combined.unlisted
+    return Judgement("family", tuple(members[:5]), family, min(probability, 1.0))
 
 
 def _effect(
-    named: Sequence[str], stand: Standing, catalogue: Mapping[str, Effect]
-) -> tuple[str, tuple[str, ...], str | None, float]:
+    named: Sequence[str], combined: Probabilities, catalogue: Mapping[str, Effect]
+) -> Judgement:
     chosen = tuple(named[:2])
     families = {catalogue[n].family for n in chosen}
     family = families.pop() if len(families) == 1 else None
-    return "effect", chosen, family, min(stand.effects[n] for n in chosen)
+    return Judgement("effect", chosen, family, min(combined.effects[n] for n in chosen))
+
+
+def explanation_of(
+    comparison: Comparison,
+    judgement: Judgement,
+    combined: Probabilities,
+    catalogue: Mapping[str, Effect],
+) -> Hypothesis:
+    """The explanation that the verdict stands for; for unlisted the best effect, if any."""
+    kind, named = judgement.kind, judgement.effects
+    on_mean = {n for n in named if catalogue[n].on_mean}
+    complete = comparison.complete
+    if kind == "effect":
+        # one that shares its response is there beside them, but is not named
+        on_mean |= {
+            n for n in catalogue if catalogue[n].same_response and combined.effects[n] > NAMED
+        }
+        fitting = [h for h in complete if set(h.effects) == on_mean]
+        fitting = fitting or [h for h in complete if on_mean <= set(h.effects)]
+        fitting = fitting or [h for h in complete if set(h.effects) & on_mean]
+    elif kind == "family":
+        fitting = [h for h in complete if h.effects and set(h.effects) <= on_mean]
+    elif kind == "none":
+        fitting = []
+    else:
+        fitting = complete
+    if not fitting:  # what was named acts on the noise: the mean is the model's own
+        fitting = [h for h in complete if not h.effects]
+    return max(fitting, key=lambda h: h.log_weight)

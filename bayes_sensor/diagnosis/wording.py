@@ -3,33 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from math import ceil, floor, log
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_sensor.diagnosis.closure import Closure
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
-from bayes_sensor.diagnosis.effects.effect import Effect, Setting
-from bayes_sensor.diagnosis.evidence.form_mismatch import another_form
-from bayes_sensor.diagnosis.evidence.hypotheses import Hypothesis, Weighing
+from bayes_sensor.diagnosis.closed_fraction import Closure
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
+from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis.effects.effect import Effect
+from bayes_sensor.diagnosis.effects.setting import Setting
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
+from bayes_sensor.diagnosis.evidence.form_mismatch import simpler_explanation
 from bayes_sensor.diagnosis.isolability import Separation
-from bayes_sensor.diagnosis.location import CLEAR, Map
-from bayes_sensor.diagnosis.signals.tails_and_converter import (
-    FOUND,
-    OF_UNLISTED_ORIGIN,
-    UNITS,
-    FullRate,
-)
+from bayes_sensor.diagnosis.location import CLEAR, ExcessMap
+from bayes_sensor.diagnosis.signals import UNLISTED
+from bayes_sensor.diagnosis.signals.finding import FOUND, Finding
 from bayes_sensor.diagnosis.verdict import (
     LIKELIER,
     NAMED,
-    Standing,
-    leaves_too_much,
+    Judgement,
+    Probabilities,
+    leaves_excess,
+    leaves_explanation_alone,
     of_one_family,
-    stands_beside,
 )
 from bayes_sensor.display import shown
+
+if TYPE_CHECKING:
+    from bayes_sensor.campaign import Campaign
+    from bayes_sensor.fit import Fit
 
 MOSTLY = 0.7
 """share of a family's probability from which its leading member is stated alone"""
@@ -37,13 +42,15 @@ SURELY = 0.7
 """probability from which an unlisted cause is stated without saying how likely it is"""
 TELLING = 1.2
 """times its usual size from which noise that is louder for a while is worth a note"""
+MANY_HELD = 0.25
+"""share of the switch times at their bounds from which commands are in doubt"""
 WORTH_A_LOOK = log(2.0)
 """ln Bayes factor from which a finding is worth a note where nothing is said to be missing"""
 
 
-def notes_on(sketch: Sketch) -> list[str]:
-    """What the campaign cannot tell, in sentences."""
-    campaign, spikes = sketch.campaign, sketch.floor.spikes
+def notes_on(binned: BinnedCampaign) -> list[str]:
+    """Limits of the campaign, in sentences."""
+    campaign, spikes = binned.campaign, binned.floor.spikes
     notes = []
     if not any(e.has_fall for e in campaign):
         notes.append(
@@ -65,15 +72,15 @@ def notes_on(sketch: Sketch) -> list[str]:
         )
     if spikes:
         notes.append(f"{spikes} samples beyond 6.5 standard deviations were taken for spikes.")
-    spells = _louder_spells(sketch)
+    spells = _louder_spells(binned)
     if spells:
         more = f" and {len(spells) - 3} more" if len(spells) > 3 else ""
         notes.append(
             f"Noise is louder for a while in experiment {', '.join(spells[:3])}{more}: what stands "
             "out there counts less."
         )
-    if sketch.order_known:
-        than = "slower" if sketch.sensor else "faster"
+    if binned.order_known:
+        than = "slower" if binned.sensor else "faster"
         taken = (
             f"The sensor is taken to be {than} than the valve: a cascade cannot tell them apart."
         )
@@ -88,27 +95,26 @@ def notes_on(sketch: Sketch) -> list[str]:
     return notes
 
 
-def looks_most(full_rate: Sequence[FullRate], names: Sequence[str], unit: str) -> list[str]:
-    """What comes nearest to an unlisted cause where none was stated, if it is worth a look.
+def nearest_finding(found: Conclusion) -> list[str]:
+    """The likeliest finding of unlisted origin where the verdict is none, if it is worth a look.
 
-    Events are rare, so that one that the data speak for may still pass for noise; whoever plots
-    the residual will see it.
+    Events are rare, so that one that the data favour may still be put down to noise; a plot of the
+    residual shows it.
     """
-    nearest = max(
-        (f for f in full_rate if f.name in OF_UNLISTED_ORIGIN),
-        key=lambda f: f.probability,
-        default=None,
-    )
-    if nearest is None or nearest.log_bayes_factor < WORTH_A_LOOK:
+    unlisted = [f for f in found.findings if not f.signal.listed]
+    nearest = max(unlisted, key=lambda f: f.probability, default=None)
+    if found.judgement.kind != "none" or nearest is None:
+        return []
+    if nearest.log_bayes_factor < WORTH_A_LOOK:
         return []
     return [
-        f"{_finding_words(nearest, names, unit)} That is put down to the noise "
+        f"{found.in_words([nearest])[0]} That is put down to the noise "
         f"({100.0 * (1.0 - nearest.probability):.0f} %), but worth a look."
     ]
 
 
-def whose(effect: Effect) -> str:
-    """An effect, and where nobody knows whose the lags are the other that it may be."""
+def with_alternative(effect: Effect) -> str:
+    """The effect's name, with its counterpart where the lags cannot be assigned."""
     name, other = effect.name, effect.exchanged
     if not other or effect.same_response != other:
         return name
@@ -127,7 +133,7 @@ def family_words(
     other: str,
     first: str = "",
 ) -> str:
-    """What is said of a family; ``leading``: probability of its likeliest member.
+    """The sentence on a family; ``leading``: probability of its likeliest member.
 
     ``first``: that member in words, where they are more than its name.
     """
@@ -150,10 +156,10 @@ def family_words(
     return f"One of {names} explains the gap{place}; this campaign does not tell them apart."
 
 
-def _louder_spells(sketch: Sketch) -> list[str]:
+def _louder_spells(binned: BinnedCampaign) -> list[str]:
     """Every experiment whose noise is louder for a while: when, and by how much."""
     found = []
-    for b, times in zip(sketch.bins, sketch.floor.loudness, strict=True):
+    for b, times in zip(binned.bins, binned.floor.loudness, strict=True):
         loud = times > TELLING
         if np.any(loud):
             begins, ends = b.edges
@@ -162,27 +168,18 @@ def _louder_spells(sketch: Sketch) -> list[str]:
     return found
 
 
-def moment(t: float) -> str:
-    """A time ``t`` s on the record's clock, to a hundredth where four digits do not tell it.
-
-    >>> moment(24.6699), moment(1000024.6699)
-    ('24.67', '1000024.67')
-    """
-    return f"{t:.4g}" if abs(t) < 1e3 else f"{t:.2f}"
-
-
 LAGS = {"valve": "longer", "sensor": "shorter"}
 """lag on which a stage's effects are tried where nobody knows whose it is"""
 OTHER_PARTNERS = "the sensor behind another valve, or the valve with another sensor"
 """the measurement that tells whose a lag is"""
-LABELS = {"mains_V": "amplitude", "mains_Hz": "frequency"}
-"""of strengths whose names are those of their units"""
 
 
-def _strength_words(strength: Mapping[str, Any], units: Mapping[str, str]) -> str:
+def _strength_words(
+    strength: Mapping[str, Any], units: Mapping[str, str], labels: Mapping[str, str]
+) -> str:
     parts = []
     for name, value in strength.items():
-        label = LABELS.get(name, name.replace("_", " "))
+        label = labels.get(name, name.replace("_", " "))
         unit = units.get(name, "")
         unit = "" if unit in ("1", "") else f" {unit}"
         if isinstance(value, Mapping):
@@ -193,14 +190,16 @@ def _strength_words(strength: Mapping[str, Any], units: Mapping[str, str]) -> st
     return ", ".join(parts)
 
 
-def _effect_words(
-    effect: Effect, strength: Mapping[str, Any], sketch: Any, signal_unit: str
+def effect_sentence(
+    effect: Effect, strength: Mapping[str, Any], binned: Any, signal_unit: str
 ) -> str:
     """The effect's sentence with those of the strengths that are its own."""
-    units = units_of([effect], sketch.settings[0], signal_unit)
-    own = {k: v for k, v in strength.items() if k in units}
-    said = effect.sentence.replace("{strength}", _strength_words(own, units))
-    if not sketch.order_known and effect.stage in LAGS:
+    own = effect.units(binned.settings[0])
+    units = {name: unit.replace("V", signal_unit) for name, unit in own.items()}
+    shown_ones = {k: v for k, v in strength.items() if k in units}
+    words = _strength_words(shown_ones, units, effect.labels)
+    said = effect.sentence.replace("{strength}", words)
+    if not binned.order_known and effect.stage in LAGS:
         said = said.replace(f"the {effect.stage}", f"the {LAGS[effect.stage]} lag")
     return said
 
@@ -216,11 +215,11 @@ OFTEN_NOISE = (
 )
 
 
-def _likeness(weighing: Weighing, unit: str) -> str:
-    """What a cause without a name acts like; empty where nothing of the kind is likely."""
-    shares = weighing.probabilities
+def _likeness(comparison: Comparison, unit: str) -> str:
+    """What an unlisted cause resembles; empty where no resemblance is likely."""
+    shares = comparison.probabilities
     likely = int(np.argmax(shares))
-    h = weighing.hypotheses[likely]
+    h = comparison.hypotheses[likely]
     if shares[likely] < 0.5:
         return ""
     wandering = sum(t.share for t in h.terms if t.beside and t.beside.name.startswith("drift"))
@@ -228,202 +227,205 @@ def _likeness(weighing: Weighing, unit: str) -> str:
         return WANDERS
     if not h.within:
         return ""
-    plan = h.refit.plan
-    words = _effect_words(plan.parts[-1].effect, h.refit.strength(), plan.sketch, unit)
+    coords = h.refit.coords
+    words = effect_sentence(coords.parts[-1].effect, h.refit.strength(), coords.binned, unit)
     return f"It acts as if {words}."
 
 
-def _finding_words(found: FullRate, names: Sequence[str], unit: str) -> str:
-    """One sentence about something of unlisted origin."""
-    s = found.strength
-    if found.name == "line":
-        return (
-            f"There is a line of unlisted origin at {s['line_Hz']:.4g} Hz with an amplitude "
-            f"of {1e3 * s['line_V']:.3g} m{unit}."
-        )
-    if found.name == "swing":
-        return (
-            f"The signal swings slowly, once in {1.0 / s['swing_Hz']:.3g} s, with an amplitude of "
-            f"{1e3 * s['swing_V']:.3g} m{unit}."
-        )
-    if found.name == "passing":
-        return (
-            f"In experiment {names[int(s['passing_experiment'])]} there is, for a while or "
-            f"throughout, a line at {s['passing_Hz']:.4g} Hz that others lack, with an amplitude "
-            f"of {1e3 * s['passing_V']:.3g} m{unit}."
-        )
-    if found.name == "bursts":
-        return (
-            f"The mains come and go, once in {1.0 / s['bursts_Hz']:.3g} s, as of a heater that is "
-            "fired in bursts."
-        )
-    if found.name == "ringing":
-        return f"After the switches the signal rings at about {s['ringing_Hz']:.3g} Hz."
-    if found.name == "event":
-        return (
-            f"In experiment {names[int(s['event_experiment'])]} something happens once, near "
-            f"{moment(s['event_s'])} s: {s['event_ratio']:.2g} times the noise's usual size at "
-            "that time scale."
-        )
-    if found.name == "unsteady":
-        return (
-            "With gas the signal is less steady than its noise on the baseline lets expect: below "
-            f"about {s['unsteady_Hz']:.2g} Hz it has {1.0 + s['unsteady_excess']:.2g} times the "
-            "power."
-        )
-    if found.name == "break":
-        return (
-            f"In experiment {names[int(s['break_experiment'])]} the level changes at about "
-            f"{moment(s['break_s'])} s in a way of its own"
-            f" ({s['break_ratio']:.2g} standard deviations)."
-        )
-    side = "after" if s["patch_since_s"] >= 0.0 else "before"
-    return (
-        "Single switches leave the model for moments, clearest in experiment "
-        f"{names[int(s['patch_experiment'])]}, {abs(s['patch_since_s']):.2g} s {side} a switch."
-    )
-
-
 def units_of(effects: Iterable[Effect], setting: Setting, signal_unit: str) -> dict[str, str]:
-    """Unit of every strength of the effects and of what is found at full rate; "1": it has none."""
-    found = {s.name: s.unit for e in effects for form in e.forms for s in form.strengths(setting)}
-    return {name: unit.replace("V", signal_unit) for name, unit in {**UNITS, **found}.items()}
+    """Unit of every strength of effects and of signals; "1": it has none."""
+    found: dict[str, str] = {}
+    for signal in (*UNLISTED, *(e.on_noise.signal for e in CATALOGUE.values() if e.on_noise)):
+        found |= signal.units if signal else {}
+    for effect in effects:
+        found |= effect.units(setting)
+    return {name: unit.replace("V", signal_unit) for name, unit in found.items()}
 
 
-def sentence(
-    kind: str,
-    named: Sequence[str],
-    probability: float,
-    weighing: Weighing,
-    stand: Standing,
-    best: Hypothesis,
-    located: Map,
-    catalogue: Mapping[str, Effect],
-    separations: Sequence[Separation],
-    closed: Closure,
-    full_rate: Sequence[FullRate],
-    envelope: tuple[float, float],
-    unit: str,
-) -> str:
-    """What a verdict says: what explains the gap, how sure that is, and what would show it.
+@dataclass(frozen=True, eq=False)
+class Conclusion:
+    """The results of a diagnosis that its sentence is made from."""
 
-    ``best``: the explanation that the verdict stands for; ``envelope`` s: of tau, where nothing is
-    named; ``unit``: of the signal.
-    """
-    phases: dict[str, float] = {}
-    for c in located.cells:
-        phases[c.phase] = phases.get(c.phase, 0.0) + c.share
-    worst = max(phases, key=lambda p: phases[p]) if any(phases.values()) else None
-    place = f", mostly in the {worst}" if worst else ""
-    if kind == "none":
-        low, high = (shown(1e3 * t, 2) for t in envelope)
-        nothing = "Nothing is missing beyond the noise floor."
-        if probability < 0.5:
-            nothing = (
-                "No cause is likely enough to be stated, and nothing may be missing beyond the "
-                f"noise floor ({100.0 * probability:.0f} %)."
-            )
-        if located.p_value < CLEAR:
-            nothing = (
-                "No cause is likely enough to be stated, and nothing may be missing beyond the "
-                f"noise floor ({100.0 * probability:.0f} %); yet noise alone would seldom leave as "
-                f"much (p = {shown(located.p_value, 2)})."
-            )
-        lag = "tau" if best.refit.plan.sketch.order_known else "the shorter lag"
-        return (
-            f"{nothing} Effects that this campaign cannot see may still hide: with them {lag} "
-            f"could lie anywhere from {low} to {high} ms."
+    judgement: Judgement
+    comparison: Comparison
+    probabilities: Probabilities
+    best: Hypothesis
+    """the explanation that the verdict stands for"""
+    excess: ExcessMap
+    closure: Closure
+    findings: Sequence[Finding]
+    separations: Sequence[Separation]
+    envelope: tuple[float, float]
+    """s, of tau, where nothing is named"""
+    unit: str
+    """of the signal"""
+
+    @cached_property
+    def phase(self) -> str:
+        """The phase with most of the excess; empty where there is none."""
+        phases: dict[str, float] = {}
+        for c in self.excess.cells:
+            phases[c.phase] = phases.get(c.phase, 0.0) + c.share
+        return max(phases, key=lambda p: phases[p]) if any(phases.values()) else ""
+
+    @property
+    def place(self) -> str:
+        """That phase, as a sentence goes on."""
+        return f", mostly in the {self.phase}" if self.phase else ""
+
+    @cached_property
+    def unlisted(self) -> list[Finding]:
+        """What is there and of unlisted origin, the clearest first."""
+        found = [f for f in self.findings if not f.signal.listed and f.probability > FOUND]
+        return sorted(found, key=lambda f: -f.log_bayes_factor)
+
+    def in_words(self, findings: Iterable[Finding]) -> list[str]:
+        """Their sentences."""
+        names = [e.name for e in self.comparison.binned.campaign]
+        return [f.sentence(names, self.unit) for f in findings]
+
+    @property
+    def beside(self) -> list[str]:
+        """Sentences of the findings of unlisted origin that take nothing from the explanation."""
+        base = self.comparison.base
+        return self.in_words(
+            f for f in self.unlisted if leaves_explanation_alone(f, self.best.refit, base)
         )
-    sketch = best.refit.plan.sketch
-    names = [e.name for e in sketch.campaign]
-    findings = [f for f in full_rate if f.name in OF_UNLISTED_ORIGIN and f.probability > FOUND]
-    findings.sort(key=lambda f: -f.log_bayes_factor)  # the clearest first
-    found = [_finding_words(f, names, unit) for f in findings]
-    if kind == "unlisted" and probability < 0.5 and stand.looks_unlisted <= LIKELIER:
-        return " ".join([undecided_words(place, stand), *found])
-    if kind == "unlisted":
-        words = []
-        by_mean = worst is not None and located.shared_by != "findings"
-        closing = ""
-        if best.effects and stand.looks_by_mean < 0.5 and closed.fraction is not None:
-            causes = " and ".join(whose(catalogue[name]) for name in best.effects)
-            closing = (
-                f"{causes} would close {100.0 * closed.fraction:.0f} % of the gap{place}, yet "
-            )
-        if closing and leaves_too_much(best, weighing.base):
-            leave = "leaves" if len(best.effects) == 1 else "leave"
-            words.append(
-                f"{closing}{leave} {best.leftover:.0f} standard deviations of misfit: the cause is "
-                f"not listed ({100.0 * probability:.0f} %), or the noise is not what it seems."
-            )
-        elif closing and findings:
-            words.append(
-                f"{closing}more is seen, which no effect of the catalogue makes "
-                f"({100.0 * probability:.0f} %)."
-            )
-        elif by_mean or not findings:
-            seems = "misses" if probability > SURELY else "seems to miss"
-            sure = "" if probability > SURELY else f" ({100.0 * probability:.0f} %)"
-            words.append(
-                f"The model {seems} the measurement{place}, and no effect of the catalogue "
-                f"explains it well: the cause is not listed{sure}."
-            )
-        words += found
-        if findings and stand.looks_by_mean < 0.5:
-            words.append(OFTEN_NOISE)
-        return " ".join([*words, _likeness(weighing, unit)]).rstrip()
-    besides = [
-        text
-        for f, text in zip(findings, found, strict=True)
-        if stands_beside(f, best.refit, weighing.base)
+
+
+def verdict_sentence(found: Conclusion, fit: Fit) -> str:
+    """The sentence of a verdict, after what in the fit casts doubt on it."""
+    campaign = found.comparison.binned.campaign
+    return _with_doubts(sentence(found), found.judgement.kind, fit, campaign)
+
+
+def notes(found: Conclusion) -> list[str]:
+    """What could not be told, and what is worth a look, in sentences."""
+    return [*notes_on(found.comparison.binned), *nearest_finding(found)]
+
+
+def sentence(found: Conclusion) -> str:
+    """What a verdict says: what explains the gap, how sure that is, and what would show it."""
+    said = {"none": _nothing, "unlisted": _unlisted, "family": _family, "effect": _effects}
+    return " ".join(said[found.judgement.kind](found))
+
+
+def _nothing(found: Conclusion) -> list[str]:
+    """The sentence where nothing exceeds the noise floor."""
+    probability, excess = found.judgement.probability, found.excess
+    low, high = (shown(1e3 * t, 2) for t in found.envelope)
+    nothing = "Nothing is missing beyond the noise floor."
+    unsure = (
+        "No cause is likely enough to be stated, and nothing may be missing beyond the "
+        f"noise floor ({100.0 * probability:.0f} %)"
+    )
+    if excess.p_value < CLEAR:
+        p = shown(excess.p_value, 2)
+        nothing = f"{unsure}; yet noise alone would seldom leave as much (p = {p})."
+    elif probability < 0.5:
+        nothing = f"{unsure}."
+    lag = "tau" if found.comparison.binned.order_known else "the shorter lag"
+    return [
+        f"{nothing} Effects that this campaign cannot see may still hide: with them {lag} "
+        f"could lie anywhere from {low} to {high} ms."
     ]
-    if kind == "family":
-        helps = next((s for s in separations if s.addition), None)
-        first = whose(catalogue[named[0]])
-        first = "" if first == named[0] else first
-        reveal = OTHER_PARTNERS if first else catalogue[named[0]].reveal
-        advice = (
-            f"To tell {helps.effect} from {helps.rival}: {helps.addition}."
-            if helps
-            else f"What would show it: {reveal}."
-        )
-        beside = [
-            _effect_words(catalogue[f.name], f.strength, sketch, unit)
-            for f in full_rate
-            if f.name in catalogue and f.probability > NAMED
-        ]
-        other = catalogue[named[0]].same_response
-        if of_one_family(best, catalogue):
-            a, b = (whose(catalogue[name]) for name in best.effects)
-            said = (
-                f"{a} and {b} together explain the gap best{place}: two causes of one family, or "
-                "one that acts otherwise than the catalogue's."
-            )
-        else:
-            leading = family_words(named, probability, stand.effects[named[0]], place, other, first)
-            said = " ".join([leading, *form_words(weighing, named)])
-        return " ".join([said, advice, *beside, *besides])
+
+
+def _unlisted(found: Conclusion) -> list[str]:
+    """The sentences on an unlisted cause."""
+    probability, comparison, best = found.judgement.probability, found.comparison, found.best
+    probabilities, place = found.probabilities, found.place
+    by_samples = found.in_words(found.unlisted)
+    if probability < 0.5 and probabilities.looks_unlisted <= LIKELIER:
+        return [undecided_words(place, probabilities), *by_samples]
     words = []
-    by_name = {f.name: f for f in full_rate}
-    fitted = best.refit.strength()
+    closing = ""
+    if best.effects and probabilities.looks_by_mean < 0.5 and found.closure.fraction is not None:
+        effects = [comparison.catalogue[name] for name in best.effects]
+        causes = " and ".join(with_alternative(effect) for effect in effects)
+        closed = 100.0 * found.closure.fraction
+        closing = f"{causes} would close {closed:.0f} % of the gap{place}, yet "
+    if closing and leaves_excess(best, comparison.base):
+        leave = "leaves" if len(best.effects) == 1 else "leave"
+        words.append(
+            f"{closing}{leave} {best.leftover:.0f} standard deviations of misfit: the cause is "
+            f"not listed ({100.0 * probability:.0f} %), or the noise is not what it seems."
+        )
+    elif closing and found.unlisted:
+        words.append(
+            f"{closing}more is seen, which no effect of the catalogue makes "
+            f"({100.0 * probability:.0f} %)."
+        )
+    elif (found.phase and found.excess.shared_by != "findings") or not found.unlisted:
+        seems = "misses" if probability > SURELY else "seems to miss"
+        sure = "" if probability > SURELY else f" ({100.0 * probability:.0f} %)"
+        words.append(
+            f"The model {seems} the measurement{place}, and no effect of the catalogue "
+            f"explains it well: the cause is not listed{sure}."
+        )
+    words += by_samples
+    if found.unlisted and probabilities.looks_by_mean < 0.5:
+        words.append(OFTEN_NOISE)
+    likeness = _likeness(comparison, found.unit)
+    return [*words, likeness] if likeness else words
+
+
+def _family(found: Conclusion) -> list[str]:
+    """The sentences on a family."""
+    _, named, _, probability = found.judgement
+    catalogue, best, place = found.comparison.catalogue, found.best, found.place
+    leading = catalogue[named[0]]
+    first = with_alternative(leading)
+    first = "" if first == leading.name else first
+    helps = next((s for s in found.separations if s.addition), None)
+    advice = (
+        f"To tell {helps.effect} from {helps.rival}: {helps.addition}."
+        if helps
+        else f"What would show it: {OTHER_PARTNERS if first else leading.reveal}."
+    )
+    if of_one_family(best, catalogue):
+        a, b = (with_alternative(catalogue[name]) for name in best.effects)
+        said = [
+            f"{a} and {b} together explain the gap best{place}: two causes of one family, or "
+            "one that acts otherwise than the catalogue's."
+        ]
+    else:
+        likeliest = found.probabilities.effects[named[0]]
+        words = family_words(named, probability, likeliest, place, leading.same_response, first)
+        said = [words, *form_words(found.comparison, named)]
+    on_noise = [
+        effect_sentence(catalogue[f.name], f.strength, found.comparison.binned, found.unit)
+        for f in found.findings
+        if f.name in catalogue and f.probability > NAMED
+    ]
+    return [*said, advice, *on_noise, *found.beside]
+
+
+def _effects(found: Conclusion) -> list[str]:
+    """The sentences on the one or two effects that are named."""
+    named, catalogue = found.judgement.effects, found.comparison.catalogue
+    by_name = {f.name: f for f in found.findings}
+    fitted = found.best.refit.strength()
+    words = []
     for n in named:
         strength = fitted if catalogue[n].on_mean else by_name[n].strength
-        words.append(_effect_words(catalogue[n], strength, sketch, unit))
-    beside = second_words(named, stand, catalogue)
-    alone = set(best.effects) <= set(named)
+        words.append(effect_sentence(catalogue[n], strength, found.comparison.binned, found.unit))
+    second = second_words(named, found.probabilities, catalogue)
+    alone = set(found.best.effects) <= set(named)
+    closed = found.closure
     if closed.fraction is not None and closed.low is not None and closed.high is not None:
         closes = (
             f"{'It closes' if alone else 'Together they close'} {100.0 * closed.fraction:.0f} % of "
             f"the gap (95 % interval {100.0 * closed.low:.0f} to {100.0 * closed.high:.0f} %)."
         )
-        beside = [closes, *beside] if alone else [*beside, closes]
-    return " ".join([*words, *beside, *besides])
+        second = [closes, *second] if alone else [*second, closes]
+    return [*words, *second, *found.beside]
 
 
-def form_words(weighing: Weighing, named: Sequence[str]) -> list[str]:
-    """What is said of a leftover that the form of what is named may make."""
-    likely = weighing.hypotheses[int(np.argmax(weighing.probabilities))]
-    form = another_form(likely, weighing)
+def form_words(comparison: Comparison, named: Sequence[str]) -> list[str]:
+    """The sentence on a leftover that may be the shape error of a named effect."""
+    likely = comparison.hypotheses[int(np.argmax(comparison.probabilities))]
+    form = simpler_explanation(likely, comparison)
     if form is None or not set(form.effects) <= set(named):
         return []
     others = [name for name in likely.effects if name not in form.effects]
@@ -434,34 +436,39 @@ def form_words(weighing: Weighing, named: Sequence[str]) -> list[str]:
     ]
 
 
-def without_a_step(kind: str, said: str) -> str:
-    """What a verdict says where the fit has found no step, so that the model explains nothing."""
+def _with_doubts(said: str, kind: str, fit: Fit, campaign: Campaign) -> str:
+    """A verdict's sentence after what in the fit casts doubt on it.
+
+    Switch times may sit at the earliest that their commands allow; or the fit has found no step,
+    so that the model explains nothing.
+    """
+    held = [n for n in fit.at_bound if n.startswith(("t0_s", "tf_s"))]
+    switches = sum(1 + e.has_fall for e in campaign)
+    if len(held) > MANY_HELD * switches:
+        said = (
+            f"{len(held)} of {switches} switch times sit at the earliest that their commands "
+            f"allow: check these, since what follows takes them as right. {said}"
+        )
+    if fit.step_seen:
+        return said
     unseen = "No step is seen beyond what the model misses, in any experiment"
     if kind == "none":
         return f"{unseen}: whether anything is missing cannot be told."
     return f"{unseen}, so what follows says little. {said}"
 
 
-def held_by_commands(held: int, switches: int, said: str) -> str:
-    """What a verdict says where switch times sit at the earliest that their commands allow."""
-    return (
-        f"{held} of {switches} switch times sit at the earliest that their commands allow: check "
-        f"these, since what follows takes them as right. {said}"
-    )
-
-
 def second_words(
-    named: Sequence[str], stand: Standing, catalogue: Mapping[str, Effect]
+    named: Sequence[str], combined: Probabilities, catalogue: Mapping[str, Effect]
 ) -> list[str]:
-    """What is likely beside the effects that are named: the likeliest of the other families."""
+    """The sentence on the likeliest of the other families, beside the effects that are named."""
     own = {catalogue[n].family for n in named}
-    others = {f: p for f, p in stand.families.items() if f not in own}
+    others = {f: p for f, p in combined.families.items() if f not in own}
     other = max(others, key=lambda f: others[f], default=None)
     if other is None or others[other] < 0.5:
         return []
     members = [n for n in catalogue if catalogue[n].family == other]
-    leading = max(members, key=lambda n: stand.effects[n])
-    alike, words = catalogue[leading].same_response, whose(catalogue[leading])
+    leading = max(members, key=lambda n: combined.effects[n])
+    alike, words = catalogue[leading].same_response, with_alternative(catalogue[leading])
     if alike and words == leading:
         words += f" or {alike}, whose response is the same"
     return [
@@ -470,15 +477,15 @@ def second_words(
     ]
 
 
-def undecided_words(place: str, stand: Standing) -> str:
-    """What is said where nothing is likelier than not, or only several families each."""
-    likely = [f for f, p in stand.families.items() if p > 0.5]
+def undecided_words(place: str, combined: Probabilities) -> str:
+    """The sentence where no explanation is likelier than one half, or several families are."""
+    likely = [f for f, p in combined.families.items() if p > 0.5]
     if likely:
-        each = ", ".join(f"{f} {100.0 * stand.families[f]:.0f} %" for f in likely)
+        each = ", ".join(f"{f} {100.0 * combined.families[f]:.0f} %" for f in likely)
         return (
             f"Something is missing{place}, but which is not clear: an effect of the family is "
             f"likely ({each}), and so nearly is that a cause outside the catalogue has a part in "
-            f"it ({100.0 * stand.unlisted:.0f} %)."
+            f"it ({100.0 * combined.unlisted:.0f} %)."
         )
     return (
         f"Something may be missing{place}, but neither that nothing is, nor any family of "

@@ -1,4 +1,4 @@
-"""Records in, Figure out: every figure of the report and the paper, in one style.
+"""Every figure of the report and the paper, in one style: result records in, a Figure out.
 
 One file per subject; everything that a caller needs is here under its own name.
 """
@@ -40,7 +40,6 @@ from bayes_sensor.figures.style import (
     GROUND,
     INK,
     MARKERS,
-    METHOD_LABELS,
     MIDDLE,
     MODEL,
     ORANGE,
@@ -67,7 +66,6 @@ __all__ = [
     "GROUND",
     "INK",
     "MARKERS",
-    "METHOD_LABELS",
     "MIDDLE",
     "MODEL",
     "ORANGE",

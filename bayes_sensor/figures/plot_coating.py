@@ -40,9 +40,10 @@ if TYPE_CHECKING:  # both compile or load much that other figures do without
 
 _DASHES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (3, 1.5)), (0, (6, 1.5, 1, 1.5)), (0, (1, 1.2)))
 _LEVELS = np.linspace(0.0, 1.0, 11)
-_MAP = LinearSegmentedColormap.from_list("uptake", ["#ffffff", *REGIONS, BLUE, "#00334f"])
+UPTAKE_MAP = LinearSegmentedColormap.from_list("uptake", ["#ffffff", *REGIONS, BLUE, "#00334f"])
 LOWERED_D_ZIF8 = 2.6e-11
 """m2/s, the lowered diffusivity of ZIF-8 in the paper (Sec.  III-D)"""
+_MARK: dict[str, Any] = {"mec": "white", "mew": 0.6, "ms": 6, "zorder": 4}
 _HALO = {"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8}
 
 
@@ -91,7 +92,7 @@ def _cross_section(axes: Axes, response: Response, concentration: FloatArray) ->
     """Map, mesh, interface and probe of one snapshot."""
     coating = response.coating
     r, z = 1e6 * response.r, 1e6 * response.z
-    filled = axes.contourf(r, z, concentration, levels=_LEVELS, cmap=_MAP)
+    filled = axes.contourf(r, z, concentration, levels=_LEVELS, cmap=UPTAKE_MAP)
     axes.vlines(r, z[0], z[-1], color=MIDDLE, lw=0.2)
     axes.hlines(z, r[0], r[-1], color=MIDDLE, lw=0.2)
     axes.axhline(1e6 * coating.thickness_zif8, color=INK, lw=0.9)
@@ -284,7 +285,7 @@ def spectra_figure(
 
 def _looks(n: int) -> list[tuple[Any, Any, str]]:
     """Colour, dash and marker of each of n lines: light to dark."""
-    shades = [_MAP(x) for x in np.linspace(0.45, 1.0, n)] if n > 1 else [INK]
+    shades = [UPTAKE_MAP(x) for x in np.linspace(0.45, 1.0, n)] if n > 1 else [INK]
     return [(c, _DASHES[i % 5], MARKERS[i % 8]) for i, c in enumerate(shades)]
 
 
@@ -300,16 +301,8 @@ def _spectra(axes: Axes, readout: Readout, levels: FloatArray) -> None:
     for c, (colour, dash, marker) in zip(levels, _looks(len(levels)), strict=True):
         volts = readout.spectrum(wavelength, float(c))
         axes.plot(1e9 * wavelength, volts, color=colour, ls=dash, lw=1.2)
-        axes.plot(
-            1e9 * readout.wavelength,
-            float(readout.voltage(float(c))),
-            marker,
-            color=colour,
-            mec="white",
-            mew=0.6,
-            ms=6,
-            zorder=4,
-        )
+        at = float(readout.voltage(float(c)))
+        axes.plot(1e9 * readout.wavelength, at, marker, color=colour, **_MARK)
         axes.plot([], [], color=colour, ls=dash, marker=marker, ms=4.5, label=f"{100 * c:.3g} %")
     axes.annotate(
         f"laser\n{1e9 * readout.wavelength:.3f} nm",
@@ -359,17 +352,8 @@ def _transfer(axes: Axes, readout: Readout, levels: FloatArray, wanted: float) -
         )
     axes.plot(100 * c, readout.voltage(c), color=INK)
     for level, (colour, _, marker) in zip(levels, _looks(len(levels)), strict=True):
-        axes.plot(
-            100 * level,
-            float(readout.voltage(float(level))),
-            marker,
-            color=colour,
-            mec="white",
-            mew=0.6,
-            ms=6,
-            zorder=4,
-            clip_on=False,
-        )
+        at = float(readout.voltage(float(level)))
+        axes.plot(100 * level, at, marker, color=colour, clip_on=False, **_MARK)
     axes.set(xlim=(0.0, 100 * c[-1]), ylim=(0.0, None), title="at the laser's wavelength")
     axes.set(xlabel="CO₂ in the test gas mixture (%)", ylabel="photoreceiver (V)")
     if linear is not None:

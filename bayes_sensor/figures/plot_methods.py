@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from bayes_sensor.bounds.methods import method_of
 from bayes_sensor.figures.style import (
     BLUE,
     GREEN,
     GROUND,
     INK,
-    METHOD_LABELS,
     MIDDLE,
     ORANGE,
     labels_of_bounds,
@@ -49,7 +49,7 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
                     )  # fmt: skip
                     continue
                 colour = _method_colour(method)
-                marker = {"posterior": "D"}.get(method, "o")
+                marker = "D" if method_of(method).needs_posterior else "o"
                 for lo, hi, width in (("lo95", "hi95", 1.4), ("lo68", "hi68", 4.2)):
                     a, b = (
                         end if entry[key] is None else factor * entry[key]
@@ -71,7 +71,7 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
             axes.set_xlabel(f"{symbol} ({unit})")
             axes.grid(axis="y", visible=False)
             axes.xaxis.set_major_locator(MaxNLocator(4))
-        row[0].set_yticks(range(len(methods)), [METHOD_LABELS.get(m, m) for m in methods])
+        row[0].set_yticks(range(len(methods)), [method_of(m).label for m in methods])
         row[0].set_ylim(len(methods) - 0.4, -0.6)
         if row[0].get_xlim()[0] < 0:
             row[0].axvline(0.0, color=MIDDLE, lw=0.8)  # tau cannot be negative
@@ -95,10 +95,11 @@ def _visible(rows: Sequence[Mapping[str, Any]], factor: float) -> tuple[float, f
     return low - margin, high + margin
 
 
-def _method_colour(method: str) -> str:
-    if method.startswith("crlb_iid"):
+def _method_colour(name: str) -> str:
+    method = method_of(name)
+    if method.noise == "white":
         return ORANGE
-    return BLUE if method == "posterior" else INK
+    return BLUE if method.needs_posterior else INK
 
 
 def step_study(

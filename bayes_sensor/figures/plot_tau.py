@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bayes_sensor.bounds.methods import method_of
 from bayes_sensor.figures.style import (
     BLUE,
     GREEN,
     INK,
     MARKERS,
-    METHOD_LABELS,
     MIDDLE,
     ORANGE,
     PALE,
@@ -195,7 +195,7 @@ def coverage(
             axes.set_xticks([0.0, 0.5, 0.95], ["0", "0.5", "0.95"])
             axes.set_title(_setting_words(setting), fontsize=8.5)
         row_of_axes[0].set_yticks(
-            range(len(methods)), [METHOD_LABELS.get(method, method) for method in methods]
+            range(len(methods)), [method_of(method).label for method in methods]
         )
         row_of_axes[0].invert_yaxis()
         handles = [

@@ -80,17 +80,6 @@ STYLE: dict[str, Any] = {
     "ytick.labelsize": 7.5,
 }
 
-METHOD_LABELS = {
-    "crlb_iid": "Cramér-Rao, iid noise",
-    "crlb_iid_one_percent_step": "the same, 1 % steps (published)",
-    "crlb_ar1": "Cramér-Rao, AR(1) noise",
-    "sandwich": "sandwich",
-    "sandwich_ar1": "sandwich, AR(1) noise",
-    "block_bootstrap": "block bootstrap",
-    "jackknife_experiments": "jackknife, experiments",
-    "profile": "profile likelihood",
-    "posterior": "posterior",
-}
 SHARED_LABELS = {
     "tau_s": ("sensor τ", "ms", 1e3),
     "tau_v_s": ("valve τᵥ", "ms", 1e3),

@@ -9,9 +9,10 @@ The sum of squares is taken on weighted points: averages over short stretches fo
 mesh of :mod:`bayes_sensor.likelihood.mesh` for the result. The residuals of the result come from
 all samples.
 
-The fit uses the data alone. Side information (a volume measured elsewhere) is a prior and enters
-the posterior, not this fit. The sensor is taken to be the faster lag, tau <= tau_v, because the
-response does not change when the two are exchanged.
+The estimates use the data alone. Side information (a volume measured elsewhere) is compared with
+them and may name the lags; the posterior uses it as a prior. Inside, the lags are sorted by size,
+because the response does not depend on their order. The result names them as the campaign says
+(:mod:`bayes_sensor.rig.lags`).
 """
 
 from bayes_sensor.fit.fit import Fit, Progress

@@ -10,7 +10,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.compiled import forget_older
 from bayes_sensor.fit.first_estimates import Look
+from bayes_sensor.rig import cascade
+from bayes_sensor.rig.cascade import partial_fractions, sorted_apart
 
 
 class Points(NamedTuple):
@@ -67,15 +70,6 @@ def averages(campaign: Campaign, looks: list[Look], per_rise: int, most: int) ->
 
 
 @njit(cache=True, error_model="numpy")
-def sorted_apart(taus: FloatArray) -> None:  # pragma: no cover - compiled
-    # ascending, at least a thousandth apart so that partial fractions keep ten digits
-    taus.sort()
-    for j in range(1, 3):
-        if taus[j] < taus[j - 1] * 1.001:
-            taus[j] = taus[j - 1] * 1.001
-
-
-@njit(cache=True, error_model="numpy")
 def _step(s: float, taus: FloatArray, c: FloatArray) -> float:  # pragma: no cover - compiled
     if s <= 0.0:
         return 0.0
@@ -100,11 +94,7 @@ def _profile(
     for k in range(len(flow)):
         taus[0], taus[1], taus[2] = exp(z[0]), exp(z[1]), exp(z[2]) / flow[k]
         sorted_apart(taus)
-        for j in range(3):
-            c[j] = 1.0
-            for m in range(3):
-                if m != j:
-                    c[j] *= taus[j] / (taus[j] - taus[m])
+        partial_fractions(taus, c)
         t0 = z[where[k, 0]]
         tf = z[where[k, 1]] if where[k, 1] >= 0 else np.inf
         n = sx = sxx = sy = sxy = syy = 0.0
@@ -138,3 +128,6 @@ def profiles(
     for i in range(len(Z)):
         costs[i] = _profile(Z[i], where, first, t, count, y, flow, linear)
     return costs
+
+
+forget_older((_profile, profiles), (cascade,))

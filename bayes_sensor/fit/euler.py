@@ -9,7 +9,9 @@ import numpy as np
 from numba import njit
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.fit.block_averages import sorted_apart
+from bayes_sensor.compiled import forget_older
+from bayes_sensor.rig import cascade
+from bayes_sensor.rig.cascade import partial_fractions, sorted_apart
 
 
 @njit(cache=True, error_model="numpy")
@@ -32,15 +34,14 @@ def euler_relaxed(
 ) -> None:  # pragma: no cover - compiled
     taus, c = np.sort(given), np.empty(3)
     sorted_apart(taus)
-    for j in range(3):
-        c[j] = 1.0
-        for m in range(3):
-            if m != j:
-                c[j] *= taus[j] / (taus[j] - taus[m])
+    partial_fractions(taus, c)
     for i in range(len(t)):
         out[i] = _euler_step(t[i] - t0, h, taus, c)
         if t[i] > tf:
             out[i] -= _euler_step(t[i] - tf, h, taus, c)
+
+
+forget_older((euler_relaxed,), (cascade,))
 
 
 def euler_sensitivities(

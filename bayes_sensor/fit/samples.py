@@ -9,19 +9,16 @@ smooth and stands as a polygon that stays within half a rounding step of it.
 from __future__ import annotations
 
 import base64
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, log2
-from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
-from bayes_sensor.io.disk import replacing
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.io.array_archive import load_archive, save_archive, unreadable
 from bayes_sensor.likelihood.density import mean_and_variance
 from bayes_sensor.likelihood.problem import Problem, as_problem
 
@@ -223,18 +220,13 @@ def save_samples(path: str | os.PathLike[str], samples: Sequence[Samples]) -> No
         arrays[f"{k}_steps"] = steps.astype(np.int16 if small else np.int32)
         arrays[f"{k}_runs"] = each.runs
         arrays[f"{k}_model"] = each.model
-    text = json.dumps(facts, allow_nan=False)
-    arrays["facts"] = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
-    with replacing(path) as new, new.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)
+    save_archive(path, facts, arrays)
 
 
 def load_samples(path: str | os.PathLike[str]) -> list[Samples]:
     """What :func:`save_samples` wrote."""
+    facts, content = load_archive(path, "samples")
     try:
-        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
-        facts = json.loads(content["facts"].tobytes().decode("utf-8"))
         return [
             Samples(
                 **fact,
@@ -244,8 +236,5 @@ def load_samples(path: str | os.PathLike[str]) -> list[Samples]:
             )
             for k, fact in enumerate(facts)
         ]
-    except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
-        raise CampaignError(
-            f"{path}: expected saved samples, but they cannot be read ({error}); "
-            "run the command that made them again"
-        ) from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise unreadable(path, "samples", error) from None

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
-from bayes_sensor.io.disk import (
-    replacing,
-)
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.io.array_archive import load_archive, save_archive
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.likelihood.density import mean_and_variance
 from bayes_sensor.likelihood.problem import Problem, as_problem
@@ -173,23 +168,12 @@ def save_traces(path: str | os.PathLike[str], traces: Sequence[Trace]) -> None:
                 arrays[f"{k}_{part}_start"] = start = table[0, :1].copy()
                 table[0] -= start
                 arrays[f"{k}_{part}"] = table.astype(np.float32)
-    text = json.dumps(plain(facts), allow_nan=False)
-    arrays["facts"] = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
-    with replacing(path) as new, new.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)
+    save_archive(path, plain(facts), arrays)
 
 
 def load_traces(path: str | os.PathLike[str]) -> list[Trace]:
     """What :func:`save_traces` wrote."""
-    try:
-        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
-        facts = json.loads(content["facts"].tobytes().decode("utf-8"))
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
-        raise CampaignError(
-            f"{path}: expected saved traces, but they cannot be read ({error}); "
-            "run the command that made them again"
-        ) from None
+    facts, content = load_archive(path, "traces")
     traces = []
     for k, fact in enumerate(facts):
         parts: dict[str, Any] = dict.fromkeys(("whole", "rise", "fall"))

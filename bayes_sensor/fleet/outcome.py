@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from bayes_sensor.bounds.methods import WHITE
 from bayes_sensor.io.results import Results
 
 SHARED = (("tau", "s"), ("tau_v", "s"), ("V", "mL"))
@@ -70,7 +71,7 @@ def row_of(results: Results, name: str, file: str, report: str, message: str) ->
     for prior in posterior.get("tau_under_priors") or []:
         if order != "undecided" and prior["prior"] == "half_normal":
             row["tau_upper95_s"] = prior["upper95_s"]
-    naive = ((bounds or {}).get("naive") or {}).get("crlb_iid") or {}
+    naive = ((bounds or {}).get("naive") or {}).get(WHITE) or {}
     row["crlb_iid_tau_sd_s"] = naive.get("tau_s")
     if gap is not None:
         verdict = gap["verdict"]

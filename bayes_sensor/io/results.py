@@ -7,21 +7,16 @@ stretches, which looks the same as all samples and stays small.
 
 from __future__ import annotations
 
-import errno
-import json
 import logging
 import os
-import platform
 import shutil
-import stat
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.io.disk import (
@@ -31,13 +26,8 @@ from bayes_sensor.io.disk import (
     write_bytes,
     write_text,
 )
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+from bayes_sensor.io.folder_lock import Lock
 from bayes_sensor.io.json_files import read_json, write_json
-from bayes_sensor.io.run_record import now
 
 LOCK, RUN = ".lock", "run.json"
 
@@ -227,122 +217,3 @@ def _void(path: Path) -> list[str]:
         LOG.warning("earlier results that were to be removed may still be there: %s", error)
         return []
     return [name for name in VOID if isinstance(listed, list) and name in listed]
-
-
-class Lock:
-    """A lock file with the name of its owner; ``held`` says whether it is ours.
-
-    Where the file system knows locks, the system gives them up when their owner ends, however it
-    ends.  Where it does not, a lock is stale when its owner ran on this machine and is no more.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.handle: IO[str] | None = _open_lock(path)
-        self.advice = ""
-        try:
-            self.held = self._take()
-        except BaseException:
-            self.handle.close()
-            raise
-        if self.held:
-            self._sign()
-        else:
-            self.owner = self._owner()
-            self.handle.close()
-            self.handle = None
-
-    def _take(self) -> bool:
-        assert self.handle is not None  # opened just now
-        if fcntl is not None:
-            try:
-                fcntl.flock(self.handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                return False
-            except OSError:
-                pass  # a file system without locks
-            else:
-                # the file may have been removed by its last owner since it was opened
-                return os.fstat(self.handle.fileno()).st_nlink > 0
-        record = self._record()
-        if not record or record.get("pid") == os.getpid():
-            return True
-        self.advice = f"; if that run has ended, remove {self.path}"
-        return record.get("host") == platform.node() and not _alive(int(record.get("pid", 0)))
-
-    def _record(self) -> dict[str, Any]:
-        try:
-            found = json.loads(self.path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return {}
-        return found if isinstance(found, dict) else {}
-
-    def _owner(self) -> str:
-        record = self._record()
-        if not record:
-            return "it has not signed yet"
-        return (
-            f"process {record.get('pid')} on {record.get('host')}, "
-            f"{record.get('command')}, since {record.get('since')}"
-        )
-
-    def _sign(self) -> None:
-        assert self.handle is not None  # held
-        record = {
-            "pid": os.getpid(), "host": platform.node(), "since": now(),
-            "command": " ".join(["bayes-sensor", *sys.argv[1:2]]),
-        }  # fmt: skip
-        self.handle.truncate(0)
-        self.handle.write(json.dumps(record))
-        self.handle.flush()
-
-    def release(self) -> None:
-        """Give the directory free."""
-        if self.handle is None:
-            return
-        if fcntl is None:  # Windows removes no file that is open
-            self.handle.close()
-        with suppress(PermissionError):  # there, too, while another process looks into it
-            self.path.unlink(missing_ok=True)
-        self.handle.close()
-        self.handle = None
-
-
-def _open_lock(path: Path) -> IO[str]:
-    """A lock file open for appending; CampaignError where writing to it would change another."""
-    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT
-    for name in ("O_NOFOLLOW", "O_NONBLOCK"):  # Windows has neither
-        flags |= getattr(os, name, 0)
-    found = ""
-    try:
-        descriptor = os.open(path, flags, 0o666)
-    except OSError as error:
-        if error.errno != errno.ELOOP:
-            raise
-        found = f"a symbolic link to {os.readlink(path)}"
-    else:
-        state = os.fstat(descriptor)
-        if not stat.S_ISREG(state.st_mode):
-            found = "not a regular file"
-        elif state.st_nlink > 1:
-            found = "a hard link to another file"
-        if not found:
-            return os.fdopen(descriptor, "a+", encoding="utf-8")
-        os.close(descriptor)
-    raise CampaignError(
-        f"{path}: expected the lock file of a run, but it is {found}, and a lock is written to no "
-        "file but its own; remove it"
-    )
-
-
-def _alive(pid: int) -> bool:
-    """Whether a process of this machine exists; where that cannot be known: yes."""
-    if os.name != "posix" or pid <= 0:
-        return True
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True

@@ -14,16 +14,21 @@ one ensemble are not independent chains).
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT
 from bayes_sensor.posterior.posterior import Posterior
 from bayes_sensor.posterior.sample import sample_posterior
+from bayes_sensor.posterior.samplers import FASTEST, SAMPLERS, Run, Sampler, Target
 from bayes_sensor.posterior.save_draws import load_chains
-from bayes_sensor.posterior.settings import SAMPLERS, Progress, Settings
+from bayes_sensor.posterior.settings import Progress, Settings
 
 __all__ = [
     "ESS_LIMIT",
+    "FASTEST",
     "R_HAT_LIMIT",
     "SAMPLERS",
     "Posterior",
     "Progress",
+    "Run",
+    "Sampler",
     "Settings",
+    "Target",
     "load_chains",
     "sample_posterior",
 ]

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.coordinates import Coordinates
-from bayes_sensor.likelihood.mesh import Compressed
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior.r_hat import diagnostics
 
@@ -16,23 +13,6 @@ R_HAT_LIMIT = 1.01
 ESS_LIMIT = 400.0
 MESH_ERROR_LIMIT = 1e-3
 """of log L, between mesh and full pass"""
-
-
-@dataclass(frozen=True)
-class Run:
-    """The draws of one sampler, and whether they are valid."""
-
-    sampler: str
-    chains: FloatArray
-    good: bool
-    reason: str
-    acceptance: float
-    k_hat: float | None = None
-    diagnosis: tuple[FloatArray, FloatArray, FloatArray] | None = None
-    log_likelihood: FloatArray | None = None
-    """(n_chain, n_draw, n_experiment) where the sampler has kept it"""
-    compressed: Compressed | None = None
-    """the mesh at the end, if it changed"""
 
 
 def diagnose(problem: Problem, chains: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

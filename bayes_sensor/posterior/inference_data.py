@@ -26,13 +26,14 @@ def _arviz() -> Any:
     return import_quietly("arviz")  # slow to import: only where it is used
 
 
-def _modern() -> bool:
+def has_data_tree() -> bool:
+    """Whether the installed ArviZ is 1.0 or newer, whose groups are in a DataTree."""
     return int(_arviz().__version__.split(".")[0]) >= 1
 
 
 def assemble(groups: Mapping[str, Any], attributes: Mapping[str, Any]) -> Any:
     """InferenceData (or DataTree) of xarray Datasets by group name, with attributes at its root."""
-    if _modern():
+    if has_data_tree():
         import xarray
 
         tree = xarray.DataTree.from_dict({f"/{name}": data for name, data in groups.items()})
@@ -64,7 +65,7 @@ def load_group(path: Path, name: str) -> Any:
 
 def load(path: Path) -> Any:
     """Read what :func:`save` wrote, into memory; the file is closed again."""
-    if _modern():
+    if has_data_tree():
         import xarray
 
         with xarray.open_datatree(str(path), engine=ENGINE) as tree:

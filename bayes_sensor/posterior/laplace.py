@@ -206,7 +206,7 @@ def approximate(
     value = objective(psi)
     converged = False
     floor = psi.copy()
-    info = _information(mesh, coordinates, psi)
+    info = posterior_information(mesh, coordinates, psi)
     low, high = coordinates.limits
     for _ in range(30):
         g = gradient(psi)
@@ -242,9 +242,9 @@ def approximate(
             break
         if not mesh.covers(coordinates.theta(psi)):
             mesh = compress(problem, coordinates.theta(psi))
-        info = _information(mesh, coordinates, psi)
+        info = posterior_information(mesh, coordinates, psi)
     theta = coordinates.theta(psi)
-    mean, cov = _expand(mesh, coordinates, psi, gradient)
+    mean, cov = expand(mesh, coordinates, psi, gradient)
     if mean[0] < 0.25 * sqrt(cov[0, 0]):
         # re-expand where the bulk of the truncated Gaussian lies, not at the edge
         middle = psi.copy()
@@ -252,7 +252,7 @@ def approximate(
         shift = cov[1:, 0] / cov[0, 0] * (middle[0] - mean[0])
         middle[1:] = mean[1:] + shift
         if np.isfinite(objective(middle)):
-            mean, cov = _expand(mesh, coordinates, middle, gradient)
+            mean, cov = expand(mesh, coordinates, middle, gradient)
     laplace = Laplace(coordinates, mean, cov, theta, float(value), converged)
     drawn, _ = laplace.draw(400, np.random.default_rng(0), inflate=1.5)
     needed = covering_region(mesh, laplace, drawn, 0.2)
@@ -300,7 +300,10 @@ def covering_region(
     return Region(low, high, compressed.region.fineness)
 
 
-def _information(compressed: Compressed, coordinates: Coordinates, psi: FloatArray) -> FloatArray:
+def posterior_information(
+    compressed: Compressed, coordinates: Coordinates, psi: FloatArray
+) -> FloatArray:
+    """(n, n) expected information of the data and curvature of the priors at psi (n,)."""
     theta = coordinates.theta(psi)
     free = coordinates.free
     info = compressed.information(theta)[np.ix_(free, free)]
@@ -321,14 +324,14 @@ def _positive(matrix: FloatArray) -> FloatArray:
     return mended
 
 
-def _expand(
+def expand(
     compressed: Compressed,
     coordinates: Coordinates,
     psi: FloatArray,
     gradient: Callable[[FloatArray], FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and covariance of the Gaussian matched to gradient and Hessian at psi."""
-    info = _information(compressed, coordinates, psi)
+    info = posterior_information(compressed, coordinates, psi)
     step = 0.3 / np.sqrt(np.diag(info))  # conditional spreads: wide enough to average rounding
     for i in coordinates.squared:
         step[i] = min(step[i], 0.5 * psi[i])

@@ -15,17 +15,20 @@ from bayes_sensor.fit import Fit, fit_least_squares, refit
 from bayes_sensor.fit.fitted_noise import all_residuals
 from bayes_sensor.fit.identifiability import cannot_tell
 from bayes_sensor.fit.side_information import without_contradicted
-from bayes_sensor.likelihood.mesh import Compressed
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.posterior.checkpoints import digest
-from bayes_sensor.posterior.convergence import MESH_ERROR_LIMIT, Run, diagnose
-from bayes_sensor.posterior.lag_orders import flow_of_both, likelier_order
-from bayes_sensor.posterior.laplace import Laplace, approximate
+from bayes_sensor.posterior.convergence import MESH_ERROR_LIMIT, diagnose
+from bayes_sensor.posterior.laplace import approximate
 from bayes_sensor.posterior.posterior import Posterior
-from bayes_sensor.posterior.samplers.emcee_ensembles import run_emcee
-from bayes_sensor.posterior.samplers.hmc import run_hmc
-from bayes_sensor.posterior.samplers.independence import run_independence
-from bayes_sensor.posterior.settings import SAMPLERS, Progress, Settings
+from bayes_sensor.posterior.samplers import (
+    DEFAULT,
+    SAMPLERS,
+    TAKE_OVER,
+    Run,
+    Sampler,
+    Target,
+)
+from bayes_sensor.posterior.settings import Progress, Settings
+from bayes_sensor.posterior.valve_manifold_swap import flow_of_both, likelier_order
 from bayes_sensor.residuals import noise_doubt
 from bayes_sensor.workers import one_thread
 
@@ -38,7 +41,7 @@ def sample_posterior(
     campaign: Campaign | Problem,
     fit: Any = None,
     seed: int = 1,
-    sampler: str = "emcee",
+    sampler: str = DEFAULT,
     settings: Settings | None = None,
     jobs: int = 1,
     checkpoint: str | Path | None = None,
@@ -55,7 +58,7 @@ def sample_posterior(
         first.  A fit of the cascade also serves a model with further parameters: these are
         fitted from there.
     sampler
-        ``emcee`` (default), ``independence`` or ``hmc``; see the module's text.
+        a key of :data:`SAMPLERS`; :mod:`bayes_sensor.posterior` describes each.
     jobs
         processes for emcee's ensembles; the numbers do not depend on it.
     checkpoint, resume
@@ -82,10 +85,10 @@ def sample_posterior(
     report = progress or (lambda fraction, text: None)
     if fit is None:
         fit = fit_least_squares(problem, seed=seed)
-    # what the data contradict is said, and not averaged with them
+    # side information that the data contradict is reported and left out
     problem = without_contradicted(problem, getattr(fit, "side_information", ()))
     problem.prior_table  # noqa: B018 - raises CampaignError where a parameter has no prior
-    start = problem.by_size(_start(problem, getattr(fit, "theta_hat", fit)))
+    start = problem.by_size(start_vector(problem, getattr(fit, "theta_hat", fit)))
     mute = fit.cannot_tell if isinstance(fit, Fit) else _cannot_tell(problem, start)
     if mute:
         raise CampaignError(f"no interval can be given: {mute}")
@@ -96,10 +99,11 @@ def sample_posterior(
     report(0.0, "Laplace approximation")
     laplace, compressed = approximate(problem, start)
     for _ in range(MESHES):
-        run, reasons = _run(
-            sampler, problem, start, laplace, compressed, settings, seed, jobs, both,
-            None if checkpoint is None else Path(checkpoint), resume, report,
+        target = Target(
+            problem, start, laplace, compressed, settings, seed, np.random.SeedSequence(seed),
+            report, jobs, None if checkpoint is None else Path(checkpoint), resume, both,
         )  # fmt: skip
+        drew, run, reasons = _run(SAMPLERS[sampler], target)
         compressed = run.compressed or compressed
         draws = run.chains.reshape(-1, len(problem.layout))
         few = draws[:: max(1, len(draws) // 6)][:6]
@@ -118,7 +122,7 @@ def sample_posterior(
         problem=problem,
         chains=chains,
         log_likelihood=each.reshape(n_chain, n_draw, -1),
-        sampler=run.sampler,
+        sampler=drew,
         reasons=tuple(reasons),
         mesh_error=error,
         r_hat=r_hat,
@@ -136,48 +140,26 @@ def sample_posterior(
     )
 
 
-def _run(
-    sampler: str,
-    problem: Problem,
-    start: FloatArray,
-    laplace: Laplace,
-    compressed: Compressed,
-    settings: Settings,
-    seed: int,
-    jobs: int,
-    both: float | None,
-    folder: Path | None,
-    resume: bool,
-    report: Progress,
-) -> tuple[Run, list[str]]:
-    """The draws of ``sampler``, or of its replacement, and the reasons in sentences.
-
-    ``both``: flow (mL/s) at which tau_v and V/Q are exchanged, if both orders are likely.
-    """
-    streams = np.random.SeedSequence(seed)
+def _run(chosen: Sampler, target: Target) -> tuple[str, Run, list[str]]:
+    """The name and the draws of ``chosen``, or of its replacement, and the reasons in sentences."""
     reasons: list[str] = []
-    if both is not None:
+    if target.both is not None:
         reasons.append(
             "valve and manifold may be either way round by data and priors: ensembles exchange them"
         )
-        sampler = "emcee"
-    if sampler == "independence":
-        run = run_independence(problem, laplace, compressed, settings, streams, report)
-        reasons.append(run.reason)
+        chosen = chosen if chosen.exchanges_orders else TAKE_OVER[-1]
+    run = chosen.run(target)
+    reasons.append(run.reason)
+    later = TAKE_OVER[TAKE_OVER.index(chosen) + 1 :] if chosen in TAKE_OVER else TAKE_OVER
+    for other in later:
         if run.good:
-            return run, reasons
-        # where the Laplace approximation has no overlap with the priors, its scales mislead HMC too
-        sampler = "hmc" if len(run.chains) else "emcee"
-    if sampler == "hmc":
-        run = run_hmc(problem, laplace, compressed, settings, streams, report)
+            break
+        # where the Laplace approximation has no overlap with the priors, its scales mislead
+        if other.rests_on_laplace and not len(run.chains):
+            continue
+        chosen, run = other, other.run(target)
         reasons.append(run.reason)
-        if run.good:
-            return run, reasons
-    identity = digest(problem, start, settings, seed, compressed.region.fineness)
-    run = run_emcee(
-        problem, laplace, compressed, settings, seed, jobs, folder, resume, identity, report, both
-    )
-    return run, [*reasons, run.reason]
+    return chosen.name, run, reasons
 
 
 def _cannot_tell(problem: Problem, start: FloatArray) -> str:
@@ -185,7 +167,7 @@ def _cannot_tell(problem: Problem, start: FloatArray) -> str:
     return cannot_tell(problem, start, all_residuals(problem, start)[0])
 
 
-def _start(problem: Problem, given: Any) -> FloatArray:
+def start_vector(problem: Problem, given: Any) -> FloatArray:
     """The flat vector to start from; a model's own parameters are fitted where it lacks them."""
     layout = problem.layout
     bare = replace(layout, extra=())

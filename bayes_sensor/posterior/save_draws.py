@@ -12,7 +12,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.io.disk import replacing
 from bayes_sensor.likelihood.noise import scale_squared
 from bayes_sensor.posterior import inference_data as idata
-from bayes_sensor.posterior.posterior import Posterior
+from bayes_sensor.posterior.draws import Draws
 from bayes_sensor.rig.lags import LAG_NAMES
 from bayes_sensor.rig.layout import SHARED, unit_of
 
@@ -22,18 +22,18 @@ VARIABLES = {
 }  # fmt: skip
 
 
-def to_inference_data(posterior: Posterior) -> Any:
+def to_inference_data(posterior: Draws) -> Any:
     """ArviZ InferenceData (a DataTree in ArviZ 1.x) of a posterior."""
     return idata.assemble(*_contents(posterior))
 
 
-def save(posterior: Posterior, path: str | Path) -> None:
+def save_posterior(posterior: Draws, path: str | Path) -> None:
     """Write ``posterior.nc``, complete or not at all."""
     with replacing(path) as new:
         idata.save(*_contents(posterior), new)
 
 
-def _contents(posterior: Posterior) -> tuple[dict[str, Any], dict[str, Any]]:
+def _contents(posterior: Draws) -> tuple[dict[str, Any], dict[str, Any]]:
     """Groups as Datasets by name, and the attributes of the whole."""
     import xarray
 
@@ -97,7 +97,7 @@ def _contents(posterior: Posterior) -> tuple[dict[str, Any], dict[str, Any]]:
     return groups, attributes
 
 
-def _predictive(posterior: Posterior, n_times: int = 240, n_draws: int = 120) -> tuple[Any, Any]:
+def _predictive(posterior: Draws, n_times: int = 240, n_draws: int = 120) -> tuple[Any, Any]:
     """Summary of the replicated mean and of the data on a coarse grid of every experiment."""
     import xarray
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from bayes_sensor.campaign import CampaignError
 
-SAMPLERS = ("emcee", "independence", "hmc")
-
 Progress = Callable[[float, str], None]
 """called with the fraction done and a short text"""
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+from bayes_sensor.bounds.methods import PUBLISHED, TO_QUOTE, WHITE, method_of
 from bayes_sensor.figures import effect_words
 from bayes_sensor.io.run_record import of_other_data
 from bayes_sensor.report.saved import Saved
@@ -79,9 +80,7 @@ def headline(
     if posterior is not None:
         return _of_posterior(posterior, naive, settings)
     if bounds is not None:
-        method = next(
-            (m for m in ("profile", "sandwich", "crlb_ar1") if m in bounds["methods"]), None
-        )
+        method = next((m for m in TO_QUOTE if m in bounds["methods"]), None)
         return None if method is None else _of_bounds(bounds["methods"][method], method, naive)
     return None
 
@@ -345,7 +344,7 @@ def with_the_effect(saved: Saved) -> str:
 def _why_naive_misleads(saved: Saved) -> str:
     """The assumptions of the classical bound that fail here, in words."""
     naive = (saved.bounds or {}).get("naive") or {}
-    right, published = naive.get("crlb_iid") or {}, naive.get("crlb_iid_one_percent_step") or {}
+    right, published = naive.get(WHITE) or {}, naive.get(PUBLISHED) or {}
     found = []
     phi = ((saved.residuals or {}).get("ar1") or {}).get("phi")
     if right.get("tau_s") and phi is not None and phi > ALIKE:
@@ -371,7 +370,7 @@ def _naive_words(bounds: Mapping[str, Any] | None) -> str:
     if bounds is None:
         return ""
     naive = bounds.get("naive") or {}
-    right, published = naive.get("crlb_iid"), naive.get("crlb_iid_one_percent_step")
+    right, published = naive.get(WHITE), naive.get(PUBLISHED)
     parts = []
     if right and right.get("tau_s"):
         parts.append(
@@ -411,8 +410,6 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
 
     ``bad`` for caveats of the headline, which the page shows before it; the rest are notes.
     """
-    from bayes_sensor.figures import METHOD_LABELS  # draws, so slow to import
-
     caveats = (saved.fit or {}).get("caveats") or []
     found = [("bad", sentence(typeset(caveat))) for caveat in caveats]
     if saved.fit is not None and not saved.fit["converged"]:
@@ -465,11 +462,10 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
             status = entry.get("status", "ok")
             for doubt in doubts(saved):  # an alert says it once for all
                 status = "; ".join(filter(None, status.replace(doubt, "").split("; "))) or "ok"
-            if method == "crlb_iid_one_percent_step":  # its caveats stand in the table of methods
+            if method_of(method).published_recipe:  # its caveats stand in the table of methods
                 continue
             if status != "ok" and "lower bound" not in status and "upper limit" not in status:
-                label = METHOD_LABELS.get(method, method)
-                notes.append(f"{label}: {status}")
+                notes.append(f"{method_of(method).label}: {status}")
     seen = set(caveats)
     for note in notes:
         told = sentence(typeset(note))

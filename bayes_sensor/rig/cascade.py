@@ -121,6 +121,25 @@ def impulse_response(s: float, rates: FloatArray) -> float:  # pragma: no cover 
     return value
 
 
+@njit(cache=True, error_model="numpy")
+def sorted_apart(taus: FloatArray) -> None:  # pragma: no cover - compiled
+    # ascending, at least a thousandth apart so that partial fractions keep ten digits
+    taus.sort()
+    for j in range(1, 3):
+        if taus[j] < taus[j - 1] * 1.001:
+            taus[j] = taus[j - 1] * 1.001
+
+
+@njit(cache=True, error_model="numpy")
+def partial_fractions(taus: FloatArray, c: FloatArray) -> None:  # pragma: no cover - compiled
+    # c_j of x3 = 1 - sum c_j exp(-s/tau_j), for time constants that are apart
+    for j in range(3):
+        c[j] = 1.0
+        for m in range(3):
+            if m != j:
+                c[j] *= taus[j] / (taus[j] - taus[m])
+
+
 @njit(cache=True)
 def _cascade(
     t: FloatArray, rates: FloatArray, t0: float, tf: float, out: FloatArray

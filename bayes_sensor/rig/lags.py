@@ -1,10 +1,11 @@
 """Which lag is the sensor's: the lags by size, and the ways in which they may be named.
 
-The response of first-order lags in a row does not depend on their order.  The data therefore know
-the lags that do not depend on flow as a set of values, and where all experiments have one total
-flow the manifold's V/Q belongs to that set as well.  The calculation keeps them by size: theta
-holds the shortest in the place of ``tau_s``, the longest in that of ``tau_v_s`` and, at one flow,
-the middle one in that of ``V_mL`` (times the flow).  An :class:`Assignment` gives them names.
+Lags commute: the response of first-order lags in a row does not depend on their order. The data
+therefore know the lags that do not depend on flow as a set of values, and where all experiments
+have one total flow the manifold's V/Q belongs to that set as well. The calculation keeps them by
+size: theta holds the shortest in the place of ``tau_s``, the longest in that of ``tau_v_s`` and, at
+one flow, the middle one in that of ``V_mL`` (times the flow). An :class:`Assignment` gives them
+names.
 """
 
 from __future__ import annotations

@@ -24,88 +24,132 @@ from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.rig.exponential import exponentials
+from bayes_sensor.rig.lag_cells import (
+    Cells,
+    add_within,
+    advance,
+    growing_grid,
+    lag_states,
+    middles,
+    with_pocket,
+)
 
-SETTINGS: dict[str, tuple[float, str]] = {
-    "closing_ratio": (1.0, "valve time constant when shutting over that when opening"),
-    "closing_bend": (0.0, "how much that constant falls from the first of the way to the last"),
-    "inertia": (0.0, "kappa in kappa tau_v^2 x'' + tau_v x' + x = u"),
-    "stroke": (0.0, "s, time in which the valve's command goes from shut to open"),
-    "stroke_bend": (0.0, "0: evenly .. 1: accelerating evenly, from rest"),
-    "slow_valve_share": (0.0, "share of the valve's opening that follows slowly"),
-    "slow_valve_time": (1.0, "s, time constant of that share"),
-    "settling_share": (0.0, "inlet concentration is low by this share right after opening"),
-    "settling_time": (1.0, "s, in which that deficit decays"),
-    "settling_swing": (0.0, "rad/s, with which it swings while it decays"),
-    "flow_switching": (0.0, "share of the test-gas flow that stops when the valve shuts"),
-    "premixed": (0.0, "1: what then enters keeps the concentration that the valve gives it"),
-    "flow_factor": (1.0, "true total flow over the set one"),
-    "pocket_share": (0.0, "volume of a stagnant pocket over V"),
-    "pocket_time": (1.0, "s, exchange time of the pocket"),
-    "tank_share": (0.0, "share of V that forms a second tank in series"),
-    "release_ratio": (1.0, "sensor time constant of release over that of uptake"),
-    "release_width": (0.0, "distance from equilibrium, of the step, over which that changes"),
-    "slow_site_share": (0.0, "share of the sensor's response that follows slowly"),
-    "slow_site_time": (1.0, "s, time constant of that share"),
-    "slow_site_spread": (1.0, "half of that share is this much slower or faster, in equal parts"),
-    "coating": (0.0, "0 single lag .. 1 diffusion through the layered coating"),
-    "filter": (0.0, "s, time constant of a low-pass before the converter"),
-    "curvature": (0.0, "1/V, k in v + k v^2 + m v^3 with v = beta x3"),
-    "cubic": (0.0, "1/V^2, m in the same"),
-    "drift": (0.0, "V/s, slope of the baseline"),
-    "drift_curve": (0.0, "V/s^2, bend of the baseline"),
-    "drift_twist": (0.0, "V/s^3, change of that bend"),
-    "step": (0.0, "V, step of the baseline"),
-    "step_time": (0.0, "s, when it begins"),
-    "step_with_fall": (0.0, "1: that time counts from the step down"),
-    "step_width": (0.0, "s, time constant with which it settles"),
-    "gain_drift": (0.0, "1/s, relative change of beta with time"),
-    "gain_curve": (0.0, "1/s^2, bend of that change"),
-    "gain_twist": (0.0, "1/s^3, change of that bend"),
-    "gain_of_all": (0.0, "1: what changes is the whole voltage, y0 included"),
-    "carry_over": (0.0, "share of beta still in the manifold when the record starts"),
-    "carry_time": (0.0, "s, in which it leaves; 0: the manifold's own V/Q"),
-    "carry_spread": (1.0, "half of it leaves this much slower or faster, in equal parts"),
-    "valve_factor": (1.0, "valve time constant over the common one"),
-    "sensor_factor": (1.0, "sensor time constant over the common one"),
-    "emptying_ratio": (1.0, "manifold time constant after the step down over that before"),
-    "late_share": (0.0, "share of the gas that comes later, and goes later, than the rest"),
-    "late_rise": (0.0, "s, by which it comes later"),
-    "late_fall": (0.0, "s, by which it goes later"),
-}
-"""name -> (neutral value, what it is)"""
-
-INDEX = {name: i for i, name in enumerate(SETTINGS)}
-NEUTRAL = np.array([value for value, _ in SETTINGS.values()])
+GAS, SENSOR, READOUT = "gas", "sensor", "readout"
+"""stages: what one of them changes leaves those before it as they are"""
 
 # the first entries of the kernel's parameter vector, before the settings
 TAU, TAU_V, TAU_M, Y0, BETA, T0, TF, CONCENTRATION, START, MIDDLE = range(10)
 FIRST = 10
+_stages = [SENSOR, GAS, GAS, READOUT, READOUT, GAS, GAS, GAS, SENSOR, READOUT]
 
-(
-    CLOSING, CLOSING_BEND, INERTIA, STROKE, BEND, SLOW_V, SLOW_V_TIME, SETTLING, SETTLING_TIME,
-    SETTLING_SWING, SWITCHING, PREMIXED, FLOW, POCKET, POCKET_TIME, TANK, RELEASE, RELEASE_WIDTH,
-    SLOW_S, SLOW_S_TIME, SLOW_S_SPREAD, COATING, FILTER, CURVATURE, CUBIC, DRIFT, DRIFT_CURVE,
-    DRIFT_TWIST, STEP, STEP_TIME, STEP_WITH_FALL, STEP_WIDTH, GAIN, GAIN_CURVE, GAIN_TWIST,
-    GAIN_OF_ALL, CARRY, CARRY_TIME, CARRY_SPREAD, VALVE_FACTOR, SENSOR_FACTOR, EMPTYING, LATE,
-    LATE_RISE, LATE_FALL,
-) = range(FIRST, FIRST + len(SETTINGS))  # fmt: skip
 
-OF_THE_READOUT = [
-    Y0, BETA, MIDDLE, CURVATURE, CUBIC, DRIFT, DRIFT_CURVE, DRIFT_TWIST, STEP, STEP_TIME,
-    STEP_WITH_FALL, STEP_WIDTH, GAIN, GAIN_CURVE, GAIN_TWIST, GAIN_OF_ALL,
-]  # fmt: skip
-OF_THE_SENSOR = [
-    TAU, START, RELEASE, RELEASE_WIDTH, SLOW_S, SLOW_S_TIME, SLOW_S_SPREAD, COATING, FILTER, CARRY,
-    CARRY_TIME, CARRY_SPREAD, SENSOR_FACTOR,
-]  # fmt: skip
-_of_the_gas = np.setdiff1d(np.arange(FIRST + len(SETTINGS)), OF_THE_READOUT + OF_THE_SENSOR)
-_before_the_readout = np.setdiff1d(np.arange(FIRST + len(SETTINGS)), OF_THE_READOUT)
+class RigSetting(NamedTuple):
+    """One imperfection that the rig may have."""
+
+    neutral: float
+    """the value at which it has none"""
+    stage: str
+    meaning: str
+    """with its unit"""
+
+
+SETTINGS: dict[str, RigSetting] = {}
+"""by name, in the order of the kernel's parameter vector"""
+
+
+def _setting(name: str, neutral: float, stage: str, meaning: str) -> int:
+    """The place in the kernel's parameter vector of a setting that is new in the table."""
+    SETTINGS[name] = RigSetting(neutral, stage, meaning)
+    _stages.append(stage)
+    return len(_stages) - 1
+
+
+# A setting with new physics is one line here and what the kernel does with it.
+CLOSING = _setting(
+    "closing_ratio", 1.0, GAS, "valve time constant when shutting over that when opening"
+)
+CLOSING_BEND = _setting(
+    "closing_bend", 0.0, GAS, "how much that constant falls from the first of the way to the last"
+)
+INERTIA = _setting("inertia", 0.0, GAS, "kappa in kappa tau_v^2 x'' + tau_v x' + x = u")
+STROKE = _setting("stroke", 0.0, GAS, "s, time in which the valve's command goes from shut to open")
+BEND = _setting("stroke_bend", 0.0, GAS, "0: evenly .. 1: accelerating evenly, from rest")
+SLOW_V = _setting("slow_valve_share", 0.0, GAS, "share of the valve's opening that follows slowly")
+SLOW_V_TIME = _setting("slow_valve_time", 1.0, GAS, "s, time constant of that share")
+SETTLING = _setting(
+    "settling_share", 0.0, GAS, "inlet concentration is low by this share right after opening"
+)
+SETTLING_TIME = _setting("settling_time", 1.0, GAS, "s, in which that deficit decays")
+SETTLING_SWING = _setting("settling_swing", 0.0, GAS, "rad/s, with which it swings while it decays")
+SWITCHING = _setting(
+    "flow_switching", 0.0, GAS, "share of the test-gas flow that stops when the valve shuts"
+)
+PREMIXED = _setting(
+    "premixed", 0.0, GAS, "1: what then enters keeps the concentration that the valve gives it"
+)
+FLOW = _setting("flow_factor", 1.0, GAS, "true total flow over the set one")
+POCKET = _setting("pocket_share", 0.0, GAS, "volume of a stagnant pocket over V")
+POCKET_TIME = _setting("pocket_time", 1.0, GAS, "s, exchange time of the pocket")
+TANK = _setting("tank_share", 0.0, GAS, "share of V that forms a second tank in series")
+RELEASE = _setting(
+    "release_ratio", 1.0, SENSOR, "sensor time constant of release over that of uptake"
+)
+RELEASE_WIDTH = _setting(
+    "release_width", 0.0, SENSOR, "distance from equilibrium, of the step, over which that changes"
+)
+SLOW_S = _setting(
+    "slow_site_share", 0.0, SENSOR, "share of the sensor's response that follows slowly"
+)
+SLOW_S_TIME = _setting("slow_site_time", 1.0, SENSOR, "s, time constant of that share")
+SLOW_S_SPREAD = _setting(
+    "slow_site_spread",
+    1.0,
+    SENSOR,
+    "half of that share is this much slower or faster, in equal parts",
+)
+COATING = _setting(
+    "coating", 0.0, SENSOR, "0 single lag .. 1 diffusion through the layered coating"
+)
+FILTER = _setting("filter", 0.0, SENSOR, "s, time constant of a low-pass before the converter")
+CURVATURE = _setting("curvature", 0.0, READOUT, "1/V, k in v + k v^2 + m v^3 with v = beta x3")
+CUBIC = _setting("cubic", 0.0, READOUT, "1/V^2, m in the same")
+DRIFT = _setting("drift", 0.0, READOUT, "V/s, slope of the baseline")
+DRIFT_CURVE = _setting("drift_curve", 0.0, READOUT, "V/s^2, bend of the baseline")
+DRIFT_TWIST = _setting("drift_twist", 0.0, READOUT, "V/s^3, change of that bend")
+STEP = _setting("step", 0.0, READOUT, "V, step of the baseline")
+STEP_TIME = _setting("step_time", 0.0, READOUT, "s, when it begins")
+STEP_WITH_FALL = _setting("step_with_fall", 0.0, READOUT, "1: that time counts from the step down")
+STEP_WIDTH = _setting("step_width", 0.0, READOUT, "s, time constant with which it settles")
+GAIN = _setting("gain_drift", 0.0, READOUT, "1/s, relative change of beta with time")
+GAIN_CURVE = _setting("gain_curve", 0.0, READOUT, "1/s^2, bend of that change")
+GAIN_TWIST = _setting("gain_twist", 0.0, READOUT, "1/s^3, change of that bend")
+GAIN_OF_ALL = _setting(
+    "gain_of_all", 0.0, READOUT, "1: what changes is the whole voltage, y0 included"
+)
+CARRY = _setting(
+    "carry_over", 0.0, SENSOR, "share of beta still in the manifold when the record starts"
+)
+CARRY_TIME = _setting("carry_time", 0.0, SENSOR, "s, in which it leaves; 0: the manifold's own V/Q")
+CARRY_SPREAD = _setting(
+    "carry_spread", 1.0, SENSOR, "half of it leaves this much slower or faster, in equal parts"
+)
+VALVE_FACTOR = _setting("valve_factor", 1.0, GAS, "valve time constant over the common one")
+SENSOR_FACTOR = _setting("sensor_factor", 1.0, SENSOR, "sensor time constant over the common one")
+EMPTYING = _setting(
+    "emptying_ratio", 1.0, GAS, "manifold time constant after the step down over that before"
+)
+LATE = _setting(
+    "late_share", 0.0, GAS, "share of the gas that comes later, and goes later, than the rest"
+)
+LATE_RISE = _setting("late_rise", 0.0, GAS, "s, by which it comes later")
+LATE_FALL = _setting("late_fall", 0.0, GAS, "s, by which it goes later")
+
+INDEX = {name: i for i, name in enumerate(SETTINGS)}
+NEUTRAL = np.array([setting.neutral for setting in SETTINGS.values()])
+_of_the_gas = np.flatnonzero(np.array(_stages) == GAS)
+_before_the_readout = np.flatnonzero(np.array(_stages) != READOUT)
 
 CELLS_PER_TIME_CONSTANT = 14.0
-GROWTH = 1.06
-"""each cell is this much longer than the one before"""
-SHORT = 1e-3
-"""time constants below which a step's moments come from their series"""
 
 
 def settings_vector(settings: Mapping[str, float]) -> FloatArray:
@@ -225,134 +269,6 @@ def _one_valve(
     return x
 
 
-# --------------------------------------------------------------------------- lags
-
-
-class Cells(NamedTuple):
-    """The cells of a grid, and the input of a lag in them: quadratic in each."""
-
-    h: FloatArray
-    """(n,) s, their lengths"""
-    a: FloatArray
-    """(n,) input at their begins"""
-    m: FloatArray
-    """(n,) in their middles"""
-    b: FloatArray
-    """(n,) at their ends; it may jump to the next begin"""
-
-
-@njit(cache=True, inline="always")
-def _moments(r: float, decay: float) -> tuple[float, float]:  # pragma: no cover
-    # what a lag makes, over a step of r time constants in which it decays by the factor ``decay``,
-    # of inputs q and q^2, q the part of the step
-    per = 1.0 / max(r, SHORT)
-    m1 = 1.0 - (1.0 - decay) * per
-    m2 = 1.0 - 2.0 * m1 * per
-    if r < SHORT:
-        return _short_moments(r)
-    return m1, m2
-
-
-@njit(cache=True, inline="always")
-def _short_moments(r: float) -> tuple[float, float]:  # pragma: no cover
-    # the same by their series
-    return (
-        r * (0.5 - r / 6.0 * (1.0 - 0.25 * r)),
-        r * (1.0 / 3.0 - r / 12.0 * (1.0 - 0.2 * r)),
-    )
-
-
-@njit(cache=True, inline="always")
-def _curve(a: float, m: float, b: float) -> tuple[float, float]:  # pragma: no cover
-    # rise and bend of the quadratic a + rise q + bend q^2 that passes a, m, b at q = 0, 1/2, 1
-    return 4.0 * m - 3.0 * a - b, 2.0 * a - 4.0 * m + 2.0 * b
-
-
-@njit(cache=True, inline="always")
-def _advance(x: float, r: float, a: float, m: float, b: float) -> float:  # pragma: no cover
-    # a lag's state after r time constants under an input that passes a, m, b
-    decay = exp(-r)
-    m1, m2 = _moments(r, decay)
-    rise, bend = _curve(a, m, b)
-    return a + decay * (x - a) + m1 * rise + m2 * bend
-
-
-@njit(cache=True, error_model="numpy")
-def _lag(cells: Cells, rates: FloatArray) -> FloatArray:  # pragma: no cover
-    # a lag's states (n + 1,) at the ends of n cells, its rate another one in each
-    h, a, m, b = cells
-    n = len(h)
-    decay = -rates * h
-    exponentials(decay)
-    driven = np.empty(n)
-    for i in range(n):
-        m1, m2 = _moments(rates[i] * h[i], decay[i])
-        rise, bend = _curve(a[i], m[i], b[i])
-        driven[i] = a[i] * (1.0 - decay[i]) + m1 * rise + m2 * bend
-    states = np.zeros(n + 1)
-    for i in range(n):
-        states[i + 1] = decay[i] * states[i] + driven[i]
-    return states
-
-
-@njit(cache=True, error_model="numpy")
-def _add_within(
-    share: float,
-    places: NDArray[np.int64],
-    since: FloatArray,
-    cells: Cells,
-    rates: FloatArray,
-    states: FloatArray,
-    out: FloatArray,
-) -> None:  # pragma: no cover
-    # adds a share of the states that a lag (see :func:`_lag`) has at times (n_t,) ``since`` the
-    # begins of the cells at these ``places`` (n_t,)
-    h, a, m, b = cells
-    n = len(h)
-    of_cell = np.empty((n, 6))
-    for i in range(n):
-        rise, bend = _curve(a[i], m[i], b[i])
-        per = 1.0 / h[i]
-        of_cell[i, 0] = share * a[i]
-        of_cell[i, 1] = share * (states[i] - a[i])
-        of_cell[i, 2] = share * rise * per
-        of_cell[i, 3] = share * bend * per * per
-        of_cell[i, 4] = rates[i]
-        of_cell[i, 5] = 1.0 / rates[i]
-    decay = -rates[places] * since
-    exponentials(decay)
-    for q in range(len(places)):
-        start, away, rise, bend, rate, tau = of_cell[places[q]]
-        s = since[q]
-        r = rate * s
-        s1 = s - (1.0 - decay[q]) * tau  # what the lag makes of inputs s and s^2
-        s2 = s * s - 2.0 * s1 * tau
-        if r < SHORT:
-            m1, m2 = _short_moments(r)
-            s1, s2 = s * m1, s * s * m2
-        out[q] += start + decay[q] * away + rise * s1 + bend * s2
-
-
-@njit(cache=True)
-def _grid(start: float, end: float, first: float) -> FloatArray:  # pragma: no cover
-    n = 1
-    step, s = first, 0.0
-    while s < end - start:
-        s += step
-        step *= GROWTH
-        n += 1
-    grid = np.empty(n)
-    grid[0] = start
-    step = first
-    for i in range(1, n):
-        grid[i] = grid[i - 1] + step
-        step *= GROWTH
-    grid[n - 1] = end
-    if n > 2 and grid[n - 1] - grid[n - 2] < 0.3 * (grid[n - 2] - grid[n - 3]):
-        grid[n - 2] = 0.5 * (grid[n - 1] + grid[n - 3])  # no sliver before the next switch
-    return grid
-
-
 @njit(cache=True)
 def _manifold(
     t: FloatArray, x1: FloatArray, x1_mid: FloatArray, p: FloatArray
@@ -375,68 +291,20 @@ def _manifold(
             a, m, b = a * rates / rates_a, m * rates / rates_m, b * rates / rates_b
         rates = (rates_a + 4.0 * rates_m + rates_b) / 6.0
     if p[POCKET] <= 0.0:
-        x2 = _lag(Cells(h, a, m, b), rates)
+        x2 = lag_states(Cells(h, a, m, b), rates)
     else:  # what the pocket gives back is a second input
-        x2, pocket = _with_pocket(Cells(h, a, m, b), rates, p[POCKET], p[POCKET_TIME])
+        x2, pocket = with_pocket(Cells(h, a, m, b), rates, p[POCKET], p[POCKET_TIME])
         k = p[POCKET] / p[POCKET_TIME]
         a = (rates_a * a + k * pocket[:-1]) / (rates_a + k)
         b = (rates_b * b + k * pocket[1:]) / (rates_b + k)
         rates_a, rates_b = rates_a + k, rates_b + k
-    mid = _middles(h, x2, a, b, rates_a, rates_b)
+    mid = middles(h, x2, a, b, rates_a, rates_b)
     if p[TANK] > 0.0:
         rates = np.full(len(h), p[FLOW] / (p[TAU_M] * p[TANK]))
         a, b = x2[:-1], x2[1:]
-        x2 = _lag(Cells(h, a, mid, b), rates)
-        mid = _middles(h, x2, a, b, rates, rates)
+        x2 = lag_states(Cells(h, a, mid, b), rates)
+        mid = middles(h, x2, a, b, rates, rates)
     return x2, mid
-
-
-@njit(cache=True)
-def _with_pocket(
-    cells: Cells, rates: FloatArray, share: float, time: float
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
-    # x2 (n + 1,) and the concentration in a stagnant pocket (n + 1,) at the ends of n cells:
-    # x2' = rate (g - x2) + k (pocket - x2), pocket' = (x2 - pocket)/time, k = share/time:
-    # two decaying modes, both driven by g
-    h, a, m, b = cells
-    x2, pocket = np.zeros(len(h) + 1), np.zeros(len(h) + 1)
-    exchange = 1.0 / time
-    k = share * exchange
-    for i in range(len(h)):
-        rate = rates[i]
-        trace = rate + k + exchange
-        root = sqrt(trace * trace - 4.0 * rate * exchange)
-        fast, slow = 0.5 * (trace + root), 2.0 * rate * exchange / (trace + root)
-        # left eigenvectors (1, v): v = k/(lambda - exchange) of x2, pocket
-        vf, vs = -k / (fast - exchange), -k / (slow - exchange)
-        zf, zs = x2[i] + vf * pocket[i], x2[i] + vs * pocket[i]
-        gf, gs = rate / fast, rate / slow
-        zf = _advance(zf, fast * h[i], gf * a[i], gf * m[i], gf * b[i])
-        zs = _advance(zs, slow * h[i], gs * a[i], gs * m[i], gs * b[i])
-        pocket[i + 1] = (zf - zs) / (vf - vs)
-        x2[i + 1] = zf - vf * pocket[i + 1]
-    return x2, pocket
-
-
-@njit(cache=True)
-def _middles(
-    h: FloatArray,
-    x: FloatArray,
-    a: FloatArray,
-    b: FloatArray,
-    rates_a: FloatArray,
-    rates_b: FloatArray,
-) -> FloatArray:  # pragma: no cover
-    # states (n,) of a lag in the middles of n cells, from those at their ends (n + 1,): by the
-    # cubic through values and slopes, which jump where input (a, b) or rate do at a switch; the
-    # slopes are limited where the lag is much faster than the cell
-    mid = np.empty(len(h))
-    for i in range(len(h)):
-        step = x[i + 1] - x[i]
-        slopes = rates_a[i] * (a[i] - x[i]) - rates_b[i] * (b[i] - x[i + 1])
-        bend, limit = 0.125 * h[i] * slopes, 0.5 * abs(step)
-        mid[i] = 0.5 * (x[i] + x[i + 1]) + min(max(bend, -limit), limit)
-    return mid
 
 
 # --------------------------------------------------------------------------- from gas to volts
@@ -467,7 +335,7 @@ def _gas(
     for i in range(len(events)):
         until = min(events[i + 1], last) if i + 1 < len(events) else last
         if until - t[-1] > 1e-3 * first:
-            t = np.concatenate((t, _grid(t[-1], until, first)[1:]))
+            t = np.concatenate((t, growing_grid(t[-1], until, first)[1:]))
     x1, x1_mid = _valve(t, p), _valve(0.5 * (t[:-1] + t[1:]), p)
     x2, x2_mid = _manifold(t, x1, x1_mid, p)
     return t, x2, x2_mid
@@ -520,13 +388,13 @@ def _add_response(
         at, after, made = np.arange(len(h)), 0.5 * h, np.zeros(len(h))
     for j in range(len(share)):
         rates, states = _sensor(gas, tau[j], p[RELEASE], p[RELEASE_WIDTH])
-        _add_within(share[j], at, after, gas, rates, states, made)
+        add_within(share[j], at, after, gas, rates, states, made)
         if low_pass > 0.0:
             x3 += share[j] * states
     if low_pass > 0.0:
         sensed = Cells(h, x3[:-1], made, x3[1:])
         rates = np.full(len(h), 1.0 / low_pass)
-        _add_within(1.0, places, since, sensed, rates, _lag(sensed, rates), out[k:])
+        add_within(1.0, places, since, sensed, rates, lag_states(sensed, rates), out[k:])
 
 
 @njit(cache=True)
@@ -584,16 +452,16 @@ def _sensor(
     h, a, m, b = cells
     rates = np.full(len(h), 1.0 / tau)
     if ratio == 1.0:
-        return rates, _lag(cells, rates)
+        return rates, lag_states(cells, rates)
     states, log_ratio = np.zeros(len(h) + 1), log(ratio)
     for i in range(len(h)):
         slower = _slower(m[i] - states[i], log_ratio, width)
         if width > 0.0:  # the state half a cell on is nearer to what counts
             half_m = 0.375 * a[i] + 0.75 * m[i] - 0.125 * b[i]
-            half = _advance(states[i], 0.5 * h[i] / (tau * slower), a[i], half_m, m[i])
+            half = advance(states[i], 0.5 * h[i] / (tau * slower), a[i], half_m, m[i])
             slower = _slower(m[i] - half, log_ratio, width)
         rates[i] /= slower
-        states[i + 1] = _advance(states[i], h[i] * rates[i], a[i], m[i], b[i])
+        states[i + 1] = advance(states[i], h[i] * rates[i], a[i], m[i], b[i])
     return rates, states
 
 

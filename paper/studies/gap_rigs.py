@@ -18,12 +18,13 @@ from scipy.signal import lfilter
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.cli.simulate_campaigns import published_design
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.preparation import prepare
 from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.effects.effect import Effect, Form
+from bayes_sensor.diagnosis.effects.rig_view import coating_modes
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Plan, coating_modes
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.likelihood.noise import scale_squared, simulate_noise
 from bayes_sensor.rig.cascade import cascade_response
 from bayes_sensor.rig.layout import Layout
@@ -59,10 +60,10 @@ class Rig:
     """(n_t,) V of each experiment"""
 
     @cached_property
-    def sketch(self) -> Sketch:
+    def binned(self) -> BinnedCampaign:
         """Bins and floor of the record in which nothing is wrong, around the truth."""
         plain = self.record(self.mean)
-        return prepare(plain, Layout.of(self.campaign).flat(self.theta)).sketch
+        return prepare(plain, Layout.of(self.campaign).flat(self.theta)).binned
 
     def own(self, k: int) -> Mapping[str, float]:
         """y0, beta, t0, tf of an experiment."""
@@ -86,7 +87,7 @@ class Rig:
 
     def changed(self, k: int, t: FloatArray, settings: Mapping[str, float]) -> FloatArray:
         """V (n_t,) of the catalogue's rig with some settings changed."""
-        p, _ = Plan(self.sketch).rig(self.sketch.base, k)
+        p, _ = Coordinates(self.binned).rig(self.binned.base, k)
         for name, value in settings.items():
             p[FIRST + INDEX[name]] = value
         return np.asarray(rig_mean(t, p, *coating_modes()))
@@ -176,9 +177,9 @@ OFTEN_OWN = ("baseline_drift", "baseline_step", "gain_drift", "carry_over")
 """in 40 of 100 campaigns every experiment has a strength of its own; for flow_error always"""
 
 
-def nested_form(effect: Effect, strength: str, sketch: Sketch) -> Form:
+def nested_form(effect: Effect, strength: str, binned: BinnedCampaign) -> Form:
     """The first form in which the strength can be varied."""
-    setting = sketch.settings[0]
+    setting = binned.settings[0]
     for form in effect.forms:
         if strength in {s.name for s in form.strengths(setting)}:
             return form
@@ -209,8 +210,8 @@ class Listed:
         sign = float(rng.choice([-1.0, 1.0])) if name in EITHER_SIGN else 1.0
         own = name == "flow_error" or (name in OFTEN_OWN and rng.random() < 0.4)
         drawn = rng.standard_normal(len(rig.campaign))
-        form = nested_form(CATALOGUE[name], strength, rig.sketch)
-        law = next(s for s in form.strengths(rig.sketch.settings[0]) if s.name == strength)
+        form = nested_form(CATALOGUE[name], strength, rig.binned)
+        law = next(s for s in form.strengths(rig.binned.settings[0]) if s.name == strength)
         if law.kind == "normal" and law.limits[0] == 0.0:
             drawn = np.abs(drawn)
         return cls(rig, name, sign, drawn if own else None, others)
@@ -234,14 +235,14 @@ class Listed:
     @cached_property
     def form(self) -> Form:
         """The form it acts in."""
-        return nested_form(CATALOGUE[self.name], LISTED[self.name][0], self.rig.sketch)
+        return nested_form(CATALOGUE[self.name], LISTED[self.name][0], self.rig.binned)
 
     def __call__(self, amount: float) -> Callable[[int, FloatArray], FloatArray]:
         """The mean with this amount of it."""
 
         def mean(k: int, t: FloatArray) -> FloatArray:
             values = self.strengths(amount, k)
-            return self.rig.changed(k, t, self.form.settings(values, self.rig.sketch.settings[k]))
+            return self.rig.changed(k, t, self.form.settings(values, self.rig.binned.settings[k]))
 
         return mean
 
@@ -364,17 +365,19 @@ def outside(rig: Rig, name: str) -> tuple[Shape, float]:
 # --------------------------------------------------------------------------- detectability
 
 
-def noise_free(sketch: Sketch, mean: Callable[[int, FloatArray], FloatArray]) -> list[FloatArray]:
+def noise_free(
+    binned: BinnedCampaign, mean: Callable[[int, FloatArray], FloatArray]
+) -> list[FloatArray]:
     """(n_bins,) V of each experiment: every sample of the mean averaged in its bin."""
-    return [b.average(mean(k, b.experiment.t)) for k, b in enumerate(sketch.bins)]
+    return [b.average(mean(k, b.experiment.t)) for k, b in enumerate(binned.bins)]
 
 
 def detectability(rig: Rig, mean: Callable[[int, FloatArray], FloatArray]) -> Refit:
     """The model without effects refitted to this mean; d is the root of its misfit."""
-    sketch = rig.sketch
-    data = noise_free(sketch, mean)
-    plan = Plan(sketch)
-    starts = base_starts(sketch, sketch.base)[:3:2]
+    binned = rig.binned
+    data = noise_free(binned, mean)
+    plan = Coordinates(binned)
+    starts = base_starts(binned, binned.base)[:3:2]
     return min(
         (refit(plan, x, data=data, most_steps=15) for x in starts), key=lambda r: r.objective
     )

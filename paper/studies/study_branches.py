@@ -4,8 +4,8 @@ The suite runs twice under coverage.py: as it is, and with ``NUMBA_DISABLE_JIT=1
 files of the rooms with compiled functions, which no tracer sees into when they are compiled; there
 a test is left after ``LIMIT`` seconds.  Left out are the tests that work in other processes
 (``ELSEWHERE``): what they see is not counted, so the shares are lower limits.  The measurement,
-which also holds which test runs which line, stays in build/studies/branches and serves
-``study_mutants.py``.  Remove that folder to measure anew.
+which also holds which test runs which line, stays in build/studies/branches.  Remove that folder
+to measure anew.
 """
 
 from __future__ import annotations
@@ -19,12 +19,24 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
-from study_mutants import COMPUTING, ROOT, TABLES, files_of
 
-UNCOMPILED = ("without_compilation", "model", "noise", "mixing", "readout", "likelihood",
-              "bounds_search", "gap_rig", "fit")  # fmt: skip
-ELSEWHERE = ("faults", "fleet", "hostile", "determinism", "docs", "frame", "paper", "notebooks",
-             "notebook_bounds", "notebook_coating", "notebook_gap", "notebook_guides")  # fmt: skip
+ROOT = Path(__file__).resolve().parent.parent.parent
+TABLES = ROOT / "paper" / "tables"
+COMPUTING = (
+    "rig", "likelihood", "fit", "posterior", "residuals", "bounds", "checks", "design", "coating",
+    "diagnosis", "blind_check",
+)  # fmt: skip
+"""the rooms that compute"""
+UNCOMPILED = (
+    "whole/test_without_compilation.py", "rig", "likelihood/test_noise.py",
+    "likelihood/test_density.py", "posterior/test_r_hat.py", "coating/test_readout.py",
+    "bounds/test_newton.py", "fit/test_fit.py",
+)  # fmt: skip
+ELSEWHERE = (
+    "whole/test_faults.py", "whole/test_determinism.py", "whole/test_docs.py",
+    "whole/test_frame.py", "whole/test_paper.py", "whole/test_notebooks.py", "fleet",
+    "io/test_bad_input.py",
+)  # fmt: skip
 LIMIT = 3.0
 """seconds for a test without compilation"""
 SETTINGS = """[run]
@@ -35,6 +47,13 @@ exclude_lines =
     if TYPE_CHECKING:
     pragma: no cover - only
 """
+
+
+def files_of(room: str) -> list[Path]:
+    """The modules of a room, relative to the project."""
+    folder = ROOT / "bayes_sensor" / room
+    found = sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
+    return [f.relative_to(ROOT) for f in found]
 
 
 def measure(folder: Path, name: str, files: list[str], **variables: str) -> None:
@@ -93,11 +112,17 @@ def run(
     """The table; the tests run in one process, because a test's lines are noted as it runs."""
     place = Path(folder) / "branches"
     place.mkdir(parents=True, exist_ok=True)
-    tests = {p.stem.removeprefix("test_"): f"tests/{p.name}" for p in ROOT.glob("tests/test_*.py")}
-    parts = [(f"compiled-{n}", [f], {}) for n, f in sorted(tests.items()) if n not in ELSEWHERE]
+    tests = {p.relative_to(ROOT / "tests"): p for p in sorted(ROOT.glob("tests/**/test_*.py"))}
+    parts = [
+        (f"compiled-{'.'.join(name.parts)}", [str(file)], {})
+        for name, file in tests.items()
+        if not any(name.is_relative_to(left_out) for left_out in ELSEWHERE)
+    ]
     parts.append(("compiled-examples", ["bayes_sensor"], {}))
     without = {"NUMBA_DISABLE_JIT": "1", "COVERING_LIMIT": str(LIMIT)}
-    parts += [(f"uncompiled-{n}", [tests[n]], without) for n in UNCOMPILED]
+    parts += [
+        (f"uncompiled-{name.replace('/', '.')}", [f"tests/{name}"], without) for name in UNCOMPILED
+    ]
     for i, (name, files, variables) in enumerate(parts):
         progress(i, len(parts))
         measure(place, name, files, **variables)

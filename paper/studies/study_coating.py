@@ -24,7 +24,7 @@ from study_coverage import REFERENCE, design
 
 from bayes_sensor import figures
 from bayes_sensor.bounds import cramer_rao
-from bayes_sensor.checks.calibration import run_chunks
+from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.coating import (
     Coating,
     DiffusivityPosterior,

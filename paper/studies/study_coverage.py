@@ -14,16 +14,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from drawing import ACCENT, INK, PAPER, SHADE, TABLES, WIDTH, label, plt, save
+from posterior_calibration import LEVELS, CoverageStudy, coverage_table, tau_table
 
 from bayes_sensor.campaign import Campaign
-from bayes_sensor.checks.calibration import (
-    LEVELS,
-    CoverageStudy,
-    binomial_interval,
-    coverage_table,
-    run_chunks,
-    tau_table,
-)
+from bayes_sensor.checks.counted_coverage import binomial_interval
+from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import SAMPLERS, Settings

@@ -1,8 +1,9 @@
 """Campaigns at the edge of what can be told: what is said of them, and how often it is right.
 
-Every case of ``tests/extreme_cases.py`` is drawn again and again, fitted, sampled and bounded; an
-interval counts as plain where nothing is printed beside it, as warned where a warning, a status or
-exit code 3 is.  The last case is measured instead: fifty experiments of two minutes at 10 kHz.
+Every case of ``tests/support/extreme_cases.py`` is drawn again and again, fitted, sampled and
+bounded; an interval counts as plain where nothing is printed beside it, as warned where a warning,
+a status or exit code 3 is.  The last case is measured instead: fifty experiments of two minutes at
+10 kHz.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ from drawing import PAPER, TABLES
 
 from bayes_sensor.blind_check import wilson
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.checks.study_chunks import run_chunks, study_key
 
-sys.path.insert(0, str(PAPER.parent / "tests"))
-from extreme_cases import CASES, METHODS, QUICK, SHARED, VERDICTS, ask, diagnose
+sys.path.insert(0, str(PAPER.parent))
+from tests.support.extreme_cases import CASES, METHODS, QUICK, SHARED, VERDICTS, ask, diagnose
 
 SEED = 61
 STATED = ("posterior", *METHODS)

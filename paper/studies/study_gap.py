@@ -33,13 +33,14 @@ from gap_rigs import (
 
 from bayes_sensor.blind_check import wilson
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.checks.study_chunks import run_chunks, study_key
 from bayes_sensor.diagnosis import CATALOGUE, Gap, diagnose_gap
-from bayes_sensor.diagnosis.data.preparation import coordinates, fit_base
-from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect, joined_start, with_start
+from bayes_sensor.diagnosis.data.preparation import base_coordinates, fit_base
+from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
+from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Part, Plan
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.isolability import ISOLATED
 from bayes_sensor.figures import effect_words
 from bayes_sensor.fit import fit_least_squares
@@ -141,8 +142,8 @@ _FAILED = {
 
 def said(gap: Gap, cause: str) -> dict[str, Any]:
     """The diagnosis as one row."""
-    stand, verdict = gap.standing, gap.verdict
-    top = max(stand.effects, key=lambda n: stand.effects[n])
+    combined, verdict = gap.probabilities, gap.verdict
+    top = max(combined.effects, key=lambda n: combined.effects[n])
     family = CATALOGUE[cause].family if cause in CATALOGUE else ""
     closed = gap.shrink.closure.fraction
     return {
@@ -150,10 +151,10 @@ def said(gap: Gap, cause: str) -> dict[str, Any]:
         "named": "+".join(verdict.effects),
         "probability": verdict.probability,
         "top": top,
-        "p_top": stand.effects[top],
-        "p_none": stand.none,
-        "p_unlisted": stand.unlisted,
-        "p_family": stand.families.get(family, 0.0),
+        "p_top": combined.effects[top],
+        "p_none": combined.none,
+        "p_unlisted": combined.unlisted,
+        "p_family": combined.families.get(family, 0.0),
         "explanation": gap.shrink.explanation,
         "closed": np.nan if closed is None else closed,
         "tau_before_s": gap.shrink.tau_before_s,
@@ -163,28 +164,30 @@ def said(gap: Gap, cause: str) -> dict[str, Any]:
 
 def oracle(gap: Gap, mean: Callable[[int, np.ndarray], np.ndarray]) -> float:
     """What the explanation closes of the gap without noise; nan where it is the model itself."""
-    alike = [h for h in gap.weighing.hypotheses if h.key == gap.shrink.explanation and h.effects]
+    alike = [h for h in gap.comparison.hypotheses if h.key == gap.shrink.explanation and h.effects]
     if not alike:
         return float("nan")
     found = alike[0]
-    sketch = gap.weighing.sketch
-    data = noise_free(sketch, mean)
-    base = gap.weighing.base
+    binned = gap.comparison.binned
+    data = noise_free(binned, mean)
+    base = gap.comparison.base
     before, after = (
-        refit(r.plan, r.x, data=data, most_steps=20).misfit for r in (base, found.refit)
+        refit(r.coords, r.x, data=data, most_steps=20).misfit for r in (base, found.refit)
     )
     return 1.0 - after / before
 
 
 def tau_of_the_cause(gap: Gap, rig: Rig, listed: Listed, amount: float) -> float:
     """tau of a fit that is told the cause, its form and where to start: noise alone is left."""
-    sketch = gap.weighing.sketch
-    plan = Plan(sketch, (Part(CATALOGUE[listed.name], listed.form),))
-    truth = coordinates(sketch.campaign, Layout.of(sketch.campaign).flat(rig.theta))
+    binned = gap.comparison.binned
+    plan = Coordinates(binned, (Part(CATALOGUE[listed.name], listed.form),))
+    truth = base_coordinates(binned.campaign, Layout.of(binned.campaign).flat(rig.theta))
     strengths = listed.strengths(amount, 0)
     starts = [
         plan.start(truth, strengths),
-        with_start(plan, joined_start(plan, gap.weighing.base), strengths),
+        plan.with_strengths(
+            plan.start_from(gap.comparison.base.coords, gap.comparison.base.x), strengths
+        ),
     ]
     best = min((refit(plan, x, most_steps=60) for x in starts), key=lambda r: r.objective)
     return float(np.exp(Linearised(best).evidence(None).log_tau))
@@ -192,8 +195,8 @@ def tau_of_the_cause(gap: Gap, rig: Rig, listed: Listed, amount: float) -> float
 
 def nearest(rig: Rig, mean: Callable[[int, np.ndarray], np.ndarray]) -> float:
     """Standard deviations that the listed effect which resembles a cause most leaves of it."""
-    sketch = rig.sketch
-    exact = replace(sketch, data=tuple(noise_free(sketch, mean)))
+    binned = rig.binned
+    exact = replace(binned, data=tuple(noise_free(binned, mean)))
     base = fit_base(exact)
     left = [
         fit_effect(exact, base, [Part(effect, form)], form.starts, 20).misfit
@@ -359,8 +362,8 @@ class IsolabilityStudy:
         amount, d = amount_for(rig, listed, listed.highest, wanted)
         mean = listed(amount)
         start = detectability(rig, mean)
-        exact = replace(rig.sketch, data=tuple(noise_free(rig.sketch, mean)))
-        base = refit(Plan(exact), start.x)
+        exact = replace(rig.binned, data=tuple(noise_free(rig.binned, mean)))
+        base = refit(Coordinates(exact), start.x)
         other = fit_base(exact)
         base = min(base, other, key=lambda r: r.objective)
         left = []

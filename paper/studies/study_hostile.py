@@ -1,8 +1,8 @@
 """Thousands of hostile and broken inputs to every reader: what becomes of each.
 
-The inputs and the judge are those of ``tests/bad_inputs.py``: refused with exit code 2 and one
-clear message, or read with the right numbers; anything else counts as a failure.  Most are read in
-this process, one in ``EVERY`` by ``bayes-sensor check`` or ``fit`` in a process of its own with
+The inputs and the judge are those of ``tests/support/bad_inputs.py``: refused with exit code 2 and
+one clear message, or read with the right numbers; anything else counts as a failure.  Most are read
+in this process, one in ``EVERY`` by ``bayes-sensor check`` or ``fit`` in a process of its own with
 limits on memory and time.
 """
 
@@ -23,10 +23,18 @@ import numpy as np
 import pandas as pd
 from drawing import PAPER, TABLES
 
-from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.checks.study_chunks import run_chunks, study_key
 
-sys.path.insert(0, str(PAPER.parent / "tests"))
-from bad_inputs import OUTCOMES, SECONDS, Misjudged, check_in_process, generate, judge, remove
+sys.path.insert(0, str(PAPER.parent))
+from tests.support.bad_inputs import (
+    OUTCOMES,
+    SECONDS,
+    Misjudged,
+    check_in_process,
+    generate,
+    judge,
+    remove,
+)
 
 SEED = 97
 N = 2160
@@ -46,7 +54,7 @@ class HostileStudy:
     @property
     def key(self) -> str:
         """Everything that the numbers depend on, the generator's text included."""
-        text = (PAPER.parent / "tests" / "bad_inputs.py").read_text()
+        text = (PAPER.parent / "tests" / "support" / "bad_inputs.py").read_text()
         return study_key("hostile", SEED, EVERY, text)
 
     def __call__(self, i: int) -> dict[str, Any]:

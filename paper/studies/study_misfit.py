@@ -19,7 +19,7 @@ from drawing import TABLES
 
 from bayes_sensor.blind_check import wilson
 from bayes_sensor.campaign import Campaign, Experiment, FloatArray
-from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.checks.study_chunks import run_chunks, study_key
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.noise import simulate_noise

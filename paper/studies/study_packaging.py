@@ -28,9 +28,9 @@ MINORS = (11, 12, 13, 14)
 IMPORT_SECONDS = 0.5
 IN_WHEEL = ("bayes_sensor/py.typed", "bayes_sensor/templates/report.css")
 IN_SDIST = ("pyproject.toml", "Makefile", ".ci/run", "LICENSE", "CITATION.cff", "CONTRIBUTING.md",
-            "CHANGELOG.md", "constraints-3.11.txt", "constraints-3.12.txt", "tests/test_frame.py",
-            "tests/public_api.txt", "docs/conf.py", "notebooks/quickstart.ipynb",
-            "data/reference/campaign.toml", "paper/build.py",
+            "CHANGELOG.md", "constraints-3.11.txt", "constraints-3.12.txt",
+            "tests/whole/test_frame.py", "tests/whole/public_api.txt", "docs/conf.py",
+            "notebooks/quickstart.ipynb", "data/reference/campaign.toml", "paper/build.py",
             "bayes_sensor/templates/report.css")  # fmt: skip
 ALL_NAMES = "import bayes_sensor as b; [getattr(b, name) for name in b.__all__]"
 EXTRAS = {"parquet": "pyarrow", "tdms": "nptdms", "cluster": "distributed"}

@@ -28,20 +28,22 @@ from drawing import ACCENT, INK, TABLES, WIDTH, plt, save
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis import CATALOGUE, Effect, RigView, Strength, diagnose_gap, own_effect
 from bayes_sensor.diagnosis.closure import closure
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.bins import PHASES, QUADRATURE, ExperimentBins
 from bayes_sensor.diagnosis.data.noise_floor import estimate_floor
 from bayes_sensor.diagnosis.data.preparation import (
-    Prepared,
+    PreparedCampaign,
     fit_base,
     full_rate_residuals,
     prepare,
 )
-from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect, weigh
+from bayes_sensor.diagnosis.data.quiet_stretches import quiet_stretches
+from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
+from bayes_sensor.diagnosis.evidence.hypotheses import compare_hypotheses, fit_effect
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Part, Plan
-from bayes_sensor.diagnosis.verdict import judge, standing
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
+from bayes_sensor.diagnosis.verdict import combine, judge
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.rig.cascade import cascade_response
@@ -198,17 +200,17 @@ def halves(campaign: Campaign) -> tuple[Campaign, Campaign]:
     )  # type: ignore[return-value]
 
 
-def finer(prepared: Prepared) -> Sketch:
+def finer(prepared: PreparedCampaign) -> BinnedCampaign:
     """The sketch with bins after the command of at most 40 ms or a tenth of the time since it.
 
     The usual bins are fine around the step alone; here it comes up to seconds after the command.
     """
-    sketch, theta = prepared.sketch, prepared.theta
-    campaign = sketch.campaign
+    binned, theta = prepared.binned, prepared.theta
+    campaign = binned.campaign
     layout = Layout.of(campaign)
     raw = full_rate_residuals(campaign, theta)
     bins, data, levels = [], [], []
-    for k, (e, b, r) in enumerate(zip(campaign, sketch.bins, prepared.residuals)):
+    for k, (e, b, r) in enumerate(zip(campaign, binned.bins, prepared.residuals)):
         made = _cut(b, e.commanded_on if e.commanded_on is not None else float(e.t[0]))
         taus = np.array([theta[1], theta[2] / e.total_flow, theta[0]])
         _, _, i_t0, i_tf = layout.local[k]
@@ -219,10 +221,11 @@ def finer(prepared: Prepared) -> Sketch:
         data.append(made.average(np.where(e.used, e.values - raw[k] + r, 0.0)))
         levels.append(made.reduce(x))
     fits = [e.values - r for e, r in zip(campaign, raw)]
+    stretches = quiet_stretches(campaign, prepared.residuals, bins, prepared.settle)
     floor = estimate_floor(
-        campaign, prepared.residuals, bins, prepared.settle, levels, sketch.floor.spikes, fits
+        campaign, prepared.residuals, bins, stretches, levels, binned.floor.spikes, fits
     )
-    return replace(sketch, bins=tuple(bins), data=tuple(data), floor=floor)
+    return replace(binned, bins=tuple(bins), data=tuple(data), floor=floor)
 
 
 def _cut(b: ExperimentBins, command: float) -> ExperimentBins:
@@ -263,7 +266,9 @@ def _cut(b: ExperimentBins, command: float) -> ExperimentBins:
 # --------------------------------------------------------------------------- choosing
 
 
-def choose(sketch: Sketch, base: Refit, pieces: Sequence[Piece]) -> tuple[list[Any], Refit, Effect]:
+def choose(
+    binned: BinnedCampaign, base: Refit, pieces: Sequence[Piece]
+) -> tuple[list[Any], Refit, Effect]:
     """Pieces added one by one while the evidence grows: all that was tried, the best, its effect.
 
     Raises ValueError where no piece helps.
@@ -284,10 +289,10 @@ def choose(sketch: Sketch, base: Refit, pieces: Sequence[Piece]) -> tuple[list[A
             candidate = effect_of([*chosen, p], known)
             form = candidate.forms[0]
             parts = [Part(candidate, form)]
-            fitted = fit_effect(sketch, base, parts, form.starts)
+            fitted = fit_effect(binned, base, parts, form.starts)
             fitted = min(
-                (refit(fitted.plan, x, most_steps=MOST_STEPS)
-                 for x in (fitted.x, continued(fitted.plan, best, base, known))),
+                (refit(fitted.coords, x, most_steps=MOST_STEPS)
+                 for x in (fitted.x, continued(fitted.coords, best, base, known))),
                 key=lambda r: r.objective,
             )  # fmt: skip
             gained = Linearised(fitted).evidence(None).log_z
@@ -306,12 +311,14 @@ def choose(sketch: Sketch, base: Refit, pieces: Sequence[Piece]) -> tuple[list[A
     return tried, best, effect
 
 
-def continued(plan: Plan, best: Refit, base: Refit, known: Mapping[str, float]) -> FloatArray:
+def continued(
+    plan: Coordinates, best: Refit, base: Refit, known: Mapping[str, float]
+) -> FloatArray:
     """Coordinates of a plan with one more piece, from the best refit so far."""
     x = plan.start(base.x, known)
-    x[: Plan(plan.sketch).local[0]] = best.x[: Plan(plan.sketch).local[0]]
-    for k in range(len(plan.sketch.bins)):
-        here = best.x[best.plan.local[k] : best.plan.local[k + 1]]
+    x[: Coordinates(plan.binned).local[0]] = best.x[: Coordinates(plan.binned).local[0]]
+    for k in range(len(plan.binned.bins)):
+        here = best.x[best.coords.local[k] : best.coords.local[k + 1]]
         x[plan.local[k] : plan.local[k] + len(here)] = here
     return x
 
@@ -319,14 +326,14 @@ def continued(plan: Plan, best: Refit, base: Refit, known: Mapping[str, float]) 
 # --------------------------------------------------------------------------- judging
 
 
-def frozen(sketch: Sketch, base: Refit, source: Refit) -> Refit:
+def frozen(binned: BinnedCampaign, base: Refit, source: Refit) -> Refit:
     """A refit of other traces with tau, tau_v, V and the shared strengths of ``source``.
 
     Begun from the model's own fit and without any step, because the fit without the effect may have
     taken something else for a weak step; strengths of each trace around their mean in ``source``.
     Traces do not depend on each other: each keeps its best.
     """
-    plan, old = Plan(sketch, source.plan.parts), source.plan
+    plan, old = Coordinates(binned, source.coords.parts), source.coords
     first = plan.start(base.x, {})
     n_shared, n_own = plan.local[0], len(plan.own)
     first[:n_shared] = source.x[:n_shared]
@@ -337,14 +344,14 @@ def frozen(sketch: Sketch, base: Refit, source: Refit) -> Refit:
     made = []
     for step, shift in product((1.0, 0.0), (-1.0, 0.0, 1.0) if n_own else (0.0,)):
         start = first.copy()
-        for k in range(len(sketch.bins)):
+        for k in range(len(binned.bins)):
             if not step:
-                start[plan.local[k]] = sketch.data[k][0]
+                start[plan.local[k]] = binned.data[k][0]
                 start[plan.local[k] + 1] = 0.0
             start[plan.local[k + 1] - n_own : plan.local[k + 1]] = np.array(usual) + shift
         made.append(refit(plan, start, most_steps=60, free=free))
     best = first.copy()
-    for k, rows in enumerate(sketch.rows):
+    for k, rows in enumerate(binned.rows):
         here = slice(plan.local[k], plan.local[k + 1])
         left = [float(np.sum(r.residual[rows] ** 2)) for r in made]
         best[here] = made[int(np.argmin(left))].x[here]
@@ -353,12 +360,12 @@ def frozen(sketch: Sketch, base: Refit, source: Refit) -> Refit:
 
 def excess(fitted: Refit, local_only: bool) -> FloatArray:
     """(n_experiments, n_phases) squared whitened residual beyond what noise leaves there."""
-    sketch, plan = fitted.plan.sketch, fitted.plan
-    made = np.zeros((len(sketch.bins), len(PHASES)))
-    shared = 0.0 if local_only else plan.local[0] / len(sketch.bins)
-    for k, (b, rows) in enumerate(zip(sketch.bins, sketch.rows)):
+    binned, coords = fitted.coords.binned, fitted.coords
+    made = np.zeros((len(binned.bins), len(PHASES)))
+    shared = 0.0 if local_only else coords.local[0] / len(binned.bins)
+    for k, (b, rows) in enumerate(zip(binned.bins, binned.rows)):
         z = fitted.residual[rows]
-        fitted_here = plan.local[k + 1] - plan.local[k] + shared
+        fitted_here = coords.local[k + 1] - coords.local[k] + shared
         expected = 1.0 - fitted_here / len(z)
         np.add.at(made[k], b.phase, z**2 - expected)
     return made
@@ -366,11 +373,11 @@ def excess(fitted: Refit, local_only: bool) -> FloatArray:
 
 def excess_volts(fitted: Refit) -> float:
     """V, rms of the residual's bin means beyond the floor, weighted by samples."""
-    sketch = fitted.plan.sketch
+    binned = fitted.coords.binned
     total, count = 0.0, 0
-    for k, (b, rows) in enumerate(zip(sketch.bins, sketch.rows)):
-        volts = sketch.floor.cholesky[k] @ fitted.residual[rows]
-        total += float(b.count @ (volts**2 - sketch.floor.deviation(k) ** 2))
+    for k, (b, rows) in enumerate(zip(binned.bins, binned.rows)):
+        volts = binned.floor.cholesky[k] @ fitted.residual[rows]
+        total += float(b.count @ (volts**2 - binned.floor.deviation(k) ** 2))
         count += int(b.count.sum())
     return float(np.sqrt(max(total / count, 0.0)))
 
@@ -386,8 +393,8 @@ def closed(before: FloatArray, after: FloatArray) -> tuple[float, float, float]:
 
 def delays(fitted: Refit) -> tuple[FloatArray, FloatArray]:
     """Terms (n, 2 or 3) 1, 1/(odour flow), 1/(total flow), and delays (n,) s of visible steps."""
-    plan = fitted.plan
-    campaign = plan.sketch.campaign
+    plan = fitted.coords
+    campaign = plan.binned.campaign
     beta = np.abs([fitted.x[plan.local[k] + 1] for k in range(len(campaign))])
     rows, found = [], []
     for k, e in enumerate(campaign):
@@ -434,11 +441,11 @@ def study(name: str, campaign: Campaign, progress: Callable[[str], None]) -> Fou
     tried, fitted, effect = choose(sketches[0], base, PIECES[name])
     progress("verdict")
     catalogue = {**CATALOGUE, effect.name: effect}
-    weighing = weigh(sketches[0], base, catalogue, pairs=False)
-    stand = standing(weighing, [], catalogue)
-    kind, named, _, probability = judge(weighing, stand, catalogue)
-    own = weighing.find(effect.name)
-    inside = closure(base, fitted, weighing.discrepancies)
+    comparison = compare_hypotheses(sketches[0], base, catalogue, pairs=False)
+    combined = combine(comparison, [], catalogue)
+    kind, named, _, probability = judge(comparison, combined, catalogue)
+    own = comparison.find(effect.name)
+    inside = closure(base, fitted, comparison.discrepancies)
     progress("held out")
     free_base = fit_base(sketches[1])
     before = (base, frozen(sketches[1], free_base, base))
@@ -473,14 +480,14 @@ def study(name: str, campaign: Campaign, progress: Callable[[str], None]) -> Fou
         row[f"{side}clear_traces"] = int(clear.sum())
         row[f"{side}closed_median"] = float(np.median(1.0 - a_k[clear] / b_k[clear]))
         worst = int(np.argmax(a_k))
-        row[f"{side}worst_trace"] = b.plan.sketch.campaign.experiments[worst].name
+        row[f"{side}worst_trace"] = b.coords.binned.campaign.experiments[worst].name
         row[f"{side}worst_share"] = float(a_k[worst] / a_k.sum())
         for when, part, r in zip(("before", "after"), parts, (b, a)):
             row[f"{side}d_{when}"] = float(np.sqrt(max(part.sum(), 0.0)))
             row[f"{side}mV_{when}"] = 1e3 * excess_volts(r)
         positive = [np.maximum(p.sum(axis=0), 0.0) for p in parts]
         for i, phase in enumerate(PHASES):
-            if any(np.any(s.phase == i) for s in b.plan.sketch.bins):
+            if any(np.any(s.phase == i) for s in b.coords.binned.bins):
                 where.append({
                     "campaign": name, "half": "held out" if side else "choosing", "phase": phase,
                     **{f"share_{w}": p[i] / p.sum() for w, p in zip(("before", "after"), positive)},
@@ -498,7 +505,7 @@ def study(name: str, campaign: Campaign, progress: Callable[[str], None]) -> Fou
         delay_spread_s=np.std(seen), delay_error_s=np.sqrt(np.mean(missed**2)),
         delay_traces=len(seen),
     )  # fmt: skip
-    for finding in gap.full_rate:
+    for finding in gap.findings:
         if finding.probability > 0.5 and finding.name in ("line", "mains_pickup"):
             volts, hertz = (
                 ("line_V", "line_Hz") if finding.name == "line" else ("mains_V", "mains_Hz")
@@ -547,11 +554,11 @@ def draw(found: Mapping[str, Found]) -> None:
     for row, (name, f) in zip(axes, found.items()):
         for axis, trace in zip(row, SHOWN[name]):
             for side in (0, 1):
-                sketch = f.before[side].plan.sketch
-                names = [e.name for e in sketch.campaign]
+                binned = f.before[side].coords.binned
+                names = [e.name for e in binned.campaign]
                 if trace in names:
                     k = names.index(trace)
-                    e = sketch.campaign.experiments[k]
+                    e = binned.campaign.experiments[k]
                     break
             on = e.commanded_on if e.commanded_on is not None else float(e.t[0])
             inside = (e.t > on - 0.2) & (e.t < on + 4.0)
@@ -559,7 +566,7 @@ def draw(found: Mapping[str, Found]) -> None:
             axis.plot(t - on, e.values[inside][::8], color="0.6", lw=1.6, label="measured")
             for r, style in ((f.before[side], {"color": INK, "ls": "--"}),
                              (f.after[side], {"color": ACCENT})):  # fmt: skip
-                axis.plot(t - on, r.plan.mean(r.x, k, t), lw=0.8, **style)
+                axis.plot(t - on, r.coords.mean(r.x, k, t), lw=0.8, **style)
             half = "held out" if side else "used to choose"
             what = f"{100 * e.concentration:.3g} % at {0.06 * e.total_flow:.3g} L/min"
             axis.set_title(f"{what}\n{half}", color=ACCENT if side else INK)

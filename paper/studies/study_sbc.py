@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from drawing import ACCENT, INK, SHADE, TABLES, WIDTH, label, plt, save
+from posterior_calibration import Ranks, RankStudy
 
 from bayes_sensor.campaign import Campaign, Experiment
-from bayes_sensor.checks.calibration import Ranks, RankStudy, run_chunks
+from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import SAMPLERS, Settings
@@ -88,7 +89,7 @@ def samplers(results: dict[str, np.ndarray]) -> pd.DataFrame:
         those = results["sampler"] == number
         rows.append(
             {
-                "sampler": SAMPLERS[number] if number >= 0 else "failed",
+                "sampler": list(SAMPLERS)[number] if number >= 0 else "failed",
                 "n": int(those.sum()),
                 "not_converged": int((results["converged"][those] == 0).sum()),
                 "largest_r_hat": np.max(results["r_hat"][those]),

@@ -23,7 +23,7 @@ from scipy.special import logsumexp
 from bayes_sensor.blind_check.plan import LEVELS, Entry, draw_truth, make_plan
 from bayes_sensor.blind_check.simulator import Case, make_campaign
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.checks.calibration import run_chunks, study_key
+from bayes_sensor.checks.study_chunks import run_chunks, study_key
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
 from bayes_sensor.diagnosis.evidence.discrepancy import (
     FALL,
@@ -73,9 +73,9 @@ def discrepancies_of(entry: Entry) -> tuple[Linearised, list[Discrepancy]]:
     """The fit without effects of an entry's campaign, and all configurations around it."""
     campaign = make_campaign(Case.from_json(draw_truth(entry)["recipe"]))
     fit = fit_least_squares(campaign, seed=entry.diagnosis_seed, euler=False, swarms=1)
-    sketch = prepare(campaign, Layout.of(campaign).flat(fit.theta_hat)).sketch
-    base = fit_base(sketch)
-    return Linearised(base), make_discrepancies(sketch, base)
+    binned = prepare(campaign, Layout.of(campaign).flat(fit.theta_hat)).binned
+    base = fit_base(binned)
+    return Linearised(base), make_discrepancies(binned, base)
 
 
 def run(folder: Path, jobs: int, scheduler: str | None, progress: Callable[..., None]) -> None:
@@ -103,11 +103,11 @@ def parts_of(name: str) -> tuple[str, str, str]:
         return words, "", ""
     shared = next((s for s in SHARED if words.endswith(s)), "")
     words = words.removesuffix(shared)
-    course = next((c for c in COURSES if words.endswith(c)), "")
-    words = words.removesuffix(course)
+    signature = next((c for c in COURSES if words.endswith(c)), "")
+    words = words.removesuffix(signature)
     if words.startswith(("response", "timing")):
-        course = course or "apart"
-    return words, course.strip(), shared.strip() or "by flow"
+        signature = signature or "apart"
+    return words, signature.strip(), shared.strip() or "by flow"
 
 
 def likeliest(said: Sequence[dict[str, float]]) -> list[dict[str, float]]:

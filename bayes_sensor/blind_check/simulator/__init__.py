@@ -5,7 +5,23 @@ noise law, no effect.  With nothing wrong it agrees with the cascade; its causes
 physics, differ in form from the catalogue's effects, and some have no counterpart there.
 """
 
-from bayes_sensor.blind_check.simulator.campaign import (
+from bayes_sensor.blind_check.simulator.case import Case, Component, NoiseLaw, Step
+from bayes_sensor.blind_check.simulator.causes import (
+    CAUSES,
+    Cause,
+    converter_step,
+    tail_mixture,
+)
+from bayes_sensor.blind_check.simulator.draw import SIZES, draw_case
+from bayes_sensor.blind_check.simulator.noise_laws import (
+    HEAVY_TAILED,
+    OPEN_LAWS,
+    RESERVE_LAWS,
+    autocorrelation,
+    draw_law,
+    draw_noise,
+)
+from bayes_sensor.blind_check.simulator.simulated_campaign import (
     PHASES,
     acting_places,
     as_recorded,
@@ -16,22 +32,6 @@ from bayes_sensor.blind_check.simulator.campaign import (
     prepared_rigs,
     sample_times,
     without_causes,
-)
-from bayes_sensor.blind_check.simulator.case import Case, Component, NoiseLaw, Step
-from bayes_sensor.blind_check.simulator.causes import (
-    CAUSES,
-    Cause,
-    converter_step,
-    tail_mixture,
-)
-from bayes_sensor.blind_check.simulator.draw import SIZES, draw_case
-from bayes_sensor.blind_check.simulator.noise import (
-    HEAVY_TAILED,
-    OPEN_LAWS,
-    RESERVE_LAWS,
-    autocorrelation,
-    draw_law,
-    draw_noise,
 )
 
 __all__ = [

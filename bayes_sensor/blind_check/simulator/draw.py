@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bayes_sensor.blind_check.simulator.case import Case, Step
-from bayes_sensor.blind_check.simulator.noise import draw_law
+from bayes_sensor.blind_check.simulator.noise_laws import draw_law
 from bayes_sensor.campaign import CampaignError
 
 SIZES = ("paper", "varied", "small")

@@ -269,17 +269,10 @@ def layered_film(mean_time: float, n_cells: int = 18) -> tuple[FloatArray, Float
     diffusivity = np.where(np.arange(n_cells) < dense, 1.0 / 25.0, 1.0)
     # between cell centres resistances add; the top face lies half a cell away from its centre
     between = 1.0 / (0.5 * width / diffusivity[:-1] + 0.5 * width / diffusivity[1:])
-    top = diffusivity[-1] / (0.5 * width)
-    matrix = np.zeros((n_cells, n_cells))
-    for j, conductance in enumerate(between):
-        matrix[j, j] += conductance / width
-        matrix[j + 1, j + 1] += conductance / width
-        matrix[j, j + 1] -= conductance / width
-        matrix[j + 1, j] -= conductance / width
-    matrix[-1, -1] += top / width
+    upwards = np.append(between, diffusivity[-1] / (0.5 * width)) / width
+    downwards = np.append(0.0, upwards[:-1])
+    matrix = np.diag(upwards + downwards) - np.diag(upwards[:-1], 1) - np.diag(upwards[:-1], -1)
     rates, modes = np.linalg.eigh(matrix)
-    inflow = np.zeros(n_cells)
-    inflow[-1] = top / width
-    weights = modes[0] * (modes.T @ inflow) / rates
+    weights = modes[0] * modes[-1] * upwards[-1] / rates
     times = 1.0 / rates
     return times * mean_time / float(weights @ times), weights

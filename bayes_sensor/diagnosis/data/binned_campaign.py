@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.bins import AllBins, ExperimentBins
-from bayes_sensor.diagnosis.data.noise_floor import Floor
-from bayes_sensor.diagnosis.effects.effect import Setting
+from bayes_sensor.diagnosis.data.noise_floor import NoiseFloor
+from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.diagnosis.evidence.block_least_squares import whiten
 
 SHARED = 3
@@ -22,14 +22,14 @@ ln longer - ln shorter - FASTER, ln longer, ln V"""
 
 
 @dataclass(frozen=True, eq=False)
-class Sketch:
+class BinnedCampaign:
     """A campaign in bins, with its noise floor and the priors of the nuisance parameters."""
 
     campaign: Campaign
     bins: tuple[ExperimentBins, ...]
     data: tuple[FloatArray, ...]
     """(n_bins,) V, mean of each bin"""
-    floor: Floor
+    floor: NoiseFloor
     base: FloatArray
     """coordinates of the fit without effects"""
     centre: FloatArray
@@ -98,7 +98,7 @@ class Sketch:
 
     @property
     def concentrations_before(self) -> tuple[float, ...]:
-        """Of the experiment that was run before each, be it in the sketch or not."""
+        """Of the experiment that was run before each, whether it is in these bins or not."""
         return self.given_before or self.campaign.concentrations_before
 
     @cached_property
@@ -121,8 +121,8 @@ class Sketch:
             )
         return tuple(found)
 
-    def restricted(self, keep: Sequence[NDArray[np.bool_]]) -> Sketch:
-        """The sketch with only some bins (n_bins,) of every experiment.
+    def restricted(self, keep: Sequence[NDArray[np.bool_]]) -> BinnedCampaign:
+        """The binned campaign with only some bins (n_bins,) of every experiment.
 
         An experiment without any is left out, with its coordinates.
         """
@@ -157,7 +157,7 @@ class Sketch:
         return np.concatenate([x[: at[0]], *(x[at[k] : at[k + 1]] for k in stay)])
 
     def local(self, first: int, own: int = 0) -> list[int]:
-        """First coordinate of each experiment, that of all being ``first``, and one after the last.
+        """First coordinate of each experiment, starting at ``first``, and the end of the last.
 
         ``own``: strengths that every experiment has for itself.
         """

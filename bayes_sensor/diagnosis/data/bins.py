@@ -198,7 +198,9 @@ def _bins(
     # carried-over gas leaves at the start of the record
     edges += [start + scale * x for x in (0.3, 0.8, 1.6, 3.0, 6.0) if start + scale * x < t0]
     # a third of the shortest after a switch
-    merged = _thin(np.unique(edges), 0.02 * scale, max(LONGEST * scale, (end - start) / ENOUGH))
+    merged = limit_lengths(
+        np.unique(edges), 0.02 * scale, max(LONGEST * scale, (end - start) / ENOUGH)
+    )
     index = np.clip(np.searchsorted(e.t, merged), 0, len(e.t))
     first, last = [], []
     for a, b in itertools.pairwise(index):
@@ -238,7 +240,7 @@ def _bins(
     )
 
 
-def _thin(edges: FloatArray, shortest: float, longest: float) -> FloatArray:
+def limit_lengths(edges: FloatArray, shortest: float, longest: float) -> FloatArray:
     """Edges (m,) of bins that are neither ``shortest`` s or shorter nor longer than ``longest``."""
     kept = [float(edges[0])]
     for x in edges[1:]:

@@ -1,28 +1,24 @@
-"""From a campaign and its fit to the sketch: bins, noise floor, priors, the refitted base."""
+"""The binned campaign of a campaign and its fit: bins, noise floor, priors, the refitted base."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import log
 
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.bins import make_bins
-from bayes_sensor.diagnosis.data.noise_floor import (
-    Floor,
-    Quiet,
-    Stretch,
-    clean,
-    estimate_floor,
-    quiet_stretches,
-)
+from bayes_sensor.diagnosis.data.noise_floor import NoiseFloor, estimate_floor
+from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans, Stretch, clean, quiet_stretches
+from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Plan
-from bayes_sensor.lattice import lattice_step
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.residuals.converter_step import lattice_step
 from bayes_sensor.rig.cascade import cascade_response
 from bayes_sensor.rig.lags import Naming, named
 from bayes_sensor.rig.layout import Layout
@@ -46,7 +42,7 @@ def full_rate_residuals(campaign: Campaign, theta: FloatArray) -> list[FloatArra
     return found
 
 
-def coordinates(campaign: Campaign, theta: FloatArray) -> FloatArray:
+def base_coordinates(campaign: Campaign, theta: FloatArray) -> FloatArray:
     """Coordinates of the fit without effects at a flat ``theta``, tau and tau_v in either order."""
     layout = Layout.of(campaign)
     tau, tau_v = sorted((float(theta[0]), float(theta[1])))
@@ -67,17 +63,17 @@ def flat_theta(campaign: Campaign, x: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
-    """A campaign's sketch with what was needed to make it."""
+class PreparedCampaign:
+    """A campaign in bins, with the residuals and quiet stretches that it was made from."""
 
-    sketch: Sketch
+    binned: BinnedCampaign
     residuals: tuple[FloatArray, ...]
     """(n_t,) V of each experiment, measurement minus the fit, spikes replaced"""
     stretches: tuple[Stretch, ...]
     """quiet parts, spikes replaced"""
     raw: tuple[Stretch, ...]
     """the same as measured"""
-    quiet: tuple[Quiet, ...]
+    quiet: tuple[QuietSpans, ...]
     """switches and quiet spans of every experiment, and its noise"""
     theta: FloatArray
     """the flat fit that the residuals belong to, tau and tau_v by size"""
@@ -89,9 +85,21 @@ class Prepared:
         """(n_t,) V of every experiment, the noise's standard deviation."""
         return [q.deviation for q in self.quiet]
 
+    @property
+    def records(self) -> tuple[Campaign, Sequence[FloatArray], Sequence[FloatArray]]:
+        """The campaign, its residuals and the deviations: what detectors look at."""
+        return self.binned.campaign, self.residuals, self.deviations
+
+    def less_mean_of(self, found: Refit) -> PreparedCampaign:
+        """The campaign with residuals of a refit in place of those of the fit."""
+        residuals = self.residuals_of(found)
+        campaign, bins = self.binned.campaign, self.binned.bins
+        stretches = quiet_stretches(campaign, residuals, bins, self.settle)
+        return replace(self, residuals=tuple(residuals), stretches=tuple(stretches))
+
     def residuals_of(self, found: Refit) -> list[FloatArray]:
         """(n_t,) V of every experiment, spikes replaced, measurement minus a refit's mean."""
-        campaign = self.sketch.campaign
+        campaign = self.binned.campaign
         layout = Layout.of(campaign)
         made = []
         for k, (e, r) in enumerate(zip(campaign, self.residuals, strict=True)):
@@ -103,14 +111,9 @@ class Prepared:
             here = float(self.theta[i_y0]) + float(self.theta[i_beta]) * cascade_response(
                 grid, taus, float(self.theta[i_t0]), tf
             )
-            moved = found.plan.mean(found.x, k, grid) - here
+            moved = found.coords.mean(found.x, k, grid) - here
             made.append(np.where(e.used, r - np.interp(e.t, grid, moved), 0.0))
         return made
-
-    def stretches_of(self, residuals: list[FloatArray]) -> list[Stretch]:
-        """The quiet parts of other residuals (n_t,) V."""
-        sketch = self.sketch
-        return quiet_stretches(sketch.campaign, residuals, sketch.bins, self.settle)
 
 
 NO_VOLUME = 0.02
@@ -126,7 +129,9 @@ def _taus(theta: FloatArray, flow: float) -> FloatArray:
     return np.array([theta[1], theta[2] / flow, theta[0]])
 
 
-def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None) -> Prepared:
+def prepare(
+    campaign: Campaign, theta: FloatArray, naming: Naming | None = None
+) -> PreparedCampaign:
     """Bins, floor and priors of a measured campaign around a fit (flat ``theta``, lags by size).
 
     ``naming``: what may be said of the lags' names; default what the campaign says.
@@ -136,7 +141,7 @@ def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None)
     naming = naming or Problem(campaign).naming()
     theta, lags = _by_name(theta, naming)
     layout = Layout.of(campaign)
-    x = coordinates(campaign, theta)
+    x = base_coordinates(campaign, theta)
     flat = flat_theta(campaign, x)
     raw = full_rate_residuals(campaign, flat)
     cleaned, spikes = [], 0
@@ -159,7 +164,8 @@ def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None)
         levels.append(b.reduce(cascade_response(b.times, taus[k], t0, tf)))
     settle = [settling_time(t) for t in taus]
     fits = [e.values - r for e, r in zip(campaign, raw, strict=True)]
-    floor = estimate_floor(campaign, cleaned, bins, settle, levels, spikes, fits)
+    stretches = quiet_stretches(campaign, cleaned, bins, settle)
+    floor = estimate_floor(campaign, cleaned, bins, stretches, levels, spikes, fits)
     steps = [abs(float(flat[layout.local[k][1]])) for k in range(len(campaign))]
     # at one flow V/Q is one of the lags, and V a name that may be another's
     names = (*lags, "V_mL" if "tau_s" in lags or naming.flow is None else "")
@@ -169,7 +175,7 @@ def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None)
     if flat[2] < NO_VOLUME * tau_v * flow and "V_mL" not in campaign.side_information:
         # no rig is without a manifold: the fit has bent it away to do some effect's work
         centre[2], sd[2] = log(0.5 * tau_v * flow), ANY_VOLUME
-    sketch = Sketch(
+    binned = BinnedCampaign(
         campaign=campaign,
         bins=tuple(bins),
         data=tuple(data),
@@ -183,10 +189,10 @@ def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None)
         duration=float(np.median([len(e.t) * e.interval for e in campaign])),
         lags=lags,
     )
-    return Prepared(
-        sketch,
+    return PreparedCampaign(
+        binned,
         tuple(cleaned),
-        tuple(quiet_stretches(campaign, cleaned, bins, settle)),
+        tuple(stretches),
         tuple(quiet_stretches(campaign, raw, bins, settle)),
         tuple(_quiet(campaign, floor, switches, taus, settle, steps)),
         flat,
@@ -196,12 +202,12 @@ def prepare(campaign: Campaign, theta: FloatArray, naming: Naming | None = None)
 
 def _quiet(
     campaign: Campaign,
-    floor: Floor,
+    floor: NoiseFloor,
     switches: list[tuple[float, float | None]],
     taus: list[FloatArray],
     settle: list[float],
     steps: list[float],
-) -> list[Quiet]:
+) -> list[QuietSpans]:
     deviation = np.sqrt(floor.density @ np.diff(floor.edges))
     found = []
     for k, (e, (t0, tf)) in enumerate(zip(campaign, switches, strict=True)):
@@ -210,7 +216,7 @@ def _quiet(
         x = np.clip(cascade_response(e.t, taus[k], t0, tf), 0.0, 1.0)
         low, high = deviation[k]
         found.append(
-            Quiet(
+            QuietSpans(
                 switches=(t0,) if tf is None else (t0, tf),
                 spans=tuple(zip(begins, ends, strict=True)),
                 deviation=low + (high - low) * x,
@@ -260,9 +266,11 @@ def _spread(campaign: Campaign, names: tuple[str, ...]) -> FloatArray:
     return sd
 
 
-def fit_base(sketch: Sketch) -> Refit:
+def fit_base(binned: BinnedCampaign) -> Refit:
     """The model without effects: the best of several starts."""
-    plan = Plan(sketch)
-    rough = [refit(plan, x, most_steps=12, tolerance=0.5) for x in base_starts(sketch, sketch.base)]
+    coords = Coordinates(binned)
+    rough = [
+        refit(coords, x, most_steps=12, tolerance=0.5) for x in base_starts(binned, binned.base)
+    ]
     best = min(rough, key=lambda r: r.objective)
-    return refit(plan, best.x)
+    return refit(coords, best.x)

@@ -4,7 +4,8 @@ Laser power, temperature or fibre coupling; the same slope in every record where
 alike, a slope of its own in each where it wanders.
 """
 
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.setting import Setting
 
 ALIKE = 0.5
 """correlation between the records: a room warms up once a day"""

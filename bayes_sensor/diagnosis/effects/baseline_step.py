@@ -6,7 +6,8 @@ switched on.
 
 from collections.abc import Callable, Mapping
 
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.setting import Setting
 
 PLACES = tuple({"step_place": 0.02 + 0.02 * i} for i in range(49))
 """where in the record a common jump is looked for first, as a share of its length"""

@@ -9,7 +9,8 @@ such as a drift.
 
 from collections.abc import Callable, Mapping
 
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength, spread_of_times
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength, spread_of_times
+from bayes_sensor.diagnosis.effects.setting import Setting
 
 Strengths = Callable[[Setting], tuple[Strength, ...]]
 

@@ -4,7 +4,20 @@ On the mean it is one more lag, much faster than the others; on the noise it is 
 autocorrelation may be, so that the noise cannot name it.
 """
 
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.signal import lfilter
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, OnNoise, Strength
+
+
+def _low_pass(noise: FloatArray, interval: float, strength: Mapping[str, float]) -> FloatArray:
+    decay = float(np.exp(-interval / strength["filter"]))
+    made, _ = lfilter([1.0 - decay], [1.0, -decay], noise, zi=noise[:1] * decay)
+    return np.asarray(made)
+
 
 EFFECT = Effect(
     name="daq_filter",
@@ -21,6 +34,7 @@ EFFECT = Effect(
             starts=({"filter*": 0.02}, {"filter*": 0.1}),
         ),
     ),
+    on_noise=OnNoise(filtered=_low_pass),
     plausible={"filter": 0.015},
     null={"filter": 0.0},
     reference="photoreceiver and anti-alias filters",

@@ -5,7 +5,8 @@ A blind fitting of volume ``share V`` trades gas with the manifold with an excha
 exchanges the gas, and inversely proportional to the flow where the stream does.
 """
 
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.setting import Setting
 
 
 def _strengths(s: Setting) -> tuple[Strength, ...]:

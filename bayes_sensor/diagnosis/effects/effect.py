@@ -1,30 +1,30 @@
-"""What an effect is: a cause of misfit with its parameters, and how it changes the rig.
+"""What an effect is: a cause of misfit, how it changes the rig, and how it changes the noise.
 
 An effect is one file in :mod:`bayes_sensor.diagnosis.effects`, or one function of a user's own
-(:func:`own_effect`).  It has one or several *forms* - a drift may be common to all experiments or
-different in each - and every form declares its strengths with their prior spread.  A form either
-changes settings of the rig (:data:`bayes_sensor.rig.perturbed.SETTINGS`) or computes the mean
-itself.
+(:func:`~bayes_sensor.diagnosis.effects.user_effects.own_effect`).  On the mean it acts by one or
+several *forms*: a drift, for example, may be common to all experiments or different in each.  Every
+form declares its strengths with their prior spread, and either changes settings of the rig
+(:data:`bayes_sensor.rig.perturbed.SETTINGS`) or computes the mean itself.  On the noise it acts by
+an :class:`OnNoise`, which holds its detector, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, log
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
-from bayes_sensor.rig.perturbed import SETTINGS
-
-if TYPE_CHECKING:
-    from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.diagnosis.closed_fraction import Closure
+from bayes_sensor.diagnosis.effects.rig_view import RigView
+from bayes_sensor.diagnosis.effects.setting import Setting
+from bayes_sensor.diagnosis.signals.finding import Finding, Samples, Signal
 
 KINDS = ("normal", "log_normal")
-NEAR = 3.0
-"""spreads from the centre within which an effect of one's own must have a mean"""
+PUBLISHED_SCALES = (0.8577, 1.88, 120.0)
+"""s, V, s: time constant, step height and record length that plausible strengths are for"""
 
 
 @dataclass(frozen=True)
@@ -96,29 +96,8 @@ class Strength:
         return min(max(q, -8.0), 8.0)
 
 
-@dataclass(frozen=True)
-class Setting:
-    """What a form may know of an experiment and its campaign when it sets the rig."""
-
-    experiment: Experiment
-    t0: float
-    """s, when the response begins"""
-    tf: float
-    """s, when it begins to fall; the end of the record where no fall was recorded"""
-    time_scale: float
-    """s, of the slower of valve and manifold, from the fit without effects"""
-    reference_flow: float
-    """mL/s, median of the campaign's total flows"""
-    signal_scale: float
-    """V, median step height of the campaign"""
-    duration: float
-    """s, median record length"""
-    concentration_before: float = 0.0
-    """of the experiment that the campaign lists before this one; 0 for the first of all"""
-
-
 def spread_of_times(name: str) -> Strength:
-    """By how much half of what is spread over several time constants is slower or faster."""
+    """Factor between the time constants of a process that is spread over several of them."""
     return Strength(name, "1", "log_normal", 3.0, 0.4, limits=(1.01, 30.0))
 
 
@@ -147,49 +126,64 @@ class Form:
     """whether the mean jumps at the very moment of a switch"""
 
 
-class RigView:
-    """The rig of one experiment as a user's own effect sees it."""
+Values = Mapping[str, float]
+"""strengths by name"""
 
-    def __init__(
-        self,
-        setting: Setting,
-        y0: float,
-        beta: float,
-        mean: Callable[[FloatArray, Mapping[str, float]], FloatArray],
-        response: Callable[[FloatArray, Mapping[str, float]], FloatArray],
-    ) -> None:
-        self.setting, self.y0, self.beta = setting, y0, beta
-        self.experiment = setting.experiment
-        self.t0, self.tf = setting.t0, setting.tf
-        self._mean, self._response = mean, response
 
-    def mean(self, t: FloatArray, **settings: float) -> FloatArray:
-        """V (n_t,), the mean of the rig with these settings changed."""
-        return self._mean(t, settings)
+@dataclass(frozen=True)
+class OnNoise:
+    """How an effect acts on the noise of a record, and how samples tell that it does.
 
-    def response(self, t: FloatArray, **settings: float) -> FloatArray:
-        """x3 (n_t,), 0 to 1, of the rig with these settings changed."""
-        return self._response(t, settings)
+    A simulation draws innovations, colours and scales them, passes the noise through
+    :attr:`filtered`, adds the mean and passes the sum through :attr:`record`.
+    """
+
+    innovations: Callable[[int, Values, np.random.Generator], FloatArray] | None = None
+    """(n,) of unit variance, in place of Gaussian ones"""
+    filtered: Callable[[FloatArray, float, Values], FloatArray] | None = None
+    """noise (n_t,) V and the sampling interval s -> noise (n_t,) V"""
+    record: Callable[[FloatArray, FloatArray, Values, np.random.Generator], FloatArray] | None = (
+        None
+    )
+    """signal (n_t,) V and its times (n_t,) s -> what is recorded (n_t,) V"""
+    above: Values = field(default_factory=dict)
+    """values that strengths must exceed"""
+    reason: str = ""
+    """why they must, in words that follow the value"""
+    signal: Signal | None = None
+    """what its detector finds"""
+    look: Callable[[Samples, Sequence[Finding]], list[Finding]] | None = None
+    """its detector, which is told what the detectors before it have found"""
+    closure: Callable[[Samples, Finding], tuple[Closure, float | None]] | None = None
+    """how far it closes a gap that is not one of the mean, in sample and held out"""
 
 
 @dataclass(frozen=True)
 class Effect:
-    """A cause of misfit that the diagnosis can name."""
+    """A cause of misfit that the diagnosis can name.
+
+    It acts on the mean by its forms, on the noise by :attr:`on_noise`, or on both.
+    """
 
     name: str
     family: str
     """effects of one family leave nearly the same residual"""
     sentence: str
     """the verdict in plain words; may hold ``{strength}``"""
-    forms: tuple[Form, ...]
-    plausible: Mapping[str, float]
+    plausible: Values
     """strengths of a rig with this fault, for simulation and for what may hide"""
     reference: str
     reveal: str
     """the measurement that shows it"""
-    on_mean: bool = True
-    """whether it changes the mean; otherwise it acts on the noise and has its own test"""
-    null: Mapping[str, float] = field(default_factory=dict)
+    forms: tuple[Form, ...] = ()
+    """ways in which it may act on the mean"""
+    on_noise: OnNoise | None = None
+    """how it acts on the noise"""
+    affine: bool = True
+    """whether the mean stays linear in y0 and beta; no mean of a user's own counts as such"""
+    labels: Mapping[str, str] = field(default_factory=dict)
+    """what a strength is called in a sentence, where that is not its name"""
+    null: Values = field(default_factory=dict)
     """strengths at which nothing is left of it"""
     same_response: str = ""
     """an effect that no measurement of the response can tell from this one: it is not named
@@ -201,149 +195,63 @@ class Effect:
     exchanged: str = ""
     """the effect that this one then is, unless :attr:`same_response` says so anyway"""
 
+    names_rivals: tuple[str, ...] = ()
+    """dependences of :mod:`~bayes_sensor.diagnosis.evidence.varying_parameter` that it is: they are
+    no unlisted causes while it is in the catalogue"""
+
+    @property
+    def on_mean(self) -> bool:
+        """Whether it changes the mean."""
+        return bool(self.forms)
+
+    def plausible_on(self, setting: Setting) -> dict[str, float]:
+        """Plausible strengths on a rig: times scaled with its time constants, volts with its step.
+
+        The strength of a drift is the change over a record.
+        """
+        time, volt, duration = (
+            own / published
+            for own, published in zip(
+                (setting.time_scale, setting.signal_scale, setting.duration),
+                PUBLISHED_SCALES,
+                strict=True,
+            )
+        )
+        scale = {
+            "s": time, "V": volt, "1/V": 1.0 / volt, "V/s": volt / duration, "1/s": 1.0 / duration,
+        }  # fmt: skip
+        units = {s.name: s.unit for s in self.strengths(setting)}
+        return {
+            name: value * scale.get(units.get(name, "1"), 1.0)
+            for name, value in self.plausible.items()
+        }
+
+    def form_for(self, names: Collection[str], setting: Setting) -> Form:
+        """The form that takes strengths of these names; the first where none or several do."""
+        for form, own in self._by_form(setting):
+            if own and {s.name for s in own} <= set(names):
+                return form
+        return self.forms[0]
+
+    def strengths(self, setting: Setting) -> list[Strength]:
+        """Those of all its forms, one form after the other."""
+        return [s for _, own in self._by_form(setting) for s in own]
+
+    def _by_form(self, setting: Setting) -> list[tuple[Form, tuple[Strength, ...]]]:
+        return [(form, form.strengths(setting)) for form in self.forms]
+
+    def units(self, setting: Setting) -> dict[str, str]:
+        """Name of every strength -> its unit, those of the noise included."""
+        of_noise = self.on_noise.signal.units if self.on_noise and self.on_noise.signal else {}
+        return {**of_noise, **{s.name: s.unit for s in self.strengths(setting)}}
+
     @property
     def nameless(self) -> Effect:
-        """The effect where nobody knows whose the lags are: its counterpart may be the cause."""
+        """The effect where the lags cannot be assigned: its counterpart may be the cause."""
         return replace(self, same_response=self.same_response or self.exchanged)
 
-    def apply(self, problem: Problem) -> Problem:
-        """The problem with this effect in its model."""
-        from bayes_sensor.diagnosis.effects.effect_model import with_effects
-
-        return with_effects(problem, [self])
-
     def __post_init__(self) -> None:
-        if self.on_mean and not self.forms:
-            raise CampaignError(f"effect {self.name}: expected at least one form")
-
-
-def check_settings(effect: str, settings: Mapping[str, float]) -> None:
-    """Raise CampaignError where an effect names a setting that the rig does not have."""
-    for name in settings:
-        if name not in SETTINGS:
-            import difflib
-
-            close = difflib.get_close_matches(name, SETTINGS, n=1)
-            hint = f"did you mean '{close[0]}'?" if close else f"known are {', '.join(SETTINGS)}"
-            raise CampaignError(f"effect {effect}: the rig has no setting '{name}'; {hint}")
-
-
-def own_effect(
-    name: str,
-    strengths: Iterable[Strength],
-    mean: Callable[[FloatArray, Mapping[str, float], RigView], FloatArray],
-    *,
-    plausible: Mapping[str, float],
-    family: str | None = None,
-    sentence: str | None = None,
-    starts: Iterable[Mapping[str, float]] | None = None,
-    reference: str = "user's own",
-) -> Effect:
-    """An effect from one function ``mean(t, strength, rig) -> V``.
-
-    ``t`` (n_t,) s is sorted; ``strength`` maps the names of ``strengths`` to values; ``rig``
-    (:class:`RigView`) gives ``mean``, ``response``, ``y0``, ``beta``, ``t0``, ``tf`` and the
-    ``experiment``.  The function must be smooth in the strengths and take any sorted times.
-    ``plausible``: strengths of a rig with this fault.  ``starts``: strengths from which fits
-    begin, the others at their centres; where none are given and there are several strengths, those
-    that are 0 at their centre begin one spread to either side.
-
-    >>> leak = own_effect(
-    ...     "leak", [Strength("leak_V", "V", "normal", 0.0, 0.02)],
-    ...     lambda t, s, rig: rig.mean(t) + s["leak_V"] * (t > rig.t0), plausible={"leak_V": 0.02},
-    ... )
-    >>> leak.family
-    'leak'
-
-    Raises
-    ------
-    CampaignError
-        For a name that cannot be one, without a strength, and where ``plausible`` or ``starts``
-        name a strength that is not there.  A diagnosis raises it where the function stops or
-        returns something else than finite voltages.
-    """
-    fixed = tuple(strengths)
-    if not name.isidentifier() or name in ("none", "unlisted"):
-        # tables write a+b for two effects at once
-        raise CampaignError(
-            f"effect '{name}': expected a name of letters, digits and underscores that is not "
-            "'none' or 'unlisted'; rename it"
-        )
-    if not fixed:
-        raise CampaignError(f"effect {name}: expected at least one strength")
-    begun = _default_starts(fixed) if starts is None else tuple(starts)
-    for where, given in (("plausible", plausible), *(("starts", start) for start in begun)):
-        _check_strengths(name, where, given, fixed)
-    form = Form(
-        strengths=lambda _: fixed,
-        settings=lambda _values, _setting: {},
-        starts=begun,
-        mean=_Checked(name, fixed, mean),
-    )
-    return Effect(
-        name=name,
-        family=family or name,
-        sentence=sentence or f"The effect '{name}' explains what the model misses.",
-        forms=(form,),
-        plausible=plausible,
-        reference=reference,
-        reveal="an experiment in which this effect is switched off",
-    )
-
-
-def _default_starts(strengths: Sequence[Strength]) -> tuple[Mapping[str, float], ...]:
-    """At the centres; of several strengths those that are 0 there one spread to either side.
-
-    Where an amplitude is 0 the data say nothing of a place or a width.
-    """
-    zero = [s for s in strengths if s.value(0.0) == 0.0]
-    if len(strengths) < 2 or not zero:
-        return ({},)
-    sides = [{s.name: s.value(side) for s in zero} for side in (1.0, -1.0)]
-    return tuple(side for side in sides if any(side.values()))
-
-
-def _check_strengths(
-    effect: str, where: str, given: Mapping[str, Any], strengths: Sequence[Strength]
-) -> None:
-    known = [s.name for s in strengths]
-    for name, value in given.items():
-        if (name.rstrip("*") if where == "starts" else name) not in known:
+        if not self.forms and self.on_noise is None:
             raise CampaignError(
-                f"effect {effect}: {where}: expected names of its strengths "
-                f"({', '.join(known)}), but got '{name[:80]}'; correct it"
+                f"effect {self.name}: expected at least one form, or how it acts on the noise"
             )
-        if not isinstance(value, int | float | np.number) or not np.isfinite(value):
-            raise CampaignError(
-                f"effect {effect}: {where}: expected a number for {name}, but got {value}; "
-                "correct it"
-            )
-
-
-@dataclass(frozen=True)
-class _Checked:
-    """A user's own mean, which tells what is wrong with it rather than spoil the fit."""
-
-    effect: str
-    strengths: tuple[Strength, ...]
-    function: Callable[[FloatArray, Mapping[str, float], RigView], FloatArray]
-
-    def __call__(self, t: FloatArray, values: Mapping[str, float], rig: RigView) -> FloatArray:
-        """V (n_t,), the function's; CampaignError where one is not finite."""
-        with np.errstate(all="ignore"):  # what comes of it is told below
-            found = np.asarray(self.function(t, values, rig), dtype=float)
-        bad = ~np.isfinite(found)
-        # others tell of a wrong shape
-        if found.shape == np.shape(t) and bad.any() and self._likely(values):
-            i = int(np.argmax(bad))
-            at = ", ".join(f"{s.name} = {values[s.name]:.4g}" for s in self.strengths)
-            raise CampaignError(
-                f"effect {self.effect}: expected finite voltages from its function, but got "
-                f"{found[i]} at t = {t[i]:.10g} s of experiment '{rig.experiment.name}' with {at}; "
-                "correct it"
-            )
-        return found
-
-    def _likely(self, values: Mapping[str, float]) -> bool:
-        """Whether all strengths are near their centres: a fit on its way may try any others."""
-        return all(abs(s.coordinate(values[s.name])) <= NEAR for s in self.strengths)

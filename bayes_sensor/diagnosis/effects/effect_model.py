@@ -15,15 +15,9 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.diagnosis.effects import CATALOGUE, check_names
-from bayes_sensor.diagnosis.effects.effect import (
-    Effect,
-    Form,
-    RigView,
-    Setting,
-    Strength,
-    check_settings,
-)
-from bayes_sensor.diagnosis.evidence.refit_coordinates import coating_modes
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.rig_view import RigView, check_settings, coating_modes
+from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import Cascade, local_parameters
@@ -197,9 +191,7 @@ class EffectModel:
     @cached_property
     def affine(self) -> bool:
         """Whether the mean is linear in y0 and beta."""
-        return not any(
-            c.body.mean is not None or c.effect == "optical_nonlinearity" for c in self.chosen
-        )
+        return all(c.body.mean is None and c.entry.affine for c in self.chosen)
 
     def values(self, theta: FloatArray, layout: Layout, name: str) -> list[dict[str, float]]:
         """Per effect, the strengths of one experiment."""
@@ -259,7 +251,7 @@ class EffectModel:
         m = rig_mean(at, p, *modes)
         for form, values, setting in own:
             assert form.mean is not None
-            m = np.asarray(form.mean(at, values, _view(setting, p)), dtype=float)
+            m = np.asarray(form.mean(at, values, RigView(setting, p)), dtype=float)
         mean, response = np.empty_like(m), np.empty_like(x)
         mean[order], response[order] = m, x
         return mean, response
@@ -282,35 +274,19 @@ class EffectModel:
         """Stretches (s) in which the baseline may jump for theta between ``low`` and ``high``."""
         found = []
         for i, c in enumerate(self.chosen):
-            if c.effect != "baseline_step":
-                continue
             ends = []
             for theta in (low, high):
                 _, _, t0, tf = local_parameters(theta, layout, experiment.name)
                 setting = self.scales.setting(experiment, t0, tf)
                 values = self.values(theta, layout, experiment.name)[i]
-                made = c.body.settings({**values, "step": 1.0}, setting)
+                made = c.body.settings(values, setting)
+                if "step" not in made:
+                    break
                 after = setting.tf if made.get("step_with_fall") else 0.0
                 ends.append(after + made.get("step_time", 0.0))
-            found.append((min(ends) - experiment.interval, max(ends) + experiment.interval))
+            if ends:
+                found.append((min(ends) - experiment.interval, max(ends) + experiment.interval))
         return found
-
-
-def _view(setting: Setting, p: FloatArray) -> RigView:
-    def changed(settings: Mapping[str, float]) -> FloatArray:
-        check_settings("user's own", settings)
-        q = p.copy()
-        for name, value in settings.items():
-            q[FIRST + INDEX[name]] = value
-        return q
-
-    return RigView(
-        setting,
-        float(p[3]),
-        float(p[4]),
-        lambda t, s: np.asarray(rig_mean(t, changed(s), *coating_modes())),
-        lambda t, s: np.asarray(rig_response(t, changed(s), *coating_modes())),
-    )
 
 
 def parse_effect(text: str, where: str = "effect") -> tuple[str, str | None]:

@@ -7,7 +7,8 @@ is the same whichever of its lags comes first.
 
 from collections.abc import Mapping
 
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.setting import Setting
 
 
 def _strengths(s: Setting) -> tuple[Strength, ...]:

@@ -7,7 +7,8 @@ the fall is not affected.  With a settling time near the valve's it is a valve t
 rate than it shuts: no step experiment separates the two, so that it belongs to that family.
 """
 
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.setting import Setting
 
 
 def _strengths(s: Setting) -> tuple[Strength, ...]:

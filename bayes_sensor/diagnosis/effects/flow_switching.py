@@ -16,6 +16,7 @@ SHARE = Strength("flow_switching", "1", "normal", 0.6, 0.4, limits=(0.0, 1.3))
 EFFECT = Effect(
     name="flow_switching",
     family="asymmetry",
+    names_rivals=("volume by direction",),
     stage="flow",
     sentence=(
         "The fall is slower than the rise by the ratio the carrier flow predicts: the total flow "

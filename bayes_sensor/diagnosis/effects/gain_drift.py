@@ -6,7 +6,8 @@ drifts while the gas is on does to a linear sensor what a drift of beta does.
 
 from collections.abc import Mapping
 
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.setting import Setting
 
 ALIKE = 0.5
 """correlation between the records: lamps and films age one way"""

@@ -5,7 +5,8 @@ so that k depends on where the laser sits (:mod:`bayes_sensor.coating.readout`).
 not small beside the resonance's width also shows how the curvature changes: ``v + k v^2 + m v^3``.
 """
 
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.setting import Setting
 
 
 def _square(s: Setting) -> tuple[Strength, ...]:
@@ -31,6 +32,7 @@ EFFECT = Effect(
         Form(_square, lambda v, s: dict(v)),
         Form(_cubic, lambda v, s: dict(v), name="cubic", weight=0.5),
     ),
+    affine=False,
     plausible={"curvature": 0.02},
     null={"curvature": 0.0, "cubic": 0.0},
     reference="Lorentzian line shape; bayes_sensor.coating.readout",

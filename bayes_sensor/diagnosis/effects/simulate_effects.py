@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.diagnosis.effects import CATALOGUE
-from bayes_sensor.diagnosis.effects.effect import Strength
+from bayes_sensor.diagnosis.effects.effect import OnNoise, Strength
 from bayes_sensor.diagnosis.effects.effect_model import (
     EffectModel,
     Scales,
@@ -19,7 +19,7 @@ from bayes_sensor.diagnosis.effects.effect_model import (
     parse_effect,
     with_effects,
 )
-from bayes_sensor.diagnosis.hidden import PUBLISHED_SCALES
+from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.likelihood.noise import lag_coefficient, scale_squared
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import local_parameters
@@ -38,30 +38,25 @@ def default_strengths(name: str, scales: Scales, form: str | None = None) -> dic
     effect = CATALOGUE[name]
     if form is not None and not effect.forms:
         raise CampaignError(f"{name} acts on the noise and has no forms; give it alone")
-    time = scales.time_scale / PUBLISHED_SCALES["s"]
-    volt = scales.signal_scale / PUBLISHED_SCALES["V"]
-    duration = scales.duration / PUBLISHED_SCALES["duration"]
-    factor = {
-        "s": time, "V": volt, "1/V": 1.0 / volt, "V/s": volt / duration, "1/s": 1.0 / duration,
-    }  # fmt: skip
-    units = {s.name: s.unit for s in _strengths(name, scales)}
-    plausible = {
-        key: value * factor.get(units.get(key, "1"), 1.0) for key, value in effect.plausible.items()
-    }
+    plausible = effect.plausible_on(_blank_setting(scales))
     if form is None:
         return plausible
     return {s.name: plausible.get(s.name, s.value(0.0)) for s in _strengths(name, scales, form)}
 
 
-def _strengths(name: str, scales: Scales, form: str | None = None) -> list[Strength]:
-    # of one form, or of all
+def _blank_setting(scales: Scales) -> Setting:
     from bayes_sensor.campaign import Experiment
 
     blank = Experiment("blank", np.array([0.0, 1.0]), None, 1.0, 1.0, 1.0)
-    setting = scales.setting(blank, 0.0, None)
-    effect = CATALOGUE[name]
-    forms = effect.forms if form is None else (find_form(effect, form),)
-    return [s for f in forms for s in f.strengths(setting)]
+    return scales.setting(blank, 0.0, None)
+
+
+def _strengths(name: str, scales: Scales, form: str | None = None) -> list[Strength]:
+    # of one form, or of all
+    effect, setting = CATALOGUE[name], _blank_setting(scales)
+    if form is None:
+        return effect.strengths(setting)
+    return list(find_form(effect, form).strengths(setting))
 
 
 def read_strength(text: str) -> tuple[str, float | None]:
@@ -133,6 +128,12 @@ def simulate_with_effects(
         chosen[name], forms[name] = strengths, form
     rng = np.random.default_rng(np.random.SeedSequence([seed, 7]))
     model, extended = _mean_model(problem, vector, chosen, forms, scales, rng)
+    # in the order of the catalogue: what adds to the signal comes before what rounds it
+    on_noise = [
+        (effect.on_noise, chosen[name])
+        for name, effect in CATALOGUE.items()
+        if name in chosen and effect.on_noise
+    ]
     streams = np.random.SeedSequence(seed).spawn(len(problem.campaign))
     values = {}
     for k, (e, stream) in enumerate(zip(problem.campaign, streams, strict=True)):
@@ -142,19 +143,12 @@ def simulate_with_effects(
         scale = np.sqrt(scale_squared(x, sigma0, sigma1, *law))
         phi = lag_coefficient(float(vector[layout.noise[k, 0]]), problem.steps(e))
         generator = np.random.default_rng(stream)
-        noise = scale * _unit_noise(len(e.t), phi, chosen, generator)
-        if "daq_filter" in chosen:
-            decay = float(np.exp(-e.interval / chosen["daq_filter"]["filter"]))
-            start = noise[:1] * decay
-            noise = lfilter([1.0 - decay], [1.0, -decay], noise, zi=start)[0]
+        noise = scale * _unit_noise(len(e.t), phi, on_noise, generator)
+        for act, own in on_noise:
+            noise = act.filtered(noise, e.interval, own) if act.filtered else noise
         y = mean + noise
-        if "mains_pickup" in chosen:
-            own = chosen["mains_pickup"]
-            phase = generator.uniform(0.0, 2.0 * np.pi)
-            y = y + own["mains_V"] * np.sin(2.0 * np.pi * own["mains_Hz"] * e.t + phase)
-        if "quantisation" in chosen:
-            step = chosen["quantisation"]["adc_step"]
-            y = step * np.rint(y / step)
+        for act, own in on_noise:
+            y = act.record(y, e.t, own, generator) if act.record else y
         values[e.name] = y
     simulated = replace(problem.campaign.with_data(values), warnings=())
     chosen = {name: extended.get(name, strengths) for name, strengths in chosen.items()}
@@ -163,21 +157,20 @@ def simulate_with_effects(
 
 def _check(name: str, strengths: Mapping[str, float], scales: Scales) -> None:
     known = {s.name: s for s in _strengths(name, scales)}
+    noise = CATALOGUE[name].on_noise
     for key, value in strengths.items():
-        positive = key in ("adc_step", "mains_Hz", "tail_dof") or (
-            key in known and known[key].kind == "log_normal"
-        )
-        low, high = known[key].limits if key in known else (-np.inf, np.inf)
-        if positive:
-            low = max(low, 0.0)
+        if noise and key in noise.above and value <= noise.above[key]:
+            least = f"more than {noise.above[key]:g}"
+            what = noise.reason or f"as {key}"
+            raise CampaignError(f"--effect {name}={value:g}: expected {least} {what}")
+        if key not in known:
+            continue
+        low, high = known[key].limits
+        positive = known[key].kind == "log_normal"
+        low = max(low, 0.0) if positive else low
         if not low <= value <= high or (positive and value <= 0.0):
             raise CampaignError(
                 f"--effect {name}={value:g}: expected {key} between {low:g} and {high:g}"
-            )
-        if key == "tail_dof" and value <= 2.0:
-            raise CampaignError(
-                f"--effect heavy_tails={value:g}: expected more than 2 degrees of freedom, so that "
-                "the variance exists"
             )
 
 
@@ -240,15 +233,18 @@ def _mean_model(
 
 
 def _unit_noise(
-    n: int, phi: float, chosen: Mapping[str, Mapping[str, float]], rng: np.random.Generator
+    n: int,
+    phi: float,
+    on_noise: Sequence[tuple[OnNoise, Mapping[str, float]]],
+    rng: np.random.Generator,
 ) -> FloatArray:
-    """Stationary AR(1) noise (n,) of unit variance, its innovations heavy-tailed where asked."""
-    if "heavy_tails" not in chosen:
-        e = rng.standard_normal(n)
-        e[1:] *= np.sqrt(1.0 - phi**2)
-        noise: FloatArray = lfilter([1.0], [1.0, -phi], e)
-        return noise
-    dof = chosen["heavy_tails"]["tail_dof"]
-    e = rng.standard_t(dof, n + BURN_IN) / np.sqrt(dof / (dof - 2.0))
-    noise = lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], e)
-    return noise[BURN_IN:]
+    """Stationary AR(1) noise (n,) of unit variance; its innovations are an effect's, if any."""
+    for act, own in on_noise:
+        if act.innovations:
+            e = act.innovations(n + BURN_IN, own, rng)
+            coloured: FloatArray = lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], e)
+            return coloured[BURN_IN:]
+    e = rng.standard_normal(n)
+    e[1:] *= np.sqrt(1.0 - phi**2)
+    noise: FloatArray = lfilter([1.0], [1.0, -phi], e)
+    return noise

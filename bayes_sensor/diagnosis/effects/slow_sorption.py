@@ -5,7 +5,8 @@ part of a valve (``two_rate_valve``), and no step experiment separates the two. 
 have a spread of time constants.
 """
 
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength, spread_of_times
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength, spread_of_times
+from bayes_sensor.diagnosis.effects.setting import Setting
 
 
 def _strengths(s: Setting) -> tuple[Strength, ...]:

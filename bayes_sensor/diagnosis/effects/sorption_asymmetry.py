@@ -5,7 +5,8 @@ uptake is seen in practice.  The rate changes where the direction does, or, with
 under load and close behind it, over a small distance from equilibrium.
 """
 
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, Setting, Strength
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.setting import Setting
 
 
 def _strengths(s: Setting) -> tuple[Strength, ...]:
@@ -24,6 +25,7 @@ EFFECT = Effect(
     family="asymmetry",
     stage="sensor",
     exchanged="valve_asymmetry",
+    names_rivals=("sensor by direction",),
     sentence="The sensor releases the gas at another rate than it takes it up: {strength}.",
     forms=(
         Form(_strengths, lambda v, s: dict(v), starts=_STARTS),

@@ -1,12 +1,142 @@
-"""A user's own effects, read from a Python file that the user names."""
+"""A user's own effects: made from one function, or read from a Python file that the user names."""
 
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from bayes_sensor.campaign import CampaignError
-from bayes_sensor.diagnosis.effects.effect import Effect
+import numpy as np
+
+from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.rig_view import RigView
+
+NEAR = 3.0
+"""spreads from the centre within which an effect of one's own must have a mean"""
+
+
+def own_effect(
+    name: str,
+    strengths: Iterable[Strength],
+    mean: Callable[[FloatArray, Mapping[str, float], RigView], FloatArray],
+    *,
+    plausible: Mapping[str, float],
+    family: str | None = None,
+    sentence: str | None = None,
+    starts: Iterable[Mapping[str, float]] | None = None,
+    reference: str = "user's own",
+) -> Effect:
+    """An effect from one function ``mean(t, strength, rig) -> V``.
+
+    ``t`` (n_t,) s is sorted; ``strength`` maps the names of ``strengths`` to values; ``rig``
+    (:class:`RigView`) gives ``mean``, ``response``, ``y0``, ``beta``, ``t0``, ``tf`` and the
+    ``experiment``.  The function must be smooth in the strengths and take any sorted times.
+    ``plausible``: strengths of a rig with this fault.  ``starts``: strengths from which fits
+    begin, the others at their centres; where none are given and there are several strengths, those
+    that are 0 at their centre begin one spread to either side.
+
+    >>> leak = own_effect(
+    ...     "leak", [Strength("leak_V", "V", "normal", 0.0, 0.02)],
+    ...     lambda t, s, rig: rig.mean(t) + s["leak_V"] * (t > rig.t0), plausible={"leak_V": 0.02},
+    ... )
+    >>> leak.family
+    'leak'
+
+    Raises
+    ------
+    CampaignError
+        For a name that cannot be one, without a strength, and where ``plausible`` or ``starts``
+        name a strength that is not there.  A diagnosis raises it where the function stops or
+        returns something else than finite voltages.
+    """
+    fixed = tuple(strengths)
+    if not name.isidentifier() or name in ("none", "unlisted"):
+        # tables write a+b for two effects at once
+        raise CampaignError(
+            f"effect '{name}': expected a name of letters, digits and underscores that is not "
+            "'none' or 'unlisted'; rename it"
+        )
+    if not fixed:
+        raise CampaignError(f"effect {name}: expected at least one strength")
+    begun = _default_starts(fixed) if starts is None else tuple(starts)
+    for where, given in (("plausible", plausible), *(("starts", start) for start in begun)):
+        _check_strengths(name, where, given, fixed)
+    form = Form(
+        strengths=lambda _: fixed,
+        settings=lambda _values, _setting: {},
+        starts=begun,
+        mean=_Checked(name, fixed, mean),
+    )
+    return Effect(
+        name=name,
+        family=family or name,
+        sentence=sentence or f"The effect '{name}' explains what the model misses.",
+        forms=(form,),
+        plausible=plausible,
+        reference=reference,
+        reveal="an experiment in which this effect is switched off",
+    )
+
+
+def _default_starts(strengths: Sequence[Strength]) -> tuple[Mapping[str, float], ...]:
+    """The centres; with several strengths, amplitudes centred at 0 start at +-1 sd.
+
+    Where an amplitude is 0 the data say nothing of a place or a width.
+    """
+    zero = [s for s in strengths if s.value(0.0) == 0.0]
+    if len(strengths) < 2 or not zero:
+        return ({},)
+    sides = [{s.name: s.value(side) for s in zero} for side in (1.0, -1.0)]
+    return tuple(side for side in sides if any(side.values()))
+
+
+def _check_strengths(
+    effect: str, where: str, given: Mapping[str, Any], strengths: Sequence[Strength]
+) -> None:
+    known = [s.name for s in strengths]
+    for name, value in given.items():
+        if (name.rstrip("*") if where == "starts" else name) not in known:
+            raise CampaignError(
+                f"effect {effect}: {where}: expected names of its strengths "
+                f"({', '.join(known)}), but got '{name[:80]}'; correct it"
+            )
+        if not isinstance(value, int | float | np.number) or not np.isfinite(value):
+            raise CampaignError(
+                f"effect {effect}: {where}: expected a number for {name}, but got {value}; "
+                "correct it"
+            )
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """A user's own mean, which tells what is wrong with it rather than spoil the fit."""
+
+    effect: str
+    strengths: tuple[Strength, ...]
+    function: Callable[[FloatArray, Mapping[str, float], RigView], FloatArray]
+
+    def __call__(self, t: FloatArray, values: Mapping[str, float], rig: RigView) -> FloatArray:
+        """V (n_t,), the function's; CampaignError where one is not finite."""
+        with np.errstate(all="ignore"):  # what comes of it is told below
+            found = np.asarray(self.function(t, values, rig), dtype=float)
+        bad = ~np.isfinite(found)
+        # others tell of a wrong shape
+        if found.shape == np.shape(t) and bad.any() and self._likely(values):
+            i = int(np.argmax(bad))
+            at = ", ".join(f"{s.name} = {values[s.name]:.4g}" for s in self.strengths)
+            raise CampaignError(
+                f"effect {self.effect}: expected finite voltages from its function, but got "
+                f"{found[i]} at t = {t[i]:.10g} s of experiment '{rig.experiment.name}' with {at}; "
+                "correct it"
+            )
+        return found
+
+    def _likely(self, values: Mapping[str, float]) -> bool:
+        """Whether all strengths are near their centres: a fit on its way may try any others."""
+        return all(abs(s.coordinate(values[s.name])) <= NEAR for s in self.strengths)
 
 
 def read_effects(path: str | Path) -> list[Effect]:

@@ -17,6 +17,7 @@ EFFECT = Effect(
     family="asymmetry",
     stage="valve",
     exchanged="sorption_asymmetry",
+    names_rivals=("valve by direction", "volume by direction"),
     sentence="The valve shuts with another time constant than it opens with: {strength}.",
     forms=(
         Form(lambda s: (RATIO,), lambda v, s: dict(v), weight=0.7, starts=STARTS),

@@ -89,7 +89,7 @@ def normal_equations(
 
 
 @njit(cache=True)
-def carry_on(
+def broyden_update(
     derivatives: FloatArray,
     gained: FloatArray,
     moved: FloatArray,

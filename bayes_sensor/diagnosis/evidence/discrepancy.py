@@ -1,4 +1,4 @@
-"""Something else: a smooth Gaussian-process discrepancy as an explicit competitor.
+"""A cause that is not in the catalogue: a smooth Gaussian-process discrepancy as competitor.
 
 Residual tests cannot say "none of the listed causes"; a rival that explains any smooth,
 event-locked misfit can (Kennedy and O'Hagan 2001; Brynjarsdottir and O'Hagan 2014).  Matern-3/2
@@ -22,10 +22,10 @@ gas that has flowed in place of the time, as what happens on the way of the gas 
 has such a form is explained with half the freedom, and gains by it.  Kernels are factored once per
 campaign; evidences then need only small matrices.
 
-What an effect leaves, whose form is not quite right, is not what a cause leaves that nobody listed:
-configurations have one weight beside an effect and another where they stand alone.  The latter are
-rounded from those that ``paper/studies/study_unlisted.py`` finds in campaigns with unlisted causes;
-half of them go to what is the same in all experiments.
+The shape error of an effect differs from the misfit of an unlisted cause: a configuration has one
+weight beside an effect and another alone.  The latter are rounded from those that
+``paper/studies/study_unlisted.py`` finds in campaigns with unlisted causes; half of the weight goes
+to what is the same in all experiments.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.evidence.refit import Refit
 
 OWN = 0.1
@@ -165,10 +165,10 @@ class _Weight:
         return _Weight(self.beside / n, self.alone / n)
 
 
-def _spreads(sketch: Sketch) -> dict[str, tuple[_Weight, _Spread]]:
+def _spreads(binned: BinnedCampaign) -> dict[str, tuple[_Weight, _Spread]]:
     """Weights and spreads of what comes again in every experiment, by name."""
-    flow = _standardised([e.total_flow for e in sketch.campaign])
-    concentration = _standardised([e.concentration for e in sketch.campaign])
+    flow = _standardised([e.total_flow for e in binned.campaign])
+    concentration = _standardised([e.concentration for e in binned.campaign])
     if len(flow) == 1:
         return {"": (_Weight(1.0, 1.0), _Spread(flow, 0.0))}
     found = {
@@ -192,25 +192,25 @@ def _standardised(values: list[float]) -> FloatArray:
     return made
 
 
-def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
+def make_discrepancies(binned: BinnedCampaign, base: Refit) -> list[Discrepancy]:
     """All configurations for a campaign, around the fit without effects.
 
     Where that fit has effects already, only those with a weight beside an effect.
     """
-    beta = [abs(float(base.x[base.plan.local[k] + 1])) for k in range(len(sketch.campaign))]
-    spreads = _spreads(sketch)
+    beta = [abs(float(base.x[base.coords.local[k] + 1])) for k in range(len(binned.campaign))]
+    spreads = _spreads(binned)
     usual = spreads[""][1]
     made: list[Discrepancy] = []
 
     def add(name: str, weight: _Weight, factor: FloatArray, sizes: tuple[float, ...]) -> None:
-        made.extend(_configurations(name, weight, factor, sizes, sketch.rows))
+        made.extend(_configurations(name, weight, factor, sizes, binned.rows))
 
-    add("herald", _Weight(0.09, 0.03), usual.over(_herald_parts(sketch, beta)), HERALD_SHARES)
-    apart = _Spread(usual.trend, 1.0 if len(sketch.campaign) > 1 else 0.0)
-    wandering = _wandering(sketch, base)
+    add("herald", _Weight(0.09, 0.03), usual.over(_herald_parts(binned, beta)), HERALD_SHARES)
+    apart = _Spread(usual.trend, 1.0 if len(binned.campaign) > 1 else 0.0)
+    wandering = _wandering(binned, base)
     for name, (weight, part) in wandering.items():
         add(name, weight, apart.over([part]), VOLT_SHARES)
-    repeating = _repeating(sketch, base, beta)
+    repeating = _repeating(binned, base, beta)
     for shared, (weight, spread) in spreads.items():
         for name, (of_all, parts, sizes) in repeating.items():
             if _counts(weight * of_all, base):
@@ -218,71 +218,71 @@ def make_discrepancies(sketch: Sketch, base: Refit) -> list[Discrepancy]:
     response, drift = usual.over(repeating["response 1"][1]), apart.over([wandering["drift"][1]])
     for size, volts in ((0.003, 0.0015), (0.01, 0.0015), (0.01, 0.005), (0.03, 0.005)):
         joined = np.hstack([response * size, drift * volts])
-        found = _configurations("", _Weight(0.2, 0.0).shared(4), joined, (1.0,), sketch.rows)
+        found = _configurations("", _Weight(0.2, 0.0).shared(4), joined, (1.0,), binned.rows)
         made += [replace(d, name=f"response {size:g} and drift {volts:g}") for d in found]
     return made
 
 
-def _wandering(sketch: Sketch, base: Refit) -> dict[str, tuple[_Weight, list[FloatArray]]]:
+def _wandering(binned: BinnedCampaign, base: Refit) -> dict[str, tuple[_Weight, list[FloatArray]]]:
     """What takes another course in every experiment, in its time: weight and part, by name."""
-    at = [b.centre - float(b.experiment.t[0]) for b in sketch.bins]
-    means = _means(sketch, base)
-    volts = [np.full(len(m), sketch.signal_scale) for m in means]
-    above = [m - base.x[base.plan.local[k]] for k, m in enumerate(means)]
+    at = [b.centre - float(b.experiment.t[0]) for b in binned.bins]
+    means = _means(binned, base)
+    volts = [np.full(len(m), binned.signal_scale) for m in means]
+    above = [m - base.x[base.coords.local[k]] for k, m in enumerate(means)]
     slow, fast = GAIN_SECONDS
     return {
-        "drift": (_Weight(0.12, 0.02), _part(sketch, at, volts, DRIFT_SECONDS)),
-        f"gain {slow:g} s": (_Weight(0.04, 0.04), _part(sketch, at, above, slow)),
-        f"gain {fast:g} s": (_Weight(0.04, 0.01), _part(sketch, at, above, fast)),
+        "drift": (_Weight(0.12, 0.02), _part(binned, at, volts, DRIFT_SECONDS)),
+        f"gain {slow:g} s": (_Weight(0.04, 0.04), _part(binned, at, above, slow)),
+        f"gain {fast:g} s": (_Weight(0.04, 0.01), _part(binned, at, above, fast)),
     }
 
 
 def _counts(weight: _Weight, base: Refit) -> bool:
-    return weight.beside > 0.0 or (weight.alone > 0.0 and not base.plan.parts)
+    return weight.beside > 0.0 or (weight.alone > 0.0 and not base.coords.parts)
 
 
 Repeating = dict[str, tuple[_Weight, Parts, tuple[float, ...]]]
 
 
-def _repeating(sketch: Sketch, base: Refit, beta: list[float]) -> Repeating:
+def _repeating(binned: BinnedCampaign, base: Refit, beta: list[float]) -> Repeating:
     """What comes again in every experiment: weight, parts and sizes, by name and length."""
-    readout = _readout_parts(sketch, base)
+    readout = _readout_parts(binned, base)
     found: Repeating = {
         "readout 0.05": (_Weight(0.075, 0.05), readout[0], VOLT_SHARES),
         "readout 0.2": (_Weight(0.075, 0.19), readout[1], VOLT_SHARES),
     }
-    courses = _courses(sketch)
+    courses = _courses(binned)
     whole = sum(weight.alone for weight in courses.values())
-    response, timing = _after_a_switch(sketch, beta), _slopes(sketch, base)
+    response, timing = _after_a_switch(binned, beta), _slopes(binned, base)
     for course, weight in courses.items():
         if not _counts(weight, base):
             continue
         each = weight * _Weight(1.0, 1.0 / whole)
         by_volume = VOLUME in course
         for length, alone in zip(RESPONSE_LENGTHS, (0.01, 0.09, 0.17), strict=True):
-            parts = _along(sketch, course, response, length)
+            parts = _along(binned, course, response, length)
             found[f"response {length:g}{course}"] = (
                 each * _Weight(0.15, alone), parts, RESPONSE_SHARES
             )  # fmt: skip
-        volts = [s / _flow(sketch, k) if by_volume else s for k, s in enumerate(timing)]
+        volts = [s / _flow(binned, k) if by_volume else s for k, s in enumerate(timing)]
         for length, usual, alone in zip(TIMING_LENGTHS, (0.0, 0.2), (0.03, 0.3), strict=True):
-            parts = _along(sketch, course, volts, length)
+            parts = _along(binned, course, volts, length)
             found[f"timing {length:g}{course}"] = (
                 each * _Weight(usual, alone), parts, TIMING_SHARES
             )  # fmt: skip
-    commanded = _switching_parts(sketch)
+    commanded = _switching_parts(binned)
     if commanded:
         found["switching"] = (_Weight(0.15, 0.06), commanded, VOLT_SHARES)
     return found
 
 
-def _courses(sketch: Sketch) -> dict[str, _Weight]:
+def _courses(binned: BinnedCampaign) -> dict[str, _Weight]:
     """How rise and fall belong together, with weights.
 
     Each its own course; or one course for both, the fall's upside down, as of everything linear,
     in time or in the volume that has flowed; or one of the two alone.
     """
-    if _sides(sketch) == (False,):
+    if _sides(binned) == (False,):
         return {"": _Weight(1.0, 1.0)}
     found = {
         "": _Weight(1.0, 0.15),
@@ -290,104 +290,104 @@ def _courses(sketch: Sketch) -> dict[str, _Weight]:
         RISE: _Weight(0.0, 0.3),
         FALL: _Weight(0.0, 0.15),
     }
-    if not sketch.campaign.same_flow:
+    if not binned.campaign.same_flow:
         found[VOLUME] = _Weight(0.0, 0.1)
         found[VOLUME + MIRRORED] = _Weight(0.0, 0.1)
     return found
 
 
-def _flow(sketch: Sketch, k: int) -> float:
+def _flow(binned: BinnedCampaign, k: int) -> float:
     """Of experiment ``k``, over the campaign's."""
-    return sketch.campaign.experiments[k].total_flow / sketch.reference_flow
+    return binned.campaign.experiments[k].total_flow / binned.reference_flow
 
 
-def _along(sketch: Sketch, course: str, volts: list[FloatArray], length: float) -> Parts:
+def _along(binned: BinnedCampaign, course: str, volts: list[FloatArray], length: float) -> Parts:
     """A function of the logarithm of the time since a switch, scaled by ``volts``."""
     since = []
-    for k, b in enumerate(sketch.bins):
-        passed = b.since * _flow(sketch, k) if VOLUME in course else b.since
-        since.append(_log_time(passed, sketch.time_scale))
+    for k, b in enumerate(binned.bins):
+        passed = b.since * _flow(binned, k) if VOLUME in course else b.since
+        since.append(_log_time(passed, binned.time_scale))
     if MIRRORED in course:
-        return [_part(sketch, since, volts, length)]
-    rise = [np.where(b.falling, 0.0, v) for b, v in zip(sketch.bins, volts, strict=True)]
-    fall = [np.where(b.falling, v, 0.0) for b, v in zip(sketch.bins, volts, strict=True)]
-    blocks = {RISE: [rise], FALL: [fall]}.get(course, [rise, fall][: len(_sides(sketch))])
-    return [_part(sketch, since, v, length) for v in blocks]
+        return [_part(binned, since, volts, length)]
+    rise = [np.where(b.falling, 0.0, v) for b, v in zip(binned.bins, volts, strict=True)]
+    fall = [np.where(b.falling, v, 0.0) for b, v in zip(binned.bins, volts, strict=True)]
+    blocks = {RISE: [rise], FALL: [fall]}.get(course, [rise, fall][: len(_sides(binned))])
+    return [_part(binned, since, v, length) for v in blocks]
 
 
-def _sides(sketch: Sketch) -> tuple[bool, ...]:
+def _sides(binned: BinnedCampaign) -> tuple[bool, ...]:
     """Whether falling: the rise, and the fall where one was recorded."""
-    return (False, True) if any(b.falling.any() for b in sketch.bins) else (False,)
+    return (False, True) if any(b.falling.any() for b in binned.bins) else (False,)
 
 
-def _after_a_switch(sketch: Sketch, beta: list[float]) -> list[FloatArray]:
+def _after_a_switch(binned: BinnedCampaign, beta: list[float]) -> list[FloatArray]:
     """V (n_bins,) of every experiment: the step's height, negative at the fall."""
     return [
         np.where(b.since > 0.0, np.where(b.falling, -v, v), 0.0)
-        for b, v in zip(sketch.bins, beta, strict=True)
+        for b, v in zip(binned.bins, beta, strict=True)
     ]
 
 
-def _herald_parts(sketch: Sketch, beta: list[float]) -> Parts:
+def _herald_parts(binned: BinnedCampaign, beta: list[float]) -> Parts:
     blocks = []
-    for falling in _sides(sketch):
+    for falling in _sides(binned):
         since, volts = [], []
-        for b, size, setting in zip(sketch.bins, beta, sketch.settings, strict=True):
-            at = (b.centre - (setting.tf if falling else setting.t0)) / sketch.time_scale
+        for b, size, setting in zip(binned.bins, beta, binned.settings, strict=True):
+            at = (b.centre - (setting.tf if falling else setting.t0)) / binned.time_scale
             near = (at > HERALD[0]) & (at < HERALD[1])
             since.append(np.clip(at, *HERALD))
             volts.append(np.where(near, size, 0.0))
-        blocks.append(_part(sketch, since, volts, HERALD_LENGTH))
+        blocks.append(_part(binned, since, volts, HERALD_LENGTH))
     return blocks
 
 
-def _means(sketch: Sketch, base: Refit) -> list[FloatArray]:
+def _means(binned: BinnedCampaign, base: Refit) -> list[FloatArray]:
     """V (n_bins,) of every experiment: what the fit without effects says."""
-    return [b.reduce(base.plan.mean(base.x, k, b.times)) for k, b in enumerate(sketch.bins)]
+    return [b.reduce(base.coords.mean(base.x, k, b.times)) for k, b in enumerate(binned.bins)]
 
 
-def _slopes(sketch: Sketch, base: Refit) -> list[FloatArray]:
+def _slopes(binned: BinnedCampaign, base: Refit) -> list[FloatArray]:
     """V (n_bins,) in a time scale: what a time that runs ahead or behind does where it moves."""
-    h = 0.02 * sketch.time_scale
+    h = 0.02 * binned.time_scale
     found = []
-    for k, b in enumerate(sketch.bins):
-        before, after = (b.reduce(base.plan.mean(base.x, k, b.times + d)) for d in (-h, h))
-        found.append((after - before) / (2.0 * h) * sketch.time_scale)
+    for k, b in enumerate(binned.bins):
+        before, after = (b.reduce(base.coords.mean(base.x, k, b.times + d)) for d in (-h, h))
+        found.append((after - before) / (2.0 * h) * binned.time_scale)
     return found
 
 
-def _readout_parts(sketch: Sketch, base: Refit) -> list[Parts]:
+def _readout_parts(binned: BinnedCampaign, base: Refit) -> list[Parts]:
     """A readout that is off by a function of what it reads, for each of the lengths."""
-    means = _means(sketch, base)
-    read = [m / sketch.height for m in means]
-    volts = [np.full(len(m), sketch.signal_scale) for m in means]
-    return [[_part(sketch, read, volts, w)] for w in READOUT_LENGTHS]
+    means = _means(binned, base)
+    read = [m / binned.height for m in means]
+    volts = [np.full(len(m), binned.signal_scale) for m in means]
+    return [[_part(binned, read, volts, w)] for w in READOUT_LENGTHS]
 
 
 def _log_time(since: FloatArray, scale: float) -> FloatArray:
     return np.log(np.maximum(since, 0.0) / scale + 0.06)
 
 
-def _switching_parts(sketch: Sketch) -> Parts:
+def _switching_parts(binned: BinnedCampaign) -> Parts:
     blocks = []
     for command, falling in (("commanded_on", False), ("commanded_off", True)):
-        times = [getattr(b.experiment, command) for b in sketch.bins]
+        times = [getattr(b.experiment, command) for b in binned.bins]
         if any(t is None for t in times):
             continue
-        since = [b.centre - t for b, t in zip(sketch.bins, times, strict=True)]
-        until = [(b.experiment.commanded_off if not falling else None) for b in sketch.bins]
+        since = [b.centre - t for b, t in zip(binned.bins, times, strict=True)]
+        until = [(b.experiment.commanded_off if not falling else None) for b in binned.bins]
         volts = [
             np.where(
-                (s > 0.0) & (b.centre < (np.inf if u is None else u)), sketch.signal_scale, 0.0
+                (s > 0.0) & (b.centre < (np.inf if u is None else u)), binned.signal_scale, 0.0
             )
-            for s, b, u in zip(since, sketch.bins, until, strict=True)
+            for s, b, u in zip(since, binned.bins, until, strict=True)
         ]
-        blocks.append(_part(sketch, [_log_time(s, sketch.time_scale) for s in since], volts, 1.0))
+        blocks.append(_part(binned, [_log_time(s, binned.time_scale) for s in since], volts, 1.0))
     return blocks
 
 
 def _part(
-    sketch: Sketch,
+    binned: BinnedCampaign,
     position: list[FloatArray],
     scale: list[FloatArray],
     length: float,
@@ -395,7 +395,7 @@ def _part(
     features = _features(position, length, 0.35)
     return [
         whiten @ (f * s[:, None])
-        for whiten, f, s in zip(sketch.inverse_factors, features, scale, strict=True)
+        for whiten, f, s in zip(binned.inverse_factors, features, scale, strict=True)
     ]
 
 

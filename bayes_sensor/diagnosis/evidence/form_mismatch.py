@@ -1,10 +1,9 @@
-"""Effects in a form that is not quite the catalogue's.
+"""The shape error of an effect: what a listed effect leaves because its form is not exact.
 
-Nature's effects are a little other than ours, by a share of their size that does not depend on how
-well they are seen.  Once an effect is seen far above the noise so is that, and two effects together
-explain it, or an effect and something else: a cause that is not there, stated with confidence.
-What an effect leaves of itself counts for another cause only from a share on that no effect's form
-has been seen to leave.
+A real effect differs from the catalogue's form by a share of its own size.  At a high
+signal-to-noise ratio this shape error is visible, too, and a second effect or an unlisted cause
+would explain it.  A leftover therefore counts as another cause only above the largest share that
+the form of an effect has been seen to leave.
 """
 
 from __future__ import annotations
@@ -12,22 +11,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import sqrt
 
-from bayes_sensor.diagnosis.closure import VISIBLE
-from bayes_sensor.diagnosis.evidence.hypotheses import Hypothesis, Weighing
+from bayes_sensor.diagnosis.closed_fraction import VISIBLE
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit
-from bayes_sensor.diagnosis.signals.tails_and_converter import FOUND, FullRate
+from bayes_sensor.diagnosis.signals.finding import FOUND, Finding
 
 OTHER_FORM = 0.2
 """share of an effect's size that its form may leave: by the law of how far
 (:data:`~bayes_sensor.diagnosis.closure.INEXACT`) 98 of 100 leave less"""
-OFF_FOR_A_WHILE = ("patch", "break")
-"""findings in what an explanation leaves of the mean"""
 
 
 @dataclass(frozen=True)
-class AnotherForm:
-    """What an explanation may be instead."""
+class SimplerExplanation:
+    """An explanation by fewer causes whose form is not exact."""
 
     effects: tuple[str, ...]
     """those that need no other form"""
@@ -36,12 +33,12 @@ class AnotherForm:
 
 
 def small_enough(left: float, whole: float) -> bool:
-    """Whether a form may leave so much of what is explained; both as squared misfits."""
+    """Whether a shape error may be so large a part of the whole; both as squared misfits."""
     return left < OTHER_FORM**2 * whole
 
 
-def another_form(h: Hypothesis, weighing: Weighing) -> AnotherForm | None:
-    """Fewer effects, or the same without something else beside them, in a form of their own.
+def simpler_explanation(h: Hypothesis, comparison: Comparison) -> SimplerExplanation | None:
+    """Fewer effects, or the same ones without a discrepancy, whose form is not exact.
 
     None where an explanation has nothing beside an effect, where that is not seen, or where it is
     too much for the effect's form.
@@ -49,29 +46,29 @@ def another_form(h: Hypothesis, weighing: Weighing) -> AnotherForm | None:
     if not h.effects:
         return None
     least = h.refit.misfit - (_taken_beside(h) if h.incomplete else 0.0)
-    whole = weighing.base.misfit - least
-    simpler = [weighing.find(name) for name in h.effects]
+    whole = comparison.base.misfit - least
+    simpler = [comparison.find(name) for name in h.effects]
     if h.incomplete and len(h.effects) > 1:
         simpler.append(h)
     for one in sorted(simpler, key=lambda one: (len(one.effects), one.refit.misfit)):
         left = one.refit.misfit - least
         if left > VISIBLE**2 and small_enough(left, whole):
-            return AnotherForm(one.effects, sqrt(left / whole))
+            return SimplerExplanation(one.effects, sqrt(left / whole))
     return None
 
 
-def of_its_form(found: FullRate, fitted: Refit, base: Refit) -> bool:
-    """Whether a finding in what is left is small enough for what an effect's form may leave.
+def within_form_mismatch(found: Finding, fitted: Refit, base: Refit) -> bool:
+    """Whether a finding in the residual mean is small enough to be the effect's shape error.
 
-    What is hardly there takes little from any explanation, and is left to.
+    A finding that is improbable takes little from any explanation and is not excused.
     """
-    if found.name not in OFF_FOR_A_WHILE or found.d is None or found.probability < FOUND:
+    if not found.signal.of_the_mean or found.d is None or found.probability < FOUND:
         return False
     return small_enough(found.d**2, base.misfit - fitted.misfit)
 
 
 def _taken_beside(h: Hypothesis) -> float:
-    """By how much what is beside the effects lessens the misfit."""
+    """By how much the discrepancy beside the effects lessens the misfit."""
     taken = 0.0
     for term in h.terms:
         left = Linearised(term.refit).left(term.beside)

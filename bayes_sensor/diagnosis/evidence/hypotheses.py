@@ -1,31 +1,38 @@
-"""Which effect: the evidence of none, every effect, something else, and both together.
+"""Which effect: the evidence of none, of every effect, of a discrepancy, and of both together.
 
-Priors go over families first, then members, so that look-alikes do not gain by their number.  A
-smooth discrepancy stands for "something else"; an effect with a discrepancy beside it says that
-the effect does not explain all.  Pairs are tried within families, too: where two members are
-nearly the same effect the second gains nothing, and its freedom counts against the pair.
+Priors are given to families first, then to members, so that look-alikes do not gain by their
+number.  A smooth discrepancy stands for an unlisted cause; an effect with a discrepancy beside it
+says that the effect does not explain all.  Pairs are tried within families, too: where two members
+are nearly the same effect, the second gains nothing and its freedom counts against the pair.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import product
-from math import log, sqrt
+from dataclasses import replace
+from math import log
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.evidence.block_least_squares import solved
+from bayes_sensor.diagnosis.evidence.compared_hypotheses import (
+    LEFT,
+    Comparison,
+    Hypothesis,
+    Term,
+    something_left,
+)
+from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER, Part
 from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy, make_discrepancies
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
-from bayes_sensor.diagnosis.evidence.refit import Refit, refit, with_tau
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Part, Plan
-from bayes_sensor.diagnosis.evidence.tau_profile import SEEN, jumps, swept
+from bayes_sensor.diagnosis.evidence.refit import Refit, refit
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
+from bayes_sensor.diagnosis.evidence.tau_profile import SEEN, has_jump, profile_tau
 from bayes_sensor.diagnosis.evidence.varying_parameter import WEIGHT, embedded_rivals
 
 PRIOR_NONE = 0.5
@@ -54,104 +61,10 @@ NEAR = 14.0
 """log evidences this far below the best are not looked at more closely"""
 SMALL_SHARE = 0.02
 """of a form in its effect, whose tau is not looked at more closely"""
-LEFT = 2.5
-"""standard deviations of misfit that an explanation leaves, from which something else is looked for
-beside it"""
 MOST_TERMS = 6
 """of a hypothesis that are kept, the likeliest; their shares are those among them"""
 
 Progress = Callable[[float, str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Term:
-    """One form of a cause, with one configuration of the discrepancy or with none."""
-
-    share: float
-    """of the probability of all that are kept"""
-    refit: Refit
-    beside: Discrepancy | None = field(repr=False)
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """A cause, or several, with or without a discrepancy beside them."""
-
-    effects: tuple[str, ...]
-    incomplete: bool
-    """whether a discrepancy is part of it; alone it is "something else" """
-    log_prior: float
-    log_z: float
-    refit: Refit
-    """in the best of the forms"""
-    log_tau: float
-    sd_log_tau: float
-    terms: tuple[Term, ...] = field(repr=False)
-    """the likeliest of the forms and discrepancies that it is averaged over"""
-    within: str = ""
-    """the unlisted dependence inside the model, where it is that"""
-
-    @property
-    def log_weight(self) -> float:
-        """ln of prior times evidence."""
-        return self.log_prior + self.log_z
-
-    @property
-    def excess(self) -> float:
-        """Misfit that it leaves beyond what noise does, the discrepancy aside."""
-        return float(self.refit.misfit - (self.refit.plan.sketch.n_bins - self.refit.plan.size))
-
-    @property
-    def leftover(self) -> float:
-        """The same in standard deviations of what noise does."""
-        return self.excess / sqrt(2.0 * self.refit.plan.sketch.n_bins)
-
-    @property
-    def key(self) -> str:
-        """``none``, ``unlisted``, ``a``, ``a+b``; with a discrepancy ``a, unlisted``."""
-        name = "+".join(self.effects)
-        if self.incomplete:
-            other = f"unlisted ({self.within})" if self.within else "unlisted"
-            return f"{name}, {other}" if name else other
-        return name or "none"
-
-
-@dataclass(frozen=True, eq=False)
-class Weighing:
-    """All hypotheses with their probabilities."""
-
-    sketch: Sketch
-    base: Refit
-    hypotheses: tuple[Hypothesis, ...]
-    catalogue: Mapping[str, Effect]
-    discrepancies: tuple[Discrepancy, ...] = field(repr=False)
-
-    @property
-    def probabilities(self) -> FloatArray:
-        """(n_hypotheses,) summing to 1."""
-        logs = np.array([h.log_weight for h in self.hypotheses])
-        shares: FloatArray = np.exp(logs - logsumexp(logs))
-        return shares
-
-    @property
-    def complete(self) -> list[Hypothesis]:
-        """Those without a discrepancy: none, single effects, and pairs."""
-        return [h for h in self.hypotheses if not h.incomplete]
-
-    @property
-    def likeliest(self) -> Hypothesis:
-        """Of the complete ones."""
-        return max(self.complete, key=lambda h: h.log_weight)
-
-    def find(self, *effects: str) -> Hypothesis:
-        """The hypothesis of exactly these effects (none given: of none) and nothing else.
-
-        Raises KeyError.
-        """
-        for h in self.complete:
-            if h.effects == effects:
-                return h
-        raise KeyError("+".join(effects))
 
 
 def family_priors(catalogue: Mapping[str, Effect]) -> dict[str, float]:
@@ -169,7 +82,7 @@ def family_priors(catalogue: Mapping[str, Effect]) -> dict[str, float]:
 
 
 def fit_effect(
-    sketch: Sketch,
+    binned: BinnedCampaign,
     base: Refit,
     parts: Sequence[Part],
     starts: Sequence[Mapping[str, float]],
@@ -182,36 +95,36 @@ def fit_effect(
     ``enough``: objective above which it does not matter how good it is.  ``faster``: whether to
     begin from a faster sensor than usual, too, where the base has a much slower or faster one.
     """
-    plan = replace(base.plan, parts=(*base.plan.parts, *parts))
-    begun = joined_start(plan, base)
-    starts = [*starts, *_most_promising(plan, begun, base, parts[-1].form.grid)]
-    begins = [with_start(plan, begun, start) for start in starts]
-    usual = float(sketch.centre[0])
+    coords = replace(base.coords, parts=(*base.coords.parts, *parts))
+    begun = coords.start_from(base.coords, base.x)
+    starts = [*starts, *most_promising_starts(coords, begun, base, parts[-1].form.grid)]
+    begins = [coords.with_strengths(begun, start) for start in starts]
+    usual = float(binned.centre[0])
     now = float(begun[1]) - FASTER - float(begun[0])
-    if abs(now - usual) >= UNUSUAL and not base.plan.parts:
+    if abs(now - usual) >= UNUSUAL and not base.coords.parts:
         # the fit without the effect may have bent tau far away to do the effect's work
-        begins += [with_start(plan, with_tau(plan, begun, usual), start) for start in starts]
+        begins += [coords.with_strengths(coords.with_tau(begun, usual), start) for start in starts]
         if faster:
-            begins.append(with_start(plan, with_tau(plan, begun, usual - UNUSUAL), starts[0]))
-    if abs(begun[2] - sketch.centre[2]) > BENT * sketch.sd[2] and not base.plan.parts:
+            begins.append(coords.with_strengths(coords.with_tau(begun, usual - UNUSUAL), starts[0]))
+    if abs(begun[2] - binned.centre[2]) > BENT * binned.sd[2] and not base.coords.parts:
         # or the volume, where no flow makes any difference: valve and manifold share the lag
         moved = begun.copy()
-        moved[1:3] = sketch.centre[1] - log(2.0), sketch.centre[2]
-        begins += [with_start(plan, with_tau(plan, moved, usual), start) for start in starts]
+        moved[1:3] = binned.centre[1] - log(2.0), binned.centre[2]
+        begins += [coords.with_strengths(coords.with_tau(moved, usual), start) for start in starts]
     found: list[Refit] = []
     for x in begins:
-        found.append(refit(plan, x, most_steps=most_steps, known=found, enough=enough))
-    best = finished(min(found, key=lambda r: r.objective), enough)
-    return swept(best).best if best.objective <= enough and _leaps(best, base) else best
+        found.append(refit(coords, x, most_steps=most_steps, known=found, enough=enough))
+    best = to_convergence(min(found, key=lambda r: r.objective), enough)
+    return profile_tau(best).best if best.objective <= enough and jump_is_seen(best, base) else best
 
 
-def _leaps(fitted: Refit, base: Refit) -> bool:
+def jump_is_seen(fitted: Refit, base: Refit) -> bool:
     """Whether the mean jumps with a switch, and that is well seen against the base."""
-    return jumps(fitted) and fitted.objective < base.objective - SEEN
+    return has_jump(fitted) and fitted.objective < base.objective - SEEN
 
 
-def _most_promising(
-    plan: Plan, begun: FloatArray, base: Refit, grid: Sequence[Mapping[str, float]]
+def most_promising_starts(
+    coords: Coordinates, begun: FloatArray, base: Refit, grid: Sequence[Mapping[str, float]]
 ) -> list[Mapping[str, float]]:
     """Those of a grid of starts whose linearised gain is largest, each a peak among its neighbours.
 
@@ -221,11 +134,11 @@ def _most_promising(
     if not grid:
         return []
     normal = base.normal
-    here = base.plan.all_means(base.x)
-    amplitudes = {s.name for s in plan.strengths[-1] if s.scaled}
+    here = base.coords.all_means(base.x)
+    amplitudes = {s.name for s in coords.strengths[-1] if s.scaled}
     gains, sizes = np.zeros(len(grid)), np.zeros(len(grid))
     for i, start in enumerate(grid):
-        template = course(plan, begun, here, start)
+        template = coords.signature(begun, here, start)
         inside = base.jacobian.T @ template
         whole = float(template @ template)
         left = whole - float(inside @ solved(normal, inside))
@@ -243,21 +156,14 @@ def _most_promising(
     ]
 
 
-def course(
-    plan: Plan, begun: FloatArray, here: FloatArray, start: Mapping[str, float]
-) -> FloatArray:
-    """(n_bins in all,) whitened: what the last part's strengths make of means ``here`` V."""
-    return plan.sketch.whitened(plan.all_means(with_start(plan, begun, start)) - here)
-
-
-def finished(fitted: Refit, enough: float = np.inf) -> Refit:
+def to_convergence(fitted: Refit, enough: float = np.inf) -> Refit:
     """The refit carried on where it had not converged: an evidence is that of an optimum.
 
     Above the objective ``enough`` it does not matter, and stays as it is.
     """
     if fitted.converged or fitted.objective > enough:
         return fitted
-    return refit(fitted.plan, fitted.x, most_steps=MOST_FURTHER)
+    return refit(fitted.coords, fitted.x, most_steps=MOST_FURTHER)
 
 
 class _Average(NamedTuple):
@@ -271,7 +177,7 @@ class _Average(NamedTuple):
     terms: tuple[Term, ...]
 
 
-def _average(
+def average_over_forms(
     fits: Sequence[tuple[Refit, float]],
     discrepancies: Sequence[Discrepancy] | None,
     base: Refit,
@@ -296,8 +202,8 @@ def _average(
     for i in np.flatnonzero(p > SMALL_SHARE) if mass >= least else ():
         fitted, beside_it = owners[i]
         # the profile is that of the shorter lag
-        if beside_it is None and _leaps(fitted, base) and not fitted.plan.sketch.sensor:
-            profile = swept(fitted)
+        if beside_it is None and jump_is_seen(fitted, base) and not fitted.coords.binned.sensor:
+            profile = profile_tau(fitted)
             taus[i] = profile.log_tau, profile.sd_log_tau
     mean = float(p @ taus[:, 0])
     square = float(p @ (taus[:, 1] ** 2 + (taus[:, 0] - mean) ** 2))
@@ -306,19 +212,19 @@ def _average(
     return _Average(float(mass), terms[0].refit, mean, float(np.sqrt(square)), terms)
 
 
-def weigh(
-    sketch: Sketch,
+def compare_hypotheses(
+    binned: BinnedCampaign,
     base: Refit,
     catalogue: Mapping[str, Effect],
     progress: Progress | None = None,
     pairs: bool = True,
-) -> Weighing:
+) -> Comparison:
     """Probabilities of every hypothesis for one campaign."""
     tell = progress or (lambda _share, _text: None)
-    discrepancies = make_discrepancies(sketch, base)
-    shares = _shares(discrepancies, [d.weight for d in discrepancies])
+    discrepancies = make_discrepancies(binned, base)
+    shares = normalise_weights(discrepancies, [d.weight for d in discrepancies])
     # in later rounds what was named is beside whatever is left
-    by_itself = [d.weight if base.plan.parts else d.alone for d in discrepancies]
+    by_itself = [d.weight if base.coords.parts else d.alone for d in discrepancies]
     priors = family_priors(catalogue)
     hypotheses: list[Hypothesis] = []
 
@@ -331,24 +237,26 @@ def weigh(
         least: float = -np.inf,
     ) -> Hypothesis:
         other = ds is not None or bool(within)
-        made = Hypothesis(effects, other, log_prior, *_average(fits, ds, base, least), within)
+        made = Hypothesis(
+            effects, other, log_prior, *average_over_forms(fits, ds, base, least), within
+        )
         hypotheses.append(made)
         return made
 
     add((), float(np.log(PRIOR_NONE)), [(base, 1.0)])
     rivals = embedded_rivals(
-        [*catalogue, *(part.effect.name for part in base.plan.parts)],
-        several_flows=len(sketch.campaign) > 1 and not sketch.campaign.same_flow,
-        has_fall=any(e.has_fall for e in sketch.campaign),
-        commanded=any(e.commanded_on is not None for e in sketch.campaign),
+        [*catalogue.values(), *(part.effect for part in base.coords.parts)],
+        several_flows=len(binned.campaign) > 1 and not binned.campaign.same_flow,
+        has_fall=any(e.has_fall for e in binned.campaign),
+        commanded=any(e.commanded_on is not None for e in binned.campaign),
     )
     inside = WEIGHT if rivals else 0.0
     log_prior = float(np.log(PRIOR_UNLISTED * (1.0 - inside)))
-    alone = add((), log_prior, [(base, 1.0)], _shares(discrepancies, by_itself))
+    alone = add((), log_prior, [(base, 1.0)], normalise_weights(discrepancies, by_itself))
     for rival in rivals:
         made = [
             (
-                fit_effect(sketch, base, [Part(rival, f)], f.starts, 20, faster=False),
+                fit_effect(binned, base, [Part(rival, f)], f.starts, 20, faster=False),
                 1.0 / len(rival.forms),
             )
             for f in rival.forms
@@ -361,7 +269,7 @@ def weigh(
         tell(0.1 + 0.5 * i / len(on_mean), name)
         weight = sum(form.weight for form in effect.forms)
         fits[name] = [
-            (fit_effect(sketch, base, [Part(effect, form)], form.starts), form.weight / weight)
+            (fit_effect(binned, base, [Part(effect, form)], form.starts), form.weight / weight)
             for form in effect.forms
         ]
         log_prior = priors[name] + np.log1p(-INCOMPLETE)
@@ -375,12 +283,14 @@ def weigh(
         log_prior = float(priors[name] + np.log(INCOMPLETE))
         add((name,), log_prior, _leading(fits[name]), some)
     if pairs:
-        _add_pairs(sketch, base, on_mean, fits, singles, hypotheses, priors, some, add, tell)
+        _add_pairs(binned, base, on_mean, fits, singles, hypotheses, priors, some, add, tell)
     tell(1.0, "weighed")
-    return Weighing(sketch, base, tuple(hypotheses), catalogue, tuple(shares))
+    return Comparison(binned, base, tuple(hypotheses), catalogue, tuple(shares))
 
 
-def _shares(discrepancies: Sequence[Discrepancy], weights: Sequence[float]) -> list[Discrepancy]:
+def normalise_weights(
+    discrepancies: Sequence[Discrepancy], weights: Sequence[float]
+) -> list[Discrepancy]:
     """Those with a weight, the weights summing to 1."""
     whole = sum(weights)
     return [replace(d, weight=w / whole) for d, w in zip(discrepancies, weights, strict=True) if w]
@@ -402,7 +312,7 @@ def _promising(base: Refit, discrepancies: Sequence[Discrepancy]) -> list[Discre
 
 
 def _add_pairs(
-    sketch: Sketch,
+    binned: BinnedCampaign,
     base: Refit,
     on_mean: Mapping[str, Effect],
     fits: Mapping[str, list[tuple[Refit, float]]],
@@ -422,7 +332,7 @@ def _add_pairs(
         if h.log_weight > none.log_weight and family not in families and len(leading) < 3:
             leading.append(h.effects[0])
             families.add(family)
-    if not leading or not _something_left(hypotheses):
+    if not leading or not something_left(hypotheses):
         return
     done: set[frozenset[str]] = set()
     found: list[Hypothesis] = []
@@ -445,12 +355,14 @@ def _add_pairs(
         enough = lowest - 2.0 * (least - single)
         for form in on_mean[b].forms:
             part = Part(on_mean[b], form)
-            fitted = fit_effect(sketch, first, [part], form.starts[:3], 15, enough)
-            if not base.plan.parts:  # what the first effect has swallowed may belong to the second
-                plan = fitted.plan
-                start = plan.start(base.x, form.starts[0])
-                afresh = refit(plan, start, most_steps=15, known=[fitted], enough=enough)
-                fitted = finished(min(fitted, afresh, key=lambda r: r.objective), enough)
+            fitted = fit_effect(binned, first, [part], form.starts[:3], 15, enough)
+            if (
+                not base.coords.parts
+            ):  # what the first effect has swallowed may belong to the second
+                coords = fitted.coords
+                start = coords.start(base.x, form.starts[0])
+                afresh = refit(coords, start, most_steps=15, known=[fitted], enough=enough)
+                fitted = to_convergence(min(fitted, afresh, key=lambda r: r.objective), enough)
             if fitted.converged or fitted.objective <= enough:
                 made.append((fitted, form.weight))
         if not made:  # given up in every form
@@ -488,41 +400,3 @@ def _add_pairs(
             followed.add(kept)
             for b in on_mean:
                 attempt(kept, b)
-
-
-def _something_left(hypotheses: Sequence[Hypothesis]) -> bool:
-    """Whether the best explanations by one effect leave something for another."""
-    logs = np.array([h.log_weight for h in hypotheses])
-    p = np.exp(logs - logsumexp(logs))
-    left = sum(q for q, h in zip(p, hypotheses, strict=True) if h.incomplete)
-    best = max((h for h in hypotheses if h.effects), key=lambda h: h.log_weight)
-    return bool(left > 0.02 or best.leftover > LEFT)
-
-
-def joined_start(plan: Plan, fitted: Refit) -> FloatArray:
-    """Coordinates of a plan with one more part, from a refit without it."""
-    x = plan.start(fitted.x, {})  # the shared ones; the local ones follow another layout
-    old = fitted.plan
-    n_shared, n_own = len(old.shared), len(old.own)
-    x[3 : 3 + n_shared] = fitted.x[3 : 3 + n_shared]
-    for k, e in enumerate(plan.sketch.campaign):
-        m = 4 if e.has_fall else 3
-        here, there = plan.local[k], old.local[k]
-        x[here : here + m + n_own] = fitted.x[there : there + m + n_own]
-    return x
-
-
-def with_start(plan: Plan, x: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
-    """``x`` with the last part's strengths at chosen values."""
-    base = plan.start(np.zeros(plan.size), chosen)
-    made = x.copy()
-    last = {s.name for s in plan.strengths[-1]}
-    for i, s in enumerate(plan.shared):
-        if s.name in last:
-            made[3 + i] = base[3 + i]
-    n = len(plan.own)
-    for k, (i, s) in product(range(len(plan.sketch.campaign)), enumerate(plan.own)):
-        if s.name in last:
-            at = plan.local[k + 1] - n + i
-            made[at] = base[at]
-    return made

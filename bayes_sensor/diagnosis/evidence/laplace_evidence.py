@@ -59,18 +59,18 @@ class Linearised:
     @cached_property
     def widths(self) -> list[FloatArray]:
         """Per considered width, the factor (n,) on the spread of every strength."""
-        plan = self.refit.plan
-        if not plan.amplitudes:
-            return [np.ones(plan.size)]
-        usual = [plan.widths(dict.fromkeys(plan.amplitudes, width)) for width in WIDTHS]
-        strong = STRONG if plan.loose else ()
-        return [*usual, *(plan.widths(dict.fromkeys(plan.loose, width)) for width in strong)]
+        coords = self.refit.coords
+        if not coords.amplitudes:
+            return [np.ones(coords.size)]
+        usual = [coords.widths(dict.fromkeys(coords.amplitudes, width)) for width in WIDTHS]
+        strong = STRONG if coords.loose else ()
+        return [*usual, *(coords.widths(dict.fromkeys(coords.loose, width)) for width in strong)]
 
     @cached_property
     def priors(self) -> list[tuple[FloatArray, float]]:
         """Per considered width, the precision (n, n) of the prior and ln of its determinant."""
-        plan = self.refit.plan
-        return [(plan.prior_matrix(w), plan.log_prior_determinant(w)) for w in self.widths]
+        coords = self.refit.coords
+        return [(coords.prior_matrix(w), coords.log_prior_determinant(w)) for w in self.widths]
 
     @cached_property
     def promised(self) -> FloatArray | None:
@@ -79,14 +79,14 @@ class Linearised:
         A refit that ends where its derivatives promise more than the model keeps (a bend, a kink)
         is credited with what it has reached.
         """
-        plan, x = self.refit.plan, self.refit.x
-        prior = plan.own_prior_matrix
-        slope = self.gram[1:, 0] - prior @ (x - plan.prior_centre)
+        coords, x = self.refit.coords, self.refit.x
+        prior = coords.own_prior_matrix
+        slope = self.gram[1:, 0] - prior @ (x - coords.prior_centre)
         # a strength at its limit counts as free: what it promises beyond is then not credited
-        free = np.ones(plan.size, dtype=bool)
+        free = np.ones(coords.size, dtype=bool)
         free[0] = x[0] > 0.0 or slope[0] > 0.0
         normal = (self.gram[1:, 1:] + prior)[np.ix_(free, free)]
-        step = np.zeros(plan.size)
+        step = np.zeros(coords.size)
         step[free] = solved(normal, slope[free])
         return step if float(slope @ step) > AT_REST else None
 
@@ -104,10 +104,10 @@ class Linearised:
         """(n_bins in all,) the noise: what neither the mean nor the discrepancy takes up."""
         if discrepancy is None:
             return self.refit.residual
-        plan = self.refit.plan
+        coords = self.refit.coords
         gradient, normal = self._at_rest(self.gram - discrepancy.absorbed(self.both))
-        prior = plan.own_prior_matrix
-        pulled = prior @ (self.refit.x - plan.prior_centre)
+        prior = coords.own_prior_matrix
+        pulled = prior @ (self.refit.x - coords.prior_centre)
         step = solved(normal + prior, gradient - pulled)
         return discrepancy.leave(self.refit.residual - self.refit.jacobian @ step)
 
@@ -152,7 +152,7 @@ def _laplace(
     # axes: discrepancies, prior widths, coordinates
     prior = np.array([matrix for matrix, _ in priors])
     log_prior_det = np.array([log for _, log in priors])
-    away = refit.x - refit.plan.prior_centre
+    away = refit.x - refit.coords.prior_centre
     pulled = prior @ away
     n = len(refit.residual)
     normal, gradient = normal[:, None], gradient[:, None]
@@ -173,7 +173,7 @@ def _laplace(
     sound = sign > 0
     # the covariance of the first two coordinates: ln tau is the second minus the first where the
     # sensor's is the shorter lag, else the second
-    minus = 1.0 - refit.plan.sketch.sensor
+    minus = 1.0 - refit.coords.binned.sensor
     first_two = np.broadcast_to(np.eye(len(away), 2), (*matrix.shape[:-1], 2))
     covariance = solved(matrix, first_two)[..., :2, :]
     # that the shorter lag is below the longer by FASTER cuts the Gaussian

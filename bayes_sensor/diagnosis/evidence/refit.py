@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.data.binned_campaign import Sketch
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.evidence.block_least_squares import (
-    carry_on,
+    broyden_update,
     inverted,
     normal_equations,
 )
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER, Plan
+from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER
+from bayes_sensor.diagnosis.evidence.leverage import Leverage
+from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 
 STRAIGHT = 0.25
 """share of the promised gain that a step must make for the derivatives to be carried on"""
@@ -40,7 +42,7 @@ prior must pull it, to be sought again under a looser one"""
 class Refit:
     """The optimum of one hypothesis, with its linearisation."""
 
-    plan: Plan
+    coords: Coordinates
     x: FloatArray
     residual: FloatArray
     """(n_bins in all,) whitened"""
@@ -55,26 +57,37 @@ class Refit:
 
     @cached_property
     def derivatives(self) -> FloatArray:
-        """(n_bins in all, n_columns) :meth:`Plan.derivatives`, worked out when asked for.
+        """(n_bins in all, n_columns) :meth:`Coordinates.derivatives`, worked out when asked for.
 
         Always by the usual differences, which smooth over the bins' nodes: evidences rest on them.
         """
-        return self.plan.derivatives(self.x, self.plan.all_means(self.x))
+        return self.coords.derivatives(self.x, self.coords.all_means(self.x))
 
     @cached_property
     def jacobian(self) -> FloatArray:
         """(n_bins in all, n) dense."""
-        made = np.zeros((len(self.residual), self.plan.size))
-        for k, rows in enumerate(self.plan.sketch.rows):
-            columns = self.plan.columns(k)
+        made = np.zeros((len(self.residual), self.coords.size))
+        for k, rows in enumerate(self.coords.binned.rows):
+            columns = self.coords.columns(k)
             made[rows, columns] = self.derivatives[rows, : len(columns)]
         return made
 
     @property
     def normal(self) -> FloatArray:
         """(n, n) normal matrix, of the data and of the priors at their stated spreads."""
-        made: FloatArray = self.jacobian.T @ self.jacobian + self.plan.own_prior_matrix
+        made: FloatArray = self.jacobian.T @ self.jacobian + self.coords.own_prior_matrix
         return made
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """(n, n) inverse of the normal matrix."""
+        return inverted(self.normal)
+
+    @cached_property
+    def leverage(self) -> Leverage:
+        """What the refit leaves of noise."""
+        prior, at_limit = self.coords.own_prior_matrix, bool(self.x[0] <= 0.0)
+        return Leverage.of(self.jacobian, prior, self.covariance, at_limit)
 
     @cached_property
     def loosened(self) -> Refit:
@@ -84,21 +97,21 @@ class Refit:
         itself that may be many standard deviations: a trace of the effect stays in the residual,
         and other parameters make up for the rest of it.
         """
-        loose = self.plan.loose | self._held_back()
-        if loose == self.plan.loose:
+        loose = self.coords.loose | self._held_back()
+        if loose == self.coords.loose:
             return self
-        return refit(replace(self.plan, loose=loose), self.x, most_steps=60)
+        return refit(replace(self.coords, loose=loose), self.x, most_steps=60)
 
     def _held_back(self) -> set[str]:
-        away, prior = self.x - self.plan.prior_centre, self.plan.own_prior_matrix
+        away, prior = self.x - self.coords.prior_centre, self.coords.own_prior_matrix
         far = [
             (name, here)
-            for name, here in self.plan.amplitudes.items()
+            for name, here in self.coords.amplitudes.items()
             if np.mean(away[here] ** 2) >= BEYOND**2
         ]
         if not far:  # as a rule; the covariance is not needed then
             return set()
-        covariance = inverted(self.normal)
+        covariance = self.covariance
         found = set()
         for name, here in far:
             pull = prior[np.ix_(here, here)] @ away[here]
@@ -114,12 +127,12 @@ class Refit:
     @property
     def tau(self) -> float:
         """s"""
-        return self.lags[self.plan.sketch.sensor]
+        return self.lags[self.coords.binned.sensor]
 
     @property
     def tau_v(self) -> float:
         """s"""
-        return self.lags[1 - self.plan.sketch.sensor]
+        return self.lags[1 - self.coords.binned.sensor]
 
     @property
     def V(self) -> float:
@@ -129,24 +142,24 @@ class Refit:
     def strength(self) -> dict[str, float | dict[str, float]]:
         """The fitted strengths by name; per-experiment ones as a mapping."""
         made: dict[str, float | dict[str, float]] = {}
-        campaign = self.plan.sketch.campaign
-        for part, strengths in enumerate(self.plan.strengths):
+        campaign = self.coords.binned.campaign
+        for part, strengths in enumerate(self.coords.strengths):
             for s in strengths:
                 if s.per_experiment:
                     made[s.name] = {
-                        e.name: self.plan.values(self.x, k)[part][s.name]
+                        e.name: self.coords.values(self.x, k)[part][s.name]
                         for k, e in enumerate(campaign)
                     }
                 else:
-                    made[s.name] = self.plan.values(self.x, 0)[part][s.name]
+                    made[s.name] = self.coords.values(self.x, 0)[part][s.name]
             if not strengths:  # a form at full strength
-                effect = self.plan.parts[part].effect
+                effect = self.coords.parts[part].effect
                 made.update(effect.plausible)
         return made
 
 
 def refit(
-    plan: Plan,
+    coords: Coordinates,
     start: FloatArray,
     data: Sequence[FloatArray] | None = None,
     most_steps: int = 30,
@@ -158,23 +171,24 @@ def refit(
     """Levenberg-Marquardt from ``start`` (n,) until the objective falls by < ``tolerance``.
 
     ``data``: bin means (n_bins,) V of each experiment in place of the measured ones.  ``free``
-    (n,): coordinates that may move.  None goes below :attr:`Plan.lowest`.  ``known``: other
-    refits of the same plan to the same data; one of them is returned where this one is on the way
-    to its optimum, and this one as it stands where it remains far above the best of them.
+    (n,): coordinates that may move.  None goes below :attr:`Coordinates.lowest`.  ``known``: other
+    refits of the same coordinates to the same data.  If this refit approaches the optimum of one
+    of them, that one is returned; if it stays far above the best, it stops early, unconverged.
     ``enough``: objective above which an optimum does not matter; a refit that expects to end there
     is given up, too.
 
-    The derivatives are carried on by Broyden's rule as long as steps gain about what they promise.
+    Derivatives are updated by Broyden's rule while a step gains more than a set share of the
+    predicted gain; else they are computed again.
     """
-    sketch = plan.sketch
-    of_bins = sketch.all_bins.of_bins
-    measured = np.concatenate(sketch.data if data is None else data)
-    centre, prior = plan.prior_centre, plan.own_prior_matrix
-    x = np.maximum(start, plan.lowest)
+    binned = coords.binned
+    of_bins = binned.all_bins.of_bins
+    measured = np.concatenate(binned.data if data is None else data)
+    centre, prior = coords.prior_centre, coords.own_prior_matrix
+    x = np.maximum(start, coords.lowest)
 
     def evaluate(at: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        means, away = plan.all_means(at), at - centre
-        residual = sketch.whitened(measured - means)
+        means, away = coords.all_means(at), at - centre
+        residual = binned.whitened(measured - means)
         total = float(residual @ residual) + float(away @ prior @ away)
         return means, residual, total if isfinite(total) else inf
 
@@ -185,11 +199,11 @@ def refit(
     for taken in range(most_steps):
         fresh = derivatives is None
         if derivatives is None:
-            derivatives = plan.derivatives(x, means, finer)
-        normal, gradient = normal_equations(derivatives, residual, of_bins, plan.places, len(x))
+            derivatives = coords.derivatives(x, means, finer)
+        normal, gradient = normal_equations(derivatives, residual, of_bins, coords.places, len(x))
         gradient -= prior @ (x - centre)
         normal += prior
-        movable = (x > plan.lowest) | (gradient > 0.0)
+        movable = (x > coords.lowest) | (gradient > 0.0)
         if free is not None:
             movable &= free
         index = np.flatnonzero(movable)
@@ -208,14 +222,14 @@ def refit(
             if damping <= 1e-3:
                 ahead = objective - float(step @ gradient[index])
                 if taken >= PATIENCE and ahead > hopeless:
-                    return Refit(plan, x, residual, objective, False)
+                    return Refit(coords, x, residual, objective, False)
                 for other in known:
                     if other.converged and abs(ahead - other.objective) < ALIKE:
                         apart = x - other.x
                         apart[index] += step
                         if float(apart @ normal @ apart) < ALIKE:
                             return other
-            trial = _stepped(plan, x, index, step)
+            trial = _stepped(coords, x, index, step)
             t_means, t_residual, t_objective = evaluate(trial)
             if t_objective < objective:
                 accepted = True
@@ -237,7 +251,9 @@ def refit(
         gained, moved = objective - t_objective, trial - x
         promised = float(moved @ (2.0 * gradient - normal @ moved))
         if gained > STRAIGHT * promised:
-            carry_on(derivatives, residual - t_residual, moved, squares, of_bins, plan.places)
+            broyden_update(
+                derivatives, residual - t_residual, moved, squares, of_bins, coords.places
+            )
         else:
             derivatives = None
         x, means, residual, objective = trial, t_means, t_residual, t_objective
@@ -245,7 +261,7 @@ def refit(
         if gained < tolerance and (fresh or promised < 2.0 * tolerance):
             converged = True
             break
-    return Refit(plan, x, residual, objective, converged)
+    return Refit(coords, x, residual, objective, converged)
 
 
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray | None:
@@ -254,38 +270,28 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray | None:
     return None if wrong else solution
 
 
-def _stepped(plan: Plan, x: FloatArray, index: NDArray[np.int64], step: FloatArray) -> FloatArray:
+def _stepped(
+    coords: Coordinates, x: FloatArray, index: NDArray[np.int64], step: FloatArray
+) -> FloatArray:
     """Coordinates (n,) after a ``step`` of those in ``index``, none of them too long.
 
     A lag delays the response by itself, so that what the shorter one gains the switch times lose.
     It is exponential in the coordinates: they make up for what it gains beyond the linear.
     """
-    most = plan.longest_steps[index]
+    most = coords.longest_steps[index]
     moved = x.copy()
     moved[index] += np.clip(step, -most, most)
-    moved = np.maximum(moved, plan.lowest)
+    moved = np.maximum(moved, coords.lowest)
     before, by = x[1] - FASTER - x[0], (moved[1] - x[1]) - (moved[0] - x[0])
     bent = exp(max(before, -60.0)) * (exp(by) - 1.0 - by)
-    movable = np.zeros(plan.size, dtype=bool)
+    movable = np.zeros(coords.size, dtype=bool)
     movable[index] = True
-    moved[plan.switch_times[movable[plan.switch_times]]] -= bent
+    moved[coords.switch_times[movable[coords.switch_times]]] -= bent
     return moved
 
 
-def with_tau(plan: Plan, x: FloatArray, log_tau: float) -> FloatArray:
-    """Coordinates (n,) with another shorter lag, tau unless the sensor's is the longer one.
-
-    ``log_tau``: its logarithm (of s).  A lag delays the response by itself, so that what it gains
-    the switch times lose.
-    """
-    made = x.copy()
-    made[0] = max(float(x[1]) - FASTER - log_tau, 0.0)
-    made[plan.switch_times] -= exp(x[1] - FASTER - made[0]) - exp(x[1] - FASTER - x[0])
-    return made
-
-
-def base_starts(sketch: Sketch, base: FloatArray) -> list[FloatArray]:
+def base_starts(binned: BinnedCampaign, base: FloatArray) -> list[FloatArray]:
     """Starts of the fit without effects: tau moved over two decades, t0 and tf with it."""
-    plan, log_tau_v = Plan(sketch), float(base[1])
+    coords, log_tau_v = Coordinates(binned), float(base[1])
     ratios = (min(ratio, exp(-FASTER) * 0.999) for ratio in (0.012, 0.07, 0.23, 0.58))
-    return [base.copy(), *(with_tau(plan, base, log_tau_v + log(ratio)) for ratio in ratios)]
+    return [base.copy(), *(coords.with_tau(base, log_tau_v + log(ratio)) for ratio in ratios)]

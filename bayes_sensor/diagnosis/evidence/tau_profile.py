@@ -1,9 +1,9 @@
-"""Explanations whose mean jumps with a switch: tau from its profile.
+"""tau from its profile, for explanations whose mean jumps at a switch.
 
-A jump that falls into a bin moves the bin's mean in proportion to where it falls, one at a bin's
-edge moves another bin: the objective bends at every edge, has an optimum on either side, and its
-curvature at one of them says nothing about the next.  Where the jump is well seen, the ratio of
-tau to tau_v is held at one value after the other instead, everything else refitted.
+A jump inside a bin moves the bin's mean in proportion to its place; a jump at the edge moves
+another bin.  The objective is therefore bent at every edge of a bin, with an optimum on either
+side, and its curvature at one optimum says nothing about the next.  Where the jump is well seen,
+the ratio of tau to tau_v is held at one value after the other and everything else is refitted.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from math import log
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.evidence.refit import Refit, refit, with_tau
-from bayes_sensor.diagnosis.evidence.refit_coordinates import FASTER
+from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER
+from bayes_sensor.diagnosis.evidence.refit import Refit, refit
 
 SEEN = 25.0
 """what the objective gains by a jump that is well seen"""
@@ -28,7 +28,7 @@ PLAUSIBLE = 12.0
 
 
 @dataclass(frozen=True, eq=False)
-class Swept:
+class TauProfile:
     """What a profile over tau finds."""
 
     best: Refit
@@ -36,12 +36,12 @@ class Swept:
     sd_log_tau: float
 
 
-def jumps(fitted: Refit) -> bool:
+def has_jump(fitted: Refit) -> bool:
     """Whether the mean jumps with a switch, wherever the strengths are not nought."""
-    return any(part.form.jumps for part in fitted.plan.parts)
+    return any(part.form.jumps for part in fitted.coords.parts)
 
 
-def swept(fitted: Refit) -> Swept:
+def profile_tau(fitted: Refit) -> TauProfile:
     """The best optimum near a refit, and mean and sd of ln tau by the profile."""
     ratio = float(fitted.x[0])
     coarse = _sweep(fitted, np.unique(np.maximum(ratio + COARSE, 0.0)))
@@ -56,20 +56,20 @@ def swept(fitted: Refit) -> Swept:
     logs = np.array([log(r.tau) for r in found])
     mean = float(weight @ logs)
     best = min(found, key=lambda r: r.objective)
-    best = min((fitted, refit(best.plan, best.x)), key=lambda r: r.objective)
-    return Swept(best, mean, float(np.sqrt(weight @ (logs - mean) ** 2)))
+    best = min((fitted, refit(best.coords, best.x)), key=lambda r: r.objective)
+    return TauProfile(best, mean, float(np.sqrt(weight @ (logs - mean) ** 2)))
 
 
 def _sweep(fitted: Refit, ratios: FloatArray) -> list[Refit]:
     # upwards and downwards, each from the one before: what one way misses the other may find
-    plan = fitted.plan
-    free = np.ones(plan.size, dtype=bool)
+    coords = fitted.coords
+    free = np.ones(coords.size, dtype=bool)
     free[0] = False
     best: dict[float, Refit] = {}
     for way in (ratios, ratios[::-1]):
         x = fitted.x
         for ratio in way.tolist():
-            held = refit(plan, with_tau(plan, x, float(x[1]) - FASTER - ratio), free=free)
+            held = refit(coords, coords.with_tau(x, float(x[1]) - FASTER - ratio), free=free)
             x = held.x
             if ratio not in best or held.objective < best[ratio].objective:
                 best[ratio] = held

@@ -1,12 +1,12 @@
-"""Something else, of another kind: a parameter of the model that is not constant.
+"""Embedded rivals of the effects: a parameter of the model that is not constant.
 
-A smooth additive discrepancy sees what is left in the traces.  Many unlisted causes act inside the
-model instead: a lag that depends on the flow, on the concentration, on the direction of the step,
-or that changes from one experiment to the next (embedded discrepancy; Sargsyan, Najm and Ghanem
-2015).  Gas that takes two ways, and a valve that moves in two steps, are two delays in place of
-one; a drive that couples into the signal makes pulses too short for a smooth process.  These rivals
-have no name of their own and count as unlisted.  Where a listed effect is just such a dependence,
-the rival is left out for as long as that effect is in the catalogue: then it has a name.
+An additive discrepancy sees what is left in the traces.  Many unlisted causes act inside the model
+instead: a lag that depends on the flow, on the concentration, on the direction of the step, or that
+changes from one experiment to the next (embedded discrepancy; Sargsyan, Najm and Ghanem 2015).  Two
+paths of the gas, or a valve that moves in two steps, are two delays in place of one.  A drive that
+couples into the signal makes pulses too short for a smooth process.  These rivals have no name and
+count as unlisted.  Where a listed effect is the same dependence, the rival is left out while that
+effect is in the catalogue.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.effects.effect import Effect, Form, RigView, Setting, Strength
+from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.rig_view import RigView
+from bayes_sensor.diagnosis.effects.setting import Setting
 
 WEIGHT = 0.35
 """share of "something else" that is embedded; the rest is additive"""
@@ -135,8 +137,6 @@ class Rival:
     forms: tuple[Form, ...]
     sentence: str
     """in plain words; may hold ``{strength}``"""
-    named_by: tuple[str, ...] = ()
-    """listed effects that are this dependence"""
     stage: str = ""
     """whose lag it is of, ``valve`` or ``sensor``"""
 
@@ -169,18 +169,15 @@ RIVALS = {
     "valve by direction": Rival(
         (_direction("closing_ratio"),),
         "the valve shuts at another speed than it opens ({strength})",
-        ("valve_asymmetry",),
         stage="valve",
     ),
     "volume by direction": Rival(
         (_direction("emptying_ratio"),),
         "the manifold empties at another speed than it fills ({strength})",
-        ("flow_switching", "valve_asymmetry"),
     ),
     "sensor by direction": Rival(
         (_direction("release_ratio"),),
         "the sensor releases at another speed than it takes up ({strength})",
-        ("sorption_asymmetry",),
         stage="sensor",
     ),
     "part later": Rival(
@@ -199,13 +196,13 @@ RIVALS = {
 
 
 def embedded_rivals(
-    catalogue: Iterable[str], several_flows: bool, has_fall: bool, commanded: bool
+    effects: Iterable[Effect], several_flows: bool, has_fall: bool, commanded: bool
 ) -> list[Effect]:
-    """The rivals that a campaign can have and that no effect of the catalogue names."""
-    known = set(catalogue)
+    """The rivals that a campaign can have and that none of the ``effects`` is."""
+    known = {name for effect in effects for name in effect.names_rivals}
     found = []
     for name, rival in RIVALS.items():
-        if known & set(rival.named_by):
+        if name in known:
             continue
         if not several_flows and any(w in name for w in ("flow", "concentration", "experiment")):
             continue

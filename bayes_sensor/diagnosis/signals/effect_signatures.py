@@ -1,7 +1,7 @@
-"""The courses that listed effects leave after a refit, as a screen.
+"""Signatures: what listed effects leave after a refit, as a screen.
 
-Summed over all cells a misfit drowns in the noise of all of them; along the course of an effect
-there is the noise of one number.  The largest of all courses, against what it is under noise alone
+Summed over all cells a small misfit is lost in the noise of all; along the signature of an effect
+there is the noise of one number.  The largest of all, against what it is under noise alone
 (max-T; Westfall and Young 1993), says whether anything of such a form is there.
 """
 
@@ -15,25 +15,24 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.effects.effect import Effect
-from bayes_sensor.diagnosis.evidence.hypotheses import ABSORBED, course, joined_start
+from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
+from bayes_sensor.diagnosis.evidence.hypotheses import ABSORBED
 from bayes_sensor.diagnosis.evidence.refit import Refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Part
-from bayes_sensor.diagnosis.location import Leverage
 
 FAINT = 1e-3
-"""standard deviations of the noise below which a course is none"""
+"""standard deviations of the noise below which a signature is none"""
 
 
-def courses(base: Refit, catalogue: Mapping[str, Effect]) -> FloatArray:
-    """(n, n_bins in all) whitened courses of unit length that the refit does not take up.
+def signatures(base: Refit, catalogue: Mapping[str, Effect]) -> FloatArray:
+    """(n, n_bins in all) whitened signatures of unit length that the refit does not take up.
 
     One for each strength from which the fits of an effect begin, beside what the base has already,
     and one for each experiment alone, at a plausible strength, where an effect has another in each;
     those that the refit takes up nearly whole are left out.
     """
-    leverage, sketch = Leverage.of(base), base.plan.sketch
-    here = base.plan.all_means(base.x)
-    found = [np.zeros((0, sketch.n_bins))]
+    leverage, binned = base.leverage, base.coords.binned
+    here = base.coords.all_means(base.x)
+    found = [np.zeros((0, binned.n_bins))]
 
     def add(whole: FloatArray) -> None:
         left = leverage.leave(whole.T).T
@@ -43,16 +42,16 @@ def courses(base: Refit, catalogue: Mapping[str, Effect]) -> FloatArray:
 
     for effect in catalogue.values():
         for form in effect.forms if effect.on_mean else ():
-            plan = replace(base.plan, parts=(*base.plan.parts, Part(effect, form)))
-            begun = joined_start(plan, base)
+            coords = replace(base.coords, parts=(*base.coords.parts, Part(effect, form)))
+            begun = coords.start_from(base.coords, base.x)
 
-            from_start = partial(course, plan, begun, here)
+            from_start = partial(coords.signature, begun, here)
             add(np.array([from_start(start) for start in form.starts]))
-            own = {s.name: s.value(1.0) for s in plan.strengths[-1] if s.per_experiment}
+            own = {s.name: s.value(1.0) for s in coords.strengths[-1] if s.per_experiment}
             if own:
-                each = np.zeros((len(sketch.rows), sketch.n_bins))
+                each = np.zeros((len(binned.rows), binned.n_bins))
                 unlike = from_start({**form.starts[0], **own})
-                for alone, rows in zip(each, sketch.rows, strict=True):
+                for alone, rows in zip(each, binned.rows, strict=True):
                     alone[rows] = unlike[rows]
                 add(each)
     return np.vstack(found)

@@ -1,9 +1,9 @@
-"""Something else, again: what happens once or a few times while a record is quiet.
+"""Detector: single events while a record is quiet.
 
-The noise floor comes from the quiet stretches, so an event that befalls one of them raises the
-floor it is judged by.  A test at full rate asks for what stationary Gaussian noise of *any*
-spectrum does not do: to be much larger somewhere than it usually is at the same time scale.  It
-counts as unlisted, whatever explains the rest.
+The noise floor is estimated from the quiet stretches, so an event in one of them raises the floor
+that it is judged by.  This test at full rate looks for what stationary Gaussian noise of *any*
+spectrum does not do: a difference of means much larger than usual at the same time scale.  A
+finding counts as an unlisted cause.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.data.noise_floor import Stretch, detrended
-from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate, Place, struck
+from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, detrended
+from bayes_sensor.diagnosis.signals.finding import Finding, Place, Signal, moment, struck
 
 BLOCK = 0.05
 """s, means over which events are looked for"""
@@ -55,18 +55,32 @@ _SLOPES = [2.0 * float(norm.pdf(norm.ppf(h)) * norm.ppf(h)) for h in _HALF]
 Key = TypeVar("Key", bound=Hashable)
 
 
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    return (
+        f"In experiment {names[int(s['event_experiment'])]} something happens once, near "
+        f"{moment(s['event_s'])} s: {s['event_ratio']:.2g} times the noise's usual size at "
+        "that time scale."
+    )
+
+
+SIGNAL = Signal(
+    "event", 0.025, {"event_s": "s", "event_ratio": "1"}, _words, on_quiet_stretches=True
+)
+
+
 @dataclass(frozen=True)
 class Events:
-    """What befalls single stretches, and how much the noise alone makes look like it."""
+    """Events in single stretches, and the tails of the noise that they are judged by."""
 
-    found: FullRate
+    found: Finding
     tails: tuple[float, float]
     """degrees of freedom of means over as long a time as is told, at carrier and plateau; inf for
     those of a Gaussian, or where nothing is told"""
 
     @property
     def lasting(self) -> float:
-        """Degrees of freedom where both gases have long tails: then the noise itself has them."""
+        """Degrees of freedom of the lighter tails of the two gases: those of the noise itself."""
         return max(self.tails)
 
 
@@ -87,7 +101,7 @@ def look_for_events(
     since what strikes again lasts as long again.  ``strength``: the clearest event's experiment
     (counted from 0), time in s and ratio to the usual.
     """
-    cut = [_blocks(campaign, s) for s in stretches]
+    cut = [event_blocks(campaign, s) for s in stretches]
     use = [(s, *made) for s, made in zip(stretches, cut, strict=True) if made is not None]
     sizes = _own_sizes([(s, x, q, dt) for s, (x, q), dt in use])
     use = [(s, (x / size, q), dt) for (s, (x, q), dt), size in zip(use, sizes, strict=True)]
@@ -125,7 +139,7 @@ def look_for_events(
                         stretch, _, dt = use[k]
                         when = stretch.begin + (at + 0.5 * span * blocks[k]) * dt
                         clearest[k] = Place(stretch.experiment, when, float(clear[at]))
-    found_event = of_places("event", found, clearest)
+    found_event = of_places(SIGNAL, found, clearest)
     baseline, plateau = (
         min((min(d) for (_, level), d in tails.items() if level == gas), default=np.inf)
         for gas in (0, 1)
@@ -175,7 +189,9 @@ def sizes_of_records(
     return dict(zip(own, together * np.exp(away), strict=True))
 
 
-def _blocks(campaign: Campaign, s: Stretch) -> tuple[tuple[FloatArray, FloatArray], float] | None:
+def event_blocks(
+    campaign: Campaign, s: Stretch
+) -> tuple[tuple[FloatArray, FloatArray], float] | None:
     """Detrended means (n,) over BLOCK, mean squared changes (n,) from sample to sample, step (s).
 
     Both in units of the changes in the whole stretch.
@@ -296,12 +312,12 @@ def surprises(square: FloatArray, dof: float | FloatArray) -> FloatArray:
 
 
 def of_places(
-    name: str, found: Sequence[Mapping[Hashable, float]], clearest: Sequence[Place]
-) -> FullRate:
-    """What places (records, switches) say, each with ln B per kind of what may strike there.
+    signal: Signal, found: Sequence[Mapping[Hashable, float]], clearest: Sequence[Place]
+) -> Finding:
+    """The finding of several places (records, switches), each with ln B for every kind of event.
 
-    What strikes has a kind of its own at every place, or the same at all of them.  Told are the
-    ``clearest`` moment of all, and those of the places that are rather struck than not.
+    Affected places have a kind each, or all the same.  Reported are the ``clearest`` moment of all
+    and those of the places that are more likely affected than not.
     """
     each = np.array(
         [np.logaddexp.reduce(list(x.values())) - np.log(len(x)) if x else 0.0 for x in found]
@@ -320,9 +336,9 @@ def of_places(
     kept = (p for p, o in zip(clearest, odds, strict=True) if o > 0.0 or p is first)
     ratio = first.size**0.5
     strength = {
-        f"{name}_experiment": float(first.experiment),
-        f"{name}_s": first.time,
-        f"{name}_ratio": ratio,
+        f"{signal.name}_experiment": float(first.experiment),
+        f"{signal.name}_s": first.time,
+        f"{signal.name}_ratio": ratio,
     }
     value = float(np.logaddexp(alone, together) - np.log(2.0))
-    return FullRate(name, value, strength, ratio, tuple(p for p in kept if p.size > 0.0))
+    return Finding(signal, value, strength, ratio, tuple(p for p in kept if p.size > 0.0))

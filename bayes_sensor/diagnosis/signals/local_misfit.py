@@ -1,24 +1,24 @@
-"""Something else, again: what leaves the best explanation for a while, here or there.
+"""Detector: local misfit after the best explanation.
 
-What goes wrong at one switch and not, or elsewhere, at the next has no common shape, and a process
-that is free everywhere pays for all of it.  Runs of bins at single switches, what is shorter there
-than a bin, and levels that change at any time in single records are therefore looked for one by
-one.  All count as unlisted, whatever explains the rest.
+A misfit at one switch that is absent or different at the next has no common shape, and a smooth
+discrepancy would need one parameter for each of them.  This file therefore tests three kinds one by
+one: runs of bins at a single switch, bumps shorter than a bin, and changes of level in a single
+record.  A finding counts as an unlisted cause.
 """
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.bins import ExperimentBins
-from bayes_sensor.diagnosis.data.noise_floor import DOF, Quiet
-from bayes_sensor.diagnosis.evidence.block_least_squares import inverted
-from bayes_sensor.diagnosis.evidence.refit import Refit
+from bayes_sensor.diagnosis.data.noise_floor import DOF
+from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans
 from bayes_sensor.diagnosis.signals.events import (
     BUMP_SPAN,
     bump,
@@ -29,11 +29,14 @@ from bayes_sensor.diagnosis.signals.events import (
     surprises,
     tail_dof,
 )
-from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate, Place, any_of
+from bayes_sensor.diagnosis.signals.finding import Finding, Place, Signal, any_of, moment
 
-PATCH_SPAN = (-1.2, 8.0)
+if TYPE_CHECKING:
+    from bayes_sensor.diagnosis.evidence.refit import Refit
+
+SPAN = (-1.2, 8.0)
 """time scales around a switch"""
-PATCH_BINS = (1, 2, 3, 4, 6)
+RUN_BINS = (1, 2, 3, 4, 6)
 """bins in a run"""
 
 SHORT_BLOCK = 0.01
@@ -49,38 +52,65 @@ EARLIEST = 0.3
 FEWEST = 100
 """positions in quiet spans below which the usual size is not known"""
 
-BREAK_LENGTHS = (1, 2, 3, 5, 8, 13, 21)
+CHANGE_LENGTHS = (1, 2, 3, 5, 8, 13, 21)
 """bins that a passing change lasts"""
 ABSORBED = 0.1
 """share of a change that a refit must leave of it, for the change to be looked for"""
 
 
-def look_for_patches(
+def _of_a_bump(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    side = "after" if s["patch_since_s"] >= 0.0 else "before"
+    return (
+        "Single switches leave the model for moments, clearest in experiment "
+        f"{names[int(s['patch_experiment'])]}, {abs(s['patch_since_s']):.2g} s {side} a switch."
+    )
+
+
+def _of_a_change(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    return (
+        f"In experiment {names[int(s['break_experiment'])]} the level changes at about "
+        f"{moment(s['break_s'])} s in a way of its own"
+        f" ({s['break_ratio']:.2g} standard deviations)."
+    )
+
+
+BUMP = Signal(
+    "patch", 0.025, {"patch_s": "s", "patch_since_s": "s", "patch_ratio": "1"}, _of_a_bump,
+    of_the_mean=True,
+)  # fmt: skip
+LEVEL_CHANGE = Signal(
+    "break", 0.025, {"break_s": "s", "break_ratio": "1"}, _of_a_change, of_the_mean=True
+)
+
+
+def look_for_local_misfit(
     found: Refit,
     residuals: Sequence[FloatArray],
-    quiet: Sequence[Quiet],
+    quiet: Sequence[QuietSpans],
     tail: float = np.inf,
-) -> FullRate:
-    """Moments at single switches when the measurement leaves a refit, longer than bins or shorter.
+) -> Finding:
+    """Misfit at single switches, for longer than a bin or shorter.
 
     ``residuals``: (n_t,) V of every experiment, what the refit leaves; ``tail``: degrees of
     freedom of the noise's own means.
     """
-    short = _short_patches(found, residuals, quiet, tail)
-    return any_of([_runs_of_bins(found, tail), *([] if short is None else [short])])
+    short = find_short_bumps(found, residuals, quiet, tail)
+    return any_of([find_runs_of_bins(found, tail), *([] if short is None else [short])])
 
 
 def _patch(
     places: Sequence[dict[Hashable, float]], clearest: Sequence[Place], since: Sequence[float]
-) -> FullRate:
+) -> Finding:
     """What all switches say; ``since`` (n,) s, from the switch to its clearest moment."""
-    told = of_places("patch", places, clearest)
+    told = of_places(BUMP, places, clearest)
     first = max(range(len(clearest)), key=lambda i: clearest[i].size, default=None)
     after = 0.0 if first is None else since[first]
     return replace(told, strength={**told.strength, "patch_since_s": after})
 
 
-def _runs_of_bins(found: Refit, tail: float) -> FullRate:
+def find_runs_of_bins(found: Refit, tail: float) -> Finding:
     """Runs of bins around single switches that lie on one side of a refit.
 
     Per switch, ``ln B`` averages over runs of bins the ratio of densities of their whitened sum,
@@ -88,21 +118,21 @@ def _runs_of_bins(found: Refit, tail: float) -> FullRate:
     own ``tail``; runs are averaged over for each switch, or for all together.
     """
     dof = min(DOF, tail)
-    sketch = found.plan.sketch
+    binned = found.coords.binned
     places: list[dict[Hashable, float]] = []
     clearest, since = [], []
-    for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
+    for k, (rows, b) in enumerate(zip(binned.rows, binned.bins, strict=True)):
         z = found.residual[rows]
         for falling in (False, True):
             here = np.flatnonzero(
                 (b.falling == falling)
-                & (b.since > PATCH_SPAN[0] * sketch.time_scale)
-                & (b.since < PATCH_SPAN[1] * sketch.time_scale)
+                & (b.since > SPAN[0] * binned.time_scale)
+                & (b.since < SPAN[1] * binned.time_scale)
             )
-            if len(here) < max(PATCH_BINS):
+            if len(here) < max(RUN_BINS):
                 continue
             total = np.concatenate([[0.0], np.cumsum(z[here])])
-            squares = [(total[m:] - total[:-m]) ** 2 / m for m in PATCH_BINS]
+            squares = [(total[m:] - total[:-m]) ** 2 / m for m in RUN_BINS]
             largest = max(squares, key=lambda s: float(s.max()))
             middle = here[int(np.argmax(largest))]
             clearest.append(Place(k, float(b.centre[middle]), float(largest.max())))
@@ -111,26 +141,26 @@ def _runs_of_bins(found: Refit, tail: float) -> FullRate:
             first = np.arange(len(here)) - int(np.sum(b.since[here] < 0.0))
             places.append({
                 (m, int(at)): value
-                for m, square in zip(PATCH_BINS, squares, strict=True)
+                for m, square in zip(RUN_BINS, squares, strict=True)
                 for at, value in zip(first, surprises(square, dof), strict=False)
             })  # fmt: skip
     return _patch(places, clearest, since)
 
 
-def _short_patches(
-    found: Refit, residuals: Sequence[FloatArray], quiet: Sequence[Quiet], tail: float
-) -> FullRate | None:
+def find_short_bumps(
+    found: Refit, residuals: Sequence[FloatArray], quiet: Sequence[QuietSpans], tail: float
+) -> Finding | None:
     """Bumps shorter than bins between a switch and the next quiet span.
 
     A relay that settles, a valve that bounces: bins average what is shorter than they are, and
     events are looked for only where a record is quiet.  Means over some blocks less those on both
     sides, in units of how much samples change from one to the next there, and of their usual size
     in the record's quiet spans, the louder gas's at all times; ``ln B`` as in
-    :func:`_runs_of_bins`.  None where records are too short to tell what is usual.
+    :func:`find_runs_of_bins`.  None where records are too short to tell what is usual.
     """
-    sketch = found.plan.sketch
+    binned = found.coords.binned
     blocks = []
-    for e, r, q in zip(sketch.campaign, residuals, quiet, strict=True):
+    for e, r, q in zip(binned.campaign, residuals, quiet, strict=True):
         y = r / q.deviation
         size = max(1, round(SHORT_BLOCK / e.interval))
         n = len(y) // size
@@ -141,7 +171,7 @@ def _short_patches(
         blocks.append((means, changes, size * e.interval, float(e.t[0])))
     places: dict[tuple[int, float], dict[Hashable, float]] = {}
     clearest: dict[tuple[int, float], Place] = {}
-    for width in _widths(max(step for _, _, step, _ in blocks), sketch.time_scale):
+    for width in _widths(max(step for _, _, step, _ in blocks), binned.time_scale):
         made = [_Bumps.of(*record, width) for record in blocks]
         known = _usual(made, quiet, width)
         if known is None:
@@ -151,7 +181,7 @@ def _short_patches(
             for switch, until in zip(q.switches, [*q.switches[1:], np.inf], strict=True):
                 end = min([until, *(a for a, _ in q.spans if a > switch)])
                 since = bumps.middles - switch
-                here = (since >= -EARLIEST * sketch.time_scale) & (bumps.middles < end)
+                here = (since >= -EARLIEST * binned.time_scale) & (bumps.middles < end)
                 if not np.any(here):
                     continue
                 square = (bumps.heights[here] / usual[k]) ** 2
@@ -198,7 +228,7 @@ class _Bumps:
 
 
 def _usual(
-    made: Sequence[_Bumps], quiet: Sequence[Quiet], width: float
+    made: Sequence[_Bumps], quiet: Sequence[QuietSpans], width: float
 ) -> tuple[dict[int, float], float] | None:
     """Usual size of bumps of ``width`` s in every record's quiet spans, at the louder gas; the dof.
 
@@ -235,23 +265,23 @@ def _widths(block: float, time_scale: float) -> FloatArray:
     return np.asarray(first * WIDER ** np.arange(steps + 1))
 
 
-def look_for_breaks(found: Refit, tail: float = np.inf) -> FullRate:
-    """Changes that begin at any time in single records: passing, until the fall, or to stay.
+def look_for_level_changes(found: Refit, tail: float = np.inf) -> Finding:
+    """Changes of level in single records: passing, until the fall, or permanent.
 
     On a plateau what happens once looks like a drift.  A score test per record: a change of so many
     volts between two edges of bins, what the refit's own coordinates would take up of it left out.
     ``ln B`` of a record averages over begins and lengths the ratio of t densities, as in
-    :func:`_runs_of_bins`; they are averaged over for each record, or for all together.
+    :func:`find_runs_of_bins`; they are averaged over for each record, or for all together.
     """
     dof = min(DOF, tail)
-    sketch, plan = found.plan.sketch, found.plan
-    covariance = inverted(found.normal)
+    binned, coords = found.coords.binned, found.coords
+    covariance = found.covariance
     places: list[dict[Hashable, float]] = []
     clearest = []
-    for k, (rows, b) in enumerate(zip(sketch.rows, sketch.bins, strict=True)):
-        shapes, spans = _changes(b.falling)
-        templates = sketch.inverse_factors[k] @ shapes
-        columns = plan.columns(k)
+    for k, (rows, b) in enumerate(zip(binned.rows, binned.bins, strict=True)):
+        shapes, spans = level_changes(b.falling)
+        templates = binned.inverse_factors[k] @ shapes
+        columns = coords.columns(k)
         inside = found.jacobian[rows, columns].T @ templates
         own = covariance[np.ix_(columns, columns)]
         whole = np.sum(templates**2, axis=0)
@@ -265,7 +295,7 @@ def look_for_breaks(found: Refit, tail: float = np.inf) -> FullRate:
         places.append(dict(zip(kinds, surprises(square, dof), strict=True)))
         begins = b.first[spans[use][int(np.argmax(square)), 0]]
         clearest.append(Place(k, float(b.experiment.t[begins]), float(square.max())))
-    return of_places("break", places, clearest)
+    return of_places(LEVEL_CHANGE, places, clearest)
 
 
 def _edges(b: ExperimentBins) -> list[tuple[str, int]]:
@@ -280,14 +310,14 @@ def _edges(b: ExperimentBins) -> list[tuple[str, int]]:
     return [*begins, ("end", 0)]
 
 
-def _changes(falling: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]:
+def level_changes(falling: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]:
     """(n_bins, m) ones where a change lasts, and (m, 2) the bins it begins with and ends before."""
     n = len(falling)
     fall = int(np.argmax(falling)) if np.any(falling) else n
     spans = {
         (i, j)
         for i in range(1, n)
-        for j in (*(i + m for m in BREAK_LENGTHS), fall, n)
+        for j in (*(i + m for m in CHANGE_LENGTHS), fall, n)
         if i < j <= n
     }
     ordered = np.array(sorted(spans), dtype=np.int64)

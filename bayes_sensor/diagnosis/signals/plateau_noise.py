@@ -1,10 +1,10 @@
-"""Something else, on the plateaus: gas, or what reads it, that is not steady.
+"""Detector: excess slow noise on the plateaus.
 
-The plateaus' own noise is the floor by which a misfit is judged, so drops that boil off, streaks,
-eddies or sunshine on the cell pass for noise there.  But noise of the light and of the receiver is
-on the baseline, too, with the same spectrum, however much louder or quieter.  What comes and goes
-with the gas passes the manifold and the sensor, and is slow: the plateaus then have more at low
-frequencies than the baseline, as measured by what both have at higher ones.
+The noise on the plateaus is part of the noise floor, so unsteady gas (drops that boil off, eddies,
+light on the cell) is taken for noise there.  Noise of the light source and of the receiver is
+present on the baseline, too, with the same spectrum at another level.  Fluctuations that come with
+the gas pass the manifold and the sensor and are slow.  The test compares the low-frequency power of
+plateaus and baseline, each relative to its own power at higher frequencies.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.data.noise_floor import Stretch, detrended, periodogram
-from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate, struck
+from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, detrended, periodogram
+from bayes_sensor.diagnosis.signals.finding import Finding, Signal, struck
 
 EDGES = np.array([0.0, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 """Hz, bands of the baseline's spectrum"""
@@ -50,8 +50,22 @@ _NODES = np.linspace(-3.0, 3.0, 9)
 _LOG_WEIGHTS = -0.5 * _NODES**2 - np.logaddexp.reduce(-0.5 * _NODES**2)
 
 
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    return (
+        "With gas the signal is less steady than its noise on the baseline lets expect: below "
+        f"about {s['unsteady_Hz']:.2g} Hz it has {1.0 + s['unsteady_excess']:.2g} times the "
+        "power."
+    )
+
+
+SIGNAL = Signal(
+    "unsteady", 0.04, {"unsteady_excess": "1", "unsteady_Hz": "Hz"}, _words, phase="plateau"
+)
+
+
 @dataclass(frozen=True)
-class _Ordinates:
+class Ordinates:
     frequency: FloatArray
     """(n,) Hz"""
     power: FloatArray
@@ -77,8 +91,8 @@ class _Ordinates:
         return 1.0 - 1.0 / flat, np.log(flat).sum(axis=0)
 
 
-def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> list[FullRate]:
-    """Slow power on the plateaus that the baseline has not; nothing where one of them is short.
+def look_for_plateau_noise(campaign: Campaign, stretches: Sequence[Stretch]) -> list[Finding]:
+    """Excess slow power on the plateaus over the baseline; empty where one of them is too short.
 
     Ordinates of the spectra are exponential about their mean (Whittle).  ``ln B`` averages over the
     excess and its cutoff, alike in all records or different in each; with and without it, over
@@ -99,7 +113,7 @@ def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> l
         )
         for node, log_weight in zip(_NODES, _LOG_WEIGHTS, strict=True):
             level = spectrum * np.exp(node * spread)
-            told = [_record(o, level[o.band], sd, slow) for o in plateaus]
+            told = [record_evidence(o, level[o.band], sd, slow) for o in plateaus]
             nothing = float(usual + log_weight) + sum(n for n, _ in told)
             gains = np.array([g for _, g in told])  # (n_records, n_excesses, n_cutoffs)
             without.append(nothing)
@@ -110,7 +124,7 @@ def look_for_unsteadiness(campaign: Campaign, stretches: Sequence[Stretch]) -> l
     value = np.logaddexp(_mean(same), _mean(np.logaddexp.reduce(apart, axis=0))) - np.log(2.0)
     i, j = np.unravel_index(int(np.argmax(same)), same.shape)
     strength = {"unsteady_excess": float(EXCESSES[i]), "unsteady_Hz": float(CUTOFFS[j])}
-    return [FullRate("unsteady", float(value - np.logaddexp.reduce(without)), strength, None)]
+    return [Finding(SIGNAL, float(value - np.logaddexp.reduce(without)), strength, None)]
 
 
 def _mean(logs: FloatArray) -> float:
@@ -119,7 +133,7 @@ def _mean(logs: FloatArray) -> float:
 
 def _ordinates(
     campaign: Campaign, stretches: Sequence[Stretch]
-) -> tuple[list[_Ordinates], list[_Ordinates]]:
+) -> tuple[list[Ordinates], list[Ordinates]]:
     """Of the carrier gas alone and of the plateaus, record by record."""
     spectra: dict[tuple[int, int], list[tuple[FloatArray, FloatArray, float]]] = {}
     for s in stretches:
@@ -127,14 +141,14 @@ def _ordinates(
         f, power = periodogram(detrended(s.samples, 4), interval)
         seconds = len(s.samples) * interval
         spectra.setdefault((s.level, s.experiment), []).append((f, power, FIRST / seconds))
-    carrier: list[_Ordinates] = []
-    plateaus: list[_Ordinates] = []
+    carrier: list[Ordinates] = []
+    plateaus: list[Ordinates] = []
     for (level, _), found in sorted(spectra.items()):
         high = np.concatenate([p[(f >= REFERENCE[0]) & (f < REFERENCE[1])] for f, p, _ in found])
         if len(high) < FEWEST or high.mean() <= 0.0:
             continue
         low = [(f >= first) & (f < EDGES[-1]) for f, _, first in found]
-        made = _Ordinates(
+        made = Ordinates(
             np.concatenate([f[m] for (f, _, _), m in zip(found, low, strict=True)]),
             np.concatenate([p[m] for (_, p, _), m in zip(found, low, strict=True)]) / high.mean(),
         )
@@ -142,17 +156,17 @@ def _ordinates(
     return carrier, plateaus
 
 
-def _as_slow_as(carrier: Sequence[_Ordinates], plateaus: Sequence[_Ordinates]) -> list[_Ordinates]:
+def _as_slow_as(carrier: Sequence[Ordinates], plateaus: Sequence[Ordinates]) -> list[Ordinates]:
     """The plateaus as far down as the baseline shows: below, its noise may rise."""
     lowest = min((float(o.frequency.min()) for o in carrier if len(o.frequency)), default=np.inf)
     shown = [o.frequency >= lowest for o in plateaus]
     return [
-        _Ordinates(o.frequency[m], o.power[m])
+        Ordinates(o.frequency[m], o.power[m])
         for o, m in zip(plateaus, shown, strict=True) if m.any()
     ]  # fmt: skip
 
 
-def _baseline(carrier: Sequence[_Ordinates]) -> tuple[FloatArray, FloatArray]:
+def _baseline(carrier: Sequence[Ordinates]) -> tuple[FloatArray, FloatArray]:
     """(n_bands,) the baseline's spectrum, and the standard deviation of its logarithm.
 
     Where a band holds few ordinates it leans on those above it, continued at their slope: noise
@@ -173,7 +187,7 @@ def _baseline(carrier: Sequence[_Ordinates]) -> tuple[FloatArray, FloatArray]:
 
 
 def _without(
-    o: _Ordinates, expected: FloatArray, sd: float, slow: float
+    o: Ordinates, expected: FloatArray, sd: float, slow: float
 ) -> tuple[FloatArray, FloatArray]:
     """(n_nodes,) ln likelihood of a record and each size of its slow noise, (n_nodes, n) ratios.
 
@@ -188,8 +202,8 @@ def _without(
     return here, ratio
 
 
-def _record(
-    o: _Ordinates, expected: FloatArray, sd: float, slow: float
+def record_evidence(
+    o: Ordinates, expected: FloatArray, sd: float, slow: float
 ) -> tuple[float, FloatArray]:
     """ln likelihood of one record without an excess, and what each excess and cutoff adds."""
     here, ratio = _without(o, expected, sd, slow)

@@ -1,8 +1,8 @@
-"""Something else, again: what rings after the switches.
+"""Detector: a damped oscillation after the switches.
 
-Asked for is what stationary noise of *any* spectrum does not do: to oscillate after the switches
-more than elsewhere, or with the same phase after all of them.  It counts as unlisted, whatever
-explains the rest.
+Stationary noise of *any* spectrum oscillates after the switches as much as elsewhere, and with
+random phases.  The two tests look for more power after the switches, and for a common phase.  A
+finding counts as an unlisted cause.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.data.noise_floor import Quiet
-from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate, any_of
+from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans
+from bayes_sensor.diagnosis.signals.finding import Finding, Signal, any_of
 
 RINGING_BLOCK = 0.005
 """s"""
@@ -44,9 +44,16 @@ FEWEST_WINDOWS = 10
 """quiet windows below which the usual power at a frequency is not known"""
 
 
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    return f"After the switches the signal rings at about {found.strength['ringing_Hz']:.3g} Hz."
+
+
+SIGNAL = Signal("ringing", 0.01, {"ringing_Hz": "Hz"}, _words)
+
+
 def look_for_ringing(
-    campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[Quiet]
-) -> FullRate:
+    campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[QuietSpans]
+) -> Finding:
     """A damped oscillation that follows the switches, with one phase or with any."""
     return any_of([
         _ringing_of_any_phase(campaign, residuals, quiet),
@@ -54,12 +61,12 @@ def look_for_ringing(
     ])  # fmt: skip
 
 
-def _ringing(logs: Sequence[float], frequency: float, power: float) -> FullRate:
+def _ringing(logs: Sequence[float], frequency: float, power: float) -> Finding:
     """What the ``logs``, each ln B of one kind of window, say together."""
     if not logs:
-        return FullRate("ringing", 0.0, {"ringing_Hz": 0.0}, None)
+        return Finding(SIGNAL, 0.0, {"ringing_Hz": 0.0}, None)
     value = float(np.logaddexp.reduce(logs) - np.log(len(logs)))
-    return FullRate("ringing", value, {"ringing_Hz": frequency}, float(np.sqrt(2.0 * power)))
+    return Finding(SIGNAL, value, {"ringing_Hz": frequency}, float(np.sqrt(2.0 * power)))
 
 
 def _frequencies(length: int, dt: float) -> tuple[int, FloatArray]:
@@ -69,8 +76,8 @@ def _frequencies(length: int, dt: float) -> tuple[int, FloatArray]:
 
 
 def _ringing_of_any_phase(
-    campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[Quiet]
-) -> FullRate:
+    campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[QuietSpans]
+) -> Finding:
     """A damped oscillation after the switches, of any phase.
 
     Exponentially fading windows that begin near the switches, Fourier transformed; their power
@@ -167,8 +174,8 @@ def _over_its_median(ratio: FloatArray) -> FloatArray:
 
 
 def _ringing_in_phase(
-    campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[Quiet]
-) -> FullRate:
+    campaign: Campaign, residuals: Sequence[FloatArray], quiet: Sequence[QuietSpans]
+) -> Finding:
     """A damped oscillation with one phase after all switches of all records.
 
     What swings because the valve has moved (a bench, a bubbler's water, a pressure controller)

@@ -1,9 +1,9 @@
-"""Lines that pass, or that records have each for itself.
+"""Detector: lines that last for a while, or that single records have.
 
-What signals for a while (a telephone, a motor nearby) or goes with the flow (a hose that flutters)
-adds up to nothing over all quiet stretches, where
-:func:`~bayes_sensor.diagnosis.signals.spectral_lines.look_for_lines`
-looks.  Windows of seconds show it, beside what others have at its frequency.
+A source that is on for a while (a telephone, a motor nearby) or that depends on the flow (a hose
+that flutters) averages out over all quiet stretches, where
+:func:`~bayes_sensor.diagnosis.signals.lines.look_for_lines` tests.  This test uses windows of
+seconds and compares each with the other records at the same frequency.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from scipy.signal import windows
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.signals.spectral_lines import (
+from bayes_sensor.diagnosis.signals.finding import Finding, Signal, any_of, struck
+from bayes_sensor.diagnosis.signals.lines import FASTER_THAN_BINS
+from bayes_sensor.diagnosis.signals.periodograms import (
     HIGHEST_LINE,
     RATIOS,
     Piece,
@@ -25,7 +27,6 @@ from bayes_sensor.diagnosis.signals.spectral_lines import (
     own_shapes,
     pieces_of_records,
 )
-from bayes_sensor.diagnosis.signals.tails_and_converter import FullRate, any_of, struck
 
 LENGTHS = (2.5, 5.0, 10.0)
 """s, windows in which lines are looked for that pass, or that records have each for itself"""
@@ -53,27 +54,42 @@ STRUCK = 0.3
 """plausible share of records that have such a line, where there are any"""
 
 
-def look_for_passing_lines(
-    campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
-) -> list[FullRate]:
-    """A line that some records have, for a while or throughout, at one place or each at its own.
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    return (
+        f"In experiment {names[int(s['passing_experiment'])]} there is, for a while or "
+        f"throughout, a line at {s['passing_Hz']:.4g} Hz that others lack, with an amplitude "
+        f"of {1e3 * s['passing_V']:.3g} m{unit}."
+    )
 
-    What passes, or goes with the flow, adds up to nothing over all stretches.  Periodograms of
+
+SIGNAL = Signal(
+    "passing", 0.02, {"passing_V": "V", "passing_Hz": "Hz"}, _words,
+    spares_means_from_hz=FASTER_THAN_BINS,
+)  # fmt: skip
+
+
+def look_for_transient_lines(
+    campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
+) -> list[Finding]:
+    """A line in some records, for a while or throughout, at one frequency or each at its own.
+
+    Periodograms of
     overlapping windows of ``residuals`` (n_t,) V over the ``deviations`` (n_t,) V of the noise, in
     units of what is usual at their frequency, which a line or a resonance that all records have is
     part of, and of what the record and the window have around it, so that neither another memory
     nor a gust is a line.  ``ln B`` of a record averages over its windows what
-    :func:`~bayes_sensor.diagnosis.signals.spectral_lines.look_for_lines` says of one, or takes all
+    :func:`~bayes_sensor.diagnosis.signals.lines.look_for_lines` says of one, or takes all
     together; the records that are struck share the frequency, or have their own.
     """
     pieces = pieces_of_records(campaign, residuals, deviations)
-    told = [_passing_through(pieces, seconds) for seconds in LENGTHS]
+    told = [_transient_line(pieces, seconds) for seconds in LENGTHS]
     found = [f for f in told if f is not None]
     return [any_of(found)] if found else []
 
 
-def _passing_through(pieces: Sequence[Piece], seconds: float) -> FullRate | None:
-    """The same for windows of ``seconds`` s; None where there are too few."""
+def _transient_line(pieces: Sequence[Piece], seconds: float) -> Finding | None:
+    """The finding from windows of ``seconds`` s; None where there are too few."""
     common = float(np.median([p.interval for p in pieces])) if pieces else 1.0
     size = max(1, round(BLOCK / common))
     dt = size * common
@@ -116,7 +132,7 @@ def _passing_through(pieces: Sequence[Piece], seconds: float) -> FullRate | None
         ratio = np.concatenate([some[i] if thin == 1 else spectra(used[i]) for i in here])
         ratio /= usual * np.maximum(shape, 1.0)
         ratio /= np.maximum(_roughly(ratio, round(ROUGHLY * n_fft / n)), 1.0)
-        own = _passing_or_lasting(ratio)
+        own = _once_or_throughout(ratio)
         logs.append(own)
         peak = int(np.argmax(np.where(where, own + np.log(np.maximum(weight, 1e-300)), -np.inf)))
         if own[peak] > best[0]:
@@ -130,7 +146,7 @@ def _passing_through(pieces: Sequence[Piece], seconds: float) -> FullRate | None
     alike = float(logsumexp(struck(each, STRUCK).sum(axis=0), b=weight))
     alone = float(struck(logsumexp(each, b=weight, axis=1), STRUCK).sum())
     value = float(np.logaddexp(alike, alone) - np.log(2.0))
-    return FullRate("passing", value, best[1], None)
+    return Finding(SIGNAL, value, best[1], None)
 
 
 def _roughly(ratio: FloatArray, size: int) -> FloatArray:
@@ -143,7 +159,7 @@ def _roughly(ratio: FloatArray, size: int) -> FloatArray:
     return np.array([np.interp(at, centres, own) for own in middles])
 
 
-def _passing_or_lasting(ratio: FloatArray) -> FloatArray:
+def _once_or_throughout(ratio: FloatArray) -> FloatArray:
     """(n_f,) ln B of a record with a line in one of its windows, or in all of them.
 
     From the ratios (n_windows, n_f) of its power to the usual.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import os
 import stat
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +36,7 @@ from bayes_sensor.io.readers.tdms import read_tdms
 
 Reader = Callable[[DataFile, Selection], Recording]
 
-FORMATS: Mapping[str, Reader] = {
+FORMATS: dict[str, Reader] = {
     ".csv": read_table,
     ".txt": read_table,
     ".tsv": read_table,
@@ -50,7 +50,7 @@ FORMATS: Mapping[str, Reader] = {
     ".tdms": read_tdms,
     ".xlsx": read_xlsx,
 }
-"""suffix to reader"""
+"""suffix to reader; a format of your own is one more entry"""
 LARGEST_FILE = 256 << 20
 """bytes of a data file"""
 _LONGEST_MESSAGE = 2000

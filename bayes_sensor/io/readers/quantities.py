@@ -42,7 +42,7 @@ VOLUME = Kind("a volume", "mL", "60 mL")
 
 
 # What most campaigns are written in: pint takes a quarter of a second to start.
-_COMMON = {
+COMMON_FACTORS = {
     **{(u, "mL/s"): f for u, f in (("mL/s", 1.0), ("cm^3/s", 1.0), ("L/s", 1e3),
                                    ("L/min", 1e3 / 60), ("mL/min", 1 / 60))},
     **{(u, "s"): f for u, f in (("s", 1.0), ("ms", 1e-3), ("min", 60.0))},
@@ -72,8 +72,8 @@ def conversion_factor(unit: str, target: str) -> float | None:
     CampaignError
         If ``unit`` is not a unit.
     """
-    if (unit, target) in _COMMON:
-        return _COMMON[unit, target]
+    if (unit, target) in COMMON_FACTORS:
+        return COMMON_FACTORS[unit, target]
     from pint.errors import PintError
 
     registry = _registry()

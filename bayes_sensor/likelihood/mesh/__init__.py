@@ -8,22 +8,20 @@ interpolation at Chebyshev nodes: Trefethen, Approximation Theory and Approximat
 2013, ch. 8).  The first and last sample of every stretch of consecutive samples are kept exactly,
 and with them the pairs across gaps.
 
-Outside the region for which the mesh was built the exact full pass answers instead.
+Outside the region for which the mesh was built the likelihood is computed from all samples.
 """
 
 from bayes_sensor.likelihood.mesh.blocks import Region, build
-from bayes_sensor.likelihood.mesh.compressed import (
-    NO_NOISE,
-    Compressed,
-    Nodes,
+from bayes_sensor.likelihood.mesh.compressed import Compressed, Nodes
+from bayes_sensor.likelihood.mesh.mean_derivatives import mean_derivatives, sizes
+from bayes_sensor.likelihood.mesh.mesh_arrays import Arrays, K
+from bayes_sensor.likelihood.mesh.mesh_region import NO_NOISE, default_region
+from bayes_sensor.likelihood.mesh.reduce_campaign import (
     above_zero,
     compress,
-    default_region,
     expected_information,
     log_likelihood,
 )
-from bayes_sensor.likelihood.mesh.kernels import Arrays, K
-from bayes_sensor.likelihood.mesh.mean_derivatives import mean_derivatives, sizes
 
 __all__ = [
     "NO_NOISE",

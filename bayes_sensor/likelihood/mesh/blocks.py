@@ -10,7 +10,7 @@ from numba import njit
 
 from bayes_sensor.campaign import Experiment, FloatArray
 from bayes_sensor.likelihood.density import mean_and_response, mean_on_grid
-from bayes_sensor.likelihood.mesh.kernels import CHEBYSHEV, Arrays, K
+from bayes_sensor.likelihood.mesh.mesh_arrays import CHEBYSHEV, Arrays, K
 from bayes_sensor.likelihood.noise import scale_squared
 from bayes_sensor.likelihood.problem import Problem
 
@@ -63,7 +63,7 @@ def _width_after(
 
 
 @njit(cache=True, error_model="numpy")
-def _blocks_of_run(
+def blocks_of_run(
     first: int,
     last: int,
     start: float,
@@ -170,7 +170,7 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
             distance.append(pause)
             n_pairs += b - a - 1
             run_start = len(base)
-            found = _blocks_of_run(
+            found = blocks_of_run(
                 a + 1, b, e.t[0], h, windows, narrow, decays, amplitude, kinks, region.fineness
             )
             for start, n, kind in found:
@@ -201,8 +201,8 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
         blocks.append(len(base))
         runs.append(len(distance))
     stacked = np.array(moments, dtype=float).reshape(-1, 5, K)
-    # valve and manifold have no such delay: where they are as fast, the full pass serves; it also
-    # says that no tau is zero
+    # valve and manifold have no such delay: where they are as fast, the full pass serves, which
+    # also refuses a tau of zero
     low = low.copy()
     low[0] = max(low[0], np.finfo(float).tiny)
     low[1] = max(low[1], setting[:, 4].max())

@@ -1,56 +1,34 @@
-"""The compressed campaign as an object, and the region of theta for which its mesh is built."""
+"""The compressed campaign as an object: likelihoods, gradients, marginals and information."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import log, pi, sqrt
+from math import log, pi
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.density import (
     experiment_log_likelihood,
     has_plain_mean,
     is_affine,
     mean_and_response,
-    mean_and_variance,
     noise_in_range,
 )
-from bayes_sensor.likelihood.density import log_likelihood as full_log_likelihood
-from bayes_sensor.likelihood.mesh import kernels
+from bayes_sensor.likelihood.mesh import cascade_kernels, general_kernels
 from bayes_sensor.likelihood.mesh.blocks import Region, at_times, build
-from bayes_sensor.likelihood.mesh.kernels import K
 from bayes_sensor.likelihood.mesh.mean_derivatives import height, mean_derivatives, sizes
+from bayes_sensor.likelihood.mesh.mesh_arrays import K, make_room
 from bayes_sensor.likelihood.noise import check_phi, lag_coefficient, scale_slopes, scale_squared
-from bayes_sensor.likelihood.problem import Problem, as_problem
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import (
     Cascade,
     cascade_response,
     cascade_sensitivities,
     local_parameters,
-    time_constants,
 )
-from bayes_sensor.rig.layout import Layout, Theta
-
-NO_TAU = 1e-6
-"""of the fastest other time constant: a tau that no data tell from zero"""
-
-
-NO_NOISE = 1e-10
-"""of sigma0: another sigma0 that no data tell from zero"""
-
-
-def above_zero(vector: FloatArray, total_flow: float) -> float:
-    """s, tau of the flat vector (n_theta,); zero raised to a value that no data tell from it.
-
-    ``total_flow``: mL/s, the highest in question.
-
-    >>> above_zero(np.array([0.0, 0.8, 60.0]), 150.0), above_zero(np.array([0.1, 0.8, 60.0]), 150.0)
-    (4e-07, 0.1)
-    """
-    tau = float(vector[0])
-    return NO_TAU * float(min(vector[1], vector[2] / total_flow)) if tau == 0.0 else tau
+from bayes_sensor.rig.layout import Theta
 
 
 @dataclass(frozen=True)
@@ -69,7 +47,7 @@ class Nodes:
     """(n,) V, their weighted mean; the reference mean for a design"""
 
 
-def _is_cascade(problem: Problem) -> bool:
+def is_cascade(problem: Problem) -> bool:
     """Whether the compiled closed form may stand for the problem's model."""
     return type(problem.model) is Cascade and problem.model.method == "exact"
 
@@ -96,9 +74,9 @@ class Compressed:
         self.region = region
         self.arrays = build(problem, vector, region)
         self.n_full_passes = 0
-        self._room = kernels.make_room(self.n_nodes)
+        self._room = make_room(self.n_nodes)
         self._each = np.zeros(len(problem.campaign))
-        self._cascade = _is_cascade(problem)
+        self._cascade = is_cascade(problem)
         self._known_times: dict[int, FloatArray] = {}
 
     @property
@@ -108,7 +86,7 @@ class Compressed:
 
     def covers(self, theta: FloatArray) -> bool:
         """Whether the mesh was built for this flat vector (n_theta,)."""
-        return bool(kernels.inside_box(theta, self.arrays.low, self.arrays.high))
+        return bool(cascade_kernels.inside_box(theta, self.arrays.low, self.arrays.high))
 
     def _vector(self, theta: Theta) -> FloatArray:
         # a flat vector with nothing to pin is not copied: this runs once per evaluation
@@ -136,7 +114,7 @@ class Compressed:
             return self._full(vector)
         if not self._cascade:
             return float(sum(self._general(vector, k) for k in range(len(self._each))))
-        return float(kernels.value(vector, self.arrays, self._room, self._each))
+        return float(cascade_kernels.value(vector, self.arrays, self._room, self._each))
 
     def _times(self, k: int) -> FloatArray:
         """(n_t,) s: nodes of experiment number ``k``, one sample before them, edge samples."""
@@ -159,7 +137,7 @@ class Compressed:
         phi, phi_reference, sigma0, sigma1 = noise
         s2 = scale_squared(x, sigma0, sigma1, *self._law(k))
         parts = [*self._split(mean - self.arrays.setting[k, 5], k), *self._split(s2, k)]
-        return float(kernels.general(k, self.arrays, phi, phi_reference, *parts))
+        return float(general_kernels.general(k, self.arrays, phi, phi_reference, *parts))
 
     def _law(self, k: int) -> tuple[float, float]:
         """Weight of the response in the variance of experiment ``k``, what fades of sigma0^2."""
@@ -186,7 +164,9 @@ class Compressed:
         g_mean, g_s2 = np.empty_like(mean), np.empty_like(mean)
         parts = [*self._split(mean - self.arrays.setting[k, 5], k), *self._split(s2, k)]
         slopes = [*self._split(g_mean, k), *self._split(g_s2, k)]
-        value, g_phi = kernels.general_gradient(k, self.arrays, phi, phi_reference, *parts, *slopes)
+        value, g_phi = general_kernels.general_gradient(
+            k, self.arrays, phi, phi_reference, *parts, *slopes
+        )
         i_phi, i_sigma0, i_sigma1 = self.problem.layout.noise[k]
         gradient[index] += d_mean @ g_mean
         gradient[index] += d_x @ (by_x * g_s2)
@@ -202,7 +182,7 @@ class Compressed:
             return self._full(vector), self._full_gradient(vector)
         gradient = np.zeros(len(vector))
         if self._cascade:
-            value = kernels.value_and_gradient(vector, self.arrays, self._room, gradient)
+            value = cascade_kernels.value_and_gradient(vector, self.arrays, self._room, gradient)
             if not np.isnan(value):
                 return value, gradient
             gradient[:] = 0.0  # time constants so close that its partial fractions cancel
@@ -249,7 +229,7 @@ class Compressed:
         if not (self._cascade and self.covers(vector)):
             return self._marginal_by_values(vector)
         best, factor = np.empty((n_exp, 2)), np.empty((n_exp, 3))
-        value = kernels.marginal(vector, self.arrays, self._room, best, factor)
+        value = cascade_kernels.marginal(vector, self.arrays, self._room, best, factor)
         return value, best, factor
 
     def log_likelihoods(self, thetas: FloatArray) -> FloatArray:
@@ -258,7 +238,7 @@ class Compressed:
         each = np.zeros((len(thetas), len(self.problem.campaign)))
         inside = np.zeros(len(thetas), dtype=bool)
         if self._cascade:
-            kernels.values(thetas, self.arrays, self._room, each, inside)
+            cascade_kernels.values(thetas, self.arrays, self._room, each, inside)
         for i in np.flatnonzero(~inside):
             each[i] = self._one_by_one(thetas[i])
         return each
@@ -281,7 +261,7 @@ class Compressed:
         best, factor = np.zeros((len(thetas), n_exp, 2)), np.ones((len(thetas), n_exp, 3))
         inside = np.zeros(len(thetas), dtype=bool)
         if self._cascade:
-            kernels.marginals(
+            cascade_kernels.marginals(
                 thetas, self.arrays, self._room,
                 values, best, factor, inside,
             )  # fmt: skip
@@ -499,169 +479,3 @@ class Compressed:
         u[:, i_sigma1] = 0.5 * by_sigma1 / s2
         s = np.sqrt(s2)
         return J / s[:, None], u, s
-
-
-def default_region(problem: Problem, vector: FloatArray, spread: float = 7.0) -> Region:
-    """The box that holds the posterior around ``vector`` to ``spread`` standard deviations.
-
-    Spreads come from the expected information in the coordinates (tau^2, t0 + tau, tf + tau),
-    in which the likelihood is close to Gaussian; t0 and tf may in addition move by all that tau
-    can.  Directions about which the data say nothing are capped.
-    """
-    layout = problem.layout
-    low, high = np.full(len(vector), -np.inf), np.full(len(vector), np.inf)
-    slowest = {
-        e.name: max(vector[0], vector[1], vector[2] / e.total_flow) for e in problem.campaign
-    }
-    low[:3], high[:3] = 0.5 * vector[:3], 2.0 * vector[:3]
-    for k, e in enumerate(problem.campaign):
-        for i in layout.local[k, 2:]:
-            if i >= 0:
-                width = 0.05 * slowest[e.name]
-                low[i], high[i] = vector[i] - width, vector[i] + width
-    rough = Compressed.__new__(Compressed)
-    rough.problem, rough.reference = problem, vector
-    rough.region = Region(low, high)
-    rough.arrays = build(problem, vector, rough.region, data=False)
-    rough._cascade, rough._known_times = _is_cascade(problem), {}
-    variances = _psi_variances(problem, vector, rough.information(vector))
-    tau = vector[0]
-    fastest = min(slowest.values())
-    sd_square = min(sqrt(variances[0]), fastest**2)
-    tau_high = min(sqrt(tau**2 + spread * sd_square), max(2.0 * tau, 3.0 * fastest))
-    low[0], high[0] = 0.0, tau_high
-    for i in (1, 2):
-        sd = min(spread * sqrt(variances[i]), 4.0 * vector[i])
-        low[i], high[i] = max(vector[i] - sd, 0.2 * vector[i]), vector[i] + sd
-    for k, e in enumerate(problem.campaign):
-        for i in layout.local[k, 2:]:
-            if i >= 0:
-                sd = min(spread * sqrt(variances[i]), 3.0 * slowest[e.name])
-                low[i] = vector[i] + tau - tau_high - sd
-                high[i] = vector[i] + tau + sd
-    for row in layout.noise:
-        low[row[0]], high[row[0]] = -1.0 + 1e-9, 1.0 - 1e-9
-        least = NO_NOISE * vector[row[1]]
-        low[row[1]], low[row[2]] = least, least * problem.noise.fading
-    for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
-        prior = problem.priors.get(name)
-        if prior is not None and prior.law is not None:
-            low[i], high[i] = prior.law.ppf(1e-7), prior.law.ppf(1.0 - 1e-7)
-            low[i], high[i] = min(low[i], vector[i]), max(high[i], vector[i])
-    return Region(low, high)
-
-
-def _psi_variances(problem: Problem, vector: FloatArray, information: FloatArray) -> FloatArray:
-    """Variances of (tau^2, .., t0 + tau, tf + tau, ..) from the information on theta."""
-    layout = problem.layout
-    tau = max(vector[0], 1e-3 * max(vector[1], 1e-12))
-    transform = np.eye(len(vector))  # d theta / d psi
-    transform[0, 0] = 0.5 / tau
-    for i in layout.local[:, 2:].ravel():
-        if i >= 0:
-            transform[i, 0] = -0.5 / tau
-    info = transform.T @ information @ transform
-    free = np.flatnonzero(np.diag(info) > 0)
-    scale = 1.0 / np.sqrt(np.diag(info)[free])
-    scaled = info[np.ix_(free, free)] * np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(scaled)
-    values = np.maximum(values, 1e-12)
-    variances = np.full(len(vector), np.inf)
-    variances[free] = ((vectors**2) / values).sum(axis=1) * scale**2
-    return variances
-
-
-def compress(
-    campaign: Campaign | Problem, theta: Theta, region: Region | None = None
-) -> Compressed:
-    """Reduce a campaign's data to a mesh around ``theta`` for fast likelihoods.
-
-    ``theta`` should be near the maximum; without noise parameters the residuals' scatter and
-    lag-one correlation stand in.  ``region`` (default: :func:`default_region`) is where the mesh
-    is valid; outside, the full pass answers.  A design gives a mesh without data, good for
-    ``information`` and ``nodes``.  A tau of zero, which has no response of its own, stands for one
-    too small to tell from it.
-
-    Raises CampaignError for a malformed theta, for time constants that are not positive, for a phi
-    that is not between -1 and 1 where there is no ``region``, or for forward Euler.
-    """
-    problem = as_problem(campaign)
-    if type(problem.model) is Cascade and problem.model.method == "euler":
-        raise CampaignError(
-            "forward Euler has its switches on samples and cannot be compressed; "
-            "use the exact response, Cascade()"
-        )
-    vector = problem.flat(theta)
-    vector[0] = above_zero(vector, max(e.total_flow for e in problem.campaign))
-    for e in problem.campaign:
-        time_constants(vector[0], vector[1], vector[2], e.total_flow)
-    if np.isnan(vector).any():
-        vector = _with_rough_noise(problem, vector)
-    return Compressed(problem, vector, region or default_region(problem, vector))
-
-
-def _with_rough_noise(problem: Problem, vector: FloatArray) -> FloatArray:
-    vector = vector.copy()
-    layout = problem.layout
-    squares, lags, n = 0.0, 0.0, 0
-    for k, e in enumerate(problem.campaign):
-        if e.y is None:
-            raise CampaignError(
-                f"experiment '{e.name}' is a design: theta needs phi, sigma0_V and sigma1_V"
-            )
-        zeroed = np.where(np.isnan(vector), 1.0, vector)
-        r = (e.values - mean_and_variance(problem, zeroed, k)[0])[e.used]
-        squares += float(r @ r)
-        lags += float(r[1:] @ r[:-1])
-        n += len(r)
-    for row in layout.noise:
-        if np.isnan(vector[row[1]]):
-            vector[row[1]] = sqrt(max(squares / n, 1e-300))
-            if vector[row[0]] == 0.0 and problem.noise.autocorrelation == "ar1":
-                vector[row[0]] = float(np.clip(lags / max(squares, 1e-300), 0.0, 0.99))
-    return vector
-
-
-def log_likelihood(campaign: Campaign | Problem, theta: Theta, compressed: bool = False) -> float:
-    """Exact Gaussian log-likelihood of all samples at ``theta``; -inf outside its range.
-
-    ``compressed=True`` evaluates the same on a mesh built around ``theta``; for many evaluations
-    keep the object that :func:`compress` returns instead.  What the problem's noise law pins has
-    its pinned value in both (:meth:`Problem.flat`).
-
-    Raises CampaignError for a malformed ``theta`` or a design without data.
-    """
-    if compressed:
-        problem = as_problem(campaign)
-        vector = problem.flat(theta)
-        if any(noise_in_range(problem, vector, k) is None for k in range(len(problem.campaign))):
-            return -np.inf
-        for e in problem.campaign:
-            e.values  # noqa: B018 - raises CampaignError for a design
-        return compress(problem, vector).log_likelihood(vector)
-    return full_log_likelihood(campaign, theta)
-
-
-def narrow_region(layout: Layout, vector: FloatArray, width: float) -> Region:
-    """A box about ``vector``, no wider than it must be; switch times within ``width`` s."""
-    low, high = np.full(len(vector), -np.inf), np.full(len(vector), np.inf)
-    low[:3], high[:3] = 0.9 * vector[:3], 1.1 * vector[:3]
-    for i in layout.local[:, 2:].ravel():
-        if i >= 0:
-            low[i], high[i] = vector[i] - width, vector[i] + width
-    for row in layout.noise:
-        low[row[0]], high[row[0]] = -1.0, 1.0
-        low[row[1:]] = 0.0
-    return Region(low, high)
-
-
-def expected_information(problem: Problem, vector: FloatArray) -> FloatArray:
-    """Expected Fisher information (n_theta, n_theta) at ``vector``, on a mesh made for it alone.
-
-    A tau of zero is raised to one too small to tell from it.
-    """
-    longest = max(e.interval for e in problem.campaign)
-    vector = vector.copy()
-    vector[0] = above_zero(vector, max(e.total_flow for e in problem.campaign))
-    region = narrow_region(problem.layout, vector, 2.0 * longest)
-    return compress(problem, vector, region).information(vector)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,11 +12,12 @@ from bayes_sensor.likelihood.density import is_affine
 from bayes_sensor.likelihood.mesh import Compressed
 from bayes_sensor.likelihood.prior_density import log_priors
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.posterior.checkpoints import Checkpoint
-from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, Run, enough
+from bayes_sensor.posterior.checkpoints import Checkpoint, digest
+from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, enough
 from bayes_sensor.posterior.laplace import Laplace
 from bayes_sensor.posterior.r_hat import diagnostics
-from bayes_sensor.posterior.settings import Progress, Settings
+from bayes_sensor.posterior.samplers.sampler import Run, Sampler, Target
+from bayes_sensor.posterior.settings import Settings
 from bayes_sensor.posterior.widen_mesh import covered
 from bayes_sensor.rig.cascade import exchanged
 from bayes_sensor.workers import in_order
@@ -118,36 +118,24 @@ def _ensemble(target: Marginal, state: Any, n_steps: int) -> tuple[FloatArray, A
     return sampler.get_chain(), (last.coords, last.log_prob, last.random_state), acceptance
 
 
-def run_emcee(
-    problem: Problem,
-    laplace: Laplace,
-    compressed: Compressed,
-    settings: Settings,
-    seed: int,
-    jobs: int,
-    folder: Path | None,
-    resume: bool,
-    digest: str,
-    report: Progress,
-    both: float | None = None,
-) -> Run:
-    """Independent ensembles of emcee, checkpointed in ``folder``.
-
-    ``both``: flow (mL/s) at which walkers exchange valve and manifold; None: no exchange.
-    """
+def run_emcee(given: Target) -> Run:
+    """Independent ensembles of emcee, which exchange valve and manifold where both orders are
+    likely."""
+    problem, settings, seed = given.problem, given.settings, given.seed
     names = problem.layout.names
     # exact only for flat priors and a mean y0 + beta x
     flat = is_affine(problem) and all(
         problem.priors[name].kind == "flat" for name in names if name[:4] in ("y0_V", "beta")
     )
-    target = Marginal(problem, compressed, marginalise=flat, both=both)
+    target = Marginal(problem, given.compressed, marginalise=flat, both=given.both)
     n_dim = len(target.kept)
     n_walkers = max(settings.n_walkers, 2 * n_dim + 2)
-    store = Checkpoint(folder, digest, resume)
+    identity = digest(problem, given.start, settings, seed, given.compressed.region.fineness)
+    store = Checkpoint(given.checkpoint, identity, given.resume)
     begins = []
     for j in range(settings.n_chains):
         rng = np.random.default_rng(np.random.SeedSequence([seed, j]))
-        points = _start(target, laplace, n_walkers, rng)
+        points = _start(target, given.laplace, n_walkers, rng)
         begins.append((points, None, np.random.RandomState(rng.integers(2**32)).get_state()))
     target.cover(np.concatenate([begin[0] for begin in begins]))
     saved = [store.read(j) for j in range(settings.n_chains)]
@@ -162,7 +150,7 @@ def run_emcee(
         # that the uninterrupted one saw, and so ends where that would have ended
         todo = [j for j, chunks in enumerate(saved) if i >= len(chunks)]
         made = dict(
-            zip(todo, _advance(target, [states[j] for j in todo], n_steps, jobs), strict=True)
+            zip(todo, _advance(target, [states[j] for j in todo], n_steps, given.jobs), strict=True)
         )
         for j, chain in enumerate(chains):
             points, states[j], rate = made[j] if j in made else saved[j][i]
@@ -172,14 +160,14 @@ def run_emcee(
                 store.write(j, i, points, states[j], rate)
         target.cover(np.concatenate([chain[i][-1] for chain in chains]))
         steps = sum(len(c) for c in chains[0])
-        report(min(0.95, steps / settings.max_steps), f"emcee, {steps} steps")
+        given.report(min(0.95, steps / settings.max_steps), f"emcee, {steps} steps")
         if steps < settings.burn_in + 2 * settings.chunk:
             continue
         thinned = [np.concatenate(chain)[settings.burn_in :: settings.thin] for chain in chains]
         # walkers end to end: each walker's own autocorrelation is what ESS must see
         stacked = np.stack([c.transpose(1, 0, 2).reshape(-1, n_dim) for c in thinned])
         thetas = target.thetas(stacked.reshape(-1, n_dim))
-        full = steps >= settings.max_steps or _hopeless(stacked, steps, settings)
+        full = steps >= settings.max_steps or hopeless(stacked, steps, settings)
         quick = stacked[:, :, : min(n_dim, 3)]
         r_hat, bulk, _ = diagnostics(quick)
         if not full and not (np.all(r_hat < R_HAT_LIMIT) and np.all(bulk > settings.target_ess)):
@@ -195,10 +183,10 @@ def run_emcee(
                 f"{steps} steps ({settings.burn_in} dropped), {how}; acceptance {rate:.2f}; "
                 "convergence judged between ensembles"
             )
-            return Run("emcee", drawn, True, reason, rate, None, found, None, target.compressed)
+            return Run(drawn, True, reason, rate, diagnosis=found, compressed=target.compressed)
 
 
-def _hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
+def hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
     """Whether the effective sample size would be below half of the target after all allowed steps.
 
     Checked every 500 steps.  It saves an hour for runs that would not converge.
@@ -261,3 +249,6 @@ def into_priors(problem: Problem, thetas: FloatArray, rng: np.random.Generator) 
         wrong = ~((low <= thetas[:, 2]) & (thetas[:, 2] <= high))
         thetas[wrong, 2] = (low + (high - low) * rng.random(len(thetas)))[wrong]
     return thetas
+
+
+SAMPLER = Sampler("emcee", run_emcee, exchanges_orders=True)

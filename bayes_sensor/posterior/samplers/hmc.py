@@ -7,10 +7,9 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.mesh import Compressed
 from bayes_sensor.likelihood.prior_density import log_priors
-from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.posterior.convergence import Run, enough
+from bayes_sensor.posterior.convergence import enough
 from bayes_sensor.posterior.laplace import Laplace, prior_gradient
-from bayes_sensor.posterior.settings import Progress, Settings
+from bayes_sensor.posterior.samplers.sampler import Run, Sampler, Target
 from bayes_sensor.posterior.widen_mesh import covered
 
 OUTSIDE = 8
@@ -100,17 +99,11 @@ class Whitened:
         return float(value), self.factor.T @ g
 
 
-def run_hmc(
-    problem: Problem,
-    laplace: Laplace,
-    compressed: Compressed,
-    settings: Settings,
-    streams: np.random.SeedSequence,
-    report: Progress,
-) -> Run:
+def run_hmc(given: Target) -> Run:
     """Chains of Hamiltonian Monte Carlo, step sizes tuned by dual averaging."""
-    target = Whitened(laplace, compressed)
-    rngs = [np.random.default_rng(s) for s in streams.spawn(settings.n_chains)]
+    laplace, settings = given.laplace, given.settings
+    target = Whitened(laplace, given.compressed)
+    rngs = [np.random.default_rng(s) for s in given.streams.spawn(settings.n_chains)]
     states, sizes = [], []
     for rng in rngs:
         thetas, _ = laplace.draw(1, rng)
@@ -145,9 +138,11 @@ def run_hmc(
                 tried += 1
                 out[i] = states[j][0]
             chains[j] = np.concatenate([chains[j], out])
-            report(min(0.95, (len(chains[0]) + j * block / len(rngs)) / settings.max_draws), "HMC")
+            given.report(
+                min(0.95, (len(chains[0]) + j * block / len(rngs)) / settings.max_draws), "HMC"
+            )
         stacked = target.theta(np.stack(chains))
-        done, found = enough(problem, stacked, settings.target_ess)
+        done, found = enough(given.problem, stacked, settings.target_ess)
         n, most = len(chains[0]), settings.max_draws // 2
         # what all draws allowed would still leave far below what is asked ends early
         slow = n >= 4 * block and np.nanmin(found[1]) * most / n < 0.5 * settings.target_ess
@@ -160,7 +155,12 @@ def run_hmc(
             if not done:
                 reason += "; it did not reach its target and was given up"
             return Run(
-                "hmc", stacked, done, reason, accepted / tried, None, found, None, target.compressed
+                stacked,
+                done,
+                reason,
+                accepted / tried,
+                diagnosis=found,
+                compressed=target.compressed,
             )
 
 
@@ -187,3 +187,6 @@ def _leapfrog(
     if rng.random() < probability:
         return (new_q, new_value, new_g), probability
     return state, probability
+
+
+SAMPLER = Sampler("hmc", run_hmc, rests_on_laplace=True)

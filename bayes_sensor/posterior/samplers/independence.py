@@ -8,26 +8,18 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.likelihood.mesh import Compressed
-from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.posterior.convergence import Run, enough
-from bayes_sensor.posterior.laplace import Laplace, log_posteriors_and_likelihoods
+from bayes_sensor.posterior.convergence import enough
+from bayes_sensor.posterior.laplace import log_posteriors_and_likelihoods
 from bayes_sensor.posterior.r_hat import pareto_k
-from bayes_sensor.posterior.settings import Progress, Settings
+from bayes_sensor.posterior.samplers.sampler import Run, Sampler, Target
 
 K_HAT_LIMIT = 0.5
 
 
-def run_independence(
-    problem: Problem,
-    laplace: Laplace,
-    compressed: Compressed,
-    settings: Settings,
-    streams: np.random.SeedSequence,
-    report: Progress,
-) -> Run:
+def run_independence(target: Target) -> Run:
     """Chains whose proposals are draws of the Laplace approximation."""
-    rngs = [np.random.default_rng(s) for s in streams.spawn(settings.n_chains)]
+    problem, laplace, settings = target.problem, target.laplace, target.settings
+    rngs = [np.random.default_rng(s) for s in target.streams.spawn(settings.n_chains)]
     n_theta = len(problem.layout)
     chains = [np.empty((0, n_theta + len(problem.campaign))) for _ in rngs]
     states: list[Any] = [None] * len(rngs)
@@ -39,7 +31,7 @@ def run_independence(
             extra = 1 if states[j] is None else 0
             thetas, log_q = laplace.draw(n + extra, rng, inflate=1.08)
             density, each = log_posteriors_and_likelihoods(
-                compressed, laplace.coordinates, thetas, roots=True
+                target.compressed, laplace.coordinates, thetas, roots=True
             )
             log_w = density - log_q
             # theta and its log-likelihoods travel together
@@ -51,7 +43,7 @@ def run_independence(
                         "independence Metropolis was given up: no draw of the Laplace "
                         "approximation lies inside the priors"
                     )
-                    return Run("independence", np.empty((0, 0, 0)), False, reason, 0.0, None)
+                    return Run(np.empty((0, 0, 0)), False, reason, 0.0)
                 start = int(np.argmax(np.isfinite(log_w)))
                 states[j] = (thetas[start], log_w[start])
                 thetas, log_w = np.delete(thetas, start, axis=0), np.delete(log_w, start)
@@ -68,14 +60,14 @@ def run_independence(
             chains[j] = np.concatenate([chains[j], out])
         k_hat = pareto_k(np.concatenate(weights))
         acceptance = accepted / tried
-        report(min(0.95, len(chains[0]) / settings.max_draws), "independence Metropolis")
+        target.report(min(0.95, len(chains[0]) / settings.max_draws), "independence Metropolis")
         stacked = np.stack(chains)[:, :, :n_theta]
         if k_hat >= K_HAT_LIMIT or acceptance < 0.1:
             reason = (
                 f"independence Metropolis was given up: Pareto k-hat {k_hat:.2f} "
                 f"(limit {K_HAT_LIMIT}), acceptance {acceptance:.2f}"
             )
-            return Run("independence", stacked, False, reason, acceptance, k_hat)
+            return Run(stacked, False, reason, acceptance, k_hat)
         done, found = enough(problem, stacked, settings.target_ess)
         if done or len(chains[0]) >= settings.max_draws:
             reason = (
@@ -84,4 +76,7 @@ def run_independence(
                 f"{settings.n_chains} independent chains compared"
             )
             likelihood = np.stack(chains)[:, :, n_theta:]
-            return Run("independence", stacked, True, reason, acceptance, k_hat, found, likelihood)
+            return Run(stacked, True, reason, acceptance, k_hat, found, likelihood)
+
+
+SAMPLER = Sampler("independence", run_independence, rests_on_laplace=True)

@@ -1,6 +1,8 @@
-"""The report's questions, one file each, in the order in which they are answered."""
+"""The report's sections, each one question and one file, and their order."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 from bayes_sensor.report.parts import Pictures, Section
 from bayes_sensor.report.saved import Saved
@@ -16,22 +18,39 @@ from bayes_sensor.report.sections.next_section import measure_next
 from bayes_sensor.report.sections.noise_section import noise
 from bayes_sensor.report.sections.tau_section import time_constant
 
-SECTIONS = (
-    measured,
-    fitted,
-    time_constant,
-    noise,
-    hardness,
-    gap,
-    switching,
-    coating,
-    measure_next,
-    blind_check,
-    computed,
-)
+Maker = Callable[[Saved, Pictures], Section | None]
+
+SECTIONS: dict[str, Maker] = {
+    "measured": measured,
+    "fit": fitted,
+    "tau": time_constant,
+    "noise": noise,
+    "hardness": hardness,
+    "gap": gap,
+    "delays": switching,
+    "coating": coating,
+    "next": measure_next,
+    "blind-check": blind_check,
+    "computed": computed,
+}
+"""what makes each section by its key, in the order of the report"""
+
+
+def add_section(key: str, make: Maker, after: str = "") -> None:
+    """Put a section of your own behind the one with the key ``after``; without one, at the end.
+
+    ``make`` returns None where there are no results for it.  Raises KeyError for an unknown
+    ``after``.
+    """
+    if after and after not in SECTIONS:
+        raise KeyError(f"no section '{after}' in the report; there are {', '.join(SECTIONS)}")
+    keys = list(SECTIONS)
+    SECTIONS[key] = make
+    for later in keys[keys.index(after) + 1 :] if after else []:
+        SECTIONS[later] = SECTIONS.pop(later)
 
 
 def make_sections(saved: Saved, pictures: Pictures) -> list[Section]:
     """Every section for which there are results."""
-    made = (section(saved, pictures) for section in SECTIONS)
+    made = (make(saved, pictures) for make in SECTIONS.values())
     return [section for section in made if section is not None]

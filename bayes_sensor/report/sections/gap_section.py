@@ -51,9 +51,9 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
                 f"{see('which')}."
             )
         paragraphs += _left_out(record)
-    paragraphs += _shrink(record, shown, factor)
+    paragraphs += shrink_sentences(record, shown, factor)
     paragraphs += _more(record)
-    paragraphs += _envelope(record, is_limit)
+    paragraphs += envelope_sentences(record, is_limit)
     paragraphs += [sentence(note) for note in record.get("notes") or []]
     how_often, n = published_goals()
     paragraphs.append(
@@ -170,7 +170,8 @@ def _more(record: Mapping[str, Any]) -> list[str]:
     return said
 
 
-def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
+def shrink_sentences(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
+    """How far the best explanation closes the gap, and what tau is with it."""
     shrink = record["shrink"]
     if shrink.get("withheld") or shrink.get("fraction_closed") is None:
         return [
@@ -227,7 +228,8 @@ def _shrink(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
     ]
 
 
-def _envelope(record: Mapping[str, Any], is_limit: bool) -> list[str]:
+def envelope_sentences(record: Mapping[str, Any], is_limit: bool) -> list[str]:
+    """Effects that would leave no trace, and the range of tau over them."""
     hidden = record["hidden"]
     unseen = [
         row

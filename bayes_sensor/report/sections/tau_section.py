@@ -7,6 +7,7 @@ from math import isclose
 from typing import Any
 
 from bayes_sensor import figures
+from bayes_sensor.bounds.methods import COLOURED, METHODS, PUBLISHED, WHITE, method_of
 from bayes_sensor.report.headline import (
     effect_names,
     headline,
@@ -196,14 +197,12 @@ def _steps(
 def _naive_table(naive: Mapping[str, Any]) -> Table:
     rows: list[list[Any]] = []
     shown = figures.shared_labels(naive["at"])
-    for method in ("crlb_iid_one_percent_step", "crlb_iid", "crlb_ar1"):
-        found = naive.get(method) or {}
-        label = figures.METHOD_LABELS[method]
-        if method == "crlb_iid_one_percent_step":
-            label = "Cramér-Rao, iid noise, 1 % steps (published)"
+    classical = [method for method in METHODS.values() if method.cramer_rao is not None]
+    for method in sorted(classical, key=lambda method: not method.published_recipe):
+        found = naive.get(method.name) or {}
         rows.append(
             [
-                label,
+                method.full_label or method.label,
                 *(
                     None if found.get(name) is None else k * factor * found[name]
                     for name, (_, _, factor) in shown.items()
@@ -236,7 +235,7 @@ def _naive_table(naive: Mapping[str, Any]) -> Table:
 def _why(saved: Saved) -> list[str]:
     """Why the classical bound misleads here, in numbers of this campaign."""
     naive = (saved.bounds or {}).get("naive") or {}
-    right, published = naive.get("crlb_iid") or {}, naive.get("crlb_iid_one_percent_step") or {}
+    right, published = naive.get(WHITE) or {}, naive.get(PUBLISHED) or {}
     said = []
     if right.get("tau_s") and published.get("tau_s"):
         ratio = right["tau_s"] / published["tau_s"]
@@ -256,7 +255,7 @@ def _why(saved: Saved) -> list[str]:
                 "later switch look almost alike, and a step that large hides "
                 f"it{see('naive', 'step_study')}."
             )
-    coloured = naive.get("crlb_ar1") or {}
+    coloured = naive.get(COLOURED) or {}
     if right.get("tau_v_s") and coloured.get("tau_v_s"):
         ratio = coloured["tau_v_s"] / right["tau_v_s"]
         phi = (saved.residuals or {}).get("ar1", {}).get("phi")
@@ -283,12 +282,13 @@ def _why_they_differ(saved: Saved) -> list[str]:
             f"the prior on τ and averages over all other parameters{see('posterior-shared')}"
         )
     methods = (saved.bounds or {}).get("methods") or {}
-    row = (methods.get("profile") or {}).get("parameters", {}).get("tau_s") or {}
-    if row.get("lo95") is not None and row.get("hi95") is not None:
-        found.append(
-            f"the profile likelihood's {interval(1e3 * row['lo95'], 1e3 * row['hi95'])} ms has no "
-            f"prior and maximises over all other parameters at every τ{see('methods')}"
-        )
+    for name, entry in methods.items():
+        row, method = entry["parameters"].get("tau_s") or {}, method_of(name)
+        if method.against_others and row.get("lo95") is not None and row.get("hi95") is not None:
+            found.append(
+                f"the {method.label}'s {interval(1e3 * row['lo95'], 1e3 * row['hi95'])} ms "
+                f"{method.against_others}{see('methods')}"
+            )
     shrink = (saved.gap or {}).get("shrink") or {}
     low, high = shrink.get("tau_after_lo_s"), shrink.get("tau_after_hi_s")
     if low is not None and high is not None:
@@ -315,10 +315,9 @@ def _method_table(bounds: Mapping[str, Any]) -> Table:
                 None if row.get(key) is None else to_spread(factor * row[key], narrowest)
                 for key in ("estimate", "sd", "lo68", "hi68", "lo95", "hi95", "lo997", "hi997")
             ]
-            if method == "posterior":
+            if method_of(method).needs_posterior:
                 marked.append(len(rows))
-            label = figures.METHOD_LABELS.get(method, method)
-            rows.append([f"{symbol} ({unit})", label, *values])
+            rows.append([f"{symbol} ({unit})", method_of(method).label, *values])
     columns = [
         "parameter", "method", "estimate", "sd", "68 % low", "68 % high", "95 % low", "95 % high",
         "99.7 % low", "99.7 % high",
@@ -340,7 +339,7 @@ def _is_bounded(row: Mapping[str, Any]) -> bool:
 def _assumption_table(bounds: Mapping[str, Any]) -> Table:
     rows = [
         [
-            figures.METHOD_LABELS.get(method, method),
+            method_of(method).label,
             typeset(entry["assumes"]),
             entry.get("reference", ""),
             "" if entry.get("status", "ok") == "ok" else typeset(entry["status"]),

@@ -1,4 +1,4 @@
-"""What can go wrong on the simulated rig: one function a cause, one file a place.
+"""What can go wrong on the simulated rig: one function per cause, one file per place.
 
 A cause changes the rig of one experiment.  Its random choices do not depend on its strength: the
 same case with another strength differs in the strength alone.

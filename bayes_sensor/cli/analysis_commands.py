@@ -1,0 +1,165 @@
+"""The commands on one campaign: their options, and what they call.
+
+Numerical rooms are imported only by the command that needs them, so that ``--help`` answers at
+once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from bayes_sensor.cli.application import app
+from bayes_sensor.cli.options import (
+    CampaignFile,
+    Quiet,
+    Run,
+    Sampler,
+    Sampling,
+    Unused,
+    UnusedJobs,
+    UnusedSeed,
+    given,
+    settings_file,
+    with_groups,
+)
+
+
+def _run(command: str, common: Run, **more: Any) -> None:
+    from bayes_sensor.cli.pipeline import run_command
+
+    given_to_all = asdict(common)
+    raise typer.Exit(run_command(command, given_to_all.pop("campaign"), **given_to_all, **more))
+
+
+@app.command()
+@with_groups
+def analyze(run: Run, sampling: Sampling) -> None:
+    """Everything from the fit to the gap, with report and figures."""
+    _run("analyze", run, posterior=sampling.settings)
+
+
+@app.command()
+@with_groups
+def fit(run: Run) -> None:
+    """Particle swarm and refinement, residual diagnostics."""
+    _run("fit", run)
+
+
+@app.command()
+@with_groups
+def posterior(
+    run: Run,
+    sampling: Sampling,
+    with_effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="With this effect in the model; repeatable, NAME:FORM for a form."
+        ),
+    ] = None,
+) -> None:
+    """MCMC; interrupted runs continue with --resume."""
+    if with_effect:
+        from bayes_sensor.diagnosis.effects.effect_model import check_effects
+
+        check_effects(with_effect, "--with-effect")
+    effects = {"with_effects": tuple(with_effect or ())}
+    _run("posterior", run, posterior=sampling.settings, options=effects)
+
+
+@app.command()
+@with_groups
+def bounds(run: Run, sampler: Sampler = None) -> None:
+    """Every bound method side by side."""
+    _run("bounds", run, posterior=given(sampler=sampler))
+
+
+@app.command()
+@with_groups
+def delays(run: Run) -> None:
+    """Regressions of start and end delay on 1/Q."""
+    _run("delays", run)
+
+
+@dataclass(frozen=True)
+class GapRun(Run):
+    """The same, with words on what of the settings acts on the gap."""
+
+    config: Annotated[
+        Path | None, settings_file("Settings of its fit; [noise] does not act here.")
+    ] = None
+
+
+@app.command()
+@with_groups
+def gap(
+    run: GapRun,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(metavar="EFFECT", help="Leave this effect out; repeatable, or A,B."),
+    ] = None,
+    nominal: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="THETA.json",
+            help="The simulation before calibration, as fit.json or truth.json.",
+        ),
+    ] = None,
+    own_effects: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE.py", help="Your own effects; the file is executed."),
+    ] = None,
+    bootstrap: Annotated[
+        int,
+        typer.Option(
+            min=0, max=100_000, help="Simulated and refitted campaigns behind p-values; 0: none."
+        ),
+    ] = 60,
+) -> None:
+    """Where the model misses, and which effect explains it.
+
+    Also how much each explanation explains, the resulting tau, and effects that may stay unseen.
+    The page "How to read a gap report" of the documentation lists the effects.
+    """
+    from bayes_sensor.cli.read_parameters import read_nominal
+    from bayes_sensor.diagnosis.effects import check_names
+    from bayes_sensor.diagnosis.effects.user_effects import read_effects
+
+    left_out = [name.strip() for text in without or () for name in text.split(",")]
+    check_names(left_out, "--without")
+    own = [effect for path in own_effects or () for effect in read_effects(path)]
+    options = {"without": tuple(left_out), "effects": own, "bootstrap": bootstrap,
+               "nominal": read_nominal(nominal)}  # fmt: skip
+    _run("gap", run, options=options)
+
+
+@app.command()
+def check(
+    campaign: CampaignFile,
+    seed: UnusedSeed = 1,
+    jobs: UnusedJobs = 1,
+    quiet: Quiet = False,
+    config: Annotated[Path | None, settings_file("Checked with the campaign.")] = None,
+) -> None:
+    """Load and validate only, print what was understood."""
+    from bayes_sensor.cli.print_check import print_check
+
+    print_check(campaign, quiet, config)
+
+
+@app.command()
+@with_groups
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A results folder.")],
+    common: Unused,
+    form: Annotated[str, typer.Option("--format", help="html, pdf or md.")] = "html",
+) -> None:
+    """Rebuild the report from the saved results."""
+    from bayes_sensor.cli.make_report import rebuild_report
+    from bayes_sensor.cli.overrides import read_overrides
+
+    read_overrides(common.config)  # a mistake in it is refused, though nothing of it acts
+    rebuild_report(folder, common.quiet, form)

@@ -1,0 +1,20 @@
+"""The step of the delays' regressions."""
+
+from __future__ import annotations
+
+from bayes_sensor.cli.job import Job
+from bayes_sensor.cli.posterior_step import saved_spreads
+from bayes_sensor.io.results import Stage
+
+
+def run_delays(job: Job) -> None:
+    from bayes_sensor.checks.delays import regress_delays
+
+    with job.timed("delays"):
+        job.delays = regress_delays(job.problem, job.fit, job.posterior or saved_spreads(job))
+
+
+def save_delays(job: Job, stage: Stage) -> None:
+    """Write delays.json."""
+    unit = job.problem.campaign.signal_unit
+    stage.json("delays.json", {**job.delays.to_json(), "signal_unit": unit})

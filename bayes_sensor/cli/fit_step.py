@@ -1,0 +1,49 @@
+"""The step of the fit, and that of its residuals."""
+
+from __future__ import annotations
+
+from bayes_sensor.cli.job import SAVES, Job
+from bayes_sensor.io.results import Stage
+
+
+def run_fit(job: Job) -> None:
+    from bayes_sensor.cli.overrides import fit_bounds
+    from bayes_sensor.fit import fit_least_squares
+
+    asked = job.overrides.fit
+    with job.timed("fit") as tell:
+        job.fit = fit_least_squares(
+            job.problem,
+            seed=job.seed,
+            swarms=asked.swarms,
+            particles=asked.particles,
+            bounds=fit_bounds(job.problem, job.overrides, job.label),
+            euler=asked.euler and "fit" in SAVES[job.command],
+            de=asked.differential_evolution,
+            progress=tell,
+        )
+
+
+def run_residuals(job: Job) -> None:
+    from bayes_sensor.residuals import diagnose_residuals
+
+    with job.timed("residuals"):
+        job.residuals = diagnose_residuals(job.problem, job.fit)
+
+
+def save_fit(job: Job, stage: Stage) -> None:
+    """Write fit.json and the samples and curves of its pictures."""
+    from bayes_sensor.fit.samples import make_samples, save_samples
+    from bayes_sensor.fit.traces import make_traces, save_traces
+
+    record = job.fit.to_json()
+    if job.residuals is not None and not job.residuals.adequate:
+        record["warnings"] = [*record["warnings"], job.residuals.doubt]
+    stage.json("fit.json", record)
+    save_traces(stage.path("traces.npz"), make_traces(job.problem, job.fit))
+    save_samples(stage.path("samples.npz"), make_samples(job.problem, job.fit))
+
+
+def save_residuals(job: Job, stage: Stage) -> None:
+    """Write residuals.json."""
+    stage.json("residuals.json", job.residuals.to_json())

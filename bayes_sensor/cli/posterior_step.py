@@ -1,0 +1,129 @@
+"""The steps of the posterior and of its predictive check; the posterior of an earlier run."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+from bayes_sensor.cli.job import Job
+from bayes_sensor.cli.response_time_record import response_time_record
+from bayes_sensor.cli.terminal import Progress, muted
+from bayes_sensor.io.results import Stage
+
+LOG = logging.getLogger(__name__)
+
+
+def run_posterior(job: Job) -> None:
+    from bayes_sensor.posterior import sample_posterior
+
+    methods = job.overrides.bounds.methods
+    if job.command == "bounds" and methods is not None:
+        from bayes_sensor.bounds import METHODS
+
+        if not any(METHODS[name].needs_posterior for name in methods):
+            return
+    with job.timed("posterior") as tell, muted():
+        job.posterior = sample_posterior(
+            _with_effects_asked(job),
+            job.fit,
+            seed=job.seed,
+            sampler=job.overrides.posterior.sampler,
+            settings=job.overrides.sampler_settings(),
+            jobs=job.jobs,
+            checkpoint=job.checkpoint,
+            resume=job.resume,
+            progress=watching(job, tell),
+        )
+
+
+def watching(job: Job, tell: Progress) -> Progress:
+    """``tell``, with a message if ``--resume`` finds ensembles that cannot be continued."""
+    marker = job.checkpoint / "run.json"
+    if not (job.resume and marker.is_file() and any(job.checkpoint.glob("ensemble-*.npz"))):
+        return tell
+    before = [marker.read_bytes()]
+
+    def watched(fraction: float, text: str) -> None:
+        if before and marker.read_bytes() != before[0]:  # the sampler has begun anew
+            before.clear()
+            LOG.warning(
+                "--resume: the unfinished run in %s is of other data or settings, such as another "
+                "--seed, and is not used", job.checkpoint,
+            )  # fmt: skip
+        tell(fraction, text)
+
+    return watched
+
+
+def run_predictive(job: Job) -> None:
+    from bayes_sensor.checks.predictive import check_predictive, checked
+
+    if job.options.get("with_effects"):
+        return  # replicates are drawn from the cascade
+    with job.timed("predictive"):
+        job.predictive = check_predictive(job.posterior, seed=job.seed)
+    job.posterior = checked(job.posterior, job.predictive)
+
+
+class SavedSpreads:
+    """Posterior standard deviations read back from ``posterior.json``."""
+
+    def __init__(self, parameters: Mapping[str, Any]) -> None:
+        self.parameters = parameters
+
+    def sd(self, name: str) -> float:
+        """Posterior standard deviation of a flat name."""
+        return float(self.parameters[name]["sd"])
+
+
+def saved_posterior(job: Job) -> dict[str, Any] | None:
+    """``posterior.json`` of the results folder, if it has the same data and settings."""
+    run = job.results.json("run.json")
+    saved: dict[str, Any] | None = job.results.json("posterior.json")
+    commands = {} if run is None else run["commands"]
+    entries = [commands[name] for name in ("posterior", "analyze") if name in commands]
+    if saved is None or not entries:
+        return None
+    newest = max(entries, key=lambda entry: entry["finished"])  # which has written it
+    return saved if newest["basis_sha256"] == job.basis else None
+
+
+def saved_spreads(job: Job) -> SavedSpreads | None:
+    """Spreads of a posterior that was saved and had converged."""
+    saved = saved_posterior(job)
+    return SavedSpreads(saved["parameters"]) if saved is not None and saved["converged"] else None
+
+
+def _with_effects_asked(job: Job) -> Any:
+    """The problem of the posterior: with the effects that were asked for in its model."""
+    names = job.options.get("with_effects") or ()
+    if not names:
+        return job.problem
+    from bayes_sensor.diagnosis.effects.effect_model import with_effects
+    from bayes_sensor.rig.layout import Layout
+
+    theta = Layout.of(job.problem.campaign).flat(job.fit.theta_hat[: job.problem.layout.n_mean])
+    return with_effects(job.problem, names, theta)
+
+
+def save_posterior(job: Job, stage: Stage) -> None:
+    """Write posterior.json, posterior.nc, predictive.json and coating.json."""
+    unit = {"signal_unit": job.problem.campaign.signal_unit}
+    record = job.posterior.to_json()
+    record.pop("seconds", None)  # times are in run.json: the same run gives the same file
+    effects = list(job.options.get("with_effects") or ())
+    record["with_effects"] = effects
+    before = saved_posterior(job)
+    if not effects or before is None:
+        stage.drop.append("posterior_without_effects.json")  # nothing to stand beside
+    elif not before.get("with_effects"):
+        # the posterior without effects is kept, so that both can be compared
+        stage.json("posterior_without_effects.json", before)
+    stage.json("posterior.json", record)
+    job.posterior.save(stage.path("posterior.nc"))
+    if job.predictive is not None:
+        stage.json("predictive.json", {**job.predictive.to_json(), **unit})
+    else:
+        stage.drop.append("predictive.json")  # it speaks of another posterior
+    stage.json("coating.json", {**response_time_record(job), **unit})

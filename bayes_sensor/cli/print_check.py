@@ -1,0 +1,56 @@
+"""Print what was understood of a campaign."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.campaign import STAGES, counted
+from bayes_sensor.cli.read_input import check_methods, load
+from bayes_sensor.cli.terminal import lined_up
+
+
+def print_check(path: Path, quiet: bool, config: Path | None = None) -> None:
+    """Print what was understood of a campaign; settings are checked against it."""
+    from bayes_sensor.cli.overrides import fit_bounds, make_problem, read_overrides
+
+    overrides = read_overrides(config)
+    label = config.name if config is not None else "--config"
+    check_methods(overrides.bounds.methods, label)
+    campaign, table, remarks = load(path)
+    fit_bounds(make_problem(campaign, overrides, label), overrides, label)
+    if quiet:
+        return
+    kind = "a design without data" if campaign.is_design else f"{campaign.n_samples} samples in use"
+    print(f"{campaign.title}: {counted(len(campaign), 'experiment')}, {kind}")
+    unit = campaign.signal_unit
+    columns = [
+        ("experiment", "experiment", "{}"),
+        ("samples", "samples", "{}"),
+        ("used", "used", "{}"),
+        ("interval", "interval_s", "{:.4g} s"),
+        ("Q (L/min)", "total_flow_L_min", "{:.4g}"),
+        ("test gas (%)", "concentration_percent", "{:.3g}"),
+        ("on (s)", "commanded_on_s", "{:.4f}"),
+        ("off (s)", "commanded_off_s", "{:.4f}"),
+        (f"baseline ({unit})", "baseline_V", "{:.4g}"),
+        (f"step ({unit})", "step_V", "{:.4g}"),
+        (f"noise ({unit})", "noise_V", "{:.3g}"),
+    ]
+    rows = [[title for title, _, _ in columns]]
+    for row in table:
+        rows.append([_cell(row[key], pattern) for _, key, pattern in columns])
+    print("\n".join(lined_up(rows, left=1)))
+    print(f"rig: {', '.join(STAGES)}; which lag is the sensor: {campaign.sensor_is}")
+    for name, info in campaign.side_information.items():
+        print(f"known beforehand: {name} = {info.mean:g} +- {info.sd:g}")
+    for remark in remarks:
+        print(f"remark: {remark}")
+
+
+def _cell(value: Any, pattern: str) -> str:
+    if isinstance(value, float) and np.isnan(value):
+        return "-"
+    return pattern.format(value)

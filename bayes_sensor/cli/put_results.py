@@ -1,0 +1,61 @@
+"""What several commands write: their entry in run.json, and a figure."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bayes_sensor.io.results import Results, Stage
+from bayes_sensor.io.run_record import now, run_record
+
+
+class Clock:
+    """When a command began, and how long it has taken."""
+
+    def __init__(self) -> None:
+        self.started = now()
+        self._begin = time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        """Seconds since it began."""
+        return time.perf_counter() - self._begin
+
+
+def put_run(
+    stage: Stage,
+    command: str,
+    clock: Clock,
+    *,
+    seed: int,
+    settings: Any,
+    seconds: Mapping[str, float] | None = None,
+    exit_code: int = 0,
+    warnings: Sequence[str] = (),
+    campaign: str = "",
+    files: Mapping[str, str] | None = None,
+    basis: str = "",
+    command_line: Sequence[str] | None = None,
+    **more: Any,
+) -> None:
+    """Put run.json with the entry of this command beside those of earlier ones.
+
+    ``seconds``: by part, where that is not the whole command.  What rests on no data (a simulation,
+    a design) has no ``basis``.  ``more`` stands at the top.
+    """
+    entry = run_record(
+        Results(stage.folder).json("run.json"), command, basis=basis, seed=seed, settings=settings,
+        campaign=campaign, files=files or {}, started=clock.started,
+        seconds={command: clock.seconds} if seconds is None else seconds,
+        exit_code=exit_code, warnings=warnings, command_line=command_line,
+    )  # fmt: skip
+    stage.json("run.json", {**entry, **more})
+
+
+def put_figure(stage: Stage, name: str, figure: Any) -> None:
+    """Put a figure as ``name``.svg and ``name``.png."""
+    from bayes_sensor import figures
+
+    stage.text(f"{name}.svg", figures.svg(figure))
+    stage.binary(f"{name}.png", figures.png(figure))

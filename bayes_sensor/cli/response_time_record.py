@@ -1,0 +1,55 @@
+"""Response times that the posterior implies, for coating.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bayes_sensor.cli.job import Job
+
+MOST_DRAWS = 4000
+"""number of draws for the summary of response times"""
+WHOSE_COATING = "which lag is the sensor's is not known, so no diffusivity can be told from it"
+
+
+def response_time_record(job: Job) -> dict[str, Any]:
+    """Response times of sensor and chain; for ``analyze`` also the diffusivity that follows from
+    tau.
+
+    If it is not known which lag is the sensor's, there is a row for each, with its probability.
+    """
+    from bayes_sensor.rig.response_times import response_time_table
+
+    undecided = job.posterior.naming.order == "undecided"
+    tau, tau_v, volume = (job.posterior.of(name) for name in ("tau_s", "tau_v_s", "V_mL"))
+    some = slice(None, None, max(1, len(tau) // MOST_DRAWS))
+    flows = [e.total_flow for e in job.problem.campaign]
+    rows = response_time_table(tau[some], tau_v[some], volume[some], flows).to_dict("records")
+    if undecided:
+        rows[:1] = [_sensor_row(each) for each in job.posterior.assignments]
+    found = None
+    if job.command == "analyze" and not undecided:
+        # three seconds that a posterior alone need not wait for
+        from bayes_sensor.coating import infer_d_zif8
+
+        found = infer_d_zif8(tau, seed=job.seed).to_json()
+    left_out = {"d_zif8_left_out": WHOSE_COATING} if undecided else {}
+    return {"response_times": rows, "d_zif8": found, **left_out}
+
+
+def _sensor_row(assignment: Mapping[str, Any]) -> dict[str, Any]:
+    """Response times of the sensor, if its lag is that of an assignment of the posterior."""
+    from bayes_sensor.rig.response_times import response_times
+
+    ends = {"": "q50", "_lo": "q2.5", "_hi": "q97.5"}
+    # of one lag they rise with it, so that their quantiles are those of its quantiles
+    found = response_times([np.array([assignment["tau_s"][key] for key in ends.values()])])
+    times = {
+        f"{name}{end}_s": float(value)
+        for name in ("t10", "t63", "t90", "rise")
+        for end, value in zip(ends, getattr(found, name), strict=True)
+    }
+    about = {key: assignment[key] for key in ("sensor_is", "probability")}
+    return {"system": "sensor", "total_flow_L_per_min": None, **about, **times}

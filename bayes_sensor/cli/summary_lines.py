@@ -1,0 +1,134 @@
+"""The last lines of a command: result, warnings, what was not reached, where the results are."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from bayes_sensor.cli.job import Job
+from bayes_sensor.cli.terminal import say
+from bayes_sensor.io.run_record import of_other_data
+
+MOST_WARNINGS = 6
+"""lines of warnings in a terminal"""
+
+
+def _decisive(job: Job) -> list[str]:
+    """Caveats of the first line; they are printed before it."""
+    found = list(job.fit.caveats)
+    if job.posterior is not None:
+        found += job.posterior.doubts
+    elif job.residuals is not None and not job.residuals.adequate:
+        found.append(job.residuals.doubt)
+    return found
+
+
+def warnings_of(job: Job, remarks: Sequence[str]) -> list[str]:
+    from bayes_sensor.io.check import SAME_FLOW
+
+    # what concerns the last answer comes first, since a terminal shows only so many
+    found = _decisive(job)
+    found += [] if job.posterior is None else job.posterior.warnings
+    found += [text for text in remarks if text != SAME_FLOW]  # the fit says it, with consequences
+    found += job.fit.warnings
+    if job.no_gap:
+        found.append(f"not diagnosed: {job.no_gap}")
+    return list(dict.fromkeys(found))
+
+
+def print_summary(job: Job, remarks: Sequence[str], code: int) -> None:
+    """The last lines: result, warnings, missed goals, folder."""
+    from bayes_sensor.report import chain_words, headline, number
+
+    command, quiet = job.command, job.quiet
+    for sentence in _decisive(job):
+        say(f"warning: {sentence}", quiet)
+    if command in ("analyze", "posterior", "bounds"):
+        bounds = None if job.bounds is None else job.bounds[1]
+        record = None if job.posterior is None else job.posterior.to_json()
+        found = headline(record, bounds, job.overrides.record())
+        if found is not None:
+            say(str(found), quiet)
+            if found.is_limit and found.limit and not found.hidden:
+                say(f"zero is not excluded: tau < {found.limit} (95 %)", quiet)
+            if record is not None and not found.hidden:
+                say(chain_words(record), quiet)
+    if command == "fit":
+        unit = job.fit.signal_unit
+        say(
+            f"{_lags_of_fit(job.fit)}; RMS residual {number(job.fit.rms)} {unit} (intervals: "
+            "bounds or posterior)",
+            quiet,
+        )
+    if command == "delays":
+        for side in ("start", "end"):
+            line = getattr(job.delays, side)
+            if line is not None and line.slope is not None:
+                out = f", without {', '.join(line.outliers)}" if line.outliers else ""
+                say(
+                    f"{side} delay = {number(line.intercept)} s + {number(line.slope)} L / Q, "
+                    f"R2 = {line.r2:.4f}, n = {line.n}{out}",
+                    quiet,
+                )
+            elif line is not None:
+                say(f"{side}: {line.status}", quiet)
+    if job.gap is not None:
+        say(f"gap: {job.gap.verdict.sentence}", quiet)
+    elif job.no_gap:
+        say(f"not diagnosed: {job.no_gap}", quiet)
+    # non-convergence is said below, on stderr
+    unsaid = ("NOT converged", "not diagnosed")
+    said = set(_decisive(job))
+    warnings = [w for w in warnings_of(job, remarks) if not w.startswith(unsaid) and w not in said]
+    for warning in warnings[:MOST_WARNINGS]:
+        say(f"warning: {warning}", quiet)
+    if len(warnings) > MOST_WARNINGS:
+        place = "the report" if command == "analyze" else "run.json"
+        say(f"warning: {len(warnings) - MOST_WARNINGS} more in {place}", quiet)
+    if code == 3:
+        status = job.fit.status if not job.fit.converged else job.posterior.convergence
+        hint = "" if not job.fit.converged else "; more --steps with --resume may help"
+        status = status.removeprefix("NOT converged: ").rstrip(".")  # a part of the sentence
+        print(f"not converged: {status}{hint}; the results are marked so", file=sys.stderr)
+    other = of_other_data(job.results.json("run.json"))
+    if other:
+        say(
+            f"warning: {job.results.folder} also holds {', '.join(other)} of other data or "
+            "settings; run them again, or use another --out",
+            quiet,
+        )
+    say(f"{'report' if command == 'analyze' else 'results'}: {_place(job)}", quiet)
+
+
+def _lags_of_fit(fit: Any) -> str:
+    """The fitted lags and volume in words; a lag at the lower end of its search has no value."""
+    from bayes_sensor.report import number, time_words
+
+    estimates = fit.estimates()
+    volume = estimates.pop("V_mL", None)
+    seen = {name: value for name, value in estimates.items() if value is not None}
+    said = []
+    for name, symbol in (("tau_s", "tau"), ("tau_v_s", "tau_v")):
+        if name in estimates:
+            value = estimates[name]
+            said.append(
+                f"{symbol} too short to be seen" if value is None
+                else f"{symbol} = {time_words(value)}"
+            )  # fmt: skip
+    lags = [time_words(value) for name, value in seen.items() if name.startswith("lag_")]
+    if lags:
+        said.append(f"{'a lag' if len(lags) == 1 else 'lags'} of {' and '.join(lags)}")
+    if len(seen) < len(estimates) and fit.order == "undecided":
+        said.append("any other is too short to be seen" if seen else "no lag can be seen")
+    if fit.order == "undecided":
+        said[-1] += " (which is the sensor's is not known: say [rig] sensor_is)"
+    if volume is not None:
+        said.append(f"V = {number(volume)} mL")
+    return ", ".join(said)
+
+
+def _place(job: Job) -> Path:
+    name = "report.html" if job.command == "analyze" else ""
+    return job.results.path(name) if name else job.results.folder

@@ -1,0 +1,132 @@
+"""What would make tau easy: predicted intervals under extra knowledge or another way to measure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayes_sensor.campaign import Campaign
+from bayes_sensor.design.planned_experiments import (
+    Setting,
+    Truth,
+    planned,
+    settings_of,
+    truth_of,
+)
+from bayes_sensor.design.record_information import Known
+from bayes_sensor.design.tau_interval import Prediction, known_volume, predict
+from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem, as_problem
+from bayes_sensor.rig.layout import Theta
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = None) -> pd.DataFrame:
+    """Predicted interval of tau for extra knowledge or another way to measure.
+
+    Columns: ``change`` (words), ``kind``, ``value`` (in ``unit``), ``sd_tau_s`` (bound under the
+    noise law), ``lo68_s``, ``hi68_s``, ``lo95_s``, ``hi95_s``, ``half_width95_s``, ``gain`` (the
+    present half width over this one).  ``prior`` on tau: the campaign's own by default.
+
+    A higher sampling rate keeps the noise in continuous time: phi per sample becomes
+    phi^(1/factor); a negative phi has no process in continuous time and is set to zero there. A
+    pulse train is approximated by as many short experiments as there are pulses (each with its own
+    y0, beta and switch times, started from rest).  That is pessimistic, because a real train shares
+    them. A design is enough.
+
+    tau is the sensor's lag, be it the shorter or the longer one (:meth:`Problem.by_name`).
+    """
+    import pandas as pd
+
+    problem = as_problem(campaign)
+    vector = problem.by_name(theta)
+    settings, truth = settings_of(problem, vector), truth_of(problem, vector)
+    prior = prior or problem.prior_of_tau(vector)
+    volume = known_volume(problem)
+    rows: list[dict[str, Any]] = []
+    known: Known = {}
+
+    def add(change: str, kind: str, value: float, unit: str, prediction: Prediction) -> None:
+        before = rows[0]["half_width95_s"] if rows else prediction.half_width95
+        rows.append(
+            {
+                "change": change,
+                "kind": kind,
+                "value": value,
+                "unit": unit,
+                **prediction.to_json(),
+                "gain": before / prediction.half_width95,
+            }
+        )
+
+    add("as it is", "none", 0.0, "", predict(settings, truth, prior, V_sd=volume, known=known))
+    for ms in (20.0, 10.0, 5.0, 2.0, 1.0):
+        found = predict(settings, truth, prior, 1e-3 * ms, volume, known=known)
+        add(f"a trigger that times the valve to +-{ms:g} ms", "trigger", ms, "ms", found)
+    for mL in (2.0, 1.0, 0.5, 0.1):
+        found = predict(settings, truth, prior, V_sd=_both(mL, volume), known=known)
+        add(f"V measured to +-{mL:g} mL", "volume", mL, "mL", found)
+    found = predict(settings, truth, prior, 2e-3, _both(0.5, volume), known=known)
+    add("a trigger to +-2 ms and V to +-0.5 mL", "trigger and volume", 2.0, "ms", found)
+    for factor in (2.0, 4.0, 10.0):
+        fast = replace(truth, tau_v=truth.tau_v / factor)
+        found = predict(settings, fast, prior, V_sd=volume)
+        add(f"a valve {factor:g} times faster", "valve", factor, "x", found)
+    for factor in (2.0, 4.0):
+        stronger = [_with_flow(setting, factor) for setting in settings]
+        found = predict(stronger, truth, prior, V_sd=volume)
+        add(f"{factor:g} times the flow", "flow", factor, "x", found)
+    for factor in (2.0, 4.0, 10.0):
+        found = predict(settings, truth, prior, V_sd=volume, repeats=factor, known=known)
+        add(f"{factor:g} times the experiments", "repeats", factor, "x", found)
+    for factor in (2, 10):
+        denser = [_with_rate(setting, factor) for setting in settings]
+        found = predict(denser, replace(truth, phi=max(truth.phi, 0.0)), prior, V_sd=volume)
+        add(f"{factor} times the sampling rate", "rate", float(factor), "x", found)
+    for pulses in (3, 6):
+        short = [as_pulse(setting, pulses, truth) for setting in settings]
+        if all(setting is not None for setting in short):
+            each = [setting for setting in short if setting is not None]
+            found = predict(each, truth, prior, V_sd=volume, repeats=float(pulses))
+            add(f"{pulses} pulses in each record", "pulses", float(pulses), "", found)
+    return pd.DataFrame(rows)
+
+
+def _both(sd: float, other: float | None) -> float:
+    """sd of the combined knowledge from two sources."""
+    return sd if other is None else float((sd**-2 + other**-2) ** -0.5)
+
+
+def _with_flow(setting: Setting, factor: float) -> Setting:
+    e = setting.experiment
+    return replace(
+        setting,
+        experiment=replace(
+            e, carrier_flow=factor * e.carrier_flow, test_gas_flow=factor * e.test_gas_flow
+        ),
+    )
+
+
+def _with_rate(setting: Setting, factor: int) -> Setting:
+    e = setting.experiment
+    interval = e.interval / factor
+    t = e.t[0] + interval * np.arange(len(e.t) * factor)
+    mask = np.repeat(e.used, factor)
+    return replace(setting, experiment=replace(e, t=t, interval=interval, mask=mask, drive=None))
+
+
+def as_pulse(setting: Setting, pulses: int, truth: Truth) -> Setting | None:
+    """One of ``pulses`` equal parts of the record; None if the response would not settle."""
+    e = setting.experiment
+    n = len(e.t) // pulses
+    duration = n * e.interval
+    if not truth.settles(duration, e.total_flow):
+        return None
+    return planned(
+        e.name, e.total_flow, e.concentration, duration, e.interval, setting.y0, setting.beta,
+        setting.weight,
+    )  # fmt: skip

@@ -1,0 +1,138 @@
+"""What detectors report: the record of a signal, one finding of it, and how findings are joined."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import inf
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy.special import logsumexp
+
+from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.diagnosis.data.quiet_stretches import Stretch
+
+FOUND = 0.5
+"""probability from which a finding counts as present in the steps that follow"""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One kind of thing that a detector looks for in the samples.
+
+    A signal with a listed effect carries that effect's name.  Any other is of unlisted origin: it
+    counts as a cause outside the catalogue, and has a sentence of its own.
+    """
+
+    name: str
+    prior: float
+    """probability that a campaign has it"""
+    units: Mapping[str, str] = field(hash=False)
+    """name of a strength -> its unit"""
+    sentence: Callable[[Finding, Sequence[str], str], str] | None = None
+    """what is said of a finding: its names of experiments, and the unit of the signal"""
+    if_not_listed: Callable[[Finding], Finding] | None = None
+    """what it is where its effect was taken out of the catalogue; None: it is then ignored"""
+    of_the_mean: bool = False
+    """whether it is in what an explanation leaves of the mean: it may be the effect's own form"""
+    spares_means_from_hz: float = inf
+    """frequency from which it averages out of the bins: no effect on the mean explains it"""
+    on_quiet_stretches: bool = False
+    """whether it is in those phases of a record only in which its places are"""
+    phase: str = ""
+    """the phase of all records that it is in, where it is in one only"""
+    heavy_tailed: bool = False
+    """whether single samples then have heavy tails, which other detectors must allow for"""
+
+    @property
+    def listed(self) -> bool:
+        """Whether it belongs to an effect of the catalogue."""
+        return self.sentence is None
+
+
+class Samples(Protocol):
+    """What detectors look at: the samples of a campaign less the mean of an explanation."""
+
+    @property
+    def records(self) -> tuple[Campaign, Sequence[FloatArray], Sequence[FloatArray]]:
+        """The campaign, its residuals (n_t,) V and the deviations (n_t,) V of their noise."""
+
+    @property
+    def stretches(self) -> Sequence[Stretch]:
+        """Quiet parts, spikes replaced."""
+
+    @property
+    def raw(self) -> Sequence[Stretch]:
+        """Quiet parts as measured."""
+
+
+class Place(NamedTuple):
+    """Where and when a finding is, and how clear."""
+
+    experiment: int
+    """counted from 0"""
+    time: float
+    """s in the record"""
+    size: float
+    """square of its ratio to the noise's usual size"""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a detector says of one signal in one campaign."""
+
+    signal: Signal
+    log_bayes_factor: float
+    strength: dict[str, float]
+    d: float | None
+    """detectability where there is a signature in the mean, else None"""
+    places: tuple[Place, ...] = ()
+    """where it is, where that is at single moments"""
+
+    @property
+    def name(self) -> str:
+        """The signal's: an effect's, or one of unlisted origin."""
+        return self.signal.name
+
+    @property
+    def probability(self) -> float:
+        """Posterior probability, from the prior of its signal."""
+        prior = self.signal.prior
+        odds = np.log(prior / (1.0 - prior)) + self.log_bayes_factor
+        return float(1.0 / (1.0 + np.exp(-np.clip(odds, -60.0, 60.0))))
+
+    @property
+    def beside_the_mean(self) -> bool:
+        """Whether it adds to the signal and leaves the means over bins alone."""
+        return self.strength.get(f"{self.name}_Hz", 0.0) >= self.signal.spares_means_from_hz
+
+    def sentence(self, names: Sequence[str], unit: str) -> str:
+        """One sentence about something of unlisted origin; ``names`` of the experiments."""
+        assert self.signal.sentence is not None
+        return self.signal.sentence(self, names, unit)
+
+
+def struck(log_b: FloatArray, share: float) -> FloatArray:
+    """ln B of places of which a ``share`` is affected, from those (..,) of an affected one."""
+    return np.asarray(np.logaddexp(np.log1p(-share), np.log(share) + log_b))
+
+
+def any_of(found: Sequence[Finding]) -> Finding:
+    """Several tests of one signal joined: the clearest finding, with the mean Bayes factor."""
+    value = float(logsumexp([f.log_bayes_factor for f in found]) - np.log(len(found)))
+    return replace(max(found, key=lambda f: f.log_bayes_factor), log_bayes_factor=value)
+
+
+def converter_step(found: Sequence[Finding]) -> float:
+    """V, step of the converter that was found; 0 where none was."""
+    return max((f.strength.get("adc_step", 0.0) for f in found), default=0.0)
+
+
+def moment(t: float) -> str:
+    """A time ``t`` s on the record's clock, to a hundredth where four digits do not tell it.
+
+    >>> moment(24.6699), moment(1000024.6699)
+    ('24.67', '1000024.67')
+    """
+    return f"{t:.4g}" if abs(t) < 1e3 else f"{t:.2f}"

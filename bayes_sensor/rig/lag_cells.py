@@ -1,0 +1,194 @@
+"""Lags on a grid of cells: each advanced exactly for an input that is quadratic within a cell.
+
+Time constants far below the grid's steps are therefore no trouble.
+"""
+
+from __future__ import annotations
+
+from math import exp, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from bayes_sensor.campaign import FloatArray
+from bayes_sensor.rig.exponential import exponentials
+
+GROWTH = 1.06
+"""each cell is this much longer than the one before"""
+SHORT = 1e-3
+"""time constants below which a step's moments come from their series"""
+
+
+class Cells(NamedTuple):
+    """The cells of a grid, and the input of a lag in them: quadratic in each."""
+
+    h: FloatArray
+    """(n,) s, their lengths"""
+    a: FloatArray
+    """(n,) input at their begins"""
+    m: FloatArray
+    """(n,) in their middles"""
+    b: FloatArray
+    """(n,) at their ends; it may jump to the next begin"""
+
+
+@njit(cache=True, inline="always")
+def _moments(r: float, decay: float) -> tuple[float, float]:  # pragma: no cover
+    # what a lag makes, over a step of r time constants in which it decays by the factor ``decay``,
+    # of inputs q and q^2, q the part of the step
+    per = 1.0 / max(r, SHORT)
+    m1 = 1.0 - (1.0 - decay) * per
+    m2 = 1.0 - 2.0 * m1 * per
+    if r < SHORT:
+        return _short_moments(r)
+    return m1, m2
+
+
+@njit(cache=True, inline="always")
+def _short_moments(r: float) -> tuple[float, float]:  # pragma: no cover
+    # the same by their series
+    return (
+        r * (0.5 - r / 6.0 * (1.0 - 0.25 * r)),
+        r * (1.0 / 3.0 - r / 12.0 * (1.0 - 0.2 * r)),
+    )
+
+
+@njit(cache=True, inline="always")
+def _curve(a: float, m: float, b: float) -> tuple[float, float]:  # pragma: no cover
+    # rise and bend of the quadratic a + rise q + bend q^2 that passes a, m, b at q = 0, 1/2, 1
+    return 4.0 * m - 3.0 * a - b, 2.0 * a - 4.0 * m + 2.0 * b
+
+
+@njit(cache=True, inline="always")
+def advance(x: float, r: float, a: float, m: float, b: float) -> float:  # pragma: no cover
+    # a lag's state after r time constants under an input that passes a, m, b
+    decay = exp(-r)
+    m1, m2 = _moments(r, decay)
+    rise, bend = _curve(a, m, b)
+    return a + decay * (x - a) + m1 * rise + m2 * bend
+
+
+@njit(cache=True, error_model="numpy")
+def lag_states(cells: Cells, rates: FloatArray) -> FloatArray:  # pragma: no cover
+    # a lag's states (n + 1,) at the ends of n cells, its rate another one in each
+    h, a, m, b = cells
+    n = len(h)
+    decay = -rates * h
+    exponentials(decay)
+    driven = np.empty(n)
+    for i in range(n):
+        m1, m2 = _moments(rates[i] * h[i], decay[i])
+        rise, bend = _curve(a[i], m[i], b[i])
+        driven[i] = a[i] * (1.0 - decay[i]) + m1 * rise + m2 * bend
+    states = np.zeros(n + 1)
+    for i in range(n):
+        states[i + 1] = decay[i] * states[i] + driven[i]
+    return states
+
+
+@njit(cache=True, error_model="numpy")
+def add_within(
+    share: float,
+    places: NDArray[np.int64],
+    since: FloatArray,
+    cells: Cells,
+    rates: FloatArray,
+    states: FloatArray,
+    out: FloatArray,
+) -> None:  # pragma: no cover
+    # adds a share of the states that a lag (see :func:`lag_states`) has at times (n_t,) ``since``
+    # the begins of the cells at these ``places`` (n_t,)
+    h, a, m, b = cells
+    n = len(h)
+    of_cell = np.empty((n, 6))
+    for i in range(n):
+        rise, bend = _curve(a[i], m[i], b[i])
+        per = 1.0 / h[i]
+        of_cell[i, 0] = share * a[i]
+        of_cell[i, 1] = share * (states[i] - a[i])
+        of_cell[i, 2] = share * rise * per
+        of_cell[i, 3] = share * bend * per * per
+        of_cell[i, 4] = rates[i]
+        of_cell[i, 5] = 1.0 / rates[i]
+    decay = -rates[places] * since
+    exponentials(decay)
+    for q in range(len(places)):
+        start, away, rise, bend, rate, tau = of_cell[places[q]]
+        s = since[q]
+        r = rate * s
+        s1 = s - (1.0 - decay[q]) * tau  # what the lag makes of inputs s and s^2
+        s2 = s * s - 2.0 * s1 * tau
+        if r < SHORT:
+            m1, m2 = _short_moments(r)
+            s1, s2 = s * m1, s * s * m2
+        out[q] += start + decay[q] * away + rise * s1 + bend * s2
+
+
+@njit(cache=True)
+def growing_grid(start: float, end: float, first: float) -> FloatArray:  # pragma: no cover
+    n = 1
+    step, s = first, 0.0
+    while s < end - start:
+        s += step
+        step *= GROWTH
+        n += 1
+    grid = np.empty(n)
+    grid[0] = start
+    step = first
+    for i in range(1, n):
+        grid[i] = grid[i - 1] + step
+        step *= GROWTH
+    grid[n - 1] = end
+    if n > 2 and grid[n - 1] - grid[n - 2] < 0.3 * (grid[n - 2] - grid[n - 3]):
+        grid[n - 2] = 0.5 * (grid[n - 1] + grid[n - 3])  # no sliver before the next switch
+    return grid
+
+
+@njit(cache=True)
+def middles(
+    h: FloatArray,
+    x: FloatArray,
+    a: FloatArray,
+    b: FloatArray,
+    rates_a: FloatArray,
+    rates_b: FloatArray,
+) -> FloatArray:  # pragma: no cover
+    # states (n,) of a lag in the middles of n cells, from those at their ends (n + 1,): by the
+    # cubic through values and slopes, which jump where input (a, b) or rate do at a switch; the
+    # slopes are limited where the lag is much faster than the cell
+    mid = np.empty(len(h))
+    for i in range(len(h)):
+        step = x[i + 1] - x[i]
+        slopes = rates_a[i] * (a[i] - x[i]) - rates_b[i] * (b[i] - x[i + 1])
+        bend, limit = 0.125 * h[i] * slopes, 0.5 * abs(step)
+        mid[i] = 0.5 * (x[i] + x[i + 1]) + min(max(bend, -limit), limit)
+    return mid
+
+
+@njit(cache=True)
+def with_pocket(
+    cells: Cells, rates: FloatArray, share: float, time: float
+) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    # x2 (n + 1,) and the concentration in a stagnant pocket (n + 1,) at the ends of n cells:
+    # x2' = rate (g - x2) + k (pocket - x2), pocket' = (x2 - pocket)/time, k = share/time:
+    # two decaying modes, both driven by g
+    h, a, m, b = cells
+    x2, pocket = np.zeros(len(h) + 1), np.zeros(len(h) + 1)
+    exchange = 1.0 / time
+    k = share * exchange
+    for i in range(len(h)):
+        rate = rates[i]
+        trace = rate + k + exchange
+        root = sqrt(trace * trace - 4.0 * rate * exchange)
+        fast, slow = 0.5 * (trace + root), 2.0 * rate * exchange / (trace + root)
+        # left eigenvectors (1, v): v = k/(lambda - exchange) of x2, pocket
+        vf, vs = -k / (fast - exchange), -k / (slow - exchange)
+        zf, zs = x2[i] + vf * pocket[i], x2[i] + vs * pocket[i]
+        gf, gs = rate / fast, rate / slow
+        zf = advance(zf, fast * h[i], gf * a[i], gf * m[i], gf * b[i])
+        zs = advance(zs, slow * h[i], gs * a[i], gs * m[i], gs * b[i])
+        pocket[i + 1] = (zf - zs) / (vf - vs)
+        x2[i + 1] = zf - vf * pocket[i + 1]
+    return x2, pocket
