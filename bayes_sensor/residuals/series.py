@@ -52,7 +52,7 @@ class Series:
             x = problem.model.response(e.t, vector, problem.layout, e)
         z = r / s
         slope = np.abs(np.gradient(x, e.t)) if len(x) > 1 else np.zeros(len(x))
-        if not e.regular:  # a power of a negative phi exists on a grid only
+        if not e.regular:
             phi = max(phi, 0.0)
         white = whiten(z, e.places[used], phi)
         return cls(r, z, white, x[used], slope[used], s, e.used, e.concentration)

@@ -170,7 +170,6 @@ CIRCLES: dict[frozenset[str], str] = {}
 MOST_LINES = 500
 LONG_FILES = frozenset(
     {
-        "io/readers/assembly.py",
         "rig/perturbed.py",
     }
 )

@@ -24,13 +24,15 @@ from bayes_sensor.io.readers.recording import (
     Selection,
     check_chosen,
     check_counts,
-    choose_time,
+    drive_place,
     find_column,
     is_time,
     list_names,
     parser_errors,
+    recording_of_vectors,
     seconds,
     split_name,
+    time_place,
 )
 from bayes_sensor.io.readers.sampling import grid_times, simplest_near
 from bayes_sensor.io.readers.table import number_times
@@ -70,7 +72,7 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
         if v.numeric and sum(n != 1 for n in v.shape) == 1 and max(v.shape) > 1
     ]
     columns = [split_name(name) for name in vectors]
-    time = choose_time(file, columns, selection)
+    time = time_place(file, columns, selection)
     given = selection.interval is not None
     has_clock = sizes.get("Tinterval") == 1 and selection.time is None and not given
     if time is None and not has_clock and not given:
@@ -102,29 +104,11 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
     else:
         start, interval = _clock(file, content, len(y))
         t = grid_times(start, interval, len(y))
-    for name, values in (("drive", d), ("time", t)):
-        if values is not None and len(values) != len(y):
-            raise file.error(
-                f"expected the {name} vector to have the {len(y)} samples of "
-                f"'{vectors[signal]}', but it has {len(values)}; save them with the same length"
-            )
-
-    def place(i: int) -> str:
-        return f"sample {i + 1} of '{vectors[signal]}'"
-
-    return Recording(
-        t=t,
-        y=y,
-        signal=vectors[signal],
-        place=place,
-        drive=d,
-        drive_name="" if drive is None else vectors[drive],
-        unit=columns[signal].unit,
-        interval=interval,
-        clock=clock,
-        timed=time is None or bool(columns[time].unit),
-        notes=(remark,) if remark else (),
-    )
+    return recording_of_vectors(
+        file, columns, signal, drive, (t, y, d), called="the {} vector",
+        fix="save them with the same length", interval=interval, clock=clock,
+        timed=time is None or bool(columns[time].unit), notes=(remark,) if remark else (),
+    )  # fmt: skip
 
 
 def _choose(
@@ -155,9 +139,7 @@ def _choose(
                 "save the signal as a row or column vector of numbers"
             )
         signal = others[0]
-    drive = None
-    if selection.drive is not None:
-        drive = find_column(file, columns, selection.drive, "drive")
+    drive = drive_place(file, columns, selection)
     check_chosen(file, vectors, time, signal, drive)
     return signal, drive
 

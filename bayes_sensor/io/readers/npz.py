@@ -17,13 +17,15 @@ from bayes_sensor.io.readers.recording import (
     Selection,
     check_chosen,
     check_counts,
-    choose_time,
+    drive_place,
     find_column,
     is_time,
     list_names,
     parser_errors,
+    recording_of_vectors,
     seconds,
     split_name,
+    time_place,
 )
 from bayes_sensor.io.readers.sampling import grid_times
 from bayes_sensor.io.readers.table import number_times
@@ -59,7 +61,7 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
                 "expected arrays 't' and 'y', but the archive has none; "
                 "save with numpy.savez(path, t=t, y=y)"
             )
-        time = choose_time(file, columns, selection)
+        time = time_place(file, columns, selection)
         if time is None and selection.interval is None:
             raise file.error(
                 f"expected an array 't' with the times, but it has {list_names(members)}; "
@@ -82,22 +84,13 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
                     "save with numpy.savez(path, t=t, y=y)"
                 )
             signal = others[0]
-        drive = None
-        if selection.drive is not None:
-            drive = find_column(file, columns, selection.drive, "drive")
-        elif selection.signal is None and "drive" in members:
+        drive = drive_place(file, columns, selection)
+        if drive is None and selection.signal is None and "drive" in members:
             drive = members.index("drive")
         check_chosen(file, members, time, signal, drive)
         y = _array(file, archive, members[signal])
         written = None if time is None else _array(file, archive, members[time], True)
         d = None if drive is None else _array(file, archive, members[drive])
-    named_time = "time" if time is None else members[time]
-    for name, values in ((named_time, written), ("drive", d)):
-        if values is not None and len(values) != len(y):
-            raise file.error(
-                f"expected '{name}' to have the {len(y)} samples of '{members[signal]}', "
-                f"but it has {len(values)}; save them with the same length"
-            )
     clock, remark = None, ""
     if time is None or written is None:
         assert selection.interval is not None  # looked at above
@@ -110,19 +103,12 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
         t, clock = (ns - ns[0]) / 1e9, Clock(int(ns[0]), written.dtype.kind == "M")
     else:
         t, clock, remark = number_times(file, columns[time], written)
-    return Recording(
-        t=t,
-        y=y,
-        signal=members[signal],
-        place=lambda i: f"sample {i + 1} of '{members[signal]}'",
-        drive=d,
-        drive_name="" if drive is None else members[drive],
-        unit=columns[signal].unit,
-        interval=selection.interval,
-        clock=clock,
-        timed=time is None or bool(columns[time].unit),
+    return recording_of_vectors(
+        file, columns, signal, drive, (t, y, d), called="'{}'",
+        fix="save them with the same length", time_name="time" if time is None else members[time],
+        interval=selection.interval, clock=clock, timed=time is None or bool(columns[time].unit),
         notes=(remark,) if remark else (),
-    )
+    )  # fmt: skip
 
 
 def _array(

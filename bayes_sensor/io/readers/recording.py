@@ -236,9 +236,7 @@ def check_chosen(
         )
 
 
-def choose_time(
-    file: DataFile, columns: Sequence[Column], selection: Selection, none: str = ""
-) -> int | None:
+def time_place(file: DataFile, columns: Sequence[Column], selection: Selection) -> int | None:
     """Position of the vector of times: the one asked for, else the first that is called time.
 
     None where the campaign gives the interval.
@@ -288,3 +286,53 @@ def check_counts(file: DataFile, n_columns: int, n_samples: int = 0) -> None:
             f"expected at most {MAX_SAMPLES} samples, but it has {n_samples}; "
             "record shorter or average"
         )
+
+
+def drive_place(file: DataFile, columns: Sequence[Column], selection: Selection) -> int | None:
+    """Position of the drive that is asked for; None where none is."""
+    if selection.drive is None:
+        return None
+    return find_column(file, columns, selection.drive, "drive")
+
+
+def recording_of_vectors(
+    file: DataFile,
+    columns: Sequence[Column],
+    signal: int,
+    drive: int | None,
+    vectors: tuple[FloatArray, FloatArray, FloatArray | None],
+    *,
+    called: str,
+    fix: str,
+    time_name: str = "time",
+    interval: float | None = None,
+    clock: Clock | None = None,
+    timed: bool = False,
+    notes: tuple[str, ...] = (),
+) -> Recording:
+    """The recording of vectors that stand in the file by themselves; ``vectors``: t (s), y, drive.
+
+    ``called``: a vector in the words of the format, ``"the {} channel"``; ``fix``: what to do where
+    lengths differ, which raises CampaignError.
+    """
+    t, y, d = vectors
+    name = columns[signal].name
+    for other, values in (("drive", d), (time_name, t)):
+        if values is not None and len(values) != len(y):
+            raise file.error(
+                f"expected {called.format(other)} to have the {len(y)} samples of '{name}', "
+                f"but it has {len(values)}; {fix}"
+            )
+    return Recording(
+        t=t,
+        y=y,
+        signal=name,
+        place=lambda i: f"sample {i + 1} of '{name}'",
+        drive=d,
+        drive_name="" if drive is None else columns[drive].name,
+        unit=columns[signal].unit,
+        interval=interval,
+        clock=clock,
+        timed=timed,
+        notes=notes,
+    )

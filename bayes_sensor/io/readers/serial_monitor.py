@@ -9,7 +9,8 @@ from __future__ import annotations
 import re
 
 from bayes_sensor.io.readers.stamps import is_stamp
-from bayes_sensor.io.readers.text import decode, is_number, lines_of
+from bayes_sensor.io.readers.table_cells import is_number, lines_of
+from bayes_sensor.io.readers.text_encoding import decoded
 
 SNIFFED = 20
 """lines that are looked at"""
@@ -38,7 +39,7 @@ def is_serial_log(text: bytes) -> bool:
     lines = []
     for _, raw in lines_of(text[: 1 << 16]):
         if raw.strip():
-            lines.append(decode(raw))
+            lines.append(decoded(raw))
         if len(lines) == SNIFFED:
             break
     return sum(_parts(line) is not None for line in lines) > len(lines) / 2
@@ -47,13 +48,13 @@ def is_serial_log(text: bytes) -> bool:
 def plain_table(text: bytes) -> bytes:
     """The log as a table with tabs; a line that is no reading becomes a blank one.
 
-    >>> plain_table(b"12:00:00.000 -> CO2: 415 ppm").decode().split("\\n")
+    >>> plain_table(b"12:00:00.000 -> CO2: 415 ppm").decoded().split("\\n")
     ['time\\tCO2 (ppm)', '12:00:00.000\\t415']
     """
     rows: list[tuple[str, list[str]]] = []
     names: list[str] | None = None
     for _, raw in lines_of(text):
-        parts = _parts(decode(raw))
+        parts = _parts(decoded(raw))
         if parts is None:
             rows.append(("", []))
             continue

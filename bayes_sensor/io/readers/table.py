@@ -40,18 +40,18 @@ from bayes_sensor.io.readers.stamps import (
     read_long_numbers,
     read_stamps,
 )
-from bayes_sensor.io.readers.table_layout import Layout, find_layout, is_comment
-from bayes_sensor.io.readers.text import (
+from bayes_sensor.io.readers.table_cells import (
     NA_VALUES,
     OUT_OF_RANGE,
     SEPARATOR_NAMES,
-    as_utf8,
-    decode,
+    is_comment,
     is_value,
     kind_of,
     lines_of,
-    split_line,
+    split_cells,
 )
+from bayes_sensor.io.readers.table_layout import Layout, find_layout
+from bayes_sensor.io.readers.text_encoding import as_utf8, decoded
 
 SAMPLED = 400
 """rows from which the kind of each column is told"""
@@ -129,7 +129,7 @@ def _without_footer(text: bytes) -> bytes:
     while True:
         kept = text.rstrip()
         start = max(kept.rfind(b"\n"), kept.rfind(b"\r")) + 1
-        if start == 0 or not is_comment(decode(kept[start:])):
+        if start == 0 or not is_comment(decoded(kept[start:])):
             return text
         text = text[:start]
 
@@ -142,7 +142,7 @@ def _facts(text: bytes, layout: Layout) -> list[Facts]:
     for k, (_, raw) in enumerate(lines_of(text, layout.body)):
         if k >= SAMPLED:
             break
-        row = split_line(decode(raw), layout.separator)
+        row = split_cells(decoded(raw), layout.separator)
         n = k + 1
         for i in range(min(len(row), len(cells))):
             if row[i]:
@@ -435,10 +435,10 @@ def _blame(body: _Body, use: set[int], reason: str) -> CampaignError:
     """The error that names the row and column at which the parser failed."""
     layout, columns = body.layout, body.layout.columns
     for row, (_, raw) in enumerate(lines_of(body.text, layout.body), layout.body_row):
-        line = decode(raw)
+        line = decoded(raw)
         if not line.strip():
             continue
-        cells = split_line(line, layout.separator)
+        cells = split_cells(line, layout.separator)
         for i in sorted(use):
             if i < len(cells) and not (
                 is_value(cells[i], layout.decimal) or cells[i].casefold() in OUT_OF_RANGE

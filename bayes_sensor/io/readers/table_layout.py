@@ -21,16 +21,17 @@ from bayes_sensor.io.readers.recording import (
     is_time,
     split_name,
 )
-from bayes_sensor.io.readers.text import (
+from bayes_sensor.io.readers.table_cells import (
     SEPARATOR_NAMES,
-    decode,
+    is_comment,
     is_number,
     is_value,
     kind_of,
     lines_of,
     looks_measured,
-    split_line,
+    split_cells,
 )
+from bayes_sensor.io.readers.text_encoding import decoded
 
 HEAD = 1 << 20
 """bytes in which the samples must begin"""
@@ -81,11 +82,6 @@ class _Line:
     text: str
 
 
-def is_comment(line: str) -> bool:
-    """Whether a line is a comment."""
-    return line.lstrip().startswith(("#", "%", "//"))
-
-
 def find_layout(file: DataFile, text: bytes) -> Layout:
     """Separator, decimal mark, column names, units, stated interval and the start of the data.
 
@@ -101,7 +97,7 @@ def find_layout(file: DataFile, text: bytes) -> Layout:
             "export a table with one row per sample"
         )
     lines = [
-        _Line(row, start, decode(raw).strip("\ufeff"))
+        _Line(row, start, decoded(raw).strip("\ufeff"))
         for row, (start, raw) in enumerate(lines_of(head), 1)
         if raw.strip()
     ]
@@ -129,7 +125,7 @@ def find_layout(file: DataFile, text: bytes) -> Layout:
         raise nothing
     if first and not kinds[-1] and n > 1:
         # a separator at the end of each row, or a column that is empty throughout
-        above = split_line(rows[first - 1].text, separator)
+        above = split_cells(rows[first - 1].text, separator)
         if len(above) == n - 1:
             kinds = kinds[:-1]
     names, units, first = _header(file, rows, first, separator, decimal, kinds, comments)
@@ -142,7 +138,7 @@ def find_layout(file: DataFile, text: bytes) -> Layout:
         columns,
         rows[first].start,
         rows[first].row,
-        max(n, len(columns), len(split_line(rows[first].text, separator))),
+        max(n, len(columns), len(split_cells(rows[first].text, separator))),
         names is not None,
         interval,
         start,
@@ -164,7 +160,7 @@ def _probe(
     best: tuple[float, str, str, int, tuple[str, ...]] | None = None
     for mark in SEPARATOR_NAMES if separator is None else (separator,):
         decimal = "." if mark == "," else _find_decimal(rows, mark)
-        table = [split_line(line.text, mark) for line in rows]
+        table = [split_cells(line.text, mark) for line in rows]
         counts = Counter(len(cells) for cells in table)
         n = max(counts, key=lambda count: (counts[count] * (count > 1), count))
         chosen = [cells for cells in table if len(cells) == n]
@@ -190,7 +186,7 @@ def _main_kind(kinds: Sequence[str]) -> str:
 def _find_decimal(rows: Sequence[_Line], separator: str) -> str:
     """Decimal comma if the first rows hold numbers with one and none with a point."""
     for line in rows:
-        for cell in split_line(line.text, separator):
+        for cell in split_cells(line.text, separator):
             if re.fullmatch(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?", cell):
                 return ","
             if re.fullmatch(r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?", cell):
@@ -207,7 +203,7 @@ def _first_sample(
     key = measured[0] - 1 if measured[0] > 0 and kinds[measured[0] - 1] == "" else None
 
     def holds_samples(line: _Line) -> bool:
-        cells = split_line(line.text, separator)
+        cells = split_cells(line.text, separator)
         if len(cells) < least or len(cells) > n + 1 or (key is not None and cells[key]):
             return False  # a text before the first measured column is a key with its value
         found = [kind_of(cells[i], decimal) for i in measured]
@@ -242,11 +238,11 @@ def _header(
     n = len(kinds)
     candidates: list[tuple[int, list[str]]] = []  # from the samples upwards
     broken = first
-    starts = [split_line(line.text, separator)[0] for line in rows[first : first + 3]]
+    starts = [split_cells(line.text, separator)[0] for line in rows[first : first + 3]]
     whole = [int(cell) for cell in starts if re.fullmatch(r"\d{1,9}", cell)]
     numbered = len(whole) == 3 and whole[2] - whole[1] == whole[1] - whole[0] == 1
     # a comma before the milliseconds, which separates columns, too
-    body = [split_line(line.text, separator) for line in rows[first : first + 3]]
+    body = [split_cells(line.text, separator) for line in rows[first : first + 3]]
     split_off = next(
         (
             i + 1
@@ -280,7 +276,7 @@ def _header(
     names_at = _names_row(candidates)
     if names_at is None:
         if broken < first:
-            cells = split_line(rows[broken].text, separator)
+            cells = split_cells(rows[broken].text, separator)
             culprit = next((c for c in cells if kind_of(c, decimal) == "text"), cells[-1])
             raise file.error(
                 f"row {rows[broken].row}: expected a header or numbers, but got the text "
@@ -288,7 +284,7 @@ def _header(
                 "first row, for example time_s,voltage_V"
             )
         if first == 1 and not _told(rows[0].text):
-            cells = [cell for cell in split_line(rows[0].text, separator)]
+            cells = [cell for cell in split_cells(rows[0].text, separator)]
             hint = (
                 "decimal commas need semicolons or tabs between the columns"
                 if separator == "," and n == 2 * len(cells)
@@ -300,7 +296,7 @@ def _header(
             )
         for line in reversed(comments):
             if line.row < rows[first].row:
-                cells = _fit_header(split_line(line.text.lstrip("#%/ \t"), separator), kinds)
+                cells = _fit_header(split_cells(line.text.lstrip("#%/ \t"), separator), kinds)
                 if len(cells) == n and all(cells) and not any(is_number(c) for c in cells):
                     return cells, [], first
                 break
@@ -314,7 +310,7 @@ def _header(
 
 
 def _cells_above(line: str, separator: str, n: int) -> list[str]:
-    cells = split_line(line, separator)
+    cells = split_cells(line, separator)
     if separator == " " and len(cells) != n:
         apart = re.split(r"\s{2,}|\t", line.strip())
         if len(apart) == n:
@@ -435,7 +431,7 @@ def _stated_interval(
 
     A number stands behind its key in the same cell, in the next cell, or in the cell below.
     """
-    table = [split_line(line.text.lstrip("#%/ \t"), separator) for line in [*above, *body]]
+    table = [split_cells(line.text.lstrip("#%/ \t"), separator) for line in [*above, *body]]
     interval, start = None, 0.0
     for i, cells in enumerate(table):
         for j, cell in enumerate(cells):

@@ -21,13 +21,15 @@ from bayes_sensor.io.readers.recording import (
     Selection,
     check_chosen,
     check_counts,
-    choose_time,
+    drive_place,
     find_column,
     is_time,
     list_names,
     missing_extra,
     parser_errors,
+    recording_of_vectors,
     split_name,
+    time_place,
 )
 from bayes_sensor.io.readers.sampling import grid_times, simplest_near
 from bayes_sensor.io.readers.table import number_times
@@ -63,7 +65,7 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
             raise file.error("expected channels with numbers, but there are none; export again")
         columns = _name(channels)
         dated = [i for i, c in enumerate(channels) if np.dtype(c.dtype).kind == "M"]
-        time = choose_time(file, columns, selection)
+        time = time_place(file, columns, selection)
         if time is None and selection.interval is None and dated:
             time = dated[0]
         others = [
@@ -80,9 +82,7 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
                 f"expected a signal channel beside the time, but there is only "
                 f"{list_names([column.name for column in columns])}; export the signal as well"
             )
-        drive = None
-        if selection.drive is not None:
-            drive = find_column(file, columns, selection.drive, "drive")
+        drive = drive_place(file, columns, selection)
         check_chosen(file, [column.name for column in columns], time, signal, drive)
         y = _values(channels[signal])
         d = None if drive is None else _values(channels[drive])
@@ -106,25 +106,11 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
                 )
             interval = simplest_near(interval, max(1e-9 * interval, 0.01 * interval / len(y)))
             t = grid_times(simplest_near(start, 1e-3 * interval), interval, len(y))
-    for name, values in (("drive", d), ("time", t)):
-        if values is not None and len(values) != len(y):
-            raise file.error(
-                f"expected the {name} channel to have the {len(y)} samples of "
-                f"'{columns[signal].name}', but it has {len(values)}; export them together"
-            )
-    return Recording(
-        t=t,
-        y=y,
-        signal=columns[signal].name,
-        place=lambda i: f"sample {i + 1} of '{columns[signal].name}'",
-        drive=d,
-        drive_name="" if drive is None else columns[drive].name,
-        unit=columns[signal].unit,
-        interval=interval,
-        clock=clock,
-        timed=time is None or bool(columns[time].unit),
-        notes=(remark,) if remark else (),
-    )
+    return recording_of_vectors(
+        file, columns, signal, drive, (t, y, d), called="the {} channel",
+        fix="export them together", interval=interval, clock=clock,
+        timed=time is None or bool(columns[time].unit), notes=(remark,) if remark else (),
+    )  # fmt: skip
 
 
 @contextmanager

@@ -1,13 +1,11 @@
-"""The text of a table: its encoding, lines and cells."""
+"""Lines and cells of a table in text, and what a cell holds."""
 
 from __future__ import annotations
 
-import codecs
 import csv
 import re
 from collections.abc import Iterator
 
-from bayes_sensor.io.readers.recording import DataFile
 from bayes_sensor.io.readers.stamps import is_compact_number, is_date, is_stamp
 
 SEPARATOR_NAMES = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}
@@ -23,63 +21,6 @@ _FLOAT = re.compile(r"[+-]?\s*(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 _ENDING = re.compile(rb"\r\n|\n|\r")
 
 
-def as_utf8(file: DataFile) -> bytes:
-    """The content as UTF-8 without byte order mark.
-
-    Raises
-    ------
-    CampaignError
-        If the content is no text.
-    """
-    raw = file.content
-    if raw.startswith(codecs.BOM_UTF8):
-        raw = raw[len(codecs.BOM_UTF8) :]
-    elif raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raw = _transcode(file, raw, "utf-16")
-    elif b"\0" in raw[:4096]:
-        even, odd, half = raw[0:4096:2].count(0), raw[1:4096:2].count(0), len(raw[:4096]) // 2
-        if odd > half // 2 > 4 * even:
-            raw = _transcode(file, raw, "utf-16-le")
-        elif even > half // 2 > 4 * odd:
-            raw = _transcode(file, raw, "utf-16-be")
-        else:
-            raise file.error(
-                "expected a text table, but the content is binary; "
-                "check the suffix or export as CSV"
-            )
-    nul = raw.find(b"\0")
-    if nul >= 0:
-        row = len(_ENDING.findall(raw[:nul])) + 1
-        raise file.error(
-            f"row {row} holds a zero byte, so the file is damaged there; export it again"
-        )
-    if b"\xe2\x88\x9e" in raw:
-        raw = raw.replace(b"\xe2\x88\x9e", b"inf")
-    if not raw.strip():
-        raise file.error(
-            "expected a table with a header and numbers, but the file is empty; export it again"
-        )
-    return raw
-
-
-def _transcode(file: DataFile, raw: bytes, encoding: str) -> bytes:
-    try:
-        return raw.decode(encoding).lstrip("\ufeff").encode("utf-8")
-    except UnicodeError as error:
-        raise file.error(
-            f"expected {encoding.upper()} text, but it cannot be decoded ({error}); "
-            "the file may be truncated: export it again"
-        ) from None
-
-
-def decode(raw: bytes) -> str:
-    """The text of a line, in UTF-8 or else in Latin-1."""
-    try:
-        return raw.decode("utf-8")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
-
-
 def lines_of(text: bytes, start: int = 0) -> Iterator[tuple[int, bytes]]:
     """Start and content of each line, without its ending."""
     while start < len(text):
@@ -91,7 +32,7 @@ def lines_of(text: bytes, start: int = 0) -> Iterator[tuple[int, bytes]]:
         start = match.end()
 
 
-def split_line(line: str, separator: str) -> list[str]:
+def split_cells(line: str, separator: str) -> list[str]:
     """The cells of a line, without the blanks around them."""
     if '"' not in line:
         if separator == " ":
@@ -149,3 +90,8 @@ def kind_of(cell: str, decimal: str = ".") -> str:
 def looks_measured(cell: str, decimal: str) -> bool:
     """Whether a cell is a number with a decimal mark or exponent, hence no channel's name."""
     return is_number(cell, decimal) and re.search(r"[.,eE]", cell) is not None
+
+
+def is_comment(line: str) -> bool:
+    """Whether a line is a comment."""
+    return line.lstrip().startswith(("#", "%", "//"))

@@ -1,0 +1,143 @@
+"""Commanded times, from the campaign and from the recorded drive, checked with the record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.io.readers.campaign_file import Entry
+from bayes_sensor.io.readers.drive import commanded_times
+from bayes_sensor.io.readers.recording import Clock, DataFile, Recording
+from bayes_sensor.io.readers.sampling import FIRST_EPOCH
+from bayes_sensor.io.readers.stamps import DAY, Moment
+
+DISAGREEMENT = 0.05
+"""s between commanded time and drive edge from which a warning is given"""
+
+
+@dataclass(frozen=True)
+class EntryTimes:
+    """The times of an entry, in s on the record's own axis."""
+
+    on: float | None
+    off: float | None
+    keep: tuple[float, float] | None
+    mask: tuple[tuple[float, float], ...]
+
+
+def times_of_entry(entry: Entry, where: str, clock: Clock | None) -> EntryTimes:
+    """The entry's times on the record's own axis.
+
+    A time of day or a date in the campaign file is a place on the recorder's clock; so is a number
+    of seconds since 1970 where the file has those.
+    """
+
+    def seconds(value: float | Moment, key: str) -> float:
+        if isinstance(value, float | int):
+            since = float(value) - clock.ns / 1e9 if clock is not None and clock.dated else 0.0
+            return float(round(since, 9)) if abs(value) >= FIRST_EPOCH and since else float(value)
+        if clock is None:
+            raise CampaignError(
+                f"{where}: {key} is the time of day '{value.text}', but the record's times are "
+                "no times of day; expected a time on the record's own axis: write it in s"
+            )
+        start = clock.ns if value.zoned else clock.ns + clock.offset
+        if value.dated and not clock.dated:
+            raise CampaignError(
+                f"{where}: {key} is '{value.text}', but the record's times have no date; expected "
+                f"a time of day: write '{value.text.split()[-1]}'"
+            )
+        if value.dated:
+            return (value.ns - start) / 1e9
+        # the first such time of day that is not long before the record
+        return (value.ns - start + DAY // 2) % DAY / 1e9 - DAY / 2e9
+
+    def pair(value: tuple[float | Moment, float | Moment], key: str) -> tuple[float, float]:
+        start, end = seconds(value[0], key), seconds(value[1], key)
+        if not start < end:
+            raise CampaignError(
+                f"{where}: {key}: expected the start before the end, but got {start:.10g} s and "
+                f"{end:.10g} s; swap them"
+            )
+        return start, end
+
+    on, off = entry.commanded_on, entry.commanded_off
+    return EntryTimes(
+        None if on is None else seconds(on, "commanded_on"),
+        None if off is None else seconds(off, "commanded_off"),
+        None if entry.keep is None else pair(entry.keep, "keep"),
+        tuple(pair(part, "mask") for part in entry.mask),
+    )
+
+
+def drive_times(
+    told: EntryTimes,
+    file: DataFile,
+    recording: Recording,
+    t: FloatArray,
+    drive: FloatArray | None,
+    notes: list[str],
+) -> tuple[float | None, float | None]:
+    if drive is None:
+        return None, None
+    name = recording.drive_name
+    try:
+        return commanded_times(t, drive, lambda text: file.error(f"drive '{name}': {text}"))
+    except CampaignError as error:
+        if told.on is None:
+            raise
+        notes.append(f"{error} (commanded_on is given, so the drive was not used)")
+        return None, None
+
+
+def check_times(
+    on: float | None, off: float | None, t: FloatArray, where: str, notes: list[str]
+) -> tuple[float | None, float | None]:
+    first, last = float(t[0]), float(t[-1])
+    if off is not None and on is None:
+        raise CampaignError(
+            f"{where}: commanded_off is given without commanded_on; add commanded_on or drive "
+            "(where only the fall was recorded, give its command as commanded_on)"
+        )
+    if on is None:
+        return None, None
+    if not first <= on < last:
+        ratio = on / last if last > 0 else 0.0
+        hint = ""
+        if 100 < ratio < 1e4:
+            hint = " (is time in ms but read as s, or the other way round?)"
+        raise CampaignError(
+            f"{where}: commanded_on = {on:.10g} s lies outside the record, which runs from "
+            f"{first:.10g} s to {last:.10g} s{hint}; expected a time on the record's own "
+            "axis: correct commanded_on, or the crop in keep"
+        )
+    if off is not None and off <= on:
+        raise CampaignError(
+            f"{where}: commanded_off = {off:.10g} s is not after commanded_on = {on:.10g} s; "
+            "expected on before off: swap or correct them"
+        )
+    if off is not None and off >= last:
+        notes.append(
+            f"{where}: commanded_off = {off:.10g} s lies beyond the end of the record at "
+            f"{last:.10g} s; no step down is recorded"
+        )
+        off = None
+    return on, off
+
+
+def compare_times(
+    told: EntryTimes,
+    where: str,
+    drive_on: float | None,
+    drive_off: float | None,
+    notes: list[str],
+) -> None:
+    for key, time, seen in (
+        ("commanded_on", told.on, drive_on),
+        ("commanded_off", told.off, drive_off),
+    ):
+        if time is not None and seen is not None and abs(time - seen) > DISAGREEMENT:
+            notes.append(
+                f"{where}: {key} = {time:.10g} s, but the drive's edge is at {seen:.10g} s, "
+                f"{abs(time - seen) * 1e3:.0f} ms apart; {key} was used"
+            )
