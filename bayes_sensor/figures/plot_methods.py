@@ -125,7 +125,7 @@ def step_study(
                 chosen = [
                     r for r in rows
                     if r["method"] == method and r["difference"] == difference
-                    and r[name] is not None and np.isfinite(r[name])
+                    and r[name] is not None and 0.0 < r[name] < np.inf
                 ]  # fmt: skip
                 x = np.array([r["step"] for r in chosen])
                 y = np.array([3 * factor * r[name] for r in chosen])

@@ -200,9 +200,14 @@ def pdf(figure: Figure) -> bytes:
 
 
 def logarithmic(axes: Axes, which: str) -> None:
-    """A logarithmic axis with plain numbers (10 rather than a power in mathematical type)."""
-    axes.set(**{f"{which}scale": "log"})
+    """A logarithmic axis with plain numbers (10 rather than a power in mathematical type).
+
+    It stays linear where nothing positive is drawn.
+    """
     axis = axes.xaxis if which == "x" else axes.yaxis
+    if not axis.get_data_interval()[1] > 0.0:
+        return
+    axes.set(**{f"{which}scale": "log"})
     low, high = axis.get_view_interval()
     if high < 30 * low:
         axis.set_major_locator(LogLocator(subs=(1, 2, 3, 5, 7) if high < 5 * low else (1, 2, 5)))

@@ -303,3 +303,16 @@ def test_every_colour_of_a_drawing_is_known_to_the_page() -> None:
     for name, (make, _) in MAKERS.items():
         used = set(re.findall(r"#[0-9a-f]{6}\b", figures.svg(make())))
         assert used <= known, f"{name}: {used - known}"
+
+
+def test_the_step_study_is_drawn_where_no_bound_is_positive() -> None:
+    rows = [
+        {"method": method, "difference": difference, "step": step, "identified": True,
+         "tau_s": 0.0, "tau_v_s": None, "V_mL": 1e3 * step}
+        for method in ("euler", "exact")
+        for difference in ("forward", "central")
+        for step in (1e-4, 1e-2)
+    ]  # fmt: skip
+    figure = figures.step_study(rows)
+    assert figures.png(figure).startswith(b"\x89PNG")
+    assert [axes.get_yscale() for axes in figure.axes[:3]] == ["linear", "linear", "log"]
