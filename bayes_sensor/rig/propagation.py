@@ -275,7 +275,7 @@ def on_grid(
     for e in range(n_events):
         least = max(least, 1e-17 * max(abs(level[e]), abs(kicks[e]) * rates[0]))
     anchor, d, found = np.zeros(n), np.empty(n), np.empty(n)
-    at, now = 0.0, 0.0
+    at, now = first, 0.0  # at rest before the first event
     i = e = 0
     while i < n_t:
         while e < n_events and times[e] < first + i * interval:

@@ -15,8 +15,10 @@ from bayes_sensor.rig.cascade import (
     cascade_sensitivities,
     euler_response,
     predict,
+    pulse,
     time_constants,
 )
+from bayes_sensor.rig.chain import fill_grid
 from bayes_sensor.rig.layout import Layout
 from tests.support.campaigns import paper_design, paper_theta, small_design, small_theta
 
@@ -301,3 +303,15 @@ def test_a_time_constant_is_positive_and_finite(place: int, value: float) -> Non
     values[place] = value
     with pytest.raises(CampaignError, match="time constants must be positive"):
         time_constants(*values, total_flow=100.0)
+
+
+@pytest.mark.parametrize("begin", [-1e5, -1000.0, 0.0, 1e5])
+def test_the_response_on_a_grid_does_not_depend_on_the_clock(begin: float) -> None:
+    t = 0.01 * np.arange(2000)
+    taus = np.array([0.3, 0.2, 0.1])
+    found = cascade_response(t + begin, taus, begin + 2.0, begin + 8.0)
+    on_the_grid = np.empty(len(t))
+    fill_grid(begin, 0.01, np.sort(1.0 / taus), pulse(begin + 2.0, begin + 8.0), on_the_grid)
+    # a time near 1e5 s has 1.5e-11 s of rounding
+    np.testing.assert_allclose(on_the_grid, found, atol=1e-9)
+    np.testing.assert_allclose(found, cascade_response(t, taus, 2.0, 8.0), atol=1e-9)

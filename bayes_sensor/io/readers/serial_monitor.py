@@ -48,7 +48,7 @@ def is_serial_log(text: bytes) -> bool:
 def plain_table(text: bytes) -> bytes:
     """The log as a table with tabs; a line that is no reading becomes a blank one.
 
-    >>> plain_table(b"12:00:00.000 -> CO2: 415 ppm").decoded().split("\\n")
+    >>> plain_table(b"12:00:00.000 -> CO2: 415 ppm").decode().split("\\n")
     ['time\\tCO2 (ppm)', '12:00:00.000\\t415']
     """
     rows: list[tuple[str, list[str]]] = []
