@@ -1,8 +1,9 @@
 """Settings that every test shares; the environment must be set before numpy is first imported."""
 
 import importlib
+import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -17,6 +18,16 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 # The same examples in every run; no deadline, because the first call of a function compiles it.
 settings.register_profile("bayes_sensor", derandomize=True, deadline=None)
 settings.load_profile("bayes_sensor")
+
+LOG = logging.getLogger("bayes_sensor")
+
+
+@pytest.fixture(autouse=True)
+def _log_as_found() -> Iterator[None]:
+    """What a command did to the log is undone, or ``caplog`` of later tests would hear it twice."""
+    yield
+    LOG.propagate = True
+
 
 STUDIES = Path(__file__).resolve().parent.parent / "paper" / "studies"
 

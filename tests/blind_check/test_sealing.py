@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import re
 from functools import partial
 from pathlib import Path
@@ -83,11 +82,8 @@ def test_a_truth_of_ones_own_is_sealed_before_its_verdict(
 
 @pytest.mark.usefixtures("quick")
 def test_a_truth_that_comes_after_the_verdict_counts_and_is_marked(
-    own: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    # an earlier test may have handed the log to the command
-    monkeypatch.setattr(logging.getLogger("bayes_sensor"), "propagate", True)
+    own: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
     truth = own / "sealed" / "mine.json"
     kept = truth.read_text()
     truth.unlink()

@@ -1,6 +1,5 @@
 """Calibration: ranks, bands, coverage, and long runs that resume."""
 
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -296,7 +295,6 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (folder / room / "one.py").write_text("A = 1\n")
     monkeypatch.setattr(study_chunks, "PACKAGE", folder)
     monkeypatch.setattr(study_chunks, "CODE_AT_START", {})
-    monkeypatch.setattr(logging.getLogger("bayes_sensor"), "propagate", True)
     monkeypatch.setattr(Squares, "calls", 0)
     return folder
 

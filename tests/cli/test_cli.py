@@ -1,7 +1,6 @@
 """The command line: exit codes, one message per mistake, nothing half-written, same numbers."""
 
 import json
-import logging
 import os
 import re
 import signal
@@ -472,9 +471,8 @@ def test_a_fit_that_sees_no_step_is_one_sentence(
 
 
 def test_a_checkpoint_of_other_settings_is_said_not_to_be_used(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(logging.getLogger("bayes_sensor"), "propagate", True)
     for resume, digest, n in ((True, "mine", 0), (True, "other", 1), (False, "third", 0)):
         Checkpoint(tmp_path, "mine", resume=False)
         (tmp_path / "ensemble-0-00000.npz").write_bytes(b"")
@@ -505,7 +503,6 @@ def test_the_noise_law_does_not_act_on_the_gap_and_this_is_said(
 ) -> None:  # fmt: skip
     import bayes_sensor.diagnosis as room
 
-    monkeypatch.setattr(logging.getLogger("bayes_sensor"), "propagate", True)
     given: list[Any] = []
 
     def stop(_campaign: Any, fit: Any, **_options: Any) -> None:
