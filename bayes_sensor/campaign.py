@@ -43,6 +43,80 @@ def counted(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
+FREE_SWITCHES = 4
+"""switches in a record up to which each has a time of its own unless the campaign says otherwise"""
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """What was done to the gas in a record that is more than one step up and one down.
+
+    Either a programme of switches, or a recorded channel that is the input itself.
+
+    Raises
+    ------
+    CampaignError
+        If times do not rise, a level is not finite, levels are not as many as times or all are
+        the same, or ``delays`` is unknown.
+    """
+
+    times: FloatArray
+    """(n,) s, rising: commanded times of the switches, or times of the recorded samples"""
+    levels: FloatArray
+    """(n,) input after each switch, or at each sample; 1 is the record's highest"""
+    rest: float = 0.0
+    """input before the first switch"""
+    delays: str = "free"
+    """``free``: each switch has a time of its own; ``shared``: one delay for all switches up, one
+    for all switches down"""
+    recorded: bool = False
+    """whether the levels are a recorded input, with ramps between its samples"""
+
+    def __post_init__(self) -> None:
+        times = np.ascontiguousarray(self.times, dtype=float)
+        levels = np.ascontiguousarray(self.levels, dtype=float)
+        if times.ndim != 1 or times.shape != levels.shape or len(times) < 1 + self.recorded:
+            raise CampaignError(
+                "commands: expected as many levels as times, got shapes "
+                f"{times.shape} and {levels.shape}; give each switch both"
+            )
+        for label, values in (("time", times), ("level", levels)):
+            if not np.isfinite(values).all():
+                i = int(np.argmin(np.isfinite(values)))
+                raise CampaignError(
+                    f"commands: {label} {i + 1} is {values[i]}; expected a number"
+                )
+        late = np.flatnonzero(np.diff(times) <= 0.0)
+        if late.size:
+            i = int(late[0])
+            raise CampaignError(
+                f"commands: times must rise, but time {i + 2} ({times[i + 1]:.10g} s) follows time "
+                f"{i + 1} ({times[i]:.10g} s); put them in order and drop repeated ones"
+            )
+        if self.delays not in ("free", "shared"):
+            raise CampaignError(
+                f"delays: expected 'free' or 'shared', but got '{self.delays}'; correct it"
+            )
+        steps = np.diff(levels, prepend=levels[0] if self.recorded else self.rest)
+        if self.recorded and not steps.any():
+            raise CampaignError(
+                f"input: all samples are {levels[0]:g}; expected an input that changes: choose "
+                "another channel"
+            )
+        if not self.recorded and not steps.all():
+            i = int(np.argmin(np.abs(steps)))
+            raise CampaignError(
+                f"steps: step {i + 1} goes to the level that the input has already; leave it out"
+            )
+        object.__setattr__(self, "times", times)
+        object.__setattr__(self, "levels", levels)
+
+    @property
+    def heights(self) -> FloatArray:
+        """(n,) change of the input at each switch."""
+        return np.diff(self.levels, prepend=self.rest)
+
+
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """One step experiment, sampled uniformly or at times of its own.
@@ -60,10 +134,10 @@ class Experiment:
     """(n_t,) s, increasing; where :attr:`regular`, ``t[i] = t[0] + i * interval``."""
     y: FloatArray | None
     """(n_t,) V, or None for a design (an experiment that is planned but not measured)."""
-    carrier_flow: float
-    """mL/s"""
-    test_gas_flow: float
-    """mL/s"""
+    carrier_flow: float | None
+    """mL/s, or None where it is not known"""
+    test_gas_flow: float | None
+    """mL/s, or None where it is not known"""
     interval: float
     """s, sampling interval; where the sampling is irregular, the median step"""
     commanded_on: float | None = None
@@ -78,6 +152,13 @@ class Experiment:
     """the file the samples came from, for messages"""
     sha256: str = ""
     """hash of that file, for the record"""
+    commands: Commands | None = None
+    """the programme of the input, where it is more than the one pulse of ``commanded_on`` and
+    ``commanded_off``"""
+    record: str = ""
+    """name of the record, where several sensors were recorded together; they share its switches"""
+    sensor: str = ""
+    """which sensor of several this is"""
 
     def __post_init__(self) -> None:
         where = f"experiment '{self.name}'" + (f" ({self.source})" if self.source else "")
@@ -93,11 +174,17 @@ class Experiment:
             ("carrier_flow", self.carrier_flow, 0.0),
             ("test_gas_flow", self.test_gas_flow, 0.0),
         ):
-            if not np.isfinite(flow) or flow <= least:
+            if flow is not None and (not np.isfinite(flow) or flow <= least):
                 raise CampaignError(
                     f"{where}: {label} must be a positive flow, but is {flow * 0.06:g} L/min; "
                     "give the flow that was set"
                 )
+        if (self.carrier_flow is None) != (self.test_gas_flow is None):
+            raise CampaignError(
+                f"{where}: one of carrier_flow and test_gas_flow is given; give both or neither"
+            )
+        if self.commands is not None and self.commanded_on is None and not self.commands.recorded:
+            object.__setattr__(self, "commanded_on", float(self.commands.times[0]))
         if self.mask is None:
             object.__setattr__(self, "mask", np.ones(n_t, dtype=bool))
         for label, array in (("y", self.y), ("mask", self.mask), ("drive", self.drive)):
@@ -149,9 +236,13 @@ class Experiment:
         """One line, without the samples."""
         what = "planned" if self.y is None else f"{self.n_samples} samples used"
         about = "" if self.regular else "about "
+        flow = "flow unknown"
+        if self.flow_known:
+            flow = (
+                f"{self.total_flow * 0.06:.4g} L/min, {100 * self.concentration:.3g} % test gas"
+            )
         return (
-            f"Experiment({self.name!r}: {what}, one every {about}{self.interval:.4g} s, "
-            f"{self.total_flow * 0.06:.4g} L/min, {100 * self.concentration:.3g} % test gas)"
+            f"Experiment({self.name!r}: {what}, one every {about}{self.interval:.4g} s, {flow})"
         )
 
     @cached_property
@@ -167,14 +258,26 @@ class Experiment:
         return self.mask
 
     @property
+    def flow_known(self) -> bool:
+        """Whether the flows are given."""
+        return self.carrier_flow is not None
+
+    @property
     def total_flow(self) -> float:
-        """Q = Q_N2 + Q_CO2 (paper eq. 1), mL/s."""
+        """Q = Q_N2 + Q_CO2 (paper eq. 1), mL/s; nan where it is not known."""
+        if self.carrier_flow is None or self.test_gas_flow is None:
+            return np.nan
         return self.carrier_flow + self.test_gas_flow
 
     @property
     def concentration(self) -> float:
-        """Test-gas fraction Q_CO2 / Q, between 0 and 1."""
-        return self.test_gas_flow / self.total_flow
+        """Test-gas fraction Q_CO2 / Q, between 0 and 1; 1 where no flow is known."""
+        return 1.0 if self.test_gas_flow is None else self.test_gas_flow / self.total_flow
+
+    @property
+    def record_name(self) -> str:
+        """Name of the record: the experiment's own, unless several sensors share one."""
+        return self.record or self.name
 
     @property
     def has_fall(self) -> bool:
@@ -272,9 +375,12 @@ class Campaign:
     sensor_is: str = "unknown"
     """``faster`` or ``slower`` than the valve where the user says so, else ``unknown``: lags in a
     row commute, so the data give their values and not their names"""
+    stages: tuple[str, ...] = STAGES
+    """what the gas passes, in order, as ``[rig] stages`` has them"""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "experiments", tuple(self.experiments))
+        object.__setattr__(self, "stages", tuple(self.stages))
         if self.sensor_is not in ORDERS:
             raise CampaignError(
                 f"{self.source or 'campaign'}: sensor_is must be one of {', '.join(ORDERS)}, but "

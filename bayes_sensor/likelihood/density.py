@@ -27,27 +27,16 @@ from bayes_sensor.likelihood.noise import (
     simulate_noise,
 )
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.rig.cascade import (
-    Cascade,
-    cascade_response,
-    local_parameters,
-    pulse,
-    time_constants,
-)
-from bayes_sensor.rig.chain import fill_grid
+from bayes_sensor.rig.cascade import Cascade, response
 from bayes_sensor.rig.layout import Theta
 
 
-def grid_response(
-    experiment: Experiment, taus: FloatArray, t0: float, tf: float | None
-) -> FloatArray:
-    """x3 (n_t,) at the experiment's own times: :func:`cascade_response`, on a grid by recurrence,
-    which is fast."""
-    if not experiment.regular:
-        return cascade_response(experiment.t, taus, t0, tf)
-    x = np.empty(len(experiment.t))
-    fill_grid(experiment.t[0], experiment.interval, np.sort(1.0 / taus), pulse(t0, tf), x)
-    return x
+def grid_response(problem: Problem, vector: FloatArray, k: int) -> FloatArray:
+    """Response (n_t,) of experiment number ``k`` at its own times, on a grid by recurrence, which
+    is fast."""
+    e = problem.campaign.experiments[k]
+    interval = e.interval if e.regular else None
+    return response(e.t, vector, problem.layout, k, e.total_flow, interval)
 
 
 @njit(cache=True, error_model="numpy")
@@ -118,7 +107,7 @@ def noise_in_range(
     if phi_reference < 0.0 and not e.regular:
         return None  # it has no real power over such times
     phi = lag_coefficient(phi_reference, problem.steps(e))
-    if not (abs(phi) < 1.0 and (vector[:3] > 0).all()):
+    if not (abs(phi) < 1.0 and (vector[: problem.layout.n_shared] > 0).all()):
         return None
     return phi, phi_reference, sigma0, sigma1
 
@@ -152,7 +141,7 @@ def mean_and_response(
         return mean, x
     x = model.response(t, vector, layout, e)
     if has_plain_mean(problem):
-        y0, beta, _, _ = local_parameters(vector, layout, e.name)
+        y0, beta = vector[layout.local[layout.place_of(e.name), :2]]
         return y0 + beta * x, x
     return model.mean(t, vector, layout, e), x
 
@@ -173,9 +162,8 @@ def mean_on_grid(problem: Problem, vector: FloatArray, k: int) -> FloatArray:
     """Mean (n_t,) V of experiment number ``k`` on its grid."""
     e, model = problem.campaign.experiments[k], problem.model
     if type(model) is Cascade and model.method == "exact":
-        y0, beta, t0, tf = local_parameters(vector, problem.layout, e.name)
-        taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
-        mean = grid_response(e, taus, t0, tf)
+        y0, beta = vector[problem.layout.local[k, :2]]
+        mean = grid_response(problem, vector, k)
         mean *= beta
         mean += y0
         return mean
@@ -191,9 +179,8 @@ def mean_and_variance(
     _, sigma0, sigma1 = vector[layout.noise[k]]
     law = problem.noise.weight(problem.campaign, e), problem.noise.fading
     if type(model) is Cascade and model.method == "exact":
-        y0, beta, t0, tf = local_parameters(vector, layout, e.name)
-        taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
-        x = grid_response(e, taus, t0, tf)
+        y0, beta = vector[layout.local[k, :2]]
+        x = grid_response(problem, vector, k)
         return y0 + beta * x, scale_squared(x, sigma0, sigma1, *law)
     mean, x = mean_and_response(problem, vector, e, e.t)
     return mean, scale_squared(x, sigma0, sigma1, *law)

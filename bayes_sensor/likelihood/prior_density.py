@@ -17,12 +17,13 @@ def log_priors(problem: Problem, thetas: FloatArray) -> FloatArray:
     """(n,) natural log of the prior density at each row of ``thetas`` (n, n_theta).
 
     Flat laws count as 0, pinned parameters are left out; -inf outside the support, which holds
-    lags by size only: tau <= tau_v, and V/Q between them at one flow.
+    lags by size only: tau <= tau_v for the published rig, and V/Q between them at one flow.
     """
     thetas = np.ascontiguousarray(np.atleast_2d(thetas), dtype=float)
     total = np.empty(len(thetas))
-    flow = 0.0 if problem.flow is None else problem.flow
-    _sum_log_priors(thetas, *problem.prior_table, flow, total)
+    places = np.array(problem.commuting.places, dtype=np.int64)
+    to_lag = np.array(problem.commuting.to_lag, dtype=float)
+    _sum_log_priors(thetas, *problem.prior_table, places, to_lag, total)
     if len(problem.name_factors[1]):
         total += np.logaddexp.reduce(problem.log_weights(thetas), axis=-1)
         total -= log(len(problem.assignments))
@@ -34,15 +35,18 @@ def _sum_log_priors(
     thetas: FloatArray,
     kinds: NDArray[np.int64],
     table: FloatArray,
-    flow: float,
+    places: NDArray[np.int64],
+    to_lag: FloatArray,
     total: FloatArray,
 ) -> None:  # pragma: no cover - compiled
     # Prior.log_density for every parameter, in the order of KINDS; -inf where lags are not by size
-    # (flow: that of all experiments, or 0 where flows differ)
+    # (places, to_lag: where they stand, and what makes them lags)
     for n in range(len(thetas)):
-        total[n] = -np.inf if thetas[n, 0] > thetas[n, 1] else 0.0
-        if flow > 0.0 and not thetas[n, 0] * flow <= thetas[n, 2] <= thetas[n, 1] * flow:
-            total[n] = -np.inf
+        total[n] = 0.0
+        for j in range(1, len(places)):
+            shorter = thetas[n, places[j - 1]] * to_lag[j - 1]
+            if not shorter <= thetas[n, places[j]] * to_lag[j]:
+                total[n] = -np.inf
         for i in range(len(kinds)):
             x, a, b = thetas[n, i], table[i, 0], table[i, 1]
             if kinds[i] == 0:

@@ -18,17 +18,8 @@ from bayes_sensor.likelihood.priors import KINDS, Prior
 from bayes_sensor.rig.cascade import (
     Cascade,
 )
-from bayes_sensor.rig.lags import (
-    Assignment,
-    Naming,
-    assignments,
-    by_size,
-    common_flow,
-    lags_of,
-    named,
-    places_of_lags,
-)
-from bayes_sensor.rig.layout import SHARED, Layout, Theta, check_name
+from bayes_sensor.rig.lags import Assignment, Commuting, Naming, assignments
+from bayes_sensor.rig.layout import Layout, Theta, check_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +38,7 @@ class Problem:
       and the response free of y0 and beta (taken for granted where the mean is the cascade's),
     * ``kinks(low, high, layout, experiment)``: stretches (start, end) in s, for theta between
       ``low`` and ``high`` (n_theta,), in which the mean or the response may jump or bend other
-      than at t0 and tf.
+      than at the switches.
     """
 
     campaign: Campaign
@@ -65,23 +56,30 @@ class Problem:
 
     @cached_property
     def named_laws(self) -> dict[str, Prior]:
-        """What is known of tau, tau_v and V by name: side information, or a prior that is given."""
+        """What is known of shared parameters by name: side information, or a prior that is given."""
         known = {
             name: Prior("normal", info.mean, info.sd)
             for name, info in self.campaign.side_information.items()
         }
-        return {name: law for name, law in {**known, **self.given_priors}.items() if name in SHARED}
+        shared = self.layout.shared_names
+        return {name: law for name, law in {**known, **self.given_priors}.items() if name in shared}
+
+    @cached_property
+    def commuting(self) -> Commuting:
+        """The lags that the data know as a set, and their places in theta."""
+        return Commuting.of(self.campaign, self.layout)
 
     @cached_property
     def assignments(self) -> tuple[Assignment, ...]:
         """The ways in which the campaign's lags may be named, all of one prior probability."""
-        one_flow = self.campaign.same_flow
-        return assignments(self.campaign.sensor_is, one_flow, "V_mL" in self.named_laws)
+        known = [name for name in self.named_laws if name.startswith("V_")]
+        return assignments(self.campaign.sensor_is, self.commuting.names, known)
 
-    @cached_property
+    @property
     def flow(self) -> float | None:
-        """mL/s, the total flow where all experiments share one, else None."""
-        return common_flow(self.campaign)
+        """mL/s, the total flow where all experiments share one and volumes are among the lags that
+        commute, else None."""
+        return self.commuting.flow
 
     @cached_property
     def priors(self) -> dict[str, Prior]:
@@ -93,10 +91,11 @@ class Problem:
 
         Raises CampaignError where one is given for a name that no parameter has.
         """
+        shared = self.layout.shared_names
         # not when it is made: a problem may be on its way to another model, with its parameters
         for name in self.given_priors:
             check_name(self.layout, name, "Problem.given_priors")
-        given = {name: law for name, law in self.given_priors.items() if name not in SHARED}
+        given = {name: law for name, law in self.given_priors.items() if name not in shared}
         for name in self.layout.noise_names:
             kind = name.split("[")[0]
             if kind in given:
@@ -104,29 +103,30 @@ class Problem:
         settled = self._settled
         for name, law in self.named_laws.items():
             if name in settled:
-                given[SHARED[settled[name]]] = law
+                given[shared[settled[name]]] = law
         faster = self.campaign.sensor_is == "faster" and settled.get("tau_s") == 0
-        return {**default_priors(self.campaign, self.layout, faster), **given}
+        return {**default_priors(self.campaign, self.layout, self.commuting, faster), **given}
 
     @cached_property
     def _settled(self) -> dict[str, int]:
-        """Place in theta of tau, tau_v and V, where it is the same in all assignments."""
-        found = {}
-        for name, role in (("tau_s", "sensor"), ("tau_v_s", "valve"), ("V_mL", "manifold")):
-            places = {getattr(choice, role) for choice in self.assignments}
+        """Place in theta of every shared parameter that is in the same one in all assignments."""
+        commuting, found = self.commuting, {}
+        for position, name in enumerate(self.layout.shared_names):
+            places = {choice.place(name) for choice in self.assignments}
             if len(places) == 1:
                 (place,) = places
-                # V where flows tell it, else a lag
-                found[name] = 2 if place is None else places_of_lags(self.flow)[place]
+                found[name] = position if place is None else commuting.places[place]
         return found
 
     @cached_property
     def lag_priors(self) -> tuple[Prior, ...]:
         """The prior law of every lag (s) that the flows do not tell apart, shortest first."""
-        shortest, longest, volume = (self.priors[name] for name in SHARED)
-        if self.flow is None:
-            return shortest, longest
-        return shortest, volume.scaled(1.0 / self.flow), longest
+        commuting, found = self.commuting, []
+        for place, volume in zip(commuting.places, commuting.volumes, strict=True):
+            law = self.priors[self.layout.shared_names[place]]
+            scaled = volume and commuting.flow is not None
+            found.append(law.scaled(1.0 / commuting.flow) if scaled and commuting.flow else law)
+        return tuple(found)
 
     def prior_of_tau(self, theta: FloatArray) -> Prior:
         """The prior law of the sensor's lag at ``theta`` (n_theta,), which is by name: what is
@@ -135,7 +135,7 @@ class Problem:
             return self.named_laws["tau_s"]
         place = self.naming().place("sensor")
         if place is None:
-            lags = lags_of(by_size(theta, self.flow), self.flow)
+            lags = self.commuting.lags(self.commuting.by_size(theta))
             place = int(np.argmin(np.abs(lags - theta[0])))
         return self.lag_priors[place]
 
@@ -148,27 +148,22 @@ class Problem:
         numbers (n_factors, 2), scale (n_assignments, n_factors).  The prior is the mean over the
         assignments of their products, on top of the uniform law that all lags have.
         """
+        commuting = self.commuting
         names = [
             name
             for name, law in self.named_laws.items()
             if name not in self._settled and law.kind != "flat"
         ]
-        places = places_of_lags(self.flow)
-        # what makes a lag of theta's values there
-        to_lag = (1.0, 1.0) if self.flow is None else (1.0, 1.0 / self.flow, 1.0)
         shape = (len(self.assignments), len(names))
         place, scale = np.zeros(shape, dtype=np.int64), np.ones(shape)
         for a, assignment in enumerate(self.assignments):
-            whose = {
-                "tau_s": assignment.sensor,
-                "tau_v_s": assignment.valve,
-                "V_mL": assignment.manifold or 0,
-            }
             for j, name in enumerate(names):
-                place[a, j] = places[whose[name]]
-                scale[a, j] = to_lag[whose[name]]
-                if name == "V_mL" and self.flow is not None:
-                    scale[a, j] *= self.flow
+                lag = assignment.place(name)
+                assert lag is not None  # what does not commute is settled
+                place[a, j] = commuting.places[lag]
+                scale[a, j] = commuting.to_lag[lag]
+                if name.startswith("V_") and commuting.flow is not None:
+                    scale[a, j] *= commuting.flow
         laws = [self.named_laws[name] for name in names]
         kind = np.array([KINDS.index(law.kind) for law in laws], dtype=np.int64)
         return place, kind, np.array([(law.a, law.b) for law in laws]).reshape(-1, 2), scale
@@ -191,7 +186,7 @@ class Problem:
         n = len(self.assignments)
         shares = np.full(n, 1.0 / n) if probabilities is None else probabilities
         return Naming(
-            self.campaign.sensor_is, self.assignments, tuple(map(float, shares)), self.flow
+            self.campaign.sensor_is, self.assignments, tuple(map(float, shares)), self.commuting
         )
 
     def shares(self, thetas: FloatArray) -> FloatArray:
@@ -208,10 +203,10 @@ class Problem:
         vector = self.flat(theta)
         if self.flow is None and self.campaign.sensor_is == "faster":
             return vector
-        return by_size(vector, self.flow)
+        return self.commuting.by_size(vector)
 
     def by_name(self, theta: Theta) -> FloatArray:
-        """:meth:`flat` with tau, tau_v and V in the first three places.
+        """:meth:`flat` with the shared parameters by name in their places.
 
         A mapping says which lag is which.  A flat vector may come from a fit or a posterior, with
         lags by size: then the campaign has to say it.
@@ -227,7 +222,8 @@ class Problem:
                 "the sensor's, but [rig] sensor_is is unknown and theta has no names; say "
                 'sensor_is = "faster" or "slower" in the campaign, or give theta as a mapping'
             )
-        vector[:3] = named(by_size(vector, self.flow), self.flow, self.assignments)
+        ordered = self.commuting.by_size(vector)
+        vector[: self.layout.n_shared] = self.commuting.named(ordered, self.assignments)
         return vector
 
     @cached_property

@@ -7,9 +7,8 @@ from math import sqrt
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, Experiment, FloatArray
-from bayes_sensor.rig.cascade import (
-    cascade_response,
-)
+from bayes_sensor.likelihood.switch_ranges import step_begin, step_end
+from bayes_sensor.rig.cascade import cascade_response
 
 PUBLISHED_TIMES = (0.0481, 0.8577, 0.05823 / 0.15)
 
@@ -61,14 +60,6 @@ def usual_rise(campaign: Campaign) -> float:
     seen = _fastest_seen(campaign)
     scale = max(step_end(e) - step_begin(e) for e in campaign) if seen is None else seen
     return float(f"{scale:.0e}")
-
-
-def step_begin(e: Experiment) -> float:
-    return float(e.t[0]) if e.commanded_on is None else e.commanded_on
-
-
-def step_end(e: Experiment) -> float:
-    return float(e.t[-1]) if e.commanded_off is None else e.commanded_off
 
 
 def _measured_rise(e: Experiment) -> tuple[float, float] | None:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.rig.chain import (
@@ -134,39 +135,97 @@ class Cascade:
     def response(
         self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment
     ) -> FloatArray:
-        """x3 (n_t,), between 0 and 1."""
-        _, _, t0, tf = local_parameters(theta, layout, experiment.name)
-        taus = time_constants(theta[0], theta[1], theta[2], experiment.total_flow)
+        """Response of the whole chain (n_t,): x3 of the published rig, between 0 and 1."""
         if self.method == "euler":
+            _, _, t0, tf = local_parameters(theta, layout, experiment.name)
+            taus = time_constants(theta[0], theta[1], theta[2], experiment.total_flow)
             return euler_response(t, experiment.interval, taus, t0, tf)
-        return cascade_response(t, taus, t0, tf)
+        return response(t, theta, layout, layout.place_of(experiment.name), experiment.total_flow)
 
     def mean(
         self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment
     ) -> FloatArray:
         """y0 + beta x3 (n_t,), V (paper eq. 11)."""
-        y0, beta, _, _ = local_parameters(theta, layout, experiment.name)
+        i_y0, i_beta = layout.local[layout.place_of(experiment.name), :2]
+        y0, beta = float(theta[i_y0]), float(theta[i_beta])
         return y0 + beta * self.response(t, theta, layout, experiment)
 
     def jacobian(
         self, t: FloatArray, theta: FloatArray, layout: Layout, experiment: Experiment
     ) -> FloatArray:
         """(n_t, n_mean) derivatives of the mean by every parameter of the mean; exact method."""
-        _, beta, t0, tf = local_parameters(theta, layout, experiment.name)
-        taus = time_constants(theta[0], theta[1], theta[2], experiment.total_flow)
-        x = cascade_response(t, taus, t0, tf)
-        dx = cascade_sensitivities(t, taus, t0, tf)
+        k = layout.place_of(experiment.name)
+        i_y0, i_beta = layout.local[k, :2]
+        x, index, slopes = response_slopes(t, theta, layout, k, experiment.total_flow)
         jacobian = np.zeros((len(t), layout.n_mean))
-        jacobian[:, 0] = beta * dx[:, 2]
-        jacobian[:, 1] = beta * dx[:, 0]
-        jacobian[:, 2] = beta * dx[:, 1] / experiment.total_flow
-        i_y0, i_beta, i_t0, i_tf = layout.local[layout.experiments.index(experiment.name)]
+        jacobian[:, index] = theta[i_beta] * slopes
         jacobian[:, i_y0] = 1.0
         jacobian[:, i_beta] = x
-        jacobian[:, i_t0] = beta * dx[:, 3]
-        if i_tf >= 0:
-            jacobian[:, i_tf] = beta * dx[:, 4]
         return jacobian
+
+
+def response(
+    t: FloatArray,
+    theta: FloatArray,
+    layout: Layout,
+    k: int,
+    flow: float,
+    interval: float | None = None,
+) -> FloatArray:
+    """Response (n_t,) of the chain to the input of experiment number ``k``, exact.
+
+    ``interval``: s, where ``t`` is ``t[0] + i * interval``; then by recurrence, many times faster.
+    """
+    rig, switching = layout.rig, layout.switching[k]
+    shared = theta[layout.shared[k]]
+    taus = rig.taus(shared, flow)
+    drive = switching.drive(theta[layout.switches(k)])
+    if rig.has_delay:
+        drive = drive.later(rig.delay(shared, flow))
+    x = chain_response(t, taus, drive, interval)
+    return switching.level_before + x if switching.level_before else x
+
+
+def response_slopes(
+    t: FloatArray,
+    theta: FloatArray,
+    layout: Layout,
+    k: int,
+    flow: float,
+    interval: float | None = None,
+) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+    """:func:`response` (n_t,), positions in theta (m,) of what moves it, and the derivatives by
+    these (n_t, m)."""
+    rig, switching = layout.rig, layout.switching[k]
+    shared, places = theta[layout.shared[k]], layout.switches(k)
+    taus, values = rig.taus(shared, flow), theta[places]
+    drive, derivative = switching.drive(values), switching.derivative(values)
+    if rig.has_delay:
+        delay = rig.delay(shared, flow)
+        drive, derivative = drive.later(delay), derivative.later(delay)
+    x = chain_response(t, taus, drive, interval)
+    by_lag = lag_sensitivities(t, taus, derivative, interval)
+    by_delay = None
+    if switching.recorded is not None or rig.has_delay:
+        by_delay = -chain_response(t, taus, derivative, interval)
+    slopes = np.zeros((len(t), len(shared) + len(places)))
+    rig.add_slopes(slopes, shared, flow, by_lag, by_delay)
+    if by_delay is not None and switching.recorded is not None:
+        slopes[:, -1] = by_delay
+    else:
+        programme = switching.programme(values)
+        times = programme.times + (rig.delay(shared, flow) if rig.has_delay else 0.0)
+        if len(switching.moves) == len(places):
+            slopes[:, len(shared) :] = switch_sensitivities(
+                t, taus, times, programme.heights, interval
+            )
+        else:  # all the switches that one parameter moves, together
+            for j in range(len(places)):
+                own = switching.places == j
+                part = Drive.of(times[own], kicks=-programme.heights[own])
+                slopes[:, len(shared) + j] = chain_response(t, taus, part, interval)
+    x = switching.level_before + x if switching.level_before else x
+    return x, np.concatenate([layout.shared[k], places]), slopes
 
 
 def exchanged(thetas: FloatArray, flow: float) -> FloatArray:
@@ -183,8 +242,8 @@ def exchanged(thetas: FloatArray, flow: float) -> FloatArray:
 def local_parameters(
     theta: FloatArray, layout: Layout, name: str
 ) -> tuple[float, float, float, float | None]:
-    """y0, beta, t0, tf (None where no step down exists) of one experiment."""
-    i_y0, i_beta, i_t0, i_tf = layout.local[layout.experiments.index(name)]
+    """y0, beta, t0, tf (None where no step down exists) of one experiment that is a pulse."""
+    i_y0, i_beta, i_t0, i_tf = layout.local[layout.place_of(name), :4]
     tf = float(theta[i_tf]) if i_tf >= 0 else None
     return float(theta[i_y0]), float(theta[i_beta]), float(theta[i_t0]), tf
 

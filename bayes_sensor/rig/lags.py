@@ -2,141 +2,233 @@
 
 Lags commute: the response of first-order lags in a row does not depend on their order. The data
 therefore know the lags that do not depend on flow as a set of values, and where all experiments
-have one total flow the manifold's V/Q belongs to that set as well. The calculation keeps them by
-size: theta holds the shortest in the place of ``tau_s``, the longest in that of ``tau_v_s`` and, at
-one flow, the middle one in that of ``V_mL`` (times the flow). An :class:`Assignment` gives them
-names.
+have one total flow the volumes' V/Q belong to that set as well. The calculation keeps them by
+size in the places that their parameters have in theta: the shortest in the sensor's, then those
+of volumes (times the flow), then the others. For the published rig that is ``tau_s``, at one flow
+``V_mL``, ``tau_v_s``. An :class:`Assignment` gives them names.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.rig.layout import Layout
 
 DECIDED = 0.95
 """probability from which one assignment is stated alone"""
-LAG_NAMES = {2: ("lag_fast_s", "lag_slow_s"), 3: ("lag_fast_s", "lag_between_s", "lag_slow_s")}
+LAG_NAMES = {
+    1: ("lag_s",),
+    2: ("lag_fast_s", "lag_slow_s"),
+    3: ("lag_fast_s", "lag_between_s", "lag_slow_s"),
+    **{n: tuple(f"lag_{i}_s" for i in range(1, n + 1)) for n in range(4, 7)},
+}
 """flat names of the lags, shortest first, by how many there are"""
+ROLES = {"sensor": "tau_s", "valve": "tau_v_s", "manifold": "V_mL"}
+"""parameters of the published rig's stages"""
 
 
 @dataclass(frozen=True)
 class Assignment:
-    """Whose each lag is, by its place among the lags: 0 is the shortest."""
+    """Whose each lag is.
 
-    sensor: int
-    valve: int
-    manifold: int | None = None
-    """None where the flows tell V/Q from the other lags"""
+    >>> Assignment(("tau_s", "tau_v_s"), (1, 0)).sensor
+    1
+    """
+
+    names: tuple[str, ...]
+    """parameters of the lags that commute"""
+    places: tuple[int, ...]
+    """of each of them, its place among the lags: 0 is the shortest"""
+
+    def place(self, name: str) -> int | None:
+        """Place of a parameter's lag; None where it is none of those that commute."""
+        return self.places[self.names.index(name)] if name in self.names else None
+
+    @property
+    def sensor(self) -> int | None:
+        """Place of the sensor's lag."""
+        return self.place("tau_s")
+
+    @property
+    def valve(self) -> int | None:
+        """Place of the valve's lag."""
+        return self.place("tau_v_s")
+
+    @property
+    def manifold(self) -> int | None:
+        """Place of the manifold's V/Q; None where the flows tell it from the other lags."""
+        return self.place("V_mL")
 
     @property
     def n_lags(self) -> int:
         """How many lags there are to name."""
-        return 2 if self.manifold is None else 3
+        return len(self.names)
 
     @property
     def sensor_is(self) -> str:
         """``faster``, ``between`` or ``slower``.
 
-        >>> Assignment(1, 0).sensor_is, Assignment(1, 0, 2).sensor_is
-        ('slower', 'between')
+        >>> Assignment(("tau_s", "tau_v_s"), (1, 0)).sensor_is
+        'slower'
         """
         if self.sensor == 0:
             return "faster"
         return "slower" if self.sensor == self.n_lags - 1 else "between"
 
 
-def common_flow(campaign: Campaign) -> float | None:
-    """mL/s, the total flow where all experiments share one; None where flows differ."""
-    return campaign.experiments[0].total_flow if campaign.same_flow else None
+@dataclass(frozen=True)
+class Commuting:
+    """The lags of a campaign that commute, and where they stand in theta."""
+
+    names: tuple[str, ...]
+    """of their parameters, in the order of theta"""
+    places: tuple[int, ...]
+    """(n_lags,) positions in theta, for the shortest lag first"""
+    flow: float | None
+    """mL/s, the common total flow, where volumes are among them"""
+    shared: tuple[str, ...]
+    """names of all shared parameters, in the order of theta"""
+
+    @classmethod
+    def of(cls, campaign: Campaign, layout: Layout) -> Commuting:
+        """Of a campaign. Several sensors tell their own lags from those that they share."""
+        rig = layout.rig
+        one_flow = rig.needs_flow and campaign.same_flow
+        names = rig.lags_that_commute(one_flow)
+        if not layout.one_sensor:
+            names = tuple(name for name in names if name in layout.shared_names)
+        flow = None
+        if one_flow and any(name.startswith("V_") for name in names):
+            flow = campaign.experiments[0].total_flow
+        return cls.among(names, layout.shared_names, flow)
+
+    @classmethod
+    def among(cls, names: Sequence[str], shared: Sequence[str], flow: float | None) -> Commuting:
+        """Of parameters ``names`` among ``shared``."""
+
+        def rank(name: str) -> tuple[bool, bool, int]:
+            return name != "tau_s", not name.startswith("V_"), shared.index(name)
+
+        places = tuple(shared.index(name) for name in sorted(names, key=rank))
+        return cls(tuple(names), places, flow, tuple(shared))
+
+    @property
+    def n_lags(self) -> int:
+        """How many there are."""
+        return len(self.names)
+
+    @property
+    def volumes(self) -> tuple[bool, ...]:
+        """(n_lags,) whether theta has a volume in that lag's place, shortest lag first."""
+        return tuple(self.shared[place].startswith("V_") for place in self.places)
+
+    @property
+    def to_lag(self) -> tuple[float, ...]:
+        """(n_lags,) what makes a lag (s) of theta's value in its place, shortest first."""
+        return tuple(
+            1.0 / self.flow if volume and self.flow is not None else 1.0 for volume in self.volumes
+        )
+
+    def lags(self, thetas: FloatArray) -> FloatArray:
+        """(.., n_lags) s, shortest first, of ``thetas`` (.., n_theta) that hold them by size.
+
+        >>> published = ("tau_s", "tau_v_s", "V_mL")
+        >>> one_flow = Commuting.among(published, published, 60.0)
+        >>> one_flow.lags(np.array([0.1, 0.9, 30.0])).tolist()
+        [0.1, 0.5, 0.9]
+        """
+        if not self.names:
+            return thetas[..., :0]
+        found: FloatArray = np.stack(
+            [
+                thetas[..., place] / self.flow
+                if volume and self.flow is not None
+                else thetas[..., place]
+                for place, volume in zip(self.places, self.volumes, strict=True)
+            ],
+            axis=-1,
+        )
+        return found
+
+    def by_size(self, theta: FloatArray) -> FloatArray:
+        """``theta`` (n_theta,) with its lags in the places that they have by size: the same
+        response.
+
+        >>> two = Commuting.among(("tau_s", "tau_v_s"), ("tau_s", "tau_v_s", "V_mL"), None)
+        >>> two.by_size(np.array([2.0, 0.1, 30.0])).tolist()
+        [0.1, 2.0, 30.0]
+        """
+        found = np.array(theta, dtype=float)
+        lags = self.lags(found)
+        for place, volume, lag, before in zip(
+            self.places, self.volumes, np.sort(lags), lags, strict=True
+        ):
+            if lag != before:  # dividing and multiplying again would cost a rounding
+                found[place] = lag * self.flow if volume and self.flow is not None else lag
+        return found
+
+    def in_order(self, theta: FloatArray) -> bool:
+        """Whether ``theta`` (n_theta,) holds its lags by size."""
+        return all(a <= b for a, b in pairwise(self.lags(theta).tolist()))
+
+    def named(
+        self,
+        thetas: FloatArray,
+        choices: Sequence[Assignment],
+        chosen: NDArray[np.int64] | int = 0,
+    ) -> FloatArray:
+        """(.., n_shared) the shared parameters by name, of ``thetas`` (.., n_theta) that hold lags
+        by size.
+
+        ``chosen`` (..): the place in ``choices`` of each one's assignment.
+        """
+        lags = self.lags(thetas)
+        chosen = np.broadcast_to(np.asarray(chosen), lags.shape[:-1])[..., None]
+        found = np.array(thetas[..., : len(self.shared)], dtype=float)
+        for name in self.names:
+            places = np.array([choice.place(name) for choice in choices])[chosen]
+            lag = np.take_along_axis(lags, places, axis=-1)[..., 0]
+            volume = name.startswith("V_") and self.flow is not None
+            found[..., self.shared.index(name)] = self.flow * lag if volume else lag
+        return found
 
 
 def assignments(
-    sensor_is: str, one_flow: bool, volume_known: bool = False
+    sensor_is: str, names: Sequence[str], known: Collection[str] = ()
 ) -> tuple[Assignment, ...]:
-    """The assignments that are possible, all of the same prior probability.
+    """The assignments of lags to parameters ``names`` that are possible, all of one prior
+    probability.
 
-    ``one_flow``: all experiments share one total flow, so that V/Q is one of three lags.  Then
-    ``faster`` is the shortest and ``slower`` the longest of the three, unless the volume is known
-    from elsewhere (``volume_known``): that tells which of them is V/Q, and the sensor is compared
-    with the valve alone.
+    ``faster`` is the shortest and ``slower`` the longest of the lags. Where volumes are among them
+    and one is ``known`` from elsewhere, that tells which is its V/Q, and the sensor is compared
+    with the others alone.
 
-    >>> assignments("unknown", False)
-    (Assignment(sensor=0, valve=1, manifold=None), Assignment(sensor=1, valve=0, manifold=None))
-    >>> [len(assignments(order, True)) for order in ("faster", "slower", "unknown")]
+    >>> [a.places for a in assignments("unknown", ("tau_s", "tau_v_s"))]
+    [(0, 1), (1, 0)]
+    >>> three = ("tau_s", "tau_v_s", "V_mL")
+    >>> [len(assignments(order, three)) for order in ("faster", "slower", "unknown")]
     [2, 2, 6]
     """
-    if one_flow:
-        found = [Assignment(*places) for places in permutations(range(3))]
-    else:
-        found = [Assignment(0, 1), Assignment(1, 0)]
-    if sensor_is == "unknown":
-        return tuple(found)
-    if one_flow and not volume_known:
-        place = 0 if sensor_is == "faster" else 2
-        return tuple(a for a in found if a.sensor == place)
-    return tuple(a for a in found if (a.sensor < a.valve) == (sensor_is == "faster"))
+    names = tuple(names)
+    found = tuple(Assignment(names, places) for places in permutations(range(len(names))))
+    if sensor_is == "unknown" or "tau_s" not in names:
+        return found
+    others = [name for name in names if name != "tau_s" and name not in known]
 
+    def possible(choice: Assignment) -> bool:
+        own = choice.places[names.index("tau_s")]
+        rest = [choice.places[names.index(name)] for name in others]
+        if sensor_is == "faster":
+            return all(own < place for place in rest)
+        return all(own > place for place in rest)
 
-def places_of_lags(flow: float | None) -> tuple[int, ...]:
-    """Where the lags stand in theta, shortest first; the middle one as V where ``flow`` is one."""
-    return (0, 1) if flow is None else (0, 2, 1)
-
-
-def lags_of(thetas: FloatArray, flow: float | None) -> FloatArray:
-    """(.., n_lags) s, shortest first, of ``thetas`` (.., n_theta) that hold them by size.
-
-    ``flow``: the common total flow in mL/s, or None where flows differ.
-
-    >>> lags_of(np.array([0.1, 0.9, 30.0]), 60.0).tolist()
-    [0.1, 0.5, 0.9]
-    """
-    if flow is None:
-        return thetas[..., :2]
-    return np.stack([thetas[..., 0], thetas[..., 2] / flow, thetas[..., 1]], axis=-1)
-
-
-def by_size(theta: FloatArray, flow: float | None) -> FloatArray:
-    """``theta`` (n_theta,) with its lags in the places that they have by size: the same response.
-
-    >>> by_size(np.array([2.0, 0.1, 30.0]), None).tolist()
-    [0.1, 2.0, 30.0]
-    """
-    found = np.array(theta, dtype=float)
-    if flow is None:
-        found[:2] = np.sort(found[:2])
-    else:
-        found[0], middle, found[1] = np.sort([found[0], found[2] / flow, found[1]])
-        if middle != found[2] / flow:  # dividing and multiplying again would cost a rounding
-            found[2] = middle * flow
-    return found
-
-
-def named(
-    thetas: FloatArray,
-    flow: float | None,
-    choices: Sequence[Assignment],
-    chosen: NDArray[np.int64] | int = 0,
-) -> FloatArray:
-    """(.., 3) tau, tau_v (s) and V (mL) of ``thetas`` (.., n_theta) that hold lags by size.
-
-    ``chosen`` (..): the place in ``choices`` of each one's assignment.
-    """
-    lags = lags_of(thetas, flow)
-    chosen = np.broadcast_to(np.asarray(chosen), lags.shape[:-1])[..., None]
-
-    def of(places: list[int]) -> FloatArray:
-        return np.take_along_axis(lags, np.array(places)[chosen], axis=-1)[..., 0]
-
-    volume = thetas[..., 2]
-    if flow is not None:
-        volume = flow * of([a.manifold or 0 for a in choices])
-    return np.stack([of([a.sensor for a in choices]), of([a.valve for a in choices]), volume], -1)
+    return tuple(filter(possible, found))
 
 
 @dataclass(frozen=True)
@@ -148,83 +240,90 @@ class Naming:
     choices: tuple[Assignment, ...]
     probabilities: tuple[float, ...]
     """of the choices"""
-    flow: float | None
-    """mL/s, the common total flow, where V/Q is one of the lags"""
+    commuting: Commuting
+    """the lags that are named"""
+
+    @property
+    def flow(self) -> float | None:
+        """mL/s, the common total flow, where volumes are among the lags."""
+        return self.commuting.flow
 
     @property
     def n_lags(self) -> int:
         """How many lags there are to name."""
-        return self.choices[0].n_lags
+        return self.commuting.n_lags
 
     def shares(self, role: str) -> FloatArray:
-        """(n_lags,) probability of each place among the lags for ``sensor``, ``valve``, ..
-
-        >>> choices = assignments("unknown", False)
-        >>> Naming("unknown", choices, (0.2, 0.8), None).shares("sensor").tolist()
-        [0.2, 0.8]
-        """
+        """(n_lags,) probability of each place among the lags for a parameter, or for ``sensor``,
+        ``valve``, ``manifold``."""
         found = np.zeros(self.n_lags)
         for choice, probability in zip(self.choices, self.probabilities, strict=True):
-            found[getattr(choice, role)] += probability
+            place = choice.place(ROLES.get(role, role))
+            if place is not None:
+                found[place] += probability
         return found
 
+    def names_of_lags(self, role: str) -> bool:
+        """Whether a role's or parameter's lag is one of those that commute."""
+        return ROLES.get(role, role) in self.commuting.names
+
     def place(self, role: str) -> int | None:
-        """The place among the lags that may be stated of ``sensor``, ``valve`` or ``manifold``."""
+        """The place among the lags that may be stated of a parameter, or of ``sensor``, ``valve``
+        or ``manifold``; None where it is not known, or its lag does not commute."""
+        if not self.names_of_lags(role):
+            return None
         shares = self.shares(role)
         best = int(np.argmax(shares))
         return best if shares[best] >= DECIDED else None
 
     @property
     def exchanged(self) -> Assignment | None:
-        """The likeliest assignment, where it may be stated that the sensor's is not the shortest.
-
-        >>> Naming("slower", assignments("slower", False), (1.0,), None).exchanged
-        Assignment(sensor=1, valve=0, manifold=None)
-        """
+        """The likeliest assignment, where it may be stated that the sensor's is not the shortest."""
         return self.choices[int(np.argmax(self.probabilities))] if self.place("sensor") else None
 
     @property
     def order(self) -> str:
         """``given``, ``decided`` (by what is known beside the data) or ``undecided``."""
+        if not self.names_of_lags("sensor"):
+            return "given"
         if self.place("sensor") is None:
             return "undecided"
-        return "decided" if self.sensor_is == "unknown" else "given"
+        return "decided" if self.sensor_is == "unknown" and self.n_lags > 1 else "given"
 
     @property
     def labels(self) -> tuple[tuple[str, float], ...]:
-        """Name and factor of theta's first three values: what each is, and what makes it so.
+        """Name and factor of theta's shared values: what each is, and what makes it so.
 
         A lag whose owner is not known is called by its size.
-
-        >>> Naming("slower", assignments("slower", False), (1.0,), None).labels
-        (('tau_v_s', 1.0), ('tau_s', 1.0), ('V_mL', 1.0))
         """
-        names = list(LAG_NAMES[self.n_lags])
-        roles = {"sensor": "tau_s", "valve": "tau_v_s"}
-        if self.flow is not None:
-            roles["manifold"] = "V_mL"
-        for role, name in roles.items():
-            place = self.place(role)
+        found = [(name, 1.0) for name in self.commuting.shared]
+        sizes = list(LAG_NAMES.get(self.n_lags, ()))
+        for name in self.commuting.names:
+            place = self.place(name)
             if place is not None:
-                names[place] = name
-        if self.flow is None:
-            return (names[0], 1.0), (names[1], 1.0), ("V_mL", 1.0)
-        volumes = [self.flow if name == "V_mL" else 1.0 for name in names]
-        return (
-            (names[0], volumes[0]),
-            (names[2], volumes[2]),
-            (names[1], volumes[1] / self.flow),
-        )
+                sizes[place] = name
+        for name, place, volume in zip(
+            sizes, self.commuting.places, self.commuting.volumes, strict=True
+        ):
+            flow = self.flow or 1.0
+            factor = flow if name.startswith("V_") else 1.0
+            found[place] = (name, factor / flow if volume else factor)
+        return tuple(found)
 
     @property
-    def names(self) -> tuple[str, str, str]:
-        """Names of theta's first three values as they stand, in s, s and mL.
+    def names(self) -> tuple[str, ...]:
+        """Names of theta's shared values as they stand, in the unit of their place.
 
-        At one flow the third is the volume that the middle lag would be of.
+        At one flow the place of a volume holds the volume that its lag would be of.
         """
-        sizes = LAG_NAMES[2]
-        first, second = (
-            size if name == "V_mL" else name
-            for (name, _), size in zip(self.labels[:2], sizes, strict=True)
-        )
-        return first, second, "V_mL"
+        found = []
+        sizes = LAG_NAMES.get(self.n_lags, ())
+        for place, (label, _) in enumerate(self.labels):
+            own = self.commuting.shared[place]
+            if own.startswith("V_"):
+                found.append(own)
+            elif label.startswith("V_"):
+                found.append(sizes[self.commuting.places.index(place)])
+            else:
+                found.append(label)
+        return tuple(found)

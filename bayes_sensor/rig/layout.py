@@ -9,9 +9,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
-from bayes_sensor.rig.rig import PUBLISHED
+from bayes_sensor.campaign import STAGES, Campaign, CampaignError, FloatArray
+from bayes_sensor.rig.rig import PUBLISHED, Rig
+from bayes_sensor.rig.switching import Switching
 
 Theta = Mapping[str, Any] | Sequence[float] | FloatArray
 """Parameters as the nested mapping of ``fit.json`` or as the flat array of :class:`Layout`."""
@@ -51,9 +53,11 @@ def unit_of(name: str, signal_unit: str) -> str:
 class Layout:
     """Where each parameter stands in the flat vector theta.
 
-    Order: ``tau_s``, ``tau_v_s``, ``V_mL``; per experiment ``y0_V``, ``beta_V``, ``t0_s`` and,
-    where a step down was recorded, ``tf_s``; then the noise parameters; then ``extra``
-    (parameters that effects bring along).
+    Order: the shared parameters of the rig (``tau_s``, ``tau_v_s``, ``V_mL`` for the published
+    one; a ``tau_s`` for each of several sensors); per experiment ``y0_V``, ``beta_V`` and the
+    times of its record's switches (``t0_s`` and, where a step down was recorded, ``tf_s``); then
+    the noise parameters; then ``extra`` (parameters that effects bring along).  Several sensors
+    of one record are experiments of their own here and share its switches.
 
     >>> Layout(("a",), (False,)).names
     ['tau_s', 'tau_v_s', 'V_mL', 'y0_V[a]', 'beta_V[a]', 't0_s[a]', 'phi', 'sigma0_V', 'sigma1_V']
@@ -63,6 +67,20 @@ class Layout:
     has_fall: tuple[bool, ...]
     noise_per_experiment: bool = False
     extra: tuple[str, ...] = ()
+    rig: Rig = PUBLISHED
+    switching: tuple[Switching, ...] = ()
+    """of each experiment; where empty, all are pulses"""
+    records: tuple[str, ...] = ()
+    """name of each experiment's record; where empty, its own"""
+    sensors: tuple[str, ...] = ()
+    """each experiment's sensor; where empty, there is one"""
+
+    def __post_init__(self) -> None:
+        n = len(self.experiments)
+        pulses = tuple(map(Switching.pulse, self.has_fall))
+        object.__setattr__(self, "switching", self.switching or pulses)
+        object.__setattr__(self, "records", self.records or self.experiments)
+        object.__setattr__(self, "sensors", self.sensors or ("",) * n)
 
     @classmethod
     def of(
@@ -71,32 +89,123 @@ class Layout:
         noise_per_experiment: bool = False,
         extra: Iterable[str] = (),
     ) -> Layout:
-        """The layout of a campaign's parameters."""
+        """The layout of a campaign's parameters.
+
+        Raises CampaignError where stages are not known or a flow that they need is missing.
+        """
+        rig = PUBLISHED if campaign.stages == STAGES else Rig.parse(campaign.stages)
+        if rig.needs_flow:
+            for e in campaign:
+                if not e.flow_known:
+                    stage = next(each for each in rig.stages if each.kind.depends_on_flow)
+                    raise CampaignError(
+                        f"experiment '{e.name}': the stage '{stage.name}' depends on the total "
+                        "flow, but none is given; give carrier_flow and test_gas_flow, or leave "
+                        "the stage out of [rig] stages"
+                    )
         return cls(
             tuple(campaign.names_of_experiments),
             tuple(e.has_fall for e in campaign),
             noise_per_experiment,
             tuple(extra),
+            rig,
+            tuple(Switching.of(e) for e in campaign),
+            tuple(e.record_name for e in campaign),
+            tuple(e.sensor for e in campaign),
+        )
+
+    @cached_property
+    def sensor_names(self) -> tuple[str, ...]:
+        """The sensors, each once; one empty name where there is one."""
+        return tuple(dict.fromkeys(self.sensors))
+
+    @cached_property
+    def shared_names(self) -> tuple[str, ...]:
+        """Names of the parameters that all experiments, or all of one sensor, share."""
+        if self.one_sensor:
+            return self.rig.names
+        own = [f"{self.rig.names[0]}[{sensor}]" for sensor in self.sensor_names]
+        return (*own, *self.rig.names[1:])
+
+    @cached_property
+    def n_shared(self) -> int:
+        """How many parameters are shared."""
+        return len(self.shared_names)
+
+    @cached_property
+    def shared(self) -> NDArray[np.int64]:
+        """(n_experiments, n_rig) positions of the rig's parameters, in its order."""
+        n = len(self.sensor_names)
+        rest = np.arange(n, self.n_shared)
+        return np.array(
+            [[self.sensor_names.index(sensor), *rest] for sensor in self.sensors], dtype=np.int64
         )
 
     @property
+    def is_published(self) -> bool:
+        """Whether this is the published rig with one sensor, and all records are pulses."""
+        return (
+            self.rig.names == PUBLISHED.names
+            and self.rig.kinds == PUBLISHED.kinds
+            and self.one_sensor
+            and all(each.is_pulse for each in self.switching)
+        )
+
+    def taus(self, theta: FloatArray, k: int, flow: float) -> FloatArray:
+        """(n_lags,) s of experiment number ``k`` at the flat vector, in the order of the stages.
+
+        ``flow``: total flow, mL/s; nan where it is not known.
+        """
+        return self.rig.taus(theta[self.shared[k]], flow)
+
+    def slowest(self, theta: FloatArray, k: int, flow: float) -> float:
+        """s, the longest of :meth:`taus`."""
+        return float(self.taus(theta, k, flow).max())
+
+    @property
+    def one_sensor(self) -> bool:
+        """Whether there is one sensor: its lag is then theta's first value."""
+        return self.sensor_names == ("",)
+
+    def place_of(self, experiment: str) -> int:
+        """Number of an experiment."""
+        return self.experiments.index(experiment)
+
+    @cached_property
+    def _mean_names(self) -> tuple[str, ...]:
+        names = list(self.shared_names)
+        seen: set[str] = set()
+        for name, record, switches in zip(
+            self.experiments, self.records, self.switching, strict=True
+        ):
+            names += [f"y0_V[{name}]", f"beta_V[{name}]"]
+            if record not in seen:
+                names += [f"{kind}[{record}]" for kind in switches.names]
+            seen.add(record)
+        return tuple(names)
+
+    @property
     def mean_names(self) -> list[str]:
-        """Names of the parameters of the cascade's mean, in order; a new list."""
-        names = list(SHARED)
-        for name, fall in zip(self.experiments, self.has_fall, strict=True):
-            names += [f"{kind}[{name}]" for kind in (LOCAL if fall else LOCAL[:-1])]
-        return names
+        """Names of the parameters of the chain's mean, in order; a new list."""
+        return list(self._mean_names)
 
     @property
     def noise_names(self) -> list[str]:
         """Names of the noise parameters, in order; a new list."""
-        if not self.noise_per_experiment:
+        if self.noise_per_experiment:
+            return [f"{kind}[{name}]" for name in self.experiments for kind in NOISE]
+        if self.one_sensor:
             return list(NOISE)
-        return [f"{kind}[{name}]" for name in self.experiments for kind in NOISE]
+        return [f"{kind}[{sensor}]" for sensor in self.sensor_names for kind in NOISE]
+
+    @cached_property
+    def switch_kinds(self) -> tuple[str, ...]:
+        """Names of switch times without their record, each once."""
+        return tuple(dict.fromkeys(name for each in self.switching for name in each.names))
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
-        return *self.mean_names, *self.noise_names, *self.extra
+        return *self._mean_names, *self.noise_names, *self.extra
 
     @property
     def names(self) -> list[str]:
@@ -105,8 +214,8 @@ class Layout:
 
     @cached_property
     def n_mean(self) -> int:
-        """How many parameters the cascade's mean has."""
-        return len(self.mean_names)
+        """How many parameters the chain's mean has."""
+        return len(self._mean_names)
 
     def __len__(self) -> int:
         return len(self._names)
@@ -123,22 +232,38 @@ class Layout:
         return {name: i for i, name in enumerate(self._names)}
 
     @cached_property
-    def local(self) -> np.ndarray:
-        """(n_experiments, 4) positions of y0, beta, t0, tf; -1 where there is no tf."""
-        rows = []
-        start = len(SHARED)
-        for fall in self.has_fall:
-            rows.append([start, start + 1, start + 2, start + 3 if fall else -1])
-            start += 4 if fall else 3
-        return np.array(rows, dtype=np.int64)
+    def local(self) -> NDArray[np.int64]:
+        """(n_experiments, 2 + n_switches) positions of y0, beta and the switch times (t0, tf for a
+        pulse); -1 where an experiment has fewer of them, at least two columns of switches."""
+        most = max(2, *(len(each.names) for each in self.switching))
+        found = np.full((len(self.experiments), 2 + most), -1, dtype=np.int64)
+        for k, (name, record, switches) in enumerate(
+            zip(self.experiments, self.records, self.switching, strict=True)
+        ):
+            kinds = [f"y0_V[{name}]", f"beta_V[{name}]"]
+            kinds += [f"{kind}[{record}]" for kind in switches.names]
+            found[k, : len(kinds)] = [self._positions[kind] for kind in kinds]
+        return found
+
+    def switches(self, k: int) -> NDArray[np.int64]:
+        """(n,) positions of the switch times of experiment number ``k``."""
+        return self.local[k, 2 : 2 + len(self.switching[k].names)]
 
     @cached_property
-    def noise(self) -> np.ndarray:
+    def all_switches(self) -> NDArray[np.int64]:
+        """(n,) positions of all switch times, each once."""
+        edges = self.local[:, 2:]
+        return np.unique(edges[edges >= 0])
+
+    @cached_property
+    def noise(self) -> NDArray[np.int64]:
         """(n_experiments, 3) positions of phi, sigma0, sigma1."""
-        base = self.n_mean + np.arange(3)
-        n = len(self.experiments)
-        step = 3 if self.noise_per_experiment else 0
-        return base[None, :] + step * np.arange(n)[:, None]
+        if self.noise_per_experiment:
+            group = np.arange(len(self.experiments))
+        else:
+            group = np.array([self.sensor_names.index(sensor) for sensor in self.sensors])
+        found: NDArray[np.int64] = self.n_mean + np.arange(3)[None, :] + 3 * group[:, None]
+        return found
 
     def flat(self, theta: Theta) -> FloatArray:
         """The flat vector (n,) of a mapping or of a vector with or without its noise part.
@@ -177,7 +302,7 @@ class Layout:
         for name, values in nested.items():
             found.update({f"{kind}[{name}]": value for kind, value in values.items()})
         for name, position in self._positions.items():
-            # a shared noise value also serves a layout with noise per experiment
+            # a shared noise value also serves a layout with noise per experiment or sensor
             value = found.get(name, found.get(name.split("[")[0]) if name[:3] in _NOISE3 else None)
             if value is not None:
                 vector[position] = float(value)
@@ -195,9 +320,12 @@ class Layout:
     def nested(self, theta: Theta, noise: bool = True) -> dict[str, Any]:
         """The mapping of ``fit.json`` for a flat vector."""
         vector = self.flat(theta)
-        result: dict[str, Any] = {name: float(vector[i]) for i, name in enumerate(SHARED)}
-        result["experiments"] = {name: {} for name in self.experiments}
-        for name in self.names[len(SHARED) :]:
+        result: dict[str, Any] = {
+            name: float(vector[i]) for i, name in enumerate(self.shared_names)
+        }
+        whose = (*self.experiments, *self.records)
+        result["experiments"] = {name: {} for name in whose}
+        for name in self.names[self.n_shared :]:
             kind, bracket, rest = name.partition("[")
             is_noise = kind in NOISE
             if is_noise and (not noise or np.isnan(vector[self.index(name)])):
@@ -217,11 +345,11 @@ def check_name(layout: Layout, name: str, where: str) -> None:
     has this flat name; noise parameters with or without an experiment."""
     kind, bracket, rest = name.partition("[")
     own = {extra.split("[")[0] for extra in layout.extra if "[" in extra}
-    if name in (*SHARED, *layout.extra) or kind in NOISE:
+    if name in (*layout.shared_names, *layout.extra) or kind in NOISE:
         return
-    if kind in (*LOCAL, *own) and rest.endswith("]"):
+    if kind in (*LOCAL, *layout.switch_kinds, *own) and rest.endswith("]"):
         return
-    known = [*SHARED, *LOCAL, *NOISE, *dict.fromkeys(n.split("[")[0] for n in layout.extra)]
+    known = [*layout.shared_names, *LOCAL, *NOISE, *dict.fromkeys(n.split("[")[0] for n in layout.extra)]
     close = difflib.get_close_matches(kind, known, n=1)
     if kind in LOCAL:
         hint = f"write '{kind}[{layout.experiments[0]}]' and the like, one for each experiment"

@@ -115,6 +115,11 @@ class Rig:
         return tuple(self.stages[i].kind.unit for i in self._order)
 
     @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of the stages, in the order of the parameters."""
+        return tuple(self.stages[i].kind.name for i in self._order)
+
+    @cached_property
     def needs_flow(self) -> bool:
         """Whether the total flow must be known."""
         return any(stage.kind.depends_on_flow for stage in self.stages)
@@ -124,21 +129,40 @@ class Rig:
         """How many lags each stage has."""
         return tuple(len(stage.kind.passage(1.0, 1.0).lags) for stage in self.stages)
 
-    def lags_that_commute(self, one_flow: bool = False) -> tuple[int, ...]:
-        """Places in :meth:`taus` of the lags that the data know as a set, not by name.
+    @property
+    def n_lags(self) -> int:
+        """How many lags the whole chain has."""
+        return sum(self._n_lags)
+
+    @cached_property
+    def sensor_lag(self) -> int:
+        """Place of the sensor's (first) lag in :meth:`taus`."""
+        names = [stage.name for stage in self.stages]
+        return sum(self._n_lags[: names.index("sensor")])
+
+    @cached_property
+    def has_delay(self) -> bool:
+        """Whether a stage delays the gas in addition to its lags."""
+        passages = [stage.kind.passage(1.0, 1.0) for stage in self.stages]
+        return any(passage.delay != 0.0 for passage in passages)
+
+    def lags_that_commute(self, one_flow: bool = False) -> tuple[str, ...]:
+        """Parameters of the lags that the data know as a set, not by name.
 
         Those of stages with one lag that does not depend on flow, or, where all experiments share
         ``one_flow``, of all stages with one lag.
 
         >>> published = Rig.parse(["valve", "manifold", "sensor"])
-        >>> published.lags_that_commute(), published.lags_that_commute(one_flow=True)
-        ((0, 2), (0, 1, 2))
+        >>> published.lags_that_commute()
+        ('tau_s', 'tau_v_s')
+        >>> published.lags_that_commute(one_flow=True)
+        ('tau_s', 'tau_v_s', 'V_mL')
         """
-        found, place = [], 0
-        for stage, n_lags in zip(self.stages, self._n_lags, strict=True):
-            if n_lags == 1 and (one_flow or not stage.kind.depends_on_flow):
-                found.append(place)
-            place += n_lags
+        found = []
+        for i in self._order:
+            stage = self.stages[i]
+            if self._n_lags[i] == 1 and (one_flow or not stage.kind.depends_on_flow):
+                found.append(stage.parameter)
         return tuple(found)
 
     def _passages(self, shared: FloatArray, flow: float | None) -> list[Passage]:
@@ -219,14 +243,28 @@ class Rig:
         derivative = programme.derivative.later(self.delay(shared, flow))
         by_lag = lag_sensitivities(t, taus, derivative, interval)
         by_delay = -chain_response(t, taus, derivative, interval)
-        found, place = np.zeros((len(t), len(self.stages))), 0
+        found = np.zeros((len(t), len(self.stages)))
+        self.add_slopes(found, shared, flow, by_lag, by_delay)
+        return Sensitivities(found, by_delay)
+
+    def add_slopes(
+        self,
+        found: FloatArray,
+        shared: FloatArray,
+        flow: float | None,
+        by_lag: FloatArray,
+        by_delay: FloatArray | None,
+    ) -> None:
+        """Add to ``found`` (n_t, ..) the derivatives by the shared parameters, in its first
+        columns, from those by every lag (n_t, n_lags) and, where a stage has a delay, by it."""
+        place = 0
         for stage, i in zip(self.stages, self._places, strict=True):
             slope = stage.kind.slope(shared[i], self._flow(flow))
             for lag in slope.lags:
                 found[:, i] += lag * by_lag[:, place]
                 place += 1
-            found[:, i] += slope.delay * by_delay
-        return Sensitivities(found, by_delay)
+            if by_delay is not None:
+                found[:, i] += slope.delay * by_delay
 
     def switch_sensitivities(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from math import exp, pi
 
 import numpy as np
@@ -13,6 +14,7 @@ from bayes_sensor.likelihood.density import mean_and_response, mean_on_grid
 from bayes_sensor.likelihood.mesh.mesh_arrays import CHEBYSHEV, Arrays, K
 from bayes_sensor.likelihood.noise import scale_squared
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.layout import Layout
 
 # Interpolation tolerance for a decaying exponential of unit amplitude, set by the measured error
 # of the likelihood.
@@ -112,12 +114,14 @@ def blocks_of_run(
 
 
 def _decays(taus: FloatArray) -> FloatArray:
-    """(3 n, 2) time constants and coefficients of the exponentials of cascades ``taus`` (n, 3)."""
+    """(n n_lags, 2) time constants and coefficients of the exponentials of chains ``taus``
+    (n, n_lags)."""
     rows = []
     for row in taus:
-        for j in range(3):
-            others = [row[j] - row[m] for m in range(3) if m != j]
-            c = row[j] ** 2 / max(abs(others[0] * others[1]), (0.05 * row[j]) ** 2)
+        n = len(row)
+        for j in range(n):
+            others = np.prod([row[j] - row[m] for m in range(n) if m != j])
+            c = row[j] ** (n - 1) / max(abs(others), (0.05 * row[j]) ** (n - 1))
             rows.append((row[j], c))
     return np.array(rows)
 
@@ -139,15 +143,13 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
     cache: dict[int, FloatArray] = {}
     for k, e in enumerate(campaign):
         h = e.interval
-        i_y0, i_beta, i_t0, i_tf = layout.local[k]
+        i_y0, i_beta = layout.local[k, :2]
         level = vector[i_y0]
         decays, amplitude, narrow = _widths(problem, vector, region, k)
-        kinks = _kinks(problem, region, e)
         # a sensor faster than this is replaced by a delay: no exponential may overflow
         least = max(16.0 * h, narrow) / 600.0
-        windows = np.array(
-            [(low[i] - least - h, high[i] + h) for i in (i_t0, i_tf) if i >= 0], dtype=float
-        )
+        windows = _windows(layout, low, high, k) + np.array([-least - h, h])
+        kinks = _kinks(problem, region, e, windows)
         setting[k] = (
             h,
             e.total_flow,
@@ -204,9 +206,10 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
     # valve and manifold have no such delay: where they are as fast, the full pass serves, which
     # also refuses a tau of zero
     low = low.copy()
-    low[0] = max(low[0], np.finfo(float).tiny)
-    low[1] = max(low[1], setting[:, 4].max())
-    low[2] = max(low[2], (setting[:, 4] * setting[:, 1]).max())
+    low[: layout.n_shared] = np.maximum(low[: layout.n_shared], np.finfo(float).tiny)
+    if layout.is_published:
+        low[1] = max(low[1], setting[:, 4].max())
+        low[2] = max(low[2], (setting[:, 4] * setting[:, 1]).max())
     if not all(e.regular for e in campaign):  # a negative phi has no real power over such times
         low[layout.noise[:, 0]] = np.maximum(low[layout.noise[:, 0]], 0.0)
     return Arrays(
@@ -234,11 +237,29 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
     )
 
 
-def _kinks(problem: Problem, region: Region, e: Experiment) -> FloatArray:
+SMOOTH = 3
+"""lags from which the response sets in so smoothly that it can be interpolated across a switch"""
+
+
+def _windows(layout: Layout, low: FloatArray, high: FloatArray, k: int) -> FloatArray:
+    """(n_switches, 2) s, where the switches of experiment number ``k`` may fall."""
+    switching, places = layout.switching[k], layout.switches(k)
+    if switching.recorded is not None:
+        return np.empty((0, 2))
+    return np.stack([switching.times(low[places]), switching.times(high[places])], axis=1)
+
+
+def _kinks(problem: Problem, region: Region, e: Experiment, windows: FloatArray) -> FloatArray:
     """(n, 2) stretches (s) that the model wants sample by sample."""
     asked = getattr(problem.model, "kinks", None)
     found = [] if asked is None else asked(region.low, region.high, problem.layout, e)
-    return np.array(found, dtype=float).reshape(-1, 2) + e.interval * np.array([-1.0, 1.0])
+    kinks = np.array(found, dtype=float).reshape(-1, 2) + e.interval * np.array([-1.0, 1.0])
+    layout = problem.layout
+    if layout.switching[layout.place_of(e.name)].recorded is not None:
+        return np.array([[-np.inf, np.inf]])  # it bends at every sample of the input
+    if layout.rig.n_lags < SMOOTH or layout.rig.has_delay:
+        kinks = np.concatenate([kinks, windows])
+    return kinks
 
 
 def _widths(
@@ -252,15 +273,15 @@ def _widths(
     weight, fading = problem.noise.weight(problem.campaign, e), problem.noise.fading
     growth = 1.0 + weight * ((sigma1 / sigma0) ** 2 - fading)
     growth = float(min(max(growth, 1.0 / max(growth, 1e-8)), 1e8)) if np.isfinite(growth) else 1.0
+    layout = problem.layout
+    # corners of the box, and several values of the sensor's lag, which may be small
+    ends = np.stack([low, high])[:, layout.shared[k]]
+    of_sensor = np.geomspace(max(ends[0, 0], 1e-3 * ends[1, 0]), ends[1, 0], 5)
     candidates = np.array(
-        [
-            (tau_v, V / e.total_flow, tau)
-            for tau in np.geomspace(max(low[0], 1e-3 * high[0]), high[0], 5)
-            for tau_v in (low[1], high[1])
-            for V in (low[2], high[2])
-        ]
-    )
-    slowest = max(vector[0], vector[1], vector[2] / e.total_flow)
+        [layout.rig.taus(np.array(each), e.total_flow)
+         for each in product(of_sensor, *ends.T[1:])]
+    )  # fmt: skip
+    slowest = layout.slowest(vector, k, e.total_flow)
     # x3 starts like the cube of time: s^2 doubles within growth^(-1/3) of the response's own time
     narrow = WINDOW_BLOCK * slowest * (1.0 + growth / 30.0) ** (-1.0 / 3.0)
     return _decays(candidates), growth, narrow / region.fineness

@@ -22,12 +22,7 @@ from bayes_sensor.likelihood.mesh.mean_derivatives import height, mean_derivativ
 from bayes_sensor.likelihood.mesh.mesh_arrays import K, make_room
 from bayes_sensor.likelihood.noise import check_phi, lag_coefficient, scale_slopes, scale_squared
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.cascade import (
-    Cascade,
-    cascade_response,
-    cascade_sensitivities,
-    local_parameters,
-)
+from bayes_sensor.rig.cascade import Cascade, response_slopes
 from bayes_sensor.rig.layout import Theta
 
 
@@ -48,8 +43,9 @@ class Nodes:
 
 
 def is_cascade(problem: Problem) -> bool:
-    """Whether the compiled closed form may stand for the problem's model."""
-    return type(problem.model) is Cascade and problem.model.method == "exact"
+    """Whether the compiled closed form, of three lags and one pulse, may stand for the model."""
+    plain = type(problem.model) is Cascade and problem.model.method == "exact"
+    return plain and problem.layout.is_published
 
 
 def _slope_of_lag(phi: float, steps: float) -> float:
@@ -198,6 +194,8 @@ class Compressed:
         # curvature; a parameter of one experiment moves only its part
         layout, n_exp = self.problem.layout, len(self.problem.campaign)
         owner = {int(i): k for k in range(n_exp) for i in layout.local[k] if i >= 0}
+        if layout.records != layout.experiments:  # several sensors share their record's switches
+            owner = {i: k for i, k in owner.items() if i not in layout.all_switches}
         if layout.noise_per_experiment:
             owner |= {int(i): k for k in range(n_exp) for i in layout.noise[k]}
         gradient, steps = np.zeros(len(vector)), 1e-5 * sizes(self.problem, vector)
@@ -441,19 +439,13 @@ class Compressed:
         problem = self.problem
         layout = problem.layout
         e = problem.campaign.experiments[k]
-        if not self._cascade:
+        if type(problem.model) is not Cascade or problem.model.method != "exact":
             return self._scaled_numerically(vector, k, t)
-        _, beta, t0, tf = local_parameters(vector, layout, e.name)
-        taus = np.array([vector[1], vector[2] / e.total_flow, vector[0]])
-        x = cascade_response(t, taus, t0, tf)
-        dx = cascade_sensitivities(t, taus, t0, tf)
-        i_y0, i_beta, i_t0, i_tf = layout.local[k]
+        i_y0, i_beta = layout.local[k, :2]
+        x, index, slopes = response_slopes(t, vector, layout, k, e.total_flow)
         slope = np.zeros((len(t), len(vector)))
-        slope[:, 0], slope[:, 1], slope[:, 2] = dx[:, 2], dx[:, 0], dx[:, 1] / e.total_flow
-        slope[:, i_t0] = dx[:, 3]
-        if i_tf >= 0:
-            slope[:, i_tf] = dx[:, 4]
-        J = beta * slope
+        slope[:, index] = slopes
+        J = vector[i_beta] * slope
         J[:, i_y0] = 1.0
         J[:, i_beta] = x
         return self._standardised(vector, k, x, J, slope)

@@ -8,6 +8,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.density import has_plain_mean, is_affine, mean_and_response
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.cascade import Cascade, response_slopes
 
 
 def mean_derivatives(
@@ -16,17 +17,25 @@ def mean_derivatives(
     """Mean and response of any model at times ``t`` (n_t,), and their derivatives.
 
     Returns mean (n_t,) V, response (n_t,), positions in theta (m,) of the parameters that move
-    either, and the derivatives (m, n_t) of both by central differences.  Steps are a thousandth
-    of a time constant, of the step's height or of a prior's width: their error is a millionth, and
+    either, and the derivatives (m, n_t) of both: exact for the chain itself, by central
+    differences for any other model.  Steps are a thousandth of a time constant, of the step's height or of a prior's width: their error is a millionth, and
     a model that is computed numerically to five digits still gives a slope.
     """
     layout = problem.layout
     e = problem.campaign.experiments[k]
+    i_y0, i_beta = (int(i) for i in layout.local[k, :2])
+    if type(problem.model) is Cascade and problem.model.method == "exact":
+        x, index, slopes = response_slopes(t, vector, layout, k, e.total_flow)
+        d_x = np.zeros((len(index) + 2, len(t)))
+        d_x[:-2] = slopes.T
+        d_mean = vector[i_beta] * d_x
+        d_mean[-2], d_mean[-1] = 1.0, x
+        mean = vector[i_y0] + vector[i_beta] * x
+        return mean, x, np.append(index, [i_y0, i_beta]), d_mean, d_x
     mean, x = mean_and_response(problem, vector, e, t)
-    i_y0, i_beta, *switches = (int(i) for i in layout.local[k])
-    slowest = max(vector[0], vector[1], vector[2] / e.total_flow)
-    moves = {i: (1e-3 * vector[i], 1e-12, np.inf) for i in range(3)}
-    moves |= {i: (1e-3 * slowest, -np.inf, np.inf) for i in switches if i >= 0}
+    slowest = layout.slowest(vector, k, e.total_flow)
+    moves = {int(i): (1e-3 * vector[i], 1e-12, np.inf) for i in layout.shared[k]}
+    moves |= {int(i): (1e-3 * slowest, -np.inf, np.inf) for i in layout.switches(k)}
     for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
         if name.endswith("]") and not name.endswith(f"[{e.name}]"):
             continue  # another experiment's own parameter
@@ -66,10 +75,8 @@ def sizes(problem: Problem, vector: FloatArray) -> FloatArray:
     layout = problem.layout
     found = np.maximum(np.abs(vector), 1e-3)
     for k, e in enumerate(problem.campaign):
-        _, _, *switches = (int(i) for i in layout.local[k])
         found[layout.local[k, :2]] = height(problem, vector, k)
-        slowest = max(vector[0], vector[1], vector[2] / e.total_flow)
-        found[[i for i in switches if i >= 0]] = slowest
+        found[layout.switches(k)] = layout.slowest(vector, k, e.total_flow)
         found[layout.noise[k, 1:]] = vector[layout.noise[k, 1]]
     for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
         prior = problem.priors.get(name)

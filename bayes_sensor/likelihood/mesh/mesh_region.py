@@ -23,37 +23,33 @@ def default_region(problem: Problem, vector: FloatArray, spread: float = 7.0) ->
     in which the likelihood is close to Gaussian; t0 and tf may in addition move by all that tau
     can.  Directions about which the data say nothing are capped.
     """
-    layout = problem.layout
+    layout, n = problem.layout, problem.layout.n_shared
     low, high = np.full(len(vector), -np.inf), np.full(len(vector), np.inf)
-    slowest = {
-        e.name: max(vector[0], vector[1], vector[2] / e.total_flow) for e in problem.campaign
-    }
-    low[:3], high[:3] = 0.5 * vector[:3], 2.0 * vector[:3]
-    for k, e in enumerate(problem.campaign):
-        for i in layout.local[k, 2:]:
-            if i >= 0:
-                width = 0.05 * slowest[e.name]
-                low[i], high[i] = vector[i] - width, vector[i] + width
+    slowest = [layout.slowest(vector, k, e.total_flow) for k, e in enumerate(problem.campaign)]
+    low[:n], high[:n] = 0.5 * vector[:n], 2.0 * vector[:n]
+    for k, width in enumerate(slowest):
+        for i in layout.switches(k):
+            low[i], high[i] = vector[i] - 0.05 * width, vector[i] + 0.05 * width
     rough = Compressed.__new__(Compressed)
     rough.problem, rough.reference = problem, vector
     rough.region = Region(low, high)
     rough.arrays = build(problem, vector, rough.region, data=False)
     rough._cascade, rough._known_times = is_cascade(problem), {}
     variances = _psi_variances(problem, vector, rough.information(vector))
-    tau = vector[0]
-    fastest = min(slowest.values())
-    sd_square = min(sqrt(variances[0]), fastest**2)
-    tau_high = min(sqrt(tau**2 + spread * sd_square), max(2.0 * tau, 3.0 * fastest))
-    low[0], high[0] = 0.0, tau_high
-    for i in (1, 2):
+    tau = tau_high = 0.0
+    if layout.one_sensor:
+        tau, fastest = vector[0], min(slowest)
+        sd_square = min(sqrt(variances[0]), fastest**2)
+        tau_high = min(sqrt(tau**2 + spread * sd_square), max(2.0 * tau, 3.0 * fastest))
+        low[0], high[0] = 0.0, tau_high
+    for i in range(int(layout.one_sensor), n):
         sd = min(spread * sqrt(variances[i]), 4.0 * vector[i])
         low[i], high[i] = max(vector[i] - sd, 0.2 * vector[i]), vector[i] + sd
-    for k, e in enumerate(problem.campaign):
-        for i in layout.local[k, 2:]:
-            if i >= 0:
-                sd = min(spread * sqrt(variances[i]), 3.0 * slowest[e.name])
-                low[i] = vector[i] + tau - tau_high - sd
-                high[i] = vector[i] + tau + sd
+    for k, width in enumerate(slowest):
+        for i in layout.switches(k):
+            sd = min(spread * sqrt(variances[i]), 3.0 * width)
+            low[i] = vector[i] + tau - tau_high - sd
+            high[i] = vector[i] + tau + sd
     for row in layout.noise:
         low[row[0]], high[row[0]] = -1.0 + 1e-9, 1.0 - 1e-9
         least = NO_NOISE * vector[row[1]]
@@ -69,12 +65,12 @@ def default_region(problem: Problem, vector: FloatArray, spread: float = 7.0) ->
 def _psi_variances(problem: Problem, vector: FloatArray, information: FloatArray) -> FloatArray:
     """Variances of (tau^2, .., t0 + tau, tf + tau, ..) from the information on theta."""
     layout = problem.layout
-    tau = max(vector[0], 1e-3 * max(vector[1], 1e-12))
     transform = np.eye(len(vector))  # d theta / d psi
-    transform[0, 0] = 0.5 / tau
-    for i in layout.local[:, 2:].ravel():
-        if i >= 0:
-            transform[i, 0] = -0.5 / tau
+    if layout.one_sensor:
+        longest = float(problem.commuting.lags(vector).max(initial=vector[0]))
+        tau = max(vector[0], 1e-3 * max(longest, 1e-12))
+        transform[0, 0] = 0.5 / tau
+        transform[layout.all_switches, 0] = -0.5 / tau
     info = transform.T @ information @ transform
     free = np.flatnonzero(np.diag(info) > 0)
     scale = 1.0 / np.sqrt(np.diag(info)[free])
@@ -89,10 +85,9 @@ def _psi_variances(problem: Problem, vector: FloatArray, information: FloatArray
 def narrow_region(layout: Layout, vector: FloatArray, width: float) -> Region:
     """A box about ``vector``, no wider than it must be; switch times within ``width`` s."""
     low, high = np.full(len(vector), -np.inf), np.full(len(vector), np.inf)
-    low[:3], high[:3] = 0.9 * vector[:3], 1.1 * vector[:3]
-    for i in layout.local[:, 2:].ravel():
-        if i >= 0:
-            low[i], high[i] = vector[i] - width, vector[i] + width
+    n, i = layout.n_shared, layout.all_switches
+    low[:n], high[:n] = 0.9 * vector[:n], 1.1 * vector[:n]
+    low[i], high[i] = vector[i] - width, vector[i] + width
     for row in layout.noise:
         low[row[0]], high[row[0]] = -1.0, 1.0
         low[row[1:]] = 0.0

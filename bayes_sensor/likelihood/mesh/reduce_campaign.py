@@ -16,26 +16,29 @@ from bayes_sensor.likelihood.mesh.blocks import Region
 from bayes_sensor.likelihood.mesh.compressed import Compressed
 from bayes_sensor.likelihood.mesh.mesh_region import default_region, narrow_region
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.rig.cascade import (
-    Cascade,
-    time_constants,
-)
+from bayes_sensor.rig.cascade import Cascade
 from bayes_sensor.rig.layout import Theta
 
 NO_TAU = 1e-6
 """of the fastest other time constant: a tau that no data tell from zero"""
 
 
-def above_zero(vector: FloatArray, total_flow: float) -> float:
-    """s, tau of the flat vector (n_theta,); zero raised to a value that no data tell from it.
-
-    ``total_flow``: mL/s, the highest in question.
-
-    >>> above_zero(np.array([0.0, 0.8, 60.0]), 150.0), above_zero(np.array([0.1, 0.8, 60.0]), 150.0)
-    (4e-07, 0.1)
-    """
-    tau = float(vector[0])
-    return NO_TAU * float(min(vector[1], vector[2] / total_flow)) if tau == 0.0 else tau
+def above_zero(problem: Problem, vector: FloatArray) -> float:
+    """s, theta's first lag of the flat vector (n_theta,); zero raised to a value that no data tell
+    from it."""
+    if vector[0] != 0.0:
+        return float(vector[0])
+    layout, some = problem.layout, vector.copy()
+    some[0] = 1.0
+    others = [
+        np.delete(layout.taus(some, k, e.total_flow), layout.rig.sensor_lag)
+        for k, e in enumerate(problem.campaign)
+    ]
+    fastest = min(
+        (float(taus.min()) for taus in others if taus.size),
+        default=min(e.interval for e in problem.campaign),
+    )
+    return NO_TAU * fastest
 
 
 def compress(
@@ -59,9 +62,9 @@ def compress(
             "use the exact response, Cascade()"
         )
     vector = problem.flat(theta)
-    vector[0] = above_zero(vector, max(e.total_flow for e in problem.campaign))
-    for e in problem.campaign:
-        time_constants(vector[0], vector[1], vector[2], e.total_flow)
+    vector[0] = above_zero(problem, vector)
+    for k, e in enumerate(problem.campaign):
+        problem.layout.taus(vector, k, e.total_flow)  # raises where one is not positive
     if np.isnan(vector).any():
         vector = _with_rough_noise(problem, vector)
     return Compressed(problem, vector, region or default_region(problem, vector))
@@ -116,6 +119,6 @@ def expected_information(problem: Problem, vector: FloatArray) -> FloatArray:
     """
     longest = max(e.interval for e in problem.campaign)
     vector = vector.copy()
-    vector[0] = above_zero(vector, max(e.total_flow for e in problem.campaign))
+    vector[0] = above_zero(problem, vector)
     region = narrow_region(problem.layout, vector, 2.0 * longest)
     return compress(problem, vector, region).information(vector)
