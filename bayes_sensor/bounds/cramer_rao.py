@@ -15,8 +15,8 @@ import numpy as np
 
 from bayes_sensor.bounds.gaussian_intervals import invert
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
-from bayes_sensor.likelihood.density import grid_response
-from bayes_sensor.likelihood.mesh import above_zero, expected_information
+from bayes_sensor.likelihood.density import response_at_samples
+from bayes_sensor.likelihood.mesh import NO_TAU, above_zero, expected_information
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import euler_response, local_parameters, time_constants
@@ -175,10 +175,10 @@ def _finite(
     total = np.zeros((layout.n_mean, layout.n_mean))
     for k, e in enumerate(problem.campaign):
         local = layout.local[k]
-        index = np.array([0, 1, 2, *local[local >= 0]])
-        _, beta, _, _ = local_parameters(vector, layout, e.name)
-        fastest = min(vector[1], vector[2] / e.total_flow)
-        base = _response(e, vector, layout, method)
+        index = np.array([*layout.shared[k], *local[local >= 0]])
+        beta = vector[local[1]]
+        fastest = above_zero(problem, np.append(0.0, vector[1:])) / NO_TAU
+        base = _response(problem, vector, k, method)
         columns = []
         for i in index:
             if i == local[0]:
@@ -190,10 +190,10 @@ def _finite(
             move = step * (vector[i] if vector[i] != 0 else fastest)
             moved = vector.copy()
             moved[i] += move
-            up = _response(e, moved, layout, method)
+            up = _response(problem, moved, k, method)
             if difference == "central" and not (i == 0 and vector[0] == 0.0):
                 moved[i] = vector[i] - move
-                columns.append(beta * (up - _response(e, moved, layout, method)) / (2.0 * move))
+                columns.append(beta * (up - _response(problem, moved, k, method)) / (2.0 * move))
             else:
                 columns.append(beta * (up - base) / move)
         J = np.stack(columns)
@@ -203,17 +203,26 @@ def _finite(
     return total
 
 
-def _response(e: Experiment, vector: FloatArray, layout: Layout, method: str) -> FloatArray:
-    _, _, t0, tf = local_parameters(vector, layout, e.name)
-    taus = time_constants(above_zero(vector, e.total_flow), vector[1], vector[2], e.total_flow)
+def _response(problem: Problem, vector: FloatArray, k: int, method: str) -> FloatArray:
+    e, layout = problem.campaign.experiments[k], problem.layout
+    vector = vector.copy()
+    tau = vector[0]
+    vector[0] = above_zero(problem, vector)
     if method == "exact":
-        return grid_response(e, taus, t0, tf)
+        return response_at_samples(problem, vector, k)
+    if not layout.is_published:
+        raise CampaignError(
+            "cramer_rao: forward Euler is for the paper's rig and one pulse a record; use "
+            "method='exact'"
+        )
+    taus = layout.taus(vector, k, e.total_flow)
     if taus.min() <= 0.5 * e.interval:
-        least = min(taus.min(), float(vector[0]))
+        least = min(taus.min(), float(tau))
         raise CampaignError(
             f"experiment '{e.name}': forward Euler is unstable for a time constant of "
             f"{least:.3g} s at an interval of {e.interval:g} s; use method='exact'"
         )
+    _, _, t0, tf = local_parameters(vector, layout, e.name)
     return euler_response(e.t, e.interval, taus, t0, tf)
 
 
@@ -238,7 +247,7 @@ def step_study(
         for method in ("euler", "exact"):
             for difference in ("forward", "central"):
                 bound = cramer_rao(campaign, theta, sigma, float(step), method, difference)
-                row = {name: bound[name] for name in bound.names[:3]}
+                row = {name: bound[name] for name in bound.names[: as_problem(campaign).layout.n_shared]}
                 identified = bool(np.isfinite(bound.sd).all())
                 rows.append(
                     {

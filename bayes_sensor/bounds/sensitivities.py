@@ -5,27 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.mesh import sizes
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.cascade import (
-    Cascade,
-    cascade_sensitivities,
-    local_parameters,
-    time_constants,
-)
+from bayes_sensor.rig.cascade import Cascade, response_slopes
 
 
 def local_jacobian(problem: Problem, vector: FloatArray, k: int) -> tuple[FloatArray, np.ndarray]:
     """Derivatives (n_t, m) of experiment ``k``'s mean by the parameters it depends on.
 
-    Also their positions (m,) in the flat vector: tau, tau_v, V, y0, beta, t0, tf (if any), extras.
+    Also their positions (m,) in the flat vector: the shared ones, y0, beta, switch times, extras.
     Samples that are not used have zero rows.
     """
     layout, e = problem.layout, problem.campaign.experiments[k]
     extra = np.arange(len(layout) - len(layout.extra), len(layout))
     local = layout.local[k][layout.local[k] >= 0]
-    index = np.concatenate([[0, 1, 2], local, extra]).astype(int)
+    index = np.concatenate([layout.shared[k], local, extra]).astype(int)
     if type(problem.model) is Cascade and problem.model.method == "exact":
         J = _cascade_jacobian(problem, vector, k)
     else:
@@ -47,13 +41,10 @@ def local_jacobian(problem: Problem, vector: FloatArray, k: int) -> tuple[FloatA
 
 
 def _cascade_jacobian(problem: Problem, vector: FloatArray, k: int) -> FloatArray:
-    e = problem.campaign.experiments[k]
-    _, beta, t0, tf = local_parameters(vector, problem.layout, e.name)
-    taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
+    layout, e = problem.layout, problem.campaign.experiments[k]
     grid = e.interval if e.regular else None
-    dx = cascade_sensitivities(e.t, taus, t0, tf, grid)
-    columns = [beta * dx[:, 2], beta * dx[:, 0], beta / e.total_flow * dx[:, 1]]
-    columns += [np.ones(len(e.t)), grid_response(e, taus, t0, tf), beta * dx[:, 3]]
-    if tf is not None:
-        columns.append(beta * dx[:, 4])
-    return np.stack(columns, axis=1)
+    x, index, slopes = response_slopes(e.t, vector, layout, k, e.total_flow, grid)
+    n = len(layout.shared[k])
+    slopes *= vector[layout.local[k, 1]]
+    levels = np.stack([np.ones(len(e.t)), x], axis=1)
+    return np.concatenate([slopes[:, :n], levels, slopes[:, n:]], axis=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import exp
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,11 +51,12 @@ def averages(campaign: Campaign, looks: list[Look], per_rise: int, most: int) ->
         rise = look.rise or usual or 0.1 * (look.off - look.on)
         first, last = float(e.t[0]), float(e.t[-1]) + e.interval
         edges = [first]
-        for low, high in ((look.on, look.start_by), (look.off, look.end_by))[: 1 + e.has_fall]:
-            edges += list(np.linspace(edges[-1], low, 9)[1:])
+        for low, high in look.stretches:
+            if low > edges[-1]:
+                edges += list(np.linspace(edges[-1], low, 9)[1:])
             high = min(high + 4.0 * rise, last)
             width = max(rise / per_rise, (high - low) / most, e.interval)
-            edges += list(np.arange(low, high, width)[1:])
+            edges += list(np.arange(max(low, edges[-1]), high, width)[1:])
         edges += list(np.linspace(edges[-1], last, 17)[1:])
         index = np.unique(np.searchsorted(e.t, np.array(edges) - 1e-9 * e.interval))
         index = index[index < len(e.t)]
@@ -69,26 +69,47 @@ def averages(campaign: Campaign, looks: list[Look], per_rise: int, most: int) ->
     return joined(parts)
 
 
+class Series(NamedTuple):
+    """How positions of the swarm become the switches of all experiments."""
+
+    first: NDArray[np.int64]  # (n_exp + 1,) of the switches, all experiments in a row
+    moves: NDArray[np.int64]  # (n_switches,) place in z of what moves each
+    offset: FloatArray  # (n_switches,) s, what is added to it
+    height: FloatArray  # (n_switches,)
+    rest: FloatArray  # (n_exp,) input before them
+
+
 @njit(cache=True, error_model="numpy")
 def _profile(
-    z: Any, where: Any, first: Any, t: Any, count: Any, y: Any, flow: Any, linear: Any
+    z: Any, lags: Any, delays: Any, series: Any, first: Any, t: Any, count: Any, y: Any, linear: Any
 ) -> float:  # pragma: no cover - compiled
-    # Sum of squares at z = (log tau, log tau_v, log V, switch times) with the best y0 and beta,
-    # which are left in linear (n_exp, 2).
-    taus, c = np.empty(3), np.empty(3)
+    # Sum of squares at z = (.., switch times) for lags (n_exp, n_lags) s and delays of the stages
+    # (n_exp,) s with the best y0 and beta, which are left in linear (n_exp, 2).
+    taus, c = np.empty(lags.shape[1]), np.empty(lags.shape[1])
     total = 0.0
-    for k in range(len(flow)):
-        taus[0], taus[1], taus[2] = exp(z[0]), exp(z[1]), exp(z[2]) / flow[k]
+    for k in range(len(lags)):
+        for j in range(len(taus)):
+            taus[j] = lags[k, j]
         sorted_apart(taus)
         partial_fractions(taus, c)
-        t0 = z[where[k, 0]]
-        tf = z[where[k, 1]] if where[k, 1] >= 0 else np.inf
+        begin, end = series.first[k], series.first[k + 1]
+        over = 30.0 * taus[-1]
+        done, level = begin, series.rest[k]
         n = sx = sxx = sy = sxy = syy = 0.0
         origin = y[first[k]]
         for i in range(first[k], first[k + 1]):
-            x = quick_step_response(t[i] - t0, taus, c)
-            if t[i] > tf:
-                x -= quick_step_response(t[i] - tf, taus, c)
+            # switches whose response is over need no exponential again
+            now = t[i] - delays[k]
+            while done < end and now - z[series.moves[done]] - series.offset[done] > over:
+                level += series.height[done]
+                done += 1
+            x = level
+            for e in range(done, end):
+                s = now - z[series.moves[e]] - series.offset[e]
+                if s > 0.0:
+                    x += series.height[e] * quick_step_response(s, taus, c)
+                elif end - begin > 2:
+                    break  # commands in order; two free switches may cross
             w = count[i]
             d = y[i] - origin
             n += w
@@ -108,11 +129,11 @@ def _profile(
 
 @njit(cache=True, error_model="numpy")
 def profiles(
-    Z: Any, where: Any, first: Any, t: Any, count: Any, y: Any, flow: Any, linear: Any
+    Z: Any, lags: Any, delays: Any, series: Any, first: Any, t: Any, count: Any, y: Any, linear: Any
 ) -> FloatArray:  # pragma: no cover - compiled
     costs = np.empty(len(Z))
     for i in range(len(Z)):
-        costs[i] = _profile(Z[i], where, first, t, count, y, flow, linear)
+        costs[i] = _profile(Z[i], lags[i], delays[i], series, first, t, count, y, linear)
     return costs
 
 

@@ -11,7 +11,7 @@ from bayes_sensor.fit.misfit import Misfit, warning
 from bayes_sensor.fit.side_information import Comparison
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.likelihood.rise_time import rise_time
-from bayes_sensor.rig.cascade import cascade_response, time_constants
+from bayes_sensor.rig.cascade import cascade_response
 
 
 def caveats(
@@ -41,8 +41,8 @@ def caveats(
 def hiding_interval(problem: Problem, vector: FloatArray) -> float | None:
     """s, the shortest sampling interval where the fitted response rises from 10 to 90 % within one
     interval in every experiment; else None."""
-    for e in problem.campaign:
-        taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
+    for k, e in enumerate(problem.campaign):
+        taus = problem.layout.taus(vector, k, e.total_flow)
         t = np.linspace(0.0, 8.0 * float(taus.sum()), 4001)
         rise = rise_time(t, cascade_response(t, taus, 0.0))
         if rise is None or rise >= e.interval:

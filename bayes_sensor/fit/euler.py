@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from bayes_sensor.campaign import FloatArray
+from bayes_sensor.campaign import Experiment, FloatArray
 from bayes_sensor.compiled import forget_older
 from bayes_sensor.rig import partial_fractions as fractions
+from bayes_sensor.rig.layout import Layout
 from bayes_sensor.rig.partial_fractions import partial_fractions, sorted_apart
 
 
@@ -44,16 +46,24 @@ def euler_relaxed(
 forget_older((euler_relaxed,), (fractions,))
 
 
-def euler_sensitivities(
-    t: FloatArray, h: float, taus: FloatArray, t0: float, tf: float | None
-) -> tuple[FloatArray, FloatArray]:
-    """Relaxed forward Euler at ``t`` (n_t,) and its (n_t, 5) one-sided difference quotients."""
-    arguments = np.array([*taus, t0, inf if tf is None else tf])
-    x, dx = np.empty_like(t), np.zeros((len(t), 5))
-    euler_relaxed(t, h, arguments[:3], arguments[3], arguments[4], x)
-    for j in range(5 if tf is not None else 4):
-        moved = arguments.copy()
-        moved[j] += 1e-6 * taus[j] if j < 3 else 1e-6 * float(taus.max())
-        euler_relaxed(t, h, moved[:3], moved[3], moved[4], dx[:, j])
-        dx[:, j] = (dx[:, j] - x) / (moved[j] - arguments[j])
-    return x, dx
+def euler_slopes(
+    t: FloatArray, theta: FloatArray, layout: Layout, k: int, e: Experiment
+) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+    """Relaxed forward Euler of the published rig at ``t`` (n_t,), positions in theta (m,) of what
+    moves it, and one-sided difference quotients by these (n_t, m)."""
+    places = np.concatenate([layout.shared[k], layout.switches(k)])
+    scale = np.append(theta[layout.shared[k]], [layout.slowest(theta, k, e.total_flow)] * 2)
+
+    def at(vector: FloatArray) -> FloatArray:
+        switches, x = vector[layout.switches(k)], np.empty_like(t)
+        tf = float(switches[1]) if len(switches) > 1 else inf
+        taus = layout.taus(vector, k, e.total_flow)
+        euler_relaxed(t, e.interval, taus, float(switches[0]), tf, x)
+        return x
+
+    x, slopes = at(theta), np.zeros((len(t), len(places)))
+    for j, place in enumerate(places):
+        moved = theta.copy()
+        moved[place] += 1e-6 * scale[j]
+        slopes[:, j] = (at(moved) - x) / (moved[place] - theta[place])
+    return x, places, slopes

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.likelihood.switch_ranges import step_begin, step_end, switch_ranges
 
 LEAST_TAU = 0.1
 """lower bound of tau in sampling intervals, far below what samples can resolve"""
@@ -32,6 +33,16 @@ class Look:
     before: float
     step: float
     settled: bool = True  # False where the signal still moves when the step ends
+    ranges: tuple[tuple[float, float], ...] = ()  # s, of what moves the switches, where not a pulse
+    switches: tuple[tuple[float, float], ...] = ()  # s, each command and the time by which it shows
+    has_fall: bool = True
+
+    @property
+    def stretches(self) -> tuple[tuple[float, float], ...]:
+        """Stretches (s) in which the signal may set off."""
+        if self.switches:
+            return self.switches
+        return ((self.on, self.start_by), (self.off, self.end_by))[: 1 + self.has_fall]
 
 
 def blocks(e: Experiment, start: float, end: float, n: int) -> tuple[FloatArray, FloatArray]:
@@ -55,9 +66,23 @@ def split(y: FloatArray) -> int:
 
 
 def first_look(e: Experiment) -> Look:
+    """Of a programme of more than one pulse, the first step is looked at."""
     first, last = float(e.t[0]), float(e.t[-1]) + e.interval
-    on = first if e.commanded_on is None else min(max(e.commanded_on, first), last)
+    on = min(max(step_begin(e), first), last)
     off = last if e.commanded_off is None else min(max(e.commanded_off, on), last)
+    done = e.commands
+    if done is not None:
+        if not done.recorded and len(done.times) > 1:
+            off = min(max(step_end(e), on), last)
+        look = replace(_first_step(e, on, off, first, last), ranges=tuple(switch_ranges(e)))
+        if done.recorded:
+            return replace(look, rise=None, switches=((first, last),))
+        later = max(look.start_by - on, 2.0 * e.interval)
+        return replace(look, switches=tuple((at, at + later) for at in done.times.tolist()))
+    return replace(_first_step(e, on, off, first, last), has_fall=e.has_fall)
+
+
+def _first_step(e: Experiment, on: float, off: float, first: float, last: float) -> Look:
     t, y = blocks(e, on, off, 1000)
     _, quiet = blocks(e, first, on, 200)
     if len(y) < 8:
@@ -103,22 +128,34 @@ def initial_bounds(
     slowest = max(slowest, 100.0 * least)
     unsettled = [look.off - look.on for look in looks if not look.settled]
     most = 3.0 * slowest if not unsettled else UNSETTLED * max(3.0 * slowest, *unsettled)
-    bounds = {
-        "tau_s": (least, slowest),
-        "tau_v_s": (least, most),
-        "V_mL": (least * flow, most * flow),
-    }
-    for e, look in zip(campaign, looks):
+    bounds: dict[str, tuple[float, float]] = {}
+    for i, name in enumerate(layout.shared_names):
+        # the first of several lags is the shortest
+        longest = slowest if i == 0 and layout.one_sensor and layout.rig.n_lags > 1 else most
+        factor = flow if name.startswith("V_") else 1.0
+        bounds[name] = (least * factor, longest * factor)
+    for k, (e, look) in enumerate(zip(campaign, looks)):
         y = e.values[e.used]
         low, high = float(y.min()), float(y.max())
         spread = max(high - low, 1e-12 * max(abs(high), abs(low)), 1e-300)
         bounds[f"y0_V[{e.name}]"] = (low - spread, high + spread)
         # where no plateau is reached, the step may be as much higher as the lag is longer
         reach = 3.0 * spread if look.settled else 10.0 * UNSETTLED * spread
+        if e.commands is not None:  # beta is of an input of 1
+            reach /= float(np.ptp(np.append(e.commands.levels, e.commands.rest)))
         bounds[f"beta_V[{e.name}]"] = (-reach, reach)
-        bounds[f"t0_s[{e.name}]"] = (look.on, max(look.start_by, look.on + 2.0 * e.interval))
-        if e.has_fall:
-            bounds[f"tf_s[{e.name}]"] = (look.off, max(look.end_by, look.off + 2.0 * e.interval))
+        kinds, record = layout.switching[k].names, layout.records[k]
+        ranges = look.ranges
+        if not ranges:
+            soon = 2.0 * e.interval
+            ranges = (
+                (look.on, max(look.start_by, look.on + soon)),
+                (look.off, max(look.end_by, look.off + soon)),
+            )
+        for kind, (low, high) in zip(kinds, ranges, strict=False):
+            name = f"{kind}[{record}]"
+            known = bounds.get(name, (low, high))  # of another sensor
+            bounds[name] = (min(low, known[0]), max(high, known[1]))
     for name in layout.extra:
         law = problem.priors[name].law if name in problem.priors else None
         bounds[name] = (

@@ -10,7 +10,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.display import card
 from bayes_sensor.fit.side_information import Comparison
 from bayes_sensor.io.json_files import plain
-from bayes_sensor.rig.lags import Naming, lags_of
+from bayes_sensor.rig.lags import Naming
 
 Progress = Callable[[float, str], None]
 """called with the fraction done and a word"""
@@ -50,6 +50,8 @@ class Fit:
     """the differential-evolution cross-check, or None when it was not asked for"""
     n_evaluations: int
     seconds: float
+    naming: Naming
+    """names that may be stated for the lags"""
     signal_unit: str = "V"
     phi_interval: float = 0.0
     """s, the sampling interval that phi refers to"""
@@ -62,8 +64,6 @@ class Fit:
     """whether the step of any experiment exceeds the noise"""
     unseen: tuple[str, ...] = ()
     """lags, or V, at the lower end of the search: too small to be seen in these data"""
-    naming: Naming | None = None
-    """names that may be stated for the lags"""
     side_information: tuple[Comparison, ...] = ()
     """each piece of side information with the estimate from the data alone"""
     hidden_by_sampling: float | None = None
@@ -80,18 +80,23 @@ class Fit:
     @property
     def order(self) -> str:
         """Assignment of the lags: ``given``, ``decided`` (by side information) or ``undecided``."""
-        return "given" if self.naming is None else self.naming.order
+        return self.naming.order
 
     @property
     def lags(self) -> FloatArray:
         """(n_lags,) s, the lags that do not depend on flow, shortest first."""
-        return lags_of(self.theta_hat, None if self.naming is None else self.naming.flow)
+        return self.naming.commuting.lags(self.theta_hat)
+
+    @property
+    def n_shared(self) -> int:
+        """How many of the first parameters all experiments share."""
+        return len(self.naming.commuting.shared)
 
     def __repr__(self) -> str:
         """The shared time constants and the status."""
         shared = ", ".join(
             f"{name} too small to be seen" if name in self.unseen else f"{name} {value:.4g}"
-            for name, value in zip(self.names[:3], self.theta_hat[:3])
+            for name, value in zip(self.names[: self.n_shared], self.theta_hat)
         )
         return f"Fit({shared}; RMS {self.rms:.4g} {self.signal_unit}; {self.status})"
 
@@ -114,8 +119,8 @@ class Fit:
     def estimates(self) -> dict[str, float | None]:
         """The shared values under the names that may be stated; None where one is too small to be
         seen."""
-        names = self.names[:3]
-        labels = [(name, 1.0) for name in names] if self.naming is None else self.naming.labels
+        names = self.names[: self.n_shared]
+        labels = self.naming.labels
         return {
             label: None if name in self.unseen else float(factor * value)
             for name, (label, factor), value in zip(names, labels, self.theta_hat)

@@ -13,7 +13,8 @@ from bayes_sensor.fit.first_estimates import Look
 from bayes_sensor.fit.identifiability import step_error
 from bayes_sensor.likelihood.noise import scale_squared
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.layout import SHARED, Layout, unit_of
+from bayes_sensor.rig.layout import Layout, unit_of
+from bayes_sensor.rig.switching import is_switch_time
 
 
 def local_noise(z: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
@@ -95,11 +96,15 @@ def warn(
 ) -> list[str]:
     campaign, layout = problem.campaign, problem.layout
     warnings = []
-    if campaign.same_flow:
+    if problem.commuting.flow is not None:
+        if layout.is_published:
+            who = "the sensor's tau, the valve's tau_v and the manifold's V/Q"
+        else:
+            names = [name.rsplit("_", 1)[0] for name in problem.commuting.names]
+            who = " and ".join(f"{name}/Q" if name.startswith("V") else name for name in names)
         warnings.append(
-            "There is one total flow only: the sensor's tau, the valve's tau_v and the manifold's "
-            "V/Q enter alike and cannot be told apart by the data; only the set of lags is "
-            "determined."
+            f"There is one total flow only: {who} enter alike and cannot be told apart by the "
+            "data; only the set of lags is determined."
         )
     moving = [e.name for e, look in zip(campaign, looks) if not look.settled]
     if moving:
@@ -162,7 +167,7 @@ def unseen_lags(
     for name in at_bound:
         low, high = box[name]
         value = vector[layout.index(name)]
-        if name in SHARED and name not in given and value - low < high - value:
+        if name in layout.shared_names and name not in given and value - low < high - value:
             found.append(name)
     return found
 
@@ -191,8 +196,8 @@ def bound_warnings(
                 f"least squares cannot tell {word} from zero: these data give an upper limit "
                 "only; see the posterior's limits."
             )
-        elif name.startswith(("t0_s", "tf_s")) and lower:
-            what = "response" if name.startswith("t0_s") else "fall"
+        elif is_switch_time(name.partition("[")[0]) and lower:
+            what = "fall" if name.startswith("tf_s") else "response"
             sentences.append(
                 f"{name} is at its lower bound ({low:.10g} s, the commanded time or the earliest "
                 f"that was tried): the {what} seems to begin no later than the command. Check "

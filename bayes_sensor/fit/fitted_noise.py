@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from bayes_sensor.campaign import Experiment, FloatArray
-from bayes_sensor.likelihood.density import grid_response, mean_and_variance
+from bayes_sensor.likelihood.density import response_at_samples, mean_and_variance
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.cascade import Cascade, local_parameters, time_constants
+from bayes_sensor.rig.cascade import Cascade
 
 
 def residuals_of(problem: Problem, vector: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
@@ -21,11 +21,10 @@ def residuals_of(problem: Problem, vector: FloatArray, k: int) -> tuple[FloatArr
     e = problem.campaign.experiments[k]
     mean, _ = mean_and_variance(problem, vector, k)
     r = np.where(e.used, e.values - mean, 0.0)
-    y0, beta, t0, tf = local_parameters(vector, problem.layout, e.name)
     if type(problem.model) is Cascade:
         if problem.model.method == "exact":
-            taus = time_constants(vector[0], vector[1], vector[2], e.total_flow)
-            return r, grid_response(e, taus, t0, tf)
+            return r, response_at_samples(problem, vector, k)
+        y0, beta = vector[problem.layout.local[k, :2]]
         return r, (mean - y0) / beta if beta != 0 else np.zeros_like(mean)
     return r, problem.model.response(e.t, vector, problem.layout, e)
 
@@ -73,11 +72,11 @@ def estimate_noise(
             Spread(r[used] ** 2, variable[used], r, variable, used, steps, fading, rough_places(e))
         )
     values: dict[str, float] = {}
-    groups = [[k] for k in range(len(spreads))] if layout.noise_per_experiment else None
-    for group in groups or [list(range(len(spreads)))]:
-        chosen = [spreads[k] for k in group]
+    names = layout.names
+    for positions in np.unique(layout.noise, axis=0):  # each set of noise parameters
+        chosen = [spreads[k] for k, row in enumerate(layout.noise) if row[0] == positions[0]]
         own = rms
-        if layout.noise_per_experiment:
+        if len(chosen) < len(spreads):
             own = sqrt(sum(s.r2.sum() for s in chosen) / sum(len(s.r2) for s in chosen))
         v0, v1 = fitted_variances(chosen, problem.noise.variance != "constant")
         v0 = max(v0, (1e-3 * own) ** 2, campaign.rounding**2)
@@ -85,11 +84,8 @@ def estimate_noise(
         phi = 0.0
         if problem.noise.autocorrelation == "ar1":
             phi = _lag_one(chosen, v0, v1)
-        estimates = (phi, sqrt(v0), sqrt(v1))
-        for kind, value in zip(("phi", "sigma0_V", "sigma1_V"), estimates):
-            for k in group[: None if layout.noise_per_experiment else 1]:
-                name = f"{kind}[{campaign.experiments[k].name}]" if groups else kind
-                values[name] = value
+        for position, value in zip(positions, (phi, sqrt(v0), sqrt(v1)), strict=True):
+            values[names[position]] = value
     return values
 
 

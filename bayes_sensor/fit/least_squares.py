@@ -22,45 +22,68 @@ from bayes_sensor.fit.identifiability import cannot_tell, step_is_seen
 from bayes_sensor.fit.misfit import misfits, overall
 from bayes_sensor.fit.refinement import Refined, around, mesh_points, refine, with_noise
 from bayes_sensor.fit.side_information import named_parameters, weigh_names
-from bayes_sensor.fit.starts import guess, limits, swarm_problem
+from bayes_sensor.fit.starts import SwarmProblem, limits
 from bayes_sensor.fit.swarm import particle_swarm
 from bayes_sensor.likelihood.density import mean_and_variance
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.rig.cascade import Cascade, exchanged
-from bayes_sensor.rig.lags import Naming
-from bayes_sensor.rig.layout import SHARED
+from bayes_sensor.rig.cascade import Cascade
+from bayes_sensor.rig.lags import Commuting, Naming
 from bayes_sensor.workers import one_thread
 
 # Starts along the valley, as fractions of the rise time (10, 60, 200, 500 ms at the published rig).
 TAU_STARTS = (0.005, 0.03, 0.1, 0.25)
+GUESSES = (0.03, 0.1, 0.3, 1.0)
+"""shares of the rise from which all lags start where no swarm searches"""
 
 
 TWINS_APART = 0.3
-"""distance in the logarithms of tau_v and of V above which two fits are different answers"""
+"""distance in the logarithms of a lag and of a volume above which two fits are different answers"""
 AS_GOOD = 9.0
 """rise of the sum of squares, in noise variances, up to which another fit is as good (3 sd)"""
 
 
 @dataclass(frozen=True)
 class Twin:
-    """The best fit with the roles of valve and manifold exchanged."""
+    """The best fit with the roles of a lag and a volume exchanged (valve and manifold)."""
 
-    tau_v: float  # s
-    volume: float  # mL
+    lag: str
+    volume: str
+    """flat names of the two"""
+    lag_s: float
+    volume_mL: float
     excess: float  # V^2, its sum of squares less that of the fit
 
+    def sentence(self) -> str:
+        """That both fits are as good."""
+        stages = {"tau_v_s": "valve", "V_mL": "manifold"}
+        lag, volume = self.lag.removesuffix("_s"), self.volume.removesuffix("_mL")
+        return (
+            f"{stages.get(self.lag, lag)} and {stages.get(self.volume, volume)} cannot be told "
+            f"apart by these data: a fit with {lag} = {1e3 * self.lag_s:.4g} ms and {volume} = "
+            f"{self.volume_mL:.4g} mL is as good"
+        )
 
-def _other_order(campaign: Campaign, theta: FloatArray) -> FloatArray:
-    """``theta`` (n_mean,) with the roles exchanged at the typical flow, tau the faster lag."""
-    theta = exchanged(theta, float(np.median([e.total_flow for e in campaign])))
-    if theta[0] > theta[1]:
-        theta[0], theta[1] = theta[1], theta[0]
-    return theta
+
+def _other_orders(problem: Problem, theta: FloatArray) -> list[tuple[int, int, FloatArray]]:
+    """Positions of a lag and a volume, and ``theta`` (n_mean,) with their roles exchanged at the
+    typical flow; the longest lag that does not depend on flow, with each volume."""
+    layout, commuting = problem.layout, problem.commuting
+    if not layout.rig.needs_flow or commuting.flow is not None or not commuting.names:
+        return []
+    flow, lag = float(np.median([e.total_flow for e in problem.campaign])), commuting.places[-1]
+    found = []
+    for volume, name in enumerate(layout.shared_names):
+        if name.startswith("V_"):
+            other = theta.copy()
+            other[lag], other[volume] = theta[volume] / flow, theta[lag] * flow
+            found.append((lag, volume, commuting.by_size(other)))
+    return found
 
 
-def _apart(a: FloatArray, b: FloatArray) -> bool:
-    """Whether two answers (n_mean,) differ in tau_v and in V."""
-    return bool((np.abs(np.log(a[1:3] / b[1:3])) > TWINS_APART).all())
+def _apart(a: FloatArray, b: FloatArray, places: tuple[int, int]) -> bool:
+    """Whether two answers (n_mean,) differ in a lag and in a volume."""
+    pair = list(places)
+    return bool((np.abs(np.log(a[pair] / b[pair])) > TWINS_APART).all())
 
 
 @dataclass
@@ -128,12 +151,13 @@ def fit_least_squares(
     seen = step_is_seen(problem, vector, residuals)
     can_tell = seen and not mute
     naming, compared = weigh_names(problem, vector) if can_tell else (problem.naming(), ())
-    labels = dict(zip(SHARED, naming.names, strict=True))
+    shared = problem.layout.shared_names
+    labels = dict(zip(shared, naming.names, strict=True))
     hidden = hiding_interval(problem, vector) if can_tell else None
     warnings = warn(problem, vector, residuals, looks, unit)
     at_bound = at_bounds(problem.layout, vector, box)
     unseen = unseen_lags(at_bound, vector, problem.layout, box, bounds or {})
-    words = {name: label for name, (label, _) in zip(SHARED, naming.labels, strict=True)}
+    words = {name: label for name, (label, _) in zip(shared, naming.labels, strict=True)}
     warnings += bound_warnings(at_bound, box, vector, problem.layout, unit, words, unseen)
     if not record["agree"]:
         warnings.append(
@@ -141,7 +165,7 @@ def fit_least_squares(
             "the best is given."
         )
     comparison = None
-    if euler and plain and problem.model.method == "exact":
+    if euler and plain and problem.model.method == "exact" and problem.layout.is_published:
         tell(0.85, "Euler")
         comparison = _compare_euler(problem, theta, box, looks, rms, count, naming)
     tell(1.0, "done")
@@ -154,11 +178,8 @@ def fit_least_squares(
     if other is not None:
         phi = max(float(vector[problem.layout.noise[0, 0]]), 0.0)
         if other.excess < AS_GOOD * rms**2 * (1.0 + phi) / (1.0 - phi):
-            twin = (
-                "valve and manifold cannot be told apart by these data: a fit with "
-                f"tau_v = {1e3 * other.tau_v:.4g} ms and V = {other.volume:.4g} mL is as good"
-            )
-            warnings.append(f"V{twin[1:]}.")
+            twin = other.sentence()
+            warnings.append(f"{twin[:1].upper()}{twin[1:]}.")
     missed = misfits(problem, residuals, looks)
     noise, misfit = overall(problem, missed)
     if mute:
@@ -206,17 +227,14 @@ def fit_least_squares(
     )
 
 
-def _swap(campaign: Campaign, theta: FloatArray, high: FloatArray) -> FloatArray:
-    """The same cascade with tau <= tau_v (and, at equal flows, tau the smallest of the three)."""
-    theta = theta.copy()
-    if campaign.same_flow:
-        flow = campaign.experiments[0].total_flow
-        taus = np.sort([theta[0], theta[1], theta[2] / flow])
-        if taus[2] <= high[1] and taus[1] * flow <= high[2]:
-            theta[0], theta[1], theta[2] = taus[0], taus[2], taus[1] * flow
-    if theta[0] > theta[1]:
-        theta[0], theta[1] = theta[1], theta[0]
-    return theta
+def _swap(problem: Problem, theta: FloatArray, high: FloatArray) -> FloatArray:
+    """The same chain with its lags by size; volumes stay where the search has no room for that."""
+    commuting, n = problem.commuting, problem.layout.n_shared
+    ordered = commuting.by_size(theta)
+    if (ordered[1:n] <= high[1:n]).all():
+        return ordered
+    lags = [name for name in commuting.names if not name.startswith("V_")]
+    return Commuting.among(lags, commuting.shared, None).by_size(theta)
 
 
 def _search(
@@ -237,25 +255,30 @@ def _search(
     low, high = limits(layout, box)
     coarse = averages(campaign, looks, 12, 40)
     medium = averages(campaign, looks, 40, 150)
-    cost, z_low, z_high, to_theta = swarm_problem(problem, coarse, low, high)
+    swarm = SwarmProblem(problem, coarse)
+    z_low, z_high = swarm.box(low, high)
     rises = [look.rise for look in looks if look.rise is not None]
     rise = float(np.median(rises)) if rises else 0.3 * float(high[0])
     starts, raw = [], []
+    swarms, de = (swarms, de) if swarm.searchable else (0, False)
     for i, stream in enumerate(np.random.SeedSequence(seed).spawn(swarms)):
         tell(0.1 + 0.4 * i / swarms, "swarm")
-        found = particle_swarm(cost, z_low, z_high, np.random.default_rng(stream), particles)
+        found = particle_swarm(swarm.cost, z_low, z_high, np.random.default_rng(stream), particles)
         count.n += found.n_evaluations
         raw.append(found.cost)
-        starts.append(to_theta(found.best))
+        starts.append(swarm.theta(found.best))
     if de:
         result = optimize.differential_evolution(
-            lambda z: cost(np.atleast_2d(z.T)) if z.ndim == 2 else float(cost(z[None])[0]),
+            lambda z: (
+                swarm.cost(np.atleast_2d(z.T)) if z.ndim == 2 else float(swarm.cost(z[None])[0])
+            ),
             list(zip(z_low, z_high)), rng=np.random.default_rng(seed), vectorized=True,
             updating="deferred", polish=False, maxiter=400, popsize=8, tol=1e-6,
         )  # fmt: skip
         count.n += result.nfev
-        starts.append(to_theta(result.x))
-    starts.append(guess(problem, looks, coarse, rise, low, high))
+        starts.append(swarm.theta(result.x))
+    scales = (1.0,) if swarm.searchable else GUESSES
+    starts += [swarm.guess(looks, scale * rise, low, high) for scale in scales]
     tell(0.5, "refinement")
 
     def refined_from(start: FloatArray) -> Refined:
@@ -265,34 +288,38 @@ def _search(
 
     refined = [refined_from(start) for start in starts]
     best = min(refined, key=lambda found: found.cost)
-    for fraction in TAU_STARTS:
+    for fraction in TAU_STARTS if layout.one_sensor and layout.rig.n_lags > 1 else ():
         start = best.theta.copy()
-        edges = layout.local[:, 2:][layout.local[:, 2:] >= 0]
         start[0] = min(fraction * rise, 0.9 * high[0])
-        start[edges] += best.theta[0] - start[0]
+        start[layout.all_switches] += best.theta[0] - start[0]
         other = refined_from(start)
         if other.cost < best.cost:
             best = other
     twin = None
-    if not campaign.same_flow:
-        other = refined_from(_other_order(campaign, best.theta))
+    for lag, volume, start in _other_orders(problem, best.theta):
+        other = refined_from(start)
         if other.cost < best.cost:
             best, other = other, best
-        if _apart(other.theta, best.theta):
-            twin = Twin(other.theta[1], other.theta[2], other.cost - best.cost)
+        if _apart(other.theta, best.theta, (lag, volume)):
+            names = layout.shared_names
+            nearest = Twin(
+                names[lag], names[volume], float(other.theta[lag]), float(other.theta[volume]),
+                other.cost - best.cost,
+            )  # fmt: skip
+            twin = nearest if twin is None or nearest.excess < twin.excess else twin
     noise = mean_square(problem, with_noise(problem.layout, best.theta))
     tell(0.7, "mesh")
-    start = _swap(campaign, best.theta, high)
+    start = _swap(problem, best.theta, high)
     theta, success = _finish(problem, start, low, high, rise, noise, count)
     inside, inside_coarse = scatter(campaign, medium), scatter(campaign, coarse)
     each = []
     for i in range(swarms):
-        shared = _swap(campaign, refined[i].theta, high)[:3]
+        shared = _swap(problem, refined[i].theta, high)
         each.append(
             {
                 "cost_V2": raw[i] + inside_coarse,
                 "refined_cost_V2": refined[i].cost + inside,
-                **dict(zip(layout.names[:3], map(float, shared))),
+                **dict(zip(layout.shared_names, map(float, shared))),
             }
         )
     # two ends count as one when their difference is small against the noise of one sample
@@ -305,7 +332,7 @@ def _search(
             "refined_cost_V2": other.cost + inside,
             "agrees": bool(other.cost < best.cost + max(noise, 1e-6 * best.cost)),
             "n_evaluations": int(result.nfev),
-            **dict(zip(layout.names[:3], map(float, _swap(campaign, other.theta, high)[:3]))),
+            **dict(zip(layout.shared_names, map(float, _swap(problem, other.theta, high)))),
         }
     return theta, success, {"agree": agree, "swarms": each}, check, twin
 
@@ -327,16 +354,15 @@ def _finish(
         points = mesh_points(problem, theta, near_low, near_high)
         found = refine(problem, points, theta, low, high)
         count.n += found.n_evaluations
-        theta, success = _swap(problem.campaign, found.theta, high), found.success
-        watched = [0, 1, 2, *layout.local[:, 2:][layout.local[:, 2:] >= 0]]
+        theta, success = _swap(problem, found.theta, high), found.success
+        watched = [*range(layout.n_shared), *layout.all_switches]
         inside = (theta[watched] >= near_low[watched]) & (theta[watched] <= near_high[watched])
         if inside.all():
             break
     # trf stays inside its box, so an estimate that belongs on the bound stops short of it
-    if theta[0] > low[0] and theta[0] < 0.03 * rise:
+    if layout.one_sensor and low[0] < theta[0] < 0.03 * rise:
         held = theta.copy()
-        edges = layout.local[:, 2:][layout.local[:, 2:] >= 0]
-        held[edges] += held[0] - low[0]
+        held[layout.all_switches] += held[0] - low[0]
         held[0] = low[0]
         free = np.ones(len(theta), dtype=bool)
         free[0] = False
@@ -368,7 +394,7 @@ def refit(
         box = initial_bounds(problem, [first_look(e) for e in problem.campaign], None)
     low, high = limits(layout, box)
     theta = np.clip(theta[: layout.n_mean], low[: layout.n_mean], high[: layout.n_mean])
-    rise = max(theta[1], theta[2] / max(e.total_flow for e in problem.campaign)) * 2.2
+    rise = 2.2 * _other_lags(problem, theta)
     middle, ends = _extra_starts(problem)
     starts = [np.concatenate([theta, middle])]
     for i, values in enumerate(ends):
@@ -384,7 +410,7 @@ def refit(
     ]
     best = min(found, key=lambda each: each.cost)
     count.n += sum(each.n_evaluations for each in found)
-    watched = [0, 1, 2, *layout.local[:, 2:][layout.local[:, 2:] >= 0]]
+    watched = [*range(layout.n_shared), *layout.all_switches]
     for _ in range(4):
         # the cascade is not assumed to be unchanged when tau and tau_v swap: an effect may tell
         # the two apart
@@ -396,6 +422,17 @@ def refit(
         if (at >= near_low[watched]).all() and (at <= near_high[watched]).all():
             break
     return best.theta, best.success
+
+
+def _other_lags(problem: Problem, theta: FloatArray) -> float:
+    """s, the longest lag but for the sensor's, at the highest flow; the sensor's where there is no
+    other."""
+    layout, found = problem.layout, []
+    for k, e in enumerate(problem.campaign):
+        taus = layout.taus(theta, k, e.total_flow)
+        others = np.delete(taus, layout.rig.sensor_lag)
+        found.append(float(others.max() if others.size else taus.max()))
+    return min(found)
 
 
 def _extra_starts(problem: Problem) -> tuple[FloatArray, list[list[float]]]:
@@ -473,7 +510,7 @@ def _compare_euler(
     for k, e in enumerate(problem.campaign):
         r = (e.values - mean_and_variance(other, vector, k)[0])[e.used]
         squares += float(r @ r)
-    names = [*naming.names, *problem.layout.mean_names[len(SHARED) :]]
+    names = [*naming.names, *problem.layout.mean_names[problem.layout.n_shared :]]
     own = sqrt(squares / problem.campaign.n_samples)
     return {
         "parameters": {

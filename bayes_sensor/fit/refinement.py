@@ -12,23 +12,18 @@ from scipy import optimize
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.fit.block_averages import Points, joined
-from bayes_sensor.fit.euler import euler_sensitivities
+from bayes_sensor.fit.euler import euler_slopes
 from bayes_sensor.likelihood.mesh import Region, compress, mean_derivatives
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.cascade import (
-    Cascade,
-    cascade_response,
-    cascade_sensitivities,
-    time_constants,
-)
+from bayes_sensor.rig.cascade import Cascade, response_slopes
 from bayes_sensor.rig.layout import Layout
 
 
 class Squares:
     """Residuals and Jacobian on points in the coordinates of the refinement.
 
-    Coordinates: tau^2, tau_v, V, per experiment y0, beta, t0 + tau, tf + tau, then extra
-    parameters; ``straight=False``: theta itself.  Times count from the start of each record, and
+    Coordinates: tau^2, other shared parameters, per experiment y0, beta, t0 + tau, tf + tau, then
+    extra parameters; ``straight=False``, or several sensors: theta itself.  Times count from the start of each record, and
     the signal from its level in its own unit. Tolerances on steps and gradients are then the same
     for every clock, offset and unit.  Each experiment's block [J r] is replaced by the triangular
     factor of its QR decomposition: it has the same norm, the same J'J and J'r, and a few rows in
@@ -36,13 +31,17 @@ class Squares:
     """
 
     def __init__(self, problem: Problem, points: Points, straight: bool = True) -> None:
-        self.problem, self.points, self.straight = problem, points, straight
+        self.problem, self.points = problem, points
         self.layout: Layout = problem.layout
-        there = self.layout.local[:, 2:] >= 0
-        self.edges = self.layout.local[:, 2:][there]
-        begin = np.array([float(e.t[0]) for e in problem.campaign])
-        self.begin = np.stack([begin, begin], axis=1)[there]
-        self.starts = begin
+        self.straight = straight and self.layout.one_sensor
+        self.edges = self.layout.all_switches
+        self.starts = np.array([float(e.t[0]) for e in problem.campaign])
+        begin = np.zeros(self.layout.n_mean)
+        for k, start in enumerate(self.starts):
+            # times, not delays, are of the record's own clock
+            if not any(self.layout.switching[k].offsets) and self.layout.switching[k].moves:
+                begin[self.layout.switches(k)] = start
+        self.begin = begin[self.edges]
         self.levels, self.unit = own_units(points)
         self.n_evaluations = 0
         self._at: bytes = b""
@@ -83,33 +82,35 @@ class Squares:
         # residual, its derivatives by the columns it depends on, and which those are
         e = self.problem.campaign.experiments[k]
         part = slice(self.points.first[k], self.points.first[k + 1])
-        i_y0, i_beta, i_t0, i_tf = (int(i) for i in self.layout.local[k])
+        i_y0, i_beta = (int(i) for i in self.layout.local[k, :2])
         if self.kind == "general":
             return self._block_general(self.theta(p), k, part)
         theta, t = self._own(p), self.points.t[part] - self.starts[k]
         y = (self.points.y[part] - self.levels[k]) / self.unit
-        y0, beta, t0 = theta[i_y0], theta[i_beta], theta[i_t0]
-        tf = float(theta[i_tf]) if i_tf >= 0 else None
-        taus = time_constants(theta[0], theta[1], theta[2], e.total_flow)
+        y0, beta = theta[i_y0], theta[i_beta]
         if self.kind == "exact":
-            x = cascade_response(t, taus, t0, tf)
-            dx = cascade_sensitivities(t, taus, t0, tf)
+            t, theta = self._on_clock(t, theta, k)
+            x, index, slopes = response_slopes(t, theta, self.layout, k, e.total_flow)
         else:
-            x, dx = euler_sensitivities(t, e.interval, taus, t0, tf)
-        columns = [0, 1, 2, i_y0, i_beta, i_t0]
-        J = np.empty((len(t), 6 if i_tf < 0 else 7))
-        J[:, 0] = beta * dx[:, 2]
-        J[:, 1] = beta * dx[:, 0]
-        J[:, 2] = beta * dx[:, 1] / e.total_flow
-        J[:, 3] = 1.0
-        J[:, 4] = x
-        J[:, 5] = beta * dx[:, 3]
-        if i_tf >= 0:
-            columns.append(i_tf)
-            J[:, 6] = beta * dx[:, 4]
+            x, index, slopes = euler_slopes(t, theta, self.layout, k, e)
+        columns = [*index.tolist(), i_y0, i_beta]
+        J = np.empty((len(t), len(columns)))
+        J[:, :-2] = beta * slopes
+        J[:, -2] = 1.0
+        J[:, -1] = x
         if self.straight:
-            J[:, 0] = (J[:, 0] - J[:, 5:].sum(axis=1)) / (2.0 * theta[0])
+            n = len(self.layout.rig.names)
+            J[:, 0] = (J[:, 0] - J[:, n:-2].sum(axis=1)) / (2.0 * self._own(p)[0])
         return y0 + beta * x - y, J, columns
+
+    def _on_clock(
+        self, t: FloatArray, theta: FloatArray, k: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Times and theta on the clock of the commands, where switches are moved by delays."""
+        switching = self.layout.switching[k]
+        if any(switching.offsets) or not switching.moves:
+            return t + self.starts[k], theta
+        return t, theta
 
     def _block_general(
         self, theta: FloatArray, k: int, part: slice
@@ -193,8 +194,8 @@ def refine(
 ) -> Refined:
     """Trust-region refinement (scipy's ``trf``) inside the box; ``free`` False: held fixed."""
     free = np.ones(len(theta), dtype=bool) if free is None else free
-    straight = bool(free[0])
-    squares = Squares(problem, points, straight)
+    squares = Squares(problem, points, bool(free[0]))
+    straight = squares.straight
     box_low, box_high = squares.coordinates(low), squares.coordinates(high)
     result = _trust_region(
         squares, np.clip(theta, low, high), box_low, box_high, free, max_evaluations, tolerance
@@ -272,11 +273,12 @@ def around(
     layout: Layout, campaign: Campaign, theta: FloatArray, rise: float
 ) -> tuple[FloatArray, FloatArray]:
     """A box (n_mean,) about an estimate that its refinement should not leave."""
-    n = layout.n_mean
+    n, shared, edges = layout.n_mean, layout.n_shared, layout.all_switches
     low, high = theta[:n] - 1.0, theta[:n] + 1.0
-    low[:3], high[:3] = 0.5 * theta[:3], 2.0 * theta[:3]
-    low[0], high[0] = 0.0, max(2.0 * theta[0], 0.05 * rise)
-    edges = layout.local[:, 2:][layout.local[:, 2:] >= 0]
-    low[edges] = theta[edges] - max(theta[0], 0.05 * rise)
-    high[edges] = theta[edges] + max(theta[0], 0.05 * rise)
+    low[:shared], high[:shared] = 0.5 * theta[:shared], 2.0 * theta[:shared]
+    room = 0.05 * rise
+    if layout.one_sensor:
+        low[0], high[0] = 0.0, max(2.0 * theta[0], room)
+        room = max(theta[0], room)
+    low[edges], high[edges] = theta[edges] - room, theta[edges] + room
     return low, high

@@ -26,7 +26,7 @@ from bayes_sensor.likelihood.coordinates import Coordinates
 from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.lags import Naming, lags_of, named
+from bayes_sensor.rig.lags import Commuting, Naming
 
 CONTRADICT = 3.0
 """joint standard deviations from which side information and data contradict each other"""
@@ -34,7 +34,6 @@ N_DRAWS = 20000
 """draws over which the assignments of the lags are averaged"""
 Z95 = 1.6449
 """one-sided 95 % point of a standard normal"""
-SYMBOLS = {"tau_s": ("tau", "s"), "tau_v_s": ("tau_v", "s"), "V_mL": ("V", "mL")}
 LEAST_APART = 0.05
 """relative half distance of two squares below which derivatives keep the limit for equal lags"""
 N_GRID = 2001
@@ -43,52 +42,61 @@ N_GRID = 2001
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """Estimates from the data alone: the lags that do not depend on flow, and the volume."""
+    """Estimates from the data alone: the lags that commute, and the other shared parameters."""
 
+    commuting: Commuting
     lags: FloatArray
     """(n_lags,) s, of the fit, shortest first"""
-    volume: float
-    """mL, of the fit"""
-    flow: float | None
-    """mL/s, the common total flow, where V/Q is one of the lags"""
+    others: FloatArray
+    """(n_others,) of the fit, in their units, in the order of theta"""
     scale: float
     """s, the longest lag: squares are in units of its square"""
     cov: FloatArray
-    """(3, 3) of the symmetric polynomials and, where flows differ, V (mL)"""
+    """(n_shared, n_shared) of the symmetric polynomials and, behind them, the other parameters"""
 
     @classmethod
     def of(cls, problem: Problem, vector: FloatArray) -> Estimates:
         """From the expected information at the fit ``vector`` (n_theta,), noise included."""
-        flow, lags, volume = problem.flow, lags_of(vector, problem.flow), float(vector[2])
-        scale = float(lags[-1])
-        vector = vector.copy()
-        # below this the derivative by the square keeps its limit
-        highest = max(e.total_flow for e in problem.campaign)
-        vector[0] = max(vector[0], 0.02 * min(vector[1], vector[2] / highest))
-        squares: FloatArray = _apart(lags_of(vector, flow) ** 2)
-        vector[0], vector[1] = np.sqrt(squares[[0, -1]])
-        if flow is not None:
-            vector[2] = sqrt(squares[1]) * flow
+        commuting, layout, vector = problem.commuting, problem.layout, vector.copy()
+        n, n_lags, places = layout.n_shared, commuting.n_lags, list(commuting.places)
+        rest = [i for i in range(n) if i not in places]
+        lags, others = commuting.lags(vector), vector[rest].copy()
+        scale = float(lags[-1]) if n_lags else 1.0
+        if layout.one_sensor and layout.rig.n_lags > 1:
+            # below this the derivative by the square keeps its limit
+            fastest = min(
+                float(np.delete(layout.taus(vector, k, e.total_flow), layout.rig.sensor_lag).min())
+                for k, e in enumerate(problem.campaign)
+            )
+            vector[0] = max(vector[0], 0.02 * fastest)
+        squares: FloatArray = _apart(commuting.lags(vector) ** 2)
+        to_lag = np.array(commuting.to_lag)
+        vector[places] = np.sqrt(squares) / to_lag
         coordinates = Coordinates(problem)
         slopes: FloatArray = coordinates.slopes(vector)
         free = coordinates.free
         information = slopes.T @ expected_information(problem, vector)[np.ix_(free, free)] @ slopes
         # from (tau_1^2, tau_2, V) to the squares and on to their polynomials
-        to_squares = np.diag([1.0, 2.0 * vector[1], 1.0])
-        squares /= scale**2
-        if flow is None:
-            to_squares[:2] /= scale**2
-            of_squares = np.eye(3)
-            of_squares[:2, :2] = _slopes(squares)
-        else:
-            to_squares[2, 2] = 2.0 * vector[2] / flow**2
-            to_squares = to_squares[[0, 2, 1]] / scale**2
-            of_squares = _slopes(squares)
-        to_ours = of_squares @ to_squares
+        to_ours = np.zeros((n, n))
+        by_value = 2.0 * np.sqrt(squares) * to_lag
+        if coordinates.shifts and places[:1] == [0]:
+            by_value[0] = 1.0
+        to_squares = np.zeros((n_lags, n))
+        to_squares[range(n_lags), places] = by_value / scale**2
+        to_ours[:n_lags] = _slopes(squares / scale**2) @ to_squares
+        to_ours[range(n_lags, n), rest] = 1.0
         with np.errstate(over="ignore"):  # where there is no information at all
-            cov = to_ours @ np.array(_inverse(information)[:3, :3]) @ to_ours.T
+            cov = to_ours @ np.array(_inverse(information)[:n, :n]) @ to_ours.T
         cov = np.nan_to_num(np.clip(cov, -1e200, 1e200))
-        return cls(lags, volume, flow, scale, cov)
+        return cls(commuting, lags, others, scale, cov)
+
+    def other(self, name: str) -> tuple[float, float]:
+        """A shared parameter whose lag does not commute, and its standard deviation."""
+        commuting, n_lags = self.commuting, len(self.lags)
+        rest = [i for i in range(len(commuting.shared)) if i not in commuting.places]
+        place = rest.index(commuting.shared.index(name))
+        variance = float(self.cov[n_lags + place, n_lags + place])
+        return float(self.others[place]), sqrt(variance)
 
     @property
     def polynomials(self) -> FloatArray:
@@ -136,12 +144,16 @@ class Estimates:
         return sqrt(float(np.min(self.away(lag) ** 2 + ((lag - mean) / sd) ** 2)))
 
     def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
-        """(n, 3) of theta's first three values, lags by size."""
+        """(n, n_shared) of theta's shared values, lags by size."""
         n_lags = len(self.lags)
         spread = np.sqrt(np.maximum(np.diag(self.cov), 1e-300))
         values, vectors = np.linalg.eigh(self.cov / np.outer(spread, spread))
-        z = rng.standard_normal((n, 3)) * np.sqrt(np.maximum(values, 0.0))
+        z = rng.standard_normal((n, len(self.cov))) * np.sqrt(np.maximum(values, 0.0))
         drawn = spread * (z @ vectors.T)
+        found = np.empty((n, len(self.cov)))
+        commuting = self.commuting
+        rest = [i for i in range(len(self.cov)) if i not in commuting.places]
+        found[:, rest] = np.maximum(self.others + drawn[:, n_lags:], 0.0)
         e = self.polynomials + drawn[:, :n_lags]
         companion = np.zeros((n, n_lags, n_lags))
         companion[:, 0] = e * (-1.0) ** np.arange(n_lags)
@@ -149,11 +161,10 @@ class Estimates:
         # a complex pair stands for equal lags, a negative square for a lag of zero
         squares = np.sort(np.maximum(np.linalg.eigvals(companion).real, 0.0), axis=1)
         lags = self.scale * np.sqrt(squares)
-        if self.flow is None:
-            third = np.maximum(self.volume + drawn[:, 2], 0.0)
-        else:
-            third = lags[:, 1] * self.flow
-        return np.stack([lags[:, 0], lags[:, -1], third], axis=1)
+        for j, (place, volume) in enumerate(zip(commuting.places, commuting.volumes, strict=True)):
+            flow = commuting.flow if volume and commuting.flow is not None else 1.0
+            found[:, place] = lags[:, j] * flow
+        return found
 
 
 def _apart(squares: FloatArray) -> FloatArray:
@@ -211,7 +222,7 @@ class Comparison:
 
     def sentence(self) -> str:
         """Both values and their distance."""
-        symbol, unit = SYMBOLS[self.name]
+        symbol, unit = self.name.partition("[")[0].rsplit("_", 1)
         data = f"{self.data:.4g} +- {self.data_sd:.2g} {unit}"
         if self.data < 2.0 * self.data_sd:
             data = f"less than {self.data + Z95 * self.data_sd:.3g} {unit} (95 %)"
@@ -288,9 +299,8 @@ def _compare(
     best: tuple[Comparison, ...] = ()
     least = np.inf
     for choice in problem.assignments:
-        places = {"tau_s": choice.sensor, "tau_v_s": choice.valve, "V_mL": choice.manifold}
         found = tuple(
-            _beside(name, law, places[name], problem.flow, estimates) for name, law in known.items()
+            _beside(name, law, choice.place(name), estimates) for name, law in known.items()
         )
         total = sum(each.distance**2 for each in found)
         if total < least:
@@ -298,27 +308,27 @@ def _compare(
     return best
 
 
-def _beside(
-    name: str, law: Prior, place: int | None, flow: float | None, estimates: Estimates
-) -> Comparison:
+def _beside(name: str, law: Prior, place: int | None, estimates: Estimates) -> Comparison:
     """Side information on one parameter, with the lag or the volume to which it refers."""
     if place is None:
-        value, sd = estimates.volume, sqrt(float(estimates.cov[2, 2]))
+        value, sd = estimates.other(name)
         distance = abs(value - law.a) / hypot(sd, law.b)
         return Comparison(name, law.a, law.b, value, sd, distance)
-    factor = flow if name == "V_mL" and flow is not None else 1.0
+    flow = estimates.commuting.flow
+    factor = flow if name.startswith("V_") and flow is not None else 1.0
     value, sd = (factor * each for each in estimates.lag(place))
     distance = estimates.distance(place, law.a / factor, law.b / factor)
-    lag = law.a / factor if name == "V_mL" else None
+    lag = law.a / factor if name.startswith("V_") else None
     suits = None
-    if flow is None and estimates.distance(1 - place, law.a, law.b) < CONTRADICT:
-        suits = float(estimates.lags[1 - place])
+    if flow is None and len(estimates.lags) == 2:
+        if estimates.distance(1 - place, law.a, law.b) < CONTRADICT:
+            suits = float(estimates.lags[1 - place])
     return Comparison(name, law.a, law.b, value, sd, distance, lag, suits)
 
 
 def named_parameters(naming: Naming, theta: FloatArray) -> dict[str, float]:
-    """tau (s), tau_v (s) and V (mL) of ``theta`` (n_theta,) under the likeliest assignment, the
-    sensor being the faster lag where several are equally so."""
+    """The shared parameters of ``theta`` (n_theta,) under the likeliest assignment, the sensor being
+    the faster lag where several are equally so."""
     best = int(np.argmax(np.round(naming.probabilities, 9)))
-    values = named(theta, naming.flow, naming.choices, best)
-    return dict(zip(SYMBOLS, map(float, values), strict=True))
+    values = naming.commuting.named(theta, naming.choices, best)
+    return dict(zip(naming.commuting.shared, map(float, values), strict=True))

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from math import log
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.fit.block_averages import Points, profiles
+from bayes_sensor.fit.block_averages import Points, Series, profiles
 from bayes_sensor.fit.first_estimates import Look
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.cascade import response
 from bayes_sensor.rig.layout import Layout
 
 
@@ -20,53 +24,145 @@ def limits(layout: Layout, box: Mapping[str, tuple[float, float]]) -> tuple[Floa
     return pairs[:, 0].copy(), pairs[:, 1].copy()
 
 
-def swarm_problem(
-    problem: Problem, points: Points, low: FloatArray, high: FloatArray
-) -> tuple[
-    Callable[[FloatArray], FloatArray], FloatArray, FloatArray, Callable[[FloatArray], FloatArray]
-]:
-    """Cost of a swarm's positions, their box, and the way from a position to theta."""
-    layout = problem.layout
-    edges = layout.local[:, 2:]
-    where = np.full(edges.shape, -1, dtype=np.int64)
-    where[edges >= 0] = 3 + np.arange(int((edges >= 0).sum()))
-    order = edges[edges >= 0]
-    flow = np.array([e.total_flow for e in problem.campaign])
-    linear = np.empty((len(flow), 2))
+@dataclass(frozen=True, eq=False)
+class SwarmProblem:
+    """The sum of squares in the swarm's coordinates: logarithms of the shared parameters, then of
+    each record its switch times or, for a programme of more than one pulse, one delay.
 
-    def cost(Z: FloatArray) -> FloatArray:
+    The best y0 and beta follow from them.
+    """
+
+    problem: Problem
+    points: Points
+
+    @cached_property
+    def _own(self) -> tuple[NDArray[np.int64], ...]:
+        """(n,) of each experiment: places in z of what moves its switches."""
+        found, known = [], {}
+        n = self.problem.layout.n_shared
+        for record, switching in zip(
+            self.problem.layout.records, self.problem.layout.switching, strict=True
+        ):
+            if record not in known:
+                n_own = len(switching.names) if switching.is_pulse else 1
+                known[record] = np.arange(n, n + n_own)
+                n += n_own
+            found.append(known[record])
+        return tuple(found)
+
+    @cached_property
+    def n(self) -> int:
+        """How many coordinates there are."""
+        return 1 + int(max(places[-1] for places in self._own))
+
+    @cached_property
+    def _series(self) -> Series:
+        layout, campaign = self.problem.layout, self.problem.campaign
+        first, moves, offsets, heights = [0], [], [], []
+        for k, (switching, own) in enumerate(zip(layout.switching, self._own, strict=True)):
+            n = len(switching.heights)
+            moves.append(own[switching.places] if switching.is_pulse else np.repeat(own, n))
+            done = campaign.experiments[k].commands
+            offsets.append(np.zeros(n) if done is None else done.times[:n])
+            heights.append(np.array(switching.heights))
+            first.append(first[-1] + n)
+        return Series(
+            np.array(first), np.concatenate(moves), np.concatenate(offsets),
+            np.concatenate(heights), np.array([each.rest for each in layout.switching]),
+        )  # fmt: skip
+
+    @property
+    def searchable(self) -> bool:
+        """Whether a swarm may search: the compiled sum of squares knows switches only."""
+        return all(each.recorded is None for each in self.problem.layout.switching)
+
+    def _lags(self, Z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n, n_exp, n_lags) s and the delays of the stages (n, n_exp) s at positions (n, n_z)."""
+        layout, rig = self.problem.layout, self.problem.layout.rig
+        shared = np.exp(Z[:, : layout.n_shared])
+        lags, delays = [], []
+        for k, e in enumerate(self.problem.campaign):
+            values = shared[:, layout.shared[k]].T
+            lags.append(rig.taus(values, e.total_flow).T)
+            delays.append(np.broadcast_to(rig.delay(values, e.total_flow), len(Z)))
+        return np.ascontiguousarray(np.stack(lags, axis=1)), np.stack(delays, axis=1)
+
+    def cost(self, Z: FloatArray) -> FloatArray:
+        """(n,) V^2 at positions (n, n_z)."""
+        linear = np.empty((len(self.problem.campaign), 2))
+        return self._profiles(Z, linear)
+
+    def _profiles(self, Z: FloatArray, linear: FloatArray) -> FloatArray:
         Z = np.ascontiguousarray(Z)
-        return profiles(Z, where, *points, flow, linear)
+        return profiles(Z, *self._lags(Z), self._series, *self.points, linear)
 
-    def to_theta(z: FloatArray) -> FloatArray:
-        profiles(np.ascontiguousarray(z[None]), where, *points, flow, linear)
+    def theta(self, z: FloatArray) -> FloatArray:
+        """(n_mean,) parameters at one position (n_z,)."""
+        layout = self.problem.layout
         theta = np.empty(layout.n_mean)
-        theta[:3] = np.exp(z[:3])
-        theta[order] = z[3:]
+        theta[: layout.n_shared] = np.exp(z[: layout.n_shared])
+        for k, e in enumerate(self.problem.campaign):
+            switching, places, own = layout.switching[k], layout.switches(k), z[self._own[k]]
+            if switching.is_pulse:
+                theta[places] = own
+            elif any(switching.offsets) or e.commands is None or e.commands.recorded:
+                theta[places] = own[0]
+            else:
+                theta[places] = e.commands.times + own[0]
+        linear = np.empty((len(self.problem.campaign), 2))
+        if self.searchable:
+            self._profiles(z[None], linear)
+        else:
+            linear = self._linear(theta)
         theta[layout.local[:, :2]] = linear
         return theta
 
-    z_low = np.concatenate([np.log(np.maximum(low[:3], 1e-300)), low[order]])
-    z_high = np.concatenate([np.log(high[:3]), high[order]])
-    return cost, z_low, z_high, to_theta
+    def _linear(self, theta: FloatArray) -> FloatArray:
+        """(n_exp, 2) best y0 and beta for the response at theta."""
+        found, points = [], self.points
+        for k, e in enumerate(self.problem.campaign):
+            part = slice(points.first[k], points.first[k + 1])
+            x = response(points.t[part], theta, self.problem.layout, k, e.total_flow)
+            w, y = np.sqrt(points.weight[part]), points.y[part]
+            A = np.stack([w, w * x], axis=1)
+            found.append(np.linalg.lstsq(A, w * y, rcond=None)[0])
+        return np.array(found)
 
+    def box(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Limits (n_z,) of the coordinates, from those of the mean's parameters."""
+        layout = self.problem.layout
+        z_low, z_high = np.empty(self.n), np.empty(self.n)
+        n = layout.n_shared
+        z_low[:n] = np.log(np.maximum(low[:n], 1e-300))
+        z_high[:n] = np.log(high[:n])
+        for k, e in enumerate(self.problem.campaign):
+            switching, places, own = layout.switching[k], layout.switches(k), self._own[k]
+            if switching.is_pulse:
+                z_low[own], z_high[own] = low[places], high[places]
+            elif any(switching.offsets) or e.commands is None or e.commands.recorded:
+                z_low[own], z_high[own] = low[places].max(), high[places].min()
+            else:
+                z_low[own] = (low[places] - e.commands.times).max()
+                z_high[own] = (high[places] - e.commands.times).min()
+        return z_low, z_high
 
-def guess(
-    problem: Problem,
-    looks: list[Look],
-    points: Points,
-    rise: float,
-    low: FloatArray,
-    high: FloatArray,
-) -> FloatArray:
-    """A start from the records: valve and manifold each get a third of the rise."""
-    layout = problem.layout
-    _, z_low, z_high, to_theta = swarm_problem(problem, points, low, high)
-    flow = float(np.median([e.total_flow for e in problem.campaign]))
-    z = [log(0.03 * rise), log(rise / 3.0), log(flow * rise / 3.0)]
-    for look, fall in zip(looks, layout.has_fall):
-        own = look.rise or rise
-        z.append(look.start_by - 0.5 * own)
-        if fall:
-            z.append(look.end_by - 0.5 * own)
-    return to_theta(np.clip(np.array(z), z_low, z_high))
+    def guess(self, looks: list[Look], rise: float, low: FloatArray, high: FloatArray) -> FloatArray:
+        """A start from the records (n_mean,): the shortest lag is a small share of the rise, the
+        others a third each; the whole rise where there is one lag."""
+        layout = self.problem.layout
+        z_low, z_high = self.box(low, high)
+        z = np.empty(self.n)
+        flow = float(np.median([e.total_flow for e in self.problem.campaign]))
+        alone = layout.rig.n_lags == 1
+        for i, name in enumerate(layout.shared_names):
+            share = 0.03 if i == 0 and not alone and layout.one_sensor else 1.0 / 3.0
+            z[i] = log(share * rise * (flow if name.startswith("V_") else 1.0))
+        for k, look in enumerate(looks):
+            switching, own, half = layout.switching[k], self._own[k], 0.5 * (look.rise or rise)
+            if switching.is_pulse:
+                z[own] = [look.start_by - half, look.end_by - half][: len(own)]
+            elif switching.recorded is not None:
+                z[own] = 0.0
+            else:
+                z[own] = max(look.start_by - half - look.on, 0.0)
+        return self.theta(np.clip(z, z_low, z_high))

@@ -14,7 +14,6 @@ from bayes_sensor.io.array_archive import load_archive, save_archive
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.likelihood.density import mean_and_variance
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.rig.cascade import local_parameters
 
 BINS_WHOLE = 600
 """stretches of an envelope over a whole record"""
@@ -107,8 +106,13 @@ def make_traces(campaign: Campaign | Problem, fit: Any) -> list[Trace]:
     traces = []
     for k, e in enumerate(problem.campaign):
         model, variance = mean_and_variance(problem, vector, k)
-        _, _, t0, tf = local_parameters(vector, layout, e.name)
-        span = float(2.2 * (vector[0] + vector[1] + vector[2] / e.total_flow))
+        switching = layout.switching[k]
+        t0, tf = float(e.t[0]), None
+        if switching.moves:
+            times = switching.times(vector[layout.switches(k)])
+            t0 = float(times[0])
+            tf = float(times[1]) if len(times) > 1 else None
+        span = float(2.2 * layout.taus(vector, k, e.total_flow).sum())
         used = e.used
         samples = (e.t[used], e.values[used], model[used], np.sqrt(variance[used]))
 

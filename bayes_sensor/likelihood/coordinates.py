@@ -11,6 +11,7 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.switching import is_switch_time
 
 NOISE_SIZES = ("sigma0_V", "sigma1_V")
 
@@ -41,13 +42,27 @@ class Coordinates:
 
     @cached_property
     def squared(self) -> np.ndarray:
-        """Positions in psi that hold a square: of tau, of each sigma1 that may be zero."""
-        return self._where("tau_s", *(set(NOISE_SIZES) - set(self._sizes)))
+        """Positions in psi that hold a square: of tau, of each sigma1 that may be zero.
+
+        tau is not among them where there are several sensors.
+        """
+        tau = ("tau_s",) if self.shifts else ()
+        return self._where(*tau, *(set(NOISE_SIZES) - set(self._sizes)))
+
+    @property
+    def shifts(self) -> bool:
+        """Whether switch times stand in psi with tau added, and tau as its square."""
+        return self.problem.layout.one_sensor
 
     @cached_property
     def switches(self) -> np.ndarray:
-        """Positions in psi of t0 + tau and tf + tau."""
-        return self._where("t0_s", "tf_s")
+        """Positions in psi of t0 + tau, tf + tau and other switch times plus tau."""
+        return self._where(*self.problem.layout.switch_kinds) if self.shifts else _NONE
+
+    @cached_property
+    def switch_times(self) -> np.ndarray:
+        """Positions in psi of all switch times, whether tau is added or not."""
+        return self._where(*self.problem.layout.switch_kinds)
 
     @cached_property
     def phi(self) -> np.ndarray:
@@ -164,12 +179,19 @@ class Coordinates:
         return slopes
 
 
+_NONE = np.empty(0, dtype=int)
+
+
 def names_of_psi(names: Sequence[str], noise: Noise | None = None) -> list[str]:
     """What each coordinate is, for figures and tables: ``tau_s^2``, ``t0_s[1] + tau_s``, .."""
-    labels = {
-        "tau_s": "{}^2", "sigma1_V": "{}^2", "t0_s": "{} + tau_s", "tf_s": "{} + tau_s",
-        "phi": "atanh {}", "sigma0_V": "log {}",
-    }  # fmt: skip
+    labels = {"sigma1_V": "{}^2", "phi": "atanh {}", "sigma0_V": "log {}"}
+    if "tau_s" in names:
+        labels["tau_s"] = "{}^2"
+        labels |= {kind: "{} + tau_s" for kind in map(_kind, names) if is_switch_time(kind)}
     if noise is not None and noise.fading:
         labels["sigma1_V"] = "log {}"
-    return [labels.get(name.split("[")[0], "{}").format(name) for name in names]
+    return [labels.get(_kind(name), "{}").format(name) for name in names]
+
+
+def _kind(name: str) -> str:
+    return name.split("[")[0]

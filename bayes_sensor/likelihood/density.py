@@ -27,11 +27,20 @@ from bayes_sensor.likelihood.noise import (
     simulate_noise,
 )
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.rig.cascade import Cascade, response
+from bayes_sensor.rig.cascade import Cascade, pulse, response
+from bayes_sensor.rig.chain import chain_response
 from bayes_sensor.rig.layout import Theta
 
 
-def grid_response(problem: Problem, vector: FloatArray, k: int) -> FloatArray:
+def grid_response(
+    experiment: Experiment, taus: FloatArray, t0: float, tf: float | None
+) -> FloatArray:
+    """Response (n_t,) of lags ``taus`` (n_lags,) s to one pulse, at the experiment's own times."""
+    interval = experiment.interval if experiment.regular else None
+    return chain_response(experiment.t, taus, pulse(t0, tf), interval)
+
+
+def response_at_samples(problem: Problem, vector: FloatArray, k: int) -> FloatArray:
     """Response (n_t,) of experiment number ``k`` at its own times, on a grid by recurrence, which
     is fast."""
     e = problem.campaign.experiments[k]
@@ -163,7 +172,7 @@ def mean_on_grid(problem: Problem, vector: FloatArray, k: int) -> FloatArray:
     e, model = problem.campaign.experiments[k], problem.model
     if type(model) is Cascade and model.method == "exact":
         y0, beta = vector[problem.layout.local[k, :2]]
-        mean = grid_response(problem, vector, k)
+        mean = response_at_samples(problem, vector, k)
         mean *= beta
         mean += y0
         return mean
@@ -180,7 +189,7 @@ def mean_and_variance(
     law = problem.noise.weight(problem.campaign, e), problem.noise.fading
     if type(model) is Cascade and model.method == "exact":
         y0, beta = vector[layout.local[k, :2]]
-        x = grid_response(problem, vector, k)
+        x = response_at_samples(problem, vector, k)
         return y0 + beta * x, scale_squared(x, sigma0, sigma1, *law)
     mean, x = mean_and_response(problem, vector, e, e.t)
     return mean, scale_squared(x, sigma0, sigma1, *law)

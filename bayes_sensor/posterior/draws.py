@@ -14,8 +14,8 @@ from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT
 from bayes_sensor.posterior.quantiles import weighted_quantiles
 from bayes_sensor.posterior.settings import Settings
-from bayes_sensor.rig.lags import LAG_NAMES, Naming, lags_of, named
-from bayes_sensor.rig.layout import SHARED, Layout
+from bayes_sensor.rig.lags import LAG_NAMES, Naming
+from bayes_sensor.rig.layout import Layout
 
 if TYPE_CHECKING:
     pass
@@ -68,7 +68,7 @@ class Draws:
         That axis has the lags by size (:mod:`bayes_sensor.rig.lags`).  A lag that cannot be
         assigned is named by its size.
         """
-        return [*self.naming.names, *self.layout.names[len(SHARED) :]]
+        return [*self.naming.names, *self.layout.names[self.layout.n_shared :]]
 
     @cached_property
     def draws(self) -> FloatArray:
@@ -93,11 +93,12 @@ class Draws:
     @cached_property
     def lags(self) -> FloatArray:
         """(n, n_lags) s, draws of the lags that do not depend on flow, shortest first."""
-        return lags_of(self.draws, self.problem.flow)
+        return self.problem.commuting.lags(self.draws)
 
     @cached_property
     def named(self) -> FloatArray:
-        """(n, 3) draws of tau (s), tau_v (s) and V (mL).
+        """(n, n_shared) draws of the shared parameters: tau (s), tau_v (s) and V (mL) of the
+        published rig.
 
         If several assignments are possible, each draw has one, drawn with its probability; tau is
         then either of the lags.  If one assignment is stated, a draw with another one is replaced
@@ -105,7 +106,7 @@ class Draws:
         """
         choices = self.problem.assignments
         if len(choices) == 1:
-            return named(self.draws, self.problem.flow, choices)
+            return self.problem.commuting.named(self.draws, choices)
         stated = self.naming.place("sensor")
         allowed = np.array([stated in (None, choice.sensor) for choice in choices])
         rng = np.random.default_rng([self.seed, len(choices)])
@@ -114,13 +115,13 @@ class Draws:
         good = allowed[chosen]
         place = np.maximum.accumulate(np.where(good, np.arange(len(good)), -1))
         place = np.where(place < 0, int(np.argmax(good)), place)
-        return named(self.draws[place], self.problem.flow, choices, chosen[place])
+        return self.problem.commuting.named(self.draws[place], choices, chosen[place])
 
     def of(self, name: str) -> FloatArray:
-        """(n,) draws of one parameter; tau, tau_v and V as in :attr:`named`."""
-        if name in SHARED:
-            return self.named[:, SHARED.index(name)]
-        lag_names = LAG_NAMES[self.naming.n_lags]
+        """(n,) draws of one parameter; shared ones as in :attr:`named`."""
+        if name in self.layout.shared_names:
+            return self.named[:, self.layout.shared_names.index(name)]
+        lag_names = LAG_NAMES.get(self.naming.n_lags, ())
         if name in lag_names:
             return self.lags[:, lag_names.index(name)]
         return self.draws[:, self.layout.index(name)]
@@ -167,26 +168,28 @@ class Draws:
     @cached_property
     def assignments(self) -> list[dict[str, Any]]:
         """For each lag that may be the sensor's: its place, the probability, tau and tau_v."""
-        found = []
+        found: list[dict[str, Any]] = []
         choices = self.problem.assignments
-        for place in sorted({choice.sensor for choice in choices}):
+        if not self.naming.names_of_lags("sensor"):
+            return found  # several sensors: their lags are told by their records
+        for place in sorted({choice.sensor for choice in choices if choice.sensor is not None}):
             members = [j for j, choice in enumerate(choices) if choice.sensor == place]
             weights = self.shares[:, members]
             probability = float(weights.sum() / len(self.draws))
             # of the draws, each with the weight of this sensor; of all where that is nil
             if probability <= NEVER:
                 weights = np.full(weights.shape, 1.0 / weights.size)
-            valve = np.concatenate([self.lags[:, choices[j].valve] for j in members])
             w = weights.sum(axis=1)
-            found.append(
-                {
-                    "sensor_is": choices[members[0]].sensor_is,
-                    "lag": place,
-                    "probability": probability,
-                    "tau_s": percentiles(self.lags[:, place], w / w.sum()),
-                    "tau_v_s": percentiles(valve, weights.T.ravel() / weights.sum()),
-                }
-            )
+            row = {
+                "sensor_is": choices[members[0]].sensor_is,
+                "lag": place,
+                "probability": probability,
+                "tau_s": percentiles(self.lags[:, place], w / w.sum()),
+            }
+            if self.naming.names_of_lags("valve"):
+                valve = np.concatenate([self.lags[:, choices[j].valve] for j in members])
+                row["tau_v_s"] = percentiles(valve, weights.T.ravel() / weights.sum())
+            found.append(row)
         return found
 
     @cached_property
@@ -196,11 +199,11 @@ class Draws:
         priors, own = self.problem.priors, self.layout.names
         found = {self.names[i]: str(priors[own[i]]) for i in self.free}
         if len(self.problem.assignments) > 1:
-            found = {name: law for name, law in found.items() if name not in self.names[:3]}
+            commuting = self.problem.commuting
+            lags = [self.names[i] for i in commuting.places]
+            found = {name: law for name, law in found.items() if name not in lags}
             by_size = zip(LAG_NAMES[self.naming.n_lags], self.problem.lag_priors, strict=True)
             found |= {name: str(law) for name, law in by_size}
-            if self.problem.flow is None:
-                found["V_mL"] = str(priors["V_mL"])
             found |= {name: str(law) for name, law in self.problem.named_laws.items()}
         return found
 

@@ -180,7 +180,8 @@ def approximate(
     mesh = compressed or compress(problem, start)
     theta = np.array(mesh.reference if np.isnan(start).any() else start, dtype=float)
     free = coordinates.free
-    theta[0] = max(theta[0], 0.02 * theta[1])
+    if coordinates.shifts:
+        theta[0] = max(theta[0], 0.02 * problem.commuting.lags(theta).max(initial=0.0))
     theta = _into_support(problem, theta)
     layout = problem.layout
     for row in layout.noise:
@@ -245,7 +246,7 @@ def approximate(
         info = posterior_information(mesh, coordinates, psi)
     theta = coordinates.theta(psi)
     mean, cov = expand(mesh, coordinates, psi, gradient)
-    if mean[0] < 0.25 * sqrt(cov[0, 0]):
+    if coordinates.shifts and mean[0] < 0.25 * sqrt(cov[0, 0]):
         # re-expand where the bulk of the truncated Gaussian lies, not at the edge
         middle = psi.copy()
         middle[0] = max(mean[0], 0.0) + 0.5 * sqrt(cov[0, 0])
@@ -273,10 +274,16 @@ def _into_support(problem: Problem, theta: FloatArray) -> FloatArray:
             theta[i] = np.clip(theta[i], prior.a + margin, prior.b - margin)
         elif name in problem.layout.extra and prior.kind in ("half_normal", "log_normal"):
             theta[i] = max(theta[i], 1e-6 * prior.a)
-    theta[0] = min(theta[0], 0.999 * theta[1])
-    if problem.flow is not None:
-        low, high = theta[0] * problem.flow, theta[1] * problem.flow
-        theta[2] = np.clip(theta[2], low + 1e-3 * (high - low), high - 1e-3 * (high - low))
+    commuting = problem.commuting
+    lags = commuting.lags(theta)
+    if len(lags) < 2:
+        return theta
+    # the ends first, then what lies between them
+    shortest, longest = min(lags[0], 0.999 * lags[-1]), lags[-1]
+    margin = 1e-3 * (longest - shortest)
+    inner = np.sort(np.clip(lags[1:-1], shortest + margin, longest - margin))
+    for j, lag in zip(range(len(lags) - 1), [shortest, *inner], strict=True):
+        theta[commuting.places[j]] = lag / commuting.to_lag[j]
     return theta
 
 
@@ -286,13 +293,14 @@ def covering_region(
     """A mesh region that holds draws ``thetas`` and ``spare`` of their range on either side."""
     low, high = compressed.region.low.copy(), compressed.region.high.copy()
     layout = laplace.coordinates.problem.layout
-    switches = layout.local[:, 2:].ravel()
     extra = range(len(layout) - len(layout.extra), len(layout))
-    for i in [1, 2, *switches[switches >= 0], *extra]:
+    rest = range(int(layout.one_sensor), layout.n_shared)
+    for i in [*rest, *layout.all_switches, *extra]:
         a, b = thetas[:, i].min(), thetas[:, i].max()
         low[i], high[i] = a - spare * (b - a), b + spare * (b - a)
-    low[0], high[0] = 0.0, (1.0 + spare) * thetas[:, 0].max()
-    for i in (1, 2):
+    if layout.one_sensor:
+        low[0], high[0] = 0.0, (1.0 + spare) * thetas[:, 0].max()
+    for i in rest:
         low[i] = max(low[i], 0.2 * laplace.theta[i])
     for i in extra:
         support = laplace.coordinates.problem.priors[layout.names[i]].support
@@ -337,7 +345,7 @@ def expand(
         step[i] = min(step[i], 0.5 * psi[i])
     region = compressed.region
     width = np.minimum(region.high - region.low, 1e300)[coordinates.free]
-    for i in coordinates.switches:  # stay on the mesh where the data hardly hold a switch time
+    for i in coordinates.switch_times:  # stay on the mesh where the data hardly hold a switch time
         step[i] = min(step[i], 0.2 * width[i])
     n = len(psi)
     hessian = np.empty((n, n))

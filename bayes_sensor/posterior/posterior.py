@@ -14,7 +14,6 @@ from bayes_sensor.display import card
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.posterior.convergence import MESH_ERROR_LIMIT
 from bayes_sensor.rig.lags import LAG_NAMES
-from bayes_sensor.rig.layout import SHARED
 from bayes_sensor.rig.response_times import response_times
 
 if TYPE_CHECKING:
@@ -49,17 +48,25 @@ class Posterior(Draws):
         """Sentences on the assignment of the lags."""
         found = []
         naming = self.naming
-        if naming.flow is not None and None in (naming.place("valve"), naming.place("manifold")):
+        unknown = [
+            f"{name.rsplit('_', 1)[0]}{'/Q' if name.startswith('V_') else ''}"
+            for name in naming.commuting.names
+            if name != "tau_s" and naming.place(name) is None
+        ]
+        if naming.flow is not None and unknown:
             found.append(
-                "all flows are equal: these data cannot tell tau_v from V/Q; where nothing else "
-                "tells which is which, their intervals hold both"
+                f"all flows are equal: these data cannot tell {' from '.join(unknown)}; where "
+                "nothing else tells which is which, their intervals hold both"
             )
+        if naming.n_lags < 2:
+            return found
         fast, slow = self.lags[:, 0], self.lags[:, -1]
         told = naming.flow is None and self.hidden_by_sampling is None
         if told and np.mean(fast > NEAR_EQUAL * slow) > MAY_BE_EQUAL:
             low, high = np.quantile(fast, 0.025), np.quantile(slow, 0.975)
             found.append(
-                f"tau and tau_v may be equal and can then not be told apart: both lie between "
+                f"{' and '.join(name.rsplit('_', 1)[0] for name in naming.commuting.names)} may be "
+                "equal and can then not be told apart: both lie between "
                 f"{1e3 * low:.4g} and {1e3 * high:.4g} ms (95 %)"
             )
         return found
@@ -72,17 +79,18 @@ class Posterior(Draws):
         """
         found = {}
         # where names are not settled the diagnostics are those of the worst of the lags
-        of_lags = [0, 1] if self.problem.flow is None else [0, 1, 2]
+        commuting = self.problem.commuting
+        of_lags = sorted(commuting.places)
         one = len(self.problem.assignments) == 1
         labels = {name: i for i, name in enumerate(self.names)}
-        for name in SHARED:
-            settled = one or (self.problem.flow is None and name == "V_mL")
+        for name in self.layout.shared_names:
+            settled = one or name not in commuting.names
             found[name] = self._row(self.of(name), [labels[name]] if settled else of_lags)
         if self.naming.order == "undecided":
             for name in LAG_NAMES[self.naming.n_lags]:
                 found[name] = self._row(self.of(name), of_lags)
         for i in self.free:
-            if i >= len(SHARED):
+            if i >= self.layout.n_shared:
                 found[self.names[i]] = self._row(self.draws[:, i], [i])
         return found
 
@@ -110,11 +118,14 @@ class Posterior(Draws):
         """
         some = self.draws[:: max(1, len(self.draws) // MOST_TIMES)]
         found: dict[str, dict[str, dict[str, float]]] = {}
-        by_flow: dict[float, dict[str, dict[str, float]]] = {}
-        for e in self.problem.campaign:
-            if e.total_flow not in by_flow:
-                times = response_times([some[:, 1], some[:, 2] / e.total_flow, some[:, 0]])
-                by_flow[e.total_flow] = {
+        known: dict[tuple[str, float], dict[str, dict[str, float]]] = {}
+        layout = self.layout
+        for k, e in enumerate(self.problem.campaign):
+            flow = e.total_flow if layout.rig.needs_flow else 0.0
+            which = (e.sensor, flow)
+            if which not in known:
+                times = response_times(layout.rig.taus(some[:, layout.shared[k]].T, flow))
+                known[which] = {
                     f"{key}_s": {
                         f"q{percent:g}": float(value)
                         for percent, value in zip(
@@ -127,7 +138,7 @@ class Posterior(Draws):
                         ("rise", times.rise),
                     )
                 }
-            found[e.name] = by_flow[e.total_flow]
+            found[e.name] = known[which]
         return found
 
     def __repr__(self) -> str:

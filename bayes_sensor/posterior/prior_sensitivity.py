@@ -46,7 +46,8 @@ def _tau_at(posterior: Draws, place: int, sensor_is: str) -> list[dict[str, Any]
     current = posterior.problem.lag_priors[place]
     usual = current
     if current.kind != "half_normal":
-        usual = default_priors(posterior.problem.campaign, posterior.layout)["tau_s"]
+        problem = posterior.problem
+        usual = default_priors(problem.campaign, problem.layout, problem.commuting)["tau_s"]
     # where lags have no names their law is uniform up to ten rises
     scale = usual.a if usual.kind == "half_normal" else usual.b / MOST_RISES
     tau = posterior.lags[:, place]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,18 @@ from bayes_sensor.likelihood.noise import scale_squared
 from bayes_sensor.posterior import inference_data as idata
 from bayes_sensor.posterior.draws import Draws
 from bayes_sensor.rig.lags import LAG_NAMES
-from bayes_sensor.rig.layout import SHARED, unit_of
+from bayes_sensor.rig.layout import unit_of
+from bayes_sensor.rig.switching import is_switch_time
 
-VARIABLES = {
-    "tau": "tau_s", "tau_v": "tau_v_s", "V": "V_mL", "phi": "phi", "sigma0": "sigma0_V",
-    "sigma1": "sigma1_V", "y0": "y0_V", "beta": "beta_V", "t0": "t0_s", "tf": "tf_s",
-}  # fmt: skip
+def variable_of(flat: str) -> str:
+    """Name of a parameter's variable: its flat name, for those of rig, records and noise without
+    the unit.
+
+    >>> [variable_of(name) for name in ("tau_v_s", "V_mL", "phi", "t0_s", "drift_V_per_s")]
+    ['tau_v', 'V', 'phi', 't0', 'drift_V_per_s']
+    """
+    own = re.fullmatch(r"(tau|lag|V|y0|beta|sigma[01])(_\w+)?_(s|mL|V)|(tau|lag)_s", flat)
+    return flat.rsplit("_", 1)[0] if own or is_switch_time(flat) else flat
 
 
 def to_inference_data(posterior: Draws) -> Any:
@@ -42,34 +49,46 @@ def _contents(posterior: Draws) -> tuple[dict[str, Any], dict[str, Any]]:
     problem, layout, chains = posterior.problem, posterior.layout, posterior.chains
     campaign = problem.campaign
     names = campaign.names_of_experiments
+    records = list(dict.fromkeys(layout.records))
     n_chain, n_draw, _ = chains.shape
     coordinates: dict[str, Any] = {
         "chain": np.arange(n_chain), "draw": np.arange(n_draw), "experiment": names,
     }  # fmt: skip
     variables: dict[str, Any] = {}
-    own = dict.fromkeys(name.split("[")[0] for name in layout.extra)
-    flat_names = VARIABLES | {kind: kind for kind in own}
+
+    def add(variable: str, flat: str, draws: FloatArray, dimension: str = "") -> None:
+        dims = ("chain", "draw", dimension) if dimension else ("chain", "draw")
+        unit = unit_of(flat, campaign.signal_unit)
+        variables[variable] = (dims, draws, {"units": unit, "parameter": flat})
+
+    lag_names = LAG_NAMES.get(posterior.naming.n_lags, ())
+    alone = [name for name in layout.shared_names if "[" not in name]
     if posterior.naming.order == "undecided":
-        flat_names |= {name.removesuffix("_s"): name for name in LAG_NAMES[posterior.naming.n_lags]}
-    for variable, flat in flat_names.items():
-        if flat in SHARED or flat in LAG_NAMES[posterior.naming.n_lags]:
-            draws = posterior.of(flat).reshape(n_chain, n_draw)
-            variables[variable] = (("chain", "draw"), draws)
-            continue
+        alone += lag_names
+    for flat in alone:
+        add(variable_of(flat), flat, posterior.of(flat).reshape(n_chain, n_draw))
+    rest = [name for name in layout.names if name not in alone]
+    kinds = dict.fromkeys(name.split("[")[0] for name in rest)
+    for flat in kinds:
         if flat in layout.names:
-            variables[variable] = (("chain", "draw"), chains[:, :, layout.index(flat)])
+            add(variable_of(flat), flat, chains[:, :, layout.index(flat)])
             continue
-        columns = [
-            chains[:, :, layout.index(f"{flat}[{name}]")]
-            if f"{flat}[{name}]" in layout.names
-            else np.full((n_chain, n_draw), np.nan)
-            for name in names
-        ]
-        if any(f"{flat}[{name}]" in layout.names for name in names):
-            variables[variable] = (("chain", "draw", "experiment"), np.stack(columns, axis=-1))
+        # by experiment, by record where several sensors share one, or by sensor
+        for dimension, labels in (
+            ("experiment", names), ("record", records), ("sensor", list(layout.sensor_names)),
+        ):  # fmt: skip
+            known = [f"{flat}[{label}]" in layout.names for label in labels]
+            if any(known):
+                columns = [
+                    chains[:, :, layout.index(f"{flat}[{label}]")]
+                    if there
+                    else np.full((n_chain, n_draw), np.nan)
+                    for label, there in zip(labels, known, strict=True)
+                ]
+                add(variable_of(flat), flat, np.stack(columns, axis=-1), dimension)
+                coordinates.setdefault(dimension, labels)
+                break
     group = xarray.Dataset(variables, coords=coordinates)
-    for variable in variables:
-        group[variable].attrs["units"] = unit_of(flat_names[variable], campaign.signal_unit)
     predictive, observed = _predictive(posterior)
     attributes = {
         "created_by": f"bayes_sensor {__version__}",
@@ -140,18 +159,15 @@ def load_chains(path: str | Path) -> tuple[list[str], FloatArray]:
     """Flat names and chains (n_chain, n_draw, n_theta) of a saved ``posterior.nc``."""
     data = idata.load_group(Path(path), "posterior")
     names, columns = [], []
-    by_size = {lag.removesuffix("_s"): lag for several in LAG_NAMES.values() for lag in several}
-    own = [str(kind) for kind in data.data_vars if kind not in VARIABLES | by_size]
-    for kind, flat in (VARIABLES | by_size | {kind: kind for kind in own}).items():
-        if kind not in data:
-            continue
-        variable = data[kind]
-        if "experiment" not in variable.dims:
+    for kind in map(str, data.data_vars):
+        variable, flat = data[kind], str(data[kind].attrs["parameter"])
+        own = [str(dim) for dim in variable.dims if dim not in ("chain", "draw")]
+        if not own:
             names.append(flat)
             columns.append(variable.values)
             continue
-        for name in variable["experiment"].values:
-            values = variable.sel(experiment=name).values
+        for name in variable[own[0]].values:
+            values = variable.sel({own[0]: name}).values
             if np.isfinite(values).all():
                 names.append(f"{flat}[{name}]")
                 columns.append(values)

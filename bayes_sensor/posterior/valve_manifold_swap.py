@@ -15,6 +15,7 @@ from bayes_sensor.likelihood.density import log_likelihood
 from bayes_sensor.likelihood.prior_density import log_prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import exchanged
+from bayes_sensor.rig.rig import PUBLISHED
 
 ALIKE = 0.1
 """relative spread of total flows up to which the two orders may be equally good"""
@@ -26,6 +27,8 @@ def flow_of_both(problem: Problem) -> float | None:
     """mL/s, the flow at which tau_v and V/Q may be exchanged; None if the flows separate them, or
     are equal."""
     if problem.flow is not None or problem.fixed.keys() & {"tau_v_s", "V_mL"}:
+        return None
+    if problem.layout.rig.names != PUBLISHED.names or not problem.layout.one_sensor:
         return None
     flows = np.array([e.total_flow for e in problem.campaign])
     middle = float(np.median(flows))

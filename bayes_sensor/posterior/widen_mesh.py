@@ -29,10 +29,12 @@ def covered(compressed: Compressed, thetas: FloatArray) -> Compressed:
     for i, name in enumerate(layout.extra, len(layout) - len(layout.extra)):
         support = problem.priors[name].support
         low[i], high[i] = max(low[i], support[0]), min(high[i], support[1])
-    for i in layout.local[:, 2:].ravel():
-        prior = problem.priors[layout.names[i]] if i >= 0 else None
-        if prior and prior.kind == "uniform" and room[i] > 0.05 * (prior.b - prior.a):
+    for i in layout.all_switches:
+        prior = problem.priors[layout.names[i]]
+        if prior.kind == "uniform" and room[i] > 0.05 * (prior.b - prior.a):
             low[i], high[i] = prior.a - 1e-9, prior.b + 1e-9
-    low[0] = 0.0
-    low[1:3] = np.maximum(low[1:3], 0.5 * least[1:3])
+    rest = slice(int(layout.one_sensor), layout.n_shared)
+    if layout.one_sensor:
+        low[0] = 0.0
+    low[rest] = np.maximum(low[rest], 0.5 * least[rest])
     return Compressed(problem, compressed.reference, Region(low, high, region.fineness))

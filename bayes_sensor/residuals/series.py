@@ -12,11 +12,11 @@ from scipy import fft
 from scipy.ndimage import uniform_filter1d
 
 from bayes_sensor.campaign import BoolArray, FloatArray
-from bayes_sensor.likelihood.density import grid_response, mean_and_variance
+from bayes_sensor.likelihood.density import response_at_samples, mean_and_variance
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.residuals.autocorrelation import power, whiten
-from bayes_sensor.rig.cascade import Cascade, local_parameters, time_constants
+from bayes_sensor.rig.cascade import Cascade
 
 QUICK_SHARE = 40
 """of a record, as one over this, above which residuals are slow"""
@@ -45,9 +45,7 @@ class Series:
         s = np.sqrt(s2[used])
         phi = lag_coefficient(float(vector[problem.layout.noise[k, 0]]), problem.steps(e))
         if type(problem.model) is Cascade and problem.model.method == "exact":
-            _, _, t0, tf = local_parameters(vector, problem.layout, e.name)
-            lags = time_constants(vector[0], vector[1], vector[2], e.total_flow)
-            x = grid_response(e, lags, t0, tf)
+            x = response_at_samples(problem, vector, k)
         else:
             x = problem.model.response(e.t, vector, problem.layout, e)
         z = r / s

@@ -15,14 +15,18 @@ from bayes_sensor.campaign import FloatArray
 
 @njit(cache=True, error_model="numpy")
 def sorted_apart(taus: FloatArray) -> None:  # pragma: no cover - compiled
-    """Sort ``taus`` (n,), rising, and move them apart by a thousandth at least.
+    """Sort ``taus`` (n,), rising, and move them apart: three by a thousandth at least.
 
-    Partial fractions of three of them then keep ten digits.
+    Partial fractions, which grow with the power n - 1 of the inverse distance, then keep ten
+    digits.
     """
     taus.sort()
+    factor = 1.001
+    if len(taus) > 3:
+        factor += 10.0 ** (-6.0 / (len(taus) - 1)) - 0.001
     for j in range(1, len(taus)):
-        if taus[j] < taus[j - 1] * 1.001:
-            taus[j] = taus[j - 1] * 1.001
+        if taus[j] < taus[j - 1] * factor:
+            taus[j] = taus[j - 1] * factor
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)

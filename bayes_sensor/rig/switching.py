@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -15,6 +16,15 @@ from bayes_sensor.rig.programme import Programme, RecordedInput
 PULSE = ("t0_s", "tf_s")
 DELAYS = ("delay_on_s", "delay_off_s")
 DELAY = "delay_s"
+
+
+def is_switch_time(kind: str) -> bool:
+    """Whether a parameter's name, without its record, is that of a switch time or delay.
+
+    >>> [is_switch_time(kind) for kind in ("tf_s", "t12_s", "delay_s", "tau_s")]
+    [True, True, True, False]
+    """
+    return kind in (*PULSE, *DELAYS, DELAY) or re.fullmatch(r"t\d+_s", kind) is not None
 
 
 @dataclass(frozen=True)

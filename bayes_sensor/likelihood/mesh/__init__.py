@@ -17,6 +17,7 @@ from bayes_sensor.likelihood.mesh.mean_derivatives import mean_derivatives, size
 from bayes_sensor.likelihood.mesh.mesh_arrays import Arrays, K
 from bayes_sensor.likelihood.mesh.mesh_region import NO_NOISE, default_region
 from bayes_sensor.likelihood.mesh.reduce_campaign import (
+    NO_TAU,
     above_zero,
     compress,
     expected_information,
@@ -25,6 +26,7 @@ from bayes_sensor.likelihood.mesh.reduce_campaign import (
 
 __all__ = [
     "NO_NOISE",
+    "NO_TAU",
     "Arrays",
     "Compressed",
     "K",

@@ -242,12 +242,20 @@ def into_priors(problem: Problem, thetas: FloatArray, rng: np.random.Generator) 
         low, high = law.ppf([1e-9, 1.0 - 1e-9])
         outside = ~((thetas[:, i] > low) & (thetas[:, i] < high))
         thetas[outside, i] = law.rvs(int(outside.sum()), random_state=rng)
-    wrong = thetas[:, 0] > thetas[:, 1]
-    thetas[wrong, 0] = thetas[wrong, 1] * rng.random(int(wrong.sum()))
-    if problem.flow is not None:
-        low, high = thetas[:, 0] * problem.flow, thetas[:, 1] * problem.flow
-        wrong = ~((low <= thetas[:, 2]) & (thetas[:, 2] <= high))
-        thetas[wrong, 2] = (low + (high - low) * rng.random(len(thetas)))[wrong]
+    commuting = problem.commuting
+    lags = commuting.lags(thetas)
+    if lags.shape[1] < 2:
+        return thetas
+    # the ends first, then what does not lie between them
+    wrong = lags[:, 0] > lags[:, -1]
+    lags[wrong, 0] = lags[wrong, -1] * rng.random(int(wrong.sum()))
+    low, high = lags[:, :1], lags[:, -1:]
+    inner = lags[:, 1:-1]
+    wrong = ~((low <= inner) & (inner <= high))
+    inner = np.sort(np.where(wrong, low + (high - low) * rng.random(inner.shape), inner), axis=1)
+    ordered = np.concatenate([low, inner], axis=1)
+    for j in range(ordered.shape[1]):
+        thetas[:, commuting.places[j]] = ordered[:, j] / commuting.to_lag[j]
     return thetas
 
 

@@ -29,7 +29,10 @@ class Whitened:
 
     def __init__(self, laplace: Laplace, compressed: Compressed) -> None:
         self.coordinates, self.compressed = laplace.coordinates, compressed
-        self.folds = self.coordinates.problem.flow is None
+        problem = self.coordinates.problem
+        # the two places of lags that are exchanged
+        self.pair = list(problem.commuting.places)
+        self.folds = problem.flow is None and len(self.pair) == 2
         self.outside: list[FloatArray] = []
         thetas, _ = laplace.draw(2000, np.random.default_rng(12345))
         roots = self._roots(thetas)
@@ -52,7 +55,7 @@ class Whitened:
         psi[..., self.coordinates.squared] **= 2
         thetas = self.coordinates.theta(psi)
         if self.folds:
-            thetas[..., :2] = np.sort(thetas[..., :2], axis=-1)
+            thetas[..., self.pair] = np.sort(thetas[..., self.pair], axis=-1)
         return thetas
 
     def value_and_gradient(self, q: FloatArray) -> tuple[float, FloatArray]:
@@ -64,15 +67,16 @@ class Whitened:
         # the same as coordinates.theta, in fewer steps: this is the innermost loop
         values = roots.copy()
         values[squared] = np.abs(values[squared])
-        values[coordinates.switches] -= values[0]
+        if coordinates.shifts:
+            values[coordinates.switches] -= values[0]
         values[phi] = np.tanh(values[phi])
         values[sigmas] = np.exp(np.minimum(values[sigmas], 300.0))
         values[logs] = np.exp(np.minimum(values[logs], 300.0))
         theta = self.pinned.copy()
         theta[coordinates.free] = values
-        exchanged = self.folds and theta[0] > theta[1]
+        exchanged = self.folds and theta[self.pair[0]] > theta[self.pair[1]]
         if exchanged:
-            theta[0], theta[1] = theta[1], theta[0]
+            theta[self.pair] = theta[self.pair[::-1]]
         prior = log_priors(coordinates.problem, theta[None])[0]
         if not np.isfinite(prior):
             return -np.inf, np.zeros_like(q)
@@ -88,10 +92,11 @@ class Whitened:
         value += float(np.log(values[logs]).sum())
         gradient = gradient + prior_gradient(coordinates.problem, theta)
         if exchanged:
-            gradient[0], gradient[1] = gradient[1], gradient[0]
+            gradient[self.pair] = gradient[self.pair[::-1]]
         g = gradient[coordinates.free]
         # t0 = root - tau, and tau = |root|: its derivative is a sign
-        g[0] -= g[coordinates.switches].sum()
+        if coordinates.shifts:
+            g[0] -= g[coordinates.switches].sum()
         g[squared] *= np.sign(roots[squared])
         g[phi] = g[phi] * slope - 2.0 * values[phi]
         g[sigmas] = g[sigmas] * values[sigmas] + 1.0
