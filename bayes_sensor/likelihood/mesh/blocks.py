@@ -234,7 +234,28 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
         low=np.ascontiguousarray(low, dtype=float),
         high=np.ascontiguousarray(high, dtype=float),
         n_kinds=max([0, *kinds]) + 1,
+        is_pulse=layout.is_published,
+        **_of_chain(problem),
     )
+
+
+def _of_chain(problem: Problem) -> dict[str, np.ndarray]:
+    """The arrays of the mesh from which lags and switches are computed, of rigs whose stages have
+    one lag each."""
+    layout, campaign = problem.layout, problem.campaign
+    divided = [kind == "volume" for kind in layout.rig.kinds]
+    flows = [[e.total_flow if each else 1.0 for each in divided] for e in campaign]
+    first = np.cumsum([0, *(len(each.moves) for each in layout.switching)])
+    place = [layout.switches(k)[each.places] for k, each in enumerate(layout.switching)]
+    return {
+        "lag_place": layout.shared,
+        "lag_flow": np.array(flows),
+        "switch_first": first.astype(np.int64),
+        "switch_place": np.concatenate(place).astype(np.int64),
+        "switch_offset": np.array([s for each in layout.switching for s in each.offsets]),
+        "switch_height": np.array([h for each in layout.switching for h in each.heights]),
+        "rest": np.array([each.rest for each in layout.switching], dtype=float),
+    }
 
 
 SMOOTH = 3

@@ -12,6 +12,7 @@ from numba import njit
 
 from bayes_sensor.compiled import forget_older
 from bayes_sensor.likelihood.mesh import ar1_terms, node_response, node_sums
+from bayes_sensor.likelihood.mesh import chain_responses as responses_of_chains
 from bayes_sensor.likelihood.mesh.ar1_terms import (
     across_gap,
     combined,
@@ -20,6 +21,7 @@ from bayes_sensor.likelihood.mesh.ar1_terms import (
     slopes_of_edges,
     variance_levels,
 )
+from bayes_sensor.likelihood.mesh.chain_responses import chain_responses
 from bayes_sensor.likelihood.mesh.mesh_arrays import K
 from bayes_sensor.likelihood.mesh.node_response import (
     FAR,
@@ -55,7 +57,6 @@ def value(theta, mesh, room, each):  # pragma: no cover - compiled
     s2e = np.empty((len(mesh.distance), 2))
     total = 0.0
     for k in range(len(mesh.local)):
-        h, t0, tf = time_constants_of(theta, k, mesh, taus)
         phi_reference, sigma0, sigma1 = (
             theta[mesh.noise[k, 0]], theta[mesh.noise[k, 1]], theta[mesh.noise[k, 2]]
         )  # fmt: skip
@@ -65,8 +66,12 @@ def value(theta, mesh, room, each):  # pragma: no cover - compiled
             return -np.inf
         y0, beta = theta[mesh.local[k, 0]] - mesh.setting[k, 5], theta[mesh.local[k, 1]]
         v0, v1 = variance_levels(sigma0, sigma1, mesh.setting[k, 2], mesh.setting[k, 7])
-        separate, _ = node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
-        edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
+        if mesh.is_pulse:
+            h, t0, tf = time_constants_of(theta, k, mesh, taus)
+            separate, _ = node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
+            edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
+        else:
+            chain_responses(theta, k, mesh, room, xe)
         for run in range(mesh.runs[k], mesh.runs[k + 1]):
             for side in range(2):
                 s2e[run, side] = v0 + v1 * xe[run, side]
@@ -189,7 +194,6 @@ def marginal(theta, mesh, room, best, factor):  # pragma: no cover - compiled
     total = 0.0
     for k in range(len(mesh.local)):
         first, last = mesh.blocks[k], mesh.blocks[k + 1]
-        h, t0, tf = time_constants_of(theta, k, mesh, taus)
         phi_reference, sigma0, sigma1 = (
             theta[mesh.noise[k, 0]], theta[mesh.noise[k, 1]], theta[mesh.noise[k, 2]]
         )  # fmt: skip
@@ -200,8 +204,12 @@ def marginal(theta, mesh, room, best, factor):  # pragma: no cover - compiled
         # any y0, beta serves as origin: the mesh's own reference keeps the numbers small
         y0, beta = 0.0, mesh.setting[k, 6]
         v0, v1 = variance_levels(sigma0, sigma1, mesh.setting[k, 2], mesh.setting[k, 7])
-        separate, _ = node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
-        edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
+        if mesh.is_pulse:
+            h, t0, tf = time_constants_of(theta, k, mesh, taus)
+            separate, _ = node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
+            edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
+        else:
+            chain_responses(theta, k, mesh, room, xe)
         change = gram_sums(
             first, last, mesh.moments, mesh.reference, mesh.reference_s2,
             room.x, room.xl, y0, beta, v0, v1, A, B,
@@ -270,5 +278,8 @@ def marginals(thetas, mesh, room, values, best, factor, inside):  # pragma: no c
 
 forget_older(
     (value, value_and_gradient, marginal, values, marginals),
-    (ar1_terms, chain, divided_differences, fractions, node_response, node_sums),
+    (
+        ar1_terms, chain, divided_differences, fractions, node_response, node_sums,
+        responses_of_chains,
+    ),
 )

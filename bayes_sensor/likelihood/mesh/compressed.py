@@ -43,9 +43,12 @@ class Nodes:
 
 
 def is_cascade(problem: Problem) -> bool:
-    """Whether the compiled closed form, of three lags and one pulse, may stand for the model."""
+    """Whether the compiled response may stand for the model: a chain of single lags and switches,
+    not a recorded input."""
+    layout = problem.layout
     plain = type(problem.model) is Cascade and problem.model.method == "exact"
-    return plain and problem.layout.is_published
+    switched = all(each.recorded is None for each in layout.switching)
+    return plain and switched and set(layout.rig.kinds) <= {"lag", "volume"}
 
 
 def _slope_of_lag(phi: float, steps: float) -> float:
@@ -177,7 +180,7 @@ class Compressed:
         if not self.covers(vector):
             return self._full(vector), self._full_gradient(vector)
         gradient = np.zeros(len(vector))
-        if self._cascade:
+        if self._cascade and self.problem.layout.is_published:
             value = cascade_kernels.value_and_gradient(vector, self.arrays, self._room, gradient)
             if not np.isnan(value):
                 return value, gradient

@@ -42,6 +42,14 @@ class Arrays(NamedTuple):
     low: np.ndarray  # (n_theta,) region of the mesh
     high: np.ndarray  # (n_theta,)
     n_kinds: int
+    is_pulse: bool  # three lags and one pulse a record: what the quick responses are for
+    lag_place: np.ndarray  # (n_exp, n_lags) positions in theta of what each lag comes from
+    lag_flow: np.ndarray  # (n_exp, n_lags) what it is divided by: the total flow of a volume, or 1
+    switch_first: np.ndarray  # (n_exp + 1,) first switch of each experiment
+    switch_place: np.ndarray  # (n_switches,) position in theta of what moves it
+    switch_offset: np.ndarray  # (n_switches,) s, what is added to that
+    switch_height: np.ndarray  # (n_switches,)
+    rest: np.ndarray  # (n_exp,) input before them
 
 
 class Room(NamedTuple):

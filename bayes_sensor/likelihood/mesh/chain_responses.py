@@ -1,0 +1,109 @@
+"""Response of any chain of lags to any programme of switches at the nodes of the mesh, compiled.
+
+Where the lags are apart, the response is level - sum_j c_j A_j with A_j the sum over all switches
+before of their heights times exp(-s/tau_j), which advance from node to node: the cost does not grow
+with the switches.
+"""
+
+# mypy: allow-untyped-defs, allow-untyped-calls
+# The kernels are typed by numba when they are compiled; annotations would not be read.
+
+from __future__ import annotations
+
+from math import exp
+
+import numpy as np
+from numba import njit
+
+from bayes_sensor.compiled import forget_older
+from bayes_sensor.likelihood.mesh.mesh_arrays import K
+from bayes_sensor.rig import partial_fractions as fractions
+from bayes_sensor.rig import propagation
+from bayes_sensor.rig.partial_fractions import partial_fractions
+from bayes_sensor.rig.propagation import at_any_times
+
+LARGEST = 1e5
+"""coefficient of an exponential, below which eleven digits are left when they cancel"""
+GONE = 1e-17
+"""what is left of a switch that no longer counts"""
+
+
+@njit(cache=True, error_model="numpy")
+def _advance(
+    times, shift, taus, c, switch_time, switch_height, rest, out
+):  # pragma: no cover - compiled
+    # out (n,) at times (n,) less shift, mostly rising; where they fall the sums begin anew
+    n, n_switches = len(taus), len(switch_time)
+    A = np.zeros(n)
+    e, level, before = 0, rest, -np.inf
+    for i in range(len(times)):
+        t = times[i] - shift
+        if t < before:
+            A[:] = 0.0
+            e, level = 0, rest
+        elif e > 0:
+            for j in range(n):
+                if A[j] != 0.0:
+                    A[j] *= exp((before - t) / taus[j])
+                    if abs(A[j]) < GONE:
+                        A[j] = 0.0
+        while e < n_switches and switch_time[e] < t:
+            for j in range(n):
+                A[j] += switch_height[e] * exp((switch_time[e] - t) / taus[j])
+            level += switch_height[e]
+            e += 1
+        x = level
+        for j in range(n):
+            x -= c[j] * A[j]
+        out[i] = x
+        before = t
+
+
+@njit(cache=True, error_model="numpy")
+def chain_responses(theta, k, mesh, room, xe):  # pragma: no cover - compiled
+    # Response of experiment k at the nodes (room.x), one sample before (room.xl) and at the first
+    # and last sample of every run (xe)
+    n = mesh.lag_place.shape[1]
+    taus, c = np.empty(n), np.empty(n)
+    for j in range(n):
+        taus[j] = theta[mesh.lag_place[k, j]] / mesh.lag_flow[k, j]
+    begin, end = mesh.switch_first[k], mesh.switch_first[k + 1]
+    switch_time, switch_height = np.empty(end - begin), np.empty(end - begin)
+    for e in range(end - begin):  # sorted: free switches may cross
+        time = theta[mesh.switch_place[begin + e]] + mesh.switch_offset[begin + e]
+        place = e
+        while place > 0 and switch_time[place - 1] > time:
+            switch_time[place] = switch_time[place - 1]
+            switch_height[place] = switch_height[place - 1]
+            place -= 1
+        switch_time[place] = time
+        switch_height[place] = mesh.switch_height[begin + e]
+    nodes = slice(mesh.blocks[k] * K, mesh.blocks[k + 1] * K)
+    times, h = mesh.time[nodes], mesh.setting[k, 0]
+    runs = slice(mesh.runs[k], mesh.runs[k + 1])
+    edge_times = mesh.edge_t[runs].copy().reshape(-1)
+    edges = np.empty(len(edge_times))
+    partial_fractions(taus, c)
+    apart = True
+    for j in range(n):
+        if not abs(c[j]) < LARGEST:
+            apart = False
+    rest = mesh.rest[k]
+    if apart:
+        _advance(times, 0.0, taus, c, switch_time, switch_height, rest, room.x[nodes])
+        _advance(times, h, taus, c, switch_time, switch_height, rest, room.xl[nodes])
+        _advance(edge_times, 0.0, taus, c, switch_time, switch_height, rest, edges)
+    else:
+        rates = np.sort(1.0 / taus)
+        kicks, slope = np.zeros(end - begin), np.zeros(end - begin)
+        level = np.cumsum(switch_height)
+        at_any_times(times, rates, switch_time, kicks, level, slope, room.x[nodes])
+        at_any_times(times - h, rates, switch_time, kicks, level, slope, room.xl[nodes])
+        at_any_times(edge_times, rates, switch_time, kicks, level, slope, edges)
+        room.x[nodes] += rest
+        room.xl[nodes] += rest
+        edges += rest
+    xe[runs] = edges.reshape(-1, 2)
+
+
+forget_older((chain_responses,), (fractions, propagation))
