@@ -274,6 +274,16 @@ class Experiment:
         """Test-gas fraction Q_CO2 / Q, between 0 and 1; 1 where no flow is known."""
         return 1.0 if self.test_gas_flow is None else self.test_gas_flow / self.total_flow
 
+    def with_flow(self, factor: float) -> Experiment:
+        """The same at ``factor`` times its total flow, where that is known."""
+        if self.carrier_flow is None or self.test_gas_flow is None:
+            return self
+        return replace(
+            self,
+            carrier_flow=factor * self.carrier_flow,
+            test_gas_flow=factor * self.test_gas_flow,
+        )
+
     @property
     def record_name(self) -> str:
         """Name of the record: the experiment's own, unless several sensors share one."""

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.io.json_files import plain
-from bayes_sensor.rig.layout import SHARED
 
 if TYPE_CHECKING:
     pass
@@ -44,6 +43,8 @@ class Bound:
     """one sentence"""
     reference: str = ""
     """reference of the method"""
+    unnamed: tuple[str, ...] = ()
+    """shared parameters without a value, because it is not known whose a lag is"""
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -88,7 +89,7 @@ class Bound:
             row = plain(self.row(name))
             said = any(row[key] is not None for key in COLUMNS[1:])
             parameters[name] = row if said else None
-        for name in SHARED:  # what has no value because it is not known whose a lag is
+        for name in self.unnamed:  # what has no value because it is not known whose a lag is
             parameters.setdefault(name, None)
         return {
             "assumes": self.assumes,

@@ -20,7 +20,6 @@ from bayes_sensor.fit.fit_warnings import OF_LAGS
 from bayes_sensor.fit.identifiability import coloured_noise, slow_noise
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.lags import Naming
-from bayes_sensor.rig.layout import SHARED
 from bayes_sensor.workers import one_thread
 
 Method = Callable[[Evidence], Bound]
@@ -33,10 +32,14 @@ FEW_STRETCHES = (
 
 CLOSE = 0.5
 """tau over tau_v above which a Gaussian about one of the two orders is too narrow"""
-CLOSE_WORDS = (
-    "tau and tau_v are close, and the cascade is unchanged when they swap: intervals about one "
-    "order may be too narrow, those of the profile are not"
-)
+
+
+def close_words(lags: Sequence[str]) -> str:
+    """What lags of these names that are close do to intervals."""
+    return (
+        f"{' and '.join(lags)} are close, and the cascade is unchanged when they swap: intervals "
+        "about one order may be too narrow, those of the profile are not"
+    )
 
 
 def why_mute(evidence: Evidence, method: BoundMethod) -> str:
@@ -45,7 +48,8 @@ def why_mute(evidence: Evidence, method: BoundMethod) -> str:
         return "no step is seen in any experiment"
     # a lag, or a volume, too small to see is an ordinary outcome
     ordinary = [*evidence.fit.unseen, *(evidence.fit.names[:1] if evidence.at_bound else [])]
-    shared = [n for n in evidence.fit.at_bound if n in evidence.fit.names[:3]]
+    names = evidence.fit.names[: evidence.fit.n_shared]
+    shared = [n for n in evidence.fit.at_bound if n in names]
     walled = [n for n in shared if n not in ordinary]
     if method.least_squares and walled:
         return f"least squares ended at the edge of its search in {', '.join(walled)}"
@@ -65,8 +69,10 @@ def doubts(evidence: Evidence, method: BoundMethod) -> list[str]:
     """Warnings on a method's intervals for these data, in sentences."""
     found = []
     theta = evidence.theta
-    if not method.both_orders and theta[0] > CLOSE * theta[1]:
-        found.append(CLOSE_WORDS)
+    lags = evidence.problem.commuting.without_volumes.lags(theta)
+    if not method.both_orders and (lags[:-1] > CLOSE * lags[1:]).any():
+        names = evidence.problem.commuting.without_volumes.names
+        found.append(close_words([name.removesuffix("_s") for name in names]))
     if method.noise == "white":
         found.append(coloured_noise(evidence.problem, theta))
         found += evidence.noise_doubts
@@ -97,8 +103,10 @@ def with_remark(bound: Bound, remark: str) -> Bound:
 
 
 def without_roles(bound: Bound, reason: str) -> Bound:
-    """The bound without its values of tau_v and V, which refer to one of two fits only."""
-    lost = np.isin(bound.names, ("tau_v_s", "V_mL"))
+    """The bound without its values of lags and volumes but for the sensor's, which refer to one of
+    two fits only."""
+    lost = np.array([name.startswith(("tau_v_s", "tau_", "V_")) and name != "tau_s"
+                     for name in bound.names])  # fmt: skip
     return replace(
         with_remark(bound, reason),
         sd=np.where(lost, np.nan, bound.sd),
@@ -111,12 +119,16 @@ def with_names(bound: Bound, naming: Naming) -> Bound:
     """The bound with its lags under the names that may be stated, or by size."""
     names, arrays = list(bound.names), [bound.estimate, bound.sd, bound.low, bound.high]
     estimate, sd, low, high = (array.copy() for array in arrays)
-    for name, (label, factor) in zip(SHARED, naming.labels, strict=True):
+    shared = naming.commuting.shared
+    for name, (label, factor) in zip(shared, naming.labels, strict=True):
         i = bound.names.index(name)
         names[i] = label
         for array in (estimate, sd, low, high):
             array[i] *= factor
-    return replace(bound, names=names, estimate=estimate, sd=sd, low=low, high=high)
+    unnamed = tuple(name for name in shared if name not in names)
+    return replace(
+        bound, names=names, estimate=estimate, sd=sd, low=low, high=high, unnamed=unnamed
+    )
 
 
 def with_words(bound: Bound, naming: Naming) -> Bound:
@@ -125,10 +137,13 @@ def with_words(bound: Bound, naming: Naming) -> Bound:
 
     A posterior's own status has the right names already, and does not come here.
     """
-    called = dict(zip(SHARED, (name for name, _ in naming.labels), strict=True))
-    spoken = {name: OF_LAGS.get(label, label) for name, label in called.items()}
-    words = called | {"tau": spoken["tau_s"], "tau_v": spoken["tau_v_s"]}
-    status = re.sub(r"\b(tau_v_s|tau_s|V_mL|tau_v|tau)\b", lambda m: words[m[0]], bound.status)
+    shared = naming.commuting.shared
+    words = dict(zip(shared, (name for name, _ in naming.labels), strict=True))
+    for name, label in tuple(words.items()):
+        if name.startswith("tau"):
+            words[name.removesuffix("_s")] = OF_LAGS.get(label, label.removesuffix("_s"))
+    known = "|".join(re.escape(name) for name in sorted(words, key=len, reverse=True))
+    status = re.sub(rf"\b({known})(?![\w\[])", lambda m: words[m[0]], bound.status)
     return replace(bound, status=status)
 
 
@@ -187,7 +202,7 @@ def compare_bounds(
     evidence = Evidence(problem, fit, posterior, seed, n_resamples, report)
     check_data(problem, fit, posterior)
     # the draws know more of the names than the fit's Gaussian does
-    naming = getattr(posterior, "naming", None) or fit.naming or problem.naming()
+    naming = getattr(posterior, "naming", None) or fit.naming
     for name, method in chosen.items():
         report(0.0, name)
         start = time.perf_counter()

@@ -23,7 +23,6 @@ from bayes_sensor.fit import Fit
 from bayes_sensor.fit.check_fit_matches import check_data_of_fit
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.residuals import noise_doubt
-from bayes_sensor.rig.layout import SHARED
 
 Progress = Callable[[float, str], None]
 
@@ -41,7 +40,7 @@ class Evidence:
     progress: Progress = field(default=lambda fraction, text: None)
 
     def __post_init__(self) -> None:
-        expected, n = self.problem.layout.names, len(SHARED)
+        expected, n = self.problem.layout.names, self.problem.layout.n_shared
         # the lags' own names depend on what is known of them
         if len(self.fit.names) != len(expected) or list(self.fit.names)[n:] != expected[n:]:
             raise CampaignError(
@@ -113,15 +112,16 @@ class Evidence:
         """(n_theta,) maximum under the problem's noise; tau 0 where it is on the floor."""
         theta = self.coloured.coordinates.theta(self.coloured_maximum.psi)
         if self.coloured_at_bound:
-            i = self.problem.layout.local[:, 2:].ravel()
-            theta[i[i >= 0]] += theta[0]
+            theta[self.problem.layout.all_switches] += theta[0]
             theta[0] = 0.0
         return theta
 
     @cached_property
     def coloured_at_bound(self) -> bool:
         """Whether the maximum under the problem's noise has tau^2 on its floor."""
-        return bool(self.coloured_maximum.psi[0] <= 1.001 * self.coloured.floor[0])
+        surface = self.coloured
+        floor = surface.floor[0] if surface.coordinates.shifts else -np.inf
+        return bool(self.coloured_maximum.psi[0] <= 1.001 * floor)
 
     @cached_property
     def _white(self) -> tuple[Surface, Maximum]:
@@ -167,9 +167,12 @@ class Evidence:
 
     @cached_property
     def at_bound(self) -> bool:
-        """Whether least squares has tau at its lower bound."""
+        """Whether least squares has tau at its lower bound; False for several sensors."""
+        if not self.problem.layout.one_sensor:
+            return False
+        longest = self.problem.commuting.without_volumes.lags(self.theta)[-1]
         return bool(
-            (self.fit.names[0] in self.fit.at_bound and self.theta[0] < 0.1 * self.theta[1])
+            (self.fit.names[0] in self.fit.at_bound and self.theta[0] < 0.1 * longest)
             or self.theta[0] ** 2 <= 1.001 * self.white.floor[0]
         )
 
@@ -181,7 +184,8 @@ def check_data(problem: Problem, fit: Fit, posterior: Any) -> None:
     if posterior is None:
         return
     # the lags' own names depend on what is known of them
-    missing = [n for n in problem.layout.names[len(SHARED) :] if n not in posterior.names]
+    own = problem.layout.names[problem.layout.n_shared :]
+    missing = [name for name in own if name not in posterior.names]
     of = getattr(getattr(posterior, "problem", None), "campaign", None)
     if missing or (of is not None and not _same_data(of, problem.campaign)):
         what = f"has no {missing[0]}" if missing else "is of other data"

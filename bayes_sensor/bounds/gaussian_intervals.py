@@ -26,7 +26,8 @@ from scipy import special, stats
 from bayes_sensor.bounds.bound import LEVELS, Bound
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.coordinates import Coordinates
-from bayes_sensor.likelihood.mesh import Compressed
+from bayes_sensor.likelihood.mesh import NO_TAU, Compressed, above_zero
+from bayes_sensor.rig.switching import is_switch_time
 
 FAR = 3.0
 """tau in standard deviations above which estimate +- z sd is used"""
@@ -74,9 +75,8 @@ def least_tau(compressed: Compressed) -> float:
 
     Below it the sensor is a pure delay to rounding, and the derivative by tau^2 has its limit.
     """
-    theta = compressed.reference
-    flow = max(e.total_flow for e in compressed.problem.campaign)
-    fastest = min(theta[1], theta[2] / flow)
+    problem, theta = compressed.problem, compressed.reference
+    fastest = above_zero(problem, np.append(0.0, theta[1:])) / NO_TAU
     return float(max(1e-3 * fastest, 2.0 * compressed.arrays.setting[:, 4].max()))
 
 
@@ -138,11 +138,13 @@ def gaussian_bound(
     """
     n = len(names)
     kinds = [name.split("[")[0] for name in names]
+    if names[0] != "tau_s":  # several sensors: psi holds their lags themselves
+        return _plain_bound(names, estimate, cov_psi, factor, identified, status, details)
     identified = np.ones(n, dtype=bool) if identified is None else identified
     sentences = [status] if status else []
     tau, q = float(estimate[0]), float(estimate[0]) ** 2
     sd_q = float(np.sqrt(cov_psi[0, 0]))
-    switches = [i for i, kind in enumerate(kinds) if kind in ("t0_s", "tf_s")]
+    switches = [i for i, kind in enumerate(kinds) if is_switch_time(kind)]
     sd = np.sqrt(np.diag(cov_psi))
     low, high = np.full((n, len(LEVELS)), np.nan), np.full((n, len(LEVELS)), np.nan)
     # (n, n_levels)
@@ -186,8 +188,35 @@ def gaussian_bound(
     low, high = np.where(np.isfinite(low), low, np.nan), np.where(np.isfinite(high), high, np.nan)
     sd = np.where(np.isfinite(sd), sd, np.nan)
     for i, kind in enumerate(kinds):
-        if kind in ("tau_s", "tau_v_s", "V_mL"):
+        if kind.startswith(("tau_", "V_")):
             low[i] = np.maximum(low[i], 0.0)
+    return Bound(
+        list(names), np.array(estimate, dtype=float), sd, low, high, "; ".join(sentences) or "ok",
+        details or {},
+    )  # fmt: skip
+
+
+def _plain_bound(
+    names: list[str],
+    estimate: FloatArray,
+    cov: FloatArray,
+    factor: Callable[[float], float | FloatArray],
+    identified: np.ndarray | None,
+    status: str,
+    details: dict[str, Any] | None,
+) -> Bound:
+    """Estimate +- z sd of every parameter; lags and volumes cut at zero."""
+    n = len(names)
+    identified = np.ones(n, dtype=bool) if identified is None else identified
+    z = np.stack([np.broadcast_to(factor(level), n) for level in LEVELS.values()], axis=1)
+    sd = np.where(identified & np.isfinite(np.diag(cov)), np.sqrt(np.diag(cov)), np.nan)
+    low, high = estimate[:, None] - z * sd[:, None], estimate[:, None] + z * sd[:, None]
+    positive = [name.startswith(("tau_", "V_")) for name in names]
+    low[positive] = np.maximum(low[positive], 0.0)
+    lost = [name for name, known in zip(names, identified, strict=True) if not known]
+    sentences = [status] if status else []
+    if lost:
+        sentences.append(f"the data do not identify {', '.join(lost)}")
     return Bound(
         list(names), np.array(estimate, dtype=float), sd, low, high, "; ".join(sentences) or "ok",
         details or {},

@@ -18,10 +18,9 @@ from bayes_sensor.bounds.cramer_rao import PUBLISHED_SIGMA, CramerRao, bound_of,
 from bayes_sensor.bounds.gaussian_intervals import normal_factor
 from bayes_sensor.bounds.likelihood_surface import Maximum, Surface, coloured_surface
 from bayes_sensor.bounds.profile import Profiler, profile_curve
-from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.rig.lags import by_size
 from bayes_sensor.rig.layout import Layout, Theta
 
 if TYPE_CHECKING:
@@ -121,9 +120,7 @@ def square_coordinates(layout: Layout, tau: float) -> FloatArray:
     """(n_mean, n_mean) derivatives of theta by (tau^2, .., t0 + tau, tf + tau)."""
     slopes = np.eye(layout.n_mean)
     slopes[0, 0] = 0.5 / tau
-    for i in layout.local[:, 2:].ravel():
-        if i >= 0:
-            slopes[i, 0] = -0.5 / tau
+    slopes[layout.all_switches, 0] = -0.5 / tau
     return slopes
 
 
@@ -156,13 +153,18 @@ def explain_tau(
     # information needs no data
     bare = tuple(replace(e, y=None, drive=None) for e in problem.campaign)
     design = replace(problem, campaign=replace(problem.campaign, experiments=bare))
+    if not layout.one_sensor:
+        raise CampaignError(
+            "explain_tau: there are several sensors; give it a campaign with one of them"
+        )
     vector = layout.flat(theta).copy()
     coloured = bool(np.isfinite(vector[layout.noise]).all())
     noise = "ar1" if coloured else "iid"
     tau = float(vector[0])
     # at a vanishing tau nothing about tau itself is finite; look where tau is a thousandth of tau_v
     at = vector.copy()
-    at[0] = max(tau, 1e-3 * vector[1])
+    beside = max((tau, *problem.commuting.lags(vector)[1:].tolist()))
+    at[0] = max(tau, 1e-3 * beside)
     bound = cramer_rao(design, at, sigma, noise=noise)
     n = layout.n_mean
     diagonal = np.diag(bound.information)
@@ -175,7 +177,7 @@ def explain_tau(
         bound.names[i]: float(bound.cov[0, i] / np.sqrt(bound.cov[0, 0] * bound.cov[i, i]))
         for i in range(1, n)
     }
-    switches = [int(i) for i in layout.local[:, 2:].ravel() if i >= 0]
+    switches = layout.all_switches.tolist()
     rest = [i for i in range(1, n) if i not in switches]
     collinearity = {
         "switches": multiple_correlation(bound.information, 0, switches),
@@ -189,14 +191,16 @@ def explain_tau(
             known[label] = bound_of(layout, bound.information, fixed)["tau_s"]
     sd_square = sd_of_square(bound, layout, float(at[0]))
     by_tau = pd.DataFrame(
-        [_at_tau(design, at, float(t), sigma, noise) for t in _taus(at, sd_square)]
+        [_at_tau(design, at, float(t), sigma, noise) for t in _taus(at[0], beside, sd_square)]
     )
-    ordered = by_size(vector, problem.flow)
-    place = int(tau != ordered[0])
+    ordered = problem.commuting.by_size(vector)
+    lags = problem.commuting.without_volumes.places
+    places = [i for i in lags if ordered[i] == tau]
+    place = places[0] if places else -1
     if coloured and not problem.campaign.is_design and likelihood is None:
         likelihood = coloured_surface(problem, ordered)
     status = "ok"
-    if tau not in ordered[:2]:
+    if not places:
         likelihood = None
         status = "the sensor's is the middle lag: the profile is the one to be expected"
     if likelihood is not None and not likelihood[1].converged:
@@ -210,9 +214,9 @@ def explain_tau(
     )  # fmt: skip
 
 
-def _taus(at: FloatArray, sd_square: float) -> FloatArray:
-    low = 1e-3 * at[1]
-    return np.geomspace(low, max(3.0 * at[0], 2.0 * sd_square**0.5, 10.0 * low), 12)
+def _taus(tau: float, beside: float, sd_square: float) -> FloatArray:
+    low = 1e-3 * beside
+    return np.geomspace(low, max(3.0 * tau, 2.0 * sd_square**0.5, 10.0 * low), 12)
 
 
 def _at_tau(
@@ -231,7 +235,7 @@ def _at_tau(
 def _curve(
     likelihood: tuple[Surface, Maximum] | None, place: int, tau: float, sd_square: float, n: int
 ) -> pd.DataFrame:
-    """``place``: 0 where tau is the shorter of the lags, 1 where it is the longer."""
+    """``place``: where tau stands in theta; 0 where it is the shortest of the lags."""
     import pandas as pd
 
     centre = tau**2
@@ -239,7 +243,7 @@ def _curve(
         surface, maximum = likelihood
         profiler = Profiler.of(surface, maximum)
         centre, sd = float(maximum.psi[place]), float(np.sqrt(profiler.cov[place, place]))
-        if place == 1:  # which psi holds itself, not its square
+        if place > 0:  # which psi holds itself, not its square
             centre, sd = centre**2, 2.0 * centre * sd
         sd_square = sd or sd_square  # zero stands for "not identified"
     # the shorter lag's course down to zero tells how nearly it is a later switch
@@ -299,10 +303,12 @@ def _sentences(
                 f"in place of {_bound_words(free)}{gain}."
             )
             break
-    said.append(
-        f"Knowing V would give {_bound_words(known['V'])}, "
-        f"knowing tau_v {_bound_words(known['tau_v'])}."
-    )
+    given = [
+        f"knowing {label} {'would give ' if i == 0 else ''}{_bound_words(known[label])}"
+        for i, label in enumerate(label for label in ("V", "tau_v") if label in known)
+    ]
+    if given:
+        said.append(f"K{', '.join(given)[1:]}.")
     return said
 
 

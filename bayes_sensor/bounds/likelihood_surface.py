@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 
@@ -153,13 +153,16 @@ class Surface:
         """Lowest and highest psi (n_psi,) each that the mesh covers."""
         region, coordinates = self.compressed.region, self.coordinates
         low, high = self.floor.copy(), np.full(len(self.floor), np.inf)
-        high[0] = region.high[0] ** 2
-        for i in (1, 2):
-            low[i], high[i] = region.low[i], region.high[i]
-        for i in coordinates.switches:
+        first, most = int(coordinates.shifts), 0.0
+        if coordinates.shifts:
+            most = region.high[0]
+            high[0] = most**2
+        n = self.problem.layout.n_shared
+        low[first:n], high[first:n] = region.low[first:n], region.high[first:n]
+        for i in coordinates.switch_times:
             j = coordinates.free[i]
             # t0 must stay inside whatever tau is
-            low[i], high[i] = region.low[j] + region.high[0], region.high[j]
+            low[i], high[i] = region.low[j] + most, region.high[j]
             if low[i] >= high[i]:
                 low[i], high[i] = -np.inf, np.inf
         return low, high
@@ -207,8 +210,10 @@ class Surface:
     def _aside(self, theta: FloatArray) -> FloatArray | None:
         """How far tau_v or tau must move, up and down, where time constants coincide; else None.
 
-        There the mesh has no analytic gradient.
+        There the published rig's mesh has no analytic gradient.
         """
+        if not self.problem.layout.is_published:
+            return None
         tau, tau_v, volume = theta[:3].tolist()
         manifold = [volume / flow for flow in self._flows]
         if _gap(tau_v, manifold) > APART and _gap(tau, [tau_v, *manifold]) > APART:
@@ -240,7 +245,7 @@ class Surface:
         that are too small.
         """
         point = psi.copy()
-        for _ in range(3):
+        for _ in range(3 if self.coordinates.shifts else 0):
             variance = invert(self.information(point))[0][0, 0]
             if not np.isfinite(variance) or psi[0] >= np.sqrt(variance):
                 break
@@ -286,18 +291,19 @@ def coloured_surface(problem: Problem, theta: FloatArray) -> tuple[Surface, Maxi
         if maximum.converged and (moved <= 3.0 * spread).all():
             break
     recentre = attempt > 0
+    lags = problem.commuting.without_volumes
     for _ in range(3):
-        if vector[0] > vector[1]:
-            # the cascade is unchanged when the two swap; the sensor is taken to be the faster one
-            vector[[0, 1]] = vector[[1, 0]]
+        if not lags.in_order(vector):
+            # the chain is unchanged when lags swap; they are kept by size
+            vector = lags.by_size(vector)
             recentre = True
         if recentre:
             surface = Surface(compress(problem, vector, _roomy(problem, vector)))
         maximum = _climb(surface, vector)
         vector = surface.coordinates.theta(maximum.psi)
-        if vector[0] <= vector[1]:
+        if lags.in_order(vector):
             break
-    if surface.at_wall(maximum.psi) or vector[0] > vector[1]:
+    if surface.at_wall(maximum.psi) or not lags.in_order(vector):
         maximum = replace(maximum, converged=False)
     return surface, maximum
 
@@ -306,7 +312,11 @@ def curvature_along_tau(surface: Surface, psi: FloatArray, n: int = 6) -> Curvat
     """Expected information as a function of tau alone, interpolated between ``n`` values of tau.
 
     The information depends mainly on tau.  The rest stays at ``psi`` (n_psi,), with t0 + tau.
+    Of several sensors it is taken at ``psi`` alone.
     """
+    if not surface.coordinates.shifts:
+        alone = surface.information(psi)
+        return lambda _: alone.copy()
     least, most = float(np.sqrt(surface.floor[0])), float(surface.compressed.region.high[0])
     taus = least + (most - least) * np.linspace(0.0, 1.0, n) ** 1.5
     points = np.tile(psi, (n, 1))
@@ -330,15 +340,20 @@ def spread_along_tau(
     """``n`` rising values of tau and the sd of estimates of tau^2 at these values.
 
     As far as a Gaussian about ``psi`` (n_psi,) reaches; the rest stays there, with t0 + tau.  None
-    if tau is not clearly the faster lag, because the other order is not a small step in tau^2.
+    if tau is not clearly the fastest lag, because another order is not a small step in tau^2, and
+    for several sensors.
     Infinite where tau^2 is not identified.
     """
-    if psi[0] > (ORDERED * psi[1]) ** 2:
+    if not surface.coordinates.shifts:
+        return None
+    slower = [i for i in surface.problem.commuting.without_volumes.places if i != 0]
+    longest = float(psi[slower[-1]]) if slower else inf
+    if psi[0] > (ORDERED * longest) ** 2:
         return None
     point = surface.expansion(psi)
     reach = 6.0 * float(np.sqrt(invert(surface.information(point))[0][0, 0]))
     q = max(float(psi[0]), 0.0)
-    most = min(sqrt(q + reach), ORDERED * float(psi[1])) if np.isfinite(reach) else 0.0
+    most = min(sqrt(q + reach), ORDERED * longest) if np.isfinite(reach) else 0.0
     most = max(most, 1.2 * sqrt(q))
     most = min(most, float(surface.compressed.region.high[0]))
     least = float(np.sqrt(surface.floor[0]))
@@ -356,13 +371,13 @@ def _roomy(problem: Problem, vector: FloatArray, room: float = 1.5) -> Region:
     likelihoods have longer upper tails than the information at a small tau suggests."""
     region = default_region(problem, vector)
     low, high = region.low.copy(), region.high.copy()
-    switches = problem.layout.local[:, 2:].ravel()
-    switches = switches[switches >= 0]
-    wider = room - 1.0
-    low[switches] -= wider * high[0]
+    layout, wider = problem.layout, room - 1.0
+    switches, first = layout.all_switches, int(layout.one_sensor)
+    low[switches] -= wider * (high[0] if first else vector[switches] - low[switches])
     high[switches] += (wider - 0.5) * (high[switches] - vector[switches])
-    high[0] += wider * high[0]
-    for i in (1, 2):
+    if first:
+        high[0] += wider * high[0]
+    for i in range(first, layout.n_shared):
         low[i] = max(low[i] - wider * (vector[i] - low[i]), 0.1 * vector[i])
         high[i] += wider * (high[i] - vector[i])
     return Region(low, high)
@@ -412,16 +427,18 @@ def region_of(problem: Problem, surface: Surface, theta: FloatArray) -> Region:
     region, about = surface.compressed.region, surface.compressed.reference
     # the same widths about theta; psi's t0 + tau and tf + tau are what stays put
     shift = theta - about
-    shift[0] = max(shift[0], 0.0)
+    layout = problem.layout
+    if layout.one_sensor:
+        shift[0] = max(shift[0], 0.0)
     low = np.minimum(region.low, np.maximum(region.low + shift, 0.1 * np.minimum(theta, about)))
-    switches = problem.layout.local[:, 2:].ravel()
-    switches = switches[switches >= 0]
+    switches = layout.all_switches
     low[switches] = np.minimum(region.low[switches], region.low[switches] + shift[switches])
     high = np.maximum(region.high, region.high + shift)
     free = np.ones(len(low), dtype=bool)
-    free[[0, 1, 2, *switches]] = False
+    free[[*range(layout.n_shared), *switches]] = False
     low[free], high[free] = -np.inf, np.inf
-    low[0] = 0.0
+    if layout.one_sensor:
+        low[0] = 0.0
     for row in problem.layout.noise:
         least = NO_NOISE * about[row[1]]
         low[row], high[row] = (-1.0 + 1e-9, least, 0.0), (1.0 - 1e-9, np.inf, np.inf)

@@ -65,16 +65,25 @@ class Profiler:
         start = psi + self._slope(i) * (value - psi[i]) if near is None else near.copy()
         start[i] = value
         low, high = self._box(i)
-        if i == 0:
-            low[1] = max(low[1], sqrt(max(value, 0.0)))
-        elif i == 1:
-            high[0] = min(high[0], value**2)
+        self._keep_in_order(i, value, low, high)
         if (low > high).any():  # the mesh covers no point in that order
             return Maximum(start, -inf, start, False)
         return maximise(
             surface.guarded, self.curvature, start, rest, low, high, n_iterations=25,
             tolerance=1e-5,
         )  # fmt: skip
+
+    def _keep_in_order(self, i: int, value: float, low: FloatArray, high: FloatArray) -> None:
+        """Narrow the box so that lags stay by size where one of them is held at ``value``."""
+        places = list(self.surface.problem.commuting.without_volumes.places)
+        if i not in places or not self.surface.coordinates.shifts:
+            return
+        own = places.index(i)
+        lag = sqrt(max(value, 0.0)) if i == 0 else value
+        for longer in places[own + 1 :]:
+            low[longer] = max(low[longer], lag)
+        for shorter in places[:own]:
+            high[shorter] = min(high[shorter], lag**2 if shorter == 0 else lag)
 
     def _slope(self, i: int) -> FloatArray:
         # (n_psi,) how a Gaussian's best rest follows psi's parameter i; 0 where nothing is known
@@ -214,8 +223,8 @@ def next_value(
 
 
 def profile_curve(profiler: Profiler, taus: FloatArray, place: int = 0) -> FloatArray:
-    """(n,) drop in log-likelihood (max log L - profile) at each value (n,) s of the shorter lag
-    (``place`` 0) or of the longer one (1)."""
+    """(n,) drop in log-likelihood (max log L - profile) at each value (n,) s of the lag that stands
+    at ``place`` in theta (0: the shortest)."""
     values = np.asarray(taus, dtype=float)
     if place == 0:
         values = np.maximum(values**2, profiler.surface.floor[0])

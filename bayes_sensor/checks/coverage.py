@@ -23,12 +23,11 @@ from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArra
 from bayes_sensor.checks.counted_coverage import binomial_interval
 from bayes_sensor.checks.study_chunks import run_chunks, seed_of, study_key
 from bayes_sensor.fit import fit_least_squares
-from bayes_sensor.likelihood.density import grid_response
+from bayes_sensor.likelihood.density import grid_response, response_at_samples
 from bayes_sensor.likelihood.noise import scale_squared, simulate_noise
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import FASTEST, Settings, sample_posterior
 from bayes_sensor.rig.cascade import local_parameters, time_constants
-from bayes_sensor.rig.layout import SHARED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -104,12 +103,17 @@ def simulate_setting(design: Campaign, theta: FloatArray, setting: Setting, seed
     values = {}
     streams = np.random.SeedSequence(seed).spawn(len(design))
     for e, stream in zip(design, streams, strict=True):
-        y0, beta, t0, tf = local_parameters(theta, layout, e.name)
-        tau, tau_v, V = (float(v) for v in theta[:3])
-        x = grid_response(e, time_constants(tau, tau_v, V, e.total_flow), t0, None)
-        if tf is not None:
-            slower = time_constants(tau, setting.closing * tau_v, V, e.total_flow)
-            x -= grid_response(e, slower, tf, None)
+        k = layout.place_of(e.name)
+        y0, beta = theta[layout.local[k, :2]]
+        if setting.closing == 1.0:
+            x = response_at_samples(problem, theta, k)
+        else:
+            _, _, t0, tf = local_parameters(theta, layout, e.name)
+            tau, tau_v, V = (float(v) for v in theta[:3])
+            x = grid_response(e, time_constants(tau, tau_v, V, e.total_flow), t0, None)
+            if tf is not None:
+                slower = time_constants(tau, setting.closing * tau_v, V, e.total_flow)
+                x -= grid_response(e, slower, tf, None)
         law = problem.noise.weight(design, e), problem.noise.fading
         scale = np.sqrt(scale_squared(x, setting.sigma0, setting.sigma1, *law))
         rng = np.random.default_rng(stream)
@@ -148,7 +152,7 @@ class BoundsStudy:
         """Flat names of the mean's parameters, in the order of ``truth``; a lag that cannot be
         assigned is named by its size."""
         problem = Problem(self.design)
-        return [*problem.naming().names, *problem.layout.mean_names[len(SHARED) :]]
+        return [*problem.naming().names, *problem.layout.mean_names[problem.layout.n_shared :]]
 
     @cached_property
     def truth(self) -> FloatArray:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -158,10 +158,12 @@ def regress_delays(campaign: Campaign | Problem, fit: Fitted, posterior: Any = N
         names, x, y, positions = [], [], [], []
         recorded = False
         for k, e in enumerate(campaign):
+            if not problem.layout.switching[k].is_pulse:
+                continue
             commanded = e.commanded_on if kind == "t0_s" else e.commanded_off
             position = problem.layout.local[k, column]
             recorded = recorded or position >= 0
-            if commanded is None or position < 0:
+            if commanded is None or position < 0 or not e.flow_known or position in positions:
                 continue
             names.append(e.name)
             x.append(1000.0 / e.total_flow)
@@ -176,7 +178,9 @@ def regress_delays(campaign: Campaign | Problem, fit: Fitted, posterior: Any = N
         given = posterior is not None
         lines.append(regress_line(names, np.array(x), np.array(y), covariance, given))
     start, end = lines
-    assert start is not None  # every experiment has a t0
+    assert start is not None
+    if not campaign.flows_known and not start.names:
+        start = replace(start, status="No regression: no flow is known.")
     return Delays(start, end)
 
 

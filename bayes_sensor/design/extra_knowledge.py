@@ -102,13 +102,7 @@ def _both(sd: float, other: float | None) -> float:
 
 
 def _with_flow(setting: Setting, factor: float) -> Setting:
-    e = setting.experiment
-    return replace(
-        setting,
-        experiment=replace(
-            e, carrier_flow=factor * e.carrier_flow, test_gas_flow=factor * e.test_gas_flow
-        ),
-    )
+    return replace(setting, experiment=setting.experiment.with_flow(factor))
 
 
 def _with_rate(setting: Setting, factor: int) -> Setting:

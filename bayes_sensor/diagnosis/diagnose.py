@@ -45,6 +45,17 @@ Progress = Callable[[float, str], None]
 
 
 @one_thread
+def cannot_diagnose(campaign: Campaign) -> str:
+    """Why the diagnosis knows no effects for a campaign's rig, as a sentence; empty where it does."""
+    if Layout.of(campaign).is_published:
+        return ""
+    return (
+        "effects are known for a valve, a manifold and a sensor, one pulse a record and one sensor "
+        "only, but this campaign has another rig or programme; fit, posterior, bounds and report "
+        "serve it"
+    )
+
+
 def diagnose_gap(
     campaign: Campaign,
     fit: Fit | None = None,
@@ -100,6 +111,9 @@ def diagnose_gap(
             "gap: this is a design without data; expected a measured campaign: give every "
             "experiment a file, or simulate it first"
         )
+    refused = cannot_diagnose(campaign)
+    if refused:
+        raise CampaignError(f"gap: {refused}")
     catalogue = _catalogue(effects, without)
     fit = _usable_fit(campaign, fit, seed)
 

@@ -167,12 +167,7 @@ def _repeated(binned: BinnedCampaign, n: int) -> BinnedCampaign:
 
 def _second_flow(binned: BinnedCampaign, factor: float) -> BinnedCampaign:
     more = tuple(
-        replace(
-            e,
-            name=f"{e.name} at {factor:g} Q",
-            carrier_flow=e.carrier_flow * factor,
-            test_gas_flow=e.test_gas_flow * factor,
-        )
+        replace(e.with_flow(factor), name=f"{e.name} at {factor:g} Q")
         for e in binned.campaign
     )
     return replace(

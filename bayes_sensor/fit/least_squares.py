@@ -27,7 +27,7 @@ from bayes_sensor.fit.swarm import particle_swarm
 from bayes_sensor.likelihood.density import mean_and_variance
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import Cascade
-from bayes_sensor.rig.lags import Commuting, Naming
+from bayes_sensor.rig.lags import Naming
 from bayes_sensor.workers import one_thread
 
 # Starts along the valley, as fractions of the rise time (10, 60, 200, 500 ms at the published rig).
@@ -233,8 +233,7 @@ def _swap(problem: Problem, theta: FloatArray, high: FloatArray) -> FloatArray:
     ordered = commuting.by_size(theta)
     if (ordered[1:n] <= high[1:n]).all():
         return ordered
-    lags = [name for name in commuting.names if not name.startswith("V_")]
-    return Commuting.among(lags, commuting.shared, None).by_size(theta)
+    return commuting.without_volumes.by_size(theta)
 
 
 def _search(

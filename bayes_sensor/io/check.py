@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_sensor.campaign import BoolArray, Campaign, Experiment, FloatArray
+from bayes_sensor.campaign import STAGES, BoolArray, Campaign, Experiment, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -71,10 +71,12 @@ def campaign_rows(campaign: Campaign) -> list[dict[str, Any]]:
                 "used": experiment.n_samples,
                 "interval_s": experiment.interval,
                 "duration_s": round(len(experiment.t) * experiment.interval, 9),
-                "carrier_flow_L_min": experiment.carrier_flow * 0.06,
-                "test_gas_flow_L_min": experiment.test_gas_flow * 0.06,
+                "carrier_flow_L_min": _litres(experiment.carrier_flow),
+                "test_gas_flow_L_min": _litres(experiment.test_gas_flow),
                 "total_flow_L_min": experiment.total_flow * 0.06,
-                "concentration_percent": 100 * experiment.concentration,
+                "concentration_percent": (
+                    100 * experiment.concentration if experiment.flow_known else np.nan
+                ),
                 "commanded_on_s": _or_nan(experiment.commanded_on),
                 "commanded_off_s": _or_nan(experiment.commanded_off),
                 "baseline_V": baseline.median,
@@ -86,6 +88,11 @@ def campaign_rows(campaign: Campaign) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _litres(flow: float | None) -> float:
+    """L/min; nan where it is not known."""
+    return np.nan if flow is None else 0.06 * flow
 
 
 def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
@@ -123,7 +130,8 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
             )
     remarks += _recorded_twice(campaign)
     remarks += _flows_exchanged(campaign)
-    if len(campaign) > 1 and campaign.same_flow:
+    several = len(campaign) > 1 and campaign.flows_known and campaign.same_flow
+    if several and campaign.stages == STAGES:
         remarks.append(SAME_FLOW)
     return tuple(remarks)
 

@@ -124,6 +124,12 @@ class Commuting:
         return len(self.names)
 
     @property
+    def without_volumes(self) -> Commuting:
+        """Those that do not depend on flow."""
+        names = [name for name in self.names if not name.startswith("V_")]
+        return Commuting.among(names, self.shared, None)
+
+    @property
     def volumes(self) -> tuple[bool, ...]:
         """(n_lags,) whether theta has a volume in that lag's place, shortest lag first."""
         return tuple(self.shared[place].startswith("V_") for place in self.places)
@@ -194,8 +200,9 @@ class Commuting:
         for name in self.names:
             places = np.array([choice.place(name) for choice in choices])[chosen]
             lag = np.take_along_axis(lags, places, axis=-1)[..., 0]
-            volume = name.startswith("V_") and self.flow is not None
-            found[..., self.shared.index(name)] = self.flow * lag if volume else lag
+            if name.startswith("V_") and self.flow is not None:
+                lag = self.flow * lag
+            found[..., self.shared.index(name)] = lag
         return found
 
 

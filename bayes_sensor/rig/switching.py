@@ -88,7 +88,8 @@ class Switching:
 
     def times(self, values: Sequence[float] | FloatArray) -> FloatArray:
         """(n_switches,) s at ``values`` (n_parameters,) of the parameters."""
-        return np.asarray(self.offsets) + np.asarray(values, dtype=float)[list(self.moves)]
+        found: FloatArray = np.asarray(self.offsets) + np.asarray(values, dtype=float)[self.places]
+        return found
 
     def drive(self, values: FloatArray) -> Drive:
         """The input above :attr:`level_before` at ``values`` (n_parameters,)."""

@@ -323,7 +323,8 @@ def block_bootstrap(evidence: Evidence) -> Bound:
         details=details,
     )
     layout = surface.problem.layout
-    at_floor = bounded[:, 0] <= 1.001 * surface.floor[0]
+    floor = surface.floor[0] if surface.coordinates.shifts else -np.inf
+    at_floor = bounded[:, 0] <= 1.001 * floor
     draws = surface.coordinates.theta(bounded)
     draws[at_floor, 0] = 0.0
     draws = draws[:, [layout.index(name) for name in names]]

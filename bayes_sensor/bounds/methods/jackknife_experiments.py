@@ -22,8 +22,6 @@ from bayes_sensor.bounds.methods.bound_method import BoundMethod
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.mesh import Compressed, Region, compress
 
-SHARED = ("tau_s", "tau_v_s", "V_mL")
-
 
 def _parts(surface: Surface, theta: FloatArray) -> list[tuple[Compressed, np.ndarray]]:
     """Every experiment compressed alone, with the positions of its parameters in theta."""
@@ -82,7 +80,7 @@ def leave_one_out(surface: Surface, psi: FloatArray) -> tuple[FloatArray, bool]:
 
 
 def jackknife_experiments(evidence: Evidence) -> Bound:
-    """Leave one experiment out; tau, tau_v and V."""
+    """Leave one experiment out; the shared parameters."""
     surface = evidence.white
     names = surface.mean_names
     n = len(evidence.problem.campaign)
@@ -91,7 +89,8 @@ def jackknife_experiments(evidence: Evidence) -> Bound:
         status = f"needs at least 3 experiments, there are {n}"
         return Bound(names, evidence.estimate, empty[:, 0], empty, empty, status)
     found, settled = leave_one_out(surface, evidence.psi_white)
-    shared = [i for i, name in enumerate(names) if name in SHARED]
+    own = evidence.problem.layout.shared_names
+    shared = [i for i, name in enumerate(names) if name in own]
     values = found[:, surface.mean[shared]]
     deviation = values - values.mean(axis=0)
     cov = (n - 1) / n * deviation.T @ deviation

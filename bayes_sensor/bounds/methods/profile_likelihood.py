@@ -14,7 +14,6 @@ from bayes_sensor.bounds.methods.crlb_ar1 import crlb_ar1
 from bayes_sensor.bounds.profile import Profiler
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.mesh import sizes
-from bayes_sensor.rig.layout import SHARED
 
 
 def profile(evidence: Evidence) -> Bound:
@@ -38,7 +37,7 @@ def profile(evidence: Evidence) -> Bound:
         if not np.isfinite([below, above]).all():  # not identified to first order
             width = 0.02 * size[surface.coordinates.free[i]] * np.array(targets)
             below, above = centre - width, centre + width
-            if name in SHARED:
+            if name in evidence.problem.layout.shared_names:
                 below = np.maximum(below, 0.5 * centre)
         # an asymmetric interval need not hold the estimate: look on either side of it all the same
         width = above - below

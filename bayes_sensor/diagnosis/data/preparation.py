@@ -20,7 +20,7 @@ from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.residuals.converter_step import lattice_step
 from bayes_sensor.rig.cascade import cascade_response
-from bayes_sensor.rig.lags import Naming, named
+from bayes_sensor.rig.lags import Naming
 from bayes_sensor.rig.layout import Layout
 
 NUISANCE_SD = {"shorter": 1.0, "longer": 0.7, "V": 0.3}
@@ -244,7 +244,7 @@ def _by_name(theta: FloatArray, naming: Naming) -> tuple[FloatArray, tuple[str, 
     if naming.exchanged is None:
         return theta, ("tau_s", "tau_v_s")
     made = np.array(theta, dtype=float)
-    made[:3] = named(made, naming.flow, [naming.exchanged])
+    made[:3] = naming.commuting.named(made, [naming.exchanged])
     return made, ("tau_v_s", "tau_s") if made[0] > made[1] else ("tau_s", "tau_v_s")
 
 

@@ -21,9 +21,10 @@ from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import Cascade, local_parameters
-from bayes_sensor.rig.lags import Assignment, named
+from bayes_sensor.rig.lags import Assignment, Commuting
 from bayes_sensor.rig.layout import Layout
 from bayes_sensor.rig.perturbed import FIRST, INDEX, NEUTRAL, rig_mean, rig_response
+from bayes_sensor.rig.rig import PUBLISHED
 
 SUFFIX = {"1": "", "s": "_s", "V": "_V", "V/s": "_V_per_s", "1/V": "_per_V", "1/s": "_per_s"}
 """unit -> ending of a parameter's name"""
@@ -219,7 +220,8 @@ class EffectModel:
         p[FIRST:] = NEUTRAL
         tau, tau_v, volume = theta[:3]
         if self.assignment is not None:
-            tau, tau_v, volume = named(theta, self.flow, [self.assignment])
+            commuting = Commuting.among(self.assignment.names, PUBLISHED.names, self.flow)
+            tau, tau_v, volume = commuting.named(theta, [self.assignment])
         p[:FIRST] = (
             tau, tau_v, volume / e.total_flow, y0, beta, t0,
             1e30 if tf is None else tf, e.concentration, e.t[0] - 0.5 * e.interval,
