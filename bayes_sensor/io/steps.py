@@ -26,8 +26,8 @@ WANDER = 8.0
 """times the noise: the extremes of a long record of noise are as far apart"""
 PART = 100
 """parts of a record, over one of which its wander is measured"""
-SHORTEST = 0.04
-"""of the record: levels that are held for less are transients, where others last longer"""
+SHORTEST = 0.01
+"""of the record: a level that is held for less is a transient"""
 HEIGHTS = 20
 """parts of a leg, in which the time that is spent there is compared"""
 FASTER = 4.0
@@ -108,7 +108,7 @@ def _held(t: FloatArray, y: FloatArray, steps: list[Step], least: float) -> tupl
         return ()
     widths = np.diff([step.half for step in steps])
     shortest = SHORTEST * float(t[-1] - t[0])
-    if len(widths):
+    if len(widths) > 2:  # a train of short pulses
         shortest = min(shortest, 0.25 * float(np.median(widths)))
     level = _level(y[t <= steps[0].start], y[:1])
     held: list[Step] = []
@@ -227,6 +227,7 @@ def _step(
     height = float(y[last] - y[first])
     sign = np.sign(height)
     way = np.maximum.accumulate(sign * (y[first : last + 1] - y[first])) / abs(height)
+    # first guesses from the turning point, which in noise lies beyond the level before
     tenth, half, end = (first + int(np.searchsorted(way, share)) for share in (0.1, 0.5, 0.9))
     # the level before: a quarter of the quiet time, not too near
     begin = int(np.searchsorted(t, max(after, t[0])))
@@ -235,6 +236,8 @@ def _step(
     level = float(np.median(y[max(far, 0) : near])) if near > max(far, 0) else float(y[first])
     if abs(level - y[first]) > 0.1 * abs(height):
         level = float(y[first])
+    below = np.flatnonzero(sign * (y[begin:half] - level) < 0.1 * abs(float(y[last] - level)))
+    tenth = min(begin + int(below[-1]) + 1, half) if len(below) else tenth
     away = sign * (y[begin : tenth + 1] - level) > max(0.02 * abs(height), 3.0 * noise)
     quiet = np.flatnonzero(~away)
     start = begin + int(quiet[-1]) if len(quiet) else begin

@@ -87,6 +87,17 @@ def jumps(t: FloatArray, y: FloatArray, steps: Sequence[Step]) -> bool:
     return bool(steps)
 
 
+def follows(channel: Channel, command: Channel) -> float:
+    """Squared correlation of a channel with a command, both averaged to a thousand stretches."""
+    if len(channel.y) < FEWEST_SAMPLES:
+        return 0.0
+    parts = np.array_split(np.arange(len(channel.y)), min(1000, len(channel.y)))
+    y = np.array([channel.y[part].mean() for part in parts])
+    u = np.interp([channel.t[part].mean() for part in parts], command.t, command.y)
+    spread = float(y.std() * u.std())
+    return float(np.cov(y, u, ddof=0)[0, 1] / spread) ** 2 if spread > 0 else 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Export:
     """One data file."""
@@ -125,10 +136,22 @@ class Export:
         """
         default, measured = self.channel(self.default), self.measured
         jumping = [c for c in self.channels if c.jumps and not c.is_set_point]
+        told = self.set_point
+        if told is not None and not measured:
+            free = [c for c in self.channels if not (c.constant or c.is_set_point or c.jumps)]
+            return max(free or [default], key=lambda c: follows(c, told))
         if default in measured or not (measured or default.constant or default.is_set_point):
             return default
         moving = [c for c in self.channels if not (c.constant or c.is_set_point)]
         return (measured or jumping or moving or [default])[0]
+
+    @property
+    def set_point(self) -> Channel | None:
+        """The first channel that is called a set point and steps."""
+        for c in self.channels:
+            if c.is_set_point and c.jumps and "err" not in c.name.casefold():
+                return c
+        return None
 
     def drive(self, signal: Channel) -> Channel | None:
         """The channel of the valve's drive: one pulse that begins before the signal's first step."""

@@ -10,6 +10,7 @@ import difflib
 import os
 import stat
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from bayes_sensor.io.readers.campaign_file import (
 from bayes_sensor.io.readers.flow_settings import settle_all_flows
 from bayes_sensor.io.readers.left_open import check_filled_in
 from bayes_sensor.io.readers.matlab import read_matlab
+from bayes_sensor.io.readers.other_channels import signal_remarks
 from bayes_sensor.io.readers.npz import read_npz
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.io.readers.recording import DataFile, Recording, Selection
@@ -151,7 +153,9 @@ def _measured(entry: Entry, folder: Path, allow_outside: bool) -> Assembled:
     reader = FORMATS[Path(entry.file or "").suffix.casefold()]
     # damaged files hold numbers that overflow; what is not finite is told or masked
     with np.errstate(over="ignore", invalid="ignore"):
-        return assemble(entry, file, reader(file, selection))
+        recording = reader(file, selection)
+        said = signal_remarks(entry, recording, lambda other: reader(file, other))
+        return assemble(entry, file, replace(recording, notes=(*recording.notes, *said)))
 
 
 def read_recording(path: Path, where: str, selection: Selection) -> Recording:

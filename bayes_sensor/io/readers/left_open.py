@@ -42,13 +42,16 @@ def check_filled_in(tables: Mapping[str, Any], label: str) -> None:
     if not left:
         return
     said = []
+    together: dict[tuple[str, ...], list[str]] = {}
     for name, places in left.items():
+        together.setdefault(tuple(places), []).append(name)
+    for places, names in together.items():
         shown = ", ".join(places[:8]) + (f" and {len(places) - 8} more" if len(places) > 8 else "")
         of = f" of experiment{'s' if len(places) > 1 else ''} {shown}" if places else ""
-        said.append(f"{name}{of}")
+        said.append(f"{', '.join(names)}{of}")
     unit = example.removeprefix(MARK).strip()
     number = "4.0" if "/" in unit or not unit else "24.0"
-    are = "is" if len(said) == 1 and all(len(p) < 2 for p in left.values()) else "are"
+    are = "is" if len(left) == 1 else "are"
     raise CampaignError(
         f"{label}: {'; '.join(said)} {are} still missing; expected a value in place of '{MARK}': "
         f'write what was set, such as "{f"{number} {unit}".strip()}"'
