@@ -11,7 +11,7 @@ from bayes_sensor.cli.terminal import say
 from bayes_sensor.io.disk import write_text
 from bayes_sensor.io.draft.campaign_text import Rig, campaign_text, propose_rig
 from bayes_sensor.io.draft.exports import Export, Unread, find_exports
-from bayes_sensor.io.draft.proposal import OPEN, Answers, Draft, propose
+from bayes_sensor.io.draft.proposal import Answers, Draft, propose
 from bayes_sensor.io.readers.flow_settings import (
     FLOWS,
     MIXTURE,
@@ -19,6 +19,7 @@ from bayes_sensor.io.readers.flow_settings import (
     read_conditions,
     settle_flows,
 )
+from bayes_sensor.io.readers.left_open import MARK as OPEN
 from bayes_sensor.io.readers.quantities import FLOW, TIME, read_quantity
 
 Ask = Callable[[str], str]
@@ -65,8 +66,8 @@ def init_campaign(folder: Path, *, overwrite: bool, quiet: bool, ask: Ask | None
     text = campaign_text(folder.resolve().name or "campaign", drafts, unread, rig, flows)
     write_text(path, text)
     missing = sum(OPEN in line.split("#")[0] for line in text.splitlines())
-    assumed = text.count("# ASSUMED")
-    say(f"{path}: {assumed} assumptions and {missing} missing values are marked in it", quiet)
+    marked = f"{counted(text.count('# ASSUMED'), 'assumption')}, {counted(missing, 'missing value')}"
+    say(f"{path}: {marked}, each marked in it", quiet)
     first_step = 'replace each "?", then run ' if missing else ""
     say(f"next: {first_step}bayes-sensor check {path} --plot", quiet)
 

@@ -11,8 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
+
+IntArray = NDArray[np.int64]
 
 MOST_BLOCKS = 4000
 """blocks into which a record is averaged: enough to place a step within a thousandth of it"""
@@ -32,6 +35,8 @@ HEIGHTS = 20
 """parts of a leg, in which the time that is spent there is compared"""
 FASTER = 4.0
 """times as fast as before, where another step began"""
+HOLD = 0.5
+"""of the time that a step took: a level within a rise that is held for less is noise"""
 
 
 @dataclass(frozen=True)
@@ -200,24 +205,28 @@ def _parts(rise: FloatArray, least: float) -> list[tuple[int, int]]:
     passed = np.searchsorted(top, marks)
     spent = np.diff(np.concatenate(([0], passed, [len(rise) - 1]))) + 1
     cuts: list[int] = []
-    last = 0
+    begin = 0  # the part of the height at which the step before ends
     for i in range(1, n - 1):
-        if (marks[i] - (marks[last - 1] if last else 0.0)) < least or height - marks[i - 1] < least:
+        low = marks[begin - 1] if begin else 0.0
+        if marks[i] - low < least or height - marks[i - 1] < least:
             continue
-        slow, later = spent[i], spent[i + 1 :]
-        before = spent[last:i]
-        if slow >= FASTER * later.min() and slow >= FASTER * before.min() and slow == max(
-            spent[last + 1 : i + 1].max(), slow
-        ):
-            ahead = spent[i + 1 : i + 1 + max(1, n // 4)]
-            if len(ahead) and slow >= FASTER * ahead.min() and slow >= ahead.max():
-                cuts.append(i)
-                last = i + 1
+        fast = max(_least_before(spent[i + 1 :], spent[i]),
+                   _least_before(spent[begin:i][::-1], spent[i]))  # fmt: skip
+        if spent[i] >= FASTER * fast and spent[i] >= HOLD * spent[begin:i].sum():
+            cuts.append(i)
+            begin = i + 1
     if not cuts:
         return whole
     # a plateau lies within its part of the height: the signal leaves it where that part ends
     places = [0, *(int(passed[i]) - 1 for i in cuts), len(rise) - 1]
     return [(a, b) for a, b in zip(places[:-1], places[1:], strict=True) if b > a]
+
+
+def _least_before(spent: IntArray, limit: int) -> float:
+    """The least of ``spent`` before it first exceeds ``limit``; infinite where that is at once."""
+    beyond = np.flatnonzero(spent > limit)
+    part = spent[: beyond[0]] if len(beyond) else spent
+    return float(part.min()) if len(part) else np.inf
 
 
 def _step(

@@ -10,7 +10,8 @@ from typing import Any
 
 from bayes_sensor.campaign import STAGES
 from bayes_sensor.io.draft.exports import Unread
-from bayes_sensor.io.draft.proposal import OPEN, Draft, Line
+from bayes_sensor.io.draft.proposal import Draft, Line
+from bayes_sensor.io.readers.left_open import MARK as OPEN
 
 _COLUMN = 34
 """where the remarks of a line begin"""
@@ -63,7 +64,7 @@ def campaign_text(
     ]  # fmt: skip
     if rig.conditions:
         lines += ["", "[conditions]"]
-        lines += [_line(Line(key, value)) for key, value in rig.conditions.items()]
+        lines += [_line(_given(key, value)) for key, value in rig.conditions.items()]
         if "standard_temperature" not in rig.conditions:
             lines.append(
                 _line(Line("standard_temperature", "0 degC", "ASSUMED",
@@ -74,13 +75,18 @@ def campaign_text(
                   _line(Line("file", draft.file))]  # fmt: skip
         given = flows.get(draft.name)
         lines += [_line(line) for line in MISSING_FLOWS] if given is None else [
-            _line(Line(key, value)) for key, value in given.items()
+            _line(_given(key, value)) for key, value in given.items()
         ]  # fmt: skip
         lines += [_line(line) for line in draft.lines]
     if left:
         lines += ["", "# Not used:"]
         lines += [f"#   {_comment(one.file)}: {_comment(one.reason)}" for one in left]
     return "\n".join(lines) + "\n"
+
+
+def _given(key: str, value: str) -> Line:
+    """The line of what was asked for, which may have been left open."""
+    return Line(key, value, "MISSING" if value.startswith(OPEN) else "")
 
 
 def _line(line: Line) -> str:

@@ -14,11 +14,12 @@ import numpy as np
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.io.draft.exports import Channel, Export, Unread
 from bayes_sensor.io.readers import read_experiment
+from bayes_sensor.io.readers.left_open import MARK as OPEN
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.io.steps import Step
 
-OPEN = "?"
-"""what a value that is missing begins with"""
+SMALLEST = 0.15
+"""of a record's largest step: no experiment is proposed for a smaller one"""
 _MASK = re.compile(r"mask = (\[\[.*\]\])")
 _TRIAL_FLOWS = {"carrier_flow": "1 L/min", "test_gas_flow": "1 L/min"}
 
@@ -169,6 +170,8 @@ class _Part:
     reason: str
     open_end: bool
     """whether the stretch reaches to the end of the record"""
+    grain: float = 0.0
+    """to what its commands are worth being written; 0: to the sampling interval"""
 
 
 def _parts(export: Export, signal: Channel) -> list[_Part]:
@@ -177,6 +180,8 @@ def _parts(export: Export, signal: Channel) -> list[_Part]:
     steps = signal.steps if commands is None else commands.steps
     if not steps:
         return []
+    least = SMALLEST * max(abs(step.height) for step in steps)
+    steps = tuple(step for step in steps if abs(step.height) >= least)
     first, last = float(signal.t[0]), float(signal.t[-1])
     groups: list[list[Step]] = []
     for step in steps:
@@ -202,7 +207,8 @@ def _parts(export: Export, signal: Channel) -> list[_Part]:
             times = [step.start for step in group]
             reason = f"where '{commands.name}' jumps"
         off = times[1] if len(times) > 1 else None
-        parts.append(_Part(start, end, times[0], off, reason, following is None))
+        grain = 0.0 if commands is not None else (group[0].half - times[0]) / 10
+        parts.append(_Part(start, end, times[0], off, reason, following is None, grain))
         start = end
     return parts
 
@@ -254,10 +260,13 @@ def _time_lines(
             lines.append(Line("keep", [f"{OPEN} s", f"{OPEN} s"], "MISSING", words))
         return lines
     step = export.interval * seconds
-    on = _rounded(part.on * seconds, step)
+    coarse = max(step, part.grain * seconds)
+    on = _rounded(max(part.on, part.start) * seconds, coarse)
+    if float(on) < part.start * seconds:
+        on = _rounded(part.on * seconds, step)
     lines = [Line("commanded_on", f"{on} s", "ASSUMED", part.reason)]
     if part.off is not None:
-        lines.append(Line("commanded_off", f"{_rounded(part.off * seconds, step)} s", "ASSUMED"))
+        lines.append(Line("commanded_off", f"{_rounded(part.off * seconds, coarse)} s", "ASSUMED"))
     if cropped:
         start = _rounded(part.start * seconds, step, ROUND_CEILING)
         end = _rounded(part.end * seconds, step)
@@ -270,13 +279,14 @@ def _time_lines(
 
 
 def _rounded(value: float, step: float, way: str = ROUND_FLOOR) -> str:
-    """A time with as many decimals as its sampling interval has, and one more.
+    """A time with as many decimals as steps of that size have.
 
     >>> _rounded(24.98437, 0.01), _rounded(39.0, 1.0)
-    ('24.984', '39')
+    ('24.98', '39')
     """
-    digits = max(0, 1 - int(np.floor(np.log10(step)))) if step > 0 else 3
-    text = str(Decimal(repr(float(value))).quantize(Decimal(1).scaleb(-digits), rounding=way))
+    digits = max(0, -int(np.floor(np.log10(step)))) if step > 0 else 3
+    value = round(value, digits + 4)  # 1.4 is 1.3999.. where a floor is taken of a float
+    text = str(Decimal(repr(value)).quantize(Decimal(1).scaleb(-digits), rounding=way))
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 

@@ -12,6 +12,7 @@ from bayes_sensor.campaign import CampaignError
 
 MARK = "?"
 """what a value that is missing begins with"""
+_NUMBERS = {"s": "24.0", "ms": "1.0", "bar": "1.0", "degC": "21", "%": "11.1"}
 
 
 def check_filled_in(tables: Mapping[str, Any], label: str) -> None:
@@ -50,7 +51,7 @@ def check_filled_in(tables: Mapping[str, Any], label: str) -> None:
         of = f" of experiment{'s' if len(places) > 1 else ''} {shown}" if places else ""
         said.append(f"{', '.join(names)}{of}")
     unit = example.removeprefix(MARK).strip()
-    number = "4.0" if "/" in unit or not unit else "24.0"
+    number = _NUMBERS.get(unit, "4.0")
     are = "is" if len(left) == 1 else "are"
     raise CampaignError(
         f"{label}: {'; '.join(said)} {are} still missing; expected a value in place of '{MARK}': "

@@ -59,7 +59,9 @@ COMMON_FACTORS = {
 def _registry() -> UnitRegistry[Any]:
     from pint import UnitRegistry  # slow to import and to build, so only where a unit is read
 
-    return UnitRegistry()
+    registry = UnitRegistry()
+    registry.define("part_per_billion = 1e-9 = ppb")
+    return registry
 
 
 @lru_cache(maxsize=1024)
