@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from bayes_sensor.campaign import ORDERS, CampaignError, counted
@@ -11,7 +12,7 @@ from bayes_sensor.cli.terminal import say
 from bayes_sensor.io.disk import write_text
 from bayes_sensor.io.draft.campaign_text import Rig, campaign_text, propose_rig
 from bayes_sensor.io.draft.exports import Export, Unread, find_exports
-from bayes_sensor.io.draft.proposal import Answers, Draft, propose
+from bayes_sensor.io.draft.proposed_experiments import Answers, Draft, propose
 from bayes_sensor.io.readers.flow_settings import (
     FLOWS,
     MIXTURE,
@@ -25,8 +26,14 @@ from bayes_sensor.io.readers.quantities import FLOW, TIME, read_quantity
 Ask = Callable[[str], str]
 FILE = "campaign.toml"
 _TRIAL = {"temperature": "21 degC", "pressure": "1 bar"}
-_EXAMPLES = {"carrier_flow": "4.0 L/min", "test_gas_flow": "0.5 L/min", "total_flow": "4.5 L/min",
-             "concentration": "11.1 %", "temperature": "21 degC", "pressure": "1.0 bar"}  # fmt: skip
+_EXAMPLES = {
+    "carrier_flow": "4.0 L/min",
+    "test_gas_flow": "0.5 L/min",
+    "total_flow": "4.5 L/min",
+    "concentration": "11.1 %",
+    "temperature": "21 degC",
+    "pressure": "1.0 bar",
+}
 
 
 def init_campaign(folder: Path, *, overwrite: bool, quiet: bool, ask: Ask | None = None) -> None:
@@ -65,8 +72,8 @@ def init_campaign(folder: Path, *, overwrite: bool, quiet: bool, ask: Ask | None
         flows, rig = _ask_about_rig(drafts, rig, ask)
     text = campaign_text(folder.resolve().name or "campaign", drafts, unread, rig, flows)
     write_text(path, text)
-    missing = sum(OPEN in line.split("#")[0] for line in text.splitlines())
-    marked = f"{counted(text.count('# ASSUMED'), 'assumption')}, {counted(missing, 'missing value')}"
+    missing, assumed = (text.count(f"  # {mark}: ") for mark in ("MISSING", "ASSUMED"))
+    marked = f"{counted(assumed, 'assumption')}, {counted(missing, 'missing value')}"
     say(f"{path}: {marked}, each marked in it", quiet)
     first_step = 'replace each "?", then run ' if missing else ""
     say(f"next: {first_step}bayes-sensor check {path} --plot", quiet)
@@ -99,8 +106,10 @@ def _ask_about_files(exports: Sequence[Export], ask: Ask) -> Answers:
             continue
         if names not in asked:
             usual = export.signal.name
-            question = f"{export.file}: which channel is the sensor's: {', '.join(names)}? [{usual}]"
-            asked[names] = _answer(ask, question, lambda text, names=names: _one_of(text, names))
+            question = (
+                f"{export.file}: which channel is the sensor's: {', '.join(names)}? [{usual}]"
+            )
+            asked[names] = _answer(ask, question, partial(_one_of, names=names))
         if asked[names]:
             signal[export.file] = asked[names]
     interval: dict[str, str] = {}
@@ -124,7 +133,7 @@ def _ask_about_rig(
         ask,
         "flows are known as: 1 carrier and test-gas flow, 2 total flow and concentration "
         "(Enter: leave them open)",
-        lambda text: _one_of(text, ("1", "2")),
+        partial(_one_of, names=("1", "2")),
     )
     keys = {"1": FLOWS, "2": MIXTURE}.get(which, ())
     flows: dict[str, dict[str, str]] = {}
@@ -134,7 +143,7 @@ def _ask_about_rig(
         for key in keys:
             shown = f"[{last[key]}]" if key in last else f"(such as {_EXAMPLES[key]})"
             question = f"{draft.name}: {key.replace('_', ' ')} {shown}"
-            said = _answer(ask, question, lambda text, key=key: _flow(text, key))
+            said = _answer(ask, question, partial(_flow, key=key))
             last[key] = said or last.get(key, "")
             if not last[key]:
                 del last[key]
@@ -144,13 +153,13 @@ def _ask_about_rig(
     if any(is_standard(value) for mine in flows.values() for value in mine.values()):
         for key in ("temperature", "pressure"):
             question = f"{key} of the gas in the rig (such as {_EXAMPLES[key]})"
-            said = _answer(ask, question, lambda text, key=key: _condition(text, key))
+            said = _answer(ask, question, partial(_condition, key=key))
             conditions[key] = said or f"{OPEN} {_EXAMPLES[key].split()[1]}"
     order = _answer(
         ask,
         "the sensor is faster or slower than the other lags that do not depend on flow "
         "(faster, slower, unknown) [unknown]",
-        lambda text: _one_of(text, ORDERS),
+        partial(_one_of, names=ORDERS),
     )
     return flows, Rig(rig.stages, rig.stages_known, order or "unknown", conditions)
 

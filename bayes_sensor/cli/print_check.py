@@ -12,13 +12,10 @@ from bayes_sensor.cli.read_input import check_methods, load
 from bayes_sensor.cli.terminal import lined_up
 from bayes_sensor.io.disk import write_bytes
 
-
 FIGURE = "check.png"
 
 
-def print_check(
-    path: Path, quiet: bool, config: Path | None = None, plot: bool = False
-) -> None:
+def print_check(path: Path, quiet: bool, config: Path | None = None, plot: bool = False) -> None:
     """Print what was understood of a campaign; settings are checked against it.
 
     ``plot``: draw it, too, into a file beside the campaign's.

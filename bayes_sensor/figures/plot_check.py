@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -50,7 +51,7 @@ def understood(campaign: Campaign) -> Figure:
             axes.set_ylabel(f"signal ({campaign.signal_unit})")
         for axes in panels.flat[max(len(shown) - n_columns, 0) : len(shown)]:
             axes.set_xlabel("time (s)")
-        labels: dict[str, object] = {}
+        labels: dict[str, Artist] = {}
         for axes in panels.flat:
             for handle, label in zip(*axes.get_legend_handles_labels()):
                 labels.setdefault(label, handle)

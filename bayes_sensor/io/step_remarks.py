@@ -37,7 +37,10 @@ def step_remarks(e: Experiment, where: str, *, falls_back: bool = False) -> list
 
 def _settles(before: Step | None, step: Step) -> bool:
     """Whether a step takes back a part of the one before, which was held for no time."""
-    if before is None or not -RETURN * abs(before.height) < step.height * np.sign(before.height) < 0:
+    if (
+        before is None
+        or not -RETURN * abs(before.height) < step.height * np.sign(before.height) < 0
+    ):
         return False
     return step.start - before.end < before.end - before.start
 

@@ -9,6 +9,7 @@ and then is fast again, another step began.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +58,7 @@ class Step:
     @property
     def sudden(self) -> bool:
         """Whether it slows down towards its end, as lags do; a drift does not."""
-        return self.half - self.tenth < 0.45 * (self.end - self.tenth)
+        return bool(self.half - self.tenth < 0.45 * (self.end - self.tenth))
 
 
 def find_steps(t: FloatArray, y: FloatArray) -> tuple[Step, ...]:
@@ -92,7 +93,7 @@ def find_steps(t: FloatArray, y: FloatArray) -> tuple[Step, ...]:
     noise = max(noise, wander)
     turns = _turning_points(y, least)
     steps: list[Step] = []
-    for first, last in zip(turns[:-1], turns[1:], strict=True):
+    for first, last in pairwise(turns):
         sign = 1.0 if y[last] > y[first] else -1.0
         for a, b in _parts(sign * y[first : last + 1], least):
             found = _step(t, y, first + a, first + b, steps[-1].end if steps else -np.inf, noise)
@@ -104,7 +105,7 @@ def find_steps(t: FloatArray, y: FloatArray) -> tuple[Step, ...]:
 def _wander(y: FloatArray) -> float:
     """V, standard deviation of what a record does over a hundredth of its length, steps apart."""
     apart = max(len(y) // PART, 1)
-    return 1.4826 * float(np.median(np.abs(y[apart:] - y[:-apart]))) / np.sqrt(2.0)
+    return 1.4826 * float(np.median(np.abs(y[apart:] - y[:-apart])) / np.sqrt(2.0))
 
 
 def _held(t: FloatArray, y: FloatArray, steps: list[Step], least: float) -> tuple[Step, ...]:
@@ -219,7 +220,7 @@ def _parts(rise: FloatArray, least: float) -> list[tuple[int, int]]:
         return whole
     # a plateau lies within its part of the height: the signal leaves it where that part ends
     places = [0, *(int(passed[i]) - 1 for i in cuts), len(rise) - 1]
-    return [(a, b) for a, b in zip(places[:-1], places[1:], strict=True) if b > a]
+    return [(a, b) for a, b in pairwise(places) if b > a]
 
 
 def _least_before(spent: IntArray, limit: int) -> float:

@@ -81,9 +81,7 @@ def test_a_mixture_that_cannot_be_used(flows: str, message: str, tmp_path: Path)
     [("500 sccm", 0.5), ("0.5 slm", 0.5), ("0.5 SLPM", 0.5), ("8 sccs", 0.48), ("500 nml/min", 0.5),
      ("0.5 nL/min", 0.5), ("500 mln/min", 0.5), ("5e2 sccm", 0.5)],
 )  # fmt: skip
-def test_standard_units_are_moles_a_time(
-    text: str, litres_a_minute: float, tmp_path: Path
-) -> None:
+def test_standard_units_are_moles_a_time(text: str, litres_a_minute: float, tmp_path: Path) -> None:
     """Through the amount of substance: n = p V / (R T) at 0 degC and 1 atm, V again in the rig."""
     conditions = '[conditions]\ntemperature = "294.15 K"\npressure = "95 kPa"\n'
     (e,) = read(tmp_path, f'carrier_flow = "{text}"\ntest_gas_flow = "1 mL/s"', conditions)

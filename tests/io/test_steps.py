@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -51,7 +53,7 @@ def test_a_train_of_pulses_is_counted() -> None:
     edges = [(5.0 + 2.5 * i, (-1.0) ** i) for i in range(20)]
     found = find_steps(T, response(edges, 0.2) + coloured(len(T), 0.8, 0.03, 4))
     assert len(found) == 20
-    assert all(a.height * b.height < 0 for a, b in zip(found, found[1:]))
+    assert all(a.height * b.height < 0 for a, b in pairwise(found))
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.9, 0.99, 0.998])

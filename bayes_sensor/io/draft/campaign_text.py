@@ -10,7 +10,7 @@ from typing import Any
 
 from bayes_sensor.campaign import STAGES
 from bayes_sensor.io.draft.exports import Unread
-from bayes_sensor.io.draft.proposal import Draft, Line
+from bayes_sensor.io.draft.proposed_experiments import Draft, Line
 from bayes_sensor.io.readers.left_open import MARK as OPEN
 
 _COLUMN = 34
@@ -50,7 +50,8 @@ def campaign_text(
     """
     lines = [
         "# Written by bayes-sensor init from the exports in this folder.",
-        f'# MISSING: replace each "{OPEN}" by what was set.  ASSUMED: correct it where it is wrong.',
+        f'# MISSING: replace each "{OPEN}" by what was set.',
+        "# ASSUMED: correct it where it is wrong.",
         "# Then look at it:  bayes-sensor check campaign.toml --plot",
         "",
         f"title = {_toml(title)}",
@@ -86,7 +87,8 @@ def campaign_text(
 
 def _given(key: str, value: str) -> Line:
     """The line of what was asked for, which may have been left open."""
-    return Line(key, value, "MISSING" if value.startswith(OPEN) else "")
+    missing = value.startswith(OPEN)
+    return Line(key, value, "MISSING" if missing else "", "left open" if missing else "")
 
 
 def _line(line: Line) -> str:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -154,7 +153,7 @@ class Export:
         return None
 
     def drive(self, signal: Channel) -> Channel | None:
-        """The channel of the valve's drive: one pulse that begins before the signal's first step."""
+        """The channel of the valve's drive: one pulse, begun before the signal's first step."""
         for channel in self.channels:
             if channel is signal or not channel.jumps or len(channel.steps) > 2:
                 continue
@@ -193,12 +192,7 @@ def find_exports(folder: Path) -> tuple[list[Export], list[Unread]]:
         )
     paths = _data_files(folder.iterdir())
     if not paths:
-        paths = _data_files(
-            Path(root) / name
-            for root, folders, names in os.walk(folder)
-            if not folders.sort() and not Path(root).name.startswith(".")
-            for name in names
-        )
+        paths = _data_files(folder.rglob("*"))
     if not paths:
         raise CampaignError(
             f"{folder}: expected data files ending in {', '.join(FORMATS)}, but there is none; "
@@ -221,8 +215,7 @@ def find_exports(folder: Path) -> tuple[list[Export], list[Unread]]:
     return exports, unread
 
 
-def _data_files(paths: object) -> list[Path]:
-    assert hasattr(paths, "__iter__")
+def _data_files(paths: Iterable[Path]) -> list[Path]:
     found = [
         path
         for path in paths

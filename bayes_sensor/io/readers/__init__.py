@@ -31,8 +31,8 @@ from bayes_sensor.io.readers.campaign_file import (
 from bayes_sensor.io.readers.flow_settings import settle_all_flows
 from bayes_sensor.io.readers.left_open import check_filled_in
 from bayes_sensor.io.readers.matlab import read_matlab
-from bayes_sensor.io.readers.other_channels import signal_remarks
 from bayes_sensor.io.readers.npz import read_npz
+from bayes_sensor.io.readers.other_channels import signal_remarks
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.io.readers.recording import DataFile, Recording, Selection
 from bayes_sensor.io.readers.spreadsheet import read_xlsx

@@ -168,9 +168,10 @@ def settle_flows(
     if not standard:
         return settled, ""
     said = (
-        f"a litre in {', '.join(standard)} was taken at {conditions.standard_temperature - 273.15:.4g} "
-        f"degC and {conditions.standard_pressure / 1e5:.6g} bar, and holds "
-        f"{conditions.expansion:.4g} L in the rig"
+        f"a litre in {', '.join(standard)} was taken at "
+        f"{conditions.standard_temperature - 273.15:.4g} degC and "
+        f"{conditions.standard_pressure / 1e5:.6g} bar, and fills {conditions.expansion:.4g} L in "
+        "the rig"
     )
     return settled, said
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -44,7 +44,9 @@ def signal_remarks(
     constant = bool(y.min() == y.max())
     if entry.signal is not None and not constant:
         return []
-    mine = () if constant else find_steps(*_finite(recording))
+    mine = [] if constant else _main(find_steps(*_finite(recording)))
+    if not (constant or mine):
+        return []
     moving = [name for name in others[:MOST] if _moves_with(mine, name, entry, read)]
     if not moving:
         return []
@@ -58,7 +60,7 @@ def signal_remarks(
 
 
 def _moves_with(
-    mine: tuple[Step, ...], name: str, entry: Entry, read: Callable[[Selection], Recording]
+    mine: Sequence[Step], name: str, entry: Entry, read: Callable[[Selection], Recording]
 ) -> bool:
     """Whether a channel is measured and shows a step while the signal does; any, without one."""
     if is_set_point(name):
@@ -69,10 +71,22 @@ def _moves_with(
         return False
     if len(np.unique(y)) < FEWEST_VALUES:
         return False
-    theirs = find_steps(t, y)
+    theirs = _main(find_steps(t, y))
     if not mine:
         return bool(theirs)
-    return any(a.start < b.end and b.start < a.end for a in mine for b in theirs)
+    return len(theirs) == len(mine) and all(map(_begin_together, mine, theirs))
+
+
+def _main(steps: Sequence[Step]) -> list[Step]:
+    """Those of at least 0.4 of the largest step."""
+    largest = max((abs(step.height) for step in steps), default=0.0)
+    return [step for step in steps if abs(step.height) >= 0.4 * largest]
+
+
+def _begin_together(a: Step, b: Step) -> bool:
+    """Whether two responses may be those of two lags to one gas: they begin at one time."""
+    shorter = min(a.end - a.start, b.end - b.start)
+    return a.sudden and b.sudden and abs(a.start - b.start) <= 0.5 * shorter
 
 
 def _finite(recording: Recording) -> tuple[FloatArray, FloatArray]:

@@ -92,10 +92,8 @@ def _of_export(export: Export, name: str, answers: Answers) -> list[Draft]:
         signal = export.channel(answers.signal[export.file])
     lines = _signal_lines(export, signal)
     if not export.timed and export.file not in answers.interval:
-        lines.append(
-            Line("interval", f"{OPEN} ms", "MISSING", "the file has no times: the time from one "
-                 "sample to the next")  # fmt: skip
-        )
+        words = "the file has no times: the time from one sample to the next"
+        lines.append(Line("interval", f"{OPEN} ms", "MISSING", words))
     elif not export.timed:
         lines.append(Line("interval", answers.interval[export.file]))
     lines += _flow_hints(export)
@@ -143,7 +141,9 @@ def _flow_hints(export: Export) -> list[Line]:
         except CampaignError:
             continue
         if is_flow and len(channel.y):
-            said = f"'{channel.name}' reads {float(np.median(channel.y)):.4g} {channel.unit} (median)"
+            said = (
+                f"'{channel.name}' reads {float(np.median(channel.y)):.4g} {channel.unit} (median)"
+            )
             hints.append(Line("", "", "", said))
     return hints
 
@@ -168,8 +168,6 @@ class _Part:
     on: float
     off: float | None
     reason: str
-    open_end: bool
-    """whether the stretch reaches to the end of the record"""
     grain: float = 0.0
     """to what its commands are worth being written; 0: to the sampling interval"""
 
@@ -197,7 +195,9 @@ def _parts(export: Export, signal: Channel) -> list[_Part]:
         following = groups[i + 1][0] if i + 1 < len(groups) else None
         end = last
         if following is not None:  # most of the way, so that the level before the step is kept
-            end = group[-1].end + 0.6 * (following.start - group[-1].end)
+            cut = group[-1].end + 0.6 * (following.start - group[-1].end)
+            i = int(np.clip(np.searchsorted(signal.t, cut), 1, len(signal.t) - 1))
+            end = float(signal.t[i - 1] + signal.t[i]) / 2  # between two samples
         if commands is None:
             begin = start + export.interval * (start > first)
             times = _before_steps(group, begin, export.interval)
@@ -208,7 +208,7 @@ def _parts(export: Export, signal: Channel) -> list[_Part]:
             reason = f"where '{commands.name}' jumps"
         off = times[1] if len(times) > 1 else None
         grain = 0.0 if commands is not None else (group[0].half - times[0]) / 10
-        parts.append(_Part(start, end, times[0], off, reason, following is None, grain))
+        parts.append(_Part(start, end, times[0], off, reason, grain))
         start = end
     return parts
 
@@ -246,9 +246,7 @@ def _before_steps(group: Sequence[Step], begin: float, interval: float) -> list[
     return times
 
 
-def _time_lines(
-    export: Export, part: _Part, seconds: float | None, cropped: bool
-) -> list[Line]:
+def _time_lines(export: Export, part: _Part, seconds: float | None, cropped: bool) -> list[Line]:
     if seconds is None:
         samples = f"{part.reason.replace(' s)', ')')}, counted in samples"
         lines = [Line("commanded_on", f"{OPEN} s", "MISSING", f"{samples}: sample {part.on:.0f}")]
@@ -266,12 +264,11 @@ def _time_lines(
         on = _rounded(part.on * seconds, step)
     lines = [Line("commanded_on", f"{on} s", "ASSUMED", part.reason)]
     if part.off is not None:
-        lines.append(Line("commanded_off", f"{_rounded(part.off * seconds, coarse)} s", "ASSUMED"))
+        off = _rounded(part.off * seconds, coarse)
+        lines.append(Line("commanded_off", f"{off} s", "ASSUMED", "likewise"))
     if cropped:
-        start = _rounded(part.start * seconds, step, ROUND_CEILING)
-        end = _rounded(part.end * seconds, step)
-        if part.open_end:
-            end = _rounded(part.end * seconds, step, ROUND_CEILING)
+        start = _rounded(part.start * seconds, step / 10)
+        end = _rounded(part.end * seconds, step / 10, ROUND_CEILING)
         lines.append(
             Line("keep", [f"{start} s", f"{end} s"], "ASSUMED", "the stretch around this step")
         )
@@ -310,9 +307,7 @@ def _tried(draft: Draft, folder: Path) -> Draft:
     return Draft(draft.name, draft.file, draft.lines, draft.unit, reason or said)
 
 
-def _of_one_unit(
-    drafts: list[Draft], left: list[Unread]
-) -> tuple[list[Draft], list[Unread]]:
+def _of_one_unit(drafts: list[Draft], left: list[Unread]) -> tuple[list[Draft], list[Unread]]:
     """The experiments of the most common unit; a campaign has one."""
     units = [draft.unit or "V" for draft in drafts]
     if not units:
