@@ -9,14 +9,16 @@ from __future__ import annotations
 import difflib
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, CampaignError, Experiment
+from bayes_sensor.campaign import STAGES, Campaign, CampaignError, Experiment
 from bayes_sensor.io.readers.arrow import read_feather, read_parquet
-from bayes_sensor.io.readers.assembly import assemble, design, settled_unit
+from bayes_sensor.io.readers.assembly import Assembled, assemble, design, settled_unit
 from bayes_sensor.io.readers.campaign_file import (
     LARGEST,
     Entry,
@@ -26,13 +28,17 @@ from bayes_sensor.io.readers.campaign_file import (
     read_side_information,
     read_toml,
 )
+from bayes_sensor.io.readers.flow_settings import settle_all_flows
+from bayes_sensor.io.readers.left_open import check_filled_in
 from bayes_sensor.io.readers.matlab import read_matlab
 from bayes_sensor.io.readers.npz import read_npz
+from bayes_sensor.io.readers.other_channels import signal_remarks
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.io.readers.recording import DataFile, Recording, Selection
 from bayes_sensor.io.readers.spreadsheet import read_xlsx
 from bayes_sensor.io.readers.table import read_table
 from bayes_sensor.io.readers.tdms import read_tdms
+from bayes_sensor.rig.layout import Layout
 
 Reader = Callable[[DataFile, Selection], Recording]
 
@@ -55,7 +61,7 @@ LARGEST_FILE = 256 << 20
 """bytes of a data file"""
 _LONGEST_MESSAGE = 2000
 
-__all__ = ["FORMATS", "read_campaign"]
+__all__ = ["FORMATS", "read_campaign", "read_experiment", "read_recording"]
 
 
 def read_campaign(path: str | os.PathLike[str]) -> Campaign:
@@ -111,30 +117,43 @@ def _read(path: Path) -> Campaign:
         )
     where = label if path.exists() else str(path)
     content = _read_bytes(path, where, LARGEST, "a campaign file in TOML")
-    sheet = read_sheet(read_toml(content, label), label)
+    tables = read_toml(content, label)
+    check_filled_in(tables, label)
+    sheet = read_sheet(tables, label)
     rig = read_rig(sheet.rig, label)
-    side_information = read_side_information(sheet.side_information, label)
-    entries = [read_entry(table, i, label) for i, table in enumerate(sheet.experiment, 1)]
+    settled, warnings = settle_all_flows(sheet.experiment, sheet.conditions, label)
+    entries = [read_entry(table, i, label) for i, table in enumerate(settled, 1)]
     _check_entries(entries, label)
     experiments: list[Experiment] = []
     units: list[tuple[str, str]] = []
-    warnings: list[str] = []
     for entry in entries:
-        if entry.file is None:
-            experiments.append(design(entry, label))
-            units.append((entry.name, settled_unit(entry.signal_unit or "V")))
-            continue
-        file = _open(entry, path.parent, sheet.allow_outside)
-        selection = Selection(entry.signal, entry.drive, entry.time, entry.interval)
-        reader = FORMATS[Path(entry.file).suffix.casefold()]
-        # damaged files hold numbers that overflow; what is not finite is told or masked
-        with np.errstate(over="ignore", invalid="ignore"):
-            recording = reader(file, selection)
-            done = assemble(entry, file, recording)
-        experiments.append(done.experiment)
-        units.append((entry.name, done.unit))
-        warnings += done.warnings
-    return Campaign(
+        for own, record, sensor in _by_sensor(entry):
+            if entry.file is None:
+                made = design(own, label)
+                unit = settled_unit(own.signal_unit or "V")
+            else:
+                done = _measured(own, path.parent, sheet.allow_outside)
+                made, unit = done.experiment, done.unit
+                warnings += [text for text in done.warnings if text not in warnings]
+            experiments.append(replace(made, record=record, sensor=sensor))
+            units.append((own.name, unit))
+    sensors = [e.sensor for e in experiments if e.sensor]
+    if sensors and len(sensors) < len(experiments):
+        raise CampaignError(
+            f"{label}: some experiments have signals and some have signal; expected the sensors of "
+            "every record: write signals in all of them"
+        )
+    stages = rig.stages or STAGES
+    if rig.stages is None and not any(e.flow_known for e in experiments):
+        stages = tuple(stage for stage in STAGES if stage != "manifold")
+        warnings.append(
+            f"{label}: no flows are given, so the rig is taken as {' and '.join(stages)}, without a "
+            "volume; write [rig] stages to say what the gas passes"
+        )
+    side_information = read_side_information(
+        sheet.side_information, label, stages, tuple(dict.fromkeys(sensors))
+    )
+    found = Campaign(
         title=sheet.title,
         experiments=tuple(experiments),
         side_information=side_information,
@@ -142,7 +161,56 @@ def _read(path: Path) -> Campaign:
         warnings=tuple(_one_line(text) for text in warnings),
         source=str(path),
         sensor_is=rig.sensor_is,
+        stages=stages,
     )
+    Layout.of(found)  # raises where a stage needs a flow that is not known
+    return found
+
+
+def _by_sensor(entry: Entry) -> list[tuple[Entry, str, str]]:
+    """The entry of each sensor, with the names of the record and the sensor."""
+    if not entry.signals:
+        return [(entry, "", "")]
+    return [
+        (
+            entry.model_copy(update={"name": f"{entry.name},{sensor}", "signal": column,
+                                     "signals": {}}),
+            entry.name,
+            sensor,
+        )
+        for sensor, column in entry.signals.items()
+    ]  # fmt: skip
+
+
+def _measured(entry: Entry, folder: Path, allow_outside: bool) -> Assembled:
+    """The experiment of an entry with a file."""
+    file = _open(entry, folder, allow_outside)
+    selection = Selection(entry.signal, entry.drive or entry.input, entry.time, entry.interval)
+    reader = FORMATS[Path(entry.file or "").suffix.casefold()]
+    # damaged files hold numbers that overflow; what is not finite is told or masked
+    with np.errstate(over="ignore", invalid="ignore"):
+        recording = reader(file, selection)
+        said = signal_remarks(entry, recording, lambda other: reader(file, other))
+        return assemble(entry, file, replace(recording, notes=(*recording.notes, *said)))
+
+
+def read_recording(path: Path, where: str, selection: Selection) -> Recording:
+    """The recording in one data file, as its format's reader gives it.
+
+    ``where`` is the file's name in messages.  Raises CampaignError as :func:`read_campaign` does.
+    """
+    reader = FORMATS[path.suffix.casefold()]
+    file = DataFile(path, where, _read_bytes(path, where, LARGEST_FILE, "a data file"))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return reader(file, selection)
+
+
+def read_experiment(table: Mapping[str, Any], folder: Path, label: str) -> Assembled:
+    """The experiment of one table ``[[experiment]]`` with a file, in ``folder``.
+
+    Raises CampaignError as :func:`read_campaign` does.
+    """
+    return _measured(read_entry(dict(table), 1, label), folder, False)
 
 
 def _one_line(text: str) -> str:

@@ -11,9 +11,10 @@ from bayes_sensor.io.readers.campaign_file import Entry
 from bayes_sensor.io.readers.commanded_times import (
     check_times,
     compare_times,
-    drive_times,
+    drive_commands,
     times_of_entry,
 )
+from bayes_sensor.io.readers.programme import commands_of_input, inside
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.io.readers.recording import MAX_SAMPLES, DataFile, Recording, check_counts
 from bayes_sensor.io.readers.sample_values import (
@@ -58,7 +59,7 @@ def design(entry: Entry, label: str) -> Experiment:
                 f"{where}: the key {key} is missing; a measured experiment needs file, a design "
                 f"needs interval and duration: add {key} = {example}"
             )
-    for key in ("signal", "drive"):
+    for key in ("signal", "drive", "input"):
         if getattr(entry, key) is not None:
             raise CampaignError(
                 f"{where}: {key} belongs to a measured experiment, but there is no file; "
@@ -80,6 +81,7 @@ def design(entry: Entry, label: str) -> Experiment:
     notes: list[str] = []
     used &= ~masked_samples(told.mask, t, entry.interval, where, notes)
     on, off = check_times(told.on, told.off, t, where, notes)
+    commands = None if told.commands is None else inside(told.commands, t, where, notes)
     if notes:
         raise CampaignError(f"{notes[0]}: correct the design")
     return Experiment(
@@ -92,6 +94,7 @@ def design(entry: Entry, label: str) -> Experiment:
         commanded_on=on,
         commanded_off=off,
         mask=used,
+        commands=commands,
     )
 
 
@@ -146,7 +149,14 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
         check_pauses(file, t, told.mask, grid.interval)
     else:
         check_gaps(file, t, ~present & ~excluded, grid.interval, notes)
-    drive_on, drive_off = drive_times(told, file, recording, t, drive, notes)
+    commands = told.commands
+    if entry.input is not None and drive is not None:
+        commands = commands_of_input(t, drive, where, recording.drive_name)
+        drive = None
+    drive_on, drive_off, switched = drive_commands(entry, told, file, recording, t, drive, notes)
+    commands = switched if commands is None else commands
+    if commands is not None:
+        commands = inside(commands, t, where, notes)
     on = told.on if told.on is not None else drive_on
     off = told.off if told.off is not None else drive_off
     on, off = check_times(on, off, t, where, notes)
@@ -180,6 +190,7 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
         drive=drive,
         source=str(entry.file),
         sha256=file.sha256,
+        commands=commands,
     )
     return Assembled(experiment, unit, tuple(notes))
 

@@ -5,16 +5,18 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Sequence
 from datetime import datetime
 from datetime import time as clock_time
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 
 from bayes_sensor.campaign import ORDERS, STAGES, CampaignError, SideInformation
+from bayes_sensor.io.readers.flow_settings import MIXTURE
 from bayes_sensor.io.readers.quantities import (
     FLOW,
+    NUMBER,
     TIME,
     VOLUME,
     Kind,
@@ -24,21 +26,17 @@ from bayes_sensor.io.readers.quantities import (
 )
 from bayes_sensor.io.readers.sampling import LATEST
 from bayes_sensor.io.readers.stamps import Moment, read_moment
+from bayes_sensor.rig.rig import Rig as StagesOfRig
 
 LARGEST = 1 << 20
 """bytes of a campaign file"""
 LONGEST_LINE = 4000
 """characters; longer lines and deeply dotted keys would slow the parser down"""
-_LEAST_FLOW, _MOST_FLOW = 1e-6, 1e6  # mL/s
+_LEAST_FLOW, _MOST_FLOW = 1e-12, 1e6  # mL/s
 
 Span = tuple[float | Moment, float | Moment]
 
-SIDE_INFORMATION: Mapping[str, tuple[str, Kind]] = {
-    "V": ("V_mL", VOLUME),
-    "tau": ("tau_s", Kind("a time", "s", "48 ms")),
-    "tau_v": ("tau_v_s", Kind("a time", "s", "850 ms")),
-}
-"""key in the file: flat parameter name and kind"""
+SHARE = Kind("a concentration", "dimensionless", "5 %")
 
 _EXAMPLES = {
     "name": 'name = "1"',
@@ -59,9 +57,14 @@ _EXAMPLES = {
     "allow_outside": "allow_outside = true",
     "experiment": '[[experiment]] with name = "1" and its keys',
     "side_information": '[side_information] with V = "60 +- 2 mL"',
+    "steps": 'steps = [{at = "10 s", to = "5 %"}, {at = "70 s", to = "0 %"}]',
+    "delays": 'delays = "shared"',
+    "signals": 'signals = {A = "column 1", B = "column 2"}',
+    "input": 'input = "C"',
     "rig": '[rig] with sensor_is = "faster"',
     "stages": 'stages = ["valve", "manifold", "sensor"]',
     "sensor_is": 'sensor_is = "faster"',
+    "conditions": '[conditions] with temperature = "21 degC" and pressure = "1.0 bar"',
 }
 
 
@@ -99,6 +102,88 @@ def _clock(value: object, info: ValidationInfo) -> float | Moment:
         if moment is not None:
             return moment
     return _time(value, info)
+
+
+def _clocks(value: object, info: ValidationInfo) -> float | Moment | tuple[float | Moment, ...]:
+    """One time, or a list of them: a pulse train."""
+    if not isinstance(value, list):
+        return _clock(value, info)
+    if not value:
+        raise CampaignError(
+            f"{_key(info)}: expected a time or a list of times, but got an empty list; leave the "
+            "key out where nothing was commanded"
+        )
+    return tuple(_clock(each, info) for each in value)
+
+
+class Step(NamedTuple):
+    """One step of a staircase: when, s or on the recorder's clock, and to which share."""
+
+    at: float | Moment
+    to: float
+    percent: bool
+
+
+def _steps(value: object, info: ValidationInfo) -> tuple[Step, ...]:
+    key = _key(info)
+    fix = f"write for example {_EXAMPLES[key]}"
+    if not isinstance(value, list) or not value:
+        raise CampaignError(f"{key}: expected a list of steps, but got {_shorten(value)}; {fix}")
+    found = []
+    for each in value:
+        if not isinstance(each, dict) or each.keys() != {"at", "to"}:
+            raise CampaignError(
+                f"{key}: expected each step as {{at = .., to = ..}}, but got {_shorten(each)}; {fix}"
+            )
+        level, percent = _level(each["to"], key, fix)
+        found.append(Step(_clock(each["at"], info), level, percent))
+    if len({step.percent for step in found if step.to != 0.0}) > 1:
+        raise CampaignError(
+            f"{key}: expected all steps in % (or ppm) or all as shares from 0 to 1, but got both; "
+            f"{fix}"
+        )
+    return tuple(found)
+
+
+def _level(value: object, key: str, fix: str) -> tuple[float, bool]:
+    """The share of a step's ``to``, and whether it was written with a unit."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        share, percent = float(value), False
+    elif isinstance(value, str) and re.fullmatch(NUMBER, value.strip()):
+        share, percent = float(value), False
+    else:
+        share, percent = read_quantity(value, SHARE, f"{key}: to"), True
+    if not 0.0 <= share <= 1.0:
+        raise CampaignError(
+            f"{key}: expected a concentration between 0 and 100 %, or a share from 0 to 1, but got "
+            f"{_shorten(value)}; {fix}"
+        )
+    return share, percent
+
+
+def _delays(value: object, info: ValidationInfo) -> str | None:
+    if value not in ("free", "shared"):
+        raise CampaignError(
+            f'delays: expected "free" (each switch has a time of its own) or "shared" (one start '
+            f"and one end delay for the record), but got {_shorten(value)}; correct it"
+        )
+    return str(value)
+
+
+def _signals(value: object, info: ValidationInfo) -> dict[str, str]:
+    key = _key(info)
+    if not isinstance(value, dict) or not value:
+        raise CampaignError(
+            f"{key}: expected the column of each sensor by its name, but got {_shorten(value)}; "
+            f"write for example {_EXAMPLES[key]}"
+        )
+    for name in value:
+        if not name.strip() or any(c in name for c in "[],"):
+            raise CampaignError(
+                f"{key}: expected a name without brackets and commas for each sensor, but got "
+                f"'{name[:40]}'; rename it"
+            )
+    return {name: _plain_text(column, info) for name, column in value.items()}
 
 
 def _positive_time(value: object, info: ValidationInfo) -> float:
@@ -173,7 +258,7 @@ def _unit(value: object, info: ValidationInfo) -> str:
 
 Text = Annotated[str, BeforeValidator(_plain_text)]
 Flow = Annotated[float, BeforeValidator(_flow)]
-OnClock = Annotated[float | Moment, BeforeValidator(_clock)]
+OnClocks = Annotated[float | Moment | tuple[float | Moment, ...], BeforeValidator(_clocks)]
 PositiveTime = Annotated[float, BeforeValidator(_positive_time)]
 
 
@@ -184,12 +269,16 @@ class Entry(BaseModel):
 
     name: Text
     file: Text | None = None
-    carrier_flow: Flow
-    test_gas_flow: Flow
-    commanded_on: OnClock | None = None
-    commanded_off: OnClock | None = None
+    carrier_flow: Flow | None = None
+    test_gas_flow: Flow | None = None
+    commanded_on: OnClocks | None = None
+    commanded_off: OnClocks | None = None
+    steps: Annotated[tuple[Step, ...], BeforeValidator(_steps)] = ()
+    delays: Annotated[str | None, BeforeValidator(_delays)] = None
     signal: Text | None = None
+    signals: Annotated[dict[str, str], BeforeValidator(_signals)] = Field(default_factory=dict)
     drive: Text | None = None
+    input: Text | None = None
     time: Text | None = None
     signal_unit: Annotated[str, BeforeValidator(_unit)] | None = None
     keep: Annotated[Span, BeforeValidator(_range)] | None = None
@@ -199,12 +288,13 @@ class Entry(BaseModel):
 
 
 def _stages(value: object, info: ValidationInfo) -> tuple[str, ...]:
-    if value != list(STAGES):
+    if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
         raise CampaignError(
-            f"stages: expected {', '.join(STAGES)}, the one chain of stages that is known so far, "
-            f"but got {_shorten(value)}; leave the key out or write {_EXAMPLES['stages']}"
+            f"stages: expected a list of what the gas passes, in order, but got {_shorten(value)}; "
+            f"write for example {_EXAMPLES['stages']}"
         )
-    return STAGES
+    StagesOfRig.parse(value)
+    return tuple(value)
 
 
 def _order(value: object, info: ValidationInfo) -> str:
@@ -221,7 +311,7 @@ class Rig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
-    stages: Annotated[tuple[str, ...], BeforeValidator(_stages)] = STAGES
+    stages: Annotated[tuple[str, ...] | None, BeforeValidator(_stages)] = None
     sensor_is: Annotated[str, BeforeValidator(_order)] = "unknown"
 
 
@@ -234,6 +324,7 @@ class Sheet(BaseModel):
     allow_outside: bool = False
     rig: dict[str, Any] = Field(default_factory=dict)
     side_information: dict[str, Any] = Field(default_factory=dict)
+    conditions: dict[str, Any] = Field(default_factory=dict)
     experiment: list[dict[str, Any]] = Field(min_length=1)
 
 
@@ -316,14 +407,27 @@ def read_rig(table: dict[str, Any], label: str) -> Rig:
         raise CampaignError(f"{label}: [rig] {_first_problem(error, Rig)}") from None
 
 
-def read_side_information(table: dict[str, Any], label: str) -> dict[str, SideInformation]:
-    """Parameters measured elsewhere, by flat parameter name and in its unit."""
+def read_side_information(
+    table: dict[str, Any], label: str, stages: Sequence[str] = STAGES, sensors: Sequence[str] = ()
+) -> dict[str, SideInformation]:
+    """Parameters measured elsewhere, by flat parameter name and in its unit.
+
+    ``stages``: the rig's; ``sensors``: their names where there are several.
+    """
+    known = {}
+    for name in StagesOfRig.parse(stages).names:
+        key, _, unit = name.rpartition("_")
+        kind = VOLUME if unit == "mL" else Kind("a time", "s", "48 ms")
+        if name == "tau_s" and sensors:
+            known |= {f"{key}[{each}]": (f"{name}[{each}]", kind) for each in sensors}
+        else:
+            known[key] = name, kind
     found = {}
     for key, value in table.items():
         where = f"{label}: [side_information]"
-        if key not in SIDE_INFORMATION:
-            raise CampaignError(f"{where} {_unknown(key, list(SIDE_INFORMATION))}")
-        name, kind = SIDE_INFORMATION[key]
+        if key not in known:
+            raise CampaignError(f"{where} {_unknown(key, list(known))}")
+        name, kind = known[key]
         try:
             found[name] = SideInformation(*read_spread(value, kind, key))
         except CampaignError as error:
@@ -345,7 +449,7 @@ def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
     first = min(problems, key=lambda problem: rank.get(problem["type"], 2))
     key = str(first["loc"][0]) if first["loc"] else ""
     if first["type"] == "extra_forbidden":
-        return _unknown(key, list(model.model_fields))
+        return _unknown(key, [*model.model_fields, *(MIXTURE if model is Entry else ())])
     if first["type"] == "value_error":
         return str(first["ctx"]["error"])
     example = _EXAMPLES.get(key, key)

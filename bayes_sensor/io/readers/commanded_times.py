@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.campaign import CampaignError, Commands, FloatArray
 from bayes_sensor.io.readers.campaign_file import Entry
-from bayes_sensor.io.readers.drive import commanded_times
+from bayes_sensor.io.readers.drive import drive_edges
+from bayes_sensor.io.readers.programme import (
+    check_keys,
+    commands_of_edges,
+    commands_of_entry,
+    single,
+)
 from bayes_sensor.io.readers.recording import Clock, DataFile, Recording
 from bayes_sensor.io.readers.sampling import FIRST_EPOCH
 from bayes_sensor.io.readers.stamps import DAY, Moment
@@ -23,6 +29,8 @@ class EntryTimes:
     off: float | None
     keep: tuple[float, float] | None
     mask: tuple[tuple[float, float], ...]
+    commands: Commands | None = None
+    """where it is more than one pulse"""
 
 
 def times_of_entry(entry: Entry, where: str, clock: Clock | None) -> EntryTimes:
@@ -61,33 +69,50 @@ def times_of_entry(entry: Entry, where: str, clock: Clock | None) -> EntryTimes:
             )
         return start, end
 
-    on, off = entry.commanded_on, entry.commanded_off
+    check_keys(entry, where)
+    commands = commands_of_entry(entry, where, seconds)
+    on, off = single(entry.commanded_on), single(entry.commanded_off)
+    if commands is not None:
+        on = off = None
     return EntryTimes(
         None if on is None else seconds(on, "commanded_on"),
         None if off is None else seconds(off, "commanded_off"),
         None if entry.keep is None else pair(entry.keep, "keep"),
         tuple(pair(part, "mask") for part in entry.mask),
+        commands,
     )
 
 
-def drive_times(
+def drive_commands(
+    entry: Entry,
     told: EntryTimes,
     file: DataFile,
     recording: Recording,
     t: FloatArray,
     drive: FloatArray | None,
     notes: list[str],
-) -> tuple[float | None, float | None]:
+) -> tuple[float | None, float | None, Commands | None]:
+    """Times of a drive's one pulse, or its programme."""
     if drive is None:
-        return None, None
+        return None, None, None
     name = recording.drive_name
     try:
-        return commanded_times(t, drive, lambda text: file.error(f"drive '{name}': {text}"))
+        times, high = drive_edges(t, drive, lambda text: file.error(f"drive '{name}': {text}"))
     except CampaignError as error:
-        if told.on is None:
+        if told.on is None and told.commands is None:
             raise
         notes.append(f"{error} (commanded_on is given, so the drive was not used)")
-        return None, None
+        return None, None, None
+    commands = commands_of_edges(times, high, entry, file.where)
+    if commands is None:
+        return times[0], times[1] if len(times) == 2 else None, None
+    if told.on is not None or told.commands is not None:
+        notes.append(
+            f"{file.where}: the drive '{name}' has {len(times)} edges; commanded_on is given, so "
+            "the drive was not used"
+        )
+        return None, None, None
+    return None, None, commands
 
 
 def check_times(

@@ -14,10 +14,10 @@ MOST_BETWEEN = 0.3
 """share of the samples that may lie in the middle third between the levels"""
 
 
-def commanded_times(
+def drive_edges(
     t: FloatArray, drive: FloatArray, error: Callable[[str], CampaignError]
-) -> tuple[float, float | None]:
-    """Times in s of the rising edge and of the falling edge (None where it stays on).
+) -> tuple[list[float], bool]:
+    """Times in s of all edges, up and down in turn, and whether the drive starts high.
 
     The levels are the extremes after a median filter of five samples; the state changes above
     two thirds and below one third of the way between them, and an edge is dated by the first
@@ -26,7 +26,7 @@ def commanded_times(
     Raises
     ------
     CampaignError
-        If there is no edge, the signal is inverted, or there are several pulses.
+        If there is no edge.
     """
     finite = np.isfinite(drive)
     if finite.sum() < 5:
@@ -63,23 +63,9 @@ def commanded_times(
             f"the drive shows no edge that lasts {SHORTEST} samples (levels {low:.4g} and "
             f"{high:.4g}); choose another channel, or give commanded_on instead"
         )
-    if levels[0] == 1:
-        raise error(
-            f"the drive starts high and first falls at {t[starts[1]]:.10g} s; expected it to start "
-            "low and rise when the valve opens: it may be inverted, so give commanded_on and "
-            "commanded_off instead of drive, or keep only the step"
-        )
     middle = (low + high) / 2
     times = [round(float(t[_crossing(smooth, int(i), middle)]), 9) for i in starts[1:]]
-    if len(times) > 2:
-        listed = ", ".join(f"{time:.10g} s" for time in times[:6])
-        more = ", ..." if len(times) > 6 else ""
-        raise error(
-            f"the drive has {len(times)} edges ({listed}{more}); expected one pulse: give "
-            f'keep = ["0 s", "{times[2]:.10g} s"] or the like to crop to one, or commanded_on '
-            "and commanded_off"
-        )
-    return times[0], times[1] if len(times) == 2 else None
+    return times, bool(levels[0] == 1)
 
 
 def _steady_runs(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -64,6 +64,8 @@ class Roles:
     fraction: int | None = None
     """the milliseconds of the times, likewise"""
     notes: tuple[str, ...] = field(default=())
+    channels: tuple[int, ...] = ()
+    """columns of numbers that are no time and no counter"""
 
 
 def choose_roles(
@@ -140,7 +142,9 @@ def choose_roles(
     fix = f"which is the time column; choose one of {list_names(others)}"
     time = times[0] if times else None
     check_chosen(file, names, time, signal, drive, fix)
-    return Roles(times, signal, drive, date, fraction, tuple(notes))
+    numbers = (i for i, fact in enumerate(facts) if fact.kind == "number")
+    channels = tuple(i for i in numbers if i == signal or i not in taken)
+    return Roles(times, signal, drive, date, fraction, tuple(notes), channels)
 
 
 def _check_interval(file: DataFile, fact: Facts, name: str, interval: float) -> None:
@@ -259,7 +263,7 @@ def _default_signal(
             'export both, in columns of their own, or write interval = "1 ms" for samples without '
             "times"
         )
-    measured = [i for i in numbers if not _is_set_point(facts[i].column.name)]
+    measured = [i for i in numbers if not is_set_point(facts[i].column.name)]
     if drive is not None and len(measured) > 1:
         folded = drive.strip().casefold()
         measured = [i for i in measured if names[i].casefold() != folded] or measured
@@ -282,7 +286,12 @@ def _default_signal(
     return measured[0]
 
 
-def _is_set_point(name: str) -> bool:
+def is_set_point(name: str) -> bool:
+    """Whether a column is called a set point, or the error of a value.
+
+    >>> is_set_point("MFC_target"), is_set_point("flow_carrier_error"), is_set_point("offset")
+    (True, True, False)
+    """
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     return bool(_SET_POINT.search(spaced) or _ERROR.search(spaced))
 
