@@ -12,7 +12,7 @@ import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.io.readers import FORMATS, read_recording
-from bayes_sensor.io.readers.drive import commanded_times
+from bayes_sensor.io.readers.drive import drive_edges
 from bayes_sensor.io.readers.recording import Clock, Recording, Selection, split_name
 from bayes_sensor.io.readers.roles import is_set_point
 from bayes_sensor.io.steps import Step, find_steps
@@ -158,9 +158,12 @@ class Export:
             if channel is signal or not channel.jumps or len(channel.steps) > 2:
                 continue
             try:
-                on, off = commanded_times(channel.t, channel.y, CampaignError)
+                times, starts_high = drive_edges(channel.t, channel.y, CampaignError)
             except CampaignError:
                 continue
+            if starts_high or len(times) > 2:
+                continue
+            on, off = times[0], times[1] if len(times) > 1 else None
             if signal.steps and on > signal.steps[0].half:
                 continue
             if off is not None and len(signal.steps) > 1 and off > signal.steps[1].half:
