@@ -103,7 +103,8 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
         if experiment.y is None:
             continue
         where = _where(experiment)
-        fallen = experiment.commanded_off is None and falls_back(experiment)
+        alone = experiment.commands is None and experiment.commanded_off is None
+        fallen = alone and falls_back(experiment)
         end = (
             f"{where}: the record ends where it began, as after a fall, but the command of one is "
             "unknown, and the model holds the plateau to the end: give commanded_off or drive, or "
