@@ -144,7 +144,8 @@ def _converged(problem: Problem, vector: FloatArray, sigma: float, noise: str) -
     if noise == "iid":
         problem = replace(problem, noise=Noise("constant", "white"))
         layout = problem.layout
-        vector = np.concatenate([vector[:n], [0.0, sigma, 0.0]])
+        white = np.tile([0.0, sigma, 0.0], len(layout.noise_names) // 3)
+        vector = np.concatenate([vector[:n], white])
         if problem.model.extra:
             raise CampaignError("cramer_rao: models with extra parameters are not covered")
         return expected_information(problem, vector)[:n, :n]

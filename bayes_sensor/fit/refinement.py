@@ -93,14 +93,15 @@ class Squares:
             x, index, slopes = response_slopes(t, theta, self.layout, k, e.total_flow)
         else:
             x, index, slopes = euler_slopes(t, theta, self.layout, k, e)
-        columns = [*index.tolist(), i_y0, i_beta]
+        n = len(self.layout.rig.names)
+        columns = [*index[:n].tolist(), i_y0, i_beta, *index[n:].tolist()]
         J = np.empty((len(t), len(columns)))
-        J[:, :-2] = beta * slopes
-        J[:, -2] = 1.0
-        J[:, -1] = x
+        J[:, :n] = beta * slopes[:, :n]
+        J[:, n] = 1.0
+        J[:, n + 1] = x
+        J[:, n + 2 :] = beta * slopes[:, n:]
         if self.straight:
-            n = len(self.layout.rig.names)
-            J[:, 0] = (J[:, 0] - J[:, n:-2].sum(axis=1)) / (2.0 * self._own(p)[0])
+            J[:, 0] = (J[:, 0] - J[:, n + 2 :].sum(axis=1)) / (2.0 * theta[0])
         return y0 + beta * x - y, J, columns
 
     def _on_clock(self, t: FloatArray, theta: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:

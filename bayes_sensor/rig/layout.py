@@ -159,8 +159,8 @@ class Layout:
         return self.rig.taus(theta[self.shared[k]], flow)
 
     def slowest(self, theta: FloatArray, k: int, flow: float) -> float:
-        """s, the longest of :meth:`taus`."""
-        return float(self.taus(theta, k, flow).max())
+        """s, the longest of :meth:`taus`; a lag may be zero here."""
+        return float(self.rig.lags(theta[self.shared[k]], flow).max())
 
     @property
     def one_sensor(self) -> bool:

@@ -183,6 +183,12 @@ class Rig:
             )
         return np.nan
 
+    def lags(self, shared: FloatArray, flow: float | None = None) -> FloatArray:
+        """:meth:`taus` without a check: a lag may be zero."""
+        return np.array(
+            [lag for passage in self._passages(shared, flow) for lag in passage.lags], dtype=float
+        )
+
     def taus(self, shared: FloatArray, flow: float | None = None) -> FloatArray:
         """(n_lags, ..) s, the lags in the order of the stages.
 
@@ -195,9 +201,7 @@ class Rig:
 
         Raises CampaignError unless all are positive.
         """
-        taus = np.array(
-            [lag for passage in self._passages(shared, flow) for lag in passage.lags], dtype=float
-        )
+        taus = self.lags(shared, flow)
         if not (taus.min() > 0.0 and taus.max() < np.inf):
             raise CampaignError(
                 f"time constants must be positive, but those of "

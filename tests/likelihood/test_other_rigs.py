@@ -28,7 +28,9 @@ def _responses(case: Case) -> list[FloatArray]:
     found = []
     for e in case.design:
         rig = Rig.parse(case.design.stages)
-        shared = np.array([case.shared.get(n, case.shared.get(f"{n}[{e.sensor}]")) for n in rig.names])
+        shared = np.array(
+            [case.shared.get(n, case.shared.get(f"{n}[{e.sensor}]")) for n in rig.names]
+        )
         done = e.commands
         programme: Programme | RecordedInput
         if done is None:
@@ -111,9 +113,10 @@ def test_lags_that_coincide_take_the_stable_form() -> None:
     shared = {**equal.shared, "tau_v_s": 2.0, "tau_probe_s": 2.0}
     case = equal._replace(shared=shared)
     data = case.simulated()
-    assert log_likelihood(data, case.theta, ) == pytest.approx(
-        compress(data, case.theta).log_likelihood(case.theta), abs=1e-3
-    )
+    assert log_likelihood(
+        data,
+        case.theta,
+    ) == pytest.approx(compress(data, case.theta).log_likelihood(case.theta), abs=1e-3)
 
 
 def test_lags_stand_in_theta_by_size() -> None:

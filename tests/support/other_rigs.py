@@ -80,7 +80,10 @@ def _cell() -> Case:
 def _four_lags() -> Case:
     both = experiment("1", 50.0), experiment("2", 100.0), experiment("3", 200.0)
     rig = Campaign(
-        "four stages", both, sensor_is="slower", stages=("valve", "manifold", "probe: lag", "sensor")
+        "four stages",
+        both,
+        sensor_is="slower",
+        stages=("valve", "manifold", "probe: lag", "sensor"),
     )
     return Case(rig, {"tau_s": 6.0, "tau_v_s": 0.7, "tau_probe_s": 2.0, "V_mL": 150.0})
 
