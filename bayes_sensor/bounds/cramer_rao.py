@@ -249,10 +249,7 @@ def step_study(
         for method in ("euler", "exact"):
             for difference in ("forward", "central"):
                 bound = cramer_rao(campaign, theta, sigma, float(step), method, difference)
-                row = {
-                    name: bound[name]
-                    for name in bound.names[: as_problem(campaign).layout.n_shared]
-                }
+                row = {name: bound[name] for name in bound.names[:n_shared]}
                 identified = bool(np.isfinite(bound.sd).all())
                 rows.append(
                     {

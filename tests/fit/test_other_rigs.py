@@ -42,7 +42,7 @@ def test_the_truth_is_found(name: str, fitted: dict[str, Any]) -> None:
 
 
 def test_one_lag_agrees_with_a_fit_by_hand(fitted: dict[str, Any]) -> None:
-    case, data, fit = fitted["sensor"]
+    _, data, fit = fitted["sensor"]
     t, parts = data["1"].t, [data["1"].values, data["2"].values]
 
     def residuals(p: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.lags import Commuting
 from bayes_sensor.rig.programme import Programme, RecordedInput
 from bayes_sensor.rig.rig import Rig
-from tests.support.other_rigs import CASES, INTERVAL, T, Case, experiment
+from tests.support.other_rigs import CASES, INTERVAL, Case, T, experiment
 
 
 @pytest.fixture(params=CASES, scope="module")

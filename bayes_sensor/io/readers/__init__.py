@@ -171,6 +171,11 @@ def _by_sensor(entry: Entry) -> list[tuple[Entry, str, str]]:
     """The entry of each sensor, with the names of the record and the sensor."""
     if not entry.signals:
         return [(entry, "", "")]
+    if entry.signal is not None:
+        raise CampaignError(
+            f"experiment '{entry.name}' ({entry.file}): both signal and signals are given; expected "
+            "one of them: remove signal"
+        )
     return [
         (
             entry.model_copy(

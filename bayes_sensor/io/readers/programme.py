@@ -36,10 +36,6 @@ def check_keys(entry: Entry, where: str) -> None:
             f"{where}: delays is for several switches in a record (lists in commanded_on, steps or "
             "drive), but there are none; remove it"
         )
-    if entry.signals and entry.signal is not None:
-        raise CampaignError(
-            f"{where}: both signal and signals are given; expected one of them: remove signal"
-        )
 
 
 def commands_of_entry(entry: Entry, where: str, seconds: Seconds) -> Commands | None:
@@ -113,8 +109,8 @@ def within_record(commands: Commands, t: FloatArray, where: str, notes: list[str
     if commands.times[0] < first or commands.times[0] >= last:
         raise CampaignError(
             f"{where}: the first command is at {commands.times[0]:.10g} s, but the record runs "
-            f"from {first:.10g} s to {last:.10g} s; expected times on the record's own axis: correct "
-            "them, or the crop in keep"
+            f"from {first:.10g} s to {last:.10g} s; expected times on the record's own axis: "
+            "correct them, or the crop in keep"
         )
     kept = commands.times < last
     if kept.all():
