@@ -91,14 +91,18 @@ def _panel(axes: Axes, e: Experiment) -> None:
 
 def _samples(axes: Axes, t: FloatArray, y: FloatArray, used: BoolArray) -> None:
     """The used samples: as points where there are few, else the range of each stretch."""
-    if used.sum() <= BINS:
-        axes.plot(t[used], y[used], ".-", color=DATA, ms=2.5, lw=0.6, label="samples in use")
+    if len(t) <= BINS:
+        shown = np.where(used, y, np.nan)  # the line breaks where samples are left out
+        axes.plot(t, shown, ".-", color=DATA, ms=2.5, lw=0.6, label="samples in use")
         return
-    places = np.flatnonzero(used)
-    parts = [part for part in np.array_split(places, BINS) if len(part)]
+    parts = np.array_split(np.arange(len(t)), BINS)
+    some = [used[part].any() for part in parts]
+    bounds = [
+        (y[part][used[part]].min(), y[part][used[part]].max()) if any_used else (np.nan, np.nan)
+        for part, any_used in zip(parts, some, strict=True)
+    ]
     middle = np.array([t[part].mean() for part in parts])
-    low = np.array([y[part].min() for part in parts])
-    high = np.array([y[part].max() for part in parts])
+    low, high = np.array(bounds).T
     axes.fill_between(middle, low, high, color=DATA, lw=0.8, label="samples in use")
 
 
