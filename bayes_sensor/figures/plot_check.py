@@ -22,6 +22,7 @@ from bayes_sensor.figures.style import (
     style,
 )
 from bayes_sensor.io.check import quiet_spans
+from bayes_sensor.io.step_remarks import commands_of
 from bayes_sensor.io.steps import find_steps
 
 BINS = 900
@@ -60,11 +61,10 @@ def understood(campaign: Campaign) -> Figure:
 
 
 def _panel(axes: Axes, e: Experiment) -> None:
-    axes.set_title(
-        f"{shortened(e.name, 30)}   {60 * e.total_flow / 1e3:.4g} L/min, "
-        f"{100 * e.concentration:.3g} %",
-        fontsize=8,
-    )
+    flow = "flow not known"
+    if e.flow_known:
+        flow = f"{60 * e.total_flow / 1e3:.4g} L/min, {100 * e.concentration:.3g} %"
+    axes.set_title(f"{shortened(e.name, 30)}   {flow}", fontsize=8)
     if e.y is not None:
         _samples(axes, e.t, e.values, e.used)
         for number, (start, end, level) in enumerate(quiet_spans(e)):
@@ -78,15 +78,20 @@ def _panel(axes: Axes, e: Experiment) -> None:
     for number, (first, last) in enumerate(_spans_left_out(e)):
         axes.axvspan(first, last, color=PALE, alpha=0.7, lw=0, zorder=0.5,
                      label=None if number else "left out")  # fmt: skip
-    for time, label, dashes in (
-        (e.commanded_on, "commanded on", "-"),
-        (e.commanded_off, "commanded off", "--"),
-    ):
-        if time is not None:
-            axes.axvline(time, color=ORANGE, lw=1.1, ls=dashes, label=label)
+    for time, up in _commands(e):
+        label = "commanded on" if up else "commanded off"
+        axes.axvline(time, color=ORANGE, lw=1.1, ls="-" if up else "--", label=label)
     axes.set_xlim(e.t[0], e.t[-1])
     axes.xaxis.set_major_locator(MaxNLocator(7))
     axes.yaxis.set_major_locator(MaxNLocator(4))
+
+
+def _commands(e: Experiment) -> list[tuple[float, bool]]:
+    """Time (s) of every command, and whether it lets in more test gas."""
+    times = [time for _, time in commands_of(e)]
+    if e.commands is not None and times:
+        return list(zip(times, (e.commands.heights > 0).tolist(), strict=True))
+    return [(time, time == e.commanded_on) for time in times]
 
 
 def _samples(axes: Axes, t: FloatArray, y: FloatArray, used: BoolArray) -> None:

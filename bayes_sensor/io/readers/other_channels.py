@@ -58,7 +58,7 @@ def signal_remarks(
     step = "steps" if len(moving) == 1 else "step"
     return [
         f"{list_names(moving)} {step} at the same time as '{signal}', which was taken as the "
-        "signal; set signal to the sensor that is meant, and make a campaign for each sensor"
+        "signal; set signal to the sensor that is meant, or name all in signals = {..}"
     ]
 
 
