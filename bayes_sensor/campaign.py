@@ -83,9 +83,7 @@ class Commands:
         for label, values in (("time", times), ("level", levels)):
             if not np.isfinite(values).all():
                 i = int(np.argmin(np.isfinite(values)))
-                raise CampaignError(
-                    f"commands: {label} {i + 1} is {values[i]}; expected a number"
-                )
+                raise CampaignError(f"commands: {label} {i + 1} is {values[i]}; expected a number")
         late = np.flatnonzero(np.diff(times) <= 0.0)
         if late.size:
             i = int(late[0])
@@ -238,12 +236,8 @@ class Experiment:
         about = "" if self.regular else "about "
         flow = "flow unknown"
         if self.flow_known:
-            flow = (
-                f"{self.total_flow * 0.06:.4g} L/min, {100 * self.concentration:.3g} % test gas"
-            )
-        return (
-            f"Experiment({self.name!r}: {what}, one every {about}{self.interval:.4g} s, {flow})"
-        )
+            flow = f"{self.total_flow * 0.06:.4g} L/min, {100 * self.concentration:.3g} % test gas"
+        return f"Experiment({self.name!r}: {what}, one every {about}{self.interval:.4g} s, {flow})"
 
     @cached_property
     def regular(self) -> bool:
@@ -473,6 +467,11 @@ class Campaign:
         """Whether all experiments share one total flow: then tau_v and V cannot be told apart."""
         flows = np.array([experiment.total_flow for experiment in self.experiments])
         return bool(np.ptp(flows) <= 1e-6 * flows.max())
+
+    @property
+    def flows_known(self) -> bool:
+        """Whether the flows of all experiments are given."""
+        return all(e.flow_known for e in self.experiments)
 
     @property
     def same_interval(self) -> bool:

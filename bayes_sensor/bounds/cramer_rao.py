@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayes_sensor.bounds.gaussian_intervals import invert
-from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.likelihood.density import response_at_samples
 from bayes_sensor.likelihood.mesh import NO_TAU, above_zero, expected_information
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.rig.cascade import euler_response, local_parameters, time_constants
+from bayes_sensor.rig.cascade import euler_response, local_parameters
 from bayes_sensor.rig.layout import Layout, Theta
 
 if TYPE_CHECKING:
@@ -247,7 +247,10 @@ def step_study(
         for method in ("euler", "exact"):
             for difference in ("forward", "central"):
                 bound = cramer_rao(campaign, theta, sigma, float(step), method, difference)
-                row = {name: bound[name] for name in bound.names[: as_problem(campaign).layout.n_shared]}
+                row = {
+                    name: bound[name]
+                    for name in bound.names[: as_problem(campaign).layout.n_shared]
+                }
                 identified = bool(np.isfinite(bound.sd).all())
                 rows.append(
                     {

@@ -33,7 +33,9 @@ def run_bounds(job: Job) -> None:
         record["not_explained"] = None
         theta = _named_theta(job) if asked.explain else None
         if asked.explain and theta is None:
-            record["not_explained"] = NOT_EXPLAINED
+            record["not_explained"] = (
+                NOT_EXPLAINED if job.problem.layout.one_sensor else SEVERAL_SENSORS
+            )
         elif theta is not None:
             tell(0.95, "what makes tau hard")
             record["what_makes_tau_hard"] = _hardness(job, theta, compared)
@@ -45,6 +47,9 @@ NOT_EXPLAINED = (
     "which lag is the sensor's is not known, so what makes tau hard and what would help is not "
     "told; say [rig] sensor_is in the campaign"
 )
+
+
+SEVERAL_SENSORS = "there are several sensors: what makes one tau hard is not told"
 
 
 def reference_theta(job: Job) -> Any:
@@ -66,7 +71,7 @@ def _named_theta(job: Job) -> dict[str, Any] | None:
     from bayes_sensor.fit.side_information import named_parameters
 
     naming, theta = naming_of(job), reference_theta(job)
-    if naming.order == "undecided":
+    if naming.order == "undecided" or not job.problem.layout.one_sensor:
         return None
     nested: dict[str, Any] = job.problem.layout.nested(theta)
     return {**nested, **named_parameters(naming, theta)}
@@ -83,7 +88,7 @@ def naive_bounds(job: Job) -> dict[str, Any]:
     vector, sigma = reference_theta(job), float(job.fit.rms)
     names, factors = zip(*naming_of(job).labels, strict=True)
     found: dict[str, Any] = {
-        "at": plain(dict(zip(names, vector[:3] * factors, strict=True))),
+        "at": plain(dict(zip(names, vector[: len(names)] * factors, strict=True))),
         "sigma_V": sigma,
     }
     for name, method in METHODS.items():
@@ -91,7 +96,7 @@ def naive_bounds(job: Job) -> dict[str, Any]:
             continue
         try:
             bound = cramer_rao(job.problem, vector, sigma, **method.cramer_rao)
-            found[name] = plain(dict(zip(names, bound.sd[:3] * factors, strict=True)))
+            found[name] = plain(dict(zip(names, bound.sd[: len(names)] * factors, strict=True)))
         except CampaignError:  # forward Euler is unstable for a tau below half a sample
             found[name] = None
     return found
@@ -99,15 +104,17 @@ def naive_bounds(job: Job) -> dict[str, Any]:
 
 def _study(job: Job) -> list[dict[str, Any]] | None:
     from bayes_sensor.bounds import step_study
-    from bayes_sensor.rig.layout import SHARED
 
+    if not job.problem.layout.is_published:
+        return None
     try:
         table = step_study(job.problem, reference_theta(job), float(job.fit.rms))
     except CampaignError:
         return None
     names, factors = zip(*naming_of(job).labels, strict=True)
-    table[list(SHARED)] *= np.array(factors)
-    table = table.rename(columns=dict(zip(SHARED, names, strict=True)))
+    shared = list(job.problem.layout.shared_names)
+    table[shared] *= np.array(factors)
+    table = table.rename(columns=dict(zip(shared, names, strict=True)))
     rows: list[dict[str, Any]] = table.to_dict(orient="records")
     return rows
 
@@ -120,9 +127,11 @@ def _hardness(job: Job, theta: dict[str, Any], compared: Any) -> dict[str, Any]:
     return record
 
 
-def _help(job: Job, theta: dict[str, Any]) -> list[dict[str, Any]]:
+def _help(job: Job, theta: dict[str, Any]) -> list[dict[str, Any]] | None:
     from bayes_sensor.design import what_if
 
+    if not job.problem.layout.is_published:
+        return None
     rows: list[dict[str, Any]] = what_if(job.problem, theta).to_dict("records")
     return rows
 

@@ -20,23 +20,44 @@ def response_time_record(job: Job) -> dict[str, Any]:
 
     If it is not known which lag is the sensor's, there is a row for each, with its probability.
     """
-    from bayes_sensor.rig.response_times import response_time_table
+    from bayes_sensor.rig.response_times import response_time_rows
 
     undecided = job.posterior.naming.order == "undecided"
-    tau, tau_v, volume = (job.posterior.of(name) for name in ("tau_s", "tau_v_s", "V_mL"))
-    some = slice(None, None, max(1, len(tau) // MOST_DRAWS))
-    flows = [e.total_flow for e in job.problem.campaign]
-    rows = response_time_table(tau[some], tau_v[some], volume[some], flows).to_dict("records")
+    rows: list[dict[str, Any]] = [*response_time_rows(_systems(job))]
     if undecided:
         rows[:1] = [_sensor_row(each) for each in job.posterior.assignments]
     found = None
-    if job.command == "analyze" and not undecided:
+    if job.command == "analyze" and not undecided and job.problem.layout.is_published:
         # three seconds that a posterior alone need not wait for
         from bayes_sensor.coating import infer_d_zif8
 
-        found = infer_d_zif8(tau, seed=job.seed).to_json()
+        found = infer_d_zif8(job.posterior.of("tau_s"), seed=job.seed).to_json()
     left_out = {"d_zif8_left_out": WHOSE_COATING} if undecided else {}
     return {"response_times": rows, "d_zif8": found, **left_out}
+
+
+def _systems(job: Job) -> list[tuple[str, float | None, Any]]:
+    """Each sensor alone, and the whole chain to it at each total flow, with draws of their times.
+
+    The chain's times do not depend on which lag is whose.
+    """
+    from bayes_sensor.rig.response_times import response_times
+
+    posterior, layout = job.posterior, job.problem.layout
+    every = slice(None, None, max(1, len(posterior.draws) // MOST_DRAWS))
+    named, draws = posterior.named[every], posterior.draws[every]
+    sensors: list[tuple[str, float | None, Any]] = []
+    chains: dict[tuple[str, float], Any] = {}
+    for k, e in enumerate(job.problem.campaign):
+        name = f"sensor {e.sensor}".strip()
+        if name not in [known for known, _, _ in sensors]:
+            sensors.append((name, None, response_times([named[:, layout.shared[k, 0]]])))
+        flow = e.total_flow if layout.rig.needs_flow else float("nan")
+        where = (f"chain to {e.sensor}" if e.sensor else "chain", flow if flow == flow else -1.0)
+        if where not in chains:
+            taus = layout.rig.taus(draws[:, layout.shared[k]].T, flow)
+            chains[where] = (where[0], flow, response_times(taus))
+    return [*sensors, *(chains[where] for where in sorted(chains))]
 
 
 def _sensor_row(assignment: Mapping[str, Any]) -> dict[str, Any]:

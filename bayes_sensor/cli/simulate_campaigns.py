@@ -22,6 +22,7 @@ from bayes_sensor.io.results import Results
 from bayes_sensor.io.writers import FORMATS, write_campaign
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.layout import Layout
 
 START_DELAY, END_DELAY = (0.1340, 0.1125e3), (0.0161, 0.0745e3)
 """s and mL: the published delay lines, for a design without switch times of its own"""
@@ -43,7 +44,14 @@ def published_design() -> tuple[Campaign, dict[str, Any]]:
 
 
 def default_truth(design: Campaign) -> dict[str, Any]:
-    """Parameters for a design that comes with none: the published rig's, delays on its lines."""
+    """Parameters for a design that comes with none: the published rig's, delays on its lines.
+
+    On another rig the sensor's lag is a fiftieth of the shortest record and every other lag a
+    third of that.
+    """
+    layout = Layout.of(design)
+    if not layout.is_published:
+        return _other_truth(design, layout)
     experiments = {}
     for e in design:
         on = e.commanded_on if e.commanded_on is not None else float(e.t[0] + 0.2 * np.ptp(e.t))
@@ -61,6 +69,34 @@ def default_truth(design: Campaign) -> dict[str, Any]:
     return theta
 
 
+def _other_truth(design: Campaign, layout: Layout) -> dict[str, Any]:
+    """Parameters for a design of another rig or programme."""
+    shortest = min(len(e.t) * e.interval for e in design)
+    flow = float(np.median([e.total_flow for e in design]))
+    theta: dict[str, Any] = {}
+    for i, name in enumerate(layout.shared_names):
+        lag = shortest / 50.0 * (i + 1 if "[" in name else 1.0)
+        if not name.startswith("tau_s"):
+            lag /= 3.0
+        theta[name] = lag * flow if name.startswith("V_") else lag
+    for name in layout.noise_names:
+        theta[name] = DEFAULTS[name.partition("[")[0]]
+    experiments: dict[str, dict[str, float]] = {}
+    for e, switching, record in zip(design, layout.switching, layout.records, strict=True):
+        experiments.setdefault(e.name, {}).update(y0_V=0.2, beta_V=2.0)
+        begin = e.commanded_on if e.commanded_on is not None else float(e.t[0])
+        commanded = [begin, e.commanded_off]
+        if e.commands is not None and not e.commands.recorded and not any(switching.offsets):
+            commanded = e.commands.times.tolist()
+        if any(switching.offsets) or switching.recorded is not None:
+            commanded = [0.0] * len(switching.names)
+        late = 10.0 * e.interval
+        experiments.setdefault(record, {}).update(
+            {kind: at + late for kind, at in zip(switching.names, commanded) if at is not None}
+        )
+    return {**theta, "experiments": experiments}
+
+
 def resized(
     campaign: Campaign, truth: dict[str, Any], duration: float | None, interval: float | None
 ) -> tuple[Campaign, dict[str, Any]]:
@@ -68,6 +104,11 @@ def resized(
     are unchanged."""
     if duration is None and interval is None:
         return campaign, truth
+    if not Layout.of(campaign).is_published:
+        raise CampaignError(
+            "--duration and --interval are for the published rig and one pulse a record; expected "
+            "the lengths of another design in its file: write interval and duration there"
+        )
     experiments, own = [], {}
     for e in campaign:
         h = interval or e.interval
@@ -224,16 +265,26 @@ def simulate_campaign(
             given = fit_least_squares(plan, seed=seed, euler=False, progress=tell).parameters
     plan = _empty(plan)
     theta = given or default_truth(plan)
-    theta["experiments"] = {n: theta["experiments"][n] for n in plan.names_of_experiments}
+    kept = {*plan.names_of_experiments, *(e.record_name for e in plan)}
+    theta["experiments"] = {n: own for n, own in theta["experiments"].items() if n in kept}
     plan, theta = resized(plan, theta, values.get("duration"), values.get("interval"))
     flat = {"tau": "tau_s", "tau_v": "tau_v_s", "V": "V_mL", "sigma0": "sigma0_V",
             "sigma1": "sigma1_V"}  # fmt: skip
-    theta.update({flat[k]: v for k, v in values.items() if k in flat})
+    asked = {flat[k]: v for k, v in values.items() if k in flat}
+    known = Layout.of(plan)
+    for name in asked:
+        if name not in (*known.shared_names, *known.noise_names):
+            raise CampaignError(
+                f"--{name.rsplit('_', 1)[0]}: this rig has no such parameter; it has "
+                f"{', '.join(known.shared_names)}: give others by --truth"
+            )
+    theta.update(asked)
     if phi is not None:
         theta["phi"] = phi
-    for name in ("phi", "sigma0_V", "sigma1_V"):
-        theta.setdefault(name, DEFAULTS[name] if name == "sigma0_V" else 0.0)
-    if plan.sensor_is != "unknown":  # the truth says it as well
+    for name in known.noise_names:
+        kind = name.partition("[")[0]
+        theta.setdefault(name, DEFAULTS[kind] if kind == "sigma0_V" else 0.0)
+    if plan.sensor_is != "unknown" and known.is_published:  # the truth says it as well
         order = "faster" if theta["tau_s"] <= theta["tau_v_s"] else "slower"
         plan = replace(plan, sensor_is=order)
     problem = make_problem(plan, overrides, config.name if config is not None else "--config")
@@ -258,8 +309,13 @@ def simulate_campaign(
                 files={} if source is None else {source.name: sha256(source)},
             )  # fmt: skip
     say(
-        f"{counted(len(recorded), 'experiment')} with tau = {1e3 * theta['tau_s']:g} ms, "
-        f"seed {seed}",
+        f"{counted(len(recorded), 'experiment')} with "
+        + ", ".join(
+            f"{name.replace('_s', '', 1)} = {1e3 * theta[name]:g} ms"
+            for name in known.shared_names
+            if name.startswith("tau_s")
+        )
+        + f", seed {seed}",
         quiet,
     )
     say(f"campaign: {results.path('campaign.toml')}", quiet)

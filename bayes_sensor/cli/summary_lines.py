@@ -107,12 +107,13 @@ def _lags_of_fit(fit: Any) -> str:
     from bayes_sensor.report import number, time_words
 
     estimates = fit.estimates()
-    volume = estimates.pop("V_mL", None)
+    volumes = {name: estimates.pop(name) for name in [*estimates] if name.startswith("V_")}
     seen = {name: value for name, value in estimates.items() if value is not None}
     said = []
-    for name, symbol in (("tau_s", "tau"), ("tau_v_s", "tau_v")):
-        if name in estimates:
-            value = estimates[name]
+    for name, value in estimates.items():
+        if name.startswith("tau"):
+            kind, bracket, rest = name.partition("[")
+            symbol = kind.removesuffix("_s") + bracket + rest
             said.append(
                 f"{symbol} too short to be seen" if value is None
                 else f"{symbol} = {time_words(value)}"
@@ -124,8 +125,11 @@ def _lags_of_fit(fit: Any) -> str:
         said.append("any other is too short to be seen" if seen else "no lag can be seen")
     if fit.order == "undecided":
         said[-1] += " (which is the sensor's is not known: say [rig] sensor_is)"
-    if volume is not None:
-        said.append(f"V = {number(volume)} mL")
+    said += [
+        f"{name.removesuffix('_mL')} = {number(value)} mL"
+        for name, value in volumes.items()
+        if value is not None
+    ]
     return ", ".join(said)
 
 

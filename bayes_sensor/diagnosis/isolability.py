@@ -167,8 +167,7 @@ def _repeated(binned: BinnedCampaign, n: int) -> BinnedCampaign:
 
 def _second_flow(binned: BinnedCampaign, factor: float) -> BinnedCampaign:
     more = tuple(
-        replace(e.with_flow(factor), name=f"{e.name} at {factor:g} Q")
-        for e in binned.campaign
+        replace(e.with_flow(factor), name=f"{e.name} at {factor:g} Q") for e in binned.campaign
     )
     return replace(
         binned,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from bayes_sensor.campaign import Experiment, FloatArray
-from bayes_sensor.likelihood.density import response_at_samples, mean_and_variance
+from bayes_sensor.likelihood.density import mean_and_variance, response_at_samples
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import Cascade

@@ -103,9 +103,7 @@ class Squares:
             J[:, 0] = (J[:, 0] - J[:, n:-2].sum(axis=1)) / (2.0 * self._own(p)[0])
         return y0 + beta * x - y, J, columns
 
-    def _on_clock(
-        self, t: FloatArray, theta: FloatArray, k: int
-    ) -> tuple[FloatArray, FloatArray]:
+    def _on_clock(self, t: FloatArray, theta: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
         """Times and theta on the clock of the commands, where switches are moved by delays."""
         switching = self.layout.switching[k]
         if any(switching.offsets) or not switching.moves:

@@ -146,7 +146,9 @@ class SwarmProblem:
                 z_high[own] = (high[places] - e.commands.times).min()
         return z_low, z_high
 
-    def guess(self, looks: list[Look], rise: float, low: FloatArray, high: FloatArray) -> FloatArray:
+    def guess(
+        self, looks: list[Look], rise: float, low: FloatArray, high: FloatArray
+    ) -> FloatArray:
         """A start from the records (n_mean,): the shortest lag is a small share of the rise, the
         others a third each; the whole rise where there is one lag."""
         layout = self.problem.layout

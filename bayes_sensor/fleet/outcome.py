@@ -56,7 +56,9 @@ def row_of(results: Results, name: str, file: str, report: str, message: str) ->
     for symbol, unit in SHARED:
         if order == "undecided" and (symbol != "V" or campaign["same_flow"]):
             continue
-        own = parameters[f"{symbol}_{unit}"]
+        own = parameters.get(f"{symbol}_{unit}")
+        if own is None:  # another rig
+            continue
         for end, percentile in PERCENTILES.items():
             row[f"{symbol}{end}_{unit}"] = own[percentile]
         row[f"{symbol}_sd_{unit}"] = own["sd"]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_sensor import __version__
-from bayes_sensor.campaign import STAGES, Campaign
+from bayes_sensor.campaign import Campaign
 from bayes_sensor.io.json_files import plain, sha256
 
 RUN_VERSION = 1
@@ -53,7 +53,7 @@ def campaign_record(
         "signal_unit": campaign.signal_unit,
         "reference_interval_s": campaign.reference_interval,
         "same_flow": campaign.same_flow,
-        "stages": list(STAGES),
+        "stages": list(campaign.stages),
         "sensor_is": campaign.sensor_is,
         "n_samples": campaign.n_samples,
         "side_information": {

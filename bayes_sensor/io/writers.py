@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.campaign import STAGES, Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.io.disk import write_bytes
 
 FORMATS = ("csv", "picoscope-csv", "mat", "npz")
@@ -204,23 +204,37 @@ def campaign_text(campaign: Campaign, files: Mapping[str, Mapping[str, str]]) ->
     <BLANKLINE>
     """
     lines = [f"title = {_quoted(campaign.title)}", ""]
+    rig = []
+    if campaign.stages != STAGES:
+        rig.append(f"stages = [{', '.join(map(_quoted, campaign.stages))}]")
     if campaign.sensor_is != "unknown":
-        lines += ["[rig]", f'sensor_is = "{campaign.sensor_is}"', ""]
+        rig.append(f'sensor_is = "{campaign.sensor_is}"')
+    if rig:
+        lines += ["[rig]", *rig, ""]
     if campaign.side_information:
         lines.append("[side_information]")
         for name, known in campaign.side_information.items():
-            key, _, unit = name.rpartition("_")
+            kind, bracket, rest = name.partition("[")
+            key, _, unit = kind.rpartition("_")
+            key = _quoted(f"{key}[{rest}") if bracket else key
             lines.append(f'{key} = "{known.mean:.12g} +- {known.sd:.12g} {unit}"')
         lines.append("")
-    for experiment in campaign:
-        lines += ["[[experiment]]", f"name = {_quoted(experiment.name)}"]
-        keys = files.get(experiment.name, {})
+    for together in _records(campaign):
+        experiment = together[0]
+        lines += ["[[experiment]]", f"name = {_quoted(experiment.record_name)}"]
+        keys = files.get(experiment.record_name, {})
         lines += [f"{key} = {_quoted(value)}" for key, value in keys.items()]
+        if experiment.sensor:
+            own = [f"{_quoted(e.sensor)} = {_quoted(e.sensor)}" for e in together]
+            lines.append(f"signals = {{{', '.join(own)}}}")
         if campaign.signal_unit != "V":
             lines.append(f"signal_unit = {_quoted(campaign.signal_unit)}")
-        lines.append(f'carrier_flow = "{experiment.carrier_flow * 0.06:.12g} L/min"')
-        lines.append(f'test_gas_flow = "{experiment.test_gas_flow * 0.06:.12g} L/min"')
-        if experiment.commanded_on is not None:
+        for key in ("carrier_flow", "test_gas_flow"):
+            flow = getattr(experiment, key)
+            if flow is not None:
+                lines.append(f'{key} = "{flow * 0.06:.12g} L/min"')
+        lines += _command_lines(experiment)
+        if experiment.commands is None and experiment.commanded_on is not None:
             lines.append(f'commanded_on = "{_seconds(experiment.commanded_on)} s"')
         if experiment.commanded_off is not None:
             lines.append(f'commanded_off = "{_seconds(experiment.commanded_off)} s"')
@@ -231,6 +245,30 @@ def campaign_text(campaign: Campaign, files: Mapping[str, Mapping[str, str]]) ->
         lines += _mask_lines(experiment)
         lines.append("")
     return "\n".join(lines)
+
+
+def _records(campaign: Campaign) -> list[list[Experiment]]:
+    """The experiments of each record: several where several sensors share it."""
+    found: dict[str, list[Experiment]] = {}
+    for e in campaign:
+        found.setdefault(e.record_name, []).append(e)
+    return list(found.values())
+
+
+def _command_lines(e: Experiment) -> list[str]:
+    """The keys of a programme of more than one pulse."""
+    done = e.commands
+    if done is None or done.recorded:
+        return []
+    if done.rest:
+        raise CampaignError(
+            f"experiment '{e.name}': its input does not begin at zero, which only a recorded drive "
+            "can say; expected a programme from rest"
+        )
+    steps = [
+        f'{{at = "{_seconds(at)} s", to = {to:.12g}}}' for at, to in zip(done.times, done.levels)
+    ]
+    return [f"steps = [{', '.join(steps)}]", f'delays = "{done.delays}"']
 
 
 def write_campaign(
@@ -266,7 +304,8 @@ def write_campaign(
         ) from None
     files: dict[str, Mapping[str, str]] = {}
     taken: set[str] = set()
-    for number, experiment in enumerate(campaign, 1):
+    for number, together in enumerate(_records(campaign), 1):
+        experiment = together[0]
         if experiment.y is None:
             continue
         kind = formats if isinstance(formats, str) else formats.get(experiment.name, "csv")
@@ -275,13 +314,15 @@ def write_campaign(
                 f"experiment '{experiment.name}': the format '{kind}' cannot be written; "
                 f"choose one of {', '.join(FORMATS)}"
             )
-        stem = "exp" + re.sub(r"[^A-Za-z0-9.-]+", "_", experiment.name)[:60].strip(".")
+        stem = "exp" + re.sub(r"[^A-Za-z0-9.-]+", "_", experiment.record_name)[:60].strip(".")
         if stem.casefold() in taken:
             stem = f"{stem}_{number}"
         taken.add(stem.casefold())
-        files[experiment.name] = _write_experiment(
-            experiment, folder, stem, kind, drive, campaign.signal_unit
-        )
+        if experiment.sensor or experiment.commands is not None:
+            keys = _write_columns(together, folder / f"{stem}.csv", kind)
+        else:
+            keys = _write_experiment(experiment, folder, stem, kind, drive, campaign.signal_unit)
+        files[experiment.record_name] = keys
     path = folder / "campaign.toml"
     _write(path, campaign_text(campaign, files).encode("utf-8"))
     return path
@@ -319,6 +360,27 @@ def _write_experiment(
         write_picoscope_mat(path, channels, experiment.interval, float(t[0]))
     else:
         write_picoscope_csv(path, t, channels, units=[unit, "V"][: len(channels)])
+    return keys
+
+
+def _write_columns(together: list[Experiment], path: Path, kind: str) -> Mapping[str, str]:
+    """Write a record of several sensors or with a recorded input as a table of columns."""
+    first = together[0]
+    if kind != "csv":
+        raise CampaignError(
+            f"experiment '{first.record_name}': several sensors, longer programmes and recorded "
+            f"inputs are written as csv only, but the format is '{kind}'; choose csv"
+        )
+    columns = {"time_s": first.t}
+    for e in together:
+        columns[e.sensor or "signal"] = e.values
+    keys = {"file": path.name}
+    if not first.sensor:
+        keys["signal"] = "signal"
+    if first.commands is not None and first.commands.recorded:
+        columns["input"] = np.interp(first.t, first.commands.times, first.commands.levels)
+        keys["input"] = "input"
+    write_csv(path, columns)
     return keys
 
 

@@ -18,6 +18,7 @@ from bayes_sensor.rig.lags import LAG_NAMES
 from bayes_sensor.rig.layout import unit_of
 from bayes_sensor.rig.switching import is_switch_time
 
+
 def variable_of(flat: str) -> str:
     """Name of a parameter's variable: its flat name, for those of rig, records and noise without
     the unit.

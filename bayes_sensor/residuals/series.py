@@ -12,7 +12,7 @@ from scipy import fft
 from scipy.ndimage import uniform_filter1d
 
 from bayes_sensor.campaign import BoolArray, FloatArray
-from bayes_sensor.likelihood.density import response_at_samples, mean_and_variance
+from bayes_sensor.likelihood.density import mean_and_variance, response_at_samples
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.residuals.autocorrelation import power, whiten

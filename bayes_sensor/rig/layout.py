@@ -349,7 +349,12 @@ def check_name(layout: Layout, name: str, where: str) -> None:
         return
     if kind in (*LOCAL, *layout.switch_kinds, *own) and rest.endswith("]"):
         return
-    known = [*layout.shared_names, *LOCAL, *NOISE, *dict.fromkeys(n.split("[")[0] for n in layout.extra)]
+    known = [
+        *layout.shared_names,
+        *LOCAL,
+        *NOISE,
+        *dict.fromkeys(n.split("[")[0] for n in layout.extra),
+    ]
     close = difflib.get_close_matches(kind, known, n=1)
     if kind in LOCAL:
         hint = f"write '{kind}[{layout.experiments[0]}]' and the like, one for each experiment"

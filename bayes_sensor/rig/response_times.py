@@ -159,11 +159,18 @@ def response_time_table(
         ("sensor", None, response_times([sensor]))
     ]
     for flow in rates:
-        systems.append(
-            ("chain", float(flow) * 0.06, response_times([valve, chamber / flow, sensor]))
-        )
+        systems.append(("chain", float(flow), response_times([valve, chamber / flow, sensor])))
+    return pd.DataFrame(response_time_rows(systems, level))
+
+
+def response_time_rows(
+    systems: Sequence[tuple[str, float | None, ResponseTimes]], level: float = 0.95
+) -> list[dict[str, str | float | None]]:
+    """Rows of :func:`response_time_table` for systems: what each is, its total flow in mL/s or
+    None, and draws of its times."""
     rows = []
-    for system, litres, times in systems:
+    for system, flow, times in systems:
+        litres = None if flow is None or math.isnan(flow) else 0.06 * flow
         row: dict[str, str | float | None] = {"system": system, "total_flow_L_per_min": litres}
         for name in ("t10", "t63", "t90", "rise"):
             low, middle, high = np.quantile(
@@ -171,4 +178,4 @@ def response_time_table(
             )
             row |= {f"{name}_s": middle, f"{name}_lo_s": low, f"{name}_hi_s": high}
         rows.append(row)
-    return pd.DataFrame(rows)
+    return rows

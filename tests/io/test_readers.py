@@ -18,7 +18,7 @@ from scipy.io import savemat
 from bayes_sensor.campaign import Campaign, CampaignError, SideInformation
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.io.readers import saturation as sat
-from bayes_sensor.io.readers.drive import commanded_times
+from bayes_sensor.io.readers.drive import drive_edges
 from bayes_sensor.io.readers.quantities import FLOW, TIME, read_quantity
 from bayes_sensor.io.readers.recording import split_name
 from bayes_sensor.io.readers.sampling import grid_through, simplest_near
@@ -812,9 +812,9 @@ def test_mistakes_in_the_drive(name: str, tmp_path: Path) -> None:
 def test_commanded_times_from_the_drive(
     drive: np.ndarray, expected: tuple[float, float | None]
 ) -> None:
-    found = commanded_times(T, drive, CampaignError)
-    assert found[0] == pytest.approx(expected[0], abs=INTERVAL)
-    assert found[1] == (None if expected[1] is None else pytest.approx(expected[1], abs=INTERVAL))
+    times, starts_high = drive_edges(T, drive, CampaignError)
+    assert times == pytest.approx([t for t in expected if t is not None], abs=INTERVAL)
+    assert not starts_high
 
 
 # --------------------------------------------------------------------------- sampling

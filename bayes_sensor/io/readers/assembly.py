@@ -14,7 +14,7 @@ from bayes_sensor.io.readers.commanded_times import (
     drive_commands,
     times_of_entry,
 )
-from bayes_sensor.io.readers.programme import commands_of_input, inside
+from bayes_sensor.io.readers.programme import commands_of_input, within_record
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.io.readers.recording import MAX_SAMPLES, DataFile, Recording, check_counts
 from bayes_sensor.io.readers.sample_values import (
@@ -81,7 +81,7 @@ def design(entry: Entry, label: str) -> Experiment:
     notes: list[str] = []
     used &= ~masked_samples(told.mask, t, entry.interval, where, notes)
     on, off = check_times(told.on, told.off, t, where, notes)
-    commands = None if told.commands is None else inside(told.commands, t, where, notes)
+    commands = None if told.commands is None else within_record(told.commands, t, where, notes)
     if notes:
         raise CampaignError(f"{notes[0]}: correct the design")
     return Experiment(
@@ -156,7 +156,7 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
     drive_on, drive_off, switched = drive_commands(entry, told, file, recording, t, drive, notes)
     commands = switched if commands is None else commands
     if commands is not None:
-        commands = inside(commands, t, where, notes)
+        commands = within_record(commands, t, where, notes)
     on = told.on if told.on is not None else drive_on
     off = told.off if told.off is not None else drive_off
     on, off = check_times(on, off, t, where, notes)

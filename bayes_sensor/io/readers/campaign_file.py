@@ -414,7 +414,7 @@ def read_side_information(
 
     ``stages``: the rig's; ``sensors``: their names where there are several.
     """
-    known = {}
+    known: dict[str, tuple[str, Kind]] = {}
     for name in StagesOfRig.parse(stages).names:
         key, _, unit = name.rpartition("_")
         kind = VOLUME if unit == "mL" else Kind("a time", "s", "48 ms")

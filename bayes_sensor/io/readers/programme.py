@@ -62,9 +62,9 @@ def commands_of_entry(entry: Entry, where: str, seconds: Seconds) -> Commands | 
         )
     if len(ups) == 1:
         return None
-    times = np.empty(len(ups) + len(downs))
+    times = [0.0] * (len(ups) + len(downs))
     times[::2], times[1::2] = ups, downs
-    return _made(times.tolist(), _alternating(len(times), True), 0.0, entry, where)
+    return _made(times, _alternating(len(times), True), 0.0, entry, where)
 
 
 def single(times: float | Moment | tuple[float | Moment, ...] | None) -> float | Moment | None:
@@ -102,9 +102,7 @@ def commands_of_input(t: FloatArray, values: FloatArray, where: str, name: str) 
     return Commands(t, (values - values[0]) / span, recorded=True)
 
 
-def inside(
-    commands: Commands, t: FloatArray, where: str, notes: list[str]
-) -> Commands:
+def within_record(commands: Commands, t: FloatArray, where: str, notes: list[str]) -> Commands:
     """The commands within a record at times ``t``; those after its end are dropped with a remark.
 
     Raises CampaignError where the first is before the record, or none is left.
@@ -118,16 +116,14 @@ def inside(
             f"{first:.10g} s to {last:.10g} s; expected times on the record's own axis: correct "
             "them, or the crop in keep"
         )
-    within = commands.times < last
-    if within.all():
+    kept = commands.times < last
+    if kept.all():
         return commands
     notes.append(
-        f"{where}: {int((~within).sum())} commands lie beyond the end of the record at "
+        f"{where}: {int((~kept).sum())} commands lie beyond the end of the record at "
         f"{last:.10g} s; they were not used"
     )
-    return Commands(
-        commands.times[within], commands.levels[within], commands.rest, commands.delays
-    )
+    return Commands(commands.times[kept], commands.levels[kept], commands.rest, commands.delays)
 
 
 def _listed(
@@ -140,7 +136,8 @@ def _listed(
 
 def _alternating(n: int, up: bool) -> FloatArray:
     """(n,) levels after each of ``n`` switches, the first up or down."""
-    return (np.arange(n) % 2 == (0 if up else 1)).astype(float)
+    levels: FloatArray = (np.arange(n) % 2 == (0 if up else 1)).astype(float)
+    return levels
 
 
 def _made(

@@ -279,7 +279,12 @@ def marginals(thetas, mesh, room, values, best, factor, inside):  # pragma: no c
 forget_older(
     (value, value_and_gradient, marginal, values, marginals),
     (
-        ar1_terms, chain, divided_differences, fractions, node_response, node_sums,
+        ar1_terms,
+        chain,
+        divided_differences,
+        fractions,
+        node_response,
+        node_sums,
         responses_of_chains,
     ),
 )
