@@ -103,7 +103,8 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
         if experiment.y is None:
             continue
         where = _where(experiment)
-        fallen = experiment.commanded_off is None and falls_back(experiment)
+        alone = experiment.commands is None and experiment.commanded_off is None
+        fallen = alone and falls_back(experiment)
         end = (
             f"{where}: the record ends where it began, as after a fall, but the command of one is "
             "unknown, and the model holds the plateau to the end: give commanded_off or drive, or "
@@ -269,7 +270,9 @@ def _quiet(experiment: Experiment) -> tuple[BoolArray, BoolArray]:
 
 
 def _end(experiment: Experiment) -> float:
-    """When the plateau ends (s): at the command of the fall, or with the record."""
+    """When the first plateau ends (s): at the next command, or with the record."""
+    if experiment.commands is not None and len(experiment.commands.times) > 1:
+        return float(experiment.commands.times[1])
     if experiment.commanded_off is not None:
         return experiment.commanded_off
     return float(experiment.t[-1]) + experiment.interval
