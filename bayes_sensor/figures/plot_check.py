@@ -28,6 +28,8 @@ BINS = 900
 """stretches of a record's envelope"""
 ROW = 1.75
 """inches of one row of panels"""
+MOST_SPANS = 40
+"""stretches left out that are marked, the longest: single samples would hide the record"""
 MOST = 60
 """experiments that are drawn; more would be a page without end"""
 
@@ -146,4 +148,4 @@ def _spans_left_out(e: Experiment) -> list[tuple[float, float]]:
             spans[-1] = (spans[-1][0], last)
         else:
             spans.append((first, last))
-    return spans
+    return sorted(spans, key=lambda span: span[0] - span[1])[:MOST_SPANS]
