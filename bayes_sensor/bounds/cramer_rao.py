@@ -243,6 +243,7 @@ def step_study(
 
     steps = np.geomspace(1e-6, 0.1, 16) if steps is None else np.asarray(steps, dtype=float)
     rows = []
+    n_shared = as_problem(campaign).layout.n_shared
     for step in steps:
         for method in ("euler", "exact"):
             for difference in ("forward", "central"):

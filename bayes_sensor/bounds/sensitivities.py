@@ -43,7 +43,7 @@ def local_jacobian(problem: Problem, vector: FloatArray, k: int) -> tuple[FloatA
 def _cascade_jacobian(problem: Problem, vector: FloatArray, k: int) -> FloatArray:
     layout, e = problem.layout, problem.campaign.experiments[k]
     grid = e.interval if e.regular else None
-    x, index, slopes = response_slopes(e.t, vector, layout, k, e.total_flow, grid)
+    x, _, slopes = response_slopes(e.t, vector, layout, k, e.total_flow, grid)
     n = len(layout.shared[k])
     slopes *= vector[layout.local[k, 1]]
     levels = np.stack([np.ones(len(e.t)), x], axis=1)

@@ -44,9 +44,8 @@ MOST_ROUNDS = 3
 Progress = Callable[[float, str], None]
 
 
-@one_thread
 def cannot_diagnose(campaign: Campaign) -> str:
-    """Why the diagnosis knows no effects for a campaign's rig, as a sentence; empty where it does."""
+    """Why the diagnosis knows no effects for a campaign's rig; empty where it does."""
     if Layout.of(campaign).is_published:
         return ""
     return (
@@ -56,6 +55,7 @@ def cannot_diagnose(campaign: Campaign) -> str:
     )
 
 
+@one_thread
 def diagnose_gap(
     campaign: Campaign,
     fit: Fit | None = None,

@@ -23,8 +23,8 @@ class Squares:
     """Residuals and Jacobian on points in the coordinates of the refinement.
 
     Coordinates: tau^2, other shared parameters, per experiment y0, beta, t0 + tau, tf + tau, then
-    extra parameters; ``straight=False``, or several sensors: theta itself.  Times count from the start of each record, and
-    the signal from its level in its own unit. Tolerances on steps and gradients are then the same
+    extra parameters; ``straight=False``, or several sensors: theta itself.  Times count from the
+    start of each record, and the signal from its level in its own unit. Tolerances on steps and gradients are then the same
     for every clock, offset and unit.  Each experiment's block [J r] is replaced by the triangular
     factor of its QR decomposition: it has the same norm, the same J'J and J'r, and a few rows in
     place of hundreds.

@@ -327,8 +327,10 @@ def _beside(name: str, law: Prior, place: int | None, estimates: Estimates) -> C
 
 
 def named_parameters(naming: Naming, theta: FloatArray) -> dict[str, float]:
-    """The shared parameters of ``theta`` (n_theta,) under the likeliest assignment, the sensor being
-    the faster lag where several are equally so."""
+    """The shared parameters of ``theta`` (n_theta,) under the likeliest assignment.
+
+    The sensor is the faster lag where several are equally likely.
+    """
     best = int(np.argmax(np.round(naming.probabilities, 9)))
     values = naming.commuting.named(theta, naming.choices, best)
     return dict(zip(naming.commuting.shared, map(float, values), strict=True))

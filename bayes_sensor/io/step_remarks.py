@@ -20,7 +20,7 @@ def step_remarks(e: Experiment, where: str, *, falls_back: bool = False) -> list
 
     ``falls_back``: whether it was said already that a fall has no command.
     """
-    if e.y is None:
+    if e.y is None or e.commands is not None:
         return []
     steps = find_steps(e.t[e.used], e.y[e.used])
     if not steps:

@@ -56,7 +56,7 @@ class Problem:
 
     @cached_property
     def named_laws(self) -> dict[str, Prior]:
-        """What is known of shared parameters by name: side information, or a prior that is given."""
+        """What is known of shared parameters by name: side information, or a given prior."""
         known = {
             name: Prior("normal", info.mean, info.sd)
             for name, info in self.campaign.side_information.items()

@@ -285,7 +285,7 @@ class Naming:
 
     @property
     def exchanged(self) -> Assignment | None:
-        """The likeliest assignment, where it may be stated that the sensor's is not the shortest."""
+        """The likeliest assignment, if it may be stated that the sensor's is not the shortest."""
         return self.choices[int(np.argmax(self.probabilities))] if self.place("sensor") else None
 
     @property

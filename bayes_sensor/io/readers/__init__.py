@@ -147,8 +147,8 @@ def _read(path: Path) -> Campaign:
     if rig.stages is None and not any(e.flow_known for e in experiments):
         stages = tuple(stage for stage in STAGES if stage != "manifold")
         warnings.append(
-            f"{label}: no flows are given, so the rig is taken as {' and '.join(stages)}, without a "
-            "volume; write [rig] stages to say what the gas passes"
+            f"{label}: no flows are given, so the rig is taken as {' and '.join(stages)}, without "
+            "a volume; write [rig] stages to say what the gas passes"
         )
     side_information = read_side_information(
         sheet.side_information, label, stages, tuple(dict.fromkeys(sensors))
@@ -173,13 +173,18 @@ def _by_sensor(entry: Entry) -> list[tuple[Entry, str, str]]:
         return [(entry, "", "")]
     return [
         (
-            entry.model_copy(update={"name": f"{entry.name},{sensor}", "signal": column,
-                                     "signals": {}}),
+            entry.model_copy(
+                update={
+                    "name": f"{entry.name},{sensor}",
+                    "signal": None if entry.file is None else column,
+                    "signals": {},
+                }
+            ),
             entry.name,
             sensor,
         )
         for sensor, column in entry.signals.items()
-    ]  # fmt: skip
+    ]
 
 
 def _measured(entry: Entry, folder: Path, allow_outside: bool) -> Assembled:

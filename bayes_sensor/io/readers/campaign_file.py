@@ -133,7 +133,8 @@ def _steps(value: object, info: ValidationInfo) -> tuple[Step, ...]:
     for each in value:
         if not isinstance(each, dict) or each.keys() != {"at", "to"}:
             raise CampaignError(
-                f"{key}: expected each step as {{at = .., to = ..}}, but got {_shorten(each)}; {fix}"
+                f"{key}: expected each step as {{at = .., to = ..}}, but got {_shorten(each)}; "
+                f"{fix}"
             )
         level, percent = _level(each["to"], key, fix)
         found.append(Step(_clock(each["at"], info), level, percent))

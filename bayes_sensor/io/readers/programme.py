@@ -57,8 +57,8 @@ def commands_of_entry(entry: Entry, where: str, seconds: Seconds) -> Commands | 
     downs = [seconds(each, "commanded_off") for each in _listed(off)]
     if len(ups) - len(downs) not in (0, 1):
         raise CampaignError(
-            f"{where}: {len(ups)} times in commanded_on and {len(downs)} in commanded_off; expected "
-            "one off after each on (but for the last): complete the lists"
+            f"{where}: {len(ups)} times in commanded_on and {len(downs)} in commanded_off; "
+            "expected one off after each on (but for the last): complete the lists"
         )
     if len(ups) == 1:
         return None
@@ -112,8 +112,8 @@ def within_record(commands: Commands, t: FloatArray, where: str, notes: list[str
     first, last = float(t[0]), float(t[-1])
     if commands.times[0] < first or commands.times[0] >= last:
         raise CampaignError(
-            f"{where}: the first command is at {commands.times[0]:.10g} s, but the record runs from "
-            f"{first:.10g} s to {last:.10g} s; expected times on the record's own axis: correct "
+            f"{where}: the first command is at {commands.times[0]:.10g} s, but the record runs "
+            f"from {first:.10g} s to {last:.10g} s; expected times on the record's own axis: correct "
             "them, or the crop in keep"
         )
     kept = commands.times < last

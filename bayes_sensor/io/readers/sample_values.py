@@ -120,7 +120,9 @@ def question_units(
             f"{file.where}: no unit is given for '{recording.signal}', so {largest:.4g} was taken "
             'as volts; if it is in mV, write signal_unit = "mV"'
         )
-    flow = (entry.carrier_flow or 0.0) + (entry.test_gas_flow or 0.0)
+    if entry.carrier_flow is None or entry.test_gas_flow is None:
+        return
+    flow = entry.carrier_flow + entry.test_gas_flow
     if not _USUAL_FLOWS[0] <= flow <= _USUAL_FLOWS[1]:
         notes.append(
             f"{file.where}: the total flow is {flow * 0.06:.3g} L/min ({flow * 60:.4g} mL/min), "

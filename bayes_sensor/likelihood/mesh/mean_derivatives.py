@@ -17,9 +17,10 @@ def mean_derivatives(
     """Mean and response of any model at times ``t`` (n_t,), and their derivatives.
 
     Returns mean (n_t,) V, response (n_t,), positions in theta (m,) of the parameters that move
-    either, and the derivatives (m, n_t) of both: exact for the chain itself, by central
-    differences for any other model.  Steps are a thousandth of a time constant, of the step's height or of a prior's width: their error is a millionth, and
-    a model that is computed numerically to five digits still gives a slope.
+    either, and the derivatives (m, n_t) of both: exact for the chain itself, by central differences
+    for any other model.  Steps are then a thousandth of a time constant, of the step's height or of
+    a prior's width: their error is a millionth, and a model that is computed numerically to five
+    digits still gives a slope.
     """
     layout = problem.layout
     e = problem.campaign.experiments[k]
