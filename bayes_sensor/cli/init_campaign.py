@@ -13,6 +13,7 @@ from bayes_sensor.io.disk import write_text
 from bayes_sensor.io.draft.campaign_text import Rig, campaign_text, propose_rig
 from bayes_sensor.io.draft.exports import Export, Unread, find_exports
 from bayes_sensor.io.draft.proposed_experiments import Answers, Draft, propose
+from bayes_sensor.io.readers.campaign_file import read_rig
 from bayes_sensor.io.readers.flow_settings import (
     FLOWS,
     MIXTURE,
@@ -22,9 +23,12 @@ from bayes_sensor.io.readers.flow_settings import (
 )
 from bayes_sensor.io.readers.left_open import MARK as OPEN
 from bayes_sensor.io.readers.quantities import FLOW, TIME, read_quantity
+from bayes_sensor.rig.rig import Rig as Stages
 
 Ask = Callable[[str], str]
 FILE = "campaign.toml"
+WITHOUT_FLOW = ("valve", "sensor")
+"""the usual rig where no flow is known"""
 _TRIAL = {"temperature": "21 degC", "pressure": "1 bar"}
 _EXAMPLES = {
     "carrier_flow": "4.0 L/min",
@@ -98,7 +102,7 @@ def _tell_found(drafts: Sequence[Draft], unread: Sequence[Unread], quiet: bool) 
 
 def _ask_about_files(exports: Sequence[Export], ask: Ask) -> Answers:
     """Which channel is the sensor's and how files without times were sampled."""
-    signal: dict[str, str] = {}
+    signal: dict[str, tuple[str, ...]] = {}
     asked: dict[tuple[str, ...], str] = {}
     for export in exports:
         names = tuple(channel.name for channel in export.measured)
@@ -106,12 +110,11 @@ def _ask_about_files(exports: Sequence[Export], ask: Ask) -> Answers:
             continue
         if names not in asked:
             usual = export.signal.name
-            question = (
-                f"{export.file}: which channel is the sensor's: {', '.join(names)}? [{usual}]"
-            )
-            asked[names] = _answer(ask, question, partial(_one_of, names=names))
+            listed = ", ".join(names)
+            question = f"{export.file}: which channel is the sensor's? {listed} [{usual}]"
+            asked[names] = _answer(ask, question, partial(_some_of, names=names))
         if asked[names]:
-            signal[export.file] = asked[names]
+            signal[export.file] = tuple(_listed(asked[names], names))
     interval: dict[str, str] = {}
     last = ""
     for export in exports:
@@ -131,9 +134,9 @@ def _ask_about_rig(
     """Flows of every experiment, conditions of standard units, and which lag is the sensor."""
     which = _answer(
         ask,
-        "flows are known as: 1 carrier and test-gas flow, 2 total flow and concentration "
-        "(Enter: leave them open)",
-        partial(_one_of, names=("1", "2")),
+        "flows are known as: 1 carrier and test-gas flow, 2 total flow and concentration, "
+        "3 not at all (Enter: leave them open)",
+        partial(_one_of, names=("1", "2", "3")),
     )
     keys = {"1": FLOWS, "2": MIXTURE}.get(which, ())
     flows: dict[str, dict[str, str]] = {}
@@ -155,13 +158,21 @@ def _ask_about_rig(
             question = f"{key} of the gas in the rig (such as {_EXAMPLES[key]})"
             said = _answer(ask, question, partial(_condition, key=key))
             conditions[key] = said or f"{OPEN} {_EXAMPLES[key].split()[1]}"
+    usual = WITHOUT_FLOW if which == "3" else rig.stages
+    told = _answer(
+        ask,
+        f"what does the gas pass, in order (valve, line, manifold, filter, cell, sensor)? "
+        f"[{', '.join(usual)}]",
+        partial(_stages, flows=which != "3"),
+    )
+    stages = tuple(part.strip() for part in told.split(",")) if told else usual
     order = _answer(
         ask,
         "the sensor is faster or slower than the other lags that do not depend on flow "
         "(faster, slower, unknown) [unknown]",
         partial(_one_of, names=ORDERS),
     )
-    return flows, Rig(rig.stages, rig.stages_known, order or "unknown", conditions)
+    return flows, Rig(stages, bool(told), order or "unknown", conditions, flows_known=which != "3")
 
 
 def _answer(ask: Ask, question: str, check: Callable[[str], str]) -> str:
@@ -181,6 +192,36 @@ def _one_of(text: str, names: Sequence[str]) -> str:
         if text.casefold() == name.casefold():
             return name
     raise CampaignError(f"expected one of {', '.join(names)}, but got '{text[:60]}'")
+
+
+def _some_of(text: str, names: Sequence[str]) -> str:
+    """The text, if it is one of the names or several with commas."""
+    if not _listed(text, names):
+        return _one_of(text, names)
+    return text
+
+
+def _listed(text: str, names: Sequence[str]) -> list[str]:
+    """The names of a text, in its order; empty where a part is none of them."""
+    found = [_known(part, names) for part in ([text] if _known(text, names) else text.split(","))]
+    return [name for name in found if name] if all(found) else []
+
+
+def _known(text: str, names: Sequence[str]) -> str:
+    folded = text.strip().casefold()
+    return next((name for name in names if name.casefold() == folded), "")
+
+
+def _stages(text: str, flows: bool) -> str:
+    """The text, if it is a rig that the campaign reader takes."""
+    stages = [part.strip() for part in text.split(",")]
+    read_rig({"stages": stages}, FILE)
+    if not flows and Stages.parse(stages).needs_flow:
+        raise CampaignError(
+            f"'{text[:60]}' holds a volume, whose lag is V/Q; expected lags only, as no flow is "
+            "known: leave the volumes out"
+        )
+    return text
 
 
 def _positive_time(text: str) -> str:

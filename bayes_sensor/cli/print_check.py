@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import STAGES, counted
+from bayes_sensor.campaign import counted
 from bayes_sensor.cli.read_input import check_methods, load
 from bayes_sensor.cli.terminal import lined_up
 from bayes_sensor.io.disk import write_bytes
@@ -53,7 +53,7 @@ def print_check(path: Path, quiet: bool, config: Path | None = None, plot: bool 
     for row in table:
         rows.append([_cell(row[key], pattern) for _, key, pattern in columns])
     print("\n".join(lined_up(rows, left=1)))
-    print(f"rig: {', '.join(STAGES)}; which lag is the sensor: {campaign.sensor_is}")
+    print(f"rig: {', '.join(campaign.stages)}; which lag is the sensor: {campaign.sensor_is}")
     for name, info in campaign.side_information.items():
         print(f"known beforehand: {name} = {info.mean:g} +- {info.sd:g}")
     for remark in remarks:

@@ -22,12 +22,15 @@ from bayes_sensor.figures.style import (
     style,
 )
 from bayes_sensor.io.check import quiet_spans
+from bayes_sensor.io.step_remarks import commands_of
 from bayes_sensor.io.steps import find_steps
 
 BINS = 900
 """stretches of a record's envelope"""
 ROW = 1.75
 """inches of one row of panels"""
+MOST_SPANS = 40
+"""stretches left out that are marked, the longest: single samples would hide the record"""
 MOST = 60
 """experiments that are drawn; more would be a page without end"""
 
@@ -60,11 +63,10 @@ def understood(campaign: Campaign) -> Figure:
 
 
 def _panel(axes: Axes, e: Experiment) -> None:
-    axes.set_title(
-        f"{shortened(e.name, 30)}   {60 * e.total_flow / 1e3:.4g} L/min, "
-        f"{100 * e.concentration:.3g} %",
-        fontsize=8,
-    )
+    flow = "flow not known"
+    if e.flow_known:
+        flow = f"{60 * e.total_flow / 1e3:.4g} L/min, {100 * e.concentration:.3g} %"
+    axes.set_title(f"{shortened(e.name, 30)}   {flow}", fontsize=8)
     if e.y is not None:
         _samples(axes, e.t, e.values, e.used)
         for number, (start, end, level) in enumerate(quiet_spans(e)):
@@ -78,27 +80,36 @@ def _panel(axes: Axes, e: Experiment) -> None:
     for number, (first, last) in enumerate(_spans_left_out(e)):
         axes.axvspan(first, last, color=PALE, alpha=0.7, lw=0, zorder=0.5,
                      label=None if number else "left out")  # fmt: skip
-    for time, label, dashes in (
-        (e.commanded_on, "commanded on", "-"),
-        (e.commanded_off, "commanded off", "--"),
-    ):
-        if time is not None:
-            axes.axvline(time, color=ORANGE, lw=1.1, ls=dashes, label=label)
+    for time, up in _commands(e):
+        label = "commanded on" if up else "commanded off"
+        axes.axvline(time, color=ORANGE, lw=1.1, ls="-" if up else "--", label=label)
     axes.set_xlim(e.t[0], e.t[-1])
     axes.xaxis.set_major_locator(MaxNLocator(7))
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 
+def _commands(e: Experiment) -> list[tuple[float, bool]]:
+    """Time (s) of every command, and whether it lets in more test gas."""
+    times = [time for _, time in commands_of(e)]
+    if e.commands is not None and times:
+        return list(zip(times, (e.commands.heights > 0).tolist(), strict=True))
+    return [(time, time == e.commanded_on) for time in times]
+
+
 def _samples(axes: Axes, t: FloatArray, y: FloatArray, used: BoolArray) -> None:
     """The used samples: as points where there are few, else the range of each stretch."""
-    if used.sum() <= BINS:
-        axes.plot(t[used], y[used], ".-", color=DATA, ms=2.5, lw=0.6, label="samples in use")
+    if len(t) <= BINS:
+        shown = np.where(used, y, np.nan)  # the line breaks where samples are left out
+        axes.plot(t, shown, ".-", color=DATA, ms=2.5, lw=0.6, label="samples in use")
         return
-    places = np.flatnonzero(used)
-    parts = [part for part in np.array_split(places, BINS) if len(part)]
+    parts = np.array_split(np.arange(len(t)), BINS)
+    some = [used[part].any() for part in parts]
+    bounds = [
+        (y[part][used[part]].min(), y[part][used[part]].max()) if any_used else (np.nan, np.nan)
+        for part, any_used in zip(parts, some, strict=True)
+    ]
     middle = np.array([t[part].mean() for part in parts])
-    low = np.array([y[part].min() for part in parts])
-    high = np.array([y[part].max() for part in parts])
+    low, high = np.array(bounds).T
     axes.fill_between(middle, low, high, color=DATA, lw=0.8, label="samples in use")
 
 
@@ -142,4 +153,4 @@ def _spans_left_out(e: Experiment) -> list[tuple[float, float]]:
             spans[-1] = (spans[-1][0], last)
         else:
             spans.append((first, last))
-    return spans
+    return sorted(spans, key=lambda span: span[0] - span[1])[:MOST_SPANS]

@@ -270,7 +270,9 @@ def _quiet(experiment: Experiment) -> tuple[BoolArray, BoolArray]:
 
 
 def _end(experiment: Experiment) -> float:
-    """When the plateau ends (s): at the command of the fall, or with the record."""
+    """When the first plateau ends (s): at the next command, or with the record."""
+    if experiment.commands is not None and len(experiment.commands.times) > 1:
+        return float(experiment.commands.times[1])
     if experiment.commanded_off is not None:
         return experiment.commanded_off
     return float(experiment.t[-1]) + experiment.interval

@@ -31,8 +31,18 @@ def step_remarks(e: Experiment, where: str, *, falls_back: bool = False) -> list
         for before, step in zip((None, *steps), steps)
         if abs(step.height) >= AS_LARGE * largest and not _settles(before, step)
     )
+    if e.commands is not None and e.commands.recorded:
+        return []
     late = _late(e, steps, where)
     return late or ([] if falls_back else _uncommanded(e, steps, where))
+
+
+def commands_of(e: Experiment) -> list[tuple[str, float]]:
+    """Key and time (s) of every command, in time; none where the input was recorded."""
+    if e.commands is not None:
+        return [] if e.commands.recorded else [("a command", float(t)) for t in e.commands.times]
+    told = (("commanded_on", e.commanded_on), ("commanded_off", e.commanded_off))
+    return [(key, time) for key, time in told if time is not None]
 
 
 def _settles(before: Step | None, step: Step) -> bool:
@@ -47,14 +57,11 @@ def _settles(before: Step | None, step: Step) -> bool:
 
 def _late(e: Experiment, steps: Sequence[Step], where: str) -> list[str]:
     """A remark if the signal has passed a tenth of a step before the step was commanded."""
-    on, off = e.commanded_on, e.commanded_off
     remarks = []
-    for key, command, mine in (
-        ("commanded_on", on, steps[0]),
-        ("commanded_off", off, steps[1] if len(steps) > 1 else None),
-    ):
-        if command is None or mine is None or len(steps) > 2:
-            continue
+    commands = commands_of(e)
+    if len(steps) > max(len(commands), 2):
+        return []
+    for (key, command), mine in zip(commands, steps):
         if mine.tenth < command - e.interval:
             remarks.append(
                 f"{where}: {key} = {command:.10g} s comes after the step that it commands, whose "
@@ -66,7 +73,7 @@ def _late(e: Experiment, steps: Sequence[Step], where: str) -> list[str]:
 
 def _uncommanded(e: Experiment, steps: Sequence[Step], where: str) -> list[str]:
     """A remark if there are more steps than commands."""
-    n_commands = sum(time is not None for time in (e.commanded_on, e.commanded_off))
+    n_commands = len(commands_of(e))
     if len(steps) <= max(n_commands, 1):
         return []
     shown = ", ".join(f"{step.half:.6g}" for step in steps[:6]) + (", .." if len(steps) > 6 else "")

@@ -71,7 +71,7 @@ def test_a_terminal_is_asked(folder: Path) -> None:
         stderr=theirs, env={**os.environ, "NO_COLOR": "1"},
     )  # fmt: skip
     os.close(theirs)
-    answers = ["1", "4 L/min", "0.5 L/min", "", "", "", "1 L/min", "faster"]
+    answers = ["1", "4 L/min", "0.5 L/min", "", "", "", "1 L/min", "", "faster"]
     os.write(ours, "".join(f"{answer}\n" for answer in answers).encode())
     assert process.wait(60) == 0
     said = os.read(ours, 100_000).decode()

@@ -106,23 +106,47 @@ def test_set_points_and_constants_are_no_signal(tmp_path: Path) -> None:
     assert e["signal"] == "reading_V" and e["drive"] == "MFC_set"
 
 
-def test_a_staircase_and_a_train_become_experiments_that_share_no_sample(tmp_path: Path) -> None:
-    stairs = response([(8.0, 0.5), (25.0, 0.5), (42.0, 0.5)])
+def test_a_staircase_and_a_train_become_one_programme_each(tmp_path: Path) -> None:
+    stairs = response([(8.0, 0.5), (25.0, 0.75), (42.0, -1.25)])
     train = response([(5.0, 1.0), (15.0, -1.0), (30.0, 1.0), (45.0, -1.0)])
     write(tmp_path / "stairs.csv", "time_s,signal_V", T, stairs)
     write(tmp_path / "train.csv", "time_s,signal_V", T, train)
-    names = [e["name"] for e in drafted(tmp_path)]
-    assert names == ["stairs-1", "stairs-2", "stairs-3", "train-1", "train-2"]
+    first, second = drafted(tmp_path)
+    assert [step["to"] for step in first["steps"]] == ["0.4", "1", "0"]
+    assert len(second["commanded_on"]) == len(second["commanded_off"]) == 2
     filled(tmp_path / "campaign.toml")
     campaign = read_campaign(tmp_path / "campaign.toml")
-    for record in ("stairs", "train"):
-        parts = [e for e in campaign if e.name.startswith(record)]
-        times = np.concatenate([e.t for e in parts])
-        np.testing.assert_allclose(times, T, atol=1e-9)
-        for e in parts:
-            assert e.t[0] < e.commanded_on < e.t[-1]
-    assert [e.has_fall for e in campaign] == [False] * 3 + [True] * 2
+    for e, starts in (("stairs", [8.0, 25.0, 42.0]), ("train", [5.0, 15.0, 30.0, 45.0])):
+        commands = campaign[e].commands
+        assert commands is not None
+        early = np.array(starts) - commands.times
+        assert ((early > 0) & (early < 2.5)).all()
     assert [r for r in campaign_remarks(campaign) if "same total flow" not in r] == []
+
+
+def test_steps_to_both_sides_become_experiments_that_share_no_sample(tmp_path: Path) -> None:
+    both = response([(8.0, 0.5), (25.0, -1.0), (42.0, 0.6)])
+    write(tmp_path / "both.csv", "time_s,signal_V", T, both)
+    names = [e["name"] for e in drafted(tmp_path)]
+    assert len(names) > 1
+    filled(tmp_path / "campaign.toml")
+    campaign = read_campaign(tmp_path / "campaign.toml")
+    np.testing.assert_allclose(np.concatenate([e.t for e in campaign]), T, atol=1e-9)
+    for e in campaign:
+        assert e.commanded_on is not None and e.t[0] < e.commanded_on < e.t[-1]
+
+
+def test_a_drive_of_many_edges_gives_the_commands(tmp_path: Path) -> None:
+    edges = [5.0, 15.0, 30.0, 45.0]
+    valve = 5.0 * (np.searchsorted(np.array(edges) - 0.5, T, side="right") % 2)
+    train = response([(start, (-1.0) ** i) for i, start in enumerate(edges)])
+    write(tmp_path / "a.csv", "time_s,valve,sensor_V", T, valve, train)
+    (e,) = drafted(tmp_path)
+    assert e["drive"] == "valve" and "commanded_on" not in e
+    filled(tmp_path / "campaign.toml")
+    commands = read_campaign(tmp_path / "campaign.toml")["a"].commands
+    assert commands is not None
+    np.testing.assert_allclose(commands.times, np.array(edges) - 0.5, atol=H)
 
 
 def test_gaps_are_masked_and_what_cannot_be_used_is_named(tmp_path: Path) -> None:
@@ -148,7 +172,7 @@ def test_files_without_times_leave_the_interval_open(tmp_path: Path) -> None:
     text = (tmp_path / "campaign.toml").read_text(encoding="utf-8")
     sample = int(re.search(r"sample (\d+)\n", text)[1])  # type: ignore[index]
     assert 12.0 - 2.5 < sample * H < 12.0
-    (e,) = drafted(tmp_path, "50 ms", "", "")
+    (e,) = drafted(tmp_path, "50 ms", "", "", "")
     assert e["interval"] == "50 ms"
     assert 12.0 - 2.5 < seconds(e["commanded_on"]) < 12.0
 
@@ -164,7 +188,7 @@ def test_answers_are_checked_repeated_and_written(tmp_path: Path) -> None:
         "500 sccm", "0.1", "10 %",  # a bare number is refused, with its fix
         "", "400 ppm",  # the last answer again
         "21 degC", "1 bar",
-        "slower",
+        "", "slower",
     )  # fmt: skip
     assert first["signal"] == second["signal"] == "slow_V"
     assert (first["total_flow"], first["concentration"]) == ("500 sccm", "10 %")
@@ -172,6 +196,16 @@ def test_answers_are_checked_repeated_and_written(tmp_path: Path) -> None:
     campaign = read_campaign(tmp_path / "campaign.toml")  # nothing is missing
     assert campaign.sensor_is == "slower" and not campaign.warnings
     assert campaign["a"].total_flow == pytest.approx(500 / 60 * 294.15 / 273.15 * 1.01325)
+
+
+def test_several_sensors_without_a_flow(tmp_path: Path) -> None:
+    slow = response([(12.0, 1.0), (35.0, -1.0)], lag=4.0)
+    write(tmp_path / "a.csv", "time_s,fast_V,slow_V", T, PULSE, slow)
+    (e,) = drafted(tmp_path, "fast_V, slow_V", "3", "manifold, sensor", "sensor", "")
+    assert e["signals"] == {"fast_V": "fast_V", "slow_V": "slow_V"}
+    assert not {"signal", "carrier_flow", "total_flow"} & set(e)
+    campaign = read_campaign(tmp_path / "campaign.toml")  # nothing is missing
+    assert campaign.stages == ("sensor",) and len(campaign) == 2
 
 
 def test_names_with_quotes_and_folders_are_written_as_toml(tmp_path: Path) -> None:

@@ -13,12 +13,15 @@ from bayes_sensor.io.draft.exports import Unread
 from bayes_sensor.io.draft.proposed_experiments import Draft, Line
 from bayes_sensor.io.readers.left_open import MARK as OPEN
 
+_BARE = ("at", "to")
+"""keys of inner tables that are written without quotes"""
 _COLUMN = 34
 """where the remarks of a line begin"""
 MISSING_FLOWS = (
     Line("carrier_flow", f"{OPEN} L/min", "MISSING", "flow of the carrier gas"),
     Line("test_gas_flow", f"{OPEN} L/min", "MISSING",
-         "flow of the test gas; total_flow and concentration may stand for the two"),
+         "flow of the test gas; total_flow and concentration may stand for the two; leave all out "
+         "where no stage of the rig is a volume"),
 )  # fmt: skip
 
 
@@ -30,10 +33,17 @@ class Rig:
     stages_known: bool = False
     sensor_is: str = "unknown"
     conditions: Mapping[str, str] = field(default_factory=dict)
+    flows_known: bool = True
+    """whether anybody knows the flows, now or later"""
+
+    @property
+    def open_flows(self) -> tuple[Line, ...]:
+        """The lines of flows that were not given."""
+        return MISSING_FLOWS if self.flows_known else ()
 
 
 def propose_rig() -> Rig:
-    """The rig to begin with, which is the published one: this is where other chains come in."""
+    """The rig to begin with, where nobody is asked: the published one."""
     return Rig()
 
 
@@ -75,7 +85,7 @@ def campaign_text(
         lines += ["", "[[experiment]]", _line(Line("name", draft.name)),
                   _line(Line("file", draft.file))]  # fmt: skip
         given = flows.get(draft.name)
-        lines += [_line(line) for line in MISSING_FLOWS] if given is None else [
+        lines += [_line(line) for line in rig.open_flows] if given is None else [
             _line(_given(key, value)) for key, value in given.items()
         ]  # fmt: skip
         lines += [_line(line) for line in draft.lines]
@@ -100,11 +110,14 @@ def _line(line: Line) -> str:
 
 
 def _toml(value: Any) -> str:
-    """A text or a list of texts in TOML.
+    """A text, a list or a table of texts in TOML.
 
-    >>> print(_toml(["0 s", 'a "b"']))
-    ["0 s", "a \\"b\\""]
+    >>> print(_toml(["0 s", 'a "b"']), _toml({"A": "column 1"}))
+    ["0 s", "a \\"b\\""] {"A" = "column 1"}
     """
+    if isinstance(value, Mapping):
+        pairs = (f"{key if key in _BARE else _toml(key)} = {_toml(v)}" for key, v in value.items())
+        return f"{{{', '.join(pairs)}}}"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return f"[{', '.join(_toml(part) for part in value)}]"

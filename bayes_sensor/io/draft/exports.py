@@ -153,22 +153,18 @@ class Export:
         return None
 
     def drive(self, signal: Channel) -> Channel | None:
-        """The channel of the valve's drive: one pulse, begun before the signal's first step."""
+        """The channel of the valve's drive: two levels, each edge before a step of the signal."""
         for channel in self.channels:
-            if channel is signal or not channel.jumps or len(channel.steps) > 2:
+            heights = [abs(step.height) for step in channel.steps]
+            if channel is signal or not channel.jumps or max(heights) > 1.2 * min(heights):
                 continue
             try:
-                times, starts_high = drive_edges(channel.t, channel.y, CampaignError)
+                edges, starts_high = drive_edges(channel.t, channel.y, CampaignError)
             except CampaignError:
                 continue
-            if starts_high or len(times) > 2:
-                continue
-            on, off = times[0], times[1] if len(times) > 1 else None
-            if signal.steps and on > signal.steps[0].half:
-                continue
-            if off is not None and len(signal.steps) > 1 and off > signal.steps[1].half:
-                continue
-            return channel
+            late = any(edge > step.half for edge, step in zip(edges, signal.steps))
+            if len(edges) == len(heights) and not (late or starts_high):
+                return channel
         return None
 
 

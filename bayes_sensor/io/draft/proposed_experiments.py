@@ -18,6 +18,8 @@ from bayes_sensor.io.readers.left_open import MARK as OPEN
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.io.steps import Step
 
+NEAR = 0.08
+"""of the highest level: one as near to the first level is the first"""
 SMALLEST = 0.15
 """of a record's largest step: no experiment is proposed for a smaller one"""
 _MASK = re.compile(r"mask = (\[\[.*\]\])")
@@ -57,8 +59,8 @@ class Draft:
 class Answers:
     """What a user said beforehand; empty where nothing was asked."""
 
-    signal: Mapping[str, str] = field(default_factory=dict)
-    """file to channel"""
+    signal: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """file to channel, or to the channels of several sensors"""
     interval: Mapping[str, str] = field(default_factory=dict)
     """file to sampling interval, for files without times"""
 
@@ -87,10 +89,12 @@ def propose(
 
 
 def _of_export(export: Export, name: str, answers: Answers) -> list[Draft]:
-    signal = export.signal
-    if export.file in answers.signal:
-        signal = export.channel(answers.signal[export.file])
+    chosen = answers.signal.get(export.file, ())
+    signal = export.channel(chosen[0]) if chosen else export.signal
     lines = _signal_lines(export, signal)
+    if len(chosen) > 1:
+        sensors = {re.sub(r"[\[\],]", " ", column).strip(): column for column in chosen}
+        lines = [Line("signals", sensors), *(line for line in lines if line.key != "signal")]
     if not export.timed and export.file not in answers.interval:
         words = "the file has no times: the time from one sample to the next"
         lines.append(Line("interval", f"{OPEN} ms", "MISSING", words))
@@ -103,6 +107,10 @@ def _of_export(export: Export, name: str, answers: Answers) -> list[Draft]:
         lines.append(Line("drive", drive.name, "ASSUMED", reason))
         return [Draft(name, export.file, tuple(lines), signal.unit)]
     seconds = _seconds_a_sample(export, answers)
+    programme = _programme(export, signal)
+    if programme and seconds is not None:
+        more = _programme_lines(export, signal, programme, seconds)
+        return [Draft(name, export.file, (*lines, *more), signal.unit)]
     parts = _parts(export, signal)
     if not parts:
         words = "no step is seen in the record: when the valve was told to open"
@@ -125,7 +133,9 @@ def _signal_lines(export: Export, signal: Channel) -> list[Line]:
             reason = f"no channel shows a clear step; this one follows '{export.set_point.name}'"
         if others:
             shown = ", ".join(others[:6]) + (" and more" if len(others) > 6 else "")
-            reason += f"; {shown} {'does' if len(others) == 1 else 'do'}, too"
+            reason += (
+                f"; {shown} {'does' if len(others) == 1 else 'do'}, too; signals takes several"
+            )
         lines.append(Line("signal", signal.name, "ASSUMED", reason))
     if not signal.unit:
         lines.append(Line("signal_unit", "V", "ASSUMED", "the file gives no unit"))
@@ -159,6 +169,60 @@ def _seconds_a_sample(export: Export, answers: Answers) -> float | None:
     return float(number) * (conversion_factor(unit, "s") or 1.0)
 
 
+def _programme(export: Export, signal: Channel) -> list[tuple[float, float]]:
+    """Time (s) and level (share of the highest) of each switch of a record of several.
+
+    Empty where one pulse is all, or where levels lie on both sides of the first.
+    """
+    commands = _command_channel(export, signal)
+    steps = _large(signal.steps if commands is None else commands.steps)
+    levels = np.cumsum([step.height for step in steps])
+    if len(steps) < 3 and not (len(steps) == 2 and steps[0].height * steps[1].height > 0):
+        return []
+    shares = np.round(levels / levels[np.argmax(np.abs(levels))], 2)
+    shares[np.abs(shares) < NEAR] = 0.0
+    alternating = np.abs(np.diff(np.concatenate(([0.0], shares)))) > 0.5
+    if alternating.all():
+        shares = np.round(shares)  # a train of equal pulses
+    if (shares < 0).any() or not np.diff(shares, prepend=0.0).all():
+        return []
+    first = float(signal.t[0])
+    times = (
+        _before_steps(steps, first, export.interval)
+        if commands is None
+        else [step.start for step in steps]
+    )
+    return list(zip(times, shares.tolist(), strict=True))
+
+
+def _programme_lines(
+    export: Export, signal: Channel, programme: Sequence[tuple[float, float]], seconds: float
+) -> list[Line]:
+    """The keys of several switches: lists of on and off, or steps where levels differ."""
+    commands = _command_channel(export, signal)
+    grain = export.interval * seconds
+    reason = "shortly before the signal moves"
+    if commands is not None:
+        reason = f"where '{commands.name}' jumps"
+    else:
+        gaps = [step.half - time for (time, _), step in zip(programme, _large(signal.steps))]
+        grain = max(grain, seconds * min(gaps) / 10)
+    at = [f"{_rounded(time * seconds, grain)} s" for time, _ in programme]
+    levels = [level for _, level in programme]
+    if levels == [float(i % 2 == 0) for i in range(len(levels))]:
+        lines = [Line("commanded_on", at[::2], "ASSUMED", reason)]
+        return [*lines, Line("commanded_off", at[1::2], "ASSUMED", "likewise")]
+    steps = [{"at": time, "to": f"{level:g}"} for time, level in zip(at, levels, strict=True)]
+    words = f'{reason}; shares of the highest level seen, write "5 %" and the like where you know'
+    return [Line("steps", steps, "ASSUMED", words)]
+
+
+def _large(steps: Sequence[Step]) -> tuple[Step, ...]:
+    """The steps that are large enough to be proposed."""
+    least = SMALLEST * max((abs(step.height) for step in steps), default=0.0)
+    return tuple(step for step in steps if abs(step.height) >= least)
+
+
 @dataclass(frozen=True)
 class _Part:
     """A stretch of a record with one step up and, where it comes back, one down."""
@@ -175,11 +239,9 @@ class _Part:
 def _parts(export: Export, signal: Channel) -> list[_Part]:
     """The stretches of a record, one an experiment."""
     commands = _command_channel(export, signal)
-    steps = signal.steps if commands is None else commands.steps
+    steps = _large(signal.steps if commands is None else commands.steps)
     if not steps:
         return []
-    least = SMALLEST * max(abs(step.height) for step in steps)
-    steps = tuple(step for step in steps if abs(step.height) >= least)
     first, last = float(signal.t[0]), float(signal.t[-1])
     groups: list[list[Step]] = []
     for step in steps:

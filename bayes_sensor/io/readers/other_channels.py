@@ -14,6 +14,9 @@ from bayes_sensor.io.steps import Step, find_steps
 
 MOST = 6
 """other channels that are looked at"""
+COPY = 0.9
+"""correlation of the steps from sample to sample above which two channels are one: two sensors
+have noise of their own"""
 FEWEST_VALUES = 10
 """of a measurement; a channel of fewer is a command, a code or a counter"""
 
@@ -47,7 +50,7 @@ def signal_remarks(
     mine = [] if constant else _main(find_steps(*_finite(recording)))
     if not (constant or mine):
         return []
-    moving = [name for name in others[:MOST] if _moves_with(mine, name, entry, read)]
+    moving = [name for name in others[:MOST] if _moves_with(mine, recording, name, entry, read)]
     if not moving:
         return []
     if constant:
@@ -55,12 +58,16 @@ def signal_remarks(
     step = "steps" if len(moving) == 1 else "step"
     return [
         f"{list_names(moving)} {step} at the same time as '{signal}', which was taken as the "
-        "signal; set signal to the sensor that is meant, and make a campaign for each sensor"
+        "signal; set signal to the sensor that is meant, or name all in signals = {..}"
     ]
 
 
 def _moves_with(
-    mine: Sequence[Step], name: str, entry: Entry, read: Callable[[Selection], Recording]
+    mine: Sequence[Step],
+    signal: Recording,
+    name: str,
+    entry: Entry,
+    read: Callable[[Selection], Recording],
 ) -> bool:
     """Whether a channel is measured and shows a step while the signal does; any, without one."""
     if is_set_point(name):
@@ -69,12 +76,20 @@ def _moves_with(
         t, y = _finite(read(Selection(name, None, entry.time, entry.interval)))
     except CampaignError:
         return False
-    if len(np.unique(y)) < FEWEST_VALUES:
+    if len(np.unique(y)) < FEWEST_VALUES or _is_copy(y, _finite(signal)[1]):
         return False
     theirs = _main(find_steps(t, y))
     if not mine:
         return bool(theirs)
     return len(theirs) == len(mine) and all(map(_begin_together, mine, theirs))
+
+
+def _is_copy(y: FloatArray, signal: FloatArray) -> bool:
+    """Whether a channel has the noise of the signal, too, as its raw codes have."""
+    if len(y) != len(signal):
+        return False
+    a, b = np.diff(y), np.diff(signal)
+    return bool(a.std() > 0 and b.std() > 0 and abs(np.corrcoef(a, b)[0, 1]) > COPY)
 
 
 def _main(steps: Sequence[Step]) -> list[Step]:
