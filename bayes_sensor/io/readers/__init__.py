@@ -173,8 +173,8 @@ def _by_sensor(entry: Entry) -> list[tuple[Entry, str, str]]:
         return [(entry, "", "")]
     if entry.signal is not None:
         raise CampaignError(
-            f"experiment '{entry.name}' ({entry.file}): both signal and signals are given; expected "
-            "one of them: remove signal"
+            f"experiment '{entry.name}' ({entry.file}): both signal and signals are given; "
+            "expected one of them: remove signal"
         )
     return [
         (
