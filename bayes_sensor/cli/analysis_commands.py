@@ -159,7 +159,7 @@ def report(
 ) -> None:
     """Rebuild the report from the saved results."""
     from bayes_sensor.cli.make_report import rebuild_report
-    from bayes_sensor.cli.overrides import read_overrides
+    from bayes_sensor.analysis.overrides import read_overrides
 
     read_overrides(common.config)  # a mistake in it is refused, though nothing of it acts
     rebuild_report(folder, common.quiet, form)

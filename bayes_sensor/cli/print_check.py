@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import STAGES, counted
-from bayes_sensor.cli.read_input import check_methods, load
+from bayes_sensor.analysis.read_input import check_methods, understood
 from bayes_sensor.cli.terminal import lined_up
 
 
 def print_check(path: Path, quiet: bool, config: Path | None = None) -> None:
     """Print what was understood of a campaign; settings are checked against it."""
-    from bayes_sensor.cli.overrides import fit_bounds, make_problem, read_overrides
+    from bayes_sensor.analysis.overrides import fit_bounds, make_problem, read_overrides
 
     overrides = read_overrides(config)
     label = config.name if config is not None else "--config"
     check_methods(overrides.bounds.methods, label)
-    campaign, table, remarks = load(path)
+    campaign, table, remarks = understood(path)
     fit_bounds(make_problem(campaign, overrides, label), overrides, label)
     if quiet:
         return

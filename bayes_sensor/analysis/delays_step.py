@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from bayes_sensor.cli.job import Job
-from bayes_sensor.cli.posterior_step import saved_spreads
+from bayes_sensor.analysis.job import Job
+from bayes_sensor.analysis.posterior_step import saved_spreads
+from bayes_sensor.analysis.saved_records import put_record
 from bayes_sensor.io.results import Stage
 
 
@@ -18,3 +19,4 @@ def save_delays(job: Job, stage: Stage) -> None:
     """Write delays.json."""
     unit = job.problem.campaign.signal_unit
     stage.json("delays.json", {**job.delays.to_json(), "signal_unit": unit})
+    put_record(stage, "delays", job.delays, job.problem.campaign)

@@ -1,16 +1,23 @@
-"""One run of a command on a campaign: what it computes, what it saves, and what is known so far."""
+"""One run of an analysis: what it computes, what it saves, and what is known so far.
+
+The command line and :func:`bayes_sensor.analyze` both take these steps.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bayes_sensor.cli.terminal import Progress, progress_bar
 from bayes_sensor.io.results import Results
+
+Progress = Callable[[float, str], None]
+"""called with the fraction done and a word"""
+Bar = Callable[[str], AbstractContextManager[Progress]]
+"""shows the progress of the step of a name"""
 
 CHECKPOINT = "checkpoint"
 STEPS: dict[str, tuple[str, ...]] = {
@@ -40,6 +47,11 @@ SAVES: dict[str, tuple[str, ...]] = {
 }
 
 
+def no_bar(name: str) -> AbstractContextManager[Progress]:
+    """Shows nothing."""
+    return nullcontext(lambda fraction, text: None)
+
+
 @dataclass(eq=False)
 class Job:
     """One run of a command."""
@@ -52,7 +64,8 @@ class Job:
     jobs: int
     quiet: bool
     resume: bool
-    results: Results
+    results: Results | None
+    """where the results go; None: nowhere"""
     basis: str
     seconds: dict[str, float] = field(default_factory=dict)
     fit: Any = None
@@ -66,16 +79,28 @@ class Job:
     """reason why the gap could not be diagnosed, in a sentence"""
     options: Mapping[str, Any] = field(default_factory=dict)
     """options of single commands: with_effects, without, nominal, effects, bootstrap"""
+    bar: Bar = no_bar
+    remarks: tuple[str, ...] = ()
+    """what was noticed of the campaign, in sentences"""
+    muted: Callable[[], AbstractContextManager[None]] = nullcontext
+    """keeps what samplers print from the screen"""
 
     @contextmanager
     def timed(self, name: str) -> Iterator[Progress]:
         """A progress bar, and the time taken."""
         start = time.perf_counter()
-        with progress_bar(name, self.quiet) as tell:
+        with self.bar(name) as tell:
             yield tell
         self.seconds[name] = time.perf_counter() - start
 
     @property
-    def checkpoint(self) -> Path:
-        """Where unfinished ensembles are kept."""
-        return self.results.own_folder(CHECKPOINT)
+    def checkpoint(self) -> Path | None:
+        """Where unfinished ensembles are kept; None where nothing is written."""
+        return None if self.results is None else self.results.own_folder(CHECKPOINT)
+
+    @property
+    def exit_code(self) -> int:
+        """3 where the fit or the posterior has not converged, else 0."""
+        bad = not self.fit.converged
+        bad = bad or (self.posterior is not None and not self.posterior.converged)
+        return 3 if bad else 0

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli.job import Job
+from bayes_sensor.analysis.job import Job
+from bayes_sensor.analysis.saved_records import put_record
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.io.results import Stage
 
@@ -132,3 +133,4 @@ def save_bounds(job: Job, stage: Stage) -> None:
     compared, record = job.bounds
     stage.json("bounds.json", record)
     compared.to_csv(stage.path("bounds.csv"))
+    put_record(stage, "bounds", compared, job.problem.campaign)
