@@ -15,6 +15,9 @@ ensure_numba_cache_dir()  # before anything compiles
 __version__ = "0.1.0"
 
 _PUBLIC = {
+    "Analysis": "analysis.analysis",
+    "analyze": "analysis.analyze",
+    "load": "analysis.save_analysis",
     "Campaign": "campaign",
     "CampaignError": "campaign",
     "Experiment": "campaign",

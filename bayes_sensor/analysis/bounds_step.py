@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import CampaignError
 from bayes_sensor.analysis.job import Job
 from bayes_sensor.analysis.saved_records import put_record
+from bayes_sensor.campaign import CampaignError
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.io.results import Stage
 

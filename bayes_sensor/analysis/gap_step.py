@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bayes_sensor.campaign import CampaignError
 from bayes_sensor.analysis.job import Job
 from bayes_sensor.analysis.saved_records import put_record
+from bayes_sensor.campaign import CampaignError
 from bayes_sensor.io.results import Stage
 
 
@@ -30,7 +30,7 @@ def run_gap(job: Job) -> None:
 def save_gap(job: Job, stage: Stage) -> None:
     """Write gap.json with its tables; where there is none, that of an earlier run is dropped."""
     put_record(stage, "gap", job.gap, job.problem.campaign)
-    if job.no_gap:
+    if job.gap is None:
         stage.drop += ["gap.json", "gap_where.csv", "gap_which.csv"]
         return
     stage.json("gap.json", job.gap.to_json())

@@ -80,8 +80,8 @@ class Job:
     options: Mapping[str, Any] = field(default_factory=dict)
     """options of single commands: with_effects, without, nominal, effects, bootstrap"""
     bar: Bar = no_bar
-    remarks: tuple[str, ...] = ()
-    """what was noticed of the campaign, in sentences"""
+    warnings: tuple[str, ...] = ()
+    """sentences, what concerns the answer first"""
     muted: Callable[[], AbstractContextManager[None]] = nullcontext
     """keeps what samplers print from the screen"""
 
@@ -101,6 +101,6 @@ class Job:
     @property
     def exit_code(self) -> int:
         """3 where the fit or the posterior has not converged, else 0."""
-        bad = not self.fit.converged
+        bad = self.fit is not None and not self.fit.converged
         bad = bad or (self.posterior is not None and not self.posterior.converged)
         return 3 if bad else 0

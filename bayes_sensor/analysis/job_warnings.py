@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from bayes_sensor.analysis.job import Job
 
 
@@ -15,14 +17,15 @@ def decisive(job: Job) -> list[str]:
     return found
 
 
-def warnings_of(job: Job) -> list[str]:
-    """All warnings, what concerns the answer first."""
+def warnings_of(job: Job, remarks: Sequence[str]) -> list[str]:
+    """All warnings, what concerns the answer first; ``remarks``: on the campaign."""
     from bayes_sensor.io.check import SAME_FLOW
 
     # what concerns the last answer comes first, since a terminal shows only so many
     found = decisive(job)
     found += [] if job.posterior is None else job.posterior.warnings
-    found += [text for text in job.remarks if text != SAME_FLOW]  # the fit says it, with consequences
+    # the fit says it, with consequences
+    found += [text for text in remarks if text != SAME_FLOW]
     found += job.fit.warnings
     if job.no_gap:
         found.append(f"not diagnosed: {job.no_gap}")

@@ -94,64 +94,85 @@ def run_steps(
     # everything that can be wrong with the input is found before anything is written
     check_methods(overrides.bounds.methods, label)
     begin = time.perf_counter()
-    campaign, table, remarks = understood(given)
+    campaign, _, remarks = understood(given)
     read_seconds = time.perf_counter() - begin
-    path = given if isinstance(given, Path) else Path(given.source) if given.source else None
     if campaign.is_design:
-        name = path.name if path is not None else campaign.title
+        name = Path(campaign.source).name if campaign.source else campaign.title
         raise CampaignError(
             f"{name}: this is a design without data, but {command} needs measured "
             "experiments; give every experiment a file, or run simulate first"
         )
     problem = make_problem(campaign, overrides, label)
     fit_bounds(problem, overrides, label)
-    record = campaign_record(campaign, remarks, table)
-    basis = digest(record, overrides.basis())
-    files = _files(path, campaign, config)
     if command == "gap" and overrides.noise != type(overrides.noise)():
         LOG.warning(
             "%s: [noise] does not act on gap, which takes the noise of every record from it", label
         )
     job = Job(
-        command, problem, overrides, label, seed, jobs, quiet, resume, results, basis,
-        {"read": read_seconds}, options=options or {}, bar=bar, muted=muted, remarks=remarks,
+        command, problem, overrides, label, seed, jobs, quiet, resume, results,
+        digest(_campaign_json(campaign), overrides.basis()), {"read": read_seconds},
+        options=options or {}, bar=bar, muted=muted,
     )  # fmt: skip
     if results is None:
         _take(job)
+        job.warnings = tuple(warnings_of(job, remarks))
         return job
+    files = _files(campaign, config)
     with results.locked(patience):
         results.own_folder(CHECKPOINT)  # refused now rather than after the fit
         _take(job)
-        code = job.exit_code
-        with results.writing() as stage:
-            stage.json("campaign.json", record)
-            put_campaign(stage, problem)
-            for name in SAVES[command]:
-                if name in SAVE:
-                    SAVE[name](job, stage)
-            put_run(
-                stage,
-                command,
-                clock,
-                basis=basis,
-                seed=seed,
-                settings=overrides.record(),
-                campaign=str(path or campaign.source),
-                files=files,
-                seconds=job.seconds,
-                exit_code=code,
-                warnings=[*warnings_of(job), *notes()],
-                command_line=command_line,
-                signal_unit=campaign.signal_unit,
-            )
-            if "report" in SAVES[command]:
-                stage.drop.append("report.html")  # it speaks of other results
-        if "report" in SAVES[command]:  # all else is in place by now, whatever becomes of it
-            with job.timed("report") as tell, last_step(results):
-                put_report(results, tell)
-        if code == 0 and job.posterior is not None:
+        job.warnings = tuple(warnings_of(job, remarks))
+        write_results(job, results, clock, files, command_line, notes)
+        if job.exit_code == 0 and job.posterior is not None:
             shutil.rmtree(results.path(CHECKPOINT), ignore_errors=True)
     return job
+
+
+def write_results(
+    job: Job,
+    results: Results,
+    clock: Clock | None = None,
+    files: Mapping[str, str] | None = None,
+    command_line: Sequence[str] | None = None,
+    notes: Callable[[], Sequence[str]] = tuple,
+) -> None:
+    """Write what a job has found into a folder that is held, then the report if it has one.
+
+    ``files``: hashes of the input by name; ``notes``: what was said meanwhile.
+    """
+    campaign, command = job.problem.campaign, job.command
+    record = _campaign_json(campaign)
+    with results.writing() as stage:
+        stage.json("campaign.json", record)
+        put_campaign(stage, job.problem)
+        for name in SAVES[command]:
+            if name in SAVE and (getattr(job, name) is not None or name == "gap"):
+                SAVE[name](job, stage)
+        put_run(
+            stage,
+            command,
+            clock or Clock(),
+            basis=job.basis or digest(record, job.overrides.basis()),
+            seed=job.seed,
+            settings=job.overrides.record(),
+            campaign=campaign.source,
+            files=_files(campaign, None) if files is None else files,
+            seconds=job.seconds,
+            exit_code=job.exit_code,
+            warnings=[*job.warnings, *notes()],
+            command_line=command_line,
+            signal_unit=campaign.signal_unit,
+        )
+        if "report" in SAVES[command]:
+            stage.drop.append("report.html")  # it speaks of other results
+    if "report" in SAVES[command]:  # all else is in place by now, whatever becomes of it
+        with job.timed("report") as tell, last_step(results):
+            put_report(results, tell)
+
+
+def _campaign_json(campaign: Campaign) -> dict[str, Any]:
+    _, table, remarks = understood(campaign)
+    return campaign_record(campaign, remarks, table)
 
 
 def _take(job: Job) -> None:
@@ -160,7 +181,8 @@ def _take(job: Job) -> None:
             TAKE[name](job)
 
 
-def _files(path: Path | None, campaign: Campaign, config: Path | None) -> dict[str, str]:
+def _files(campaign: Campaign, config: Path | None) -> dict[str, str]:
+    path = Path(campaign.source) if campaign.source else None
     files = {}
     if path is not None and path.is_file():
         files[path.name] = sha256(path)

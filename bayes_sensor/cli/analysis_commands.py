@@ -158,8 +158,8 @@ def report(
     form: Annotated[str, typer.Option("--format", help="html, pdf or md.")] = "html",
 ) -> None:
     """Rebuild the report from the saved results."""
-    from bayes_sensor.cli.make_report import rebuild_report
     from bayes_sensor.analysis.overrides import read_overrides
+    from bayes_sensor.cli.make_report import rebuild_report
 
     read_overrides(common.config)  # a mistake in it is refused, though nothing of it acts
     rebuild_report(folder, common.quiet, form)

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.analysis.overrides import make_problem, read_overrides
-from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.analysis.read_input import understood
+from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.cli.read_parameters import read_option, read_truth
 from bayes_sensor.cli.terminal import Progress, lined_up, progress_bar, say
 from bayes_sensor.design import Design, check_design, design_experiments
 from bayes_sensor.fit.side_information import named_parameters
 from bayes_sensor.io.json_files import sha256
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.readers.quantities import FLOW, TIME, Kind
 from bayes_sensor.io.results import Results
 from bayes_sensor.io.writers import campaign_text

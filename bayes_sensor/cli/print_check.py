@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import STAGES, counted
 from bayes_sensor.analysis.read_input import check_methods, understood
+from bayes_sensor.campaign import STAGES, counted
 from bayes_sensor.cli.terminal import lined_up
 
 

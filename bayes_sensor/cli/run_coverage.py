@@ -12,8 +12,8 @@ from bayes_sensor.bounds import METHODS
 from bayes_sensor.checks.coverage import BoundsStudy, chosen_settings, run_coverage
 from bayes_sensor.cli.logged_notes import noted
 from bayes_sensor.cli.put_figure import put_figure
-from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.cli.terminal import lined_up, progress_bar, say
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import Results
 
 if TYPE_CHECKING:

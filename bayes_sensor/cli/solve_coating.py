@@ -10,8 +10,8 @@ from pathlib import Path
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli.put_figure import put_figure
-from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.cli.terminal import progress_bar, say
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import Results
 
 

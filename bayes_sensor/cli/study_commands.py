@@ -167,8 +167,8 @@ def blind_check(
     is added after the verdicts is scored, too, but cannot be sealed; score.json lists it as
     sealed_late.
     """
-    from bayes_sensor.cli import run_blind_check
     from bayes_sensor.analysis.overrides import read_overrides
+    from bayes_sensor.cli import run_blind_check
 
     read_overrides(config)  # a mistake in it is refused, though nothing of it acts
 

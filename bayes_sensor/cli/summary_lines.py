@@ -6,7 +6,7 @@ import sys
 from typing import Any
 
 from bayes_sensor.analysis.job import Job
-from bayes_sensor.analysis.job_warnings import decisive, warnings_of
+from bayes_sensor.analysis.job_warnings import decisive
 from bayes_sensor.cli.terminal import say
 from bayes_sensor.io.results import Results
 from bayes_sensor.io.run_record import of_other_data
@@ -58,7 +58,7 @@ def print_summary(job: Job, results: Results) -> None:
     # non-convergence is said below, on stderr
     unsaid = ("NOT converged", "not diagnosed")
     said = set(decisive(job))
-    warnings = [w for w in warnings_of(job) if not w.startswith(unsaid) and w not in said]
+    warnings = [w for w in job.warnings if not w.startswith(unsaid) and w not in said]
     for warning in warnings[:MOST_WARNINGS]:
         say(f"warning: {warning}", quiet)
     if len(warnings) > MOST_WARNINGS:
@@ -76,8 +76,8 @@ def print_summary(job: Job, results: Results) -> None:
             "settings; run them again, or use another --out",
             quiet,
         )
-    place = results.path("report.html") if command == "analyze" else results.folder
-    say(f"{'report' if command == 'analyze' else 'results'}: {place}", quiet)
+    where = results.path("report.html") if command == "analyze" else results.folder
+    say(f"{'report' if command == 'analyze' else 'results'}: {where}", quiet)
 
 
 def _lags_of_fit(fit: Any) -> str:

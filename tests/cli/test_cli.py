@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 import bayes_sensor
-from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import exit_code
 from bayes_sensor.analysis.job import Job
 from bayes_sensor.analysis.overrides import make_problem, read_overrides
 from bayes_sensor.analysis.posterior_step import saved_spreads, watching
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.cli import exit_code
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.io.results import Results
 from bayes_sensor.likelihood.prior_text import read_prior
