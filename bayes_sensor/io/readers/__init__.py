@@ -26,6 +26,8 @@ from bayes_sensor.io.readers.campaign_file import (
     read_side_information,
     read_toml,
 )
+from bayes_sensor.io.readers.flow_settings import settle_all_flows
+from bayes_sensor.io.readers.left_open import check_filled_in
 from bayes_sensor.io.readers.matlab import read_matlab
 from bayes_sensor.io.readers.npz import read_npz
 from bayes_sensor.io.readers.quantities import conversion_factor
@@ -111,14 +113,16 @@ def _read(path: Path) -> Campaign:
         )
     where = label if path.exists() else str(path)
     content = _read_bytes(path, where, LARGEST, "a campaign file in TOML")
-    sheet = read_sheet(read_toml(content, label), label)
+    tables = read_toml(content, label)
+    check_filled_in(tables, label)
+    sheet = read_sheet(tables, label)
     rig = read_rig(sheet.rig, label)
     side_information = read_side_information(sheet.side_information, label)
-    entries = [read_entry(table, i, label) for i, table in enumerate(sheet.experiment, 1)]
+    settled, warnings = settle_all_flows(sheet.experiment, sheet.conditions, label)
+    entries = [read_entry(table, i, label) for i, table in enumerate(settled, 1)]
     _check_entries(entries, label)
     experiments: list[Experiment] = []
     units: list[tuple[str, str]] = []
-    warnings: list[str] = []
     for entry in entries:
         if entry.file is None:
             experiments.append(design(entry, label))

@@ -17,6 +17,7 @@ from bayes_sensor.io.readers.recording import (
     DataFile,
     Recording,
     Selection,
+    channel_names,
     check_counts,
     missing_extra,
     parser_errors,
@@ -150,6 +151,7 @@ def _read(file: DataFile, selection: Selection, table: Any) -> Recording:
         clock=clock,
         timed=not roles.times or bool(facts[roles.times[0]].column.unit),
         notes=tuple(notes),
+        channels=channel_names([fact.column.name for fact in facts], roles.channels),
     )
 
 

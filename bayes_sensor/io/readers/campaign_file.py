@@ -13,6 +13,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 
 from bayes_sensor.campaign import ORDERS, STAGES, CampaignError, SideInformation
+from bayes_sensor.io.readers.flow_settings import MIXTURE
 from bayes_sensor.io.readers.quantities import (
     FLOW,
     TIME,
@@ -29,7 +30,7 @@ LARGEST = 1 << 20
 """bytes of a campaign file"""
 LONGEST_LINE = 4000
 """characters; longer lines and deeply dotted keys would slow the parser down"""
-_LEAST_FLOW, _MOST_FLOW = 1e-6, 1e6  # mL/s
+_LEAST_FLOW, _MOST_FLOW = 1e-12, 1e6  # mL/s
 
 Span = tuple[float | Moment, float | Moment]
 
@@ -62,6 +63,7 @@ _EXAMPLES = {
     "rig": '[rig] with sensor_is = "faster"',
     "stages": 'stages = ["valve", "manifold", "sensor"]',
     "sensor_is": 'sensor_is = "faster"',
+    "conditions": '[conditions] with temperature = "21 degC" and pressure = "1.0 bar"',
 }
 
 
@@ -234,6 +236,7 @@ class Sheet(BaseModel):
     allow_outside: bool = False
     rig: dict[str, Any] = Field(default_factory=dict)
     side_information: dict[str, Any] = Field(default_factory=dict)
+    conditions: dict[str, Any] = Field(default_factory=dict)
     experiment: list[dict[str, Any]] = Field(min_length=1)
 
 
@@ -345,7 +348,7 @@ def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
     first = min(problems, key=lambda problem: rank.get(problem["type"], 2))
     key = str(first["loc"][0]) if first["loc"] else ""
     if first["type"] == "extra_forbidden":
-        return _unknown(key, list(model.model_fields))
+        return _unknown(key, [*model.model_fields, *(MIXTURE if model is Entry else ())])
     if first["type"] == "value_error":
         return str(first["ctx"]["error"])
     example = _EXAMPLES.get(key, key)

@@ -108,7 +108,23 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
         file, columns, signal, drive, (t, y, d), called="the {} vector",
         fix="save them with the same length", interval=interval, clock=clock,
         timed=time is None or bool(columns[time].unit), notes=(remark,) if remark else (),
+        channels=_of_its_length(columns, vectors, time, sizes, sizes[vectors[signal]]),
     )  # fmt: skip
+
+
+def _of_its_length(
+    columns: list[Column],
+    vectors: list[str],
+    time: int | None,
+    sizes: dict[str, int],
+    n: int,
+) -> list[int]:
+    """Positions of the vectors of ``n`` samples that are no times."""
+    return [
+        i
+        for i, column in enumerate(columns)
+        if i != time and not is_time(column) and sizes[vectors[i]] == n
+    ]
 
 
 def _choose(

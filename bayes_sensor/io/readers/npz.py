@@ -108,6 +108,7 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
         fix="save them with the same length", time_name="time" if time is None else members[time],
         interval=selection.interval, clock=clock, timed=time is None or bool(columns[time].unit),
         notes=(remark,) if remark else (),
+        channels=[i for i, c in enumerate(columns) if i != time and not is_time(c)],
     )  # fmt: skip
 
 

@@ -23,6 +23,10 @@ _QUANTITY = re.compile(rf"({NUMBER})\s*(.*)")
 _SPREAD = re.compile(rf"\(?\s*({NUMBER})\s*(?:\+-|\+/-|±)\s*({NUMBER})\s*\)?\s*(.*)")
 _SYMBOL = r"[A-Za-zµμΩ\u2126%°][A-Za-z_0-9µμΩ\u2126%°]*(?:\*\*-?[1-9])?"
 _UNIT = re.compile(rf"\(?{_SYMBOL}\)?(?:\s*[*/\s]\s*\(?{_SYMBOL}\)?)*")
+STANDARD_FLOW = re.compile(
+    r"(?i)sccm|sccs|slm|slpm|sl/min|sml/min|nl/min|nml/min|ln/min|mln/min"
+)
+"""units of a flow that is given as the volume at standard conditions"""
 _LONGEST = 80
 """characters, of a quantity's text"""
 
@@ -202,8 +206,8 @@ def _scaled(number: str, unit: str, kind: Kind, key: str, text: str) -> float:
         fix = f'write for example {key} = "{kind.example}"'
         if kind is FLOW and conversion_factor(unit.strip(), "dimensionless") is not None:
             fix = (
-                "a concentration c needs the flow that makes it, "
-                "test_gas_flow = c / (1 - c) x carrier_flow"
+                "write a concentration as concentration, beside total_flow, in place of the two "
+                "flows"
             )
         raise CampaignError(
             f"{key}: expected {kind.name}, but '{_shorten(text)}' is in '{_shorten(unit)}', which "
@@ -233,7 +237,7 @@ def _parse_unit(text: str) -> Any:
     from pint.errors import PintError
 
     normal = _normal_form(text)
-    if re.fullmatch(r"(?i)(sccm|slm|slpm|sccs|nl/min|nml/min)", normal):
+    if STANDARD_FLOW.fullmatch(normal):
         raise CampaignError(
             f"'{normal}' is a flow at standard conditions; give the volume flow at the rig's own "
             'temperature and pressure, such as "500 mL/min"'

@@ -100,6 +100,8 @@ class Recording:
     """whether the file says the unit of its times"""
     notes: tuple[str, ...] = ()
     """remarks of the reader, without the place"""
+    channels: tuple[str, ...] = ()
+    """what may be chosen as signal, as ``signal`` or ``drive`` may write it, in the file's order"""
 
 
 @dataclass(frozen=True)
@@ -274,6 +276,18 @@ def list_names(names: Sequence[str], most: int = 12) -> str:
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
+def channel_names(names: Sequence[str], chosen: Sequence[int]) -> tuple[str, ...]:
+    """The chosen of all columns, each by its name where that is its own, else by its place.
+
+    >>> channel_names(["t", "A", "A", ""], [1, 2, 3])
+    ('column 2', 'column 3', 'column 4')
+    """
+    shown = [name.strip() for name in names]
+    return tuple(
+        shown[i] if shown[i] and shown.count(shown[i]) == 1 else f"column {i + 1}" for i in chosen
+    )
+
+
 def check_counts(file: DataFile, n_columns: int, n_samples: int = 0) -> None:
     """Raise CampaignError if the file is too large for one experiment."""
     if n_columns > MAX_COLUMNS:
@@ -309,6 +323,7 @@ def recording_of_vectors(
     clock: Clock | None = None,
     timed: bool = False,
     notes: tuple[str, ...] = (),
+    channels: Sequence[int] = (),
 ) -> Recording:
     """The recording of vectors that stand in the file by themselves; ``vectors``: t (s), y, drive.
 
@@ -335,4 +350,5 @@ def recording_of_vectors(
         clock=clock,
         timed=timed,
         notes=notes,
+        channels=tuple(columns[i].name for i in channels),
     )

@@ -64,6 +64,8 @@ class Roles:
     fraction: int | None = None
     """the milliseconds of the times, likewise"""
     notes: tuple[str, ...] = field(default=())
+    channels: tuple[int, ...] = ()
+    """columns of numbers that are no time and no counter"""
 
 
 def choose_roles(
@@ -140,7 +142,9 @@ def choose_roles(
     fix = f"which is the time column; choose one of {list_names(others)}"
     time = times[0] if times else None
     check_chosen(file, names, time, signal, drive, fix)
-    return Roles(times, signal, drive, date, fraction, tuple(notes))
+    numbers = (i for i, fact in enumerate(facts) if fact.kind == "number")
+    channels = tuple(i for i in numbers if i == signal or i not in taken)
+    return Roles(times, signal, drive, date, fraction, tuple(notes), channels)
 
 
 def _check_interval(file: DataFile, fact: Facts, name: str, interval: float) -> None:

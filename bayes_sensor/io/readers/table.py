@@ -26,6 +26,7 @@ from bayes_sensor.io.readers.recording import (
     DataFile,
     Recording,
     Selection,
+    channel_names,
     check_counts,
     is_date_name,
     scale_time,
@@ -121,6 +122,7 @@ def read_text(file: DataFile, text: bytes, selection: Selection, shift: int = 0)
         clock=clock,
         timed=not roles.times or any(layout.columns[i].unit for i in roles.times),
         notes=tuple(notes),
+        channels=channel_names([column.name for column in layout.columns], roles.channels),
     )
 
 

@@ -110,6 +110,7 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
         file, columns, signal, drive, (t, y, d), called="the {} channel",
         fix="export them together", interval=interval, clock=clock,
         timed=time is None or bool(columns[time].unit), notes=(remark,) if remark else (),
+        channels=others,
     )  # fmt: skip
 
 
