@@ -57,7 +57,7 @@ LARGEST_FILE = 256 << 20
 """bytes of a data file"""
 _LONGEST_MESSAGE = 2000
 
-__all__ = ["FORMATS", "read_campaign"]
+__all__ = ["FORMATS", "one_line", "one_unit", "read_campaign"]
 
 
 def read_campaign(path: str | os.PathLike[str]) -> Campaign:
@@ -100,7 +100,7 @@ def read_campaign(path: str | os.PathLike[str]) -> Campaign:
         return _read(Path(path))
     except CampaignError as error:
         # names and cells from the files may hold line ends or terminal codes
-        raise CampaignError(_one_line(str(error))) from None
+        raise CampaignError(one_line(str(error))) from None
 
 
 def _read(path: Path) -> Campaign:
@@ -142,14 +142,14 @@ def _read(path: Path) -> Campaign:
         title=sheet.title,
         experiments=tuple(experiments),
         side_information=side_information,
-        signal_unit=_one_unit(units, label),
-        warnings=tuple(_one_line(text) for text in warnings),
+        signal_unit=one_unit(units, label),
+        warnings=tuple(one_line(text) for text in warnings),
         source=str(path),
         sensor_is=rig.sensor_is,
     )
 
 
-def _one_line(text: str) -> str:
+def one_line(text: str) -> str:
     """The text without control characters, shortened to the length of a message."""
     shown = "".join(c if c.isprintable() else "\ufffd" for c in text)
     return shown if len(shown) <= _LONGEST_MESSAGE else shown[: _LONGEST_MESSAGE - 3] + "..."
@@ -179,7 +179,8 @@ def _check_entries(entries: list[Entry], label: str) -> None:
             )
 
 
-def _one_unit(units: list[tuple[str, str]], label: str) -> str:
+def one_unit(units: list[tuple[str, str]], label: str) -> str:
+    """The unit of all experiments, given by name; CampaignError where they differ."""
     first_name, first = units[0]
     for name, unit in units:
         if unit != first and conversion_factor(unit, first) != 1.0:
