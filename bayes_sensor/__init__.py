@@ -33,6 +33,7 @@ _PUBLIC = {
     "Noise": "likelihood.noise",
     "Prior": "likelihood.priors",
     "Problem": "likelihood.problem",
+    "make_problem": "likelihood.problem_settings",
     "log_likelihood": "likelihood.mesh",
     "log_prior": "likelihood.prior_density",
     "simulate": "likelihood.density",

@@ -11,6 +11,8 @@ from bayes_sensor.io.results import Stage
 def run_gap(job: Job) -> None:
     from bayes_sensor.diagnosis import diagnose_gap
 
+    if not job.carried("gap"):
+        return
     try:
         with job.timed("gap") as tell:
             job.gap = diagnose_gap(

@@ -12,7 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bayes_sensor.campaign import CampaignError
 from bayes_sensor.io.results import Results
+from bayes_sensor.likelihood.held_values import refuse_held
 
 Progress = Callable[[float, str], None]
 """called with the fraction done and a word"""
@@ -77,6 +79,8 @@ class Job:
     gap: Any = None
     no_gap: str = ""
     """reason why the gap could not be diagnosed, in a sentence"""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """why a step of :attr:`command` was not taken, by step, in a sentence"""
     options: Mapping[str, Any] = field(default_factory=dict)
     """options of single commands: with_effects, without, nominal, effects, bootstrap"""
     bar: Bar = no_bar
@@ -92,6 +96,19 @@ class Job:
         with self.bar(name) as tell:
             yield tell
         self.seconds[name] = time.perf_counter() - start
+
+    def carried(self, name: str) -> bool:
+        """Whether a step carries the parameters that are held; if not ``analyze`` leaves it out.
+
+        Raises CampaignError where the step is what the command is for.
+        """
+        try:
+            refuse_held(self.problem, name)
+        except CampaignError as error:
+            if self.command != "analyze":
+                raise
+            self.left_out[name] = str(error)
+        return name not in self.left_out
 
     @property
     def checkpoint(self) -> Path | None:

@@ -27,6 +27,7 @@ def warnings_of(job: Job, remarks: Sequence[str]) -> list[str]:
     # the fit says it, with consequences
     found += [text for text in remarks if text != SAME_FLOW]
     found += job.fit.warnings
+    found += job.left_out.values()
     if job.no_gap:
         found.append(f"not diagnosed: {job.no_gap}")
     return list(dict.fromkeys(found))

@@ -56,18 +56,16 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood import problem_settings
 from bayes_sensor.likelihood.prior_text import (
     flat_names,
     prior_of_law,
-    read_priors,
     read_value,
 )
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Settings
 from bayes_sensor.posterior.samplers import DEFAULT, SAMPLERS
-from bayes_sensor.rig.layout import Layout
 
 LARGEST = 1 << 20
 _EXAMPLES = {
@@ -273,12 +271,9 @@ def _first_problem(error: ValidationError, label: str, given: Mapping[str, Any])
 
 
 def make_problem(campaign: Campaign, overrides: Overrides, label: str) -> Problem:
-    """The campaign with the noise law and the priors that were asked for."""
-    noise = Noise(**overrides.noise.model_dump())
-    layout = Layout.of(campaign, noise.per_experiment)
-    unit = campaign.signal_unit
-    priors = read_priors(overrides.priors, layout, unit, f"{label}: [priors]")
-    return Problem(campaign, noise=noise, given_priors=priors)
+    """The campaign with the noise law, the priors and the held values that were asked for."""
+    noise = overrides.noise.model_dump()
+    return problem_settings.make_problem(campaign, overrides.priors, overrides.fix, noise, label)
 
 
 def fit_bounds(

@@ -46,6 +46,8 @@ SAVE: dict[str, Callable[[Job, Stage], None]] = {
     "gap": save_gap,
 }
 """what writes it"""
+DROPPED = ("bounds", "delays", "gap")
+"""whose files of an earlier run are dropped where there is no such result now"""
 
 
 def run_steps(
@@ -146,7 +148,7 @@ def write_results(
         stage.json("campaign.json", record)
         put_campaign(stage, job.problem)
         for name in SAVES[command]:
-            if name in SAVE and (getattr(job, name) is not None or name == "gap"):
+            if name in SAVE and (getattr(job, name) is not None or name in DROPPED):
                 SAVE[name](job, stage)
         put_run(
             stage,

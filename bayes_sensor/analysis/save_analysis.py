@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 def analysis_of(job: Job) -> Analysis:
     """The record of what a job has found."""
     compared, record = (None, None) if job.bounds is None else job.bounds
+    notes = [f"gap: not diagnosed: {job.no_gap}"] if job.no_gap else []
+    notes += job.left_out.values()
     return Analysis(
         problem=job.problem,
         fit=job.fit,
@@ -32,7 +34,7 @@ def analysis_of(job: Job) -> Analysis:
         predictive=job.predictive,
         bounds_json=record,
         warnings=tuple(job.warnings),
-        notes=(f"gap: not diagnosed: {job.no_gap}",) if job.no_gap else (),
+        notes=tuple(notes),
         settings=job.overrides.record(),
         seed=job.seed,
         seconds=dict(job.seconds),

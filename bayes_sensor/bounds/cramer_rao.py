@@ -16,6 +16,7 @@ import numpy as np
 from bayes_sensor.bounds.gaussian_intervals import invert
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.likelihood.density import grid_response
+from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.mesh import above_zero, expected_information
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.problem import Problem, as_problem
@@ -92,6 +93,7 @@ def cramer_rao(
     between -1 and 1), or an unstable Euler step.
     """
     problem = as_problem(campaign)
+    refuse_held(problem, "cramer_rao")
     layout = problem.layout
     vector = problem.flat(theta)
     for label, value, known in (

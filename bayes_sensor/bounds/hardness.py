@@ -20,6 +20,7 @@ from bayes_sensor.bounds.likelihood_surface import Maximum, Surface, coloured_su
 from bayes_sensor.bounds.profile import Profiler, profile_curve
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.io.json_files import plain
+from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.lags import by_size
 from bayes_sensor.rig.layout import Layout, Theta
@@ -152,6 +153,7 @@ def explain_tau(
     import pandas as pd
 
     problem = as_problem(campaign)
+    refuse_held(problem, "explain_tau")
     layout = problem.layout
     # information needs no data
     bare = tuple(replace(e, y=None, drive=None) for e in problem.campaign)

@@ -26,6 +26,7 @@ from scipy.linalg import pinvh
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.fit import Fit
 from bayes_sensor.io.json_files import plain
+from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.mesh import compress
 from bayes_sensor.likelihood.problem import Problem, as_problem
 
@@ -150,6 +151,7 @@ def regress_delays(campaign: Campaign | Problem, fit: Fitted, posterior: Any = N
     the reason.
     """
     problem = as_problem(campaign)
+    refuse_held(problem, "delays")
     campaign = problem.campaign
     vector = problem.layout.flat(fit.theta_hat)
     everything = None if posterior is not None else _covariance_of_fit(problem, fit, vector)

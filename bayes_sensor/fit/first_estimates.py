@@ -134,4 +134,10 @@ def initial_bounds(
         if not low < high:
             raise CampaignError(f"bounds of '{name}': expected low < high, got {low} and {high}")
         bounds[name] = (low, high)
+    for name, value in problem.held.items():
+        bounds[name] = (value, value)
+    if "tau_v_s" in problem.held:  # lags by size: the place of the longest
+        bounds["tau_s"] = tuple(np.minimum(bounds["tau_s"], problem.held["tau_v_s"]).tolist())
+    if "tau_s" in problem.held:
+        bounds["tau_v_s"] = tuple(np.maximum(bounds["tau_v_s"], problem.held["tau_s"]).tolist())
     return bounds

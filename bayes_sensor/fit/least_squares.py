@@ -127,6 +127,8 @@ def fit_least_squares(
     mute = cannot_tell(problem, vector, residuals)
     seen = step_is_seen(problem, vector, residuals)
     can_tell = seen and not mute
+    vector = problem.flat(vector)
+    box = {name: ends for name, ends in box.items() if name not in problem.held}
     naming, compared = weigh_names(problem, vector) if can_tell else (problem.naming(), ())
     labels = dict(zip(SHARED, naming.names, strict=True))
     hidden = hiding_interval(problem, vector) if can_tell else None
@@ -141,7 +143,7 @@ def fit_least_squares(
             "the best is given."
         )
     comparison = None
-    if euler and plain and problem.model.method == "exact":
+    if euler and plain and not problem.held and problem.model.method == "exact":
         tell(0.85, "Euler")
         comparison = _compare_euler(problem, theta, box, looks, rms, count, naming)
     tell(1.0, "done")
@@ -232,7 +234,7 @@ def _search(
 ) -> tuple[FloatArray, bool, dict[str, Any], dict[str, Any] | None, Twin | None]:
     """The exact cascade's least squares: swarms, starts along the valley, mesh; and its twin."""
     campaign = problem.campaign
-    problem = Problem(campaign, noise=problem.noise)
+    problem = Problem(campaign, noise=problem.noise, held=problem.held)
     layout = problem.layout
     low, high = limits(layout, box)
     coarse = averages(campaign, looks, 12, 40)

@@ -21,7 +21,7 @@ from bayes_sensor.rig.cascade import (
     cascade_sensitivities,
     time_constants,
 )
-from bayes_sensor.rig.layout import Layout
+from bayes_sensor.rig.layout import SHARED, Layout
 
 
 class Squares:
@@ -192,8 +192,11 @@ def refine(
     tolerance: float = 1e-10,
 ) -> Refined:
     """Trust-region refinement (scipy's ``trf``) inside the box; ``free`` False: held fixed."""
-    free = np.ones(len(theta), dtype=bool) if free is None else free
-    straight = bool(free[0])
+    free = np.ones(len(theta), dtype=bool) if free is None else free.copy()
+    held = [problem.layout.index(name) for name in problem.held]
+    free[held] = False
+    # where a switch time is held, that is one without tau added
+    straight = bool(free[0]) and all(i < len(SHARED) for i in held)
     squares = Squares(problem, points, straight)
     box_low, box_high = squares.coordinates(low), squares.coordinates(high)
     result = _trust_region(

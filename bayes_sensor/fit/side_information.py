@@ -59,6 +59,7 @@ class Estimates:
     @classmethod
     def of(cls, problem: Problem, vector: FloatArray) -> Estimates:
         """From the expected information at the fit ``vector`` (n_theta,), noise included."""
+        problem = replace(problem, held={})  # the data alone, whatever is held
         flow, lags, volume = problem.flow, lags_of(vector, problem.flow), float(vector[2])
         scale = float(lags[-1])
         vector = vector.copy()

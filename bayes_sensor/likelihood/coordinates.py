@@ -46,8 +46,8 @@ class Coordinates:
 
     @cached_property
     def switches(self) -> np.ndarray:
-        """Positions in psi of t0 + tau and tf + tau."""
-        return self._where("t0_s", "tf_s")
+        """Positions in psi of t0 + tau and tf + tau; none where the shortest lag is held."""
+        return self._where("t0_s", "tf_s") if "tau_s" in self._kinds else self._where()
 
     @cached_property
     def phi(self) -> np.ndarray:

@@ -245,7 +245,7 @@ def approximate(
         info = posterior_information(mesh, coordinates, psi)
     theta = coordinates.theta(psi)
     mean, cov = expand(mesh, coordinates, psi, gradient)
-    if mean[0] < 0.25 * sqrt(cov[0, 0]):
+    if "tau_s" in coordinates.names and mean[0] < 0.25 * sqrt(cov[0, 0]):
         # re-expand where the bulk of the truncated Gaussian lies, not at the edge
         middle = psi.copy()
         middle[0] = max(mean[0], 0.0) + 0.5 * sqrt(cov[0, 0])
@@ -288,11 +288,12 @@ def covering_region(
     layout = laplace.coordinates.problem.layout
     switches = layout.local[:, 2:].ravel()
     extra = range(len(layout) - len(layout.extra), len(layout))
-    for i in [1, 2, *switches[switches >= 0], *extra]:
+    held = {layout.index(name) for name in laplace.coordinates.problem.held}
+    for i in [i for i in (1, 2, *switches[switches >= 0], *extra) if i not in held]:
         a, b = thetas[:, i].min(), thetas[:, i].max()
         low[i], high[i] = a - spare * (b - a), b + spare * (b - a)
     low[0], high[0] = 0.0, (1.0 + spare) * thetas[:, 0].max()
-    for i in (1, 2):
+    for i in {1, 2} - held:
         low[i] = max(low[i], 0.2 * laplace.theta[i])
     for i in extra:
         support = laplace.coordinates.problem.priors[layout.names[i]].support

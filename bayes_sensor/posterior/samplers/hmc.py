@@ -29,7 +29,8 @@ class Whitened:
 
     def __init__(self, laplace: Laplace, compressed: Compressed) -> None:
         self.coordinates, self.compressed = laplace.coordinates, compressed
-        self.folds = self.coordinates.problem.flow is None
+        problem = self.coordinates.problem
+        self.folds = problem.flow is None and not problem.held
         self.outside: list[FloatArray] = []
         thetas, _ = laplace.draw(2000, np.random.default_rng(12345))
         roots = self._roots(thetas)
