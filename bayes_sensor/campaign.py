@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_sensor.display import card
+from bayes_sensor.display import card, record_card
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -56,6 +56,8 @@ class Experiment:
         finite, times do not increase strictly, the step down is not commanded after the step up, a
         used sample is not finite or no sample is used.
     """
+
+    _repr_html_ = record_card
 
     name: str
     t: FloatArray
@@ -241,6 +243,8 @@ class Experiment:
 @dataclass(frozen=True)
 class SideInformation:
     """A parameter measured elsewhere, used as a normal prior: mean and sd in the internal unit."""
+
+    _repr_html_ = record_card
 
     mean: float
     sd: float

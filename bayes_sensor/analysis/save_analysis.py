@@ -131,6 +131,8 @@ def load(folder: str | os.PathLike[str]) -> Analysis:
         ) from None
     said = [text for text in warnings if text.startswith("not diagnosed: ")]
     notes += [f"gap: {text}" for text in said if parts["gap"] is None]
+    absent = tuple(f"{part}: " for part in PARTS if parts[part] is None)
+    notes += [text for text in warnings if text.startswith(absent)]
     traces = place / "traces.npz"
     return Analysis(
         problem=problem,

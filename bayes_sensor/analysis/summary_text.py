@@ -30,11 +30,12 @@ class ParameterRow(NamedTuple):
     """95 % interval"""
     high: float | None
     unit: str
+    remark: str = ""
 
     @property
     def cells(self) -> list[Any]:
         """Its columns."""
-        return list(self)
+        return [*self[:5], f"{self.unit} {self.remark}".strip()]
 
 
 def answer_lines(analysis: Analysis) -> list[str]:
@@ -62,20 +63,22 @@ def parameter_rows(analysis: Analysis) -> list[ParameterRow]:
     unit = analysis.campaign.signal_unit
     posterior, fit = analysis.posterior, analysis.fit
     if posterior is not None:
-        rows = posterior.rows
-        return [
-            ParameterRow(
-                _plain(name, unit), rows[name]["q50"], rows[name]["sd"], rows[name]["q2.5"],
-                rows[name]["q97.5"], unit_of(name.split("[")[0], unit),
-            )
-            for name in told_apart(rows)
-        ]  # fmt: skip
+        rows, held = posterior.rows, analysis.problem.held
+        made = []
+        for name in told_apart(rows):
+            row, own = rows[name], unit_of(name.split("[")[0], unit)
+            is_held = (analysis.problem.place_of(name) or name) in held
+            sd, low, high = (None if is_held else row[key] for key in ("sd", "q2.5", "q97.5"))
+            remark = "(held)" if is_held else ""
+            made.append(ParameterRow(_plain(name, unit), row["q50"], sd, low, high, own, remark))
+        return made
     if fit is None:
         return []
     return [
         ParameterRow(
             _plain(name, unit), None if name in fit.unseen else float(value), None, None, None,
             unit_of(name.split("[")[0], unit),
+            "(too small to be seen)" if name in fit.unseen else "",
         )
         for name, value in zip(fit.names, fit.theta_hat, strict=True)
     ]  # fmt: skip
@@ -147,9 +150,7 @@ def _parameters(analysis: Analysis) -> list[str]:
         if row.sd is not None:
             line += f" +/- {shown(row.sd, 3):>9}"
             line += f"  95 % [{shown(row.low)}, {shown(row.high)}]"
-        elif row.value is None:
-            line += " (too small to be seen)"
-        lines.append(f"{line} {'' if row.unit == '1' else row.unit}".rstrip())
+        lines.append(" ".join([line, "" if row.unit == "1" else row.unit, row.remark]).rstrip())
     if analysis.posterior is not None and not analysis.posterior.converged:
         lines.append("(the posterior has not converged: take these numbers for a sketch)")
     return lines

@@ -15,6 +15,7 @@ import numpy as np
 
 from bayes_sensor.bounds.gaussian_intervals import invert
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.display import record_card
 from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.mesh import above_zero, expected_information
@@ -35,6 +36,8 @@ PAPER = "the paper, eqs. 16-18; Kay (1993), eq. 3.33"
 @dataclass(frozen=True, eq=False)
 class CramerRao:
     """A lower bound on the covariance of unbiased estimates."""
+
+    _repr_html_ = record_card
 
     names: list[str]
     """flat names of the mean's parameters"""

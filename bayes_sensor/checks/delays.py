@@ -24,6 +24,7 @@ from scipy import stats
 from scipy.linalg import pinvh
 
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.display import card
 from bayes_sensor.fit import Fit
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.likelihood.held_values import refuse_held
@@ -127,6 +128,16 @@ class Delays:
 
     start: Line
     end: Line | None
+
+    def _repr_html_(self) -> str:
+        """HTML for a notebook: both lines."""
+        lines = [("start", self.start), *([] if self.end is None else [("end", self.end)])]
+        rows = [
+            [side, line.intercept, line.slope, line.r2, line.n, ", ".join(line.outliers)]
+            for side, line in lines
+        ]
+        columns = ["delay", "intercept (s)", "slope (L)", "R2", "n", "outliers"]
+        return card("delays on 1/Q", [line.status for _, line in lines], columns, rows)
 
     def to_json(self) -> dict[str, Any]:
         """The content of ``delays.json``."""

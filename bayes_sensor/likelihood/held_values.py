@@ -104,7 +104,6 @@ def refuse_held(problem: Problem, what: str) -> None:
     """Raise CampaignError where parameters are held, which ``what`` does not carry."""
     if problem.held:
         raise CampaignError(
-            f"{what}: {held_words(problem)} held; expected a problem in which all parameters vary, "
-            "since held ones act on fit and posterior alone: leave fix out, or give side "
-            "information"
+            f"{what}: not computed where parameters are held ({held_words(problem)}), which act on "
+            "fit and posterior alone; expected all to vary: leave fix out, or give side information"
         )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.display import record_card
 from bayes_sensor.likelihood.default_priors import default_priors
 from bayes_sensor.likelihood.noise import (
     Noise,
@@ -49,6 +50,8 @@ class Problem:
       ``low`` and ``high`` (n_theta,), in which the mean or the response may jump or bend other
       than at t0 and tf.
     """
+
+    _repr_html_ = record_card
 
     campaign: Campaign
     model: Cascade = field(default_factory=Cascade)

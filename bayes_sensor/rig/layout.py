@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.display import record_card
 from bayes_sensor.rig.rig import PUBLISHED
 
 Theta = Mapping[str, Any] | Sequence[float] | FloatArray
@@ -58,6 +59,8 @@ class Layout:
     >>> Layout(("a",), (False,)).names
     ['tau_s', 'tau_v_s', 'V_mL', 'y0_V[a]', 'beta_V[a]', 't0_s[a]', 'phi', 'sigma0_V', 'sigma1_V']
     """
+
+    _repr_html_ = record_card
 
     experiments: tuple[str, ...]
     has_fall: tuple[bool, ...]
