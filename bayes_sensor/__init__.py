@@ -17,7 +17,7 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "Analysis": "analysis.analysis",
     "analyze": "analysis.analyze",
-    "load": "analysis.save_analysis",
+    "load": "analysis.load_analysis",
     "Campaign": "campaign",
     "CampaignError": "campaign",
     "Experiment": "campaign",

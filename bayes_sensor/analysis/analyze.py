@@ -12,9 +12,9 @@ from typing import Any
 
 from bayes_sensor.analysis.analysis import Analysis
 from bayes_sensor.analysis.job import Progress
+from bayes_sensor.analysis.load_analysis import analysis_of
 from bayes_sensor.analysis.overrides import Overrides, read_overrides
 from bayes_sensor.analysis.run_steps import run_steps
-from bayes_sensor.analysis.save_analysis import analysis_of
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.display import progress_bar
 from bayes_sensor.io.results import Results
@@ -42,7 +42,7 @@ def analyze(
     bootstrap: int = 60,
     jobs: int = 1,
     resume: bool = False,
-    progress: Callable[[str], Progress] = progress_bar,
+    progress: Callable[[str], Progress] | None = None,
 ) -> Analysis:
     """Fit, residuals, posterior, bounds, delays and gap of a campaign, as the command ``analyze``.
 
@@ -75,7 +75,7 @@ def analyze(
         go on with what an interrupted run left in ``out``.
     progress
         called with the name of each step; what it returns is called with a fraction and a word.
-        The default draws a bar in a notebook.
+        None draws a bar in a notebook.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def analyze(
     options = {"without": tuple(named), "effects": own, "nominal": nominal, "bootstrap": bootstrap}
 
     def bar(name: str) -> AbstractContextManager[Progress]:
-        return nullcontext(progress(name))
+        return nullcontext((progress or progress_bar)(name))
 
     job = run_steps(
         "analyze",

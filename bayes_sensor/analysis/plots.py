@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from bayes_sensor.analysis.findings import Findings
 from bayes_sensor.campaign import CampaignError
-
-if TYPE_CHECKING:
-    from bayes_sensor.analysis.analysis import Analysis
 
 _COMMANDS = {"fit": "fit", "residuals": "fit"}
 
@@ -23,7 +21,7 @@ class Plots:
     'fit'
     """
 
-    def __init__(self, analysis: Analysis) -> None:
+    def __init__(self, analysis: Findings) -> None:
         self._analysis = analysis
 
     def __repr__(self) -> str:

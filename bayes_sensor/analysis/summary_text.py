@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from bayes_sensor.analysis.findings import Findings
 from bayes_sensor.campaign import counted
 from bayes_sensor.display import shown
 from bayes_sensor.rig.layout import unit_of
-
-if TYPE_CHECKING:
-    from bayes_sensor.analysis.analysis import Analysis
 
 LEAST_CORRELATION = 0.5
 """magnitude from which a correlation is listed"""
@@ -38,7 +36,7 @@ class ParameterRow(NamedTuple):
         return [*self[:5], f"{self.unit} {self.remark}".strip()]
 
 
-def answer_lines(analysis: Analysis) -> list[str]:
+def answer_lines(analysis: Findings) -> list[str]:
     """What the command line says first: the lags with their intervals, and the gap's verdict."""
     from bayes_sensor.report import chain_words, headline
 
@@ -56,7 +54,7 @@ def answer_lines(analysis: Analysis) -> list[str]:
     return lines
 
 
-def parameter_rows(analysis: Analysis) -> list[ParameterRow]:
+def parameter_rows(analysis: Findings) -> list[ParameterRow]:
     """Every parameter that varies; lags by size where it is not known which is the sensor's."""
     from bayes_sensor.figures import told_apart
 
@@ -84,7 +82,7 @@ def parameter_rows(analysis: Analysis) -> list[ParameterRow]:
     ]  # fmt: skip
 
 
-def summary_text(analysis: Analysis) -> str:
+def summary_text(analysis: Findings) -> str:
     """The whole text."""
     parts = [
         ("Campaign", _campaign(analysis)),
@@ -111,13 +109,13 @@ def _plain(name: str, unit: str) -> str:
     return "_".join(words) + bracket + rest
 
 
-def _campaign(analysis: Analysis) -> list[str]:
+def _campaign(analysis: Findings) -> list[str]:
     campaign = analysis.campaign
     about = f"{counted(len(campaign), 'experiment')}, {campaign.n_samples} samples used"
     return [campaign.title, about, f"signal in {campaign.signal_unit}"]
 
 
-def _statistics(analysis: Analysis) -> list[str]:
+def _statistics(analysis: Findings) -> list[str]:
     fit, unit = analysis.fit, analysis.campaign.signal_unit
     if fit is None:
         return []
@@ -139,7 +137,7 @@ def _statistics(analysis: Analysis) -> list[str]:
     return lines
 
 
-def _parameters(analysis: Analysis) -> list[str]:
+def _parameters(analysis: Findings) -> list[str]:
     rows = parameter_rows(analysis)
     if not rows:
         return []
@@ -156,7 +154,7 @@ def _parameters(analysis: Analysis) -> list[str]:
     return lines
 
 
-def _correlations(analysis: Analysis) -> list[str]:
+def _correlations(analysis: Findings) -> list[str]:
     from bayes_sensor.figures import told_apart
 
     if analysis.posterior is None:
@@ -180,7 +178,7 @@ def _correlations(analysis: Analysis) -> list[str]:
     return lines
 
 
-def _bounds(analysis: Analysis) -> list[str]:
+def _bounds(analysis: Findings) -> list[str]:
     lines = []
     for method, bound in analysis.bounds.methods.items() if analysis.bounds is not None else ():
         # a lag that cannot be assigned goes by its size
@@ -193,7 +191,7 @@ def _bounds(analysis: Analysis) -> list[str]:
     return lines
 
 
-def _warnings(analysis: Analysis) -> list[str]:
+def _warnings(analysis: Findings) -> list[str]:
     found = list(analysis.warnings)
     more = len(found) - MOST_WARNINGS
     return found[:MOST_WARNINGS] + ([f"({more} more in .warnings)"] if more > 0 else [])

@@ -107,7 +107,7 @@ def test_nothing_is_computed_to_load(
 
     for name in ("fit.fit_least_squares", "posterior.sample_posterior", "bounds.compare_bounds",
                  "diagnosis.diagnose_gap", "fit.traces.make_traces", "checks.delays.regress_delays",
-                 "analysis.analysis.make_traces"):  # fmt: skip
+                 "analysis.findings.make_traces"):  # fmt: skip
         monkeypatch.setattr(f"bayes_sensor.{name}", never)
     again = bs.load(place / "call")
     assert again.summary() == result.summary()

@@ -1,11 +1,10 @@
-"""An analysis into a results folder, and back."""
+"""The record of a whole analysis from a results folder, or from a job that is done."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bayes_sensor.analysis.analysis import Analysis
 from bayes_sensor.analysis.job import Job
@@ -13,9 +12,6 @@ from bayes_sensor.analysis.saved_records import PARTS, file_of, read_problem, re
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.fit.traces import load_traces
 from bayes_sensor.io.results import Results
-
-if TYPE_CHECKING:
-    pass
 
 
 def analysis_of(job: Job) -> Analysis:
@@ -39,39 +35,6 @@ def analysis_of(job: Job) -> Analysis:
         seed=job.seed,
         seconds=dict(job.seconds),
     )
-
-
-def save_analysis(analysis: Analysis, folder: Path) -> Path:
-    """Write what there is of an analysis, with the report of it; the folder."""
-    from bayes_sensor.analysis.run_steps import write_results
-
-    results = Results(folder)
-    bounds = None if analysis.bounds is None else (analysis.bounds, analysis.bounds_json)
-    job = Job(
-        "analyze", analysis.problem, _Settings(analysis.settings), "", analysis.seed, 1, True,
-        False, results, "", dict(analysis.seconds), analysis.fit, analysis.residuals,
-        analysis.posterior, analysis.predictive, bounds, analysis.delays, analysis.gap,
-        "; ".join(note.partition("gap: not diagnosed: ")[2] for note in analysis.notes),
-    )  # fmt: skip
-    job.warnings = analysis.warnings
-    with results.locked():
-        write_results(job, results, command_line=("Analysis.save",))
-    return folder
-
-
-class _Settings:
-    """Settings of a run that is done, as run.json has them."""
-
-    def __init__(self, settings: Mapping[str, Any]) -> None:
-        self._settings = dict(settings)
-
-    def record(self) -> dict[str, Any]:
-        """All of them."""
-        return self._settings
-
-    def basis(self) -> dict[str, Any]:
-        """Those that say what is computed."""
-        return {k: self._settings[k] for k in ("noise", "priors", "fix") if k in self._settings}
 
 
 def load(folder: str | os.PathLike[str]) -> Analysis:
