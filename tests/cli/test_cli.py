@@ -319,6 +319,7 @@ def test_fit_is_replaced_as_a_whole_and_repeats_itself(
         "campaign.json",
         "traces.npz",
         "samples.npz",
+        *("campaign_record.npz", "fit_record.npz", "residuals_record.npz"),
     }
     record = json.loads((out / "run.json").read_text())["commands"]["fit"]
     assert record["seed"] == 3 and record["exit_code"] == 0
