@@ -54,8 +54,8 @@ class Analysis(Findings):
 
     def __repr__(self) -> str:
         """Campaign and answer."""
-        answer = answer_lines(self)
-        return f"Analysis({self.campaign.title!r}: {answer[0].split('; ')[0] if answer else 'no result'})"
+        answer = [*answer_lines(self), "no result"][0].split("; ")[0]
+        return f"Analysis({self.campaign.title!r}: {answer})"
 
     def _repr_html_(self) -> str:
         """HTML for a notebook: answer, parameters and warnings."""

@@ -10,7 +10,7 @@ from typing import Any
 from bayes_sensor.campaign import Campaign, CampaignError
 
 
-def understood(given: Path | Campaign) -> tuple[Campaign, Any, tuple[str, ...]]:
+def read_input(given: Path | Campaign) -> tuple[Campaign, Any, tuple[str, ...]]:
     """Campaign (read, where a file is given), rows of its understood content, and remarks."""
     from bayes_sensor.io.check import campaign_remarks, campaign_rows
     from bayes_sensor.io.readers import read_campaign

@@ -18,7 +18,7 @@ from bayes_sensor.analysis.job import CHECKPOINT, SAVES, STEPS, Bar, Job, no_bar
 from bayes_sensor.analysis.job_warnings import warnings_of
 from bayes_sensor.analysis.posterior_step import run_posterior, run_predictive, save_posterior
 from bayes_sensor.analysis.put_report import last_step, put_report
-from bayes_sensor.analysis.read_input import check_methods, understood
+from bayes_sensor.analysis.read_input import check_methods, read_input
 from bayes_sensor.analysis.saved_records import put_campaign
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.io.json_files import sha256
@@ -96,7 +96,7 @@ def run_steps(
     # everything that can be wrong with the input is found before anything is written
     check_methods(overrides.bounds.methods, label)
     begin = time.perf_counter()
-    campaign, _, remarks = understood(given)
+    campaign, _, remarks = read_input(given)
     read_seconds = time.perf_counter() - begin
     if campaign.is_design:
         name = Path(campaign.source).name if campaign.source else campaign.title
@@ -173,7 +173,7 @@ def write_results(
 
 
 def _campaign_json(campaign: Campaign) -> dict[str, Any]:
-    _, table, remarks = understood(campaign)
+    _, table, remarks = read_input(campaign)
     return campaign_record(campaign, remarks, table)
 
 

@@ -42,9 +42,16 @@ def analyze(run: Run, sampling: Sampling) -> None:
     _run("analyze", run, posterior=sampling.settings)
 
 
+@dataclass(frozen=True)
+class OneProcessRun(Run):
+    """The same, of a command that one process does."""
+
+    jobs: UnusedJobs = 1
+
+
 @app.command()
 @with_groups
-def fit(run: Run) -> None:
+def fit(run: OneProcessRun) -> None:
     """Particle swarm and refinement, residual diagnostics."""
     _run("fit", run)
 
@@ -79,7 +86,7 @@ def bounds(run: Run, sampler: Sampler = None) -> None:
 
 @app.command()
 @with_groups
-def delays(run: Run) -> None:
+def delays(run: OneProcessRun) -> None:
     """Regressions of start and end delay on 1/Q."""
     _run("delays", run)
 
@@ -137,8 +144,36 @@ def gap(
 
 
 @app.command()
+@with_groups
+def init(
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="The folder of the recorder's exports.")
+    ],
+    common: Unused,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a campaign.toml that is there.")
+    ] = False,
+) -> None:
+    """A first campaign.toml from a folder of exports.
+
+    Every export is read, and experiments, commands and units are proposed. At a terminal you are
+    asked for flows and what else cannot be known; Enter leaves it open. What is assumed and what is
+    missing is marked in the file.
+    """
+    from bayes_sensor.analysis.overrides import read_overrides
+    from bayes_sensor.cli.init_campaign import init_campaign
+
+    read_overrides(common.config)  # a mistake in it is refused, though nothing of it acts
+    init_campaign(folder, overwrite=overwrite, quiet=common.quiet)
+
+
+@app.command()
 def check(
     campaign: CampaignFile,
+    plot: Annotated[
+        bool,
+        typer.Option("--plot", help="Write check.png beside it: records and what was understood."),
+    ] = False,
     seed: UnusedSeed = 1,
     jobs: UnusedJobs = 1,
     quiet: Quiet = False,
@@ -147,7 +182,7 @@ def check(
     """Load and validate only, print what was understood."""
     from bayes_sensor.cli.print_check import print_check
 
-    print_check(campaign, quiet, config)
+    print_check(campaign, quiet, config, plot=plot)
 
 
 @app.command()

@@ -29,21 +29,22 @@ Sampler = Annotated[
 ]
 
 
-def settings_file(words: str) -> Any:
+def settings_file(words: str, hidden: bool = False) -> Any:
     """The option ``--config`` with a help text of the command's own."""
-    return typer.Option("--config", metavar="OVERRIDES.toml", help=words)
+    return typer.Option("--config", metavar="OVERRIDES.toml", help=words, hidden=hidden)
 
 
 Config = Annotated[Path | None, settings_file("Settings that differ from default.")]
 
-# Every command takes the common options, so that a script may give all the same ones.
+# Every command takes the common options, so that a script may give all the same ones; those that
+# do nothing for a command are not offered in its help.
 UnusedSeed = Annotated[
-    int, typer.Option("--seed", min=0, max=2**32 - 1, help="Taken; nothing is drawn here.")
+    int, typer.Option("--seed", min=0, max=2**32 - 1, hidden=True, help="Nothing is drawn here.")
 ]
 UnusedJobs = Annotated[
-    int, typer.Option("--jobs", min=1, max=256, help="Taken; one process does it.")
+    int, typer.Option("--jobs", min=1, max=256, hidden=True, help="One process does it.")
 ]
-UnusedConfig = Annotated[Path | None, settings_file("Checked; nothing in it acts here.")]
+UnusedConfig = Annotated[Path | None, settings_file("Checked; nothing in it acts.", hidden=True)]
 
 
 @dataclass(frozen=True)

@@ -7,20 +7,30 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.analysis.read_input import check_methods, understood
+from bayes_sensor.analysis.read_input import check_methods, read_input
 from bayes_sensor.campaign import STAGES, counted
 from bayes_sensor.cli.terminal import lined_up
+from bayes_sensor.io.disk import write_bytes
+
+FIGURE = "check.png"
 
 
-def print_check(path: Path, quiet: bool, config: Path | None = None) -> None:
-    """Print what was understood of a campaign; settings are checked against it."""
+def print_check(path: Path, quiet: bool, config: Path | None = None, plot: bool = False) -> None:
+    """Print what was understood of a campaign; settings are checked against it.
+
+    ``plot``: draw it, too, into a file beside the campaign's.
+    """
     from bayes_sensor.analysis.overrides import fit_bounds, make_problem, read_overrides
 
     overrides = read_overrides(config)
     label = config.name if config is not None else "--config"
     check_methods(overrides.bounds.methods, label)
-    campaign, table, remarks = understood(path)
+    campaign, table, remarks = read_input(path)
     fit_bounds(make_problem(campaign, overrides, label), overrides, label)
+    if plot:
+        from bayes_sensor.figures import png, understood
+
+        write_bytes(path.parent / FIGURE, png(understood(campaign), dpi=130))
     if quiet:
         return
     kind = "a design without data" if campaign.is_design else f"{campaign.n_samples} samples in use"
@@ -48,6 +58,8 @@ def print_check(path: Path, quiet: bool, config: Path | None = None) -> None:
         print(f"known beforehand: {name} = {info.mean:g} +- {info.sd:g}")
     for remark in remarks:
         print(f"remark: {remark}")
+    if plot:
+        print(f"drawn: {path.parent / FIGURE}")
 
 
 def _cell(value: Any, pattern: str) -> str:

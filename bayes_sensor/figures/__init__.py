@@ -3,6 +3,7 @@
 One file per subject; everything that a caller needs is here under its own name.
 """
 
+from bayes_sensor.figures.plot_check import understood
 from bayes_sensor.figures.plot_coating import (
     diffusion,
     diffusion_figure,
@@ -132,5 +133,6 @@ __all__ = [
     "tau_hard",
     "told_apart",
     "traces_and_ranks",
+    "understood",
     "what_would_help",
 ]

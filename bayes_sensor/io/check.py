@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.campaign import BoolArray, Campaign, Experiment, FloatArray
+from bayes_sensor.io.step_remarks import step_remarks
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,6 +102,7 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
             "unknown, and the model holds the plateau to the end: give commanded_off or drive, or "
             "crop with keep"
         )
+        remarks += step_remarks(experiment, where, falls_back=fallen)
         if experiment.commanded_on is None:
             remarks += [end] * fallen
             remarks.append(
@@ -232,15 +234,30 @@ def levels(experiment: Experiment) -> tuple[Level, Level]:
     """Baseline and plateau of an experiment."""
     if experiment.y is None:
         return _level(np.empty(0)), _level(np.empty(0))
+    before, late = _quiet(experiment)
+    return _level(experiment.y[before]), _level(experiment.y[late])
+
+
+def quiet_spans(experiment: Experiment) -> list[tuple[float, float, float]]:
+    """Start, end (s) and median (V) of the stretches that :func:`levels` reads."""
+    spans = []
+    if experiment.y is not None:
+        for where in _quiet(experiment):
+            if where.any():
+                t = experiment.t[where]
+                spans.append((float(t[0]), float(t[-1]), float(np.median(experiment.y[where]))))
+    return spans
+
+
+def _quiet(experiment: Experiment) -> tuple[BoolArray, BoolArray]:
+    """(n_t,) True in the baseline, and in the second half of the plateau."""
     t, used = experiment.t, experiment.used
     on = experiment.commanded_on
     if on is None:
-        first = max(len(t) // 20, 2)
-        return _level(experiment.y[:first][used[:first]]), _level(np.empty(0))
+        first = np.arange(len(t)) < max(len(t) // 20, 2)
+        return used & first, np.zeros(len(t), dtype=bool)
     end = _end(experiment)
-    before = used & (t < on)
-    late = used & (t >= (on + end) / 2) & (t < end)
-    return _level(experiment.y[before]), _level(experiment.y[late])
+    return used & (t < on), used & (t >= (on + end) / 2) & (t < end)
 
 
 def _end(experiment: Experiment) -> float:

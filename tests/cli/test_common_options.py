@@ -38,6 +38,22 @@ def test_every_command_takes_the_common_options(name: str) -> None:
     assert taken >= COMMON
 
 
+OFFERED = {
+    "analyze": COMMON, "posterior": COMMON, "bounds": COMMON, "gap": COMMON, "coverage": COMMON,
+    "fleet": COMMON, "fit": COMMON - {"--jobs"}, "delays": COMMON - {"--jobs"},
+    "design": COMMON - {"--jobs"}, "simulate": COMMON - {"--jobs"},
+    "blind-check": COMMON - {"--config"}, "check": {"--quiet", "--config"}, "init": {"--quiet"},
+    "report": {"--quiet"}, "diffusion": {"--quiet"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_help_offers_those_that_do_something(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(name, "--help") == 0
+    words = set(capsys.readouterr().out.replace(",", " ").split())
+    assert words & COMMON == OFFERED[name]
+
+
 @pytest.mark.parametrize(
     "arguments",
     [["check", "c.toml"], ["report", "DIR"], ["simulate"], ["diffusion"], ["coverage"],

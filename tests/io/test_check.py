@@ -86,7 +86,8 @@ def test_missing_baseline_and_plateau() -> None:
     after = experiment("2", commanded_on=119.99, commanded_off=None)
     remarks = campaign_remarks(Campaign("x", (before, after)))
     assert "no baseline is recorded" in remarks[0]
-    assert "no plateau is recorded" in remarks[1]
+    assert "commanded_on = 119.99 s comes after the step" in remarks[1]
+    assert "no plateau is recorded" in remarks[2]
 
 
 def rising(name: str, lag: float, flow: float, **changes: object) -> Experiment:

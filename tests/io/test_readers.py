@@ -350,7 +350,10 @@ MISTAKES: dict[str, tuple[str, str]] = {
     "flow in seconds": (entry(carrier_flow='"4.0 s"'), r"carrier_flow: .* in 's', which is not"),
     "time in litres": (entry(commanded_on='"2 L"'), "commanded_on: expected a time"),
     "unknown unit": (entry(carrier_flow='"4 lpq"'), "'lpq' is not a unit that is known"),
-    "standard flow": (entry(carrier_flow='"400 sccm"'), "in standard units, which need the temperature and pressure"),
+    "standard flow": (
+        entry(carrier_flow='"400 sccm"'),
+        "in standard units, which need the temperature and pressure",
+    ),
     "decimal comma": (entry(carrier_flow='"4,0 L/min"'), "with a decimal point"),
     "zero flow": (entry(test_gas_flow='"0 L/min"'), "test_gas_flow: expected a positive flow"),
     "negative flow": (entry(carrier_flow='"-4 L/min"'), "carrier_flow: expected a positive flow"),

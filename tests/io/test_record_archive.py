@@ -33,7 +33,8 @@ def same(a: Any, b: Any) -> bool:
 def test_every_kind_of_value(tmp_path: Path) -> None:
     value = {
         "text": "tau $", "none": None, "flags": (True, False), "numbers": [1, 0.1, -3.5e-300],
-        "special": [float("nan"), float("inf"), -float("inf")], 3: "three", (1, "a"): np.float32(0.1),
+        "special": [float("nan"), float("inf"), -float("inf")],
+        3: "three", (1, "a"): np.float32(0.1),
         "arrays": [np.arange(5), np.array([[0.1, np.nan]]), np.array(["a", "bc"]), np.zeros(0)],
         "records": [Noise("constant"), SideInformation(1.0, 0.1)], "function": unit_of,
         "$": {"$": "known"}, "set": frozenset({"a"}), "np": np.int64(7),

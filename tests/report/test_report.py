@@ -17,8 +17,8 @@ import pytest
 from matplotlib.image import imread
 
 from bayes_sensor import figures, report
-from bayes_sensor.campaign import CampaignError
 from bayes_sensor.analysis import job
+from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import exit_code
 from bayes_sensor.cli.simulate_campaigns import published_design
 from bayes_sensor.fit.samples import load_samples

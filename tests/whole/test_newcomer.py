@@ -151,7 +151,7 @@ MISTAKES = {
     "clock that stops": (BROKEN_CLOCK, "", "row 402.*time of day as above, but got 'noon'"),
     "time of another axis": (PLAIN, 'commanded_on = "99 s"', "a time on the record's own axis"),
     "test gas in percent": (
-        PLAIN, 'commanded_on = "5 s"\n#', r"test_gas_flow = c / \(1 - c\) x carrier_flow",
+        PLAIN, 'commanded_on = "5 s"\n#', "a concentration as concentration, beside total",
     ),
 }  # fmt: skip
 

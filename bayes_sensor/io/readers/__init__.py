@@ -9,14 +9,16 @@ from __future__ import annotations
 import difflib
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.io.readers.arrow import read_feather, read_parquet
-from bayes_sensor.io.readers.assembly import assemble, design, settled_unit
+from bayes_sensor.io.readers.assembly import Assembled, assemble, design, settled_unit
 from bayes_sensor.io.readers.campaign_file import (
     LARGEST,
     Entry,
@@ -30,6 +32,7 @@ from bayes_sensor.io.readers.flow_settings import settle_all_flows
 from bayes_sensor.io.readers.left_open import check_filled_in
 from bayes_sensor.io.readers.matlab import read_matlab
 from bayes_sensor.io.readers.npz import read_npz
+from bayes_sensor.io.readers.other_channels import signal_remarks
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.io.readers.recording import DataFile, Recording, Selection
 from bayes_sensor.io.readers.spreadsheet import read_xlsx
@@ -57,7 +60,14 @@ LARGEST_FILE = 256 << 20
 """bytes of a data file"""
 _LONGEST_MESSAGE = 2000
 
-__all__ = ["FORMATS", "one_line", "one_unit", "read_campaign"]
+__all__ = [
+    "FORMATS",
+    "one_line",
+    "one_unit",
+    "read_campaign",
+    "read_experiment",
+    "read_recording",
+]
 
 
 def read_campaign(path: str | os.PathLike[str]) -> Campaign:
@@ -128,13 +138,7 @@ def _read(path: Path) -> Campaign:
             experiments.append(design(entry, label))
             units.append((entry.name, settled_unit(entry.signal_unit or "V")))
             continue
-        file = _open(entry, path.parent, sheet.allow_outside)
-        selection = Selection(entry.signal, entry.drive, entry.time, entry.interval)
-        reader = FORMATS[Path(entry.file).suffix.casefold()]
-        # damaged files hold numbers that overflow; what is not finite is told or masked
-        with np.errstate(over="ignore", invalid="ignore"):
-            recording = reader(file, selection)
-            done = assemble(entry, file, recording)
+        done = _measured(entry, path.parent, sheet.allow_outside)
         experiments.append(done.experiment)
         units.append((entry.name, done.unit))
         warnings += done.warnings
@@ -147,6 +151,37 @@ def _read(path: Path) -> Campaign:
         source=str(path),
         sensor_is=rig.sensor_is,
     )
+
+
+def _measured(entry: Entry, folder: Path, allow_outside: bool) -> Assembled:
+    """The experiment of an entry with a file."""
+    file = _open(entry, folder, allow_outside)
+    selection = Selection(entry.signal, entry.drive, entry.time, entry.interval)
+    reader = FORMATS[Path(entry.file or "").suffix.casefold()]
+    # damaged files hold numbers that overflow; what is not finite is told or masked
+    with np.errstate(over="ignore", invalid="ignore"):
+        recording = reader(file, selection)
+        said = signal_remarks(entry, recording, lambda other: reader(file, other))
+        return assemble(entry, file, replace(recording, notes=(*recording.notes, *said)))
+
+
+def read_recording(path: Path, where: str, selection: Selection) -> Recording:
+    """The recording in one data file, as its format's reader gives it.
+
+    ``where`` is the file's name in messages.  Raises CampaignError as :func:`read_campaign` does.
+    """
+    reader = FORMATS[path.suffix.casefold()]
+    file = DataFile(path, where, _read_bytes(path, where, LARGEST_FILE, "a data file"))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return reader(file, selection)
+
+
+def read_experiment(table: Mapping[str, Any], folder: Path, label: str) -> Assembled:
+    """The experiment of one table ``[[experiment]]`` with a file, in ``folder``.
+
+    Raises CampaignError as :func:`read_campaign` does.
+    """
+    return _measured(read_entry(dict(table), 1, label), folder, False)
 
 
 def one_line(text: str) -> str:

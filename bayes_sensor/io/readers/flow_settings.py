@@ -153,7 +153,7 @@ def settle_flows(
         or the flows and the mixture contradict each other.
     """
     settled = dict(table)
-    standard = [key for key in (*FLOWS, "total_flow") if _is_standard(settled.get(key))]
+    standard = [key for key in (*FLOWS, "total_flow") if is_standard(settled.get(key))]
     for key in standard:
         settled[key] = f"{_volume_flow(str(settled[key]), key, conditions, where)!r} mL/s"
     given = [key for key in MIXTURE if key in settled]
@@ -168,9 +168,10 @@ def settle_flows(
     if not standard:
         return settled, ""
     said = (
-        f"a litre in {', '.join(standard)} was taken at {conditions.standard_temperature - 273.15:.4g} "
-        f"degC and {conditions.standard_pressure / 1e5:.6g} bar, and holds "
-        f"{conditions.expansion:.4g} L in the rig"
+        f"a litre in {', '.join(standard)} was taken at "
+        f"{conditions.standard_temperature - 273.15:.4g} degC and "
+        f"{conditions.standard_pressure / 1e5:.6g} bar, and fills {conditions.expansion:.4g} L in "
+        "the rig"
     )
     return settled, said
 
@@ -268,7 +269,12 @@ def _half_a_digit(text: str) -> float:
     return 0.5 / number if number else 0.0
 
 
-def _is_standard(value: object) -> bool:
+def is_standard(value: object) -> bool:
+    """Whether a text is a flow in standard units.
+
+    >>> is_standard("500 sccm"), is_standard("0.5 L/min")
+    (True, False)
+    """
     if not isinstance(value, str):
         return False
     return STANDARD_FLOW.fullmatch(re.sub(rf"^\s*{NUMBER}\s*", "", value).strip()) is not None
@@ -285,7 +291,7 @@ def _volume_flow(text: str, key: str, conditions: Conditions, where: str) -> flo
             f"{_EXAMPLE}, or write the volume flow in the rig"
         )
     match = re.match(rf"\s*({NUMBER})\s*(.*?)\s*$", text)
-    assert match is not None  # looked at by _is_standard
+    assert match is not None  # looked at by is_standard
     unit = match[2].casefold()
     per = "s" if unit == "sccs" else "min"
     small = re.match(r"scc|sml|nml|mln", unit) is not None

@@ -12,6 +12,7 @@ from bayes_sensor.campaign import CampaignError
 
 MARK = "?"
 """what a value that is missing begins with"""
+_NUMBERS = {"s": "24.0", "ms": "1.0", "bar": "1.0", "degC": "21", "%": "11.1"}
 
 
 def check_filled_in(tables: Mapping[str, Any], label: str) -> None:
@@ -41,18 +42,26 @@ def check_filled_in(tables: Mapping[str, Any], label: str) -> None:
                 example = example or text
     if not left:
         return
-    said = []
+    together: dict[tuple[str, ...], list[str]] = {}
     for name, places in left.items():
-        shown = ", ".join(places[:8]) + (f" and {len(places) - 8} more" if len(places) > 8 else "")
-        of = f" of experiment{'s' if len(places) > 1 else ''} {shown}" if places else ""
-        said.append(f"{name}{of}")
+        together.setdefault(tuple(places), []).append(name)
+    said = [f"{', '.join(names)}{_of(where)}" for where, names in together.items()]
     unit = example.removeprefix(MARK).strip()
-    number = "4.0" if "/" in unit or not unit else "24.0"
-    are = "is" if len(said) == 1 and all(len(p) < 2 for p in left.values()) else "are"
+    example = f"{_NUMBERS.get(unit, '4.0')} {unit}".strip()
+    are = "is" if len(left) == 1 else "are"
     raise CampaignError(
         f"{label}: {'; '.join(said)} {are} still missing; expected a value in place of '{MARK}': "
-        f'write what was set, such as "{f"{number} {unit}".strip()}"'
+        f'write what was set, such as "{example}"'
     )
+
+
+def _of(experiments: tuple[str, ...], most: int = 8) -> str:
+    """Words for the experiments of a key; empty for the keys of no experiment."""
+    if not experiments:
+        return ""
+    more = f" and {len(experiments) - most} more" if len(experiments) > most else ""
+    s = "s" if len(experiments) > 1 else ""
+    return f" of experiment{s} {', '.join(experiments[:most])}{more}"
 
 
 def _open_in(key: str, value: object) -> Iterator[tuple[str, str]]:

@@ -23,9 +23,7 @@ _QUANTITY = re.compile(rf"({NUMBER})\s*(.*)")
 _SPREAD = re.compile(rf"\(?\s*({NUMBER})\s*(?:\+-|\+/-|±)\s*({NUMBER})\s*\)?\s*(.*)")
 _SYMBOL = r"[A-Za-zµμΩ\u2126%°][A-Za-z_0-9µμΩ\u2126%°]*(?:\*\*-?[1-9])?"
 _UNIT = re.compile(rf"\(?{_SYMBOL}\)?(?:\s*[*/\s]\s*\(?{_SYMBOL}\)?)*")
-STANDARD_FLOW = re.compile(
-    r"(?i)sccm|sccs|slm|slpm|sl/min|sml/min|nl/min|nml/min|ln/min|mln/min"
-)
+STANDARD_FLOW = re.compile(r"(?i)sccm|sccs|slm|slpm|sl/min|sml/min|nl/min|nml/min|ln/min|mln/min")
 """units of a flow that is given as the volume at standard conditions"""
 _LONGEST = 80
 """characters, of a quantity's text"""
@@ -59,7 +57,9 @@ COMMON_FACTORS = {
 def _registry() -> UnitRegistry[Any]:
     from pint import UnitRegistry  # slow to import and to build, so only where a unit is read
 
-    return UnitRegistry()
+    registry: UnitRegistry[Any] = UnitRegistry()
+    registry.define("part_per_billion = 1e-9 = ppb")
+    return registry
 
 
 @lru_cache(maxsize=1024)

@@ -263,7 +263,7 @@ def _default_signal(
             'export both, in columns of their own, or write interval = "1 ms" for samples without '
             "times"
         )
-    measured = [i for i in numbers if not _is_set_point(facts[i].column.name)]
+    measured = [i for i in numbers if not is_set_point(facts[i].column.name)]
     if drive is not None and len(measured) > 1:
         folded = drive.strip().casefold()
         measured = [i for i in measured if names[i].casefold() != folded] or measured
@@ -286,7 +286,12 @@ def _default_signal(
     return measured[0]
 
 
-def _is_set_point(name: str) -> bool:
+def is_set_point(name: str) -> bool:
+    """Whether a column is called a set point, or the error of a value.
+
+    >>> is_set_point("MFC_target"), is_set_point("flow_carrier_error"), is_set_point("offset")
+    (True, True, False)
+    """
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     return bool(_SET_POINT.search(spaced) or _ERROR.search(spaced))
 
