@@ -11,7 +11,7 @@ from bayes_sensor.analysis.findings import Findings
 from bayes_sensor.analysis.plots import Plots
 from bayes_sensor.analysis.summary_text import answer_lines, parameter_rows, summary_text
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.display import card
+from bayes_sensor.display import card, progress_bar
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -28,7 +28,7 @@ class Analysis(Findings):
         tau, gap and warnings."""
         return summary_text(self)
 
-    def to_arviz(self, most_draws: int = 2000, seed: int = 1) -> Any:
+    def to_arviz(self, most_draws: int = 1000, seed: int = 1) -> Any:
         """ArviZ InferenceData (a DataTree in ArviZ 1.x) of the posterior.
 
         See :func:`bayes_sensor.posterior.to_arviz.to_arviz`.  Raises CampaignError where there is
@@ -40,7 +40,7 @@ class Analysis(Findings):
             raise CampaignError(
                 "to_arviz: these results have no posterior; run analyze, or bayes-sensor posterior"
             )
-        return to_arviz(self.posterior, most_draws, seed)
+        return to_arviz(self.posterior, most_draws, seed, progress_bar("to_arviz"))
 
     def save(self, folder: str | os.PathLike[str]) -> Path:
         """Write a results folder, as ``bayes-sensor analyze --out`` does, with its report; the

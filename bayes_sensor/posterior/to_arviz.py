@@ -15,6 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import ceil, log
 from typing import Any
 
@@ -57,6 +58,11 @@ class Blocks:
     duration: float
     """s, of the median block"""
 
+    @cached_property
+    def long(self) -> NDArray[np.int64]:
+        """Positions of the steps that are not one sampling interval."""
+        return np.flatnonzero(self.steps != 1.0)
+
     @classmethod
     def of(cls, experiment: Experiment, phi: float) -> Blocks:
         """Blocks for noise with ``phi`` over one sampling interval."""
@@ -84,7 +90,7 @@ class Blocks:
 
 def to_arviz(
     posterior: Posterior,
-    most_draws: int = 2000,
+    most_draws: int = 1000,
     seed: int = 1,
     progress: Progress | None = None,
 ) -> Any:
@@ -258,19 +264,24 @@ def _of_draw(
     phi, phi_reference, _, _ = noise
     e = problem.campaign.experiments[k]
     mean, variance = (v[blocks.samples] for v in mean_and_variance(problem, theta, k))
-    z = (e.values[blocks.samples] - mean) / np.sqrt(variance)
-    over = np.full(len(blocks.steps), phi)
-    long = blocks.steps != 1.0
-    if phi_reference < 0:
-        over[long] = phi ** blocks.steps[long]
-    else:
-        over[long] = phi_reference ** (problem.steps(e) * blocks.steps[long])
-    rest = np.ones(len(z))
-    rest[1:] = 1.0 - over**2
-    innovation = z.copy()
-    innovation[1:] -= over * z[:-1]
-    single = -0.5 * (np.log(2.0 * np.pi * variance * rest) + innovation**2 / rest)
-    replicated = mean + simulate_noise(np.sqrt(variance), over, rng)
+    scale = np.sqrt(variance)
+    z = (e.values[blocks.samples] - mean) / scale
+    over: float | FloatArray = phi
+    if len(blocks.long):
+        over = np.full(len(z) - 1, phi)
+        steps = blocks.steps[blocks.long]
+        pause = phi**steps if phi_reference < 0 else phi_reference ** (problem.steps(e) * steps)
+        over[blocks.long] = pause
+    rest = 1.0 - over**2
+    squares = z[1:] - over * z[:-1]
+    squares *= squares
+    squares /= rest
+    single = np.log(2.0 * np.pi * variance)
+    single[1:] += np.log(rest)
+    single[0] += z[0] ** 2
+    single[1:] += squares
+    single *= -0.5
+    replicated = mean + simulate_noise(scale, over, rng)
     return np.add.reduceat(single, blocks.starts), blocks.means(replicated)
 
 
