@@ -56,9 +56,9 @@ class Findings:
 
     @property
     def converged(self) -> bool:
-        """Whether the fit and, where there is one, the posterior have converged."""
-        good = self.fit is not None and self.fit.converged
-        return good and (self.posterior is None or self.posterior.converged)
+        """Whether fit and posterior have converged, as far as there are any."""
+        found = [part.converged for part in (self.fit, self.posterior) if part is not None]
+        return bool(found) and all(found)
 
     @cached_property
     def traces(self) -> list[Trace]:
