@@ -15,6 +15,9 @@ ensure_numba_cache_dir()  # before anything compiles
 __version__ = "0.1.0"
 
 _PUBLIC = {
+    "Analysis": "analysis.analysis",
+    "analyze": "analysis.analyze",
+    "load": "analysis.load_analysis",
     "Campaign": "campaign",
     "CampaignError": "campaign",
     "Experiment": "campaign",
@@ -30,6 +33,7 @@ _PUBLIC = {
     "Noise": "likelihood.noise",
     "Prior": "likelihood.priors",
     "Problem": "likelihood.problem",
+    "make_problem": "likelihood.problem_settings",
     "log_likelihood": "likelihood.mesh",
     "log_prior": "likelihood.prior_density",
     "simulate": "likelihood.density",

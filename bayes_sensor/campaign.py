@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_sensor.display import card
+from bayes_sensor.display import card, record_card
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -126,6 +128,8 @@ class Experiment:
         finite, times do not increase strictly, the step down is not commanded after the step up, a
         used sample is not finite or no sample is used.
     """
+
+    _repr_html_ = record_card
 
     name: str
     t: FloatArray
@@ -347,6 +351,8 @@ class Experiment:
 class SideInformation:
     """A parameter measured elsewhere, used as a normal prior: mean and sd in the internal unit."""
 
+    _repr_html_ = record_card
+
     mean: float
     sd: float
 
@@ -413,6 +419,46 @@ class Campaign:
                 f"information tau is {tau.mean:g} +- {tau.sd:g} s and tau_v {tau_v.mean:g} +- "
                 f"{tau_v.sd:g} s; expected both to agree: correct one, or leave sensor_is out"
             )
+
+    @classmethod
+    def from_frames(cls, frames: Any, **keys: Any) -> Campaign:
+        """The campaign of samples that are in memory.
+
+        Parameters
+        ----------
+        frames
+            by the name of their experiment, or a list (names "1", "2", ..): pandas DataFrames (the
+            times may be the index), mappings of arrays such as ``{"t": t, "y": y, "drive": d}``,
+            tuples ``(t, y)`` or ``(t, y, drive)`` of arrays, or xarray Datasets of one dimension.
+            Times are in s, datetimes or durations; columns may say their units, such as
+            ``time_ms``.
+        keys
+            the keys of ``campaign.toml``: those of an experiment (``total_flow`` and
+            ``concentration``, or ``carrier_flow`` and ``test_gas_flow``, ``commanded_on``,
+            ``commanded_off``, ``signal``, ``drive``, ``signal_unit``, ``time``, ``interval``,
+            ``keep``, ``mask``), each for all experiments, a mapping by their names or a list in
+            their order (lists such as ``keep`` by mapping only); and ``title``, ``stages``,
+            ``sensor_is``, ``side_information``, ``conditions``.  Quantities are texts with units or
+            numbers in s and mL/s; ``concentration`` as a number is a share between 0 and 1.
+
+        Raises
+        ------
+        CampaignError
+            As :func:`read_campaign`, with which the checks are shared.
+
+        Examples
+        --------
+        >>> t = np.arange(2000) * 0.01
+        >>> y = np.where(t > 5.0, 1.0 - np.exp(5.0 - t), 0.0) + 0.01 * np.sin(40.0 * t)
+        >>> campaign = Campaign.from_frames(
+        ...     {"1": (t, y)}, total_flow="4.5 L/min", concentration="20 %", commanded_on=4.8
+        ... )
+        >>> campaign["1"].total_flow, campaign["1"].commanded_on, campaign["1"].n_samples
+        (75.0, 4.8, 2000)
+        """
+        # imported when called: the readers need this room first
+        made: Campaign = import_module("bayes_sensor.io.frames").campaign_from_frames(frames, keys)
+        return made
 
     def __iter__(self) -> Iterator[Experiment]:
         return iter(self.experiments)

@@ -7,7 +7,8 @@ files.  :func:`progress_bar` is handed to anything that takes ``progress``.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields
 from html import escape
 from math import floor, isfinite, log10
 from time import monotonic
@@ -17,6 +18,10 @@ PAUSE = 0.2
 """s between two drawings of a bar"""
 PATIENCE = 1.0
 """s before a bar appears: what is done by then needs none"""
+LONGEST = 100
+"""characters of a field in a card"""
+FEW = 8
+"""entries of a field that are listed in a card"""
 
 
 def shown(value: object, digits: int = 4) -> str:
@@ -64,6 +69,34 @@ def card(
             parts.append(f"<tr>{''.join(cells)}</tr>")
         parts.append("</tbody></table>")
     return "".join([*parts, "</div>"])
+
+
+def record_card(record: Any) -> str:
+    """HTML of a record for a notebook: its fields, arrays by their shape.
+
+    A class takes it as its ``_repr_html_``.
+    """
+    rows = [[f.name, _said(getattr(record, f.name))] for f in fields(record)]
+    return card(type(record).__name__, columns=["field", "value"], rows=rows)
+
+
+def _said(value: object) -> object:
+    if value is None or isinstance(value, bool | int | float):
+        return value
+    if isinstance(value, str):
+        return value if len(value) <= LONGEST else value[: LONGEST - 1] + "\N{HORIZONTAL ELLIPSIS}"
+    shape = getattr(value, "shape", None)
+    if isinstance(shape, tuple):
+        return shown(float(value)) if shape == () else f"array {shape}"  # type: ignore[arg-type]
+    if isinstance(value, Mapping):
+        few = ", ".join(map(str, list(value)[:FEW]))
+        return f"{few}, .. ({len(value)})" if len(value) > FEW else few
+    if isinstance(value, list | tuple):
+        if len(value) <= FEW and all(isinstance(v, str | int | float) for v in value):
+            return ", ".join(shown(v) for v in value)
+        return f"{len(value)} {'entry' if len(value) == 1 else 'entries'}"
+    said = repr(value)
+    return said if len(said) <= LONGEST else type(value).__name__
 
 
 def in_kernel() -> bool:

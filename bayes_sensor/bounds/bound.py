@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.display import record_card
 from bayes_sensor.io.json_files import plain
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ class Bound:
 
     Seconds, mL and the campaign's signal unit.
     """
+
+    _repr_html_ = record_card
 
     names: list[str]
     """flat parameter names"""

@@ -18,6 +18,7 @@ from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.fit import Fit
 from bayes_sensor.fit.fit_warnings import OF_LAGS
 from bayes_sensor.fit.identifiability import coloured_noise, slow_noise
+from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.lags import Naming
 from bayes_sensor.workers import one_thread
@@ -174,6 +175,7 @@ def compare_bounds(
     data that allow no interval at all.
     """
     problem = as_problem(campaign)
+    refuse_held(problem, "bounds")
     if methods is None:
         available = posterior is not None
         chosen = {k: m for k, m in METHODS.items() if available or not m.needs_posterior}

@@ -15,7 +15,9 @@ import numpy as np
 
 from bayes_sensor.bounds.gaussian_intervals import invert
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.display import record_card
 from bayes_sensor.likelihood.density import response_at_samples
+from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.mesh import NO_TAU, above_zero, expected_information
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.problem import Problem, as_problem
@@ -34,6 +36,8 @@ PAPER = "the paper, eqs. 16-18; Kay (1993), eq. 3.33"
 @dataclass(frozen=True, eq=False)
 class CramerRao:
     """A lower bound on the covariance of unbiased estimates."""
+
+    _repr_html_ = record_card
 
     names: list[str]
     """flat names of the mean's parameters"""
@@ -92,6 +96,7 @@ def cramer_rao(
     between -1 and 1), or an unstable Euler step.
     """
     problem = as_problem(campaign)
+    refuse_held(problem, "cramer_rao")
     layout = problem.layout
     vector = problem.flat(theta)
     for label, value, known in (

@@ -19,7 +19,9 @@ from bayes_sensor.bounds.gaussian_intervals import normal_factor
 from bayes_sensor.bounds.likelihood_surface import Maximum, Surface, coloured_surface
 from bayes_sensor.bounds.profile import Profiler, profile_curve
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.display import record_card
 from bayes_sensor.io.json_files import plain
+from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.layout import Layout, Theta
 
@@ -42,6 +44,8 @@ KNOWN: dict[str, tuple[str, ...]] = {
 @dataclass(frozen=True, eq=False)
 class TauExplained:
     """Why tau is not known better."""
+
+    _repr_html_ = record_card
 
     names: list[str]
     """flat names of the mean's parameters"""
@@ -149,6 +153,7 @@ def explain_tau(
     import pandas as pd
 
     problem = as_problem(campaign)
+    refuse_held(problem, "explain_tau")
     layout = problem.layout
     # information needs no data
     bare = tuple(replace(e, y=None, drive=None) for e in problem.campaign)

@@ -24,8 +24,10 @@ from scipy import stats
 from scipy.linalg import pinvh
 
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.display import card
 from bayes_sensor.fit import Fit
 from bayes_sensor.io.json_files import plain
+from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.mesh import compress
 from bayes_sensor.likelihood.problem import Problem, as_problem
 
@@ -127,6 +129,16 @@ class Delays:
     start: Line
     end: Line | None
 
+    def _repr_html_(self) -> str:
+        """HTML for a notebook: both lines."""
+        lines = [("start", self.start), *([] if self.end is None else [("end", self.end)])]
+        rows = [
+            [side, line.intercept, line.slope, line.r2, line.n, ", ".join(line.outliers)]
+            for side, line in lines
+        ]
+        columns = ["delay", "intercept (s)", "slope (L)", "R2", "n", "outliers"]
+        return card("delays on 1/Q", [line.status for _, line in lines], columns, rows)
+
     def to_json(self) -> dict[str, Any]:
         """The content of ``delays.json``."""
         return {
@@ -150,6 +162,7 @@ def regress_delays(campaign: Campaign | Problem, fit: Fitted, posterior: Any = N
     the reason.
     """
     problem = as_problem(campaign)
+    refuse_held(problem, "delays")
     campaign = problem.campaign
     vector = problem.layout.flat(fit.theta_hat)
     everything = None if posterior is not None else _covariance_of_fit(problem, fit, vector)

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
+from bayes_sensor.display import record_card
 from bayes_sensor.likelihood.density import mean_and_variance
 from bayes_sensor.likelihood.noise import lag_coefficient, simulate_noise
 from bayes_sensor.likelihood.problem import Problem
@@ -116,6 +117,8 @@ class Pit:
 @dataclass(frozen=True, eq=False)
 class PredictiveCheck:
     """Results of the comparison for the noise law and the mean."""
+
+    _repr_html_ = record_card
 
     autocorrelation: Comparison
     variance: Comparison

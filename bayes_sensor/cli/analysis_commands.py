@@ -160,8 +160,8 @@ def init(
     asked for flows and what else cannot be known; Enter leaves it open. What is assumed and what is
     missing is marked in the file.
     """
+    from bayes_sensor.analysis.overrides import read_overrides
     from bayes_sensor.cli.init_campaign import init_campaign
-    from bayes_sensor.cli.overrides import read_overrides
 
     read_overrides(common.config)  # a mistake in it is refused, though nothing of it acts
     init_campaign(folder, overwrite=overwrite, quiet=common.quiet)
@@ -193,8 +193,8 @@ def report(
     form: Annotated[str, typer.Option("--format", help="html, pdf or md.")] = "html",
 ) -> None:
     """Rebuild the report from the saved results."""
+    from bayes_sensor.analysis.overrides import read_overrides
     from bayes_sensor.cli.make_report import rebuild_report
-    from bayes_sensor.cli.overrides import read_overrides
 
     read_overrides(common.config)  # a mistake in it is refused, though nothing of it acts
     rebuild_report(folder, common.quiet, form)

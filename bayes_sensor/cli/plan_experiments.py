@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from bayes_sensor.analysis.overrides import make_problem, read_overrides
+from bayes_sensor.analysis.read_input import read_input
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
-from bayes_sensor.cli.overrides import make_problem, read_overrides
-from bayes_sensor.cli.put_results import Clock, put_run
-from bayes_sensor.cli.read_input import load
 from bayes_sensor.cli.read_parameters import read_option, read_truth
 from bayes_sensor.cli.terminal import Progress, lined_up, progress_bar, say
 from bayes_sensor.design import Design, check_design, design_experiments
 from bayes_sensor.fit.side_information import named_parameters
 from bayes_sensor.io.json_files import sha256
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.readers.quantities import FLOW, TIME, Kind
 from bayes_sensor.io.results import Results
 from bayes_sensor.io.writers import campaign_text
@@ -57,7 +57,7 @@ def plan_experiments(
     known = None if trigger is None else _positive(trigger, "--trigger", zero=True)
     assumed = None if tau is None else _positive(tau, "--tau", zero=True)
     overrides = read_overrides(config)
-    campaign, _, _ = load(campaign_path)
+    campaign, _, _ = read_input(campaign_path)
     ranges = _ranges(campaign, limits)
     problem = make_problem(campaign, overrides, config.name if config else "--config")
     vector = None

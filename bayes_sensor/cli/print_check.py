@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from bayes_sensor.analysis.read_input import check_methods, read_input
 from bayes_sensor.campaign import counted
-from bayes_sensor.cli.read_input import check_methods, load
 from bayes_sensor.cli.terminal import lined_up
 from bayes_sensor.io.disk import write_bytes
 
@@ -20,12 +20,12 @@ def print_check(path: Path, quiet: bool, config: Path | None = None, plot: bool 
 
     ``plot``: draw it, too, into a file beside the campaign's.
     """
-    from bayes_sensor.cli.overrides import fit_bounds, make_problem, read_overrides
+    from bayes_sensor.analysis.overrides import fit_bounds, make_problem, read_overrides
 
     overrides = read_overrides(config)
     label = config.name if config is not None else "--config"
     check_methods(overrides.bounds.methods, label)
-    campaign, table, remarks = load(path)
+    campaign, table, remarks = read_input(path)
     fit_bounds(make_problem(campaign, overrides, label), overrides, label)
     if plot:
         from bayes_sensor.figures import png, understood

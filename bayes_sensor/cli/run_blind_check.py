@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from bayes_sensor.analysis.put_report import last_step, put_report
 from bayes_sensor.blind_check import (
     SETTINGS,
     card_table,
@@ -20,11 +21,11 @@ from bayes_sensor.blind_check import (
 )
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli.logged_notes import noted
-from bayes_sensor.cli.make_report import last_step, put_report
-from bayes_sensor.cli.put_results import Clock, put_figure, put_run
+from bayes_sensor.cli.put_figure import put_figure
 from bayes_sensor.cli.terminal import lined_up, progress_bar, say
 from bayes_sensor.figures.plot_blind_check import score_card
 from bayes_sensor.io.json_files import read_json
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import Results, Stage
 
 PARTS = "blind-check-parts"

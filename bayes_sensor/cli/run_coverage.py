@@ -11,8 +11,9 @@ from bayes_sensor import figures
 from bayes_sensor.bounds import METHODS
 from bayes_sensor.checks.coverage import BoundsStudy, chosen_settings, run_coverage
 from bayes_sensor.cli.logged_notes import noted
-from bayes_sensor.cli.put_results import Clock, put_figure, put_run
+from bayes_sensor.cli.put_figure import put_figure
 from bayes_sensor.cli.terminal import lined_up, progress_bar, say
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import Results
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def study_coverage(
 
     ``methods`` replace those of ``config``; without either, all are used.
     """
-    from bayes_sensor.cli.overrides import read_overrides
+    from bayes_sensor.analysis.overrides import read_overrides
 
     clock = Clock()
     chosen = chosen_settings(settings)

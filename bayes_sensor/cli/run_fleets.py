@@ -15,17 +15,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_sensor import __version__
+from bayes_sensor.analysis.overrides import Overrides, read_overrides
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli.logged_notes import noted
-from bayes_sensor.cli.overrides import Overrides, read_overrides
 from bayes_sensor.cli.pipeline import run_command
-from bayes_sensor.cli.put_results import Clock, put_run
 from bayes_sensor.cli.terminal import progress_bar, say
 from bayes_sensor.fleet import Entry, failed_row, read_list, row_of, table, write_comparison
 from bayes_sensor.fleet.comparison import sentences
 from bayes_sensor.fleet.outcome import fingerprint, unchanged
 from bayes_sensor.io.disk import own_folder
 from bayes_sensor.io.json_files import write_json
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import Results
 from bayes_sensor.workers import WorkerDied, completed, dask_client
 

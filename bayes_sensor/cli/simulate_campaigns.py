@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, counted
-from bayes_sensor.cli.put_results import Clock, put_run
 from bayes_sensor.cli.read_parameters import read_option, read_truth
 from bayes_sensor.cli.terminal import progress_bar, say
 from bayes_sensor.io.json_files import read_json, sha256
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.io.readers.quantities import TIME, VOLUME, Kind
 from bayes_sensor.io.results import Results
@@ -215,7 +215,7 @@ def simulate_campaign(
     Of the settings in ``config`` only the noise law is used; parameters that it fixes are fixed in
     the truth.
     """
-    from bayes_sensor.cli.overrides import make_problem, read_overrides
+    from bayes_sensor.analysis.overrides import make_problem, read_overrides
 
     overrides = read_overrides(config)
     clock = Clock()

@@ -9,8 +9,9 @@ from dataclasses import fields
 from pathlib import Path
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli.put_results import Clock, put_figure, put_run
+from bayes_sensor.cli.put_figure import put_figure
 from bayes_sensor.cli.terminal import progress_bar, say
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import Results
 
 

@@ -167,8 +167,8 @@ def blind_check(
     is added after the verdicts is scored, too, but cannot be sealed; score.json lists it as
     sealed_late.
     """
+    from bayes_sensor.analysis.overrides import read_overrides
     from bayes_sensor.cli import run_blind_check
-    from bayes_sensor.cli.overrides import read_overrides
 
     read_overrides(config)  # a mistake in it is refused, though nothing of it acts
 
@@ -301,7 +301,7 @@ def diffusion(
     tolerance: Annotated[float, typer.Option(help="Relative, of the response times.")] = 5e-4,
 ) -> None:
     """Finite-element response of the coating."""
-    from bayes_sensor.cli.overrides import read_overrides
+    from bayes_sensor.analysis.overrides import read_overrides
     from bayes_sensor.cli.solve_coating import solve_diffusion
 
     read_overrides(common.config)  # a mistake in it is refused, though nothing of it acts

@@ -3,47 +3,24 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
-from bayes_sensor.cli.job import Job
+from bayes_sensor.analysis.job import Job
+from bayes_sensor.analysis.job_warnings import decisive
 from bayes_sensor.cli.terminal import say
+from bayes_sensor.io.results import Results
 from bayes_sensor.io.run_record import of_other_data
 
 MOST_WARNINGS = 6
 """lines of warnings in a terminal"""
 
 
-def _decisive(job: Job) -> list[str]:
-    """Caveats of the first line; they are printed before it."""
-    found = list(job.fit.caveats)
-    if job.posterior is not None:
-        found += job.posterior.doubts
-    elif job.residuals is not None and not job.residuals.adequate:
-        found.append(job.residuals.doubt)
-    return found
-
-
-def warnings_of(job: Job, remarks: Sequence[str]) -> list[str]:
-    from bayes_sensor.io.check import SAME_FLOW
-
-    # what concerns the last answer comes first, since a terminal shows only so many
-    found = _decisive(job)
-    found += [] if job.posterior is None else job.posterior.warnings
-    found += [text for text in remarks if text != SAME_FLOW]  # the fit says it, with consequences
-    found += job.fit.warnings
-    if job.no_gap:
-        found.append(f"not diagnosed: {job.no_gap}")
-    return list(dict.fromkeys(found))
-
-
-def print_summary(job: Job, remarks: Sequence[str], code: int) -> None:
+def print_summary(job: Job, results: Results) -> None:
     """The last lines: result, warnings, missed goals, folder."""
     from bayes_sensor.report import chain_words, headline, number
 
-    command, quiet = job.command, job.quiet
-    for sentence in _decisive(job):
+    command, quiet, code = job.command, job.quiet, job.exit_code
+    for sentence in decisive(job):
         say(f"warning: {sentence}", quiet)
     if command in ("analyze", "posterior", "bounds"):
         bounds = None if job.bounds is None else job.bounds[1]
@@ -80,8 +57,8 @@ def print_summary(job: Job, remarks: Sequence[str], code: int) -> None:
         say(f"not diagnosed: {job.no_gap}", quiet)
     # non-convergence is said below, on stderr
     unsaid = ("NOT converged", "not diagnosed")
-    said = set(_decisive(job))
-    warnings = [w for w in warnings_of(job, remarks) if not w.startswith(unsaid) and w not in said]
+    said = set(decisive(job))
+    warnings = [w for w in job.warnings if not w.startswith(unsaid) and w not in said]
     for warning in warnings[:MOST_WARNINGS]:
         say(f"warning: {warning}", quiet)
     if len(warnings) > MOST_WARNINGS:
@@ -92,14 +69,15 @@ def print_summary(job: Job, remarks: Sequence[str], code: int) -> None:
         hint = "" if not job.fit.converged else "; more --steps with --resume may help"
         status = status.removeprefix("NOT converged: ").rstrip(".")  # a part of the sentence
         print(f"not converged: {status}{hint}; the results are marked so", file=sys.stderr)
-    other = of_other_data(job.results.json("run.json"))
+    other = of_other_data(results.json("run.json"))
     if other:
         say(
-            f"warning: {job.results.folder} also holds {', '.join(other)} of other data or "
+            f"warning: {results.folder} also holds {', '.join(other)} of other data or "
             "settings; run them again, or use another --out",
             quiet,
         )
-    say(f"{'report' if command == 'analyze' else 'results'}: {_place(job)}", quiet)
+    where = results.path("report.html") if command == "analyze" else results.folder
+    say(f"{'report' if command == 'analyze' else 'results'}: {where}", quiet)
 
 
 def _lags_of_fit(fit: Any) -> str:
@@ -131,8 +109,3 @@ def _lags_of_fit(fit: Any) -> str:
         if value is not None
     ]
     return ", ".join(said)
-
-
-def _place(job: Job) -> Path:
-    name = "report.html" if job.command == "analyze" else ""
-    return job.results.path(name) if name else job.results.folder

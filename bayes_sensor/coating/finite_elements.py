@@ -15,6 +15,7 @@ from scipy.sparse.linalg import splu
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.coating.layers import LEVEL_63, Coating
+from bayes_sensor.display import record_card
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +216,8 @@ class Response:
 
     The concentration is a fraction of its final value everywhere.
     """
+
+    _repr_html_ = record_card
 
     coating: Coating
     times: FloatArray

@@ -16,6 +16,7 @@ from scipy.special import ndtr, ndtri
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.coating.exponentials import modal
 from bayes_sensor.coating.layers import EQUIVALENTS, Coating
+from bayes_sensor.display import record_card
 
 
 def find_outer_radius(tau63: float = 12.9e-3, coating: Coating | None = None) -> float:
@@ -207,6 +208,8 @@ def tau_map(
 @dataclass(frozen=True, eq=False)
 class DiffusivityPosterior:
     """What a posterior of tau says about the diffusivity of ZIF-8; see :func:`infer_d_zif8`."""
+
+    _repr_html_ = record_card
 
     d_zif8: FloatArray
     """(n_draws,) m2/s; +inf where tau is too short for any resistance of ZIF-8"""

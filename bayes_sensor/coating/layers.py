@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bayes_sensor.display import record_card
 from bayes_sensor.io.readers.quantities import Kind, read_quantity
 
 LEVEL_63 = 1.0 - math.exp(-1.0)
@@ -49,6 +50,8 @@ class Coating:
     ValueError
         If a length or diffusivity is not positive or the probe lies outside the coating.
     """
+
+    _repr_html_ = record_card
 
     ring_radius: float = 10e-6
     """m, distance of the probe from the axis (planar: from the plane of symmetry)"""

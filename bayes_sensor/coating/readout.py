@@ -30,6 +30,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.display import record_card
 
 if TYPE_CHECKING:
     pass
@@ -55,6 +56,8 @@ class Ring:
     ValueError
         If a field is not positive or the shape is unknown.
     """
+
+    _repr_html_ = record_card
 
     resonance: float = 1574.4e-9
     """m, without test gas"""
@@ -199,6 +202,8 @@ class Readout:
     >>> bool(readout.voltage(0.16) > readout.voltage(0.0))
     True
     """
+
+    _repr_html_ = record_card
 
     ring: Ring
     cladding: Cladding

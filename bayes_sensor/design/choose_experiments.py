@@ -18,6 +18,7 @@ from bayes_sensor.design.planned_experiments import (
 from bayes_sensor.design.proposal import Design
 from bayes_sensor.design.record_information import eliminate, information_of, sum_information
 from bayes_sensor.design.tau_interval import known_volume, predict, predict_tau
+from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
@@ -59,6 +60,7 @@ def design_experiments(
     neither the campaign nor ``theta`` says which lag is the sensor's.
     """
     problem = as_problem(campaign)
+    refuse_held(problem, "design")
     vector = problem.by_name(theta)
     if not target_tau > 0:
         raise CampaignError(f"design: the target must be a positive time, but is {target_tau} s")

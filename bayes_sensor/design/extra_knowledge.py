@@ -17,6 +17,7 @@ from bayes_sensor.design.planned_experiments import (
 )
 from bayes_sensor.design.record_information import Known
 from bayes_sensor.design.tau_interval import Prediction, known_volume, predict
+from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.layout import Theta
@@ -43,6 +44,7 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
     import pandas as pd
 
     problem = as_problem(campaign)
+    refuse_held(problem, "what_if")
     vector = problem.by_name(theta)
     settings, truth = settings_of(problem, vector), truth_of(problem, vector)
     prior = prior or problem.prior_of_tau(vector)

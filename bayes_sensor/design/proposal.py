@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.design.tau_interval import Prediction
+from bayes_sensor.display import record_card
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.likelihood.noise import Noise, lag_coefficient
 from bayes_sensor.likelihood.priors import Prior
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False)
 class Design:
     """Experiments to do next, and their expected result."""
+
+    _repr_html_ = record_card
 
     experiments: pd.DataFrame
     """one row each: ``name``, ``total_flow_mL_s``, ``concentration``, ``duration_s``, ``on_s``,

@@ -183,6 +183,7 @@ def diagnose_gap(
         strength_units=units_of(catalogue.values(), binned.settings[0], campaign.signal_unit),
         signal_unit=campaign.signal_unit,
         notes=tuple(notes(conclusion)),
+        experiments=tuple(e.name for e in binned.campaign),
     )
     return gap if binned.order_known else without_lag_names(gap)
 

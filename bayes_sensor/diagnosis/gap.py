@@ -115,7 +115,8 @@ class Gap:
     rounds: tuple[Round, ...]
     separations: tuple[Separation, ...]
     findings: tuple[Finding, ...]
-    comparison: Comparison
+    comparison: Comparison | None
+    """all that were compared; None in a record that was read back from a file"""
     probabilities: Probabilities
     rows: tuple[dict[str, Any], ...]
     strength_units: Mapping[str, str]
@@ -123,6 +124,8 @@ class Gap:
     signal_unit: str = "V"
     notes: tuple[str, ...] = ()
     """what could not be told, in sentences"""
+    experiments: tuple[str, ...] = ()
+    """names of the experiments that were looked at"""
 
     @cached_property
     def where(self) -> pd.DataFrame:
@@ -159,14 +162,13 @@ class Gap:
         return card(title, sentences, [key.replace("_", " ") for key in keys], rows)
 
     def _finding(self, found: Finding) -> dict[str, Any]:
-        experiments = self.comparison.binned.campaign.experiments
         where = found.strength.get(f"{found.name}_experiment")
         return {
             "name": found.name,
             "log_bayes_factor": found.log_bayes_factor,
             "probability": found.probability,
             "strength": {k: v for k, v in found.strength.items() if not k.endswith("_experiment")},
-            "experiment": None if where is None else experiments[int(where)].name,
+            "experiment": None if where is None else self.experiments[int(where)],
             "d": found.d,
         }
 

@@ -12,11 +12,12 @@ from bayes_sensor.figures.plot_coating import (
     sensor_words,
     spectra_figure,
 )
-from bayes_sensor.figures.plot_delays import delays
+from bayes_sensor.figures.plot_delays import delay_panel, delays
 from bayes_sensor.figures.plot_draws import corner, main_parameters, traces_and_ranks
 from bayes_sensor.figures.plot_fleet import forest
 from bayes_sensor.figures.plot_gap import (
     effect_words,
+    explanation_panel,
     gap_budget,
     gap_hidden,
     gap_residuals,
@@ -24,13 +25,22 @@ from bayes_sensor.figures.plot_gap import (
     gap_which,
 )
 from bayes_sensor.figures.plot_methods import (
+    interval_panel,
     intervals,
+    one_interval,
     posteriors_of_tau,
     priors_on_tau,
     step_study,
 )
-from bayes_sensor.figures.plot_noise import autocorrelation, histogram, predictive, spread
-from bayes_sensor.figures.plot_overlays import overlay, rms_bars
+from bayes_sensor.figures.plot_noise import (
+    autocorrelation,
+    autocorrelation_panel,
+    histogram,
+    histogram_panel,
+    predictive,
+    spread,
+)
+from bayes_sensor.figures.plot_overlays import overlay, overlay_panel, rms_bars
 from bayes_sensor.figures.plot_rig import responses, schematic
 from bayes_sensor.figures.plot_tau import coverage, tau_hard, what_would_help
 from bayes_sensor.figures.style import (
@@ -50,6 +60,7 @@ from bayes_sensor.figures.style import (
     STYLE,
     WIDTH,
     labels_of_bounds,
+    no_data,
     parameter_words,
     pdf,
     png,
@@ -76,13 +87,16 @@ __all__ = [
     "STYLE",
     "WIDTH",
     "autocorrelation",
+    "autocorrelation_panel",
     "corner",
     "coverage",
+    "delay_panel",
     "delays",
     "diffusion",
     "diffusion_figure",
     "diffusivity",
     "effect_words",
+    "explanation_panel",
     "forest",
     "gap_budget",
     "gap_hidden",
@@ -90,10 +104,15 @@ __all__ = [
     "gap_where",
     "gap_which",
     "histogram",
+    "histogram_panel",
+    "interval_panel",
     "intervals",
     "labels_of_bounds",
     "main_parameters",
+    "no_data",
+    "one_interval",
     "overlay",
+    "overlay_panel",
     "parameter_words",
     "pdf",
     "png",

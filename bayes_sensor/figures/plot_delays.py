@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayes_sensor.figures.style import (
@@ -16,65 +17,87 @@ from bayes_sensor.figures.style import (
     ORANGE,
     PALE,
     WIDTH,
+    content_of,
     new_figure,
     shortened,
     style,
 )
 
 
-def delays(record: Mapping[str, Any], concentration: Mapping[str, float]) -> Figure:
+def delays(record: Any, concentration: Mapping[str, float]) -> Figure:
     """Delay of start and end against 1/Q with line, prediction band and outliers (paper Fig. 7).
 
-    ``record``: the content of ``delays.json``; ``concentration`` (0..1) by experiment.
+    ``record``: the regressions, or the content of ``delays.json``; ``concentration`` (0..1) by
+    experiment.
     """
-    sides = [(k, record[k]) for k in ("start", "end") if record.get(k) and record[k]["points"]]
-    levels = sorted({round(100 * c, 1) for c in concentration.values()})
-    crowded = 4 < len(levels) <= len(MARKERS)
+    record = content_of(record)
+    sides = [k for k in ("start", "end") if record.get(k) and record[k]["points"]]
+    crowded = 4 < len(_levels(concentration)) <= len(MARKERS)
     with style():
         figure = new_figure(3.3, WIDTH if len(sides) > 1 or crowded else 4.4)
         row = figure.subplots(1, max(len(sides), 1), squeeze=False)[0]
-        for axes, (side, line) in zip(row, sides, strict=False):
-            if line["band"]:
-                x = np.asarray(line["band"]["inverse_flow_s_per_L"])
-                lo, hi = line["band"]["lo95_s"], line["band"]["hi95_s"]
-                axes.fill_between(x, lo, hi, color=PALE, lw=0, label="95 % prediction")
-                axes.plot(x, line["band"]["fit_s"], color=MODEL, ls="--", label="line")
-            many = len(levels) > len(MARKERS)
-            for point in line["points"]:
-                level = round(100 * concentration.get(point["experiment"], np.nan), 1)
-                index = levels.index(level) if level in levels else 0
-                marker = "o" if many else MARKERS[index % len(MARKERS)]
-                used = point["used"]
-                axes.plot(
-                    point["inverse_flow_s_per_L"],
-                    point["delay_s"],
-                    marker,
-                    ms=6,
-                    mfc=BLUE if used else "none",
-                    mec=INK if used else ORANGE,
-                    mew=0.6 if used else 1.8,
-                )
-                if not used:
-                    axes.annotate(
-                        f"{shortened(point['experiment'])}, outlier",
-                        (point["inverse_flow_s_per_L"], point["delay_s"]),
-                        xytext=(7, -3),
-                        textcoords="offset points",
-                        fontsize=8,
-                        color=ORANGE,
-                    )
-            for marker, level in zip(MARKERS, [] if many else levels, strict=False):
-                axes.plot(
-                    [], [], marker, ms=6, mfc=BLUE, mec=INK, mew=0.6, label=f"{level:g} % test gas"
-                )
-            if (line["band"] or not many) and not crowded:
-                axes.legend(loc="best", fontsize=7)
-            axes.margins(0.08)
-            axes.set_xlabel("1/Q (s/L)")
-            axes.set_ylabel(f"{side} delay (s)")
+        for axes, side in zip(row, sides, strict=False):
+            delay_panel(axes, record, concentration, side, legend=not crowded)
             if crowded and axes is row[0]:
                 handles, labels = axes.get_legend_handles_labels()
                 figure.legend(handles, labels, loc="outside right upper")
-            r2 = "" if line["r2"] is None else f", R² = {line['r2']:.3f}"
-            axes.set_title(f"{side} of the step{r2}")
     return figure
+
+
+def delay_panel(
+    axes: Axes, record: Any, concentration: Mapping[str, float], side: str, legend: bool = True
+) -> None:
+    """The delay of one ``side``, ``start`` or ``end``, on ``axes``.
+
+    Raises KeyError for a side without points.
+    """
+    line = content_of(record)[side]
+    if not line or not line["points"]:
+        raise KeyError(f"no delays of the {side}")
+    levels = _levels(concentration)
+    many = len(levels) > len(MARKERS)
+    with style():
+        if line["band"]:
+            x = np.asarray(line["band"]["inverse_flow_s_per_L"])
+            lo, hi = line["band"]["lo95_s"], line["band"]["hi95_s"]
+            axes.fill_between(x, lo, hi, color=PALE, lw=0, label="95 % prediction")
+            axes.plot(x, line["band"]["fit_s"], color=MODEL, ls="--", label="line")
+        for point in line["points"]:
+            level = round(100 * concentration.get(point["experiment"], np.nan), 1)
+            index = levels.index(level) if level in levels else 0
+            marker = "o" if many else MARKERS[index % len(MARKERS)]
+            used = point["used"]
+            axes.plot(
+                point["inverse_flow_s_per_L"],
+                point["delay_s"],
+                marker,
+                ms=6,
+                mfc=BLUE if used else "none",
+                mec=INK if used else ORANGE,
+                mew=0.6 if used else 1.8,
+            )
+            if not used:
+                axes.annotate(
+                    f"{shortened(point['experiment'])}, outlier",
+                    (point["inverse_flow_s_per_L"], point["delay_s"]),
+                    xytext=(7, -3),
+                    textcoords="offset points",
+                    fontsize=8,
+                    color=ORANGE,
+                )
+        for marker, level in zip(MARKERS, [] if many else levels, strict=False):
+            axes.plot(
+                [], [], marker, ms=6, mfc=BLUE, mec=INK, mew=0.6, label=f"{level:g} % test gas"
+            )
+        if (line["band"] or not many) and legend:
+            axes.legend(loc="best", fontsize=7)
+        axes.margins(0.08)
+        axes.set_xlabel("1/Q (s/L)")
+        axes.set_ylabel(f"{side} delay (s)")
+        r2 = "" if line["r2"] is None else f", R² = {line['r2']:.3f}"
+        axes.set_title(f"{side} of the step{r2}")
+
+
+def _levels(concentration: Mapping[str, float]) -> list[float]:
+    """The concentrations (%), each once."""
+    return sorted({round(100 * c, 1) for c in concentration.values()})

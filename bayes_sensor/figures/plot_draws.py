@@ -49,11 +49,20 @@ def _chosen(
     return words, np.stack(columns, axis=-1)
 
 
-def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
+def named_chains(posterior: Any) -> tuple[list[str], FloatArray]:
+    """Flat names and chains (n_chain, n_draw, n) of a posterior's varying parameters, by name."""
+    shape, names = posterior.chains.shape[:2], list(posterior.rows)
+    return names, np.stack([posterior.of(name).reshape(shape) for name in names], axis=-1)
+
+
+def corner(names: Any, chains: FloatArray | None = None, unit: str = "V") -> Figure:
     """Joint posterior of the shared parameters: 39, 68 and 95 % regions, 95 % intervals dashed.
 
-    ``chains`` (n_chain, n_draw, n_theta) in the order of ``names``.
+    ``chains`` (n_chain, n_draw, n_theta) in the order of ``names``; or a posterior alone.
     """
+    if chains is None:
+        unit = names.problem.campaign.signal_unit
+        names, chains = named_chains(names)
     corner_plot = import_quietly("corner")
     words, values = _chosen(list(names), chains, unit)
     draws = values.reshape(-1, values.shape[-1])
@@ -61,7 +70,7 @@ def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
     n = len(words)
     with style(), mpl.rc_context({"figure.constrained_layout.use": False}):
         side = min(WIDTH, 1.3 * n + 0.9)
-        figure = Figure(figsize=(side, side))
+        figure = new_figure(side, side)
         corner_plot.corner(
             draws,
             fig=figure,
@@ -105,13 +114,18 @@ def _two_ticks(low: float, high: float) -> list[float]:
     return [float(tick) for tick in (inside[[0, -1]] if len(inside) > 1 else inside)]
 
 
-def traces_and_ranks(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
+def traces_and_ranks(names: Any, chains: FloatArray | None = None, unit: str = "V") -> Figure:
     """Chains and the ranks of their draws: if they agree, all ranks are equally frequent.
+
+    ``chains`` (n_chain, n_draw, n_theta) in the order of ``names``; or a posterior alone.
 
     The grey band holds 95 % of the bars of independent draws.
     """
     from scipy.stats import rankdata
 
+    if chains is None:
+        unit = names.problem.campaign.signal_unit
+        names, chains = named_chains(names)
     words, values = _chosen(list(names), chains, unit)
     n_chain, n_draw, n = values.shape
     every = max(1, n_draw // 400)

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
@@ -25,6 +26,7 @@ from bayes_sensor.figures.style import (
     PALE,
     REGIONS,
     SMALLEST,
+    content_of,
     logarithmic,
     new_figure,
     shortened,
@@ -47,11 +49,12 @@ def effect_words(name: str) -> str:
     return name.replace("_", " ").replace("+", " + ")
 
 
-def gap_budget(gap: Mapping[str, Any], unit: str = "V") -> Figure:
+def gap_budget(gap: Any, unit: str = "V") -> Figure:
     """Waterfall from the nominal simulation to the noise floor: RMS, and excess over the floor.
 
-    ``gap``: ``budget`` and ``shrink`` of ``gap.json``.
+    ``gap``: the diagnosis, or ``budget`` and ``shrink`` of ``gap.json``.
     """
+    gap = content_of(gap)
     budget, shrink = gap["budget"], gap["shrink"]
     floor = budget["noise_floor_rms_V"]
     nominal = budget.get("nominal_rms_V")
@@ -161,14 +164,14 @@ FEW = 5
 """explanations that are always drawn"""
 
 
-def gap_which(gap: Mapping[str, Any], most: int = 10) -> Figure:
+def gap_which(gap: Any, most: int = 10) -> Figure:
     """Probabilities of the explanations, the likeliest first, and of their families.
 
-    ``gap``: ``which`` and ``families`` of ``gap.json``.  None and unlisted are hatched.  Pairs
-    count for both their families.
+    ``gap``: the diagnosis, or ``which`` and ``families`` of ``gap.json``.  None and unlisted are
+    hatched.  Pairs count for both their families.
     """
-    rows = sorted(gap["which"], key=lambda row: -row["probability"])
-    worth = sum(row["probability"] >= 5e-4 for row in rows)  # others would all read "<0.1"
+    gap = content_of(gap)
+    rows, worth = _ranked(gap)
     families = dict(gap.get("families") or {})
     for row in rows:
         if row["effect"] in ("none", "unlisted") or not gap.get("families"):
@@ -183,6 +186,20 @@ def gap_which(gap: Mapping[str, Any], most: int = 10) -> Figure:
         _bars(left, shown, n, "explanation")
         _bars(right, ranked, n, "family")
     return figure
+
+
+def explanation_panel(axes: Axes, gap: Any, most: int = 10) -> None:
+    """Probabilities of the explanations, the likeliest first, on ``axes``."""
+    rows, worth = _ranked(content_of(gap))
+    shown = [(row["effect"], row["probability"]) for row in rows[: min(most, max(worth, FEW))]]
+    with style():
+        _bars(axes, shown, len(shown), "explanation")
+
+
+def _ranked(gap: Mapping[str, Any]) -> tuple[list[Mapping[str, Any]], int]:
+    """The explanations, the likeliest first, and how many are worth a bar."""
+    rows = sorted(gap["which"], key=lambda row: -row["probability"])
+    return rows, sum(row["probability"] >= 5e-4 for row in rows)  # others would all read "<0.1"
 
 
 def _bars(axes: Any, rows: Sequence[tuple[str, float]], n: int, title: str) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -17,6 +18,7 @@ from bayes_sensor.figures.style import (
     INK,
     MIDDLE,
     ORANGE,
+    content_of,
     labels_of_bounds,
     logarithmic,
     new_figure,
@@ -26,56 +28,78 @@ from bayes_sensor.figures.style import (
 )
 
 
-def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = None) -> Figure:
+def intervals(bounds: Any, truth: Mapping[str, float] | None = None) -> Figure:
     """Every bound method side by side for tau, tau_v, V: 68 % thick, 95 % thin.
 
-    A lag that cannot be assigned is placed by size.  ``bounds``: the content of ``bounds.json``;
-    ``truth`` by flat name draws a line.
+    A lag that cannot be assigned is placed by size.  ``bounds``: the record, or the content of
+    ``bounds.json``; ``truth`` by flat name draws a line.
     """
-    methods = list(bounds["methods"])
-    shown_labels = labels_of_bounds(bounds)
+    bounds = content_of(bounds)
+    n, shown_labels = len(bounds["methods"]), labels_of_bounds(bounds)
     with style():
-        figure = new_figure(0.32 * len(methods) + 1.0)
+        figure = new_figure(0.32 * n + 1.0)
         row = figure.subplots(1, len(shown_labels), sharey=True, squeeze=False)[0]
-        for axes, (name, (symbol, unit, factor)) in zip(row, shown_labels.items(), strict=True):
-            rows = [bounds["methods"][m]["parameters"].get(name) or {} for m in methods]
-            low, high = _visible(rows, factor)
-            for i, method in enumerate(methods):
-                entry = bounds["methods"][method]["parameters"].get(name)
-                if not entry:
-                    axes.annotate(
-                        "no value", (0.5, i), xycoords=("axes fraction", "data"), ha="center",
-                        va="center", fontsize=7, color=MIDDLE,
-                    )  # fmt: skip
-                    continue
-                colour = _method_colour(method)
-                marker = "D" if method_of(method).needs_posterior else "o"
-                for lo, hi, width in (("lo95", "hi95", 1.4), ("lo68", "hi68", 4.2)):
-                    a, b = (
-                        end if entry[key] is None else factor * entry[key]
-                        for key, end in ((lo, -np.inf), (hi, np.inf))
-                    )  # fmt: skip
-                    shown = [float(np.clip(v, low, high)) for v in (a, b)]
-                    axes.plot(shown, [i, i], color=colour, lw=width, solid_capstyle="butt")
-                    for end, edge, arrow in ((a < low, low, "<"), (b > high, high, ">")):
-                        if end:  # goes on outside the picture
-                            axes.plot(edge, i, arrow, color=colour, ms=5, clip_on=False)
-                if entry["estimate"] is not None and low <= factor * entry["estimate"] <= high:
-                    axes.plot(
-                        factor * entry["estimate"], i, marker, color=GROUND, mec=colour, ms=4.5,
-                        mew=1.2,
-                    )  # fmt: skip
-            if truth and name in truth:
-                axes.axvline(factor * truth[name], color=GREEN, ls="--", lw=1)
-            axes.set_xlim(low, high)
-            axes.set_xlabel(f"{symbol} ({unit})")
-            axes.grid(axis="y", visible=False)
-            axes.xaxis.set_major_locator(MaxNLocator(4))
-        row[0].set_yticks(range(len(methods)), [method_of(m).label for m in methods])
-        row[0].set_ylim(len(methods) - 0.4, -0.6)
+        for axes, name in zip(row, shown_labels, strict=True):
+            interval_panel(axes, bounds, name, truth)
         if row[0].get_xlim()[0] < 0:
             row[0].axvline(0.0, color=MIDDLE, lw=0.8)  # tau cannot be negative
     return figure
+
+
+def one_interval(bounds: Any, name: str) -> Figure:
+    """Every bound method of the parameter ``name`` (flat)."""
+    with style():
+        figure = new_figure(0.32 * len(content_of(bounds)["methods"]) + 1.0, 4.6)
+        interval_panel(figure.subplots(), bounds, name)
+    return figure
+
+
+def interval_panel(
+    axes: Axes, bounds: Any, name: str, truth: Mapping[str, float] | None = None
+) -> None:
+    """Every bound method of the parameter ``name`` (flat) on ``axes``.
+
+    Raises KeyError for a parameter that has none.
+    """
+    bounds = content_of(bounds)
+    methods = list(bounds["methods"])
+    symbol, unit, factor = labels_of_bounds(bounds)[name]
+    rows = [bounds["methods"][m]["parameters"].get(name) or {} for m in methods]
+    low, high = _visible(rows, factor)
+    with style():
+        for i, method in enumerate(methods):
+            entry = bounds["methods"][method]["parameters"].get(name)
+            if not entry:
+                axes.annotate(
+                    "no value", (0.5, i), xycoords=("axes fraction", "data"), ha="center",
+                    va="center", fontsize=7, color=MIDDLE,
+                )  # fmt: skip
+                continue
+            colour = _method_colour(method)
+            marker = "D" if method_of(method).needs_posterior else "o"
+            for lo, hi, width in (("lo95", "hi95", 1.4), ("lo68", "hi68", 4.2)):
+                a, b = (
+                    end if entry[key] is None else factor * entry[key]
+                    for key, end in ((lo, -np.inf), (hi, np.inf))
+                )  # fmt: skip
+                shown = [float(np.clip(v, low, high)) for v in (a, b)]
+                axes.plot(shown, [i, i], color=colour, lw=width, solid_capstyle="butt")
+                for end, edge, arrow in ((a < low, low, "<"), (b > high, high, ">")):
+                    if end:  # goes on outside the picture
+                        axes.plot(edge, i, arrow, color=colour, ms=5, clip_on=False)
+            if entry["estimate"] is not None and low <= factor * entry["estimate"] <= high:
+                axes.plot(
+                    factor * entry["estimate"], i, marker, color=GROUND, mec=colour, ms=4.5,
+                    mew=1.2,
+                )  # fmt: skip
+        if truth and name in truth:
+            axes.axvline(factor * truth[name], color=GREEN, ls="--", lw=1)
+        axes.set_xlim(low, high)
+        axes.set_xlabel(f"{symbol} ({unit})")
+        axes.grid(axis="y", visible=False)
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.set_yticks(range(len(methods)), [method_of(m).label for m in methods])
+        axes.set_ylim(len(methods) - 0.4, -0.6)
 
 
 def _visible(rows: Sequence[Mapping[str, Any]], factor: float) -> tuple[float, float]:

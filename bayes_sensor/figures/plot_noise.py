@@ -16,6 +16,7 @@ from bayes_sensor.figures.style import (
     INK,
     MODEL,
     PALE,
+    content_of,
     logarithmic,
     new_figure,
     style,
@@ -25,19 +26,26 @@ from bayes_sensor.figures.style import (
 from bayes_sensor.fit.traces import Trace
 
 
-def histogram(residuals: Mapping[str, Any], rms: float) -> Figure:
+def histogram(residuals: Any, rms: float) -> Figure:
     """Distribution of all residuals with the normal law of the same RMS (paper Fig. 6).
 
-    ``residuals``: the content of ``residuals.json``; ``rms`` in V.
+    ``residuals``: the record, or the content of ``residuals.json``; ``rms`` in V.
     """
+    with style():
+        figure = new_figure(2.9, 5.2)
+        histogram_panel(figure.subplots(), residuals, rms)
+    return figure
+
+
+def histogram_panel(axes: Axes, residuals: Any, rms: float) -> None:
+    """The same on ``axes``."""
+    residuals = content_of(residuals)
     record = residuals["histogram"]
     unit = residuals.get("signal_unit", "V")
     edges, count = np.asarray(record["edges_V"]), np.asarray(record["count"], dtype=float)
     total, width = count.sum(), float(record["bin_V"])
     centre = 0.5 * (edges[1:] + edges[:-1])
     with style():
-        figure = new_figure(2.9, 5.2)
-        axes = figure.subplots()
         axes.bar(
             centre, count, width=np.diff(edges), color=DATA, edgecolor=INK, lw=0.5,
             label=f"residuals ({thousands(total)})",
@@ -49,11 +57,40 @@ def histogram(residuals: Mapping[str, Any], rms: float) -> Figure:
         axes.set_ylabel("samples per bin")
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: thousands(value)))
         axes.legend()
+
+
+def autocorrelation(residuals: Any, traces: Sequence[Trace] = ()) -> Figure:
+    """Autocorrelation of the residuals with the AR(1) curve, and the residuals (paper Fig. 8).
+
+    ``residuals``: the record, or the content of ``residuals.json``.
+    """
+    residuals = content_of(residuals)
+    acf = residuals["acf"]
+    lag, value = np.asarray(acf["lag_s"]), np.asarray(acf["value"])
+    curve, band = np.asarray(acf["ar1"]), residuals["white_band"]
+    with style():
+        figure = new_figure(5.0 if traces else 3.2)
+        ratios = [1.7, 1] if traces else None
+        panels = figure.subplot_mosaic("ab;cc" if traces else "ab", height_ratios=ratios)
+        right = panels["b"]
+        autocorrelation_panel(panels["a"], residuals)
+        panels["a"].set_title("short lags")
+        right.axhspan(-band, band, color=PALE, lw=0)
+        right.plot(lag[1:], value[1:], color=BLUE, lw=1.0)
+        right.plot(lag[1:], curve[1:], color=MODEL, ls="--")
+        logarithmic(right, "x")
+        right.set_xlabel("lag (s), logarithmic")
+        right.set_ylabel("autocorrelation")
+        right.set_title("all lags")
+        if traces:
+            _joined_residuals(panels["c"], traces)
     return figure
 
 
-def autocorrelation(residuals: Mapping[str, Any], traces: Sequence[Trace] = ()) -> Figure:
-    """Autocorrelation of the residuals with the AR(1) curve, and the residuals (paper Fig. 8)."""
+def autocorrelation_panel(axes: Axes, residuals: Any) -> None:
+    """Autocorrelation at short lags on ``axes``, with the AR(1) curve and the band of white
+    noise."""
+    residuals = content_of(residuals)
     acf = residuals["acf"]
     lag, value = np.asarray(acf["lag_s"]), np.asarray(acf["value"])
     curve, band = np.asarray(acf["ar1"]), residuals["white_band"]
@@ -65,29 +102,14 @@ def autocorrelation(residuals: Mapping[str, Any], traces: Sequence[Trace] = ()) 
     near = lag[min(settled[0] if len(settled) else len(lag) - 1, len(lag) - 1)]
     near = float(min(max(4 * near, 30 * h), lag[-1]))
     with style():
-        figure = new_figure(5.0 if traces else 3.2)
-        ratios = [1.7, 1] if traces else None
-        panels = figure.subplot_mosaic("ab;cc" if traces else "ab", height_ratios=ratios)
-        left, right = panels["a"], panels["b"]
-        left.axhspan(-band, band, color=PALE, lw=0, label="95 % band, white")
-        left.plot(lag, value, "o", color=BLUE, ms=2.6, label="residuals")
-        left.plot(lag, curve, color=MODEL, ls="--", label=law)
-        left.set_xlim(-0.02 * near, near)
-        left.set_ylim(min(-0.1, float(np.min(value)) - 0.05), 1.04)
-        left.set_xlabel("lag (s)")
-        left.set_ylabel("autocorrelation")
-        left.legend(loc="upper right")
-        left.set_title("short lags")
-        right.axhspan(-band, band, color=PALE, lw=0)
-        right.plot(lag[1:], value[1:], color=BLUE, lw=1.0)
-        right.plot(lag[1:], curve[1:], color=MODEL, ls="--")
-        logarithmic(right, "x")
-        right.set_xlabel("lag (s), logarithmic")
-        right.set_ylabel("autocorrelation")
-        right.set_title("all lags")
-        if traces:
-            _joined_residuals(panels["c"], traces)
-    return figure
+        axes.axhspan(-band, band, color=PALE, lw=0, label="95 % band, white")
+        axes.plot(lag, value, "o", color=BLUE, ms=2.6, label="residuals")
+        axes.plot(lag, curve, color=MODEL, ls="--", label=law)
+        axes.set_xlim(-0.02 * near, near)
+        axes.set_ylim(min(-0.1, float(np.min(value)) - 0.05), 1.04)
+        axes.set_xlabel("lag (s)")
+        axes.set_ylabel("autocorrelation")
+        axes.legend(loc="upper right")
 
 
 def _joined_residuals(axes: Axes, traces: Sequence[Trace]) -> None:
@@ -111,8 +133,12 @@ def _joined_residuals(axes: Axes, traces: Sequence[Trace]) -> None:
     axes.set_title("residuals")
 
 
-def spread(residuals: Mapping[str, Any]) -> Figure:
-    """Standard deviation of the residuals against test-gas concentration, with the noise law."""
+def spread(residuals: Any) -> Figure:
+    """Standard deviation of the residuals against test-gas concentration, with the noise law.
+
+    ``residuals``: the record, or the content of ``residuals.json``.
+    """
+    residuals = content_of(residuals)
     record = residuals["variance_vs_concentration"]
     unit = residuals.get("signal_unit", "V")
     low, high = (100 * np.asarray(record[f"concentration_{end}"]) for end in ("low", "high"))
@@ -139,11 +165,13 @@ def spread(residuals: Mapping[str, Any]) -> Figure:
 _CURVES = ("low", "middle", "high", "observed")
 
 
-def predictive(record: Mapping[str, Any], unit: str = "V") -> Figure:
+def predictive(record: Any, unit: str = "V") -> Figure:
     """Replicated data against the data: autocorrelation, spread, spectrum, one-step forecasts.
 
-    ``record``: the content of ``predictive.json``.  Bands hold 95 % of the replicates.
+    ``record``: the check, or the content of ``predictive.json``.  Bands hold 95 % of the
+    replicates.
     """
+    record = content_of(record)
     small, factor = volts(unit, float(np.sqrt(np.max(record["variance"]["observed"]))))
     with style():
         figure = new_figure(4.6)

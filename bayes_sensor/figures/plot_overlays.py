@@ -51,8 +51,7 @@ def overlay(trace: Trace) -> Figure:
         )
         for column, (title, piece, edge, commanded) in enumerate(parts):
             upper, lower = axes[:, column]
-            upper.fill_between(piece.t, piece.low, piece.high, color=DATA, lw=0.8, label="measured")
-            upper.plot(piece.t, piece.model, color=MODEL, lw=1.2, label="model")
+            _record(upper, piece)
             lower.fill_between(
                 piece.t,
                 factor * piece.residual_low,
@@ -88,6 +87,21 @@ def overlay(trace: Trace) -> Figure:
         )
         axes[1, 0].legend(loc="upper right", ncols=2, fontsize=7, borderaxespad=0.1)
     return figure
+
+
+def overlay_panel(axes: Axes, trace: Trace) -> None:
+    """Measurement and model of one experiment, the whole record, on ``axes``."""
+    with style():
+        _record(axes, trace.whole)
+        axes.set_xlabel("time (s)")
+        axes.set_ylabel(f"signal ({trace.signal_unit})")
+        axes.set_title(f"experiment {shortened(trace.name)}")
+        axes.legend(loc="best", handlelength=1.6)
+
+
+def _record(axes: Axes, piece: Envelope) -> None:
+    axes.fill_between(piece.t, piece.low, piece.high, color=DATA, lw=0.8, label="measured")
+    axes.plot(piece.t, piece.model, color=MODEL, lw=1.2, label="model")
 
 
 def _only(axes: Axes, labels: Sequence[str]) -> tuple[list[Any], list[str]]:

@@ -146,8 +146,37 @@ def _drawing() -> Iterator[None]:
         yield
 
 
+class Drawing(Figure):
+    """A figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return png(self)
+
+
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    return Figure(figsize=(width, height))
+    return Drawing(figsize=(width, height))
+
+
+def content_of(record: Any) -> Any:
+    """The content of a saved result: of a record that knows it, or the content itself.
+
+    >>> content_of({"rms_V": 0.1})
+    {'rms_V': 0.1}
+    """
+    return record.to_json() if hasattr(record, "to_json") else record
+
+
+def no_data(sentence: str, axes: Axes | None = None) -> Figure | Axes:
+    """A panel that says why there is nothing to draw."""
+    with style():
+        figure = None if axes is not None else new_figure(1.2, 4.6)
+        panel = axes if figure is None else figure.subplots()
+        assert panel is not None
+        panel.annotate(
+            sentence, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", wrap=True
+        )
+        panel.set_axis_off()
+    return panel if figure is None else figure
 
 
 def settle(figure: Figure) -> None:

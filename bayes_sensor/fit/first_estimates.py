@@ -171,4 +171,16 @@ def initial_bounds(
         if not low < high:
             raise CampaignError(f"bounds of '{name}': expected low < high, got {low} and {high}")
         bounds[name] = (low, high)
+    for name, value in problem.held.items():
+        bounds[name] = (value, value)
+    # lags stand in their places by size
+    lags = [layout.shared_names[i] for i in problem.commuting.without_volumes.places]
+    for i, name in enumerate(lags):
+        if name in problem.held:
+            for shorter in lags[:i]:
+                low, high = bounds[shorter]
+                bounds[shorter] = (min(low, problem.held[name]), min(high, problem.held[name]))
+            for longer in lags[i + 1 :]:
+                low, high = bounds[longer]
+                bounds[longer] = (max(low, problem.held[name]), max(high, problem.held[name]))
     return bounds

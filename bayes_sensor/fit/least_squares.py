@@ -150,6 +150,8 @@ def fit_least_squares(
     mute = cannot_tell(problem, vector, residuals)
     seen = step_is_seen(problem, vector, residuals)
     can_tell = seen and not mute
+    vector = problem.flat(vector)
+    box = {name: ends for name, ends in box.items() if name not in problem.held}
     naming, compared = weigh_names(problem, vector) if can_tell else (problem.naming(), ())
     shared = problem.layout.shared_names
     labels = dict(zip(shared, naming.names, strict=True))
@@ -165,7 +167,8 @@ def fit_least_squares(
             "the best is given."
         )
     comparison = None
-    if euler and plain and problem.model.method == "exact" and problem.layout.is_published:
+    compares = euler and plain and not problem.held and problem.layout.is_published
+    if compares and problem.model.method == "exact":
         tell(0.85, "Euler")
         comparison = _compare_euler(problem, theta, box, looks, rms, count, naming)
     tell(1.0, "done")
@@ -249,7 +252,7 @@ def _search(
 ) -> tuple[FloatArray, bool, dict[str, Any], dict[str, Any] | None, Twin | None]:
     """The exact cascade's least squares: swarms, starts along the valley, mesh; and its twin."""
     campaign = problem.campaign
-    problem = Problem(campaign, noise=problem.noise)
+    problem = Problem(campaign, noise=problem.noise, held=problem.held)
     layout = problem.layout
     low, high = limits(layout, box)
     coarse = averages(campaign, looks, 12, 40)

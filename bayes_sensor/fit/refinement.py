@@ -192,8 +192,12 @@ def refine(
     tolerance: float = 1e-10,
 ) -> Refined:
     """Trust-region refinement (scipy's ``trf``) inside the box; ``free`` False: held fixed."""
-    free = np.ones(len(theta), dtype=bool) if free is None else free
-    squares = Squares(problem, points, bool(free[0]))
+    free = np.ones(len(theta), dtype=bool) if free is None else free.copy()
+    held = [problem.layout.index(name) for name in problem.held]
+    free[held] = False
+    # where a switch time is held, that is one without tau added
+    straight = bool(free[0]) and all(i < problem.layout.n_shared for i in held)
+    squares = Squares(problem, points, straight)
     straight = squares.straight
     box_low, box_high = squares.coordinates(low), squares.coordinates(high)
     result = _trust_region(

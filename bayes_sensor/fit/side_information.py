@@ -57,6 +57,7 @@ class Estimates:
     @classmethod
     def of(cls, problem: Problem, vector: FloatArray) -> Estimates:
         """From the expected information at the fit ``vector`` (n_theta,), noise included."""
+        problem = replace(problem, held={})  # the data alone, whatever is held
         commuting, layout, vector = problem.commuting, problem.layout, vector.copy()
         n, n_lags, places = layout.n_shared, commuting.n_lags, list(commuting.places)
         rest = [i for i in range(n) if i not in places]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,10 @@ def load_archive(path: str | os.PathLike[str], what: str) -> tuple[Any, dict[str
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             content = {name: archive[name] for name in archive.files}
         facts = json.loads(content.pop(FACTS).tobytes().decode("utf-8"))
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
+    except (
+        OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, NotImplementedError,
+        RuntimeError, zlib.error, BadZipFile,
+    ) as error:  # fmt: skip
         raise unreadable(path, what, error) from None
     return facts, content
 

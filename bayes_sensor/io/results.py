@@ -37,6 +37,9 @@ STAGE, COMPLETE, OLD, DROP = ".stage-", ".complete", ".old-", ".drop.json"
 VOID = (
     "posterior_without_effects.json", "predictive.json", "gap.json", "gap_where.csv",
     "gap_which.csv", "report.html", "fleet.svg", "fleet.png", "next.toml", "next_truth.json",
+    "bounds.json", "bounds.csv", "delays.json", "fit_record.npz", "residuals_record.npz",
+    "posterior_record.npz", "predictive_record.npz", "bounds_record.npz", "delays_record.npz",
+    "gap_record.npz",
 )  # fmt: skip
 """earlier results that a run may make void: nothing else is ever removed by name"""
 

@@ -51,8 +51,9 @@ class Coordinates:
 
     @property
     def shifts(self) -> bool:
-        """Whether switch times stand in psi with tau added, and tau as its square."""
-        return self.problem.layout.one_sensor
+        """Whether switch times stand in psi with tau added, and tau as its square: for one sensor
+        whose place is not held."""
+        return self.problem.layout.one_sensor and "tau_s" in self._kinds
 
     @cached_property
     def switches(self) -> np.ndarray:

@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.display import record_card
 
 VARIANCES = ("concentration", "signal", "constant", "levels")
 AUTOCORRELATIONS = ("ar1", "white")
@@ -37,6 +38,8 @@ class Noise:
     >>> Noise("constant", "white").fixed
     {'phi': 0.0, 'sigma1_V': 0.0}
     """
+
+    _repr_html_ = record_card
 
     variance: str = "concentration"
     autocorrelation: str = "ar1"

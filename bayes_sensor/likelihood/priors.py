@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.display import record_card
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class Prior:
     CampaignError
         If the kind is unknown or its numbers describe no law.
     """
+
+    _repr_html_ = record_card
 
     kind: str
     a: float = 0.0

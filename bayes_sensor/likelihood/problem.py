@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.display import record_card
 from bayes_sensor.likelihood.default_priors import default_priors
 from bayes_sensor.likelihood.noise import (
     Noise,
@@ -41,6 +42,8 @@ class Problem:
       than at the switches.
     """
 
+    _repr_html_ = record_card
+
     campaign: Campaign
     model: Cascade = field(default_factory=Cascade)
     noise: Noise = field(default_factory=Noise)
@@ -48,6 +51,9 @@ class Problem:
     """priors that replace the default ones, by flat name; one for ``phi``, ``sigma0_V`` or
     ``sigma1_V`` also serves every experiment that has its own, and those of experiments that are
     not in the campaign wait"""
+    held: Mapping[str, float] = field(default_factory=dict)
+    """parameters of the mean that have a value and are neither fitted nor sampled, by flat name of
+    their place in theta (:func:`bayes_sensor.likelihood.held_values.held_values`)"""
 
     @cached_property
     def layout(self) -> Layout:
@@ -95,6 +101,8 @@ class Problem:
         # not when it is made: a problem may be on its way to another model, with its parameters
         for name in self.given_priors:
             check_name(self.layout, name, "Problem.given_priors")
+        for name in self.held:
+            check_name(self.layout, name, "Problem.held")
         given = {name: law for name, law in self.given_priors.items() if name not in shared}
         for name in self.layout.noise_names:
             kind = name.split("[")[0]
@@ -228,13 +236,23 @@ class Problem:
 
     @cached_property
     def fixed(self) -> dict[str, float]:
-        """Flat names that the noise law pins, with their values."""
+        """Flat names that do not vary, with their values: what the noise law pins, and what is
+        held."""
         pinned = self.noise.fixed
-        return {
+        found = {
             name: pinned[name.split("[")[0]]
             for name in self.layout.noise_names
             if name.split("[")[0] in pinned
         }
+        return {**found, **self.held}
+
+    def place_of(self, name: str) -> str | None:
+        """Flat name of the place in theta of a parameter; None for a lag that has one only where
+        its name is settled, and it is not."""
+        shared = self.layout.shared_names
+        if name not in shared:
+            return name if name in self.layout.names else None
+        return shared[self._settled[name]] if name in self._settled else None
 
     def flat(self, theta: Theta) -> FloatArray:
         """The flat vector (n_theta,) of ``theta``, a new one, under this problem's noise law.

@@ -294,8 +294,10 @@ def covering_region(
     low, high = compressed.region.low.copy(), compressed.region.high.copy()
     layout = laplace.coordinates.problem.layout
     extra = range(len(layout) - len(layout.extra), len(layout))
-    rest = range(int(layout.one_sensor), layout.n_shared)
-    for i in [*rest, *layout.all_switches, *extra]:
+    held = {layout.index(name) for name in laplace.coordinates.problem.held}
+    first = int(layout.one_sensor)
+    rest = [i for i in range(first, layout.n_shared) if i not in held]
+    for i in [*rest, *(i for i in layout.all_switches if i not in held), *extra]:
         a, b = thetas[:, i].min(), thetas[:, i].max()
         low[i], high[i] = a - spare * (b - a), b + spare * (b - a)
     if layout.one_sensor:

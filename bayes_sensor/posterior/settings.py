@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.display import record_card
 
 Progress = Callable[[float, str], None]
 """called with the fraction done and a short text"""
@@ -14,6 +15,8 @@ Progress = Callable[[float, str], None]
 @dataclass(frozen=True)
 class Settings:
     """Settings of the samplers.  The defaults suit campaigns of any size."""
+
+    _repr_html_ = record_card
 
     n_chains: int = 4
     """independent runs (ensembles for emcee)"""

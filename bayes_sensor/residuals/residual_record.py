@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.display import card
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.residuals.autocorrelation import (
     LAGS,
@@ -52,6 +53,15 @@ class Residuals(Judgement):
     spectrum: dict[str, float]
     """slow part of the residuals' spectrum over that of the fitted AR(1)"""
     signal_unit: str = "V"
+
+    def _repr_html_(self) -> str:
+        """HTML for a notebook: the verdict, and each check of the noise law."""
+        rows = [
+            [name.replace("_", " "), check["adequate"], check["p_value"], check["factor"]]
+            for name, check in self.checks.items()
+        ]
+        columns = ["check", "adequate", "p-value", "measured / law"]
+        return card("residuals", [self.verdict, self.recommendation], columns, rows)
 
     def to_json(self) -> dict[str, Any]:
         """The content of ``residuals.json``."""

@@ -20,6 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.display import record_card
 from bayes_sensor.rig.chain import (
     Drive,
     chain_response,
@@ -123,6 +124,8 @@ class Cascade:
     ``response`` (the test-gas concentration the sensor sees, 0..1) and ``mean`` (V), all taking
     the flat vector of ``layout(campaign)``.
     """
+
+    _repr_html_ = record_card
 
     method: str = field(default="exact")
     """``exact`` (closed form) or ``euler`` (the paper's forward Euler; uniform ``t`` only)"""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import STAGES, Campaign, CampaignError, FloatArray
+from bayes_sensor.display import record_card
 from bayes_sensor.rig.rig import PUBLISHED, Rig
 from bayes_sensor.rig.switching import Switching
 
@@ -62,6 +63,8 @@ class Layout:
     >>> Layout(("a",), (False,)).names
     ['tau_s', 'tau_v_s', 'V_mL', 'y0_V[a]', 'beta_V[a]', 't0_s[a]', 'phi', 'sigma0_V', 'sigma1_V']
     """
+
+    _repr_html_ = record_card
 
     experiments: tuple[str, ...]
     has_fall: tuple[bool, ...]

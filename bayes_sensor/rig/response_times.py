@@ -12,6 +12,7 @@ from numba import njit
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compiled import forget_older
+from bayes_sensor.display import record_card
 from bayes_sensor.rig import chain, divided_differences
 from bayes_sensor.rig.chain import impulse_response, step_response
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False)
 class ResponseTimes:
     """Times after a step (s), each of the shape of the draws given."""
+
+    _repr_html_ = record_card
 
     t10: FloatArray
     t63: FloatArray

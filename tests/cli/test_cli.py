@@ -15,13 +15,14 @@ import numpy as np
 import pytest
 
 import bayes_sensor
+from bayes_sensor.analysis.job import Job
+from bayes_sensor.analysis.overrides import make_problem, read_overrides
+from bayes_sensor.analysis.posterior_step import saved_spreads, watching
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import exit_code
-from bayes_sensor.cli.job import Job
-from bayes_sensor.cli.overrides import make_problem, read_overrides, read_prior
-from bayes_sensor.cli.posterior_step import saved_spreads, watching
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.io.results import Results
+from bayes_sensor.likelihood.prior_text import read_prior
 from bayes_sensor.posterior.checkpoints import Checkpoint
 from bayes_sensor.rig.layout import Layout
 
@@ -318,6 +319,7 @@ def test_fit_is_replaced_as_a_whole_and_repeats_itself(
         "campaign.json",
         "traces.npz",
         "samples.npz",
+        *("campaign_record.npz", "fit_record.npz", "residuals_record.npz"),
     }
     record = json.loads((out / "run.json").read_text())["commands"]["fit"]
     assert record["seed"] == 3 and record["exit_code"] == 0

@@ -17,8 +17,9 @@ import pytest
 from matplotlib.image import imread
 
 from bayes_sensor import figures, report
+from bayes_sensor.analysis import job
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli import exit_code, job
+from bayes_sensor.cli import exit_code
 from bayes_sensor.cli.simulate_campaigns import published_design
 from bayes_sensor.fit.samples import load_samples
 from bayes_sensor.io.check import campaign_rows
@@ -447,7 +448,8 @@ def test_a_report_that_fails_leaves_all_other_results(
         assert again in error
     names = {p.name for p in out.iterdir()}
     assert names == {"campaign.json", "fit.json", "residuals.json", "run.json", "samples.npz",
-                     "traces.npz"}  # fmt: skip
+                     "traces.npz", "campaign_record.npz", "fit_record.npz",
+                     "residuals_record.npz"}  # fmt: skip
     assert json.loads((out / "run.json").read_text())["commands"]["analyze"]["exit_code"] == 0
     assert run("report", out, "--quiet") == 0
     assert "How well does the model fit" in (out / "report.html").read_text(encoding="utf-8")

@@ -150,7 +150,7 @@ def test_what_can_be_chosen_is_told() -> None:
 
 
 def test_the_settings_and_the_campaign_of_the_page_are_accepted(tmp_path: Path) -> None:
-    from bayes_sensor.cli.overrides import read_overrides
+    from bayes_sensor.analysis.overrides import read_overrides
 
     campaign, settings = re.findall(r"```toml\n(.*?)```", TEXT["file_formats.md"], flags=re.DOTALL)
     (tmp_path / "overrides.toml").write_text(settings)

@@ -40,21 +40,26 @@ A_RESULT = "the posterior as a result, a command, a file or a module, not the bo
 NAMESAKES = {
     ("__init__.py", "posterior"): A_RESULT,
     **{
-        (f"cli/{file}.py", "posterior"): A_RESULT
+        (f"{file}.py", "posterior"): A_RESULT
         for file in (
-            "analysis_commands",
-            "interruption",
-            "job",
-            "overrides",
-            "pipeline",
-            "plan_experiments",
-            "posterior_step",
-            "summary_lines",
+            "analysis/job",
+            "analysis/overrides",
+            "analysis/plots",
+            "analysis/posterior_step",
+            "analysis/run_steps",
+            "analysis/saved_records",
+            "analysis/summary_text",
+            "cli/analysis_commands",
+            "cli/interruption",
+            "cli/pipeline",
+            "cli/plan_experiments",
+            "cli/summary_lines",
         )
     },
     ("fleet/outcome.py", "posterior"): A_RESULT,
     ("report/saved.py", "posterior"): A_RESULT,
     ("posterior/save_draws.py", "posterior"): "a group of ArviZ's InferenceData",
+    ("posterior/to_arviz.py", "posterior"): "a group of ArviZ's InferenceData",
     ("bounds/hardness.py", "profile"): "a curve in bounds.json's what_makes_tau_hard",
     ("figures/plot_tau.py", "profile"): "the same curve, drawn",
     ("io/run_record.py", "emcee"): "the package whose version is recorded",

@@ -36,6 +36,7 @@ ROOMS = (
     "blind_check",
     "figures",
     "report",
+    "analysis",
     "fleet",
     "cli",
 )

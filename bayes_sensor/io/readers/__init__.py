@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import STAGES, Campaign, CampaignError, Experiment
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.io.readers.arrow import read_feather, read_parquet
 from bayes_sensor.io.readers.assembly import Assembled, assemble, design, settled_unit
 from bayes_sensor.io.readers.campaign_file import (
@@ -25,20 +25,18 @@ from bayes_sensor.io.readers.campaign_file import (
     read_entry,
     read_rig,
     read_sheet,
-    read_side_information,
     read_toml,
 )
 from bayes_sensor.io.readers.flow_settings import settle_all_flows
+from bayes_sensor.io.readers.joined import by_sensor, join, one_line, one_unit, side_information_of
 from bayes_sensor.io.readers.left_open import check_filled_in
 from bayes_sensor.io.readers.matlab import read_matlab
 from bayes_sensor.io.readers.npz import read_npz
 from bayes_sensor.io.readers.other_channels import signal_remarks
-from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.io.readers.recording import DataFile, Recording, Selection
 from bayes_sensor.io.readers.spreadsheet import read_xlsx
 from bayes_sensor.io.readers.table import read_table
 from bayes_sensor.io.readers.tdms import read_tdms
-from bayes_sensor.rig.layout import Layout
 
 Reader = Callable[[DataFile, Selection], Recording]
 
@@ -59,9 +57,15 @@ FORMATS: dict[str, Reader] = {
 """suffix to reader; a format of your own is one more entry"""
 LARGEST_FILE = 256 << 20
 """bytes of a data file"""
-_LONGEST_MESSAGE = 2000
 
-__all__ = ["FORMATS", "read_campaign", "read_experiment", "read_recording"]
+__all__ = [
+    "FORMATS",
+    "one_line",
+    "one_unit",
+    "read_campaign",
+    "read_experiment",
+    "read_recording",
+]
 
 
 def read_campaign(path: str | os.PathLike[str]) -> Campaign:
@@ -104,7 +108,7 @@ def read_campaign(path: str | os.PathLike[str]) -> Campaign:
         return _read(Path(path))
     except CampaignError as error:
         # names and cells from the files may hold line ends or terminal codes
-        raise CampaignError(_one_line(str(error))) from None
+        raise CampaignError(one_line(str(error))) from None
 
 
 def _read(path: Path) -> Campaign:
@@ -127,7 +131,7 @@ def _read(path: Path) -> Campaign:
     experiments: list[Experiment] = []
     units: list[tuple[str, str]] = []
     for entry in entries:
-        for own, record, sensor in _by_sensor(entry):
+        for own, record, sensor in by_sensor(entry):
             if entry.file is None:
                 made = design(own, label)
                 unit = settled_unit(own.signal_unit or "V")
@@ -137,59 +141,8 @@ def _read(path: Path) -> Campaign:
                 warnings += [text for text in done.warnings if text not in warnings]
             experiments.append(replace(made, record=record, sensor=sensor))
             units.append((own.name, unit))
-    sensors = [e.sensor for e in experiments if e.sensor]
-    if sensors and len(sensors) < len(experiments):
-        raise CampaignError(
-            f"{label}: some experiments have signals and some have signal; expected the sensors of "
-            "every record: write signals in all of them"
-        )
-    stages = rig.stages or STAGES
-    if rig.stages is None and not any(e.flow_known for e in experiments):
-        stages = tuple(stage for stage in STAGES if stage != "manifold")
-        warnings.append(
-            f"{label}: no flows are given, so the rig is taken as {' and '.join(stages)}, without "
-            "a volume; write [rig] stages to say what the gas passes"
-        )
-    side_information = read_side_information(
-        sheet.side_information, label, stages, tuple(dict.fromkeys(sensors))
-    )
-    found = Campaign(
-        title=sheet.title,
-        experiments=tuple(experiments),
-        side_information=side_information,
-        signal_unit=_one_unit(units, label),
-        warnings=tuple(_one_line(text) for text in warnings),
-        source=str(path),
-        sensor_is=rig.sensor_is,
-        stages=stages,
-    )
-    Layout.of(found)  # raises where a stage needs a flow that is not known
-    return found
-
-
-def _by_sensor(entry: Entry) -> list[tuple[Entry, str, str]]:
-    """The entry of each sensor, with the names of the record and the sensor."""
-    if not entry.signals:
-        return [(entry, "", "")]
-    if entry.signal is not None:
-        raise CampaignError(
-            f"experiment '{entry.name}' ({entry.file}): both signal and signals are given; "
-            "expected one of them: remove signal"
-        )
-    return [
-        (
-            entry.model_copy(
-                update={
-                    "name": f"{entry.name},{sensor}",
-                    "signal": None if entry.file is None else column,
-                    "signals": {},
-                }
-            ),
-            entry.name,
-            sensor,
-        )
-        for sensor, column in entry.signals.items()
-    ]
+    known = side_information_of(sheet.side_information, label)
+    return join(sheet.title, experiments, units, warnings, rig, known, label, str(path))
 
 
 def _measured(entry: Entry, folder: Path, allow_outside: bool) -> Assembled:
@@ -223,12 +176,6 @@ def read_experiment(table: Mapping[str, Any], folder: Path, label: str) -> Assem
     return _measured(read_entry(dict(table), 1, label), folder, False)
 
 
-def _one_line(text: str) -> str:
-    """The text without control characters, shortened to the length of a message."""
-    shown = "".join(c if c.isprintable() else "\ufffd" for c in text)
-    return shown if len(shown) <= _LONGEST_MESSAGE else shown[: _LONGEST_MESSAGE - 3] + "..."
-
-
 def _check_entries(entries: list[Entry], label: str) -> None:
     """Check that names are unique, and that all experiments are measured or all planned."""
     seen: dict[str, int] = {}
@@ -251,17 +198,6 @@ def _check_entries(entries: list[Entry], label: str) -> None:
                 f"experiment '{entry.name}' ({label}): experiment '{entries[0].name}' has {first}, "
                 f"but this has {other}; expected all measured or all planned: split the campaign"
             )
-
-
-def _one_unit(units: list[tuple[str, str]], label: str) -> str:
-    first_name, first = units[0]
-    for name, unit in units:
-        if unit != first and conversion_factor(unit, first) != 1.0:
-            raise CampaignError(
-                f"experiment '{name}' ({label}): its signal is in '{unit}', but that of experiment "
-                f"'{first_name}' in '{first}'; expected one unit: set the same signal_unit for all"
-            )
-    return first
 
 
 def _open(entry: Entry, folder: Path, allow_outside: bool) -> DataFile:

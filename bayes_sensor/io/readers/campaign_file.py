@@ -408,10 +408,10 @@ def read_rig(table: dict[str, Any], label: str) -> Rig:
         raise CampaignError(f"{label}: [rig] {_first_problem(error, Rig)}") from None
 
 
-def read_side_information(
-    table: dict[str, Any], label: str, stages: Sequence[str] = STAGES, sensors: Sequence[str] = ()
-) -> dict[str, SideInformation]:
-    """Parameters measured elsewhere, by flat parameter name and in its unit.
+def side_information_keys(
+    stages: Sequence[str], sensors: Sequence[str] = ()
+) -> dict[str, tuple[str, Kind]]:
+    """Flat parameter name and kind of every key of side information.
 
     ``stages``: the rig's; ``sensors``: their names where there are several.
     """
@@ -423,6 +423,17 @@ def read_side_information(
             known |= {f"{key}[{each}]": (f"{name}[{each}]", kind) for each in sensors}
         else:
             known[key] = name, kind
+    return known
+
+
+def read_side_information(
+    table: dict[str, Any], label: str, stages: Sequence[str] = STAGES, sensors: Sequence[str] = ()
+) -> dict[str, SideInformation]:
+    """Parameters measured elsewhere, by flat parameter name and in its unit.
+
+    See :func:`side_information_keys`.
+    """
+    known = side_information_keys(stages, sensors)
     found = {}
     for key, value in table.items():
         where = f"{label}: [side_information]"

@@ -32,7 +32,7 @@ class Whitened:
         problem = self.coordinates.problem
         # the two places of lags that are exchanged
         self.pair = list(problem.commuting.places)
-        self.folds = problem.flow is None and len(self.pair) == 2
+        self.folds = problem.flow is None and len(self.pair) == 2 and not problem.held
         self.outside: list[FloatArray] = []
         thetas, _ = laplace.draw(2000, np.random.default_rng(12345))
         roots = self._roots(thetas)

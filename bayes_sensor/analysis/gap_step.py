@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from bayes_sensor.analysis.job import Job
+from bayes_sensor.analysis.saved_records import put_record
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli.job import Job
 from bayes_sensor.io.results import Stage
 
 
 def run_gap(job: Job) -> None:
     from bayes_sensor.diagnosis import diagnose_gap
 
+    if not job.carried("gap"):
+        return
     try:
         with job.timed("gap") as tell:
             job.gap = diagnose_gap(
@@ -28,7 +31,8 @@ def run_gap(job: Job) -> None:
 
 def save_gap(job: Job, stage: Stage) -> None:
     """Write gap.json with its tables; where there is none, that of an earlier run is dropped."""
-    if job.no_gap:
+    put_record(stage, "gap", job.gap, job.problem.campaign)
+    if job.gap is None:
         stage.drop += ["gap.json", "gap_where.csv", "gap_which.csv"]
         return
     stage.json("gap.json", job.gap.to_json())

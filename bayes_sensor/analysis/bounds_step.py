@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from bayes_sensor.analysis.job import Job
+from bayes_sensor.analysis.saved_records import put_record
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli.job import Job
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.io.results import Stage
 
@@ -15,6 +16,8 @@ from bayes_sensor.io.results import Stage
 def run_bounds(job: Job) -> None:
     from bayes_sensor.bounds import compare_bounds
 
+    if not job.carried("bounds"):
+        return
     asked = job.overrides.bounds
     with job.timed("bounds") as tell:
         compared = compare_bounds(
@@ -137,7 +140,12 @@ def _help(job: Job, theta: dict[str, Any]) -> list[dict[str, Any]] | None:
 
 
 def save_bounds(job: Job, stage: Stage) -> None:
-    """Write bounds.json and bounds.csv."""
+    """Write bounds.json and bounds.csv; where there are none, those of earlier are dropped."""
+    if job.bounds is None:
+        put_record(stage, "bounds", None, job.problem.campaign)
+        stage.drop += ["bounds.json", "bounds.csv"]
+        return
     compared, record = job.bounds
     stage.json("bounds.json", record)
     compared.to_csv(stage.path("bounds.csv"))
+    put_record(stage, "bounds", compared, job.problem.campaign)

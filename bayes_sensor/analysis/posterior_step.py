@@ -6,9 +6,9 @@ import logging
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_sensor.cli.job import Job
-from bayes_sensor.cli.response_time_record import response_time_record
-from bayes_sensor.cli.terminal import Progress, muted
+from bayes_sensor.analysis.job import Job, Progress
+from bayes_sensor.analysis.response_time_record import response_time_record
+from bayes_sensor.analysis.saved_records import put_record
 from bayes_sensor.io.results import Stage
 
 LOG = logging.getLogger(__name__)
@@ -23,7 +23,7 @@ def run_posterior(job: Job) -> None:
 
         if not any(METHODS[name].needs_posterior for name in methods):
             return
-    with job.timed("posterior") as tell, muted():
+    with job.timed("posterior") as tell, job.muted():
         job.posterior = sample_posterior(
             _with_effects_asked(job),
             job.fit,
@@ -39,8 +39,11 @@ def run_posterior(job: Job) -> None:
 
 def watching(job: Job, tell: Progress) -> Progress:
     """``tell``, with a message if ``--resume`` finds ensembles that cannot be continued."""
-    marker = job.checkpoint / "run.json"
-    if not (job.resume and marker.is_file() and any(job.checkpoint.glob("ensemble-*.npz"))):
+    checkpoint = job.checkpoint
+    if not job.resume or checkpoint is None:
+        return tell
+    marker = checkpoint / "run.json"
+    if not (marker.is_file() and any(checkpoint.glob("ensemble-*.npz"))):
         return tell
     before = [marker.read_bytes()]
 
@@ -49,7 +52,7 @@ def watching(job: Job, tell: Progress) -> Progress:
             before.clear()
             LOG.warning(
                 "--resume: the unfinished run in %s is of other data or settings, such as another "
-                "--seed, and is not used", job.checkpoint,
+                "--seed, and is not used", checkpoint,
             )  # fmt: skip
         tell(fraction, text)
 
@@ -79,6 +82,8 @@ class SavedSpreads:
 
 def saved_posterior(job: Job) -> dict[str, Any] | None:
     """``posterior.json`` of the results folder, if it has the same data and settings."""
+    if job.results is None:
+        return None
     run = job.results.json("run.json")
     saved: dict[str, Any] | None = job.results.json("posterior.json")
     commands = {} if run is None else run["commands"]
@@ -127,3 +132,5 @@ def save_posterior(job: Job, stage: Stage) -> None:
     else:
         stage.drop.append("predictive.json")  # it speaks of another posterior
     stage.json("coating.json", {**response_time_record(job), **unit})
+    put_record(stage, "posterior", job.posterior, job.problem.campaign)
+    put_record(stage, "predictive", job.predictive, job.problem.campaign)

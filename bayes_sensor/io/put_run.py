@@ -1,4 +1,4 @@
-"""What several commands write: their entry in run.json, and a figure."""
+"""What every command writes: its entry in run.json."""
 
 from __future__ import annotations
 
@@ -51,11 +51,3 @@ def put_run(
         exit_code=exit_code, warnings=warnings, command_line=command_line,
     )  # fmt: skip
     stage.json("run.json", {**entry, **more})
-
-
-def put_figure(stage: Stage, name: str, figure: Any) -> None:
-    """Put a figure as ``name``.svg and ``name``.png."""
-    from bayes_sensor import figures
-
-    stage.text(f"{name}.svg", figures.svg(figure))
-    stage.binary(f"{name}.png", figures.png(figure))

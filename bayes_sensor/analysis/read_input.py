@@ -1,4 +1,4 @@
-"""What a command reads before it begins: the campaign, and settings that fit it."""
+"""What an analysis reads before it begins: the campaign, and settings that fit it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 from bayes_sensor.campaign import Campaign, CampaignError
 
 
-def load(path: Path) -> tuple[Campaign, Any, tuple[str, ...]]:
-    """Campaign, rows of its understood content, and remarks."""
+def read_input(given: Path | Campaign) -> tuple[Campaign, Any, tuple[str, ...]]:
+    """Campaign (read, where a file is given), rows of its understood content, and remarks."""
     from bayes_sensor.io.check import campaign_remarks, campaign_rows
     from bayes_sensor.io.readers import read_campaign
 
-    campaign = read_campaign(path)
+    campaign = given if isinstance(given, Campaign) else read_campaign(given)
     return campaign, campaign_rows(campaign), campaign_remarks(campaign)
 
 

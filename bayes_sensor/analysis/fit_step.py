@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from bayes_sensor.cli.job import SAVES, Job
+from bayes_sensor.analysis.job import SAVES, Job
+from bayes_sensor.analysis.saved_records import put_record
 from bayes_sensor.io.results import Stage
 
 
 def run_fit(job: Job) -> None:
-    from bayes_sensor.cli.overrides import fit_bounds
+    from bayes_sensor.analysis.overrides import fit_bounds
     from bayes_sensor.fit import fit_least_squares
 
     asked = job.overrides.fit
@@ -42,8 +43,10 @@ def save_fit(job: Job, stage: Stage) -> None:
     stage.json("fit.json", record)
     save_traces(stage.path("traces.npz"), make_traces(job.problem, job.fit))
     save_samples(stage.path("samples.npz"), make_samples(job.problem, job.fit))
+    put_record(stage, "fit", job.fit, job.problem.campaign)
 
 
 def save_residuals(job: Job, stage: Stage) -> None:
     """Write residuals.json."""
     stage.json("residuals.json", job.residuals.to_json())
+    put_record(stage, "residuals", job.residuals, job.problem.campaign)

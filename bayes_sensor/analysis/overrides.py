@@ -9,8 +9,11 @@
 
     [priors]                           # tau, tau_v, V, phi, sigma0, sigma1, y0, beta, t0, tf
     tau = "half-normal(200 ms)"        # log-normal(median, sd of the logarithm), normal(mean, sd),
-    V = "normal(60 mL, 2 mL)"          # uniform(low, high), log-uniform(low, high), flat
+    V = "normal(60, 2) mL"             # uniform(low, high), log-uniform(low, high), flat
     "t0[4]" = "uniform(28 s, 33 s)"    # one experiment; without [..] all of them
+
+    [fix]                              # held at a value, not fitted: the same names
+    tau_v = "0.86 s"
 
     [fit]
     swarms = 3
@@ -35,17 +38,16 @@
 from __future__ import annotations
 
 import difflib
-import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields
-from math import isfinite, nan
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     ValidationError,
@@ -54,15 +56,23 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.io.readers.quantities import TIME, VOLUME, Kind, read_quantity
-from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood import problem_settings
+from bayes_sensor.likelihood.prior_text import (
+    flat_names,
+    prior_of_law,
+    read_value,
+)
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Settings
 from bayes_sensor.posterior.samplers import DEFAULT, SAMPLERS
-from bayes_sensor.rig.layout import Layout
 
 LARGEST = 1 << 20
+_EXAMPLES = {
+    "noise": '{"variance": "constant"}',
+    "priors": '{"V": "normal(60, 2) mL"}',
+    "fix": '{"tau_v": "0.86 s"}',
+}
 
 
 class Part(BaseModel):
@@ -121,18 +131,47 @@ class BoundsPart(Part):
     explain: bool = True
 
 
+def _prior_text(value: object) -> str | Prior:
+    if isinstance(value, str | Prior):
+        return value
+    made = prior_of_law(value)
+    if made is None:
+        raise PydanticCustomError("prior", "Input should be a prior such as 'normal(60, 2) mL'")
+    return made
+
+
+def _fixed_text(value: object) -> str | float:
+    if isinstance(value, str) or (isinstance(value, float | int) and not isinstance(value, bool)):
+        return value
+    raise PydanticCustomError("fixed", "Input should be a value such as '0.86 s'")
+
+
+PriorText = Annotated[Any, BeforeValidator(_prior_text)]
+FixedText = Annotated[Any, BeforeValidator(_fixed_text)]
+
+
 class Overrides(Part):
     """All settings."""
 
     noise: NoisePart = Field(default_factory=NoisePart)
-    priors: dict[str, str] = Field(default_factory=dict)
+    priors: dict[str, PriorText] = Field(default_factory=dict)
+    fix: dict[str, FixedText] = Field(default_factory=dict)
     fit: FitPart = Field(default_factory=FitPart)
     posterior: PosteriorPart = Field(default_factory=PosteriorPart)  # type: ignore[valid-type]
     bounds: BoundsPart = Field(default_factory=BoundsPart)
 
     def record(self) -> dict[str, Any]:
         """Everything as plain values, for run.json."""
-        return self.model_dump()
+        found = self.model_dump()
+        found["priors"] = {name: _plain(law) for name, law in self.priors.items()}
+        if not self.fix:
+            found.pop("fix")
+        return found
+
+    def basis(self) -> dict[str, Any]:
+        """Settings that say what is computed, for the digest of what a result rests on."""
+        record = self.record()
+        return {key: record[key] for key in ("noise", "priors", "fix") if key in record}
 
     def sampler_settings(self) -> Settings:
         """The record that the samplers take."""
@@ -141,8 +180,19 @@ class Overrides(Part):
         return Settings(**values)
 
 
-def read_overrides(path: Path | None, posterior: Mapping[str, Any] | None = None) -> Overrides:
+def _plain(law: str | Prior) -> str:
+    return law if isinstance(law, str) else repr(law)
+
+
+def read_overrides(
+    path: Path | None,
+    posterior: Mapping[str, Any] | None = None,
+    more: Mapping[str, Any] | None = None,
+    label: str = "--config",
+) -> Overrides:
     """The settings of a file (None: the defaults) with the sampler's options put in.
+
+    ``more``: tables by name whose keys win over the file's; ``label``: what messages call them.
 
     Raises
     ------
@@ -150,10 +200,17 @@ def read_overrides(path: Path | None, posterior: Mapping[str, Any] | None = None
         If the file cannot be read, or a key or a value in it is not known.
     """
     tables: dict[str, Any] = {}
-    label = "--config"
     if path is not None:
         label = path.name or str(path)
         tables = _read(path, label)
+    for name, table in (more or {}).items():
+        if not isinstance(table, Mapping):
+            raise CampaignError(
+                f"{label}: {name}: expected a mapping of settings, but got a "
+                f"{type(table).__name__}; write for example {_EXAMPLES.get(name, '{..}')}"
+            )
+        before = tables.get(name, {})
+        tables[name] = {**(before if isinstance(before, dict) else {}), **table}
     given = dict(posterior or {})
     if given:
         table = tables.get("posterior", {})
@@ -213,104 +270,10 @@ def _first_problem(error: ValidationError, label: str, given: Mapping[str, Any])
     return f"{where}{key}: {message}, but got {value[:80]}; correct it"
 
 
-# --------------------------------------------------------------------------- priors and bounds
-
-_KINDS = ("half-normal", "log-normal", "normal", "uniform", "log-uniform", "flat")
-_CALL = re.compile(r"\s*([a-z-]+)\s*(?:\(([^()]*)\))?\s*")
-
-
-def _kind_of(name: str, unit: str) -> Kind | None:
-    """The kind of a parameter; None for phi, which has no unit."""
-    kind = name.split("[")[0]
-    if kind == "phi":
-        return None
-    if kind == "V_mL":
-        return VOLUME
-    if kind.endswith("_s"):
-        return Kind(TIME.name, TIME.unit, "48 ms")
-    return Kind("a signal", unit, f"0.05 {unit}")
-
-
-def flat_names(key: str, layout: Layout, where: str) -> list[str]:
-    """The flat names that a key stands for: ``tau``, ``t0`` (all experiments) or ``t0[4]``.
-
-    Raises CampaignError, with the nearest known key, if there are none.
-    """
-    short: dict[str, list[str]] = {}
-    for name in layout.names:
-        kind, bracket, rest = name.partition("[")
-        plain = re.sub(r"_(s|mL|V)$", "", kind)
-        for alias in {plain, kind}:
-            short.setdefault(alias, []).append(name)
-            if bracket:
-                short.setdefault(f"{alias}[{rest}", []).append(name)
-    if key in short:
-        return short[key]
-    known = sorted({re.sub(r"_(s|mL|V)$", "", n.split("[")[0]) for n in layout.names})
-    close = difflib.get_close_matches(key, [k for k in short if "_" not in k[-3:]], n=1, cutoff=0.5)
-    hint = f'write "{close[0]}"' if close else f"known are {', '.join(known)}"
-    raise CampaignError(
-        f"{where}: unknown parameter '{key[:80]}'; expected one to be known: {hint}"
-    )
-
-
-def _value(text: str, kind: Kind | None, where: str) -> float:
-    if kind is not None:
-        return read_quantity(text, kind, where)
-    try:
-        value = float(text)
-    except ValueError:
-        value = nan
-    if not isfinite(value):
-        raise CampaignError(f"{where}: expected a number, but got '{text}'; write 0.5")
-    return value
-
-
-def read_prior(text: str, name: str, unit: str, where: str) -> Prior:
-    """The prior that a text such as ``half-normal(200 ms)`` stands for.
-
-    >>> read_prior("log-normal(850 ms, 1.5)", "tau_v_s", "V", "tau_v")
-    Prior(kind='log_normal', a=0.85, b=1.5)
-    """
-    match = _CALL.fullmatch(text)
-    example = 'half-normal(200 ms)"' if name.endswith("_s") else 'uniform(low, high)"'
-    if match is None or match[1] not in _KINDS:
-        raise CampaignError(
-            f"{where}: expected a prior such as \"{example}, but got '{text[:80]}'; "
-            f"known are {', '.join(_KINDS)}"
-        )
-    law = match[1]
-    parts = [part.strip() for part in (match[2] or "").split(",") if part.strip()]
-    wanted = {"flat": 0, "half-normal": 1}.get(law, 2)
-    if len(parts) != wanted:
-        raise CampaignError(
-            f"{where}: {law} takes {wanted} numbers, but got {len(parts)} in '{text[:80]}'; "
-            "correct it"
-        )
-    kind = _kind_of(name, unit)
-    second = None if law == "log-normal" else kind
-    values = [_value(p, k, where) for p, k in zip(parts, (kind, second), strict=False)]
-    if law in ("uniform", "log-uniform") and not values[0] < values[1]:
-        raise CampaignError(f"{where}: expected low < high, but got '{text[:80]}'; swap them")
-    must_be_positive = {"half-normal": 0, "log-normal": 0, "log-uniform": 0, "normal": 1}
-    if law in must_be_positive and not min(values[must_be_positive[law] :]) > 0:
-        raise CampaignError(
-            f"{where}: expected positive numbers, but got '{text[:80]}'; correct it"
-        )
-    return Prior(law.replace("-", "_"), *values)
-
-
 def make_problem(campaign: Campaign, overrides: Overrides, label: str) -> Problem:
-    """The campaign with the noise law and the priors that were asked for."""
-    noise = Noise(**overrides.noise.model_dump())
-    layout = Layout.of(campaign, noise.per_experiment)
-    priors: dict[str, Prior] = {}
-    # a key for one experiment wins over one for all, whatever their order
-    for key in sorted(overrides.priors, key=lambda k: "[" in k):
-        where = f"{label}: [priors] {key}"
-        for name in flat_names(key, layout, where):
-            priors[name] = read_prior(overrides.priors[key], name, campaign.signal_unit, where)
-    return Problem(campaign, noise=noise, given_priors=priors)
+    """The campaign with the noise law, the priors and the held values that were asked for."""
+    noise = overrides.noise.model_dump()
+    return problem_settings.make_problem(campaign, overrides.priors, overrides.fix, noise, label)
 
 
 def fit_bounds(
@@ -327,7 +290,7 @@ def fit_bounds(
                 'write for example ["1 ms", "1 s"]'
             )
         for name in flat_names(key, problem.layout, where):
-            low, high = (_value(v, _kind_of(name, unit), where) for v in pair)
+            low, high = (read_value(v, name, unit, where) for v in pair)
             if not low < high:
                 raise CampaignError(f"{where}: expected low < high, but got {pair}; swap them")
             found[name] = (low, high)

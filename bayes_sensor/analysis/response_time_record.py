@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.cli.job import Job
+from bayes_sensor.analysis.job import Job
 
 MOST_DRAWS = 4000
 """number of draws for the summary of response times"""

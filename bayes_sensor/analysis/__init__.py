@@ -1,0 +1,1 @@
+"""A whole analysis: its settings, its steps, and the record of all results."""

@@ -1,0 +1,108 @@
+"""The record of a whole analysis from a results folder, or from a job that is done."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from bayes_sensor.analysis.analysis import Analysis
+from bayes_sensor.analysis.job import Job
+from bayes_sensor.analysis.saved_records import PARTS, file_of, read_problem, read_record
+from bayes_sensor.campaign import CampaignError
+from bayes_sensor.fit.traces import load_traces
+from bayes_sensor.io.results import Results
+
+
+def analysis_of(job: Job) -> Analysis:
+    """The record of what a job has found."""
+    compared, record = (None, None) if job.bounds is None else job.bounds
+    notes = [f"gap: not diagnosed: {job.no_gap}"] if job.no_gap else []
+    notes += job.left_out.values()
+    return Analysis(
+        problem=job.problem,
+        fit=job.fit,
+        posterior=job.posterior,
+        bounds=compared,
+        delays=job.delays,
+        gap=job.gap,
+        residuals=job.residuals,
+        predictive=job.predictive,
+        bounds_json=record,
+        warnings=tuple(job.warnings),
+        notes=tuple(notes),
+        settings=job.overrides.record(),
+        seed=job.seed,
+        seconds=dict(job.seconds),
+    )
+
+
+def load(folder: str | os.PathLike[str]) -> Analysis:
+    """The analysis in a results folder, as :func:`analyze` gave it; nothing is computed again.
+
+    Parameters
+    ----------
+    folder
+        what ``bayes-sensor analyze``, ``fit``, ``posterior``, ``bounds``, ``delays`` or ``gap``
+        wrote with ``--out``, :func:`analyze` with ``out=`` or :meth:`Analysis.save`.
+
+    Returns
+    -------
+    Analysis
+        A result that the folder lacks, or that is of other data than its newest, is None, with a
+        sentence in ``notes``.
+
+    Raises
+    ------
+    CampaignError
+        If it is not such a folder, or a file in it is damaged.
+    """
+    place = Path(folder)
+    results = Results(place)
+    if not place.is_dir():
+        raise CampaignError(
+            f"{folder}: there is no such folder; expected a results folder: run bayes-sensor "
+            "analyze CAMPAIGN.toml --out FOLDER, or bs.analyze(campaign, out=FOLDER)"
+        )
+    found = read_problem(place)
+    run = results.json("run.json")
+    if found is None or not isinstance(run, dict):
+        missing = file_of("campaign") if found is None else "run.json"
+        raise CampaignError(
+            f"{folder}: expected a results folder with {missing}, as this version writes it; run "
+            "bayes-sensor analyze CAMPAIGN.toml --out FOLDER, or bs.analyze(campaign, out=FOLDER)"
+        )
+    problem, data = found
+    parts: dict[str, Any] = {}
+    notes = []
+    for part in PARTS:
+        parts[part] = read_record(place, part, problem.campaign, data)
+        if parts[part] is None and (place / file_of(part)).is_file():
+            notes.append(f"{part}: that in {folder} is of other data than its newest result")
+    try:
+        entry = dict(run["commands"][run["last"]])
+        warnings = tuple(str(text) for text in entry["warnings"])
+        more: dict[str, Any] = {
+            "settings": dict(entry["settings"]),
+            "seed": int(entry["seed"]),
+            "seconds": {str(k): float(v) for k, v in entry["seconds"].items()},
+        }
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise CampaignError(
+            f"{place / 'run.json'}: expected the record of a run, but it cannot be read "
+            f"({error!r:.80}); run the command again"
+        ) from None
+    said = [text for text in warnings if text.startswith("not diagnosed: ")]
+    notes += [f"gap: {text}" for text in said if parts["gap"] is None]
+    absent = tuple(f"{part}: " for part in PARTS if parts[part] is None)
+    notes += [text for text in warnings if text.startswith(absent)]
+    traces = place / "traces.npz"
+    return Analysis(
+        problem=problem,
+        bounds_json=None if parts["bounds"] is None else results.json("bounds.json"),
+        warnings=warnings,
+        notes=tuple(notes),
+        saved_traces=tuple(load_traces(traces)) if parts["fit"] and traces.is_file() else None,
+        **parts,
+        **more,
+    )

@@ -1,0 +1,197 @@
+"""Take the steps of an analysis and write their results: for the command line and for Python."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+from bayes_sensor.analysis.bounds_step import run_bounds, save_bounds
+from bayes_sensor.analysis.delays_step import run_delays, save_delays
+from bayes_sensor.analysis.fit_step import run_fit, run_residuals, save_fit, save_residuals
+from bayes_sensor.analysis.gap_step import run_gap, save_gap
+from bayes_sensor.analysis.job import CHECKPOINT, SAVES, STEPS, Bar, Job, no_bar
+from bayes_sensor.analysis.job_warnings import warnings_of
+from bayes_sensor.analysis.posterior_step import run_posterior, run_predictive, save_posterior
+from bayes_sensor.analysis.put_report import last_step, put_report
+from bayes_sensor.analysis.read_input import check_methods, read_input
+from bayes_sensor.analysis.saved_records import put_campaign
+from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.io.json_files import sha256
+from bayes_sensor.io.put_run import Clock, put_run
+from bayes_sensor.io.results import Results, Stage
+from bayes_sensor.io.run_record import campaign_record, digest
+
+LOG = logging.getLogger(__name__)
+TAKE: dict[str, Callable[[Job], None]] = {
+    "fit": run_fit,
+    "residuals": run_residuals,
+    "posterior": run_posterior,
+    "predictive": run_predictive,
+    "bounds": run_bounds,
+    "delays": run_delays,
+    "gap": run_gap,
+}
+"""what computes the result of a step"""
+SAVE: dict[str, Callable[[Job, Stage], None]] = {
+    "fit": save_fit,
+    "residuals": save_residuals,
+    "posterior": save_posterior,
+    "bounds": save_bounds,
+    "delays": save_delays,
+    "gap": save_gap,
+}
+"""what writes it"""
+DROPPED = ("bounds", "delays", "gap")
+"""whose files of an earlier run are dropped where there is no such result now"""
+
+
+def run_steps(
+    command: str,
+    given: Path | Campaign,
+    overrides: Any,
+    label: str,
+    results: Results | None,
+    *,
+    seed: int,
+    jobs: int = 1,
+    quiet: bool = True,
+    resume: bool = False,
+    options: Mapping[str, Any] | None = None,
+    config: Path | None = None,
+    bar: Bar = no_bar,
+    muted: Callable[[], AbstractContextManager[None]] = nullcontext,
+    patience: float = 0.0,
+    command_line: Sequence[str] | None = None,
+    notes: Callable[[], Sequence[str]] = tuple,
+) -> Job:
+    """Take the steps of ``command`` and write what it saves into ``results``, if there are any.
+
+    Parameters
+    ----------
+    given
+        the campaign, or its file.
+    overrides, label
+        settings as :func:`bayes_sensor.analysis.overrides.read_overrides` makes them, and what
+        messages call them.
+    config
+        the file that they come from, for its hash.
+    patience
+        seconds to wait for another run that holds the folder.
+    command_line, notes
+        for run.json: what was typed, and what was said meanwhile.
+
+    Raises
+    ------
+    CampaignError
+        For input that cannot be used, before anything is written.
+    """
+    from bayes_sensor.analysis.overrides import fit_bounds, make_problem
+
+    clock = Clock()
+    # everything that can be wrong with the input is found before anything is written
+    check_methods(overrides.bounds.methods, label)
+    begin = time.perf_counter()
+    campaign, _, remarks = read_input(given)
+    read_seconds = time.perf_counter() - begin
+    if campaign.is_design:
+        name = Path(campaign.source).name if campaign.source else campaign.title
+        raise CampaignError(
+            f"{name}: this is a design without data, but {command} needs measured "
+            "experiments; give every experiment a file, or run simulate first"
+        )
+    problem = make_problem(campaign, overrides, label)
+    fit_bounds(problem, overrides, label)
+    if command == "gap" and overrides.noise != type(overrides.noise)():
+        LOG.warning(
+            "%s: [noise] does not act on gap, which takes the noise of every record from it", label
+        )
+    job = Job(
+        command, problem, overrides, label, seed, jobs, quiet, resume, results,
+        digest(_campaign_json(campaign), overrides.basis()), {"read": read_seconds},
+        options=options or {}, bar=bar, muted=muted,
+    )  # fmt: skip
+    if results is None:
+        _take(job)
+        job.warnings = tuple(warnings_of(job, remarks))
+        return job
+    files = _files(campaign, config)
+    with results.locked(patience):
+        results.own_folder(CHECKPOINT)  # refused now rather than after the fit
+        _take(job)
+        job.warnings = tuple(warnings_of(job, remarks))
+        write_results(job, results, clock, files, command_line, notes)
+        if job.exit_code == 0 and job.posterior is not None:
+            shutil.rmtree(results.path(CHECKPOINT), ignore_errors=True)
+    return job
+
+
+def write_results(
+    job: Job,
+    results: Results,
+    clock: Clock | None = None,
+    files: Mapping[str, str] | None = None,
+    command_line: Sequence[str] | None = None,
+    notes: Callable[[], Sequence[str]] = tuple,
+) -> None:
+    """Write what a job has found into a folder that is held, then the report if it has one.
+
+    ``files``: hashes of the input by name; ``notes``: what was said meanwhile.
+    """
+    campaign, command = job.problem.campaign, job.command
+    record = _campaign_json(campaign)
+    with results.writing() as stage:
+        stage.json("campaign.json", record)
+        put_campaign(stage, job.problem)
+        for name in SAVES[command]:
+            if name in SAVE and (getattr(job, name) is not None or name in DROPPED):
+                SAVE[name](job, stage)
+        put_run(
+            stage,
+            command,
+            clock or Clock(),
+            basis=job.basis or digest(record, job.overrides.basis()),
+            seed=job.seed,
+            settings=job.overrides.record(),
+            campaign=campaign.source,
+            files=_files(campaign, None) if files is None else files,
+            seconds=job.seconds,
+            exit_code=job.exit_code,
+            warnings=[*job.warnings, *notes()],
+            command_line=command_line,
+            signal_unit=campaign.signal_unit,
+        )
+        if "report" in SAVES[command]:
+            stage.drop.append("report.html")  # it speaks of other results
+    if "report" in SAVES[command]:  # all else is in place by now, whatever becomes of it
+        with job.timed("report") as tell, last_step(results):
+            put_report(results, tell)
+
+
+def _campaign_json(campaign: Campaign) -> dict[str, Any]:
+    _, table, remarks = read_input(campaign)
+    return campaign_record(campaign, remarks, table)
+
+
+def _take(job: Job) -> None:
+    for name in STEPS[job.command]:
+        if name in TAKE:
+            TAKE[name](job)
+
+
+def _files(campaign: Campaign, config: Path | None) -> dict[str, str]:
+    path = Path(campaign.source) if campaign.source else None
+    files = {}
+    if path is not None and path.is_file():
+        files[path.name] = sha256(path)
+    names = [Path(e.source).name for e in campaign]
+    for e, name in zip(campaign, names, strict=True):
+        if e.source:  # with their folders where two files are called alike
+            files[e.source if names.count(name) > 1 else name] = e.sha256
+    if config is not None:
+        files[config.name] = sha256(config)
+    return files

@@ -1,0 +1,66 @@
+"""A problem from what a user says of priors, held parameters and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.likelihood.held_values import held_values
+from bayes_sensor.likelihood.noise import Noise
+from bayes_sensor.likelihood.prior_text import read_priors
+from bayes_sensor.likelihood.problem import Problem
+
+
+def make_problem(
+    campaign: Campaign,
+    priors: Mapping[str, Any] | None = None,
+    fix: Mapping[str, str | float] | None = None,
+    noise: Noise | Mapping[str, Any] | None = None,
+    label: str = "make_problem",
+) -> Problem:
+    """A campaign with priors, held parameters and a noise law of one's own.
+
+    Parameters
+    ----------
+    priors
+        by name (``tau``, ``V``, ``t0`` for all experiments, ``t0[4]`` for one): texts such as
+        ``"normal(60, 2) mL"``, :class:`Prior` objects, or frozen laws of ``scipy.stats``; objects
+        are in s, mL and the signal's unit.
+    fix
+        parameters held at a value: texts such as ``"0.86 s"``, or numbers in s and mL.  They are
+        neither fitted nor sampled; bounds, delays and gap do not carry them.
+    noise
+        a :class:`Noise`, or its options.
+    label
+        what messages call the settings.
+
+    Raises
+    ------
+    CampaignError
+        For an unknown name, or what is no prior or no value.
+
+    Examples
+    --------
+    >>> from bayes_sensor import Campaign, Experiment, make_problem
+    >>> import numpy as np
+    >>> t = np.arange(0.0, 20.0, 0.01)
+    >>> e = Experiment("1", t, np.zeros(len(t)), 60.0, 10.0, 0.01, commanded_on=5.0)
+    >>> problem = make_problem(Campaign("one", (e,)), {"V": "normal(60, 2) mL"})
+    >>> problem.given_priors
+    {'V_mL': Prior(kind='normal', a=60.0, b=2.0)}
+    """
+    if not isinstance(campaign, Campaign):
+        raise CampaignError(
+            f"{label}: expected a Campaign, but got a {type(campaign).__name__}; read it with "
+            "read_campaign, or make it with Campaign.from_frames"
+        )
+    try:
+        law = noise if isinstance(noise, Noise) else Noise(**(noise or {}))
+    except TypeError as error:
+        raise CampaignError(f"{label}: noise: {error}; expected the options of Noise") from None
+    bare = Problem(campaign, noise=law)
+    unit = campaign.signal_unit
+    given = read_priors(priors or {}, bare.layout, unit, f"{label}: [priors]")
+    problem = Problem(campaign, noise=law, given_priors=given)
+    return held_values(problem, fix, f"{label}: [fix]") if fix else problem
