@@ -110,7 +110,7 @@ def _read(path: Path) -> Campaign:
             "that"
         )
     where = label if path.exists() else str(path)
-    content = _read_bytes(path, where, LARGEST, "a campaign file in TOML")
+    content = read_bytes(path, where, LARGEST, "a campaign file in TOML")
     sheet = read_sheet(read_toml(content, label), label)
     rig = read_rig(sheet.rig, label)
     side_information = read_side_information(sheet.side_information, label)
@@ -211,7 +211,7 @@ def _open(entry: Entry, folder: Path, allow_outside: bool) -> DataFile:
             f"{where}: the file lies outside the campaign's folder; move it there, or write "
             "allow_outside = true at the top of the campaign file"
         )
-    content = _read_bytes(target, where, LARGEST_FILE, "a data file")
+    content = read_bytes(target, where, LARGEST_FILE, "a data file")
     return DataFile(target, where, content)
 
 
@@ -230,7 +230,7 @@ def _where_else(path: Path) -> str:
     return "check the name and the folder"
 
 
-def _read_bytes(path: Path, where: str, most: int, what: str) -> bytes:
+def read_bytes(path: Path, where: str, most: int, what: str) -> bytes:
     """The content of a regular file, with a message for every possible fault."""
     try:
         status = path.stat()
