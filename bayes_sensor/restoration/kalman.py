@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from bayes_sensor.campaign import FloatArray
+from bayes_sensor.campaign import BoolArray, FloatArray
 from bayes_sensor.compiled import ensure_numba_cache_dir
 
 ensure_numba_cache_dir()
@@ -117,12 +117,15 @@ def run_filter(
     covariances: FloatArray,
     start: FloatArray,
     output: FloatArray,
+    direct: BoolArray,
     keep: bool,
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Log likelihood, innovations (n,) with variances, and what the smoother needs.
 
     ``y`` (n,): the samples, NaN where none was taken.  Each is ``output`` (d - 1,) times the other
-    states + ``scale`` times the last.  ``which`` (n,): the step that leads to each sample (the first is not used).
+    states + ``scale`` times the last.  Where ``direct`` (n,) it is the first state, the input, with an
+    error of its own of standard deviation ``scale``.  ``which`` (n,): the step that leads to each
+    sample (the first is not used).
     ``start`` (d, d): covariance of the state at the first sample, its mean is 0.  Without ``keep``
     only the log likelihood and the innovations are filled.
     """
@@ -151,7 +154,7 @@ def run_filter(
         if i > 0:
             was_seen = not np.isnan(y[i - 1])
             same = settled and seen and was_seen and which[i] == which[i - 1]
-            same = same and scale[i] == scale[i - 1]
+            same = same and scale[i] == scale[i - 1] and direct[i] == direct[i - 1]
             phi = transitions[which[i]]
             for j in range(d):
                 total = 0.0
@@ -162,7 +165,7 @@ def run_filter(
                 q = covariances[which[i]]
                 _times(phi, after, work)
                 settled = i > 1 and which[i] == which[i - 1] and seen and was_seen
-                settled = settled and scale[i] == scale[i - 1]
+                settled = settled and scale[i] == scale[i - 1] and direct[i] == direct[i - 1]
                 for j in range(d):
                     for k in range(j + 1):
                         total = q[j, k]
@@ -191,24 +194,32 @@ def run_filter(
                     after[j, k] = p[j, k]
             continue
         if not same:
-            for j in range(d):
-                total = scale[i] * p[j, noise]
+            if direct[i]:
+                for j in range(d):
+                    pz[j] = p[j, 0]
+                s = p[0, 0] + scale[i] * scale[i]
+            else:
+                for j in range(d):
+                    total = scale[i] * p[j, noise]
+                    for k in range(noise):
+                        total += p[j, k] * output[k]
+                    pz[j] = total
+                s = scale[i] * pz[noise]
                 for k in range(noise):
-                    total += p[j, k] * output[k]
-                pz[j] = total
-            s = scale[i] * pz[noise]
-            for k in range(noise):
-                s += output[k] * pz[k]
+                    s += output[k] * pz[k]
             log_s = np.log(2.0 * np.pi * s)
             for j in range(d):
                 gain[j] = pz[j] / s
             for j in range(d):
                 for k in range(d):
                     after[j, k] = p[j, k] - gain[j] * pz[k]
-        total = y[i] - scale[i] * a[noise]
-        for k in range(noise):
-            total -= output[k] * a[k]
-        v[i] = total
+        if direct[i]:
+            v[i] = y[i] - a[0]
+        else:
+            total = y[i] - scale[i] * a[noise]
+            for k in range(noise):
+                total -= output[k] * a[k]
+            v[i] = total
         spread[i] = s
         log_likelihood -= 0.5 * (log_s + v[i] * v[i] / s)
         for j in range(d):
@@ -230,6 +241,7 @@ def run_smoother(
     which: np.ndarray,
     transitions: FloatArray,
     output: FloatArray,
+    direct: BoolArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and variance (n,) of the first state given all samples, from what the filter kept."""
     n, d = row.shape
@@ -241,6 +253,7 @@ def run_smoother(
     moved = np.zeros((d, d))
     work = np.empty((d, d))
     mk = np.empty(d)
+    z = np.zeros(d)
     noise = d - 1
     settled = False
     value = 0.0
@@ -260,6 +273,7 @@ def run_smoother(
                 and i < n - 2
                 and which[i + 1] == which[i + 2]
                 and scale[i] == scale[i + 1]
+                and direct[i] == direct[i + 1]
                 and spread[i] == spread[i + 1]
                 and row[i, 0] == row[i + 1, 0]
             )
@@ -278,15 +292,18 @@ def run_smoother(
                         moved[j, k] = total
                         moved[k, j] = total
         if seen:
+            if direct[i]:
+                z[:] = 0.0
+                z[0] = 1.0
+            else:
+                z[:noise] = output
+                z[noise] = scale[i]
             kr = 0.0
             for j in range(d):
                 kr += gains[i, j] * back[j]
-            for j in range(d):
-                r[j] = back[j]
             step = v[i] / spread[i] - kr
-            for j in range(noise):
-                r[j] += output[j] * step
-            r[noise] += scale[i] * step
+            for j in range(d):
+                r[j] = back[j] + z[j] * step
             if not same:
                 kmk = 0.0
                 for j in range(d):
@@ -298,11 +315,9 @@ def run_smoother(
                     kmk += gains[i, j] * mk[j]
                 settled = True
                 for j in range(d):
-                    zj = scale[i] if j == noise else output[j]
                     for k in range(j + 1):
-                        zk = scale[i] if k == noise else output[k]
-                        total = moved[j, k] - zj * mk[k] - mk[j] * zk
-                        total += zj * zk * (kmk + 1.0 / spread[i])
+                        total = moved[j, k] - z[j] * mk[k] - mk[j] * z[k]
+                        total += z[j] * z[k] * (kmk + 1.0 / spread[i])
                         work[j, k] = total
                 for j in range(d):
                     for k in range(j + 1):

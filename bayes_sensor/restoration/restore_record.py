@@ -16,6 +16,7 @@ from bayes_sensor.io.record_file import Record, read_record
 from bayes_sensor.restoration.hyperparameters import draw_models, fit_orders
 from bayes_sensor.restoration.innovations import check_innovations
 from bayes_sensor.restoration.lag_draws import LagDraws, posterior_lags, saved_lags, stated_lags
+from bayes_sensor.restoration.lower_limit import hold_above
 from bayes_sensor.restoration.restored import Restored, resolution_of
 from bayes_sensor.restoration.state_space import Model, make_samples
 
@@ -100,6 +101,13 @@ def restore(
     rng = np.random.default_rng(seed)
     models = draw_models(fitted, given.spread_out(n_draws), n_draws, rng)
 
+    best = fitted[0].model(centre)
+    duration = float(read.t[-1] - read.t[0])
+    resolution = resolution_of(models, samples.interval, duration)
+    plain = samples
+    if nonnegative:
+        distance = float(np.clip(np.median(resolution), samples.interval, duration))
+        samples = hold_above(samples, best, -mean / spread, distance)
     first = np.zeros(len(read.t))
     square = np.zeros(len(read.t))
     inner = np.zeros(len(read.t))
@@ -109,8 +117,6 @@ def restore(
         first += step / (i + 1)
         square += step * (m - first)
         inner += (v - inner) / (i + 1)
-    duration = float(read.t[-1] - read.t[0])
-    best = fitted[0].model(centre)
     return Restored(
         t=read.t,
         recorded=read.y,
@@ -118,11 +124,11 @@ def restore(
         sd=spread * np.sqrt(inner + square / n_draws),
         nonnegative=nonnegative,
         unit=read.unit,
-        resolution=resolution_of(models, samples.interval, duration),
+        resolution=resolution,
         lags=np.array([model.lags for model in models]),
         models=tuple(models),
         spread=spread,
-        innovations=check_innovations(samples.innovations(best)),
+        innovations=check_innovations(plain.innovations(best)),
         interval=samples.interval,
         lag_source=given.source,
         remarks=(*given.remarks, *read.notes),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import norm, truncnorm
+from scipy.stats import norm
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.display import card
@@ -69,13 +69,10 @@ class Restored:
     def quantile(self, probability: float) -> FloatArray:
         """(n,) quantiles of the input at every time by itself.
 
-        Where the input is known not to be negative, these are those of the Gaussian cut off at 0.
+        Where the input is known not to be negative, none lies below 0.
         """
-        if self.nonnegative:
-            lower = -self.mean / self.sd
-            found = truncnorm.ppf(probability, lower, np.inf, loc=self.mean, scale=self.sd)
-            return np.asarray(np.maximum(found, 0.0))
-        return np.asarray(self.mean + norm.ppf(probability) * self.sd)
+        found = self.mean + norm.ppf(probability) * self.sd
+        return np.asarray(np.maximum(found, 0.0) if self.nonnegative else found)
 
     def table(self) -> pd.DataFrame:
         """The columns of restored.csv: time_s, value, lo68, hi68, lo95, hi95."""

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.ndimage import uniform_filter1d
 
-from bayes_sensor.campaign import FloatArray
+from bayes_sensor.campaign import BoolArray, FloatArray
 from bayes_sensor.restoration.kalman import discretise, run_filter, run_smoother
 
 ORDERS = (1, 2)
@@ -102,6 +102,34 @@ class Samples:
     """(n,) 0 where the signal is lowest to 1 where it is highest"""
     interval: float
     """s, the most common time between neighbours; that of phi"""
+    direct: BoolArray
+    """(n,) whether a value is one of the input itself, with an error of its own"""
+    error: FloatArray
+    """(n,) standard deviation of that error"""
+
+    @property
+    def t(self) -> FloatArray:
+        """(n,) s since the first sample."""
+        return np.concatenate([[0.0], np.cumsum(self.steps[self.which[1:]])])
+
+    def with_input(self, places: np.ndarray, values: FloatArray, errors: FloatArray) -> Samples:
+        """The samples, and ``values`` of the input of known errors right after those at ``places``.
+
+        All (n_values,); ``places`` increase.
+        """
+        t = self.t
+        steps, which = distinct_steps(
+            np.diff(np.insert(t, places + 1, t[places])), self.interval
+        )
+        return Samples(
+            y=np.insert(self.y, places + 1, values),
+            steps=steps,
+            which=which,
+            level=np.insert(self.level, places + 1, 0.0),
+            interval=self.interval,
+            direct=np.insert(self.direct, places + 1, True),
+            error=np.insert(self.error, places + 1, errors),
+        )
 
     def thinned(self, most: int) -> Samples:
         """About ``most`` samples in evenly spread bursts of neighbours; all where there are fewer.
@@ -114,9 +142,11 @@ class Samples:
             return self
         period = int(np.ceil(n * BURST / most))
         kept = np.flatnonzero(np.arange(n) % period < BURST)
-        t = np.concatenate([[0.0], np.cumsum(self.steps[self.which[1:]])])
-        steps, which = distinct_steps(np.diff(t[kept]), self.interval)
-        return Samples(self.y[kept], steps, which, self.level[kept], self.interval)
+        steps, which = distinct_steps(np.diff(self.t[kept]), self.interval)
+        return Samples(
+            self.y[kept], steps, which, self.level[kept], self.interval,
+            self.direct[kept], self.error[kept],
+        )  # fmt: skip
 
     def _system(self, model: Model) -> tuple[FloatArray, ...]:
         drift, diffusion, stationary = model.matrices()
@@ -132,6 +162,7 @@ class Samples:
         start[places, places] += 1.0  # a record may begin with the sensor out of balance
         start[m, m] = 1.0
         scale = model.sigma * np.sqrt(1.0 + (model.growth * self.level) ** 2)
+        scale = np.where(self.direct, self.error, scale)
         output = np.zeros(m)
         output[-1] = 1.0
         return scale, transitions, covariances, start, output
@@ -140,7 +171,8 @@ class Samples:
         """Log density of the samples."""
         scale, transitions, covariances, start, output = self._system(model)
         found = run_filter(
-            self.y, scale, self.which, transitions, covariances, start, output, False
+            self.y, scale, self.which, transitions, covariances, start, output,
+            self.direct, False,
         )
         return float(found[0])
 
@@ -148,18 +180,23 @@ class Samples:
         """(n,) prediction errors over their standard deviations; NaN where no sample was taken."""
         scale, transitions, covariances, start, output = self._system(model)
         _, v, spread, *_ = run_filter(
-            self.y, scale, self.which, transitions, covariances, start, output, False
+            self.y, scale, self.which, transitions, covariances, start, output,
+            self.direct, False,
         )
         return np.asarray(v / np.sqrt(spread))
 
     def smooth(self, model: Model) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance (n,) of the input at the samples' times, given all samples."""
+        """Mean and variance (n,) of the input at the record's times, given all samples."""
         scale, transitions, covariances, start, output = self._system(model)
         _, v, spread, mean, row, gains = run_filter(
-            self.y, scale, self.which, transitions, covariances, start, output, True
+            self.y, scale, self.which, transitions, covariances, start, output,
+            self.direct, True,
         )
-        found = run_smoother(v, spread, mean, row, gains, scale, self.which, transitions, output)
-        return found[0], found[1]
+        m, variance = run_smoother(
+            v, spread, mean, row, gains, scale, self.which, transitions, output, self.direct
+        )
+        recorded = ~self.direct
+        return m[recorded], variance[recorded]
 
 
 BURST = 16
@@ -193,5 +230,6 @@ def make_samples(t: FloatArray, y: FloatArray, slowest: float) -> tuple[Samples,
     smooth = uniform_filter1d(filled, width)
     low, high = float(smooth.min()), float(smooth.max())
     level = (smooth - low) / (high - low) if high > low else np.zeros(len(t))
-    samples = Samples((y - mean) / spread, steps, which, level, interval)
+    none = np.zeros(len(t))
+    samples = Samples((y - mean) / spread, steps, which, level, interval, none > 0.0, none)
     return samples, mean, spread
