@@ -30,6 +30,7 @@ from bayes_sensor.figures.plot_methods import (
 )
 from bayes_sensor.figures.plot_noise import autocorrelation, histogram, predictive, spread
 from bayes_sensor.figures.plot_overlays import overlay, rms_bars
+from bayes_sensor.figures.plot_restored import restored
 from bayes_sensor.figures.plot_rig import responses, schematic
 from bayes_sensor.figures.plot_tau import coverage, tau_hard, what_would_help
 from bayes_sensor.figures.style import (
@@ -101,6 +102,7 @@ __all__ = [
     "priors_on_tau",
     "response_times",
     "responses",
+    "restored",
     "rms_bars",
     "schematic",
     "sensor_words",

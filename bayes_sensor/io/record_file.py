@@ -104,4 +104,5 @@ def _on_times(file: DataFile, recording: Recording) -> tuple[FloatArray, FloatAr
         full = np.full(len(grid.t), np.nan)
         full[grid.index] = y
         return grid.t, full
-    return grid.start + grid.interval * grid.index, y
+    t: FloatArray = grid.start + grid.interval * grid.index.astype(np.float64)
+    return t, y

@@ -43,14 +43,15 @@ class Fitted:
     lags: FloatArray
     """(n_lags,) s, where it was found"""
     log_evidence: float
-    grows: bool
 
-    def model(self, lags: FloatArray, z: FloatArray | None = None) -> Model:
-        """The model at ``lags`` (n_lags,), ``z`` (n_p,) standard deviations off its maximum."""
-        p = self.peak + self.moves @ np.log(lags / self.lags)
-        if z is not None:
-            p = p + _root(self.cov) @ z
-        return _model(self.order, p, lags)
+    def at(self, lags: FloatArray) -> FloatArray:
+        """(n_p,) the maximum at ``lags`` (n_lags,)."""
+        return np.asarray(self.peak + self.moves @ np.log(lags / self.lags))
+
+    def model(self, lags: FloatArray, z: FloatArray | float = 0.0) -> Model:
+        """The model at ``lags`` (n_lags,), ``z`` (n_p,) standard deviations off the maximum."""
+        off = _root(self.cov) @ np.broadcast_to(z, self.peak.shape)
+        return _model(self.order, self.at(lags) + off, lags)
 
 
 def _model(order: int, p: FloatArray, lags: FloatArray) -> Model:
@@ -73,7 +74,7 @@ def fit_orders(
     found = []
     for i, order in enumerate(ORDERS):
         tell(0.4 * i / len(ORDERS), "roughness and noise")
-        target = _Target(some, order, lags)
+        target = Target(some, order, lags)
         peak, best = target.maximum(target.starts())
         if i == 0 or grows:
             # noise that grows with the signal is one parameter more: asked once
@@ -82,11 +83,11 @@ def fit_orders(
                 grows = value > best + AIC
             if grows:
                 peak = more
-        found.append(target.laplace(peak, grows))
+        found.append(target.laplace(peak))
     return sorted(found, key=lambda each: -each.log_evidence)
 
 
-class _Target:
+class Target:
     """Log posterior of the parameters for one order of the input."""
 
     def __init__(self, samples: Samples, order: int, lags: FloatArray) -> None:
@@ -130,7 +131,7 @@ class _Target:
                 best, value = np.asarray(found.x, dtype=float), -float(found.fun)
         return best, value
 
-    def laplace(self, peak: FloatArray, grows: bool) -> Fitted:
+    def laplace(self, peak: FloatArray) -> Fitted:
         """The Gaussian about a maximum, and how it moves with the lags."""
         n = len(peak)
         value = self.log_posterior(peak)
@@ -153,7 +154,7 @@ class _Target:
             for i in range(n):
                 slopes[i, j] = self._with_lag(peak, i, j, width)
         log_evidence = value + 0.5 * n * np.log(2.0 * np.pi) - 0.5 * float(np.log(values).sum())
-        return Fitted(self.order, peak, cov, cov @ slopes, self.lags, log_evidence, grows)
+        return Fitted(self.order, peak, cov, cov @ slopes, self.lags, log_evidence)
 
     @staticmethod
     def _at(p: FloatArray, i: int, by: float) -> FloatArray:
@@ -167,7 +168,7 @@ class _Target:
             for b in (1, -1):
                 moved = self._at(self._at(p, i, a * width[i]), j, b * width[j])
                 total += a * b * self.log_posterior(moved)
-        return total / (4.0 * width[i] * width[j])
+        return float(total / (4.0 * width[i] * width[j]))
 
     def _with_lag(self, p: FloatArray, i: int, j: int, width: FloatArray) -> float:
         by, total = 0.02, 0.0
@@ -176,7 +177,7 @@ class _Target:
                 lags = self.lags.copy()
                 lags[j] *= np.exp(b * by)
                 total += a * b * self.log_posterior(self._at(p, i, a * width[i]), lags)
-        return total / (4.0 * width[i] * by)
+        return float(total / (4.0 * width[i] * by))
 
 
 def draw_models(
@@ -191,7 +192,9 @@ def draw_models(
     models, begin = [], 0
     for each, count in zip(fitted, counts, strict=True):
         if count:
-            strata = [rng.permutation(count) for _ in each.peak]  # one draw in each, Latin hypercube
+            strata = [
+                rng.permutation(count) for _ in each.peak
+            ]  # one draw in each, Latin hypercube
             z = norm.ppf((np.stack(strata, axis=1) + 0.5) / count)
             some = lags[places[begin : begin + count]]
             models += [each.model(lag, row) for lag, row in zip(some, z, strict=True)]

@@ -80,7 +80,11 @@ def discretise(
                 phi[i, j] = term[i, j] = 1.0 if i == j else 0.0
                 c[i, j] = diffusion[i, j] * h
                 q[i, j] = c[i, j]
-        for order in range(1, 16):
+        size = 1.0
+        for order in range(1, 20):
+            size *= norm * h / order
+            if size < 1e-18:
+                break
             _times(drift, term, work)
             for i in range(d):
                 for j in range(d):
@@ -123,9 +127,9 @@ def run_filter(
     """Log likelihood, innovations (n,) with variances, and what the smoother needs.
 
     ``y`` (n,): the samples, NaN where none was taken.  Each is ``output`` (d - 1,) times the other
-    states + ``scale`` times the last.  Where ``direct`` (n,) it is the first state, the input, with an
-    error of its own of standard deviation ``scale``.  ``which`` (n,): the step that leads to each
-    sample (the first is not used).
+    states + ``scale`` times the last.  Where ``direct`` (n,) it is the first state, the input, with
+    an error of its own of standard deviation ``scale``.  ``which`` (n,): the step that leads to
+    each sample (the first is not used).
     ``start`` (d, d): covariance of the state at the first sample, its mean is 0.  Without ``keep``
     only the log likelihood and the innovations are filled.
     """

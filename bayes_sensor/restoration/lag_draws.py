@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
-from bayes_sensor.io.readers.quantities import TIME, Kind, read_quantity, read_spread
+from bayes_sensor.io.readers.quantities import Kind, read_quantity, read_spread
 from bayes_sensor.posterior.save_draws import load_chains
 from bayes_sensor.rig.lags import LAG_NAMES
 
@@ -54,7 +54,7 @@ class LagDraws:
         found = self.draws[order[places]]
         # no lag of exactly zero: it has no state
         least = 1e-6 * float(np.median(self.draws.max(axis=1)))
-        return np.maximum(found, least)
+        return np.asarray(np.maximum(found, least))
 
 
 def stated_lags(texts: str | Sequence[str], seed: int = 1) -> LagDraws:

@@ -118,9 +118,7 @@ class Samples:
         All (n_values,); ``places`` increase.
         """
         t = self.t
-        steps, which = distinct_steps(
-            np.diff(np.insert(t, places + 1, t[places])), self.interval
-        )
+        steps, which = distinct_steps(np.diff(np.insert(t, places + 1, t[places])), self.interval)
         return Samples(
             y=np.insert(self.y, places + 1, values),
             steps=steps,
@@ -171,8 +169,15 @@ class Samples:
         """Log density of the samples."""
         scale, transitions, covariances, start, output = self._system(model)
         found = run_filter(
-            self.y, scale, self.which, transitions, covariances, start, output,
-            self.direct, False,
+            self.y,
+            scale,
+            self.which,
+            transitions,
+            covariances,
+            start,
+            output,
+            self.direct,
+            False,
         )
         return float(found[0])
 
@@ -180,8 +185,15 @@ class Samples:
         """(n,) prediction errors over their standard deviations; NaN where no sample was taken."""
         scale, transitions, covariances, start, output = self._system(model)
         _, v, spread, *_ = run_filter(
-            self.y, scale, self.which, transitions, covariances, start, output,
-            self.direct, False,
+            self.y,
+            scale,
+            self.which,
+            transitions,
+            covariances,
+            start,
+            output,
+            self.direct,
+            False,
         )
         return np.asarray(v / np.sqrt(spread))
 
@@ -189,8 +201,15 @@ class Samples:
         """Mean and variance (n,) of the input at the record's times, given all samples."""
         scale, transitions, covariances, start, output = self._system(model)
         _, v, spread, mean, row, gains = run_filter(
-            self.y, scale, self.which, transitions, covariances, start, output,
-            self.direct, True,
+            self.y,
+            scale,
+            self.which,
+            transitions,
+            covariances,
+            start,
+            output,
+            self.direct,
+            True,
         )
         m, variance = run_smoother(
             v, spread, mean, row, gains, scale, self.which, transitions, output, self.direct
