@@ -131,7 +131,7 @@ def restore(
         innovations=check_innovations(plain.innovations(best)),
         interval=samples.interval,
         lag_source=given.source,
-        remarks=(*given.remarks, *read.notes),
+        remarks=(*given.remarks, *read.notes, *_doubts(read, slowest)),
     )
 
 
@@ -179,6 +179,16 @@ def _record(
             f"{t.shape} and {y.shape}; sort by time and drop repeated times"
         )
     return Record(t, y, unit or "", "record", "signal")
+
+
+def _doubts(record: Record, slowest: float) -> list[str]:
+    duration = float(record.t[-1] - record.t[0])
+    if duration >= slowest:
+        return []
+    return [
+        f"{record.source}: the record lasts {duration:.4g} s, less than the longest lag of "
+        f"{slowest:.4g} s; if that is not so, give the times' unit in the name of their column"
+    ]
 
 
 def _check(record: Record, lags: LagDraws) -> None:

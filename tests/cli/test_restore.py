@@ -115,7 +115,7 @@ def test_restore_with_a_campaign_and_with_its_results(tmp_path: Path) -> None:
         (["field.csv", "--lag", "< 5 min"], "an upper limit"),
         (["field.csv", "--lag", "40"], "without one"),
         (["gone.csv", "--lag", "40 min"], "there is no such file"),
-        (["field.csv", "--lag", "40 min", "--signal", "lvel"], "did you mean"),
+        (["field.csv", "--lag", "40 min", "--signal", "lvel"], "is not in the file"),
         (["field.csv", "--lag", "40 min", "--signal-unit", "V"], "--signal-unit"),
         (["field.csv", "--lag", "40 min", "--interval", "0 s"], "--interval"),
         (["field.doc", "--lag", "40 min"], "ending in"),
