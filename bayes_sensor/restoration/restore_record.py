@@ -23,6 +23,8 @@ from bayes_sensor.restoration.state_space import Model, make_samples
 FEWEST = 20
 """samples; fewer tell nothing of noise and roughness"""
 MOST_DRAWS, FEWEST_DRAWS = 48, 12
+CONTRADICTS = 5.0
+"""standard deviations below zero that are no chance at any of a million times"""
 WORK = 2_000_000
 """samples times draws, above which fewer draws are made"""
 
@@ -93,9 +95,7 @@ def restore(
     _check(read, given)
     slowest = float(np.median(given.draws.max(axis=1)))
     samples, mean, spread = make_samples(read.t, read.y, slowest)
-    middle = given.spread_out(len(given.draws))[len(given.draws) // 2]
-    centre = np.maximum(np.median(given.draws, axis=0), 1e-6 * slowest)
-    centre = middle if given.draws.shape[1] == 1 else centre
+    centre = np.maximum(np.median(given.draws, axis=0), 1e-6 * slowest)  # no lag of exactly zero
     fitted = fit_orders(samples, centre, tell)
     n_draws = int(np.clip(WORK // len(read.t), FEWEST_DRAWS, MOST_DRAWS))
     rng = np.random.default_rng(seed)
@@ -104,10 +104,13 @@ def restore(
     best = fitted[0].model(centre)
     duration = float(read.t[-1] - read.t[0])
     resolution = resolution_of(models, samples.interval, duration)
-    plain = samples
+    innovations = check_innovations(samples.innovations(best), read.t)
+    doubts = _doubts(read, slowest)
     if nonnegative:
+        limit = -mean / spread
+        doubts += _below(*samples.smooth(best), limit, read)
         distance = float(np.clip(np.median(resolution), samples.interval, duration))
-        samples = hold_above(samples, best, -mean / spread, distance)
+        samples = hold_above(samples, best, limit, distance)
     first = np.zeros(len(read.t))
     square = np.zeros(len(read.t))
     inner = np.zeros(len(read.t))
@@ -128,10 +131,11 @@ def restore(
         lags=np.array([model.lags for model in models]),
         models=tuple(models),
         spread=spread,
-        innovations=check_innovations(plain.innovations(best)),
+        innovations=innovations,
         interval=samples.interval,
         lag_source=given.source,
-        remarks=(*given.remarks, *read.notes, *_doubts(read, slowest)),
+        doubts=tuple(doubts),
+        remarks=(*given.remarks, *read.notes),
     )
 
 
@@ -188,6 +192,18 @@ def _doubts(record: Record, slowest: float) -> list[str]:
     return [
         f"{record.source}: the record lasts {duration:.4g} s, less than the longest lag of "
         f"{slowest:.4g} s; if that is not so, give the times' unit in the name of their column"
+    ]
+
+
+def _below(mean: FloatArray, variance: FloatArray, limit: float, record: Record) -> list[str]:
+    """A doubt where the record contradicts an input that is not negative."""
+    distance = (limit - mean) / np.sqrt(variance)
+    worst = int(np.argmax(distance))
+    if distance[worst] < CONTRADICTS:
+        return []
+    return [
+        f"the record contradicts an input that is not negative: at {record.t[worst]:.4g} s it is "
+        f"{distance[worst]:.3g} standard deviations below zero; is there an offset or a drift?"
     ]
 
 

@@ -54,6 +54,8 @@ class Restored:
     lag_source: str
     remarks: tuple[str, ...] = ()
     """of the lags and of the reader, in sentences"""
+    doubts: tuple[str, ...] = ()
+    """what does not fit together in record, lags and options, in sentences"""
 
     @property
     def resolution_s(self) -> float | None:
@@ -84,15 +86,13 @@ class Restored:
     @property
     def warnings(self) -> list[str]:
         """What to be careful about, in sentences."""
-        found = []
+        found = list(self.doubts)
         if self.resolution_s is None:
             found.append(
                 "noise is larger than signal at every period: nothing is restored beyond what the "
                 "record says by itself"
             )
-        if self.innovations.sentence is not None:
-            found.append(self.innovations.sentence)
-        return found
+        return found + self.innovations.sentences
 
     def to_json(self) -> dict[str, Any]:
         """The content of restored.json."""
@@ -128,6 +128,9 @@ class Restored:
                         "kurtosis": self.innovations.kurtosis,
                         "correlation": self.innovations.correlation,
                         "p_value": self.innovations.p_value,
+                        "largest": self.innovations.largest,
+                        "largest_at_s": self.innovations.largest_at,
+                        "largest_p_value": self.innovations.largest_p_value,
                     },
                     "nonnegative": self.nonnegative,
                     "n_samples": int(np.isfinite(self.recorded).sum()),

@@ -161,12 +161,14 @@ def lagged(
 
 def fit_step(
     t: FloatArray, fast: FloatArray, slow: FloatArray
-) -> tuple[float, float, float, float, float]:
-    """Lag (s) and its standard deviation, gain, offset (ppm), and the misfit's RMS (ppm).
+) -> tuple[float, float, float, float, float, float]:
+    """Lag (s) and its standard deviation, gain, offset (ppm), delay (s), the misfit's RMS (ppm).
 
-    The offset is that of the readings before the step.  The lag of every piece is fitted by itself,
-    with the gain of the whole.  The pieces differ by far more than their errors, so that each
-    counts alike (random effects); the lag of another record is as far from their mean as they are.
+    The offset is that of the readings before the step.  The delay is that of the slow sensor after
+    the fast one; it is negative where the fast one's own water comes later.  The lag of every piece
+    is fitted by itself, with the gain of the whole.  The pieces differ by far more than their
+    errors, so that each counts alike (random effects); the lag of another record is as far from
+    their mean as they are.
     """
     t, fast, slow = t[::5], fast[::5], slow[::5]  # 5 s are short against half an hour
     before = t < 0.0
@@ -178,12 +180,12 @@ def fit_step(
 
     found = least_squares(
         residual, [1800.0, 0.8, 10.0], x_scale=[1000.0, 1.0, 10.0],
-        bounds=([60.0, 0.1, 0.0], [20_000.0, 5.0, 120.0]),
+        bounds=([60.0, 0.1, -300.0], [20_000.0, 5.0, 300.0]),
     )  # fmt: skip
     lag, gain, delay = (float(v) for v in found.x)
     offset = float(base[1] - gain * base[0])
     own, errors = [], []
-    for begin, end in pairwise(np.linspace(2.0 * delay, t[-1], PIECES + 1)):
+    for begin, end in pairwise(np.linspace(0.0, t[-1], PIECES + 1)):
         some = (t >= begin) & (t < end)
         input_, read = np.interp(t[some] - delay, t, fast), (slow[some] - offset) / gain
         first = float(read[:20].mean())
@@ -201,7 +203,7 @@ def fit_step(
         f"slow and fast: one lag {lag:.0f} s; of the pieces {np.round(own)} +- {np.round(errors)} s"
     )
     mean, spread = float(np.mean(own)), float(np.std(own, ddof=1))
-    return mean, spread, gain, offset, float(np.sqrt(np.mean(found.fun**2)))
+    return mean, spread, gain, offset, delay, float(np.sqrt(np.mean(found.fun**2)))
 
 
 def real_pair(folder: Path) -> pd.DataFrame:
@@ -209,9 +211,9 @@ def real_pair(folder: Path) -> pd.DataFrame:
     from scipy.io import loadmat
 
     t, fast, slow = step_record(folder / "step.csv")
-    lag, spread, gain, offset, rms = fit_step(t, fast, slow)
+    lag, spread, gain, offset, delay, rms = fit_step(t, fast, slow)
     print(f"slow and fast: lag {lag:.0f} +- {spread:.0f} s, gain {gain:.3f}, "
-          f"offset {offset:.2f} ppm, rms {rms:.2f} ppm")  # fmt: skip
+          f"offset {offset:.2f} ppm, delay {delay:.1f} s, rms {rms:.2f} ppm")  # fmt: skip
     record = read_record(folder / "field.mat", signal="slow", signal_unit="ppm")
     reference = loadmat(folder / "field.mat")["fast"].ravel()
     seen = np.isfinite(reference)
@@ -223,22 +225,30 @@ def real_pair(folder: Path) -> pd.DataFrame:
     }
     for words, text in ways.items():
         for unit in ("sensor's", "fast sensor's"):
-            k, o = (1.0, 0.0) if unit == "sensor's" else (gain, offset)
+            # the authors took the drift, and with it the offset, out of the field record
+            k, d = (1.0, 0.0) if unit == "sensor's" else (gain, delay)
+            own = record.t - d  # when the fast sensor saw the same
+            both = seen & (record.t >= own[0]) & (record.t <= own[-1])
+
+            def at_fast(values: FloatArray, own: FloatArray = own) -> FloatArray:
+                return np.interp(record.t, own, values)
+
             row: dict[str, Any] = {"record": words, "scale": unit}
-            y = (record.y - o) / k
+            y = record.y / k
             if text is None:
-                value, inside, resolution = y, np.nan, np.nan
+                value, inside, resolution = at_fast(y), np.nan, np.nan
             else:
                 found = bs.restore(text, (record.t, y), nonnegative=True)
-                value, resolution = found.value, found.resolution_s
-                low, high = found.quantile(0.025), found.quantile(0.975)
-                inside = float(np.mean(((low < reference) & (reference < high))[seen]))
+                value, resolution = at_fast(found.value), found.resolution_s
+                low, high = at_fast(found.quantile(0.025)), at_fast(found.quantile(0.975))
+                inside = float(np.mean(((low < reference) & (reference < high))[both]))
                 drawn = (record.t, value, low, high)
-            error = (value - reference)[seen]
+            error = (value - reference)[both]
             row |= {
                 "lag_s": lag, "lag_sd_s": spread if "step" in words else 0.0,
                 "gain": gain, "offset_ppm": offset,
-                "r2": np.corrcoef(value[seen], reference[seen])[0, 1] ** 2,
+                "delay_s": delay,
+                "r2": np.corrcoef(value[both], reference[both])[0, 1] ** 2,
                 "share95": inside, "rms_ppm": np.sqrt(np.mean(error**2)),
                 "resolution_s": resolution,
             }  # fmt: skip

@@ -77,8 +77,17 @@ def test_non_negative_inputs() -> None:
     assert (held.quantile(0.025) >= 0.0).all() and (held.value >= 0.0).all()
     quiet = u == 0.0
     assert held.sd[quiet].mean() < 0.9 * free.sd[quiet].mean()
+    assert held.warnings == free.warnings
+    wrong = bs.restore("15 +- 0.5 s", (t, y - 1.0), nonnegative=True)
+    assert "contradicts an input that is not negative" in wrong.warnings[0]
     error = [np.sqrt(np.mean((each.value - u) ** 2)) for each in (held, free)]
     assert error[0] < error[1]
+
+
+def test_a_record_shorter_than_its_lag_is_doubted() -> None:
+    t, _, y = record(np.random.default_rng(18), n=100)
+    found = bs.restore("20 +- 1 min", (t, y))
+    assert "less than the longest lag" in found.warnings[0]
 
 
 def test_resolution_is_where_the_spectra_cross() -> None:
@@ -114,6 +123,10 @@ def test_innovations_tell_a_record_that_is_not_as_the_model_says() -> None:
     hum = y + 0.05 * np.sin(2.0 * np.pi * t / 5.0)
     bad = bs.restore("20 +- 0.2 s", (t, hum))
     assert bad.innovations.p_value < 1e-10 and "correlated" in bad.warnings[0]
+    y[400] += 1.0
+    spike = bs.restore("20 +- 0.2 s", (t, y))
+    assert spike.innovations.largest_at == 400.0 and spike.innovations.largest_p_value < 1e-6
+    assert any("at 400 s" in text for text in spike.warnings)
 
 
 def test_the_gaussian_about_the_maximum_is_that_of_the_likelihood() -> None:
