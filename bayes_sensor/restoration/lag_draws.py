@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.io.json_files import read_json
 from bayes_sensor.io.readers.quantities import Kind, read_quantity, read_spread
 from bayes_sensor.posterior.save_draws import load_chains
-from bayes_sensor.rig.lags import LAG_NAMES
 
 LAG = Kind("a lag", "s", "40 min")
 N_STATED = 4096
 """draws of lags that are stated as mean and standard deviation"""
+SAME_FLOW = 0.01
+"""share by which flows may differ and be the same"""
 PLACES = ("rig", "sensor")
 """what can be restored: what entered the rig, or what reached the sensor"""
 
@@ -123,8 +125,15 @@ def posterior_lags(posterior: Any, at: str = "rig", flow: float | None = None) -
         remark = "which lag is the sensor's is undecided: the band holds all of them"
         return LagDraws(sensor, "the sensor's lag", (remark,) if undecided else ())
     lags = np.asarray(posterior.lags)
-    if flow is not None and posterior.problem.flow is None:
+    common = posterior.problem.flow
+    if flow is not None and common is None:
         lags = np.column_stack([lags, posterior.of("V_mL") / flow])
+    elif flow is not None and abs(flow / common - 1.0) > SAME_FLOW:
+        raise CampaignError(
+            f"flow: all experiments had a total flow of {common:.4g} mL/s, but the record has "
+            f"{flow:.4g} mL/s; which lag changes with the flow is not known: add experiments at "
+            "another flow"
+        )
     remarks = (NO_ORDER,)
     return LagDraws(lags, "the posterior of the rig's lags", remarks)
 
@@ -143,7 +152,6 @@ def saved_lags(folder: Path, at: str = "rig", flow: float | None = None) -> LagD
         )
     names, chains = load_chains(path)
     columns = dict(zip(names, chains.reshape(-1, chains.shape[-1]).T, strict=True))
-    by_size = {name for several in LAG_NAMES.values() for name in several}
     if at == "sensor":
         if "tau_s" not in columns:
             raise CampaignError(
@@ -151,9 +159,15 @@ def saved_lags(folder: Path, at: str = "rig", flow: float | None = None) -> LagD
                 "or restore what entered the rig with --at rig"
             )
         return LagDraws(columns["tau_s"][:, None], f"the sensor's lag in {path}")
-    kept = [name for name in columns if name in by_size | {"tau_s", "tau_v_s"}]
+    kept = [name for name in columns if name.startswith(("tau", "lag_"))]
     lags = np.stack([columns[name] for name in kept], axis=1)
-    if flow is not None and "V_mL" in columns and not any("between" in name for name in kept):
+    n_lags = len(read_json(folder / "posterior.json")["lags_s"])
+    if len(kept) < n_lags:
+        raise CampaignError(
+            f"{path}: all experiments had one total flow, so that the volume's lag is one of "
+            f"{n_lags}; give the campaign's TOML file instead, which says that flow"
+        )
+    if flow is not None and "V_mL" in columns:
         lags = np.column_stack([lags, columns["V_mL"] / flow])
     return LagDraws(lags, f"the lags in {path}", (NO_ORDER,))
 

@@ -67,5 +67,9 @@ def test_lags_of_a_posterior_by_place_and_flow() -> None:
     sensor = posterior_lags(posterior, at="sensor")
     np.testing.assert_array_equal(sensor.draws[:, 0], lags[:, 0])
     assert "undecided" in sensor.remarks[0]
+    posterior.problem.flow = 75.0  # all experiments at one flow: V/Q is one of the lags
+    np.testing.assert_array_equal(posterior_lags(posterior, flow=75.0).draws, lags)
+    with pytest.raises(CampaignError, match="which lag changes with the flow"):
+        posterior_lags(posterior, flow=30.0)
     with pytest.raises(CampaignError, match="'rig' or 'sensor'"):
         posterior_lags(posterior, at="valve")
