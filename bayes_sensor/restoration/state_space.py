@@ -19,9 +19,9 @@ from bayes_sensor.restoration.kalman import discretise, run_filter, run_smoother
 
 ORDERS = (1, 2)
 """orders of the input"""
-STEP_DIGITS = 1e-6
-"""share of the sampling interval to which times between samples are rounded, so that rounding of
-the times does not make every step another one"""
+TIME_DIGITS = 1e-4, 1e-2
+"""times are rounded to the smaller of these shares, of the usual and of the shortest step: records
+without a clock's jitter then have few distinct steps, and no error adds up"""
 
 
 @dataclass(frozen=True)
@@ -117,12 +117,10 @@ class Samples:
 
         All (n_values,); ``places`` increase.
         """
-        t = self.t
-        steps, which = distinct_steps(np.diff(np.insert(t, places + 1, t[places])), self.interval)
         return Samples(
             y=np.insert(self.y, places + 1, values),
-            steps=steps,
-            which=which,
+            steps=np.append(self.steps, 0.0),
+            which=np.insert(self.which, places + 1, len(self.steps)),
             level=np.insert(self.level, places + 1, 0.0),
             interval=self.interval,
             direct=np.insert(self.direct, places + 1, True),
@@ -140,7 +138,7 @@ class Samples:
             return self
         period = int(np.ceil(n * BURST / most))
         kept = np.flatnonzero(np.arange(n) % period < BURST)
-        steps, which = distinct_steps(np.diff(self.t[kept]), self.interval)
+        steps, which = distinct_steps(self.t[kept], self.interval)
         return Samples(
             self.y[kept], steps, which, self.level[kept], self.interval,
             self.direct[kept], self.error[kept],
@@ -222,14 +220,17 @@ BURST = 16
 """neighbours in a burst"""
 
 
-def distinct_steps(steps: FloatArray, interval: float) -> tuple[FloatArray, np.ndarray]:
-    """Distinct values of ``steps`` (n - 1,) in s, and the place (n,) of each sample's among them.
+def distinct_steps(t: FloatArray, interval: float) -> tuple[FloatArray, np.ndarray]:
+    """Distinct steps of times ``t`` (n,) in s, and the place (n,) of the one before each sample.
 
-    >>> distinct_steps(np.array([1.0, 2.0, 1.0 + 1e-9]), 1.0)
+    ``interval``: s, the usual step.  The first sample has no step before it; its place is 0.
+
+    >>> distinct_steps(np.array([0.0, 1.0, 3.0, 4.0 + 1e-7]), 1.0)
     (array([1., 2.]), array([0, 0, 1, 0]))
     """
-    unit = STEP_DIGITS * interval
-    found, which = np.unique(np.rint(steps / unit), return_inverse=True)
+    unit = min(TIME_DIGITS[0] * interval, TIME_DIGITS[1] * float(np.diff(t).min()))
+    places = np.rint((t - t[0]) / unit)
+    found, which = np.unique(np.diff(places), return_inverse=True)
     return found * unit, np.concatenate([[0], which.ravel()]).astype(np.int64)
 
 
@@ -241,9 +242,8 @@ def make_samples(t: FloatArray, y: FloatArray, slowest: float) -> tuple[Samples,
     """
     seen = np.isfinite(y)
     mean, spread = float(y[seen].mean()), float(y[seen].std())
-    step = np.diff(t)
-    interval = float(np.median(step))
-    steps, which = distinct_steps(step, interval)
+    interval = float(np.median(np.diff(t)))
+    steps, which = distinct_steps(t, interval)
     filled = np.interp(t, t[seen], y[seen])
     width = int(np.clip(0.25 * slowest / interval, 1, max(1, len(t) // 8)))
     smooth = uniform_filter1d(filled, width)

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,8 @@ OFF = (0.0, 0.1)
 """relative standard deviation of the lags"""
 REPEATS, N, FINE, SEED = 10, 600, 10, 64
 """records of each kind, samples of each, steps of the simulation in a sampling interval"""
+SIZES = (10_000, 100_000, 1_000_000)
+"""samples of the records whose cost is measured"""
 PIECES = 5
 """of the step record"""
 
@@ -273,10 +276,31 @@ def _draw(
     save(figure, "slow_and_fast")
 
 
+def seconds_table() -> pd.DataFrame:
+    """Processor seconds of one core by the number of samples, a row a kind of sampling."""
+    rows = []
+    for n in (1000, *SIZES):  # the first compiles
+        rng = np.random.default_rng(SEED)
+        u = lfilter([1.0], [1.0, -0.999], rng.standard_normal(n))
+        b = np.exp(-1.0 / 500.0)
+        y = lfilter([1.0 - b], [1.0, -b], u / u.std())
+        quiet = 0.02 * y.std() * lfilter([1.0], [1.0, -0.5], rng.standard_normal(n))
+        loud = quiet * (1.0 + 3.0 * (y - y.min()) / np.ptp(y))
+        t = np.arange(n) * 1.0
+        for words, times, noise in (
+            ("regular", t, quiet), ("regular, noise grows with the signal", t, loud),
+            ("no two steps alike", np.sort(t + rng.uniform(-0.3, 0.3, n)), quiet),
+        ):  # fmt: skip
+            begin = process_time()
+            bs.restore("500 +- 20 s", (times, y + noise))
+            rows.append({"sampling": words, "samples": n, "seconds": process_time() - begin})
+    return pd.DataFrame(rows[3:])
+
+
 def run(
     folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
 ) -> None:
-    """Write restoration.csv and, where the pair is there, slow_and_fast.csv with its figure."""
+    """Write restoration.csv, restoration_seconds.csv and, of the pair, slow_and_fast.csv."""
     n = REPEATS * len(INPUTS) * len(LAGS) * len(PHIS) * len(OFF)
     key = study_key("restoration", SEED, INPUTS, LAGS, PHIS, OFF, N, FINE)
     results = run_chunks(
@@ -285,6 +309,7 @@ def run(
     )  # fmt: skip
     table = calibration_table(pd.DataFrame(results))
     table.to_csv(TABLES / "restoration.csv", index=False, float_format="%.3g")
+    seconds_table().to_csv(TABLES / "restoration_seconds.csv", index=False, float_format="%.3g")
     place = os.environ.get(WHERE)
     if not place:
         print(f"restoration: {WHERE} is not set (the folder of the pair): its table left alone")

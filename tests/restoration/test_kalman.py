@@ -69,7 +69,7 @@ def test_filter_and_smoother_are_those_of_a_dense_gaussian(
     samples = samples_of(t, y, level)
     inner = yy[np.ix_(seen, seen)]
     expected = multivariate_normal(np.zeros(seen.sum()), inner).logpdf(y[seen])
-    # Steps are rounded to 1e-6 of the interval, 5e-7 s here, far below any step
+    # times are on a grid of 1 ms, so that no rounding of theirs is left
     assert samples.log_likelihood(model) == pytest.approx(expected, abs=1e-5)
     weights = np.linalg.solve(inner, uy[:, seen].T)
     mean, variance = samples.smooth(model)
