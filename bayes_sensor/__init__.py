@@ -62,6 +62,8 @@ _PUBLIC = {
     "diagnose_gap": "diagnosis",
     "Gap": "diagnosis",
     "own_effect": "diagnosis",
+    "restore": "restoration",
+    "Restored": "restoration",
     "run_fleet": "cli.run_fleets",
 }
 

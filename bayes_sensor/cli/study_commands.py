@@ -311,3 +311,50 @@ def diffusion(
         thickness_pdms=thickness_pdms, ring_radius=ring_radius, probe_height=probe_height,
     )  # fmt: skip
     raise typer.Exit(solve_diffusion(out, quantities, tolerance, common.quiet))
+
+
+@app.command()
+def restore(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="[CAMPAIGN.toml] RECORD",
+            help="Where the lags come from (a campaign or a folder with its results; not with "
+            "--lag), then the record; several records, or a folder of them, get a folder each.",
+        ),
+    ],
+    out: Out,
+    lag: Annotated[
+        list[str] | None,
+        typer.Option(metavar="LAG", help='A known lag, "40 +- 2 min"; repeatable for a chain.'),
+    ] = None,
+    signal: Annotated[str | None, typer.Option(help="Column of the signal.")] = None,
+    time: Annotated[str | None, typer.Option(help="Column of the times.")] = None,
+    interval: Annotated[
+        str | None, typer.Option(help='Sampling interval of a file without times, "1 s".')
+    ] = None,
+    signal_unit: Annotated[str | None, typer.Option(help='Unit of the signal, "ppm".')] = None,
+    at: Annotated[
+        str,
+        typer.Option(help="What is restored with a campaign: what entered the rig, or the sensor."),
+    ] = "rig",
+    flow: Annotated[
+        str | None,
+        typer.Option(help="Total flow of the record: the volume's lag then counts, too."),
+    ] = None,
+    non_negative: Annotated[
+        bool, typer.Option("--non-negative", help="The input is known not to be negative.")
+    ] = False,
+    seed: Seed = 1,
+    jobs: Jobs = 1,
+    quiet: Quiet = False,
+    config: Config = None,
+) -> None:
+    """Undo the lag: the input of a slow sensor, with bands, from a record of it."""
+    from bayes_sensor.cli.restore_records import Wanted, restore_records
+
+    wanted = Wanted(
+        out, tuple(lag or ()), signal, time, interval, signal_unit, at, flow, non_negative, seed,
+        jobs, quiet, config,
+    )  # fmt: skip
+    raise typer.Exit(restore_records(paths, wanted))

@@ -41,6 +41,7 @@ from bayes_sensor.figures.plot_noise import (
     spread,
 )
 from bayes_sensor.figures.plot_overlays import overlay, overlay_panel, rms_bars
+from bayes_sensor.figures.plot_restored import restored
 from bayes_sensor.figures.plot_rig import responses, schematic
 from bayes_sensor.figures.plot_tau import coverage, tau_hard, what_would_help
 from bayes_sensor.figures.style import (
@@ -121,6 +122,7 @@ __all__ = [
     "priors_on_tau",
     "response_times",
     "responses",
+    "restored",
     "rms_bars",
     "schematic",
     "sensor_words",

@@ -26,6 +26,7 @@ import study_predictive
 import study_published_bounds
 import study_real
 import study_reproduction
+import study_restoration
 import study_sbc
 import study_unlisted
 
@@ -45,6 +46,7 @@ STUDIES = {
     "hostile": study_hostile.run,
     "misfit": study_misfit.run,
     "real": study_real.run,
+    "restoration": study_restoration.run,
     "faults": study_faults.run,
     "determinism": study_determinism.run,
     "fleet": study_fleet.run,

@@ -29,6 +29,7 @@ ROOMS = (
     "fit",
     "residuals",
     "posterior",
+    "restoration",
     "bounds",
     "checks",
     "design",

@@ -80,6 +80,17 @@ def test_noise() -> None:
     assert values["right"] == [] and "autocorrelation" in values["wrong"]
 
 
+def test_restore() -> None:
+    values = run(
+        "restore.ipynb",
+        {"share": "share(found)", "known": "share(known)", "resolution": "found.resolution_s",
+         "low": "float(found.quantile(0.025).min())"},
+    )  # fmt: skip
+    assert values["share"] > 0.9 and values["share"] >= values["known"]
+    assert 60.0 < values["resolution"] < 2400.0  # between a sample and the lag
+    assert values["low"] >= 0.0
+
+
 def test_design() -> None:
     values = run(
         "design.ipynb",

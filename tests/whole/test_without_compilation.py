@@ -165,6 +165,18 @@ for name, effect in CATALOGUE.items():
         full = np.concatenate([theta, strengths])
         say(*other.model.mean_and_response(experiment.t, full, other.layout, experiment))
 """,
+    "restoration": """
+from bayes_sensor.restoration.state_space import Model, make_samples
+rng = np.random.default_rng(1)
+for t in (np.arange(40.0), np.cumsum(rng.choice([0.1, 1.0, 30.0], 40))):
+    y = np.cumsum(rng.standard_normal(40))
+    y[[5, 6, 20]] = np.nan
+    samples = make_samples(t, y, 4.0)[0]
+    held = samples.with_input(np.array([0, 20, 39]), np.array([0.1, 0.2, -0.3]), np.full(3, 0.4))
+    for order, lags in ((1, (2.0,)), (2, (2.0, 2.0, 0.01))):
+        model = Model(order, 1.0, 5.0, lags, 0.1, 0.5, 1.0)
+        say(samples.log_likelihood(model), *samples.smooth(model), *held.smooth(model))
+""",
     "mixing": """
 from bayes_sensor.posterior.r_hat import diagnostics
 say(*diagnostics(np.random.default_rng(1).standard_normal((2, 40, 9))))

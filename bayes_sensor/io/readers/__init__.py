@@ -120,7 +120,7 @@ def _read(path: Path) -> Campaign:
             "that"
         )
     where = label if path.exists() else str(path)
-    content = _read_bytes(path, where, LARGEST, "a campaign file in TOML")
+    content = read_bytes(path, where, LARGEST, "a campaign file in TOML")
     tables = read_toml(content, label)
     check_filled_in(tables, label)
     sheet = read_sheet(tables, label)
@@ -163,7 +163,7 @@ def read_recording(path: Path, where: str, selection: Selection) -> Recording:
     ``where`` is the file's name in messages.  Raises CampaignError as :func:`read_campaign` does.
     """
     reader = FORMATS[path.suffix.casefold()]
-    file = DataFile(path, where, _read_bytes(path, where, LARGEST_FILE, "a data file"))
+    file = DataFile(path, where, read_bytes(path, where, LARGEST_FILE, "a data file"))
     with np.errstate(over="ignore", invalid="ignore"):
         return reader(file, selection)
 
@@ -225,7 +225,7 @@ def _open(entry: Entry, folder: Path, allow_outside: bool) -> DataFile:
             f"{where}: the file lies outside the campaign's folder; move it there, or write "
             "allow_outside = true at the top of the campaign file"
         )
-    content = _read_bytes(target, where, LARGEST_FILE, "a data file")
+    content = read_bytes(target, where, LARGEST_FILE, "a data file")
     return DataFile(target, where, content)
 
 
@@ -244,7 +244,7 @@ def _where_else(path: Path) -> str:
     return "check the name and the folder"
 
 
-def _read_bytes(path: Path, where: str, most: int, what: str) -> bytes:
+def read_bytes(path: Path, where: str, most: int, what: str) -> bytes:
     """The content of a regular file, with a message for every possible fault."""
     try:
         status = path.stat()
