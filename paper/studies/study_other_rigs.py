@@ -95,7 +95,7 @@ def parts() -> dict[str, Part]:
 
 
 def draw_truth(part: Part, rng: np.random.Generator) -> FloatArray:
-    """(n_theta,) lags and volumes by their laws; levels, delays up to 1 s and noise."""
+    """(n_theta,) lags and volumes by their laws; levels, delays of 0.5 to 1.5 s and noise."""
     layout = Problem(part.campaign).layout
     values = {name: np.exp(rng.uniform(*np.log(limits))) for name, limits in part.laws.items()}
     values |= {name: values[name] * values[of] for name, of in part.times.items()}
@@ -103,7 +103,7 @@ def draw_truth(part: Part, rng: np.random.Generator) -> FloatArray:
     drawn = {"y0_V": 0.3, "beta_V": step, "phi": rng.uniform(0.0, 0.8),
              "sigma0_V": step * np.exp(rng.uniform(*np.log([0.005, 0.02]))),
              "sigma1_V": step * rng.uniform(0.0, 0.02)}  # fmt: skip
-    shared_delay = {"delay_on_s": rng.uniform(0.0, 1.0), "delay_off_s": rng.uniform(0.0, 1.0)}
+    shared_delay = {"delay_on_s": rng.uniform(0.5, 1.5), "delay_off_s": rng.uniform(0.5, 1.5)}
     theta = np.array(
         [
             values.get(name, {**drawn, **shared_delay}.get(name.split("[")[0], np.nan))
@@ -114,7 +114,7 @@ def draw_truth(part: Part, rng: np.random.Generator) -> FloatArray:
         own = layout.switches(k)
         if np.isnan(theta[own]).any():
             at = e.commands.times if e.commands else [e.commanded_on, e.commanded_off]
-            theta[own] = np.array(at[: len(own)], dtype=float) + rng.uniform(0.0, 1.0, len(own))
+            theta[own] = np.array(at[: len(own)], dtype=float) + rng.uniform(0.5, 1.5, len(own))
     return theta
 
 
