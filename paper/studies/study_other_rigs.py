@@ -27,7 +27,7 @@ from bayes_sensor.posterior import FASTEST, Settings, sample_posterior
 
 N, SEED = 200, 59
 INTERVAL, DURATION, ON, OFF = 0.2, 120.0, 20.0, 70.0  # s
-SETTINGS = Settings(max_draws=4000)
+SETTINGS = Settings(n_chains=2, target_ess=500.0, max_draws=3200, max_steps=600)
 BOUNDS = ("crlb_ar1", "sandwich")
 METHODS = ("posterior", *BOUNDS)
 
@@ -221,7 +221,7 @@ def run(
 
         where = folder / "other_rigs" / name.replace(" ", "_")
         results = run_chunks(
-            task, n, where, task.key, jobs, chunk=10, scheduler=scheduler, progress=tell
+            task, n, where, task.key, jobs, chunk=5, scheduler=scheduler, progress=tell
         )
         tables.append(rows(task, results))
         pd.concat(tables).to_csv(TABLES / "other_rigs.csv", index=False, float_format="%.4g")
