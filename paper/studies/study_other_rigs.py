@@ -1,6 +1,6 @@
 """Whether 95 % intervals hold the truth on rigs and programmes that are not the paper's.
 
-Small campaigns of 1 to 2 records of 600 samples; lags, levels, delays and noise are drawn anew for
+Small campaigns of 1 to 2 records of 2400 samples; lags, levels, delays and noise are drawn anew for
 each, wide enough apart that the lags can be told.  The analysis is the user's: default priors, a
 fit from nothing, the posterior started there.  Samples of one design form one part of the study.
 """
@@ -26,7 +26,7 @@ from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import FASTEST, Settings, sample_posterior
 
 N, SEED = 200, 59
-INTERVAL, DURATION, ON, OFF = 0.2, 120.0, 20.0, 70.0  # s
+INTERVAL, DURATION, ON, OFF = 0.05, 120.0, 20.0, 70.0  # s
 SETTINGS = Settings(n_chains=2, target_ess=500.0, max_draws=3200, max_steps=600)
 BOUNDS = ("crlb_ar1", "sandwich")
 METHODS = ("posterior", *BOUNDS)
