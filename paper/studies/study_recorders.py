@@ -2,7 +2,7 @@
 
 The files are not part of this repository.  The folder that holds ``recorders/`` is read from the
 environment variable ``BAYES_SENSOR_REAL``; where that is not set, the committed table stays as it
-is.  Campaigns are written into a temporary folder.  The independent fit is scipy's ``curve_fit`` of
+is.  Campaigns are written into a temporary folder.  The independent fit is scipy's least squares of
 ``y0 + beta (1 - exp(-(t - t0) / tau))`` to the same samples, read with pandas.
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -23,10 +23,11 @@ from drawing import TABLES
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.io.readers import read_campaign
-from bayes_sensor.posterior import FASTEST, sample_posterior
+from bayes_sensor.posterior import Settings, sample_posterior
 
 WHERE = "BAYES_SENSOR_REAL"
 SEED = 7
+SETTINGS = Settings(n_chains=2, n_walkers=40, max_steps=2000)
 
 
 @dataclass(frozen=True)
@@ -99,48 +100,80 @@ RECORDS = (
 )  # fmt: skip
 
 
-def independent(t: FloatArray, y: FloatArray, on: float) -> tuple[float, float, float]:
-    """tau, its standard error under white noise, and the rms of the rest, by scipy."""
-    from scipy.optimize import curve_fit
+def alone() -> list[Record]:
+    """Every sensor of a record with several by itself, with a switch time of its own."""
+    return [
+        replace(record, sensors={sensor: column})
+        for record in RECORDS
+        if len(record.sensors) > 1
+        for sensor, column in record.sensors.items()
+    ]
 
-    def model(at: FloatArray, y0: float, beta: float, t0: float, tau: float) -> FloatArray:
-        return y0 + beta * -np.expm1(-np.maximum(at - t0, 0.0) / tau)
 
-    start = y[t <= max(on, t[2])].mean(), y[-10:].mean() - y[0], on, 0.1 * (t[-1] - on)
-    best, cov = curve_fit(model, t, y, start, maxfev=20000)
-    return float(best[3]), float(np.sqrt(cov[3, 3])), float(np.std(y - model(t, *best)))
+def independent(
+    samples: list[tuple[FloatArray, FloatArray]], on: float
+) -> tuple[FloatArray, FloatArray]:
+    """tau (n,) of sensors with one t0, and the rms (n,) of what is left, by scipy.
+
+    The sensors are weighed with the rms that each leaves alone.
+    """
+    from scipy.optimize import least_squares
+
+    def rest(values: FloatArray, chosen: list[int], weights: FloatArray) -> FloatArray:
+        parts = []
+        for j, k in enumerate(chosen):
+            t, y = samples[k]
+            y0, beta, tau = values[1 + 3 * j : 4 + 3 * j]
+            at = np.maximum(t - values[0], 0.0)
+            parts.append((y - y0 + beta * np.expm1(-at / tau)) * weights[k])
+        return np.concatenate(parts)
+
+    def start(k: int) -> list[float]:
+        t, y = samples[k]
+        return [y[t <= max(on, t[2])].mean(), y[-10:].mean() - y[0], 0.1 * (t[-1] - on)]
+
+    n, none = len(samples), np.ones(len(samples))
+    alone = [least_squares(rest, [on, *start(k)], x_scale="jac", args=([k], none)) for k in range(n)]
+    rms = np.array([np.sqrt(np.mean(each.fun**2)) for each in alone])
+    if n == 1:
+        return alone[0].x[3:], rms
+    first = [np.mean([each.x[0] for each in alone])]
+    first += [value for each in alone for value in each.x[1:]]
+    best = least_squares(rest, first, x_scale="jac", args=(list(range(n)), 1.0 / rms))
+    return best.x[3::3], rms
 
 
 def found(record: Record, folder: Path) -> list[dict[str, Any]]:
     """One row a sensor."""
-    base = {"record": record.name, "source": record.source, "unit": record.unit}
-    rows = []
     with TemporaryDirectory() as place:
         shutil.copy(folder / record.file, place)
         path = Path(place) / "campaign.toml"
         path.write_text(record.toml, encoding="utf-8")
         campaign = read_campaign(path)
-        fit = fit_least_squares(campaign, seed=SEED)
-        try:
-            posterior = sample_posterior(campaign, fit, SEED, FASTEST)
-            said, intervals = posterior.convergence, posterior.rows
-        except CampaignError as error:
-            said, intervals = str(error), {}
-    summary = fit.to_json()
-    for sensor in record.sensors:
-        t, y = record.samples(folder, sensor)
-        tau, error, rms = independent(t, y, record.on)
-        name = f"tau_s[{sensor}]" if len(record.sensors) > 1 else "tau_s"
-        row = intervals.get(name, {})
-        sigma = f"sigma0_V[{sensor}]" if len(record.sensors) > 1 else "sigma0_V"
+    fit = fit_least_squares(campaign, seed=SEED)
+    try:
+        posterior = sample_posterior(campaign, fit, SEED, settings=SETTINGS)
+        said, intervals = f"{posterior.sampler}, {posterior.convergence}", posterior.rows
+    except CampaignError as error:
+        said, intervals = str(error), {}
+    several = len(record.sensors) > 1
+    samples = [record.samples(folder, sensor) for sensor in record.sensors]
+    taus, rms = independent(samples, record.on)
+    rows = []
+    for k, sensor in enumerate(record.sensors):
+        ending = f"[{sensor}]" if several else ""
+        row = intervals.get(f"tau_s{ending}", {})
         low, high = row.get("q2.5", np.nan), row.get("q97.5", np.nan)
         rows.append({
-            **base, "sensor": sensor, "n_samples": len(t), "scipy_tau_s": tau,
-            "scipy_standard_error_s": error, "fit_tau_s": fit.parameters[name],
-            "lo95_s": low, "q50_s": row.get("q50", np.nan), "hi95_s": high,
-            "holds_scipy": int(low <= tau <= high),
-            "sigma0": intervals.get(sigma, {}).get("q50", np.nan), "scipy_rms": rms,
-            "misfit": summary["misfit"], "said": said,
+            "record": record.name, "sensor": sensor,
+            "switch_times": "shared" if several else "own", "n_samples": len(samples[k][0]),
+            "scipy_tau_s": taus[k], "fit_tau_s": fit.parameters[f"tau_s{ending}"], "lo95_s": low,
+            "q50_s": row.get("q50", np.nan), "hi95_s": high,
+            "holds_scipy": int(low <= taus[k] <= high),
+            "sigma0": intervals.get(f"sigma0_V{ending}", {}).get("q50", np.nan),
+            "phi": intervals.get(f"phi{ending}", {}).get("q50", np.nan), "rms": rms[k],
+            "unit": record.unit, "misfit": fit.to_json()["misfit"], "said": said,
+            "source": record.source,
         })  # fmt: skip
     return rows
 
@@ -154,7 +187,9 @@ def run(
         print(f"{WHERE} is not set: recorders.csv stays as it is", flush=True)
         return
     rows = []
-    for k, record in enumerate(RECORDS):
+    whole = [*RECORDS, *alone()]
+    for k, record in enumerate(whole):
         rows += found(record, Path(place) / "recorders")
-        progress(k + 1, len(RECORDS))
-    pd.DataFrame(rows).to_csv(TABLES / "recorders.csv", index=False, float_format="%.4g")
+        progress(k + 1, len(whole))
+        table = pd.DataFrame(rows)
+    table.to_csv(TABLES / "recorders.csv", index=False, float_format="%.4g")
