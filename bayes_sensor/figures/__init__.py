@@ -22,14 +22,9 @@ from bayes_sensor.figures.plot_gap import (
     gap_where,
     gap_which,
 )
-from bayes_sensor.figures.plot_methods import (
-    intervals,
-    posteriors_of_tau,
-    priors_on_tau,
-    step_study,
-)
+from bayes_sensor.figures.plot_methods import intervals, step_study
 from bayes_sensor.figures.plot_noise import autocorrelation, histogram, predictive, spread
-from bayes_sensor.figures.plot_overlays import overlay, rms_bars
+from bayes_sensor.figures.plot_overlays import overlay
 from bayes_sensor.figures.plot_rig import responses, schematic
 from bayes_sensor.figures.plot_tau import coverage, tau_hard, what_would_help
 from bayes_sensor.figures.style import (
@@ -96,12 +91,9 @@ __all__ = [
     "parameter_words",
     "pdf",
     "png",
-    "posteriors_of_tau",
     "predictive",
-    "priors_on_tau",
     "response_times",
     "responses",
-    "rms_bars",
     "schematic",
     "sensor_words",
     "shared_labels",

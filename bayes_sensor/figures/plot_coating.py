@@ -28,8 +28,9 @@ from bayes_sensor.figures.style import (
     PALE,
     REGIONS,
     WIDTH,
+    beside,
     logarithmic,
-    new_figure,
+    panels,
     plain,
     style,
 )
@@ -63,22 +64,22 @@ def diffusion_figure(response: Response, other: Response | None = None) -> Figur
     columns = min(n, 4)
     rows = math.ceil(n / columns)
     with style():
-        figure = Figure(figsize=(WIDTH, 2.9 + 1.35 * rows))
+        figure = Figure(figsize=(WIDTH, 2.9 + 1.35 * rows), layout="constrained")
         parts: Any = figure.subfigures(2, 1, height_ratios=[1.35 * rows, 2.9])
         above, below = parts
-        panels = above.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-        for panel in panels.ravel()[n:]:
+        maps = above.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+        for panel in maps.ravel()[n:]:
             panel.set_visible(False)
-        shown = list(panels.ravel()[:n])
+        shown = list(maps.ravel()[:n])
         for panel, t, concentration in zip(
             shown, response.snapshot_times, response.snapshots, strict=True
         ):
             filled = _cross_section(panel, response, concentration)
             panel.set_title(f"{1e3 * t:.3g} ms")
         across = "radius" if response.coating.geometry == "axisymmetric" else "distance"
-        for panel in panels[-1]:
+        for panel in maps[-1]:
             panel.set_xlabel(f"{across} (µm)")
-        for panel in panels[:, 0]:
+        for panel in maps[:, 0]:
             panel.set_ylabel("height (µm)")
         bar = above.colorbar(filled, ax=shown, ticks=_LEVELS[::5], pad=0.01, aspect=12)
         bar.set_label("CO₂ (%)")
@@ -155,8 +156,7 @@ def diffusion(record: Mapping[str, Any]) -> Figure:
     end = 1.6 * record["t90_ms"]
     lag = record["tau_fit_ms"]
     with style():
-        figure = new_figure(3.0, 5.2)
-        axes = figure.subplots()
+        figure, ((axes,),) = panels(3.0, width=5.2, top=0.1)
         axes.plot(t, 100 * x, color=BLUE, label="finite elements")
         s = np.linspace(0.0, end, 300)
         axes.plot(
@@ -202,8 +202,7 @@ def response_times(rows: Sequence[Mapping[str, Any]]) -> Figure:
         for row in rows
     ]
     with style():
-        figure = new_figure(1.0 + 0.33 * len(rows), 6.2)
-        axes = figure.subplots()
+        figure, ((axes,),) = panels(0.75 + 0.33 * len(rows), width=6.2, left=beside(names))
         for i, row in enumerate(rows):
             for name, colour, marker, lift in kinds:
                 low, middle, high = (1e3 * row[f"{name}{end}_s"] for end in ("_lo", "", "_hi"))
@@ -217,7 +216,7 @@ def response_times(rows: Sequence[Mapping[str, Any]]) -> Figure:
         axes.set_ylim(len(rows) - 0.4, -0.6)
         axes.set_xlabel("time after the step (ms), 95 % intervals")
         axes.grid(axis="y", visible=False)
-        figure.legend(loc="outside upper right", ncols=3)
+        figure.legend(loc="upper right", ncols=3, borderaxespad=0.1)
     return figure
 
 
@@ -233,8 +232,7 @@ def diffusivity(record: Mapping[str, Any]) -> Figure:
     ends = [v for v in (d["hi95"], d["hi68"], literature) if v is not None]
     low, high = 0.5 * lowest, 4.0 * max(ends)
     with style():
-        figure = new_figure(1.75, 6.2)
-        axes = figure.subplots()
+        figure, ((axes,),) = panels(1.55, width=6.2, left=beside(["from τ"]))
         for lo, hi, width in (("lo95", "hi95", 1.4), ("lo68", "hi68", 4.2)):
             ends = [low if d[lo] is None else d[lo], high if d[hi] is None else d[hi]]
             axes.plot(ends, [0, 0], color=BLUE, lw=width, solid_capstyle="butt")
@@ -252,7 +250,7 @@ def diffusivity(record: Mapping[str, Any]) -> Figure:
         axes.set_yticks([0], ["from τ"])
         axes.set_xlabel("diffusivity of ZIF-8 (m²/s)")
         axes.grid(axis="y", visible=False)
-        figure.legend(loc="outside upper right", ncols=2)
+        figure.legend(loc="upper right", ncols=2, borderaxespad=0.1)
     return figure
 
 
@@ -276,7 +274,7 @@ def spectra_figure(
             "spectra_figure: expected at least one concentration, a fraction of zero or more"
         )
     with style():
-        figure = Figure(figsize=(WIDTH, 3.0))
+        figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=[1.25, 1])
         _spectra(left, readout, levels)
         _transfer(right, readout, levels, wanted)

@@ -16,7 +16,7 @@ from bayes_sensor.figures.style import (
     ORANGE,
     PALE,
     WIDTH,
-    new_figure,
+    panels,
     shortened,
     style,
 )
@@ -31,8 +31,9 @@ def delays(record: Mapping[str, Any], concentration: Mapping[str, float]) -> Fig
     levels = sorted({round(100 * c, 1) for c in concentration.values()})
     crowded = 4 < len(levels) <= len(MARKERS)
     with style():
-        figure = new_figure(3.3, WIDTH if len(sides) > 1 or crowded else 4.4)
-        row = figure.subplots(1, max(len(sides), 1), squeeze=False)[0]
+        width = WIDTH if len(sides) > 1 or crowded else 4.4
+        right = 1.45 if crowded else 0.12
+        figure, (row,) = panels(3.3, 1, max(len(sides), 1), width, right=right)
         for axes, (side, line) in zip(row, sides, strict=False):
             if line["band"]:
                 x = np.asarray(line["band"]["inverse_flow_s_per_L"])
@@ -74,7 +75,7 @@ def delays(record: Mapping[str, Any], concentration: Mapping[str, float]) -> Fig
             axes.set_ylabel(f"{side} delay (s)")
             if crowded and axes is row[0]:
                 handles, labels = axes.get_legend_handles_labels()
-                figure.legend(handles, labels, loc="outside right upper")
+                figure.legend(handles, labels, loc="upper right", borderaxespad=0.1)
             r2 = "" if line["r2"] is None else f", R² = {line['r2']:.3f}"
             axes.set_title(f"{side} of the step{r2}")
     return figure

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator
@@ -22,7 +21,7 @@ from bayes_sensor.figures.style import (
     SMALLEST,
     WIDTH,
     axis_label,
-    new_figure,
+    panels,
     parameter_words,
     style,
     told_apart,
@@ -59,7 +58,7 @@ def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
     draws = values.reshape(-1, values.shape[-1])
     draws = draws[:: max(1, len(draws) // 20000)]
     n = len(words)
-    with style(), mpl.rc_context({"figure.constrained_layout.use": False}):
+    with style():
         side = min(WIDTH, 1.3 * n + 0.9)
         figure = Figure(figsize=(side, side))
         corner_plot.corner(
@@ -119,8 +118,7 @@ def traces_and_ranks(names: Sequence[str], chains: FloatArray, unit: str = "V") 
     colours = (BLUE, ORANGE, GREEN, INK)
     bins = 20
     with style():
-        figure = new_figure(1.25 * n + 0.4)
-        grid = figure.subplots(n, 2, squeeze=False, width_ratios=[1.7, 1])
+        figure, grid = panels(1.25 * n + 0.6, n, 2, down=0.15, width_ratios=[1.7, 1])
         for row, word in enumerate(words):
             left, right = grid[row]
             ranks = rankdata(values[:, :, row]).reshape(n_chain, n_draw)

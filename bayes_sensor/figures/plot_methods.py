@@ -17,11 +17,11 @@ from bayes_sensor.figures.style import (
     INK,
     MIDDLE,
     ORANGE,
+    beside,
     labels_of_bounds,
     logarithmic,
-    new_figure,
+    panels,
     shared_labels,
-    show_zero,
     style,
 )
 
@@ -35,8 +35,11 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
     methods = list(bounds["methods"])
     shown_labels = labels_of_bounds(bounds)
     with style():
-        figure = new_figure(0.32 * len(methods) + 1.0)
-        row = figure.subplots(1, len(shown_labels), sharey=True, squeeze=False)[0]
+        labels = [method_of(method).label for method in methods]
+        figure, (row,) = panels(
+            0.32 * len(methods) + 0.65, 1, len(shown_labels), left=beside(labels), top=0.1,
+            across=0.2, sharey=True,
+        )  # fmt: skip
         for axes, (name, (symbol, unit, factor)) in zip(row, shown_labels.items(), strict=True):
             rows = [bounds["methods"][m]["parameters"].get(name) or {} for m in methods]
             low, high = _visible(rows, factor)
@@ -71,7 +74,7 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
             axes.set_xlabel(f"{symbol} ({unit})")
             axes.grid(axis="y", visible=False)
             axes.xaxis.set_major_locator(MaxNLocator(4))
-        row[0].set_yticks(range(len(methods)), [method_of(m).label for m in methods])
+        row[0].set_yticks(range(len(methods)), labels)
         row[0].set_ylim(len(methods) - 0.4, -0.6)
         if row[0].get_xlim()[0] < 0:
             row[0].axvline(0.0, color=MIDDLE, lw=0.8)  # tau cannot be negative
@@ -117,9 +120,8 @@ def step_study(
         ("exact", "central", "exact, central", INK, "--", "v"),
     )
     with style():
-        figure = new_figure(3.0)
-        row = figure.subplots(1, 3)
         shown = shared_labels(rows[0])
+        figure, (row,) = panels(3.0, 1, len(shown), top=0.1, bottom=0.75)
         for axes, (name, (symbol, unit, factor)) in zip(row, shown.items(), strict=True):
             for method, difference, label, colour, dash, marker in lines:
                 chosen = [
@@ -144,67 +146,5 @@ def step_study(
             axes.set_xlabel("relative step")
             axes.set_ylabel(f"3 sd of {symbol} ({unit})")
         handles, names = row[0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=5)
-    return figure
-
-
-def priors_on_tau(rows: Sequence[Mapping[str, Any]], words: Mapping[str, str]) -> Figure:
-    """tau under several priors: intervals and one-sided upper limits.
-
-    ``rows``: ``tau_under_priors`` of ``posterior.json``; ``words`` by the name of the prior.
-    """
-    with style():
-        figure = new_figure(0.42 * len(rows) + 1.1)
-        axes = figure.subplots()
-        for i, row in enumerate(rows):
-            first = i == 0
-            for lo, hi, width, lift, label in (
-                ("lo95_s", "hi95_s", 1.6, -0.13, "95 %, equal tails"),
-                ("hdi_lo95_s", "hdi_hi95_s", 4.2, 0.13, "densest 95 %"),
-            ):
-                axes.plot(
-                    [1e3 * row[lo], 1e3 * row[hi]], [i + lift] * 2, lw=width,
-                    color=BLUE if width > 2 else INK, solid_capstyle="butt",
-                    label=label if first else None,
-                )  # fmt: skip
-            for key, marker, label in (
-                ("upper95_s", "v", "95 % upper limit"),
-                ("upper99_s", "s", "99 % upper limit"),
-            ):
-                axes.plot(
-                    1e3 * row[key], i, marker, color=ORANGE, mec=INK, mew=0.5, ms=5.5,
-                    label=label if first else None, zorder=4, ls="none",
-                )  # fmt: skip
-        axes.set_yticks(range(len(rows)), [words.get(r["prior"], r["prior"]) for r in rows])
-        axes.set_ylim(len(rows) - 0.5, -0.5)
-        low, high = min(row["lo95_s"] for row in rows), max(row["upper99_s"] for row in rows)
-        axes.set_xlim(right=1e3 * (high + 0.08 * min(high, 4.0 * (high - low))))
-        show_zero(axes, low, high)
-        axes.set_xlabel("sensor τ (ms)")
-        axes.grid(axis="y", visible=False)
-        figure.legend(loc="outside upper right", ncols=4)
-    return figure
-
-
-def posteriors_of_tau(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """tau under several models: median, 68 % thick, 95 % thin.
-
-    ``rows``: ``model`` and the percentiles ``q2.5``, ``q16``, ``q50``, ``q84``, ``q97.5`` in s.
-    """
-    with style():
-        figure = new_figure(0.36 * len(rows) + 0.8)
-        axes = figure.subplots()
-        for i, row in enumerate(rows):
-            colour = INK if i == 0 else BLUE
-            for lo, hi, width in (("q2.5", "q97.5", 1.4), ("q16", "q84", 4.2)):
-                axes.plot(
-                    [1e3 * row[lo], 1e3 * row[hi]], [i, i], color=colour, lw=width,
-                    solid_capstyle="butt",
-                )  # fmt: skip
-            axes.plot(1e3 * row["q50"], i, "D", color=GROUND, mec=colour, ms=4.5, mew=1.2)
-        axes.set_yticks(range(len(rows)), [row["model"] for row in rows])
-        axes.set_ylim(len(rows) - 0.5, -0.5)
-        show_zero(axes, min(row["q2.5"] for row in rows), max(row["q97.5"] for row in rows))
-        axes.set_xlabel("sensor τ (ms)")
-        axes.grid(axis="y", visible=False)
+        figure.legend(handles, names, loc="lower center", ncols=5, borderaxespad=0.1)
     return figure

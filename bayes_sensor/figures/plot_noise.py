@@ -17,7 +17,7 @@ from bayes_sensor.figures.style import (
     MODEL,
     PALE,
     logarithmic,
-    new_figure,
+    panels,
     style,
     thousands,
     volts,
@@ -36,8 +36,7 @@ def histogram(residuals: Mapping[str, Any], rms: float) -> Figure:
     total, width = count.sum(), float(record["bin_V"])
     centre = 0.5 * (edges[1:] + edges[:-1])
     with style():
-        figure = new_figure(2.9, 5.2)
-        axes = figure.subplots()
+        figure, ((axes,),) = panels(2.9, width=5.2, top=0.1, left=0.8)
         axes.bar(
             centre, count, width=np.diff(edges), color=DATA, edgecolor=INK, lw=0.5,
             label=f"residuals ({thousands(total)})",
@@ -65,10 +64,9 @@ def autocorrelation(residuals: Mapping[str, Any], traces: Sequence[Trace] = ()) 
     near = lag[min(settled[0] if len(settled) else len(lag) - 1, len(lag) - 1)]
     near = float(min(max(4 * near, 30 * h), lag[-1]))
     with style():
-        figure = new_figure(5.0 if traces else 3.2)
-        ratios = [1.7, 1] if traces else None
-        panels = figure.subplot_mosaic("ab;cc" if traces else "ab", height_ratios=ratios)
-        left, right = panels["a"], panels["b"]
+        ratios = [1.7, 1] if traces else [1]
+        figure, grid = panels(5.0 if traces else 3.2, len(ratios), 2, height_ratios=ratios)
+        left, right = grid[0]
         left.axhspan(-band, band, color=PALE, lw=0, label="95 % band, white")
         left.plot(lag, value, "o", color=BLUE, ms=2.6, label="residuals")
         left.plot(lag, curve, color=MODEL, ls="--", label=law)
@@ -86,7 +84,9 @@ def autocorrelation(residuals: Mapping[str, Any], traces: Sequence[Trace] = ()) 
         right.set_ylabel("autocorrelation")
         right.set_title("all lags")
         if traces:
-            _joined_residuals(panels["c"], traces)
+            for axes in grid[1]:
+                axes.remove()
+            _joined_residuals(figure.add_subplot(grid[1, 0].get_gridspec()[1, :]), traces)
     return figure
 
 
@@ -122,8 +122,7 @@ def spread(residuals: Mapping[str, Any]) -> Figure:
     shown, factor = volts(unit, float(np.nanmax(sd)))
     centre, kept = 0.5 * (low + high), np.isfinite(sd)
     with style():
-        figure = new_figure(2.9, 5.2)
-        axes = figure.subplots()
+        figure, ((axes,),) = panels(2.9, width=5.2, top=0.1)
         axes.errorbar(
             centre[kept], factor * sd[kept], xerr=(0.5 * (high - low))[kept], fmt="o", color=BLUE,
             ms=4, lw=1, label="residuals",
@@ -146,14 +145,13 @@ def predictive(record: Mapping[str, Any], unit: str = "V") -> Figure:
     """
     small, factor = volts(unit, float(np.sqrt(np.max(record["variance"]["observed"]))))
     with style():
-        figure = new_figure(4.6)
-        panels = figure.subplots(2, 2)
+        figure, grid = panels(4.6, 2, 2)
         words = {
             "autocorrelation": ("lag (samples)", "autocorrelation"),
             "variance": ("test-gas concentration (%)", f"standard deviation ({small})"),
             "spectrum": ("frequency (Hz)", "power of scaled residuals"),
         }
-        for axes, (name, (x_label, y_label)) in zip(panels.ravel(), words.items(), strict=False):
+        for axes, (name, (x_label, y_label)) in zip(grid.ravel(), words.items(), strict=False):
             part = {key: np.asarray(record[name][key]) for key in ("x", *_CURVES)}
             x = (100.0 if name == "variance" else 1.0) * part["x"]
             low, middle, high, seen = (
@@ -169,8 +167,8 @@ def predictive(record: Mapping[str, Any], unit: str = "V") -> Figure:
             axes.set_xlabel(x_label)
             axes.set_ylabel(y_label)
             axes.set_title(f"{name.replace('variance', 'spread')}, p {_p(record[name]['p_value'])}")
-        panels[0, 0].legend(loc="best")
-        _pit(panels[1, 1], record["pit"])
+        grid[0, 0].legend(loc="best")
+        _pit(grid[1, 1], record["pit"])
     return figure
 
 

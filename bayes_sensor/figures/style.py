@@ -18,6 +18,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import fontManager, get_font
 from matplotlib.layout_engine import PlaceHolderLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -54,7 +55,6 @@ STYLE: dict[str, Any] = {
     "axes.titlelocation": "left",
     "axes.titlesize": 9,
     "axes.titleweight": "bold",
-    "figure.constrained_layout.use": True,
     "figure.facecolor": "none",
     "font.family": ["sans-serif"],
     "font.sans-serif": ["DejaVu Sans"],
@@ -146,8 +146,48 @@ def _drawing() -> Iterator[None]:
         yield
 
 
-def new_figure(height: float, width: float = WIDTH) -> Figure:
-    return Figure(figsize=(width, height))
+def panels(
+    height: float,
+    rows: int = 1,
+    columns: int = 1,
+    width: float = WIDTH,
+    *,
+    left: float = 0.7,
+    right: float = 0.12,
+    top: float = 0.3,
+    bottom: float = 0.45,
+    across: float = 0.7,
+    down: float = 0.75,
+    **options: Any,
+) -> tuple[Figure, Any]:
+    """A figure with fixed margins and gaps, all in inches, and its axes (rows, columns).
+
+    No layout is solved: a solver draws each figure once more to measure its texts.  ``options`` are
+    those of :meth:`Figure.subplots`.
+    """
+    figure = Figure(figsize=(width, height))
+    inside = width - left - right, height - top - bottom
+    each = [max(s - gap * (n - 1), 0.2) / n
+            for s, gap, n in zip(inside, (across, down), (columns, rows), strict=True)]  # fmt: skip
+    grid = figure.subplots(rows, columns, squeeze=False, **options)
+    figure.subplots_adjust(
+        left=left / width, right=1.0 - right / width, top=1.0 - top / height,
+        bottom=bottom / height, wspace=across / each[0], hspace=down / each[1],
+    )  # fmt: skip
+    return figure, grid
+
+
+def beside(names: Iterable[str], size: float = 7.5, more: float = 0.16) -> float:
+    """Inches that ``names`` take to the left of an axis, in letters of ``size`` points."""
+    font = get_font(fontManager.findfont("DejaVu Sans"))
+    font.set_size(size, 72)
+    widths = []
+    for name in names:
+        with warnings.catch_warnings():  # a letter that is not in the font is drawn as a box
+            warnings.simplefilter("ignore", UserWarning)
+            font.set_text(name, 0.0)
+        widths.append(font.get_width_height()[0] / 64.0)
+    return max(widths, default=0.0) / 72.0 + more
 
 
 def settle(figure: Figure) -> None:
