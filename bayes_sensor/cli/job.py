@@ -65,7 +65,8 @@ class Job:
     no_gap: str = ""
     """reason why the gap could not be diagnosed, in a sentence"""
     options: Mapping[str, Any] = field(default_factory=dict)
-    """options of single commands: with_effects, without, nominal, effects, bootstrap"""
+    """options of single commands: with_effects, without, nominal, effects, bootstrap,
+    compare_published"""
 
     @contextmanager
     def timed(self, name: str) -> Iterator[Progress]:

@@ -6,18 +6,22 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli.terminal import Progress, progress_bar, say
 from bayes_sensor.io.results import Results
 
+if TYPE_CHECKING:
+    from bayes_sensor.report import Choice
 
-def put_report(results: Results, tell: Progress, form: str = "html") -> None:
+
+def put_report(results: Results, tell: Progress, choice: Choice | None = None) -> None:
     """Write the report of what the folder holds, with its figures, into the folder."""
     from bayes_sensor.report import write_report
 
     with results.writing() as stage:
-        write_report(results.folder, stage.inside, form, tell)
+        write_report(results.folder, stage.inside, choice, tell)
 
 
 @contextmanager
@@ -44,16 +48,27 @@ def last_step(results: Results) -> Iterator[None]:
             print(f"error: the report was not made; {again}", file=sys.stderr)
 
 
-def rebuild_report(folder: Path, quiet: bool, form: str = "html") -> None:
-    """Write the report and figures/ again from what is saved."""
-    from bayes_sensor.report import FORMATS, read_results
+def check_choice(choice: Choice) -> None:
+    """Raise CampaignError for a format or a length that there is not."""
+    from bayes_sensor.report import FORMATS, PAGES
 
-    if form not in FORMATS:
-        raise CampaignError(
-            f"--format {form[:40]}: there is no such format; expected one of {', '.join(FORMATS)}"
-        )
-    read_results(folder)
+    for option, word, known in (
+        ("--format", choice.form, tuple(FORMATS)), ("--pages", choice.pages, PAGES),
+    ):  # fmt: skip
+        if word not in known:
+            raise CampaignError(
+                f"{option} {word[:40]}: there is no such {option[2:].removesuffix('s')}; expected "
+                f"one of {', '.join(known)}"
+            )
+
+
+def rebuild_report(folder: Path, quiet: bool, choice: Choice) -> None:
+    """Write the report and figures/ again from what is saved."""
+    from bayes_sensor.report import FORMATS, check_folder
+
+    check_choice(choice)
+    check_folder(folder)
     results = Results(folder)
     with results.locked(), progress_bar("report", quiet) as tell:
-        put_report(results, tell, form)
-    say(f"report: {results.path(FORMATS[form])}", quiet)
+        put_report(results, tell, choice)
+    say(f"report: {results.path(FORMATS[choice.form])}", quiet)

@@ -7,7 +7,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.cli.bounds_step import run_bounds, save_bounds
@@ -24,6 +24,9 @@ from bayes_sensor.cli.summary_lines import print_summary, warnings_of
 from bayes_sensor.io.json_files import sha256
 from bayes_sensor.io.results import Results, Stage
 from bayes_sensor.io.run_record import campaign_record, digest
+
+if TYPE_CHECKING:
+    from bayes_sensor.report import Choice
 
 LOG = logging.getLogger(__name__)
 TAKE: dict[str, Callable[[Job], None]] = {
@@ -59,12 +62,14 @@ def run_command(
     resume: bool = False,
     posterior: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
+    report: Choice | None = None,
     patience: float = 0.0,
     command_line: Sequence[str] | None = None,
 ) -> int:
     """Run a command and write its results; the exit code.
 
-    ``patience``: seconds to wait for another run that holds ``out``.
+    ``report``: what the report of ``analyze`` shall hold; ``patience``: seconds to wait for another
+    run that holds ``out``.
     """
     from bayes_sensor.cli.overrides import fit_bounds, make_problem, read_overrides
 
@@ -125,7 +130,7 @@ def run_command(
                 stage.drop.append("report.html")  # it speaks of other results
         if "report" in SAVES[command]:  # all else is in place by now, whatever becomes of it
             with job.timed("report") as tell, last_step(results):
-                put_report(results, tell)
+                put_report(results, tell, report)
         if code == 0 and job.posterior is not None:
             shutil.rmtree(job.checkpoint, ignore_errors=True)
     print_summary(job, remarks, code)

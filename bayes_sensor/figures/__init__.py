@@ -3,6 +3,7 @@
 One file per subject; everything that a caller needs is here under its own name.
 """
 
+from bayes_sensor.figures.plot_chain import Stage, chain
 from bayes_sensor.figures.plot_coating import (
     diffusion,
     diffusion_figure,
@@ -69,7 +70,9 @@ __all__ = [
     "SHARED_LABELS",
     "STYLE",
     "WIDTH",
+    "Stage",
     "autocorrelation",
+    "chain",
     "corner",
     "coverage",
     "delays",

@@ -142,6 +142,7 @@ def _read(path: Path) -> Campaign:
         warnings=tuple(_one_line(text) for text in warnings),
         source=str(path),
         sensor_is=rig.sensor_is,
+        coating=sheet.coating,
     )
 
 
