@@ -45,6 +45,12 @@ class Report:
         return self.full or self.folded
 
     @property
+    def listed(self) -> list[Section]:
+        """The sections that are told; without details those that the first page does not answer."""
+        told = {"tau", *(fact.section for fact in self.first.facts)} if self.first.tau else set()
+        return [s for s in self.sections if self.with_details or s.key not in told]
+
+    @property
     def numbers(self) -> dict[str, str]:
         """``Table 3`` or ``Figure 2`` by key, of what is in the report."""
         shown = [self.first.content, *(s.content for s in self.sections if self.with_details)]

@@ -12,7 +12,7 @@ from bayes_sensor import figures
 from bayes_sensor.bounds.methods import TO_QUOTE, method_of
 from bayes_sensor.fit.traces import Trace
 from bayes_sensor.report.gap_words import gap_sentence, with_the_effect
-from bayes_sensor.report.headline import Headline, chain_words, headline
+from bayes_sensor.report.headline import SAY_WHICH, Headline, chain_words, headline
 from bayes_sensor.report.notices import alerts
 from bayes_sensor.report.parts import Part, Picture, Pictures, Section, see
 from bayes_sensor.report.saved import Saved
@@ -53,7 +53,7 @@ def first_page(saved: Saved, sections: Sequence[Section], pictures: Pictures) ->
     head = headline(saved.posterior, saved.bounds, saved.settings)
     told = alerts(saved)
     page = FirstPage(
-        "" if head is None else typeset(head.text),
+        "" if head is None else typeset(head.text.replace(f": {SAY_WHICH}", "")),
         "" if head is None else _why(saved, head),
         [
             fact
@@ -93,20 +93,24 @@ def _why(saved: Saved, head: Headline) -> str:
         "cover 63 % of a step."
     )
     if head.hidden or head.undecided:
-        return said
+        return f"{said} {sentence(typeset(SAY_WHICH)) if SAY_WHICH in head.text else ''}".rstrip()
     methods = (saved.bounds or {}).get("methods") or {}
-    rows = [entry["parameters"].get("tau_s") or {} for entry in methods.values()]
-    n = sum(row.get("lo95") is not None or row.get("hi95") is not None for row in rows)
-    among = f"Of {n} intervals" if n > 1 else "The interval"
+    rows = {
+        name: entry["parameters"].get("tau_s") or {}
+        for name, entry in methods.items()
+        if saved.published or not method_of(name).published_recipe
+    }
+    n = sum(row.get("lo95") is not None or row.get("hi95") is not None for row in rows.values())
+    among = f"of {n} intervals, " if n > 1 else ""
     if saved.posterior is not None:
         reason = (
-            f"{among} this is the posterior's: it alone averages over all that was estimated "
-            "beside τ, and over the noise law."
+            f"{among}the posterior's alone averages over all that was estimated beside τ, and over "
+            "the noise law"
         )
     else:
         name = next((m for m in TO_QUOTE if m in methods), "")
-        reason = f"{among} this is that of the {method_of(name).label}; no posterior was sampled."
-    return f"{said} {reason.removesuffix('.')}{see('intervals', 'methods')}."
+        reason = f"{among}it is that of the {method_of(name).label}; no posterior was sampled"
+    return f"{said} Why this interval: {reason}{see('intervals', 'methods')}."
 
 
 def _limit(head: Headline | None) -> Fact | None:

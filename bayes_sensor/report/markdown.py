@@ -54,7 +54,7 @@ def document(report: Report, figure_folder: str = "figures") -> str:
     for part in first.content:
         lines += shown(part)
     lines += [f"> {escaped(text)}\n" for text in first.notes]
-    for i, section in enumerate(report.sections, 1):
+    for i, section in enumerate(report.listed, 1):
         lines += [f"## {i}. {escaped(section.title)}", "", f"**{linked(section.answer)}**", ""]
         if report.full:
             for text in section.paragraphs:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from bayes_sensor.bounds.methods import method_of
+from bayes_sensor.bounds.methods import TO_QUOTE, method_of
 from bayes_sensor.io.run_record import of_other_data
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import list_words, sentence, typeset
@@ -77,6 +77,7 @@ def _notes(saved: Saved, bad: list[str]) -> list[str]:
     texts = list(saved.campaign.get("remarks", []))
     for part in (saved.fit, saved.posterior):
         texts += part.get("warnings", []) if part else []
+    texts += _of_quoted_bound(saved)
     known = [_plain(text) for text in (*bad, *doubts(saved))]
     found: dict[str, list[tuple[str, str]]] = {}
     """whose it is and its words, by the words without numbers"""
@@ -90,20 +91,20 @@ def _notes(saved: Saved, bad: list[str]) -> list[str]:
         if not any(_plain(text) in told for told in known):
             match = _OF_EXPERIMENT.match(text)
             add(*((match[1], match[2]) if match else ("", text)))
-    known += [_plain(text) for text in texts]
-    for name, entry in ((saved.bounds or {}).get("methods") or {}).items():
-        method = method_of(name)
-        status = entry.get("status", "ok")
-        for doubt in doubts(saved):  # an alert says it once for all
-            status = status.replace(doubt, "")
-        parts = [part for part in status.split("; ") if part not in ("", "ok")]
-        left = [part for part in parts if not any(_plain(part) in told for told in known)]
-        # the recipe's own caveats are in the table of methods, and limits in the headline
-        if left and not (
-            method.published_recipe or "lower bound" in status or "upper limit" in status
-        ):
-            add(method.label, "; ".join(left))
     return [_together(rows) for rows in found.values()]
+
+
+def _of_quoted_bound(saved: Saved) -> list[str]:
+    """What is wrong with the bound in the headline; of all others the table of methods says it."""
+    methods = (saved.bounds or {}).get("methods") or {}
+    name = next((name for name in TO_QUOTE if name in methods), None)
+    if saved.posterior is not None or name is None:
+        return []
+    status = methods[name].get("status", "ok")
+    for doubt in doubts(saved):  # an alert says it once for all
+        status = status.replace(doubt, "")
+    status = status.strip("; ")
+    return [] if status in ("", "ok") else [f"{method_of(name).label}: {status}"]
 
 
 _OF_EXPERIMENT = re.compile(r"[Ee]xperiment ('.*?')(?: \([^)]*\))?: (.*)", re.DOTALL)
