@@ -78,7 +78,7 @@ def headline(
     return None
 
 
-def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> Headline:
+def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> Headline | None:
     autocorrelation = ((settings or {}).get("noise") or {}).get("autocorrelation", "ar1")
     noise = "AR(1) noise" if autocorrelation == "ar1" else "white noise"
     if posterior.get("with_effects"):
@@ -95,9 +95,18 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
         return Headline(text, "", True, upper_words(most), hidden=True)
     if posterior.get("order") == "undecided":
         return Headline(f"{_of_lags(posterior)} {source}", "", False, undecided=True)
-    row = posterior["parameters"]["tau_s"]
-    lo, mid, hi = (row[key] for key in ("q2.5", "q50", "q97.5"))
-    text = f"tau = {lag_words(lo, mid, hi)} {source}"
+    rows = [
+        (name.replace("tau_s", "tau"), [row[key] for key in ("q2.5", "q50", "q97.5")])
+        for name, row in posterior["parameters"].items()
+        if name.partition("[")[0] == "tau_s" and row is not None
+    ]
+    if not rows:
+        return None
+    each = "; ".join(f"{name} = {lag_words(*ends)}" for name, ends in rows)
+    text = f"{each} {source}"
+    if len(rows) > 1:  # several sensors on one gas
+        return Headline(text, "", False)
+    lo, mid, hi = rows[0][1]
     half_normal = next(
         (r for r in posterior.get("tau_under_priors", []) if r["prior"] == "half_normal"), None
     )
