@@ -26,7 +26,6 @@ from bayes_sensor.figures.style import (
     style,
     told_apart,
 )
-from bayes_sensor.posterior.inference_data import import_quietly
 
 
 def main_parameters(names: Sequence[str]) -> list[str]:
@@ -53,6 +52,8 @@ def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
 
     ``chains`` (n_chain, n_draw, n_theta) in the order of ``names``.
     """
+    from bayes_sensor.posterior.inference_data import import_quietly  # slow to import
+
     corner_plot = import_quietly("corner")
     words, values = _chosen(list(names), chains, unit)
     draws = values.reshape(-1, values.shape[-1])

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayes_sensor.bounds.methods import method_of
+from bayes_sensor.figures.method_words import MethodWords, method_words
 from bayes_sensor.figures.style import (
     BLUE,
     GREEN,
@@ -35,7 +35,8 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
     methods = list(bounds["methods"])
     shown_labels = labels_of_bounds(bounds)
     with style():
-        labels = [method_of(method).label for method in methods]
+        words = {method: method_words(bounds, method) for method in methods}
+        labels = [words[method].label for method in methods]
         figure, (row,) = panels(
             0.32 * len(methods) + 0.65, 1, len(shown_labels), left=beside(labels), top=0.1,
             across=0.2, sharey=True,
@@ -51,8 +52,8 @@ def intervals(bounds: Mapping[str, Any], truth: Mapping[str, float] | None = Non
                         va="center", fontsize=7, color=MIDDLE,
                     )  # fmt: skip
                     continue
-                colour = _method_colour(method)
-                marker = "D" if method_of(method).needs_posterior else "o"
+                colour = _method_colour(words[method])
+                marker = "D" if words[method].needs_posterior else "o"
                 for lo, hi, width in (("lo95", "hi95", 1.4), ("lo68", "hi68", 4.2)):
                     a, b = (
                         end if entry[key] is None else factor * entry[key]
@@ -98,8 +99,7 @@ def _visible(rows: Sequence[Mapping[str, Any]], factor: float) -> tuple[float, f
     return low - margin, high + margin
 
 
-def _method_colour(name: str) -> str:
-    method = method_of(name)
+def _method_colour(method: MethodWords) -> str:
     if method.noise == "white":
         return ORANGE
     return BLUE if method.needs_posterior else INK

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayes_sensor.bounds.methods import method_of
 from bayes_sensor.figures.style import (
     BLUE,
     GREEN,
@@ -182,6 +181,8 @@ def coverage(
     settings = list(dict.fromkeys(row["setting"] for row in some))
     methods = list(dict.fromkeys(row["method"] for row in some))
     with style():
+        from bayes_sensor.bounds.methods import method_of  # slow to import
+
         labels = [method_of(method).label for method in methods]
         figure, (row_of_axes,) = panels(
             0.3 * len(methods) + 1.3, 1, len(settings), left=beside(labels), across=0.15,

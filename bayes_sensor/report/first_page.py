@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor import figures
-from bayes_sensor.bounds.methods import TO_QUOTE, method_of
+from bayes_sensor.figures.method_words import method_words, quoted
 from bayes_sensor.fit.traces import Trace
 from bayes_sensor.report.gap_words import gap_sentence, with_the_effect
 from bayes_sensor.report.headline import SAY_WHICH, Headline, chain_words, headline
@@ -94,13 +94,13 @@ def _why(saved: Saved, head: Headline) -> str:
     )
     if head.hidden or head.undecided:
         return f"{said} {sentence(typeset(SAY_WHICH)) if SAY_WHICH in head.text else ''}".rstrip()
-    methods = (saved.bounds or {}).get("methods") or {}
-    rows = {
-        name: entry["parameters"].get("tau_s") or {}
-        for name, entry in methods.items()
-        if saved.published or not method_of(name).published_recipe
-    }
-    n = sum(row.get("lo95") is not None or row.get("hi95") is not None for row in rows.values())
+    bounds = saved.bounds or {}
+    rows = [
+        entry["parameters"].get("tau_s") or {}
+        for name, entry in (bounds.get("methods") or {}).items()
+        if saved.published or not method_words(bounds, name).published_recipe
+    ]
+    n = sum(row.get("lo95") is not None or row.get("hi95") is not None for row in rows)
     among = f"of {n} intervals, " if n > 1 else ""
     if saved.posterior is not None:
         reason = (
@@ -108,8 +108,8 @@ def _why(saved: Saved, head: Headline) -> str:
             "the noise law"
         )
     else:
-        name = next((m for m in TO_QUOTE if m in methods), "")
-        reason = f"{among}it is that of the {method_of(name).label}; no posterior was sampled"
+        label = method_words(bounds, quoted(bounds) or "").label
+        reason = f"{among}it is that of the {label}; no posterior was sampled"
     return f"{said} Why this interval: {reason}{see('intervals', 'methods')}."
 
 

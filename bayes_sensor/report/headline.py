@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from bayes_sensor.bounds.methods import TO_QUOTE, WHITE
 from bayes_sensor.figures import effect_words
+from bayes_sensor.figures.method_words import classical_bound, quoted
 from bayes_sensor.report.words import (
     interval,
     list_words,
@@ -73,7 +73,7 @@ def headline(
     if posterior is not None:
         return _of_posterior(posterior, naive, settings)
     if bounds is not None:
-        method = next((m for m in TO_QUOTE if m in bounds["methods"]), None)
+        method = quoted(bounds)
         return None if method is None else _of_bounds(bounds["methods"][method], method, naive)
     return None
 
@@ -256,7 +256,7 @@ def effect_names(posterior: Mapping[str, Any]) -> list[str]:
 
 def _naive_words(bounds: Mapping[str, Any] | None) -> str:
     """The interval of tau by the iid bound alone, at 95 %."""
-    sd = (((bounds or {}).get("naive") or {}).get(WHITE) or {}).get("tau_s")
+    sd = classical_bound(bounds, "white").get("tau_s")
     if not sd:
         return ""
     return f"the iid Cramer-Rao bound alone would have said ± {number(1.96e3 * sd, 2)} ms"

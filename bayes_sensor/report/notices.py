@@ -8,11 +8,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from bayes_sensor.bounds.methods import TO_QUOTE, method_of
+from bayes_sensor.figures.method_words import method_words, quoted
 from bayes_sensor.io.run_record import of_other_data
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import list_words, sentence, typeset
-from bayes_sensor.residuals import TAKE_AS_THEY_ARE
 
 CONCERNED = (
     "This concerns every interval that depends on the noise law: the posterior, the profile and "
@@ -20,12 +19,18 @@ CONCERNED = (
 )
 
 
+def _take_as_they_are() -> str:
+    from bayes_sensor.residuals import TAKE_AS_THEY_ARE  # slow to import
+
+    return TAKE_AS_THEY_ARE
+
+
 def doubts(saved: Saved) -> list[str]:
     """Failed checks of the noise law, as in the warnings of every interval."""
     found = list((saved.posterior or {}).get("doubts", []))
     record = saved.residuals
     if record is not None and not record["adequate"]:
-        found.append(f"{record['verdict']} {record.get('recommendation') or TAKE_AS_THEY_ARE}")
+        found.append(f"{record['verdict']} {record.get('recommendation') or _take_as_they_are()}")
     return found
 
 
@@ -61,10 +66,10 @@ def _decisive(saved: Saved) -> Iterable[str]:
             "right; what they leave out is in none of them."
         )
     if residuals is not None and not residuals["adequate"]:
-        recommendation = residuals.get("recommendation") or TAKE_AS_THEY_ARE
+        recommendation = residuals.get("recommendation") or _take_as_they_are()
         yield f"{residuals['verdict']} {CONCERNED} {recommendation}"
     elif predictive is not None and predictive["failed"]:
-        yield f"{sentence(typeset(predictive['status']))} {CONCERNED} {TAKE_AS_THEY_ARE}"
+        yield f"{sentence(typeset(predictive['status']))} {CONCERNED} {_take_as_they_are()}"
     if stale := of_other_data(saved.run):
         yield (
             f"The results of {list_words(stale)} rest on other data or settings than those of "
@@ -96,15 +101,14 @@ def _notes(saved: Saved, bad: list[str]) -> list[str]:
 
 def _of_quoted_bound(saved: Saved) -> list[str]:
     """What is wrong with the bound in the headline; of all others the table of methods says it."""
-    methods = (saved.bounds or {}).get("methods") or {}
-    name = next((name for name in TO_QUOTE if name in methods), None)
-    if saved.posterior is not None or name is None:
+    name = quoted(saved.bounds)
+    if saved.posterior is not None or saved.bounds is None or name is None:
         return []
-    status = methods[name].get("status", "ok")
+    status = saved.bounds["methods"][name].get("status", "ok")
     for doubt in doubts(saved):  # an alert says it once for all
         status = status.replace(doubt, "")
     status = status.strip("; ")
-    return [] if status in ("", "ok") else [f"{method_of(name).label}: {status}"]
+    return [] if status in ("", "ok") else [f"{method_words(saved.bounds, name).label}: {status}"]
 
 
 _OF_EXPERIMENT = re.compile(r"[Ee]xperiment ('.*?')(?: \([^)]*\))?: (.*)", re.DOTALL)

@@ -8,14 +8,7 @@ from math import isclose
 from typing import Any
 
 from bayes_sensor import figures
-from bayes_sensor.bounds.methods import (
-    COLOURED,
-    METHODS,
-    PUBLISHED,
-    TO_QUOTE,
-    WHITE,
-    method_of,
-)
+from bayes_sensor.figures.method_words import classical_bound, method_words, quoted, role_of
 from bayes_sensor.report.gap_words import with_the_effect
 from bayes_sensor.report.headline import Headline, effect_names, headline
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see, to_spread
@@ -114,7 +107,7 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
             )
     if bounds is not None:
         if bounds.get("naive"):
-            content.append(_naive_table(bounds["naive"], saved.published))
+            content.append(_naive_table(bounds, saved.published))
         content.append(_method_table(bounds))
         content.append(_assumption_table(bounds))
         content += _steps(saved, pictures)
@@ -128,7 +121,7 @@ def _bounds(saved: Saved) -> dict[str, Any] | None:
     methods = {
         name: entry
         for name, entry in saved.bounds["methods"].items()
-        if not method_of(name).published_recipe
+        if not method_words(saved.bounds, name).published_recipe
     }
     return {**saved.bounds, "methods": methods}
 
@@ -200,20 +193,18 @@ def _steps(saved: Saved, pictures: Pictures) -> list[Part]:
     ]
 
 
-def _naive_table(naive: Mapping[str, Any], with_recipe: bool) -> Table:
+def _naive_table(bounds: Mapping[str, Any], with_recipe: bool) -> Table:
+    naive = bounds["naive"]
     rows: list[list[Any]] = []
     shown = figures.shared_labels(naive["at"])
-    classical = [method for method in METHODS.values() if method.cramer_rao is not None]
-    for method in sorted(classical, key=lambda method: not method.published_recipe):
-        if method.published_recipe and not with_recipe:
-            continue
-        found = naive.get(method.name) or {}
+    for role in ("published", "white", "coloured") if with_recipe else ("white", "coloured"):
+        found, words = classical_bound(bounds, role), method_words(bounds, role_of(bounds, role))
         rows.append(
             [
-                method.full_label or method.label,
+                words.full_label or words.label,
                 *(
-                    None if found.get(name) is None else k * factor * found[name]
-                    for name, (_, _, factor) in shown.items()
+                    None if found.get(key) is None else k * factor * found[key]
+                    for key, (_, _, factor) in shown.items()
                     for k in (1.0, 1.96)
                 ),
             ]
@@ -242,8 +233,7 @@ def _naive_table(naive: Mapping[str, Any], with_recipe: bool) -> Table:
 
 def _classical(saved: Saved, head: Headline | None) -> list[str]:
     """The classical bound against the interval that is quoted, and why they differ here."""
-    naive = (saved.bounds or {}).get("naive") or {}
-    right, coloured = naive.get(WHITE) or {}, naive.get(COLOURED) or {}
+    right, coloured = (classical_bound(saved.bounds, role) for role in ("white", "coloured"))
     row = _quoted(saved)
     if head is None or head.undecided or head.hidden or not right.get("tau_s") or row is None:
         return []
@@ -279,9 +269,8 @@ def _quoted(saved: Saved) -> tuple[float, float] | None:
     if saved.posterior is not None:
         row = saved.posterior["parameters"].get("tau_s")
         return None if row is None else (row["q2.5"], row["q97.5"])
-    methods = (saved.bounds or {}).get("methods") or {}
-    name = next((m for m in TO_QUOTE if m in methods), None)
-    row = methods[name]["parameters"].get("tau_s") if name else None
+    name = quoted(saved.bounds)
+    row = (saved.bounds or {})["methods"][name]["parameters"].get("tau_s") if name else None
     if not row or row["lo95"] is None or row["hi95"] is None:
         return None
     return row["lo95"], row["hi95"]
@@ -289,15 +278,15 @@ def _quoted(saved: Saved) -> tuple[float, float] | None:
 
 def _one_percent(saved: Saved) -> list[str]:
     """What steps of 1 % do to the classical bound, which reproduces the published ones."""
-    naive = (saved.bounds or {}).get("naive") or {}
-    right, published = naive.get(WHITE) or {}, naive.get(PUBLISHED) or {}
+    right, published = (classical_bound(saved.bounds, role) for role in ("white", "published"))
     if not (right.get("tau_s") and published.get("tau_s")):
         return []
     ratio = right["tau_s"] / published["tau_s"]
+    tau = 1e3 * (saved.bounds or {})["naive"]["at"]["tau_s"]
     said = (
         "Steps of 1 % in every parameter reproduce the published bounds (the step is inferred). "
         "For the switch times 1 % is tenths of a second and depends on the origin of time, so the "
-        f"result is not a bound. At τ = {number(1e3 * naive['at']['tau_s'], 3)} ms "
+        f"result is not a bound. At τ = {number(tau, 3)} ms "
     )
     if ratio > CLOSE:
         said += (
@@ -324,7 +313,8 @@ def _why_they_differ(saved: Saved) -> list[str]:
         )
     methods = (saved.bounds or {}).get("methods") or {}
     for name, entry in methods.items():
-        row, method = entry["parameters"].get("tau_s") or {}, method_of(name)
+        row = entry["parameters"].get("tau_s") or {}
+        method = method_words(saved.bounds or {}, name)
         if method.against_others and row.get("lo95") is not None and row.get("hi95") is not None:
             found.append(
                 f"the {method.label}'s {interval(1e3 * row['lo95'], 1e3 * row['hi95'])} ms "
@@ -356,9 +346,9 @@ def _method_table(bounds: Mapping[str, Any]) -> Table:
                 None if row.get(key) is None else to_spread(factor * row[key], narrowest)
                 for key in ("estimate", "sd", "lo68", "hi68", "lo95", "hi95", "lo997", "hi997")
             ]
-            if method_of(method).needs_posterior:
+            if method_words(bounds, method).needs_posterior:
                 marked.append(len(rows))
-            rows.append([f"{symbol} ({unit})", method_of(method).label, *values])
+            rows.append([f"{symbol} ({unit})", method_words(bounds, method).label, *values])
     columns = [
         "parameter", "method", "estimate", "sd", "68 % low", "68 % high", "95 % low", "95 % high",
         "99.7 % low", "99.7 % high",
@@ -380,7 +370,7 @@ def _is_bounded(row: Mapping[str, Any]) -> bool:
 def _assumption_table(bounds: Mapping[str, Any]) -> Table:
     rows = [
         [
-            method_of(method).label,
+            method_words(bounds, method).label,
             typeset(entry["assumes"]),
             entry.get("reference", ""),
             "" if entry.get("status", "ok") == "ok" else typeset(entry["status"]),
