@@ -183,7 +183,7 @@ def test_what_concerns_the_published_sensor_is_shown_where_it_is_asked_for(saved
     record = {**(saved.coating or {}), "d_zif8": DIFFUSIVITY}
     saved = replace(saved, coating=record, gap=diagnosis([HOSTILE, "1", "2"]))
     special = ("ZIF-8", "Euler", "teps of 1 % in every parameter", "finite difference",
-               "gap-right", "the coating")  # fmt: skip
+               "How often diagnoses are right", "the coating")  # fmt: skip
     plain_text = told(saved)
     for words in special:
         assert words not in plain_text, words
@@ -193,7 +193,7 @@ def test_what_concerns_the_published_sensor_is_shown_where_it_is_asked_for(saved
     ):
         text = told(shown)
         for words in ("ZIF-8", "Euler", "Steps of 1 % in every parameter", "finite difference",
-                      "gap-right"):  # fmt: skip
+                      "How often diagnoses are right"):  # fmt: skip
             assert words in text, words
 
 
