@@ -41,9 +41,7 @@ def _run(command: str, common: Run, **more: Any) -> None:
 @with_groups
 def analyze(run: Run, sampling: Sampling, reported: Reported) -> None:
     """Everything from the fit to the gap, with report and figures."""
-    options = {"compare_published": reported.compare_published}
-    choice = reported.choice(jobs=run.jobs)
-    _run("analyze", run, posterior=sampling.settings, options=options, report=choice)
+    _run("analyze", run, posterior=sampling.settings, report=reported.choice(jobs=run.jobs))
 
 
 @app.command()

@@ -65,8 +65,9 @@ class Job:
     no_gap: str = ""
     """reason why the gap could not be diagnosed, in a sentence"""
     options: Mapping[str, Any] = field(default_factory=dict)
-    """options of single commands: with_effects, without, nominal, effects, bootstrap,
-    compare_published"""
+    """options of single commands: with_effects, without, nominal, effects, bootstrap"""
+    compare_published: bool = False
+    """whether to compute what concerns the published sensor, whatever the campaign says"""
 
     @contextmanager
     def timed(self, name: str) -> Iterator[Progress]:

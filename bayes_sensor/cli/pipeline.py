@@ -101,6 +101,7 @@ def run_command(
         job = Job(
             command, problem, overrides, label, seed, jobs, quiet, resume, results, basis,
             {"read": read_seconds}, options=options or {},
+            compare_published=report is not None and report.compare_published,
         )  # fmt: skip
         for name in STEPS[command]:
             if name in TAKE:

@@ -30,7 +30,7 @@ def response_time_record(job: Job) -> dict[str, Any]:
     if undecided:
         rows[:1] = [_sensor_row(each) for each in job.posterior.assignments]
     found = None
-    wanted = bool(job.problem.campaign.coating) or job.options.get("compare_published")
+    wanted = bool(job.problem.campaign.coating) or job.compare_published
     if job.command == "analyze" and wanted and not undecided:
         # three seconds that a posterior alone need not wait for
         from bayes_sensor.coating import infer_d_zif8

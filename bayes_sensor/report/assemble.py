@@ -101,7 +101,9 @@ def assemble(
         first.content = [part for part in first.content if not _waits(part)]
         for section in sections:
             section.content = [part for part in section.content if not _waits(part)]
-    return Report(saved, first, sections, pages == "full", folded)
+    # nothing is folded behind an empty page, as that of a blind check
+    full = pages == "full" or not (first.tau or first.facts)
+    return Report(saved, first, sections, full, folded)
 
 
 def _waits(part: Part) -> bool:
