@@ -7,9 +7,6 @@ from bayes_sensor.figures.plot_chain import Stage, chain
 from bayes_sensor.figures.plot_coating import (
     diffusion,
     diffusion_figure,
-    diffusivity,
-    response_times,
-    sensor_words,
     spectra_figure,
 )
 from bayes_sensor.figures.plot_delays import delays
@@ -78,7 +75,6 @@ __all__ = [
     "delays",
     "diffusion",
     "diffusion_figure",
-    "diffusivity",
     "effect_words",
     "forest",
     "gap_budget",
@@ -95,10 +91,8 @@ __all__ = [
     "pdf",
     "png",
     "predictive",
-    "response_times",
     "responses",
     "schematic",
-    "sensor_words",
     "shared_labels",
     "spectra_figure",
     "spread",

@@ -101,24 +101,6 @@ def predictive_record(unit: str = "V") -> dict[str, Any]:
     }
 
 
-def time_rows() -> list[dict[str, Any]]:
-    def row(system: str, flow: float | None, scale: float) -> dict[str, Any]:
-        times = {"t10": 0.1, "t63": 1.0, "t90": 2.3}
-        return {"system": system, "total_flow_L_per_min": flow} | {
-            f"{name}{end}_s": scale * t * by
-            for name, t in times.items() for end, by in (("_lo", 0.8), ("", 1.0), ("_hi", 1.2))
-        }  # fmt: skip
-
-    return [row("sensor", None, 0.05), row("chain", 4.5, 1.0), row("chain", 9.0, 0.7)]
-
-
-def diffusivity_record(unbounded: bool) -> dict[str, Any]:
-    d = {"median": 7e-11, "lo68": 3e-11, "hi68": 1e-9, "lo95": 1.7e-11, "hi95": 3e-9}
-    if unbounded:
-        d |= {"hi68": None, "hi95": None, "median": None}
-    return {"d_zif8_m2_per_s": d, "d_literature_m2_per_s": 1.71e-10}
-
-
 def gap_record(nominal: bool = True) -> dict[str, Any]:
     where = [
         {"experiment": e, "phase": p, "excess_rms_V": x, "share": s, "p_value": q}
@@ -189,17 +171,6 @@ MAKERS = {
         ("time after the command (s)", "signal (V)", "11 % test gas", "4.5 L/min"),
     ),
     "schematic": (figures.schematic, ("valve", "y = y₀ + β x₃", "the lag that is sought")),
-    "response_times": (
-        lambda: figures.response_times(time_rows()),
-        ("time after the step (ms), 95 % intervals", "chain, 4.5 L/min", "sensor alone", "t63"),
-    ),
-    "diffusivity": (
-        lambda: figures.diffusivity(diffusivity_record(False)),
-        ("diffusivity of ZIF-8 (m²/s)", "literature, 1.71 × 10⁻¹⁰ m²/s"),
-    ),
-    "diffusivity_unbounded": (
-        lambda: figures.diffusivity(diffusivity_record(True)), ("diffusivity of ZIF-8 (m²/s)",),
-    ),
     "gap_budget": (
         lambda: figures.gap_budget(gap_record()),
         ("RMS (mV)", "calibrated", "nominal", "above the noise floor"),

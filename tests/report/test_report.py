@@ -679,12 +679,12 @@ def test_figures_are_saved_once_as_vectors_and_on_demand_as_pixels(
     analysed: Path, tmp_path: Path
 ) -> None:
     always = {"chain", "histogram", "autocorrelation", "spread", "delays", "intervals",
-              "predictive", "response-times-figure", "responses"}  # fmt: skip
+              "predictive", "responses"}  # fmt: skip
     names = {p.name for p in (analysed / "figures").iterdir()}
     assert {f"{stem}.svg" for stem in always} <= names
     assert {p.rpartition(".")[2] for p in names} == {"svg"}
     assert sum(name.startswith("overlay") for name in names) == 1
-    assert not {"corner.svg", "traces.svg", "step_study.svg", "d-zif8.svg"} & names
+    assert not {"corner.svg", "traces.svg", "step_study.svg"} & names
     out = shutil.copytree(analysed, tmp_path / "out")
     options = ["--pages", "full", "--png", "--jobs", "2", "--compare-published", "--quiet"]
     assert run("report", out, *options) == 0

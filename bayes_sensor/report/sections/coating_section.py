@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
-from bayes_sensor import figures
 from bayes_sensor.report.gap_words import with_the_effect
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
@@ -51,27 +49,11 @@ def coating(saved: Saved, pictures: Pictures) -> Section | None:
             f"All this uses the posterior without the effect that the gap names{see('which')}; "
             "sample it with the effect before quoting."
         )
-    content: list[Part] = [
-        pictures.add(
-            "response-times-figure",
-            partial(figures.response_times, rows),
-            "Times to 10, 63 and 90 % of the step: the sensor alone, and the whole chain at each "
-            "flow, with 95 % intervals.",
-        ),
-        _times_table(rows),
-    ]
+    content: list[Part] = [_times_table(rows)]
     found = record.get("d_zif8") if saved.published else None
     if found is not None:
         paragraphs += _inverse(found)
-        content += [
-            pictures.add(
-                "d-zif8",
-                partial(figures.diffusivity, found),
-                "Diffusivity of ZIF-8 that explains τ: 68 % (thick) and 95 % (thin) interval, "
-                "with the literature value and the one to which the paper lowers it.",
-            ),
-            _diffusivity_table(found),
-        ]
+        content.append(_diffusivity_table(found))
     title = "Response times and the coating" if saved.published else "Response times"
     return Section("coating", title, answer, paragraphs, content)
 
@@ -89,8 +71,7 @@ def _times_table(rows: list[dict[str, Any]]) -> Table:
             for name in ("t10", "t63", "t90", "rise")
             for end in ("", "_lo", "_hi")
         ]
-        label = figures.sensor_words(row) if row["system"] == "sensor" else "chain"
-        label = "sensor" if label == "sensor alone" else label
+        label = _sensor_words(row) if row["system"] == "sensor" else "chain"
         made.append([label, row["total_flow_L_per_min"], *values])
     columns = ["system", "flow (L/min)"]
     for name in ("t10", "t63", "t90", "t90 − t10"):
@@ -103,6 +84,14 @@ def _times_table(rows: list[dict[str, Any]]) -> Table:
         made,
         digits=3,
     )
+
+
+def _sensor_words(row: dict[str, Any]) -> str:
+    """What a row of the sensor is called: the lag that is taken for its, where that is not known."""
+    if "sensor_is" not in row:
+        return "sensor"
+    lag = {"faster": "shorter", "between": "middle", "slower": "longer"}[row["sensor_is"]]
+    return f"sensor, if it has the {lag} lag ({100 * row['probability']:.0f} %)"
 
 
 def _inverse(found: dict[str, Any]) -> list[str]:
