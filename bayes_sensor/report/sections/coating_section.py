@@ -87,7 +87,7 @@ def _times_table(rows: list[dict[str, Any]]) -> Table:
 
 
 def _sensor_words(row: dict[str, Any]) -> str:
-    """What a row of the sensor is called: the lag that is taken for its, where that is not known."""
+    """What a row of the sensor is called; where its lag is not known, which it would be."""
     if "sensor_is" not in row:
         return "sensor"
     lag = {"faster": "shorter", "between": "middle", "slower": "longer"}[row["sensor_is"]]
