@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor import figures
+from bayes_sensor.figures import effect_words
 from bayes_sensor.figures.method_words import method_words, quoted
 from bayes_sensor.fit.traces import Trace
 from bayes_sensor.report.gap_words import gap_sentence, with_the_effect
@@ -53,7 +54,7 @@ def first_page(saved: Saved, sections: Sequence[Section], pictures: Pictures) ->
     head = headline(saved.posterior, saved.bounds, saved.settings)
     told = alerts(saved)
     page = FirstPage(
-        "" if head is None else typeset(head.text.replace(f": {SAY_WHICH}", "")),
+        "" if head is None else _without_stop(typeset(head.text.replace(f": {SAY_WHICH}", ""))),
         "" if head is None else _why(saved, head),
         [
             fact
@@ -78,6 +79,10 @@ def first_page(saved: Saved, sections: Sequence[Section], pictures: Pictures) ->
                 page.content.append(part)
                 break
     return page
+
+
+def _without_stop(text: str) -> str:
+    return sentence(text).removesuffix(".")
 
 
 def _misfit(traces: Sequence[Trace]) -> int | None:
@@ -153,7 +158,7 @@ def _noise(saved: Saved) -> Fact | None:
     failed = saved.predictive is not None and saved.predictive["failed"]
     good = residuals["adequate"] and not failed
     law = "the noise law passes its checks" if good else "the noise law fails a check, see above"
-    return Fact("Noise", f"{sentence(size + words).removesuffix('.')}; {law}.", "noise")
+    return Fact("Noise", f"{_without_stop(size + words)}; {law}.", "noise")
 
 
 def _model(saved: Saved, head: Headline | None) -> Fact | None:
@@ -165,8 +170,11 @@ def _model(saved: Saved, head: Headline | None) -> Fact | None:
     shrink, verdict = gap["shrink"], gap["verdict"]
     closed = shrink.get("fraction_closed")
     if verdict["kind"] != "none" and closed is not None and "close" not in words:
-        words += f" It closes {100.0 * closed:.0f} % of the gap."
-    return Fact("Model", f"{words} {with_the_effect(saved)}".rstrip(), "gap")
+        effect = effect_words(shrink.get("explanation") or "the best explanation")
+        words += f" With {effect} in the model {100.0 * closed:.0f} % of the gap closes."
+    if verdict["kind"] != "none" and verdict["probability"] >= 0.5:
+        words = f"No. {words}"
+    return Fact("Model right?", f"{words} {with_the_effect(saved)}".rstrip(), "gap")
 
 
 def _next(sections: Sequence[Section]) -> Fact | None:

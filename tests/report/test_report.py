@@ -279,17 +279,19 @@ def test_the_first_page_says_one_tau_the_chain_the_noise_and_the_verdict(saved: 
     assert "L/min" in told["Whole chain"] and "t90" in told["Whole chain"]
     assert "correlation 0.80 after 10.0 ms" in told["Noise"] and "passes" in told["Noise"]
     # who reads only the top must not take home the tau of a model that is known to be wrong
-    assert told["Model"].startswith("The cause is flow settling. It closes 97 % of the gap.")
-    assert "τ is 40 ms, 95 % interval [31, 52] ms" in told["Model"]
-    assert "--with-effect flow_settling" in told["Model"]
+    assert told["Model right?"].startswith(
+        "No. The cause is flow settling. It closes 97 % of the gap."
+    )
+    assert "τ is 40 ms, 95 % interval [31, 52] ms" in told["Model right?"]
+    assert "--with-effect flow_settling" in told["Model right?"]
     unsaid = {**verdict, "sentence": "The cause is flow_settling."}
     told = facts(replace(saved, gap={**found, "verdict": unsaid}))
-    assert "It closes 97 % of the gap" in told["Model"]
+    assert "With the best explanation in the model 97 % of the gap closes." in told["Model right?"]
     none = {"sentence": "Nothing. With them tau could lie anywhere from 6.8 to 240 ms.",
             "effects": [], "kind": "none", "probability": 0.7}  # fmt: skip
     # beside a limit, the lower end of the envelope would contradict it
     told = facts(replace(saved, gap={**found, "verdict": none}))
-    assert told["Model"] == "Nothing. With them τ could reach 240 ms."
+    assert told["Model right?"] == "Nothing. With them τ could reach 240 ms."
     assert gap_sentence({**found, "verdict": none}, False).endswith("could lie from 6.8 to 240 ms.")
     bare = replace(saved, posterior=None, bounds=None, gap=None, residuals=None)
     assert first_page(bare, [], Pictures()).tau == "" and facts(bare) == {}
@@ -366,7 +368,7 @@ def test_no_section_contradicts_the_gap(saved: Saved) -> None:
     sampled = {**plain.posterior, "with_effects": ["flow_settling"]}
     assert with_the_effect(replace(blamed, posterior=sampled)) == ""
     alone = facts(replace(blamed, posterior=None, bounds=None))  # as bayes-sensor gap leaves it
-    assert alone["Model"].startswith("Found. With flow settling in the model τ is 40 ms")
+    assert alone["Model right?"].startswith("No. Found. With flow settling in the model τ is 40 ms")
     noisy = {"verdict": {**verdict, "effects": ["heavy_tails"]}, "shrink": {"withheld": True}}
     assert with_the_effect(replace(plain, gap=noisy)) == ""
     # what is in the noise has a closed fraction, but moves no tau
