@@ -279,11 +279,10 @@ def test_the_first_page_says_one_tau_the_chain_the_noise_and_the_verdict(saved: 
     assert "L/min" in told["Whole chain"] and "t90" in told["Whole chain"]
     assert "correlation 0.80 after 10.0 ms" in told["Noise"] and "passes" in told["Noise"]
     # who reads only the top must not take home the tau of a model that is known to be wrong
-    assert told["Model right?"].startswith(
-        "No. The cause is flow settling. It closes 97 % of the gap."
-    )
-    assert "τ is 40 ms, 95 % interval [31, 52] ms" in told["Model right?"]
-    assert "--with-effect flow_settling" in told["Model right?"]
+    model = told["Model right?"]
+    assert model.startswith("No. The cause is flow settling. It closes 97 % of the gap.")
+    assert "τ is 40 ms, 95 % interval [31, 52] ms" in model
+    assert "--with-effect flow_settling" in model
     unsaid = {**verdict, "sentence": "The cause is flow_settling."}
     told = facts(replace(saved, gap={**found, "verdict": unsaid}))
     assert "With the best explanation in the model 97 % of the gap closes." in told["Model right?"]
@@ -1159,7 +1158,7 @@ def test_page_lives_in_a_browser(analysed: Path, tmp_path: Path, width: int) -> 
     probe = json.loads(found[1].replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&"))
     assert probe["ready"] == "yes" and probe["title"] != "taken"
     assert probe["folded"] >= 8 and probe["revealed"]
-    assert probe["n"] >= 12 and probe["empty"] == 0 and not probe["wide"]
+    assert probe["n"] >= 10 and probe["empty"] == 0 and not probe["wide"]
     assert probe["flows"] == sorted(probe["flows"], reverse=True)
     assert probe["sorted"] == "descending"
 
