@@ -18,7 +18,7 @@ from bayes_sensor.io.disk import write_bytes, write_text
 from bayes_sensor.report.words import number, p_words, with_spread
 from bayes_sensor.workers import WorkerDied, completed
 
-FEW = 8
+FEW = 16
 """figures for which a further process is not worth its start"""
 _OPEN, _CLOSE = "\x02", "\x03"
 """names contain no control characters"""
