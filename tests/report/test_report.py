@@ -296,6 +296,32 @@ def test_the_first_page_says_one_tau_the_chain_the_noise_and_the_verdict(saved: 
     assert first_page(bare, [], Pictures()).tau == "" and facts(bare) == {}
 
 
+@pytest.mark.parametrize(
+    ("sd", "said"),
+    [(0.002, "too narrow, by a factor of 4.1"), (0.02, "2.4 times as wide as"),
+     (0.0083, "about as wide as")],
+)  # fmt: skip
+def test_the_classical_bound_is_called_what_it_is_here(saved: Saved, sd: float, said: str) -> None:
+    assert saved.posterior is not None and saved.bounds is not None
+    row = {"q2.5": 0.032, "q50": 0.048, "q97.5": 0.064}
+    naive = {**saved.bounds["naive"], "crlb_iid": {"tau_s": sd}, "crlb_ar1": {"tau_s": 0.01}}
+    parameters = {**saved.posterior["parameters"], "tau_s": row}
+    changed = replace(
+        saved,
+        posterior={**saved.posterior, "parameters": parameters},
+        bounds={**saved.bounds, "naive": naive},
+        residuals={**(saved.residuals or {}), "ar1": {"phi": 0.8}},
+    )
+    section = time_constant(changed, Pictures())
+    assert section is not None
+    (text,) = [p for p in section.paragraphs if "classical Cramér-Rao" in p]
+    assert f"± {number(1.96e3 * sd, 2)} ms" in text and said in text
+    assert "(φ = 0.80); with that in it the bound becomes ± 20 ms." in text
+    white = replace(changed, residuals={**(saved.residuals or {}), "ar1": {"phi": 0.0}})
+    section = time_constant(white, Pictures())
+    assert section is not None and "Neighbouring" not in " ".join(section.paragraphs)
+
+
 def test_the_first_page_has_the_chain_and_the_worst_overlay(saved: Saved, whole: Report) -> None:
     chain, overlay = whole.first.content
     assert chain.key == "chain" and whole.numbers["chain"] == "Figure 1"

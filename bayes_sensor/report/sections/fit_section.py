@@ -55,8 +55,7 @@ def _remarks(saved: Saved) -> list[str]:
         )
     if not fit["swarms"].get("agree", True):
         said.append("Independent swarms ended at different minima; the best one is shown.")
-    else:
-        n = len(fit["swarms"].get("swarms", []))
+    elif (n := len(fit["swarms"].get("swarms", []))) > 1:
         said.append(
             f"{n} independent particle swarms ended, after refinement, at the same minimum."
         )

@@ -249,19 +249,18 @@ def _classical(saved: Saved, head: Headline | None) -> list[str]:
         said += f"here it is {number(1.0 / ratio, 2)} times as wide as the interval above."
     else:
         said += "here it is about as wide as the interval above."
-    reasons = []
     phi = ((saved.residuals or {}).get("ar1") or {}).get("phi")
-    if phi is not None and phi > ALIKE:
-        reasons.append(f"neighbouring samples are alike (φ = {number(phi, 2)})")
-        if coloured.get("tau_s"):
-            wider = coloured["tau_s"] / right["tau_s"]
-            reasons[-1] += f", which makes that bound {number(wider, 2)} times wider"
-    if head.is_limit:
-        reasons.append(
-            "near zero the data see τ through its square, so that no bound from a curvature "
-            "describes it, and τ cannot be negative"
+    if phi is not None and phi > ALIKE and coloured.get("tau_s"):
+        said += (
+            f" Neighbouring samples are alike (φ = {number(phi, 2)}); with that in it the bound "
+            f"becomes ± {number(1.96e3 * coloured['tau_s'], 2)} ms."
         )
-    return [said + (f" {sentence('; '.join(reasons))}" if reasons else "")]
+    if head.is_limit:
+        said += (
+            " Near zero the data see τ through its square, so that no bound from a curvature "
+            "describes it, and τ cannot be negative."
+        )
+    return [said]
 
 
 def _quoted(saved: Saved) -> tuple[float, float] | None:
