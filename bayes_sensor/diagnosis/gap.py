@@ -88,9 +88,9 @@ class Shrink:
             "d_before": c.d_before,
             "d_after": c.d_after,
             "explanation": self.explanation,
-            "of_mean": self.of_mean,
             "rival": self.rival,
             "rival_fraction_closed": self.rival_fraction_closed,
+            **({} if self.of_mean else {"of_mean": False}),
             **self.lag_fast,
         }
 

@@ -42,6 +42,11 @@ def coating(saved: Saved, pictures: Pictures) -> Section | None:
         "flow drop when the valve shuts, or the sensor release more slowly than it takes up, the "
         "section on the gap says so."
     ]
+    if saved.published and record.get("d_zif8") is None and "d_zif8_left_out" not in record:
+        paragraphs.append(
+            "The diffusivity of the coating was not computed: run bayes-sensor analyze with "
+            "--compare-published."
+        )
     if saved.published and record.get("d_zif8_left_out"):
         paragraphs.append(sentence(record["d_zif8_left_out"]))
     if with_the_effect(saved):
