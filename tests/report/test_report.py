@@ -597,6 +597,19 @@ def test_a_report_that_fails_leaves_all_other_results(
     assert "How well does the model fit" in (out / "report.html").read_text(encoding="utf-8")
 
 
+def test_analyze_takes_what_the_report_shall_hold(
+    short_analyze: list[str | Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*short_analyze, "--pages", "long") == 2
+    error = capsys.readouterr().err
+    assert "--pages long" in error and "short, full" in error and error.count("\n") == 1
+    assert not (tmp_path / "out" / "fit.json").exists()
+    assert run(*short_analyze, "--no-figures", "--pages", "full") == 0
+    out = tmp_path / "out"
+    assert {p.name for p in (out / "figures").iterdir()} == {"chain.svg"}
+    assert '<details class="section" id="fit" open>' in (out / "report.html").read_text()
+
+
 def test_table_cells_are_rounded_but_sort_by_the_full_value() -> None:
     cell = Table("k", "c", ["x"], [[0.123456789]]).cells([0.123456789])[0]
     assert cell == {"text": "0.1235", "full": "0.123456789", "num": True}
