@@ -13,6 +13,8 @@ from bayes_sensor.io.run_record import of_other_data
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import list_words, sentence, typeset
 
+MOST_OF_SUBJECT = 24
+"""characters of what a remark is about, where several are told together"""
 CONCERNED = (
     "This concerns every interval that depends on the noise law: the posterior, the profile and "
     "the Cramér-Rao bounds."
@@ -96,7 +98,23 @@ def _notes(saved: Saved, bad: list[str]) -> list[str]:
         if not any(_plain(text) in told for told in known):
             match = _OF_EXPERIMENT.match(text)
             add(*((match[1], match[2]) if match else ("", text)))
-    return [_together(rows) for rows in found.values()]
+    return _same_of_several([_together(rows) for rows in found.values()])
+
+
+def _same_of_several(texts: list[str]) -> list[str]:
+    """Sentences of which only the subject differs as one: "V is small", "t0 is small"."""
+    found: dict[str, list[str]] = {}
+    for text in texts:
+        subject, _, rest = text.partition(" is ")
+        short = len(subject) <= MOST_OF_SUBJECT and rest and ":" not in subject
+        found.setdefault(f" is {rest}" if short else "", []).append(subject if short else text)
+    single = found.pop("", [])
+    made = []
+    for rest, subjects in found.items():
+        later = [f"the {s[4:]}" if s.startswith("The ") else s for s in subjects[1:]]
+        verb = " is " if len(subjects) == 1 else " are "
+        made.append(list_words([subjects[0], *later]) + verb + rest.removeprefix(" is "))
+    return single + made
 
 
 def _of_quoted_bound(saved: Saved) -> list[str]:
@@ -129,5 +147,5 @@ def _together(rows: list[tuple[str, str]]) -> str:
     if label.startswith("'"):
         label = f"Experiment{'s' if len(whose) > 1 else ''} {label}"
     if len({text for _, text in rows}) > 1:  # alike, but for numbers
-        words += f" (numbers of {whose[0]})"
+        words = f"{words.removesuffix('.')} (numbers of {whose[0]})"
     return sentence(f"{label}: {typeset(words)}")

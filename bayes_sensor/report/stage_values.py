@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from bayes_sensor.figures import Stage
-from bayes_sensor.report.headline import LIMIT, count_limits, headline
+from bayes_sensor.figures.method_words import quoted
+from bayes_sensor.report.headline import LIMIT, count_limits, headline, stated_set
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import number, time_unit, time_words, with_spread
+from bayes_sensor.report.words import interval, number, time_unit, time_words, with_spread
 
 SYMBOLS = {"sensor": ("tau_s",), "valve": ("tau_v_s",), "manifold": ("V_mL",)}
 """parameters that are not called after their stage"""
@@ -42,18 +43,38 @@ def _estimates(saved: Saved) -> dict[str, Mapping[str, Any]]:
     """Percentiles by name: of the posterior, else the fitted values."""
     if saved.posterior is not None:
         rows = saved.posterior["parameters"]
-        if saved.posterior.get("order") == "undecided":  # or hidden: then they are not said, either
+        if saved.posterior.get("hidden_by_sampling_s") is not None:
+            return {}
+        if saved.posterior.get("order") == "undecided":
             rows = {name: row for name, row in rows.items() if not name.startswith("tau")}
         return {name: row for name, row in rows.items() if row}
+    method = quoted(saved.bounds)
+    if saved.bounds is not None and method is not None:
+        rows = saved.bounds["methods"][method]["parameters"]
+        ends = {"q2.5": "lo95", "q50": "estimate", "q97.5": "hi95"}
+        return {
+            name: {key: row[end] for key, end in ends.items()}
+            for name, row in rows.items()
+            if row and row["estimate"] is not None
+        }
     fit = saved.fit or {}
     values = fit.get("estimates") or fit.get("parameters") or {}
     return {name: {"q50": v} for name, v in values.items() if isinstance(v, float | int)}
 
 
 def _unassigned(posterior: Mapping[str, Any] | None) -> list[str]:
-    """The lags that do not depend on flow, which nobody can assign, as one may have each."""
+    """The lags that do not depend on flow, which nobody can assign, as one may have each; one range
+    where they may be equal, or are over within one sampling interval."""
     lags = (posterior or {}).get("lags_s") or []
-    n = count_limits(lags) if lags else 0
+    if not lags or posterior is None:
+        return []
+    ranges = stated_set(posterior)
+    if len(ranges) == 1 and len(lags) > 1:
+        low, high = ranges[0]
+        factor, unit = time_unit(high)
+        ends = interval(factor * low, factor * high)
+        return [f"in {ends} {unit}" if low > 0.0 else f"< {with_spread(high, high)} s"]
+    n = count_limits(lags)
     words = [f"< {time_words(lags[n - 1]['q95'])}"] if n else []
     words += [time_words(row["q50"]) for row in lags[n:]]
     return [text if i == 0 else f"or {text}" for i, text in enumerate(words)]

@@ -367,6 +367,14 @@ def test_the_chain_is_drawn_for_any_rig(saved: Saved) -> None:
                  "converged": True, "assignments": []}  # fmt: skip
     valve, _, sensor = words(posterior=undecided, bounds=None)
     assert valve[1:] == sensor[1:] == ["100 ms", "or 1.00 s"]
+    # nothing that the first sentence does not say
+    close = [{"q2.5": 0.1, "q50": 0.2, "q95": 0.29, "q97.5": 0.3},
+             {"q2.5": 0.25, "q50": 0.3, "q95": 0.39, "q97.5": 0.4}]  # fmt: skip
+    valve, _, sensor = words(posterior={**undecided, "lags_s": close}, bounds=None)
+    assert valve[1:] == sensor[1:] == ["in [100, 400] ms"]
+    over = {**undecided, "lags_s": close, "hidden_by_sampling_s": 0.5}
+    valve, manifold, sensor = words(posterior=over, bounds=None)
+    assert valve[1:] == sensor[1:] == ["< 0.23 s"] and manifold == ["manifold"]
     assert words(campaign={"stages": []}) == []
     hostile = figures.chain([figures.Stage("<b>&", ("<script>",))])
     assert "<script" not in hostile and "&lt;b&gt;&amp;" in hostile
@@ -1312,5 +1320,11 @@ def test_a_remark_that_several_share_is_said_once(saved: Saved) -> None:
     numbers = [("1", "a", 0.2), ("2", "b", 0.31)]
     texts = [f"Experiment '{k}' ({name}.csv): a step of {step} s" for k, name, step in numbers]
     assert told(*texts) == ["Experiments '1' and '2': a step of 0.2 s (numbers of '1')."]
+    small = "is too small for these data to see"
+    subjects = ("the shorter lag", "the longer lag", "V_mL")
+    assert told(*(f"{subject} {small}" for subject in subjects), "another") == [
+        "Another.",
+        "The shorter lag, the longer lag and V are too small for these data to see.",
+    ]
     assert told("the same", "the same", "another") == ["The same.", "Another."]
     assert told("experiment 'a: b' (x): odd") == ["Experiment 'a: b': odd."]
