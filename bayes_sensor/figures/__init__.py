@@ -14,7 +14,6 @@ from bayes_sensor.figures.plot_draws import corner, main_parameters, traces_and_
 from bayes_sensor.figures.plot_fleet import forest
 from bayes_sensor.figures.plot_gap import (
     effect_words,
-    gap_budget,
     gap_hidden,
     gap_residuals,
     gap_where,
@@ -77,7 +76,6 @@ __all__ = [
     "diffusion_figure",
     "effect_words",
     "forest",
-    "gap_budget",
     "gap_hidden",
     "gap_residuals",
     "gap_where",

@@ -48,53 +48,6 @@ def effect_words(name: str) -> str:
     return name.replace("_", " ").replace("+", " + ")
 
 
-def gap_budget(gap: Mapping[str, Any], unit: str = "V") -> Figure:
-    """Waterfall from the nominal simulation to the noise floor: RMS, and excess over the floor.
-
-    ``gap``: ``budget`` and ``shrink`` of ``gap.json``.
-    """
-    budget, shrink = gap["budget"], gap["shrink"]
-    floor = budget["noise_floor_rms_V"]
-    nominal = budget.get("nominal_rms_V")
-    stages: list[tuple[str, float, float]] = []
-    if nominal is not None:
-        stages.append(("nominal", nominal, float(np.sqrt(max(nominal**2 - floor**2, 0.0)))))
-    stages.append(("calibrated", budget["calibrated_rms_V"], budget["excess_rms_V"]))
-    after = shrink.get("after_excess_rms_V")
-    if after is not None and not shrink.get("withheld"):
-        # what the refit takes away leaves the RMS of all samples; the floor is estimated apart
-        taken = shrink.get("before_excess_rms_V", budget["excess_rms_V"]) ** 2 - after**2
-        left = float(np.sqrt(max(budget["calibrated_rms_V"] ** 2 - taken, 0.0)))
-        stages.append(("with the effect", left, after))
-    stages.append(("noise floor", floor, 0.0))
-    with style():
-        figure, ((left, right),) = panels(3.0, 1, 2)
-        for axes, column, title in ((left, 1, "RMS residual"), (right, 2, "above the noise floor")):
-            heights = [float(stage[column]) for stage in stages]
-            digits = 4 if column == 1 else 3
-            shown, factor = volts(unit, max(heights))
-            for i, (stage, height) in enumerate(zip(stages, heights, strict=True)):
-                is_floor = stage[0] == "noise floor"
-                axes.bar(
-                    i, factor * height, 0.62, color=PALE if is_floor else DATA, edgecolor=INK,
-                    lw=0.6, hatch="//" if is_floor else None,
-                )  # fmt: skip
-                axes.annotate(
-                    f"{factor * height:.{digits}g}", (i, factor * height), xytext=(0, 2),
-                    textcoords="offset points", ha="center", fontsize=8,
-                )  # fmt: skip
-                if i + 1 < len(stages):  # the step down to the next bar
-                    axes.plot(
-                        [i + 0.31, i + 0.69], [factor * height] * 2, color=MIDDLE, lw=0.8, ls=":"
-                    )
-            axes.set_xticks(range(len(stages)), [s[0].replace(" ", "\n", 1) for s in stages])
-            axes.set_ylim(0.0, 1.15 * factor * max(max(heights), 1e-12))
-            axes.set_ylabel(f"RMS ({shown})")
-            axes.set_title(title)
-            axes.grid(axis="x", visible=False)
-    return figure
-
-
 def gap_where(where: Sequence[Mapping[str, Any]], unit: str = "V") -> Figure:
     """Heat map of the excess by experiment and phase, with the share of the whole.
 

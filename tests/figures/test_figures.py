@@ -171,11 +171,6 @@ MAKERS = {
         ("time after the command (s)", "signal (V)", "11 % test gas", "4.5 L/min"),
     ),
     "schematic": (figures.schematic, ("valve", "y = y₀ + β x₃", "the lag that is sought")),
-    "gap_budget": (
-        lambda: figures.gap_budget(gap_record()),
-        ("RMS (mV)", "calibrated", "nominal", "above the noise floor"),
-    ),
-    "gap_budget_bare": (lambda: figures.gap_budget(gap_record(False)), ("calibrated",)),
     "gap_where": (
         lambda: figures.gap_where(gap_record()["where"]),
         ("experiment", "phase of the step", "excess RMS (mV)", "40 %", "fall", "&lt;b&gt;"),

@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -767,6 +768,16 @@ def test_report_is_rebuilt_from_saved_results_alone(analysed: Path, tmp_path: Pa
     assert page == (analysed / "report.html").read_text(encoding="utf-8")
     names = {p.name for p in tmp_path.iterdir()}
     assert names == {p.name for p in (analysed / "figures").iterdir()}
+
+
+def test_a_report_loads_nothing_that_computes(analysed: Path) -> None:
+    slow = ("numba", "scipy", "pandas", "arviz", "statsmodels", "corner")
+    code = (
+        "import sys; from bayes_sensor.report import build_report; "
+        f"build_report({str(analysed)!r}); print([m for m in {slow} if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
 def test_a_result_that_cannot_be_read_is_named_and_nothing_is_lost(
