@@ -485,6 +485,7 @@ def test_elements_and_attributes_are_made_the_pages_and_text_stays() -> None:
     drawing = (
         '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
         'width="9pt" height="8pt"><metadata><x/></metadata><g id="a" clip-path="url(#a)"/>'
+        '<path d="M 1.25 2.449&#10;L 3 4.06"/>'
         f'<use xlink:href="#a" style="fill: #1b1b1b"/><text fill="#1b1b1b">{text}</text></svg>'
     )
     found = inline_svg(drawing, "k", 'a "label" <b>')
@@ -495,6 +496,7 @@ def test_elements_and_attributes_are_made_the_pages_and_text_stays() -> None:
     assert found.startswith(
         '<svg role="img" aria-label="a &quot;label&quot; &lt;b&gt;" style="--made: 9pt" '
     )
+    assert '<path d="M 1.2 2.4 L 3 4.1" />' in found
     assert "metadata" not in found and "8pt" not in found
 
 
