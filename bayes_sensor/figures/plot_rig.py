@@ -19,7 +19,7 @@ from bayes_sensor.figures.style import (
     ORANGE,
     PALE,
     REGIONS,
-    new_figure,
+    panels,
     style,
 )
 from bayes_sensor.fit.traces import Trace
@@ -45,8 +45,9 @@ def responses(traces: Sequence[Trace]) -> Figure:
     with style():
         columns = min(len(levels), 3)
         rows = -(-len(levels) // columns)
-        figure = new_figure(0.4 + 2.7 * rows)
-        grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
+        figure, grid = panels(
+            0.3 + 2.9 * rows, rows, columns, bottom=1.0, across=0.15, down=1.0, sharey=True
+        )
         for axes in grid.ravel()[len(levels) :]:
             axes.set_visible(False)
         for axes, level in zip(grid.ravel(), levels, strict=False):
@@ -84,8 +85,7 @@ def schematic() -> Figure:
     )
     lags = (0.0, 0.35, 0.6, 0.12, 0.0)
     with style():
-        figure = new_figure(2.15)
-        axes = figure.subplots()
+        figure, ((axes,),) = panels(2.15, left=0.05, right=0.05, top=0.05, bottom=0.05)
         axes.set_axis_off()
         axes.set(xlim=(0.0, 5.0), ylim=(0.0, 1.0))
         kept: list[float] = []

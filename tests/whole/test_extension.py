@@ -312,7 +312,7 @@ def test_a_sampler_is_one_file(results: Path) -> None:
 
 def test_a_section_is_one_file(results: Path) -> None:
     page = (results / "report.html").read_text()
-    keys = re.findall(r'<section id="([\w-]+)"', page)
+    keys = re.findall(r'<details class="section" id="([\w-]+)"', page)
     assert keys[keys.index("tau") + 1] == "toy" and "Is twice enough" in page
     assert [key for key in SECTIONS if key in keys] == keys
 

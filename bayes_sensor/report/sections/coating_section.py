@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bayes_sensor import figures
-from bayes_sensor.report.headline import with_the_effect
+from bayes_sensor.report.gap_words import with_the_effect
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import interval, number, powers, sentence, with_spread
@@ -32,8 +31,7 @@ def coating(saved: Saved, pictures: Pictures) -> Section | None:
     else:
         alone = "How long the sensor alone takes depends on which lag is its, and that is not known"
     answer = (
-        f"{alone}; the whole chain of "
-        f"valve, manifold and sensor takes {_time(slow, 't90', 1.0)} s at "
+        f"{alone}; the whole chain takes {_time(slow, 't90', 1.0)} s at "
         f"{slow['total_flow_L_per_min']:.3g} L/min"
     )
     if fast is not slow:
@@ -44,35 +42,25 @@ def coating(saved: Saved, pictures: Pictures) -> Section | None:
         "flow drop when the valve shuts, or the sensor release more slowly than it takes up, the "
         "section on the gap says so."
     ]
-    if record.get("d_zif8_left_out"):
+    if saved.published and record.get("d_zif8") is None and "d_zif8_left_out" not in record:
+        paragraphs.append(
+            "The diffusivity of the coating was not computed: run bayes-sensor analyze with "
+            "--compare-published."
+        )
+    if saved.published and record.get("d_zif8_left_out"):
         paragraphs.append(sentence(record["d_zif8_left_out"]))
     if with_the_effect(saved):
         paragraphs.append(
             f"All this uses the posterior without the effect that the gap names{see('which')}; "
             "sample it with the effect before quoting."
         )
-    content: list[Part] = [
-        pictures.add(
-            "response-times-figure",
-            figures.response_times(rows),
-            "Times to 10, 63 and 90 % of the step: the sensor alone, and the whole chain at each "
-            "flow, with 95 % intervals.",
-        ),
-        _times_table(rows),
-    ]
-    found = record.get("d_zif8")
+    content: list[Part] = [_times_table(rows)]
+    found = record.get("d_zif8") if saved.published else None
     if found is not None:
         paragraphs += _inverse(found)
-        content += [
-            pictures.add(
-                "d-zif8",
-                figures.diffusivity(found),
-                "Diffusivity of ZIF-8 that explains τ: 68 % (thick) and 95 % (thin) interval, "
-                "with the literature value and the one to which the paper lowers it.",
-            ),
-            _diffusivity_table(found),
-        ]
-    return Section("coating", "Response times and the coating", answer, paragraphs, content)
+        content.append(_diffusivity_table(found))
+    title = "Response times and the coating" if saved.published else "Response times"
+    return Section("coating", title, answer, paragraphs, content)
 
 
 def _time(row: dict[str, Any], name: str, factor: float) -> str:
@@ -88,8 +76,7 @@ def _times_table(rows: list[dict[str, Any]]) -> Table:
             for name in ("t10", "t63", "t90", "rise")
             for end in ("", "_lo", "_hi")
         ]
-        label = figures.sensor_words(row) if row["system"] == "sensor" else "chain"
-        label = "sensor" if label == "sensor alone" else label
+        label = _sensor_words(row) if row["system"] == "sensor" else "chain"
         made.append([label, row["total_flow_L_per_min"], *values])
     columns = ["system", "flow (L/min)"]
     for name in ("t10", "t63", "t90", "t90 − t10"):
@@ -102,6 +89,14 @@ def _times_table(rows: list[dict[str, Any]]) -> Table:
         made,
         digits=3,
     )
+
+
+def _sensor_words(row: dict[str, Any]) -> str:
+    """What a row of the sensor is called; where its lag is not known, which it would be."""
+    if "sensor_is" not in row:
+        return "sensor"
+    lag = {"faster": "shorter", "between": "middle", "slower": "longer"}[row["sensor_is"]]
+    return f"sensor, if it has the {lag} lag ({100 * row['probability']:.0f} %)"
 
 
 def _inverse(found: dict[str, Any]) -> list[str]:

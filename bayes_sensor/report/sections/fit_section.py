@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from bayes_sensor import figures
@@ -20,7 +21,7 @@ def fitted(saved: Saved, pictures: Pictures) -> Section | None:
     n = len(saved.campaign["experiments"])
     answer = (
         f"The model leaves an RMS residual of {number(factor * fit['rms_V'])} {shown} over all "
-        f"samples{see('rms', 'fit-experiments')}. "
+        f"samples{see('fit-experiments')}. "
     )
     answer += (
         f"In {saved.missed} of {n} experiments it does not describe the trace within the noise; "
@@ -30,17 +31,7 @@ def fitted(saved: Saved, pictures: Pictures) -> Section | None:
     )
     if not saved.missed and saved.gap is not None and saved.gap["verdict"]["kind"] != "none":
         answer += f" All of them together do{see('where')}."
-    content: list[Part] = list(_overlays(saved, pictures))
-    traces = saved.traces or []
-    if len(traces) > 1:
-        content.append(
-            pictures.add(
-                "rms",
-                figures.rms_bars(traces),
-                "RMS residual of each experiment, with the RMS of the noise law alone.",
-            )
-        )
-    content += _tables(saved)
+    content = [*_overlays(saved, pictures), *_tables(saved)]
     return Section("fit", "How well does the model fit", answer, _remarks(saved), content)
 
 
@@ -64,12 +55,11 @@ def _remarks(saved: Saved) -> list[str]:
         )
     if not fit["swarms"].get("agree", True):
         said.append("Independent swarms ended at different minima; the best one is shown.")
-    else:
-        n = len(fit["swarms"].get("swarms", []))
+    elif (n := len(fit["swarms"].get("swarms", []))) > 1:
         said.append(
             f"{n} independent particle swarms ended, after refinement, at the same minimum."
         )
-    if fit.get("euler"):
+    if fit.get("euler") and saved.published:
         change = fit["euler"]["difference"]
         moves = [
             f"{words.split()[-1] if name in _SYMBOLS else f'the {words}'} by "
@@ -103,7 +93,7 @@ def _overlays(saved: Saved, pictures: Pictures) -> list[Part]:
     return [
         pictures.add(
             f"overlay_{k + 1}",
-            figures.overlay(trace),
+            partial(figures.overlay, trace),
             f"Experiment {trace.name}: {60e-3 * trace.total_flow:.3g} L/min, "
             f"{100 * trace.concentration:.3g} % test gas; RMS {number(factor * trace.rms)} "
             f"{shown}. Blue: all samples, as the range in each stretch of time.",

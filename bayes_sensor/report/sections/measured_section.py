@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from bayes_sensor import figures
@@ -75,7 +76,7 @@ def measured(saved: Saved, pictures: Pictures) -> Section | None:
         content.append(
             pictures.add(
                 "responses",
-                figures.responses(saved.traces),
+                partial(figures.responses, saved.traces),
                 "The recorded responses by test-gas concentration, one line a flow; dotted, the "
                 "commanded times.",
             )
