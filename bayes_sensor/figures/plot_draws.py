@@ -17,13 +17,13 @@ from bayes_sensor.figures.style import (
     ORANGE,
     PALE,
     REGIONS,
-    SHARED_LABELS,
     SMALLEST,
     WIDTH,
     Drawing,
     axis_label,
     panels,
     parameter_words,
+    shared_labels,
     style,
     told_apart,
 )
@@ -35,7 +35,8 @@ def main_parameters(names: Sequence[str]) -> list[str]:
     Lags that cannot be assigned are named by size.
     """
     known = told_apart(names)
-    return [name for name in (*SHARED_LABELS, "sigma0_V", "sigma1_V", "phi") if name in known]
+    noise = [name for name in known if name.split("[")[0] in ("sigma0_V", "sigma1_V", "phi")]
+    return [*shared_labels(known), *noise]
 
 
 def _chosen(

@@ -57,14 +57,16 @@ def responses(traces: Sequence[Trace]) -> Figure:
                 piece = trace.whole
                 axes.plot(
                     piece.t - start, 0.5 * (piece.low + piece.high), color=colour, ls=dash, lw=1.0,
-                    label=f"{60e-3 * trace.total_flow:.3g} L/min",
+                    label=trace.name if np.isnan(trace.total_flow)
+                    else f"{60e-3 * trace.total_flow:.3g} L/min",
                 )  # fmt: skip
                 if trace.commanded_on is not None:
                     axes.axvline(0.0, color=MIDDLE, lw=0.8, ls=":")
                     if trace.commanded_off is not None:
                         axes.axvline(trace.commanded_off - start, color=MIDDLE, lw=0.8, ls=":")
             axes.set_xlim(left=-5.0)
-            axes.set_title(f"{level:g} % test gas")
+            if not any(np.isnan(trace.total_flow) for trace in chosen):
+                axes.set_title(f"{level:g} % test gas")
             axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, columnspacing=1.2)
         for axes in grid[:, 0]:
             axes.set_ylabel(f"signal ({unit})")

@@ -94,14 +94,35 @@ assigned"""
 
 
 def shared_labels(names: Iterable[str]) -> dict[str, tuple[str, str, float]]:
-    """Those of :data:`SHARED_LABELS` that are among ``names``; lags by size in place of tau and
-    tau_v if they cannot be assigned.
+    """Words, unit shown and factor of the shared parameters among ``names``: those of
+    :data:`SHARED_LABELS`, then lags and volumes of other stages and sensors.
 
-    >>> list(shared_labels(["tau_s", "tau_v_s", "V_mL"]))
-    ['tau_s', 'tau_v_s', 'V_mL']
+    >>> shared_labels(["V_mL", "tau_s[A]", "tau_filter_s", "phi"])["tau_filter_s"]
+    ('filter τ', 's', 1.0)
     """
-    names = set(names)
-    return {name: words for name, words in SHARED_LABELS.items() if name in names}
+    names = list(dict.fromkeys(names))
+    found = {name: words for name, words in SHARED_LABELS.items() if name in names}
+    for name in names:
+        words = _stage_label(name)
+        if name not in found and words is not None:
+            found[name] = words
+    return found
+
+
+def _stage_label(name: str) -> tuple[str, str, float] | None:
+    """The same of a stage of another rig or of one of several sensors; None for anything else."""
+    kind, bracket, rest = name.partition("[")
+    if kind == "tau_s" and bracket:
+        return f"sensor {rest.removesuffix(']')} τ", "s", 1.0
+    if bracket:
+        return None
+    if kind.startswith("lag_") and kind.endswith("_s"):
+        return kind.removesuffix("_s").replace("_", " "), "s", 1.0
+    if kind.startswith("tau_") and kind.endswith("_s"):
+        return f"{kind[4:-2].replace('_', ' ')} τ", "s", 1.0
+    if kind.startswith("V_") and kind.endswith("_mL"):
+        return f"{kind[2:-3].replace('_', ' ')} V", "mL", 1.0
+    return None
 
 
 def told_apart(names: Iterable[str]) -> list[str]:
@@ -126,7 +147,7 @@ def labels_of_bounds(bounds: Mapping[str, Any]) -> dict[str, tuple[str, str, flo
     """:func:`shared_labels` of the content of ``bounds.json``."""
     rows = [row for entry in bounds["methods"].values() for row in entry["parameters"].items()]
     if not any(name.startswith("lag_") for name, _ in rows):
-        return shared_labels(["tau_s", "tau_v_s", "V_mL"])
+        return shared_labels(name for name, _ in rows)
     return shared_labels(name for name, row in rows if row)
 
 
@@ -345,8 +366,9 @@ def parameter_words(name: str, unit: str = "V") -> tuple[str, str, float]:
     >>> parameter_words("drift_V_per_s")
     ('drift', 'V/s', 1.0)
     """
-    if name in SHARED_LABELS:
-        return SHARED_LABELS[name]
+    shared = shared_labels([name])
+    if shared:
+        return shared[name]
     kind, bracket, rest = name.partition("[")
     symbols = {
         "phi": "φ", "sigma0_V": "σ₀", "sigma1_V": "σ₁",

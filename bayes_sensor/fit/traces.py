@@ -190,5 +190,7 @@ def load_traces(path: str | os.PathLike[str]) -> list[Trace]:
                 table = content[f"{k}_{part}"].astype(float)
                 table[0] += content.get(f"{k}_{part}_start", 0.0)
                 parts[part] = Envelope(*table)
+        if fact["total_flow"] is None:  # which JSON has in place of nan
+            fact["total_flow"] = float("nan")
         traces.append(Trace(**fact, **parts))
     return traces

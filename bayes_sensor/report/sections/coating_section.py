@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from bayes_sensor.report.gap_words import with_the_effect
@@ -17,25 +18,29 @@ TOLERANCE_WORDS = {
 }
 
 
+def _at(row: Mapping[str, Any]) -> str:
+    """The total flow of a row in words; empty where none is known."""
+    flow = row["total_flow_L_per_min"]
+    return "" if flow is None else f" at {flow:.3g} L/min"
+
+
 def coating(saved: Saved, pictures: Pictures) -> Section | None:
     """t10, t63, t90 of sensor and chain; the diffusivity that follows from tau."""
     record = saved.coating
     if record is None:
         return None
     rows = record["response_times"]
-    sensors = [row for row in rows if row["system"] == "sensor"]
-    chain = [row for row in rows if row["system"] == "chain"]
+    sensors = [row for row in rows if row["system"].startswith("sensor")]
+    chain = [row for row in rows if row["system"].startswith("chain")]
     fast, slow = chain[-1], chain[0]
     if len(sensors) == 1:
         alone = f"The sensor alone reaches 90 % within {_time(sensors[0], 't90', 1e3)} ms"
     else:
         alone = "How long the sensor alone takes depends on which lag is its, and that is not known"
-    answer = (
-        f"{alone}; the whole chain takes {_time(slow, 't90', 1.0)} s at "
-        f"{slow['total_flow_L_per_min']:.3g} L/min"
-    )
+    answer = f"{alone}; the whole {slow['system']} takes {_time(slow, 't90', 1.0)} s{_at(slow)}"
     if fast is not slow:
-        answer += f" and {_time(fast, 't90', 1.0)} s at {fast['total_flow_L_per_min']:.3g} L/min"
+        to = "" if fast["system"] == slow["system"] else f", the {fast['system']}"
+        answer += f"{to or ' and'} {_time(fast, 't90', 1.0)} s{_at(fast)}"
     answer += f" (median and 95 % interval){see('response-times')}."
     paragraphs = [
         "The chain is linear, so a fall takes as long as the rise at the same flow. Should the "
