@@ -120,6 +120,8 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
             "crop with keep"
         )
         remarks += step_remarks(experiment, where, falls_back=fallen)
+        if experiment.commands is not None:
+            continue  # levels and a plateau are those of one pulse
         if experiment.commanded_on is None:
             remarks += [end] * fallen
             remarks.append(
