@@ -237,6 +237,10 @@ def chain_words(posterior: Mapping[str, Any], flows: Mapping[str, float] | None 
     labels = [" at the lowest flow", " at the highest"] if len(shown) > 1 else [""]
     if flows and all(flows.get(name) for name in shown):
         labels = [f" at {flows[name]:.3g} L/min" for name in shown]
+    sensors = [n[6:-1] for n in posterior["parameters"] if n.startswith("tau_s[")]
+    if sensors:  # each has a chain of its own, slowest record first
+        pairs = [(s, next(n for n in names if n.endswith(f",{s}"))) for s in sensors]
+        shown, labels = [name for _, name in pairs], [f" to sensor {s}" for s, _ in pairs]
     said = []
     for name, label in zip(shown, labels, strict=True):
         times = []
