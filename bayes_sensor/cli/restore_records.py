@@ -9,16 +9,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bayes_sensor.analysis.overrides import make_problem, read_overrides
+from bayes_sensor.analysis.read_input import read_input
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli.overrides import make_problem, read_overrides
 from bayes_sensor.cli.put_results import Clock, put_figure, put_run
-from bayes_sensor.cli.read_input import load
 from bayes_sensor.cli.terminal import Progress, progress_bar, say
 from bayes_sensor.io.disk import own_folder
 from bayes_sensor.io.json_files import sha256
 from bayes_sensor.io.readers import FORMATS
 from bayes_sensor.io.record_file import Record, read_record
 from bayes_sensor.io.results import Results, Stage
+from bayes_sensor.posterior.samplers import FASTEST
 from bayes_sensor.restoration import Restored, restore
 from bayes_sensor.restoration.lag_draws import LagDraws, posterior_lags, saved_lags, stated_lags
 
@@ -26,8 +27,6 @@ USAGE = (
     'give CAMPAIGN.toml or a folder of results and then the record, or --lag "40 +- 2 min" and the '
     "record"
 )
-DEFAULT_SAMPLER = "independence"
-"""of the campaign's posterior: seconds, where the noise law allows it; otherwise it falls back"""
 
 
 @dataclass(frozen=True)
@@ -141,10 +140,11 @@ def _lags(
     from bayes_sensor.fit import fit_least_squares
     from bayes_sensor.posterior import sample_posterior
 
-    quick = {"sampler": DEFAULT_SAMPLER} if wanted.config is None else None
+    # seconds, where the noise law allows it; otherwise it falls back
+    quick = {"sampler": FASTEST} if wanted.config is None else None
     overrides: Any = read_overrides(wanted.config, quick)
     label = wanted.config.name if wanted.config is not None else "--config"
-    campaign, _, _ = load(source)
+    campaign, _, _ = read_input(source)
     if campaign.is_design:
         raise CampaignError(
             f"{source.name}: this is a design without data, but restore needs the lags of measured "
