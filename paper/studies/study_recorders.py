@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 from drawing import TABLES
 
+from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.io.readers import read_campaign
@@ -84,16 +85,16 @@ def _dates(frame: pd.DataFrame) -> FloatArray:
 RECORDS = (
     Record("oxygen optodes RBR", "oxygen_optodes.csv",
            {"first": "rbr210619_O2SAT", "second": "rbr210624_O2SAT"}, "percent", 700.0,
-           (600.0, 1000.0), lambda f: (f["UNIXTIME"] - f["UNIXTIME"][0]).to_numpy() / 1e3,
+           (600.0, 1360.0), lambda f: (f["UNIXTIME"] - f["UNIXTIME"][0]).to_numpy() / 1e3,
            keys='time = "UNIXTIME"\n', source="ellenrpark/optode_response"),
     Record("oxygen optodes AA", "oxygen_optodes.csv",
            {"AA3412": "AA3412_O2SAT", "AA3827": "AA3827_O2SAT", "AA3413": "AA3413_O2SAT",
             "AA3312": "AA3312_O2SAT"}, "percent", 700.0,
-           (600.0, 1000.0), lambda f: (f["UNIXTIME"] - f["UNIXTIME"][0]).to_numpy() / 1e3,
+           (600.0, 1360.0), lambda f: (f["UNIXTIME"] - f["UNIXTIME"][0]).to_numpy() / 1e3,
            keys='time = "UNIXTIME"\n', source="ellenrpark/optode_response"),
     Record("CO2 monitors", "co2_monitors.csv",
            {"scd30": "scd30", "s8lp": "s8lp", "sen0220": "sen0220"}, "ppm", 2910.0,
-           (2600.0, 3400.0), _dates, source="lata-mas/Monitor_co2_pistas_educativas"),
+           (1800.0, 4400.0), _dates, source="lata-mas/Monitor_co2_pistas_educativas"),
     Record("cold finger", "dewar_warm_up.csv", {"finger": 3}, "degC", 1.0, (0.0, 1200.0),
            lambda f: (f[2] - f[2][0]).to_numpy(), header=None, keys='time = "column 3"\n',
            source="aceisScope/pidtunning"),
@@ -156,6 +157,7 @@ def found(record: Record, folder: Path) -> list[dict[str, Any]]:
         said, intervals = f"{posterior.sampler}, {posterior.convergence}", posterior.rows
     except CampaignError as error:
         said, intervals = str(error), {}
+    bound = compare_bounds(campaign, fit, methods=["sandwich"])["sandwich"]
     several = len(record.sensors) > 1
     samples = [record.samples(folder, sensor) for sensor in record.sensors]
     taus, rms = independent(samples, record.on)
@@ -163,6 +165,7 @@ def found(record: Record, folder: Path) -> list[dict[str, Any]]:
     for k, sensor in enumerate(record.sensors):
         ending = f"[{sensor}]" if several else ""
         row = intervals.get(f"tau_s{ending}", {})
+        beside = bound.interval(f"tau_s{ending}")
         low, high = row.get("q2.5", np.nan), row.get("q97.5", np.nan)
         rows.append({
             "record": record.name, "sensor": sensor,
@@ -172,6 +175,8 @@ def found(record: Record, folder: Path) -> list[dict[str, Any]]:
             "holds_scipy": int(low <= taus[k] <= high),
             "sigma0": intervals.get(f"sigma0_V{ending}", {}).get("q50", np.nan),
             "phi": intervals.get(f"phi{ending}", {}).get("q50", np.nan), "rms": rms[k],
+            "sandwich_lo95_s": beside[0], "sandwich_hi95_s": beside[1],
+            "sandwich_holds_scipy": int(beside[0] <= taus[k] <= beside[1]),
             "unit": record.unit, "misfit": fit.to_json()["misfit"], "said": said,
             "source": record.source,
         })  # fmt: skip
