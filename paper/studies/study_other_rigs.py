@@ -224,4 +224,4 @@ def run(
             task, n, where, task.key, jobs, chunk=5, scheduler=scheduler, progress=tell
         )
         tables.append(rows(task, results))
-        pd.concat(tables).to_csv(TABLES / "other_rigs.csv", index=False, float_format="%.4g")
+    pd.concat(tables).to_csv(TABLES / "other_rigs.csv", index=False, float_format="%.4g")

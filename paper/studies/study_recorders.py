@@ -134,7 +134,9 @@ def independent(
         return [y[t <= max(on, t[2])].mean(), y[-10:].mean() - y[0], 0.1 * (t[-1] - on)]
 
     n, none = len(samples), np.ones(len(samples))
-    alone = [least_squares(rest, [on, *start(k)], x_scale="jac", args=([k], none)) for k in range(n)]
+    alone = [
+        least_squares(rest, [on, *start(k)], x_scale="jac", args=([k], none)) for k in range(n)
+    ]
     rms = np.array([np.sqrt(np.mean(each.fun**2)) for each in alone])
     if n == 1:
         return alone[0].x[3:], rms
