@@ -107,7 +107,7 @@ def drive_commands(
     if high:
         notes.append(
             f"{file.where}: the drive '{name}' starts high and first falls at {times[0]:.10g} s, "
-            "so that the record begins with the gas on; if the drive is inverted, the step's height "
+            "so that the record begins with the gas on; if the drive is inverted, the step "
             "has the other sign"
         )
     if commands is None:
