@@ -21,11 +21,12 @@ from bayes_sensor.diagnosis.excess_shares import distribute_excess
 from bayes_sensor.diagnosis.explanations_table import explanation_rows
 from bayes_sensor.diagnosis.gap import Gap, Round, without_lag_names
 from bayes_sensor.diagnosis.isolability import look_alikes, separate_pairs
-from bayes_sensor.diagnosis.location import CLEAR, locate
+from bayes_sensor.diagnosis.location import CLEAR, locate, with_findings
 from bayes_sensor.diagnosis.signals import look_at_noise, look_at_residuals
 from bayes_sensor.diagnosis.signals.effect_signatures import signatures
 from bayes_sensor.diagnosis.unseen_effects import HiddenEffects, hidden_effects
-from bayes_sensor.diagnosis.verdict import Verdict, combine, explanation_of, judge
+from bayes_sensor.diagnosis.probabilities import combine
+from bayes_sensor.diagnosis.verdict import NAMED, Verdict, explanation_of, judge
 from bayes_sensor.diagnosis.wording import Conclusion, notes, units_of, verdict_sentence
 from bayes_sensor.fit.side_information import without_contradicted
 from bayes_sensor.likelihood.problem import Problem
@@ -117,8 +118,9 @@ def diagnose_gap(
     comparison = compare_hypotheses(binned, base, catalogue, lambda s, t: tell(0.15 + 0.4 * s, t))
     findings += look_at_residuals(prepared, comparison.likeliest.refit, findings)
     probabilities = combine(comparison, findings, catalogue)
-    judgement = judge(comparison, probabilities, catalogue)
-    best = explanation_of(comparison, judgement, probabilities, catalogue)
+    excess = with_findings(excess, findings)
+    judgement = judge(probabilities, excess.p_value)
+    best = explanation_of(comparison, judgement)
     excess = distribute_excess(excess, comparison, findings, judgement.kind)
 
     tell(0.6, "what is left")
@@ -153,7 +155,7 @@ def diagnose_gap(
             kind,
             effects_named,
             family,
-            float(min(max(probability, 0.0), 1.0)),
+            probability,
             verdict_sentence(conclusion, fit),
         ),
         budget=gap_budget(campaign, prepared, base, excess, nominal),
@@ -249,7 +251,7 @@ def _look_again(
         )
         if (
             name is None
-            or combined.effects[name] < 0.9
+            or combined.effects[name] < NAMED
             or len(rounds) >= MOST_ROUNDS
             or left.p_value > CLEAR
         ):

@@ -13,7 +13,8 @@ from bayes_sensor.diagnosis.isolability import Separation
 from bayes_sensor.diagnosis.location import ExcessMap
 from bayes_sensor.diagnosis.signals.finding import Finding
 from bayes_sensor.diagnosis.unseen_effects import HiddenEffect, HiddenEffects
-from bayes_sensor.diagnosis.verdict import Probabilities, Verdict
+from bayes_sensor.diagnosis.probabilities import Probabilities
+from bayes_sensor.diagnosis.verdict import Verdict
 from bayes_sensor.display import card
 from bayes_sensor.io.json_files import plain
 
@@ -170,6 +171,16 @@ class Gap:
             "d": found.d,
         }
 
+    def _note(self, found: Finding) -> dict[str, Any]:
+        names = [e.name for e in self.comparison.binned.campaign]
+        return {
+            "signal": found.name,
+            "place": found.place(names),
+            "log_bayes_factor": found.log_bayes_factor,
+            "probability": found.probability,
+            "sentence": found.sentence(names, self.signal_unit),
+        }
+
     def to_json(self) -> dict[str, Any]:
         """The content of gap.json; further keys: `where_scales`, `unlisted`, `rounds`, ..."""
         v = self.verdict
@@ -187,13 +198,10 @@ class Gap:
                 "family": v.family,
                 "probability": v.probability,
                 "sentence": v.sentence,
+                "sets_in": list(v.sets_in),
             },
+            "findings": [self._note(f) for f in self.findings],
             "families": self.probabilities.families,
-            "faint": self.probabilities.faint,
-            "unlisted": {
-                "looks": self.probabilities.looks_unlisted,
-                "by_mean": self.probabilities.looks_by_mean,
-            },
             "shrink": self.shrink.to_json(),
             "hidden": self.hidden.to_json(),
             "rounds": [{**vars(r), "added": list(r.added)} for r in self.rounds],

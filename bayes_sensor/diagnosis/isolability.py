@@ -20,7 +20,8 @@ from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
 from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
-from bayes_sensor.diagnosis.verdict import Judgement, Probabilities
+from bayes_sensor.diagnosis.probabilities import Probabilities
+from bayes_sensor.diagnosis.verdict import Judgement
 
 LIKELY = 0.02
 """probability from which an effect's look-alikes are listed"""

@@ -25,7 +25,15 @@ TOO_COARSE = 1.0
 AROUND = 400
 """samples over which the size of the innovations is taken"""
 
-SIGNAL = Signal("heavy_tails", 0.03, {"tail_dof": "1"}, heavy_tailed=True)
+
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    return (
+        "Single samples stray further than a Gaussian lets expect: as of a Student t law with about "
+        f"{found.strength['tail_dof']:.3g} degrees of freedom."
+    )
+
+
+SIGNAL = Signal("heavy_tails", 0.03, {"tail_dof": "1"}, _words, listed=True, heavy_tailed=True)
 
 
 def look_at_tails(stretches: Sequence[Stretch], step: float = 0.0) -> Finding:

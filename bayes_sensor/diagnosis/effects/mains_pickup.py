@@ -46,7 +46,18 @@ def _as_a_line(found: Finding) -> Finding:
     return replace(found, signal=LINE, strength={"line_V": s["mains_V"], "line_Hz": s["mains_Hz"]})
 
 
-SIGNAL = Signal("mains_pickup", 0.03, {"mains_V": "V", "mains_Hz": "Hz"}, if_not_listed=_as_a_line)
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    return (
+        f"There is a line of the mains at {s['mains_Hz']:.4g} Hz with an amplitude of "
+        f"{1e3 * s['mains_V']:.3g} m{unit}."
+    )
+
+
+SIGNAL = Signal(
+    "mains_pickup", 0.03, {"mains_V": "V", "mains_Hz": "Hz"}, _words, listed=True,
+    if_not_listed=_as_a_line,
+)  # fmt: skip
 SEARCH = LineSearch(SIGNAL, "mains", of_the_mains=True, slowest=LOWEST_LINE)
 
 

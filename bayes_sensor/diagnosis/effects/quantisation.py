@@ -20,7 +20,15 @@ COARSE = 0.02
 COARSE_OF_ALL = 0.001
 """share of the noise's whole variance below which the steps do not matter, fine as they may look"""
 
-SIGNAL = Signal("quantisation", 0.03, {"adc_step": "V"})
+
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    step = found.strength["adc_step"]
+    if step <= 0.0:
+        return "The samples lie on no lattice."
+    return f"The samples lie on a lattice of steps of {1e3 * step:.3g} m{unit}."
+
+
+SIGNAL = Signal("quantisation", 0.03, {"adc_step": "V"}, _words, listed=True)
 
 
 def look_for_steps(campaign: Campaign, stretches: Sequence[Stretch]) -> Finding:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.diagnosis.calibration import calibration
 from bayes_sensor.diagnosis.data.quiet_stretches import Stretch
 
 FOUND = 0.5
@@ -21,8 +22,8 @@ FOUND = 0.5
 class Signal:
     """One kind of thing that a detector looks for in the samples.
 
-    A signal with a listed effect carries that effect's name.  Any other is of unlisted origin: it
-    counts as a cause outside the catalogue, and has a sentence of its own.
+    A signal of a listed effect carries that effect's name.  Any other is of unlisted origin: a note,
+    and an unlisted cause as far as the calibration map says.
     """
 
     name: str
@@ -30,8 +31,10 @@ class Signal:
     """probability that a campaign has it"""
     units: Mapping[str, str] = field(hash=False)
     """name of a strength -> its unit"""
-    sentence: Callable[[Finding, Sequence[str], str], str] | None = None
-    """what is said of a finding: its names of experiments, and the unit of the signal"""
+    sentence: Callable[[Finding, Sequence[str], str], str]
+    """what is said of a finding: the names of experiments, and the unit of the signal"""
+    listed: bool = False
+    """whether it belongs to an effect of the catalogue"""
     if_not_listed: Callable[[Finding], Finding] | None = None
     """what it is where its effect was taken out of the catalogue; None: it is then ignored"""
     of_the_mean: bool = False
@@ -44,11 +47,6 @@ class Signal:
     """the phase of all records that it is in, where it is in one only"""
     heavy_tailed: bool = False
     """whether single samples then have heavy tails, which other detectors must allow for"""
-
-    @property
-    def listed(self) -> bool:
-        """Whether it belongs to an effect of the catalogue."""
-        return self.sentence is None
 
 
 class Samples(Protocol):
@@ -96,11 +94,17 @@ class Finding:
         return self.signal.name
 
     @property
-    def probability(self) -> float:
-        """Posterior probability, from the prior of its signal."""
+    def log_odds(self) -> float:
+        """By the prior of its signal and the Bayes factor alone."""
         prior = self.signal.prior
-        odds = np.log(prior / (1.0 - prior)) + self.log_bayes_factor
-        return float(1.0 / (1.0 + np.exp(-np.clip(odds, -60.0, 60.0))))
+        return float(np.log(prior / (1.0 - prior)) + self.log_bayes_factor)
+
+    @property
+    def probability(self) -> float:
+        """Posterior probability; calibrated where it is of unlisted origin."""
+        if not self.signal.listed:
+            return calibration().of_finding(self.log_odds)
+        return float(1.0 / (1.0 + np.exp(-np.clip(self.log_odds, -60.0, 60.0))))
 
     @property
     def beside_the_mean(self) -> bool:
@@ -108,9 +112,18 @@ class Finding:
         return self.strength.get(f"{self.name}_Hz", 0.0) >= self.signal.spares_means_from_hz
 
     def sentence(self, names: Sequence[str], unit: str) -> str:
-        """One sentence about something of unlisted origin; ``names`` of the experiments."""
-        assert self.signal.sentence is not None
+        """What is said of it; ``names`` of the experiments, ``unit`` of the signal."""
         return self.signal.sentence(self, names, unit)
+
+    def place(self, names: Sequence[str]) -> str:
+        """Where it is, in words; ``names`` of the experiments."""
+        if self.places:
+            first = max(self.places, key=lambda p: p.size)
+            return f"experiment {names[first.experiment]}, {moment(first.time)} s"
+        record = self.strength.get(f"{self.name}_experiment")
+        if record is not None:
+            return f"experiment {names[int(record)]}"
+        return f"every {self.signal.phase}" if self.signal.phase else "all records"
 
 
 def struck(log_b: FloatArray, share: float) -> FloatArray:
