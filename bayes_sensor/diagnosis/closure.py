@@ -34,7 +34,7 @@ from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
 from bayes_sensor.diagnosis.gap import Shrink
 from bayes_sensor.diagnosis.location import excess_mean_square
-from bayes_sensor.diagnosis.signals.finding import Finding
+from bayes_sensor.diagnosis.signals.signal import Finding
 
 RULED_OUT = 0.05
 """chance of a full closing below which it is"""

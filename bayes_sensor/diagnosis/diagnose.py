@@ -22,10 +22,10 @@ from bayes_sensor.diagnosis.explanations_table import explanation_rows
 from bayes_sensor.diagnosis.gap import Gap, Round, without_lag_names
 from bayes_sensor.diagnosis.isolability import look_alikes, separate_pairs
 from bayes_sensor.diagnosis.location import CLEAR, locate, with_findings
-from bayes_sensor.diagnosis.signals import look_at_noise, look_at_residuals
+from bayes_sensor.diagnosis.probabilities import combine
+from bayes_sensor.diagnosis.signals import look_for_signals
 from bayes_sensor.diagnosis.signals.effect_signatures import signatures
 from bayes_sensor.diagnosis.unseen_effects import HiddenEffects, hidden_effects
-from bayes_sensor.diagnosis.probabilities import combine
 from bayes_sensor.diagnosis.verdict import NAMED, Verdict, explanation_of, judge
 from bayes_sensor.diagnosis.wording import Conclusion, notes, units_of, verdict_sentence
 from bayes_sensor.fit.side_information import without_contradicted
@@ -111,12 +111,11 @@ def diagnose_gap(
     if not binned.order_known:
         catalogue = {name: effect.nameless for name, effect in catalogue.items()}
     base = fit_base(binned)
-    findings = look_at_noise(prepared, {**CATALOGUE, **catalogue}, catalogue)
 
     tell(0.08, "where")
     excess = locate(binned, base, seed, bootstrap, signatures(base, catalogue))
     comparison = compare_hypotheses(binned, base, catalogue, lambda s, t: tell(0.15 + 0.4 * s, t))
-    findings += look_at_residuals(prepared, comparison.likeliest.refit, findings)
+    findings = look_for_signals(prepared.samples(comparison.likeliest.refit), catalogue)
     probabilities = combine(comparison, findings, catalogue)
     excess = with_findings(excess, findings)
     judgement = judge(probabilities, excess.p_value)

@@ -18,7 +18,7 @@ from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.location import CLEAR, ExcessMap, normalised_shares, parts_of_cells
-from bayes_sensor.diagnosis.signals.finding import FOUND, Finding
+from bayes_sensor.diagnosis.signals.signal import FOUND, Finding
 
 UNMOVED = 0.5
 """probability that nothing moves the mean from which no explanation tells where it is moved"""

@@ -12,8 +12,8 @@ from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.closure import closed_by
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.refit import Refit
-from bayes_sensor.diagnosis.signals.finding import Finding
 from bayes_sensor.diagnosis.probabilities import Probabilities
+from bayes_sensor.diagnosis.signals.signal import Finding
 
 
 def explanation_rows(

@@ -11,9 +11,9 @@ from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
 from bayes_sensor.diagnosis.isolability import Separation
 from bayes_sensor.diagnosis.location import ExcessMap
-from bayes_sensor.diagnosis.signals.finding import Finding
-from bayes_sensor.diagnosis.unseen_effects import HiddenEffect, HiddenEffects
 from bayes_sensor.diagnosis.probabilities import Probabilities
+from bayes_sensor.diagnosis.signals.signal import Finding
+from bayes_sensor.diagnosis.unseen_effects import HiddenEffect, HiddenEffects
 from bayes_sensor.diagnosis.verdict import Verdict
 from bayes_sensor.display import card
 from bayes_sensor.io.json_files import plain

@@ -24,7 +24,7 @@ from bayes_sensor.diagnosis.data.bins import PHASES
 from bayes_sensor.diagnosis.data.noise_floor import DOF
 from bayes_sensor.diagnosis.evidence.leverage import Leverage
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
-from bayes_sensor.diagnosis.signals.finding import Finding
+from bayes_sensor.diagnosis.signals.signal import Finding
 
 DRAWS = 2000
 """simulated noises behind the p-values"""

@@ -28,7 +28,7 @@ from bayes_sensor.diagnosis.evidence.form_mismatch import (
     taken_beside,
 )
 from bayes_sensor.diagnosis.evidence.refit import Refit
-from bayes_sensor.diagnosis.signals.finding import Finding
+from bayes_sensor.diagnosis.signals.signal import Finding
 
 FAINT = 2.0
 """detectability below which a cause that is there leaves nothing to be seen: two standard
@@ -201,7 +201,7 @@ def _looks(
     if leaves_excess(h, base):
         return [("unlisted", (), 1.0)]
     none = too_small(detectability(h, base))
-    looks = [("none", (), none)]
+    looks: list[tuple[str, tuple[str, ...], float]] = [("none", (), none)]
     seen = [h.effects]
     if len(h.effects) == 2:
         alone = [comparison.find(name) for name in h.effects]

@@ -12,7 +12,6 @@ import numpy as np
 
 from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
-from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
@@ -24,8 +23,8 @@ from bayes_sensor.diagnosis.evidence.form_mismatch import (
 from bayes_sensor.diagnosis.isolability import Separation
 from bayes_sensor.diagnosis.location import CLEAR, ExcessMap
 from bayes_sensor.diagnosis.probabilities import Probabilities
-from bayes_sensor.diagnosis.signals import UNLISTED
-from bayes_sensor.diagnosis.signals.finding import FOUND, Finding
+from bayes_sensor.diagnosis.signals import SIGNALS
+from bayes_sensor.diagnosis.signals.signal import FOUND, Finding
 from bayes_sensor.diagnosis.verdict import NAMED, OFTEN, Judgement, of_one_family
 from bayes_sensor.display import shown
 
@@ -230,8 +229,8 @@ def _likeness(comparison: Comparison, unit: str) -> str:
 def units_of(effects: Iterable[Effect], setting: Setting, signal_unit: str) -> dict[str, str]:
     """Unit of every strength of effects and of signals; "1": it has none."""
     found: dict[str, str] = {}
-    for signal in (*UNLISTED, *(e.on_noise.signal for e in CATALOGUE.values() if e.on_noise)):
-        found |= signal.units if signal else {}
+    for signal in SIGNALS:
+        found |= signal.units
     for effect in effects:
         found |= effect.units(setting)
     return {name: unit.replace("V", signal_unit) for name, unit in found.items()}
@@ -320,8 +319,9 @@ def against_p_value(found: Conclusion) -> list[str]:
         unlisted = found.probabilities.unlisted
         if p > OFTEN and unlisted > probability:
             said.append(
-                f"The evidence leans to a cause that is not listed ({percent(unlisted)}), but noise "
-                f"alone often leaves as much as is left here ({p_words}), so that none is stated."
+                f"The evidence leans to a cause that is not listed ({percent(unlisted)}), but "
+                f"noise alone often leaves as much as is left here ({p_words}), so that none is "
+                "stated."
             )
         elif p < CLEAR:
             said.append(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import log
 
 import numpy as np
@@ -16,6 +16,7 @@ from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans, Stretch, cle
 from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
+from bayes_sensor.diagnosis.signals.signal import Samples
 from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.residuals.converter_step import lattice_step
@@ -90,12 +91,12 @@ class PreparedCampaign:
         """The campaign, its residuals and the deviations: what detectors look at."""
         return self.binned.campaign, self.residuals, self.deviations
 
-    def less_mean_of(self, found: Refit) -> PreparedCampaign:
-        """The campaign with residuals of a refit in place of those of the fit."""
-        residuals = self.residuals_of(found)
+    def samples(self, best: Refit) -> Samples:
+        """What signals look at: the samples less the mean of the ``best`` explanation."""
+        residuals = self.residuals_of(best)
         campaign, bins = self.binned.campaign, self.binned.bins
         stretches = quiet_stretches(campaign, residuals, bins, self.settle)
-        return replace(self, residuals=tuple(residuals), stretches=tuple(stretches))
+        return Samples(campaign, residuals, self.deviations, stretches, self.raw, self.quiet, best)
 
     def residuals_of(self, found: Refit) -> list[FloatArray]:
         """(n_t,) V of every experiment, spikes replaced, measurement minus a refit's mean."""

@@ -10,9 +10,10 @@ an :class:`OnNoise`, which holds its detector, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from math import exp, log
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +21,10 @@ from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.effects.rig_view import RigView
 from bayes_sensor.diagnosis.effects.setting import Setting
-from bayes_sensor.diagnosis.signals.finding import Finding, Samples, Signal
+from bayes_sensor.diagnosis.signals.signal import Finding, Signal
+
+if TYPE_CHECKING:
+    from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
 
 KINDS = ("normal", "log_normal")
 PUBLISHED_SCALES = (0.8577, 1.88, 120.0)
@@ -151,10 +155,8 @@ class OnNoise:
     reason: str = ""
     """why they must, in words that follow the value"""
     signal: Signal | None = None
-    """what its detector finds"""
-    look: Callable[[Samples, Sequence[Finding]], list[Finding]] | None = None
-    """its detector, which is told what the detectors before it have found"""
-    closure: Callable[[Samples, Finding], tuple[Closure, float | None]] | None = None
+    """what tells of it in single samples"""
+    closure: Callable[[PreparedCampaign, Finding], tuple[Closure, float | None]] | None = None
     """how far it closes a gap that is not one of the mean, in sample and held out"""
 
 

@@ -20,7 +20,7 @@ from bayes_sensor.diagnosis.data.bins import PHASES
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit
-from bayes_sensor.diagnosis.signals.finding import FOUND, Finding
+from bayes_sensor.diagnosis.signals.signal import FOUND, Finding
 
 OTHER_FORM = 0.2
 """share of an effect's size that its form may leave: by the law of how far

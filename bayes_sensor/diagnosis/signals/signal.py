@@ -1,29 +1,67 @@
-"""What detectors report: the record of a signal, one finding of it, and how findings are joined."""
+"""The one interface for what single samples show: a signal, what it looks at, what it finds."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.calibration import calibration
-from bayes_sensor.diagnosis.data.quiet_stretches import Stretch
+from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans, Stretch, hides_the_noise
+
+if TYPE_CHECKING:
+    from bayes_sensor.diagnosis.evidence.refit import Refit
 
 FOUND = 0.5
 """probability from which a finding counts as present in the steps that follow"""
 
 
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """What signals look at: samples less the mean of the best explanation, and their noise."""
+
+    campaign: Campaign
+    residuals: Sequence[FloatArray]
+    """(n_t,) V of every experiment, spikes replaced"""
+    deviations: Sequence[FloatArray]
+    """(n_t,) V, the noise's standard deviation at every sample"""
+    stretches: Sequence[Stretch]
+    """quiet parts, spikes replaced"""
+    raw: Sequence[Stretch]
+    """quiet parts as measured, less the mean of the fit"""
+    quiet: Sequence[QuietSpans]
+    """switches and quiet spans of every experiment"""
+    fitted: Refit
+    """the explanation whose mean was taken off"""
+    found: tuple[Finding, ...] = ()
+    """of the signals before in the registry"""
+
+    def of(self, name: str) -> Finding | None:
+        """The finding of an earlier signal, if it was looked for."""
+        return next((f for f in self.found if f.name == name), None)
+
+    @property
+    def converter_step(self) -> float:
+        """V, step of the converter that was found; 0 where none was."""
+        return max((f.strength.get("adc_step", 0.0) for f in self.found), default=0.0)
+
+    @property
+    def rounding_hides_the_noise(self) -> bool:
+        """Whether the converter makes lines, plateaus and jumps of its own."""
+        return hides_the_noise(self.stretches, self.converter_step)
+
+
 @dataclass(frozen=True)
 class Signal:
-    """One kind of thing that a detector looks for in the samples.
+    """One kind of thing that single samples may show.
 
-    A signal of a listed effect carries that effect's name.  Any other is of unlisted origin: a note,
-    and an unlisted cause as far as the calibration map says.
+    A signal of a listed effect carries that effect's name.  Any other is of unlisted origin: a
+    note, and an unlisted cause as far as the calibration map says.
     """
 
     name: str
@@ -33,6 +71,8 @@ class Signal:
     """name of a strength -> its unit"""
     sentence: Callable[[Finding, Sequence[str], str], str]
     """what is said of a finding: the names of experiments, and the unit of the signal"""
+    look: Callable[[Samples], Sequence[Finding]]
+    """its detector; empty where the samples cannot tell"""
     listed: bool = False
     """whether it belongs to an effect of the catalogue"""
     if_not_listed: Callable[[Finding], Finding] | None = None
@@ -45,24 +85,8 @@ class Signal:
     """whether it is in those phases of a record only in which its places are"""
     phase: str = ""
     """the phase of all records that it is in, where it is in one only"""
-    heavy_tailed: bool = False
-    """whether single samples then have heavy tails, which other detectors must allow for"""
-
-
-class Samples(Protocol):
-    """What detectors look at: the samples of a campaign less the mean of an explanation."""
-
-    @property
-    def records(self) -> tuple[Campaign, Sequence[FloatArray], Sequence[FloatArray]]:
-        """The campaign, its residuals (n_t,) V and the deviations (n_t,) V of their noise."""
-
-    @property
-    def stretches(self) -> Sequence[Stretch]:
-        """Quiet parts, spikes replaced."""
-
-    @property
-    def raw(self) -> Sequence[Stretch]:
-        """Quiet parts as measured."""
+    despite_rounding: bool = False
+    """whether it is looked for where the converter's steps hide the noise, too"""
 
 
 class Place(NamedTuple):
@@ -87,6 +111,9 @@ class Finding:
     """detectability where there is a signature in the mean, else None"""
     places: tuple[Place, ...] = ()
     """where it is, where that is at single moments"""
+    tails: tuple[float, float] = (inf, inf)
+    """degrees of freedom of the noise's means that it was judged by, at carrier and plateau; inf
+    for those of a Gaussian, or where nothing is told"""
 
     @property
     def name(self) -> str:
@@ -105,6 +132,11 @@ class Finding:
         if not self.signal.listed:
             return calibration().of_finding(self.log_odds)
         return float(1.0 / (1.0 + np.exp(-np.clip(self.log_odds, -60.0, 60.0))))
+
+    @property
+    def lasting(self) -> float:
+        """Degrees of freedom of the lighter tails of the two gases: those of the noise itself."""
+        return max(self.tails)
 
     @property
     def beside_the_mean(self) -> bool:
@@ -135,11 +167,6 @@ def any_of(found: Sequence[Finding]) -> Finding:
     """Several tests of one signal joined: the clearest finding, with the mean Bayes factor."""
     value = float(logsumexp([f.log_bayes_factor for f in found]) - np.log(len(found)))
     return replace(max(found, key=lambda f: f.log_bayes_factor), log_bayes_factor=value)
-
-
-def converter_step(found: Sequence[Finding]) -> float:
-    """V, step of the converter that was found; 0 where none was."""
-    return max((f.strength.get("adc_step", 0.0) for f in found), default=0.0)
 
 
 def moment(t: float) -> str:
