@@ -143,7 +143,8 @@ def closure(
     chance, sizes = draw_remaining_misfit(fitted, discrepancies, seed)
     left = chance * float(np.mean(sizes))
     d = float(np.sqrt(taken + left)), float(np.sqrt(left))
-    if d[0] < VISIBLE:
+    nothing = volts[0] <= 0.0 or base.misfit <= base.leverage.trace()
+    if nothing or d[0] < VISIBLE:  # what is no excess cannot be closed
         return Closure(None, None, None, float(volts[0]), float(volts[1]), *d)
     rng = np.random.default_rng(seed + 1)
     lacking = taken * (INEXACT * rng.standard_t(INEXACT_DOF, len(sizes))) ** 2
@@ -297,6 +298,8 @@ def shrinking(comparison: Comparison, best: Hypothesis, closed: Closure, seed: i
         held_out_fraction_closed=out.fraction if out else None,
         held_out_interval=(out.low, out.high) if out else None,
         tau_before_s=exp(none.log_tau),
+        tau_before_low_s=none.tau_interval[0],
+        tau_before_high_s=none.tau_interval[1],
         tau_after_s=tau,
         tau_after_low_s=low,
         tau_after_high_s=high,

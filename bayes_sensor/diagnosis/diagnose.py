@@ -22,6 +22,7 @@ from bayes_sensor.diagnosis.explanations_table import explanation_rows
 from bayes_sensor.diagnosis.gap import Gap, Round, without_lag_names
 from bayes_sensor.diagnosis.isolability import look_alikes, separate_pairs
 from bayes_sensor.diagnosis.location import CLEAR, locate, with_findings
+from bayes_sensor.diagnosis.onset_times import onset_times
 from bayes_sensor.diagnosis.probabilities import combine
 from bayes_sensor.diagnosis.signals import look_for_signals
 from bayes_sensor.diagnosis.signals.effect_signatures import signatures
@@ -156,6 +157,7 @@ def diagnose_gap(
             family,
             probability,
             verdict_sentence(conclusion, fit),
+            onset_times(judgement, best.refit, base, findings),
         ),
         budget=gap_budget(campaign, prepared, base, excess, nominal),
         map=excess,

@@ -62,6 +62,9 @@ class Shrink:
     rival_fraction_closed: float | None
     held_out_interval: tuple[float, float] | None = None
     """95 %; None where nothing was held out, and for the mains"""
+    tau_before_low_s: float | None = None
+    tau_before_high_s: float | None = None
+    """95 % interval of tau without any effect"""
     lag_fast: Mapping[str, Any] = field(default_factory=dict)
     """what is then said of the shorter lag in place of tau, by key of gap.json"""
 
@@ -79,6 +82,8 @@ class Shrink:
             "held_out_fraction_closed_lo": low,
             "held_out_fraction_closed_hi": high,
             "tau_before_s": self.tau_before_s,
+            "tau_before_lo_s": self.tau_before_low_s,
+            "tau_before_hi_s": self.tau_before_high_s,
             "tau_after_s": self.tau_after_s,
             "tau_after_lo_s": self.tau_after_low_s,
             "tau_after_hi_s": self.tau_after_high_s,

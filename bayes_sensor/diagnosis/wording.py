@@ -21,11 +21,12 @@ from bayes_sensor.diagnosis.evidence.form_mismatch import (
     simpler_explanation,
 )
 from bayes_sensor.diagnosis.isolability import Separation
-from bayes_sensor.diagnosis.location import CLEAR, ExcessMap
+from bayes_sensor.diagnosis.location import ExcessMap
+from bayes_sensor.diagnosis.p_value_words import against_p_value, percent
 from bayes_sensor.diagnosis.probabilities import Probabilities
 from bayes_sensor.diagnosis.signals import SIGNALS
 from bayes_sensor.diagnosis.signals.signal import FOUND, Finding
-from bayes_sensor.diagnosis.verdict import NAMED, OFTEN, Judgement, of_one_family
+from bayes_sensor.diagnosis.verdict import NAMED, Judgement, of_one_family
 from bayes_sensor.display import shown
 
 if TYPE_CHECKING:
@@ -104,6 +105,19 @@ def nearest_finding(found: Conclusion) -> list[str]:
     return [
         f"{found.in_words([nearest])[0]} That is put down to the noise "
         f"({100.0 * (1.0 - nearest.probability):.0f} %), but worth a look."
+    ]
+
+
+def less_likely(found: Conclusion) -> list[str]:
+    """Findings that something else is stated beside, and that are worth a look."""
+    if found.judgement.kind == "none":
+        return []
+    some = [f for f in found.findings if not f.signal.listed and f.log_odds > 0.0]
+    return [
+        f"Worth a look: {said} That is a cause of its own with a probability of "
+        f"{percent(f.probability)}."
+        for f, said in zip(some, found.in_words(some), strict=True)
+        if f.probability <= FOUND
     ]
 
 
@@ -300,54 +314,14 @@ def verdict_sentence(found: Conclusion, fit: Fit) -> str:
 
 def notes(found: Conclusion) -> list[str]:
     """What could not be told, and what is worth a look, in sentences."""
-    return [*notes_on(found.comparison.binned), *nearest_finding(found)]
+    return [*notes_on(found.comparison.binned), *nearest_finding(found), *less_likely(found)]
 
 
 def sentence(found: Conclusion) -> str:
     """What a verdict says: what explains the gap, how sure that is, and what would show it."""
+    doubts = against_p_value(found.judgement, found.excess.p_value, found.probabilities)
     said = {"none": _nothing, "unlisted": _unlisted, "family": _family, "effect": _effects}
-    return " ".join([*said[found.judgement.kind](found), *against_p_value(found)])
-
-
-def against_p_value(found: Conclusion) -> list[str]:
-    """Why verdict and p-value disagree, where they do."""
-    p = found.excess.p_value
-    kind, probability = found.judgement.kind, found.judgement.probability
-    p_words = f"p = {shown(p, 2)}"
-    if kind == "none":
-        said = []
-        unlisted = found.probabilities.unlisted
-        if p > OFTEN and unlisted > probability:
-            said.append(
-                f"The evidence leans to a cause that is not listed ({percent(unlisted)}), but "
-                f"noise alone often leaves as much as is left here ({p_words}), so that none is "
-                "stated."
-            )
-        elif p < CLEAR:
-            said.append(
-                f"Noise alone would seldom leave as much ({p_words}), but no cause explains enough "
-                "of it to be likelier than that."
-            )
-        return said
-    if p <= CLEAR:
-        return []
-    catalogue = found.comparison.catalogue
-    if found.judgement.effects and not any(catalogue[n].on_mean for n in found.judgement.effects):
-        return [f"It acts on single samples; their means show no more than noise ({p_words})."]
-    if kind == "unlisted":
-        return [
-            f"The residual alone does not prove it: noise leaves as much in one of "
-            f"{max(round(1.0 / p), 2)} campaigns ({p_words})."
-        ]
-    return [
-        f"The residual alone shows no more than noise ({p_words}): what speaks for it is that the "
-        "other parameters come nearer to their plausible values with it."
-    ]
-
-
-def percent(probability: float) -> str:
-    """A probability as sentences state it."""
-    return f"{100.0 * probability:.0f} %"
+    return " ".join([*said[found.judgement.kind](found), *doubts])
 
 
 def _nothing(found: Conclusion) -> list[str]:
@@ -401,10 +375,11 @@ def _family(found: Conclusion) -> list[str]:
     first = with_alternative(leading)
     first = "" if first == leading.name else first
     helps = next((s for s in found.separations if s.addition), None)
+    flows = not found.comparison.binned.campaign.same_flow
     advice = (
         f"To tell {helps.effect} from {helps.rival}: {helps.addition}."
         if helps
-        else f"What would show it: {OTHER_PARTNERS if first else leading.reveal}."
+        else f"What would show it: {OTHER_PARTNERS if first else leading.advice(flows)}."
     )
     if of_one_family(best, catalogue):
         a, b = (with_alternative(catalogue[name]) for name in best.effects)

@@ -177,6 +177,8 @@ class Effect:
     reference: str
     reveal: str
     """the measurement that shows it"""
+    reveal_with_flows: str = ""
+    """the same where the campaign has several total flows already, if that is another"""
     forms: tuple[Form, ...] = ()
     """ways in which it may act on the mean"""
     on_noise: OnNoise | None = None
@@ -200,6 +202,10 @@ class Effect:
     names_rivals: tuple[str, ...] = ()
     """dependences of :mod:`~bayes_sensor.diagnosis.evidence.varying_parameter` that it is: they are
     no unlisted causes while it is in the catalogue"""
+
+    def advice(self, several_flows: bool) -> str:
+        """The measurement that shows it, which the campaign does not hold already."""
+        return (several_flows and self.reveal_with_flows) or self.reveal
 
     @property
     def on_mean(self) -> bool:

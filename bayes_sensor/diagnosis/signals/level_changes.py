@@ -100,5 +100,11 @@ def _look(samples: Samples) -> list[Finding]:
 
 
 SIGNAL = Signal(
-    "break", 0.025, {"break_s": "s", "break_ratio": "1"}, _words, _look, of_the_mean=True
+    "break",
+    0.025,
+    {"break_s": "s", "break_ratio": "1"},
+    _words,
+    _look,
+    of_the_mean=True,
+    sets_in=True,
 )

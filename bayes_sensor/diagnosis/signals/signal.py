@@ -85,6 +85,8 @@ class Signal:
     """whether it is in those phases of a record only in which its places are"""
     phase: str = ""
     """the phase of all records that it is in, where it is in one only"""
+    sets_in: bool = False
+    """whether its places are moments from which something lasts"""
     despite_rounding: bool = False
     """whether it is looked for where the converter's steps hide the noise, too"""
 
