@@ -77,7 +77,7 @@ def print_summary(job: Job, remarks: Sequence[str], code: int) -> None:
                 say(f"{side}: {line.status}", quiet)
     if job.gap is not None:
         say(f"gap: {job.gap.verdict.sentence}", quiet)
-        for line in how_far_lines(job.gap.verdict.kind, job.gap.shrink.to_json()):
+        for line in how_far_lines(job.gap.to_json()):
             say(line, quiet)
     elif job.no_gap:
         say(f"not diagnosed: {job.no_gap}", quiet)

@@ -73,6 +73,9 @@ class Calibration:
     """log odds that a finding in single samples is an unlisted cause, and not noise of an odd kind:
     offset + slope times its log odds by evidence alone"""
 
+    tau_widening: float = 1.0
+    """factor on the spread of ln tau, and of all else, with a discrepancy in the model"""
+
     def shares(self, look: str, d: float) -> Shares:
         """What a look of detectability ``d`` turns out to be."""
         if look == "none":

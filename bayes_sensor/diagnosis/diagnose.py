@@ -13,6 +13,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.diagnosis.budget import gap_budget
 from bayes_sensor.diagnosis.closure import closure, shrinking, shrinking_of_noise
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.discrepancy_posterior import tau_with_discrepancy
 from bayes_sensor.diagnosis.effects import CATALOGUE, check_names
 from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
@@ -170,6 +171,7 @@ def diagnose_gap(
         probabilities=probabilities,
         rows=tuple(rows),
         strength_units=units_of(catalogue.values(), binned.settings[0], campaign.signal_unit),
+        tau_with_discrepancy_s=tau_with_discrepancy(comparison),
         signal_unit=campaign.signal_unit,
         notes=tuple(notes(conclusion)),
     )

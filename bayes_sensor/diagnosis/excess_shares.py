@@ -4,8 +4,8 @@ A visible gap is a small part of the noise, so that what a cell has above it is 
 joint fit smears a misfit over the phases, because the other parameters give way.  What an effect
 adds is told by the model with it less the same model without it, at the same parameters: a step
 after the pulse lies in the tail, a jump on the plateau on the plateau, whatever baseline and height
-have made of it.  A discrepancy adds its own mean.  Squares of what is added share out what each explanation takes of the excess, averaged over all of
-them by their probability.
+have made of it.  A discrepancy adds its own mean.  Squares of what is added share out what each
+explanation takes of the excess, averaged over all of them by their probability.
 """
 
 from __future__ import annotations

@@ -126,6 +126,10 @@ class Gap:
     rows: tuple[dict[str, Any], ...]
     strength_units: Mapping[str, str]
     """name of a strength -> its unit; "1": it has none"""
+    tau_with_discrepancy_s: Mapping[str, float] | None = None
+    """percentiles of tau with a smooth discrepancy in the model"""
+    lag_fast_with_discrepancy_s: Mapping[str, float] | None = None
+    """the same of the shorter lag, where nobody knows which lag is the sensor's"""
     signal_unit: str = "V"
     notes: tuple[str, ...] = ()
     """what could not be told, in sentences"""
@@ -208,6 +212,7 @@ class Gap:
             "findings": [self._note(f) for f in self.findings],
             "families": self.probabilities.families,
             "shrink": self.shrink.to_json(),
+            "tau_with_discrepancy_s": self.tau_with_discrepancy_s,
             "hidden": self.hidden.to_json(),
             "rounds": [{**vars(r), "added": list(r.added)} for r in self.rounds],
             "separate": [vars(s) for s in self.separations],
@@ -225,6 +230,8 @@ class Gap:
             "signal_unit": self.signal_unit,
             "notes": list(self.notes),
         }
+        if self.lag_fast_with_discrepancy_s is not None:
+            record["lag_fast_with_discrepancy_s"] = self.lag_fast_with_discrepancy_s
         as_json: dict[str, Any] = plain(record, "gap")
         return as_json
 
@@ -242,4 +249,6 @@ def without_lag_names(gap: Gap) -> Gap:
         budget=without_tau(gap.budget),
         shrink=nameless(gap.shrink),
         hidden=nameless(hidden),
+        tau_with_discrepancy_s=None,
+        lag_fast_with_discrepancy_s=gap.tau_with_discrepancy_s,
     )

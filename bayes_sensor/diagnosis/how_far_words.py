@@ -8,14 +8,15 @@ from typing import Any
 from bayes_sensor.display import shown
 
 
-def how_far_lines(kind: str, shrink: Mapping[str, Any]) -> list[str]:
-    """Two lines after a verdict of this ``kind``: what closes, in sample and held out; tau.
+def how_far_lines(said: Mapping[str, Any]) -> list[str]:
+    """Two lines after a verdict: what closes, in sample and held out; tau.
 
-    ``shrink``: that part of gap.json.  None of them where nothing is missing.
+    ``said``: the content of gap.json.  Neither where nothing is missing.
     """
+    kind, shrink = said["verdict"]["kind"], said["shrink"]
     if kind == "none":
         return []
-    return [_closed(kind, shrink), _tau(shrink)]
+    return [_closed(kind, shrink), _tau(said, kind == "unlisted")]
 
 
 def _closed(kind: str, shrink: Mapping[str, Any]) -> str:
@@ -40,7 +41,8 @@ def _share(shrink: Mapping[str, Any], key: str) -> str:
     return f"{words} (95 %: {100.0 * low:.0f} to {100.0 * high:.0f} %)"
 
 
-def _tau(shrink: Mapping[str, Any]) -> str:
+def _tau(said: Mapping[str, Any], unlisted: bool) -> str:
+    shrink = said["shrink"]
     key, name = ("lag_fast", "shorter lag") if "lag_fast_before_s" in shrink else ("tau", "tau")
     each = []
     for when, words in (("before", "without an effect"), ("after", "with the explanations")):
@@ -51,4 +53,8 @@ def _tau(shrink: Mapping[str, Any]) -> str:
         if low is not None and high is not None:
             span = f" (95 %: {shown(1e3 * low, 3)} to {shown(1e3 * high, 3)} ms)"
         each.append(f"{shown(1e3 * middle, 3)} ms{span} {words}")
+    wide = said.get(f"{key}_with_discrepancy_s")
+    if unlisted and wide is not None:
+        low, middle, high = (shown(1e3 * wide[q], 3) for q in ("q2.5", "q50", "q97.5"))
+        each[1:] = [f"{middle} ms (95 %: {low} to {high} ms) with a discrepancy in the model"]
     return f"{name}: {', '.join(each)}"
