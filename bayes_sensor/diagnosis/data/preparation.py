@@ -172,10 +172,16 @@ def prepare(
     names = (*lags, "V_mL" if "tau_s" in lags or naming.flow is None else "")
     centre, sd = _plausible(campaign, flat, names), _spread(campaign, names)
     flow = float(np.median([e.total_flow for e in campaign]))
+    interval = float(np.median([e.interval for e in campaign]))
     tau_v = float(flat[0 if lags[0] == "tau_v_s" else 1])
     if flat[2] < NO_VOLUME * tau_v * flow and "V_mL" not in campaign.side_information:
-        # no rig is without a manifold: the fit has bent it away to do some effect's work
-        centre[2], sd[2] = log(0.5 * tau_v * flow), ANY_VOLUME
+        sd[2] = ANY_VOLUME
+        if flat[2] > interval * flow:
+            # no rig is without a manifold: the fit has bent it away to do some effect's work
+            centre[2] = log(0.5 * tau_v * flow)
+    if flat[0] < interval and lags[0] not in campaign.side_information:
+        # what one sampling interval hides has no other plausible value than the fit's own
+        centre[0] = log(flat[0])
     binned = BinnedCampaign(
         campaign=campaign,
         bins=tuple(bins),
