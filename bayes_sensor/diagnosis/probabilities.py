@@ -84,6 +84,10 @@ class Probabilities:
             if row != "unlisted" and not any(self.catalogue[n].on_mean for n in self.members(row))
         )
 
+    def looks(self, look: str) -> float:
+        """Share of the evidence of the mean that looks so, before calibration."""
+        return sum(a.mass for a in self.appearances if a.look == look)
+
     @staticmethod
     def members(row: str) -> tuple[str, ...]:
         """The effects of a row."""

@@ -160,10 +160,7 @@ def family_words(
             "catalogue that looks the same is not excluded."
         )
     if leads:
-        return (
-            f"One of {names} explains the gap{place} ({sure}), most likely {named[0]} "
-            f"({percent(leading)})."
-        )
+        return f"One of {names} explains the gap{place} ({sure}), most likely {named[0]}."
     return (
         f"One of {names} explains the gap{place} ({sure}); this campaign does not tell them apart."
     )
@@ -282,11 +279,6 @@ class Conclusion:
         return f", mostly in the {self.phase}" if self.phase else ""
 
     @cached_property
-    def moved(self) -> float:
-        """Probability, by the mean alone, that something moves it."""
-        return sum(a.mass for a in self.probabilities.appearances if a.look != "none")
-
-    @cached_property
     def unlisted(self) -> list[Finding]:
         """What is there and of unlisted origin, the clearest first."""
         found = [f for f in self.findings if not f.signal.listed and f.probability > FOUND]
@@ -356,7 +348,7 @@ def _unlisted(found: Conclusion) -> list[str]:
             f"{best.leftover:.0f} standard deviations of misfit are left: the cause is not "
             f"listed{sure}, or the noise is not what it seems."
         ]
-    elif found.moved < 0.5 and by_samples:
+    elif found.probabilities.looks("none") > 0.5 and by_samples:
         words = [f"Single samples show a cause that is not listed{sure}."]
     else:
         words = [
