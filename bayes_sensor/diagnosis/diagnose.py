@@ -133,7 +133,7 @@ def diagnose_gap(
     tell(0.7, "how far")
     closed = closure(base, best.refit, comparison.discrepancies, seed, comparison.others(best))
     shrink = shrinking(comparison, best, closed, seed)
-    if named and not best.effects:
+    if judgement.effects and not best.effects:
         shrink = shrinking_of_noise(shrink, judgement.effects, catalogue, prepared, findings)
 
     tell(0.85, "what may hide")
