@@ -1,7 +1,7 @@
 """From probabilities to a verdict: three rules on the one vector.
 
-1. A row of the vector is named where its probability exceeds :data:`NAMED`, unless its effects
-   cannot be told from others by their nature.
+1. The likeliest row of the vector is named where each of its effects is there with more than
+   :data:`NAMED`, unless they cannot be told from others by their nature.
 2. Otherwise the likeliest is stated: that nothing moves the mean, a family, or an unlisted cause.
 3. Nothing is called unlisted where noise alone often leaves as much.
 """
@@ -55,7 +55,8 @@ def judge(probabilities: Probabilities, p_value: float) -> Judgement:
     catalogue, rows = probabilities.catalogue, probabilities.rows
     named = max(rows, key=lambda row: rows[row])
     effects = Probabilities.members(named)
-    if effects and rows[named] > NAMED and _nameable(effects, probabilities):
+    sure = min((probabilities.effects[n] for n in effects), default=0.0) > NAMED
+    if sure and _nameable(effects, probabilities):
         families = {catalogue[n].family for n in effects}
         family = families.pop() if len(families) == 1 else None
         return Judgement("effect", effects, family, rows[named])

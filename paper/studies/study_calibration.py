@@ -41,6 +41,10 @@ LEAST = 1e-4
 """mass of an appearance that is left out"""
 HELD_BACK = 2.0
 """campaigns that the starting values count for, in the logarithm of odds of one"""
+EARLIER, EARLIER_RIGHT, AT = 40.0, 0.42, 7.0
+"""findings of long records, which these short ones hardly have: of 234 campaigns of eight sealed
+blind checks that single samples showed as unlisted, 99 were; they count for so many campaigns, at a
+log odds that is typical of such findings"""
 AS_IT_IS = Calibration(1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 0.0, 1.0)
 """the evidences taken at their word"""
 BEGIN = Calibration(0.05, 0.5, 0.125, 0.05, 0.05, 0.02, 0.02, -1.0, 0.3)
@@ -134,6 +138,9 @@ def fitted_map(told: Sequence[Told]) -> Calibration:
     def loss(x: np.ndarray) -> float:
         table = _map(x)
         logs = [np.log(max(table.classes(seen)[true], 1e-12)) for true, seen in told]
+        right = table.of_finding(AT)
+        logs.append(EARLIER * EARLIER_RIGHT * np.log(right))
+        logs.append(EARLIER * (1.0 - EARLIER_RIGHT) * np.log1p(-right))
         return -float(np.sum(logs)) + 0.5 * HELD_BACK * float(np.sum((x - begin) ** 2)) / 4.0
 
     return _map(minimize(loss, begin, method="L-BFGS-B", options={"maxiter": 60}).x)

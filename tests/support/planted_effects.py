@@ -8,9 +8,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from bayes_sensor.campaign import Campaign, Experiment
-from bayes_sensor.diagnosis import Gap, diagnose_gap
+from bayes_sensor.diagnosis import Gap, diagnose_gap, signals
 from bayes_sensor.diagnosis.effects.simulate_effects import simulate_with_effects
-from bayes_sensor.diagnosis import signals
 
 FLOWS = ((4.0, 0.5), (2.5, 0.5), (8.0, 1.0), (5.0, 1.0))
 """L/min: carrier and test gas"""

@@ -39,7 +39,7 @@ def _warming(s: Setting) -> tuple[Strength, ...]:
     return (
         Strength("warm_up", "V", "normal", 0.0, 0.03 * s.signal_scale, per_experiment=True,
                  scaled=True, alike=0.8),
-        Strength("warm_up_time", "s", "log_normal", 0.5 * s.duration, 1.0),
+        Strength("warm_up_time", "s", "log_normal", s.duration, 0.7),
     )  # fmt: skip
 
 
@@ -58,7 +58,7 @@ EFFECT = Effect(
         Form(lambda s: _drift(s, True), lambda v, s: {"drift": v["drift"]}, name="own"),
         Form(_bent, lambda v, s: dict(v), name="bent"),
         Form(_twisted, lambda v, s: dict(v), name="twisted"),
-        Form(_warming, _warm, name="warm-up"),
+        Form(_warming, _warm, name="warm-up", weight=0.2),
     ),
     plausible={"drift": 1e-4},
     null={"drift": 0.0, "drift_curve": 0.0, "drift_twist": 0.0, "warm_up": 0.0},
