@@ -1,4 +1,4 @@
-"""Every signal by the same tests: quiet in noise, found where planted, in any unit and on any clock.
+"""Every signal by the same tests: quiet in noise, found where planted, in any unit, on any clock.
 
 A new signal is entered in ``PLANTED`` with what it looks for.
 """
@@ -24,7 +24,7 @@ from tests.support.planted_effects import measured
 Adds = Callable[[Experiment, np.random.Generator], np.ndarray]
 """an experiment -> (n_t,) V that the signal puts beside its mean and noise"""
 NULLS = 6
-"""faultless campaigns, in which a signal with a prior of .04 is found once at most in 98 of 100 runs"""
+"""faultless campaigns; with a prior of .04 a signal is found in two of them in 2 % of all runs"""
 
 
 def _sine(hertz: float, volts: float) -> Adds:
