@@ -176,12 +176,10 @@ def prepare(
     tau_v = float(flat[0 if lags[0] == "tau_v_s" else 1])
     if flat[2] < NO_VOLUME * tau_v * flow and "V_mL" not in campaign.side_information:
         sd[2] = ANY_VOLUME
-        if flat[2] > interval * flow:
-            # no rig is without a manifold: the fit has bent it away to do some effect's work
+        if not (campaign.same_flow and flat[2] < interval * flow):
+            # no rig is without a manifold: the fit has bent it away to do some effect's work; but
+            # at one flow, what one sampling interval hides is where the fit has it
             centre[2] = log(0.5 * tau_v * flow)
-    if flat[0] < interval and lags[0] not in campaign.side_information:
-        # what one sampling interval hides has no other plausible value than the fit's own
-        centre[0] = log(flat[0])
     binned = BinnedCampaign(
         campaign=campaign,
         bins=tuple(bins),
