@@ -24,7 +24,6 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.closed_fraction import VISIBLE, Closure, HeldOut
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.noise_floor import DOF
-from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.evidence.block_least_squares import inverted, solved
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
@@ -34,7 +33,7 @@ from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
 from bayes_sensor.diagnosis.gap import Shrink
 from bayes_sensor.diagnosis.location import excess_mean_square
-from bayes_sensor.diagnosis.signals.signal import Finding
+from bayes_sensor.diagnosis.signals.signal import Finding, Samples
 
 RULED_OUT = 0.05
 """chance of a full closing below which it is"""
@@ -318,7 +317,7 @@ def shrinking_of_noise(
     shrink: Shrink,
     named: Sequence[str],
     catalogue: Mapping[str, Effect],
-    prepared: PreparedCampaign,
+    samples: Samples,
     findings: Sequence[Finding],
 ) -> Shrink:
     """``shrink`` with the closed fraction of a named effect on the noise, if one has its own."""
@@ -326,7 +325,7 @@ def shrinking_of_noise(
         noise = catalogue[name].on_noise
         if noise and noise.closure:
             found = next(f for f in findings if f.name == name)
-            closed, out = noise.closure(prepared, found)
+            closed, out = noise.closure(samples, found)
             return replace(shrink, closure=closed, held_out_fraction_closed=out, explanation=name)
     return shrink
 

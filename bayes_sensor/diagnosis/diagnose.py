@@ -117,7 +117,8 @@ def diagnose_gap(
     tell(0.08, "where")
     excess = locate(binned, base, seed, bootstrap, signatures(base, catalogue))
     comparison = compare_hypotheses(binned, base, catalogue, lambda s, t: tell(0.15 + 0.4 * s, t))
-    findings = look_for_signals(prepared.samples(comparison.likeliest.refit), catalogue)
+    samples = prepared.samples(comparison.likeliest.refit)
+    findings = look_for_signals(samples, catalogue)
     probabilities = combine(comparison, findings, catalogue)
     excess = with_findings(excess, findings)
     judgement = judge(probabilities, excess.p_value)
@@ -134,7 +135,7 @@ def diagnose_gap(
     closed = closure(base, best.refit, comparison.discrepancies, seed, comparison.others(best))
     shrink = shrinking(comparison, best, closed, seed)
     if judgement.effects and not best.effects:
-        shrink = shrinking_of_noise(shrink, judgement.effects, catalogue, prepared, findings)
+        shrink = shrinking_of_noise(shrink, judgement.effects, catalogue, samples, findings)
 
     tell(0.85, "what may hide")
     hides = HiddenEffects((), best.tau_interval)

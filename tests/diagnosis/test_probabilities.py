@@ -32,7 +32,7 @@ def test_evidences_at_their_word_stay_what_they_are() -> None:
     ]
     assert PLAIN.classes(seen) == pytest.approx((0.5, 0.3, 0.2))
     # a finding takes its share of what it is not excused by
-    struck = [seen[0]._replace(finding=0.0), *seen[1:]]
+    struck = [Appearance("none", (), 0.5, 0.0, 0.0), *seen[1:]]
     assert PLAIN.classes(struck) == pytest.approx((0.25, 0.3, 0.45))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import log
 
@@ -85,11 +84,6 @@ class PreparedCampaign:
     def deviations(self) -> list[FloatArray]:
         """(n_t,) V of every experiment, the noise's standard deviation."""
         return [q.deviation for q in self.quiet]
-
-    @property
-    def records(self) -> tuple[Campaign, Sequence[FloatArray], Sequence[FloatArray]]:
-        """The campaign, its residuals and the deviations: what detectors look at."""
-        return self.binned.campaign, self.residuals, self.deviations
 
     def samples(self, best: Refit) -> Samples:
         """What signals look at: the samples less the mean of the ``best`` explanation."""

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from math import exp, log
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,10 +20,7 @@ from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.effects.rig_view import RigView
 from bayes_sensor.diagnosis.effects.setting import Setting
-from bayes_sensor.diagnosis.signals.signal import Finding, Signal
-
-if TYPE_CHECKING:
-    from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
+from bayes_sensor.diagnosis.signals.signal import Finding, Samples, Signal
 
 KINDS = ("normal", "log_normal")
 PUBLISHED_SCALES = (0.8577, 1.88, 120.0)
@@ -156,7 +152,7 @@ class OnNoise:
     """why they must, in words that follow the value"""
     signal: Signal | None = None
     """what tells of it in single samples"""
-    closure: Callable[[PreparedCampaign, Finding], tuple[Closure, float | None]] | None = None
+    closure: Callable[[Samples, Finding], tuple[Closure, float | None]] | None = None
     """how far it closes a gap that is not one of the mean, in sample and held out"""
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -26,10 +25,7 @@ from bayes_sensor.diagnosis.signals.periodograms import (
     noise_levels,
     pieces_of_records,
 )
-from bayes_sensor.diagnosis.signals.signal import Finding
-
-if TYPE_CHECKING:
-    from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
+from bayes_sensor.diagnosis.signals.signal import Finding, Samples
 
 SIDE = 3.0
 """native resolutions around a line that hold its power"""
@@ -188,8 +184,10 @@ def _added(
     return y + strength["mains_V"] * sine
 
 
-def _closure(prepared: PreparedCampaign, found: Finding) -> tuple[Closure, float | None]:
-    return mains_closure(pieces_of_records(*prepared.records), found)
+def _closure(samples: Samples, found: Finding) -> tuple[Closure, float | None]:
+    return mains_closure(
+        pieces_of_records(samples.campaign, samples.residuals, samples.deviations), found
+    )
 
 
 EFFECT = Effect(

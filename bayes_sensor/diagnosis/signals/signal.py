@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -13,9 +13,6 @@ from scipy.special import logsumexp
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.calibration import calibration
 from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans, Stretch, hides_the_noise
-
-if TYPE_CHECKING:
-    from bayes_sensor.diagnosis.evidence.refit import Refit
 
 FOUND = 0.5
 """probability from which a finding counts as present in the steps that follow"""
@@ -36,8 +33,8 @@ class Samples:
     """quiet parts as measured, less the mean of the fit"""
     quiet: Sequence[QuietSpans]
     """switches and quiet spans of every experiment"""
-    fitted: Refit
-    """the explanation whose mean was taken off"""
+    fitted: Any
+    """:class:`~bayes_sensor.diagnosis.evidence.refit.Refit` whose mean was taken off"""
     found: tuple[Finding, ...] = ()
     """of the signals before in the registry"""
 
