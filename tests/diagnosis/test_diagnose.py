@@ -684,3 +684,14 @@ def test_a_fit_under_another_noise_law_or_with_effects_serves_as_well_and_a_fore
     fewer = replace(campaign, experiments=campaign.experiments[:2])
     with pytest.raises(CampaignError, match="gap: the fit has the parameters tau_s, .*fit this"):
         diagnose_gap(fewer, plain, **quick)
+
+
+def test_an_instrument_that_warms_up_is_a_drift_of_the_baseline() -> None:
+    campaign = measured({}, seed=3)
+    warm = {e.name: e.values - 0.15 * (1.0 - np.exp(-e.t / 45.0)) for e in campaign}
+    gap = diagnose_gap(campaign.with_data(warm), bootstrap=0, separate=False, hidden=False)
+    assert gap.verdict.kind in ("effect", "family")
+    assert gap.verdict.effects[0] == "baseline_drift" and gap.verdict.family == "baseline"
+    tau = gap.shrink.tau_after_low_s, gap.shrink.tau_after_high_s
+    assert tau[0] < 0.06 < tau[1]
+    assert gap.to_json()["verdict"]["sets_in"] == []  # it has begun before the records
