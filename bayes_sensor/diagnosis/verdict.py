@@ -55,7 +55,7 @@ def judge(probabilities: Probabilities, p_value: float) -> Judgement:
     catalogue, rows = probabilities.catalogue, probabilities.rows
     named = max(rows, key=lambda row: rows[row])
     effects = Probabilities.members(named)
-    sure = min((probabilities.effects[n] for n in effects), default=0.0) > NAMED
+    sure = min((_chance(n, probabilities) for n in effects), default=0.0) > NAMED
     if sure and _nameable(effects, probabilities):
         families = {catalogue[n].family for n in effects}
         family = families.pop() if len(families) == 1 else None
@@ -73,6 +73,17 @@ def judge(probabilities: Probabilities, p_value: float) -> Judgement:
     if of_family > probabilities.none:
         return _family(family, probabilities)
     return Judgement("none", (), None, probabilities.none)
+
+
+def _chance(name: str, probabilities: Probabilities) -> float:
+    """Probability that an effect is there; of one of the noise among the rows that tell of it.
+
+    An unlisted cause of the mean says nothing about the noise.
+    """
+    p = probabilities.effects[name]
+    if probabilities.catalogue[name].on_mean:
+        return p
+    return p / max(1.0 - probabilities.unlisted, 1e-300)
 
 
 def _nameable(effects: tuple[str, ...], probabilities: Probabilities) -> bool:

@@ -438,7 +438,7 @@ def test_leverage_is_the_projection_of_noise(binned, base):
     ("rows", "kind", "said"),
     [
         # the noise alone is named where the mean may well be in order
-        ({"heavy_tails": 0.6, "flow_settling+heavy_tails": 0.2, "unlisted": 0.2}, "family",
+        ({"heavy_tails": 0.6, "flow_settling+heavy_tails": 0.2, "unlisted": 0.2}, "effect",
          ("heavy_tails",)),
         ({"heavy_tails": 0.92, "flow_settling+heavy_tails": 0.04, "unlisted": 0.04}, "effect",
          ("heavy_tails",)),

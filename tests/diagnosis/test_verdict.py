@@ -82,7 +82,7 @@ def test_an_effect_of_the_noise_is_there_whatever_explains_the_mean() -> None:
     assert (kind, effects, family) == ("effect", ("heavy_tails",), "noise law")
     assert p == 0.55 == vector.unmoved and vector.effects["heavy_tails"] == pytest.approx(0.95)
     # less sure, it is its family
-    vector = joined(0.3, 0.05, {"heavy_tails": 0.65})
+    vector = joined(0.1, 0.15, {"heavy_tails": 0.75})
     assert judge(vector, 0.01)[:3] == ("family", ("heavy_tails",), "noise law")
     mean = joined(0.0, 0.05, {"heavy_tails": 0.4, "flow_error+heavy_tails": 0.55})
     assert judge(mean, 0.01).family == CATALOGUE["flow_error"].family
