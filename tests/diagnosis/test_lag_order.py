@@ -20,6 +20,7 @@ from bayes_sensor.diagnosis.effects.simulate_effects import simulate_with_effect
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.evidence.varying_parameter import embedded_rivals
+from bayes_sensor.diagnosis.probabilities import Probabilities
 from bayes_sensor.diagnosis.verdict import judge
 from bayes_sensor.diagnosis.wording import effect_sentence, second_words, with_alternative
 from bayes_sensor.fit import fit_least_squares
@@ -315,15 +316,10 @@ def test_an_effect_of_one_of_two_lags_is_told_with_its_counterpart() -> None:
     said = "".join(second_words(["baseline_drift"], combined, nameless))
     assert "most likely valve_asymmetry if the longer lag is the valve's, or sorption_asy" in said
     # nor is it named beside another
-    comparison = SimpleNamespace(complete=[], base=None)
-    combined = SimpleNamespace(
-        **vars(combined), unlisted=0.0, looks_unlisted=0.0, none=0.0, rows={}
-    )
-    assert judge(comparison, combined, CATALOGUE)[:2] == (
-        "effect",
-        ("baseline_drift", "valve_asymmetry"),
-    )
-    assert judge(comparison, combined, nameless)[:2] == ("effect", ("baseline_drift",))
+    rows = {"none": 0.0, "unlisted": 0.06, "baseline_drift+valve_asymmetry": 0.94}
+    both = ("baseline_drift", "valve_asymmetry")
+    assert judge(Probabilities(rows, CATALOGUE), 0.0)[:2] == ("effect", both)
+    assert judge(Probabilities(rows, nameless), 0.0).kind == "family"
 
 
 # --------------------------------------------------------------------------- the full model
