@@ -24,6 +24,7 @@ from bayes_sensor.fit.refinement import Refined, around, mesh_points, refine, wi
 from bayes_sensor.fit.side_information import named_parameters, weigh_names
 from bayes_sensor.fit.starts import SwarmProblem, limits
 from bayes_sensor.fit.swarm import particle_swarm
+from bayes_sensor.fit.twins import AS_GOOD, Twin, apart, other_orders
 from bayes_sensor.likelihood.density import mean_and_variance
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import Cascade
@@ -34,56 +35,6 @@ from bayes_sensor.workers import one_thread
 TAU_STARTS = (0.005, 0.03, 0.1, 0.25)
 GUESSES = (0.03, 0.1, 0.3, 1.0)
 """shares of the rise from which all lags start where no swarm searches"""
-
-
-TWINS_APART = 0.3
-"""distance in the logarithms of a lag and of a volume above which two fits are different answers"""
-AS_GOOD = 9.0
-"""rise of the sum of squares, in noise variances, up to which another fit is as good (3 sd)"""
-
-
-@dataclass(frozen=True)
-class Twin:
-    """The best fit with the roles of a lag and a volume exchanged (valve and manifold)."""
-
-    lag: str
-    volume: str
-    """flat names of the two"""
-    lag_s: float
-    volume_mL: float
-    excess: float  # V^2, its sum of squares less that of the fit
-
-    def sentence(self) -> str:
-        """That both fits are as good."""
-        stages = {"tau_v_s": "valve", "V_mL": "manifold"}
-        lag, volume = self.lag.removesuffix("_s"), self.volume.removesuffix("_mL")
-        return (
-            f"{stages.get(self.lag, lag)} and {stages.get(self.volume, volume)} cannot be told "
-            f"apart by these data: a fit with {lag} = {1e3 * self.lag_s:.4g} ms and {volume} = "
-            f"{self.volume_mL:.4g} mL is as good"
-        )
-
-
-def _other_orders(problem: Problem, theta: FloatArray) -> list[tuple[int, int, FloatArray]]:
-    """Positions of a lag and a volume, and ``theta`` (n_mean,) with their roles exchanged at the
-    typical flow; the longest lag that does not depend on flow, with each volume."""
-    layout, commuting = problem.layout, problem.commuting
-    if not layout.rig.needs_flow or commuting.flow is not None or not commuting.names:
-        return []
-    flow, lag = float(np.median([e.total_flow for e in problem.campaign])), commuting.places[-1]
-    found = []
-    for volume, name in enumerate(layout.shared_names):
-        if name.startswith("V_"):
-            other = theta.copy()
-            other[lag], other[volume] = theta[volume] / flow, theta[lag] * flow
-            found.append((lag, volume, commuting.by_size(other)))
-    return found
-
-
-def _apart(a: FloatArray, b: FloatArray, places: tuple[int, int]) -> bool:
-    """Whether two answers (n_mean,) differ in a lag and in a volume."""
-    pair = list(places)
-    return bool((np.abs(np.log(a[pair] / b[pair])) > TWINS_APART).all())
 
 
 @dataclass
@@ -298,11 +249,11 @@ def _search(
         if other.cost < best.cost:
             best = other
     twin = None
-    for lag, volume, start in _other_orders(problem, best.theta):
+    for lag, volume, start in other_orders(problem, best.theta):
         other = refined_from(start)
         if other.cost < best.cost:
             best, other = other, best
-        if _apart(other.theta, best.theta, (lag, volume)):
+        if apart(other.theta, best.theta, (lag, volume)):
             names = layout.shared_names
             nearest = Twin(
                 names[lag], names[volume], float(other.theta[lag]), float(other.theta[volume]),
