@@ -17,6 +17,7 @@ because the response does not depend on their order. The result names them as th
 
 from bayes_sensor.fit.fit import Fit, Progress
 from bayes_sensor.fit.least_squares import fit_least_squares, refit
+from bayes_sensor.fit.number_of_lags import count_lags
 from bayes_sensor.fit.swarm import Swarm, particle_swarm
 
-__all__ = ["Fit", "Progress", "Swarm", "fit_least_squares", "particle_swarm", "refit"]
+__all__ = ["Fit", "Progress", "Swarm", "count_lags", "fit_least_squares", "particle_swarm", "refit"]

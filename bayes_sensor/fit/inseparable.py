@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from bayes_sensor.fit.side_information import apart_squares, polynomial_slopes
 from bayes_sensor.fit.twins import AS_GOOD, Twin
 from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.cascade import Cascade
 from bayes_sensor.rig.lags import Naming
 from bayes_sensor.rig.switching import is_switch_time
 
@@ -41,13 +43,17 @@ class Inseparable:
     """what would tell them apart"""
     sentence: str
     """both, for a warning"""
+    kind: str = "warning"
+    """``caveat`` of the first line, ``warning``, or ``said``: by the names already"""
 
     @classmethod
-    def of(cls, parameters: Sequence[str], why: str, measure: str) -> Inseparable:
+    def of(
+        cls, parameters: Sequence[str], why: str, measure: str, kind: str = "warning"
+    ) -> Inseparable:
         """With the sentence made of ``why``, a clause."""
         who = _listed([_symbol(name) for name in parameters])
-        text = f"{who} cannot be told apart by these data: {why}. To tell them apart: {measure}."
-        return cls(tuple(parameters), measure, text)
+        text = f"{who} cannot be told apart by these data: {why}; to tell them apart: {measure}"
+        return cls(tuple(parameters), measure, text, kind)
 
     def to_json(self) -> dict[str, Any]:
         """Names and measurement."""
@@ -65,6 +71,47 @@ def _listed(words: Sequence[str]) -> str:
     return ", ".join(words[:-1]) + f" and {words[-1]}" if len(words) > 1 else words[0]
 
 
+def inseparable(
+    problem: Problem, vector: FloatArray, naming: Naming, twin: Twin | None
+) -> tuple[Inseparable, ...]:
+    """All parameters that the campaign cannot tell apart at a fit ``vector`` (n_theta,).
+
+    ``twin``: another lag and volume that fit as well.  Other models than the exact chain, and
+    problems with held parameters, have only what their names leave open.
+    """
+    found = [without_names(problem, naming), volumes_without_names(problem)]
+    found.append(None if twin is None else exchanged(twin))
+    model = problem.model
+    if type(model) is Cascade and model.method == "exact" and not problem.held:
+        found.append(common_to_sensors(problem, vector))
+        found += left_open(problem, vector)
+    return tuple(each for each in found if each is not None)
+
+
+def volumes_in_order(problem: Problem, theta: FloatArray) -> FloatArray:
+    """``theta`` (n_mean,) with volumes that commute nearest to what is known of them, else by size.
+
+    The response is the same.
+    """
+    names = volumes_that_commute(problem)
+    if len(names) < 2 or problem.commuting.flow is not None or problem.held:
+        return theta
+    places = [problem.layout.shared_names.index(name) for name in names]
+
+    def away(values: tuple[float, ...]) -> float:
+        laws = [problem.named_laws.get(name) for name in names]
+        return sum(
+            ((value - law.a) / law.b) ** 2
+            for value, law in zip(values, laws, strict=True)
+            if law is not None and law.kind == "normal"
+        )
+
+    found = theta.copy()
+    # of equal ones the first: by size
+    found[places] = min(permutations(sorted(theta[places].tolist())), key=away)
+    return found
+
+
 def without_names(problem: Problem, naming: Naming) -> Inseparable | None:
     """The lags of which it is not known whose they are; None where there are none."""
     names = [name for name in naming.commuting.names if naming.place(name) is None]
@@ -79,7 +126,13 @@ def without_names(problem: Problem, naming: Naming) -> Inseparable | None:
         ways.append(f"{_symbol(others[0])} measured elsewhere, as side information")
     if "tau_s" in names:
         ways.append('[rig] sensor_is = "faster" or "slower"')
-    return Inseparable.of(names, "the response does not depend on their order", "; or ".join(ways))
+    said = volumes or "tau_s" in names
+    return Inseparable.of(
+        names,
+        "the response does not depend on their order",
+        ", or ".join(ways),
+        "said" if said else "warning",
+    )
 
 
 def volumes_without_names(problem: Problem) -> Inseparable | None:
@@ -94,6 +147,7 @@ def volumes_without_names(problem: Problem) -> Inseparable | None:
         "volumes in a row commute at every flow, so which value is whose is not known; they are "
         "given by size, the smallest first",
         f"{_symbol(names[0])} measured elsewhere, as side information",
+        "caveat",
     )
 
 
@@ -116,7 +170,7 @@ def common_to_sensors(problem: Problem, vector: FloatArray) -> Inseparable | Non
     if n < 2 or not shared or known or any(name in problem.named_laws for name in shared):
         return None
     vector = vector.copy()
-    longest = float(vector[: layout.n_shared - 0][:n].max())
+    longest = float(vector[:n].max())
     vector[:n] = np.maximum(vector[:n], SHORTEST * longest)
     free = np.array([i for i, name in enumerate(layout.names) if name not in problem.fixed])
     information = expected_information(problem, vector)[np.ix_(free, free)]
@@ -150,7 +204,7 @@ def exchanged(twin: Twin) -> Inseparable:
     pair = (twin.lag, twin.volume)
     volume = _symbol(twin.volume)
     measure = f"total flows further apart, or {volume} measured elsewhere, as side information"
-    return Inseparable(pair, measure, f"{twin.sentence()}. To tell them apart: {measure}.")
+    return Inseparable(pair, measure, f"{twin.sentence()}; to tell them apart: {measure}")
 
 
 def left_open(problem: Problem, vector: FloatArray) -> list[Inseparable]:
