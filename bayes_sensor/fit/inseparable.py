@@ -52,7 +52,7 @@ class Inseparable:
     ) -> Inseparable:
         """With the sentence made of ``why``, a clause."""
         who = _listed([_symbol(name) for name in parameters])
-        text = f"{who} cannot be told apart by these data: {why}; to tell them apart: {measure}"
+        text = f"these data cannot tell {who} apart: {why}; to tell them apart: {measure}"
         return cls(tuple(parameters), measure, text, kind)
 
     def to_json(self) -> dict[str, Any]:
@@ -76,7 +76,7 @@ def inseparable(
 ) -> tuple[Inseparable, ...]:
     """All parameters that the campaign cannot tell apart at a fit ``vector`` (n_theta,).
 
-    ``twin``: another lag and volume that fit as well.  Other models than the exact chain, and
+    Where a value may be another parameter's, that is a caveat of the first line.  ``twin``: another lag and volume that fit as well.  Other models than the exact chain, and
     problems with held parameters, have only what their names leave open.
     """
     found = [without_names(problem, naming), volumes_without_names(problem)]
@@ -190,6 +190,7 @@ def common_to_sensors(problem: Problem, vector: FloatArray) -> Inseparable | Non
         "they share may exchange their values",
         f"{_symbol(shared[0])} measured elsewhere, as side information, or a sensor of another "
         "speed",
+        "caveat",
     )
 
 
