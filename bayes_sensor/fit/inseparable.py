@@ -76,8 +76,9 @@ def inseparable(
 ) -> tuple[Inseparable, ...]:
     """All parameters that the campaign cannot tell apart at a fit ``vector`` (n_theta,).
 
-    Where a value may be another parameter's, that is a caveat of the first line.  ``twin``: another lag and volume that fit as well.  Other models than the exact chain, and
-    problems with held parameters, have only what their names leave open.
+    Where a value may be another parameter's, that is a caveat of the first line.  ``twin``: another
+    lag and volume that fit as well.  Other models than the exact chain, and problems with held
+    parameters, have only what their names leave open.
     """
     found = [without_names(problem, naming), volumes_without_names(problem)]
     found.append(None if twin is None else exchanged(twin))

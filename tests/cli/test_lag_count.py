@@ -12,7 +12,8 @@ from tests.support.other_rigs import CASES
 
 def test_fit_says_how_many_lags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = CASES["sensor"]().simulated(3)
-    write_csv(tmp_path / "a.csv", data["2"])
+    e = data["2"]
+    write_csv(tmp_path / "a.csv", {"time_s": e.t, "voltage_V": e.values})
     text = """
 title = "one lag in the default rig"
 [[experiment]]
