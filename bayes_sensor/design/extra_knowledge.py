@@ -52,7 +52,8 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
     beforehand = known_beforehand(problem)
     rig, flows = truth.rig, [s.experiment.total_flow for s in settings]
     lags = np.array([rig.lags(np.array(truth.shared), flow) for flow in flows])
-    slowest = _decade(float(lags.max()))
+    slowest = max(_decade(float(lags.max())), 1.0)  # a millisecond is what a trigger can do
+    times = "times the valve" if "tau_v_s" in rig.names else "times the switches"
     volumes = [name for name in rig.names if name.startswith("V_")]
     rows: list[dict[str, Any]] = []
     known: Known = {}
@@ -80,9 +81,9 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
     for share in (0.02, 0.01, 0.005, 0.002, 0.001):
         at = share * slowest
         ms = 1e3 * at
-        add(f"a trigger that times the valve to +-{ms:g} ms", "trigger", ms, "ms", told(at))
+        add(f"a trigger that {times} to +-{ms:g} ms", "trigger", ms, "ms", told(at))
     for name in volumes:
-        size = _decade(truth.shared[rig.names.index(name)])
+        size = max(_decade(truth.shared[rig.names.index(name)]), 100.0)
         symbol = name.removesuffix("_mL")
         for share in (0.02, 0.01, 0.005, 0.001):
             mL = share * size
