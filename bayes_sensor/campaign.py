@@ -29,6 +29,8 @@ ORDERS = ("faster", "slower", "unknown")
 """what is known of the sensor's lag among those that do not depend on flow"""
 STAGES = ("valve", "manifold", "sensor")
 """what the gas passes, in order"""
+ZIF8 = "zif8"
+"""the coating of the published sensor, the only one that is modelled"""
 MOST_JITTER = 0.3
 """of the interval: where a time is further than this from its place on a grid, the sampling is
 irregular"""
@@ -387,6 +389,9 @@ class Campaign:
     row commute, so the data give their values and not their names"""
     stages: tuple[str, ...] = STAGES
     """what the gas passes, in order, as ``[rig] stages`` has them"""
+    coating: str = ""
+    """``zif8`` where the sensor has the published coating: then tau is compared with its diffusion,
+    and the report with what was published"""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "experiments", tuple(self.experiments))
@@ -395,6 +400,11 @@ class Campaign:
             raise CampaignError(
                 f"{self.source or 'campaign'}: sensor_is must be one of {', '.join(ORDERS)}, but "
                 f"is '{self.sensor_is}'; say which of the lags is the sensor's, or 'unknown'"
+            )
+        if self.coating not in ("", ZIF8):
+            raise CampaignError(
+                f"{self.source or 'campaign'}: coating must be '{ZIF8}' or left out, but is "
+                f"'{self.coating}'; leave it out for any other coating"
             )
         self._check_order()
         if not self.experiments:

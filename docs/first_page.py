@@ -15,8 +15,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 REPORT = ROOT / "build" / "demo" / "report.html"
 PICTURE = ROOT / "docs" / "static" / "report_first_page.png"
-SIZE = 1000, 900
-"""px, width and height: the answer, the remarks and the contents"""
+SIZE = 1000, 1180
+"""px, width and height: the answer, the chain and the overlay"""
 
 
 def take(report: Path, picture: Path, browser: str) -> None:

@@ -83,6 +83,8 @@ class Job:
     """why a step of :attr:`command` was not taken, by step, in a sentence"""
     options: Mapping[str, Any] = field(default_factory=dict)
     """options of single commands: with_effects, without, nominal, effects, bootstrap"""
+    compare_published: bool = False
+    """whether to compute what concerns the published sensor, whatever the campaign says"""
     bar: Bar = no_bar
     warnings: tuple[str, ...] = ()
     """sentences, what concerns the answer first"""

@@ -5,18 +5,22 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from bayes_sensor.analysis.job import Progress
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.io.results import Results
 
+if TYPE_CHECKING:
+    from bayes_sensor.report import Choice
 
-def put_report(results: Results, tell: Progress, form: str = "html") -> None:
+
+def put_report(results: Results, tell: Progress, choice: Choice | None = None) -> None:
     """Write the report of what the folder holds, with its figures, into the folder."""
     from bayes_sensor.report import write_report
 
     with results.writing() as stage:
-        write_report(results.folder, stage.inside, form, tell)
+        write_report(results.folder, stage.inside, choice, tell)
 
 
 @contextmanager

@@ -15,8 +15,8 @@ WHOSE_COATING = "which lag is the sensor's is not known, so no diffusivity can b
 
 
 def response_time_record(job: Job) -> dict[str, Any]:
-    """Response times of sensor and chain; for ``analyze`` also the diffusivity that follows from
-    tau.
+    """Response times of sensor and chain; for ``analyze`` of a sensor with the published coating
+    also the diffusivity that follows from tau.
 
     If it is not known which lag is the sensor's, there is a row for each, with its probability.
     """
@@ -27,12 +27,14 @@ def response_time_record(job: Job) -> dict[str, Any]:
     if undecided:
         rows[:1] = [_sensor_row(each) for each in job.posterior.assignments]
     found = None
-    if job.command == "analyze" and not undecided and job.problem.layout.is_published:
+    wanted = bool(job.problem.campaign.coating) or job.compare_published
+    wanted = wanted and job.problem.layout.is_published
+    if job.command == "analyze" and wanted and not undecided:
         # three seconds that a posterior alone need not wait for
         from bayes_sensor.coating import infer_d_zif8
 
         found = infer_d_zif8(job.posterior.of("tau_s"), seed=job.seed).to_json()
-    left_out = {"d_zif8_left_out": WHOSE_COATING} if undecided else {}
+    left_out = {"d_zif8_left_out": WHOSE_COATING} if undecided and wanted else {}
     return {"response_times": rows, "d_zif8": found, **left_out}
 
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.analysis.bounds_step import run_bounds, save_bounds
 from bayes_sensor.analysis.delays_step import run_delays, save_delays
@@ -25,6 +25,9 @@ from bayes_sensor.io.json_files import sha256
 from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import Results, Stage
 from bayes_sensor.io.run_record import campaign_record, digest
+
+if TYPE_CHECKING:
+    from bayes_sensor.report import Choice
 
 LOG = logging.getLogger(__name__)
 TAKE: dict[str, Callable[[Job], None]] = {
@@ -68,6 +71,7 @@ def run_steps(
     patience: float = 0.0,
     command_line: Sequence[str] | None = None,
     notes: Callable[[], Sequence[str]] = tuple,
+    report: Choice | None = None,
 ) -> Job:
     """Take the steps of ``command`` and write what it saves into ``results``, if there are any.
 
@@ -84,6 +88,8 @@ def run_steps(
         seconds to wait for another run that holds the folder.
     command_line, notes
         for run.json: what was typed, and what was said meanwhile.
+    report
+        what the report of ``analyze`` shall hold.
 
     Raises
     ------
@@ -114,6 +120,7 @@ def run_steps(
         command, problem, overrides, label, seed, jobs, quiet, resume, results,
         digest(_campaign_json(campaign), overrides.basis()), {"read": read_seconds},
         options=options or {}, bar=bar, muted=muted,
+        compare_published=report is not None and report.compare_published,
     )  # fmt: skip
     if results is None:
         _take(job)
@@ -124,7 +131,7 @@ def run_steps(
         results.own_folder(CHECKPOINT)  # refused now rather than after the fit
         _take(job)
         job.warnings = tuple(warnings_of(job, remarks))
-        write_results(job, results, clock, files, command_line, notes)
+        write_results(job, results, clock, files, command_line, notes, report)
         if job.exit_code == 0 and job.posterior is not None:
             shutil.rmtree(results.path(CHECKPOINT), ignore_errors=True)
     return job
@@ -137,6 +144,7 @@ def write_results(
     files: Mapping[str, str] | None = None,
     command_line: Sequence[str] | None = None,
     notes: Callable[[], Sequence[str]] = tuple,
+    report: Choice | None = None,
 ) -> None:
     """Write what a job has found into a folder that is held, then the report if it has one.
 
@@ -169,7 +177,7 @@ def write_results(
             stage.drop.append("report.html")  # it speaks of other results
     if "report" in SAVES[command]:  # all else is in place by now, whatever becomes of it
         with job.timed("report") as tell, last_step(results):
-            put_report(results, tell)
+            put_report(results, tell, report)
 
 
 def _campaign_json(campaign: Campaign) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.bounds.bound import COLUMNS, Bound
+from bayes_sensor.bounds.methods import ROLES, method_of
 from bayes_sensor.display import card
 
 if TYPE_CHECKING:
@@ -70,7 +71,11 @@ class Bounds:
     def to_json(self) -> dict[str, Any]:
         """The content of ``bounds.json``."""
         return {
-            "methods": {name: bound.to_json() for name, bound in self.methods.items()},
+            "methods": {
+                name: bound.to_json() | {"about": method_of(name).about()}
+                for name, bound in self.methods.items()
+            },
+            "roles": ROLES,
             "signal_unit": self.signal_unit,
             "caveats": list(self.caveats),
             "warnings": list(self.caveats),

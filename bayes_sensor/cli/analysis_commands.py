@@ -15,11 +15,14 @@ import typer
 from bayes_sensor.cli.application import app
 from bayes_sensor.cli.options import (
     CampaignFile,
+    Jobs,
     Quiet,
+    Reported,
     Run,
     Sampler,
     Sampling,
     Unused,
+    UnusedConfig,
     UnusedJobs,
     UnusedSeed,
     given,
@@ -37,9 +40,9 @@ def _run(command: str, common: Run, **more: Any) -> None:
 
 @app.command()
 @with_groups
-def analyze(run: Run, sampling: Sampling) -> None:
+def analyze(run: Run, sampling: Sampling, reported: Reported) -> None:
     """Everything from the fit to the gap, with report and figures."""
-    _run("analyze", run, posterior=sampling.settings)
+    _run("analyze", run, posterior=sampling.settings, report=reported.choice(jobs=run.jobs))
 
 
 @dataclass(frozen=True)
@@ -189,12 +192,17 @@ def check(
 @with_groups
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A results folder.")],
-    common: Unused,
+    reported: Reported,
     form: Annotated[str, typer.Option("--format", help="html, pdf or md.")] = "html",
+    seed: UnusedSeed = 1,
+    jobs: Jobs = 1,
+    quiet: Quiet = False,
+    config: UnusedConfig = None,
 ) -> None:
     """Rebuild the report from the saved results."""
     from bayes_sensor.analysis.overrides import read_overrides
     from bayes_sensor.cli.make_report import rebuild_report
 
-    read_overrides(common.config)  # a mistake in it is refused, though nothing of it acts
-    rebuild_report(folder, common.quiet, form)
+    if config is not None:  # a mistake in it is refused, though nothing of it acts
+        read_overrides(config)
+    rebuild_report(folder, quiet, reported.choice(form, jobs))

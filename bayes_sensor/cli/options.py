@@ -95,6 +95,29 @@ class Sampling:
                      n_chains=self.chains)  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Reported:
+    """What the report holds."""
+
+    pages: Annotated[
+        str, typer.Option(help="short (the answer; the rest folded behind it), or full.")
+    ] = "short"
+    no_figures: Annotated[bool, typer.Option("--no-figures", help="Text and tables.")] = False
+    png: Annotated[bool, typer.Option("--png", help="Save figures as PNG, too.")] = False
+    compare_published: Annotated[
+        bool, typer.Option("--compare-published", help="Beside the published sensor's results.")
+    ] = False
+
+    def choice(self, form: str = "html", jobs: int = 1) -> Any:
+        """The same as the report takes it."""
+        from bayes_sensor.cli.make_report import check_choice
+        from bayes_sensor.report import Choice
+
+        made = Choice(form, self.pages, not self.no_figures, self.png, self.compare_published, jobs)
+        check_choice(made)
+        return made
+
+
 def given(**values: Any) -> dict[str, Any]:
     """The options that were given: those that are not None."""
     return {name: value for name, value in values.items() if value is not None}

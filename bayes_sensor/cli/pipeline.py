@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.analysis.job import Progress
 from bayes_sensor.analysis.run_steps import run_steps
@@ -13,6 +13,9 @@ from bayes_sensor.cli.logged_notes import noted
 from bayes_sensor.cli.summary_lines import print_summary
 from bayes_sensor.cli.terminal import muted, progress_bar
 from bayes_sensor.io.results import Results
+
+if TYPE_CHECKING:
+    from bayes_sensor.report import Choice
 
 
 def run_command(
@@ -27,12 +30,14 @@ def run_command(
     resume: bool = False,
     posterior: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
+    report: Choice | None = None,
     patience: float = 0.0,
     command_line: Sequence[str] | None = None,
 ) -> int:
     """Run a command and write its results; the exit code.
 
-    ``patience``: seconds to wait for another run that holds ``out``.
+    ``report``: what the report of ``analyze`` shall hold; ``patience``: seconds to wait for another
+    run that holds ``out``.
     """
     from bayes_sensor.analysis.overrides import read_overrides
 
@@ -56,6 +61,7 @@ def run_command(
         bar=bar,
         muted=muted,
         patience=patience,
+        report=report,
         command_line=command_line,
         notes=noted,
     )

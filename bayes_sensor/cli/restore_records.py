@@ -19,6 +19,7 @@ from bayes_sensor.io.json_files import sha256
 from bayes_sensor.io.readers import FORMATS
 from bayes_sensor.io.record_file import Record, read_record
 from bayes_sensor.io.results import Results, Stage
+from bayes_sensor.posterior.samplers import FASTEST
 from bayes_sensor.restoration import Restored, restore
 from bayes_sensor.restoration.lag_draws import LagDraws, posterior_lags, saved_lags, stated_lags
 
@@ -26,8 +27,6 @@ USAGE = (
     'give CAMPAIGN.toml or a folder of results and then the record, or --lag "40 +- 2 min" and the '
     "record"
 )
-DEFAULT_SAMPLER = "independence"
-"""of the campaign's posterior: seconds, where the noise law allows it; otherwise it falls back"""
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,8 @@ def _lags(
     from bayes_sensor.fit import fit_least_squares
     from bayes_sensor.posterior import sample_posterior
 
-    quick = {"sampler": DEFAULT_SAMPLER} if wanted.config is None else None
+    # seconds, where the noise law allows it; otherwise it falls back
+    quick = {"sampler": FASTEST} if wanted.config is None else None
     overrides: Any = read_overrides(wanted.config, quick)
     label = wanted.config.name if wanted.config is not None else "--config"
     campaign, _, _ = load(source)

@@ -324,7 +324,10 @@ def shrinking_of_noise(
         if noise and noise.closure:
             found = next(f for f in findings if f.name == name)
             closed, out = noise.closure(prepared, found)
-            return replace(shrink, closure=closed, held_out_fraction_closed=out, explanation=name)
+            return replace(
+                shrink, closure=closed, held_out_fraction_closed=out, explanation=name,
+                of_mean=False,
+            )  # fmt: skip
     return shrink
 
 

@@ -60,7 +60,10 @@ class Shrink:
     """the best explanation outside the family"""
     rival_fraction_closed: float | None
     held_out_interval: tuple[float, float] | None = None
-    """95 %; None where nothing was held out, and for the mains"""
+    """95 %; None where nothing was held out, and where the gap is not one of the mean"""
+    of_mean: bool = True
+    """whether it is the misfit of the mean that shrinks; else that of the noise, which moves no
+    estimate"""
     lag_fast: Mapping[str, Any] = field(default_factory=dict)
     """what is then said of the shorter lag in place of tau, by key of gap.json"""
 
@@ -87,6 +90,7 @@ class Shrink:
             "explanation": self.explanation,
             "rival": self.rival,
             "rival_fraction_closed": self.rival_fraction_closed,
+            **({} if self.of_mean else {"of_mean": False}),
             **self.lag_fast,
         }
 

@@ -3,13 +3,11 @@
 One file per subject; everything that a caller needs is here under its own name.
 """
 
+from bayes_sensor.figures.plot_chain import Stage, chain
 from bayes_sensor.figures.plot_check import understood
 from bayes_sensor.figures.plot_coating import (
     diffusion,
     diffusion_figure,
-    diffusivity,
-    response_times,
-    sensor_words,
     spectra_figure,
 )
 from bayes_sensor.figures.plot_delays import delay_panel, delays
@@ -18,7 +16,6 @@ from bayes_sensor.figures.plot_fleet import forest
 from bayes_sensor.figures.plot_gap import (
     effect_words,
     explanation_panel,
-    gap_budget,
     gap_hidden,
     gap_residuals,
     gap_where,
@@ -28,8 +25,6 @@ from bayes_sensor.figures.plot_methods import (
     interval_panel,
     intervals,
     one_interval,
-    posteriors_of_tau,
-    priors_on_tau,
     step_study,
 )
 from bayes_sensor.figures.plot_noise import (
@@ -40,7 +35,7 @@ from bayes_sensor.figures.plot_noise import (
     predictive,
     spread,
 )
-from bayes_sensor.figures.plot_overlays import overlay, overlay_panel, rms_bars
+from bayes_sensor.figures.plot_overlays import overlay, overlay_panel
 from bayes_sensor.figures.plot_restored import restored
 from bayes_sensor.figures.plot_rig import responses, schematic
 from bayes_sensor.figures.plot_tau import coverage, tau_hard, what_would_help
@@ -87,19 +82,19 @@ __all__ = [
     "SHARED_LABELS",
     "STYLE",
     "WIDTH",
+    "Stage",
     "autocorrelation",
     "autocorrelation_panel",
+    "chain",
     "corner",
     "coverage",
     "delay_panel",
     "delays",
     "diffusion",
     "diffusion_figure",
-    "diffusivity",
     "effect_words",
     "explanation_panel",
     "forest",
-    "gap_budget",
     "gap_hidden",
     "gap_residuals",
     "gap_where",
@@ -117,15 +112,10 @@ __all__ = [
     "parameter_words",
     "pdf",
     "png",
-    "posteriors_of_tau",
     "predictive",
-    "priors_on_tau",
-    "response_times",
     "responses",
     "restored",
-    "rms_bars",
     "schematic",
-    "sensor_words",
     "shared_labels",
     "spectra_figure",
     "spread",

@@ -22,7 +22,7 @@ from bayes_sensor.figures.style import (
     ORANGE,
     PALE,
     SMALLEST,
-    new_figure,
+    WIDTH,
     style,
 )
 
@@ -32,7 +32,7 @@ Part = Mapping[str, Any]
 def score_card(card: Part) -> Figure:
     """Six panels from ``score.json``: false alarms, wrong names, family, unlisted, p, tau."""
     with style():
-        figure = new_figure(5.2)
+        figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
         (alarms, wrong, tau), (family, unlisted, stated) = figure.subplots(2, 3)
         _false_alarms(alarms, card["nulls"])
         _wrong_names(wrong, card["confident_wrong"])
@@ -176,7 +176,7 @@ def opened_seal(gap: Part, row: Part) -> Figure:
     """
     right = set(str(row["listed_as"]).replace("+", "|").split("|"))
     with style():
-        figure = new_figure(2.9)
+        figure = Figure(figsize=(WIDTH, 2.9), layout="constrained")
         left, middle, far = figure.subplots(1, 3, width_ratios=(1.5, 0.8, 0.8))
         best = sorted(gap["which"], key=lambda entry: -(entry["probability"] or 0.0))[:7]
         y = np.arange(len(best))

@@ -19,7 +19,6 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.figures.style import (
     BLUE,
     GREEN,
-    GROUND,
     INK,
     MARKERS,
     MIDDLE,
@@ -28,8 +27,7 @@ from bayes_sensor.figures.style import (
     PALE,
     REGIONS,
     WIDTH,
-    logarithmic,
-    new_figure,
+    panels,
     plain,
     style,
 )
@@ -41,8 +39,6 @@ if TYPE_CHECKING:  # both compile or load much that other figures do without
 _DASHES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (3, 1.5)), (0, (6, 1.5, 1, 1.5)), (0, (1, 1.2)))
 _LEVELS = np.linspace(0.0, 1.0, 11)
 UPTAKE_MAP = LinearSegmentedColormap.from_list("uptake", ["#ffffff", *REGIONS, BLUE, "#00334f"])
-LOWERED_D_ZIF8 = 2.6e-11
-"""m2/s, the lowered diffusivity of ZIF-8 in the paper (Sec.  III-D)"""
 _MARK: dict[str, Any] = {"mec": "white", "mew": 0.6, "ms": 6, "zorder": 4}
 _HALO = {"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8}
 
@@ -63,22 +59,22 @@ def diffusion_figure(response: Response, other: Response | None = None) -> Figur
     columns = min(n, 4)
     rows = math.ceil(n / columns)
     with style():
-        figure = Figure(figsize=(WIDTH, 2.9 + 1.35 * rows))
+        figure = Figure(figsize=(WIDTH, 2.9 + 1.35 * rows), layout="constrained")
         parts: Any = figure.subfigures(2, 1, height_ratios=[1.35 * rows, 2.9])
         above, below = parts
-        panels = above.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-        for panel in panels.ravel()[n:]:
+        maps = above.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+        for panel in maps.ravel()[n:]:
             panel.set_visible(False)
-        shown = list(panels.ravel()[:n])
+        shown = list(maps.ravel()[:n])
         for panel, t, concentration in zip(
             shown, response.snapshot_times, response.snapshots, strict=True
         ):
             filled = _cross_section(panel, response, concentration)
             panel.set_title(f"{1e3 * t:.3g} ms")
         across = "radius" if response.coating.geometry == "axisymmetric" else "distance"
-        for panel in panels[-1]:
+        for panel in maps[-1]:
             panel.set_xlabel(f"{across} (µm)")
-        for panel in panels[:, 0]:
+        for panel in maps[:, 0]:
             panel.set_ylabel("height (µm)")
         bar = above.colorbar(filled, ax=shown, ticks=_LEVELS[::5], pad=0.01, aspect=12)
         bar.set_label("CO₂ (%)")
@@ -155,8 +151,7 @@ def diffusion(record: Mapping[str, Any]) -> Figure:
     end = 1.6 * record["t90_ms"]
     lag = record["tau_fit_ms"]
     with style():
-        figure = new_figure(3.0, 5.2)
-        axes = figure.subplots()
+        figure, ((axes,),) = panels(3.0, width=5.2, top=0.1)
         axes.plot(t, 100 * x, color=BLUE, label="finite elements")
         s = np.linspace(0.0, end, 300)
         axes.plot(
@@ -173,86 +168,6 @@ def diffusion(record: Mapping[str, Any]) -> Figure:
         axes.set_xlabel("time (ms)")
         axes.set_ylabel("concentration at the probe (%)")
         axes.legend(loc="lower right")
-    return figure
-
-
-def sensor_words(row: Mapping[str, Any]) -> str:
-    """What a row of the sensor is called: the lag that is taken for its, where that is not known.
-
-    >>> sensor_words({"sensor_is": "slower", "probability": 0.5})
-    'sensor, if it has the longer lag (50 %)'
-    """
-    if "sensor_is" not in row:
-        return "sensor alone"
-    lag = {"faster": "shorter", "between": "middle", "slower": "longer"}[row["sensor_is"]]
-    return f"sensor, if it has the {lag} lag ({100 * row['probability']:.0f} %)"
-
-
-def response_times(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """t10, t63 and t90 of the sensor alone and of the chain at each flow, with intervals.
-
-    ``rows``: those of :func:`bayes_sensor.rig.response_times.response_time_table`; logarithmic
-    time.
-    """
-    kinds = (("t10", BLUE, "^", -0.2), ("t63", ORANGE, "o", 0.0), ("t90", INK, "s", 0.2))
-    names = [
-        sensor_words(row)
-        if row["system"] == "sensor"
-        else f"chain, {row['total_flow_L_per_min']:.3g} L/min"
-        for row in rows
-    ]
-    with style():
-        figure = new_figure(1.0 + 0.33 * len(rows), 6.2)
-        axes = figure.subplots()
-        for i, row in enumerate(rows):
-            for name, colour, marker, lift in kinds:
-                low, middle, high = (1e3 * row[f"{name}{end}_s"] for end in ("_lo", "", "_hi"))
-                axes.plot([low, high], [i + lift] * 2, color=colour, lw=1.4)
-                axes.plot(
-                    middle, i + lift, marker, color=colour, ms=4.5, label=None if i else name,
-                    ls="none",
-                )  # fmt: skip
-        logarithmic(axes, "x")
-        axes.set_yticks(range(len(rows)), names)
-        axes.set_ylim(len(rows) - 0.4, -0.6)
-        axes.set_xlabel("time after the step (ms), 95 % intervals")
-        axes.grid(axis="y", visible=False)
-        figure.legend(loc="outside upper right", ncols=3)
-    return figure
-
-
-def diffusivity(record: Mapping[str, Any]) -> Figure:
-    """Diffusivity of ZIF-8 that explains tau, with the literature value and the lowered one.
-
-    ``record``: :meth:`bayes_sensor.coating.DiffusivityPosterior.to_json`.  An interval without an
-    upper end has an arrow.
-    """
-    d = record["d_zif8_m2_per_s"]
-    literature = record["d_literature_m2_per_s"]
-    lowest = min(v for v in (d["lo95"], literature, LOWERED_D_ZIF8) if v is not None)
-    ends = [v for v in (d["hi95"], d["hi68"], literature) if v is not None]
-    low, high = 0.5 * lowest, 4.0 * max(ends)
-    with style():
-        figure = new_figure(1.75, 6.2)
-        axes = figure.subplots()
-        for lo, hi, width in (("lo95", "hi95", 1.4), ("lo68", "hi68", 4.2)):
-            ends = [low if d[lo] is None else d[lo], high if d[hi] is None else d[hi]]
-            axes.plot(ends, [0, 0], color=BLUE, lw=width, solid_capstyle="butt")
-        if d["hi95"] is None:
-            axes.plot(high, 0, ">", color=BLUE, ms=6, clip_on=False)
-        if d["median"] is not None:
-            axes.plot(d["median"], 0, "D", color=GROUND, mec=BLUE, ms=5, mew=1.3)
-        for value, dash, words in (
-            (literature, "--", "literature"),
-            (LOWERED_D_ZIF8, ":", "lowered by the paper"),
-        ):
-            axes.axvline(value, color=MODEL, lw=1.2, ls=dash, label=f"{words}, {plain(value)} m²/s")
-        axes.set(xlim=(low, high), ylim=(-1, 1))
-        logarithmic(axes, "x")
-        axes.set_yticks([0], ["from τ"])
-        axes.set_xlabel("diffusivity of ZIF-8 (m²/s)")
-        axes.grid(axis="y", visible=False)
-        figure.legend(loc="outside upper right", ncols=2)
     return figure
 
 
@@ -276,7 +191,7 @@ def spectra_figure(
             "spectra_figure: expected at least one concentration, a fraction of zero or more"
         )
     with style():
-        figure = Figure(figsize=(WIDTH, 3.0))
+        figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=[1.25, 1])
         _spectra(left, readout, levels)
         _transfer(right, readout, levels, wanted)

@@ -18,7 +18,7 @@ from bayes_sensor.figures.style import (
     PALE,
     WIDTH,
     content_of,
-    new_figure,
+    panels,
     shortened,
     style,
 )
@@ -34,13 +34,14 @@ def delays(record: Any, concentration: Mapping[str, float]) -> Figure:
     sides = [k for k in ("start", "end") if record.get(k) and record[k]["points"]]
     crowded = 4 < len(_levels(concentration)) <= len(MARKERS)
     with style():
-        figure = new_figure(3.3, WIDTH if len(sides) > 1 or crowded else 4.4)
-        row = figure.subplots(1, max(len(sides), 1), squeeze=False)[0]
+        width = WIDTH if len(sides) > 1 or crowded else 4.4
+        right = 1.45 if crowded else 0.12
+        figure, (row,) = panels(3.3, 1, max(len(sides), 1), width, right=right)
         for axes, side in zip(row, sides, strict=False):
             delay_panel(axes, record, concentration, side, legend=not crowded)
             if crowded and axes is row[0]:
                 handles, labels = axes.get_legend_handles_labels()
-                figure.legend(handles, labels, loc="outside right upper")
+                figure.legend(handles, labels, loc="upper right", borderaxespad=0.1)
     return figure
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator
@@ -18,16 +17,16 @@ from bayes_sensor.figures.style import (
     ORANGE,
     PALE,
     REGIONS,
-    SHARED_LABELS,
     SMALLEST,
     WIDTH,
+    Drawing,
     axis_label,
-    new_figure,
+    panels,
     parameter_words,
+    shared_labels,
     style,
     told_apart,
 )
-from bayes_sensor.posterior.inference_data import import_quietly
 
 
 def main_parameters(names: Sequence[str]) -> list[str]:
@@ -36,7 +35,8 @@ def main_parameters(names: Sequence[str]) -> list[str]:
     Lags that cannot be assigned are named by size.
     """
     known = told_apart(names)
-    return [name for name in (*SHARED_LABELS, "sigma0_V", "sigma1_V", "phi") if name in known]
+    noise = [name for name in known if name.split("[")[0] in ("sigma0_V", "sigma1_V", "phi")]
+    return [*shared_labels(known), *noise]
 
 
 def _chosen(
@@ -60,6 +60,8 @@ def corner(names: Any, chains: FloatArray | None = None, unit: str = "V") -> Fig
 
     ``chains`` (n_chain, n_draw, n_theta) in the order of ``names``; or a posterior alone.
     """
+    from bayes_sensor.posterior.inference_data import import_quietly  # slow to import
+
     if chains is None:
         unit = names.problem.campaign.signal_unit
         names, chains = named_chains(names)
@@ -68,9 +70,9 @@ def corner(names: Any, chains: FloatArray | None = None, unit: str = "V") -> Fig
     draws = values.reshape(-1, values.shape[-1])
     draws = draws[:: max(1, len(draws) // 20000)]
     n = len(words)
-    with style(), mpl.rc_context({"figure.constrained_layout.use": False}):
+    with style():
         side = min(WIDTH, 1.3 * n + 0.9)
-        figure = new_figure(side, side)
+        figure = Drawing(figsize=(side, side))
         corner_plot.corner(
             draws,
             fig=figure,
@@ -133,8 +135,7 @@ def traces_and_ranks(names: Any, chains: FloatArray | None = None, unit: str = "
     colours = (BLUE, ORANGE, GREEN, INK)
     bins = 20
     with style():
-        figure = new_figure(1.25 * n + 0.4)
-        grid = figure.subplots(n, 2, squeeze=False, width_ratios=[1.7, 1])
+        figure, grid = panels(1.25 * n + 0.6, n, 2, down=0.15, width_ratios=[1.7, 1])
         for row, word in enumerate(words):
             left, right = grid[row]
             ranks = rankdata(values[:, :, row]).reshape(n_chain, n_draw)

@@ -15,7 +15,8 @@ from bayes_sensor.figures.style import (
     INK,
     MIDDLE,
     ORANGE,
-    new_figure,
+    beside,
+    panels,
     shortened,
     style,
 )
@@ -36,8 +37,10 @@ def forest(rows: Sequence[Mapping[str, Any]], median_s: float | None = None) -> 
     named = len(rows) <= MOST_NAMES
     shown = [*known, *(lost if named else [])]
     with style():
-        figure = new_figure(0.24 * len(shown) + 1.3 if named else 8.0)
-        axes = figure.subplots()
+        names = [shortened(str(row["campaign"]), LONGEST_NAME) for row in shown] if named else []
+        figure, ((axes,),) = panels(
+            0.24 * len(shown) + 1.0 if named else 8.0, left=beside(names) if named else 0.4
+        )
         thick = (1.3, 4.0) if named else (0.5, 1.4) if len(known) < 400 else (0.2, 0.5)
         handles: dict[str, Any] = {}
         for i, row in enumerate(known):
@@ -68,7 +71,6 @@ def forest(rows: Sequence[Mapping[str, Any]], median_s: float | None = None) -> 
                 1e3 * median_s, color=GREEN, ls="--", lw=1, zorder=1
             )
         if named:
-            names = [shortened(str(r["campaign"]), LONGEST_NAME) for r in shown]
             axes.set_yticks(range(len(shown)), names)
         else:
             axes.set_ylabel(f"{len(known)} campaigns, smallest τ first")
@@ -76,7 +78,9 @@ def forest(rows: Sequence[Mapping[str, Any]], median_s: float | None = None) -> 
         axes.set_xlim(*_range(known))
         axes.set_xlabel("sensor τ (ms)")
         axes.grid(axis="y", visible=False)
-        figure.legend(handles.values(), handles.keys(), loc="outside upper right", ncols=4)
+        figure.legend(
+            handles.values(), handles.keys(), loc="upper right", ncols=4, borderaxespad=0.1
+        )
     return figure
 
 

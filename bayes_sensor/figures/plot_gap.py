@@ -26,9 +26,10 @@ from bayes_sensor.figures.style import (
     PALE,
     REGIONS,
     SMALLEST,
+    beside,
     content_of,
     logarithmic,
-    new_figure,
+    panels,
     shortened,
     style,
     volts,
@@ -47,55 +48,6 @@ def effect_words(name: str) -> str:
     'flow switching + daq filter'
     """
     return name.replace("_", " ").replace("+", " + ")
-
-
-def gap_budget(gap: Any, unit: str = "V") -> Figure:
-    """Waterfall from the nominal simulation to the noise floor: RMS, and excess over the floor.
-
-    ``gap``: the diagnosis, or ``budget`` and ``shrink`` of ``gap.json``.
-    """
-    gap = content_of(gap)
-    budget, shrink = gap["budget"], gap["shrink"]
-    floor = budget["noise_floor_rms_V"]
-    nominal = budget.get("nominal_rms_V")
-    stages: list[tuple[str, float, float]] = []
-    if nominal is not None:
-        stages.append(("nominal", nominal, float(np.sqrt(max(nominal**2 - floor**2, 0.0)))))
-    stages.append(("calibrated", budget["calibrated_rms_V"], budget["excess_rms_V"]))
-    after = shrink.get("after_excess_rms_V")
-    if after is not None and not shrink.get("withheld"):
-        # what the refit takes away leaves the RMS of all samples; the floor is estimated apart
-        taken = shrink.get("before_excess_rms_V", budget["excess_rms_V"]) ** 2 - after**2
-        left = float(np.sqrt(max(budget["calibrated_rms_V"] ** 2 - taken, 0.0)))
-        stages.append(("with the effect", left, after))
-    stages.append(("noise floor", floor, 0.0))
-    with style():
-        figure = new_figure(3.0)
-        left, right = figure.subplots(1, 2)
-        for axes, column, title in ((left, 1, "RMS residual"), (right, 2, "above the noise floor")):
-            heights = [float(stage[column]) for stage in stages]
-            digits = 4 if column == 1 else 3
-            shown, factor = volts(unit, max(heights))
-            for i, (stage, height) in enumerate(zip(stages, heights, strict=True)):
-                is_floor = stage[0] == "noise floor"
-                axes.bar(
-                    i, factor * height, 0.62, color=PALE if is_floor else DATA, edgecolor=INK,
-                    lw=0.6, hatch="//" if is_floor else None,
-                )  # fmt: skip
-                axes.annotate(
-                    f"{factor * height:.{digits}g}", (i, factor * height), xytext=(0, 2),
-                    textcoords="offset points", ha="center", fontsize=8,
-                )  # fmt: skip
-                if i + 1 < len(stages):  # the step down to the next bar
-                    axes.plot(
-                        [i + 0.31, i + 0.69], [factor * height] * 2, color=MIDDLE, lw=0.8, ls=":"
-                    )
-            axes.set_xticks(range(len(stages)), [s[0].replace(" ", "\n", 1) for s in stages])
-            axes.set_ylim(0.0, 1.15 * factor * max(max(heights), 1e-12))
-            axes.set_ylabel(f"RMS ({shown})")
-            axes.set_title(title)
-            axes.grid(axis="x", visible=False)
-    return figure
 
 
 def gap_where(where: Sequence[Mapping[str, Any]], unit: str = "V") -> Figure:
@@ -120,8 +72,9 @@ def gap_where(where: Sequence[Mapping[str, Any]], unit: str = "V") -> Figure:
     shown, factor = volts(unit, top)
     many = len(experiments) > 16
     with style():
-        figure = new_figure(max(2.2, 0.9 + (0.16 if many else 0.3) * len(experiments)), 6.2)
-        axes = figure.subplots()
+        names = [shortened(name) for name in experiments]
+        height = max(2.2, 0.7 + (0.16 if many else 0.3) * len(experiments))
+        figure, ((axes,),) = panels(height, width=6.2, left=beside(names, more=0.4), top=0.1)
         levels = np.linspace(0.0, factor * top or 1.0, _SHADES.N + 1)
         image = axes.pcolormesh(
             factor * excess, cmap=_SHADES, norm=BoundaryNorm(levels, _SHADES.N),
@@ -138,7 +91,7 @@ def gap_where(where: Sequence[Mapping[str, Any]], unit: str = "V") -> Figure:
                         fontsize=7.5, color=GROUND if dark else INK,
                     )  # fmt: skip
         axes.set_xticks(np.arange(size[1]) + 0.5, phases)
-        axes.set_yticks(np.arange(size[0]) + 0.5, [shortened(e) for e in experiments])
+        axes.set_yticks(np.arange(size[0]) + 0.5, names)
         if many:
             axes.tick_params(axis="y", labelsize=SMALLEST)
         axes.set_ylim(size[0], 0)
@@ -181,8 +134,12 @@ def gap_which(gap: Any, most: int = 10) -> Figure:
     shown = [(row["effect"], row["probability"]) for row in rows[: min(most, max(worth, FEW))]]
     n = max(len(shown), len(ranked))
     with style():
-        figure = new_figure(0.9 + 0.27 * n)
-        left, right = figure.subplots(1, 2)
+        of_effects, of_families = (
+            [shortened(effect_words(name), 32) for name, _ in each] for each in (shown, ranked)
+        )
+        figure, ((left, right),) = panels(
+            0.8 + 0.27 * n, 1, 2, left=beside(of_effects), across=beside(of_families) + 0.1
+        )
         _bars(left, shown, n, "explanation")
         _bars(right, ranked, n, "family")
     return figure
@@ -235,8 +192,12 @@ def gap_residuals(residuals: Sequence[Mapping[str, Any]], most: int = 10) -> Fig
     rows = [residuals[k] for k in sorted(order)]
     reach = max(3.5, 1.1 * max(float(np.max(np.abs(row["whitened"]))) for row in rows))
     with style():
-        figure = new_figure(max(1.9, 0.9 + 0.48 * len(rows)))
-        strips = figure.subplots(len(rows), 1, squeeze=False)[:, 0]
+        names = [shortened(row["experiment"], 9) for row in rows]
+        figure, grid = panels(
+            max(1.9, 0.7 + 0.48 * len(rows)), len(rows), left=beside(names, 8.5) + 0.4, bottom=0.3,
+            down=0.08,
+        )  # fmt: skip
+        strips = grid[:, 0]
         for axes, row in zip(strips, rows, strict=True):
             values, phase = np.asarray(row["whitened"]), np.asarray(row["phase"])
             place = np.arange(len(values))
@@ -288,8 +249,10 @@ def gap_hidden(hidden: Mapping[str, Any], tau: float | None = None) -> Figure:
     shift = [row[f"{of}_with_it_s"] if whole else row[f"{of}_shift_s"] for row in rows]
     envelope = hidden.get(f"{of}_envelope_s") or (None, None)
     with style():
-        figure = new_figure(1.1 + 0.22 * max(len(rows), 3))
-        left, right = figure.subplots(1, 2, sharey=True)
+        names = [shortened(effect_words(row["effect"]), 26) for row in rows]
+        figure, ((left, right),) = panels(
+            0.8 + 0.22 * max(len(rows), 3), 1, 2, left=beside(names), across=0.2, sharey=True
+        )
         kinds = [_kind(row) for row in rows]
         for kind, (colour, marker, face) in _KINDS.items():
             chosen = [k == kind for k in kinds]
@@ -301,7 +264,7 @@ def gap_hidden(hidden: Mapping[str, Any], tau: float | None = None) -> Figure:
                     mfc=colour if face else GROUND, zorder=3,
                 )  # fmt: skip
         left.set_ylim(len(rows) - 0.4, -0.6)
-        left.set_yticks(place, [shortened(effect_words(row["effect"]), 26) for row in rows])
+        left.set_yticks(place, names)
         logarithmic(left, "x")
         left.axvline(VISIBLE, color=INK, lw=0.9, ls="--")
         left.set_xlabel("detectability d (sd)")
@@ -330,7 +293,7 @@ def gap_hidden(hidden: Mapping[str, Any], tau: float | None = None) -> Figure:
         for axes in (left, right):
             axes.grid(axis="y", visible=False)
         handles, labels = right.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper right", ncols=4)
+        figure.legend(handles, labels, loc="upper right", ncols=4, borderaxespad=0.1)
     return figure
 
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayes_sensor.bounds.methods import method_of
+from bayes_sensor.figures.method_words import MethodWords, method_words
 from bayes_sensor.figures.style import (
     BLUE,
     GREEN,
@@ -18,12 +18,12 @@ from bayes_sensor.figures.style import (
     INK,
     MIDDLE,
     ORANGE,
+    beside,
     content_of,
     labels_of_bounds,
     logarithmic,
-    new_figure,
+    panels,
     shared_labels,
-    show_zero,
     style,
 )
 
@@ -37,8 +37,11 @@ def intervals(bounds: Any, truth: Mapping[str, float] | None = None) -> Figure:
     bounds = content_of(bounds)
     n, shown_labels = len(bounds["methods"]), labels_of_bounds(bounds)
     with style():
-        figure = new_figure(0.32 * n + 1.0)
-        row = figure.subplots(1, len(shown_labels), sharey=True, squeeze=False)[0]
+        labels = [method_words(bounds, method).label for method in bounds["methods"]]
+        figure, (row,) = panels(
+            0.32 * n + 0.65, 1, len(shown_labels), left=beside(labels), top=0.1, across=0.2,
+            sharey=True,
+        )  # fmt: skip
         for axes, name in zip(row, shown_labels, strict=True):
             interval_panel(axes, bounds, name, truth)
         if row[0].get_xlim()[0] < 0:
@@ -49,8 +52,12 @@ def intervals(bounds: Any, truth: Mapping[str, float] | None = None) -> Figure:
 def one_interval(bounds: Any, name: str) -> Figure:
     """Every bound method of the parameter ``name`` (flat)."""
     with style():
-        figure = new_figure(0.32 * len(content_of(bounds)["methods"]) + 1.0, 4.6)
-        interval_panel(figure.subplots(), bounds, name)
+        bounds = content_of(bounds)
+        labels = [method_words(bounds, method).label for method in bounds["methods"]]
+        figure, ((axes,),) = panels(
+            0.32 * len(labels) + 0.65, width=4.6, left=beside(labels), top=0.1
+        )
+        interval_panel(axes, bounds, name)
     return figure
 
 
@@ -66,6 +73,7 @@ def interval_panel(
     symbol, unit, factor = labels_of_bounds(bounds)[name]
     rows = [bounds["methods"][m]["parameters"].get(name) or {} for m in methods]
     low, high = _visible(rows, factor)
+    words = {method: method_words(bounds, method) for method in methods}
     with style():
         for i, method in enumerate(methods):
             entry = bounds["methods"][method]["parameters"].get(name)
@@ -75,8 +83,8 @@ def interval_panel(
                     va="center", fontsize=7, color=MIDDLE,
                 )  # fmt: skip
                 continue
-            colour = _method_colour(method)
-            marker = "D" if method_of(method).needs_posterior else "o"
+            colour = _method_colour(words[method])
+            marker = "D" if words[method].needs_posterior else "o"
             for lo, hi, width in (("lo95", "hi95", 1.4), ("lo68", "hi68", 4.2)):
                 a, b = (
                     end if entry[key] is None else factor * entry[key]
@@ -98,7 +106,7 @@ def interval_panel(
         axes.set_xlabel(f"{symbol} ({unit})")
         axes.grid(axis="y", visible=False)
         axes.xaxis.set_major_locator(MaxNLocator(4))
-        axes.set_yticks(range(len(methods)), [method_of(m).label for m in methods])
+        axes.set_yticks(range(len(methods)), [words[m].label for m in methods])
         axes.set_ylim(len(methods) - 0.4, -0.6)
 
 
@@ -119,8 +127,7 @@ def _visible(rows: Sequence[Mapping[str, Any]], factor: float) -> tuple[float, f
     return low - margin, high + margin
 
 
-def _method_colour(name: str) -> str:
-    method = method_of(name)
+def _method_colour(method: MethodWords) -> str:
     if method.noise == "white":
         return ORANGE
     return BLUE if method.needs_posterior else INK
@@ -141,9 +148,8 @@ def step_study(
         ("exact", "central", "exact, central", INK, "--", "v"),
     )
     with style():
-        figure = new_figure(3.0)
-        row = figure.subplots(1, 3)
         shown = shared_labels(rows[0])
+        figure, (row,) = panels(3.0, 1, len(shown), top=0.1, bottom=0.75)
         for axes, (name, (symbol, unit, factor)) in zip(row, shown.items(), strict=True):
             for method, difference, label, colour, dash, marker in lines:
                 chosen = [
@@ -168,67 +174,5 @@ def step_study(
             axes.set_xlabel("relative step")
             axes.set_ylabel(f"3 sd of {symbol} ({unit})")
         handles, names = row[0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=5)
-    return figure
-
-
-def priors_on_tau(rows: Sequence[Mapping[str, Any]], words: Mapping[str, str]) -> Figure:
-    """tau under several priors: intervals and one-sided upper limits.
-
-    ``rows``: ``tau_under_priors`` of ``posterior.json``; ``words`` by the name of the prior.
-    """
-    with style():
-        figure = new_figure(0.42 * len(rows) + 1.1)
-        axes = figure.subplots()
-        for i, row in enumerate(rows):
-            first = i == 0
-            for lo, hi, width, lift, label in (
-                ("lo95_s", "hi95_s", 1.6, -0.13, "95 %, equal tails"),
-                ("hdi_lo95_s", "hdi_hi95_s", 4.2, 0.13, "densest 95 %"),
-            ):
-                axes.plot(
-                    [1e3 * row[lo], 1e3 * row[hi]], [i + lift] * 2, lw=width,
-                    color=BLUE if width > 2 else INK, solid_capstyle="butt",
-                    label=label if first else None,
-                )  # fmt: skip
-            for key, marker, label in (
-                ("upper95_s", "v", "95 % upper limit"),
-                ("upper99_s", "s", "99 % upper limit"),
-            ):
-                axes.plot(
-                    1e3 * row[key], i, marker, color=ORANGE, mec=INK, mew=0.5, ms=5.5,
-                    label=label if first else None, zorder=4, ls="none",
-                )  # fmt: skip
-        axes.set_yticks(range(len(rows)), [words.get(r["prior"], r["prior"]) for r in rows])
-        axes.set_ylim(len(rows) - 0.5, -0.5)
-        low, high = min(row["lo95_s"] for row in rows), max(row["upper99_s"] for row in rows)
-        axes.set_xlim(right=1e3 * (high + 0.08 * min(high, 4.0 * (high - low))))
-        show_zero(axes, low, high)
-        axes.set_xlabel("sensor τ (ms)")
-        axes.grid(axis="y", visible=False)
-        figure.legend(loc="outside upper right", ncols=4)
-    return figure
-
-
-def posteriors_of_tau(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """tau under several models: median, 68 % thick, 95 % thin.
-
-    ``rows``: ``model`` and the percentiles ``q2.5``, ``q16``, ``q50``, ``q84``, ``q97.5`` in s.
-    """
-    with style():
-        figure = new_figure(0.36 * len(rows) + 0.8)
-        axes = figure.subplots()
-        for i, row in enumerate(rows):
-            colour = INK if i == 0 else BLUE
-            for lo, hi, width in (("q2.5", "q97.5", 1.4), ("q16", "q84", 4.2)):
-                axes.plot(
-                    [1e3 * row[lo], 1e3 * row[hi]], [i, i], color=colour, lw=width,
-                    solid_capstyle="butt",
-                )  # fmt: skip
-            axes.plot(1e3 * row["q50"], i, "D", color=GROUND, mec=colour, ms=4.5, mew=1.2)
-        axes.set_yticks(range(len(rows)), [row["model"] for row in rows])
-        axes.set_ylim(len(rows) - 0.5, -0.5)
-        show_zero(axes, min(row["q2.5"] for row in rows), max(row["q97.5"] for row in rows))
-        axes.set_xlabel("sensor τ (ms)")
-        axes.grid(axis="y", visible=False)
+        figure.legend(handles, names, loc="lower center", ncols=5, borderaxespad=0.1)
     return figure

@@ -18,7 +18,7 @@ from bayes_sensor.figures.style import (
     PALE,
     content_of,
     logarithmic,
-    new_figure,
+    panels,
     style,
     thousands,
     volts,
@@ -32,8 +32,8 @@ def histogram(residuals: Any, rms: float) -> Figure:
     ``residuals``: the record, or the content of ``residuals.json``; ``rms`` in V.
     """
     with style():
-        figure = new_figure(2.9, 5.2)
-        histogram_panel(figure.subplots(), residuals, rms)
+        figure, ((axes,),) = panels(2.9, width=5.2, top=0.1, left=0.8)
+        histogram_panel(axes, residuals, rms)
     return figure
 
 
@@ -69,12 +69,11 @@ def autocorrelation(residuals: Any, traces: Sequence[Trace] = ()) -> Figure:
     lag, value = np.asarray(acf["lag_s"]), np.asarray(acf["value"])
     curve, band = np.asarray(acf["ar1"]), residuals["white_band"]
     with style():
-        figure = new_figure(5.0 if traces else 3.2)
-        ratios = [1.7, 1] if traces else None
-        panels = figure.subplot_mosaic("ab;cc" if traces else "ab", height_ratios=ratios)
-        right = panels["b"]
-        autocorrelation_panel(panels["a"], residuals)
-        panels["a"].set_title("short lags")
+        ratios = [1.7, 1] if traces else [1]
+        figure, grid = panels(5.0 if traces else 3.2, len(ratios), 2, height_ratios=ratios)
+        left, right = grid[0]
+        autocorrelation_panel(left, residuals)
+        left.set_title("short lags")
         right.axhspan(-band, band, color=PALE, lw=0)
         right.plot(lag[1:], value[1:], color=BLUE, lw=1.0)
         right.plot(lag[1:], curve[1:], color=MODEL, ls="--")
@@ -83,7 +82,9 @@ def autocorrelation(residuals: Any, traces: Sequence[Trace] = ()) -> Figure:
         right.set_ylabel("autocorrelation")
         right.set_title("all lags")
         if traces:
-            _joined_residuals(panels["c"], traces)
+            for axes in grid[1]:
+                axes.remove()
+            _joined_residuals(figure.add_subplot(grid[1, 0].get_gridspec()[1, :]), traces)
     return figure
 
 
@@ -148,8 +149,7 @@ def spread(residuals: Any) -> Figure:
     shown, factor = volts(unit, float(np.nanmax(sd)))
     centre, kept = 0.5 * (low + high), np.isfinite(sd)
     with style():
-        figure = new_figure(2.9, 5.2)
-        axes = figure.subplots()
+        figure, ((axes,),) = panels(2.9, width=5.2, top=0.1)
         axes.errorbar(
             centre[kept], factor * sd[kept], xerr=(0.5 * (high - low))[kept], fmt="o", color=BLUE,
             ms=4, lw=1, label="residuals",
@@ -174,14 +174,13 @@ def predictive(record: Any, unit: str = "V") -> Figure:
     record = content_of(record)
     small, factor = volts(unit, float(np.sqrt(np.max(record["variance"]["observed"]))))
     with style():
-        figure = new_figure(4.6)
-        panels = figure.subplots(2, 2)
+        figure, grid = panels(4.6, 2, 2)
         words = {
             "autocorrelation": ("lag (samples)", "autocorrelation"),
             "variance": ("test-gas concentration (%)", f"standard deviation ({small})"),
             "spectrum": ("frequency (Hz)", "power of scaled residuals"),
         }
-        for axes, (name, (x_label, y_label)) in zip(panels.ravel(), words.items(), strict=False):
+        for axes, (name, (x_label, y_label)) in zip(grid.ravel(), words.items(), strict=False):
             part = {key: np.asarray(record[name][key]) for key in ("x", *_CURVES)}
             x = (100.0 if name == "variance" else 1.0) * part["x"]
             low, middle, high, seen = (
@@ -197,8 +196,8 @@ def predictive(record: Any, unit: str = "V") -> Figure:
             axes.set_xlabel(x_label)
             axes.set_ylabel(y_label)
             axes.set_title(f"{name.replace('variance', 'spread')}, p {_p(record[name]['p_value'])}")
-        panels[0, 0].legend(loc="best")
-        _pit(panels[1, 1], record["pit"])
+        grid[0, 0].legend(loc="best")
+        _pit(grid[1, 1], record["pit"])
     return figure
 
 

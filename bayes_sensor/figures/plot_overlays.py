@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -17,7 +16,7 @@ from bayes_sensor.figures.style import (
     MIDDLE,
     MODEL,
     ORANGE,
-    new_figure,
+    panels,
     shortened,
     style,
     volts,
@@ -39,16 +38,10 @@ def overlay(trace: Trace) -> Figure:
     unit = trace.signal_unit
     small, factor = volts(unit, 3.0 * trace.rms)
     with style():
-        figure = new_figure(3.5)
-        axes = figure.subplots(
-            2,
-            len(parts),
-            sharex="col",
-            sharey="row",
-            height_ratios=[2.3, 1],
-            width_ratios=[1.9] + [1] * (len(parts) - 1),
-            squeeze=False,
-        )
+        figure, axes = panels(
+            3.5, 2, len(parts), across=0.15, down=0.12, sharex="col", sharey="row",
+            height_ratios=[2.3, 1], width_ratios=[1.9] + [1] * (len(parts) - 1),
+        )  # fmt: skip
         for column, (title, piece, edge, commanded) in enumerate(parts):
             upper, lower = axes[:, column]
             _record(upper, piece)
@@ -108,25 +101,3 @@ def _only(axes: Axes, labels: Sequence[str]) -> tuple[list[Any], list[str]]:
     handles, names = axes.get_legend_handles_labels()
     kept = [(h, n) for h, n in zip(handles, names, strict=True) if n in labels]
     return [h for h, _ in kept], [n for _, n in kept]
-
-
-def rms_bars(traces: Sequence[Trace]) -> Figure:
-    """RMS residual of every experiment, with the RMS of the noise law alone."""
-    unit, factor = volts(traces[0].signal_unit, max(trace.rms for trace in traces))
-    names = [trace.name for trace in traces]
-    rms = [factor * trace.rms for trace in traces]
-    law = [factor * float(np.sqrt(np.mean(trace.whole.sd**2))) for trace in traces]
-    place = np.arange(len(traces))
-    with style():
-        figure = new_figure(2.6 if len(traces) < 12 else 3.2)
-        axes = figure.subplots()
-        axes.bar(place, rms, 0.62, color=DATA, edgecolor=INK, lw=0.5, label="RMS residual")
-        axes.plot(place, law, "_", color=MODEL, ms=14, mew=2, label="noise law")
-        long = len(traces) > 12 or max(len(n) for n in names) > 8
-        labels = [shortened(n) for n in names]
-        axes.set_xticks(place, labels, rotation=90 if long else 0, fontsize=7 if long else 8)
-        axes.set_xlabel("experiment")
-        axes.set_ylabel(f"RMS ({unit})")
-        axes.grid(axis="x", visible=False)
-        figure.legend(loc="outside upper right", ncols=2)
-    return figure

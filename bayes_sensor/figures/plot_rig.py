@@ -19,7 +19,7 @@ from bayes_sensor.figures.style import (
     ORANGE,
     PALE,
     REGIONS,
-    new_figure,
+    panels,
     style,
 )
 from bayes_sensor.fit.traces import Trace
@@ -45,8 +45,9 @@ def responses(traces: Sequence[Trace]) -> Figure:
     with style():
         columns = min(len(levels), 3)
         rows = -(-len(levels) // columns)
-        figure = new_figure(0.4 + 2.7 * rows)
-        grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
+        figure, grid = panels(
+            0.3 + 2.9 * rows, rows, columns, bottom=1.0, across=0.15, down=1.0, sharey=True
+        )
         for axes in grid.ravel()[len(levels) :]:
             axes.set_visible(False)
         for axes, level in zip(grid.ravel(), levels, strict=False):
@@ -56,14 +57,16 @@ def responses(traces: Sequence[Trace]) -> Figure:
                 piece = trace.whole
                 axes.plot(
                     piece.t - start, 0.5 * (piece.low + piece.high), color=colour, ls=dash, lw=1.0,
-                    label=f"{60e-3 * trace.total_flow:.3g} L/min",
+                    label=trace.name if np.isnan(trace.total_flow)
+                    else f"{60e-3 * trace.total_flow:.3g} L/min",
                 )  # fmt: skip
                 if trace.commanded_on is not None:
                     axes.axvline(0.0, color=MIDDLE, lw=0.8, ls=":")
                     if trace.commanded_off is not None:
                         axes.axvline(trace.commanded_off - start, color=MIDDLE, lw=0.8, ls=":")
             axes.set_xlim(left=-5.0)
-            axes.set_title(f"{level:g} % test gas")
+            if not any(np.isnan(trace.total_flow) for trace in chosen):
+                axes.set_title(f"{level:g} % test gas")
             axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, columnspacing=1.2)
         for axes in grid[:, 0]:
             axes.set_ylabel(f"signal ({unit})")
@@ -84,8 +87,7 @@ def schematic() -> Figure:
     )
     lags = (0.0, 0.35, 0.6, 0.12, 0.0)
     with style():
-        figure = new_figure(2.15)
-        axes = figure.subplots()
+        figure, ((axes,),) = panels(2.15, left=0.05, right=0.05, top=0.05, bottom=0.05)
         axes.set_axis_off()
         axes.set(xlim=(0.0, 5.0), ylim=(0.0, 1.0))
         kept: list[float] = []

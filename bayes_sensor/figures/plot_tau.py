@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayes_sensor.bounds.methods import method_of
 from bayes_sensor.figures.style import (
     BLUE,
     GREEN,
@@ -18,8 +17,9 @@ from bayes_sensor.figures.style import (
     MIDDLE,
     ORANGE,
     PALE,
+    beside,
     logarithmic,
-    new_figure,
+    panels,
     parameter_words,
     shortened,
     show_zero,
@@ -46,8 +46,11 @@ def tau_hard(record: Mapping[str, Any]) -> Figure:
     ``record``: ``what_makes_tau_hard`` of ``bounds.json``.
     """
     with style():
-        figure = new_figure(5.6)
-        (profile, against), (known, weakest) = figure.subplots(2, 2)
+        names = [KNOWN_WORDS.get(name, name) for name in record["sd_tau_if_known_s"]]
+        others = [shortened(parameter_words(name)[0]) for name in record["weakest"]]
+        figure, ((profile, against), (known, weakest)) = panels(
+            5.6, 2, 2, left=max(0.7, beside(names)), across=max(0.7, beside(others) + 0.1)
+        )
         _profile(profile, record["profile"])
         _against_tau(against, record)
         _known(known, record["sd_tau_if_known_s"])
@@ -135,8 +138,10 @@ def what_would_help(rows: Sequence[Mapping[str, Any]]) -> Figure:
     ``rows``: ``what_would_help`` of ``bounds.json``.
     """
     with style():
-        figure = new_figure(0.21 * len(rows) + 1.0)
-        axes = figure.subplots()
+        changes = [row["change"].replace("+-", "± ") for row in rows]
+        figure, ((axes,),) = panels(
+            0.21 * len(rows) + 0.7, left=beside(changes), right=0.5, top=0.1
+        )
         for i, row in enumerate(rows):
             colour = INK if i == 0 else BLUE
             for lo, hi, width in (("lo95_s", "hi95_s", 1.4), ("lo68_s", "hi68_s", 4.2)):
@@ -147,7 +152,7 @@ def what_would_help(rows: Sequence[Mapping[str, Any]]) -> Figure:
                     f"{row['gain']:.3g}×", (1.01, i), xycoords=("axes fraction", "data"),
                     va="center", fontsize=7, color=GREEN if row["gain"] > 1.5 else MIDDLE,
                 )  # fmt: skip
-        axes.set_yticks(range(len(rows)), [row["change"].replace("+-", "± ") for row in rows])
+        axes.set_yticks(range(len(rows)), changes)
         axes.set_ylim(len(rows) - 0.4, -0.6)
         low, high = (_numbers([row[key] for row in rows]) for key in ("lo95_s", "hi95_s"))
         show_zero(axes, float(np.nanmin(low)), float(np.nanmax(high)))
@@ -176,8 +181,13 @@ def coverage(
     settings = list(dict.fromkeys(row["setting"] for row in some))
     methods = list(dict.fromkeys(row["method"] for row in some))
     with style():
-        figure = new_figure(0.3 * len(methods) + 1.3)
-        row_of_axes = np.atleast_1d(figure.subplots(1, len(settings), sharey=True))
+        from bayes_sensor.bounds.methods import method_of  # slow to import
+
+        labels = [method_of(method).label for method in methods]
+        figure, (row_of_axes,) = panels(
+            0.3 * len(methods) + 1.3, 1, len(settings), left=beside(labels), across=0.15,
+            bottom=0.7, sharey=True,
+        )  # fmt: skip
         for axes, setting in zip(row_of_axes, settings, strict=True):
             for j, name in enumerate(parameters):
                 shift = 0.24 * (j - 0.5 * (len(parameters) - 1))
@@ -194,16 +204,14 @@ def coverage(
             axes.set_xlim(-0.03, 1.03)
             axes.set_xticks([0.0, 0.5, 0.95], ["0", "0.5", "0.95"])
             axes.set_title(_setting_words(setting), fontsize=8.5)
-        row_of_axes[0].set_yticks(
-            range(len(methods)), [method_of(method).label for method in methods]
-        )
+        row_of_axes[0].set_yticks(range(len(methods)), labels)
         row_of_axes[0].invert_yaxis()
         handles = [
             row_of_axes[0].plot([], [], MARKERS[j], color=(ORANGE, BLUE, GREEN)[j % 3], ms=4)[0]
             for j in range(len(parameters))
         ]
         figure.legend(
-            handles, [parameter_words(name)[0] for name in parameters], loc="outside lower center",
+            handles, [parameter_words(name)[0] for name in parameters], loc="lower center",
             ncols=len(parameters),
         )  # fmt: skip
         middle = row_of_axes[len(settings) // 2]

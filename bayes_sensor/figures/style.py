@@ -18,8 +18,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import fontManager, get_font
 from matplotlib.layout_engine import PlaceHolderLayoutEngine
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 INK = "#1b1b1b"
 PALE = "#d4d4d4"
@@ -54,7 +55,7 @@ STYLE: dict[str, Any] = {
     "axes.titlelocation": "left",
     "axes.titlesize": 9,
     "axes.titleweight": "bold",
-    "figure.constrained_layout.use": True,
+    "axes.titley": 1.0,  # given, it need not be found from the boxes of all ticks
     "figure.facecolor": "none",
     "font.family": ["sans-serif"],
     "font.sans-serif": ["DejaVu Sans"],
@@ -93,14 +94,35 @@ assigned"""
 
 
 def shared_labels(names: Iterable[str]) -> dict[str, tuple[str, str, float]]:
-    """Those of :data:`SHARED_LABELS` that are among ``names``; lags by size in place of tau and
-    tau_v if they cannot be assigned.
+    """Words, unit shown and factor of the shared parameters among ``names``: those of
+    :data:`SHARED_LABELS`, then lags and volumes of other stages and sensors.
 
-    >>> list(shared_labels(["tau_s", "tau_v_s", "V_mL"]))
-    ['tau_s', 'tau_v_s', 'V_mL']
+    >>> shared_labels(["V_mL", "tau_s[A]", "tau_filter_s", "phi"])["tau_filter_s"]
+    ('filter τ', 's', 1.0)
     """
-    names = set(names)
-    return {name: words for name, words in SHARED_LABELS.items() if name in names}
+    names = list(dict.fromkeys(names))
+    found = {name: words for name, words in SHARED_LABELS.items() if name in names}
+    for name in names:
+        words = _stage_label(name)
+        if name not in found and words is not None:
+            found[name] = words
+    return found
+
+
+def _stage_label(name: str) -> tuple[str, str, float] | None:
+    """The same of a stage of another rig or of one of several sensors; None for anything else."""
+    kind, bracket, rest = name.partition("[")
+    if kind == "tau_s" and bracket:
+        return f"sensor {rest.removesuffix(']')} τ", "s", 1.0
+    if bracket:
+        return None
+    if kind.startswith("lag_") and kind.endswith("_s"):
+        return kind.removesuffix("_s").replace("_", " "), "s", 1.0
+    if kind.startswith("tau_") and kind.endswith("_s"):
+        return f"{kind[4:-2].replace('_', ' ')} τ", "s", 1.0
+    if kind.startswith("V_") and kind.endswith("_mL"):
+        return f"{kind[2:-3].replace('_', ' ')} V", "mL", 1.0
+    return None
 
 
 def told_apart(names: Iterable[str]) -> list[str]:
@@ -125,7 +147,7 @@ def labels_of_bounds(bounds: Mapping[str, Any]) -> dict[str, tuple[str, str, flo
     """:func:`shared_labels` of the content of ``bounds.json``."""
     rows = [row for entry in bounds["methods"].values() for row in entry["parameters"].items()]
     if not any(name.startswith("lag_") for name, _ in rows):
-        return shared_labels(["tau_s", "tau_v_s", "V_mL"])
+        return shared_labels(name for name, _ in rows)
     return shared_labels(name for name, row in rows if row)
 
 
@@ -154,7 +176,8 @@ class Drawing(Figure):
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    return Drawing(figsize=(width, height))
+    """A figure whose layout is solved: for pictures that are drawn once, on demand."""
+    return Drawing(figsize=(width, height), layout="constrained")
 
 
 def content_of(record: Any) -> Any:
@@ -177,6 +200,50 @@ def no_data(sentence: str, axes: Axes | None = None) -> Figure | Axes:
         )
         panel.set_axis_off()
     return panel if figure is None else figure
+
+
+def panels(
+    height: float,
+    rows: int = 1,
+    columns: int = 1,
+    width: float = WIDTH,
+    *,
+    left: float = 0.7,
+    right: float = 0.12,
+    top: float = 0.3,
+    bottom: float = 0.45,
+    across: float = 0.7,
+    down: float = 0.75,
+    **options: Any,
+) -> tuple[Figure, Any]:
+    """A figure with fixed margins and gaps, all in inches, and its axes (rows, columns).
+
+    No layout is solved: a solver draws each figure once more to measure its texts.  ``options`` are
+    those of :meth:`Figure.subplots`.
+    """
+    figure = Drawing(figsize=(width, height))
+    inside = width - left - right, height - top - bottom
+    each = [max(s - gap * (n - 1), 0.2) / n
+            for s, gap, n in zip(inside, (across, down), (columns, rows), strict=True)]  # fmt: skip
+    grid = figure.subplots(rows, columns, squeeze=False, **options)
+    figure.subplots_adjust(
+        left=left / width, right=1.0 - right / width, top=1.0 - top / height,
+        bottom=bottom / height, wspace=across / each[0], hspace=down / each[1],
+    )  # fmt: skip
+    return figure, grid
+
+
+def beside(names: Iterable[str], size: float = 7.5, more: float = 0.16) -> float:
+    """Inches that ``names`` take to the left of an axis, in letters of ``size`` points."""
+    font = get_font(fontManager.findfont("DejaVu Sans"))
+    font.set_size(size, 72)
+    widths = []
+    for name in names:
+        with warnings.catch_warnings():  # a letter that is not in the font is drawn as a box
+            warnings.simplefilter("ignore", UserWarning)
+            font.set_text(name, 0.0)
+        widths.append(font.get_width_height()[0] / 64.0)
+    return max(widths, default=0.0) / 72.0 + more
 
 
 def settle(figure: Figure) -> None:
@@ -241,7 +308,7 @@ def logarithmic(axes: Axes, which: str) -> None:
     if high < 30 * low:
         axis.set_major_locator(LogLocator(subs=(1, 2, 3, 5, 7) if high < 5 * low else (1, 2, 5)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_minor_locator(NullLocator())  # ticks are what takes longest to draw
 
 
 def show_zero(axes: Axes, low: float, high: float) -> None:
@@ -299,8 +366,9 @@ def parameter_words(name: str, unit: str = "V") -> tuple[str, str, float]:
     >>> parameter_words("drift_V_per_s")
     ('drift', 'V/s', 1.0)
     """
-    if name in SHARED_LABELS:
-        return SHARED_LABELS[name]
+    shared = shared_labels([name])
+    if shared:
+        return shared[name]
     kind, bracket, rest = name.partition("[")
     symbols = {
         "phi": "φ", "sigma0_V": "σ₀", "sigma1_V": "σ₁",

@@ -15,9 +15,29 @@ because the response does not depend on their order. The result names them as th
 (:mod:`bayes_sensor.rig.lags`).
 """
 
-from bayes_sensor.fit.fit import Fit, Progress
-from bayes_sensor.fit.least_squares import fit_least_squares, refit
-from bayes_sensor.fit.number_of_lags import count_lags
-from bayes_sensor.fit.swarm import Swarm, particle_swarm
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bayes_sensor.fit.fit import Fit, Progress
+    from bayes_sensor.fit.least_squares import fit_least_squares, refit
+    from bayes_sensor.fit.number_of_lags import count_lags
+    from bayes_sensor.fit.swarm import Swarm, particle_swarm
 
 __all__ = ["Fit", "Progress", "Swarm", "count_lags", "fit_least_squares", "particle_swarm", "refit"]
+
+_PLACES = {
+    "Fit": "fit", "Progress": "fit", "fit_least_squares": "least_squares",
+    "refit": "least_squares", "count_lags": "number_of_lags", "Swarm": "swarm", "particle_swarm": "swarm",
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """Loaded when first used: a report reads saved traces without what computes them."""
+    if name not in _PLACES:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    value = getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+    globals()[name] = value
+    return value

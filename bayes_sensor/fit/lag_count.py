@@ -41,7 +41,10 @@ class LagCount:
                 f"{WORDS[self.present]}; write {write} (another shape of the response may also "
                 "be the cause)"
             )
-        return f"at least {lags} are needed, and {words} suffice" if n > 1 else suffice
+        if n > 1:
+            most = n == max(self.log_evidence)
+            return f"at least {lags} are needed" + ("" if most else f", and {words} suffice")
+        return suffice
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, a text for each number of lags."""

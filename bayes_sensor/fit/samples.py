@@ -13,14 +13,15 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, log2
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.io.array_archive import load_archive, save_archive, unreadable
-from bayes_sensor.likelihood.density import mean_and_variance
-from bayes_sensor.likelihood.problem import Problem, as_problem
+
+if TYPE_CHECKING:
+    from bayes_sensor.likelihood.problem import Problem
 
 FRACTION = 16.0
 """rounding steps in one standard deviation of the noise"""
@@ -81,6 +82,9 @@ def polygon(t: FloatArray, y: FloatArray, tolerance: float) -> np.ndarray:
 
 def make_samples(campaign: Campaign | Problem, fit: Any) -> list[Samples]:
     """Every experiment's samples and the model at ``fit.theta_hat``."""
+    from bayes_sensor.likelihood.density import mean_and_variance  # slow to import
+    from bayes_sensor.likelihood.problem import as_problem
+
     problem = as_problem(campaign)
     vector = problem.layout.flat(fit.theta_hat)
     made = []

@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.io.array_archive import load_archive, save_archive
 from bayes_sensor.io.json_files import plain
-from bayes_sensor.likelihood.density import mean_and_variance
-from bayes_sensor.likelihood.problem import Problem, as_problem
+
+if TYPE_CHECKING:
+    from bayes_sensor.likelihood.problem import Problem
 
 BINS_WHOLE = 600
 """stretches of an envelope over a whole record"""
@@ -100,6 +101,9 @@ def envelope(
 
 def make_traces(campaign: Campaign | Problem, fit: Any) -> list[Trace]:
     """The traces of every experiment at ``fit.theta_hat``."""
+    from bayes_sensor.likelihood.density import mean_and_variance  # slow to import
+    from bayes_sensor.likelihood.problem import as_problem
+
     problem = as_problem(campaign)
     layout = problem.layout
     vector = layout.flat(fit.theta_hat)
@@ -186,5 +190,7 @@ def load_traces(path: str | os.PathLike[str]) -> list[Trace]:
                 table = content[f"{k}_{part}"].astype(float)
                 table[0] += content.get(f"{k}_{part}_start", 0.0)
                 parts[part] = Envelope(*table)
+        if fact["total_flow"] is None:  # which JSON has in place of nan
+            fact["total_flow"] = float("nan")
         traces.append(Trace(**fact, **parts))
     return traces

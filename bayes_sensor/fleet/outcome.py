@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bayes_sensor.bounds.methods import WHITE
 from bayes_sensor.io.results import Results
 
 SHARED = (("tau", "s"), ("tau_v", "s"), ("V", "mL"))
@@ -31,6 +30,7 @@ def row_of(results: Results, name: str, file: str, report: str, message: str) ->
     which lag is the sensor's (``order`` undecided), tau and tau_v have no values, and at one flow V
     has none.
     """
+    from bayes_sensor.figures.method_words import classical_bound
     from bayes_sensor.report import headline  # draws, so slow to import
 
     campaign, fit, posterior, bounds, gap = (
@@ -73,8 +73,7 @@ def row_of(results: Results, name: str, file: str, report: str, message: str) ->
     for prior in posterior.get("tau_under_priors") or []:
         if order != "undecided" and prior["prior"] == "half_normal":
             row["tau_upper95_s"] = prior["upper95_s"]
-    naive = ((bounds or {}).get("naive") or {}).get(WHITE) or {}
-    row["crlb_iid_tau_sd_s"] = naive.get("tau_s")
+    row["crlb_iid_tau_sd_s"] = classical_bound(bounds, "white").get("tau_s")
     if gap is not None:
         verdict = gap["verdict"]
         row["gap"], row["gap_probability"] = verdict["kind"], verdict["probability"]

@@ -47,7 +47,8 @@ def check_campaign(campaign: Campaign) -> pd.DataFrame:
 
     Columns: ``experiment``, ``samples`` (on the grid), ``used``, ``interval_s``, ``duration_s``,
     ``carrier_flow_L_min``, ``test_gas_flow_L_min``, ``total_flow_L_min``,
-    ``concentration_percent``, ``commanded_on_s``, ``commanded_off_s``, ``baseline_V`` (median
+    ``concentration_percent``, ``commanded_on_s``, ``commanded_off_s``, ``switches`` (of the input; 0 where it
+    was recorded), ``baseline_V`` (median
     before the command, or of the first twentieth where no command is known), ``step_V`` (median
     of the second half of the plateau less the baseline), ``noise_V`` (robust standard deviation
     of the baseline without drift), ``plateau_noise_V``, ``source`` and ``warnings``.  Columns in
@@ -80,6 +81,7 @@ def campaign_rows(campaign: Campaign) -> list[dict[str, Any]]:
                 ),
                 "commanded_on_s": _or_nan(experiment.commanded_on),
                 "commanded_off_s": _or_nan(experiment.commanded_off),
+                "switches": _switches(experiment),
                 "baseline_V": baseline.median,
                 "step_V": plateau.median - baseline.median,
                 "noise_V": baseline.noise,
@@ -89,6 +91,13 @@ def campaign_rows(campaign: Campaign) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _switches(e: Experiment) -> int:
+    """How often the input switches; 0 where it was recorded."""
+    if e.commands is None:
+        return 1 + e.has_fall
+    return 0 if e.commands.recorded else len(e.commands.times)
 
 
 def _litres(flow: float | None) -> float:
@@ -111,6 +120,8 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
             "crop with keep"
         )
         remarks += step_remarks(experiment, where, falls_back=fallen)
+        if experiment.commands is not None:
+            continue  # levels and a plateau are those of one pulse
         if experiment.commanded_on is None:
             remarks += [end] * fallen
             remarks.append(

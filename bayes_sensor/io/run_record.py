@@ -55,6 +55,7 @@ def campaign_record(
         "same_flow": campaign.same_flow,
         "stages": list(campaign.stages),
         "sensor_is": campaign.sensor_is,
+        **({"coating": campaign.coating} if campaign.coating else {}),
         "n_samples": campaign.n_samples,
         "side_information": {
             name: {"mean": info.mean, "sd": info.sd}

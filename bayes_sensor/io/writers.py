@@ -203,7 +203,8 @@ def campaign_text(campaign: Campaign, files: Mapping[str, Mapping[str, str]]) ->
     duration = "0.004 s"
     <BLANKLINE>
     """
-    lines = [f"title = {_quoted(campaign.title)}", ""]
+    lines = [f"title = {_quoted(campaign.title)}"]
+    lines += [f'coating = "{campaign.coating}"', ""] if campaign.coating else [""]
     rig = []
     if campaign.stages != STAGES:
         rig.append(f"stages = [{', '.join(map(_quoted, campaign.stages))}]")

@@ -1,30 +1,40 @@
 """The report: saved results in; one HTML page, a PDF or Markdown out.
 
-Everything is read from a results directory, so the report can be rebuilt without the data.  Every
-text from a file or a user is escaped.
+Everything is read from a results directory, so the report can be rebuilt without the data.  The
+first page has the answer; the sections behind it are folded in HTML, and on paper they are printed
+if asked for.  Every text from a file or a user is escaped.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from bayes_sensor.io.disk import own_folder, write_bytes, write_text
-from bayes_sensor.report.headline import Headline, alerts, chain_words, headline
-from bayes_sensor.report.parts import Picture, Pictures, Section, Table
-from bayes_sensor.report.saved import Saved, read_results
+from bayes_sensor.report.assemble import PAGES, Report, assemble
+from bayes_sensor.report.headline import Headline, chain_words, headline
+from bayes_sensor.report.notices import alerts
+from bayes_sensor.report.parts import Picture, Pictures, Section, Table, draw
+from bayes_sensor.report.saved import Saved, check_folder, read_results
 from bayes_sensor.report.words import list_words, number, p_words, time_words, with_spread
 
 __all__ = [
     "FORMATS",
+    "PAGES",
+    "Choice",
     "Headline",
     "Picture",
+    "Pictures",
+    "Report",
     "Saved",
     "Section",
     "Table",
     "alerts",
+    "assemble",
     "build_report",
     "chain_words",
+    "check_folder",
     "headline",
     "list_words",
     "number",
@@ -42,56 +52,75 @@ FIGURES = "figures"
 Progress = Callable[[float, str], None]
 
 
+@dataclass(frozen=True)
+class Choice:
+    """What a report shall hold, and how it is made."""
+
+    form: str = "html"
+    """a key of :data:`FORMATS`"""
+    pages: str = "short"
+    """``short``: the answer on two pages, in HTML with the rest folded behind it; ``full``: all of
+    it unfolded, with the figures that only paper shows"""
+    figures: bool = True
+    png: bool = False
+    """whether figures are saved as PNG, too"""
+    compare_published: bool = False
+    """whether to show what concerns the published sensor, whatever the campaign says"""
+    jobs: int = 1
+    """processes that draw"""
+
+
 def build_report(
     folder: str | Path,
     figure_folder: str | Path | None = None,
     progress: Progress | None = None,
+    choice: Choice | None = None,
 ) -> str:
     """The HTML page of a results directory, as text.
 
-    ``figure_folder``: where to put every figure as SVG and PNG as well.
+    ``figure_folder``: where to save the figures that it shows.
 
     Raises CampaignError if ``folder`` is not a results directory.
     """
-    from bayes_sensor.report import html  # the drawing rooms are slow to import
+    from bayes_sensor.report import html
 
-    saved, sections = _read(folder, figure_folder, progress)
-    return html.page(saved, sections)
+    place = None if figure_folder is None else Path(figure_folder)
+    return html.page(_drawn(folder, place, progress, choice or Choice()))
 
 
 def write_report(
-    source: str | Path, target: str | Path, form: str = "html", progress: Progress | None = None
+    source: str | Path,
+    target: str | Path,
+    choice: Choice | None = None,
+    progress: Progress | None = None,
 ) -> Path:
-    """Write the report of ``source`` into the folder ``target``, with its figures; the file.
-
-    ``form``: ``html``, ``pdf`` or ``md``.
-    """
+    """Write the report of ``source`` into the folder ``target``, with its figures; the file."""
     from bayes_sensor.report import html, markdown, pdf
 
-    place = Path(target) / FORMATS[form]
+    choice = choice or Choice()
+    place = Path(target) / FORMATS[choice.form]
     figure_folder = own_folder(Path(target) / FIGURES)
     figure_folder.mkdir(exist_ok=True)
-    saved, sections = _read(source, figure_folder, progress)
-    if form == "html":
-        write_text(place, html.page(saved, sections))
-    elif form == "md":
-        write_text(place, markdown.document(saved, sections, FIGURES))
+    report = _drawn(source, figure_folder, progress, choice)
+    if choice.form == "html":
+        write_text(place, html.page(report))
+    elif choice.form == "md":
+        write_text(place, markdown.document(report, FIGURES))
     else:
-        write_bytes(place, pdf.document(saved, sections))
+        write_bytes(place, pdf.document(report))
     return place
 
 
-def _read(
-    folder: str | Path, figure_folder: str | Path | None, progress: Progress | None
-) -> tuple[Saved, list[Section]]:
-    from bayes_sensor.report import html
-    from bayes_sensor.report.sections import make_sections
-
-    saved = read_results(folder)
-    pictures = Pictures(
-        None if figure_folder is None else Path(figure_folder),
-        progress or (lambda fraction, text: None),
-        total=len(saved.traces or []) + 20,
-        most_vectors=html.MOST_VECTORS,
+def _drawn(
+    folder: str | Path, figure_folder: Path | None, progress: Progress | None, choice: Choice
+) -> Report:
+    saved = read_results(folder, choice.compare_published)
+    report = assemble(saved, choice.pages, choice.form == "html", choice.figures)
+    draw(
+        report.to_draw(),
+        figure_folder,
+        png=choice.png,
+        jobs=choice.jobs,
+        progress=progress or (lambda fraction, text: None),
     )
-    return saved, make_sections(saved, pictures)
+    return report

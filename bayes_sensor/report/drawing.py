@@ -22,15 +22,6 @@ SHAPES = {
 _COLOUR = re.compile(rf"(^|(?:fill|stroke|color): )({'|'.join(COLOURS)})")
 
 
-def compact(drawing: str) -> str:
-    """An SVG with coordinates to a tenth of a point and without metadata.
-
-    >>> compact('<svg><path d="M 1.25 2.449&#10;L 3 4.06"/><text>d="1.25"</text></svg>')
-    '<svg><path d="M 1.2 2.4 L 3 4.1" /><text>d="1.25"</text></svg>'
-    """
-    return _text(_compacted(_parsed(drawing)))
-
-
 def inline_svg(drawing: str, key: str, label: str) -> str:
     """An SVG element for the page: own ids, colours that follow the page, a label for readers.
 
@@ -80,6 +71,7 @@ def _parsed(drawing: str) -> ElementTree.Element:
 
 
 def _compacted(root: ElementTree.Element) -> ElementTree.Element:
+    """The drawing with coordinates to a tenth of a point and without metadata."""
     for element in list(root.iter()):
         for old in element.findall("metadata"):
             element.remove(old)

@@ -1,28 +1,21 @@
-"""The top of the report: tau in one sentence, and what failed."""
+"""tau in one sentence: an interval, an upper limit, or the lags that it may be."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from bayes_sensor.bounds.methods import PUBLISHED, TO_QUOTE, WHITE, method_of
 from bayes_sensor.figures import effect_words
-from bayes_sensor.io.run_record import of_other_data
-from bayes_sensor.report.saved import Saved
+from bayes_sensor.figures.method_words import classical_bound, quoted
 from bayes_sensor.report.words import (
     interval,
     list_words,
-    ms,
     number,
-    sentence,
     time_unit,
-    typeset,
     with_spread,
 )
-from bayes_sensor.residuals import TAKE_AS_THEY_ARE
 
 
 @dataclass(frozen=True)
@@ -80,12 +73,12 @@ def headline(
     if posterior is not None:
         return _of_posterior(posterior, naive, settings)
     if bounds is not None:
-        method = next((m for m in TO_QUOTE if m in bounds["methods"]), None)
+        method = quoted(bounds)
         return None if method is None else _of_bounds(bounds["methods"][method], method, naive)
     return None
 
 
-def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> Headline:
+def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> Headline | None:
     autocorrelation = ((settings or {}).get("noise") or {}).get("autocorrelation", "ar1")
     noise = "AR(1) noise" if autocorrelation == "ar1" else "white noise"
     if posterior.get("with_effects"):
@@ -102,9 +95,18 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
         return Headline(text, "", True, upper_words(most), hidden=True)
     if posterior.get("order") == "undecided":
         return Headline(f"{_of_lags(posterior)} {source}", "", False, undecided=True)
-    row = posterior["parameters"]["tau_s"]
-    lo, mid, hi = (row[key] for key in ("q2.5", "q50", "q97.5"))
-    text = f"tau = {lag_words(lo, mid, hi)} {source}"
+    rows = [
+        (name.replace("tau_s", "tau"), [row[key] for key in ("q2.5", "q50", "q97.5")])
+        for name, row in posterior["parameters"].items()
+        if name.partition("[")[0] == "tau_s" and row is not None
+    ]
+    if not rows:
+        return None
+    each = "; ".join(f"{name} = {lag_words(*ends)}" for name, ends in rows)
+    text = f"{each} {source}"
+    if len(rows) > 1:  # several sensors on one gas
+        return Headline(text, "", False)
+    lo, mid, hi = rows[0][1]
     half_normal = next(
         (r for r in posterior.get("tau_under_priors", []) if r["prior"] == "half_normal"), None
     )
@@ -127,7 +129,7 @@ def stated_set(posterior: Mapping[str, Any]) -> list[tuple[float, float]]:
     if posterior.get("order") != "undecided":
         row = posterior["parameters"]["tau_s"]
         return [(row["q2.5"], row["q97.5"])]
-    n_limits = _n_limits(lags)
+    n_limits = count_limits(lags)
     found = [(row["q2.5"], row["q97.5"]) for row in lags[n_limits:]]
     if _may_all_be_equal(lags):
         found = [(found[0][0], found[-1][1])]
@@ -144,10 +146,10 @@ def _may_all_be_equal(lags: Sequence[Mapping[str, float]]) -> bool:
     """Whether all lags differ from zero and none from its neighbour.  Intervals by size do not
     contain equal lags, so one interval is stated for all."""
     neighbours = pairwise(lags)
-    return _n_limits(lags) == 0 and all(a["q97.5"] >= b["q2.5"] for a, b in neighbours)
+    return count_limits(lags) == 0 and all(a["q97.5"] >= b["q2.5"] for a, b in neighbours)
 
 
-def _n_limits(lags: Sequence[Mapping[str, float]]) -> int:
+def count_limits(lags: Sequence[Mapping[str, float]]) -> int:
     """Number of lags, shortest first, that are not distinguished from zero."""
     n = 0
     for row in lags:
@@ -161,7 +163,7 @@ def _n_limits(lags: Sequence[Mapping[str, float]]) -> int:
 def _of_lags(posterior: Mapping[str, Any]) -> str:
     """The lags by size as a sentence, if it is not known which is the sensor's."""
     lags = posterior["lags_s"]
-    n_limits = _n_limits(lags)
+    n_limits = count_limits(lags)
     seen = lags[n_limits:]
     if not seen:
         return (
@@ -221,143 +223,34 @@ def _of_bounds(entry: Mapping[str, Any], method: str, naive: str) -> Headline | 
     return Headline(f"tau is either {each} ({method}): {SAY_WHICH}", "", False, undecided=True)
 
 
-def chain_words(posterior: Mapping[str, Any]) -> str:
+def chain_words(posterior: Mapping[str, Any], flows: Mapping[str, float] | None = None) -> str:
     """t63 and t90 of the whole chain at the lowest and the highest flow, as a sentence.
 
-    They do not depend on the assignment of the lags; empty for results without them.
+    They do not depend on the assignment of the lags; empty for results without them.  ``flows``:
+    L/min by experiment, which are then said.
     """
-    rows = sorted(posterior.get("chain", {}).values(), key=lambda row: -row["t90_s"]["q50"])
-    if not rows:
+    found = posterior.get("chain", {})
+    names = sorted(found, key=lambda name: -found[name]["t90_s"]["q50"])
+    if not names:
         return ""
-    shown = [rows[0], rows[-1]] if rows[0] != rows[-1] else [rows[0]]
-    labels = ["at the lowest flow", "at the highest"] if len(shown) > 1 else [""]
+    shown = [names[0], names[-1]] if found[names[0]] != found[names[-1]] else [names[0]]
+    labels = [" at the lowest flow", " at the highest"] if len(shown) > 1 else [""]
+    if flows and all(flows.get(name) for name in shown):
+        labels = [f" at {flows[name]:.3g} L/min" for name in shown]
+    sensors = [n[6:-1] for n in posterior["parameters"] if n.startswith("tau_s[")]
+    if sensors:  # each has a chain of its own, slowest record first
+        pairs = [(s, next(n for n in names if n.endswith(f",{s}"))) for s in sensors]
+        shown, labels = [name for _, name in pairs], [f" to sensor {s}" for s, _ in pairs]
     said = []
-    for row, label in zip(shown, labels, strict=True):
+    for name, label in zip(shown, labels, strict=True):
         times = []
         for key in ("t63", "t90"):
-            lo, mid, hi = (row[f"{key}_s"][q] for q in ("q2.5", "q50", "q97.5"))
+            lo, mid, hi = (found[name][f"{key}_s"][q] for q in ("q2.5", "q50", "q97.5"))
             factor, unit = time_unit(mid)
             value = with_spread(factor * mid, factor * (hi - lo))
             times.append(f"{key} {value} {unit} {interval(factor * lo, factor * hi)}")
-        said.append(f"{', '.join(times)} {label}".rstrip())
+        said.append(f"{', '.join(times)}{label}")
     return f"the whole chain, whatever the order of lags: {'; '.join(said)}"
-
-
-@dataclass(frozen=True)
-class Remark:
-    """A sentence under the headline, and the section with details."""
-
-    text: str
-    section: str
-
-
-ALIKE = 0.05
-"""correlation of neighbouring samples from which the bound for white noise is called wrong"""
-TOO_NARROW = 1.3
-"""ratio of the converged bound of tau to that with 1 % steps from which the latter is called
-wrong"""
-
-
-def remarks(saved: Saved) -> list[Remark]:
-    """Explanations for a newcomer: what tau is, its uncertainty, why the bound misleads."""
-    head = headline(saved.posterior, saved.bounds, saved.settings)
-    if head is None:
-        return [] if saved.gap is None else [Remark(gap_sentence(saved.gap, False), "gap")]
-    said = [
-        Remark(
-            "τ is the sensor's own time constant: how long it takes, without valve and manifold, "
-            "to cover 63 % of a step.",
-            "tau",
-        )
-    ]
-    times = "" if saved.posterior is None or head.hidden else chain_words(saved.posterior)
-    if times:
-        said.append(Remark(sentence(typeset(times)), "tau"))
-    if head.is_limit and head.limit and not head.hidden:
-        said.append(
-            Remark(
-                f"Zero is not excluded: read it as an upper limit, τ < {head.limit} (95 %). The "
-                "data give the largest possible time constant only.",
-                "tau",
-            )
-        )
-    if head.naive:
-        why = _why_naive_misleads(saved)
-        text = naive_sentence(head) + (f" Why that misleads: {why}." if why else "")
-        said.append(Remark(text, "tau"))
-    if saved.gap is not None:
-        words = gap_sentence(saved.gap, head.is_limit)
-        verdict = saved.gap["verdict"]
-        if verdict["kind"] != "none" and verdict["probability"] >= 0.5:
-            words = f"No. {words}"
-        text = f"All this assumes that the model is right. Is it? {words} {with_the_effect(saved)}"
-        said.append(Remark(text.rstrip(), "gap"))
-    return said
-
-
-def naive_sentence(head: Headline) -> str:
-    """The interval by the classical bound alone, as a sentence."""
-    return sentence(head.naive).replace("iid Cramer-Rao", "classical Cramér-Rao")
-
-
-def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
-    """The verdict in words.
-
-    ``is_limit``: zero is not excluded.  The diagnosis works in ln tau, so the lower end of its
-    envelope is never zero and has no meaning there.  Only the upper end is stated.
-    """
-    verdict = gap["verdict"]
-    words = verdict["sentence"]
-    rows = [row["effect"] for row in gap.get("which") or []]
-    for name in {*verdict["effects"], *(row for row in rows if "_" in row and "+" not in row)}:
-        words = words.replace(name, effect_words(name))
-    low, high = gap["hidden"].get("tau_envelope_s") or (None, None)
-    if verdict["kind"] == "none" and low is not None and high is not None:
-        upper = f"{number(1e3 * high, 2)} ms"
-        reach = f"reach {upper}" if is_limit else f"lie from {number(1e3 * low, 2)} to {upper}"
-        words = re.sub(r"(tau could) lie anywhere from \S+ to \S+ ms", rf"\1 {reach}", words)
-    return sentence(typeset(re.sub(r"(\d)%", r"\1 %", words)))
-
-
-def with_the_effect(saved: Saved) -> str:
-    """tau with the named effect in the model, if the posterior leaves it out; else nothing."""
-    if saved.gap is None:
-        return ""
-    verdict, shrink = saved.gap["verdict"], saved.gap["shrink"]
-    low, mid, high = (ms(shrink.get(f"tau_after{end}_s")) for end in ("_lo", "", "_hi"))
-    if verdict["kind"] != "effect" or shrink.get("withheld"):
-        return ""
-    if shrink.get("explanation") == "mains_pickup":  # it moves no estimate of tau
-        return ""
-    if low is None or mid is None or high is None:
-        return ""
-    if saved.posterior is not None and saved.posterior.get("with_effects"):
-        return ""
-    return (
-        f"With {list_words([effect_words(name) for name in verdict['effects']])} in the model "
-        f"τ is {with_spread(mid, high - low)} ms, 95 % interval {interval(low, high)} ms: quote "
-        "that, not the interval without it, or sample it with bayes-sensor posterior --with-effect "
-        f"{' --with-effect '.join(verdict['effects'])}."
-    )
-
-
-def _why_naive_misleads(saved: Saved) -> str:
-    """The assumptions of the classical bound that fail here, in words."""
-    naive = (saved.bounds or {}).get("naive") or {}
-    right, published = naive.get(WHITE) or {}, naive.get(PUBLISHED) or {}
-    found = []
-    phi = ((saved.residuals or {}).get("ar1") or {}).get("phi")
-    if right.get("tau_s") and phi is not None and phi > ALIKE:
-        found.append(
-            f"it treats the samples as independent, but neighbours are alike (φ = {number(phi, 2)})"
-        )
-    if right.get("tau_s") and published.get("tau_s"):
-        if right["tau_s"] > TOO_NARROW * published["tau_s"]:
-            found.append(
-                "and steps of 1 % move a switch time by tenths of a second, which hides that a "
-                "slower sensor and a later switch give almost the same response"
-            )
-    return "; ".join(found)
 
 
 def effect_names(posterior: Mapping[str, Any]) -> list[str]:
@@ -367,113 +260,7 @@ def effect_names(posterior: Mapping[str, Any]) -> list[str]:
 
 def _naive_words(bounds: Mapping[str, Any] | None) -> str:
     """The interval of tau by the iid bound alone, at 95 %."""
-    if bounds is None:
+    sd = classical_bound(bounds, "white").get("tau_s")
+    if not sd:
         return ""
-    naive = bounds.get("naive") or {}
-    right, published = naive.get(WHITE), naive.get(PUBLISHED)
-    parts = []
-    if right and right.get("tau_s"):
-        parts.append(
-            "the iid Cramer-Rao bound alone would have said "
-            f"± {number(1.96e3 * right['tau_s'], 2)} ms"
-        )
-    if published and published.get("tau_s"):
-        said = f"± {number(1.96e3 * published['tau_s'], 2)} ms"
-        parts.append(
-            f"or {said} if its derivatives are taken with steps of 1 %"
-            if parts
-            else (
-                "the iid Cramer-Rao bound with derivatives from steps of 1 % would have said "
-                f"{said}"
-            )
-        )
-    return ", ".join(parts)
-
-
-CONCERNED = (
-    "This concerns every interval that depends on the noise law: the posterior, the profile and "
-    "the Cramér-Rao bounds."
-)
-
-
-def doubts(saved: Saved) -> list[str]:
-    """Failed checks of the noise law, as in the warnings of every interval."""
-    found = list((saved.posterior or {}).get("doubts", []))
-    record = saved.residuals
-    if record is not None and not record["adequate"]:
-        found.append(f"{record['verdict']} {record.get('recommendation') or TAKE_AS_THEY_ARE}")
-    return found
-
-
-def alerts(saved: Saved) -> list[tuple[str, str]]:
-    """(kind, sentence) for the top of the page.
-
-    ``bad`` for caveats of the headline, which the page shows before it; the rest are notes.
-    """
-    caveats = (saved.fit or {}).get("caveats") or []
-    found = [("bad", sentence(typeset(caveat))) for caveat in caveats]
-    if saved.fit is not None and not saved.fit["converged"]:
-        found.append(("bad", f"The least-squares fit did not converge. {saved.fit['status']}"))
-    if saved.posterior is not None and not saved.posterior["converged"]:
-        status = saved.posterior.get("convergence", saved.posterior["status"])
-        found.append(
-            (
-                "bad",
-                f"The posterior did not converge, so its intervals must not be quoted ({status}). "
-                "Continue it with --resume and more steps.",
-            )
-        )
-    n = len(saved.campaign["experiments"])
-    missed = saved.missed
-    if missed > n / 2:
-        found.append(
-            (
-                "bad",
-                f"The model misses {missed} of {n} traces by more than AR(1) noise explains: it "
-                "leaves something out, or the noise is another. The intervals below take both as "
-                "right; what they leave out is in none of them.",
-            )
-        )
-    if saved.residuals is not None and not saved.residuals["adequate"]:
-        found.append(
-            (
-                "bad",
-                f"{saved.residuals['verdict']} {CONCERNED} "
-                f"{saved.residuals.get('recommendation') or TAKE_AS_THEY_ARE}",
-            )
-        )
-    elif saved.predictive is not None and saved.predictive["failed"]:
-        status = sentence(typeset(saved.predictive["status"]))
-        found.append(("bad", f"{status} {CONCERNED} {TAKE_AS_THEY_ARE}"))
-    stale = of_other_data(saved.run)
-    if stale:
-        found.append(
-            (
-                "bad",
-                f"The results of {list_words(stale)} rest on other data or settings than those of "
-                f"{saved.run['last']}; run them again before comparing.",
-            )
-        )
-    notes = list(saved.campaign.get("remarks", []))
-    for part in (saved.fit, saved.posterior):
-        notes += part.get("warnings", []) if part else []
-    if saved.bounds:
-        for method, entry in saved.bounds["methods"].items():
-            status = entry.get("status", "ok")
-            for doubt in doubts(saved):  # an alert says it once for all
-                status = "; ".join(filter(None, status.replace(doubt, "").split("; "))) or "ok"
-            if method_of(method).published_recipe:  # its caveats stand in the table of methods
-                continue
-            if status != "ok" and "lower bound" not in status and "upper limit" not in status:
-                notes.append(f"{method_of(method).label}: {status}")
-    seen = set(caveats)
-    for note in notes:
-        told = sentence(typeset(note))
-        if (
-            note not in seen
-            and note not in doubts(saved)
-            and not any(text in (note, told) for _, text in found)
-        ):
-            seen.add(note)
-            found.append(("note", sentence(typeset(note))))
-    return found
+    return f"the iid Cramer-Rao bound alone would have said ± {number(1.96e3 * sd, 2)} ms"

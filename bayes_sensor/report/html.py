@@ -1,52 +1,46 @@
 """The report as one self-contained HTML page.
 
 The page needs no network; without scripts it loses sorting and copying of tables and the zoom of
-the overlays, which are then drawings.
+the overlays.  The sections are folded behind the first page.
 """
 
 from __future__ import annotations
 
-import base64
-import html
 import json
-from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
 from markupsafe import Markup, escape
 
 from bayes_sensor.fit.samples import coded, thinned
+from bayes_sensor.report.assemble import Report
 from bayes_sensor.report.drawing import inline_svg
-from bayes_sensor.report.headline import alerts, headline, remarks
-from bayes_sensor.report.parts import Picture, Section, Table, numbering, pieces
+from bayes_sensor.report.parts import Table, pieces
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import typeset
 
-MOST_VECTORS = 4 << 20
-"""bytes of vector overlays in a page; beyond, they are embedded as pixels"""
-MOST_PIXELS = 2 << 20
-"""bytes of overlays as pixels; beyond, they are only saved beside the page"""
+MOST_VECTORS = 6 << 20
+"""bytes of overlays in a page; beyond, they are only saved beside it"""
 MOST_SAMPLES = 6 << 20
 """bytes of samples for the zoom; beyond, samples far from the switches are thinned"""
+WHEN_OPENED = "Every sample, drawn when opened."
+FOR_PAPER = "Drawn by bayes-sensor report DIR --pages full."
 
 
-def _drawings(sections: Sequence[Section]) -> dict[str, Markup]:
-    """The element of the page for each picture."""
-    found, pixels = {}, 0
-    for section in sections:
-        for part in section.content:
-            if not isinstance(part, Picture):
-                continue
-            if part.pixels is None:
-                body = inline_svg(part.drawing, part.key, part.caption)
-            else:
-                data = base64.b64encode(part.pixels).decode("ascii")
-                pixels += len(data)
-                safe = html.escape(part.caption, quote=True)
-                body = f'<img alt="{safe}" src="data:image/png;base64,{data}">'
-                if pixels > MOST_PIXELS:
-                    body = f"<p>Drawn in figures/{part.key}.svg, to keep this page small.</p>"
-            found[part.key] = Markup(body)
+def _drawings(report: Report) -> dict[str, Markup]:
+    """The element of the page for each picture, or words where it is not drawn."""
+    found: dict[str, Markup] = {}
+    size = 0
+    for picture in report.pictures():
+        if picture.drawing:
+            body = inline_svg(picture.drawing, picture.key, picture.caption)
+            size += len(body) if picture.overlay is not None else 0
+            if picture.overlay is not None and size > MOST_VECTORS:
+                body = f"<p>Drawn in figures/{picture.key}.svg, to keep this page small.</p>"
+        elif picture.overlay is not None and report.zoomable:
+            body = f"<p>{WHEN_OPENED}</p>"
+        else:
+            body = f"<p>{FOR_PAPER}</p>"
+        found[picture.key] = Markup(body)
     return found
 
 
@@ -88,14 +82,12 @@ def _script_json(content: Any) -> Markup:
     return Markup(text.replace("<", "\\u003c").replace("&", "\\u0026"))
 
 
-def page(saved: Saved, sections: Sequence[Section]) -> str:
+def page(report: Report) -> str:
     """The page as text."""
     from jinja2 import Environment, StrictUndefined
 
-    numbers = numbering(sections)
-    kinds = {
-        part.key: "t" if isinstance(part, Table) else "f" for s in sections for part in s.content
-    }
+    numbers = report.numbers
+    kinds = {key: "t" if label.startswith("Table") else "f" for key, label in numbers.items()}
 
     def linked(text: str) -> Markup:
         return Markup("").join(
@@ -111,21 +103,14 @@ def page(saved: Saved, sections: Sequence[Section]) -> str:
         return Markup((places / name).read_text(encoding="utf-8"))
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    environment.filters["typeset"] = typeset
     template = environment.from_string(asset("report.html.j2"))
     return template.render(
-        saved=saved,
-        title=saved.name,
-        version=saved.last["versions"].get("bayes-sensor", ""),
-        finished=saved.last["finished"],
-        head=headline(saved.posterior, saved.bounds, saved.settings),
-        remarks=remarks(saved),
-        alerts=alerts(saved),
-        sections=sections,
+        report=report,
+        first=report.first,
         numbers=numbers,
-        drawings=_drawings(sections),
+        drawings=_drawings(report),
         linked=linked,
-        zoom=[_script_json(each) for each in zoom_data(saved)],
+        zoom=[_script_json(each) for each in zoom_data(report.saved)],
         css=asset("report.css"),
         script=asset("report.js"),
         zoom_script=asset("zoom.js"),

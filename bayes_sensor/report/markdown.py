@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
-from bayes_sensor.report.headline import alerts, headline, remarks
-from bayes_sensor.report.parts import Section, Table, numbering, pieces
-from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import typeset
+from bayes_sensor.report.assemble import Report
+from bayes_sensor.report.parts import Part, Table, pieces
 
 
 def escaped(text: str) -> str:
@@ -23,9 +20,9 @@ def escaped(text: str) -> str:
     return re.sub(r"^([-+]|\d+[.)])(?=\s)", r"\\\1", text)
 
 
-def document(saved: Saved, sections: Sequence[Section], figure_folder: str = "figures") -> str:
-    """The report as text; pictures point to PNG files in ``figure_folder``."""
-    numbers = numbering(sections)
+def document(report: Report, figure_folder: str = "figures") -> str:
+    """The report as text; pictures point to the SVG files in ``figure_folder``."""
+    numbers, first = report.numbers, report.first
 
     def linked(text: str) -> str:
         return "".join(
@@ -40,29 +37,30 @@ def document(saved: Saved, sections: Sequence[Section], figure_folder: str = "fi
         trail = " " if piece[-1:].isspace() and inner else ""
         return lead + inner + trail
 
-    lines = [f"# {escaped(saved.name)}", ""]
-    last = saved.last
-    version = last["versions"].get("bayes-sensor", "")
-    lines += [f"bayes-sensor {escaped(version)}, {escaped(last['finished'])}", ""]
-    told = alerts(saved)
+    def shown(part: Part) -> list[str]:
+        label = f'<a id="{part.key}"></a>**{numbers[part.key]}.** {escaped(part.caption)}'
+        if isinstance(part, Table):
+            return [label, "", *_table(part), ""]
+        return [f"![{numbers[part.key]}]({figure_folder}/{part.key}.svg)", "", label, ""]
+
+    lines = [f"# {escaped(report.title)}", ""]
+    lines += [f"bayes-sensor {escaped(report.version)}, {escaped(report.finished)}", ""]
     # what decides whether the headline stands comes before it
-    lines += [f"> **Attention.** {escaped(text)}\n" for kind, text in told if kind == "bad"]
-    head = headline(saved.posterior, saved.bounds, saved.settings)
-    if head is not None:
-        lines += [f"**{escaped(typeset(head.text))}**", ""]
-    for remark in remarks(saved):
-        lines += [escaped(remark.text), ""]
-    lines += [f"> {escaped(text)}\n" for kind, text in told if kind != "bad"]
-    for i, section in enumerate(sections, 1):
+    lines += [f"> **Attention.** {escaped(text)}\n" for text in first.alerts]
+    if first.tau:
+        lines += [f"**{escaped(first.tau)}**", "", linked(first.why), ""]
+    for fact in first.facts:
+        lines += [f"**{escaped(fact.label)}.** {linked(fact.text)}", ""]
+    for part in first.content:
+        lines += shown(part)
+    lines += [f"> {escaped(text)}\n" for text in first.notes]
+    for i, section in enumerate(report.listed, 1):
         lines += [f"## {i}. {escaped(section.title)}", "", f"**{linked(section.answer)}**", ""]
-        for text in section.paragraphs:
-            lines += [linked(text), ""]
-        for part in section.content:
-            label = f'<a id="{part.key}"></a>**{numbers[part.key]}.** {escaped(part.caption)}'
-            if isinstance(part, Table):
-                lines += [label, "", *_table(part), ""]
-            else:
-                lines += [f"![{numbers[part.key]}]({figure_folder}/{part.key}.png)", "", label, ""]
+        if report.full:
+            for text in section.paragraphs:
+                lines += [linked(text), ""]
+            for part in section.content:
+                lines += shown(part)
     return "\n".join(lines)
 
 

@@ -7,14 +7,19 @@ format turns into a link.  Texts have no other markup.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from bayes_sensor.io.disk import write_bytes, write_text
 from bayes_sensor.report.words import number, p_words, with_spread
+from bayes_sensor.workers import WorkerDied, completed
 
+FEW = 16
+"""figures for which a further process is not worth its start"""
 _OPEN, _CLOSE = "\x02", "\x03"
 """names contain no control characters"""
 
@@ -106,16 +111,18 @@ class Table:
 
 @dataclass
 class Picture:
-    """A figure with its caption."""
+    """A figure with its caption; drawn only where the report shows it."""
 
     key: str
     caption: str
-    drawing: str
-    """SVG element as saved"""
-    pixels: bytes | None = None
-    """PNG, where the vector drawing is too large for the page"""
+    make: Callable[[], Any] | None = None
+    """makes the matplotlib figure"""
     overlay: int | None = None
     """number of the trace that it shows, from 0, where it can be zoomed"""
+    on_paper: bool = False
+    """whether it is drawn for the full report alone"""
+    drawing: str = ""
+    """SVG element; empty until it is drawn"""
 
 
 Part = Table | Picture
@@ -133,52 +140,73 @@ class Section:
     content: list[Part] = field(default_factory=list)
 
 
-def numbering(sections: Sequence[Section]) -> dict[str, str]:
+def numbering(contents: Iterable[Sequence[Part]]) -> dict[str, str]:
     """``Table 3`` or ``Figure 2`` by key, in the order of the report."""
     numbers: dict[str, str] = {}
     counts = {"Table": 0, "Figure": 0}
-    for section in sections:
-        for part in section.content:
-            kind = "Table" if isinstance(part, Table) else "Figure"
-            if part.key in numbers:
-                raise ValueError(f"two parts of the report are called '{part.key}'")
-            counts[kind] += 1
-            numbers[part.key] = f"{kind} {counts[kind]}"
+    for part in chain.from_iterable(contents):
+        kind = "Table" if isinstance(part, Table) else "Figure"
+        if part.key in numbers:
+            raise ValueError(f"two parts of the report are called '{part.key}'")
+        counts[kind] += 1
+        numbers[part.key] = f"{kind} {counts[kind]}"
     return numbers
 
 
 class Pictures:
-    """Makes figures and saves them beside the report."""
+    """Makes the pictures of a section."""
 
-    def __init__(
+    def add(
         self,
-        folder: Path | None = None,
-        progress: Callable[[float, str], None] = lambda fraction, text: None,
-        total: int = 1,
-        most_vectors: int | None = None,
-    ) -> None:
-        self.folder = folder
-        self.progress = progress
-        self.total = total
-        self.most_vectors = most_vectors
-        """bytes of overlays as vectors; beyond, they are pixels"""
-        self.done = 0
-        self.overlay_bytes = 0
+        key: str,
+        figure: Any,
+        caption: str,
+        *,
+        overlay: int | None = None,
+        on_paper: bool = False,
+    ) -> Picture:
+        """A picture of ``figure``: a function that makes it (drawn when needed), or the figure."""
+        make = figure if callable(figure) else partial(_itself, figure)
+        return Picture(key, caption, make, overlay, on_paper)
 
-    def add(self, key: str, figure: Any, caption: str, overlay: int | None = None) -> Picture:
-        """The picture of a figure."""
-        from bayes_sensor import figures  # slow to import
-        from bayes_sensor.report.drawing import compact
 
-        drawing = figures.svg(figure)
-        self.done += 1
-        self.progress(min(0.99, self.done / max(self.total, 1)), f"figure {key}")
-        if self.folder is not None:
-            write_text(self.folder / f"{key}.svg", drawing)
-            write_bytes(self.folder / f"{key}.png", figures.png(figure))
-        pixels = None
-        if overlay is not None and self.most_vectors is not None:
-            self.overlay_bytes += len(compact(drawing))
-            if self.overlay_bytes > self.most_vectors:
-                pixels = figures.png(figure, 80)
-        return Picture(key, caption, drawing, pixels, overlay)
+def _itself(figure: Any) -> Any:
+    return figure
+
+
+def draw(
+    pictures: Sequence[Picture],
+    folder: Path | None = None,
+    *,
+    png: bool = False,
+    jobs: int = 1,
+    progress: Callable[[float, str], None] = lambda fraction, text: None,
+) -> None:
+    """Draw each picture once, in ``jobs`` processes, and save it in ``folder`` as well.
+
+    ``png``: also as pixels.
+    """
+    waiting = [picture for picture in pictures if picture.make is not None]
+    # a process of its own is worth its start only for many figures
+    calls = [(picture.make, png and folder is not None) for picture in waiting]
+    done = completed(_drawn, calls, min(jobs, 1 + len(waiting) // FEW))
+    for count, (i, result) in enumerate(done, 1):
+        if isinstance(result, WorkerDied):
+            raise result
+        picture = waiting[i]
+        picture.drawing, pixels = result
+        progress(min(0.99, count / len(waiting)), f"figure {picture.key}")
+        if folder is not None and pixels is not None:
+            write_bytes(folder / f"{picture.key}.png", pixels)
+    for picture in pictures:
+        if folder is not None and picture.drawing:
+            write_text(folder / f"{picture.key}.svg", picture.drawing)
+
+
+def _drawn(call: tuple[Callable[[], Any], bool]) -> tuple[str, bytes | None]:
+    """The figure as SVG, and as PNG if asked for."""
+    from bayes_sensor import figures  # slow to import
+
+    make, png = call
+    figure = make()
+    return figures.svg(figure), figures.png(figure) if png else None

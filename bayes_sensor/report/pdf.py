@@ -7,49 +7,51 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from bayes_sensor.report.headline import alerts, headline, remarks
-from bayes_sensor.report.parts import Section, Table, numbering, pieces
-from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import typeset
+from bayes_sensor.report.assemble import Report
+from bayes_sensor.report.parts import Part, Table, pieces
 
 MOST_ROWS = 200
 """rows of a table on paper"""
 
 
-def content(saved: Saved, sections: Sequence[Section]) -> dict[str, Any]:
+def content(report: Report) -> dict[str, Any]:
     """Everything that the PDF says, as plain data."""
-    numbers = numbering(sections)
+    numbers, first = report.numbers, report.first
 
     def spans(text: str) -> list[dict[str, str]]:
         return [{"text": piece, "key": key} for piece, key in pieces(text, numbers)]
 
-    head = headline(saved.posterior, saved.bounds, saved.settings)
+    def parts(content: list[Part]) -> list[dict[str, Any]]:
+        return [_part(part, numbers[part.key]) for part in content]
+
     return {
-        "title": saved.name,
-        "version": saved.last["versions"].get("bayes-sensor", ""),
-        "finished": saved.last["finished"],
-        "tau": "" if head is None else typeset(head.text),
-        "remarks": [remark.text for remark in remarks(saved)],
-        "alerts": [{"kind": kind, "text": text} for kind, text in alerts(saved)],
+        "title": report.title,
+        "version": report.version,
+        "finished": report.finished,
+        "full": report.full,
+        "tau": first.tau,
+        "why": spans(first.why),
+        "facts": [{"label": fact.label, "text": spans(fact.text)} for fact in first.facts],
+        "content": parts(first.content),
+        "alerts": first.alerts,
+        "notes": first.notes,
         "sections": [
             {
-                "key": section.key,
                 "title": section.title,
                 "answer": spans(section.answer),
-                "paragraphs": [spans(text) for text in section.paragraphs],
-                "content": [_part(part, numbers[part.key]) for part in section.content],
+                "paragraphs": [spans(text) for text in section.paragraphs if report.full],
+                "content": parts(section.content if report.full else []),
             }
-            for section in sections
+            for section in report.listed
         ],
     }
 
 
-def _part(part: Any, label: str) -> dict[str, Any]:
+def _part(part: Part, label: str) -> dict[str, Any]:
     record = {"key": part.key, "label": label, "caption": part.caption}
     if not isinstance(part, Table):
         return {**record, "kind": "figure"}
@@ -67,20 +69,17 @@ def _part(part: Any, label: str) -> dict[str, Any]:
     }
 
 
-def document(saved: Saved, sections: Sequence[Section]) -> bytes:
+def document(report: Report) -> bytes:
     """The PDF."""
     import matplotlib
     import typst
 
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        for section in sections:
-            for part in section.content:
-                if not isinstance(part, Table):
-                    (root / f"{part.key}.svg").write_text(part.drawing, encoding="utf-8")
+        for picture in report.pictures():
+            (root / f"{picture.key}.svg").write_text(picture.drawing, encoding="utf-8")
         (root / "report.json").write_text(
-            json.dumps(content(saved, sections), ensure_ascii=False, allow_nan=False),
-            encoding="utf-8",
+            json.dumps(content(report), ensure_ascii=False, allow_nan=False), encoding="utf-8"
         )
         template = resources.files("bayes_sensor") / "templates" / "report.typ"
         (root / "report.typ").write_text(template.read_text(encoding="utf-8"), encoding="utf-8")

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from bayes_sensor.campaign import CampaignError
+from bayes_sensor.campaign import ZIF8, CampaignError
 from bayes_sensor.fit.samples import Samples, load_samples
 from bayes_sensor.fit.traces import Trace, load_traces
 from bayes_sensor.io.results import Results
@@ -40,7 +40,10 @@ class Saved:
     """its cases: :data:`OF_A_CASE` as they stand in cases.csv"""
     traces: list[Trace] | None = None
     samples: list[Samples] | None = None
-    chains: tuple[list[str], Any] | None = None
+    draws: Path | None = None
+    """the file with the draws of the posterior, which only the full report reads"""
+    compare_published: bool = False
+    """whether to show all that concerns the published sensor, whatever the campaign says"""
 
     @property
     def unit(self) -> str:
@@ -79,13 +82,36 @@ class Saved:
         return {}
 
     @property
+    def published(self) -> bool:
+        """Whether what concerns the published sensor alone is shown: its coating, its bounds with
+        steps of 1 %, Euler's method and the table of the blind check."""
+        return self.compare_published or self.campaign.get("coating") == ZIF8
+
+    @property
     def missed(self) -> int:
         """How many traces the model does not describe."""
         warnings = self.fit["warnings"] if self.fit else []
         return sum("does not describe the trace" in w for w in warnings)
 
 
-def read_results(folder: str | Path) -> Saved:
+def check_folder(folder: str | Path) -> Results:
+    """The results directory; CampaignError if it is none."""
+    results = Results(folder)
+    if not results.folder.is_dir():
+        raise CampaignError(
+            f"{folder}: there is no such folder; expected a results folder: "
+            "run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
+        )
+    known = results.has("campaign.json") or results.has("score.json")
+    if not (known and results.has("run.json")):
+        raise CampaignError(
+            f"{folder}: expected a results folder with run.json and campaign.json (or score.json, "
+            "of a blind check); run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
+        )
+    return results
+
+
+def read_results(folder: str | Path, compare_published: bool = False) -> Saved:
     """What a results directory holds.
 
     Raises
@@ -93,19 +119,8 @@ def read_results(folder: str | Path) -> Saved:
     CampaignError
         If it is not a results directory, or a file in it cannot be read.
     """
-    results = Results(folder)
-    if not results.folder.is_dir():
-        raise CampaignError(
-            f"{folder}: there is no such folder; expected a results folder: "
-            "run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
-        )
-    score = results.json("score.json")
+    results = check_folder(folder)
     campaign = results.json("campaign.json")
-    if (campaign is None and score is None) or not results.has("run.json"):
-        raise CampaignError(
-            f"{folder}: expected a results folder with run.json and campaign.json (or score.json, "
-            "of a blind check); run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
-        )
     parts = ("fit", "residuals", "posterior", "posterior_without_effects", "predictive", "bounds",
              "delays", "gap", "coating")  # fmt: skip
     found = {name: results.json(f"{name}.json") for name in parts}
@@ -114,9 +129,10 @@ def read_results(folder: str | Path) -> Saved:
         run=results.json("run.json"),
         traces=load_traces(results.path("traces.npz")) if results.has("traces.npz") else None,
         samples=load_samples(results.path("samples.npz")) if results.has("samples.npz") else None,
-        score=score,
+        score=results.json("score.json"),
         cases=_cases(results.path("cases.csv")) if results.has("cases.csv") else None,
-        chains=_chains(results.path("posterior.nc")) if results.has("posterior.nc") else None,
+        draws=results.path("posterior.nc") if results.has("posterior.nc") else None,
+        compare_published=compare_published,
         **found,
     )
 
@@ -135,7 +151,8 @@ def _cases(path: Path) -> list[dict[str, str]]:
     return rows
 
 
-def _chains(path: Path) -> tuple[list[str], Any]:
+def read_chains(path: Path) -> tuple[list[str], Any]:
+    """Names and chains (n_chain, n_draw, n) of a saved posterior; CampaignError if unreadable."""
     from bayes_sensor.posterior import load_chains
 
     try:

@@ -63,7 +63,19 @@
     });
   });
   window.addEventListener("beforeprint", function () {
-    document.querySelectorAll("details").forEach(function (d) { d.open = true; });
+    document.querySelectorAll("details.note").forEach(function (d) { d.open = true; });
   });
+  function reveal() {
+    // what a link leads to may be folded
+    var goal = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    for (var d = goal; d; d = d.parentElement) { if (d.tagName === "DETAILS") { d.open = true; } }
+    if (goal) { goal.scrollIntoView(); }
+  }
+  window.addEventListener("hashchange", reveal);
+  document.addEventListener("click", function (event) {
+    var link = event.target.closest("a[href^='#']");
+    if (link && link.hash === location.hash) { reveal(); }
+  });
+  reveal();
   document.documentElement.setAttribute("data-ready", "yes");
 })();

@@ -123,7 +123,7 @@
   }
 
   // ---------------------------------------------------------------- the viewer
-  function Viewer(figure, data, done) {
+  function Viewer(figure, data, done, quiet) {
     var trace = decode(data), small = data.unit === "V" ? ["mV", 1e3] : [data.unit, 1];
     var whole = [trace.t[0], trace.t[trace.t.length - 1]], view = whole.slice(), pointer = null;
     var box = document.createElement("div"), bar = document.createElement("div");
@@ -365,7 +365,7 @@
     if (watch) { watch.observe(canvas); }
     dark.addEventListener("change", draw);
     draw();
-    canvas.focus({ preventScroll: true });
+    if (!quiet) { canvas.focus({ preventScroll: true }); }
     this.close = function () {
       if (watch) { watch.disconnect(); }
       dark.removeEventListener("change", draw);
@@ -378,11 +378,11 @@
     if (!source) { return; }
     var opener = document.createElement("button"), viewer = null;
     opener.type = "button"; opener.className = "opener"; opener.textContent = "Zoom, every sample";
-    function toggle() {
+    function toggle(event, quiet) {
       if (viewer) {
         viewer.close(); viewer = null;
         opener.focus({ preventScroll: true });
-      } else { viewer = new Viewer(figure, JSON.parse(source.textContent), toggle); }
+      } else { viewer = new Viewer(figure, JSON.parse(source.textContent), toggle, quiet); }
       figure.classList.toggle("zoomed", viewer !== null);
       opener.textContent = viewer ? "Back to the drawing" : "Zoom, every sample";
     }
@@ -390,5 +390,15 @@
     figure.querySelector(".drawing").addEventListener("click", toggle);
     figure.querySelector("figcaption").appendChild(document.createTextNode(" "));
     figure.querySelector("figcaption").appendChild(opener);
+    if (!figure.querySelector(".drawing svg") && window.IntersectionObserver) {
+      // not drawn beforehand: as soon as it is seen, once
+      var seen = new IntersectionObserver(function (entries) {
+        if (!viewer && entries.some(function (entry) { return entry.isIntersecting; })) {
+          seen.disconnect();
+          toggle(null, true);
+        }
+      });
+      seen.observe(figure);
+    }
   });
 })();

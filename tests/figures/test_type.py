@@ -21,7 +21,7 @@ from bayes_sensor.coating import Coating, solve
 from bayes_sensor.coating.readout import matched_readout
 from bayes_sensor.figures.plot_blind_check import opened_seal, score_card
 from bayes_sensor.figures.style import SMALLEST, settle
-from tests.figures.test_figures import MAKERS, trace
+from tests.figures.test_figures import MAKERS
 from tests.figures.test_plot_tau import coverage_rows, hard, help_rows
 from tests.fleet.test_fleet import row as fleet_row
 
@@ -95,7 +95,6 @@ MORE: dict[str, Callable[[], Figure]] = {
     "corner of six": lambda: figures.corner(*many_chains()),
     "traces of six": lambda: figures.traces_and_ranks(*many_chains()),
     "forest": lambda: figures.forest([fleet_row(f"a long name {k}", 20 + k, 4) for k in range(9)]),
-    "rms of many": lambda: figures.rms_bars([trace(f"experiment {k}") for k in range(20)]),
     "where of many": lambda: figures.gap_where(
         [{"experiment": f"{k}", "phase": "rise", "excess_rms_V": 1e-3, "share": 0.1,
           "p_value": 0.01} for k in range(30)]

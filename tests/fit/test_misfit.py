@@ -29,7 +29,7 @@ from bayes_sensor.fit.misfit import (
 from bayes_sensor.likelihood.density import grid_response, simulate
 from bayes_sensor.likelihood.noise import simulate_noise
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.report.headline import alerts
+from bayes_sensor.report.notices import alerts
 from tests.support.campaigns import small_design, small_theta
 
 TABLE = Path(__file__).resolve().parents[2] / "paper" / "tables" / "misfit.csv"

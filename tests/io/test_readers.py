@@ -7,6 +7,7 @@ import re
 import sys
 import zipfile
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,15 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from bayes_sensor.campaign import Campaign, CampaignError, SideInformation
+from bayes_sensor.io.check import campaign_rows
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.io.readers import saturation as sat
 from bayes_sensor.io.readers.drive import drive_edges
 from bayes_sensor.io.readers.quantities import FLOW, TIME, read_quantity
 from bayes_sensor.io.readers.recording import split_name
 from bayes_sensor.io.readers.sampling import grid_through, simplest_near
+from bayes_sensor.io.run_record import campaign_record
+from bayes_sensor.io.writers import campaign_text
 
 REAL = Path(__file__).resolve().parents[2] / ".." / "shared" / "real"
 N = 1000
@@ -325,6 +329,17 @@ def test_keep_and_mask(tmp_path: Path) -> None:
     assert out.sum() == 51 + 2
 
 
+def test_the_coating_is_read_and_written(tmp_path: Path) -> None:
+    found = campaign(tmp_path, rows(), toml='coating = "zif8"\n' + entry())
+    assert found.coating == "zif8" and 'coating = "zif8"\n' in campaign_text(found, {})
+    assert campaign_record(found, (), campaign_rows(found))["coating"] == "zif8"
+    plain = campaign(tmp_path, rows())
+    assert plain.coating == "" and "coating" not in campaign_text(plain, {})
+    assert "coating" not in campaign_record(plain, (), campaign_rows(plain))
+    with pytest.raises(CampaignError, match="coating must be 'zif8' or left out"):
+        replace(plain, coating="gold")
+
+
 def test_files_outside_need_permission(tmp_path: Path) -> None:
     folder = tmp_path / "campaign"
     folder.mkdir()
@@ -394,6 +409,7 @@ MISTAKES: dict[str, tuple[str, str]] = {
     "experiments not tables": ("experiment = [3]\n", "experiment: expected"),
     "title is a number": ("title = 3\n" + entry(), "title: expected text in quotes"),
     "allow_outside is text": ('allow_outside = "yes"\n' + entry(), "allow_outside = true"),
+    "another coating": ('coating = "gold"\n' + entry(), "coating: expected 'zif8', .*'gold'"),
     "duplicate names": (entry() + entry(), "experiments number 1 and 2 share this name"),
     "syntax": ("title = \n" + entry(), r"expected TOML, but .*line 1"),
     "number of digits": ("x = " + "9" * 3900 + "\n", "unknown key|expected TOML"),

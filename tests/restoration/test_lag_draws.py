@@ -7,6 +7,7 @@ import pytest
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.restoration.lag_draws import LagDraws, posterior_lags, stated_lags
+from bayes_sensor.rig.layout import Layout
 
 
 def test_stated_lags_are_positive_with_the_mean_and_spread_that_were_given() -> None:
@@ -58,7 +59,7 @@ def test_lags_of_a_posterior_by_place_and_flow() -> None:
         lags=lags,
         of=lambda name: {"tau_s": lags[:, 0], "V_mL": volume}[name],
         naming=SimpleNamespace(order="undecided"),
-        problem=SimpleNamespace(flow=None),
+        problem=SimpleNamespace(flow=None, layout=Layout(("1",), (True,))),
     )
     whole = posterior_lags(SimpleNamespace(posterior=posterior))
     np.testing.assert_array_equal(whole.draws, lags)

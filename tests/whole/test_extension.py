@@ -58,6 +58,8 @@ NAMESAKES = {
     },
     ("fleet/outcome.py", "posterior"): A_RESULT,
     ("report/saved.py", "posterior"): A_RESULT,
+    ("restoration/lag_draws.py", "posterior"): A_RESULT,
+    ("restoration/restore_record.py", "posterior"): A_RESULT,
     ("posterior/save_draws.py", "posterior"): "a group of ArviZ's InferenceData",
     ("posterior/to_arviz.py", "posterior"): "a group of ArviZ's InferenceData",
     ("bounds/hardness.py", "profile"): "a curve in bounds.json's what_makes_tau_hard",
@@ -312,7 +314,7 @@ def test_a_sampler_is_one_file(results: Path) -> None:
 
 def test_a_section_is_one_file(results: Path) -> None:
     page = (results / "report.html").read_text()
-    keys = re.findall(r'<section id="([\w-]+)"', page)
+    keys = re.findall(r'<details class="section" id="([\w-]+)"', page)
     assert keys[keys.index("tau") + 1] == "toy" and "Is twice enough" in page
     assert [key for key in SECTIONS if key in keys] == keys
 
@@ -326,3 +328,52 @@ def test_an_effect_is_one_file(results: Path) -> None:
 def test_a_section_follows_one_that_is_there() -> None:
     with pytest.raises(KeyError, match="no section 'nowhere' in the report"):
         add_section("toy", lambda saved, pictures: None, after="nowhere")
+
+
+STAGE = '''
+"""Tanks in series: three equal lags that share one residence time."""
+
+from bayes_sensor.rig.stages.stage import Passage, StageKind
+
+KIND = StageKind(
+    name="tanks",
+    symbol="residence",
+    unit="s",
+    depends_on_flow=False,
+    passage=lambda time, flow: Passage((time / 3.0,) * 3),
+    slope=lambda time, flow: Passage((1.0 / 3.0,) * 3),
+)
+'''
+
+
+def test_a_stage_kind_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from dataclasses import replace
+
+    from bayes_sensor.fit import fit_least_squares
+    from bayes_sensor.likelihood.density import log_likelihood, simulate
+    from bayes_sensor.likelihood.mesh import compress
+    from bayes_sensor.likelihood.problem import Problem
+    from bayes_sensor.rig.stages import KINDS
+    from tests.support.other_rigs import CASES
+
+    path = tmp_path / "tanks.py"
+    path.write_text(STAGE)
+    spec = importlib.util.spec_from_file_location("tanks", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    monkeypatch.setitem(KINDS, "tanks", module.KIND)
+    plain = CASES["sensor"]()
+    design = replace(plain.design, stages=("mixer: tanks", "sensor"))
+    case = plain._replace(design=design, shared={"tau_s": 8.0, "residence_mixer_s": 3.0})
+    problem = Problem(design)
+    assert problem.layout.shared_names == ("tau_s", "residence_mixer_s")
+    data = simulate(design, case.theta, seed=2)
+    mesh = compress(data, case.theta)
+    assert mesh.log_likelihood(case.theta) == pytest.approx(
+        log_likelihood(data, case.theta), abs=1e-3
+    )
+    fit = fit_least_squares(data, seed=1, swarms=1)
+    assert fit.order == "given"  # only one lag is alone
+    assert fit.parameters["tau_s"] == pytest.approx(8.0, rel=0.1)
+    assert fit.parameters["residence_mixer_s"] == pytest.approx(3.0, rel=0.3)

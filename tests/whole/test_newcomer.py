@@ -15,7 +15,7 @@ from bayes_sensor.display import shown
 from bayes_sensor.io.check import campaign_remarks
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.report import read_results
-from bayes_sensor.report.headline import alerts
+from bayes_sensor.report.notices import alerts
 
 INTERVAL = 0.01
 T = np.round(INTERVAL * np.arange(2000), 6)

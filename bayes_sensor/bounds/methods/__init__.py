@@ -21,7 +21,16 @@ from bayes_sensor.bounds.methods import (
 )
 from bayes_sensor.bounds.methods.bound_method import BoundMethod
 
-__all__ = ["COLOURED", "METHODS", "PUBLISHED", "TO_QUOTE", "WHITE", "BoundMethod", "method_of"]
+__all__ = [
+    "COLOURED",
+    "METHODS",
+    "PUBLISHED",
+    "ROLES",
+    "TO_QUOTE",
+    "WHITE",
+    "BoundMethod",
+    "method_of",
+]
 
 METHODS: dict[str, BoundMethod] = {
     module.METHOD.name: module.METHOD
@@ -45,6 +54,8 @@ WHITE = crlb_iid.METHOD.name
 """the Cramer-Rao bound as a textbook has it; the report compares it with the next two in words"""
 PUBLISHED = crlb_iid_one_percent_step.METHOD.name
 COLOURED = crlb_ar1.METHOD.name
+ROLES = {"white": WHITE, "published": PUBLISHED, "coloured": COLOURED, "to_quote": list(TO_QUOTE)}
+"""the same for ``bounds.json``"""
 
 
 def method_of(name: str) -> BoundMethod:

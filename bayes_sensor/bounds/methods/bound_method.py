@@ -54,6 +54,18 @@ class BoundMethod:
     against_others: str = ""
     """what sets its interval of tau apart from the others: "has no prior"; empty: not said"""
 
+    def about(self) -> dict[str, Any]:
+        """What figures and report say of the method, for ``bounds.json``: a report that is rebuilt
+        later need not have the method registered, nor load what computes it."""
+        return {
+            "label": self.label,
+            "full_label": self.full_label,
+            "noise": self.noise,
+            "needs_posterior": self.needs_posterior,
+            "published_recipe": self.published_recipe,
+            "against_others": self.against_others,
+        }
+
     def __call__(self, evidence: Evidence) -> Bound:
         """The bound with the method's name, assumption and reference."""
         bound = self.compute(evidence)

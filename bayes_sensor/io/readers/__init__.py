@@ -142,7 +142,8 @@ def _read(path: Path) -> Campaign:
             experiments.append(replace(made, record=record, sensor=sensor))
             units.append((own.name, unit))
     known = side_information_of(sheet.side_information, label)
-    return join(sheet.title, experiments, units, warnings, rig, known, label, str(path))
+    found = join(sheet.title, experiments, units, warnings, rig, known, label, str(path))
+    return replace(found, coating=sheet.coating)
 
 
 def _measured(entry: Entry, folder: Path, allow_outside: bool) -> Assembled:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 
-from bayes_sensor.campaign import ORDERS, STAGES, CampaignError, SideInformation
+from bayes_sensor.campaign import ORDERS, STAGES, ZIF8, CampaignError, SideInformation
 from bayes_sensor.io.readers.flow_settings import MIXTURE
 from bayes_sensor.io.readers.quantities import (
     FLOW,
@@ -55,6 +55,7 @@ _EXAMPLES = {
     "duration": 'duration = "120 s"',
     "title": 'title = "seven step experiments"',
     "allow_outside": "allow_outside = true",
+    "coating": 'coating = "zif8"',
     "experiment": '[[experiment]] with name = "1" and its keys',
     "side_information": '[side_information] with V = "60 +- 2 mL"',
     "steps": 'steps = [{at = "10 s", to = "5 %"}, {at = "70 s", to = "0 %"}]',
@@ -316,6 +317,15 @@ class Rig(BaseModel):
     sensor_is: Annotated[str, BeforeValidator(_order)] = "unknown"
 
 
+def _coating(value: object) -> str:
+    if value != ZIF8:
+        raise CampaignError(
+            f"coating: expected '{ZIF8}', the only one that is modelled, but got "
+            f"{_shorten(value)}; leave the key out for any other coating"
+        )
+    return ZIF8
+
+
 class Sheet(BaseModel):
     """The top level of a campaign file, with its tables as written."""
 
@@ -323,6 +333,7 @@ class Sheet(BaseModel):
 
     title: Text = "untitled campaign"
     allow_outside: bool = False
+    coating: Annotated[str, BeforeValidator(_coating)] = ""
     rig: dict[str, Any] = Field(default_factory=dict)
     side_information: dict[str, Any] = Field(default_factory=dict)
     conditions: dict[str, Any] = Field(default_factory=dict)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib import resources
 from typing import Any
 
@@ -49,7 +50,7 @@ def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
             goals_table("blind-goals", "Goals and results.", card["goals"]),
             pictures.add(
                 "blind-card",
-                score_card(card),
+                partial(score_card, card),
                 "The score card, with 95 % intervals. Top: false alarms on faultless campaigns, "
                 "wrong names given with confidence, and the error of tau. Bottom, against the size "
                 "d: how often the right family is the likeliest, and how often something unlisted "
@@ -77,17 +78,16 @@ def goals_table(key: str, caption: str, goals: Sequence[Mapping[str, Any]]) -> T
     )  # fmt: skip
 
 
-def published_goals() -> tuple[Table, int]:
-    """The goals of the sealed run that came with this version, and its number of campaigns."""
+def published_goals() -> Table:
+    """The goals of the sealed run that came with this version."""
     place = resources.files("bayes_sensor") / "templates" / "blind_check.json"
     published = json.loads(place.read_text(encoding="utf-8"))
-    table = goals_table(
+    return goals_table(
         "gap-right",
         f"How often diagnoses are right: {published['campaigns']} campaigns of an independent "
         "simulator, their causes sealed until the verdicts were recorded; goals set before.",
         published["goals"],
     )
-    return table, int(published["campaigns"])
 
 
 def _cases(rows: Sequence[Mapping[str, str]]) -> list[Table]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
-from bayes_sensor import figures
-from bayes_sensor.report.headline import with_the_effect
+from bayes_sensor.report.gap_words import with_the_effect
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import interval, number, powers, sentence, with_spread
@@ -18,61 +18,54 @@ TOLERANCE_WORDS = {
 }
 
 
+def _at(row: Mapping[str, Any]) -> str:
+    """The total flow of a row in words; empty where none is known."""
+    flow = row["total_flow_L_per_min"]
+    return "" if flow is None else f" at {flow:.3g} L/min"
+
+
 def coating(saved: Saved, pictures: Pictures) -> Section | None:
     """t10, t63, t90 of sensor and chain; the diffusivity that follows from tau."""
     record = saved.coating
     if record is None:
         return None
     rows = record["response_times"]
-    sensors = [row for row in rows if row["system"] == "sensor"]
-    chain = [row for row in rows if row["system"] == "chain"]
+    sensors = [row for row in rows if row["system"].startswith("sensor")]
+    chain = [row for row in rows if row["system"].startswith("chain")]
     fast, slow = chain[-1], chain[0]
     if len(sensors) == 1:
         alone = f"The sensor alone reaches 90 % within {_time(sensors[0], 't90', 1e3)} ms"
     else:
         alone = "How long the sensor alone takes depends on which lag is its, and that is not known"
-    answer = (
-        f"{alone}; the whole chain of "
-        f"valve, manifold and sensor takes {_time(slow, 't90', 1.0)} s at "
-        f"{slow['total_flow_L_per_min']:.3g} L/min"
-    )
+    answer = f"{alone}; the whole {slow['system']} takes {_time(slow, 't90', 1.0)} s{_at(slow)}"
     if fast is not slow:
-        answer += f" and {_time(fast, 't90', 1.0)} s at {fast['total_flow_L_per_min']:.3g} L/min"
+        to = "" if fast["system"] == slow["system"] else f", the {fast['system']}"
+        answer += f"{to or ' and'} {_time(fast, 't90', 1.0)} s{_at(fast)}"
     answer += f" (median and 95 % interval){see('response-times')}."
     paragraphs = [
         "The chain is linear, so a fall takes as long as the rise at the same flow. Should the "
         "flow drop when the valve shuts, or the sensor release more slowly than it takes up, the "
         "section on the gap says so."
     ]
-    if record.get("d_zif8_left_out"):
+    if saved.published and record.get("d_zif8") is None and "d_zif8_left_out" not in record:
+        paragraphs.append(
+            "The diffusivity of the coating was not computed: run bayes-sensor analyze with "
+            "--compare-published."
+        )
+    if saved.published and record.get("d_zif8_left_out"):
         paragraphs.append(sentence(record["d_zif8_left_out"]))
     if with_the_effect(saved):
         paragraphs.append(
             f"All this uses the posterior without the effect that the gap names{see('which')}; "
             "sample it with the effect before quoting."
         )
-    content: list[Part] = [
-        pictures.add(
-            "response-times-figure",
-            figures.response_times(rows),
-            "Times to 10, 63 and 90 % of the step: the sensor alone, and the whole chain at each "
-            "flow, with 95 % intervals.",
-        ),
-        _times_table(rows),
-    ]
-    found = record.get("d_zif8")
+    content: list[Part] = [_times_table(rows)]
+    found = record.get("d_zif8") if saved.published else None
     if found is not None:
         paragraphs += _inverse(found)
-        content += [
-            pictures.add(
-                "d-zif8",
-                figures.diffusivity(found),
-                "Diffusivity of ZIF-8 that explains τ: 68 % (thick) and 95 % (thin) interval, "
-                "with the literature value and the one to which the paper lowers it.",
-            ),
-            _diffusivity_table(found),
-        ]
-    return Section("coating", "Response times and the coating", answer, paragraphs, content)
+        content.append(_diffusivity_table(found))
+    title = "Response times and the coating" if saved.published else "Response times"
+    return Section("coating", title, answer, paragraphs, content)
 
 
 def _time(row: dict[str, Any], name: str, factor: float) -> str:
@@ -88,8 +81,7 @@ def _times_table(rows: list[dict[str, Any]]) -> Table:
             for name in ("t10", "t63", "t90", "rise")
             for end in ("", "_lo", "_hi")
         ]
-        label = figures.sensor_words(row) if row["system"] == "sensor" else "chain"
-        label = "sensor" if label == "sensor alone" else label
+        label = _sensor_words(row) if row["system"] == "sensor" else "chain"
         made.append([label, row["total_flow_L_per_min"], *values])
     columns = ["system", "flow (L/min)"]
     for name in ("t10", "t63", "t90", "t90 − t10"):
@@ -102,6 +94,14 @@ def _times_table(rows: list[dict[str, Any]]) -> Table:
         made,
         digits=3,
     )
+
+
+def _sensor_words(row: dict[str, Any]) -> str:
+    """What a row of the sensor is called; where its lag is not known, which it would be."""
+    if "sensor_is" not in row:
+        return "sensor"
+    lag = {"faster": "shorter", "between": "middle", "slower": "longer"}[row["sensor_is"]]
+    return f"sensor, if it has the {lag} lag ({100 * row['probability']:.0f} %)"
 
 
 def _inverse(found: dict[str, Any]) -> list[str]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from bayes_sensor import __version__, figures
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.sections.draws_section import posterior_table
+from bayes_sensor.report.sections.draws_section import posterior_table, traces_and_ranks
 from bayes_sensor.report.words import sentence
 
 
@@ -32,13 +33,14 @@ def computed(saved: Saved, pictures: Pictures) -> Section:
             "Convergence asks for R-hat below 1.01 between independent runs and for at least 400 "
             "effective draws, in bulk and in the tails, of every parameter."
         )
-        if saved.chains is not None:
+        if saved.draws is not None:
             content.append(
                 pictures.add(
                     "traces",
-                    figures.traces_and_ranks(*saved.chains, unit=saved.unit),
+                    partial(traces_and_ranks, saved.draws, saved.unit),
                     "The chains, and how often each chain's draws hold each rank among all draws. "
                     "When the chains agree the bars scatter about the middle of the grey band.",
+                    on_paper=True,
                 )
             )
         content.append(posterior_table(saved, shared=False))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from bayes_sensor import figures
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, p_value, see
 from bayes_sensor.report.saved import Saved
@@ -45,7 +47,7 @@ def switching(saved: Saved, pictures: Pictures) -> Section | None:
         content.append(
             pictures.add(
                 "delays",
-                figures.delays(delays, saved.concentration),
+                partial(figures.delays, delays, saved.concentration),
                 "Delay between command and fitted switch against 1/Q, with the regression and its "
                 "95 % prediction band. Open orange: outliers, found by their externally "
                 "studentised residual and left out.",

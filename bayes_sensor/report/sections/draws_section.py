@@ -1,12 +1,13 @@
-"""The table of posterior summaries, which two sections show."""
+"""Posterior summaries and draws, which two sections show."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from bayes_sensor import figures
 from bayes_sensor.report.parts import Shown, Table, to_spread
-from bayes_sensor.report.saved import Saved
+from bayes_sensor.report.saved import Saved, read_chains
 
 
 def posterior_table(saved: Saved, shared: bool) -> Table:
@@ -38,3 +39,13 @@ def posterior_table(saved: Saved, shared: bool) -> Table:
         ["parameter", "unit", "mean", "sd", *percent, "ESS bulk", "ESS tail", "R-hat"],
         rows,
     )
+
+
+def corner(draws: Path, unit: str) -> Any:
+    """The joint posterior of saved draws, as a figure."""
+    return figures.corner(*read_chains(draws), unit=unit)
+
+
+def traces_and_ranks(draws: Path, unit: str) -> Any:
+    """The chains of saved draws and their ranks, as a figure."""
+    return figures.traces_and_ranks(*read_chains(draws), unit=unit)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from bayes_sensor import figures
@@ -20,7 +21,7 @@ def fitted(saved: Saved, pictures: Pictures) -> Section | None:
     n = len(saved.campaign["experiments"])
     answer = (
         f"The model leaves an RMS residual of {number(factor * fit['rms_V'])} {shown} over all "
-        f"samples{see('rms', 'fit-experiments')}. "
+        f"samples{see('fit-experiments')}. "
     )
     answer += (
         f"In {saved.missed} of {n} experiments it does not describe the trace within the noise; "
@@ -30,17 +31,7 @@ def fitted(saved: Saved, pictures: Pictures) -> Section | None:
     )
     if not saved.missed and saved.gap is not None and saved.gap["verdict"]["kind"] != "none":
         answer += f" All of them together do{see('where')}."
-    content: list[Part] = list(_overlays(saved, pictures))
-    traces = saved.traces or []
-    if len(traces) > 1:
-        content.append(
-            pictures.add(
-                "rms",
-                figures.rms_bars(traces),
-                "RMS residual of each experiment, with the RMS of the noise law alone.",
-            )
-        )
-    content += _tables(saved)
+    content = [*_overlays(saved, pictures), *_tables(saved)]
     return Section("fit", "How well does the model fit", answer, _remarks(saved), content)
 
 
@@ -70,12 +61,11 @@ def _remarks(saved: Saved) -> list[str]:
         )
     if not fit["swarms"].get("agree", True):
         said.append("Independent swarms ended at different minima; the best one is shown.")
-    else:
-        n = len(fit["swarms"].get("swarms", []))
+    elif (n := len(fit["swarms"].get("swarms", []))) > 1:
         said.append(
             f"{n} independent particle swarms ended, after refinement, at the same minimum."
         )
-    if fit.get("euler"):
+    if fit.get("euler") and saved.published:
         change = fit["euler"]["difference"]
         moves = [
             f"{words.split()[-1] if name in _SYMBOLS else f'the {words}'} by "
@@ -104,14 +94,20 @@ def _estimates(fit: Mapping[str, Any]) -> dict[str, float | None]:
     return {name: found[name] for name in figures.shared_labels(found)}
 
 
+def _flow(trace: Any) -> str:
+    """Flow and concentration in words; empty where no flow is known."""
+    if trace.total_flow != trace.total_flow:
+        return ""
+    return f"{60e-3 * trace.total_flow:.3g} L/min, {100 * trace.concentration:.3g} % test gas; "
+
+
 def _overlays(saved: Saved, pictures: Pictures) -> list[Part]:
     shown, factor = saved.small_unit
     return [
         pictures.add(
             f"overlay_{k + 1}",
-            figures.overlay(trace),
-            f"Experiment {trace.name}: {60e-3 * trace.total_flow:.3g} L/min, "
-            f"{100 * trace.concentration:.3g} % test gas; RMS {number(factor * trace.rms)} "
+            partial(figures.overlay, trace),
+            f"Experiment {trace.name}: {_flow(trace)}RMS {number(factor * trace.rms)} "
             f"{shown}. Blue: all samples, as the range in each stretch of time.",
             overlay=k,
         )
@@ -123,12 +119,12 @@ def _tables(saved: Saved) -> list[Part]:
     assert saved.fit is not None
     unit, (shown, factor) = saved.unit, saved.small_unit
     p = saved.fit["parameters"]
-    noise = {name: p[name] for name in ("phi", "sigma0_V", "sigma1_V") if name in p}
+    kinds = ("phi", "sigma0_V", "sigma1_V")
+    noise = {name: p[name] for name in p if name.split("[")[0] in kinds}
     rows: list[list[Any]] = []
     for name, value in (_estimates(saved.fit) | noise).items():
         symbol, unit_shown, scale = figures.parameter_words(name, unit)
         rows.append([symbol, unit_shown, None if value is None else scale * value])
-    rms_of = saved.fit.get("rms_per_experiment_V", {})
     return [
         Table(
             "fit-shared",
@@ -138,17 +134,36 @@ def _tables(saved: Saved) -> list[Part]:
             rows,
             digits=5,
         ),
-        Table(
-            "fit-experiments",
-            "Least-squares values of each experiment.",
-            ["experiment", f"y₀ ({unit})", f"β ({unit})", "t₀ (s)", "t_f (s)", f"RMS ({shown})"],
+        _of_experiments(saved, p["experiments"]),
+    ]
+
+
+MOST_SWITCHES = 6
+"""columns of switch times in a table"""
+
+
+def _of_experiments(saved: Saved, values: Mapping[str, Mapping[str, Any]]) -> Table:
+    """The values of each experiment: levels and switch times or delays."""
+    assert saved.fit is not None
+    unit, (shown, factor) = saved.unit, saved.small_unit
+    rms_of = saved.fit.get("rms_per_experiment_V", {})
+    kinds = dict.fromkeys(kind for own in values.values() for kind in own)
+    times = [kind for kind in kinds if kind.endswith("_s")]
+    shown_times = times[:MOST_SWITCHES]
+    title = "Least-squares values of each experiment"
+    if len(times) > MOST_SWITCHES:
+        title += f"; of {len(times)} switch times the first {MOST_SWITCHES} (all are in fit.json)"
+    heads = [f"{figures.parameter_words(kind)[0]} (s)" for kind in shown_times]
+    return Table(
+        "fit-experiments",
+        f"{title}.",
+        ["experiment", f"y₀ ({unit})", f"β ({unit})", *heads, f"RMS ({shown})"],
+        [
             [
-                [
-                    name, values.get("y0_V"), values.get("beta_V"), values.get("t0_s"),
-                    values.get("tf_s"), factor * rms_of[name] if name in rms_of else None,
-                ]
-                for name, values in p["experiments"].items()
-            ],
-            digits=5,
-        ),
-    ]  # fmt: skip
+                name, own.get("y0_V"), own.get("beta_V"), *(own.get(kind) for kind in shown_times),
+                factor * rms_of[name] if name in rms_of else None,
+            ]
+            for name, own in values.items()
+        ],
+        digits=5,
+    )  # fmt: skip

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from bayes_sensor import figures
 from bayes_sensor.figures import effect_words
 from bayes_sensor.figures.plot_gap import lag_of
-from bayes_sensor.report.headline import gap_sentence, headline
+from bayes_sensor.report.gap_words import gap_sentence
+from bayes_sensor.report.headline import headline
 from bayes_sensor.report.parts import Part, Pictures, Section, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections.blind_check_section import published_goals
@@ -55,25 +57,15 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
     paragraphs += _more(record)
     paragraphs += envelope_sentences(record, is_limit)
     paragraphs += [sentence(note) for note in record.get("notes") or []]
-    how_often, n = published_goals()
     paragraphs.append(
-        f"How often such a verdict is right was counted on {n} campaigns of an independent "
-        f"simulator with sealed causes{see('gap-right')}. Causes outside the catalogue are the "
-        "weak point: they may pass for noise, or for a similar effect."
+        "Causes outside the catalogue are the weak point of such a verdict: they may pass for "
+        f"noise, or for a similar effect{see('gap-right')}."
     )
     content: list[Part] = [
-        pictures.add(
-            "gap-budget",
-            figures.gap_budget(record, saved.unit),
-            "The budget: RMS residual of the nominal simulation (where nominal values are given), "
-            "of the calibrated model and with the effect, and the noise floor, which is estimated "
-            "apart, from quiet stretches: what happens in these is in it as well; right, only what "
-            "exceeds that floor.",
-        ),
         budget_table(record, shown, factor),
         pictures.add(
             "gap-where",
-            figures.gap_where(record["where"], saved.unit),
+            partial(figures.gap_where, record["where"], saved.unit),
             "Where the gap lies: excess over the noise floor by experiment and phase of the step. "
             "Numbers: share of the whole; framed: p of the measured excess below 5 %, as the "
             f"largest of all cells. {_SHADES.get(record.get('where_shared_by', ''), _MEASURED)}",
@@ -82,7 +74,7 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
         where_table(record, shown, factor),
         pictures.add(
             "gap-which",
-            figures.gap_which(record),
+            partial(figures.gap_which, record),
             "What explains it: probabilities of the explanations and of their families. Hatched: "
             "no effect at all, and something that is not in the catalogue.",
         ),
@@ -94,7 +86,7 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
         content += [
             pictures.add(
                 "gap-hidden",
-                figures.gap_hidden(record["hidden"], tau),
+                partial(figures.gap_hidden, record["hidden"], tau),
                 "What may hide: how visible each effect would be at its plausible strength, and "
                 f"what {lag} would be with it in the model. To the left of the dashed line this "
                 f"campaign cannot show it; dotted, {lag} with the strength left to the data; "
@@ -102,7 +94,9 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
             ),
             hidden_table(record),
         ]
-    content += [*other_tables(record), how_often]
+    content += other_tables(record)
+    if saved.published:
+        content.append(published_goals())
     return Section("gap", "Where is the gap, and what causes it", answer, paragraphs, content)
 
 
@@ -112,7 +106,7 @@ def _strips(record: Mapping[str, Any], pictures: Pictures) -> list[Part]:
     return [
         pictures.add(
             "gap-residuals",
-            figures.gap_residuals(record["residuals"]),
+            partial(figures.gap_residuals, record["residuals"]),
             "Residuals in bins locked to the switches and whitened by the noise floor. Noise "
             "alone is within the grey strip of ± 2 in nineteen of twenty bins.",
         )
@@ -177,14 +171,14 @@ def shrink_sentences(record: Mapping[str, Any], shown: str, factor: float) -> li
         return [
             "The gap is too small, or nothing was named, so no fraction of it can be said to close."
         ]
-    mains = shrink.get("explanation") == "mains_pickup"  # a gap of power at lines, not of the mean
+    of_mean = shrink.get("of_mean", True)
     unknown = record["verdict"]["kind"] == "unlisted"
-    added = f"{effect_words(shrink.get('explanation') or 'the effect')} is in the model"
+    effect = effect_words(shrink.get("explanation") or "the effect")
+    what = "the excess" if of_mean else "its part of the noise"
     said = (
-        f"Once {'a sine is taken off every record' if mains else added} "
-        f"the {'mains fall' if mains else 'excess falls'} from "
-        f"{number(factor * shrink['before_excess_rms_V'])} to "
-        f"{number(factor * shrink['after_excess_rms_V'])} {shown}{' RMS' if mains else ''}: "
+        f"Once {effect} is {'in the model' if of_mean else 'taken off every record'}, {what} falls "
+        f"from {number(factor * shrink['before_excess_rms_V'])} to "
+        f"{number(factor * shrink['after_excess_rms_V'])} {shown}{'' if of_mean else ' RMS'}: "
         f"{100 * shrink['fraction_closed']:.0f} % of the gap closes"
     )
     if shrink.get("fraction_closed_lo") is not None:
@@ -202,7 +196,7 @@ def shrink_sentences(record: Mapping[str, Any], shown: str, factor: float) -> li
     said += see("budget-table") + "."
     of, lag = lag_of(record["hidden"])
     before, after = shrink.get(f"{of}_before_s"), shrink.get(f"{of}_after_s")
-    if before is not None and after is not None and not mains:
+    if before is not None and after is not None and of_mean:
         moves = f"{lag.replace('the', 'The')} moves"
         said += f" {moves} from {number(1e3 * before)} to {number(1e3 * after)} ms"
         low, high = shrink.get(f"{of}_after_lo_s"), shrink.get(f"{of}_after_hi_s")

@@ -8,7 +8,7 @@ from typing import Any
 from bayes_sensor.figures import effect_words
 from bayes_sensor.figures.plot_gap import lag_of
 from bayes_sensor.report.parts import Shown, Table, p_value
-from bayes_sensor.report.words import ms, number, powers
+from bayes_sensor.report.words import list_words, ms, number, powers
 
 MOST_CELLS = 40
 FEW_CELLS = 8
@@ -137,7 +137,7 @@ def which_table(record: Mapping[str, Any]) -> Table:
                 p_value(row["probability"]), row["d"], strength_words(row.get("strength"), units),
                 ms(row[f"{of}_s"]),
                 _percent(row["fraction_closed"]),
-                ", ".join(effect_words(name) for name in row.get("confusable_with") or []),
+                list_words([effect_words(name) for name in row.get("confusable_with") or []], 5),
             ]
             for row in rows
         ],

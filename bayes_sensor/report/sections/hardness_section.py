@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from bayes_sensor import figures
@@ -56,7 +57,7 @@ def hardness(saved: Saved, pictures: Pictures) -> Section | None:
     content: list[Part] = [
         pictures.add(
             "tau-hard",
-            figures.tau_hard(record),
+            partial(figures.tau_hard, record),
             "Why τ is hard: the drop of the likelihood against τ, and that of a Gaussian with the "
             "same sd; the bound against the true τ; the bound if something else were known; and "
             "the direction with the least information.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from bayes_sensor import figures
@@ -24,12 +25,13 @@ def measured(saved: Saved, pictures: Pictures) -> Section | None:
     answer = (
         f"{counted(len(rows), 'step experiment')} with "
         f"{thousands(campaign['n_samples'])} samples in use, one every "
-        f"{list_words([f'{1e3 * h:g} ms' for h in intervals])}; total flow "
-        f"{_span(rows, 'total_flow_L_min')} L/min, test gas "
-        f"{_span(rows, 'concentration_percent')} %{see('experiments')}."
+        f"{list_words([f'{1e3 * h:g} ms' for h in intervals])}{_flows(rows)}{see('experiments')}."
     )
     paragraphs = []
-    if n_fall == 0:
+    programmes = [e for e in rows if e.get("switches", 1) > 2 or e.get("switches") == 0]
+    if programmes:
+        paragraphs.append(_of_programmes(programmes))
+    elif n_fall == 0:
         paragraphs.append(
             "Only the step up was recorded: there is no end of the step, so no end time is "
             "estimated."
@@ -38,8 +40,8 @@ def measured(saved: Saved, pictures: Pictures) -> Section | None:
         paragraphs.append(f"{n_fall} of {len(rows)} experiments also recorded the step down.")
     if campaign.get("same_flow") and len(rows) > 1:
         paragraphs.append(
-            "All experiments share one total flow. The valve's time constant τᵥ and the volume V "
-            "then act alike and cannot be separated by these data."
+            "All experiments share one total flow. Lags that do not depend on it and the volumes' "
+            "V/Q then act alike and cannot be separated by these data."
         )
     if "sensor_is" in campaign:
         paragraphs.append(_of_rig(campaign))
@@ -75,7 +77,7 @@ def measured(saved: Saved, pictures: Pictures) -> Section | None:
         content.append(
             pictures.add(
                 "responses",
-                figures.responses(saved.traces),
+                partial(figures.responses, saved.traces),
                 "The recorded responses by test-gas concentration, one line a flow; dotted, the "
                 "commanded times.",
             )
@@ -93,6 +95,28 @@ def _of_rig(campaign: Mapping[str, Any]) -> str:
         )
     lag = {"faster": "shortest", "slower": "longest"}[campaign["sensor_is"]]
     return f"{said}; the sensor is said to be the {lag} of the lags that do not depend on flow."
+
+
+def _flows(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Flows and concentrations in words; empty where no flow is known."""
+    known = [row for row in rows if row["total_flow_L_min"] is not None]
+    if not known:
+        return "; no flow is known"
+    return (
+        f"; total flow {_span(known, 'total_flow_L_min')} L/min, test gas "
+        f"{_span(known, 'concentration_percent')} %"
+    )
+
+
+def _of_programmes(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What was done to the gas where it is more than one pulse, in sentences."""
+    said = []
+    for row in rows:
+        n = row["switches"]
+        what = "a recorded channel is the input" if n == 0 else f"the input switches {n} times"
+        said.append(f"in experiment '{row['experiment']}' {what}")
+    text = list_words(said)
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _span(rows: Sequence[Mapping[str, Any]], key: str) -> str:

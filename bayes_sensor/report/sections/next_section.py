@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from bayes_sensor import figures
 from bayes_sensor.report.parts import Pictures, Section, Table, see
 from bayes_sensor.report.saved import Saved
@@ -36,7 +38,7 @@ def measure_next(saved: Saved, pictures: Pictures) -> Section | None:
         [
             pictures.add(
                 "what-would-help-figure",
-                figures.what_would_help(rows),
+                partial(figures.what_would_help, rows),
                 "Predicted 95 % intervals of τ if one condition were changed.",
             ),
             Table(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from bayes_sensor import figures
@@ -41,22 +42,23 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
             f"samples far enough apart to be independent, p {p_equals(test['p_value'])})"
             f"{see('spread')}."
         )
+    rms = saved.fit["rms_V"] if saved.fit else _rms(residuals)
     content: list[Part] = [
         pictures.add(
             "autocorrelation",
-            figures.autocorrelation(residuals, saved.traces or []),
+            partial(figures.autocorrelation, residuals, saved.traces or []),
             "Autocorrelation of the residuals of all experiments in a row, with the curve of the "
             "fitted AR(1); below, the residuals themselves, shades alternating from experiment to "
             "experiment.",
         ),
         pictures.add(
             "spread",
-            figures.spread(residuals),
+            partial(figures.spread, residuals),
             "Standard deviation of the residuals in bins of concentration, with the fitted law.",
         ),
         pictures.add(
             "histogram",
-            figures.histogram(residuals, saved.fit["rms_V"] if saved.fit else _rms(residuals)),
+            partial(figures.histogram, residuals, rms),
             f"Distribution of the residuals ({residuals['histogram']['note']}).",
         ),
     ]
@@ -160,7 +162,7 @@ def _predictive(saved: Saved, pictures: Pictures) -> list[Part]:
     return [
         pictures.add(
             "predictive",
-            figures.predictive(record, saved.unit),
+            partial(figures.predictive, record, saved.unit),
             "Comparison of the data with data drawn from the posterior. Bands: 95 % of "
             f"{record['n_draws']} replicates; points: the data. Last: probability of each sample "
             "under the forecast from its past; a right model gives a flat histogram.",

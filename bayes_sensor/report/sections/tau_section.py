@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 from math import isclose
 from typing import Any
 
 from bayes_sensor import figures
-from bayes_sensor.bounds.methods import COLOURED, METHODS, PUBLISHED, WHITE, method_of
-from bayes_sensor.report.headline import (
-    effect_names,
-    headline,
-    naive_sentence,
-    with_the_effect,
-)
+from bayes_sensor.figures.method_words import classical_bound, method_words, quoted, role_of
+from bayes_sensor.report.gap_words import with_the_effect
+from bayes_sensor.report.headline import Headline, effect_names, headline
 from bayes_sensor.report.parts import Part, Pictures, Section, Table, see, to_spread
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.sections.draws_section import posterior_table
+from bayes_sensor.report.sections.draws_section import corner, posterior_table
 from bayes_sensor.report.words import interval, list_words, ms, number, sentence, typeset
 
 PUBLISHED_3SD = {"tau_s": 0.0056049, "tau_v_s": 0.0086029, "V_mL": 0.6817}
@@ -25,6 +22,10 @@ PUBLISHED_FLOWS = (
     (4.0, 0.5), (3.0, 0.5), (2.5, 0.5), (8.0, 1.0), (6.0, 1.0), (5.0, 1.0), (7.5, 1.5),
 )  # fmt: skip
 """L/min, carrier and test gas: the paper's Table I"""
+ALIKE = 0.05
+"""correlation of neighbouring samples from which the bound for white noise is called wrong"""
+CLOSE = 1.1
+"""ratio of two intervals up to which they are called about as wide"""
 SAME = 5e-3
 """relative, of flows and concentrations that count as the same"""
 LAG_WORDS = {"faster": "shorter", "between": "middle", "slower": "longer"}
@@ -36,8 +37,8 @@ PRIOR_WORDS = {
 
 
 def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
-    """tau, its posterior interval, and the classical bound."""
-    posterior, bounds = saved.posterior, saved.bounds
+    """tau, its posterior interval, and the other methods beside it."""
+    posterior, bounds = saved.posterior, _bounds(saved)
     if posterior is None and bounds is None:
         return None
     head = headline(posterior, bounds, saved.settings)
@@ -55,21 +56,21 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
         paragraphs.append(
             f"This assumes that the model is right, which it is not{see('which')}. {instead}"
         )
-    if head is not None and head.naive:
-        paragraphs.append(naive_sentence(head).removesuffix(".") + see("naive") + ".")
     if saved.posterior_without_effects is not None and posterior is not None:
         paragraphs.append(
             f"This posterior has {list_words(effect_names(posterior))} in its model; the earlier "
             f"one, without, stands beside it{see('both-posteriors')}."
         )
-    paragraphs += _why(saved)
+    paragraphs += _classical(saved, head)
+    if saved.published:
+        paragraphs += _one_percent(saved)
     paragraphs += _why_they_differ(saved)
     content: list[Part] = []
     if bounds is not None:
         content.append(
             pictures.add(
                 "intervals",
-                figures.intervals(bounds),
+                partial(figures.intervals, bounds),
                 "Every method side by side: 68 % (thick) and 95 % (thin) intervals; the marker is "
                 "each method's estimate. Orange: the classical bounds under iid noise.",
             )
@@ -89,62 +90,62 @@ def time_constant(saved: Saved, pictures: Pictures) -> Section | None:
                 "Because the data see τ mainly through its square, the prior matters near zero"
                 + here
                 + f"Under {_how_many(rows)} the one-sided 95 % upper limits are "
-                f"{list_words([_limit(r) for r in rows])}{see('priors-on-tau', 'priors-figure')}."
-            )
-            content.append(
-                pictures.add(
-                    "priors-figure",
-                    figures.priors_on_tau(rows, PRIOR_WORDS),
-                    f"τ under {_how_many(rows)}: equal-tailed 95 % interval (thin) and densest "
-                    "95 % (thick), with the one-sided 95 % and 99 % upper limits.",
-                )
+                f"{list_words([_limit(r) for r in rows])}{see('priors-on-tau')}."
             )
             content.append(_prior_table(rows))
-        content += _both(saved, pictures)
+        content += _both(saved)
         content.append(posterior_table(saved, shared=True))
-        if saved.chains is not None:
+        if saved.draws is not None:
             content.append(
                 pictures.add(
                     "corner",
-                    figures.corner(*saved.chains, unit=saved.unit),
+                    partial(corner, saved.draws, saved.unit),
                     "Joint posterior of the shared parameters: regions of 39, 68 and 95 %; dashed "
                     "lines mark the median and the 95 % interval.",
+                    on_paper=True,
                 )
             )
     if bounds is not None:
         if bounds.get("naive"):
-            content.append(_naive_table(bounds["naive"]))
+            content.append(_naive_table(bounds, saved.published))
         content.append(_method_table(bounds))
         content.append(_assumption_table(bounds))
-        content += _steps(bounds, saved.campaign, pictures)
+        content += _steps(saved, pictures)
     return Section("tau", "What is the sensor's time constant", answer, paragraphs, content)
 
 
-def _both(saved: Saved, pictures: Pictures) -> list[Part]:
+def _bounds(saved: Saved) -> dict[str, Any] | None:
+    """The bounds, with the published recipe only where that is asked for."""
+    if saved.bounds is None or saved.published:
+        return saved.bounds
+    methods = {
+        name: entry
+        for name, entry in saved.bounds["methods"].items()
+        if not method_words(saved.bounds, name).published_recipe
+    }
+    return {**saved.bounds, "methods": methods}
+
+
+def _both(saved: Saved) -> list[Part]:
     """The posteriors of tau with and without the effects."""
     earlier, newest = saved.posterior_without_effects, saved.posterior
     if earlier is None or newest is None or "undecided" in (_order(earlier), _order(newest)):
         return []
-    rows = [
-        {"model": label, **{key: record["parameters"]["tau_s"][key] for key in _QUANTILES}}
-        for label, record in (
-            ("without effects", earlier),
-            (f"with {list_words(effect_names(newest))}", newest),
-        )
-    ]
+    rows = {
+        "without effects": earlier,
+        f"with {list_words(effect_names(newest))}": newest,
+    }
     return [
-        pictures.add(
-            "both-posteriors-figure",
-            figures.posteriors_of_tau(rows),
-            "τ without and with the effects in the model: median, 68 % (thick) and 95 % (thin).",
-        ),
         Table(
             "both-posteriors",
             "Both posteriors of τ (ms).",
             ["model", *(f"{key.removeprefix('q')} %" for key in _QUANTILES)],
-            [[row["model"], *(ms(row[key]) for key in _QUANTILES)] for row in rows],
+            [
+                [label, *(ms(record["parameters"]["tau_s"][key]) for key in _QUANTILES)]
+                for label, record in rows.items()
+            ],
             digits=3,
-        ),
+        )
     ]
 
 
@@ -175,17 +176,15 @@ def is_published(campaign: Mapping[str, Any]) -> bool:
     )
 
 
-def _steps(
-    bounds: Mapping[str, Any], campaign: Mapping[str, Any], pictures: Pictures
-) -> list[Part]:
-    study = bounds.get("step_study")
-    if not study:
+def _steps(saved: Saved, pictures: Pictures) -> list[Part]:
+    study = (saved.bounds or {}).get("step_study")
+    if not study or not saved.published:
         return []
-    is_replica = is_published(campaign)
+    is_replica = is_published(saved.campaign)
     return [
         pictures.add(
             "step_study",
-            figures.step_study(study, PUBLISHED_3SD if is_replica else None),
+            partial(figures.step_study, study, PUBLISHED_3SD if is_replica else None),
             "The classical bound against the step of the finite difference. It is right only "
             "where the curves are flat: a step of 1 % moves the switch times by tenths of a "
             "second. Open markers: a step so small that forward Euler sees no change of the "
@@ -194,18 +193,18 @@ def _steps(
     ]
 
 
-def _naive_table(naive: Mapping[str, Any]) -> Table:
+def _naive_table(bounds: Mapping[str, Any], with_recipe: bool) -> Table:
+    naive = bounds["naive"]
     rows: list[list[Any]] = []
     shown = figures.shared_labels(naive["at"])
-    classical = [method for method in METHODS.values() if method.cramer_rao is not None]
-    for method in sorted(classical, key=lambda method: not method.published_recipe):
-        found = naive.get(method.name) or {}
+    for role in ("published", "white", "coloured") if with_recipe else ("white", "coloured"):
+        found, words = classical_bound(bounds, role), method_words(bounds, role_of(bounds, role))
         rows.append(
             [
-                method.full_label or method.label,
+                words.full_label or words.label,
                 *(
-                    None if found.get(name) is None else k * factor * found[name]
-                    for name, (_, _, factor) in shown.items()
+                    None if found.get(key) is None else k * factor * found[key]
+                    for key, (_, _, factor) in shown.items()
                     for k in (1.0, 1.96)
                 ),
             ]
@@ -232,42 +231,72 @@ def _naive_table(naive: Mapping[str, Any]) -> Table:
     )
 
 
-def _why(saved: Saved) -> list[str]:
-    """Why the classical bound misleads here, in numbers of this campaign."""
-    naive = (saved.bounds or {}).get("naive") or {}
-    right, published = naive.get(WHITE) or {}, naive.get(PUBLISHED) or {}
-    said = []
-    if right.get("tau_s") and published.get("tau_s"):
-        ratio = right["tau_s"] / published["tau_s"]
-        if ratio < 1.3:
-            said.append(
-                "Steps of 1 % in every parameter reproduce the published bounds (the step is "
-                "inferred). For the switch times such a step depends on the origin of time, so "
-                f"the result is not a bound: here it gives {number(1 / ratio, 2)} times the value "
-                f"with correct derivatives{see('naive')}."
-            )
-        else:
-            said.append(
-                f"At τ = {number(1e3 * naive['at']['tau_s'], 3)} ms the classical bound for white "
-                f"noise, with its derivatives taken correctly, is {number(ratio, 2)} times that "
-                "with steps of 1 % in every parameter, which reproduce the published bounds. For "
-                "the switch times 1 % is tenths of a second, far too much: a slower sensor and a "
-                "later switch look almost alike, and a step that large hides "
-                f"it{see('naive', 'step_study')}."
-            )
-    coloured = naive.get(COLOURED) or {}
-    if right.get("tau_v_s") and coloured.get("tau_v_s"):
-        ratio = coloured["tau_v_s"] / right["tau_v_s"]
-        phi = (saved.residuals or {}).get("ar1", {}).get("phi")
-        said.append(
-            (
-                "White noise is the second assumption that fails: neighbouring residuals are "
-                "correlated"
-            )
-            + (f" (φ = {number(phi, 3)})" if phi is not None else "")
-            + f", which makes the bound of τᵥ {number(ratio, 2)} times wider{see('naive')}."
+def _classical(saved: Saved, head: Headline | None) -> list[str]:
+    """The classical bound against the interval that is quoted, and why they differ here."""
+    right, coloured = (classical_bound(saved.bounds, role) for role in ("white", "coloured"))
+    row = _quoted(saved)
+    if head is None or head.undecided or head.hidden or not right.get("tau_s") or row is None:
+        return []
+    half = 1.96e3 * right["tau_s"]
+    ratio = 0.5e3 * (row[1] - row[0]) / half
+    said = (
+        "The classical Cramér-Rao bound, which takes the samples as independent, alone would have "
+        f"said ± {number(half, 2)} ms{see('naive')}: "
+    )
+    if ratio > CLOSE:
+        said += f"here it is too narrow, by a factor of {number(ratio, 2)}."
+    elif ratio < 1.0 / CLOSE:
+        said += f"here it is {number(1.0 / ratio, 2)} times as wide as the interval above."
+    else:
+        said += "here it is about as wide as the interval above."
+    phi = ((saved.residuals or {}).get("ar1") or {}).get("phi")
+    if phi is not None and phi > ALIKE and coloured.get("tau_s"):
+        said += (
+            f" Neighbouring samples are alike (φ = {number(phi, 2)}); with that in it the bound "
+            f"becomes ± {number(1.96e3 * coloured['tau_s'], 2)} ms."
         )
-    return said
+    if head.is_limit:
+        said += (
+            " Near zero the data see τ through its square, so that no bound from a curvature "
+            "describes it, and τ cannot be negative."
+        )
+    return [said]
+
+
+def _quoted(saved: Saved) -> tuple[float, float] | None:
+    """Ends (s) of the 95 % interval of tau in the headline."""
+    if saved.posterior is not None:
+        row = saved.posterior["parameters"].get("tau_s")
+        return None if row is None else (row["q2.5"], row["q97.5"])
+    name = quoted(saved.bounds)
+    row = (saved.bounds or {})["methods"][name]["parameters"].get("tau_s") if name else None
+    if not row or row["lo95"] is None or row["hi95"] is None:
+        return None
+    return row["lo95"], row["hi95"]
+
+
+def _one_percent(saved: Saved) -> list[str]:
+    """What steps of 1 % do to the classical bound, which reproduces the published ones."""
+    right, published = (classical_bound(saved.bounds, role) for role in ("white", "published"))
+    if not (right.get("tau_s") and published.get("tau_s")):
+        return []
+    ratio = right["tau_s"] / published["tau_s"]
+    tau = 1e3 * (saved.bounds or {})["naive"]["at"]["tau_s"]
+    said = (
+        "Steps of 1 % in every parameter reproduce the published bounds (the step is inferred). "
+        "For the switch times 1 % is tenths of a second and depends on the origin of time, so the "
+        f"result is not a bound. At τ = {number(tau, 3)} ms "
+    )
+    if ratio > CLOSE:
+        said += (
+            f"the bound with correct derivatives is {number(ratio, 2)} times as wide: a slower "
+            "sensor and a later switch look almost alike, and a step that large hides it"
+        )
+    elif ratio < 1.0 / CLOSE:
+        said += f"it is {number(1.0 / ratio, 2)} times as wide as with correct derivatives"
+    else:
+        said += "it happens to be about as wide as with correct derivatives"
+    return [f"{said}{see('naive', 'step_study')}."]
 
 
 def _why_they_differ(saved: Saved) -> list[str]:
@@ -276,14 +305,17 @@ def _why_they_differ(saved: Saved) -> list[str]:
     if _order(saved.posterior) == "undecided":
         return []
     if saved.posterior is not None:
-        row = saved.posterior["parameters"]["tau_s"]
+        row = saved.posterior["parameters"].get("tau_s")
+        if row is None:  # several sensors: each has one of its own
+            return []
         found.append(
             f"the posterior's {interval(1e3 * row['q2.5'], 1e3 * row['q97.5'])} ms counts "
             f"the prior on τ and averages over all other parameters{see('posterior-shared')}"
         )
     methods = (saved.bounds or {}).get("methods") or {}
     for name, entry in methods.items():
-        row, method = entry["parameters"].get("tau_s") or {}, method_of(name)
+        row = entry["parameters"].get("tau_s") or {}
+        method = method_words(saved.bounds or {}, name)
         if method.against_others and row.get("lo95") is not None and row.get("hi95") is not None:
             found.append(
                 f"the {method.label}'s {interval(1e3 * row['lo95'], 1e3 * row['hi95'])} ms "
@@ -315,9 +347,9 @@ def _method_table(bounds: Mapping[str, Any]) -> Table:
                 None if row.get(key) is None else to_spread(factor * row[key], narrowest)
                 for key in ("estimate", "sd", "lo68", "hi68", "lo95", "hi95", "lo997", "hi997")
             ]
-            if method_of(method).needs_posterior:
+            if method_words(bounds, method).needs_posterior:
                 marked.append(len(rows))
-            rows.append([f"{symbol} ({unit})", method_of(method).label, *values])
+            rows.append([f"{symbol} ({unit})", method_words(bounds, method).label, *values])
     columns = [
         "parameter", "method", "estimate", "sd", "68 % low", "68 % high", "95 % low", "95 % high",
         "99.7 % low", "99.7 % high",
@@ -339,7 +371,7 @@ def _is_bounded(row: Mapping[str, Any]) -> bool:
 def _assumption_table(bounds: Mapping[str, Any]) -> Table:
     rows = [
         [
-            method_of(method).label,
+            method_words(bounds, method).label,
             typeset(entry["assumes"]),
             entry.get("reference", ""),
             "" if entry.get("status", "ok") == "ok" else typeset(entry["status"]),

@@ -1,0 +1,110 @@
+"""The whole report before any format: the first page, and the sections behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from bayes_sensor.report.first_page import FirstPage, first_page
+from bayes_sensor.report.parts import Part, Picture, Pictures, Section, numbering
+from bayes_sensor.report.saved import Saved
+
+PAGES = ("short", "full")
+
+
+@dataclass
+class Report:
+    """What every format is made from."""
+
+    saved: Saved
+    first: FirstPage
+    sections: list[Section]
+    full: bool
+    """whether the sections are shown unfolded, with every figure"""
+    folded: bool
+    """whether what is folded can be unfolded, as in HTML"""
+
+    @property
+    def title(self) -> str:
+        """The campaign's title."""
+        return self.saved.name
+
+    @property
+    def version(self) -> str:
+        """The version that made the results."""
+        return str(self.saved.last["versions"].get("bayes-sensor", ""))
+
+    @property
+    def finished(self) -> str:
+        """When they were finished."""
+        return str(self.saved.last["finished"])
+
+    @property
+    def with_details(self) -> bool:
+        """Whether tables and figures of the sections are in the report."""
+        return self.full or self.folded
+
+    @property
+    def listed(self) -> list[Section]:
+        """The sections that are told; without details those that the first page does not answer."""
+        told = {"tau", *(fact.section for fact in self.first.facts)} if self.first.tau else set()
+        return [s for s in self.sections if self.with_details or s.key not in told]
+
+    @property
+    def numbers(self) -> dict[str, str]:
+        """``Table 3`` or ``Figure 2`` by key, of what is in the report."""
+        shown = [self.first.content, *(s.content for s in self.sections if self.with_details)]
+        return numbering(shown)
+
+    @property
+    def zoomable(self) -> bool:
+        """Whether the page draws its overlays from the samples when they are opened."""
+        samples, traces = self.saved.samples or [], self.saved.traces or []
+        return self.folded and len(samples) == len(traces) > 0
+
+    def pictures(self) -> Iterator[Picture]:
+        """Every picture in the report."""
+        sections = self.sections if self.with_details else []
+        for content in (self.first.content, *(section.content for section in sections)):
+            yield from (part for part in content if isinstance(part, Picture))
+
+    def to_draw(self) -> list[Picture]:
+        """The pictures that are drawn now.
+
+        In the short report those of the draws are left to paper, and overlays behind the first page
+        to the page itself.
+        """
+        first = [part for part in self.first.content if isinstance(part, Picture)]
+        return [
+            picture
+            for picture in self.pictures()
+            if self.full
+            or picture in first
+            or not (picture.on_paper or (picture.overlay is not None and self.zoomable))
+        ]
+
+
+def assemble(
+    saved: Saved, pages: str = "short", folded: bool = True, figures: bool = True
+) -> Report:
+    """The report of saved results, nothing of it drawn yet.
+
+    ``pages``: one of :data:`PAGES`; ``folded``: whether the format can fold sections; ``figures``:
+    without them only the chain is drawn, which costs nothing.
+    """
+    from bayes_sensor.report.sections import make_sections
+
+    pictures = Pictures()
+    sections = make_sections(saved, pictures)
+    first = first_page(saved, sections, pictures)
+    if not figures:
+        first.content = [part for part in first.content if not _waits(part)]
+        for section in sections:
+            section.content = [part for part in section.content if not _waits(part)]
+    # nothing is folded behind an empty page, as that of a blind check
+    full = pages == "full" or not (first.tau or first.facts)
+    return Report(saved, first, sections, full, folded)
+
+
+def _waits(part: Part) -> bool:
+    return isinstance(part, Picture) and not part.drawing

@@ -1,0 +1,79 @@
+"""The command line on other rigs than the published one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from bayes_sensor.cli import main
+from tests.cli.test_cli import run
+
+DESIGN = """
+title = "two sensors on one gas"
+[rig]
+stages = ["valve", "sensor"]
+[[experiment]]
+name = "1"
+signals = {A = "a", B = "b"}
+commanded_on = "10 s"
+commanded_off = "40 s"
+interval = "0.1 s"
+duration = "70 s"
+"""
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rig")
+    design = folder / "design.toml"
+    design.write_text(DESIGN)
+    assert run("simulate", "--design", design, "--out", folder / "data", "--quiet") == 0
+    return folder / "data"
+
+
+def test_a_simulated_rig_is_analysed_and_reported(
+    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = json.loads((simulated / "truth.json").read_text())
+    campaign, out = simulated / "campaign.toml", tmp_path / "out"
+    (tmp_path / "over.toml").write_text('[bounds]\nmethods = ["crlb_ar1", "posterior"]\n')
+    options = ["--sampler", "independence", "--no-figures", "--config", tmp_path / "over.toml"]
+    assert run("analyze", campaign, "--out", out, *options) == 0
+    said = capsys.readouterr().out
+    assert "not diagnosed: gap: effects are known for a valve, a manifold and a sensor" in said
+    posterior = json.loads((out / "posterior.json").read_text())
+    for sensor in "AB":
+        row = posterior["parameters"][f"tau_s[{sensor}]"]
+        assert row["q0.5"] < truth[f"tau_s[{sensor}]"] < row["q99.5"]
+        assert posterior["chain"][f"1,{sensor}"]["t63_s"]["q50"] > row["q50"]
+    fit = json.loads((out / "fit.json").read_text())
+    assert set(fit["parameters"]["experiments"]) == {"1", "1,A", "1,B"}
+    assert not (out / "gap.json").exists()
+    delays = json.loads((out / "delays.json").read_text())
+    assert delays["start"]["status"] == "No regression: no flow is known."
+    page = (out / "report.html").read_text()
+    assert "sensor A" in page and "no flow is known" in page
+    with pytest.raises(SystemExit) as stopped:
+        main_of("gap", campaign, tmp_path / "gap")
+    assert stopped.value.code == 2
+
+
+def main_of(command: str, campaign: Path, out: Path) -> None:
+    """The command as a user calls it."""
+    import sys
+
+    sys.argv = ["bayes-sensor", command, str(campaign), "--out", str(out), "--quiet"]
+    main()
+
+
+def test_a_rig_that_needs_a_flow_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "campaign.toml"
+    path.write_text(DESIGN.replace('"valve", "sensor"', '"cell", "sensor"'))
+    assert run("check", path) == 2
+    assert "the stage 'cell' depends on the total flow, but none is given" in (
+        capsys.readouterr().err
+    )
