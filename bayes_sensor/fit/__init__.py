@@ -30,7 +30,8 @@ __all__ = ["Fit", "Progress", "Swarm", "count_lags", "fit_least_squares", "parti
 
 _PLACES = {
     "Fit": "fit", "Progress": "fit", "fit_least_squares": "least_squares",
-    "refit": "least_squares", "count_lags": "number_of_lags", "Swarm": "swarm", "particle_swarm": "swarm",
+    "refit": "least_squares", "count_lags": "number_of_lags", "Swarm": "swarm",
+    "particle_swarm": "swarm",
 }  # fmt: skip
 
 

@@ -27,7 +27,7 @@ from tests.support.other_rigs import CASES, Case, experiment
     ],
 )
 def test_as_many_as_were_simulated(name: str, n: int, phi: float) -> None:
-    case = CASES[name]()._replace(phi=phi)
+    case = Case(CASES[name]().design, CASES[name]().shared, phi=phi)
     for seed in (102, 111):  # of these, one lag at phi = .9 has several maxima
         data = case.simulated(seed)
         found = count_lags(data, fit_least_squares(data, swarms=1, particles=12, euler=False))
@@ -82,7 +82,7 @@ def test_more_lags_must_earn_odds() -> None:
 
 def test_nothing_to_count_where_nothing_is_seen() -> None:
     case = CASES["sensor"]()
-    quiet = case._replace(sigma0=50.0)
+    quiet = Case(case.design, case.shared, sigma0=50.0)
     data = quiet.simulated(1)
     fit = fit_least_squares(data, swarms=1, euler=False)
     assert not fit.step_seen and count_lags(data, fit) is None
