@@ -23,10 +23,21 @@ class LagCount:
     """by number of lags, the best chain as ``[rig] stages``"""
     present: int
     """lags of the campaign's own rig"""
+    missed: bool = False
+    """whether the campaign's rig misses the data by more than their noise"""
 
     @property
     def sentence(self) -> str:
         """What the data support, and how to write it."""
+        if self.missed and self.supported <= self.present:
+            return (
+                f"{self._words}; but the model misses the data by more than their noise, so do not "
+                "rely on this number before that is mended"
+            )
+        return self._words
+
+    @property
+    def _words(self) -> str:
         n, words = self.supported, WORDS[self.supported]
         stages = ", ".join(f'"{stage}"' for stage in self.stages[n])
         write = f"[rig] stages = [{stages}]"

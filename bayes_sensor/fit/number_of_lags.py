@@ -23,6 +23,7 @@ from bayes_sensor.fit.fit import Fit
 from bayes_sensor.fit.fitted_noise import all_residuals, estimate_noise
 from bayes_sensor.fit.lag_count import LagCount, supported
 from bayes_sensor.fit.likelihood_maximum import likelihood_maximum
+from bayes_sensor.fit.misfit import TOLERATED
 from bayes_sensor.fit.refinement import refine, with_noise
 from bayes_sensor.fit.starts import limits
 from bayes_sensor.likelihood.problem import Problem, as_problem
@@ -107,23 +108,28 @@ def count_lags(campaign: Campaign | Problem, fit: Fit) -> LagCount | None:
         for chain, found in fitted.items()
     }
     for chain in reversed(chains):
-        for less in (Chain(chain.flat - 1, chain.volumes), Chain(chain.flat, chain.volumes - 1)):
+        for less in _with_one_less(chain):
             gain = likelihood[chain][0] - penalty[chain]
             if less in fitted and gain > likelihood[less][0] - penalty[less]:
                 start = _without_lag(fitted[chain].problem, likelihood[chain][1], less)
                 if start is not None:
                     again = _climb(fitted[less].problem, start, looks)
                     likelihood[less] = max(likelihood[less], again, key=lambda found: found[0])
+    values: dict[Chain, float] = {}
     evidence: dict[int, float] = {}
     names: dict[int, tuple[str, ...]] = {}
-    for chain, (value, _) in likelihood.items():
-        value -= penalty[chain]
+    for chain in chains:
+        # a further lag of zero leaves the likelihood as it is
+        fewer = [values[less] for less in _with_one_less(chain) if less in values]
+        values[chain] = max(likelihood[chain][0], *fewer, -np.inf)
+        value = values[chain] - penalty[chain]
         if value > evidence.get(chain.n, -np.inf):
             evidence[chain.n] = value
             names[chain.n] = fitted[chain].problem.campaign.stages
     highest = max(evidence.values())
     evidence = {n: value - highest for n, value in evidence.items()}
-    return LagCount(supported(evidence), evidence, names, own.n)
+    missed = fit.misfit is not None and fit.misfit > TOLERATED
+    return LagCount(supported(evidence), evidence, names, own.n, missed)
 
 
 def stages_of(rig: Rig, chain: Chain, flows_differ: bool) -> tuple[str, ...]:
@@ -169,12 +175,17 @@ def _as_one_lag(problem: Problem, theta: FloatArray, alone: Problem) -> FloatArr
     return found
 
 
+def _with_one_less(chain: Chain) -> tuple[Chain, Chain]:
+    """The chains that lack one of its lags."""
+    return Chain(chain.flat - 1, chain.volumes), Chain(chain.flat, chain.volumes - 1)
+
+
 def _starts(chain: Chain, fitted: dict[Chain, _Fitted], first: FloatArray) -> list[FloatArray]:
     """Starts (n_mean,) for a chain from those with one lag less."""
     if chain.n == 1:
         return [first]
     found = []
-    for less in (Chain(chain.flat - 1, chain.volumes), Chain(chain.flat, chain.volumes - 1)):
+    for less in _with_one_less(chain):
         if less in fitted:
             parent = fitted[less]
             flat = less.flat < chain.flat

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -87,3 +89,24 @@ def test_nothing_to_count_where_nothing_is_seen() -> None:
     fit = fit_least_squares(data, swarms=1, euler=False)
     assert not fit.step_seen and count_lags(data, fit) is None
     assert fit.to_json()["n_lags"] is None
+
+
+def test_a_number_from_a_model_that_misses_is_not_relied_on() -> None:
+    data = CASES["sensor"]().simulated(1)
+    fit = fit_least_squares(data, swarms=1, euler=False)
+    assert fit.misfit is not None and fit.misfit < 1.5
+    plain, missed = count_lags(data, fit), count_lags(data, replace(fit, misfit=3.0))
+    assert plain is not None and missed is not None
+    assert plain.sentence == "one lag suffices"
+    assert "do not rely" in missed.sentence and missed.log_evidence == plain.log_evidence
+
+
+def test_a_further_lag_costs_no_more_than_a_parameter() -> None:
+    # three steps read as one: no chain of lags is that, and maxima are hard to find
+    (record,) = CASES["staircase"]().simulated(1).experiments
+    one = replace(record, commands=None, commanded_on=15.0)
+    data = Campaign("a staircase read as one step", (one,), stages=("sensor",))
+    found = count_lags(data, fit_least_squares(data, swarms=1, euler=False))
+    assert found is not None
+    values = [found.log_evidence[n] for n in (1, 2, 3, 4)]
+    assert np.diff(values).min() > -0.5 * np.log(data.n_samples) - 0.01
