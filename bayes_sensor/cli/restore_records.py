@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bayes_sensor.analysis.overrides import make_problem, read_overrides
+from bayes_sensor.analysis.read_input import read_input
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli.overrides import make_problem, read_overrides
 from bayes_sensor.cli.put_results import Clock, put_figure, put_run
-from bayes_sensor.cli.read_input import load
 from bayes_sensor.cli.terminal import Progress, progress_bar, say
 from bayes_sensor.io.disk import own_folder
 from bayes_sensor.io.json_files import sha256
@@ -144,7 +144,7 @@ def _lags(
     quick = {"sampler": FASTEST} if wanted.config is None else None
     overrides: Any = read_overrides(wanted.config, quick)
     label = wanted.config.name if wanted.config is not None else "--config"
-    campaign, _, _ = load(source)
+    campaign, _, _ = read_input(source)
     if campaign.is_design:
         raise CampaignError(
             f"{source.name}: this is a design without data, but restore needs the lags of measured "

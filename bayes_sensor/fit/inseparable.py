@@ -20,7 +20,7 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.fit.side_information import apart_squares, polynomial_slopes
-from bayes_sensor.fit.twins import AS_GOOD, Twin
+from bayes_sensor.fit.twin import AS_GOOD, Twin
 from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import Cascade

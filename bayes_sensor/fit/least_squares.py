@@ -25,7 +25,7 @@ from bayes_sensor.fit.refinement import Refined, around, mesh_points, refine, wi
 from bayes_sensor.fit.side_information import named_parameters, weigh_names
 from bayes_sensor.fit.starts import SwarmProblem, limits
 from bayes_sensor.fit.swarm import particle_swarm
-from bayes_sensor.fit.twins import AS_GOOD, Twin, apart, other_orders
+from bayes_sensor.fit.twin import AS_GOOD, Twin, apart, other_orders
 from bayes_sensor.likelihood.density import mean_and_variance
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import Cascade

@@ -47,11 +47,10 @@ def check_campaign(campaign: Campaign) -> pd.DataFrame:
 
     Columns: ``experiment``, ``samples`` (on the grid), ``used``, ``interval_s``, ``duration_s``,
     ``carrier_flow_L_min``, ``test_gas_flow_L_min``, ``total_flow_L_min``,
-    ``concentration_percent``, ``commanded_on_s``, ``commanded_off_s``, ``switches`` (of the input; 0 where it
-    was recorded), ``baseline_V`` (median
-    before the command, or of the first twentieth where no command is known), ``step_V`` (median
-    of the second half of the plateau less the baseline), ``noise_V`` (robust standard deviation
-    of the baseline without drift), ``plateau_noise_V``, ``source`` and ``warnings``.  Columns in
+    ``concentration_percent``, ``commanded_on_s``, ``commanded_off_s``, ``switches`` (of
+    the input; 0 where it was recorded), ``baseline_V`` (median before the command, or of the first
+    twentieth where no command is known), ``step_V`` (median of the second half of the plateau less
+    the baseline), ``noise_V`` (robust standard deviation of the baseline without drift), ``plateau_noise_V``, ``source`` and ``warnings``.  Columns in
     ``_V`` are in the campaign's ``signal_unit``; what is unknown is NaN.
     """
     import pandas as pd  # slow to import

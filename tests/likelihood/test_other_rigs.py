@@ -111,7 +111,7 @@ def test_two_hundred_pulses_cost_no_parameters() -> None:
 def test_lags_that_coincide_take_the_stable_form() -> None:
     equal = CASES["four stages"]()
     shared = {**equal.shared, "tau_v_s": 2.0, "tau_probe_s": 2.0}
-    case = equal._replace(shared=shared)
+    case = replace(equal, shared=shared)
     data = case.simulated()
     assert log_likelihood(
         data,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,8 @@ LENGTH, INTERVAL = 120.0, 0.2
 T = np.arange(0.0, LENGTH, INTERVAL)
 
 
-class Case(NamedTuple):
+@dataclass(frozen=True)
+class Case:
     """A design, the lags and volumes by flat name, and what is known of the noise."""
 
     design: Campaign

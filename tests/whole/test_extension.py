@@ -365,7 +365,7 @@ def test_a_stage_kind_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(KINDS, "tanks", module.KIND)
     plain = CASES["sensor"]()
     design = replace(plain.design, stages=("mixer: tanks", "sensor"))
-    case = plain._replace(design=design, shared={"tau_s": 8.0, "residence_mixer_s": 3.0})
+    case = replace(plain, design=design, shared={"tau_s": 8.0, "residence_mixer_s": 3.0})
     problem = Problem(design)
     assert problem.layout.shared_names == ("tau_s", "residence_mixer_s")
     data = simulate(design, case.theta, seed=2)

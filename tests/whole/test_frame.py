@@ -20,6 +20,7 @@ PACKAGE = ROOT / "bayes_sensor"
 ROOMS = (
     "compiled",
     "display",
+    "experiment",
     "campaign",
     "workers",
     "rig",

@@ -8,13 +8,13 @@ import numpy as np
 
 from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
 from bayes_sensor.io.readers.campaign_file import Entry
+from bayes_sensor.io.readers.commanded_programme import commands_of_input, within_record
 from bayes_sensor.io.readers.commanded_times import (
     check_times,
     compare_times,
     drive_commands,
     times_of_entry,
 )
-from bayes_sensor.io.readers.programme import commands_of_input, within_record
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.io.readers.recording import MAX_SAMPLES, DataFile, Recording, check_counts
 from bayes_sensor.io.readers.sample_values import (

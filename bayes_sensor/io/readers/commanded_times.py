@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from bayes_sensor.campaign import CampaignError, Commands, FloatArray
 from bayes_sensor.io.readers.campaign_file import Entry
-from bayes_sensor.io.readers.drive import drive_edges
-from bayes_sensor.io.readers.programme import (
+from bayes_sensor.io.readers.commanded_programme import (
     check_keys,
     commands_of_edges,
     commands_of_entry,
     single,
 )
+from bayes_sensor.io.readers.drive import drive_edges
 from bayes_sensor.io.readers.recording import Clock, DataFile, Recording
 from bayes_sensor.io.readers.sampling import FIRST_EPOCH
 from bayes_sensor.io.readers.stamps import DAY, Moment

@@ -117,7 +117,7 @@ def _overlays(saved: Saved, pictures: Pictures) -> list[Part]:
 
 def _tables(saved: Saved) -> list[Part]:
     assert saved.fit is not None
-    unit, (shown, factor) = saved.unit, saved.small_unit
+    unit = saved.unit
     p = saved.fit["parameters"]
     kinds = ("phi", "sigma0_V", "sigma1_V")
     noise = {name: p[name] for name in p if name.split("[")[0] in kinds}

@@ -1,4 +1,4 @@
-"""Another fit that is as good: a lag and a volume that exchange their roles."""
+"""The fit with the roles of a lag and a volume exchanged, which may be as good."""
 
 from __future__ import annotations
 
