@@ -40,6 +40,8 @@ def print_summary(job: Job, results: Results) -> None:
             "bounds or posterior)",
             quiet,
         )
+    if command in ("fit", "analyze") and job.fit.n_lags is not None:
+        say(f"lags: {job.fit.n_lags.sentence}", quiet)
     if command == "delays":
         for side in ("start", "end"):
             line = getattr(job.delays, side)
