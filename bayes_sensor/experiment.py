@@ -174,8 +174,12 @@ class Experiment:
                     "give the flow that was set"
                 )
         if (self.carrier_flow is None) != (self.test_gas_flow is None):
+            got, lacks = "carrier_flow", "test_gas_flow"
+            if self.carrier_flow is None:
+                got, lacks = lacks, got
             raise CampaignError(
-                f"{where}: one of carrier_flow and test_gas_flow is given; give both or neither"
+                f"{where}: got {got} alone; expected both flows, or neither where no stage needs "
+                f'them: add {lacks} = "4.0 L/min" with the value that was set'
             )
         if self.commands is not None and self.commanded_on is None and not self.commands.recorded:
             object.__setattr__(self, "commanded_on", float(self.commands.times[0]))

@@ -130,11 +130,9 @@ def _hardness(job: Job, theta: dict[str, Any], compared: Any) -> dict[str, Any]:
     return record
 
 
-def _help(job: Job, theta: dict[str, Any]) -> list[dict[str, Any]] | None:
+def _help(job: Job, theta: dict[str, Any]) -> list[dict[str, Any]]:
     from bayes_sensor.design import what_if
 
-    if not job.problem.layout.is_published:
-        return None
     rows: list[dict[str, Any]] = what_if(job.problem, theta).to_dict("records")
     return rows
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from bayes_sensor.analysis.job import SAVES, Job
 from bayes_sensor.analysis.saved_records import put_record
 from bayes_sensor.io.results import Stage
@@ -9,7 +11,7 @@ from bayes_sensor.io.results import Stage
 
 def run_fit(job: Job) -> None:
     from bayes_sensor.analysis.overrides import fit_bounds
-    from bayes_sensor.fit import fit_least_squares
+    from bayes_sensor.fit import count_lags, fit_least_squares
 
     asked = job.overrides.fit
     with job.timed("fit") as tell:
@@ -23,6 +25,9 @@ def run_fit(job: Job) -> None:
             de=asked.differential_evolution,
             progress=tell,
         )
+        if "fit" in SAVES[job.command]:
+            tell(0.95, "number of lags")
+            job.fit = replace(job.fit, n_lags=count_lags(job.problem, job.fit))
 
 
 def run_residuals(job: Job) -> None:

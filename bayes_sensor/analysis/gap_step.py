@@ -21,7 +21,7 @@ def run_gap(job: Job) -> None:
                 seed=job.seed,
                 jobs=job.jobs,
                 progress=tell,
-                **{k: v for k, v in job.options.items() if k != "with_effects"},
+                **{k: v for k, v in job.options.items() if not k.startswith("with_")},
             )
     except CampaignError as error:
         if job.command != "analyze":

@@ -35,6 +35,10 @@ def run_posterior(job: Job) -> None:
             resume=job.resume,
             progress=watching(job, tell),
         )
+        if job.options.get("with_discrepancy"):
+            from bayes_sensor.diagnosis.discrepancy_posterior import with_discrepancy
+
+            job.posterior = with_discrepancy(job.posterior, job.fit, job.seed)
 
 
 def watching(job: Job, tell: Progress) -> Progress:
@@ -62,7 +66,7 @@ def watching(job: Job, tell: Progress) -> Progress:
 def run_predictive(job: Job) -> None:
     from bayes_sensor.checks.predictive import check_predictive, checked
 
-    if job.options.get("with_effects"):
+    if job.options.get("with_effects") or job.options.get("with_discrepancy"):
         return  # replicates are drawn from the cascade
     with job.timed("predictive"):
         job.predictive = check_predictive(job.posterior, seed=job.seed)
@@ -119,10 +123,11 @@ def save_posterior(job: Job, stage: Stage) -> None:
     record.pop("seconds", None)  # times are in run.json: the same run gives the same file
     effects = list(job.options.get("with_effects") or ())
     record["with_effects"] = effects
+    record["with_discrepancy"] = bool(job.options.get("with_discrepancy"))
     before = saved_posterior(job)
-    if not effects or before is None:
+    if not (effects or record["with_discrepancy"]) or before is None:
         stage.drop.append("posterior_without_effects.json")  # nothing to stand beside
-    elif not before.get("with_effects"):
+    elif not (before.get("with_effects") or before.get("with_discrepancy")):
         # the posterior without effects is kept, so that both can be compared
         stage.json("posterior_without_effects.json", before)
     stage.json("posterior.json", record)

@@ -129,6 +129,8 @@ def _statistics(analysis: Findings) -> list[str]:
         lines.append(f"{'noise, quiet parts':<20}= {shown(fit.noise)} {unit}")
     if fit.misfit is not None:
         lines.append(f"{'misfit over noise':<20}= {shown(fit.misfit)}")
+    if fit.n_lags is not None:
+        lines.append(f"{'lags':<20}= {fit.n_lags.sentence}")
     lines.append(f"{'status':<20}= {fit.status}")
     if analysis.posterior is not None:
         posterior = analysis.posterior

@@ -28,6 +28,7 @@ from bayes_sensor.likelihood.noise import scale_squared, simulate_noise
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import FASTEST, Settings, sample_posterior
 from bayes_sensor.rig.cascade import local_parameters, time_constants
+from bayes_sensor.rig.layout import Layout
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -146,6 +147,11 @@ class BoundsStudy:
         unknown = [name for name in self.methods if name not in METHODS]
         if unknown:
             raise CampaignError(f"no bound method '{unknown[0]}'; there are {', '.join(METHODS)}")
+        if self.setting.closing != 1.0 and not Layout.of(self.design).is_published:
+            raise CampaignError(
+                f"{self.design.title}: a valve that closes more slowly is simulated for valve, "
+                "manifold and sensor with one pulse in each record only; choose another setting"
+            )
 
     @cached_property
     def names(self) -> list[str]:

@@ -70,14 +70,26 @@ def posterior(
             metavar="NAME", help="With this effect in the model; repeatable, NAME:FORM for a form."
         ),
     ] = None,
+    with_discrepancy: Annotated[
+        bool,
+        typer.Option(
+            "--with-discrepancy",
+            help="With a smooth discrepancy in the model, for a cause that is not listed.",
+        ),
+    ] = False,
 ) -> None:
     """MCMC; interrupted runs continue with --resume."""
     if with_effect:
         from bayes_sensor.diagnosis.effects.effect_model import check_effects
 
         check_effects(with_effect, "--with-effect")
-    effects = {"with_effects": tuple(with_effect or ())}
-    _run("posterior", run, posterior=sampling.settings, options=effects)
+    if with_effect and with_discrepancy:
+        raise typer.BadParameter(
+            "expected one of --with-effect and --with-discrepancy, but both are given: leave one "
+            "out; a discrepancy stands for a cause that no effect explains"
+        )
+    options = {"with_effects": tuple(with_effect or ()), "with_discrepancy": with_discrepancy}
+    _run("posterior", run, posterior=sampling.settings, options=options)
 
 
 @app.command()

@@ -17,6 +17,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.cli.read_parameters import read_option, read_truth
 from bayes_sensor.cli.terminal import Progress, lined_up, progress_bar, say
 from bayes_sensor.design import Design, check_design, design_experiments
+from bayes_sensor.design.choose_experiments import refuse_unplannable
 from bayes_sensor.fit.side_information import named_parameters
 from bayes_sensor.io.json_files import sha256
 from bayes_sensor.io.put_run import Clock, put_run
@@ -58,6 +59,7 @@ def plan_experiments(
     assumed = None if tau is None else _positive(tau, "--tau", zero=True)
     overrides = read_overrides(config)
     campaign, _, _ = read_input(campaign_path)
+    refuse_unplannable(campaign)
     ranges = _ranges(campaign, limits)
     problem = make_problem(campaign, overrides, config.name if config else "--config")
     vector = None
@@ -86,7 +88,7 @@ def plan_experiments(
         record = found.to_json()
         record["assumed"] = {
             name: float(value)
-            for name, value in zip(problem.layout.names[:3], vector, strict=False)
+            for name, value in zip(problem.layout.shared_names, vector, strict=False)
         } | {name: float(vector[problem.layout.index(name)]) for name in problem.layout.noise_names}
         record["limits"] = {
             "total_flow_mL_s": ranges["flow"], "concentration": ranges["concentration"],
@@ -198,7 +200,7 @@ def _estimated(problem: Problem, seed: int, tell: Progress, path: Path) -> Float
     posterior = sample_posterior(problem, fit, seed=seed, sampler=FASTEST)
     _check_order(posterior.naming, path)
     median: FloatArray = np.median(posterior.draws, axis=0)
-    median[:3] = list(named_parameters(posterior.naming, median).values())
+    median[: problem.layout.n_shared] = list(named_parameters(posterior.naming, median).values())
     return median
 
 
@@ -209,7 +211,10 @@ def _from_zero(design: Campaign) -> Campaign:
         first = float(e.t[0])
         on = None if e.commanded_on is None else e.commanded_on - first
         off = None if e.commanded_off is None else e.commanded_off - first
-        moved.append(replace(e, t=e.t - first, commanded_on=on, commanded_off=off))
+        done = e.commands
+        if done is not None:
+            done = replace(done, times=done.times - first)
+        moved.append(replace(e, t=e.t - first, commanded_on=on, commanded_off=off, commands=done))
     return replace(design, experiments=tuple(moved))
 
 

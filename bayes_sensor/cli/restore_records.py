@@ -12,10 +12,11 @@ from typing import Any
 from bayes_sensor.analysis.overrides import make_problem, read_overrides
 from bayes_sensor.analysis.read_input import read_input
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.cli.put_results import Clock, put_figure, put_run
+from bayes_sensor.cli.put_figure import put_figure
 from bayes_sensor.cli.terminal import Progress, progress_bar, say
 from bayes_sensor.io.disk import own_folder
 from bayes_sensor.io.json_files import sha256
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.readers import FORMATS
 from bayes_sensor.io.record_file import Record, read_record
 from bayes_sensor.io.results import Results, Stage

@@ -8,6 +8,7 @@ from typing import Any
 from bayes_sensor.analysis.job import Job
 from bayes_sensor.analysis.job_warnings import decisive
 from bayes_sensor.cli.terminal import say
+from bayes_sensor.diagnosis.how_far_words import how_far_lines
 from bayes_sensor.io.results import Results
 from bayes_sensor.io.run_record import of_other_data
 
@@ -39,6 +40,8 @@ def print_summary(job: Job, results: Results) -> None:
             "bounds or posterior)",
             quiet,
         )
+    if command in ("fit", "analyze") and job.fit.n_lags is not None:
+        say(f"lags: {job.fit.n_lags.sentence}", quiet)
     if command == "delays":
         for side in ("start", "end"):
             line = getattr(job.delays, side)
@@ -53,6 +56,8 @@ def print_summary(job: Job, results: Results) -> None:
                 say(f"{side}: {line.status}", quiet)
     if job.gap is not None:
         say(f"gap: {job.gap.verdict.sentence}", quiet)
+        for line in how_far_lines(job.gap.to_json()):
+            say(line, quiet)
     elif job.no_gap:
         say(f"not diagnosed: {job.no_gap}", quiet)
     # non-convergence is said below, on stderr

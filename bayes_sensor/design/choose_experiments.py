@@ -12,12 +12,13 @@ from bayes_sensor.design.planned_experiments import (
     Setting,
     Truth,
     planned,
+    refuse_several_sensors,
     settings_of,
     truth_of,
 )
 from bayes_sensor.design.proposal import Design
 from bayes_sensor.design.record_information import eliminate, information_of, sum_information
-from bayes_sensor.design.tau_interval import known_volume, predict, predict_tau
+from bayes_sensor.design.tau_interval import Beforehand, known_beforehand, predict, predict_tau
 from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.priors import Prior
@@ -62,6 +63,7 @@ def design_experiments(
     problem = as_problem(campaign)
     refuse_held(problem, "design")
     vector = problem.by_name(theta)
+    refuse_unplannable(problem.campaign)
     if not target_tau > 0:
         raise CampaignError(f"design: the target must be a positive time, but is {target_tau} s")
     for label, (low, high) in (
@@ -83,19 +85,19 @@ def design_experiments(
             "design: no duration within its limits lets the response settle; allow longer ones"
         )
     lengths = [len(c.experiment.t) * c.experiment.interval for c in candidates]
-    volume = known_volume(problem)
-    before = predict(present, truth, prior, V_sd=volume)
-    fastest = min(truth.tau_v, min(truth.V / s.experiment.total_flow for s in present))
+    beforehand = known_beforehand(problem)
+    before = predict(present, truth, prior, beforehand=beforehand)
+    fastest = truth.fastest(present)
     tau = min(max(truth.tau, before.high68, 2e-3 * fastest), max(truth.tau, 0.5 * fastest))
     chosen: list[int] = []
     for _ in range(2):  # once more with sensitivities where the better experiments put tau
         base = sum_information(present, truth, tau)
         parts = [information_of(c, truth, tau, trigger) for c in candidates]
         chosen = choose_greedily(
-            base, parts, truth.tau, prior, volume, target_tau, k, k_max, lengths
+            base, parts, truth.tau, prior, beforehand, target_tau, k, k_max, lengths
         )
         total = base + np.sum([parts[i] for i in chosen], axis=0) if chosen else base
-        after = predict_tau(total, truth.tau, prior, volume)
+        after = predict_tau(total, truth.tau, prior, beforehand)
         better = max(truth.tau, min(after.high68, tau), 2e-3 * fastest)
         if better > 0.9 * tau:
             break
@@ -111,6 +113,18 @@ def design_experiments(
     return Design(
         table, combined, new_theta, before, after, target_tau, reached, words, prior, truth.noise
     )
+
+
+def refuse_unplannable(campaign: Campaign) -> None:
+    """Raise CampaignError for a campaign without flows or with several sensors."""
+    where = campaign.source or campaign.title
+    if not campaign.flows_known:
+        raise CampaignError(
+            f"{where}: proposals are chosen by their total flow and concentration, but the "
+            "campaign gives none; give carrier_flow and test_gas_flow, or use what_if, which needs "
+            "no flows"
+        )
+    refuse_several_sensors(campaign)
 
 
 def candidate_settings(
@@ -129,9 +143,11 @@ def candidate_settings(
     y0 = float(np.median([s.y0 for s in present]))
     reference = problem.campaign.reference_concentration
     delays = [
-        s.t0 - s.experiment.commanded_on for s in present if s.experiment.commanded_on is not None
+        s.switches[0] - s.experiment.commanded_on
+        for s in present
+        if s.experiment.commands is None and s.experiment.commanded_on is not None
     ]
-    delay = max(float(np.median(delays)), 0.0) if delays else 0.5 * truth.tau_v
+    delay = max(float(np.median(delays)), 0.0) if delays else 0.5 * truth.fastest(present)
     result = []
     for flow in np.unique(np.geomspace(*flows, n_grid[0])):
         for fraction in np.unique(np.linspace(*concentrations, n_grid[1])):
@@ -153,7 +169,7 @@ def choose_greedily(
     parts: list[FloatArray],
     tau: float,
     prior: Prior,
-    volume: float | None,
+    beforehand: Beforehand,
     target: float,
     k: int | None,
     k_max: int,
@@ -174,7 +190,7 @@ def choose_greedily(
         return int(min(good, key=lambda i: (durations[i], -gains[i])))
 
     def half_width(total: FloatArray) -> float:
-        return predict_tau(total, tau, prior, volume).half_width95
+        return predict_tau(total, tau, prior, beforehand).half_width95
 
     total, chosen = base.copy(), list[int]()
     most = k_max if k is None else k
@@ -214,8 +230,7 @@ def _proposal(
         name = f"new{number}"
         e = replace(setting.experiment, name=name)
         experiments.append(e)
-        assert setting.tf is not None and e.commanded_off is not None  # as planned
-        local += [setting.y0, setting.beta, setting.t0, setting.tf]
+        local += [setting.y0, setting.beta, *setting.switches]
         rows.append(
             {
                 "name": name,
@@ -230,11 +245,13 @@ def _proposal(
         )
     order = problem.campaign.sensor_is
     if order == "unknown":  # theta says it
-        order = "faster" if truth.tau <= truth.tau_v else "slower"
+        flat = [v for n, v in zip(truth.rig.names, truth.shared, strict=True) if n[:2] != "V_"]
+        ends = {min(flat): "faster", max(flat): "slower"}
+        order = "faster" if truth.tau == min(flat) else ends.get(truth.tau, order)
     combined = Campaign(
         f"{problem.campaign.title}, with proposals", tuple(experiments),
         problem.campaign.side_information, problem.campaign.signal_unit,
-        sensor_is=order,
+        sensor_is=order, stages=problem.campaign.stages,
     )  # fmt: skip
     n = problem.layout.n_mean
     noise = [truth.phi, truth.sigma0, truth.sigma1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import log10
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from bayes_sensor.design.planned_experiments import (
     truth_of,
 )
 from bayes_sensor.design.record_information import Known
-from bayes_sensor.design.tau_interval import Prediction, known_volume, predict
+from bayes_sensor.design.tau_interval import Prediction, known_beforehand, predict
 from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
@@ -48,7 +49,12 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
     vector = problem.by_name(theta)
     settings, truth = settings_of(problem, vector), truth_of(problem, vector)
     prior = prior or problem.prior_of_tau(vector)
-    volume = known_volume(problem)
+    beforehand = known_beforehand(problem)
+    rig, flows = truth.rig, [s.experiment.total_flow for s in settings]
+    lags = np.array([rig.lags(np.array(truth.shared), flow) for flow in flows])
+    slowest = max(_decade(float(lags.max())), 1.0)  # a millisecond is what a trigger can do
+    times = "times the valve" if "tau_v_s" in rig.names else "times the switches"
+    volumes = [name for name in rig.names if name.startswith("V_")]
     rows: list[dict[str, Any]] = []
     known: Known = {}
 
@@ -65,42 +71,65 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
             }
         )
 
-    add("as it is", "none", 0.0, "", predict(settings, truth, prior, V_sd=volume, known=known))
-    for ms in (20.0, 10.0, 5.0, 2.0, 1.0):
-        found = predict(settings, truth, prior, 1e-3 * ms, volume, known=known)
-        add(f"a trigger that times the valve to +-{ms:g} ms", "trigger", ms, "ms", found)
-    for mL in (2.0, 1.0, 0.5, 0.1):
-        found = predict(settings, truth, prior, V_sd=_both(mL, volume), known=known)
-        add(f"V measured to +-{mL:g} mL", "volume", mL, "mL", found)
-    found = predict(settings, truth, prior, 2e-3, _both(0.5, volume), known=known)
-    add("a trigger to +-2 ms and V to +-0.5 mL", "trigger and volume", 2.0, "ms", found)
-    for factor in (2.0, 4.0, 10.0):
-        fast = replace(truth, tau_v=truth.tau_v / factor)
-        found = predict(settings, fast, prior, V_sd=volume)
-        add(f"a valve {factor:g} times faster", "valve", factor, "x", found)
-    for factor in (2.0, 4.0):
+    def told(trigger: float | None = None, volume: str = "", sd: float = 0.0) -> Prediction:
+        more = beforehand
+        if volume:
+            more = (*beforehand, (1 + rig.names.index(volume), sd))
+        return predict(settings, truth, prior, trigger, more, known=known)
+
+    add("as it is", "none", 0.0, "", told())
+    for share in (0.02, 0.01, 0.005, 0.002, 0.001):
+        at = share * slowest
+        ms = 1e3 * at
+        add(f"a trigger that {times} to +-{ms:g} ms", "trigger", ms, "ms", told(at))
+    for name in volumes:
+        size = max(_decade(truth.shared[rig.names.index(name)]), 100.0)
+        symbol = name.removesuffix("_mL")
+        for share in (0.02, 0.01, 0.005, 0.001):
+            mL = share * size
+            found = told(volume=name, sd=mL)
+            add(f"{symbol} measured to +-{mL:g} mL", "volume", mL, "mL", found)
+        both = told(0.002 * slowest, name, 0.005 * size)
+        ms = 2.0 * slowest
+        words = f"a trigger to +-{ms:g} ms and {symbol} to +-{0.005 * size:g} mL"
+        add(words, "trigger and volume", ms, "ms", both)
+    for name in rig.names[1:]:
+        if name in volumes:
+            continue
+        stage = next(stage.name for stage in rig.stages if stage.parameter == name)
+        for factor in (2.0, 4.0, 10.0):
+            fast = truth.with_value(name, truth.shared[rig.names.index(name)] / factor)
+            found = predict(settings, fast, prior, beforehand=beforehand)
+            add(f"a {stage} {factor:g} times faster", stage, factor, "x", found)
+    for factor in (2.0, 4.0) if rig.needs_flow else ():
         stronger = [_with_flow(setting, factor) for setting in settings]
-        found = predict(stronger, truth, prior, V_sd=volume)
+        found = predict(stronger, truth, prior, beforehand=beforehand)
         add(f"{factor:g} times the flow", "flow", factor, "x", found)
     for factor in (2.0, 4.0, 10.0):
-        found = predict(settings, truth, prior, V_sd=volume, repeats=factor, known=known)
+        found = predict(settings, truth, prior, beforehand=beforehand, repeats=factor, known=known)
         add(f"{factor:g} times the experiments", "repeats", factor, "x", found)
     for factor in (2, 10):
         denser = [_with_rate(setting, factor) for setting in settings]
-        found = predict(denser, replace(truth, phi=max(truth.phi, 0.0)), prior, V_sd=volume)
+        found = predict(
+            denser, replace(truth, phi=max(truth.phi, 0.0)), prior, beforehand=beforehand
+        )
         add(f"{factor} times the sampling rate", "rate", float(factor), "x", found)
     for pulses in (3, 6):
         short = [as_pulse(setting, pulses, truth) for setting in settings]
         if all(setting is not None for setting in short):
             each = [setting for setting in short if setting is not None]
-            found = predict(each, truth, prior, V_sd=volume, repeats=float(pulses))
+            found = predict(each, truth, prior, beforehand=beforehand, repeats=float(pulses))
             add(f"{pulses} pulses in each record", "pulses", float(pulses), "", found)
     return pd.DataFrame(rows)
 
 
-def _both(sd: float, other: float | None) -> float:
-    """sd of the combined knowledge from two sources."""
-    return sd if other is None else float((sd**-2 + other**-2) ** -0.5)
+def _decade(value: float) -> float:
+    """The power of ten nearest to a positive value, by ratio.
+
+    >>> _decade(0.86), _decade(58.0)
+    (1.0, 100.0)
+    """
+    return float(10.0 ** round(log10(value)))
 
 
 def _with_flow(setting: Setting, factor: float) -> Setting:
@@ -116,8 +145,11 @@ def _with_rate(setting: Setting, factor: int) -> Setting:
 
 
 def as_pulse(setting: Setting, pulses: int, truth: Truth) -> Setting | None:
-    """One of ``pulses`` equal parts of the record; None if the response would not settle."""
+    """One of ``pulses`` equal parts of the record; None if the response would not settle, or the
+    record is no single pulse."""
     e = setting.experiment
+    if e.commands is not None:
+        return None  # a programme of its own
     n = len(e.t) // pulses
     duration = n * e.interval
     if not truth.settles(duration, e.total_flow):

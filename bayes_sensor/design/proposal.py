@@ -12,6 +12,7 @@ from bayes_sensor.io.json_files import plain
 from bayes_sensor.likelihood.noise import Noise, lag_coefficient
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.rig.layout import Layout
+from bayes_sensor.rig.switching import is_switch_time
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -82,8 +83,8 @@ class Design:
         nested = Layout.of(shared).nested(theta)
         for e in self.campaign:
             own = nested["experiments"][e.name]
-            for key in ("t0_s", "tf_s"):
-                if key in own:
+            for key in own:
+                if is_switch_time(key) and not key.startswith("delay"):
                     own[key] -= float(e.t[0])
         return nested
 

@@ -1,4 +1,4 @@
-"""What the record of one planned experiment tells of tau, tau_v, V and the noise."""
+"""What the record of one planned experiment tells of tau, the rest of the rig and the noise."""
 
 from __future__ import annotations
 
@@ -11,36 +11,46 @@ from bayes_sensor.design.planned_experiments import Setting, Truth
 from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.rig import Rig
 
-COMMON = ("tau^2", "tau", "tau_v", "V", "phi", "sigma0", "sigma1")
 EXACT = 1e-6
 """s, sd of a switch time that counts as known exactly"""
 
 
+def common_names(rig: Rig) -> tuple[str, ...]:
+    """What all records of a rig inform on: tau^2, tau, the other shared parameters, the noise.
+
+    >>> common_names(Rig.parse(["valve", "manifold", "sensor"]))
+    ('tau^2', 'tau', 'tau_v_s', 'V_mL', 'phi', 'sigma0', 'sigma1')
+    """
+    return ("tau^2", "tau", *rig.names[1:], "phi", "sigma0", "sigma1")
+
+
 def record_information(setting: Setting, truth: Truth, tau: float) -> FloatArray:
-    """Information (n, n) of one experiment's record on (tau^2, tau, tau_v, V, y0, beta, t0 + tau,
-    tf + tau, phi, sigma0, sigma1), sensitivities taken at ``tau`` (s, positive).
+    """Information (n, n) of one experiment's record on (tau^2, tau, the other shared parameters,
+    y0, beta, t0 + tau, tf + tau or other switches plus tau, phi, sigma0, sigma1), sensitivities
+    taken at ``tau`` (s, positive).
 
     Rows of tau itself are zero: see :func:`information_of`.
     """
     e = setting.experiment
-    alone = Campaign("one", (e,), sensor_is="faster")  # one lag of each: nothing to tell apart
+    # one lag of each: nothing to tell apart
+    alone = Campaign("one", (e,), sensor_is="faster", stages=truth.stages)
     problem = Problem(alone, noise=truth.noise)
     steps = e.interval / truth.interval
     phi = lag_coefficient(truth.phi, steps)
     own = truth.noise.weight(alone, e)
     times = setting.weight / own if own > 0 else 0.0
     sigma1 = truth.noise.referred(truth.sigma0, truth.sigma1, times)
-    local = [setting.y0, setting.beta, setting.t0 + truth.tau - tau]
-    if setting.tf is not None:
-        local.append(setting.tf + truth.tau - tau)
-    vector = np.array([tau, truth.tau_v, truth.V, *local, phi, truth.sigma0, sigma1])
+    switches = [at + truth.tau - tau for at in setting.switches]
+    local = [setting.y0, setting.beta, *switches]
+    vector = np.array([tau, *truth.shared[1:], *local, phi, truth.sigma0, sigma1])
     information = expected_information(problem, vector)
-    n = len(vector)
-    # theta by (tau^2, tau_v, V, y0, beta, t0 + tau, tf + tau, noise), and a column for tau itself
+    n, n_shared = len(vector), len(truth.shared)
+    # theta by (tau^2, others, y0, beta, t0 + tau, tf + tau, noise), and a column for tau itself
     slopes = np.eye(n)
     slopes[0, 0] = 0.5 / tau
-    slopes[5 : 3 + len(local), 0] = -0.5 / tau
+    slopes[n_shared + 2 : n_shared + len(local), 0] = -0.5 / tau
     slopes[-3, -3] = steps * phi / truth.phi if truth.phi != 0 else float(steps == 1.0)
     slopes[-1, -2:] = truth.noise.referred_slopes(truth.sigma0, truth.sigma1, times)
     full = np.zeros((n + 1, n + 1))
@@ -60,7 +70,8 @@ def information_of(
     trigger: float | None = None,
     known: Known | None = None,
 ) -> FloatArray:
-    """(7, 7) information of one experiment on :data:`COMMON`, its y0, beta, t0, tf eliminated.
+    """Information (n, n) of one experiment on :func:`common_names`, its y0, beta, t0, tf
+    eliminated.
 
     ``tau`` (s, positive): where sensitivities are taken.  ``trigger``: sd (s) with which the switch
     times are known beforehand.
@@ -70,15 +81,15 @@ def information_of(
     if key not in known:
         known[key] = record_information(setting, truth, tau)
     full = known[key].copy()
-    n = len(full)
+    n, n_shared = len(full), len(truth.shared)
     if trigger is not None:
         precision = 1.0 / max(trigger, EXACT) ** 2
-        for i in range(6, n - 3):  # t0 + tau - tau is normal about the triggered time
+        for i in range(n_shared + 3, n - 3):  # t0 + tau - tau is normal about the triggered time
             full[i, i] += precision
             full[1, 1] += precision
             full[1, i] -= precision
             full[i, 1] -= precision
-    return eliminate(full, [0, 1, 2, 3, n - 3, n - 2, n - 1])
+    return eliminate(full, [*range(n_shared + 1), n - 3, n - 2, n - 1])
 
 
 def eliminate(information: FloatArray, keep: Sequence[int]) -> FloatArray:
@@ -101,7 +112,7 @@ def sum_information(
     trigger: float | None = None,
     known: Known | None = None,
 ) -> FloatArray:
-    """(7, 7) information of independent experiments on :data:`COMMON`."""
+    """Information (n, n) of independent experiments on :func:`common_names`."""
     parts = [information_of(setting, truth, tau, trigger, known) for setting in settings]
     total: FloatArray = np.sum(parts, axis=0)
     return total

@@ -23,6 +23,10 @@ from bayes_sensor.design.record_information import Known, eliminate, sum_informa
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 
+Beforehand = tuple[tuple[int, float], ...]
+"""places in :func:`common_names` with the standard deviation to which each is known, s or mL"""
+NOTHING: Beforehand = ()
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -55,15 +59,16 @@ class Prediction:
 
 
 def predict_tau(
-    common: FloatArray, tau: float, prior: Prior | None = None, V_sd: float | None = None
+    common: FloatArray, tau: float, prior: Prior | None = None, beforehand: Beforehand = NOTHING
 ) -> Prediction:
-    """Interval of tau (s) from information (7, 7) on :data:`COMMON`, expected at the true ``tau``.
+    """Interval of tau (s) from information (n, n) on :func:`common_names`, expected at the true
+    ``tau``.
 
-    ``prior`` on tau (default flat on tau > 0); ``V_sd``: V known beforehand to this (mL).
+    ``prior`` on tau (default flat on tau > 0); ``beforehand``: what is known without the records.
     """
     common = common.copy()
-    if V_sd is not None:
-        common[3, 3] += 1.0 / max(V_sd, 1e-9) ** 2
+    for place, sd in beforehand:
+        common[place, place] += 1.0 / max(sd, 1e-9) ** 2
     M = eliminate(common, [0, 1])
     q = tau**2
     sd_square = float(1.0 / np.sqrt(M[0, 0])) if M[0, 0] > 0 else np.inf
@@ -87,10 +92,14 @@ def predict_tau(
     return Prediction(float(sd), sd_square, *(float(end) for end in ends))
 
 
-def known_volume(problem: Problem) -> float | None:
-    """sd (mL) with which V is known beforehand; None without side information."""
-    prior = problem.named_laws.get("V_mL")
-    return prior.b if prior is not None and prior.kind == "normal" else None
+def known_beforehand(problem: Problem) -> Beforehand:
+    """What side information says of shared parameters other than tau."""
+    found = []
+    for place, name in enumerate(problem.layout.rig.names[1:], 2):
+        prior = problem.named_laws.get(name)
+        if prior is not None and prior.kind == "normal":
+            found.append((place, prior.b))
+    return tuple(found)
 
 
 def predict(
@@ -98,7 +107,7 @@ def predict(
     truth: Truth,
     prior: Prior | None = None,
     trigger: float | None = None,
-    V_sd: float | None = None,
+    beforehand: Beforehand = NOTHING,
     repeats: float = 1.0,
     known: Known | None = None,
 ) -> Prediction:
@@ -107,11 +116,11 @@ def predict(
     Sensitivities are taken at the true tau or, if that cannot be distinguished from zero, at the
     root of one spread of tau^2.
     """
-    fastest = min(truth.tau_v, min(truth.V / s.experiment.total_flow for s in settings))
+    fastest = truth.fastest(settings)
     tau = max(truth.tau, 2e-3 * fastest)
     for _ in range(2):
         common = sum_information(settings, truth, tau, trigger, known) * repeats
-        prediction = predict_tau(common, truth.tau, prior, V_sd)
+        prediction = predict_tau(common, truth.tau, prior, beforehand)
         raised = min(float(np.sqrt(prediction.sd_square)), prediction.high68, 0.5 * fastest)
         if raised <= 1.02 * tau:
             break

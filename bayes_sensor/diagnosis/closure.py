@@ -24,7 +24,6 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.closed_fraction import VISIBLE, Closure, HeldOut
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.noise_floor import DOF
-from bayes_sensor.diagnosis.data.preparation import PreparedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.evidence.block_least_squares import inverted, solved
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
@@ -34,7 +33,7 @@ from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
 from bayes_sensor.diagnosis.gap import Shrink
 from bayes_sensor.diagnosis.location import excess_mean_square
-from bayes_sensor.diagnosis.signals.finding import Finding
+from bayes_sensor.diagnosis.signals.signal import Finding, Samples
 
 RULED_OUT = 0.05
 """chance of a full closing below which it is"""
@@ -143,7 +142,8 @@ def closure(
     chance, sizes = draw_remaining_misfit(fitted, discrepancies, seed)
     left = chance * float(np.mean(sizes))
     d = float(np.sqrt(taken + left)), float(np.sqrt(left))
-    if d[0] < VISIBLE:
+    nothing = volts[0] <= 0.0 or base.misfit <= base.leverage.trace()
+    if nothing or d[0] < VISIBLE:  # what is no excess cannot be closed
         return Closure(None, None, None, float(volts[0]), float(volts[1]), *d)
     rng = np.random.default_rng(seed + 1)
     lacking = taken * (INEXACT * rng.standard_t(INEXACT_DOF, len(sizes))) ** 2
@@ -297,6 +297,8 @@ def shrinking(comparison: Comparison, best: Hypothesis, closed: Closure, seed: i
         held_out_fraction_closed=out.fraction if out else None,
         held_out_interval=(out.low, out.high) if out else None,
         tau_before_s=exp(none.log_tau),
+        tau_before_low_s=none.tau_interval[0],
+        tau_before_high_s=none.tau_interval[1],
         tau_after_s=tau,
         tau_after_low_s=low,
         tau_after_high_s=high,
@@ -315,7 +317,7 @@ def shrinking_of_noise(
     shrink: Shrink,
     named: Sequence[str],
     catalogue: Mapping[str, Effect],
-    prepared: PreparedCampaign,
+    samples: Samples,
     findings: Sequence[Finding],
 ) -> Shrink:
     """``shrink`` with the closed fraction of a named effect on the noise, if one has its own."""
@@ -323,7 +325,7 @@ def shrinking_of_noise(
         noise = catalogue[name].on_noise
         if noise and noise.closure:
             found = next(f for f in findings if f.name == name)
-            closed, out = noise.closure(prepared, found)
+            closed, out = noise.closure(samples, found)
             return replace(
                 shrink, closure=closed, held_out_fraction_closed=out, explanation=name,
                 of_mean=False,

@@ -13,6 +13,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.diagnosis.budget import gap_budget
 from bayes_sensor.diagnosis.closure import closure, shrinking, shrinking_of_noise
 from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
+from bayes_sensor.diagnosis.discrepancy_posterior import tau_with_discrepancy
 from bayes_sensor.diagnosis.effects import CATALOGUE, check_names
 from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
@@ -21,11 +22,13 @@ from bayes_sensor.diagnosis.excess_shares import distribute_excess
 from bayes_sensor.diagnosis.explanations_table import explanation_rows
 from bayes_sensor.diagnosis.gap import Gap, Round, without_lag_names
 from bayes_sensor.diagnosis.isolability import look_alikes, separate_pairs
-from bayes_sensor.diagnosis.location import CLEAR, locate
-from bayes_sensor.diagnosis.signals import look_at_noise, look_at_residuals
+from bayes_sensor.diagnosis.location import CLEAR, locate, with_findings
+from bayes_sensor.diagnosis.onset_times import onset_times
+from bayes_sensor.diagnosis.probabilities import combine
+from bayes_sensor.diagnosis.signals import look_for_signals
 from bayes_sensor.diagnosis.signals.effect_signatures import signatures
 from bayes_sensor.diagnosis.unseen_effects import HiddenEffects, hidden_effects
-from bayes_sensor.diagnosis.verdict import Verdict, combine, explanation_of, judge
+from bayes_sensor.diagnosis.verdict import NAMED, Verdict, explanation_of, judge
 from bayes_sensor.diagnosis.wording import Conclusion, notes, units_of, verdict_sentence
 from bayes_sensor.fit.side_information import without_contradicted
 from bayes_sensor.likelihood.problem import Problem
@@ -124,15 +127,16 @@ def diagnose_gap(
     if not binned.order_known:
         catalogue = {name: effect.nameless for name, effect in catalogue.items()}
     base = fit_base(binned)
-    findings = look_at_noise(prepared, {**CATALOGUE, **catalogue}, catalogue)
 
     tell(0.08, "where")
     excess = locate(binned, base, seed, bootstrap, signatures(base, catalogue))
     comparison = compare_hypotheses(binned, base, catalogue, lambda s, t: tell(0.15 + 0.4 * s, t))
-    findings += look_at_residuals(prepared, comparison.likeliest.refit, findings)
+    samples = prepared.samples(comparison.likeliest.refit)
+    findings = look_for_signals(samples, catalogue)
     probabilities = combine(comparison, findings, catalogue)
-    judgement = judge(comparison, probabilities, catalogue)
-    best = explanation_of(comparison, judgement, probabilities, catalogue)
+    excess = with_findings(excess, findings)
+    judgement = judge(probabilities, excess.p_value)
+    best = explanation_of(comparison, judgement)
     excess = distribute_excess(excess, comparison, findings, judgement.kind)
 
     tell(0.6, "what is left")
@@ -144,8 +148,8 @@ def diagnose_gap(
     tell(0.7, "how far")
     closed = closure(base, best.refit, comparison.discrepancies, seed, comparison.others(best))
     shrink = shrinking(comparison, best, closed, seed)
-    if named and not best.effects:
-        shrink = shrinking_of_noise(shrink, judgement.effects, catalogue, prepared, findings)
+    if judgement.effects and not best.effects:
+        shrink = shrinking_of_noise(shrink, judgement.effects, catalogue, samples, findings)
 
     tell(0.85, "what may hide")
     hides = HiddenEffects((), best.tau_interval)
@@ -167,8 +171,9 @@ def diagnose_gap(
             kind,
             effects_named,
             family,
-            float(min(max(probability, 0.0), 1.0)),
+            probability,
             verdict_sentence(conclusion, fit),
+            onset_times(judgement, best.refit, base, findings),
         ),
         budget=gap_budget(campaign, prepared, base, excess, nominal),
         map=excess,
@@ -181,6 +186,7 @@ def diagnose_gap(
         probabilities=probabilities,
         rows=tuple(rows),
         strength_units=units_of(catalogue.values(), binned.settings[0], campaign.signal_unit),
+        tau_with_discrepancy_s=tau_with_discrepancy(comparison),
         signal_unit=campaign.signal_unit,
         notes=tuple(notes(conclusion)),
         experiments=tuple(e.name for e in binned.campaign),
@@ -264,7 +270,7 @@ def _look_again(
         )
         if (
             name is None
-            or combined.effects[name] < 0.9
+            or combined.effects[name] < NAMED
             or len(rounds) >= MOST_ROUNDS
             or left.p_value > CLEAR
         ):

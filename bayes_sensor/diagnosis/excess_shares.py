@@ -1,8 +1,11 @@
-"""Distribute the excess over the cells, by explanation or by sample-level finding.
+"""Distribute the excess over the cells: what the explanations themselves add, or findings show.
 
-A visible gap is a small part of the noise, so that what a cell has above it is mostly chance.  An
-explanation of a few numbers, or a smooth process, takes little of that.  Averaged over all of them,
-something unlisted included, the squares of what they take are the excess to be expected in a cell.
+A visible gap is a small part of the noise, so that what a cell has above it is mostly chance; and a
+joint fit smears a misfit over the phases, because the other parameters give way.  What an effect
+adds is told by the model with it less the same model without it, at the same parameters: a step
+after the pulse lies in the tail, a jump on the plateau on the plateau, whatever baseline and height
+have made of it.  A discrepancy adds its own mean.  Squares of what is added share out what each
+explanation takes of the excess, averaged over all of them by their probability.
 """
 
 from __future__ import annotations
@@ -17,13 +20,17 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
+from bayes_sensor.diagnosis.evidence.refit import Refit
+from bayes_sensor.diagnosis.isolability import without_parts
 from bayes_sensor.diagnosis.location import CLEAR, ExcessMap, normalised_shares, parts_of_cells
-from bayes_sensor.diagnosis.signals.finding import FOUND, Finding
+from bayes_sensor.diagnosis.probabilities import LEAST
+from bayes_sensor.diagnosis.signals.signal import FOUND, Finding
 
+REWEIGHTED, ROUGH = 30, 1e-3
+"""steps of the least absolute deviations, and the share of the largest deviation that is one of 0:
+the shares have two digits"""
 UNMOVED = 0.5
 """probability that nothing moves the mean from which no explanation tells where it is moved"""
-LEAST = 1e-3
-"""probability of an explanation below which it is left out"""
 
 
 def distribute_excess(
@@ -40,7 +47,7 @@ def distribute_excess(
         return located
     keys = [h.key for h in comparison.hypotheses]
     if comparison.probabilities[keys.index("none")] < UNMOVED:
-        return shared_by_explanations(located, binned, explained_excess(comparison))
+        return shared_by_explanations(located, binned, *explained_excess(comparison))
     if kind != "unlisted":
         return located
     found = [f for f in findings if f.probability > FOUND]
@@ -54,41 +61,91 @@ def distribute_excess(
     return shared_by_findings(located, places)
 
 
-def explained_excess(comparison: Comparison) -> FloatArray:
-    """(n_bins in all, n) what each explanation takes, times the root of its probability.
+def added_by(fitted: Refit, base: Refit) -> FloatArray:
+    """V (n_bins in all,), what the parts of a refit add to the mean at its own parameters."""
+    n = len(base.coords.parts)
+    without = replace(fitted.coords, parts=fitted.coords.parts[:n])
+    made: FloatArray = fitted.coords.all_means(fitted.x) - without.all_means(
+        without_parts(fitted, n)
+    )
+    return made
 
-    Whitened as residuals are: a sum of squares is the excess to be expected there, in variances of
-    the noise.
+
+def explained_excess(comparison: Comparison) -> tuple[FloatArray, FloatArray]:
+    """What each explanation takes of the misfit, and where it adds it, (n_bins in all, n) V each.
+
+    Times the root of its probability, so that sums of squares are expectations.  Both have the same
+    sum of squares over samples: an effect may add much that other parameters take back.
     """
-    before = comparison.base.residual
-    found = [np.zeros_like(before)]
+    binned, base = comparison.binned, comparison.base
+    count = np.concatenate([b.count for b in binned.bins]).astype(float)
+    before = base.residual
+    taken, added = [np.zeros_like(before)], [np.zeros_like(before)]
     for h, p in zip(comparison.hypotheses, comparison.probabilities, strict=True):
         if p < LEAST or h.key == "none":
             continue
         for term in h.terms:
-            left = Linearised(term.refit).left(term.beside)
-            found.append(sqrt(p * term.share) * (before - left))
-    return np.column_stack(found)
+            share = sqrt(p * term.share)
+            line = Linearised(term.refit)
+            gone = share * in_volts(binned, before - line.left(term.beside))
+            whole = added_by(term.refit, base)
+            if term.beside is not None:
+                whole = whole + most_local(term.refit, line.discrepancy(term.beside))
+            size = float(count @ whole**2)
+            if size > 0.0:
+                taken.append(gone)
+                added.append(whole * sqrt(float(count @ gone**2) / size))
+    return np.column_stack(taken), np.column_stack(added)
+
+
+def most_local(fitted: Refit, whitened: FloatArray) -> FloatArray:
+    """V (n_bins in all,), a discrepancy with what the other parameters could take of it moved.
+
+    A discrepancy is only told up to what y0, beta or a switch time may make: the version with the
+    smallest absolute deviation over all samples is the most local one, 0 where it can be (least
+    absolute deviations, by reweighting; Schlossmacher 1973).
+    """
+    binned = fitted.coords.binned
+    count = np.concatenate([b.count for b in binned.bins]).astype(float)
+    columns = np.column_stack([in_volts(binned, column) for column in fitted.jacobian.T])
+    size = np.sqrt(count @ columns**2)
+    columns = columns / np.where(size > 0.0, size, 1.0)
+    whole = in_volts(binned, whitened)
+    left = whole
+    least = ROUGH * float(np.max(np.abs(whole)))
+    for _ in range(REWEIGHTED if least > 0.0 else 0):
+        weight = count / np.maximum(np.abs(left), least)
+        normal = columns.T @ (weight[:, None] * columns)
+        normal[np.diag_indices_from(normal)] += 1e-9 * np.trace(normal) / len(normal)
+        left = whole - columns @ np.linalg.solve(normal, columns.T @ (weight * whole))
+    return left
+
+
+def in_volts(binned: BinnedCampaign, whitened: FloatArray) -> FloatArray:
+    """V (n_bins in all,) of whitened bins (n_bins in all,)."""
+    each = zip(binned.floor.cholesky, binned.rows, strict=True)
+    return np.concatenate([factor @ whitened[rows] for factor, rows in each])
 
 
 def shared_by_explanations(
-    located: ExcessMap, binned: BinnedCampaign, explained: FloatArray
+    located: ExcessMap, binned: BinnedCampaign, taken: FloatArray, added: FloatArray
 ) -> ExcessMap:
-    """The map with the excess that explanations put into its cells, in place of the measured one.
+    """The map with the excess that explanations take, where they add something.
 
-    ``explained`` (n_bins in all, n): of :func:`explained_excess`.
+    ``taken``, ``added``: of :func:`explained_excess`.
     """
     parts = parts_of_cells(binned)
     whole = len(located.cells)
-    power = np.array([np.sum((part.transform @ explained[part.rows]) ** 2) for part in parts])
-    shares = normalised_shares(power, whole)
-    volts = np.zeros(len(parts))
-    for i, part in enumerate(parts[:whole]):
-        k = part.experiment
-        local = part.rows - binned.rows[k].start
-        n = binned.bins[k].count[local]
-        volts_there = binned.floor.cholesky[k][local] @ explained[binned.rows[k]]
-        volts[i] = np.sqrt(n @ np.sum(volts_there**2, axis=1) / np.sum(n))
+    count = np.concatenate([b.count for b in binned.bins])
+    squares = np.sum(added**2, axis=1)
+    energy = np.array([float(count[part.rows] @ squares[part.rows]) for part in parts[:whole]])
+    by_scale = [np.sum((part.transform @ added[part.rows]) ** 2) for part in parts[whole:]]
+    shares = normalised_shares(np.array([*energy, *by_scale]), whole)
+    total = float(count @ np.sum(taken**2, axis=1))
+    volts = [
+        sqrt(total * share / float(np.sum(count[part.rows]))) if i < whole else 0.0
+        for i, (share, part) in enumerate(zip(shares, parts, strict=True))
+    ]
     cells = [
         replace(cell, share=float(shares[i]), excess_rms_V=float(volts[i]))
         for i, cell in enumerate([*located.cells, *located.scales])

@@ -12,8 +12,8 @@ from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.closure import closed_by
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.refit import Refit
-from bayes_sensor.diagnosis.signals.finding import Finding
-from bayes_sensor.diagnosis.verdict import Probabilities
+from bayes_sensor.diagnosis.probabilities import Probabilities
+from bayes_sensor.diagnosis.signals.signal import Finding
 
 
 def explanation_rows(
@@ -28,14 +28,13 @@ def explanation_rows(
     by_name = {f.name: f for f in findings}
     none = comparison.find()
     made = []
-    total = sum(probabilities.rows.values())
     for key, p in sorted(probabilities.rows.items(), key=lambda item: -item[1]):
-        names = () if key in ("none", "unlisted") else tuple(key.split("+"))
+        names = Probabilities.members(key)
         families = {catalogue[n].family for n in names}
         row: dict[str, Any] = {
             "effect": key,
             "family": families.pop() if len(families) == 1 else None,
-            "probability": p / total,
+            "probability": p,
             "d": None,
             "strength": {},
             "tau_s": None,

@@ -11,9 +11,10 @@ from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
 from bayes_sensor.diagnosis.isolability import Separation
 from bayes_sensor.diagnosis.location import ExcessMap
-from bayes_sensor.diagnosis.signals.finding import Finding
+from bayes_sensor.diagnosis.probabilities import Probabilities
+from bayes_sensor.diagnosis.signals.signal import Finding
 from bayes_sensor.diagnosis.unseen_effects import HiddenEffect, HiddenEffects
-from bayes_sensor.diagnosis.verdict import Probabilities, Verdict
+from bayes_sensor.diagnosis.verdict import Verdict
 from bayes_sensor.display import card
 from bayes_sensor.io.json_files import plain
 
@@ -64,6 +65,9 @@ class Shrink:
     of_mean: bool = True
     """whether it is the misfit of the mean that shrinks; else that of the noise, which moves no
     estimate"""
+    tau_before_low_s: float | None = None
+    tau_before_high_s: float | None = None
+    """95 % interval of tau without any effect"""
     lag_fast: Mapping[str, Any] = field(default_factory=dict)
     """what is then said of the shorter lag in place of tau, by key of gap.json"""
 
@@ -81,6 +85,8 @@ class Shrink:
             "held_out_fraction_closed_lo": low,
             "held_out_fraction_closed_hi": high,
             "tau_before_s": self.tau_before_s,
+            "tau_before_lo_s": self.tau_before_low_s,
+            "tau_before_hi_s": self.tau_before_high_s,
             "tau_after_s": self.tau_after_s,
             "tau_after_lo_s": self.tau_after_low_s,
             "tau_after_hi_s": self.tau_after_high_s,
@@ -125,6 +131,10 @@ class Gap:
     rows: tuple[dict[str, Any], ...]
     strength_units: Mapping[str, str]
     """name of a strength -> its unit; "1": it has none"""
+    tau_with_discrepancy_s: Mapping[str, float] | None = None
+    """percentiles of tau with a smooth discrepancy in the model"""
+    lag_fast_with_discrepancy_s: Mapping[str, float] | None = None
+    """the same of the shorter lag, where nobody knows which lag is the sensor's"""
     signal_unit: str = "V"
     notes: tuple[str, ...] = ()
     """what could not be told, in sentences"""
@@ -176,6 +186,16 @@ class Gap:
             "d": found.d,
         }
 
+    def _note(self, found: Finding) -> dict[str, Any]:
+        names = list(self.experiments)
+        return {
+            "signal": found.name,
+            "place": found.place(names),
+            "log_bayes_factor": found.log_bayes_factor,
+            "probability": found.probability,
+            "sentence": found.sentence(names, self.signal_unit),
+        }
+
     def to_json(self) -> dict[str, Any]:
         """The content of gap.json; further keys: `where_scales`, `unlisted`, `rounds`, ..."""
         v = self.verdict
@@ -193,14 +213,12 @@ class Gap:
                 "family": v.family,
                 "probability": v.probability,
                 "sentence": v.sentence,
+                "sets_in": list(v.sets_in),
             },
+            "findings": [self._note(f) for f in self.findings],
             "families": self.probabilities.families,
-            "faint": self.probabilities.faint,
-            "unlisted": {
-                "looks": self.probabilities.looks_unlisted,
-                "by_mean": self.probabilities.looks_by_mean,
-            },
             "shrink": self.shrink.to_json(),
+            "tau_with_discrepancy_s": self.tau_with_discrepancy_s,
             "hidden": self.hidden.to_json(),
             "rounds": [{**vars(r), "added": list(r.added)} for r in self.rounds],
             "separate": [vars(s) for s in self.separations],
@@ -218,6 +236,8 @@ class Gap:
             "signal_unit": self.signal_unit,
             "notes": list(self.notes),
         }
+        if self.lag_fast_with_discrepancy_s is not None:
+            record["lag_fast_with_discrepancy_s"] = self.lag_fast_with_discrepancy_s
         as_json: dict[str, Any] = plain(record, "gap")
         return as_json
 
@@ -235,4 +255,6 @@ def without_lag_names(gap: Gap) -> Gap:
         budget=without_tau(gap.budget),
         shrink=nameless(gap.shrink),
         hidden=nameless(hidden),
+        tau_with_discrepancy_s=None,
+        lag_fast_with_discrepancy_s=gap.tau_with_discrepancy_s,
     )

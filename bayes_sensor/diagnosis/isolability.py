@@ -20,7 +20,8 @@ from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
 from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
-from bayes_sensor.diagnosis.verdict import Judgement, Probabilities
+from bayes_sensor.diagnosis.probabilities import Probabilities
+from bayes_sensor.diagnosis.verdict import Judgement
 
 LIKELY = 0.02
 """probability from which an effect's look-alikes are listed"""
@@ -51,7 +52,7 @@ def isolability(
     exact = replace(binned, data=data, centre=np.log([*truth.lags, truth.V]))
     base = refit(
         Coordinates(exact, tuple(given), loose=truth.coords.loose),
-        _bare(truth, len(given)),
+        without_parts(truth, len(given)),
         most_steps=15,
     )
     best = min(
@@ -61,8 +62,8 @@ def isolability(
     return float(np.sqrt(max(best, 0.0)))
 
 
-def _bare(fitted: Refit, n_parts: int) -> FloatArray:
-    # coordinates of the same optimum without the parts after the first n_parts
+def without_parts(fitted: Refit, n_parts: int) -> FloatArray:
+    """Coordinates of the same optimum without the parts after the first ``n_parts``."""
     coords = fitted.coords
     smaller = replace(coords, parts=coords.parts[:n_parts])
     x = np.zeros(smaller.size)
@@ -141,10 +142,11 @@ def what_would_separate(
     tried = {
         "V measured to 1 %": _known_volume(binned),
         "four times as many repeats": _repeated(binned, 4),
-        **{
-            f"the same steps at {f:g} times the flow": _second_flow(binned, f) for f in FLOW_FACTORS
-        },
     }
+    if binned.campaign.same_flow:
+        tried |= {
+            f"the same steps at {f:g} times the flow": _second_flow(binned, f) for f in FLOW_FACTORS
+        }
     best, most = "", max(now * 1.2, ISOLATED)
     for words, other in tried.items():
         moved = _moved(truth, other)

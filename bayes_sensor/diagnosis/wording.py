@@ -12,24 +12,21 @@ import numpy as np
 
 from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
-from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
-from bayes_sensor.diagnosis.evidence.form_mismatch import simpler_explanation
-from bayes_sensor.diagnosis.isolability import Separation
-from bayes_sensor.diagnosis.location import CLEAR, ExcessMap
-from bayes_sensor.diagnosis.signals import UNLISTED
-from bayes_sensor.diagnosis.signals.finding import FOUND, Finding
-from bayes_sensor.diagnosis.verdict import (
-    LIKELIER,
-    NAMED,
-    Judgement,
-    Probabilities,
+from bayes_sensor.diagnosis.evidence.form_mismatch import (
     leaves_excess,
     leaves_explanation_alone,
-    of_one_family,
+    simpler_explanation,
 )
+from bayes_sensor.diagnosis.isolability import Separation
+from bayes_sensor.diagnosis.location import ExcessMap
+from bayes_sensor.diagnosis.p_value_words import against_p_value, percent
+from bayes_sensor.diagnosis.probabilities import Probabilities
+from bayes_sensor.diagnosis.signals import SIGNALS
+from bayes_sensor.diagnosis.signals.signal import FOUND, Finding
+from bayes_sensor.diagnosis.verdict import NAMED, Judgement, of_one_family
 from bayes_sensor.display import shown
 
 if TYPE_CHECKING:
@@ -38,8 +35,6 @@ if TYPE_CHECKING:
 
 MOSTLY = 0.7
 """share of a family's probability from which its leading member is stated alone"""
-SURELY = 0.7
-"""probability from which an unlisted cause is stated without saying how likely it is"""
 TELLING = 1.2
 """times its usual size from which noise that is louder for a while is worth a note"""
 MANY_HELD = 0.25
@@ -113,6 +108,19 @@ def nearest_finding(found: Conclusion) -> list[str]:
     ]
 
 
+def less_likely(found: Conclusion) -> list[str]:
+    """Findings that something else is stated beside, and that are worth a look."""
+    if found.judgement.kind == "none":
+        return []
+    some = [f for f in found.findings if not f.signal.listed and f.log_odds > 0.0]
+    return [
+        f"Worth a look: {said} That is a cause of its own with a probability of "
+        f"{percent(f.probability)}."
+        for f, said in zip(some, found.in_words(some), strict=True)
+        if f.probability <= FOUND
+    ]
+
+
 def with_alternative(effect: Effect) -> str:
     """The effect's name, with its counterpart where the lags cannot be assigned."""
     name, other = effect.name, effect.exchanged
@@ -139,21 +147,23 @@ def family_words(
     """
     leads = leading > MOSTLY * probability
     names = ", ".join(named)
+    sure = percent(probability)
     if probability < 0.5:
         one = (first or named[0]) if leads else f"one of {names}"
-        return (
-            f"No cause is likelier than not{place}; the likeliest is {one} "
-            f"({100.0 * probability:.0f} %)."
-        )
+        return f"No cause is likelier than not{place}; the likeliest is {one} ({sure})."
     if leads and other:
         pair = first or f"{named[0]}, or {other}, whose response is the same"
-        return f"{pair}, explains the gap{place}."
-    if leads:
+        return f"{pair}, explains the gap{place} ({sure})."
+    if leads and len(named) == 1:
         return (
-            f"Most likely {named[0]} ({100.0 * leading:.0f} %) explains the gap{place}, but a "
-            "cause outside the catalogue that looks the same is not excluded."
+            f"Most likely {named[0]} ({sure}) explains the gap{place}, but a cause outside the "
+            "catalogue that looks the same is not excluded."
         )
-    return f"One of {names} explains the gap{place}; this campaign does not tell them apart."
+    if leads:
+        return f"One of {names} explains the gap{place} ({sure}), most likely {named[0]}."
+    return (
+        f"One of {names} explains the gap{place} ({sure}); this campaign does not tell them apart."
+    )
 
 
 def _louder_spells(binned: BinnedCampaign) -> list[str]:
@@ -210,11 +220,6 @@ WANDERS = (
 )
 
 
-OFTEN_NOISE = (
-    "That may as well be noise of an odd kind: in blind checks every other such finding was."
-)
-
-
 def _likeness(comparison: Comparison, unit: str) -> str:
     """What an unlisted cause resembles; empty where no resemblance is likely."""
     shares = comparison.probabilities
@@ -235,8 +240,8 @@ def _likeness(comparison: Comparison, unit: str) -> str:
 def units_of(effects: Iterable[Effect], setting: Setting, signal_unit: str) -> dict[str, str]:
     """Unit of every strength of effects and of signals; "1": it has none."""
     found: dict[str, str] = {}
-    for signal in (*UNLISTED, *(e.on_noise.signal for e in CATALOGUE.values() if e.on_noise)):
-        found |= signal.units if signal else {}
+    for signal in SIGNALS:
+        found |= signal.units
     for effect in effects:
         found |= effect.units(setting)
     return {name: unit.replace("V", signal_unit) for name, unit in found.items()}
@@ -301,29 +306,26 @@ def verdict_sentence(found: Conclusion, fit: Fit) -> str:
 
 def notes(found: Conclusion) -> list[str]:
     """What could not be told, and what is worth a look, in sentences."""
-    return [*notes_on(found.comparison.binned), *nearest_finding(found)]
+    return [*notes_on(found.comparison.binned), *nearest_finding(found), *less_likely(found)]
 
 
 def sentence(found: Conclusion) -> str:
     """What a verdict says: what explains the gap, how sure that is, and what would show it."""
+    doubts = against_p_value(found.judgement, found.excess.p_value, found.probabilities)
     said = {"none": _nothing, "unlisted": _unlisted, "family": _family, "effect": _effects}
-    return " ".join(said[found.judgement.kind](found))
+    return " ".join([*said[found.judgement.kind](found), *doubts])
 
 
 def _nothing(found: Conclusion) -> list[str]:
     """The sentence where nothing exceeds the noise floor."""
-    probability, excess = found.judgement.probability, found.excess
+    probability = found.judgement.probability
     low, high = (shown(1e3 * t, 2) for t in found.envelope)
-    nothing = "Nothing is missing beyond the noise floor."
-    unsure = (
-        "No cause is likely enough to be stated, and nothing may be missing beyond the "
-        f"noise floor ({100.0 * probability:.0f} %)"
-    )
-    if excess.p_value < CLEAR:
-        p = shown(excess.p_value, 2)
-        nothing = f"{unsure}; yet noise alone would seldom leave as much (p = {p})."
-    elif probability < 0.5:
-        nothing = f"{unsure}."
+    nothing = f"Nothing is missing that this campaign could show ({percent(probability)})."
+    if probability < 0.5:
+        nothing = (
+            "No cause is likely enough to be stated, and nothing may be missing beyond the noise "
+            f"floor ({percent(probability)})."
+        )
     lag = "tau" if found.comparison.binned.order_known else "the shorter lag"
     return [
         f"{nothing} Effects that this campaign cannot see may still hide: with them {lag} "
@@ -334,40 +336,27 @@ def _nothing(found: Conclusion) -> list[str]:
 def _unlisted(found: Conclusion) -> list[str]:
     """The sentences on an unlisted cause."""
     probability, comparison, best = found.judgement.probability, found.comparison, found.best
-    probabilities, place = found.probabilities, found.place
-    by_samples = found.in_words(found.unlisted)
-    if probability < 0.5 and probabilities.looks_unlisted <= LIKELIER:
-        return [undecided_words(place, probabilities), *by_samples]
-    words = []
-    closing = ""
-    if best.effects and probabilities.looks_by_mean < 0.5 and found.closure.fraction is not None:
+    place, by_samples = found.place, found.in_words(found.unlisted)
+    sure = f" ({percent(probability)})"
+    if probability < 0.5:
+        words = [undecided_words(place, found.probabilities)]
+    elif best.effects and leaves_excess(best, comparison.base) and found.closure.fraction:
         effects = [comparison.catalogue[name] for name in best.effects]
         causes = " and ".join(with_alternative(effect) for effect in effects)
-        closed = 100.0 * found.closure.fraction
-        closing = f"{causes} would close {closed:.0f} % of the gap{place}, yet "
-    if closing and leaves_excess(best, comparison.base):
-        leave = "leaves" if len(best.effects) == 1 else "leave"
-        words.append(
-            f"{closing}{leave} {best.leftover:.0f} standard deviations of misfit: the cause is "
-            f"not listed ({100.0 * probability:.0f} %), or the noise is not what it seems."
-        )
-    elif closing and found.unlisted:
-        words.append(
-            f"{closing}more is seen, which no effect of the catalogue makes "
-            f"({100.0 * probability:.0f} %)."
-        )
-    elif (found.phase and found.excess.shared_by != "findings") or not found.unlisted:
-        seems = "misses" if probability > SURELY else "seems to miss"
-        sure = "" if probability > SURELY else f" ({100.0 * probability:.0f} %)"
-        words.append(
-            f"The model {seems} the measurement{place}, and no effect of the catalogue "
-            f"explains it well: the cause is not listed{sure}."
-        )
-    words += by_samples
-    if found.unlisted and probabilities.looks_by_mean < 0.5:
-        words.append(OFTEN_NOISE)
+        words = [
+            f"{causes} would close {percent(found.closure.fraction)} of the gap{place}, yet "
+            f"{best.leftover:.0f} standard deviations of misfit are left: the cause is not "
+            f"listed{sure}, or the noise is not what it seems."
+        ]
+    elif found.probabilities.looks("none") > 0.5 and by_samples:
+        words = [f"Single samples show a cause that is not listed{sure}."]
+    else:
+        words = [
+            f"The model misses the measurement{place}, and no effect of the catalogue explains it "
+            f"well: the cause is not listed{sure}."
+        ]
     likeness = _likeness(comparison, found.unit)
-    return [*words, likeness] if likeness else words
+    return [*words, *by_samples, *([likeness] if likeness else [])]
 
 
 def _family(found: Conclusion) -> list[str]:
@@ -378,10 +367,11 @@ def _family(found: Conclusion) -> list[str]:
     first = with_alternative(leading)
     first = "" if first == leading.name else first
     helps = next((s for s in found.separations if s.addition), None)
+    flows = not found.comparison.binned.campaign.same_flow
     advice = (
         f"To tell {helps.effect} from {helps.rival}: {helps.addition}."
         if helps
-        else f"What would show it: {OTHER_PARTNERS if first else leading.reveal}."
+        else f"What would show it: {OTHER_PARTNERS if first else leading.advice(flows)}."
     )
     if of_one_family(best, catalogue):
         a, b = (with_alternative(catalogue[name]) for name in best.effects)
@@ -403,13 +393,15 @@ def _family(found: Conclusion) -> list[str]:
 
 def _effects(found: Conclusion) -> list[str]:
     """The sentences on the one or two effects that are named."""
-    named, catalogue = found.judgement.effects, found.comparison.catalogue
+    _, named, _, probability = found.judgement
+    catalogue = found.comparison.catalogue
     by_name = {f.name: f for f in found.findings}
     fitted = found.best.refit.strength()
     words = []
     for n in named:
         strength = fitted if catalogue[n].on_mean else by_name[n].strength
         words.append(effect_sentence(catalogue[n], strength, found.comparison.binned, found.unit))
+    words.append(f"The probability that this is the whole story is {percent(probability)}.")
     second = second_words(named, found.probabilities, catalogue)
     alone = set(found.best.effects) <= set(named)
     closed = found.closure

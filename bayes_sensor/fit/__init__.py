@@ -23,13 +23,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from bayes_sensor.fit.fit import Fit, Progress
     from bayes_sensor.fit.least_squares import fit_least_squares, refit
+    from bayes_sensor.fit.number_of_lags import count_lags
     from bayes_sensor.fit.swarm import Swarm, particle_swarm
 
-__all__ = ["Fit", "Progress", "Swarm", "fit_least_squares", "particle_swarm", "refit"]
+__all__ = ["Fit", "Progress", "Swarm", "count_lags", "fit_least_squares", "particle_swarm", "refit"]
 
 _PLACES = {
     "Fit": "fit", "Progress": "fit", "fit_least_squares": "least_squares",
-    "refit": "least_squares", "Swarm": "swarm", "particle_swarm": "swarm",
+    "refit": "least_squares", "count_lags": "number_of_lags", "Swarm": "swarm",
+    "particle_swarm": "swarm",
 }  # fmt: skip
 
 

@@ -8,6 +8,8 @@ from typing import Any
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.display import card
+from bayes_sensor.fit.inseparable import Inseparable
+from bayes_sensor.fit.lag_count import LagCount
 from bayes_sensor.fit.side_information import Comparison
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.rig.lags import Naming
@@ -76,6 +78,11 @@ class Fit:
     """RMS over that of the noise of the quiet stretches; None where it cannot be computed"""
     misfit_per_experiment: dict[str, float | None] = field(default_factory=dict)
     """the same by experiment"""
+    inseparable: tuple[Inseparable, ...] = ()
+    """parameters that this campaign cannot tell apart, and what would"""
+    n_lags: LagCount | None = None
+    """how many lags the data support; None where they were not counted
+    (:func:`bayes_sensor.fit.count_lags`)"""
 
     @property
     def order(self) -> str:
@@ -141,6 +148,8 @@ class Fit:
             "unseen": list(self.unseen),
             "hidden_by_sampling_s": self.hidden_by_sampling,
             "side_information": [each.to_json() for each in self.side_information],
+            "cannot_tell_apart": [each.to_json() for each in self.inseparable],
+            "n_lags": None if self.n_lags is None else self.n_lags.to_json(),
             "at_bound": list(self.at_bound),
             "converged": self.converged,
             "caveats": list(self.caveats),

@@ -19,6 +19,7 @@ from bayes_sensor.fit.fit import Fit, Progress
 from bayes_sensor.fit.fit_warnings import at_bounds, bound_warnings, unseen_lags, warn
 from bayes_sensor.fit.fitted_noise import all_residuals, estimate_noise, mean_square
 from bayes_sensor.fit.identifiability import cannot_tell, step_is_seen
+from bayes_sensor.fit.inseparable import inseparable, volumes_in_order
 from bayes_sensor.fit.misfit import misfits, overall
 from bayes_sensor.fit.refinement import Refined, around, mesh_points, refine, with_noise
 from bayes_sensor.fit.side_information import named_parameters, weigh_names
@@ -84,6 +85,7 @@ def fit_least_squares(
     theta, success, record, check, other = _search(
         exact, looks, box, seed, swarms, particles, de, tell, count
     )
+    theta = volumes_in_order(problem, theta)
     if not plain:
         other = None
         theta, success = refit(problem, theta, box, count)
@@ -128,12 +130,14 @@ def fit_least_squares(
         status = (
             f"Converged, with {', '.join(map(labels.get, at_bound, at_bound))} at a search bound."
         )
-    twin = ""
     if other is not None:
         phi = max(float(vector[problem.layout.noise[0, 0]]), 0.0)
-        if other.excess < AS_GOOD * rms**2 * (1.0 + phi) / (1.0 - phi):
-            twin = other.sentence()
-            warnings.append(f"{twin[:1].upper()}{twin[1:]}.")
+        if other.excess >= AS_GOOD * rms**2 * (1.0 + phi) / (1.0 - phi):
+            other = None
+    one = inseparable(problem, vector, naming, other) if can_tell else ()
+    warnings += [
+        f"{each.sentence[:1].upper()}{each.sentence[1:]}." for each in one if each.kind == "warning"
+    ]
     missed = misfits(problem, residuals, looks)
     noise, misfit = overall(problem, missed)
     if mute:
@@ -168,13 +172,17 @@ def fit_least_squares(
         phi_interval=problem.campaign.reference_interval,
         seed=seed,
         cannot_tell=mute,
-        twin=twin,
+        twin="" if other is None else other.sentence(),
         step_seen=seen,
         unseen=tuple(labels[name] for name in unseen),
         naming=naming,
         side_information=compared,
         hidden_by_sampling=hidden,
-        caveats=tuple(caveats(problem, vector, residuals, missed, compared, hidden)),
+        caveats=(
+            *caveats(problem, vector, residuals, missed, compared, hidden),
+            *(each.sentence for each in one if each.kind == "caveat"),
+        ),
+        inseparable=one,
         noise=noise,
         misfit=misfit,
         misfit_per_experiment={name: each.ratio for name, each in missed.items()},

@@ -70,7 +70,7 @@ class Estimates:
                 for k, e in enumerate(problem.campaign)
             )
             vector[0] = max(vector[0], 0.02 * fastest)
-        squares: FloatArray = _apart(commuting.lags(vector) ** 2)
+        squares: FloatArray = apart_squares(commuting.lags(vector) ** 2)
         to_lag = np.array(commuting.to_lag)
         vector[places] = np.sqrt(squares) / to_lag
         coordinates = Coordinates(problem)
@@ -84,7 +84,7 @@ class Estimates:
             by_value[0] = 1.0
         to_squares = np.zeros((n_lags, n))
         to_squares[range(n_lags), places] = by_value / scale**2
-        to_ours[:n_lags] = _slopes(squares / scale**2) @ to_squares
+        to_ours[:n_lags] = polynomial_slopes(squares / scale**2) @ to_squares
         to_ours[range(n_lags, n), rest] = 1.0
         with np.errstate(over="ignore"):  # where there is no information at all
             cov = to_ours @ np.array(_inverse(information)[:n, :n]) @ to_ours.T
@@ -168,7 +168,7 @@ class Estimates:
         return found
 
 
-def _apart(squares: FloatArray) -> FloatArray:
+def apart_squares(squares: FloatArray) -> FloatArray:
     """Squares (n_lags,) by size, those nearly equal moved apart about their mean."""
     found = squares.copy()
     for i in range(len(found) - 1):
@@ -178,7 +178,7 @@ def _apart(squares: FloatArray) -> FloatArray:
     return np.sort(found)
 
 
-def _slopes(squares: FloatArray) -> FloatArray:
+def polynomial_slopes(squares: FloatArray) -> FloatArray:
     """(n, n) derivatives of the elementary symmetric polynomials by the squares (n,): e_k without
     that square, one degree lower."""
     n = len(squares)

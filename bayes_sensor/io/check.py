@@ -50,8 +50,9 @@ def check_campaign(campaign: Campaign) -> pd.DataFrame:
     ``concentration_percent``, ``commanded_on_s``, ``commanded_off_s``, ``switches`` (of
     the input; 0 where it was recorded), ``baseline_V`` (median before the command, or of the first
     twentieth where no command is known), ``step_V`` (median of the second half of the plateau less
-    the baseline), ``noise_V`` (robust standard deviation of the baseline without drift), ``plateau_noise_V``, ``source`` and ``warnings``.  Columns in
-    ``_V`` are in the campaign's ``signal_unit``; what is unknown is NaN.
+    the baseline), ``noise_V`` (robust standard deviation of the baseline without drift),
+    ``plateau_noise_V``, ``source`` and ``warnings``.  Columns in ``_V`` are in the campaign's
+    ``signal_unit``; what is unknown is NaN.
     """
     import pandas as pd  # slow to import
 

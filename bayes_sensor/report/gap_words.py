@@ -43,6 +43,8 @@ def with_the_effect(saved: Saved) -> str:
     if saved.gap is None:
         return ""
     verdict, shrink = saved.gap["verdict"], saved.gap["shrink"]
+    if verdict["kind"] == "unlisted":
+        return _with_discrepancy(saved)
     low, mid, high = (ms(shrink.get(f"tau_after{end}_s")) for end in ("_lo", "", "_hi"))
     if verdict["kind"] != "effect" or shrink.get("withheld"):
         return ""
@@ -57,4 +59,21 @@ def with_the_effect(saved: Saved) -> str:
         f"τ is {with_spread(mid, high - low)} ms, 95 % interval {interval(low, high)} ms: quote "
         "that, not the interval without it, or sample it with bayes-sensor posterior --with-effect "
         f"{' --with-effect '.join(verdict['effects'])}."
+    )
+
+
+def _with_discrepancy(saved: Saved) -> str:
+    """tau with a smooth discrepancy in the model, after an unlisted verdict."""
+    gap, posterior = saved.gap or {}, saved.posterior or {}
+    if posterior.get("with_discrepancy"):
+        return ""
+    symbol = "τ" if gap.get("tau_with_discrepancy_s") else "the shorter lag"
+    found = gap.get("tau_with_discrepancy_s") or gap.get("lag_fast_with_discrepancy_s")
+    if not found:
+        return ""
+    low, mid, high = (1e3 * found[key] for key in ("q2.5", "q50", "q97.5"))
+    return (
+        f"With a smooth discrepancy in the model, which stands for the unlisted cause, {symbol} is "
+        f"{with_spread(mid, high - low)} ms, 95 % interval {interval(low, high)} ms: quote that, "
+        "not the interval without it, or sample it with bayes-sensor posterior --with-discrepancy."
     )

@@ -83,6 +83,8 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
     noise = "AR(1) noise" if autocorrelation == "ar1" else "white noise"
     if posterior.get("with_effects"):
         noise += f"; with {list_words(effect_names(posterior))} in the model"
+    if posterior.get("with_discrepancy"):
+        noise += "; with a smooth discrepancy in the model"
     if not posterior.get("converged", True):
         noise += "; NOT CONVERGED, do not quote"
     source = f"(posterior, {noise})"

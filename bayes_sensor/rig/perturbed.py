@@ -26,6 +26,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.rig.exponential import exponentials
 from bayes_sensor.rig.lag_cells import (
     Cells,
+    add_butterworth,
     add_within,
     advance,
     growing_grid,
@@ -111,6 +112,12 @@ COATING = _setting(
     "coating", 0.0, SENSOR, "0 single lag .. 1 diffusion through the layered coating"
 )
 FILTER = _setting("filter", 0.0, SENSOR, "s, time constant of a low-pass before the converter")
+FILTER_SECOND = _setting(
+    "filter_second", 0.0, SENSOR, "s, time constant of that low-pass' second pole; 0: it has one"
+)
+FILTER_BUTTERWORTH = _setting(
+    "filter_butterworth", 0.0, SENSOR, "s, 1/omega of a Butterworth low-pass of two poles there"
+)
 CURVATURE = _setting("curvature", 0.0, READOUT, "1/V, k in v + k v^2 + m v^3 with v = beta x3")
 CUBIC = _setting("cubic", 0.0, READOUT, "1/V^2, m in the same")
 DRIFT = _setting("drift", 0.0, READOUT, "V/s, slope of the baseline")
@@ -380,7 +387,7 @@ def _add_response(
     while times[k] <= p[T0]:
         k += 1
     places, since = _places(times[k:], t)
-    low_pass = p[FILTER]
+    low_pass = max(p[FILTER], p[FILTER_BUTTERWORTH])
     # a low-pass takes all that the lags make, at the ends and in the middles of the cells
     x3 = np.zeros(len(t))
     at, after, made = places, since, out[k:]
@@ -393,8 +400,18 @@ def _add_response(
             x3 += share[j] * states
     if low_pass > 0.0:
         sensed = Cells(h, x3[:-1], made, x3[1:])
+        if p[FILTER_BUTTERWORTH] > 0.0:
+            add_butterworth(places, since, sensed, low_pass, out[k:])
+            return
         rates = np.full(len(h), 1.0 / low_pass)
-        add_within(1.0, places, since, sensed, rates, lag_states(sensed, rates), out[k:])
+        passed = lag_states(sensed, rates)
+        if p[FILTER_SECOND] > 0.0:
+            middles = np.zeros(len(h))
+            add_within(1.0, at, after, sensed, rates, passed, middles)
+            sensed = Cells(h, passed[:-1], middles, passed[1:])
+            rates = np.full(len(h), 1.0 / p[FILTER_SECOND])
+            passed = lag_states(sensed, rates)
+        add_within(1.0, places, since, sensed, rates, passed, out[k:])
 
 
 @njit(cache=True)

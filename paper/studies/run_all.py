@@ -12,6 +12,7 @@ from pathlib import Path
 
 import study_blind_check
 import study_bounds
+import study_calibration
 import study_coating
 import study_coverage
 import study_determinism
@@ -43,6 +44,7 @@ STUDIES = {
     "coating": study_coating.run,
     "gap": study_gap.run,
     "unlisted": study_unlisted.run,
+    "calibration": study_calibration.run,
     "blind-check": study_blind_check.run,
     "order": study_order.run,
     "extremes": study_extremes.run,

@@ -32,8 +32,9 @@ from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Posterior, Settings, sample_posterior
 from bayes_sensor.report.headline import stated_set
-from bayes_sensor.rig.lags import by_size, lags_of
+from bayes_sensor.rig.lags import Commuting
 from bayes_sensor.rig.response_times import response_times
+from bayes_sensor.rig.rig import PUBLISHED
 
 N, N_WRONG, SEED = 200, 40, 2027
 DECADES = 0.75
@@ -71,7 +72,9 @@ class Drawn:
     def lags(self) -> FloatArray:
         """(n_lags,) s, the true lags that flows do not tell apart, shortest first."""
         flow = Problem(self.campaign).flow
-        return lags_of(by_size(self.theta, flow), flow)
+        names = PUBLISHED.names[:2] if flow is None else PUBLISHED.names
+        lags = Commuting.among(names, PUBLISHED.names, flow)
+        return lags.lags(lags.by_size(self.theta))
 
     @property
     def place(self) -> int:
@@ -141,7 +144,7 @@ def _wrong(drawn: Drawn, rng: np.random.Generator) -> dict[str, SideInformation]
     """Side information that is as many joint standard deviations as ``OFF`` from its truth, and no
     nearer to any other lag."""
     problem = Problem(drawn.campaign)
-    vector = by_size(drawn.theta, problem.flow)
+    vector = problem.commuting.by_size(drawn.theta)
     estimates = Estimates.of(problem, vector)
     spread = np.array([estimates.lag(place)[1] for place in range(len(drawn.lags))])
     while True:

@@ -332,22 +332,23 @@ def test_candidates_answer_as_late_as_the_present_experiments() -> None:
     found = candidate_settings(
         problem, theta, present, truth, (60.0, 120.0), (0.1, 0.3), (20.0, 60.0), (2, 2, 2)
     )
-    delay = np.mean([s.t0 for s in present]) - 0.5  # of two, the median is the mean
+    delay = np.mean([s.switches[0] for s in present]) - 0.5  # of two, the median is the mean
     assert delay == pytest.approx(1.5137)
     for s in found:
         assert s.experiment.commanded_on is not None and s.experiment.commanded_off is not None
-        assert s.t0 - s.experiment.commanded_on == pytest.approx(delay)
-        assert s.tf is not None and s.tf - s.experiment.commanded_off == pytest.approx(delay)
+        assert s.switches[0] - s.experiment.commanded_on == pytest.approx(delay)
+        assert s.switches[1] - s.experiment.commanded_off == pytest.approx(delay)
 
 
 def test_a_pulse_lasts_six_slowest_time_constants_or_is_not_proposed() -> None:
     problem, theta = small_problem(n=1, interval=0.01, duration=120.0)
     setting, truth = settings_of(problem, theta)[0], truth_of(problem, theta)
-    slowest = max(truth.tau, truth.tau_v, truth.V / setting.experiment.total_flow)
+    _, tau_v, V = truth.shared
+    slowest = max(truth.tau, tau_v, V / setting.experiment.total_flow)
     most = int(0.4 * 120.0 / (6.0 * slowest))  # up at 20 %, down at 60 %
     assert most > 10
     pulse = as_pulse(setting, most, truth)
-    assert pulse is not None and pulse.tf is not None and pulse.tf - pulse.t0 >= 6.0 * slowest
+    assert pulse is not None and np.diff(pulse.switches)[0] >= 6.0 * slowest
     assert as_pulse(setting, most + 1, truth) is None
 
 

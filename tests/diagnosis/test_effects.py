@@ -102,3 +102,24 @@ def test_a_response_at_no_times_is_empty() -> None:
     e = problem.campaign.experiments[0]
     for part in joined.model.mean_and_response(np.zeros(0), vector, joined.layout, e):
         assert part.shape == (0,)
+
+
+def test_a_low_pass_of_two_poles_is_that_of_a_state_space() -> None:
+    from scipy.signal import lsim, lti
+
+    from bayes_sensor.rig.lag_cells import Cells, add_butterworth
+
+    h = np.array([0.3, 0.2, 0.7, 1.0, 0.05])
+    a, b = np.array([0.0, 0.3, 0.5, 0.1, 1.0]), np.array([0.3, 0.5, 0.1, 1.0, 1.2])
+    m = 0.5 * (a + b) + np.array([0.1, -0.2, 0.0, 0.3, 0.0])
+    edges = np.concatenate([[0.0], np.cumsum(h)])
+    t = np.linspace(0.0, edges[-1], 50_001)
+    i = np.minimum(np.searchsorted(edges, t, side="right") - 1, len(h) - 1)
+    s = (t - edges[i]) / h[i]
+    u = a[i] + (4.0 * m - 3.0 * a - b)[i] * s + (2.0 * a - 4.0 * m + 2.0 * b)[i] * s**2
+    for time in (0.05, 0.15, 2.0):
+        _, said, _ = lsim(lti([1.0], [time**2, np.sqrt(2.0) * time, 1.0]), u, t)
+        out = np.zeros(len(t))
+        add_butterworth(i, t - edges[i], Cells(h, a, m, b), time, out)
+        # lsim holds the input linear between its times
+        assert out == pytest.approx(said, abs=1e-7)

@@ -4,10 +4,10 @@ import numpy as np
 
 from bayes_sensor.diagnosis.budget import ar1_whiteness
 from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, clean, innovations
-from bayes_sensor.diagnosis.effects.heavy_tails import look_at_tails
-from bayes_sensor.diagnosis.effects.mains_pickup import SEARCH
 from bayes_sensor.diagnosis.signals.events import event_blocks
+from bayes_sensor.diagnosis.signals.mains import SEARCH
 from bayes_sensor.diagnosis.signals.periodograms import find_line
+from bayes_sensor.diagnosis.signals.tails import look_at_tails
 from tests.support.campaigns import small_design
 
 

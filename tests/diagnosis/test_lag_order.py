@@ -20,15 +20,17 @@ from bayes_sensor.diagnosis.effects.simulate_effects import simulate_with_effect
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.evidence.varying_parameter import embedded_rivals
+from bayes_sensor.diagnosis.probabilities import Probabilities
 from bayes_sensor.diagnosis.verdict import judge
 from bayes_sensor.diagnosis.wording import effect_sentence, second_words, with_alternative
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.report.sections.gap_section import envelope_sentences, shrink_sentences
 from bayes_sensor.report.sections.gap_tables import budget_table, hidden_table, which_table
-from bayes_sensor.rig.lags import Assignment, Naming, assignments, by_size
+from bayes_sensor.rig.lags import Naming, assignments
 from bayes_sensor.rig.layout import Layout
 from bayes_sensor.rig.perturbed import TAU, TAU_M, TAU_V
 from tests.support.planted_effects import design, theta
+from tests.support.published_lags import THREE, TWO, assigned, commuting
 
 SENSOR, VALVE = 2.0, 0.15
 """s, the lags of a slow sensor behind a quick valve"""
@@ -56,7 +58,7 @@ def diagnosed(order: str) -> Gap:
 
 def sorted_theta(campaign: Campaign) -> FloatArray:
     """The true flat parameters, lags by size."""
-    return by_size(Layout.of(campaign).flat(slow_sensor(campaign)), None)
+    return commuting(None).by_size(Layout.of(campaign).flat(slow_sensor(campaign)))
 
 
 # --------------------------------------------------------------------------- the longer lag
@@ -103,13 +105,15 @@ def test_a_spread_of_the_longer_lag_is_its_own() -> None:
 def test_side_information_finds_its_lag() -> None:
     known = {"tau_s": SideInformation(1.9, 0.1), "V_mL": SideInformation(60.0, 3.0)}
     campaign = replace(measured("unknown"), side_information=known)
-    flat, choices = sorted_theta(campaign), assignments("unknown", False)
-    decided = prepare(campaign, flat, Naming("unknown", choices, (0.02, 0.98), None)).binned
+    flat, choices = sorted_theta(campaign), assignments("unknown", TWO)
+    decided = prepare(
+        campaign, flat, Naming("unknown", choices, (0.02, 0.98), commuting(None))
+    ).binned
     assert decided.lags == ("tau_v_s", "tau_s") and decided.sensor == 1
     assert np.exp(decided.centre[1:]) == pytest.approx([1.9, 60.0])
     assert decided.sd[1:] == pytest.approx([0.1 / 1.9, 0.05])
     # where nobody knows whose a lag is, what is known of tau is of neither
-    either = prepare(campaign, flat, Naming("unknown", choices, (0.4, 0.6), None)).binned
+    either = prepare(campaign, flat, Naming("unknown", choices, (0.4, 0.6), commuting(None))).binned
     assert not either.order_known and either.sensor == 0
     assert np.exp(either.centre[1:]) == pytest.approx([SENSOR, 60.0])
     assert either.sd[1] > 0.5
@@ -118,10 +122,10 @@ def test_side_information_finds_its_lag() -> None:
 @pytest.mark.parametrize(
     ("chosen", "lags"),
     [
-        (Assignment(0, 2, 1), ("tau_s", "tau_v_s")),  # as the calculation has them
-        (Assignment(2, 0, 1), ("tau_v_s", "tau_s")),
-        (Assignment(1, 0, 2), ("tau_v_s", "tau_s")),  # the sensor between valve and manifold
-        (Assignment(1, 2, 0), ("tau_s", "tau_v_s")),
+        (assigned(0, 2, 1), ("tau_s", "tau_v_s")),  # as the calculation has them
+        (assigned(2, 0, 1), ("tau_v_s", "tau_s")),
+        (assigned(1, 0, 2), ("tau_v_s", "tau_s")),  # the sensor between valve and manifold
+        (assigned(1, 2, 0), ("tau_s", "tau_v_s")),
     ],
 )
 def test_at_one_flow_the_three_lags_go_to_their_owners(chosen, lags) -> None:
@@ -134,17 +138,17 @@ def test_at_one_flow_the_three_lags_go_to_their_owners(chosen, lags) -> None:
     by_lag = (0.2, 0.7, 2.0)
     values = {"tau_s": by_lag[0], "tau_v_s": by_lag[2], "V_mL": by_lag[1] * flow}
     campaign = bs.simulate(plan, theta(plan) | values, seed=1)
-    choices = assignments("unknown", True)
+    choices = assignments("unknown", THREE)
     shares = tuple(0.96 if a == chosen else 0.008 for a in choices)
     flat = Layout.of(campaign).flat(theta(plan) | values)
-    binned = prepare(campaign, flat, Naming("unknown", choices, shares, flow)).binned
+    binned = prepare(campaign, flat, Naming("unknown", choices, shares, commuting(flow))).binned
     assert binned.lags == lags
     made = Coordinates(binned)
     owners = [by_lag[i] for i in (chosen.sensor, chosen.valve, chosen.manifold)]
     single, _ = made.rig(binned.base, 0)
     assert single[[TAU, TAU_V, TAU_M]] == pytest.approx(owners)
     assert made.rigs(binned.base)[1, [TAU, TAU_V, TAU_M]] == pytest.approx(owners)
-    undecided = Naming("unknown", choices, (1.0 / 6.0,) * 6, flow)
+    undecided = Naming("unknown", choices, (1.0 / 6.0,) * 6, commuting(flow))
     assert prepare(campaign, flat, undecided).binned.lags == ("lag_fast_s", "lag_slow_s")
 
 
@@ -312,15 +316,10 @@ def test_an_effect_of_one_of_two_lags_is_told_with_its_counterpart() -> None:
     said = "".join(second_words(["baseline_drift"], combined, nameless))
     assert "most likely valve_asymmetry if the longer lag is the valve's, or sorption_asy" in said
     # nor is it named beside another
-    comparison = SimpleNamespace(complete=[], base=None)
-    combined = SimpleNamespace(
-        **vars(combined), unlisted=0.0, looks_unlisted=0.0, none=0.0, rows={}
-    )
-    assert judge(comparison, combined, CATALOGUE)[:2] == (
-        "effect",
-        ("baseline_drift", "valve_asymmetry"),
-    )
-    assert judge(comparison, combined, nameless)[:2] == ("effect", ("baseline_drift",))
+    rows = {"none": 0.0, "unlisted": 0.06, "baseline_drift+valve_asymmetry": 0.94}
+    both = ("baseline_drift", "valve_asymmetry")
+    assert judge(Probabilities(rows, CATALOGUE), 0.0)[:2] == ("effect", both)
+    assert judge(Probabilities(rows, nameless), 0.0).kind == "family"
 
 
 # --------------------------------------------------------------------------- the full model
@@ -337,7 +336,7 @@ def test_an_effect_in_the_full_model_acts_on_its_own_lag(known) -> None:
     e = plan.experiments[0]
     found = problem.model.mean(e.t, flat, problem.layout, e)
     assert found == pytest.approx(mean_with("sorption_asymmetry", held, SENSOR, VALVE), abs=1e-12)
-    assert pickle.loads(pickle.dumps(problem.model)).assignment == Assignment(1, 0)
+    assert pickle.loads(pickle.dumps(problem.model)).assignment == assigned(1, 0)
     # told nothing, it takes the shorter lag for the sensor's
     other = with_effects(replace(plan, sensor_is="unknown"), ["sorption_asymmetry"], None, held)
     there = other.model.mean(e.t, flat, other.layout, e)

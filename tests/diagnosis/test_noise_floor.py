@@ -18,7 +18,7 @@ from bayes_sensor.diagnosis.data.loudness import loudness
 from bayes_sensor.diagnosis.data.noise_memory import ROOT, check_memory, common_correlation
 from bayes_sensor.diagnosis.data.preparation import fit_base, full_rate_residuals, prepare
 from bayes_sensor.diagnosis.data.quiet_stretches import clean, detrended, quiet_stretches
-from bayes_sensor.diagnosis.signals.local_misfit import look_for_level_changes
+from bayes_sensor.diagnosis.signals.level_changes import look_for_level_changes
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.rig.cascade import cascade_response

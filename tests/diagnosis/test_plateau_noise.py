@@ -146,5 +146,5 @@ def test_streaks_of_gas_are_something_unlisted():
     gap = diagnose_gap(replace(campaign, experiments=tuple(experiments)), bootstrap=0,
                        separate=False, hidden=False)  # fmt: skip
     found = next(f for f in gap.findings if f.name == "unsteady")
-    assert found.probability > 0.9 and gap.verdict.kind == "unlisted"
+    assert found.log_odds > 2.2 and gap.verdict.kind == "unlisted"
     assert "less steady" in gap.verdict.sentence

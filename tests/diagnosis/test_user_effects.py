@@ -11,7 +11,7 @@ import pytest
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.diagnosis import Strength, diagnose_gap, own_effect
 from bayes_sensor.diagnosis.effects.effect import Effect, OnNoise
-from bayes_sensor.diagnosis.signals.finding import Finding, Signal
+from bayes_sensor.diagnosis.signals.signal import Finding, Signal
 from tests.support.planted_effects import measured
 
 HEIGHT = Strength("bump_V", "V", "normal", 0.0, 0.03)
@@ -105,17 +105,17 @@ def test_what_a_fit_tries_far_away_may_be_anything() -> None:
 
 
 def test_an_effect_of_ones_own_on_the_noise_is_found_by_its_own_detector() -> None:
-    signal = Signal("ticking", 0.03, {"tick_V": "V"})
+    def look(samples):
+        return [Finding(signal, 2.0 * len(samples.residuals), {"tick_V": 0.01}, None)]
+
+    signal = Signal(
+        "ticking", 0.03, {"tick_V": "V"}, lambda found, names, unit: "It ticks.", look, listed=True
+    )
     ticking = Effect(
         name="ticking", family="clock", sentence="A clock ticks: {strength}.",
         plausible={"tick_V": 0.01}, reference="test", reveal="a record without the clock",
         labels={"tick_V": "height"},
-        on_noise=OnNoise(
-            signal=signal,
-            look=lambda prepared, _: [
-                Finding(signal, 2.0 * len(prepared.records[1]), {"tick_V": 0.01}, None)
-            ],
-        ),
+        on_noise=OnNoise(signal=signal),
     )  # fmt: skip
     gap = diagnose_gap(
         measured({}, n=4), effects=[ticking], bootstrap=0, hidden=False, separate=False

@@ -8,12 +8,13 @@ import pytest
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.fit import fit_least_squares, particle_swarm
-from bayes_sensor.fit.block_averages import averages, profiles
+from bayes_sensor.fit.block_averages import averages
 from bayes_sensor.fit.euler import euler_relaxed
 from bayes_sensor.fit.first_estimates import first_look, initial_bounds, split
 from bayes_sensor.fit.fit_warnings import local_noise, warn
 from bayes_sensor.fit.fitted_noise import all_residuals
 from bayes_sensor.fit.refinement import Squares, mesh_points
+from bayes_sensor.fit.starts import SwarmProblem
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.mesh import compress
 from bayes_sensor.likelihood.noise import Noise, simulate_noise
@@ -139,10 +140,10 @@ def test_profile_solves_y0_and_beta_exactly(measured):
     looks = [first_look(e) for e in measured]
     points = averages(measured, looks, 12, 40)
     flow = np.array([e.total_flow for e in measured])
-    where = np.arange(14).reshape(7, 2) + 3
     z = np.r_[np.log([0.2, 0.7, 61.0]), np.tile([2.9, 11.3], 7)]
-    linear = np.empty((7, 2))
-    cost = profiles(z[None], where, *points, flow, linear)[0]
+    swarm = SwarmProblem(Problem(measured), points)
+    cost, theta = swarm.cost(z[None])[0], swarm.theta(z)
+    linear = theta[Problem(measured).layout.local[:, :2]]
     expected = 0.0
     for k in range(7):
         part = slice(points.first[k], points.first[k + 1])

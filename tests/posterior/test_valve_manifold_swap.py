@@ -22,7 +22,8 @@ from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Posterior, Settings, sample_posterior
 from bayes_sensor.posterior.quantiles import weighted_quantiles
 from bayes_sensor.report.headline import headline, stated_set
-from bayes_sensor.rig.lags import Assignment, assignments, by_size, named
+from bayes_sensor.rig.lags import assignments
+from tests.support.published_lags import THREE, assigned, commuting
 
 TABLES = Path(__file__).resolve().parents[2] / "paper" / "tables"
 TAU, TAU_V, VOLUME = 0.6, 0.2, 14.0
@@ -122,10 +123,10 @@ def test_a_word_in_the_campaign_gives_the_order(word: str, place: int) -> None:
 
 def test_at_one_flow_the_words_mean_the_shortest_and_the_longest_of_three() -> None:
     for word, place in (("faster", 0), ("slower", 2)):
-        found = assignments(word, True)
+        found = assignments(word, THREE)
         assert {a.sensor for a in found} == {place} and len(found) == 2
     # a known volume tells which of the three is V/Q: the sensor is then compared with the valve
-    assert {(a.sensor, a.valve) for a in assignments("faster", True, True)} == {
+    assert {(a.sensor, a.valve) for a in assignments("faster", THREE, ["V_mL"])} == {
         (0, 1), (0, 2), (1, 2),
     }  # fmt: skip
 
@@ -151,9 +152,9 @@ def test_the_mixtures_quantiles_are_those_of_both_lags() -> None:
 
 def test_names_change_nothing_of_the_response_and_come_back() -> None:
     theta = np.array([2.0, 0.1, 30.0, 7.0])
-    sized = by_size(theta, 60.0)  # lags 2, .1 and .5
+    sized = commuting(60.0).by_size(theta)  # lags 2, .1 and .5
     assert sized == pytest.approx([0.1, 2.0, 30.0, 7.0])
-    assert named(sized, 60.0, [Assignment(2, 0, 1)]) == pytest.approx(theta[:3])
+    assert commuting(60.0).named(sized, [assigned(2, 0, 1)]) == pytest.approx(theta[:3])
     problem = Problem(sharp()[0])
     vector = sharp()[1].theta_hat
     exchanged = vector.copy()
@@ -209,7 +210,8 @@ def test_what_the_data_say_of_lags_is_what_a_posterior_says() -> None:
 def test_equal_lags_are_told_from_others(flow: float | None) -> None:
     # e_1 and e_2 of squares 1, 1 (, .04) in units of the longest, known to a thousandth
     lags = np.array([1.0, 1.0]) if flow is None else np.array([0.2, 1.0, 1.0])
-    estimates = Estimates(lags, 50.0, flow, 1.0, 1e-6 * np.eye(3))
+    others = np.array([50.0]) if flow is None else np.empty(0)
+    estimates = Estimates(commuting(flow), lags, others, 1.0, 1e-6 * np.eye(3))
     a, b = (estimates.lag(place) for place in (len(lags) - 2, len(lags) - 1))
     # (x^2 - 1)^2 is known to a thousandth: x to a few hundredths, not to infinity
     assert 0.003 < a[1] < 0.05 and 0.003 < b[1] < 0.05
@@ -222,7 +224,9 @@ def test_equal_lags_are_told_from_others(flow: float | None) -> None:
 
 def test_right_side_information_is_seldom_called_wrong() -> None:
     # 50 % of a lag that the data hold to a thousandth: a fixed formula would miss the square
-    estimates = Estimates(np.array([0.3, 1.0]), 50.0, None, 1.0, 1e-9 * np.eye(3))
+    estimates = Estimates(
+        commuting(None), np.array([0.3, 1.0]), np.array([50.0]), 1.0, 1e-9 * np.eye(3)
+    )
     rng = np.random.default_rng(4)
     told = [estimates.distance(0, rng.normal(0.3, 0.15), 0.15) for _ in range(2000)]
     assert np.mean(np.array(told) > 3.0) < 0.0027 + 3.0 * np.sqrt(0.0027 / 2000)

@@ -141,12 +141,12 @@ def test_what_is_known_of_the_sensor_is_one_of_three_words() -> None:
 
 def test_lags_that_commute() -> None:
     rig = Rig.parse(["valve", "line", "filter", "sensor"])
-    assert rig.lags_that_commute() == (0, 2, 3)
-    assert rig.lags_that_commute(one_flow=True) == (0, 1, 2, 3)
+    assert rig.lags_that_commute() == ("tau_s", "tau_v_s", "tau_filter_s")
+    assert rig.lags_that_commute(one_flow=True) == (*rig.lags_that_commute(), "V_line_mL")
     # three equal lags cannot be taken for another one; a delay has none
-    assert TOY.lags_that_commute() == TOY.lags_that_commute(one_flow=True) == (3, 4)
+    assert TOY.lags_that_commute() == TOY.lags_that_commute(one_flow=True) == ("tau_s", "tau_v_s")
     one_tank = Rig.parse(["mixer: 1 tanks", "sensor"], kinds={**KINDS, "1 tanks": tanks(1)})
-    assert one_tank.lags_that_commute(one_flow=True) == (0, 1)
+    assert one_tank.lags_that_commute(one_flow=True) == ("tau_s", "V_mixer_mL")
 
 
 def test_flows_may_be_left_out_where_nothing_depends_on_them() -> None:

@@ -8,18 +8,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from bayes_sensor.campaign import Campaign, Experiment
-from bayes_sensor.diagnosis import Gap, diagnose_gap
-from bayes_sensor.diagnosis.effects import CATALOGUE
+from bayes_sensor.diagnosis import Gap, diagnose_gap, signals
 from bayes_sensor.diagnosis.effects.simulate_effects import simulate_with_effects
-from bayes_sensor.diagnosis.signals import UNLISTED
 
 FLOWS = ((4.0, 0.5), (2.5, 0.5), (8.0, 1.0), (5.0, 1.0))
 """L/min: carrier and test gas"""
-SIGNALS = {
-    signal.name: signal
-    for signal in (*UNLISTED, *(e.on_noise.signal for e in CATALOGUE.values() if e.on_noise))
-    if signal
-}
+SIGNALS = {signal.name: signal for signal in signals.SIGNALS}
 """by name"""
 
 

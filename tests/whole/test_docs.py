@@ -182,7 +182,7 @@ def examples(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr("bayes_sensor.io.readers.FORMATS", dict(FORMATS))
     made: dict[str, Any] = {}
     blocks = re.findall(r"```python\n(.*?)```", TEXT["extend.md"], flags=re.DOTALL)
-    assert len(blocks) == 8
+    assert len(blocks) == 9
     exec(compile("\n".join(blocks), "extend.md", "exec"), made)
     return made
 

@@ -290,7 +290,7 @@ def test_the_tests_mirror_the_rooms() -> None:
     places = {file.relative_to(TESTS).parts[0] for file in TESTS.rglob("*.py")}
     names = {place.removeprefix("test_").removesuffix(".py") for place in places}
     assert names - set(ROOMS) - {*OTHER_FOLDERS, "conftest", "__init__"} == set()
-    untested = set(ROOMS) - names - {"campaign"}  # campaign: by io/test_readers.py
+    untested = set(ROOMS) - names - {"campaign"}  # by io/test_readers.py
     assert untested == set()
 
 

@@ -100,7 +100,7 @@ def estimate_floor(
     """
     if not stretches:
         raise CampaignError(
-            "gap: no stretch of 64 samples lies outside the switching, so that the noise floor "
+            "gap: no stretch of 24 samples lies outside the switching, so that the noise floor "
             "cannot be estimated; expected a baseline or a plateau: record longer"
         )
     edges = band_edges(campaign, stretches)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import log
 
 import numpy as np
@@ -16,6 +15,7 @@ from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans, Stretch, cle
 from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
+from bayes_sensor.diagnosis.signals.signal import Samples
 from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.residuals.converter_step import lattice_step
@@ -85,17 +85,12 @@ class PreparedCampaign:
         """(n_t,) V of every experiment, the noise's standard deviation."""
         return [q.deviation for q in self.quiet]
 
-    @property
-    def records(self) -> tuple[Campaign, Sequence[FloatArray], Sequence[FloatArray]]:
-        """The campaign, its residuals and the deviations: what detectors look at."""
-        return self.binned.campaign, self.residuals, self.deviations
-
-    def less_mean_of(self, found: Refit) -> PreparedCampaign:
-        """The campaign with residuals of a refit in place of those of the fit."""
-        residuals = self.residuals_of(found)
+    def samples(self, best: Refit) -> Samples:
+        """What signals look at: the samples less the mean of the ``best`` explanation."""
+        residuals = self.residuals_of(best)
         campaign, bins = self.binned.campaign, self.binned.bins
         stretches = quiet_stretches(campaign, residuals, bins, self.settle)
-        return replace(self, residuals=tuple(residuals), stretches=tuple(stretches))
+        return Samples(campaign, residuals, self.deviations, stretches, self.raw, self.quiet, best)
 
     def residuals_of(self, found: Refit) -> list[FloatArray]:
         """(n_t,) V of every experiment, spikes replaced, measurement minus a refit's mean."""
@@ -171,10 +166,14 @@ def prepare(
     names = (*lags, "V_mL" if "tau_s" in lags or naming.flow is None else "")
     centre, sd = _plausible(campaign, flat, names), _spread(campaign, names)
     flow = float(np.median([e.total_flow for e in campaign]))
+    interval = float(np.median([e.interval for e in campaign]))
     tau_v = float(flat[0 if lags[0] == "tau_v_s" else 1])
     if flat[2] < NO_VOLUME * tau_v * flow and "V_mL" not in campaign.side_information:
-        # no rig is without a manifold: the fit has bent it away to do some effect's work
-        centre[2], sd[2] = log(0.5 * tau_v * flow), ANY_VOLUME
+        sd[2] = ANY_VOLUME
+        if not (campaign.same_flow and flat[2] < interval * flow):
+            # no rig is without a manifold: the fit has bent it away to do some effect's work; but
+            # at one flow, what one sampling interval hides is where the fit has it
+            centre[2] = log(0.5 * tau_v * flow)
     binned = BinnedCampaign(
         campaign=campaign,
         bins=tuple(bins),

@@ -15,6 +15,9 @@ from bayes_sensor.diagnosis.data.bins import ExperimentBins
 
 SPIKE = 6.5
 """robust standard deviations beyond which a sample is taken for a glitch"""
+LONG, SHORT = 64, 24
+"""samples of a stretch that tell a spectrum in several bands; and that tell it in one or two, in
+records of a sample a second"""
 SPELL = 200
 """samples in a row that tell whether all of them are large, and none of them a glitch"""
 MUCH = 1.5
@@ -108,7 +111,24 @@ def quiet_stretches(
     bins: Sequence[ExperimentBins],
     settle: Sequence[float],
 ) -> list[Stretch]:
-    """The quiet parts of all records; ``settle`` s after a switch are left out."""
+    """The quiet parts of all records; ``settle`` s after a switch are left out.
+
+    Short ones count where no record has a long one.
+    """
+    for fewest in (LONG, SHORT):
+        found = _quiet_stretches(campaign, residuals, bins, settle, fewest)
+        if found:
+            break
+    return found
+
+
+def _quiet_stretches(
+    campaign: Campaign,
+    residuals: Sequence[FloatArray],
+    bins: Sequence[ExperimentBins],
+    settle: Sequence[float],
+    fewest: int,
+) -> list[Stretch]:
     found = []
     for k, (e, r, b) in enumerate(zip(campaign, residuals, bins, strict=True)):
         on = float(e.t[b.first[b.phase >= 1].min()]) if np.any(b.phase >= 1) else float(e.t[-1])
@@ -121,7 +141,7 @@ def quiet_stretches(
             a, z = np.searchsorted(e.t, (low, high))
             for run_a, run_b in e.runs:
                 i, j = max(a, run_a), min(z, run_b)
-                if (j - i) >= 64:
+                if (j - i) >= fewest:
                     found.append(Stretch(k, level, np.asarray(r[i:j], dtype=float), float(e.t[i])))
     return found
 

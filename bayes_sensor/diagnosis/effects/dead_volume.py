@@ -43,4 +43,5 @@ EFFECT = Effect(
     null={"pocket_share": 0.0},
     reference="mobile-immobile exchange (Coats and Smith 1964)",
     reveal="a second total flow, or the blind fittings filled",
+    reveal_with_flows="the blind fittings filled",
 )

@@ -10,7 +10,7 @@ an :class:`OnNoise`, which holds its detector, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from math import exp, log
 
@@ -20,7 +20,7 @@ from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.diagnosis.closed_fraction import Closure
 from bayes_sensor.diagnosis.effects.rig_view import RigView
 from bayes_sensor.diagnosis.effects.setting import Setting
-from bayes_sensor.diagnosis.signals.finding import Finding, Samples, Signal
+from bayes_sensor.diagnosis.signals.signal import Finding, Samples, Signal
 
 KINDS = ("normal", "log_normal")
 PUBLISHED_SCALES = (0.8577, 1.88, 120.0)
@@ -151,9 +151,7 @@ class OnNoise:
     reason: str = ""
     """why they must, in words that follow the value"""
     signal: Signal | None = None
-    """what its detector finds"""
-    look: Callable[[Samples, Sequence[Finding]], list[Finding]] | None = None
-    """its detector, which is told what the detectors before it have found"""
+    """what tells of it in single samples"""
     closure: Callable[[Samples, Finding], tuple[Closure, float | None]] | None = None
     """how far it closes a gap that is not one of the mean, in sample and held out"""
 
@@ -175,6 +173,8 @@ class Effect:
     reference: str
     reveal: str
     """the measurement that shows it"""
+    reveal_with_flows: str = ""
+    """the same where the campaign has several total flows already, if that is another"""
     forms: tuple[Form, ...] = ()
     """ways in which it may act on the mean"""
     on_noise: OnNoise | None = None
@@ -198,6 +198,10 @@ class Effect:
     names_rivals: tuple[str, ...] = ()
     """dependences of :mod:`~bayes_sensor.diagnosis.evidence.varying_parameter` that it is: they are
     no unlisted causes while it is in the catalogue"""
+
+    def advice(self, several_flows: bool) -> str:
+        """The measurement that shows it, which the campaign does not hold already."""
+        return (several_flows and self.reveal_with_flows) or self.reveal
 
     @property
     def on_mean(self) -> bool:

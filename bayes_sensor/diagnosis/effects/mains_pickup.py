@@ -1,7 +1,6 @@
 """The mains couple into the signal: lines at 50 or 60 Hz and their harmonics.
 
-Averaging over bins hides them; they are looked for in the periodograms of whole records, with the
-frequency estimated.  The gap that they make is one of power at their frequencies, not of the mean,
+The gap that they make is one of power at their frequencies, not of the mean,
 and has a closed fraction of its own.
 """
 
@@ -13,24 +12,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.closed_fraction import VISIBLE, Closure
-from bayes_sensor.diagnosis.data.quiet_stretches import hides_the_noise
 from bayes_sensor.diagnosis.effects.effect import Effect, OnNoise
-from bayes_sensor.diagnosis.signals.bursts import look_for_bursts
-from bayes_sensor.diagnosis.signals.finding import Finding, Samples, Signal, converter_step
-from bayes_sensor.diagnosis.signals.lines import LINE
+from bayes_sensor.diagnosis.signals.mains import SIGNAL
 from bayes_sensor.diagnosis.signals.periodograms import (
     FOLDED,
     HARMONICS,
     LOWEST_LINE,
     MAINS,
-    LineSearch,
     Piece,
-    find_line,
     noise_levels,
     pieces_of_records,
 )
+from bayes_sensor.diagnosis.signals.signal import Finding, Samples
 
 SIDE = 3.0
 """native resolutions around a line that hold its power"""
@@ -38,26 +33,6 @@ LEVEL_ERROR = 0.25
 """relative, of the level that 20 resolutions of one record give"""
 UNTOLD = 0.1
 """of the larger eigenvalue, below which samples do not tell a sine's other phase"""
-
-
-def _as_a_line(found: Finding) -> Finding:
-    """Where the mains are not in the catalogue, theirs is a line like any other."""
-    s = found.strength
-    return replace(found, signal=LINE, strength={"line_V": s["mains_V"], "line_Hz": s["mains_Hz"]})
-
-
-SIGNAL = Signal("mains_pickup", 0.03, {"mains_V": "V", "mains_Hz": "Hz"}, if_not_listed=_as_a_line)
-SEARCH = LineSearch(SIGNAL, "mains", of_the_mains=True, slowest=LOWEST_LINE)
-
-
-def look_for_mains(
-    campaign: Campaign, residuals: Sequence[FloatArray], deviations: Sequence[FloatArray]
-) -> list[Finding]:
-    """The mains in ``residuals`` (n_t,) V of whole records, over which they keep their phase.
-
-    ``deviations`` (n_t,) V: of the noise.
-    """
-    return find_line(pieces_of_records(campaign, residuals, deviations), SEARCH)
 
 
 def mains_closure(pieces: Sequence[Piece], found: Finding) -> tuple[Closure, float | None]:
@@ -209,16 +184,10 @@ def _added(
     return y + strength["mains_V"] * sine
 
 
-def _look(prepared: Samples, found: Sequence[Finding]) -> list[Finding]:
-    """The mains, and whether they come in bursts; nothing where rounding makes lines of its own."""
-    if hides_the_noise(prepared.stretches, converter_step(found)):
-        return []
-    mains = look_for_mains(*prepared.records)
-    return [*mains, *(b for f in mains for b in look_for_bursts(*prepared.records, f))]
-
-
-def _closure(prepared: Samples, found: Finding) -> tuple[Closure, float | None]:
-    return mains_closure(pieces_of_records(*prepared.records), found)
+def _closure(samples: Samples, found: Finding) -> tuple[Closure, float | None]:
+    return mains_closure(
+        pieces_of_records(samples.campaign, samples.residuals, samples.deviations), found
+    )
 
 
 EFFECT = Effect(
@@ -231,7 +200,5 @@ EFFECT = Effect(
     null={"mains_V": 0.0},
     reference="line spectra; Percival and Walden 1993, ch. 10",
     reveal="a battery-powered receiver, or a record without gas",
-    on_noise=OnNoise(
-        record=_added, above={"mains_Hz": 0.0}, signal=SIGNAL, look=_look, closure=_closure
-    ),
+    on_noise=OnNoise(record=_added, above={"mains_Hz": 0.0}, signal=SIGNAL, closure=_closure),
 )

@@ -1,43 +1,12 @@
-"""The converter's step is not small beside the noise: the samples lie on a coarse lattice.
+"""The converter's steps are coarse: an 8-bit scope at +-5 V has steps of 39 mV."""
 
-An 8-bit scope at +-5 V has steps of 39 mV.  Tested on the sample values themselves.
-"""
-
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, detrended, innovations
+from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.effects.effect import Effect, OnNoise
-from bayes_sensor.diagnosis.signals.finding import Finding, Samples, Signal
-from bayes_sensor.residuals.converter_step import lattice_step
-
-COARSE = 0.02
-"""share of the sample-to-sample variance from which the converter's steps are called coarse"""
-COARSE_OF_ALL = 0.001
-"""share of the noise's whole variance below which the steps do not matter, fine as they may look"""
-
-SIGNAL = Signal("quantisation", 0.03, {"adc_step": "V"})
-
-
-def look_for_steps(campaign: Campaign, stretches: Sequence[Stretch]) -> Finding:
-    """Coarse steps: a lattice whose rounding makes up a share of the sample-to-sample variance."""
-    steps = [lattice_step(e.values[e.used]) for e in campaign]
-    known = [s for s in steps if s > 0]
-    if not known or not stretches:
-        return Finding(SIGNAL, -5.0, {"adc_step": 0.0}, None)
-    step = float(np.median(known))
-    variances = [float(np.var(innovations(detrended(s.samples), 4))) for s in stretches]
-    share = step**2 / 12.0 / max(float(np.median(variances)), 1e-300)
-    whole = float(np.median([np.var(s.samples) for s in stretches]))
-    of_all = step**2 / 12.0 / max(whole, 1e-300)
-    # the lattice itself is certain; what is judged is whether it matters
-    value = 8.0 * np.log(min(share / COARSE, of_all / COARSE_OF_ALL))
-    value = float(np.clip(value, -30.0, 30.0))
-    return Finding(SIGNAL, value, {"adc_step": step}, None)
+from bayes_sensor.diagnosis.signals.converter import SIGNAL
 
 
 def _rounded(
@@ -45,10 +14,6 @@ def _rounded(
 ) -> FloatArray:
     step = strength["adc_step"]
     return np.asarray(step * np.rint(y / step))
-
-
-def _look(prepared: Samples, _: Sequence[Finding]) -> list[Finding]:
-    return [look_for_steps(prepared.records[0], prepared.stretches)]
 
 
 EFFECT = Effect(
@@ -60,5 +25,5 @@ EFFECT = Effect(
     null={"adc_step": 0.0},
     reference="Widrow and Kollar, Quantization Noise, 2008",
     reveal="a smaller input range of the converter",
-    on_noise=OnNoise(record=_rounded, above={"adc_step": 0.0}, signal=SIGNAL, look=_look),
+    on_noise=OnNoise(record=_rounded, above={"adc_step": 0.0}, signal=SIGNAL),
 )

@@ -29,4 +29,5 @@ EFFECT = Effect(
     null={"closing_ratio": 1.0, "closing_bend": 0.0},
     reference="spring-return solenoid valves",
     reveal="a second total flow: a valve's ratio does not depend on it",
+    reveal_with_flows="a displacement sensor on the valve, or the sensor behind another valve",
 )

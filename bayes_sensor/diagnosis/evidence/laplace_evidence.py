@@ -104,12 +104,21 @@ class Linearised:
         """(n_bins in all,) the noise: what neither the mean nor the discrepancy takes up."""
         if discrepancy is None:
             return self.refit.residual
+        return discrepancy.leave(self._beside(discrepancy))
+
+    def discrepancy(self, discrepancy: Discrepancy) -> FloatArray:
+        """(n_bins in all,) whitened, what the discrepancy itself takes up."""
+        whole = self._beside(discrepancy)
+        return np.asarray(whole - discrepancy.leave(whole))
+
+    def _beside(self, discrepancy: Discrepancy) -> FloatArray:
+        """(n_bins in all,) what the mean leaves once it makes way for the discrepancy."""
         coords = self.refit.coords
         gradient, normal = self._at_rest(self.gram - discrepancy.absorbed(self.both))
         prior = coords.own_prior_matrix
         pulled = prior @ (self.refit.x - coords.prior_centre)
         step = solved(normal + prior, gradient - pulled)
-        return discrepancy.leave(self.refit.residual - self.refit.jacobian @ step)
+        return np.asarray(self.refit.residual - self.refit.jacobian @ step)
 
     def evidence(self, discrepancy: Discrepancy | None) -> Evidence:
         """Average over the prior widths."""

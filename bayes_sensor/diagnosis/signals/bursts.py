@@ -8,7 +8,6 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.signals.finding import FOUND, Finding, Signal
 from bayes_sensor.diagnosis.signals.periodograms import (
     FEWEST_CYCLES,
     MAINS,
@@ -20,6 +19,7 @@ from bayes_sensor.diagnosis.signals.periodograms import (
     pieces_of_records,
     sum_over_pieces,
 )
+from bayes_sensor.diagnosis.signals.signal import FOUND, Finding, Samples, Signal
 
 ALL_HARMONICS = 20
 """of the mains that are no sign of bursts"""
@@ -27,16 +27,6 @@ BURSTS = (0.2, 5.0)
 """Hz; how often the mains may come and go"""
 LEAKED = 0.1
 """of the noise's power; what a window may leave of the mains where their bursts are looked for"""
-
-
-def _words(found: Finding, names: Sequence[str], unit: str) -> str:
-    return (
-        f"The mains come and go, once in {1.0 / found.strength['bursts_Hz']:.3g} s, as of a heater "
-        "that is fired in bursts."
-    )
-
-
-SIGNAL = Signal("bursts", 0.01, {"bursts_Hz": "Hz"}, _words, spares_means_from_hz=0.0)
 
 
 def look_for_bursts(
@@ -98,3 +88,20 @@ def _harmonics(found: float, nominal: float, rate: float) -> FloatArray:
     true = np.array(made)
     folded: FloatArray = np.abs(true - rate * np.round(true / rate))
     return folded
+
+
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    return (
+        f"The mains come and go, once in {1.0 / found.strength['bursts_Hz']:.3g} s, as of a heater "
+        "that is fired in bursts."
+    )
+
+
+def _look(samples: Samples) -> list[Finding]:
+    mains = samples.of("mains_pickup")
+    if mains is None:
+        return []
+    return look_for_bursts(samples.campaign, samples.residuals, samples.deviations, mains)
+
+
+SIGNAL = Signal("bursts", 0.01, {"bursts_Hz": "Hz"}, _words, _look, spares_means_from_hz=0.0)

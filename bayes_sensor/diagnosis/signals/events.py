@@ -9,7 +9,7 @@ finding counts as an unlisted cause.
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from math import sqrt
 from typing import TypeVar
 
@@ -19,7 +19,15 @@ from scipy.stats import t as student_t
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, detrended
-from bayes_sensor.diagnosis.signals.finding import Finding, Place, Signal, moment, struck
+from bayes_sensor.diagnosis.signals.signal import (
+    FOUND,
+    Finding,
+    Place,
+    Samples,
+    Signal,
+    moment,
+    struck,
+)
 
 BLOCK = 0.05
 """s, means over which events are looked for"""
@@ -55,38 +63,9 @@ _SLOPES = [2.0 * float(norm.pdf(norm.ppf(h)) * norm.ppf(h)) for h in _HALF]
 Key = TypeVar("Key", bound=Hashable)
 
 
-def _words(found: Finding, names: Sequence[str], unit: str) -> str:
-    s = found.strength
-    return (
-        f"In experiment {names[int(s['event_experiment'])]} something happens once, near "
-        f"{moment(s['event_s'])} s: {s['event_ratio']:.2g} times the noise's usual size at "
-        "that time scale."
-    )
-
-
-SIGNAL = Signal(
-    "event", 0.025, {"event_s": "s", "event_ratio": "1"}, _words, on_quiet_stretches=True
-)
-
-
-@dataclass(frozen=True)
-class Events:
-    """Events in single stretches, and the tails of the noise that they are judged by."""
-
-    found: Finding
-    tails: tuple[float, float]
-    """degrees of freedom of means over as long a time as is told, at carrier and plateau; inf for
-    those of a Gaussian, or where nothing is told"""
-
-    @property
-    def lasting(self) -> float:
-        """Degrees of freedom of the lighter tails of the two gases: those of the noise itself."""
-        return max(self.tails)
-
-
 def look_for_events(
     campaign: Campaign, stretches: Sequence[Stretch], heavy_tailed: bool = False
-) -> Events:
+) -> Finding:
     """Bumps and jumps in single stretches.
 
     Differences of means (a bump against both its sides, after against before) are taken in units
@@ -144,7 +123,7 @@ def look_for_events(
         min((min(d) for (_, level), d in tails.items() if level == gas), default=np.inf)
         for gas in (0, 1)
     )
-    return Events(found_event, (baseline, plateau))
+    return replace(found_event, tails=(baseline, plateau))
 
 
 def _own_sizes(records: Sequence[tuple[Stretch, FloatArray, FloatArray, float]]) -> FloatArray:
@@ -342,3 +321,23 @@ def of_places(
     }
     value = float(np.logaddexp(alone, together) - np.log(2.0))
     return Finding(signal, value, strength, ratio, tuple(p for p in kept if p.size > 0.0))
+
+
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    return (
+        f"In experiment {names[int(s['event_experiment'])]} something happens once, near "
+        f"{moment(s['event_s'])} s: {s['event_ratio']:.2g} times the noise's usual size at "
+        "that time scale."
+    )
+
+
+def _look(samples: Samples) -> list[Finding]:
+    tails = samples.of("heavy_tails")
+    heavy = tails is not None and tails.probability > FOUND
+    return [look_for_events(samples.campaign, samples.stretches, heavy)]
+
+
+SIGNAL = Signal(
+    "event", 0.025, {"event_s": "s", "event_ratio": "1"}, _words, _look, on_quiet_stretches=True
+)

@@ -1,9 +1,8 @@
-"""Detector: local misfit after the best explanation.
+"""Signal: local misfit after the best explanation.
 
 A misfit at one switch that is absent or different at the next has no common shape, and a smooth
-discrepancy would need one parameter for each of them.  This file therefore tests three kinds one by
-one: runs of bins at a single switch, bumps shorter than a bin, and changes of level in a single
-record.  A finding counts as an unlisted cause.
+discrepancy would need one parameter for each of them.  Two kinds are tested: runs of bins at a
+single switch, and bumps shorter than a bin.
 """
 
 from __future__ import annotations
@@ -13,10 +12,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.data.bins import ExperimentBins
 from bayes_sensor.diagnosis.data.noise_floor import DOF
 from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans
 from bayes_sensor.diagnosis.signals.events import (
@@ -29,7 +26,7 @@ from bayes_sensor.diagnosis.signals.events import (
     surprises,
     tail_dof,
 )
-from bayes_sensor.diagnosis.signals.finding import Finding, Place, Signal, any_of, moment
+from bayes_sensor.diagnosis.signals.signal import Finding, Place, Samples, Signal, any_of
 
 if TYPE_CHECKING:
     from bayes_sensor.diagnosis.evidence.refit import Refit
@@ -52,38 +49,6 @@ EARLIEST = 0.3
 FEWEST = 100
 """positions in quiet spans below which the usual size is not known"""
 
-CHANGE_LENGTHS = (1, 2, 3, 5, 8, 13, 21)
-"""bins that a passing change lasts"""
-ABSORBED = 0.1
-"""share of a change that a refit must leave of it, for the change to be looked for"""
-
-
-def _of_a_bump(found: Finding, names: Sequence[str], unit: str) -> str:
-    s = found.strength
-    side = "after" if s["patch_since_s"] >= 0.0 else "before"
-    return (
-        "Single switches leave the model for moments, clearest in experiment "
-        f"{names[int(s['patch_experiment'])]}, {abs(s['patch_since_s']):.2g} s {side} a switch."
-    )
-
-
-def _of_a_change(found: Finding, names: Sequence[str], unit: str) -> str:
-    s = found.strength
-    return (
-        f"In experiment {names[int(s['break_experiment'])]} the level changes at about "
-        f"{moment(s['break_s'])} s in a way of its own"
-        f" ({s['break_ratio']:.2g} standard deviations)."
-    )
-
-
-BUMP = Signal(
-    "patch", 0.025, {"patch_s": "s", "patch_since_s": "s", "patch_ratio": "1"}, _of_a_bump,
-    of_the_mean=True,
-)  # fmt: skip
-LEVEL_CHANGE = Signal(
-    "break", 0.025, {"break_s": "s", "break_ratio": "1"}, _of_a_change, of_the_mean=True
-)
-
 
 def look_for_local_misfit(
     found: Refit,
@@ -104,7 +69,7 @@ def _patch(
     places: Sequence[dict[Hashable, float]], clearest: Sequence[Place], since: Sequence[float]
 ) -> Finding:
     """What all switches say; ``since`` (n,) s, from the switch to its clearest moment."""
-    told = of_places(BUMP, places, clearest)
+    told = of_places(SIGNAL, places, clearest)
     first = max(range(len(clearest)), key=lambda i: clearest[i].size, default=None)
     after = 0.0 if first is None else since[first]
     return replace(told, strength={**told.strength, "patch_since_s": after})
@@ -265,62 +230,22 @@ def _widths(block: float, time_scale: float) -> FloatArray:
     return np.asarray(first * WIDER ** np.arange(steps + 1))
 
 
-def look_for_level_changes(found: Refit, tail: float = np.inf) -> Finding:
-    """Changes of level in single records: passing, until the fall, or permanent.
-
-    On a plateau what happens once looks like a drift.  A score test per record: a change of so many
-    volts between two edges of bins, what the refit's own coordinates would take up of it left out.
-    ``ln B`` of a record averages over begins and lengths the ratio of t densities, as in
-    :func:`find_runs_of_bins`; they are averaged over for each record, or for all together.
-    """
-    dof = min(DOF, tail)
-    binned, coords = found.coords.binned, found.coords
-    covariance = found.covariance
-    places: list[dict[Hashable, float]] = []
-    clearest = []
-    for k, (rows, b) in enumerate(zip(binned.rows, binned.bins, strict=True)):
-        shapes, spans = level_changes(b.falling)
-        templates = binned.inverse_factors[k] @ shapes
-        columns = coords.columns(k)
-        inside = found.jacobian[rows, columns].T @ templates
-        own = covariance[np.ix_(columns, columns)]
-        whole = np.sum(templates**2, axis=0)
-        left = whole - np.sum(inside * (own @ inside), axis=0)
-        use = left > ABSORBED * whole
-        if not np.any(use):
-            continue
-        square = (found.residual[rows] @ templates[:, use]) ** 2 / left[use]
-        edges = _edges(b)
-        kinds = [(edges[i], edges[j]) for i, j in spans[use].tolist()]
-        places.append(dict(zip(kinds, surprises(square, dof), strict=True)))
-        begins = b.first[spans[use][int(np.argmax(square)), 0]]
-        clearest.append(Place(k, float(b.experiment.t[begins]), float(square.max())))
-    return of_places(LEVEL_CHANGE, places, clearest)
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    side = "after" if s["patch_since_s"] >= 0.0 else "before"
+    return (
+        "Single switches leave the model for moments, clearest in experiment "
+        f"{names[int(s['patch_experiment'])]}, {abs(s['patch_since_s']):.2g} s {side} a switch."
+    )
 
 
-def _edges(b: ExperimentBins) -> list[tuple[str, int]]:
-    """Where each bin begins, counted from the switch before, since records differ in length.
-
-    After the last bin the record's end, ``("end", 0)``.
-    """
-    rise, fall = int(np.argmax(b.since >= 0.0)), int(np.argmax(b.falling))
-    begins = [
-        ("fall", i - fall) if down else ("rise", i - rise) for i, down in enumerate(b.falling)
-    ]
-    return [*begins, ("end", 0)]
+def _look(samples: Samples) -> list[Finding]:
+    event = samples.of("event")
+    tail = np.inf if event is None else event.lasting
+    return [look_for_local_misfit(samples.fitted, samples.residuals, samples.quiet, tail)]
 
 
-def level_changes(falling: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]:
-    """(n_bins, m) ones where a change lasts, and (m, 2) the bins it begins with and ends before."""
-    n = len(falling)
-    fall = int(np.argmax(falling)) if np.any(falling) else n
-    spans = {
-        (i, j)
-        for i in range(1, n)
-        for j in (*(i + m for m in CHANGE_LENGTHS), fall, n)
-        if i < j <= n
-    }
-    ordered = np.array(sorted(spans), dtype=np.int64)
-    at = np.arange(n)[:, None]
-    shapes = (at >= ordered[:, 0]) & (at < ordered[:, 1])
-    return shapes.astype(float), ordered
+SIGNAL = Signal(
+    "patch", 0.025, {"patch_s": "s", "patch_since_s": "s", "patch_ratio": "1"}, _words, _look,
+    of_the_mean=True,
+)  # fmt: skip

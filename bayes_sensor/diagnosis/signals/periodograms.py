@@ -19,7 +19,7 @@ from scipy.stats import gamma
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, detrended
-from bayes_sensor.diagnosis.signals.finding import Finding, Signal
+from bayes_sensor.diagnosis.signals.signal import Finding, Signal
 
 MAINS = (50.0, 60.0)
 """Hz"""

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.quiet_stretches import Stretch, detrended, periodogram
-from bayes_sensor.diagnosis.signals.finding import Finding, Signal, struck
+from bayes_sensor.diagnosis.signals.events import HEAVY_DOF
+from bayes_sensor.diagnosis.signals.signal import Finding, Samples, Signal, struck
 
 EDGES = np.array([0.0, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 """Hz, bands of the baseline's spectrum"""
@@ -48,20 +49,6 @@ STEP = 0.35
 # close enough together for spectra of hundreds of ordinates, between which Gauss's nodes would fall
 _NODES = np.linspace(-3.0, 3.0, 9)
 _LOG_WEIGHTS = -0.5 * _NODES**2 - np.logaddexp.reduce(-0.5 * _NODES**2)
-
-
-def _words(found: Finding, names: Sequence[str], unit: str) -> str:
-    s = found.strength
-    return (
-        "With gas the signal is less steady than its noise on the baseline lets expect: below "
-        f"about {s['unsteady_Hz']:.2g} Hz it has {1.0 + s['unsteady_excess']:.2g} times the "
-        "power."
-    )
-
-
-SIGNAL = Signal(
-    "unsteady", 0.04, {"unsteady_excess": "1", "unsteady_Hz": "Hz"}, _words, phase="plateau"
-)
 
 
 @dataclass(frozen=True)
@@ -213,3 +200,24 @@ def record_evidence(
         np.logaddexp.reduce(here[:, None] + INDEPENDENT * (ratio @ share - cost), axis=0) - nothing
     )
     return nothing, within.reshape(o.more.shape[1:])
+
+
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    return (
+        "With gas the signal is less steady than its noise on the baseline lets expect: below "
+        f"about {s['unsteady_Hz']:.2g} Hz it has {1.0 + s['unsteady_excess']:.2g} times the "
+        "power."
+    )
+
+
+def _look(samples: Samples) -> list[Finding]:
+    event = samples.of("event")
+    if event is not None and event.tails[0] < HEAVY_DOF:
+        return []  # gusts make unsteady plateaus, too
+    return look_for_plateau_noise(samples.campaign, samples.stretches)
+
+
+SIGNAL = Signal(
+    "unsteady", 0.04, {"unsteady_excess": "1", "unsteady_Hz": "Hz"}, _words, _look, phase="plateau"
+)

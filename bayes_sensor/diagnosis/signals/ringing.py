@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans
-from bayes_sensor.diagnosis.signals.finding import Finding, Signal, any_of
+from bayes_sensor.diagnosis.signals.signal import Finding, Samples, Signal, any_of
 
 RINGING_BLOCK = 0.005
 """s"""
@@ -42,13 +42,6 @@ IN_PHASE_RATIOS = (4.0, 16.0, 64.0)
 """a common amplitude's plausible variance over that of its estimate"""
 FEWEST_WINDOWS = 10
 """quiet windows below which the usual power at a frequency is not known"""
-
-
-def _words(found: Finding, names: Sequence[str], unit: str) -> str:
-    return f"After the switches the signal rings at about {found.strength['ringing_Hz']:.3g} Hz."
-
-
-SIGNAL = Signal("ringing", 0.01, {"ringing_Hz": "Hz"}, _words)
 
 
 def look_for_ringing(
@@ -263,3 +256,14 @@ def _in_phase(
     peak = int(np.argmax(each))
     value = float(logsumexp(each, b=weight[where] / np.sum(weight)))
     return value, int(where[peak]), float(power[peak])
+
+
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    return f"After the switches the signal rings at about {found.strength['ringing_Hz']:.3g} Hz."
+
+
+def _look(samples: Samples) -> list[Finding]:
+    return [look_for_ringing(samples.campaign, samples.residuals, samples.quiet)]
+
+
+SIGNAL = Signal("ringing", 0.01, {"ringing_Hz": "Hz"}, _words, _look)

@@ -17,7 +17,6 @@ from scipy.signal import windows
 from scipy.special import logsumexp
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.diagnosis.signals.finding import Finding, Signal, any_of, struck
 from bayes_sensor.diagnosis.signals.lines import FASTER_THAN_BINS
 from bayes_sensor.diagnosis.signals.periodograms import (
     HIGHEST_LINE,
@@ -27,6 +26,7 @@ from bayes_sensor.diagnosis.signals.periodograms import (
     own_shapes,
     pieces_of_records,
 )
+from bayes_sensor.diagnosis.signals.signal import Finding, Samples, Signal, any_of, struck
 
 LENGTHS = (2.5, 5.0, 10.0)
 """s, windows in which lines are looked for that pass, or that records have each for itself"""
@@ -52,21 +52,6 @@ INDEPENDENT = 0.95
 """share of overlapping windows that are independent"""
 STRUCK = 0.3
 """plausible share of records that have such a line, where there are any"""
-
-
-def _words(found: Finding, names: Sequence[str], unit: str) -> str:
-    s = found.strength
-    return (
-        f"In experiment {names[int(s['passing_experiment'])]} there is, for a while or "
-        f"throughout, a line at {s['passing_Hz']:.4g} Hz that others lack, with an amplitude "
-        f"of {1e3 * s['passing_V']:.3g} m{unit}."
-    )
-
-
-SIGNAL = Signal(
-    "passing", 0.02, {"passing_V": "V", "passing_Hz": "Hz"}, _words,
-    spares_means_from_hz=FASTER_THAN_BINS,
-)  # fmt: skip
 
 
 def look_for_transient_lines(
@@ -172,3 +157,22 @@ def _once_or_throughout(ratio: FloatArray) -> FloatArray:
     total, k = INDEPENDENT * ratio.sum(axis=0), INDEPENDENT * len(ratio)
     lasting = logsumexp(total * lasts / (1.0 + lasts) - k * np.log1p(lasts), axis=0)
     return np.asarray(np.logaddexp(passing, lasting - np.log(len(lasts))) - np.log(2.0))
+
+
+def _words(found: Finding, names: Sequence[str], unit: str) -> str:
+    s = found.strength
+    return (
+        f"In experiment {names[int(s['passing_experiment'])]} there is, for a while or "
+        f"throughout, a line at {s['passing_Hz']:.4g} Hz that others lack, with an amplitude "
+        f"of {1e3 * s['passing_V']:.3g} m{unit}."
+    )
+
+
+def _look(samples: Samples) -> list[Finding]:
+    return look_for_transient_lines(samples.campaign, samples.residuals, samples.deviations)
+
+
+SIGNAL = Signal(
+    "passing", 0.02, {"passing_V": "V", "passing_Hz": "Hz"}, _words, _look,
+    spares_means_from_hz=FASTER_THAN_BINS,
+)  # fmt: skip

@@ -104,6 +104,12 @@ def drive_commands(
         notes.append(f"{error} (commanded_on is given, so the drive was not used)")
         return None, None, None
     commands = commands_of_edges(times, high, entry, file.where)
+    if high:
+        notes.append(
+            f"{file.where}: the drive '{name}' starts high and first falls at {times[0]:.10g} s, "
+            "so that the record begins with the gas on; if the drive is inverted, the step "
+            "has the other sign"
+        )
     if commands is None:
         return times[0], times[1] if len(times) == 2 else None, None
     if told.on is not None or told.commands is not None:

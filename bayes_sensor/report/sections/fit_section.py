@@ -53,6 +53,12 @@ def _remarks(saved: Saved) -> list[str]:
             f"The best value of {list_words(others)} sits on the edge of its search range: widen "
             "it ([fit] bounds in the settings), or do not use it."
         )
+    lags = fit.get("n_lags")
+    if lags:
+        said.append(
+            f"Number of lags, chains of one to {len(lags['log_evidence'])} compared by their "
+            f"evidence: {lags['sentence']}."
+        )
     if not fit["swarms"].get("agree", True):
         said.append("Independent swarms ended at different minima; the best one is shown.")
     elif (n := len(fit["swarms"].get("swarms", []))) > 1:

@@ -1,0 +1,60 @@
+"""How far an explanation goes, in lines for the terminal: share of the gap closed, and tau."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bayes_sensor.display import shown
+
+
+def how_far_lines(said: Mapping[str, Any]) -> list[str]:
+    """Two lines after a verdict: what closes, in sample and held out; tau.
+
+    ``said``: the content of gap.json.  Neither where nothing is missing.
+    """
+    kind, shrink = said["verdict"]["kind"], said["shrink"]
+    if kind == "none":
+        return []
+    return [_closed(kind, shrink), _tau(said, kind == "unlisted")]
+
+
+def _closed(kind: str, shrink: Mapping[str, Any]) -> str:
+    fraction = shrink["fraction_closed"]
+    if fraction is None:
+        return "closed: no fraction, since nothing is in excess or the gap is too small to divide"
+    nearest = "the nearest of the catalogue, " if kind == "unlisted" else ""
+    if shrink["explanation"] == "none":
+        return "closed: nothing of it by any effect of the catalogue"
+    said = f"closed: {_share(shrink, 'fraction_closed')} of the gap with {nearest}"
+    said += str(shrink["explanation"])
+    if shrink["held_out_fraction_closed"] is not None:
+        said += f"; {_share(shrink, 'held_out_fraction_closed')} on data left out of the fit"
+    return said
+
+
+def _share(shrink: Mapping[str, Any], key: str) -> str:
+    low, high = shrink.get(f"{key}_lo"), shrink.get(f"{key}_hi")
+    words = f"{100.0 * shrink[key]:.0f} %"
+    if low is None or high is None:
+        return words
+    return f"{words} (95 %: {100.0 * low:.0f} to {100.0 * high:.0f} %)"
+
+
+def _tau(said: Mapping[str, Any], unlisted: bool) -> str:
+    shrink = said["shrink"]
+    key, name = ("lag_fast", "shorter lag") if "lag_fast_before_s" in shrink else ("tau", "tau")
+    each = []
+    for when, words in (("before", "without an effect"), ("after", "with the explanations")):
+        middle, low, high = (shrink.get(f"{key}_{when}{end}_s") for end in ("", "_lo", "_hi"))
+        if middle is None:
+            continue
+        span = ""
+        if low is not None and high is not None:
+            span = f" (95 %: {shown(1e3 * low, 3)} to {shown(1e3 * high, 3)} ms)"
+        each.append(f"{shown(1e3 * middle, 3)} ms{span} {words}")
+    wide = said.get(f"{key}_with_discrepancy_s")
+    if unlisted and wide is not None:
+        low, middle, high = (shown(1e3 * wide[q], 3) for q in ("q2.5", "q50", "q97.5"))
+        each[1:] = [f"{middle} ms (95 %: {low} to {high} ms) with a discrepancy in the model"]
+    return f"{name}: {', '.join(each)}"
