@@ -25,6 +25,8 @@ from bayes_sensor.likelihood.problem import Problem
 
 MESH_LIMIT = 5e-4
 """error in log L at a few draws above which blocks are made narrower; promised is 1e-3"""
+HALVINGS = 12
+"""of the least tau to start from: below 1e-5 of the longest lag it is zero to the data"""
 
 
 def draw_root(
@@ -178,17 +180,8 @@ def approximate(
     """
     coordinates = Coordinates(problem)
     mesh = compressed or compress(problem, start)
-    theta = np.array(mesh.reference if np.isnan(start).any() else start, dtype=float)
+    given = np.array(mesh.reference if np.isnan(start).any() else start, dtype=float)
     free = coordinates.free
-    if coordinates.shifts:
-        theta[0] = max(theta[0], 0.02 * problem.commuting.lags(theta).max(initial=0.0))
-    theta = _into_support(problem, theta)
-    layout = problem.layout
-    for row in layout.noise:
-        theta[row[2]] = max(theta[row[2]], 0.05 * theta[row[1]])
-        theta[row[0]] = np.clip(theta[row[0]], -0.99, 0.9999)
-    for name, value in problem.fixed.items():
-        theta[layout.index(name)] = value
 
     def objective(psi: FloatArray) -> float:
         candidate = coordinates.theta(psi)
@@ -203,6 +196,7 @@ def approximate(
         slopes: FloatArray = coordinates.slopes(candidate).T @ g[free]
         return slopes
 
+    theta = _with_tau_above_zero(coordinates, given, objective)
     psi = coordinates.psi(theta)
     value = objective(psi)
     converged = False
@@ -260,6 +254,47 @@ def approximate(
     if (needed.low < mesh.region.low).any() or (needed.high > mesh.region.high).any():
         mesh = compress(problem, theta, covering_region(mesh, laplace, drawn, 0.4))
     return laplace, mesh.accurate(drawn[:3], MESH_LIMIT)
+
+
+def _with_tau_above_zero(
+    coordinates: Coordinates, given: FloatArray, objective: Callable[[FloatArray], float]
+) -> FloatArray:
+    """``given`` (n_theta,) inside its priors, with the shortest lag as far above zero as it may be.
+
+    At most 2 % of the longest lag, and less where the data hold that lag more tightly: a start far
+    below the fit would end in the mode in which all is noise.
+    """
+
+    def lifted(lowest: float) -> FloatArray:
+        theta = given.copy()
+        theta[0] = max(theta[0], lowest)
+        return _ready(coordinates.problem, theta)
+
+    theta = _ready(coordinates.problem, given)
+    if not coordinates.shifts:
+        return theta
+    best = objective(coordinates.psi(theta))
+    lowest = 0.02 * coordinates.problem.commuting.lags(given).max(initial=0.0)
+    # draws of a posterior lie about n / 2 below its maximum
+    allowed = 0.5 * len(coordinates.free)
+    for _ in range(HALVINGS):
+        theta = lifted(lowest)
+        if objective(coordinates.psi(theta)) >= best - allowed or lowest <= given[0]:
+            break
+        lowest *= 0.5
+    return theta
+
+
+def _ready(problem: Problem, theta: FloatArray) -> FloatArray:
+    """``theta`` moved just inside its priors, with noise that can be differentiated."""
+    theta = _into_support(problem, theta)
+    layout = problem.layout
+    for row in layout.noise:
+        theta[row[2]] = max(theta[row[2]], 0.05 * theta[row[1]])
+        theta[row[0]] = np.clip(theta[row[0]], -0.99, 0.9999)
+    for name, value in problem.fixed.items():
+        theta[layout.index(name)] = value
+    return theta
 
 
 def _into_support(problem: Problem, theta: FloatArray) -> FloatArray:

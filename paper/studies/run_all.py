@@ -23,9 +23,11 @@ import study_gap
 import study_hostile
 import study_misfit
 import study_order
+import study_other_rigs
 import study_predictive
 import study_published_bounds
 import study_real
+import study_recorders
 import study_reproduction
 import study_restoration
 import study_sbc
@@ -38,6 +40,7 @@ STUDIES = {
     "sbc": study_sbc.run,
     "coverage": study_coverage.run,
     "bounds": study_bounds.run,
+    "other-rigs": study_other_rigs.run,
     "coating": study_coating.run,
     "gap": study_gap.run,
     "unlisted": study_unlisted.run,
@@ -48,6 +51,7 @@ STUDIES = {
     "hostile": study_hostile.run,
     "misfit": study_misfit.run,
     "real": study_real.run,
+    "recorders": study_recorders.run,
     "restoration": study_restoration.run,
     "faults": study_faults.run,
     "determinism": study_determinism.run,

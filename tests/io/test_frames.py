@@ -150,3 +150,11 @@ T, Y = np.arange(200) * 0.05, np.sin(np.arange(200.0))
 def test_mistakes(frames: Any, more: dict[str, Any], message: str) -> None:
     with pytest.raises(bs.CampaignError, match=message):
         bs.Campaign.from_frames(frames, **{**FLOWS, **more})
+
+
+def test_every_sensor_has_its_own_column() -> None:
+    frame = {"time_s": T, "a_V": Y, "b_V": 2.0 * Y + 1.0}
+    keys = {"stages": ["sensor"], "commanded_on": "2 s"}
+    pair = bs.Campaign.from_frames(frame, signals={"A": "a_V", "B": "b_V"}, **keys)
+    np.testing.assert_array_equal(pair["1,A"].values, Y)
+    np.testing.assert_array_equal(pair["1,B"].values, 2.0 * Y + 1.0)

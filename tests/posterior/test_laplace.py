@@ -8,12 +8,14 @@ import pytest
 from scipy import integrate
 from scipy.stats import kstest, multivariate_normal
 
+import bayes_sensor as bs
 from bayes_sensor.likelihood.coordinates import Coordinates, names_of_psi
 from bayes_sensor.likelihood.density import log_likelihood
 from bayes_sensor.likelihood.mesh import compress
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.prior_density import log_prior
 from bayes_sensor.likelihood.priors import Prior
+from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior.laplace import (
     Laplace,
     approximate,
@@ -263,3 +265,21 @@ def test_roots_are_drawn_to_beyond_eight_standard_deviations() -> None:
     # where the density has sunk to its floor, so that weights stay bounded there
     assert (drawn_at(1.0 - 1e-15) > np.maximum(mean, 0.0) + 8.0 * sd).all()
     assert (drawn_at(0.0) <= np.maximum(mean - 8.0 * sd, 0.0)).all()
+
+
+def test_a_tight_fit_is_where_the_expansion_starts() -> None:
+    # one slow lag at a step of 500 times the noise: lags of 2 % of it would be far off
+    rng = np.random.default_rng(4)
+    t = np.cumsum(1.07 + 0.03 * rng.random(300))
+    y = 20.0 - 10.0 * np.expm1(-np.maximum(t - 59.7, 0.0) / 40.0)
+    y += 0.02 * rng.standard_normal(len(t))
+    campaign = bs.Campaign.from_frames(
+        {"1": (t, y)}, carrier_flow="1 L/min", test_gas_flow="0.5 L/min", commanded_on="59 s",
+        signal_unit="degC",
+    )  # fmt: skip
+    problem = Problem(campaign)
+    fit = bs.fit_least_squares(campaign, seed=1)
+    theta = problem.by_size(problem.layout.flat(fit.theta_hat))
+    laplace, _ = approximate(problem, theta)
+    assert problem.commuting.lags(laplace.theta)[-1] == pytest.approx(40.0, abs=0.5)
+    assert log_likelihood(problem, laplace.theta) > log_likelihood(problem, theta) - 5.0

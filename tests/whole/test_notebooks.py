@@ -91,6 +91,18 @@ def test_restore() -> None:
     assert values["low"] >= 0.0
 
 
+def test_own_rig() -> None:
+    values = run(
+        "own_rig.ipynb",
+        {"probe": "[alone.rows['tau_s'][q] for q in ('q2.5', 'q97.5')]", "factor": "float(factor)",
+         "slow": "slow_beside_fast.tolist()", "stairs": "[float(low), float(high)]"},
+    )  # fmt: skip
+    assert values["factor"] > 1.5
+    for name, truth in (("probe", 8.0), ("slow", 5.0), ("stairs", 5.0)):
+        low, high = values[name]
+        assert low < truth < high
+
+
 def test_design() -> None:
     values = run(
         "design.ipynb",

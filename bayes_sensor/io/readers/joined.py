@@ -30,7 +30,8 @@ def by_sensor(entry: Entry) -> list[tuple[Entry, str, str]]:
             entry.model_copy(
                 update={
                     "name": f"{entry.name},{sensor}",
-                    "signal": None if entry.file is None else column,
+                    # a design has no columns; data in memory have, but no file
+                    "signal": None if entry.duration is not None else column,
                     "signals": {},
                 }
             ),

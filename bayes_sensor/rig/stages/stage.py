@@ -37,9 +37,9 @@ class StageKind:
     unit: str
     """of the parameter, with which its name ends"""
     depends_on_flow: bool
-    passage: Callable[[Value, Value], Passage]
-    slope: Callable[[Value, Value], Passage]
-    words: Mapping[str, str] = field(default_factory=dict)
+    passage: Callable[[Value, Value], Passage] = field(repr=False)
+    slope: Callable[[Value, Value], Passage] = field(repr=False)
+    words: Mapping[str, str] = field(default_factory=dict, repr=False)
     """names of stages that are of this kind without saying so -> what their parameter is called by
     between symbol and unit; '' for nothing"""
 
