@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,7 +20,9 @@ from bayes_sensor.figures.style import (
     new_figure,
     style,
 )
-from bayes_sensor.restoration import Restored
+
+if TYPE_CHECKING:
+    from bayes_sensor.restoration import Restored
 
 MOST_POINTS = 4000
 """stretches that are drawn; of a longer record the least and greatest of each, or the mean"""

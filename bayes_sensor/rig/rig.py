@@ -79,6 +79,14 @@ class Rig:
                 f"{', '.join(stage.name for stage in self.stages)}; say which is the sensor"
             )
 
+    def __repr__(self) -> str:
+        """The stages by name, with the kind of those whose name does not say it."""
+        said = [
+            stage.name if stage.name in stage.kind.words else f"{stage.name}: {stage.kind.name}"
+            for stage in self.stages
+        ]
+        return f"Rig({', '.join(map(repr, said))})"
+
     @classmethod
     def parse(
         cls,
