@@ -43,7 +43,7 @@ OFFERED = {
     "fleet": COMMON, "fit": COMMON - {"--jobs"}, "delays": COMMON - {"--jobs"},
     "design": COMMON - {"--jobs"}, "simulate": COMMON - {"--jobs"},
     "blind-check": COMMON - {"--config"}, "check": {"--quiet", "--config"}, "init": {"--quiet"},
-    "report": {"--quiet"}, "diffusion": {"--quiet"},
+    "report": {"--quiet", "--jobs"}, "restore": COMMON, "diffusion": {"--quiet"},
 }  # fmt: skip
 
 

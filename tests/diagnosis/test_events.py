@@ -345,7 +345,7 @@ def test_what_strikes_again_alike_counts_together(look):
 
 def test_scores_of_changes_have_unit_variance_where_nothing_changes():
     # the refit's own freedom is left out: over noises the squares average to one
-    from bayes_sensor.diagnosis.signals.local_misfit import level_changes
+    from bayes_sensor.diagnosis.signals.level_changes import level_changes
 
     squares = []
     for seed in range(6):

@@ -229,7 +229,7 @@ def test_a_record_without_a_quiet_stretch_is_refused():
     plan = design(1)
     campaign = simulate(plan, theta(plan), seed=1)
     e = campaign.experiments[0]
-    near = (np.abs(e.t - 12.5) < 2.0) | (np.abs(e.t - 35.2) < 1.0)
+    near = (np.abs(e.t - 12.5) < 0.6) | (np.abs(e.t - 35.2) < 0.6)
     campaign = replace(campaign, experiments=(replace(e, mask=near),))
     with pytest.raises(CampaignError, match="record longer"):
         prepare(campaign, Layout.of(plan).flat(theta(plan)))
