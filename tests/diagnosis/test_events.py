@@ -231,7 +231,7 @@ def test_noise_of_any_kind_holds_no_short_patch(kind):
     rng = np.random.default_rng(5)
     plan = measured({}, seed=8, sigma=1e-6)
     values = []
-    for _ in range(5):
+    for _ in range(3):
         made = []
         for e in plan:
             own = noise(len(e.t), rng, "white" if kind == "gust" else kind)
