@@ -30,9 +30,8 @@ from tests.record.make import (
 COMPARED = (
     "data/reference",
     "data/withheld",
-    "simulated/mains_pickup",
 )
-"""the bundled ones, the second with an effect on the mean, and one with an effect on the noise"""
+"""the bundled ones"""
 LIBRARIES = ("python", "numpy", "scipy", "numba")
 
 

@@ -3,28 +3,47 @@
 import json
 import runpy
 import sys
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from bayes_sensor.cli import main
+from bayes_sensor.cli import exit_code
 
 ROOT = Path(__file__).resolve().parents[2]
 
 nbformat = pytest.importorskip("nbformat")
 nbclient = pytest.importorskip("nbclient")
+KernelManager = pytest.importorskip("jupyter_client").KernelManager
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # the Jupyter client's own warnings, not ours
 
 
-def run(name: str, expressions: dict[str, str]) -> dict[str, float]:
-    """Execute a notebook from the repository's root; values of ``expressions`` at its end."""
+Run = Callable[[str, dict[str, str]], dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def run() -> Iterator[Run]:
+    """Executes a notebook and returns values at its end; one kernel, emptied before each."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the Jupyter client's own
+        manager = KernelManager()
+        manager.start_kernel(cwd=str(ROOT))
+    try:
+        yield lambda name, expressions: executed(manager, name, expressions)
+    finally:
+        manager.shutdown_kernel(now=True)
+
+
+def executed(manager: KernelManager, name: str, expressions: dict[str, str]) -> dict[str, Any]:
+    """Values of ``expressions`` at the end of a notebook that ran from the repository's root."""
     notebook = nbformat.read(ROOT / "notebooks" / name, as_version=4)
+    notebook.cells.insert(0, nbformat.v4.new_code_cell("%reset -f"))
     probe = ", ".join(f"{key!r}: {code}" for key, code in expressions.items())
     notebook.cells.append(nbformat.v4.new_code_cell(f"import json; print(json.dumps({{{probe}}}))"))
-    nbclient.NotebookClient(
-        notebook, timeout=600, resources={"metadata": {"path": str(ROOT)}}
-    ).execute()
+    nbclient.NotebookClient(notebook, km=manager, timeout=600).execute()
     shown = [
         output["data"]
         for cell in notebook.cells
@@ -42,7 +61,7 @@ def test_stored_notebooks_hold_no_outputs() -> None:
             assert not cell.get("outputs"), f"{path.name}: strip its outputs"
 
 
-def test_main_job() -> None:
+def test_main_job(run: Run) -> None:
     values = run(
         "main_job.ipynb",
         {
@@ -64,13 +83,13 @@ def test_main_job() -> None:
     assert 2.5 < values["ar1"] / values["iid"] < 3.5
 
 
-def test_quickstart() -> None:
+def test_quickstart(run: Run) -> None:
     values = run("quickstart.ipynb", {"lo": "lo", "hi": "hi", "n": "len(campaign)"})
     assert values["n"] == 3
     assert 0 < values["lo"] < 0.060 < values["hi"]
 
 
-def test_noise() -> None:
+def test_noise(run: Run) -> None:
     values = run(
         "noise.ipynb",
         {"phi": "residuals.ar1['phi']", "right": "checks['ar1'].failed",
@@ -80,7 +99,7 @@ def test_noise() -> None:
     assert values["right"] == [] and "autocorrelation" in values["wrong"]
 
 
-def test_restore() -> None:
+def test_restore(run: Run) -> None:
     values = run(
         "restore.ipynb",
         {"share": "share(found)", "known": "share(known)", "resolution": "found.resolution_s",
@@ -91,7 +110,7 @@ def test_restore() -> None:
     assert values["low"] >= 0.0
 
 
-def test_own_rig() -> None:
+def test_own_rig(run: Run) -> None:
     values = run(
         "own_rig.ipynb",
         {"probe": "[alone.rows['tau_s'][q] for q in ('q2.5', 'q97.5')]", "factor": "float(factor)",
@@ -103,7 +122,7 @@ def test_own_rig() -> None:
         assert low < truth < high
 
 
-def test_design() -> None:
+def test_design(run: Run) -> None:
     values = run(
         "design.ipynb",
         {"before": "proposal.before.half_width95", "after": "proposal.after.half_width95",
@@ -113,7 +132,7 @@ def test_design() -> None:
     assert values["after"] <= values["target"] < values["before"]
 
 
-def test_bound_methods() -> None:
+def test_bound_methods(run: Run) -> None:
     values = run(
         "bounds.ipynb",
         {
@@ -138,10 +157,8 @@ def test_the_script_compares_in_under_twenty_lines(
     script = ROOT / "notebooks" / "compare_bounds.py"
     lines = [line for line in script.read_text().splitlines() if line.strip()]
     assert len(lines) < 20
-    with pytest.raises(SystemExit) as ended:
-        main(["simulate", "--out", str(tmp_path), "--duration", "30 s", "--interval", "20 ms",
-              "--experiments", "1,4,6", "-q"])  # fmt: skip
-    assert ended.value.code == 0
+    small = ["--duration", "30 s", "--interval", "20 ms", "--experiments", "1,4,6", "-q"]
+    assert exit_code(["simulate", "--out", str(tmp_path), *small]) == 0
     picture = tmp_path / "b.png"
     monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path / "campaign.toml"), str(picture)])
     runpy.run_path(str(script))
@@ -150,7 +167,7 @@ def test_the_script_compares_in_under_twenty_lines(
 
 
 @pytest.mark.slow
-def test_coating() -> None:
+def test_coating(run: Run) -> None:
     values = run(
         "coating.ipynb",
         {
@@ -171,7 +188,7 @@ def test_coating() -> None:
     assert values["rows"] == 7  # the sensor and six different flows
 
 
-def test_the_sealed_cause_is_found() -> None:
+def test_the_sealed_cause_is_found(run: Run) -> None:
     values = run(
         "gap.ipynb",
         {
@@ -195,7 +212,7 @@ def test_the_sealed_cause_is_found() -> None:
     assert values["closed"] > max(0.95, values["rival"])
 
 
-def test_an_effect_of_ones_own() -> None:
+def test_an_effect_of_ones_own(run: Run) -> None:
     values = run(
         "own_effect.ipynb",
         {
