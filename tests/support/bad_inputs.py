@@ -17,7 +17,6 @@ import re
 import signal
 import stat
 import struct
-import sys
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
@@ -30,8 +29,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.cli import BAD_INPUT, DONE
-from bayes_sensor.cli.print_check import print_check
+from bayes_sensor.cli import exit_code
 from bayes_sensor.io.check import campaign_remarks
 from bayes_sensor.io.readers import read_campaign
 
@@ -1375,12 +1373,7 @@ def check_in_process(path: Path) -> tuple[int, str]:
     """Exit code and stderr of ``bayes-sensor check`` without a new process."""
     err = io.StringIO()
     with redirect_stdout(io.StringIO()), redirect_stderr(err):
-        try:
-            print_check(path, quiet=False)
-            code = DONE
-        except CampaignError as error:  # as the command line does
-            print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-            code = BAD_INPUT
+        code = exit_code(["check", str(path)])
     return code, err.getvalue()
 
 
