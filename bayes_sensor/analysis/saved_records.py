@@ -59,12 +59,24 @@ def put_record(stage: Stage, part: str, record: Any, campaign: Campaign) -> None
         shorter = _SHORTER.get(part, lambda each: each)(record)
         content = {"data": data_digest(campaign), "record": shorter}
         try:
-            save_record(stage.path(name), content, {"experiments": campaign.experiments})
+            save_record(stage.path(name), content, _known(part, campaign))
         except TypeError:
             stage.path(name).unlink(missing_ok=True)
         else:
             return
     stage.drop.append(name)
+
+
+def _known(part: str, campaign: Campaign) -> dict[str, Any]:
+    """Objects by name that reader and writer both have: the data; effects and signals."""
+    known: dict[str, Any] = {"experiments": campaign.experiments}
+    if part == "gap":
+        from bayes_sensor.diagnosis.effects import CATALOGUE
+        from bayes_sensor.diagnosis.signals import SIGNALS
+
+        known |= {f"effect {name}": effect for name, effect in CATALOGUE.items()}
+        known |= {f"signal {signal.name}": signal for signal in SIGNALS}
+    return known
 
 
 def read_problem(folder: Path) -> tuple[Problem, str] | None:
@@ -87,7 +99,7 @@ def read_record(folder: Path, part: str, campaign: Campaign, data: str) -> Any:
     path = folder / file_of(part)
     if not path.is_file():
         return None
-    found = load_record(path, part, {"experiments": campaign.experiments})
+    found = load_record(path, part, _known(part, campaign))
     if not isinstance(found, dict) or "record" not in found:
         raise CampaignError(
             f"{path}: expected a saved {part}, but it holds something else; run the command that "

@@ -21,7 +21,7 @@ def check_filled_in(tables: Mapping[str, Any], label: str) -> None:
     >>> check_filled_in({"experiment": [{"name": "1", "carrier_flow": "? L/min"}]}, "campaign.toml")
     Traceback (most recent call last):
     ...
-    bayes_sensor.campaign.CampaignError: campaign.toml: carrier_flow of experiment '1' is still
+    bayes_sensor.experiment.CampaignError: campaign.toml: carrier_flow of experiment '1' is still
     missing; expected a value in place of '?': write what was set, such as "4.0 L/min"
     """
     left: dict[str, list[str]] = {}
