@@ -23,7 +23,7 @@ from bayes_sensor.checks.coverage import (
     simulate_setting,
     small_design,
 )
-from bayes_sensor.cli import exit_code
+from bayes_sensor.cli import main
 from bayes_sensor.likelihood.density import mean_and_variance, simulate
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import cascade_response
@@ -189,7 +189,9 @@ def test_the_command_writes_a_table_and_goes_on(
     command = ["coverage", "--out", str(out), "--setting", "iid", "--seed", "5",
                "--methods", "crlb_iid", "--methods", "sandwich"]  # fmt: skip
     for n, more in ((2, []), (3, ["--resume"])):
-        assert exit_code([*command, "--campaigns", str(n), *more]) == 0
+        with pytest.raises(SystemExit) as ended:
+            main([*command, "--campaigns", str(n), *more])
+        assert ended.value.code == 0
         table = pd.read_csv(out / "coverage.csv", dtype={"level": str})
         assert (table["campaigns"] == n).all()
         assert set(table["method"]) == {"crlb_iid", "sandwich"}
@@ -198,7 +200,9 @@ def test_the_command_writes_a_table_and_goes_on(
     record = json.loads((out / "coverage.json").read_text())
     assert record["settings"] == {"iid": SETTINGS["iid"].words}
     assert (out / "coverage.png").stat().st_size > 1000
-    assert exit_code(["coverage", "--out", str(tmp_path / "no"), "--setting", "white"]) == 2
+    with pytest.raises(SystemExit) as ended:
+        main(["coverage", "--out", str(tmp_path / "no"), "--setting", "white"])
+    assert ended.value.code == 2
     assert "no setting 'white'" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()
 

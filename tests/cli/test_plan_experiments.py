@@ -7,13 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayes_sensor.cli import exit_code
+from bayes_sensor.cli import main
 from bayes_sensor.design import check_design, design_experiments
 from bayes_sensor.io.readers import read_campaign
 
 
 def run(*arguments: str | Path) -> int:
-    return exit_code([str(argument) for argument in arguments])
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return int(ended.value.code or 0)
 
 
 @pytest.fixture(scope="module")

@@ -333,6 +333,16 @@ def test_effects_of_the_noise_have_no_d():
     assert np.isnan(rows.d["heavy_tails"]) and np.isnan(rows.d["quantisation"])
 
 
+def test_the_same_seed_gives_the_same_record():
+    campaign = measured({"dead_volume": 0.2}, seed=6)
+    fit = bs.fit_least_squares(campaign, seed=1, euler=False)
+    records = [
+        diagnose_gap(campaign, fit, seed=3, bootstrap=10, separate=False).to_json()
+        for _ in range(2)
+    ]
+    assert records[0] == records[1]
+
+
 def test_closure_and_held_out_agree_where_the_cause_is_right():
     gap = diagnosed("flow_switching", 1.0)
     closed = gap.shrink.closure
@@ -481,6 +491,21 @@ def ripple(t, strength, rig):
 RIPPLE = own_effect(
     "ripple", [Strength("ripple_V", "V", "normal", 0.0, 0.02)], ripple, plausible={"ripple_V": 0.02}
 )
+
+
+def test_an_effect_of_ones_own_is_named():
+    campaign = measured({}, seed=9)
+    values = {}
+    for e in campaign:
+        since = np.maximum(e.t - e.commanded_on - 0.8, 0.0)
+        values[e.name] = e.values + 0.02 * np.sin(2 * np.pi * since / 9.0)
+    campaign = campaign.with_data(values)
+    with_it = diagnose_gap(campaign, effects=[RIPPLE], bootstrap=0, hidden=False, separate=False)
+    assert with_it.verdict.kind == "effect" and with_it.verdict.effects == ("ripple",)
+    assert with_it.to_json()["strength_units"]["ripple_V"] == "V"
+    without = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)
+    # a wave on the plateau alone also raises the floor: nothing may be named, whatever is seen
+    assert without.verdict.effects == ()
 
 
 def test_own_effects_are_read_from_a_file(tmp_path):

@@ -227,7 +227,7 @@ def test_noise_of_any_kind_holds_no_short_patch(kind):
     rng = np.random.default_rng(5)
     plan = measured({}, seed=8, sigma=1e-6)
     values = []
-    for _ in range(3):
+    for _ in range(5):
         made = []
         for e in plan:
             own = noise(len(e.t), rng, "white" if kind == "gust" else kind)
@@ -426,7 +426,7 @@ def test_a_line_that_moves_the_bins_is_a_rival_of_the_effects():
     assert line.beside_the_mean
     assert not replace(line, strength={"line_V": 0.004, "line_Hz": 0.6}).beside_the_mean
     assert not replace(line, signal=SIGNALS["swing"], strength={"swing_Hz": 17.3}).beside_the_mean
-    comparison = diagnosed("flow_error", n=4).comparison
+    comparison = diagnosed("flow_error").comparison
     fast = combine(comparison, [line], CATALOGUE)
     slow = combine(comparison, [replace(line, strength={"line_Hz": 0.6})], CATALOGUE)
     assert fast.unlisted < 0.3
@@ -460,7 +460,7 @@ def test_an_event_stands_beside_an_effect_that_shows_elsewhere_and_is_unlisted_b
 
 
 def test_an_effect_that_lives_by_an_event_does_not_stand_beside_it():
-    comparison = diagnosed("flow_error", n=4).comparison
+    comparison = diagnosed("flow_error").comparison
     base, binned = comparison.base, comparison.binned
     fitted = comparison.find("flow_error").refit
     gain = base.residual**2 - fitted.residual**2

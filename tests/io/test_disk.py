@@ -22,7 +22,7 @@ from bayes_sensor.io.json_files import write_json
 from bayes_sensor.io.results import VOID, Results
 from bayes_sensor.io.writers import write_campaign
 from bayes_sensor.likelihood.mesh.node_sums import one_process
-from bayes_sensor.posterior import Settings, sample_posterior, save_draws
+from bayes_sensor.posterior import sample_posterior, save_draws
 from bayes_sensor.posterior.checkpoints import Checkpoint
 from tests.support.campaigns import small_problem
 
@@ -204,9 +204,7 @@ def test_compiled_code_waits_for_the_process_that_compiles(tmp_path: Path) -> No
 
 def _save_posterior(path: Path) -> None:
     problem, theta = small_problem(n=1, interval=0.05)
-    few = Settings(n_chains=2, n_draws=100, target_ess=50, max_draws=400)
-    posterior = sample_posterior(problem, theta, sampler="independence", settings=few)
-    save_draws.save_posterior(posterior, path)
+    save_draws.save_posterior(sample_posterior(problem, theta, sampler="independence"), path)
 
 
 def _one(i: int) -> dict[str, Any]:

@@ -30,8 +30,9 @@ from tests.record.make import (
 COMPARED = (
     "data/reference",
     "data/withheld",
+    "simulated/mains_pickup",
 )
-"""the bundled ones"""
+"""the bundled ones, the second with an effect on the mean, and one with an effect on the noise"""
 LIBRARIES = ("python", "numpy", "scipy", "numba")
 
 

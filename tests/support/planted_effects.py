@@ -80,7 +80,7 @@ def measured(
 
 
 @lru_cache(maxsize=32)
-def diagnosed(effect: str, strength: float | None = None, seed: int = 1, n: int = 3) -> Gap:
+def diagnosed(effect: str, strength: float | None = None, seed: int = 1) -> Gap:
     """The diagnosis of a campaign with one effect (or ``none``), kept between tests."""
     effects = {} if effect == "none" else {effect: strength}
-    return diagnose_gap(measured(effects, seed, n=n), seed=seed, bootstrap=0, separate=False)
+    return diagnose_gap(measured(effects, seed), seed=seed, bootstrap=0, separate=False)

@@ -3,47 +3,28 @@
 import json
 import runpy
 import sys
-import warnings
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from bayes_sensor.cli import exit_code
+from bayes_sensor.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
 
 nbformat = pytest.importorskip("nbformat")
 nbclient = pytest.importorskip("nbclient")
-KernelManager = pytest.importorskip("jupyter_client").KernelManager
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # the Jupyter client's own warnings, not ours
 
 
-Run = Callable[[str, dict[str, str]], dict[str, Any]]
-
-
-@pytest.fixture(scope="module")
-def run() -> Iterator[Run]:
-    """Executes a notebook and returns values at its end; one kernel, emptied before each."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the Jupyter client's own
-        manager = KernelManager()
-        manager.start_kernel(cwd=str(ROOT))
-    try:
-        yield lambda name, expressions: executed(manager, name, expressions)
-    finally:
-        manager.shutdown_kernel(now=True)
-
-
-def executed(manager: KernelManager, name: str, expressions: dict[str, str]) -> dict[str, Any]:
-    """Values of ``expressions`` at the end of a notebook that ran from the repository's root."""
+def run(name: str, expressions: dict[str, str]) -> dict[str, float]:
+    """Execute a notebook from the repository's root; values of ``expressions`` at its end."""
     notebook = nbformat.read(ROOT / "notebooks" / name, as_version=4)
-    notebook.cells.insert(0, nbformat.v4.new_code_cell("%reset -f"))
     probe = ", ".join(f"{key!r}: {code}" for key, code in expressions.items())
     notebook.cells.append(nbformat.v4.new_code_cell(f"import json; print(json.dumps({{{probe}}}))"))
-    nbclient.NotebookClient(notebook, km=manager, timeout=600).execute()
+    nbclient.NotebookClient(
+        notebook, timeout=600, resources={"metadata": {"path": str(ROOT)}}
+    ).execute()
     shown = [
         output["data"]
         for cell in notebook.cells
@@ -61,7 +42,7 @@ def test_stored_notebooks_hold_no_outputs() -> None:
             assert not cell.get("outputs"), f"{path.name}: strip its outputs"
 
 
-def test_main_job(run: Run) -> None:
+def test_main_job() -> None:
     values = run(
         "main_job.ipynb",
         {
@@ -83,13 +64,13 @@ def test_main_job(run: Run) -> None:
     assert 2.5 < values["ar1"] / values["iid"] < 3.5
 
 
-def test_quickstart(run: Run) -> None:
+def test_quickstart() -> None:
     values = run("quickstart.ipynb", {"lo": "lo", "hi": "hi", "n": "len(campaign)"})
     assert values["n"] == 3
     assert 0 < values["lo"] < 0.060 < values["hi"]
 
 
-def test_noise(run: Run) -> None:
+def test_noise() -> None:
     values = run(
         "noise.ipynb",
         {"phi": "residuals.ar1['phi']", "right": "checks['ar1'].failed",
@@ -99,7 +80,7 @@ def test_noise(run: Run) -> None:
     assert values["right"] == [] and "autocorrelation" in values["wrong"]
 
 
-def test_restore(run: Run) -> None:
+def test_restore() -> None:
     values = run(
         "restore.ipynb",
         {"share": "share(found)", "known": "share(known)", "resolution": "found.resolution_s",
@@ -110,7 +91,7 @@ def test_restore(run: Run) -> None:
     assert values["low"] >= 0.0
 
 
-def test_own_rig(run: Run) -> None:
+def test_own_rig() -> None:
     values = run(
         "own_rig.ipynb",
         {"probe": "[alone.rows['tau_s'][q] for q in ('q2.5', 'q97.5')]", "factor": "float(factor)",
@@ -122,7 +103,7 @@ def test_own_rig(run: Run) -> None:
         assert low < truth < high
 
 
-def test_design(run: Run) -> None:
+def test_design() -> None:
     values = run(
         "design.ipynb",
         {"before": "proposal.before.half_width95", "after": "proposal.after.half_width95",
@@ -132,7 +113,7 @@ def test_design(run: Run) -> None:
     assert values["after"] <= values["target"] < values["before"]
 
 
-def test_bound_methods(run: Run) -> None:
+def test_bound_methods() -> None:
     values = run(
         "bounds.ipynb",
         {
@@ -157,8 +138,10 @@ def test_the_script_compares_in_under_twenty_lines(
     script = ROOT / "notebooks" / "compare_bounds.py"
     lines = [line for line in script.read_text().splitlines() if line.strip()]
     assert len(lines) < 20
-    small = ["--duration", "30 s", "--interval", "20 ms", "--experiments", "1,4,6", "-q"]
-    assert exit_code(["simulate", "--out", str(tmp_path), *small]) == 0
+    with pytest.raises(SystemExit) as ended:
+        main(["simulate", "--out", str(tmp_path), "--duration", "30 s", "--interval", "20 ms",
+              "--experiments", "1,4,6", "-q"])  # fmt: skip
+    assert ended.value.code == 0
     picture = tmp_path / "b.png"
     monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path / "campaign.toml"), str(picture)])
     runpy.run_path(str(script))
@@ -167,7 +150,7 @@ def test_the_script_compares_in_under_twenty_lines(
 
 
 @pytest.mark.slow
-def test_coating(run: Run) -> None:
+def test_coating() -> None:
     values = run(
         "coating.ipynb",
         {
@@ -188,7 +171,7 @@ def test_coating(run: Run) -> None:
     assert values["rows"] == 7  # the sensor and six different flows
 
 
-def test_the_sealed_cause_is_found(run: Run) -> None:
+def test_the_sealed_cause_is_found() -> None:
     values = run(
         "gap.ipynb",
         {
@@ -212,7 +195,7 @@ def test_the_sealed_cause_is_found(run: Run) -> None:
     assert values["closed"] > max(0.95, values["rival"])
 
 
-def test_an_effect_of_ones_own(run: Run) -> None:
+def test_an_effect_of_ones_own() -> None:
     values = run(
         "own_effect.ipynb",
         {
