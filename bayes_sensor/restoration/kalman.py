@@ -34,17 +34,6 @@ def _times(a: FloatArray, b: FloatArray, found: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _times_transposed(a: FloatArray, b: FloatArray, found: FloatArray) -> None:
-    n = a.shape[0]
-    for i in range(n):
-        for j in range(n):
-            total = 0.0
-            for k in range(n):
-                total += a[i, k] * b[j, k]
-            found[i, j] = total
-
-
-@njit(cache=True, nogil=True)
 def discretise(
     drift: FloatArray, diffusion: FloatArray, steps: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -101,7 +90,7 @@ def discretise(
                     q[i, j] += c[i, j]
         for _ in range(halvings):
             _times(phi, q, work)
-            _times_transposed(work, phi, c)
+            _times(work, phi.T, c)
             for i in range(d):
                 for j in range(d):
                     q[i, j] += c[i, j]

@@ -9,6 +9,7 @@ Solin, *Applied Stochastic Differential Equations* (2019), section 12.3.  The no
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
@@ -163,52 +164,29 @@ class Samples:
         output[-1] = 1.0
         return scale, transitions, covariances, start, output
 
+    def _filter(self, model: Model, keep: bool = False) -> tuple[Any, tuple[FloatArray, ...]]:
+        """What :func:`run_filter` finds, and the system that it ran on."""
+        system = self._system(model)
+        scale, transitions, covariances, start, output = system
+        found = run_filter(
+            self.y, scale, self.which, transitions, covariances, start, output, self.direct, keep
+        )
+        return found, system
+
     def log_likelihood(self, model: Model) -> float:
         """Log density of the samples."""
-        scale, transitions, covariances, start, output = self._system(model)
-        found = run_filter(
-            self.y,
-            scale,
-            self.which,
-            transitions,
-            covariances,
-            start,
-            output,
-            self.direct,
-            False,
-        )
-        return float(found[0])
+        (value, *_), _ = self._filter(model)
+        return float(value)
 
     def innovations(self, model: Model) -> FloatArray:
         """(n,) prediction errors over their standard deviations; NaN where no sample was taken."""
-        scale, transitions, covariances, start, output = self._system(model)
-        _, v, spread, *_ = run_filter(
-            self.y,
-            scale,
-            self.which,
-            transitions,
-            covariances,
-            start,
-            output,
-            self.direct,
-            False,
-        )
+        (_, v, spread, *_), _ = self._filter(model)
         return np.asarray(v / np.sqrt(spread))
 
     def smooth(self, model: Model) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (n,) of the input at the record's times, given all samples."""
-        scale, transitions, covariances, start, output = self._system(model)
-        _, v, spread, mean, row, gains = run_filter(
-            self.y,
-            scale,
-            self.which,
-            transitions,
-            covariances,
-            start,
-            output,
-            self.direct,
-            True,
-        )
+        (_, v, spread, mean, row, gains), system = self._filter(model, keep=True)
+        scale, transitions, _, _, output = system
         m, variance = run_smoother(
             v, spread, mean, row, gains, scale, self.which, transitions, output, self.direct
         )
