@@ -41,6 +41,20 @@ FREE_SWITCHES = 4
 """switches in a record up to which each has a time of its own unless the campaign says otherwise"""
 
 
+def check_rising(times: FloatArray, where: str = "") -> None:
+    """Raise CampaignError if one of ``times`` (n,) s does not follow the one before it.
+
+    ``where``: words that begin the message.
+    """
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if late.size:
+        i = int(late[0])
+        raise CampaignError(
+            f"{where}times must rise, but time {i + 2} ({times[i + 1]:.10g} s) follows time "
+            f"{i + 1} ({times[i]:.10g} s); put them in order and drop repeated ones"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Commands:
     """What was done to the gas in a record that is more than one step up and one down.
@@ -78,13 +92,7 @@ class Commands:
             if not np.isfinite(values).all():
                 i = int(np.argmin(np.isfinite(values)))
                 raise CampaignError(f"commands: {label} {i + 1} is {values[i]}; expected a number")
-        late = np.flatnonzero(np.diff(times) <= 0.0)
-        if late.size:
-            i = int(late[0])
-            raise CampaignError(
-                f"commands: times must rise, but time {i + 2} ({times[i + 1]:.10g} s) follows time "
-                f"{i + 1} ({times[i]:.10g} s); put them in order and drop repeated ones"
-            )
+        check_rising(times, "commands: ")
         if self.delays not in ("free", "shared"):
             raise CampaignError(
                 f"delays: expected 'free' or 'shared', but got '{self.delays}'; correct it"

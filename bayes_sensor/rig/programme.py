@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.experiment import check_rising
 from bayes_sensor.rig.chain import Drive
 
 
@@ -178,11 +179,5 @@ def _rising(times: Sequence[float] | FloatArray) -> FloatArray:
     if not np.isfinite(found).all():
         i = int(np.argmin(np.isfinite(found)))
         raise CampaignError(f"time {i + 1} is {found[i]}; expected a number of seconds")
-    late = np.flatnonzero(np.diff(found) <= 0.0)
-    if late.size:
-        i = int(late[0])
-        raise CampaignError(
-            f"times must rise, but time {i + 2} ({found[i + 1]:.10g} s) follows time {i + 1} "
-            f"({found[i]:.10g} s); put them in order and drop repeated ones"
-        )
+    check_rising(found)
     return found
